@@ -1,0 +1,206 @@
+"""What is drawn, as plain frozen dataclasses: no Blender, no GPU.
+
+Transforms are named destination_from_source and are (4, 4) float64 for column vectors. Colours are
+scene-linear. Lengths are Blender units in world space unless said otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from .cloud import PointCloud
+
+TECHNIQUES = ("AUTO", "IMAGE_SPACE")
+DEVICES = ("AUTO", "BLENDER_GPU", "OPENGL")
+PRIMITIVES = ("AUTO", "POINTS", "POLYGONS")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The only defaults and ranges: Blender's properties (scene.pointsplat) are made from this table."""
+
+    technique: str = "AUTO"  # one of TECHNIQUES
+    tolerance: float = 1.0  # pixels: projected size below which a node is drawn instead of its children
+    samples: int = 16  # sub-pixel samples averaged in a final render
+    viewport_samples: int = 16  # the same in the viewport, when it is still
+    device: str = "AUTO"  # one of DEVICES
+
+    RANGES: ClassVar[dict[str, tuple[float, float]]] = {
+        "tolerance": (0.05, 64.0),
+        "samples": (1, 4096),
+        "viewport_samples": (1, 1024),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles of one evaluated mesh, in object space. Per-corner attributes are (T, 3, ...)."""
+
+    key: str  # content key: equal keys mean equal arrays
+    name: str  # the object's name, for messages
+    position: np.ndarray  # (V, 3) float32
+    triangles: np.ndarray  # (T, 3) int32, rows of position
+    vertex_normal: np.ndarray | None = None  # (V, 3) float32; set when every corner of a vertex shares it
+    corner_normal: np.ndarray | None = None  # (T, 3, 3) float32; set otherwise
+    uv: dict[str, np.ndarray] = field(default_factory=dict)  # map name to (T, 3, 2) float32
+    colors: dict[str, np.ndarray] = field(default_factory=dict)  # attribute name to (T, 3, 4) float32, scene-linear
+    active_uv: str | None = None  # the map that a texture node without a UV Map node reads
+    material: np.ndarray | None = None  # (T,) uint16, rows of Scene.materials; None: all `materials[0]`
+    materials: tuple[int, ...] = (0,)  # the rows in use
+
+    @property
+    def nbytes(self) -> int:
+        arrays = [self.position, self.triangles, self.vertex_normal, self.corner_normal, self.material]
+        arrays += [*self.uv.values(), *self.colors.values()]
+        return sum(a.nbytes for a in arrays if a is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """What an instance refers to: a mesh (drawn as points or polygons) or a cloud (drawn as points)."""
+
+    key: str  # content key
+    name: str
+    mesh: Mesh | None = None
+    cloud: PointCloud | None = None
+    primitive: str = "AUTO"  # one of PRIMITIVES
+    spacing: float = 0.0  # distance between samples in object units; 0 chooses
+
+
+@dataclass(frozen=True, eq=False)
+class Instances:
+    """One row for each thing that is drawn."""
+
+    geometry: np.ndarray  # (I,) int32, rows of Scene.geometries
+    world_from_object: np.ndarray  # (I, 4, 4) float64
+    previous: np.ndarray | None = None  # (I, 4, 4) float64: world_from_object a frame before; only for the Vector pass
+    pass_index: np.ndarray | None = None  # (I,) int32
+    holdout: np.ndarray | None = None  # (I,) bool: cuts a hole into alpha
+    object_hash: np.ndarray | None = None  # (I,) uint32: cryptomatte hash of the object's name
+    names: tuple[str, ...] = ()  # object name for each row, for messages
+
+    def __len__(self) -> int:
+        return len(self.geometry)
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialTable:
+    """Constants for each material (row 0 is the default material). Attributes on points override them."""
+
+    base_color: np.ndarray  # (M, 3) float32
+    roughness: np.ndarray  # (M,) float32, Principled roughness (alpha = roughness^2)
+    metallic: np.ndarray  # (M,) float32
+    ior: np.ndarray  # (M,) float32
+    specular: np.ndarray  # (M,) float32, Principled specular IOR level (0.5: F0 from ior; 0: no specular)
+    emission: np.ndarray  # (M, 3) float32, emitted radiance
+    alpha: np.ndarray  # (M,) float32
+    cull: np.ndarray  # (M,) bool: backface culling
+    pass_index: np.ndarray  # (M,) int32
+    hash: np.ndarray  # (M,) uint32: cryptomatte hash of the name
+    names: tuple[str, ...] = ()
+    graphs: tuple[object | None, ...] = ()  # core.materials.Graph for materials whose inputs vary, else None
+
+    def __len__(self) -> int:
+        return len(self.roughness)
+
+
+def default_materials() -> MaterialTable:
+    """A table with only row 0: Blender's default Principled surface."""
+    f = np.float32
+    return MaterialTable(
+        base_color=np.array([[0.8, 0.8, 0.8]], f),
+        roughness=np.array([0.5], f),
+        metallic=np.zeros(1, f),
+        ior=np.array([1.5], f),
+        specular=np.array([0.5], f),
+        emission=np.zeros((1, 3), f),
+        alpha=np.ones(1, f),
+        cull=np.zeros(1, bool),
+        pass_index=np.zeros(1, np.int32),
+        hash=np.zeros(1, np.uint32),
+        names=("Default",),
+        graphs=(None,),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """A lamp in world space, in radiometric quantities; host/convert turns Blender's power into them."""
+
+    kind: str  # POINT, SUN, SPOT, AREA
+    color: (
+        np.ndarray
+    )  # (3,) float64. POINT/SPOT: radiant intensity W/sr; SUN: irradiance W/m2; AREA: radiance W/(m2 sr)
+    position: np.ndarray  # (3,) float64; ignored by SUN
+    direction: np.ndarray  # (3,) float64, unit, where the light shines (its local -Z)
+    radius: float = 0.0  # sphere radius (POINT, SPOT); SUN: half angle in radians
+    spot_cos: float = -1.0  # SPOT: cosine of half the cone angle
+    spot_blend: float = 0.0  # SPOT: Blender's blend in [0, 1]
+    axis_u: np.ndarray | None = None  # AREA: (3,) half-extent vector of the first side; SPOT: unit local X
+    axis_v: np.ndarray | None = None  # AREA: (3,) half-extent vector of the second side; SPOT: unit local Y
+    ellipse: bool = False  # AREA: disk or ellipse instead of a rectangle
+    diffuse: float = 1.0  # factor on diffuse light
+    specular: float = 1.0  # factor on specular light
+    name: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Light from infinitely far: a colour, or an equirectangular picture."""
+
+    color: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) float64 radiance; used when image is None
+    image: np.ndarray | None = None  # (H, W, 3) float32 radiance, row 0 at the bottom (-Z), Blender's equirect layout
+    world_rotation: np.ndarray = field(default_factory=lambda: np.eye(3))  # (3, 3) image_from_world
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole or parallel camera. View space looks along -Z, +Y up. Pixels count from the bottom left."""
+
+    view_from_world: np.ndarray  # (4, 4) float64, rigid
+    clip_from_view: np.ndarray  # (4, 4) float64, OpenGL's (z from -1 to 1); no skew; shift included
+    resolution: tuple[int, int]  # width, height of the full frame in pixels
+    region: tuple[int, int, int, int] | None = None  # x0, y0, width, height of the part to draw; None: all
+    near: float = 0.1  # clip start; may be negative in a parallel viewport
+    far: float = 1000.0
+    previous_view_from_world: np.ndarray | None = None  # a frame before; only for the Vector pass
+    previous_clip_from_view: np.ndarray | None = None
+
+    @property
+    def perspective(self) -> bool:
+        return bool(self.clip_from_view[3, 2] != 0.0)
+
+    @property
+    def window(self) -> tuple[int, int, int, int]:
+        return self.region or (0, 0, *self.resolution)
+
+    def pixel_from_view(self) -> tuple[float, float, float, float]:
+        """(fx, fy, cx, cy): pixel = c + f * xy / d, with d = -z for perspective and d = 1 for parallel cameras."""
+        m, (w, h), (x0, y0, _, _) = self.clip_from_view, self.resolution, self.window
+        shift = -m[:2, 2] if self.perspective else m[:2, 3]
+        fx, fy = m[0, 0] * w / 2, m[1, 1] * h / 2
+        return fx, fy, (1 + shift[0]) * w / 2 - x0, (1 + shift[1]) * h / 2 - y0
+
+
+@dataclass(frozen=True, eq=False)
+class Mist:
+    start: float = 5.0
+    depth: float = 25.0
+    falloff: str = "QUADRATIC"  # QUADRATIC, LINEAR, INVERSE_QUADRATIC
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything that a frame needs but the camera."""
+
+    geometries: tuple[Geometry, ...]
+    instances: Instances
+    materials: MaterialTable
+    lights: tuple[Light, ...] = ()
+    world: World = field(default_factory=World)
+    transparent: bool = False  # film: the world is not drawn, only shines
+    mist: Mist = field(default_factory=Mist)
+    warnings: tuple[str, ...] = ()
