@@ -1,0 +1,40 @@
+"""The render passes in one table: read by the engine's registration, by plan.py and by the output alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class RenderPass:
+    """One pass of a view layer, named as Cycles names it."""
+
+    key: str  # PointSplat's own name
+    names: tuple[str, str]  # Cycles' name in Blender 4.5 and from 5.0
+    channels: int
+    ids: str  # channel letters
+    kind: str  # COLOR, VALUE or VECTOR
+    switch: str  # the view layer's property that asks for it; "": always
+    averaged: bool = True  # over the samples; else taken from the first one (at the pixel's centre)
+
+
+PASSES = (
+    RenderPass("combined", ("Combined", "Combined"), 4, "RGBA", "COLOR", ""),
+    RenderPass("depth", ("Depth", "Depth"), 1, "Z", "VALUE", "use_pass_z", averaged=False),
+    RenderPass("mist", ("Mist", "Mist"), 1, "Z", "VALUE", "use_pass_mist"),
+    RenderPass("position", ("Position", "Position"), 3, "XYZ", "VECTOR", "use_pass_position", averaged=False),
+    RenderPass("normal", ("Normal", "Normal"), 3, "XYZ", "VECTOR", "use_pass_normal"),
+    RenderPass("vector", ("Vector", "Vector"), 4, "XYZW", "VECTOR", "use_pass_vector", averaged=False),
+    RenderPass("albedo", ("DiffCol", "Diffuse Color"), 3, "RGB", "COLOR", "use_pass_diffuse_color"),
+    RenderPass("object_index", ("IndexOB", "Object Index"), 1, "X", "VALUE", "use_pass_object_index", averaged=False),
+    RenderPass(
+        "material_index", ("IndexMA", "Material Index"), 1, "X", "VALUE", "use_pass_material_index", averaged=False
+    ),
+    RenderPass("crypto_object", ("CryptoObject", "CryptoObject"), 4, "RGBA", "COLOR", "use_pass_cryptomatte_object"),
+    RenderPass(
+        "crypto_material", ("CryptoMaterial", "CryptoMaterial"), 4, "RGBA", "COLOR", "use_pass_cryptomatte_material"
+    ),
+)
+BY_KEY = {p.key: p for p in PASSES}
+CRYPTO = ("crypto_object", "crypto_material")  # each becomes ceil(levels / 2) passes with suffix 00, 01, ...
+BACKGROUND_DEPTH = 1e10  # Cycles' value where a ray meets nothing

@@ -1,0 +1,1 @@
+"""Shaders as text plus a declared interface, the same for every device."""
