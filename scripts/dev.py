@@ -1,0 +1,344 @@
+#!/usr/bin/env python3
+"""Makes the environment and runs what a developer needs, with nothing but a plain Python.
+
+    python3 scripts/dev.py render     the demo scene, drawn by PointSplat: out/demo.png and out/demo.json
+    python3 scripts/dev.py test       every test (--python 3.11|3.13|all, --long, then pytest's own arguments)
+    python3 scripts/dev.py build      the extension: dist/pointsplat-<version>.zip
+    python3 scripts/dev.py lint       ruff and pyright
+    python3 scripts/dev.py env        only the environment
+
+Blender comes as the package bpy, which needs Python 3.11 (Blender 4.5 LTS) or 3.13 (Blender 5.2 LTS).
+Environments live in .venv/, pinned by requirements/. Exit codes: 0 done, 1 failed, 2 not possible here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import glob
+import hashlib
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+
+# ruff: noqa: RUF005, UP031 (this file is read by whatever Python a machine has, so it keeps to what 3.8 understands)
+ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+BLENDER_FOR_PYTHON = {"3.11": "4.5 LTS", "3.13": "5.2 LTS"}
+PASSED, NO_TESTS = 0, 5  # pytest's exit codes
+
+# What bpy links to, and what it and moderngl open at run time, with the Debian package of each.
+LIBRARIES = {
+    "libX11.so.6": "libx11-6",
+    "libXext.so.6": "libxext6",
+    "libXfixes.so.3": "libxfixes3",
+    "libXi.so.6": "libxi6",
+    "libXrender.so.1": "libxrender1",
+    "libXxf86vm.so.1": "libxxf86vm1",
+    "libxkbcommon.so.0": "libxkbcommon0",
+    "libSM.so.6": "libsm6",
+    "libICE.so.6": "libice6",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+}
+# libEGL.so.1 only dispatches; a context needs a driver behind it. These bring Mesa's, which also draws without a GPU.
+DRIVER_PACKAGES = ["libegl-mesa0", "libgl1-mesa-dri", "libglx-mesa0"]
+EGL_PROBE = "import moderngl; print(moderngl.create_context(standalone=True, backend='egl').info['GL_RENDERER'])"
+
+
+class ImpossibleError(Exception):
+    """What was asked cannot be done on this machine as it is; the message says why and what would help."""
+
+
+def say(text):
+    print("dev: " + text, flush=True)
+
+
+# ---------------------------------------------------------------------------- Python
+
+
+def probe(python):
+    """(version "3.11", can make environments) of an interpreter, or None if it does not run."""
+    code = "import sys, importlib.util as u; print('%d.%d' % sys.version_info[:2], bool(u.find_spec('ensurepip')))"
+    try:
+        out = subprocess.run(
+            [python, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=60, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    words = out.stdout.decode().split()
+    return (words[0], words[1] == "True") if len(words) == 2 else None
+
+
+def interpreter(version):
+    """(path, can make environments) of an interpreter of that version, or None; one that can is preferred."""
+    pyenv = os.environ.get("PYENV_ROOT") or os.path.expanduser("~/.pyenv")
+    candidates = [getattr(sys, "_base_executable", sys.executable) or sys.executable]
+    candidates += [os.path.join(d, "python" + version) for d in os.get_exec_path()]
+    candidates += [os.path.join(d, "python3") for d in os.get_exec_path()]
+    candidates += sorted(glob.glob(os.path.join(pyenv, "versions", version + ".*", "bin", "python" + version)))
+    candidates += sorted(
+        glob.glob(os.path.expanduser("~/.local/share/uv/python/cpython-" + version + ".*/bin/python3"))
+    )
+    second_choice = None
+    for path in candidates:
+        if not os.access(path, os.X_OK) or os.path.isdir(path):
+            continue
+        found = probe(path)
+        if found and found[0] == version:
+            if found[1]:
+                return path, True
+            second_choice = second_choice or (path, False)
+    return second_choice
+
+
+def venv_python(version):
+    folder = os.path.join(ROOT, ".venv", "py" + version.replace(".", ""))
+    return os.path.join(folder, "Scripts", "python.exe") if os.name == "nt" else os.path.join(folder, "bin", "python")
+
+
+def available(version):
+    found = probe(venv_python(version))
+    return bool(found and found[0] == version) or interpreter(version) is not None
+
+
+def chosen_versions(wish):
+    """Python versions to use: one ("3.11"), every one that the machine has ("all"), or the first of them (None)."""
+    if wish in BLENDER_FOR_PYTHON and available(wish):
+        return [wish]
+    versions = [v for v in BLENDER_FOR_PYTHON if available(v)] if wish in (None, "all") else []
+    if not versions:
+        here = "%d.%d" % sys.version_info[:2]
+        asked = "Python " + wish if wish in BLENDER_FOR_PYTHON else "Python 3.11 (Blender 4.5) or 3.13 (Blender 5.2)"
+        raise ImpossibleError(
+            "this needs %s, because Blender's package bpy exists for those only. Neither PATH nor pyenv has it; "
+            "this is Python %s.\n  Debian 12: apt-get install python3.11 python3.11-venv"
+            "\n  Debian 13: apt-get install python3.13 python3.13-venv"
+            "\n  elsewhere: pyenv install 3.13, or uv python install 3.13" % (asked, here)
+        )
+    return versions if wish == "all" else versions[:1]
+
+
+# ---------------------------------------------------------------------------- environment
+
+
+def run(command, **options):
+    """Run a command in the repository's root; its exit code."""
+    return subprocess.call(command, cwd=ROOT, **options)
+
+
+def apt_install(packages, why):
+    """Install Debian packages as root or with sudo; where that is not possible, say the command."""
+    command = ["apt-get", "install", "-y", "--no-install-recommends"] + packages
+    if not shutil.which("apt-get"):
+        raise ImpossibleError("%s. On Debian and Ubuntu the packages are: %s" % (why, " ".join(packages)))
+    prefix = []
+    if os.geteuid() != 0:
+        prefix = ["sudo"]
+        may_ask = sys.stdin is not None and sys.stdin.isatty()
+        if not shutil.which("sudo") or not (may_ask or run(["sudo", "-n", "true"], stderr=subprocess.DEVNULL) == 0):
+            raise ImpossibleError("%s. Please run, as root: %s" % (why, " ".join(command)))
+    say("%s. Running: %s" % (why, " ".join(prefix + command)))
+    environment = dict(os.environ, DEBIAN_FRONTEND="noninteractive")
+    run(prefix + ["apt-get", "update", "-q"], env=environment)
+    if run(prefix + command, env=environment) != 0:
+        raise ImpossibleError("apt-get could not install: " + " ".join(packages))
+
+
+def install(python, requirements):
+    """Install a requirements file into an environment, unless its stamp says that this was done."""
+    with open(os.path.join(ROOT, "requirements", requirements), "rb") as file:
+        wanted = hashlib.sha256(file.read()).hexdigest()
+    stamp = os.path.join(os.path.dirname(os.path.dirname(python)), requirements + ".sha256")
+    if os.path.exists(stamp):
+        with open(stamp) as file:
+            if file.read() == wanted:
+                return
+    say("installing requirements/%s into %s (bpy alone is 400 MB)" % (requirements, os.path.relpath(python, ROOT)))
+    pip = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check"]
+    if run(pip + ["-r", os.path.join("requirements", requirements)]) != 0:
+        raise ImpossibleError("pip could not install requirements/" + requirements)
+    with open(stamp, "w") as file:
+        file.write(wanted)
+
+
+def environment(version):
+    """The interpreter of .venv/pyXYZ, made and filled where needed."""
+    python = venv_python(version)
+    found = probe(python)
+    if not found or found[0] != version:
+        choice = interpreter(version)
+        if choice is None:
+            raise ImpossibleError("this machine has no Python %s" % version)
+        base, can_make_environments = choice
+        if not can_make_environments:
+            apt_install(["python%s-venv" % version], "%s cannot make virtual environments" % base)
+        folder = os.path.dirname(os.path.dirname(python))
+        say("making %s with %s" % (os.path.relpath(folder, ROOT), base))
+        if run([base, "-m", "venv", "--clear", folder]) != 0:
+            raise ImpossibleError("%s could not make a virtual environment" % base)
+    install(python, "py" + version.replace(".", "") + ".txt")
+    return python
+
+
+def unopenable():
+    """Names of the needed system libraries that the loader cannot open."""
+    missing = []
+    for name in LIBRARIES:
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            missing.append(name)
+    return missing
+
+
+def check_system(python):
+    """Make sure that bpy can load and that an OpenGL context can be made; install what is missing on Debian."""
+    if not sys.platform.startswith("linux"):
+        return
+    missing = unopenable()
+    if missing:
+        apt_install([LIBRARIES[name] for name in missing], "this machine lacks " + ", ".join(missing))
+        missing = unopenable()
+        if missing:
+            raise ImpossibleError("still missing: " + ", ".join(missing))
+    if run([python, "-c", EGL_PROBE], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) != 0:
+        apt_install(DRIVER_PACKAGES, "no OpenGL context can be made through EGL: a driver is missing")
+        if run([python, "-c", EGL_PROBE], stdout=subprocess.DEVNULL) != 0:
+            raise ImpossibleError("no OpenGL context can be made through EGL; the error stands above")
+
+
+def ready(wish):
+    """Interpreters of ready environments, checked against the system."""
+    pythons = [environment(version) for version in chosen_versions(wish)]
+    check_system(pythons[0])
+    return pythons
+
+
+# ---------------------------------------------------------------------------- verbs
+
+
+def render(args, rest):
+    python = ready(args.python)[0]
+    os.makedirs(os.path.join(ROOT, "out"), exist_ok=True)
+    scene, picture, report = (os.path.join("out", "demo" + end) for end in (".blend", ".png", ".json"))
+    steps = [
+        ["scripts/demo_scene.py", "--output", scene],
+        ["scripts/render.py", scene, "--output", picture, "--report", report] + rest,
+    ]
+    for step in steps:
+        if run([python] + step) != 0:
+            say("failed: " + step[0])
+            return 1
+    say("the picture is %s, its report is %s" % (picture, report))
+    return 0
+
+
+def build(args, rest):
+    return run([ready(args.python)[0], "scripts/build_extension.py"] + rest)
+
+
+def lint(args, rest):
+    python = environment(chosen_versions(args.python)[0])
+    install(python, "lint.txt")
+    commands = [
+        [python, "-m", "ruff", "check"],
+        [python, "-m", "ruff", "format", "--check"],
+        [python, "-m", "pyright", "--pythonpath", python],
+    ]
+    failed = []
+    for command in commands:
+        say(" ".join(command[2:]))
+        if run(command + rest) != 0:
+            failed.append(command[2])
+    if failed:
+        say("failed: " + ", ".join(sorted(set(failed))))
+    return 1 if failed else 0
+
+
+def test_groups(arguments):
+    """Split pytest's arguments into options and groups of paths, each group for one process.
+
+    What needs no Blender shares a process. Every file that loads bpy has its own: Blender's state cannot be reset.
+    """
+    is_path = [os.path.exists(os.path.join(ROOT, a.split("::")[0])) and not a.startswith("-") for a in arguments]
+    options = [a for a, path in zip(arguments, is_path) if not path]  # noqa: B905 (Python 3.8 has no strict)
+    paths = [a for a, path in zip(arguments, is_path) if path] or ["tests"]  # noqa: B905
+    plain, groups = [], []
+    for path in paths:
+        name = os.path.relpath(os.path.join(ROOT, path), ROOT)
+        folders = ["core", "render", "blender"] if name == "tests" else []
+        for part in [os.path.join(name, folder) for folder in folders] or [name]:
+            if not part.startswith(os.path.join("tests", "blender")):
+                plain.append(part)
+            elif os.path.isdir(os.path.join(ROOT, part)):
+                groups += [[f] for f in sorted(glob.glob(os.path.join(part, "**", "test_*.py"), recursive=True))]
+            else:
+                groups.append([part])
+    return options, ([plain] if plain else []) + groups
+
+
+def run_tests(python, options, paths, limit):
+    """One pytest process over some paths; its exit code. A process that outlives `limit` seconds is killed."""
+    command = [python, "-m", "pytest", "-o", "faulthandler_timeout=%d" % (limit // 2)] + options + paths
+    process = subprocess.Popen(command, cwd=ROOT, start_new_session=True)
+    try:
+        return process.wait(limit)
+    except subprocess.TimeoutExpired:
+        say("killed after %d s: %s" % (limit, " ".join(shlex.quote(word) for word in command)))
+        return 1
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def test(args, rest):
+    pythons = ready(args.python)
+    os.chdir(ROOT)
+    options, groups = test_groups(rest)
+    if not args.long and "-m" not in options:
+        options = ["-m", "not long"] + options
+    failed, ran = [], False
+    for python in pythons:
+        for paths in groups:
+            say("%s: %s" % (os.path.relpath(python, ROOT), " ".join(paths)))
+            code = run_tests(python, options, paths, args.limit)
+            ran = ran or code == PASSED
+            # A file whose tests are all deselected is no failure, as long as some other ran.
+            if code not in (PASSED, NO_TESTS):
+                failed.append("%s %s (exit code %d)" % (os.path.relpath(python, ROOT), " ".join(paths), code))
+    for line in failed:
+        say("FAILED " + line)
+    if not failed:
+        say("all passed" if ran else "no test ran")
+    return 0 if ran and not failed else 1
+
+
+def env(args, rest):
+    for python in ready(args.python):
+        say("ready: " + os.path.relpath(python, ROOT))
+    return 0
+
+
+VERBS = {"render": render, "test": test, "build": build, "lint": lint, "env": env}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("verb", choices=sorted(VERBS), help="what to do; further arguments are handed on")
+    parser.add_argument("--python", choices=sorted(BLENDER_FOR_PYTHON) + ["all"], help="default: the first there is")
+    parser.add_argument("--long", action="store_true", help="test: also the tests that take minutes")
+    parser.add_argument("--limit", type=int, default=1800, help="test: seconds until a test process is killed")
+    args, rest = parser.parse_known_args()
+    try:
+        return VERBS[args.verb](args, rest)
+    except ImpossibleError as reason:
+        say(str(reason))
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,81 @@
+"""The direction of imports: host → devices, render, formats → shading, core."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "pointsplat_addon"
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+# For each room, the tops of what importing it must not load.
+FORBIDDEN = {
+    "core": {"bpy", "gpu", "moderngl", "glcontext"},
+    "shading": {"bpy", "gpu", "moderngl", "glcontext"},
+    "render": {"bpy", "gpu", "moderngl", "glcontext", "pointsplat_addon.devices", "pointsplat_addon.host"},
+}
+
+
+def modules(room: str) -> list[str]:
+    parts = [f.relative_to(ROOT).with_suffix("").parts for f in sorted((PACKAGE / room).rglob("*.py"))]
+    return [".".join(p[:-1] if p[-1] == "__init__" else p) for p in parts]
+
+
+def imported_names(file: Path) -> set[str]:
+    """Absolute names of all modules that a file imports, at its top or inside functions."""
+    package = file.relative_to(ROOT).parent.parts
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            stem = ".".join([*base, *([node.module] if node.module else [])])
+            names |= {stem} | {f"{stem}.{alias.name}" for alias in node.names}
+    return names
+
+
+def below(name: str, top: str) -> bool:
+    return name == top or name.startswith(top + ".")
+
+
+@pytest.mark.parametrize("room", FORBIDDEN)
+def test_importing_a_room_loads_no_module_it_must_not_know(room: str) -> None:
+    names = modules(room)
+    assert names
+    code = f"import importlib, sys\nfor name in {names!r}: importlib.import_module(name)\nprint(*sys.modules)"
+    out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert out.returncode == 0, out.stderr
+    loaded = set(out.stdout.split())
+    assert set(names) <= loaded
+    assert sorted(m for m in loaded for top in FORBIDDEN[room] if below(m, top)) == []
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda f: str(f.relative_to(PACKAGE)))
+def test_a_file_imports_only_what_its_room_may(file: Path) -> None:
+    room = file.relative_to(PACKAGE).parts[0]
+    names = imported_names(file)
+    if room != "host":
+        assert not [n for n in names if below(n, "bpy") or below(n, "bpy_extras")]
+    if room not in ("host", "devices"):
+        assert not [n for n in names if below(n, "gpu") or below(n, "moderngl")]
+    if room not in ("host", "__init__.py"):
+        assert not [n for n in names if below(n, "pointsplat_addon.host")]
+    if room == "core":
+        outside = [n for n in names if below(n, "pointsplat_addon") and not below(n, "pointsplat_addon.core")]
+        assert [n for n in outside if n != "pointsplat_addon"] == []
+
+
+def test_the_package_is_imported_relatively_inside_itself() -> None:
+    """An installed extension is called bl_ext.<repository>.pointsplat, so its own absolute name does not exist."""
+    absolute = {
+        str(file.relative_to(ROOT)): node.lineno
+        for file in FILES
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if (isinstance(node, ast.ImportFrom) and node.level == 0 and below(node.module or "", "pointsplat_addon"))
+        or (isinstance(node, ast.Import) and any(below(a.name, "pointsplat_addon") for a in node.names))
+    }
+    assert absolute == {}
