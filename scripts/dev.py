@@ -11,8 +11,6 @@ Blender comes as the package bpy, which needs Python 3.11 (Blender 4.5 LTS) or 3
 Environments live in .venv/, pinned by requirements/. Exit codes: 0 done, 1 failed, 2 not possible here.
 """
 
-from __future__ import annotations
-
 import argparse
 import ctypes
 import glob
