@@ -1,0 +1,227 @@
+"""Render a .blend file with PointSplat, with nothing but the bpy package (or inside Blender itself).
+
+    python scripts/render.py FILE.blend --output OUT.png|OUT.exr [--frame N | --frames A-B] [--size WxH]
+        [--camera NAME] [--device auto|blender_gpu|opengl] [--set NAME=VALUE ...] [--report R.json]
+    blender -b --python scripts/render.py -- FILE.blend --output OUT.png ...
+
+--set writes scene.pointsplat.NAME. With --frames, the frame's number goes before the ending of OUT (out_0001.png) and
+the report is a list. Exit codes: 0 rendered, 1 the render failed, 2 a wrong argument.
+"""
+
+import argparse
+import json
+import os
+import re
+import sys
+import traceback
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+FORMATS = {".png": "PNG", ".exr": "OPEN_EXR"}
+LARGEST_SIDE = 65536  # Blender's own limit of scene.render.resolution_x
+
+
+class ArgumentError(Exception):
+    """What was asked makes no sense; the message says what would."""
+
+
+# ---------------------------------------------------------------------------- arguments
+
+
+def size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)[xX](\d+)", text)
+    if not match or not all(4 <= int(side) <= LARGEST_SIDE for side in match.groups()):
+        raise argparse.ArgumentTypeError(f"{text!r} is no size such as 1280x720, with sides from 4 to {LARGEST_SIDE}")
+    return int(match[1]), int(match[2])
+
+
+def frames(text: str) -> range:
+    match = re.fullmatch(r"(-?\d+)-(-?\d+)", text)
+    if not match or int(match[1]) > int(match[2]):
+        raise argparse.ArgumentTypeError(f"{text!r} is no range of frames such as 1-24")
+    return range(int(match[1]), int(match[2]) + 1)
+
+
+def assignment(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    return name.strip(), value.strip()
+
+
+def output(text: str) -> Path:
+    path = Path(text).resolve()
+    if path.suffix.lower() not in FORMATS:
+        raise argparse.ArgumentTypeError(f"{text!r} must end in {' or '.join(FORMATS)}")
+    return path
+
+
+def arguments(argv: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("file", type=Path, metavar="FILE.blend")
+    parser.add_argument("--output", type=output, required=True, metavar="OUT.png|OUT.exr")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--frame", type=int, metavar="N", help="default: the file's current frame")
+    which.add_argument("--frames", type=frames, metavar="A-B")
+    parser.add_argument("--size", type=size, metavar="WxH", help="default: the file's")
+    parser.add_argument("--camera", metavar="NAME", help="default: the scene's")
+    parser.add_argument("--device", choices=["auto", "blender_gpu", "opengl"])
+    parser.add_argument("--set", type=assignment, action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--report", type=Path, metavar="R.json")
+    return parser.parse_args(argv)
+
+
+# ---------------------------------------------------------------------------- Blender
+
+
+def engine_class():
+    """The registered engine; registers the checkout's where no installed extension has."""
+    import bpy
+
+    def registered():
+        classes = bpy.types.RenderEngine.__subclasses__()
+        return next((c for c in classes if getattr(c, "bl_idname", "") == "POINTSPLAT" and c.is_registered), None)
+
+    if registered() is None:
+        sys.path.insert(0, str(ROOT))
+        import pointsplat_addon
+
+        pointsplat_addon.register()
+    return registered()
+
+
+def open_file(path: Path):
+    """Open a .blend file; its active scene."""
+    import bpy
+
+    if not path.is_file():
+        raise ArgumentError(f"there is no file {path}")
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
+    except RuntimeError as error:
+        raise ArgumentError(f"Blender cannot open {path}: {error}") from error
+    return bpy.context.scene
+
+
+def typed(settings, name: str, text: str):
+    """The value that `text` says for a property of scene.pointsplat."""
+    properties = {p.identifier: p for p in settings.bl_rna.properties if p.identifier not in ("rna_type", "name")}
+    if name not in properties:
+        raise ArgumentError(f"--set {name}: there is no such setting; there are {', '.join(sorted(properties))}")
+    prop = properties[name]
+    if prop.type == "ENUM":
+        choices = [item.identifier for item in prop.enum_items]
+        if text.upper() not in choices:
+            raise ArgumentError(f"--set {name}={text}: choose one of {', '.join(choices)}")
+        return text.upper()
+    if prop.type == "BOOLEAN":
+        if text.lower() not in ("true", "false", "1", "0", "yes", "no", "on", "off"):
+            raise ArgumentError(f"--set {name}={text}: say true or false")
+        return text.lower() in ("true", "1", "yes", "on")
+    if prop.type in ("INT", "FLOAT"):
+        try:
+            value = int(text) if prop.type == "INT" else float(text)
+        except ValueError:
+            raise ArgumentError(f"--set {name}={text}: this is no {prop.type.lower()}") from None
+        if not prop.hard_min <= value <= prop.hard_max:
+            raise ArgumentError(f"--set {name}={text}: it must lie between {prop.hard_min:g} and {prop.hard_max:g}")
+        return value
+    return text
+
+
+def prepare(scene, args: argparse.Namespace) -> None:
+    """Put what the arguments ask for into the scene."""
+    import bpy
+
+    scene.render.engine = "POINTSPLAT"
+    if args.camera is not None:
+        cameras = sorted(o.name for o in scene.objects if o.type == "CAMERA")
+        if args.camera not in cameras:
+            there = f"there are {', '.join(cameras)}" if cameras else "the scene has none"
+            raise ArgumentError(f"--camera {args.camera}: there is no such camera in the scene; {there}")
+        scene.camera = bpy.data.objects[args.camera]
+    if scene.camera is None:
+        raise ArgumentError(f"the scene {scene.name!r} of {args.file} has no camera; name one with --camera")
+    if args.size:
+        scene.render.resolution_x, scene.render.resolution_y = args.size
+        scene.render.resolution_percentage = 100
+    if args.device:
+        scene.pointsplat.device = args.device.upper()
+    for name, text in args.set:
+        setattr(scene.pointsplat, name, typed(scene.pointsplat, name, text))
+
+    image = scene.render.image_settings
+    if hasattr(image, "media_type"):  # since Blender 5.0 the format's kind comes first
+        image.media_type = "IMAGE"
+    image.file_format = FORMATS[args.output.suffix.lower()]
+    image.color_mode = "RGBA" if scene.render.film_transparent or image.file_format == "OPEN_EXR" else "RGB"
+    image.color_depth = "32" if image.file_format == "OPEN_EXR" else "8"
+    scene.render.use_file_extension = False  # the name is written as it was given
+
+
+def render_frame(scene, frame: int, path: Path, engine) -> dict:
+    """Render one frame into a file; the engine's report."""
+    import bpy
+
+    scene.frame_set(frame)
+    scene.render.filepath = str(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    bpy.ops.render.render(write_still=True)
+    if not path.is_file():
+        raise RuntimeError(f"Blender wrote no picture to {path}")
+    return dict(sys.modules[engine.__module__].last_report)
+
+
+def numbered(path: Path, frame: int) -> Path:
+    return path.with_name(f"{path.stem}_{frame:04d}{path.suffix}")
+
+
+def render(args: argparse.Namespace) -> None:
+    engine = engine_class()
+    scene = open_file(args.file)
+    prepare(scene, args)
+    if args.frames:
+        report = [render_frame(scene, f, numbered(args.output, f), engine) for f in args.frames]
+    else:
+        frame = scene.frame_current if args.frame is None else args.frame
+        report = render_frame(scene, frame, args.output, engine)
+    if args.report:
+        args.report.parent.mkdir(parents=True, exist_ok=True)
+        args.report.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    for warning in [w for r in (report if isinstance(report, list) else [report]) for w in r.get("warnings", [])]:
+        print(f"render: warning: {warning}")
+
+
+def main() -> int:
+    # Blender hands its own arguments on as well; the script's come after "--".
+    argv = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
+    try:
+        args = arguments(argv)
+        render(args)
+    except SystemExit as stop:  # argparse's own, after --help or a wrong argument
+        return int(stop.code or 0)
+    except ArgumentError as error:
+        print(f"render: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        if error.name != "bpy":
+            raise
+        print("render: this Python has no bpy; scripts/dev.py env makes one that has", file=sys.stderr)
+        return 2
+    except RuntimeError as error:  # how Blender hands on what an engine reports as an error
+        print(f"render: {str(error).strip()}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    code = 1
+    try:
+        code = main()
+    except Exception:
+        traceback.print_exc()
+    # Blender 4.5 does not come back from the interpreter's own shutdown while an engine is registered.
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
