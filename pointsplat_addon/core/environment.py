@@ -1,0 +1,182 @@
+"""Light from an equirectangular picture: prefiltered once into an atlas that the reference and the GPU read alike.
+
+The atlas is (W/2 + 2 TILE[1], W, 4) float32 (rows from the bottom, the fourth channel is 1), W one of WIDTHS:
+
+    rows 0 .. W/2           the picture itself: mirror reflection, and the background
+    tiles of TILE above it  four to a row: radiance prefiltered for each of ROUGHNESS, last the Lambert irradiance / pi
+
+Prefiltering assumes n = v = r (Karis 2013, "Real shading in Unreal Engine 4", split sum) and uses filtered
+importance sampling (Křivánek and Colbert 2008, equation 11), which is free of noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+WIDTHS = (512, 1024, 2048)
+TILE = (128, 64)
+ROUGHNESS = (0.2, 0.4, 0.6, 0.8, 1.0)
+SAMPLES = 64
+
+
+def uv_from_direction(direction: np.ndarray) -> np.ndarray:
+    """(..., 3) directions in image axes to (..., 2) in [0, 1]: Blender's equirectangular layout, v up."""
+    x, y, z = np.moveaxis(direction, -1, 0)
+    u = 0.5 - np.arctan2(y, x) / (2 * np.pi)
+    v = 0.5 + np.arctan2(z, np.hypot(x, y)) / np.pi
+    return np.stack([u, v], -1)
+
+
+def direction_from_uv(uv: np.ndarray) -> np.ndarray:
+    """The inverse of uv_from_direction: (..., 2) to (..., 3) unit vectors."""
+    azimuth = (0.5 - uv[..., 0]) * (2 * np.pi)
+    elevation = (uv[..., 1] - 0.5) * np.pi
+    c = np.cos(elevation)
+    return np.stack([c * np.cos(azimuth), c * np.sin(azimuth), np.sin(elevation)], -1)
+
+
+def texel_directions(width: int, height: int) -> np.ndarray:
+    """(height, width, 3) unit vectors through the texel centres, row 0 at the bottom."""
+    u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    return direction_from_uv(np.stack([u, v], -1))
+
+
+def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Samples of (H, W, C) at (..., 2): repeats in u, clamps in v."""
+    h, w = image.shape[:2]
+    x, y = uv[..., 0] * w - 0.5, np.clip(uv[..., 1] * h - 0.5, 0, h - 1)
+    x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    fx, fy = (x - x0)[..., None].astype(image.dtype), (y - y0)[..., None].astype(image.dtype)
+    y1, x1, x0 = np.minimum(y0 + 1, h - 1), (x0 + 1) % w, x0 % w
+    low = image[y0, x0] * (1 - fx) + image[y0, x1] * fx
+    high = image[y1, x0] * (1 - fx) + image[y1, x1] * fx
+    return low * (1 - fy) + high * fy
+
+
+def build_atlas(image: np.ndarray) -> np.ndarray:
+    """The atlas of an equirectangular (H, W, 3 or more) radiance picture; NaN counts as 0, infinities as the float32
+    limit's root, so that sums stay finite."""
+    image = np.nan_to_num(np.asarray(image[..., :3], np.float32), nan=0.0, posinf=1e18, neginf=0.0)
+    width = next((w for w in WIDTHS if w >= image.shape[1]), WIDTHS[-1])
+    mips = _mips(_resample(image, width, width // 2))
+    sharp = mips[0]
+
+    tiles = [_resample(_prefilter(mips, roughness), *TILE) for roughness in ROUGHNESS]
+    tiles.append(_resample(_irradiance(mips), *TILE))
+
+    atlas = np.ones((width // 2 + 2 * TILE[1], width, 4), np.float32)
+    atlas[: width // 2, :, :3] = sharp
+    for i, tile in enumerate(tiles):
+        x, y = i % 4 * TILE[0], width // 2 + i // 4 * TILE[1]
+        atlas[y : y + TILE[1], x : x + TILE[0], :3] = tile
+    return atlas
+
+
+def level(atlas: np.ndarray, index: int) -> np.ndarray:
+    """View of one level: 0 the picture, 1 .. len(ROUGHNESS) prefiltered, the next one the irradiance / pi."""
+    half = atlas.shape[1] // 2
+    if index == 0:
+        return atlas[:half, :, :3]
+    x, y = (index - 1) % 4 * TILE[0], half + (index - 1) // 4 * TILE[1]
+    return atlas[y : y + TILE[1], x : x + TILE[0], :3]
+
+
+def radiance(atlas: np.ndarray, direction: np.ndarray, roughness: np.ndarray) -> np.ndarray:
+    """(N, 3) float64 prefiltered radiance from (N, 3) image-space directions at (N,) roughness."""
+    step = ROUGHNESS[0]
+    position = np.clip(np.asarray(roughness, float) / step, 0, len(ROUGHNESS))
+    low = np.minimum(position.astype(np.int64), len(ROUGHNESS) - 1)
+    uv = uv_from_direction(direction)
+    result = np.zeros((len(uv), 3))
+    for i in np.unique(low):
+        rows = low == i
+        t = (position[rows] - i)[:, None]
+        near, far = (bilinear(level(atlas, k).astype(float), uv[rows]) for k in (i, i + 1))
+        result[rows] = near * (1 - t) + far * t
+    return result
+
+
+def mean_radiance(atlas: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(N, 3) float64 irradiance / pi on surfaces with (N, 3) image-space normals."""
+    return bilinear(level(atlas, len(ROUGHNESS) + 1).astype(float), uv_from_direction(normal))
+
+
+def _resample(image: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Bilinear where it grows, exact area average where it shrinks."""
+    h, w = image.shape[:2]
+    if width >= w and height >= h:
+        if (width, height) == (w, h):
+            return image
+        u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+        return bilinear(image, np.stack([u, v], -1))
+    return _box(_box(image, height).swapaxes(0, 1), width).swapaxes(0, 1)
+
+
+def _box(image: np.ndarray, count: int) -> np.ndarray:
+    """Mean over `count` equal intervals of the first axis, by differences of its running sum."""
+    total = np.concatenate([np.zeros_like(image[:1], np.float64), np.cumsum(image, 0, dtype=np.float64)])
+    edge = np.linspace(0, len(image), count + 1)
+    below = np.minimum(edge.astype(np.int64), len(image) - 1)
+    part = (edge - below).reshape(-1, *[1] * (image.ndim - 1))
+    at_edge = total[below] * (1 - part) + total[below + 1] * part
+    return (np.diff(at_edge, axis=0) * (count / len(image))).astype(np.float32)
+
+
+def _mips(image: np.ndarray) -> list[np.ndarray]:
+    """Halved until 32 texels wide; rows weigh with their solid angle, so that the light from the sphere is kept."""
+    levels = [image]
+    while levels[-1].shape[1] > 32:
+        last = levels[-1]
+        h = len(last)
+        weight = np.cos((np.arange(h) + 0.5) / h * np.pi - np.pi / 2).astype(np.float32)[:, None, None]
+        pairs = (last * weight).reshape(h // 2, 2, -1, 2, 3).sum((1, 3))
+        levels.append(pairs / (2 * weight.reshape(h // 2, 2, 1, 1).sum(1)))
+    return levels
+
+
+def _frame(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors perpendicular to (..., 3) unit normals and to each other."""
+    helper = np.where(np.abs(normal[..., 2:]) < 0.7, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    tangent = np.cross(helper, normal)
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
+    return tangent, np.cross(normal, tangent)
+
+
+def _prefilter(mips: list[np.ndarray], roughness: float) -> np.ndarray:
+    """(h, w, 3) radiance averaged over the GGX lobe about each texel's direction, weighted with n.l."""
+    size = TILE if roughness < 0.5 else (TILE[0] // 2, TILE[1] // 2)
+    normal = texel_directions(*size)
+    tangent, bitangent = _frame(normal)
+    alpha2 = roughness**4
+    texel = 2 * np.pi**2 / mips[0].shape[1] / mips[0].shape[0]
+
+    # Half vectors from the density D(h) n.h, on a golden-angle spiral.
+    u = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    cos_h = np.sqrt((1 - u) / (1 + (alpha2 - 1) * u))
+    density = alpha2 / (np.pi * ((alpha2 - 1) * cos_h**2 + 1) ** 2) / 4
+    cos_l = 2 * cos_h**2 - 1
+    phi = np.arange(SAMPLES) * (np.pi * (3 - np.sqrt(5)))
+    lod = np.clip(0.5 * np.log2(1 / (SAMPLES * density * texel)) + 0.5, 0, len(mips) - 1.001)
+
+    total, weight = np.zeros((*normal.shape[:2], 3)), 0.0
+    for i in np.flatnonzero(cos_l > 0):
+        sin_l = np.sqrt(1 - cos_l[i] ** 2)
+        direction = cos_l[i] * normal + sin_l * (np.cos(phi[i]) * tangent + np.sin(phi[i]) * bitangent)
+        uv, k = uv_from_direction(direction), int(lod[i])
+        t = lod[i] - k
+        total += cos_l[i] * ((1 - t) * bilinear(mips[k], uv) + t * bilinear(mips[k + 1], uv))
+        weight += cos_l[i]
+    return (total / weight).astype(np.float32)
+
+
+def _irradiance(mips: list[np.ndarray]) -> np.ndarray:
+    """(32, 64, 3) Lambert irradiance / pi: the whole sphere summed for each normal."""
+    source = next(m for m in mips if m.shape[1] <= 64)
+    h, w = source.shape[:2]
+    direction = texel_directions(w, h).reshape(-1, 3)
+    solid_angle = np.cos((np.arange(h) + 0.5) / h * np.pi - np.pi / 2).repeat(w)
+    normal = texel_directions(64, 32).reshape(-1, 3)
+    weight = np.maximum(normal @ direction.T, 0) * solid_angle
+    # Normalised by the discrete sum, so that a constant picture stays constant.
+    weight /= weight.sum(1, keepdims=True)
+    return (weight @ source.reshape(-1, 3).astype(np.float64)).reshape(32, 64, 3).astype(np.float32)

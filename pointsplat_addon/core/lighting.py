@@ -1,0 +1,505 @@
+"""Direct light on opaque surfaces in float64: the reference for shaders/lib/*.glsl, and the texture that these read.
+
+Surfaces are Blender's Principled BSDF without coat, sheen, transmission and subsurface: a GGX lobe with multiple
+scattering over a Lambert base that receives what the lobe does not reflect. Lights are closed forms or
+representative points, so nothing is noisy. There are no shadows here.
+
+References: Walter et al. 2007 (GGX); Heitz 2014 (height-correlated Smith); Kulla and Conty 2017 (multiple scattering);
+Baum, Rushmeier and Winget 1989, equation 5 (polygon form factor); Snyder 1996 (sphere cut by the horizon);
+Karis 2013 (representative points, split sum).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from . import environment
+from .scene import Light, World
+
+# ps_lights, (FIRST_LIGHT + lights, WIDTH, 4) float32:
+#   rows 0 .. TABLE_ROWS      reflectance table, see reflectance_table
+#   row TABLE_ROWS            (0) world colour; (1..3) columns of image_from_view
+#   rows FIRST_LIGHT ..       one light each, see light_records
+WIDTH = 32
+TABLE_ROWS = 32
+FIRST_LIGHT = TABLE_ROWS + 1
+KINDS = ("POINT", "SPOT", "SUN", "AREA")
+COLUMNS = 6
+ELLIPSE_SIDES = 24
+SPREAD_CELLS = 6  # to a side: an area light with a narrowed beam is summed over a grid
+MIN_ALPHA = 1e-3  # float32 on the GPU cannot hold a narrower lobe's peak
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Principled values of N points; every array may also be a scalar or (3,) that is broadcast."""
+
+    base: np.ndarray  # (N, 3) scene-linear
+    emission: np.ndarray  # (N, 3) radiance
+    roughness: np.ndarray  # (N,)
+    metallic: np.ndarray  # (N,)
+    ior: np.ndarray  # (N,)
+    specular: np.ndarray  # (N,) IOR level: 0.5 leaves F0 as the ior says
+
+    def broadcast(self, count: int) -> Surface:
+        """The same with full-length float64 arrays."""
+        return Surface(
+            *(np.broadcast_to(np.asarray(a, float), (count, 3)) for a in (self.base, self.emission)),
+            *(
+                np.broadcast_to(np.asarray(a, float), (count,))
+                for a in (self.roughness, self.metallic, self.ior, self.specular)
+            ),
+        )
+
+
+def shade(
+    position: np.ndarray,
+    normal: np.ndarray,
+    to_eye: np.ndarray,
+    surface: Surface,
+    lights: Sequence[Light] = (),
+    world: World | None = None,
+    atlas: np.ndarray | None = None,
+) -> np.ndarray:
+    """Radiance (N, 3) float64 towards the eye, in world space.
+
+    position, normal (unit), to_eye (unit): (N, 3). Surfaces are two-sided: the normal is turned to the viewer.
+    `atlas` is environment.build_atlas(world.image), built here if it is needed and None.
+    """
+    position, normal, to_eye = (np.asarray(a, float) for a in (position, normal, to_eye))
+    normal = np.where(_dot(normal, to_eye)[:, None] < 0, -normal, normal)
+    material = _Material(surface.broadcast(len(position)), normal, to_eye)
+
+    result = material.surface.emission.copy()
+    for light in lights:
+        result += _shade_light(position, normal, to_eye, material, light)
+    if world is not None:
+        result += _shade_world(normal, to_eye, material, world, atlas)
+    return result
+
+
+def fresnel_dielectric(cosine: np.ndarray, eta: np.ndarray) -> np.ndarray:
+    """Unpolarised reflectance of a dielectric of relative index eta at the cosine of the incident angle."""
+    g2 = eta**2 - 1 + cosine**2
+    g = np.sqrt(np.maximum(g2, 0))
+    # eta = 1 at grazing incidence is 0 / 0; the floor makes it 0 reflectance's limit.
+    a = (g - cosine) / np.maximum(g + cosine, 1e-9)
+    b = ((g + cosine) * cosine - 1) / np.maximum((g - cosine) * cosine + 1, 1e-9)
+    return np.where(g2 < 0, 1.0, np.where(eta == 1, 0.0, np.clip(0.5 * a**2 * (1 + b**2), 0, 1)))
+
+
+@cache
+def reflectance_table() -> np.ndarray:
+    """(TABLE_ROWS, WIDTH, 4) float64: what a GGX surface reflects of uniform light, by quadrature.
+
+    Row i is roughness i / (TABLE_ROWS - 1), column j the view cosine (j / (WIDTH - 1))^2. Channels: albedo E with
+    Fresnel 1; the share s of F90 in mean Fresnel F0 (1 - s) + s for Schlick; the same for a dielectric of
+    index 1.5; the mean albedo over the hemisphere, which depends on the row only.
+    """
+    roughness = np.linspace(0, 1, TABLE_ROWS)
+    cosine = np.maximum(np.linspace(0, 1, WIDTH) ** 2, 1e-4)
+    table = np.empty((TABLE_ROWS, WIDTH, 4))
+    for row, r in zip(table, roughness, strict=True):
+        row[:, :3] = _albedo(np.maximum(r**2, MIN_ALPHA), cosine)
+        flux = row[:, 0] * cosine
+        row[:, 3] = ((flux[1:] + flux[:-1]) * np.diff(cosine)).sum()
+    table.setflags(write=False)
+    return table
+
+
+def light_texture(lights: Sequence[Light], world: World, view_from_world: np.ndarray) -> np.ndarray:
+    """Everything that shaders/lib/lights.glsl reads from ps_lights: (FIRST_LIGHT + L, WIDTH, 4) float32."""
+    texture = np.zeros((FIRST_LIGHT + len(lights), WIDTH, 4), np.float32)
+    texture[:TABLE_ROWS] = reflectance_table()
+    texture[TABLE_ROWS, 0, :3] = world.color
+    texture[TABLE_ROWS, 1:4, :3] = (world.world_rotation @ view_from_world[:3, :3].T).T  # columns as rows
+    texture[FIRST_LIGHT:, :COLUMNS] = light_records(lights, view_from_world)
+    return texture
+
+
+def light_records(lights: Sequence[Light], view_from_world: np.ndarray) -> np.ndarray:
+    """(L, COLUMNS, 4) float32 in view space.
+
+    column  xyz                                      w
+    0       color, as in scene.Light                 index in KINDS
+    1       position                                 radius (SUN: half angle in radians)
+    2       direction                                diffuse factor
+    3       axis_u                                   specular factor
+    4       axis_v                                   unused
+    5       POINT: 1 a sphere, 0 soft. SPOT: the same, cosine of half the cone, blend.
+            AREA: 1 an ellipse, half the beam's angle (pi / 2: not narrowed)
+    """
+    rotation = view_from_world[:3, :3]
+    records = np.zeros((len(lights), COLUMNS, 4))
+    for record, light in zip(records, lights, strict=True):
+        axis_u, axis_v = _axes(light)
+        record[0] = *light.color, KINDS.index(light.kind)
+        record[1] = *(rotation @ light.position + view_from_world[:3, 3]), light.radius
+        record[2] = *(rotation @ light.direction), light.diffuse
+        record[3] = *(rotation @ axis_u), light.specular
+        record[4, :3] = rotation @ axis_v
+        if light.kind == "AREA":
+            record[5, :2] = light.ellipse, light.spread / 2
+        else:
+            record[5, :3] = not light.soft, light.spot_cos, light.spot_blend
+    return records.astype(np.float32)
+
+
+class _Material:
+    """What the BSDF needs of (N,) surfaces seen from one direction."""
+
+    def __init__(self, surface: Surface, normal: np.ndarray, to_eye: np.ndarray) -> None:
+        self.surface, self.normal, self.to_eye = surface, normal, to_eye
+        self.alpha = np.maximum(np.clip(surface.roughness, 0, 1) ** 2, MIN_ALPHA)
+        self.cos_eye = np.clip(_dot(normal, to_eye), 1e-4, 1)
+        metallic = np.clip(surface.metallic, 0, 1)[:, None]
+        self.metal_f0 = np.clip(surface.base, 0, 1)
+
+        # The specular level scales F0, which stands for another index (Blender's Principled BSDF).
+        f0 = ((surface.ior - 1) / (surface.ior + 1)) ** 2 * (2 * np.maximum(surface.specular, 0))
+        f0 = np.minimum(f0, 0.99)
+        eta = (1 + np.sqrt(f0)) / (1 - np.sqrt(f0))
+        self.eta = np.where(surface.ior < 1, 1 / eta, eta)
+
+        albedo, s_metal, s_dielectric, mean = _table(self.cos_eye, np.clip(surface.roughness, 0, 1)).T[:, :, None]
+        missing = (1 - albedo) / albedo
+
+        def scattered(mean_fresnel: np.ndarray) -> np.ndarray:
+            """Multiple over single scattering (Kulla and Conty 2017)."""
+            return 1 + missing * mean_fresnel * mean / (1 - mean_fresnel * (1 - mean))
+
+        self.metal_scale = metallic * scattered(self.metal_f0 + (1 - self.metal_f0) / 21)
+        f0 = f0[:, None]
+        dielectric_scale = scattered(_mean_fresnel(self.eta)[:, None])
+        reflected = (f0 * (1 - s_dielectric) + s_dielectric) * albedo * dielectric_scale
+        reflected = np.where(self.eta[:, None] == 1, 0.0, reflected)
+        self.dielectric_scale = (1 - metallic) * dielectric_scale
+        self.reflectance = (1 - metallic) * reflected + self.metal_scale * albedo * (
+            self.metal_f0 * (1 - s_metal) + s_metal
+        )
+        self.diffuse = np.maximum(surface.base, 0) * (1 - metallic) * (1 - np.minimum(reflected, 1))
+
+    def specular(self, direction: np.ndarray) -> np.ndarray:
+        """(N, 3) BSDF of the GGX lobe times n.l for unit directions to the light (N, 3)."""
+        cos_light = _dot(self.normal, direction)
+        half = _unit(direction + self.to_eye)
+        cos_half, cos_between = _dot(self.normal, half), np.clip(_dot(half, direction), 0, 1)
+        a2 = self.alpha**2
+        # |n x h|^2 in place of 1 - (n.h)^2, which cancels in float32.
+        sin2 = (np.cross(self.normal, half) ** 2).sum(1)
+        density = a2 / (np.pi * (a2 * cos_half**2 + sin2) ** 2)
+        cl = np.maximum(cos_light, 1e-6)
+        visibility = 0.5 / (
+            cl * np.sqrt(a2 + (1 - a2) * self.cos_eye**2) + self.cos_eye * np.sqrt(a2 + (1 - a2) * cl**2)
+        )
+        lobe = np.where(cos_light > 0, density * visibility * cl, 0.0)[:, None]
+        metal = self.metal_f0 + (1 - self.metal_f0) * ((1 - cos_between) ** 5)[:, None]
+        dielectric = fresnel_dielectric(cos_between, self.eta)[:, None]
+        return lobe * (self.metal_scale * metal + self.dielectric_scale * dielectric)
+
+
+def _shade_light(
+    position: np.ndarray, normal: np.ndarray, to_eye: np.ndarray, material: _Material, light: Light
+) -> np.ndarray:
+    """Reflected radiance (N, 3) of one light."""
+    # The lobe's width as an angle of reflected rays: half vectors of a GGX lobe fill a solid angle of pi alpha^2.
+    width = np.sqrt(2) * material.alpha
+    mirror = 2 * _dot(normal, to_eye)[:, None] * normal - to_eye
+    if light.kind == "AREA":
+        irradiance, direction, energy = _area_light(position, normal, mirror, width, light)
+    else:
+        irradiance, direction, energy = _round_light(position, normal, mirror, width, light)
+    diffuse = light.diffuse * irradiance[:, None] / np.pi * material.diffuse
+    specular = light.specular * energy[:, None] * material.specular(direction)
+    return light.color * (diffuse + specular)
+
+
+def _round_light(
+    position: np.ndarray, normal: np.ndarray, mirror: np.ndarray, width: np.ndarray, light: Light
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Per unit of light.color: irradiance, direction of the representative point, radiance times solid angle."""
+    if light.kind == "SUN":
+        to_light = np.broadcast_to(-light.direction, position.shape)
+        sine2 = np.full(len(position), np.sin(min(light.radius, np.pi / 2)) ** 2)
+        strength = np.ones(len(position))
+    else:
+        offset = light.position - position
+        d2 = np.maximum((offset**2).sum(1), 1e-20)
+        to_light = offset / np.sqrt(d2)[:, None]
+        # A facing disk is seen as a cone, as a sphere is, only under a smaller angle.
+        reach2 = d2 + light.radius**2 if light.soft else np.maximum(d2, light.radius**2)
+        sine2, strength = light.radius**2 / reach2, 1 / reach2
+        if light.kind == "SPOT":
+            strength = strength * _spot_factor(position, to_light, light)
+    irradiance = strength * cap_cosine(_dot(normal, to_light), sine2)
+
+    sigma = np.arcsin(np.sqrt(sine2))
+    shrink, focus = _shrink(sigma, width)
+    direction = _towards(to_light, mirror, sigma * shrink)
+    cosine = np.sqrt(1 - np.minimum(sine2, 1))
+    return irradiance, direction, strength * 2 / (1 + cosine) * focus
+
+
+def cap_cosine(cosine: np.ndarray, sine2: np.ndarray) -> np.ndarray:
+    """Irradiance of a uniformly bright cone over that of the same cone overhead, cut by the horizon.
+
+    cosine: of the angle between normal and the cone's axis; sine2: squared sine of its half angle (Snyder 1996).
+    """
+    sine2 = np.clip(sine2, 0, 1)
+    sine = np.sqrt(sine2)
+    partial = (np.abs(cosine) < sine) & (sine > 2e-3)
+    c = np.where(partial, cosine, 0.0)
+    s2 = np.where(partial, sine2, 0.5)
+    sin_theta = np.sqrt(np.maximum(1 - c**2, 1e-12))
+    x = np.sqrt(np.maximum(1 / s2 - 1, 0))
+    y = np.clip(-x * c / sin_theta, -1, 1)
+    chord = sin_theta * np.sqrt(1 - y**2)
+    cut = (c * np.arccos(y) - x * chord + np.arctan2(chord, x) / s2) / np.pi
+    return np.where(partial, np.maximum(cut, 0), np.maximum(cosine, 0))
+
+
+def _spot_factor(position: np.ndarray, to_light: np.ndarray, light: Light) -> np.ndarray:
+    """Blender's cone, averaged over the disk of the light by a quadrature of degree 5 (centre and six points)."""
+    axis_u, axis_v = _axes(light)
+    u, v = _frame(to_light)
+    total = np.zeros(len(position))
+    for i in range(7 if light.radius > 0 else 1):
+        angle, radius = i * np.pi / 3, light.radius * np.sqrt(2 / 3) * (i > 0)
+        point = light.position + radius * (np.cos(angle) * u + np.sin(angle) * v)
+        ray = position - point
+        local = np.stack([ray @ axis_u, ray @ axis_v, ray @ light.direction], -1)
+        z = local[:, 2] / np.maximum(np.linalg.norm(local, axis=1), 1e-20)
+        t = np.clip((z - light.spot_cos) / max((1 - light.spot_cos) * light.spot_blend, 1e-6), 0, 1)
+        weight = 1.0 if light.radius <= 0 else 0.25 if i == 0 else 0.125
+        total += weight * t * t * (3 - 2 * t)
+    return total
+
+
+def _area_light(
+    position: np.ndarray, normal: np.ndarray, mirror: np.ndarray, width: np.ndarray, light: Light
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same for a rectangle or ellipse that shines to one side."""
+    axis_u, axis_v = _axes(light)
+    half_u, half_v = np.linalg.norm(axis_u), np.linalg.norm(axis_v)
+    unit_u, unit_v = axis_u / half_u, axis_v / half_v
+    offset = light.position - position
+    height = -offset @ light.direction
+    front = height > 0
+
+    narrowed = light.spread < np.pi * 0.9999
+    if narrowed:
+        irradiance = _narrow_irradiance(position, normal, light)
+    else:
+        irradiance = polygon_irradiance(_outline(light)[None] - position[:, None], normal)
+
+    # Where the mirrored ray meets the light's plane, drawn towards a light that is small against the lobe.
+    distance = np.linalg.norm(offset, axis=1)
+    ray = height / np.maximum(mirror @ -light.direction, 1e-4)
+    a = (ray * (mirror @ unit_u) - offset @ unit_u) / half_u
+    b = (ray * (mirror @ unit_v) - offset @ unit_v) / half_v
+    centre = offset / np.maximum(distance, 1e-20)[:, None]
+    sigma_u = half_u * np.sqrt(np.maximum(1 - (centre @ unit_u) ** 2, 0)) / np.maximum(distance, 1e-20)
+    sigma_v = half_v * np.sqrt(np.maximum(1 - (centre @ unit_v) ** 2, 0)) / np.maximum(distance, 1e-20)
+    (shrink_u, focus_u), (shrink_v, focus_v) = _shrink(sigma_u, width), _shrink(sigma_v, width)
+    if light.ellipse:
+        over = 1 / np.maximum(np.hypot(a, b), 1)
+        a, b = a * over, b * over
+    a, b = np.clip(a, -1, 1) * shrink_u, np.clip(b, -1, 1) * shrink_v
+    direction = _unit(offset + a[:, None] * axis_u + b[:, None] * axis_v)
+
+    u, v = axis_u, axis_v
+    corners = [_unit(offset + s * u + t * v) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    solid_angle = _triangle(corners[0], corners[1], corners[2]) + _triangle(corners[0], corners[2], corners[3])
+    energy = solid_angle * np.sqrt(focus_u * focus_v) * (np.pi / 4 if light.ellipse else 1.0)
+    if narrowed:
+        energy = energy * _beam(direction @ -light.direction, light.spread / 2)
+    return np.where(front, irradiance, 0.0), direction, np.where(front, energy, 0.0)
+
+
+def polygon_irradiance(vertices: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Irradiance (N,) at the origin from convex polygons (N, S, 3) of radiance 1, cut by the horizon of (N, 3) normals.
+
+    Lambert's formula, E = 1/2 sum of angle_i (v_i x v_i+1) / |v_i x v_i+1| . n, in either orientation.
+    """
+    total = np.zeros(len(vertices))
+    leaving = entering = np.zeros((len(vertices), 3))
+    for i in range(vertices.shape[1]):
+        a, b = vertices[:, i - 1], vertices[:, i]
+        above, below = _dot(a, normal), _dot(b, normal)
+        gap = above - below
+        t = np.where(gap == 0, 0.0, above / np.where(gap == 0, 1, gap))[:, None]
+        crossing = a + np.clip(t, 0, 1) * (b - a)
+        out, back = (above > 0) & (below <= 0), (above <= 0) & (below > 0)
+        leaving = np.where(out[:, None], crossing, leaving)
+        entering = np.where(back[:, None], crossing, entering)
+        start, end = np.where(back[:, None], crossing, a), np.where(out[:, None], crossing, b)
+        total += np.where((above > 0) | (below > 0), _edge(start, end, normal), 0.0)
+    return np.abs(total + _edge(leaving, entering, normal)) / 2
+
+
+def _narrow_irradiance(position: np.ndarray, normal: np.ndarray, light: Light) -> np.ndarray:
+    """Irradiance of an area light whose beam is narrowed: a grid over the part that can shine here."""
+    axis_u, axis_v = _axes(light)
+    half = np.array([np.linalg.norm(axis_u), np.linalg.norm(axis_v)])
+    unit = np.stack([axis_u, axis_v]) / half[:, None]
+    offset = position - light.position
+    height = np.maximum(offset @ light.direction, 1e-9)
+    foot = offset @ unit.T
+    reach = (height * np.tan(light.spread / 2))[:, None]
+    low, high = np.maximum(foot - reach, -half), np.minimum(foot + reach, half)
+    size = np.maximum(high - low, 0) / SPREAD_CELLS
+
+    total = np.zeros(len(position))
+    for cell in range(SPREAD_CELLS**2):
+        place = low + size * (np.array([cell % SPREAD_CELLS, cell // SPREAD_CELLS]) + 0.5)
+        to_light = light.position + place @ unit - position
+        d2 = (to_light**2).sum(1)
+        d = np.sqrt(d2)
+        cos_light = height / d
+        lit = ((place / half) ** 2).sum(1) <= 1 if light.ellipse else True
+        cosine = np.maximum(_dot(to_light, normal) / d, 0)
+        total += np.where(lit, _beam(cos_light, light.spread / 2) * cosine * cos_light / d2, 0.0)
+    return total * size[:, 0] * size[:, 1]
+
+
+def _beam(cosine: np.ndarray, half_spread: float) -> np.ndarray:
+    """Blender's soft-box grid: the share of light at an angle from the light's normal, of mean 1 over the flux."""
+    limit = np.tan(half_spread)
+    tangent = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 1e-6)
+    scale = limit - half_spread if half_spread > 0.05 else half_spread**3 / 3
+    return np.maximum(limit - tangent, 0) / max(scale, 1e-12)
+
+
+def _shade_world(
+    normal: np.ndarray, to_eye: np.ndarray, material: _Material, world: World, atlas: np.ndarray | None
+) -> np.ndarray:
+    if world.image is None:
+        return world.color * (material.diffuse + material.reflectance)
+    if atlas is None:
+        atlas = environment.build_atlas(world.image)
+    # A rough lobe leans from the mirror direction towards the normal (Lagarde and de Rousiers 2014, 4.9.3).
+    mirror = 2 * _dot(normal, to_eye)[:, None] * normal - to_eye
+    smooth = 1 - material.alpha
+    lean = smooth * (np.sqrt(smooth) + material.alpha)
+    direction = _unit(normal + lean[:, None] * (mirror - normal))
+    image = world.world_rotation.T
+    roughness = np.clip(material.surface.roughness, 0, 1)
+    return material.diffuse * environment.mean_radiance(atlas, normal @ image) + (
+        material.reflectance * environment.radiance(atlas, direction @ image, roughness)
+    )
+
+
+def _outline(light: Light) -> np.ndarray:
+    """(S, 3) corners of an area light; an ellipse becomes a polygon of its area."""
+    axis_u, axis_v = _axes(light)
+    if not light.ellipse:
+        corners = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    else:
+        angle = 2 * np.pi * np.arange(ELLIPSE_SIDES) / ELLIPSE_SIDES
+        grow = np.sqrt(angle[1] / np.sin(angle[1]))
+        corners = grow * np.stack([np.cos(angle), np.sin(angle)], -1)
+    return light.position + corners @ np.stack([axis_u, axis_v])
+
+
+def _axes(light: Light) -> tuple[np.ndarray, np.ndarray]:
+    """axis_u and axis_v, made up where they are absent and do not matter."""
+    if light.axis_u is not None and light.axis_v is not None:
+        return light.axis_u, light.axis_v
+    u, v = _frame(light.direction[None])
+    return u[0], v[0]
+
+
+def _shrink(sigma: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far towards its rim a light of angular radius sigma moves its representative point, and the mean of a lobe
+    over it relative to the peak. Both treat the lobe as a Gaussian of standard deviation `width` (radians)."""
+    x = sigma**2 / width**2
+    return x / (1 + x), np.where(x < 1e-4, 1.0, -np.expm1(-x / 2) / np.maximum(x / 2, 1e-20))
+
+
+def _towards(start: np.ndarray, goal: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 3) turned from start to goal by at most `angle`."""
+    cosine = _dot(start, goal)
+    side = goal - cosine[:, None] * start
+    length = np.linalg.norm(side, axis=1)
+    turn = np.minimum(np.arctan2(length, cosine), angle)[:, None]
+    return np.cos(turn) * start + np.sin(turn) * side / np.maximum(length, 1e-9)[:, None]
+
+
+def _edge(a: np.ndarray, b: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """The angle between a and b times the normal component of their unit cross product."""
+    cross = np.cross(a, b)
+    length = np.linalg.norm(cross, axis=-1)
+    return np.arctan2(length, _dot(a, b)) * _dot(cross, normal) / np.maximum(length, 1e-30)
+
+
+def _triangle(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Solid angle of spherical triangles of unit vectors (Van Oosterom and Strackee 1983)."""
+    volume = np.abs(_dot(a, np.cross(b, c)))
+    return 2 * np.arctan2(volume, 1 + _dot(a, b) + _dot(b, c) + _dot(c, a))
+
+
+def _table(cosine: np.ndarray, roughness: np.ndarray) -> np.ndarray:
+    """(N, 4) bilinear samples of the reflectance table."""
+    table = reflectance_table()
+    x, y = np.sqrt(cosine) * (WIDTH - 1), roughness * (TABLE_ROWS - 1)
+    x0, y0 = np.minimum(x.astype(int), WIDTH - 2), np.minimum(y.astype(int), TABLE_ROWS - 2)
+    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
+    low = table[y0, x0] * (1 - fx) + table[y0, x0 + 1] * fx
+    high = table[y0 + 1, x0] * (1 - fx) + table[y0 + 1, x0 + 1] * fx
+    return low * (1 - fy) + high * fy
+
+
+def _albedo(alpha: float, cosine: np.ndarray) -> np.ndarray:
+    """(M, 3) first three channels of the table for (M,) view cosines, by sampling visible normals (Heitz 2018)."""
+    radius2 = (np.arange(48) + 0.5) / 48
+    angle = (np.arange(64) + 0.5) / 64 * 2 * np.pi
+    t1 = np.sqrt(radius2)[:, None] * np.cos(angle)
+    disk2 = np.sqrt(radius2)[:, None] * np.sin(angle)
+    view = np.stack([np.sqrt(1 - cosine**2), np.zeros_like(cosine), cosine], -1)
+    stretched = _unit(view * [alpha, 1, 1])
+    second = np.cross(stretched, [0.0, 1.0, 0.0])
+    s = 0.5 * (1 + stretched[:, 2])[:, None, None]
+    t2 = (1 - s) * np.sqrt(1 - t1**2) + s * disk2
+    t3 = np.sqrt(np.maximum(1 - t1**2 - t2**2, 0))[..., None]
+    hemisphere = t1[..., None] * [0.0, 1.0, 0.0] + t2[..., None] * second[:, None, None] + t3 * stretched[:, None, None]
+    half = _unit(np.maximum(hemisphere, [-1, -1, 1e-9]) * [alpha, alpha, 1])
+
+    between = np.clip(np.einsum("mijc,mc->mij", half, view), 1e-6, 1)
+    light_z = 2 * between * half[..., 2] - cosine[:, None, None]
+
+    def smith(c: np.ndarray) -> np.ndarray:
+        return (np.sqrt(1 + alpha**2 * (1 / np.clip(c, 1e-6, 1) ** 2 - 1)) - 1) / 2
+
+    masked = smith(cosine)[:, None, None]
+    weight = np.where(light_z > 0, (1 + masked) / (1 + masked + smith(light_z)), 0)
+    total = weight.mean((1, 2))
+    f0 = 0.04
+    exact = (fresnel_dielectric(between, np.array(1.5)) - f0) / (1 - f0)
+    shares = [(weight * part).mean((1, 2)) / total for part in ((1 - between) ** 5, exact)]
+    return np.stack([total, *shares], -1)
+
+
+def _mean_fresnel(eta: np.ndarray) -> np.ndarray:
+    """Cosine-weighted mean reflectance of a dielectric over the hemisphere (fits of Kulla and Conty 2017)."""
+    dense = (eta - 1) / (4.08567 + 1.00071 * eta)
+    thin = 0.997118 + eta * (0.1014 - eta * (0.965241 + 0.130607 * eta))
+    return np.clip(np.where(eta >= 1, dense, thin), 0, 1)
+
+
+def _frame(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors perpendicular to (N, 3) unit vectors and to each other."""
+    helper = np.where(np.abs(axis[:, 2:]) < 0.7, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    u = _unit(np.cross(helper, axis))
+    return u, np.cross(axis, u)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("...i,...i->...", a, b)
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-30)
