@@ -1,0 +1,372 @@
+"""Drive the add-on inside a desktop Blender with a window; the exit status tells whether all went well.
+
+    blender --factory-startup --python tests/desktop/run.py [-- --zip dist/pointsplat-0.1.0.zip] [--output out/desktop]
+
+Without --zip the checkout is registered as it lies. Pictures of the window go to the output folder. Under X11, xdotool
+presses Esc and ImageMagick takes the pictures; without xdotool, Esc is left out, and said so.
+"""
+
+import argparse
+import faulthandler
+import importlib
+import math
+import os
+import shutil
+import subprocess
+import sys
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+from mathutils import Euler, Quaternion
+
+ROOT = Path(__file__).resolve().parents[2]
+EXTENSION = "bl_ext.user_default.pointsplat"
+LIMIT = 240  # seconds until a hang is taken for one
+CANCEL_LIMIT = 1.0  # seconds in which Esc must end a render
+
+problems = []
+events = {"complete": 0, "cancel": 0}
+
+
+def arguments():
+    parser = argparse.ArgumentParser(prog="run.py")
+    parser.add_argument("--zip", type=Path, help="install this archive instead of registering the checkout")
+    parser.add_argument("--output", type=Path, default=ROOT / "out" / "desktop")
+    argv = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
+    return parser.parse_args(argv)
+
+
+def say(text):
+    print(f"desktop: {text}", flush=True)
+
+
+def check(truth, fact):
+    say(f"{'ok' if truth else 'WRONG'}: {fact}")
+    if not truth:
+        problems.append(fact)
+
+
+# ---------------------------------------------------------------------------- the add-on
+
+
+def enable(archive):
+    if archive is None:
+        importlib.import_module("pointsplat_addon").register()
+    else:
+        importlib.import_module("addon_utils").enable(EXTENSION, default_set=True)
+
+
+def disable(archive):
+    if archive is None:
+        importlib.import_module("pointsplat_addon").unregister()
+    else:
+        importlib.import_module("addon_utils").disable(EXTENSION, default_set=True)
+
+
+def install(archive):
+    if archive is None:
+        sys.path.insert(0, str(ROOT))
+        enable(None)
+    else:
+        bpy.ops.extensions.package_install_files(
+            repo="user_default", filepath=str(archive.resolve()), enable_on_install=True
+        )
+
+
+def registered():
+    classes = bpy.types.RenderEngine.__subclasses__()
+    return any(getattr(c, "bl_idname", "") == "POINTSPLAT" and c.is_registered for c in classes)
+
+
+# ---------------------------------------------------------------------------- the window
+
+
+def viewport():
+    """(window, area, region, space) of the 3D viewport."""
+    window = bpy.context.window_manager.windows[0]
+    area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
+    region = next(r for r in area.regions if r.type == "WINDOW")
+    return window, area, region, area.spaces.active
+
+
+def save_picture(path):
+    """Save a picture of Blender's window: with ImageMagick and xdotool where they are, else with Blender's operator.
+
+    Blender reads the front buffer, which is black on software OpenGL under X11.
+    """
+    window, area, region, _ = viewport()
+    if os.environ.get("DISPLAY") and shutil.which("import") and shutil.which("xdotool"):
+        search = ["xdotool", "search", "--onlyvisible", "--class", "blender"]
+        found = subprocess.run(search, capture_output=True, text=True, check=True).stdout.split()
+        subprocess.run(["import", "-window", found[0], str(path)], check=True)
+        return
+    with bpy.context.temp_override(window=window, screen=window.screen, area=area, region=region):
+        bpy.ops.screen.screenshot(filepath=str(path), check_existing=False)
+
+
+def shoot(folder, name):
+    """Save a picture of the window and return the viewport's pixels as rows of RGB triples, every eighth each way."""
+    region = viewport()[2]
+    path = folder / f"{name}.png"
+    save_picture(path)
+    image = bpy.data.images.load(str(path))
+    width = image.size[0]
+    pixels = image.pixels[:]
+    bpy.data.images.remove(image)
+    if not any(pixels[i] for i in range(0, len(pixels), 4)):
+        raise RuntimeError("pictures of the window are black here; install ImageMagick and xdotool")
+    return [
+        [pixels[(y * width + x) * 4 : (y * width + x) * 4 + 3] for x in range(region.x, region.x + region.width, 8)]
+        for y in range(region.y, region.y + region.height, 8)
+    ]
+
+
+def difference(a, b):
+    """Mean absolute difference of two such pictures, in display units from 0 to 1."""
+    pairs = [(p, q) for row, other in zip(a, b, strict=True) for p, q in zip(row, other, strict=True)]
+    return sum(abs(u - v) for p, q in pairs for u, v in zip(p, q, strict=True)) / (3 * len(pairs))
+
+
+def press_escape():
+    """Press the key as a person does; False where xdotool is missing."""
+    if not (os.environ.get("DISPLAY") and shutil.which("xdotool")):
+        return False
+    subprocess.run(["xdotool", "key", "Escape"], check=True)
+    return True
+
+
+# ---------------------------------------------------------------------------- the scene
+
+
+def fill_scene():
+    """The start-up cube as polygons, a dense monkey as points, on a plane."""
+    scene = bpy.context.scene
+    scene.render.engine = "POINTSPLAT"
+    bpy.ops.mesh.primitive_plane_add(size=9, location=(0, 0, -1))
+    bpy.ops.mesh.primitive_monkey_add(size=2, location=(2.4, -1.2, 0.2))
+    monkey = bpy.context.object
+    monkey.name = "Monkey"
+    monkey.modifiers.new("Subdivision", "SUBSURF").levels = 3
+    monkey.modifiers["Subdivision"].render_levels = 3
+    monkey.pointsplat.primitive = "POINTS"
+    look = bpy.data.materials.new("Orange")
+    look.use_nodes = True
+    look.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.9, 0.25, 0.05, 1)
+    monkey.data.materials.append(look)
+    scene.render.resolution_x, scene.render.resolution_y = 640, 360
+    bpy.ops.object.select_all(action="DESELECT")
+
+
+def watch_renders():
+    @bpy.app.handlers.persistent
+    def complete(*_):
+        events["complete"] += 1
+
+    @bpy.app.handlers.persistent
+    def cancel(*_):
+        events["cancel"] += 1
+
+    bpy.app.handlers.render_complete.append(complete)
+    bpy.app.handlers.render_cancel.append(cancel)
+
+
+# ---------------------------------------------------------------------------- the story: each yield waits that long
+
+
+def orbit(folder):
+    _, area, _, space = viewport()
+    view = space.region_3d
+    pictures = []
+    for step in range(24):
+        view.view_rotation = Euler((math.radians(60), 0, math.radians(15 * step))).to_quaternion()
+        area.tag_redraw()
+        yield 0.1
+        if step % 6 == 5:
+            yield 1.0
+            pictures.append(shoot(folder, f"orbit_{step:02d}"))
+    for i in range(1, len(pictures)):
+        check(difference(pictures[i - 1], pictures[i]) > 0.005, f"the viewport follows the orbit ({i})")
+
+
+def views(folder):
+    _, area, _, space = viewport()
+    view = space.region_3d
+    view.view_perspective = "ORTHO"
+    view.view_rotation = Quaternion((0.7, 0.4, 0.25, 0.5)).normalized()
+    area.tag_redraw()
+    yield 1.5
+    shoot(folder, "orthographic")
+    view.view_perspective = "CAMERA"
+    area.tag_redraw()
+    yield 1.5
+    full = shoot(folder, "camera")
+    render = bpy.context.scene.render
+    render.use_border = True
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.3, 0.6, 0.3, 0.7
+    area.tag_redraw()
+    yield 1.5
+    check(difference(full, shoot(folder, "camera_border")) > 0.002, "the border cuts the camera view")
+    render.use_border = False
+    view.view_perspective = "PERSP"
+    yield 0.5
+
+
+def final_render(folder):
+    ticks = [0]
+
+    def count():
+        ticks[0] += 1
+        return 0.02
+
+    bpy.app.timers.register(count)
+    done = events["complete"]
+    bpy.ops.render.render("INVOKE_DEFAULT")
+    start = time.monotonic()
+    while events["complete"] == done and time.monotonic() - start < 60:
+        yield 0.1
+    bpy.app.timers.unregister(count)
+    check(events["complete"] == done + 1, "F12 completes")
+    check(ticks[0] > 2, "the window stays alive during F12")
+    bpy.data.images["Render Result"].save_render(str(folder / "f12.png"))
+    say(f"the window's timer ran {ticks[0]} times in {time.monotonic() - start:.1f} s of F12")
+
+
+def cancelled_render():
+    settings = bpy.context.scene.pointsplat
+    samples, settings.samples = settings.samples, 4096
+    done = dict(events)
+    bpy.ops.render.render("INVOKE_DEFAULT")
+    yield 1.5
+    check(bpy.app.is_job_running("RENDER"), "a render of 4096 samples is still running after 1.5 s")
+    pressed = time.monotonic()
+    if press_escape():
+        while bpy.app.is_job_running("RENDER") and time.monotonic() - pressed < 30:
+            yield 0.02
+        seconds = time.monotonic() - pressed
+        check(seconds < CANCEL_LIMIT, f"Esc ends a render within {CANCEL_LIMIT:g} s ({seconds:.2f} s)")
+        if bpy.app.is_job_running("RENDER"):
+            raise RuntimeError("a render that does not end; nothing more can be tried")
+        yield 0.2
+        check(events["cancel"] == done["cancel"] + 1, "the render counts as cancelled")
+    else:
+        say("left out: Esc (no xdotool on this screen)")
+        while bpy.app.is_job_running("RENDER"):
+            yield 0.5
+    settings.samples = samples
+
+
+def off_and_on(folder, archive, before):
+    disable(archive)
+    check(not registered(), "disabling takes the engine back")
+    check(not hasattr(bpy.types.Scene, "pointsplat"), "disabling takes the settings back")
+    yield 0.5
+    enable(archive)
+    check(registered(), "enabling brings the engine again")
+    bpy.context.scene.render.engine = "POINTSPLAT"
+    viewport()[3].shading.type = "RENDERED"
+    yield 2.0
+    check(difference(before, shoot(folder, "enabled_again")) < 0.02, "after enabling again the viewport is as before")
+
+
+def undo(folder, before):
+    bpy.ops.ed.undo_push(message="before the move")
+    bpy.data.objects["Monkey"].location.z += 1.5
+    bpy.ops.ed.undo_push(message="the move")
+    yield 1.5
+    moved = shoot(folder, "moved")
+    check(difference(before, moved) > 0.003, "the viewport follows a moved object")
+    window, area, region, _ = viewport()
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.ed.undo()
+    check(abs(bpy.data.objects["Monkey"].location.z - 0.2) < 1e-6, "undo moves the object back")
+    yield 2.0
+    check(difference(before, shoot(folder, "undone")) < 0.02, "after undo the viewport is as before")
+
+
+def save_and_load(folder, before):
+    path = str(folder / "desktop.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    yield 1.0
+    check(bpy.context.scene.render.engine != "POINTSPLAT", "the start-up file has its own engine")
+    bpy.ops.wm.open_mainfile(filepath=path)
+    yield 0.5
+    viewport()[3].shading.type = "RENDERED"  # Blender itself opens files with Solid in its place
+    yield 2.5
+    scene = bpy.context.scene
+    check(scene.render.engine == "POINTSPLAT", "the file keeps the engine")
+    check(scene.objects["Monkey"].pointsplat.primitive == "POINTS", "the file keeps an object's settings")
+    check(difference(before, shoot(folder, "loaded")) < 0.02, "after loading the viewport is as before")
+
+
+def story(args):
+    args.output.mkdir(parents=True, exist_ok=True)
+    yield 1.0
+    install(args.zip)
+    check(registered(), "the engine is registered")
+    watch_renders()
+    bpy.context.preferences.view.render_display_type = "NONE"  # F12 leaves the window as it is
+    fill_scene()
+    space = viewport()[3]
+    space.shading.type = "SOLID"
+    yield 1.0
+    solid = shoot(args.output, "solid")
+    space.shading.type = "RENDERED"
+    yield 3.0
+    rendered = shoot(args.output, "rendered")
+    check(difference(solid, rendered) > 0.02, "Rendered looks different from Solid")
+    colors = {tuple(round(c * 15) for c in pixel) for row in rendered for pixel in row}
+    check(len(colors) > 12, f"the rendered viewport shows shaded objects ({len(colors)} coarse colours)")
+    yield from orbit(args.output)
+    yield from views(args.output)
+    yield from final_render(args.output)
+    yield from cancelled_render()
+    yield 2.0
+    before = shoot(args.output, "before")
+    yield from off_and_on(args.output, args.zip, before)
+    yield from undo(args.output, before)
+    yield from save_and_load(args.output, before)
+
+
+def quit_blender():
+    """Quit as a person does when all went well, so that a crash or a hang on the way out shows in the exit status."""
+    if problems:
+        say(f"{len(problems)} facts are wrong: " + "; ".join(problems))
+        sys.stdout.flush()
+        os._exit(1)
+    say("all is well")
+    bpy.context.preferences.view.use_save_prompt = False
+    window, area, region, _ = viewport()
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.wm.quit_blender()
+
+
+def main():
+    faulthandler.dump_traceback_later(LIMIT, exit=True)
+    bpy.context.preferences.view.show_splash = False  # in time: it is shown after this script
+
+    # Blender prints what is raised in a draw callback and goes on; here it is a failure.
+    def on_exception(kind, value, trace):
+        problems.append(f"{kind.__name__}: {value}")
+        traceback.print_exception(kind, value, trace)
+
+    sys.excepthook = on_exception
+    steps = story(arguments())
+
+    def tick():
+        try:
+            return next(steps)
+        except StopIteration:
+            pass
+        except Exception as error:
+            problems.append(f"{type(error).__name__}: {error}")
+            traceback.print_exc()
+        quit_blender()
+        return None
+
+    bpy.app.timers.register(tick, first_interval=0.5, persistent=True)
+
+
+main()
