@@ -1,0 +1,1 @@
+"""Blender-facing code: the only part of PointSplat that imports bpy."""

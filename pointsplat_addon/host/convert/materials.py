@@ -1,0 +1,281 @@
+"""Blender's materials to the material table: constants, and graphs for inputs that vary over a surface."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, replace
+
+import bpy
+import numpy as np
+
+from ...core import expressions as ex
+from ...core.cryptomatte import cryptomatte_hash
+from ...core.materials import CHANNELS, MaterialGraph
+from ...core.scene import MaterialTable, default_materials
+from .nodes import Path, Reader, UnsupportedNodeError, Walker, resolve
+
+BLACK = ex.Constant((0.0, 0.0, 0.0))
+ZERO, ONE = ex.Constant((0.0,)), ex.Constant((1.0,))
+GLASS = ex.Constant((1.5,))  # Principled's default index of refraction
+FACING = ex.Coordinates("normal")
+PLACEHOLDER = {  # the table's constant of a channel that varies
+    "base_color": (0.8, 0.8, 0.8),
+    "roughness": (0.5,),
+    "metallic": (0.0,),
+    "alpha": (1.0,),
+    "emission": (0.0, 0.0, 0.0),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A surface as the Principled model has it. The defaults are a black body that shows nothing."""
+
+    base_color: ex.Expression = BLACK
+    roughness: ex.Expression = ONE
+    metallic: ex.Expression = ZERO
+    alpha: ex.Expression = ONE
+    emission: ex.Expression = BLACK
+    normal: ex.Expression = FACING
+    ior: ex.Expression = GLASS
+    specular: ex.Expression = ZERO
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One row of the material table."""
+
+    constants: dict[str, tuple[float, ...]]  # every column of floats of MaterialTable
+    graph: MaterialGraph | None
+    cull: bool
+    pass_index: int
+    name: str
+    hash: int
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        varying = "" if self.graph is None else self.graph.digest
+        text = repr((sorted(self.constants.items()), varying, self.cull, self.pass_index, self.name))
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def convert_materials(materials: Iterable[bpy.types.Material | None]) -> tuple[MaterialTable, list[str]]:
+    """The table, with the default material in row 0 and `materials` (evaluated ones) from row 1 on, and warnings.
+
+    None, an empty material slot, is the default material.
+    """
+    table = default_materials()
+    rows = [_default_row(table), *(_default_row(table) if m is None else convert_material(m) for m in materials)]
+    floats = {
+        name: np.array([row.constants[name] for row in rows], np.float32).reshape(
+            len(rows), *getattr(table, name).shape[1:]
+        )
+        for name in rows[0].constants
+    }
+    converted = MaterialTable(
+        **floats,
+        cull=np.array([row.cull for row in rows]),
+        pass_index=np.array([row.pass_index for row in rows], np.int32),
+        hash=np.array([row.hash for row in rows], np.uint32),
+        names=tuple(row.name for row in rows),
+        graphs=tuple(row.graph for row in rows),
+    )
+    return converted, [warning for row in rows for warning in row.warnings]
+
+
+def _default_row(table: MaterialTable) -> Row:
+    names = (f.name for f in fields(MaterialTable) if getattr(getattr(table, f.name), "dtype", None) == np.float32)
+    constants = {name: tuple(np.ravel(getattr(table, name)[0]).tolist()) for name in names}
+    return Row(constants, None, bool(table.cull[0]), int(table.pass_index[0]), table.names[0], int(table.hash[0]))
+
+
+def material_key(material: bpy.types.Material) -> str:
+    """A digest of everything that affects how a material looks, pictures' content included; stable across runs."""
+    return convert_material(material).key
+
+
+def convert_material(material: bpy.types.Material) -> Row:
+    """One row of the table. Surfaces that have no counterpart show the viewport colour, with one warning."""
+    walker = Walker(material.name)
+    surface = _surface_of(material, walker)
+    constants, graph = _split(surface, walker)
+    return Row(
+        constants=constants,
+        graph=graph,
+        cull=material.use_backface_culling,
+        pass_index=material.pass_index,
+        name=material.name,
+        hash=cryptomatte_hash(material.name),
+        warnings=tuple(walker.warnings),
+    )
+
+
+def _surface_of(material: bpy.types.Material, walker: Walker) -> Surface:
+    # Blender 5 has no materials without nodes, and use_nodes warns there
+    without_nodes = bpy.app.version < (5, 0, 0) and not material.use_nodes
+    if without_nodes or material.node_tree is None:
+        return _viewport_surface(material)
+    tree = material.node_tree
+    output = next((o for o in map(tree.get_output_node, ("ALL", "CYCLES", "EEVEE")) if o is not None), None)
+    if output is None:
+        return Surface()
+    if not output.inputs["Surface"].is_linked:
+        # A volume has no surface of its own
+        return Surface(alpha=ZERO) if output.inputs["Volume"].is_linked else Surface()
+    try:
+        return _shader(walker, output.inputs["Surface"], ())
+    except UnsupportedNodeError as reason:
+        walker.warnings.append(f'Material "{material.name}": {reason}; its viewport colour is shown')
+        return _viewport_surface(material)
+
+
+def _viewport_surface(material: bpy.types.Material) -> Surface:
+    return Surface(
+        base_color=ex.Constant(tuple(material.diffuse_color)[:3]),
+        roughness=ex.Constant((material.roughness,)),
+        metallic=ex.Constant((material.metallic,)),
+        specular=ex.Constant((material.specular_intensity,)),
+    )
+
+
+# Shaders
+
+
+def _shader(walker: Walker, socket: bpy.types.NodeSocket, path: Path) -> Surface:
+    """The surface that feeds a shader input. Raises UnsupportedNodeError, naming the node."""
+    found = resolve(socket, path)
+    if found is None or not found[0].is_output:
+        return Surface()
+    output, path = found
+    build = SHADERS.get(output.node.bl_idname)
+    if build is None:
+        raise UnsupportedNodeError(f'node "{output.node.label or output.node.name}" is not supported')
+    return build(Reader(walker, output.node, path))
+
+
+def _scaled(color: ex.Expression, factor: ex.Expression) -> ex.Expression:
+    return ex.VectorMath(color, BLACK, BLACK, factor, "SCALE")
+
+
+def _product(a: ex.Expression, b: ex.Expression) -> ex.Expression:
+    return ex.Math(a, b, ZERO, "MULTIPLY")
+
+
+def _principled(node: Reader) -> Surface:
+    transmission = ex.constant(node["Transmission Weight"])
+    if transmission is None or transmission[0] > 0:
+        node.warn("is drawn without its transmission")
+    return Surface(
+        base_color=node["Base Color"],
+        roughness=node["Roughness"],
+        metallic=node["Metallic"],
+        alpha=node["Alpha"],
+        emission=_scaled(node["Emission Color"], node["Emission Strength"]),
+        normal=node["Normal"],
+        ior=node["IOR"],
+        specular=node["Specular IOR Level"],
+    )
+
+
+def _diffuse(node: Reader) -> Surface:
+    return Surface(base_color=node["Color"], normal=node["Normal"])
+
+
+def _glossy(node: Reader) -> Surface:
+    return Surface(base_color=node["Color"], roughness=node["Roughness"], metallic=ONE, normal=node["Normal"])
+
+
+def _emission(node: Reader) -> Surface:
+    return Surface(emission=_scaled(node["Color"], node["Strength"]))
+
+
+def _transparent(node: Reader) -> Surface:
+    color = ex.constant(node["Color"])
+    if color is None or color.min() < 1:
+        node.warn("is drawn without its tint")
+    return Surface(alpha=ZERO)
+
+
+def _mix_shader(node: Reader) -> Surface:
+    """(1 - f) A + f B: opacities mix by f, everything else by f weighted with the opacities."""
+    a, b = (_shader(node.walker, node.socket(name), node.path) for name in ("Shader", "Shader_001"))
+    second = ex.Clamp(node["Fac"], ZERO, ONE)
+    first = ex.Math(ONE, second, ZERO, "SUBTRACT")
+    a_weight, b_weight = _product(a.alpha, first), _product(b.alpha, second)
+    if _is_constant(b_weight, 0):
+        return replace(a, alpha=a_weight)
+    if _is_constant(a_weight, 0):
+        return replace(b, alpha=b_weight)
+    alpha = ex.Math(a_weight, b_weight, ZERO, "ADD")
+    both_opaque = _is_constant(a.alpha, 1) and _is_constant(b.alpha, 1)
+    t = second if both_opaque else ex.Math(b_weight, alpha, ZERO, "DIVIDE")
+    mixed = {f.name: _blend(t, getattr(a, f.name), getattr(b, f.name)) for f in fields(Surface)}
+    return Surface(**{**mixed, "alpha": ONE if both_opaque else alpha})
+
+
+def _blend(t: ex.Expression, a: ex.Expression, b: ex.Expression) -> ex.Expression:
+    return a if a.digest == b.digest else ex.Mix(t, a, b)
+
+
+def _is_constant(value: ex.Expression, number: float) -> bool:
+    found = ex.constant(value)
+    return found is not None and bool(np.all(found == number))
+
+
+def _add_shader(node: Reader) -> Surface:
+    """Light adds up where at least one of the two only shines."""
+    a, b = (_shader(node.walker, node.socket(name), node.path) for name in ("Shader", "Shader_001"))
+    if not _only_shines(b):
+        a, b = b, a
+    if not _only_shines(b):
+        raise UnsupportedNodeError(f'node "{node.node.label or node.node.name}" adds two reflecting shaders')
+    if not _is_constant(a.alpha, 1):
+        raise UnsupportedNodeError(f'node "{node.node.label or node.node.name}" adds light to a transparent shader')
+    return replace(a, emission=ex.VectorMath(a.emission, b.emission, BLACK, ZERO, "ADD"))
+
+
+def _only_shines(surface: Surface) -> bool:
+    opaque_black = _is_constant(surface.base_color, 0) and _is_constant(surface.alpha, 1)
+    return opaque_black and _is_constant(surface.specular, 0)
+
+
+SHADERS: dict[str, Callable[[Reader], Surface]] = {
+    "ShaderNodeBsdfPrincipled": _principled,
+    "ShaderNodeBsdfDiffuse": _diffuse,
+    "ShaderNodeBsdfAnisotropic": _glossy,
+    "ShaderNodeBsdfGlossy": _glossy,
+    "ShaderNodeEmission": _emission,
+    "ShaderNodeBsdfTransparent": _transparent,
+    "ShaderNodeMixShader": _mix_shader,
+    "ShaderNodeAddShader": _add_shader,
+}
+
+
+# Constants and graphs
+
+
+def _split(surface: Surface, walker: Walker) -> tuple[dict[str, tuple[float, ...]], MaterialGraph | None]:
+    """Constant inputs for the table, all others for the graph."""
+    constants: dict[str, tuple[float, ...]] = {}
+    varying: dict[str, ex.Expression] = {}
+    for name, (_, top) in CHANNELS.items():
+        expression = getattr(surface, name)
+        if name == "normal":
+            # A normal that is the same everywhere comes from an empty or broken input
+            if expression is not FACING and expression.varies and not isinstance(expression, ex.Coordinates):
+                varying[name] = expression
+            continue
+        value = ex.constant(expression)
+        if value is None:
+            varying[name] = expression
+            constants[name] = PLACEHOLDER[name]
+        else:
+            constants[name] = tuple(np.clip(np.nan_to_num(value), 0, top).tolist())
+    for name, fallback in (("ior", 1.5), ("specular", 0.5)):
+        value = ex.constant(getattr(surface, name))
+        if value is None:
+            walker.warnings.append(f'Material "{walker.material_name}": varying {name} is replaced by {fallback}')
+        constants[name] = (fallback,) if value is None else (max(float(value[0]), 0.0),)
+    return constants, MaterialGraph(**varying) if varying else None

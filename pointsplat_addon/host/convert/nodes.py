@@ -1,0 +1,393 @@
+"""Blender's shader nodes to core expressions: one small function for each kind of node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import bpy
+import numpy as np
+
+from ...core import expressions as ex
+from .images import convert_image
+
+Path = tuple[bpy.types.Node, ...]  # the group nodes that lead to a tree, outermost first
+Outputs = dict[str, ex.Expression]  # output identifier to its value
+
+SCALARS = ("VALUE", "INT", "BOOLEAN")
+CURVE_STEPS = 256  # Blender keeps its own curves as tables of this many steps
+
+
+class UnsupportedNodeError(Exception):
+    """A node, or a setting of it, that cannot be evaluated per sample; the text completes "node X ..."."""
+
+
+class Walker:
+    """Reads the inputs of one material's nodes as expressions; what it cannot read becomes a warning."""
+
+    def __init__(self, material_name: str) -> None:
+        self.material_name = material_name
+        self.warnings: list[str] = []
+        self._warned: set[int] = set()
+        self._known: dict[tuple, Outputs | None] = {}
+
+    def warn(self, node: bpy.types.Node, text: str) -> None:
+        """One warning for each node, with the material's name."""
+        pointer = node.as_pointer()
+        if pointer not in self._warned:
+            self._warned.add(pointer)
+            self.warnings.append(f'Material "{self.material_name}": node "{node.label or node.name}" {text}')
+
+    def read(self, socket: bpy.types.NodeSocket, path: Path) -> ex.Expression:
+        """The value of an input: what is linked to it, converted to its type, else its own value."""
+        found = resolve(socket, path)
+        if found is None:
+            return default(socket)
+        output, path = found
+        if output.is_output:
+            value = self._output(output, path)
+            return default(socket) if value is None else converted(value, output.type, socket.type)
+        # A group's or a muted node's input that is not linked
+        return converted(default(output), output.type, socket.type)
+
+    def _output(self, output: bpy.types.NodeSocket, path: Path) -> ex.Expression | None:
+        """The value of a node's output, None (and a warning) where it cannot be evaluated."""
+        node = output.node
+        key = (*(group.as_pointer() for group in path), node.as_pointer())
+        if key not in self._known:
+            self._known[key] = self._outputs(node, path)
+        outputs = self._known[key]
+        if outputs is None:
+            return None
+        value = outputs.get(output.identifier)
+        if value is None:
+            self.warn(node, f'cannot be evaluated ("{output.name}"); inputs that use it keep their own values')
+        return value
+
+    def _outputs(self, node: bpy.types.Node, path: Path) -> Outputs | None:
+        build = NODES.get(node.bl_idname)
+        try:
+            if build is None:
+                raise UnsupportedNodeError("cannot be evaluated")
+            return build(Reader(self, node, path))
+        except UnsupportedNodeError as reason:
+            self.warn(node, f"{reason}; inputs that use it keep their own values")
+            return None
+
+
+class Reader:
+    """One node: `reader[identifier]` is the value of that input."""
+
+    def __init__(self, walker: Walker, node: bpy.types.Node, path: Path) -> None:
+        self.walker, self.node, self.path = walker, node, path
+
+    def __getitem__(self, identifier: str) -> ex.Expression:
+        return self.walker.read(self.socket(identifier), self.path)
+
+    def socket(self, identifier: str) -> bpy.types.NodeSocket:
+        return next(s for s in self.node.inputs if s.identifier == identifier)
+
+    def linked(self, identifier: str) -> bool:
+        found = resolve(self.socket(identifier), self.path)
+        return found is not None and found[0].is_output
+
+    def used(self, identifier: str) -> bool:
+        """Whether an output has a link."""
+        return any(s.is_linked for s in self.node.outputs if s.identifier == identifier)
+
+    def warn(self, text: str) -> None:
+        self.walker.warn(self.node, text)
+
+
+def resolve(socket: bpy.types.NodeSocket, path: Path) -> tuple[bpy.types.NodeSocket, Path] | None:
+    """The output that feeds an input, looking through reroutes, muted nodes and groups, with its path.
+
+    None when nothing is linked. Where the way ends at an unlinked input of a group node or a muted node,
+    that input is returned.
+    """
+    link = next((x for x in socket.links if x.is_valid and not x.is_muted), None)
+    if link is None:
+        return None
+    output, node = link.from_socket, link.from_node
+    if node.bl_idname == "NodeReroute":
+        return resolve(node.inputs[0], path)
+    if node.mute:
+        inner = next((x.from_socket for x in node.internal_links if x.to_socket == output), None)
+        return None if inner is None else resolve(inner, path) or (inner, path)
+    if node.bl_idname == "NodeGroupInput" and path:
+        outer = next((s for s in path[-1].inputs if s.identifier == output.identifier), None)
+        return None if outer is None else resolve(outer, path[:-1]) or (outer, path[:-1])
+    if node.bl_idname == "ShaderNodeGroup" and node.node_tree is not None:
+        ends = [n for n in node.node_tree.nodes if n.bl_idname == "NodeGroupOutput" and n.is_active_output]
+        inner = next((s for n in ends for s in n.inputs if s.identifier == output.identifier), None)
+        if inner is not None:
+            return resolve(inner, (*path, node)) or (inner, (*path, node))
+    return output, path
+
+
+def default(socket: bpy.types.NodeSocket) -> ex.Expression:
+    """The value of an input that is not linked; an empty normal is the surface's."""
+    if socket.identifier == "Normal":
+        return ex.Coordinates("normal")
+    value = getattr(socket, "default_value", 0.0)
+    if socket.type in SCALARS:
+        return ex.Constant((float(value),))
+    if socket.type in ("VECTOR", "RGBA"):
+        return ex.Constant(tuple(np.array(value, float)[:3].tolist()))
+    return ex.Constant((0.0, 0.0, 0.0))
+
+
+def converted(value: ex.Expression, source: str, target: str) -> ex.Expression:
+    """Blender's implicit conversion between socket types."""
+    if target in SCALARS and source not in SCALARS:
+        return ex.Gray(value, mean=source == "VECTOR")
+    if target not in SCALARS and source in SCALARS:
+        return ex.Color(value)
+    return value
+
+
+# Sources
+
+
+def _uv(node: Reader) -> Outputs:
+    if node.node.from_instancer:
+        raise UnsupportedNodeError("reads the instancer")
+    return {"UV": ex.UV(node.node.uv_map or None)}
+
+
+def _color_attribute(node: Reader) -> Outputs:
+    color = ex.ColorAttribute(node.node.layer_name or None)
+    return {"Color": ex.Color(color), "Alpha": ex.Component(color, 3)}
+
+
+def _attribute(node: Reader) -> Outputs:
+    if node.node.attribute_type != "GEOMETRY":
+        raise UnsupportedNodeError(f"reads an attribute of the {node.node.attribute_type.lower()}")
+    value = ex.Attribute(node.node.attribute_name)
+    color = ex.Color(value)
+    return {"Color": color, "Vector": color, "Fac": ex.Component(value, 4), "Alpha": ex.Component(value, 3)}
+
+
+def _coordinates(node: Reader) -> Outputs:
+    if node.node.from_instancer:
+        raise UnsupportedNodeError("reads the instancer")
+    out: Outputs = {
+        "Generated": ex.Coordinates("generated"),
+        "Normal": ex.Coordinates("normal"),
+        "UV": ex.UV(),
+    }
+    if node.node.object is None:
+        out["Object"] = ex.Coordinates("position")
+    return out
+
+
+def _image(node: Reader) -> Outputs:
+    texture = node.node
+    if texture.projection != "FLAT":
+        raise UnsupportedNodeError(f"projects its image as {texture.projection.lower()}")
+    image, problem = convert_image(texture.image)
+    if problem is not None:
+        node.warn(problem)
+    interpolation = "Cubic" if texture.interpolation == "Smart" else texture.interpolation
+    uv = node["Vector"] if node.linked("Vector") else ex.UV()
+    value = ex.ImageTexture(uv, image, interpolation, texture.extension, straight=node.used("Alpha"))
+    return {"Color": ex.Color(value), "Alpha": ex.Component(value, 3)}
+
+
+def _value(node: Reader) -> Outputs:
+    return {"Value": ex.Constant((float(node.node.outputs[0].default_value),))}
+
+
+def _rgb(node: Reader) -> Outputs:
+    return {"Color": ex.Constant(tuple(float(v) for v in node.node.outputs[0].default_value)[:3])}
+
+
+# Mathematics
+
+
+def _known(operation: str, table: dict) -> str:
+    if operation not in table:
+        raise UnsupportedNodeError(f"uses the operation {operation}, which cannot be evaluated")
+    return operation
+
+
+def _math(node: Reader) -> Outputs:
+    operation = _known(node.node.operation, ex.MATH)
+    a, b, c = (node[name] for name in ("Value", "Value_001", "Value_002"))
+    return {"Value": ex.Math(a, b, c, operation, node.node.use_clamp)}
+
+
+def _vector_math(node: Reader) -> Outputs:
+    operation = _known(node.node.operation, ex.VECTOR_MATH)
+    a, b, c, scale = (node[name] for name in ("Vector", "Vector_001", "Vector_002", "Scale"))
+    value = ex.VectorMath(a, b, c, scale, operation)
+    return {"Value" if operation in ("DOT_PRODUCT", "DISTANCE", "LENGTH") else "Vector": value}
+
+
+def _mix(node: Reader) -> Outputs:
+    kind = node.node.data_type
+    if kind == "ROTATION":
+        raise UnsupportedNodeError("mixes rotations")
+    suffix = {"FLOAT": "Float", "VECTOR": "Vector", "RGBA": "Color"}[kind]
+    uniform = kind != "VECTOR" or node.node.factor_mode == "UNIFORM"
+    factor, a, b = (
+        node[name] for name in ("Factor_Float" if uniform else "Factor_Vector", f"A_{suffix}", f"B_{suffix}")
+    )
+    color = kind == "RGBA"
+    blend = _known(node.node.blend_type, ex.BLEND) if color else "MIX"
+    mixed = ex.Mix(factor, a, b, blend, node.node.clamp_factor, color and node.node.clamp_result)
+    return {f"Result_{suffix}": mixed}
+
+
+def _mix_rgb(node: Reader) -> Outputs:
+    blend = _known(node.node.blend_type, ex.BLEND)
+    return {"Color": ex.Mix(node["Fac"], node["Color1"], node["Color2"], blend, True, node.node.use_clamp)}
+
+
+def _clamp(node: Reader) -> Outputs:
+    ordered = node.node.clamp_type == "RANGE"
+    return {"Result": ex.Clamp(node["Value"], node["Min"], node["Max"], ordered)}
+
+
+def _map_range(node: Reader) -> Outputs:
+    vector = node.node.data_type == "FLOAT_VECTOR"
+    names = ["Value", "From Min", "From Max", "To Min", "To Max", "Steps"]
+    if vector:
+        names = ["Vector", *(f"{name.replace(' ', '_')}_FLOAT3" for name in names[1:])]
+    value, low, high, to_low, to_high, steps = (node[name] for name in names)
+    kind = node.node.interpolation_type
+    mapped = ex.MapRange(value, low, high, to_low, to_high, steps, kind, node.node.clamp, vector)
+    return {"Vector" if vector else "Result": mapped}
+
+
+def _mapping(node: Reader) -> Outputs:
+    vector, location, rotation, scale = (_input_or_zero(node, n) for n in ("Vector", "Location", "Rotation", "Scale"))
+    return {"Vector": ex.Mapping(vector, location, rotation, scale, node.node.vector_type)}
+
+
+def _input_or_zero(node: Reader, identifier: str) -> ex.Expression:
+    """Types without translation hide their location socket."""
+    found = any(s.identifier == identifier for s in node.node.inputs)
+    return node[identifier] if found else ex.Constant((0.0, 0.0, 0.0))
+
+
+# Colour
+
+
+def _ramp(node: Reader) -> Outputs:
+    ramp = node.node.color_ramp
+    stops = sorted(ramp.elements, key=lambda e: e.position)
+    value = ex.ColorRamp(
+        node["Fac"],
+        np.array([e.position for e in stops], np.float32),
+        np.array([tuple(e.color) for e in stops], np.float32),
+        ramp.interpolation,
+        ramp.color_mode,
+        ramp.hue_interpolation,
+    )
+    return {"Color": ex.Color(value), "Alpha": ex.Component(value, 3)}
+
+
+def curve_table(mapping: bpy.types.CurveMapping, index: int) -> ex.CurveTable:
+    """One curve of a mapping, which has been initialised, at the abscissas of Blender's own table."""
+    curve = mapping.curves[index]
+    ends = [p.location[0] for p in curve.points]
+    low, high = min(mapping.clip_min_x, *ends), max(mapping.clip_max_x, *ends)
+    values = [mapping.evaluate(curve, x) for x in np.linspace(low, high, CURVE_STEPS + 1).tolist()]
+    slopes = values[0] - mapping.evaluate(curve, low - 1), mapping.evaluate(curve, high + 1) - values[-1]
+    return ex.CurveTable(low, high, tuple(values), slopes)
+
+
+def _curves(value: str, factor: str, output: str, channels: int) -> Callable[[Reader], Outputs]:
+    def build(node: Reader) -> Outputs:
+        mapping = node.node.mapping
+        mapping.initialize()
+        tables = tuple(curve_table(mapping, i) for i in range(channels))
+        combined = curve_table(mapping, 3) if len(mapping.curves) > 3 else None
+        return {output: ex.Curves(node[factor], node[value], tables, combined)}
+
+    return build
+
+
+def _separate(model: str, names: tuple[str, str, str], source: str) -> Callable[[Reader], Outputs]:
+    def build(node: Reader) -> Outputs:
+        mode = getattr(node.node, "mode", model)
+        value = node[source]
+        if mode != "RGB":
+            value = ex.ColorModel(value, f"{mode}_FROM_RGB")
+        return {name: ex.Component(value, i) for i, name in enumerate(names)}
+
+    return build
+
+
+def _combine(model: str, names: tuple[str, str, str], output: str) -> Callable[[Reader], Outputs]:
+    def build(node: Reader) -> Outputs:
+        mode = getattr(node.node, "mode", model)
+        value: ex.Expression = ex.Combine(*(node[name] for name in names))
+        return {output: value if mode == "RGB" else ex.ColorModel(value, f"RGB_FROM_{mode}")}
+
+    return build
+
+
+def _hue_saturation(node: Reader) -> Outputs:
+    return {"Color": ex.HueSaturation(*(node[n] for n in ("Hue", "Saturation", "Value", "Fac", "Color")))}
+
+
+# Normals
+
+
+def _normal_map(node: Reader) -> Outputs:
+    space = node.node.space
+    if space in ("WORLD", "BLENDER_WORLD"):
+        raise UnsupportedNodeError("holds normals in world space")
+    flip = (1.0, 1.0, 1.0)
+    if space == "BLENDER_OBJECT":
+        flip = (1.0, -1.0, -1.0)
+    elif getattr(node.node, "convention", "OPENGL") == "DIRECTX":
+        flip = (1.0, -1.0, 1.0)
+    uv = ex.UV(node.node.uv_map or None) if space == "TANGENT" else None
+    return {"Normal": ex.NormalMap(node["Strength"], node["Color"], uv, flip)}
+
+
+def _bump(node: Reader) -> Outputs:
+    node.warn("is ignored: bumps need derivatives of their height")
+    return {"Normal": node["Normal"]}
+
+
+RGB, XYZ, HSV = ("Red", "Green", "Blue"), ("X", "Y", "Z"), ("H", "S", "V")
+NODES: dict[str, Callable[[Reader], Outputs]] = {
+    "ShaderNodeUVMap": _uv,
+    "ShaderNodeVertexColor": _color_attribute,
+    "ShaderNodeAttribute": _attribute,
+    "ShaderNodeTexCoord": _coordinates,
+    "ShaderNodeTexImage": _image,
+    "ShaderNodeValue": _value,
+    "ShaderNodeRGB": _rgb,
+    "ShaderNodeMath": _math,
+    "ShaderNodeVectorMath": _vector_math,
+    "ShaderNodeMix": _mix,
+    "ShaderNodeMixRGB": _mix_rgb,
+    "ShaderNodeClamp": _clamp,
+    "ShaderNodeMapRange": _map_range,
+    "ShaderNodeMapping": _mapping,
+    "ShaderNodeValToRGB": _ramp,
+    "ShaderNodeRGBCurve": _curves("Color", "Fac", "Color", 3),
+    "ShaderNodeVectorCurve": _curves("Vector", "Fac", "Vector", 3),
+    "ShaderNodeFloatCurve": _curves("Value", "Factor", "Value", 1),
+    "ShaderNodeSeparateColor": _separate("RGB", RGB, "Color"),
+    "ShaderNodeSeparateXYZ": _separate("RGB", XYZ, "Vector"),
+    "ShaderNodeSeparateRGB": _separate("RGB", ("R", "G", "B"), "Image"),
+    "ShaderNodeSeparateHSV": _separate("HSV", HSV, "Color"),
+    "ShaderNodeCombineColor": _combine("RGB", RGB, "Color"),
+    "ShaderNodeCombineXYZ": _combine("RGB", XYZ, "Vector"),
+    "ShaderNodeCombineRGB": _combine("RGB", ("R", "G", "B"), "Image"),
+    "ShaderNodeCombineHSV": _combine("HSV", HSV, "Color"),
+    "ShaderNodeRGBToBW": lambda node: {"Val": ex.Gray(node["Color"])},
+    "ShaderNodeInvert": lambda node: {"Color": ex.Invert(node["Fac"], node["Color"])},
+    "ShaderNodeGamma": lambda node: {"Color": ex.Gamma(node["Color"], node["Gamma"])},
+    "ShaderNodeBrightContrast": lambda node: {
+        "Color": ex.BrightContrast(node["Color"], node["Bright"], node["Contrast"])
+    },
+    "ShaderNodeHueSaturation": _hue_saturation,
+    "ShaderNodeNormalMap": _normal_map,
+    "ShaderNodeBump": _bump,
+}
