@@ -265,7 +265,10 @@ def cap_cosine(cosine: np.ndarray, sine2: np.ndarray) -> np.ndarray:
 def _spot_factor(position: np.ndarray, to_light: np.ndarray, light: Light) -> np.ndarray:
     """Blender's cone, averaged over the disk of the light by a quadrature of degree 5 (centre and six points)."""
     axis_u, axis_v = _axes(light)
-    u, v = _frame(to_light)
+    # Aligned with the cone, so that turning the scene changes nothing.
+    aside = np.abs(to_light @ light.direction) < 0.999
+    u = _unit(np.cross(np.where(aside[:, None], light.direction, axis_u), to_light))
+    v = np.cross(to_light, u)
     total = np.zeros(len(position))
     for i in range(7 if light.radius > 0 else 1):
         angle, radius = i * np.pi / 3, light.radius * np.sqrt(2 / 3) * (i > 0)

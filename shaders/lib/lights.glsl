@@ -76,8 +76,9 @@ float ps_cap_cosine(float cosine, float sine2)
   float sin_theta = sqrt(max(1.0 - cosine * cosine, 1e-12));
   float x = sqrt(max(1.0 / sine2 - 1.0, 0.0));
   float y = clamp(-x * cosine / sin_theta, -1.0, 1.0);
-  float chord = sin_theta * sqrt(1.0 - y * y);
-  return max(cosine * acos(y) - x * chord + atan(chord, x) / sine2, 0.0) / PS_PI;
+  float up = sqrt(1.0 - y * y), chord = sin_theta * up;
+  // atan throughout: some drivers' acos and asin are good to 1e-4 only.
+  return max(cosine * atan(up, y) - x * chord + atan(chord, x) / sine2, 0.0) / PS_PI;
 }
 
 float ps_spot_cone(PsLight light, vec3 ray)
@@ -96,8 +97,9 @@ float ps_spot_factor(PsLight light, vec3 position, vec3 to_light)
   if (light.radius <= 0.0) {
     return centre;
   }
-  vec3 helper = abs(to_light.z) < 0.7 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0);
-  vec3 u = normalize(cross(helper, to_light));
+  // Aligned with the cone, so that the camera's turning changes nothing.
+  bool aside = abs(dot(to_light, light.direction)) < 0.999;
+  vec3 u = normalize(cross(aside ? light.direction : light.axis_u, to_light));
   vec3 v = cross(to_light, u);
   float radius = light.radius * sqrt(2.0 / 3.0);
   float total = 0.25 * centre;
@@ -129,9 +131,10 @@ PsReceived ps_round_light(PsLight light, vec3 position, vec3 normal, vec3 mirror
       strength *= ps_spot_factor(light, position, to_light);
     }
   }
-  float sigma = asin(min(sqrt(sine2), 1.0));
+  float cosine = sqrt(max(1.0 - sine2, 0.0));
+  float sigma = atan(sqrt(sine2), cosine);
   vec2 shrink = ps_shrink(sigma, width);
-  float energy = strength * 2.0 / (1.0 + sqrt(max(1.0 - sine2, 0.0))) * shrink.y;
+  float energy = strength * 2.0 / (1.0 + cosine) * shrink.y;
   return PsReceived(strength * ps_cap_cosine(dot(normal, to_light), sine2), energy,
                     ps_towards(to_light, mirror, sigma * shrink.x));
 }

@@ -1,0 +1,131 @@
+"""Blender's cameras and viewports as a Camera."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ...core.scene import Camera
+
+
+def render_camera(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> tuple[Camera, list[str]]:
+    """The camera of a final render with its border, and warnings. ValueError: the scene has no camera."""
+    obj = engine.camera_override or depsgraph.scene.camera
+    if obj is None:
+        raise ValueError(f'The scene "{depsgraph.scene.name}" has no camera')
+    obj = obj.evaluated_get(depsgraph)
+    world_from_object = np.array(engine.camera_model_matrix(obj))
+    return _from_object(obj, world_from_object, depsgraph, engine.resolution_x, engine.resolution_y), _warnings(obj)
+
+
+def viewport_camera(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> Camera:
+    """The camera of the viewport that is being drawn, with its border."""
+    return from_view(context.region, context.region_data, context.space_data, depsgraph.scene)
+
+
+def from_camera_object(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, width: int, height: int) -> Camera:
+    """The camera of a picture of width x height pixels without a render engine, for scripts."""
+    obj = obj.evaluated_get(depsgraph)
+    return _from_object(obj, np.array(obj.matrix_world), depsgraph, width, height)
+
+
+def from_view(
+    region: bpy.types.Region,
+    rv3d: bpy.types.RegionView3D,
+    space: bpy.types.SpaceView3D,
+    scene: bpy.types.Scene,
+) -> Camera:
+    """The camera of a viewport, with its border. In camera view the border is the scene's."""
+    clip_from_view = np.array(rv3d.window_matrix, float)
+    near, far = clip_range(clip_from_view)
+    obj = space.camera if space.use_local_camera else scene.camera
+    in_camera = rv3d.view_perspective == "CAMERA" and obj is not None
+    return Camera(
+        view_from_world=np.array(rv3d.view_matrix, float),
+        clip_from_view=clip_from_view,
+        resolution=(region.width, region.height),
+        region=_view_border(region, rv3d, space, scene, obj if in_camera else None),
+        near=near,
+        far=far,
+    )
+
+
+def clip_range(clip_from_view: np.ndarray) -> tuple[float, float]:
+    """Distances (near, far) of the clipping planes of an OpenGL projection."""
+    m, t = clip_from_view[2, 2], clip_from_view[2, 3]
+    if clip_from_view[3, 2] != 0:
+        # A far plane that float32 cannot tell from infinity.
+        return t / (m - 1), t / (m + 1) if m < -1 else float("inf")
+    return (t + 1) / m, (t - 1) / m
+
+
+def _from_object(
+    obj: bpy.types.Object, world_from_object: np.ndarray, depsgraph: bpy.types.Depsgraph, width: int, height: int
+) -> Camera:
+    render = depsgraph.scene.render
+    rotation = world_from_object[:3, :3] / np.linalg.norm(world_from_object[:3, :3], axis=0)
+    view_from_world = np.eye(4)
+    # Rows rather than a general inverse: exactly rigid whatever float32 made of the matrix.
+    view_from_world[:3, :3] = rotation.T
+    view_from_world[:3, 3] = -rotation.T @ world_from_object[:3, 3]
+    clip_from_view = obj.calc_matrix_camera(
+        depsgraph, x=width, y=height, scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y
+    )
+    return Camera(
+        view_from_world=view_from_world,
+        clip_from_view=np.array(clip_from_view, float),
+        resolution=(width, height),
+        region=_render_border(render, width, height),
+        near=obj.data.clip_start,
+        far=obj.data.clip_end,
+    )
+
+
+def _render_border(render: bpy.types.RenderSettings, width: int, height: int) -> tuple[int, int, int, int] | None:
+    if not render.use_border:
+        return None
+    # Truncated, as Blender does: rounding asks for a result of another size.
+    x0, x1 = int(render.border_min_x * width), int(render.border_max_x * width)
+    y0, y1 = int(render.border_min_y * height), int(render.border_max_y * height)
+    return x0, y0, max(x1 - x0, 0), max(y1 - y0, 0)
+
+
+def _view_border(
+    region: bpy.types.Region,
+    rv3d: bpy.types.RegionView3D,
+    space: bpy.types.SpaceView3D,
+    scene: bpy.types.Scene,
+    camera: bpy.types.Object | None,
+) -> tuple[int, int, int, int] | None:
+    size = np.array([region.width, region.height])
+    low, high = np.zeros(2), size.astype(float)
+    if camera is not None:
+        owner = scene.render
+        if not owner.use_border:
+            return None
+        low, high = _camera_frame(rv3d, scene, camera, size)
+    else:
+        owner = space
+        if not space.use_render_border:
+            return None
+    names = ("border_min_x", "border_min_y", "border_max_x", "border_max_y")
+    prefix = "" if camera is not None else "render_"
+    border = np.array([getattr(owner, prefix + name) for name in names]).reshape(2, 2)
+    first, last = np.clip(np.rint(low + border * (high - low)), 0, size).astype(int)
+    return int(first[0]), int(first[1]), int(max(last[0] - first[0], 0)), int(max(last[1] - first[1], 0))
+
+
+def _camera_frame(
+    rv3d: bpy.types.RegionView3D, scene: bpy.types.Scene, camera: bpy.types.Object, size: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lower left and upper right corner of the camera's frame in the region, in pixels."""
+    corners = np.array(camera.data.view_frame(scene=scene))
+    clip = np.column_stack([corners, np.ones(len(corners))]) @ np.array(rv3d.window_matrix).T
+    pixels = (clip[:, :2] / clip[:, 3:] + 1) / 2 * size
+    return pixels.min(0), pixels.max(0)
+
+
+def _warnings(obj: bpy.types.Object) -> list[str]:
+    if obj.data.type in {"PERSP", "ORTHO"}:
+        return []
+    return [f'Camera "{obj.name}": a {obj.data.type.lower()} camera is not supported and is drawn in perspective']

@@ -1,0 +1,134 @@
+"""Blender's lights in radiometric quantities, as Cycles takes them."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ...core import expressions as ex
+from ...core.scene import Light
+from .nodes import Path, Walker, resolve
+
+
+def convert_lights(depsgraph: bpy.types.Depsgraph) -> tuple[list[Light], list[str]]:
+    """All lights of an evaluated scene, instances included, and warnings (each said once)."""
+    lights, warnings = [], []
+    for instance in depsgraph.object_instances:
+        if instance.object.type != "LIGHT" or not instance.show_self:
+            continue
+        light, problems = from_object(instance.object, np.array(instance.matrix_world))
+        lights += [light] if light else []
+        warnings += problems
+    return lights, list(dict.fromkeys(warnings))
+
+
+def from_object(obj: bpy.types.Object, world_from_object: np.ndarray | None = None) -> tuple[Light | None, list[str]]:
+    """An evaluated light object as a Light, and warnings; None where it shines nowhere (no size, no strength).
+
+    `world_from_object` (4, 4) takes the place of the object's own matrix, for instances.
+    """
+    data = obj.data
+    matrix = np.array(obj.matrix_world if world_from_object is None else world_from_object, float)
+    factor, warnings = _emission(data, obj.name)
+    color = np.array(data.color, float) * data.energy * 2.0**data.exposure * factor
+    if data.use_temperature:
+        color = color * np.array(data.temperature_color)
+
+    scale = np.linalg.norm(matrix[:3, :3], axis=0)
+    direction = -matrix[:3, 2] / scale[2] if scale[2] > 0 else np.array([0.0, 0.0, -1.0])
+    common = {
+        "kind": data.type,
+        "position": matrix[:3, 3],
+        "direction": direction,
+        "diffuse": data.diffuse_factor if obj.visible_diffuse else 0.0,
+        "specular": data.specular_factor if obj.visible_glossy else 0.0,
+        "name": obj.name,
+    }
+    shape = {"POINT": _point, "SPOT": _spot, "SUN": _sun, "AREA": _area}[data.type](data, matrix)
+    if shape is None or not np.isfinite(matrix).all():
+        warnings.append(f'Light "{obj.name}": its size or scale is zero or not finite, so it gives no light')
+        return None, warnings
+    light = Light(**common, **shape, color=color * _radiometric_factor(data, shape))
+    return (light if np.any(light.color != 0) else None), warnings
+
+
+def _point(data: bpy.types.PointLight, matrix: np.ndarray) -> dict:
+    return {"radius": data.shadow_soft_size, "soft": data.use_soft_falloff}
+
+
+def _spot(data: bpy.types.SpotLight, matrix: np.ndarray) -> dict | None:
+    # The cone is round in the object's own axes: its scale makes it elliptical or wider.
+    if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
+        return None
+    rows = np.linalg.inv(matrix[:3, :3])
+    rows /= np.linalg.norm(rows[2])
+    return {
+        **_point(data, matrix),
+        "spot_cos": float(np.cos(data.spot_size / 2)),
+        "spot_blend": data.spot_blend,
+        "axis_u": rows[0],
+        "axis_v": rows[1],
+    }
+
+
+def _sun(data: bpy.types.SunLight, matrix: np.ndarray) -> dict:
+    return {"radius": data.angle / 2}
+
+
+def _area(data: bpy.types.AreaLight, matrix: np.ndarray) -> dict | None:
+    size_v = data.size_y if data.shape in {"RECTANGLE", "ELLIPSE"} else data.size
+    axis_u, axis_v = matrix[:3, 0] * data.size / 2, matrix[:3, 1] * size_v / 2
+    if not (np.any(axis_u) and np.any(axis_v)):
+        return None
+    return {
+        "axis_u": axis_u,
+        "axis_v": axis_v,
+        "ellipse": data.shape in {"DISK", "ELLIPSE"},
+        "spread": data.spread,
+    }
+
+
+def _radiometric_factor(data: bpy.types.Light, shape: dict) -> float:
+    """From Blender's strength (W, or W/m2 for a sun) to what Light.color holds.
+
+    A lamp of power P has the radiance P / (pi A) of a Lambert emitter of area A, the whole sphere for POINT and SPOT.
+    Without `normalize` the area is left out: strength / pi is the radiance (of a sun: the strength itself).
+    """
+    radius = shape.get("radius", 0.0)
+    if data.type == "SUN":
+        return 1.0 if data.normalize or radius == 0 else float(np.pi * np.sin(radius) ** 2)
+    if data.type == "AREA":
+        side_u, side_v = 2 * np.linalg.norm(shape["axis_u"]), 2 * np.linalg.norm(shape["axis_v"])
+        area = side_u * side_v * (np.pi / 4 if shape["ellipse"] else 1.0)
+        return float(1 / (np.pi * area) if data.normalize else 1 / np.pi)
+    if data.normalize:
+        return 1 / (4 * np.pi)
+    # Intensity: the radiance times the area of the disk that is seen.
+    return radius**2 if radius > 0 else 1 / np.pi
+
+
+def _emission(data: bpy.types.Light, name: str) -> tuple[np.ndarray, list[str]]:
+    """Colour times strength of the light's Emission node, (1, 1, 1) without nodes; warnings for what varies."""
+    one = np.ones(3)
+    if data.node_tree is None or (bpy.app.version < (5, 0) and not data.use_nodes):
+        return one, []
+    output = data.node_tree.get_output_node("ALL")
+    if output is None:
+        return np.zeros(3), []
+    found = resolve(output.inputs["Surface"], ())
+    if found is None:
+        return np.zeros(3), []
+    node, path = found[0].node, found[1]
+    if node.bl_idname != "ShaderNodeEmission":
+        return one, [f'Light "{name}": node "{node.label or node.name}" is not supported and is taken as white']
+    color, strength = (constant(node.inputs[key], path) for key in ("Color", "Strength"))
+    if color is None or strength is None:
+        return one, [f'Light "{name}": node "{node.label or node.name}" varies and is taken as white']
+    return np.array(color) * strength[0], []
+
+
+def constant(socket: bpy.types.NodeSocket, path: Path) -> tuple[float, ...] | None:
+    """The value of an input if it is the same everywhere, else None."""
+    walker = Walker("")
+    value = walker.read(socket, path)
+    return tuple(value.value) if isinstance(value, ex.Constant) and not walker.warnings else None
