@@ -1,0 +1,70 @@
+"""What outlives a picture: threads, devices, converted geometry, and the cache's files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from . import engine, gl_thread, sync
+from .convert import images
+from .final import FinalRender
+from .main_gpu import MAIN_GPU
+from .viewport import Viewport
+
+PATTERN = "*.pointsplat"  # files of the cache folder that are PointSplat's own
+
+
+def release() -> None:
+    """Free every device and forget all converted data. Viewports start anew with their next drawing."""
+    for viewport in list(Viewport.alive):
+        viewport.release()
+        viewport.synchronizer.forget()
+    MAIN_GPU.release()
+    gl_thread.THREAD.release()
+    FinalRender.last_scene = None
+    sync.CACHE.clear()
+    images.clear()
+
+
+def clear_folder(folder: Path | None) -> int:
+    """Delete the cache's files, and return how many there were."""
+    files = list(folder.glob(PATTERN)) if folder and folder.is_dir() else []
+    for file in files:
+        file.unlink(missing_ok=True)
+    return len(files)
+
+
+@bpy.app.handlers.persistent
+def on_load(*_arguments) -> None:
+    """Another file: nothing that is known will be needed."""
+    release()
+
+
+@bpy.app.handlers.persistent
+def on_loaded(*_arguments) -> None:
+    """The new file's settings."""
+    engine.choose_context()
+
+
+@bpy.app.handlers.persistent
+def on_undo(*_arguments) -> None:
+    """Undo brings data back without always telling that it changed."""
+    for viewport in list(Viewport.alive):
+        viewport.synchronizer.forget()
+
+
+HANDLERS = (("load_pre", on_load), ("load_post", on_loaded), ("undo_post", on_undo), ("redo_post", on_undo))
+
+
+def register() -> None:
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def unregister() -> None:
+    for name, handler in HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if handler in handlers:
+            handlers.remove(handler)
+    release()

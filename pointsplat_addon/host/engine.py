@@ -1,0 +1,72 @@
+"""The render engine as Blender sees it: forwards only."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import bpy
+import gpu
+
+from ..render.device import DeviceError
+from . import final, gl_thread
+from .viewport import Viewport
+
+LOG = logging.getLogger(__name__)
+
+last_report: dict[str, Any] = {}  # of the last final render
+
+
+class PointSplatEngine(bpy.types.RenderEngine):
+    bl_idname = "POINTSPLAT"
+    bl_label = "PointSplat"
+    bl_use_preview = True
+    bl_use_eevee_viewport = False
+    # With a context of Blender's the window stands still during a final render: see choose_context.
+    bl_use_gpu_context = not gl_thread.available()
+
+    _final: final.FinalRender | None = None
+    _viewport: Viewport | None = None
+
+    def update_render_passes(self, scene=None, renderlayer=None):
+        final.register_passes(self, scene, renderlayer)
+
+    def render(self, depsgraph):
+        if self._final is None:
+            self._final = final.FinalRender()
+        last_report.clear()
+        try:
+            last_report.update(self._final.render(self, depsgraph))
+        except (final.RenderError, DeviceError) as error:
+            self.report({"ERROR"}, str(error))
+        except Exception as error:
+            # Blender takes a render for finished when its engine raises.
+            LOG.exception("The render failed")
+            self.report({"ERROR"}, f"PointSplat: {type(error).__name__}: {error}")
+
+    def view_update(self, context, depsgraph):
+        if self._viewport is None:
+            self._viewport = Viewport()
+        self._viewport.update(context, depsgraph)
+
+    def view_draw(self, context, depsgraph):
+        if self._viewport is None:
+            self._viewport = Viewport()
+        self._viewport.draw(self, context, depsgraph)
+
+
+def choose_context() -> None:
+    """Register the engine with or without a context of Blender's, before a render starts.
+
+    Without moderngl nothing else can draw. Background processes of Blender 4.5 cannot make a context later on,
+    so there the scenes' device setting decides.
+    """
+    asked = bpy.app.background and any(scene.pointsplat.device == "BLENDER_GPU" for scene in bpy.data.scenes)
+    needed = not gl_thread.available() or (asked and not hasattr(gpu, "init"))
+    if needed != PointSplatEngine.bl_use_gpu_context:
+        bpy.utils.unregister_class(PointSplatEngine)
+        PointSplatEngine.bl_use_gpu_context = needed
+        bpy.utils.register_class(PointSplatEngine)
+
+
+CLASSES = (PointSplatEngine,)

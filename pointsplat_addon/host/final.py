@@ -1,0 +1,204 @@
+"""Final renders (F12, animation, background, previews of materials): one view layer of one frame."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from concurrent.futures import Future, wait
+from dataclasses import replace
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..core import scene as core
+from ..core.cryptomatte import murmur3
+from ..render.device import DeviceError
+from ..render.frame import Renderer, Request, Result
+from ..render.outputs import BY_KEY, CRYPTO, PASSES
+from . import gl_thread, main_gpu
+from .convert.camera import render_camera
+from .convert.objects import collect
+from .sync import Synchronizer
+
+POLL_SECONDS = 0.02  # how often Blender is told of progress and asked whether to stop
+PREVIEW_SAMPLES = 8  # of the small pictures of materials
+LIBRARY_NAMES = {"OPENGL": "OpenGL through moderngl", "BLENDER_GPU": "Blender's GPU module"}
+
+
+class RenderError(Exception):
+    """A render that cannot be made; the message is for the person."""
+
+
+class FinalRender:
+    """Renders for one engine. The scene stays, so that the next frame finds what has not changed."""
+
+    last_scene: core.Scene | None = None
+
+    def __init__(self) -> None:
+        self.synchronizer = Synchronizer()
+
+    def render(self, engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> dict[str, Any]:
+        """Draw the active view layer into Blender's result and return the report. RenderError: it cannot be."""
+        started = time.perf_counter()
+        engine.update_stats("", "Converting the scene")
+        wanted = frozenset(p.key for p in PASSES if not p.switch or getattr(depsgraph.view_layer_eval, p.switch))
+        previous = _previous(engine, depsgraph) if "vector" in wanted else None
+        camera, warnings = _camera(engine, depsgraph)
+        before, transforms = previous or (None, None)
+        if before is not None:
+            camera = replace(
+                camera,
+                previous_view_from_world=before.view_from_world,
+                previous_clip_from_view=before.clip_from_view,
+            )
+        scene = self.synchronizer.scene(depsgraph, previous=transforms)
+        settings = depsgraph.scene_eval.pointsplat.settings()
+        if engine.is_preview:
+            settings = replace(settings, samples=min(settings.samples, PREVIEW_SAMPLES))
+        else:
+            FinalRender.last_scene = scene
+        levels = depsgraph.view_layer_eval.pass_cryptomatte_depth
+        request = Request(camera, settings, wanted, settings.samples, crypto_levels=levels)
+        result, problems = _draw(engine, scene, request)
+        if not result.cancelled:
+            _write(engine, depsgraph.view_layer_eval.name, scene, result, camera.window[2:])
+        told = dict.fromkeys((*warnings, *scene.warnings, *problems, *result.report.get("warnings", ())))
+        for warning in told:
+            engine.report({"WARNING"}, warning)
+        return {**result.report, "seconds": time.perf_counter() - started, "warnings": list(told)}
+
+
+def _camera(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> tuple[core.Camera, tuple[str, ...]]:
+    if engine.camera_override is None and depsgraph.scene_eval.camera is None:
+        raise RenderError(f'The scene "{depsgraph.scene.name}" has no camera')
+    camera, warnings = render_camera(engine, depsgraph)
+    if min(camera.window[2:]) <= 0:
+        raise RenderError("The render border holds no pixel")
+    return camera, tuple(warnings)
+
+
+def _previous(
+    engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph
+) -> tuple[core.Camera, dict[tuple, np.ndarray]]:
+    """The camera and world_from_object by identity a frame before; leaves the dependency graph at its frame."""
+    frame, subframe = depsgraph.scene.frame_current, depsgraph.scene.frame_subframe
+    engine.frame_set(frame - 1, subframe)
+    try:
+        collected = collect(depsgraph, identify=True)
+        camera, _ = _camera(engine, depsgraph)
+    finally:
+        engine.frame_set(frame, subframe)
+    return camera, dict(zip(collected.identity, collected.world_from_object, strict=True))
+
+
+def _draw(engine: bpy.types.RenderEngine, scene: core.Scene, request: Request) -> tuple[Result, list[str]]:
+    """Draw on the device that the settings ask for, else on the other one, and warn. DeviceError: neither can."""
+    setting = request.settings.device
+    order = ("BLENDER_GPU", "OPENGL") if setting == "BLENDER_GPU" else ("OPENGL", "BLENDER_GPU")
+    problems = []
+    for name in order:
+        job = Job(scene, request)
+        try:
+            result = job.wait(engine, job.on_opengl() if name == "OPENGL" else job.on_blender(engine))
+        except (DeviceError, ImportError) as error:
+            problems.append(f"{LIBRARY_NAMES[name]} is not available: {error}")
+        else:
+            # Automatic is free to choose; only a device that was asked for is missed.
+            return result, [] if setting == "AUTO" else problems
+    raise DeviceError("PointSplat finds nothing to draw with. " + ". ".join(problems))
+
+
+class Job:
+    """One drawing, perhaps on another thread: progress comes from there, the wish to stop goes there."""
+
+    def __init__(self, scene: core.Scene, request: Request) -> None:
+        self.scene, self.request = scene, request
+        self.fraction, self.text = 0.0, ""
+        self._stop = threading.Event()
+        self._poll = lambda: None  # asked at every progress where job and waiter share a thread
+
+    def on_opengl(self) -> Future[Result]:
+        return gl_thread.THREAD.submit(self._render)
+
+    def on_blender(self, engine: bpy.types.RenderEngine) -> Future[Result]:
+        if main_gpu.runs_here(engine.bl_use_gpu_context):
+            self._poll = lambda: self._exchange(engine)
+        return main_gpu.run(self._render, engine.bl_use_gpu_context)
+
+    def wait(self, engine: bpy.types.RenderEngine, future: Future[Result]) -> Result:
+        """The result, while Blender is told of progress and asked whether to stop."""
+        while not wait([future], timeout=POLL_SECONDS).done:
+            self._exchange(engine)
+        return future.result()
+
+    def _render(self, renderer: Renderer) -> Result:
+        return renderer.render(self.scene, self.request, progress=self._progress, cancelled=self._cancelled)
+
+    def _progress(self, fraction: float, text: str) -> None:
+        self.fraction, self.text = fraction, text
+
+    def _cancelled(self) -> bool:
+        self._poll()
+        return self._stop.is_set()
+
+    def _exchange(self, engine: bpy.types.RenderEngine) -> None:
+        engine.update_progress(self.fraction)
+        engine.update_stats("", self.text)
+        if engine.test_break():
+            self._stop.set()
+
+
+def blender_name(key: str) -> str:
+    """Cycles' name, in this version of Blender, of a pass by PointSplat's key; levels keep their number."""
+    stem = next((c for c in CRYPTO if key.startswith(c)), key)
+    return BY_KEY[stem].names[bpy.app.version >= (5, 0, 0)] + key.removeprefix(stem)
+
+
+def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
+    """Tell Blender which passes the view layer's switches ask for."""
+    for p in PASSES:
+        if p.switch and not getattr(view_layer, p.switch):
+            continue
+        levels = range((view_layer.pass_cryptomatte_depth + 1) // 2) if p.key in CRYPTO else (None,)
+        for level in levels:
+            name = blender_name(p.key if level is None else f"{p.key}{level:02d}")
+            engine.register_pass(scene, view_layer, name, p.channels, p.ids, p.kind)
+
+
+def _write(
+    engine: bpy.types.RenderEngine, layer: str, scene: core.Scene, result: Result, size: tuple[int, int]
+) -> None:
+    """Put the passes into Blender's render result; one that was opened must be ended, or Blender crashes later."""
+    opened = engine.begin_result(0, 0, *size, layer=layer)
+    try:
+        there = {p.name: p for p in opened.layers[0].passes}
+        for key, pixels in result.pixels.items():
+            if (name := blender_name(key)) in there:
+                there[name].rect.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
+    finally:
+        engine.end_result(opened)
+    whole = engine.get_result()
+    for field, value in _manifest(layer, scene, result).items():
+        whole.stamp_data_add_field(field, value)
+
+
+def _manifest(layer: str, scene: core.Scene, result: Result) -> dict[str, str]:
+    """The metadata that tells compositors the names behind Cryptomatte's identifiers (specification 1.2)."""
+    hashes = scene.instances.object_hash
+    names: dict[str, dict[str, int]] = {"crypto_object": {}, "crypto_material": {}}
+    if hashes is not None:
+        names["crypto_object"] = dict(zip(scene.instances.names, hashes.tolist(), strict=True))
+    names["crypto_material"] = dict(zip(scene.materials.names, scene.materials.hash.tolist(), strict=True))
+    fields = {}
+    for key, identifiers in names.items():
+        if f"{key}00" not in result.pixels:
+            continue
+        name = f"{layer}.{blender_name(key)}"
+        prefix = f"cryptomatte/{murmur3(name.encode()):08x}"[: len("cryptomatte/") + 7]
+        fields[f"{prefix}/name"] = name
+        fields[f"{prefix}/hash"] = "MurmurHash3_32"
+        fields[f"{prefix}/conversion"] = "uint32_to_float32"
+        fields[f"{prefix}/manifest"] = json.dumps({n: f"{h:08x}" for n, h in identifiers.items()})
+    return fields

@@ -1,0 +1,145 @@
+"""Panels of the properties editor, and which of Blender's own are shown with this engine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+
+from ..render.outputs import PASSES
+
+ENGINE = "POINTSPLAT"
+DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT", "POINTCLOUD"}  # objects that become points or polygons
+
+# Blender's panels for any engine that show what PointSplat does not have.
+EXCLUDED = {"RENDER_PT_stereoscopy", "RENDER_PT_output_views", "MATERIAL_PT_freestyle_line"}
+EXCLUDED_PREFIXES = ("RENDER_PT_freestyle", "VIEWLAYER_PT_freestyle", "RENDER_PT_gpencil", "RENDER_PT_grease_pencil")
+# Panels of EEVEE and Cycles that show what PointSplat does have; their names are alike in all versions.
+INCLUDED = {
+    "DATA_PT_EEVEE_light",
+    "EEVEE_MATERIAL_PT_context_material",
+    "EEVEE_MATERIAL_PT_surface",
+    "EEVEE_WORLD_PT_mist",
+    "EEVEE_WORLD_PT_surface",
+    "MATERIAL_PT_preview",
+    "VIEW3D_PT_shading_render_pass",
+    "VIEWLAYER_PT_layer_passes",
+    "VIEWLAYER_PT_layer_passes_cryptomatte",
+}
+
+
+class _Panel:
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
+    bl_context = "render"
+
+    @classmethod
+    def poll(cls, context):
+        return context.engine == ENGINE
+
+    def split_layout(self):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        return layout
+
+
+class POINTSPLAT_RENDER_PT_sampling(_Panel, bpy.types.Panel):
+    bl_label = "Sampling"
+
+    def draw(self, context):
+        settings, layout = context.scene.pointsplat, self.split_layout()
+        column = layout.column(align=True)
+        column.prop(settings, "viewport_samples", text="Viewport Samples")
+        column.prop(settings, "samples", text="Render Samples")
+
+
+class POINTSPLAT_RENDER_PT_points(_Panel, bpy.types.Panel):
+    bl_label = "Points"
+
+    def draw(self, context):
+        settings, layout = context.scene.pointsplat, self.split_layout()
+        layout.prop(settings, "technique")
+        layout.prop(settings, "tolerance")
+
+
+class POINTSPLAT_RENDER_PT_film(_Panel, bpy.types.Panel):
+    bl_label = "Film"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        self.split_layout().prop(context.scene.render, "film_transparent", text="Transparent")
+
+
+class POINTSPLAT_RENDER_PT_performance(_Panel, bpy.types.Panel):
+    bl_label = "Performance"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        layout = self.split_layout()
+        layout.prop(context.scene.pointsplat, "device")
+        layout.prop(context.scene.render, "use_persistent_data", text="Persistent Data")
+        layout.operator("pointsplat.clear_cache")
+
+
+class POINTSPLAT_VIEWLAYER_PT_passes(_Panel, bpy.types.Panel):
+    bl_label = "Data"
+    bl_context = "view_layer"
+    bl_parent_id = "VIEWLAYER_PT_layer_passes"
+
+    def draw(self, context):
+        column = self.split_layout().column(heading="Include")
+        for p in PASSES:
+            # Cryptomatte has a panel of Blender's own.
+            if p.switch and "cryptomatte" not in p.switch:
+                column.prop(context.view_layer, p.switch)
+
+
+class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
+    bl_label = "PointSplat"
+    bl_context = "object"
+
+    @classmethod
+    def poll(cls, context):
+        return context.engine == ENGINE and context.object and context.object.type in DRAWN
+
+    def draw(self, context):
+        ob, layout = context.object, self.split_layout()
+        layout.prop(ob.pointsplat, "primitive")
+        row = layout.row()
+        row.active = ob.pointsplat.primitive != "POLYGONS"
+        row.prop(ob.pointsplat, "spacing")
+        column = layout.column(heading="Visibility")
+        column.prop(ob, "visible_camera", text="Camera")
+        column.prop(ob, "is_shadow_catcher")
+
+
+CLASSES = (
+    POINTSPLAT_RENDER_PT_sampling,
+    POINTSPLAT_RENDER_PT_points,
+    POINTSPLAT_RENDER_PT_film,
+    POINTSPLAT_RENDER_PT_performance,
+    POINTSPLAT_VIEWLAYER_PT_passes,
+    POINTSPLAT_OBJECT_PT_pointsplat,
+)
+
+
+def builtin_panels() -> Iterator[type[bpy.types.Panel]]:
+    """Blender's own panels that make sense with this engine."""
+    for panel in bpy.types.Panel.__subclasses__():
+        name, engines = panel.__name__, getattr(panel, "COMPAT_ENGINES", ())
+        if name in INCLUDED or (
+            "BLENDER_RENDER" in engines and name not in EXCLUDED and not name.startswith(EXCLUDED_PREFIXES)
+        ):
+            yield panel
+
+
+def register() -> None:
+    for panel in builtin_panels():
+        panel.COMPAT_ENGINES.add(ENGINE)
+
+
+def unregister() -> None:
+    for panel in bpy.types.Panel.__subclasses__():
+        if ENGINE in (engines := getattr(panel, "COMPAT_ENGINES", ())):
+            engines.discard(ENGINE)

@@ -1,0 +1,56 @@
+"""The extension's preferences."""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import StringProperty
+
+from . import gl_thread
+
+# Installed, Blender knows the extension by its root, bl_ext.<repository>.pointsplat; a checkout has no more than the
+# package itself.
+ROOT = (__package__ or "").removesuffix(".host").removesuffix(".pointsplat_addon")
+
+
+class PointSplatPreferences(bpy.types.AddonPreferences):
+    bl_idname = ROOT
+
+    cache_folder: StringProperty(
+        name="Cache Folder",
+        description="Where point hierarchies are kept between sessions; empty uses the extension's own folder",
+        subtype="DIR_PATH",
+        default="",
+    )
+
+    def draw(self, _context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "cache_folder", placeholder=str(own_folder() or ""))
+        layout.operator("pointsplat.clear_cache")
+        box = layout.column(heading="Final Renders")
+        box.label(text=device_text(), icon="INFO")
+
+
+def device_text() -> str:
+    """What final renders are drawn with."""
+    if gl_thread.available():
+        return "OpenGL context of their own (moderngl)"
+    return "Blender's graphics backend: moderngl is not installed, so the window stands still while they run"
+
+
+def own_folder() -> Path | None:
+    """The folder that Blender gives an installed extension; None for a checkout."""
+    try:
+        return Path(bpy.utils.extension_path_user(ROOT, path="cache"))
+    except ValueError:
+        return None
+
+
+def cache_folder() -> Path | None:
+    """Where hierarchies are kept on disk; None: nowhere."""
+    addon = bpy.context.preferences.addons.get(ROOT)
+    chosen = addon.preferences.cache_folder if addon and addon.preferences else ""
+    return Path(bpy.path.abspath(chosen)) if chosen else own_folder()
+
+
+CLASSES = (PointSplatPreferences,)

@@ -1,0 +1,119 @@
+"""scene.pointsplat and object.pointsplat, made from core.scene's tables."""
+
+from dataclasses import fields
+from typing import Any
+
+import bpy
+from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty
+
+from ..core.scene import DEVICES, PRIMITIVES, TECHNIQUES, Settings
+from . import engine
+
+Item = tuple[str, str, str]
+
+TECHNIQUE_ITEMS: dict[str, Item] = {
+    "AUTO": ("AUTO", "Automatic", "Choose the technique by what is in the scene"),
+    "IMAGE_SPACE": (
+        "IMAGE_SPACE",
+        "Image Space",
+        "Project each point to one pixel and fill the gaps between them in the picture",
+    ),
+}
+DEVICE_ITEMS: dict[str, Item] = {
+    "AUTO": ("AUTO", "Automatic", "An OpenGL context of its own for final renders, Blender's in the viewport"),
+    "BLENDER_GPU": (
+        "BLENDER_GPU",
+        "Blender GPU",
+        "Draw with Blender's graphics backend; final renders block the window",
+    ),
+    "OPENGL": (
+        "OPENGL",
+        "OpenGL",
+        "Draw final renders on an OpenGL context of its own, so that the window stays alive",
+    ),
+}
+PRIMITIVE_ITEMS: dict[str, Item] = {
+    "AUTO": ("AUTO", "Automatic", "Polygons where triangles are large in the picture, points where they are small"),
+    "POINTS": ("POINTS", "Points", "Sample the surface with points"),
+    "POLYGONS": ("POLYGONS", "Polygons", "Draw the triangles themselves"),
+}
+
+# Name and tooltip of each field of Settings
+LABELS: dict[str, tuple[str, str]] = {
+    "technique": ("Technique", "How points become pixels"),
+    "tolerance": (
+        "Tolerance",
+        "Size in pixels below which one point stands for all the finer ones that it covers; smaller is more exact",
+    ),
+    "samples": ("Render", "Number of sub-pixel samples that are averaged for each pixel of a final render"),
+    "viewport_samples": ("Viewport", "Number of sub-pixel samples that are averaged in the viewport while it is still"),
+    "device": ("Device", "What draws the pictures"),
+}
+ITEMS = {"technique": [TECHNIQUE_ITEMS[n] for n in TECHNIQUES], "device": [DEVICE_ITEMS[n] for n in DEVICES]}
+
+
+def changed(_properties: Any, _context: bpy.types.Context) -> None:
+    """An update callback: without one, Blender does not refresh evaluated copies after a Python script's write."""
+
+
+def device_changed(_properties: Any, _context: bpy.types.Context) -> None:
+    engine.choose_context()
+
+
+def _property(name: str, default: Any) -> Any:
+    label, tooltip = LABELS[name]
+    common = {"name": label, "description": tooltip, "default": default, "update": UPDATES.get(name, changed)}
+    if name in ITEMS:
+        return EnumProperty(items=ITEMS[name], **common)
+    low, high = Settings.RANGES[name]
+    if isinstance(default, int):
+        return IntProperty(min=int(low), max=int(high), **common)
+    return FloatProperty(min=low, max=high, soft_max=min(high, 16.0), subtype="PIXEL", precision=2, **common)
+
+
+UPDATES = {"device": device_changed}
+
+
+class PointSplatScene(bpy.types.PropertyGroup):
+    """Settings of the render engine; one property for each field of core.scene.Settings."""
+
+    __annotations__ = {f.name: _property(f.name, f.default) for f in fields(Settings)}
+
+    def settings(self) -> Settings:
+        """The values as core.scene.Settings."""
+        return Settings(**{f.name: getattr(self, f.name) for f in fields(Settings)})
+
+
+class PointSplatObject(bpy.types.PropertyGroup):
+    """How one object becomes points."""
+
+    primitive: EnumProperty(
+        name="Primitive",
+        description="What the object is drawn with",
+        items=[PRIMITIVE_ITEMS[n] for n in PRIMITIVES],
+        default="AUTO",
+        update=changed,
+    )
+    spacing: FloatProperty(
+        name="Spacing",
+        description="Distance between points on the surface, before the object's scale; zero chooses by the view",
+        default=0.0,
+        min=0.0,
+        soft_max=1.0,
+        precision=4,
+        subtype="DISTANCE",
+        update=changed,
+    )
+
+
+CLASSES = (PointSplatScene, PointSplatObject)
+
+
+def register() -> None:
+    bpy.types.Scene.pointsplat = PointerProperty(type=PointSplatScene)
+    bpy.types.Object.pointsplat = PointerProperty(type=PointSplatObject)
+
+
+def unregister() -> None:
+    del bpy.types.Object.pointsplat
+    del bpy.types.Scene.pointsplat

@@ -1,0 +1,50 @@
+"""Everything that Blender is told of, in order."""
+
+from __future__ import annotations
+
+import atexit
+
+import bpy
+
+from . import caches, engine, operators, panels, preferences, properties
+
+MODULES = (properties, operators, preferences, engine, panels)
+CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)
+
+_registered = False
+
+
+def register() -> None:
+    """Register classes, properties, panels and handlers; nothing stays if one of them fails."""
+    global _registered
+    if _registered:
+        return
+    done = []
+    try:
+        for cls in CLASSES:
+            bpy.utils.register_class(cls)
+            done.append(cls)
+    except Exception:
+        for cls in reversed(done):
+            bpy.utils.unregister_class(cls)
+        raise
+    properties.register()
+    panels.register()
+    caches.register()
+    # As a Python package, Blender 4.5 hangs at exit while an engine is registered.
+    atexit.register(unregister)
+    _registered = True
+
+
+def unregister() -> None:
+    """Undo `register`, and free threads, devices and caches last."""
+    global _registered
+    if not _registered:
+        return
+    _registered = False
+    atexit.unregister(unregister)
+    panels.unregister()
+    properties.unregister()
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)
+    caches.unregister()

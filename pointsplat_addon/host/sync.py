@@ -1,0 +1,237 @@
+"""A dependency graph to a core.scene.Scene: changed objects only."""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import bpy
+import numpy as np
+
+from ..core import scene as core
+from ..core.cryptomatte import cryptomatte_hash
+from ..core.materials import MaterialGraph, needs
+from .convert.lights import convert_lights
+from .convert.materials import convert_materials
+from .convert.mesh import read_mesh
+from .convert.objects import Collected, Source, collect
+from .convert.pointcloud import CloudMaterial, read_pointcloud
+from .convert.world import convert_world
+
+MAX_NAMED = 3  # objects that a warning names before it counts the rest
+SHADING = (bpy.types.Material, bpy.types.ShaderNodeTree, bpy.types.Image)
+
+hash_of_name = lru_cache(maxsize=65536)(cryptomatte_hash)
+
+
+class Cache:
+    """Geometry by content key, shared by final renders and viewports; it lives as long as any scene holds it."""
+
+    def __init__(self) -> None:
+        self._geometry: weakref.WeakValueDictionary[str, Any] = weakref.WeakValueDictionary()
+        self._rows: dict[int, int] = {}
+        self._lock = threading.Lock()
+
+    def lookup(self, key: str, make: Callable[[], Any]) -> Any:
+        """What has that content key. Made outside the lock: two threads may both make it, and one is kept."""
+        with self._lock:
+            known = self._geometry.get(key)
+        if known is not None:
+            return known
+        made = make()
+        with self._lock:
+            return self._geometry.setdefault(key, made)
+
+    def row(self, material: bpy.types.Material | None) -> int:
+        """The material's row in every scene's table; it stays, so that the content keys of meshes stay too."""
+        if material is None:
+            return 0
+        with self._lock:
+            return self._rows.setdefault(material.original.session_uid, len(self._rows) + 1)
+
+    def rows(self) -> int:
+        """How many rows have been given, the default material's included."""
+        return len(self._rows) + 1
+
+    def clear(self) -> None:
+        """Forget everything, for instance when a file is loaded."""
+        with self._lock:
+            self._geometry.clear()
+            self._rows.clear()
+
+
+CACHE = Cache()
+
+
+class Known(NamedTuple):
+    geometry: core.Geometry | None  # None: nothing to draw
+    owners: frozenset[int]  # session_uids of the objects that use it, and of the data
+    generated: bool  # made by an instancer, whose changes do not name it
+
+
+class Synchronizer:
+    """Converts the successive states of one dependency graph and remembers the last."""
+
+    def __init__(self, cache: Cache = CACHE) -> None:
+        self.cache = cache
+        self._known: dict[tuple, Known] = {}
+        self._materials: core.MaterialTable | None = None
+        self._material_warnings: tuple[str, ...] = ()
+        self._used: tuple[int, ...] = ()  # rows of the materials in use
+        self._depsgraph = 0
+
+    def scene(
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        view3d: bpy.types.SpaceView3D | None = None,
+        previous: dict[tuple, np.ndarray] | None = None,
+    ) -> core.Scene:
+        """The scene as it is now; where the dependency graph names no changes, everything is looked at again.
+
+        view3d: the viewport, whose local view holds. previous: world_from_object a frame before by
+        `Collected.identity`, for the Vector pass.
+        """
+        self._forget_changed(depsgraph)
+        collected = collect(depsgraph, view3d, identify=previous is not None)
+        table = self._table(collected.sources)
+        geometries, instances = self._instances(collected, table, previous)
+        lights, light_warnings = convert_lights(depsgraph)
+        world, world_warnings = convert_world(depsgraph)
+        evaluated = depsgraph.scene_eval
+        mist_world = getattr(depsgraph.view_layer_eval, "world_override", None) or evaluated.world
+        mist = mist_world.mist_settings if mist_world else None
+        return core.Scene(
+            geometries=geometries,
+            instances=instances,
+            materials=table,
+            lights=tuple(lights),
+            world=world,
+            transparent=evaluated.render.film_transparent,
+            mist=core.Mist(mist.start, mist.depth, mist.falloff) if mist else core.Mist(),
+            warnings=(*_unsupported(collected), *self._material_warnings, *light_warnings, *world_warnings),
+        )
+
+    def forget(self) -> None:
+        """Look at everything again next time; what has the same content is still not converted again."""
+        self._depsgraph = 0
+
+    def _forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Drop what the dependency graph says changed. A re-evaluated modifier gives its mesh a new session_uid."""
+        updates = depsgraph.updates
+        if len(updates) == 0 or depsgraph.as_pointer() != self._depsgraph:
+            self._known, self._materials = {}, None
+        self._depsgraph = depsgraph.as_pointer()
+        changed = {u.id.original.session_uid for u in updates if u.is_updated_geometry}
+        if changed:
+            kept = {k: v for k, v in self._known.items() if not v.generated and changed.isdisjoint(v.owners)}
+            self._known = kept
+        if any(isinstance(u.id, SHADING) for u in updates):
+            self._materials = None
+
+    def _table(self, sources: Iterable[Source]) -> core.MaterialTable:
+        """The table of materials; rows of materials that are not in use hold the default."""
+        used = {self.cache.row(m): m for source in sources for m in source.materials}
+        used.pop(0, None)
+        if self._materials is None or tuple(used) != self._used:
+            self._used = tuple(used)
+            table, warnings = convert_materials([used.get(row) for row in range(1, self.cache.rows())])
+            self._materials, self._material_warnings = table, tuple(warnings)
+        return self._materials
+
+    def _instances(
+        self, collected: Collected, table: core.MaterialTable, previous: dict[tuple, np.ndarray] | None
+    ) -> tuple[tuple[core.Geometry, ...], core.Instances]:
+        sources = collected.sources
+        found = self._geometries(sources, table)
+        unique = {g.key: g for g in found if g is not None}
+        order = {key: row for row, key in enumerate(unique)}
+        geometry = np.array([-1 if g is None else order[g.key] for g in found], np.int32)[collected.source]
+        drawn = geometry >= 0
+        source = collected.source[drawn]
+        world_from_object = collected.world_from_object[drawn]
+        before = None
+        if previous is not None:
+            identity = [i for i, use in zip(collected.identity, drawn, strict=True) if use]
+            before = np.array([previous.get(i, m) for i, m in zip(identity, world_from_object, strict=True)])
+        return tuple(unique.values()), core.Instances(
+            geometry=geometry[drawn],
+            world_from_object=world_from_object,
+            previous=None if before is None else before.reshape(-1, 4, 4),
+            pass_index=np.array([s.pass_index for s in sources], np.int32)[source],
+            holdout=np.array([s.holdout for s in sources], bool)[source],
+            object_hash=np.array([hash_of_name(s.name) for s in sources], np.uint32)[source],
+            names=tuple([sources[i].name for i in source]),
+        )
+
+    def _geometries(self, sources: list[Source], table: core.MaterialTable) -> list[core.Geometry | None]:
+        """The geometry of each source; converts only what is not known."""
+        known: dict[tuple, Known] = {}
+        keys = []
+        for source in sources:
+            rows = tuple(self.cache.row(m) for m in source.materials)
+            reads = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
+            key = source.data.session_uid, rows, reads, source.primitive, source.spacing
+            keys.append(key)
+            last = known.get(key) or self._known.get(key)
+            geometry = last.geometry if last and not source.editing else self._read(source, rows, table)
+            owners = {source.owner, source.data.session_uid} | (last.owners if last else frozenset())
+            known[key] = Known(geometry, frozenset(owners), source.generated or bool(last and last.generated))
+        self._known = known
+        return [known[key].geometry for key in keys]
+
+    def _read(self, source: Source, rows: tuple[int, ...], table: core.MaterialTable) -> core.Geometry | None:
+        mesh = cloud = None
+        if isinstance(source.data, bpy.types.PointCloud):
+            row = rows[0]
+            material = CloudMaterial(row, _graph(table, row), float(table.roughness[row]), float(table.metallic[row]))
+            found = read_pointcloud(source.data, material, self.cache.lookup)
+            key, cloud = found or ("", None)
+        else:
+            wanted = _attributes(table, rows)
+            mesh = _read_evaluated(source, rows, wanted, self.cache.lookup)
+            key = mesh.key if mesh else ""
+        if mesh is None and cloud is None:
+            return None
+        primitive, spacing = source.primitive, source.spacing
+
+        def build() -> core.Geometry:
+            return core.Geometry(key, source.name, mesh, cloud, primitive, spacing)
+
+        key = f"{key} {primitive} {spacing:g}"
+        return self.cache.lookup(key, build)
+
+
+def _graph(table: core.MaterialTable, row: int) -> MaterialGraph | None:
+    return table.graphs[row] if row < len(table.graphs) else None  # pyright: ignore[reportReturnType]
+
+
+def _attributes(table: core.MaterialTable, rows: tuple[int, ...]) -> frozenset[str | None]:
+    """Names of the attributes that the materials read."""
+    graphs = [graph for row in rows if (graph := _graph(table, row))]
+    return frozenset().union(*(needs(graph).colors for graph in graphs))
+
+
+def _read_evaluated(
+    source: Source, rows: tuple[int, ...], wanted: frozenset[str | None], lookup: Callable
+) -> core.Mesh | None:
+    """The mesh of a source. In edit mode Blender's evaluated mesh holds no arrays, and a copy is made."""
+    if source.editing is None:
+        return read_mesh(source.data, source.name, rows, wanted, lookup)  # pyright: ignore[reportArgumentType]
+    try:
+        return read_mesh(source.editing.to_mesh(), source.name, rows, wanted, lookup)
+    finally:
+        source.editing.to_mesh_clear()
+
+
+def _unsupported(collected: Collected) -> list[str]:
+    """One warning for each kind of object that is not drawn, naming a few."""
+    warnings = []
+    for kind, names in collected.unsupported.items():
+        unique = sorted(set(names))
+        shown = ", ".join(f'"{name}"' for name in unique[:MAX_NAMED])
+        rest = f" and {len(unique) - MAX_NAMED} more" if len(unique) > MAX_NAMED else ""
+        warnings.append(f"{kind} are not supported yet and are left out: {shown}{rest}")
+    return warnings

@@ -1,0 +1,121 @@
+"""The Rendered viewport: draws at once while anything moves, refines while it is still."""
+
+from __future__ import annotations
+
+import logging
+import time
+import weakref
+from dataclasses import replace
+from typing import ClassVar
+
+import bpy
+
+from ..core import scene as core
+from ..render.device import DeviceError
+from ..render.frame import Frame, Request
+from ..shading.sources import ShaderError
+from .convert.camera import viewport_camera
+from .main_gpu import MAIN_GPU
+from .sync import Synchronizer
+
+LOG = logging.getLogger(__name__)
+STILL_SECONDS = 0.2  # how long nothing must have moved before the picture is refined
+NAVIGATION_TOLERANCE = 4.0  # times the tolerance: a sixteenth of the points while the view moves
+
+
+class Viewport:
+    """What one viewport shows."""
+
+    alive: ClassVar[weakref.WeakSet[Viewport]] = weakref.WeakSet()
+
+    def __init__(self) -> None:
+        Viewport.alive.add(self)
+        self.synchronizer = Synchronizer()
+        self._scene: core.Scene | None = None
+        self._frame: Frame | None = None
+        self._look: tuple | None = None  # what the frame depends on besides the scene
+        self._coarse = False
+        self._changed_at = float("-inf")
+        self._error = ""
+
+    def __del__(self) -> None:
+        # With the engine that shows it, whose own struct Blender has freed by then.
+        self._drop()
+
+    def update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Take over what changed in the scene."""
+        self._scene = self.synchronizer.scene(depsgraph, view3d=context.space_data)
+        self._drop()
+        self._error = ""
+
+    def draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Draw one more sample into the region; ask Blender to come again while there is more to do."""
+        if self._error:
+            engine.update_stats("PointSplat", self._error)
+            return
+        try:
+            self._draw(engine, context, depsgraph)
+        except (DeviceError, ShaderError) as error:
+            # Blender draws on and on: said once, tried again when the scene changes.
+            self._drop()
+            self._error = str(error)
+            LOG.exception("The viewport cannot be drawn")
+            engine.update_stats("PointSplat", self._error)
+
+    def release(self) -> None:
+        """Free what is on the device; the next drawing starts anew."""
+        self._drop()
+        self._scene = self._look = None
+
+    def _draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        if self._scene is None:
+            self.update(context, depsgraph)
+        settings = depsgraph.scene_eval.pointsplat.settings()
+        camera = viewport_camera(context, depsgraph)
+        if self._scene is None or min(camera.window[2:]) <= 0:
+            return
+        frame = self._frame_for(self._scene, camera, settings)
+        more = frame.sample()
+        _present(frame, camera)
+        engine.update_stats("", "")
+        if more or self._coarse:
+            engine.tag_redraw()
+
+    def _frame_for(self, scene: core.Scene, camera: core.Camera, settings: core.Settings) -> Frame:
+        """The frame that accumulates this view: coarse after a change, fine once nothing has moved for a while."""
+        now = time.perf_counter()
+        look = (camera.view_from_world.tobytes(), camera.clip_from_view.tobytes(), camera.window, settings)
+        if self._frame is None or look != self._look:
+            # The first picture and changes of the scene alone are drawn as they should be.
+            self._coarse = self._look is not None and look != self._look
+            self._changed_at, self._look = now, look
+        elif self._coarse and now - self._changed_at > STILL_SECONDS:
+            self._coarse = False
+        else:
+            return self._frame
+        self._drop()
+        samples = settings.viewport_samples
+        if self._coarse:
+            samples = 1
+            settings = replace(settings, tolerance=settings.tolerance * NAVIGATION_TOLERANCE)
+        request = Request(camera, settings, frozenset({"combined"}), samples)
+        self._frame = MAIN_GPU.renderer().start(scene, request)
+        return self._frame
+
+    def _drop(self) -> None:
+        if self._frame is not None:
+            self._frame.release()
+        self._frame = None
+
+
+def _present(frame: Frame, camera: core.Camera) -> None:
+    """Draw the frame where its border lies in the region."""
+    import gpu
+
+    x0, y0, width, height = camera.window
+    before = gpu.state.viewport_get()
+    gpu.state.viewport_set(before[0] + x0, before[1] + y0, width, height)
+    try:
+        frame.present()
+    finally:
+        gpu.state.viewport_set(*before)
