@@ -6,55 +6,84 @@ place of Blender's.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import ctypes
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
+import glcontext
 import moderngl
 import numpy as np
 
-from ..render.device import EMPTY, DeviceError, Limits
+from ..render import device as checks
+from ..render.device import CHANNELS, DEPTH_BYTES, EMPTY, DeviceError, Limits, Target, Texture, Timer, half
 from ..shading import sources
 from ..shading.interface import Interface
+from .probe import capabilities
 
-FORMATS = {"RGBA32F": (4, "f4"), "RGBA16F": (4, "f2"), "RG32F": (2, "f4"), "R32F": (1, "f4"), "R32UI": (1, "u4")}
+KINDS = {"RGBA32F": "f4", "RGBA16F": "f2", "RG32F": "f4", "R32F": "f4", "R32UI": "u4"}
 MODES = {"TRIANGLES": moderngl.TRIANGLES, "LINES": moderngl.LINES, "POINTS": moderngl.POINTS}
-MAX_GROUPS = 65535
+COMPUTE_VERSION = 430  # the first with compute shaders
+OLDEST_VERSION = 410  # macOS has no newer one
+GL_RENDERBUFFER, GL_DEPTH_COMPONENT32F = 0x8D41, 0x8CAC
 
 
 class OpenGLTexture:
-    def __init__(self, device: OpenGLDevice, size: tuple[int, int], format: str, data: bytes | None):
-        components, kind = FORMATS[format]
+    def __init__(self, device: OpenGLDevice, size: tuple[int, int], format: str, data: np.ndarray | None):
         self.size, self.format = size, format
-        self.handle = device.context.texture(size, components, data, dtype=kind, alignment=1)
+        kind = KINDS[format]
+        self.handle = device.context.texture(size, CHANNELS[format], data, dtype=kind, alignment=1)  # pyright: ignore[reportArgumentType]
         self.handle.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self.handle.repeat_x = self.handle.repeat_y = False
-        self.nbytes = size[0] * size[1] * components * np.dtype(kind).itemsize
-        self._device = device
-        device.textures.add(self)
+        self.nbytes = size[0] * size[1] * checks.BYTES_PER_PIXEL[format]
+        self._alive = device.alive
+        self._alive.add(self)
 
     def release(self) -> None:
-        if self in self._device.textures:
-            self._device.textures.remove(self)
+        if self in self._alive:
+            self._alive.remove(self)
             self.handle.release()
 
 
 class OpenGLTarget:
-    def __init__(self, device: OpenGLDevice, colors: Sequence[OpenGLTexture], depth: bool):
-        self.depth = device.context.depth_renderbuffer(colors[0].size) if depth else None
-        self.handle = device.context.framebuffer([c.handle for c in colors], self.depth)
+    def __init__(self, device: OpenGLDevice, colors: Sequence[Texture], depth: bool):
+        self.colors: tuple[Texture, ...] = tuple(colors)
+        width, height = size = colors[0].size
+        self.depth = None
+        if depth:
+            # moderngl makes 24 bits; Blender has 32-bit floats, and which points tie depends on it.
+            self.depth = device.context.depth_renderbuffer(size)
+            device.bind_renderbuffer(GL_RENDERBUFFER, self.depth.glo)
+            device.renderbuffer_storage(GL_RENDERBUFFER, GL_DEPTH_COMPONENT32F, width, height)
+        self.handle = device.context.framebuffer([texture.handle for texture in colors], self.depth)
+        self.nbytes = width * height * DEPTH_BYTES if depth else 0
+        self._alive = device.alive
+        self._alive.add(self)
 
     def release(self) -> None:
-        self.handle.release()
-        if self.depth:
-            self.depth.release()
+        if self in self._alive:
+            self._alive.remove(self)
+            self.handle.release()
+            if self.depth:
+                self.depth.release()
 
 
 class OpenGLTimer:
-    def __init__(self, context: moderngl.Context):
-        self.query = context.query(time=True)
-        self.query.mglo.begin()
+    """Time on the GPU itself, by a query."""
+
+    def __init__(self, device: OpenGLDevice, query: moderngl.Query):
+        self._device, self._query, self._elapsed = device, query, -1.0
+
+    def start(self) -> None:
+        self._query.__enter__()
+
+    def stop(self) -> None:
+        self._query.__exit__(None, None, None)
 
     def milliseconds(self) -> float:
-        return self.query.elapsed / 1e6
+        if self._elapsed < 0.0:
+            self._elapsed = self._query.elapsed / 1e6
+            self._device.free_queries.append(self._query)
+        return self._elapsed
 
 
 class OpenGLDevice:
@@ -62,60 +91,73 @@ class OpenGLDevice:
 
     def __init__(self) -> None:
         """Raise DeviceError where no context of OpenGL 4.1 or newer can be made."""
-        self.context = _make_context()
-        self.version = 430 if self.context.version_code >= 430 else 410
-        self.textures: set[OpenGLTexture] = set()
+        self.context, gl = _make_context()
+        self.bind_renderbuffer = _function(gl, "glBindRenderbuffer", ctypes.c_uint, ctypes.c_uint)
+        self.renderbuffer_storage = _function(
+            gl, "glRenderbufferStorage", ctypes.c_uint, ctypes.c_uint, ctypes.c_int, ctypes.c_int
+        )
+        self.version = COMPUTE_VERSION if self.context.version_code >= COMPUTE_VERSION else OLDEST_VERSION
+        self.alive: set[OpenGLTexture | OpenGLTarget] = set()
+        self.free_queries: list[moderngl.Query] = []  # moderngl cannot release a query, so each is used again
+        self._timing: OpenGLTimer | None = None
         self._programs: dict[Interface, tuple[moderngl.Program | moderngl.ComputeShader, object]] = {}
         self._blocks: dict[int, moderngl.Buffer] = {}
         self._empty: moderngl.Buffer | None = None
-        self._atomics_probe: bool | None = None
+        self._released = False
         info = self.context.info
-        self.limits = Limits(
-            renderer=info["GL_RENDERER"],
-            texture_size=info["GL_MAX_TEXTURE_SIZE"],
-            image_atomics=self.version >= 430,
-            float_blend=True,  # core since OpenGL 3.0
-        )
+        self.limits = Limits(f"{info['GL_RENDERER']}, OpenGL {self.version}", info["GL_MAX_TEXTURE_SIZE"], False, False)
+        atomics, blend = capabilities(self, compute=self.version >= COMPUTE_VERSION)
+        self.limits = replace(self.limits, image_atomics=atomics, float_blend=blend)
 
     def texture(self, size: tuple[int, int], format: str, data: np.ndarray | None = None) -> OpenGLTexture:
-        if max(size) > self.limits.texture_size:
-            raise DeviceError(f"a texture of {size[0]} x {size[1]} exceeds this GPU's {self.limits.texture_size}")
-        raw = None
+        checks.check_texture(size, format, data, self.limits)
         if data is not None:
-            raw = np.ascontiguousarray(data, np.float16 if FORMATS[format][1] == "f2" else np.float32)
-        return OpenGLTexture(self, size, format, raw)  # pyright: ignore[reportArgumentType]
+            data = half(data) if format == "RGBA16F" else np.ascontiguousarray(data, np.float32)
+        return OpenGLTexture(self, size, format, data)
 
-    def target(self, colors: Sequence[OpenGLTexture], depth: bool = False) -> OpenGLTarget:
+    def target(self, colors: Sequence[Texture], depth: bool = False) -> OpenGLTarget:
+        checks.check_target(colors)
         return OpenGLTarget(self, colors, depth)
 
-    def clear(self, target: OpenGLTarget, color: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> None:
+    def clear(self, target: Target, color: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> None:
         target.handle.clear(*color, depth=1.0)
+        for texture in target.colors:
+            if texture.format == "R32UI":
+                self.fill(texture)
 
-    def fill(self, texture: OpenGLTexture) -> None:
+    def fill(self, texture: Texture) -> None:
         size = texture.nbytes
         if self._empty is None or self._empty.size < size:
+            if self._empty:
+                self._empty.release()
             self._empty = self.context.buffer(np.full(size // 4, EMPTY, np.uint32))
-        texture.handle.write(self._empty)
+        texture.handle.write(self._empty, alignment=1)
 
     def draw(
         self,
         interface: Interface,
-        target: OpenGLTarget,
+        target: Target | None,
         *,
         uniforms: np.ndarray | None = None,
-        textures: Mapping[str, OpenGLTexture] | None = None,
+        textures: Mapping[str, Texture] | None = None,
         vertices: int = 3,
         primitive: str = "TRIANGLES",
         blend: bool = False,
         depth_test: bool = False,
         cull: bool = False,
     ) -> None:
+        if target is None:
+            raise DeviceError(f"{interface.name}: this device has no screen to draw on")
+        checks.check_call(interface, target, uniforms, textures or {}, {}, blend)
+        if vertices == 0:
+            return
         program, array = self._program(interface)
         self._bind(interface, program, uniforms, textures or {})
         target.handle.use()
         context = self.context
         context.enable_only(
-            (moderngl.BLEND if blend else 0)
+            moderngl.PROGRAM_POINT_SIZE
+            | (moderngl.BLEND if blend else 0)
             | (moderngl.DEPTH_TEST if depth_test else 0)
             | (moderngl.CULL_FACE if cull else 0)
         )
@@ -129,9 +171,12 @@ class OpenGLDevice:
         groups: int,
         *,
         uniforms: np.ndarray | None = None,
-        textures: Mapping[str, OpenGLTexture] | None = None,
-        images: Mapping[str, OpenGLTexture] | None = None,
+        textures: Mapping[str, Texture] | None = None,
+        images: Mapping[str, Texture] | None = None,
     ) -> None:
+        if self.version < COMPUTE_VERSION:
+            raise DeviceError(f"{interface.name}: this OpenGL has no compute shaders")
+        checks.check_call(interface, None, uniforms, textures or {}, images or {})
         if groups == 0:
             return
         program, _ = self._program(interface)
@@ -140,30 +185,40 @@ class OpenGLDevice:
             if name in program and images:
                 images[name].handle.bind_to_image(unit)
                 program[name] = unit
-        columns = min(groups, MAX_GROUPS)
-        program.run(columns, -(-groups // columns))  # type: ignore[union-attr]
+        program.run(*checks.layout_groups(groups))  # type: ignore[union-attr]
         self.context.memory_barrier()
 
-    def read(self, texture: OpenGLTexture) -> np.ndarray:
-        components, kind = FORMATS[texture.format]
+    def read(self, texture: Texture) -> np.ndarray:
         width, height = texture.size
-        array = np.frombuffer(texture.handle.read(alignment=1), kind)
-        if kind == "u4":
-            return array.reshape(height, width)
-        return array.reshape(height, width, components).astype(np.float32)
+        kind = KINDS[texture.format]
+        array = np.empty((height, width, CHANNELS[texture.format]), kind)
+        texture.handle.read_into(array, alignment=1)  # pyright: ignore[reportArgumentType]
+        return array[..., 0] if kind == "u4" else array.astype(np.float32, copy=False)
 
     def start_timer(self) -> OpenGLTimer:
-        return OpenGLTimer(self.context)
+        if self._timing:
+            raise DeviceError("a timer is running already")
+        query = self.free_queries.pop() if self.free_queries else self.context.query(time=True)
+        self._timing = OpenGLTimer(self, query)
+        self._timing.start()
+        return self._timing
 
-    def stop_timer(self, timer: OpenGLTimer) -> None:
-        timer.query.mglo.end()
+    def stop_timer(self, timer: Timer) -> None:
+        timer.stop()
+        self._timing = None
 
     def bytes_allocated(self) -> int:
-        return sum(texture.nbytes for texture in self.textures)
+        return sum(thing.nbytes for thing in self.alive)
 
     def release(self) -> None:
-        self.textures.clear()
+        if self._released:
+            return
+        self._released = True
+        for thing in list(self.alive):
+            thing.release()
         self._programs.clear()
+        self._blocks.clear()
+        self._empty = None
         self.context.release()
 
     def _program(self, interface: Interface):
@@ -172,26 +227,23 @@ class OpenGLDevice:
         return self._programs[interface]
 
     def _compile(self, interface: Interface):
-        stages = (
-            {"compute": interface.compute}
-            if interface.compute
-            else {
-                "vertex": interface.vertex,
-                "fragment": interface.fragment,
-            }
-        )
-        loaded = {stage: sources.load(file) for stage, file in stages.items()}
-        text = {stage: interface.header(stage, self.version) + source.text for stage, source in loaded.items()}
+        if interface.compute:
+            files = {"compute": interface.compute}
+        else:
+            files = {"vertex": interface.vertex, "fragment": interface.fragment}
+        loaded = {stage: sources.load(file) for stage, file in files.items()}
+        text = {stage: interface.header(stage, self.version) + source.body for stage, source in loaded.items()}
         try:
             if interface.compute:
                 return self.context.compute_shader(text["compute"]), None
             program = self.context.program(vertex_shader=text["vertex"], fragment_shader=text["fragment"])
             return program, self.context.vertex_array(program, [])
         except moderngl.Error as error:
-            stage = "vertex" if "vertex_shader" in str(error) else list(stages)[-1]
-            raise sources.ShaderError(f"{interface.name}: {loaded[stage].explain(str(error))}") from error
+            log = str(error)
+            stage = "vertex" if "vertex_shader" in log else list(files)[-1]
+            raise sources.ShaderError(f"{interface.name}, {files[stage]}: {loaded[stage].explain(log)}") from error
 
-    def _bind(self, interface: Interface, program, uniforms: np.ndarray | None, textures: Mapping[str, OpenGLTexture]):
+    def _bind(self, interface: Interface, program, uniforms: np.ndarray | None, textures: Mapping[str, Texture]):
         if interface.block and uniforms is not None and f"{interface.block.type}_block" in program:
             size = uniforms.nbytes
             if size not in self._blocks:
@@ -206,12 +258,22 @@ class OpenGLDevice:
                 program[name] = unit
 
 
-def _make_context() -> moderngl.Context:
-    """A context off any screen: EGL where there is one (no display server needed), else the platform's own."""
+def _make_context() -> tuple[moderngl.Context, object]:
+    """A context off any screen, and its loader of functions: EGL where there is one (no display server
+    needed), else the platform's own; the newest that is needed first, because some drivers give exactly
+    the version that was asked for.
+    """
     failures = []
-    for options in ({"backend": "egl"}, {}):
-        try:
-            return moderngl.create_context(standalone=True, require=410, **options)
-        except Exception as error:  # noqa: BLE001 - glcontext raises plain Exception, and OSError for a missing library
-            failures.append(str(error))
-    raise DeviceError("no OpenGL 4.1 context: " + "; ".join(failures))
+    for backend in (lambda: glcontext.get_backend_by_name("egl"), glcontext.default_backend):
+        for version in (COMPUTE_VERSION, OLDEST_VERSION):
+            try:
+                loader = backend()(mode="standalone", glversion=version)
+                return moderngl.create_context(standalone=True, require=version, context=loader), loader
+            except Exception as error:  # glcontext raises a plain one, or OSError for a missing library
+                failures.append(str(error))
+    raise DeviceError("no OpenGL 4.1 context: " + "; ".join(dict.fromkeys(failures)))
+
+
+def _function(loader, name: str, *arguments: type) -> Callable[..., None]:
+    """An OpenGL function that moderngl does not offer."""
+    return ctypes.CFUNCTYPE(None, *arguments)(loader.load(name))

@@ -10,7 +10,11 @@ import numpy as np
 
 from ..shading.interface import Interface
 
-COLOR_FORMATS = ("RGBA32F", "RGBA16F", "RG32F", "R32F", "R32UI")
+CHANNELS = {"RGBA32F": 4, "RGBA16F": 4, "RG32F": 2, "R32F": 1, "R32UI": 1}  # formats of textures
+BYTES_PER_PIXEL = {"RGBA32F": 16, "RGBA16F": 8, "RG32F": 8, "R32F": 4, "R32UI": 4}
+DEPTH_BYTES = 4  # per pixel of a target's depth buffer, which is 32-bit float on every device
+MAX_OUTPUTS = 6  # textures of a target; Blender's gpu takes no more
+MAX_GROUPS = 65535  # work groups in one direction
 EMPTY = 0xFFFFFFFF  # what a cleared R32UI texture holds
 
 
@@ -40,10 +44,14 @@ class Texture(Protocol):
 class Target(Protocol):
     """Textures that one draw writes together."""
 
+    colors: tuple[Texture, ...]
+
     def release(self) -> None: ...
 
 
 class Timer(Protocol):
+    """Timers do not nest."""
+
     def milliseconds(self) -> float:
         """Time the device spent between start and stop; waits for it where it must."""
         ...
@@ -56,7 +64,10 @@ class Device(Protocol):
     limits: Limits
 
     def texture(self, size: tuple[int, int], format: str, data: np.ndarray | None = None) -> Texture:
-        """A texture; `data` is float32 of size H*W*channels, bottom row first (never given for R32UI)."""
+        """A texture; `data` is float32 of size H*W*channels, bottom row first (never given for R32UI).
+
+        Without data its content is undefined.
+        """
         ...
 
     def target(self, colors: Sequence[Texture], depth: bool = False) -> Target:
@@ -64,7 +75,7 @@ class Device(Protocol):
         ...
 
     def clear(self, target: Target, color: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> None:
-        """Set all colour textures to `color` and the depth buffer to 1."""
+        """Set all colour textures to `color`, R32UI ones to EMPTY, and the depth buffer to 1."""
         ...
 
     def fill(self, texture: Texture) -> None:
@@ -74,7 +85,7 @@ class Device(Protocol):
     def draw(
         self,
         interface: Interface,
-        target: Target,
+        target: Target | None,
         *,
         uniforms: np.ndarray | None = None,
         textures: Mapping[str, Texture] | None = None,
@@ -86,7 +97,9 @@ class Device(Protocol):
     ) -> None:
         """Draw `vertices` without vertex attributes (gl_VertexID counts them) as TRIANGLES, LINES or POINTS.
 
-        blend adds to what is there; depth_test keeps the nearer and writes depth; cull drops back faces.
+        blend adds to what is there; depth_test keeps the nearer (of equals the first) and writes depth; cull
+        drops back faces (clockwise on screen). The vertex shader of POINTS sets gl_PointSize. `target` None
+        draws into what is bound, within the viewport that is set: Blender's own framebuffer in view_draw.
         """
         ...
 
@@ -111,9 +124,73 @@ class Device(Protocol):
     def stop_timer(self, timer: Timer) -> None: ...
 
     def bytes_allocated(self) -> int:
-        """Bytes of all textures alive on the device."""
+        """Bytes of all textures and depth buffers alive on the device."""
         ...
 
     def release(self) -> None:
         """Free everything; the device is unusable afterwards."""
         ...
+
+
+def check_texture(size: tuple[int, int], format: str, data: np.ndarray | None, limits: Limits) -> None:
+    """DeviceError: a texture that no device can make, or data of another size."""
+    width, height = size
+    if format not in CHANNELS:
+        raise DeviceError(f"no texture format {format}; there are {', '.join(CHANNELS)}")
+    if not 1 <= min(size) <= max(size) <= limits.texture_size:
+        raise DeviceError(f"a texture of {width} x {height} is outside this GPU's 1 to {limits.texture_size}")
+    if data is not None and format == "R32UI":
+        raise DeviceError("a texture of unsigned integers takes no data")
+    if data is not None and data.size != width * height * CHANNELS[format]:
+        raise DeviceError(f"{data.size} numbers for a texture of {width} x {height} of {format}")
+
+
+def check_target(colors: Sequence[Texture]) -> None:
+    """DeviceError: textures that cannot be written together."""
+    if not 1 <= len(colors) <= MAX_OUTPUTS:
+        raise DeviceError(f"a target of {len(colors)} textures; 1 to {MAX_OUTPUTS} are possible")
+    if len({tuple(texture.size) for texture in colors}) > 1:
+        raise DeviceError(f"a target of textures of different sizes: {[texture.size for texture in colors]}")
+
+
+def check_call(
+    interface: Interface,
+    target: Target | None,
+    uniforms: np.ndarray | None,
+    textures: Mapping[str, Texture],
+    images: Mapping[str, Texture],
+    blend: bool = False,
+) -> None:
+    """DeviceError: a draw or dispatch that does not fit its interface, or reads what it writes."""
+    name = interface.name
+    if interface.block and (uniforms is None or uniforms.dtype != interface.block.dtype() or uniforms.size != 1):
+        raise DeviceError(f"{name}: uniforms are not one record of {interface.block.type}")
+    for kind, key in interface.samplers:
+        if key not in textures:
+            raise DeviceError(f"{name}: no texture for {key}")
+        if (kind == "UINT_2D") != (textures[key].format == "R32UI"):
+            raise DeviceError(f"{name}: {key} is {kind}, its texture {textures[key].format}")
+    for format, key in interface.images:
+        if key not in images or images[key].format != format:
+            raise DeviceError(f"{name}: no texture of format {format} for {key}")
+    if target is None:
+        return
+    if len(interface.outputs) != len(target.colors):
+        raise DeviceError(f"{name}: {len(interface.outputs)} outputs into {len(target.colors)} textures")
+    if blend and any(texture.format == "R32UI" for texture in target.colors):
+        raise DeviceError(f"{name}: unsigned integers cannot be blended")
+    read = {id(texture) for texture in textures.values()}
+    if any(id(texture) in read for texture in target.colors):
+        raise DeviceError(f"{name}: a texture is both read and drawn into")
+
+
+def half(data: np.ndarray) -> np.ndarray:
+    """`data` as float16, to the nearest; what is too large becomes infinite, as on every GPU."""
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(data, np.float16)
+
+
+def layout_groups(groups: int) -> tuple[int, int]:
+    """(columns, rows) of at least `groups` work groups, as few more as rows of equal length allow."""
+    rows = max(1, -(-groups // MAX_GROUPS))
+    return -(-groups // rows), rows

@@ -6,7 +6,7 @@ OpenGL; a device with its own way of declaring (Blender's GPUShaderCreateInfo) r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ import numpy as np
 STD140 = {
     "float": ("<f4", 1, 4),
     "int": ("<i4", 1, 4),
+    "uint": ("<u4", 1, 4),
     "vec2": ("<f4", 2, 8),
     "ivec2": ("<i4", 2, 8),
     "vec4": ("<f4", 4, 16),
@@ -48,7 +49,10 @@ class Block:
         return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
     def record(self, **values: object) -> np.ndarray:
-        """A (1,) record with `values` set; (4, 4) matrices are stored column by column. KeyError: an unknown field."""
+        """A (1,) record with `values` set; (4, 4) matrices are stored column by column.
+
+        ValueError: an unknown field, or a value of another shape.
+        """
         record = np.zeros(1, self.dtype())
         for name, value in values.items():
             array = np.asarray(value)
@@ -62,7 +66,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Interface:
-    """A program: its source files in shaders/ and all that they read and write."""
+    """A program: its source files in shaders/ (or at absolute paths) and all that they read and write."""
 
     name: str  # of the pass, for messages and reports
     fragment: str = ""  # file in shaders/
@@ -71,7 +75,7 @@ class Interface:
     block: Block | None = None
     samplers: tuple[tuple[str, str], ...] = ()  # (key of SAMPLERS, name)
     images: tuple[tuple[str, str], ...] = ()  # (key of IMAGES, name); compute only, read and written
-    varyings: tuple[tuple[str, str, str], ...] = ()  # (smooth | flat, GLSL type, name)
+    varyings: tuple[tuple[str, str, str], ...] = ()  # (smooth | flat, GLSL type, name); integers are flat
     outputs: tuple[tuple[str, str], ...] = ()  # (GLSL type, name), in order of the target's textures
     defines: tuple[tuple[str, str], ...] = ()
     local_size: int = 64  # compute work group
@@ -79,8 +83,7 @@ class Interface:
 
     def with_defines(self, *names: str) -> Interface:
         """The same interface with further defines set to 1."""
-        values = self.__dict__ | {"defines": self.defines + tuple((name, "1") for name in names)}
-        return Interface(**values)
+        return replace(self, defines=self.defines + tuple((name, "1") for name in names))
 
     def header(self, stage: str, version: int) -> str:
         """The declarations for one stage (vertex, fragment, compute) in plain GLSL of `version` (410, 430)."""

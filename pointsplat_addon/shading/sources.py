@@ -1,54 +1,79 @@
-"""GLSL text: files of shaders/, `#include "lib/x.glsl"` resolved, `#line` set so that errors name file and line."""
+"""GLSL text: files of shaders/ with `#include "lib/x.glsl"` resolved, and the way back from a driver's
+message to the file and the line in it.
+
+Drivers count the lines of the joined text. (GLSL's own way, a source number in `#line`, is not printed
+by Mesa, and Metal's compiler refuses it.)
+"""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent.parent.parent / "shaders"
 INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
-# Mesa: "2:15(3): error"; NVIDIA: "2(15) : error"; others: "ERROR: 2:15:".
-ERROR_PLACE = re.compile(r"(?<![\w.])(\d+)(?::(\d+)|\((\d+)\))")
+# Source number and line, as Mesa: "0:15(3): error"; NVIDIA: "0(15) : error"; others: "ERROR: 0:15:".
+PLACE = re.compile(r"(?<![\w.:])\d+(?::(\d+)(?:\(\d+\))?|\((\d+)\))")
+# The joined text starts at this line, so that the declarations before it are not taken for it.
+FIRST_LINE = 1001
 
 
 class ShaderError(RuntimeError):
-    """A shader does not compile or link; the message names the file and the line in it."""
+    """A shader does not compile or link, or a file is missing; the message names the file and the line in it."""
 
 
 @dataclass(frozen=True)
 class Source:
+    """A file with its includes."""
+
     text: str
-    files: tuple[str, ...]  # source number n in a #line directive is files[n]
+    places: tuple[tuple[str, int], ...]  # file and line (from 1) of each line of text
+
+    @property
+    def body(self) -> str:
+        """The text as it follows the declarations that Interface.header prints."""
+        return f"#line {FIRST_LINE}\n{self.text}"
+
+    def place(self, line: int) -> str:
+        """FILE:LINE of a line (from 1) of `text`."""
+        if not 1 <= line <= len(self.places):
+            return f"declarations:{line}"
+        file, number = self.places[line - 1]
+        return f"{file}:{number}"
 
     def explain(self, log: str) -> str:
-        """A driver's log with source numbers replaced by file names."""
+        """A driver's log about declarations and `body`, with files and their lines in place of its own numbers."""
 
         def name(match: re.Match[str]) -> str:
-            number, line = int(match.group(1)), match.group(2) or match.group(3)
-            return f"{self.files[number]}:{line}" if number < len(self.files) else match.group(0)
+            line = int(match.group(1) or match.group(2))
+            return self.place(line - FIRST_LINE + 1) if line >= FIRST_LINE else f"declarations:{line}"
 
-        return ERROR_PLACE.sub(name, log)
+        return PLACE.sub(name, log)
 
 
-@lru_cache(maxsize=None)
+@cache
 def load(file: str) -> Source:
-    """The text of shaders/<file> with includes, each of which is taken once. FileNotFoundError: no such file."""
-    files: list[str] = []
-    return Source(_expand(file, files), tuple(files))
+    """The text of `file` in shaders/ (or at an absolute path) with its includes, each of which is taken once.
+
+    Included files are named from shaders/ too, wherever the including file lies. ShaderError: no such file.
+    """
+    lines, places = [], []
+    _expand(file, file, set(), lines, places)
+    return Source("".join(lines), tuple(places))
 
 
-def _expand(file: str, files: list[str]) -> str:
-    number = len(files)
-    files.append(file)
-    parts = [f"#line 1 {number}\n"]
-    for index, line in enumerate((FOLDER / file).read_text(encoding="utf-8").splitlines(), start=1):
+def _expand(file: str, wanted_by: str, seen: set[str], lines: list[str], places: list[tuple[str, int]]) -> None:
+    seen.add(file)
+    try:
+        text = (FOLDER / file).read_text(encoding="utf-8")
+    except OSError as error:
+        raise ShaderError(f"{wanted_by}: cannot read the shader {file}: {error.strerror}") from error
+    for number, line in enumerate(text.splitlines(), start=1):
         match = INCLUDE.match(line)
         if not match:
-            parts.append(line + "\n")
-        elif match.group(1) not in files:
-            parts += [_expand(match.group(1), files), f"#line {index + 1} {number}\n"]
-        else:
-            parts.append("\n")
-    return "".join(parts)
+            lines.append(line + "\n")
+            places.append((file, number))
+        elif match.group(1) not in seen:
+            _expand(match.group(1), f"{file}:{number}", seen, lines, places)

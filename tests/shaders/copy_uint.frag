@@ -1,0 +1,3 @@
+void main() {
+  color = texelFetch(source, ivec2(gl_FragCoord.xy), 0).r + OFFSET;
+}

@@ -1,0 +1,3 @@
+void main() {
+  color = u.color;
+}
