@@ -30,7 +30,7 @@ FIRST_LIGHT = TABLE_ROWS + 1
 KINDS = ("POINT", "SPOT", "SUN", "AREA")
 COLUMNS = 6
 ELLIPSE_SIDES = 24
-SPREAD_CELLS = 6  # to a side: an area light with a narrowed beam is summed over a grid
+SPREAD_CELLS = 8  # to a side: an area light with a narrowed beam is summed over a grid
 MIN_ALPHA = 1e-3  # float32 on the GPU cannot hold a narrower lobe's peak
 
 
@@ -222,6 +222,7 @@ def _round_light(
     position: np.ndarray, normal: np.ndarray, mirror: np.ndarray, width: np.ndarray, light: Light
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Per unit of light.color: irradiance, direction of the representative point, radiance times solid angle."""
+    cone = cone_seen = np.ones(len(position))
     if light.kind == "SUN":
         to_light = np.broadcast_to(-light.direction, position.shape)
         sine2 = np.full(len(position), np.sin(min(light.radius, np.pi / 2)) ** 2)
@@ -234,14 +235,18 @@ def _round_light(
         reach2 = d2 + light.radius**2 if light.soft else np.maximum(d2, light.radius**2)
         sine2, strength = light.radius**2 / reach2, 1 / reach2
         if light.kind == "SPOT":
-            strength = strength * _spot_factor(position, to_light, light)
-    irradiance = strength * cap_cosine(_dot(normal, to_light), sine2)
+            cone_seen, cone = _spot_factors(position, normal, to_light, light)
+    cosine = cap_cosine(_dot(normal, to_light), sine2)
+    if light.kind != "SUN" and not light.soft:
+        # Inside the sphere light comes from everywhere.
+        cosine = np.where(d2 < light.radius**2, 1.0, cosine)
+    irradiance = strength * cone * cosine
+    strength = strength * cone_seen
 
     sigma = np.arcsin(np.sqrt(sine2))
     shrink, focus = _shrink(sigma, width)
     direction = _towards(to_light, mirror, sigma * shrink)
-    cosine = np.sqrt(1 - np.minimum(sine2, 1))
-    return irradiance, direction, strength * 2 / (1 + cosine) * focus
+    return irradiance, direction, strength * 2 / (1 + np.cos(sigma)) * focus
 
 
 def cap_cosine(cosine: np.ndarray, sine2: np.ndarray) -> np.ndarray:
@@ -262,24 +267,32 @@ def cap_cosine(cosine: np.ndarray, sine2: np.ndarray) -> np.ndarray:
     return np.where(partial, np.maximum(cut, 0), np.maximum(cosine, 0))
 
 
-def _spot_factor(position: np.ndarray, to_light: np.ndarray, light: Light) -> np.ndarray:
-    """Blender's cone, averaged over the disk of the light by a quadrature of degree 5 (centre and six points)."""
+def _spot_factors(
+    position: np.ndarray, normal: np.ndarray, to_light: np.ndarray, light: Light
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means (N,) of Blender's cone over the disk of the light: plain, and weighted with n.l.
+
+    By a quadrature of degree 5, the centre and six points.
+    """
     axis_u, axis_v = _axes(light)
     # Aligned with the cone, so that turning the scene changes nothing.
     aside = np.abs(to_light @ light.direction) < 0.999
     u = _unit(np.cross(np.where(aside[:, None], light.direction, axis_u), to_light))
     v = np.cross(to_light, u)
-    total = np.zeros(len(position))
+    plain, weighted, weights = np.zeros((3, len(position)))
     for i in range(7 if light.radius > 0 else 1):
         angle, radius = i * np.pi / 3, light.radius * np.sqrt(2 / 3) * (i > 0)
-        point = light.position + radius * (np.cos(angle) * u + np.sin(angle) * v)
-        ray = position - point
+        ray = position - light.position - radius * (np.cos(angle) * u + np.sin(angle) * v)
         local = np.stack([ray @ axis_u, ray @ axis_v, ray @ light.direction], -1)
         z = local[:, 2] / np.maximum(np.linalg.norm(local, axis=1), 1e-20)
         t = np.clip((z - light.spot_cos) / max((1 - light.spot_cos) * light.spot_blend, 1e-6), 0, 1)
-        weight = 1.0 if light.radius <= 0 else 0.25 if i == 0 else 0.125
-        total += weight * t * t * (3 - 2 * t)
-    return total
+        cone = t * t * (3 - 2 * t)
+        part = 1.0 if light.radius <= 0 else 0.25 if i == 0 else 0.125
+        weight = part * np.maximum(-_dot(ray, normal), 0)
+        plain += part * cone
+        weighted += weight * cone
+        weights += weight
+    return plain, np.where(weights > 0, weighted / np.where(weights > 0, weights, 1), plain)
 
 
 def _area_light(

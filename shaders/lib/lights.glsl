@@ -9,7 +9,7 @@
 #define PS_KIND_SUN 2
 #define PS_KIND_AREA 3
 #define PS_ELLIPSE_SIDES 24
-#define PS_SPREAD_CELLS 6
+#define PS_SPREAD_CELLS 8
 
 #ifdef PS_HAS_LIGHTS
 
@@ -89,31 +89,38 @@ float ps_spot_cone(PsLight light, vec3 ray)
   return t * t * (3.0 - 2.0 * t);
 }
 
-// The cone averaged over the light's disk: centre and six points, a quadrature of degree 5.
-float ps_spot_factor(PsLight light, vec3 position, vec3 to_light)
+// Means of the cone over the light's disk, by the centre and six points (a quadrature of degree 5): plain, and
+// weighted with n.l.
+vec2 ps_spot_factors(PsLight light, vec3 position, vec3 normal, vec3 to_light)
 {
   vec3 ray = position - light.position;
   float centre = ps_spot_cone(light, ray);
   if (light.radius <= 0.0) {
-    return centre;
+    return vec2(centre);
   }
   // Aligned with the cone, so that the camera's turning changes nothing.
   bool aside = abs(dot(to_light, light.direction)) < 0.999;
   vec3 u = normalize(cross(aside ? light.direction : light.axis_u, to_light));
   vec3 v = cross(to_light, u);
   float radius = light.radius * sqrt(2.0 / 3.0);
-  float total = 0.25 * centre;
+  float weights = 0.25 * max(-dot(ray, normal), 0.0);
+  vec2 total = centre * vec2(0.25, weights);
   for (int i = 0; i < 6; i++) {
     float angle = float(i) * PS_PI / 3.0;
-    total += 0.125 * ps_spot_cone(light, ray - radius * (cos(angle) * u + sin(angle) * v));
+    vec3 from_point = ray - radius * (cos(angle) * u + sin(angle) * v);
+    float weight = 0.125 * max(-dot(from_point, normal), 0.0);
+    total += ps_spot_cone(light, from_point) * vec2(0.125, weight);
+    weights += weight;
   }
-  return total;
+  return vec2(total.x, weights > 0.0 ? total.y / weights : total.x);
 }
 
 PsReceived ps_round_light(PsLight light, vec3 position, vec3 normal, vec3 mirror, float width)
 {
   vec3 to_light = -light.direction;
   float sine2, strength = 1.0;
+  vec2 cone = vec2(1.0);
+  bool inside = false;
   if (light.kind == PS_KIND_SUN) {
     sine2 = sin(min(light.radius, 0.5 * PS_PI));
     sine2 *= sine2;
@@ -127,15 +134,18 @@ PsReceived ps_round_light(PsLight light, vec3 position, vec3 normal, vec3 mirror
     float reach2 = light.shape.x < 0.5 ? d2 + r2 : max(d2, r2);
     sine2 = r2 / reach2;
     strength = 1.0 / reach2;
+    inside = light.shape.x > 0.5 && d2 < r2;
     if (light.kind == PS_KIND_SPOT) {
-      strength *= ps_spot_factor(light, position, to_light);
+      cone = ps_spot_factors(light, position, normal, to_light);
     }
   }
   float cosine = sqrt(max(1.0 - sine2, 0.0));
   float sigma = atan(sqrt(sine2), cosine);
   vec2 shrink = ps_shrink(sigma, width);
-  float energy = strength * 2.0 / (1.0 + cosine) * shrink.y;
-  return PsReceived(strength * ps_cap_cosine(dot(normal, to_light), sine2), energy,
+  float energy = strength * cone.x * 2.0 / (1.0 + cosine) * shrink.y;
+  // Inside a sphere light comes from everywhere.
+  float received = inside ? 1.0 : ps_cap_cosine(dot(normal, to_light), sine2);
+  return PsReceived(strength * cone.y * received, energy,
                     ps_towards(to_light, mirror, sigma * shrink.x));
 }
 

@@ -1,0 +1,189 @@
+"""Blender's lights: a Lambert plane and a Principled sphere, shaded by the reference, against Cycles' direct light."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from mathutils import Euler, Matrix  # noqa: E402
+
+from pointsplat_addon.core import lighting  # noqa: E402
+from pointsplat_addon.host.convert import camera as cameras  # noqa: E402
+from pointsplat_addon.host.convert import lights, world  # noqa: E402
+
+SIZE = 20
+
+
+@pytest.fixture
+def scene():
+    """An empty scene with a parallel camera above the plane z = 0, set up for Cycles' direct light."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    data = bpy.data.cameras.new("camera")
+    data.type, data.ortho_scale = "ORTHO", 8
+    scene.camera = bpy.data.objects.new("camera", data)
+    scene.camera.location.z = 20
+    scene.collection.objects.link(scene.camera)
+    scene.render.engine = "CYCLES"
+    scene.render.resolution_x = scene.render.resolution_y = SIZE
+    cycles = scene.cycles
+    cycles.device, cycles.samples, cycles.max_bounces = "CPU", 1024, 0
+    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    # All rays through the pixel centre (a box filter would ignore the width).
+    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
+    cycles.light_sampling_threshold = 0
+    scene.view_settings.view_transform = "Standard"
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.image_settings.color_depth = "32"
+    return scene
+
+
+def add(scene, name, data):
+    obj = bpy.data.objects.new(name, data)
+    scene.collection.objects.link(obj)
+    return obj
+
+
+def add_plane(scene, half=50.0):
+    mesh = bpy.data.meshes.new("plane")
+    mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
+    material = bpy.data.materials.new("diffuse")
+    if not material.node_tree:
+        material.use_nodes = True
+    tree = material.node_tree
+    node = tree.nodes.new("ShaderNodeBsdfDiffuse")
+    node.inputs["Color"].default_value = (0.8, 0.5, 0.2, 1)
+    tree.links.new(node.outputs[0], tree.get_output_node("ALL").inputs["Surface"])
+    mesh.materials.append(material)
+    return add(scene, "plane", mesh)
+
+
+def cycles_picture(scene, folder: Path) -> np.ndarray:
+    scene.render.filepath = str(folder / "cycles.exr")
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(scene.render.filepath)
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(SIZE, SIZE, -1)[..., :3].astype(float)
+
+
+def pixel_centres() -> np.ndarray:
+    """(SIZE * SIZE, 3) on the plane z = 0."""
+    x, y = np.meshgrid(*[((np.arange(SIZE) + 0.5) / SIZE - 0.5) * 8] * 2)
+    return np.stack([x, y, 0 * x], -1).reshape(-1, 3)
+
+
+def lambert(base) -> lighting.Surface:
+    return lighting.Surface(
+        np.array(base), np.zeros(3), np.array(1.0), np.array(0.0), np.array(1.0), np.array(0.0)
+    )
+
+
+def point(data):
+    data.energy, data.color = 300, (1, 0.7, 0.4)
+
+
+def large_soft_point(data):
+    data.energy, data.shadow_soft_size = 300, 1.5
+
+
+def sphere(data):
+    data.energy, data.shadow_soft_size, data.use_soft_falloff = 300, 1.8, False
+
+
+def without_normalize(data):
+    data.energy, data.shadow_soft_size, data.normalize = 20, 0.7, False
+
+
+def exposure_and_temperature(data):
+    data.energy, data.exposure, data.use_temperature, data.temperature = 100, 1.5, True, 3200
+
+
+def sun(data):
+    data.energy, data.angle = 3, 0.6
+
+
+def sun_without_normalize(data):
+    data.energy, data.angle, data.normalize = 3, 0.8, False
+
+
+def spot(data):
+    data.energy, data.spot_size, data.spot_blend = 400, 1.6, 0.7
+
+
+def soft_spot(data):
+    data.energy, data.spot_size, data.spot_blend, data.shadow_soft_size = 400, 1.9, 0.8, 0.3
+
+
+def square(data):
+    data.energy, data.size = 200, 2
+
+
+def rectangle(data):
+    data.energy, data.shape, data.size, data.size_y = 200, "RECTANGLE", 3, 0.5
+
+
+def disk(data):
+    data.energy, data.shape, data.size = 200, "DISK", 2.5
+
+
+def ellipse(data):
+    data.energy, data.shape, data.size, data.size_y = 200, "ELLIPSE", 3, 1
+
+
+def area_without_normalize(data):
+    data.energy, data.size, data.normalize = 20, 2, False
+
+
+def narrow(data):
+    data.energy, data.size, data.spread = 200, 2, 1.8
+
+
+# (kind, settings, height, rotation, scale)
+CASES = {
+    "point": ("POINT", point, 2.5, (0, 0, 0), (1, 1, 1)),
+    "large soft point": ("POINT", large_soft_point, 2.5, (0, 0, 0), (1, 1, 1)),
+    "sphere cut by the plane": ("POINT", sphere, 1.0, (0, 0, 0), (1, 1, 1)),
+    "point without normalize": ("POINT", without_normalize, 2.5, (0, 0, 0), (1, 1, 1)),
+    "exposure and temperature": ("POINT", exposure_and_temperature, 2.5, (0, 0, 0), (1, 1, 1)),
+    "sun": ("SUN", sun, 3, (0.9, 0, 0.5), (1, 1, 1)),
+    "sun without normalize, low": ("SUN", sun_without_normalize, 3, (1.5, 0, 0.5), (1, 1, 1)),
+    "spot": ("SPOT", spot, 3, (0.3, 0.2, 0), (1, 1, 1)),
+    "scaled spot": ("SPOT", spot, 3, (0.2, -0.3, 0.6), (1.6, 0.8, 1.2)),
+    "soft spot": ("SPOT", soft_spot, 3, (0.3, 0.2, 0), (1, 1, 1)),
+    "square": ("AREA", square, 2, (0.4, 0.2, 0), (1, 1, 1)),
+    "rectangle through the plane": ("AREA", rectangle, 0.8, (1.1, 0.9, 0), (1, 1, 1)),
+    "scaled disk": ("AREA", disk, 2, (0.4, 0.2, 0), (1, 1.5, 1)),
+    "ellipse through the plane": ("AREA", ellipse, 0.5, (1.2, 0.7, 0), (1, 1, 1)),
+    "area without normalize": ("AREA", area_without_normalize, 2, (0, 0, 0), (1, 1, 1)),
+    "narrow area": ("AREA", narrow, 2.5, (0.2, 0, 0), (1, 1, 1)),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_lambert_plane_under_a_light_equals_cycles(scene, tmp_path, case):
+    kind, settings, height, rotation, scale = CASES[case]
+    data = bpy.data.lights.new("light", kind)
+    settings(data)
+    obj = add(scene, "light", data)
+    obj.visible_camera = False
+    obj.matrix_world = Matrix.LocRotScale((0.6, -0.4, height), Euler(rotation), scale)
+    add_plane(scene)
+    want = cycles_picture(scene, tmp_path).reshape(-1, 3)
+
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    converted, warnings = lights.convert_lights(depsgraph)
+    assert len(converted) == 1
+    assert warnings == []
+    position = pixel_centres()
+    up = np.broadcast_to([0.0, 0, 1], position.shape)
+    got = lighting.shade(position, up, up, lambert((0.8, 0.5, 0.2)), converted)
+    # Cycles is noisy: pixels that are all but dark carry no figure.
+    bright = want.max(1) > 0.02 * want.max()
+    sampled = np.flatnonzero(bright)[:: max(1, bright.sum() // 100)]
+    assert len(sampled) >= 40
+    error = np.abs(got[sampled] - want[sampled]).max(1) / want[sampled].max(1)
+    assert error.max() < 0.02, f"worst {error.max():.2%}, mean {error.mean():.2%}"
