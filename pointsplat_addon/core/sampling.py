@@ -552,8 +552,9 @@ def evaluate(mesh: Mesh, samples: Samples, origin: np.ndarray | None = None, ok:
     """Positions, normals and splats of `samples` on `mesh`: the mesh that was sampled, in this or another pose.
 
     `origin` (3,) float64 is what positions are relative to; None takes `centre(mesh)`, so that coordinates far
-    from zero keep the precision of the mesh. Samples of triangles that the pose made non-finite are non-finite
-    (`cloud.finite` drops them); those without area have radius zero across and some unit normal.
+    from zero keep the precision of the mesh. `ok` is what `validate` returned for this pose, where it is at hand.
+    Samples at vertices that the pose made non-finite are non-finite (`cloud.finite` drops them); those of triangles
+    that lost their area have a radius of rounding size and some unit normal.
     """
     origin = centre(mesh) if origin is None else np.asarray(origin, np.float64)
     if samples.ellipse is None:
