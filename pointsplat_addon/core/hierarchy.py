@@ -81,7 +81,7 @@ def build(cloud: PointCloud, leaf_size: int = 12) -> Hierarchy:
         raise ValueError(f"leaf_size is {leaf_size}, expected at least 1")
     if len(cloud) >= 2**31:
         raise ValueError(f"{len(cloud)} points do not fit 32-bit links")
-    _check(cloud)
+    check(cloud)
     order, tree = partition(cloud.position, leaf_size)
     return _evaluate(cloud.take(order), order, tree)
 
@@ -94,7 +94,7 @@ def refit(hierarchy: Hierarchy, cloud: PointCloud, in_tree_order: bool = False) 
     """
     if len(cloud) != len(hierarchy.cloud):
         raise ValueError(f"refit with {len(cloud)} points of a hierarchy of {len(hierarchy.cloud)}")
-    _check(cloud)
+    check(cloud)
     return _evaluate(cloud if in_tree_order else cloud.take(hierarchy.order), hierarchy.order, hierarchy.tree)
 
 
@@ -473,7 +473,7 @@ def _columns(rows: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(rows.T, np.float32)
 
 
-def _check(cloud: PointCloud) -> None:
+def check(cloud: PointCloud) -> None:
     """Raise ValueError for attributes that are not finite, or negative radii. Extremes propagate NaN."""
     for name, array in cloud.arrays().items():
         if array.size and array.dtype.kind == "f" and not np.isfinite([array.min(), array.max()]).all():

@@ -1,0 +1,1 @@
+"""File formats, one module each: numpy in and out, no Blender."""

@@ -1,0 +1,171 @@
+"""Packed hierarchies in a folder, one file per content key.
+
+A file holds, little-endian: magic (8 bytes), version (uint32), length of the header (uint32), blake2b digest
+of all that follows (32 bytes), the header (JSON: layout, counts, origin, longest length), then the records of
+points, of nodes, and the order (int32). Nothing is allocated before the claimed sizes agree with the file's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import struct
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from ..core.cloud import ATTRIBUTES, PointCloud
+from ..core.hierarchy import Hierarchy
+from ..core.packed import Layout, Packed, pack, unpack
+
+MAGIC = b"PSPLAT\r\n"
+VERSION = 1
+SUFFIX = ".pshier"
+FIXED = struct.Struct("<8sII32s")
+HEADER_LIMIT = 1 << 16  # bytes; a header has a few hundred
+COLUMNS_LIMIT = 64  # values of one attribute of one splat
+NODE_ATTRIBUTES = ("mass", "covered")
+
+
+class CacheError(ValueError):
+    """A cache file that cannot be used; the message names the file and what is wrong with it."""
+
+
+def content_key(cloud: PointCloud, leaf_size: int) -> str:
+    """A key that clouds share only if all their attributes are equal, bit by bit (blake2b, hexadecimal)."""
+    digest = hashlib.blake2b(f"{VERSION} {leaf_size}".encode(), digest_size=20)
+    digest.update(np.ascontiguousarray(cloud.origin, "<f8").tobytes())
+    for name, array in cloud.arrays().items():
+        digest.update(f"{name} {array.shape} {array.dtype.str}".encode())
+        digest.update(np.ascontiguousarray(array).data.cast("B") if array.size else b"")
+    return digest.hexdigest()
+
+
+def path_of(folder: Path | str, key: str) -> Path:
+    """Where a key's file lies. Any text is a key: its hash is the file's name."""
+    return Path(folder) / (hashlib.blake2b(key.encode(), digest_size=20).hexdigest() + SUFFIX)
+
+
+def write(folder: Path | str, key: str, hierarchy: Hierarchy) -> Path:
+    """Write the packed hierarchy, making the folder if need be. Readers see the whole file or none.
+
+    Raises OSError where the folder cannot be written.
+    """
+    packed = pack(hierarchy)
+    header = _header(packed)
+    parts = [header, *(_bytes(a) for a in (packed.points, packed.nodes, packed.order.astype("<i4")))]
+    fixed = FIXED.pack(MAGIC, VERSION, len(header), _digest(parts))
+    target = path_of(folder, key)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=target.parent, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            for part in (fixed, *parts):
+                file.write(part)
+        os.replace(name, target)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(name)
+        raise
+    return target
+
+
+def read(folder: Path | str, key: str) -> Hierarchy | None:
+    """The hierarchy of a key, None where there is no file. Raises CacheError, or OSError where reading fails."""
+    path = path_of(folder, key)
+    try:
+        with path.open("rb") as file:
+            content = file.read()
+    except FileNotFoundError:
+        return None
+    try:
+        return unpack(_parse(memoryview(content)))
+    except (ValueError, KeyError, TypeError) as error:
+        raise CacheError(f"{path}: {error}") from error
+
+
+def trim(folder: Path | str, most: int) -> int:
+    """Delete the files that were read or written longest ago until at most `most` bytes remain; bytes deleted."""
+    files = []
+    for path in Path(folder).glob("*" + SUFFIX):
+        with contextlib.suppress(OSError):
+            files.append((path.stat(), path))
+    files.sort(key=lambda entry: max(entry[0].st_atime, entry[0].st_mtime))
+    total, deleted = sum(stat.st_size for stat, _ in files), 0
+    for stat, path in files:
+        if total - deleted <= most:
+            break
+        with contextlib.suppress(OSError):
+            path.unlink()
+            deleted += stat.st_size
+    return deleted
+
+
+def _header(packed: Packed) -> bytes:
+    layout = packed.layout
+    return json.dumps({
+        "normal": layout.normal,
+        "axis": layout.axis,
+        "radii": layout.radii,
+        "attributes": layout.attributes,
+        "points": len(packed.points),
+        "nodes": len(packed.nodes),
+        "origin": [float(x) for x in packed.origin],
+        "longest": float(packed.longest),
+    }).encode()  # fmt: skip
+
+
+def _parse(content: memoryview) -> Packed:
+    """Raises ValueError, KeyError or TypeError for anything that `write` would not have written."""
+    if len(content) < FIXED.size:
+        raise ValueError("truncated")
+    magic, version, length, digest = FIXED.unpack_from(content)
+    if magic != MAGIC:
+        raise ValueError("not a hierarchy file")
+    if version != VERSION:
+        raise ValueError(f"version {version}, expected {VERSION}")
+    body = content[FIXED.size :]
+    if length > min(HEADER_LIMIT, len(body)):
+        raise ValueError("truncated")
+    if _digest([body]) != digest:
+        raise ValueError("damaged: its checksum differs")
+    header = json.loads(bytes(body[:length]))
+    layout, counts = _layout(header), (header["points"], header["nodes"])
+    if not all(type(n) is int and 0 <= n < 2**31 for n in counts):
+        raise ValueError(f"impossible counts {counts}")
+    kinds = (layout.dtype(nodes=False), layout.dtype(nodes=True), np.dtype("<i4"))
+    sizes = [kind.itemsize * n for kind, n in zip(kinds, (*counts, counts[0]), strict=True)]
+    if length + sum(sizes) != len(body):
+        raise ValueError(f"{len(body) - length} bytes of records, expected {sum(sizes)}")
+    ends = length + np.cumsum([0, *sizes])
+    points, nodes, order = (np.frombuffer(body[a:b], k) for k, a, b in zip(kinds, ends[:-1], ends[1:], strict=True))
+    origin, longest = np.array(header["origin"], np.float64), float(header["longest"])
+    if origin.shape != (3,) or not np.isfinite(origin).all() or not 0 < longest < 3e38:
+        raise ValueError("impossible origin or longest length")
+    return Packed(layout, points, nodes, order.astype(np.int32), origin, longest)
+
+
+def _layout(header: dict) -> Layout:
+    attributes = tuple((name, tuple(shape)) for name, shape in header["attributes"])
+    for name, shape in attributes:
+        if name not in NODE_ATTRIBUTES and (name not in ATTRIBUTES or name in ("position", "normal", "axis", "radii")):
+            raise ValueError(f"unknown attribute {name!r}")
+        if not all(type(n) is int and 0 < n <= COLUMNS_LIMIT for n in shape) or len(shape) > 1:
+            raise ValueError(f"impossible shape {shape} of {name}")
+    if header["radii"] not in (0, 1, 2, 3) or len({name for name, _ in attributes}) < len(attributes):
+        raise ValueError("impossible layout")
+    return Layout(bool(header["normal"]), bool(header["axis"]), int(header["radii"]), attributes)
+
+
+def _digest(parts: list) -> bytes:
+    digest = hashlib.blake2b(digest_size=32)
+    for part in parts:
+        digest.update(part)
+    return digest.digest()
+
+
+def _bytes(array: np.ndarray) -> memoryview:
+    return np.ascontiguousarray(array).view(np.uint8).data
