@@ -114,7 +114,7 @@ def chosen_versions(wish):
             "this needs %s, because Blender's package bpy exists for those only. Neither PATH nor pyenv has it; "
             "this is Python %s.\n  Debian 12: apt-get install python3.11 python3.11-venv"
             "\n  Debian 13: apt-get install python3.13 python3.13-venv"
-            "\n  elsewhere: pyenv install 3.13, or uv python install 3.13" % (asked, here)
+            "\n  Ubuntu and elsewhere: pyenv install 3.13, or uv python install 3.13" % (asked, here)
         )
     return versions if wish == "all" else versions[:1]
 
