@@ -1,8 +1,6 @@
-"""What outlives a picture: threads, devices, converted geometry, and the cache's files."""
+"""What outlives a picture: threads, devices and converted geometry."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import bpy
 
@@ -11,8 +9,6 @@ from .convert import images
 from .final import FinalRender
 from .main_gpu import MAIN_GPU
 from .viewport import Viewport
-
-PATTERN = "*.pointsplat"  # files of the cache folder that are PointSplat's own
 
 
 def release() -> None:
@@ -25,14 +21,6 @@ def release() -> None:
     FinalRender.last_scene = None
     sync.CACHE.clear()
     images.clear()
-
-
-def clear_folder(folder: Path | None) -> int:
-    """Delete the cache's files, and return how many there were."""
-    files = list(folder.glob(PATTERN)) if folder and folder.is_dir() else []
-    for file in files:
-        file.unlink(missing_ok=True)
-    return len(files)
 
 
 @bpy.app.handlers.persistent

@@ -2,6 +2,7 @@
 
 import bpy
 
+from ..formats import hierarchy_cache
 from . import caches, preferences
 
 
@@ -12,9 +13,10 @@ class POINTSPLAT_OT_clear_cache(bpy.types.Operator):
     bl_label = "Clear Cache"
 
     def execute(self, _context):
-        files = caches.clear_folder(preferences.cache_folder())
+        folder = preferences.cache_folder()
+        freed = hierarchy_cache.trim(folder, 0) if folder else 0
         caches.release()
-        self.report({"INFO"}, f"PointSplat's cache is cleared, {files} files deleted")
+        self.report({"INFO"}, f"PointSplat's cache is cleared, {freed / 1e6:.1f} MB deleted")
         return {"FINISHED"}
 
 
