@@ -64,13 +64,21 @@ class SampleInputs:
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Texels of one picture, row 0 at the bottom. uint8 texels mean value / 255."""
+    """Texels of one picture, row 0 at the bottom. uint8 texels mean value / 255.
+
+    Raises ValueError when the texels have another shape or type.
+    """
 
     texels: np.ndarray  # (H, W, 4) uint8 or float32
     srgb: bool = False  # encoded with the sRGB curve; decoded after interpolation, as Cycles does
     associated: bool = False  # colour is multiplied by alpha
     key: str = ""  # content key; empty: computed from the texels
     name: str = ""
+
+    def __post_init__(self) -> None:
+        shape, dtype = self.texels.shape, self.texels.dtype
+        if len(shape) != 3 or shape[2] != 4 or 0 in shape or dtype not in (np.uint8, np.float32):
+            raise ValueError(f"Image {self.name!r} has texels {shape} of {dtype}, expected (H, W, 4) uint8 or float32")
 
     @cached_property
     def digest(self) -> str:
@@ -263,12 +271,13 @@ def _look_up(texels: np.ndarray, uv: np.ndarray, interpolation: str, extension: 
     # UVs that are not finite, or so large that float32 holds no fraction, read texel 0
     uv = np.where(np.abs(uv[:, :2]) < 2.0**24, uv[:, :2], 0).astype(np.float32)
     axes = [_axis_taps(uv[:, k], size, interpolation, extension) for k, size in enumerate((width, height))]
-    flat = texels.reshape(height * width, 4)
+    # One element for a whole texel: gathering is several times faster than by rows of four
+    whole = np.ascontiguousarray(texels).view(np.uint32 if texels.dtype == np.uint8 else np.complex128).ravel()
     out = np.zeros((len(uv), 4), np.float32)
     for row, row_weight in axes[1]:
         for column, column_weight in axes[0]:
-            weight = row_weight * column_weight
-            out += flat[row * width + column] * weight[:, None]
+            gathered = whole.take(row * width + column).view(texels.dtype).reshape(-1, 4)
+            out += gathered * (row_weight * column_weight)[:, None]
     return out / np.float32(255) if texels.dtype == np.uint8 else out
 
 

@@ -18,6 +18,7 @@ from .nodes import Path, Reader, UnsupportedNodeError, Walker, resolve
 BLACK = ex.Constant((0.0, 0.0, 0.0))
 ZERO, ONE = ex.Constant((0.0,)), ex.Constant((1.0,))
 GLASS = ex.Constant((1.5,))  # Principled's default index of refraction
+DEFAULT_SURFACE = "default_surface"  # what Cycles calls the surface of faces without a material
 FACING = ex.Coordinates("normal")
 PLACEHOLDER = {  # the table's constant of a channel that varies
     "base_color": (0.8, 0.8, 0.8),
@@ -88,7 +89,14 @@ def convert_materials(materials: Iterable[bpy.types.Material | None]) -> tuple[M
 def _default_row(table: MaterialTable) -> Row:
     names = (f.name for f in fields(MaterialTable) if getattr(getattr(table, f.name), "dtype", None) == np.float32)
     constants = {name: tuple(np.ravel(getattr(table, name)[0]).tolist()) for name in names}
-    return Row(constants, None, bool(table.cull[0]), int(table.pass_index[0]), table.names[0], int(table.hash[0]))
+    return Row(
+        constants,
+        None,
+        bool(table.cull[0]),
+        int(table.pass_index[0]),
+        table.names[0],
+        cryptomatte_hash(DEFAULT_SURFACE),
+    )
 
 
 def material_key(material: bpy.types.Material) -> str:

@@ -8,6 +8,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from pointsplat_addon.core import expressions as ex  # noqa: E402
+from pointsplat_addon.core.cryptomatte import cryptomatte_hash  # noqa: E402
 from pointsplat_addon.core.materials import (  # noqa: E402
     SampleInputs,
     bake,
@@ -582,13 +583,16 @@ def test_a_table_of_constants_has_the_default_material_first():
     np.testing.assert_array_equal(table.specular, f32([0.5] * 4))
     np.testing.assert_array_equal(table.cull, [False, True, False, False])
     np.testing.assert_array_equal(table.pass_index, [0, 3, 0, 0])
+    # Faces without a material have the identifier that Cycles writes for them
+    np.testing.assert_array_equal(table.hash[[0, 2]], [0x78D05529] * 2)
+    assert table.hash[1] == cryptomatte_hash("plain")
 
 
 def test_a_new_material_is_the_default_surface():
     table, warnings = convert_materials([bpy.data.materials.new("fresh")])
     assert warnings == []
     for column in ("base_color", "metallic", "alpha", "emission"):
-        np.testing.assert_allclose(getattr(table, column)[1], getattr(table, column)[0], atol=1e-7)
+        np.testing.assert_allclose(getattr(table, column)[1], getattr(table, column)[0], atol=1e-7)  # measured 0
 
 
 def test_diffuse_has_no_gloss_and_glossy_is_a_metal():
@@ -631,9 +635,22 @@ def test_mixing_two_surfaces_mixes_their_parameters():
     position = np.array([[-0.5, 0, 0], [0.5, 0, 0]], np.float32)
     out = evaluate_samples(graph_of(row), samples(position))
     f = color_of(position)[:, 0]
-    np.testing.assert_allclose(out["metallic"], 1 - f, atol=1e-6)  # measured 6e-8
-    np.testing.assert_allclose(out["roughness"], 0.2 * (1 - f) + f, atol=1e-6)  # measured 6e-8
+    np.testing.assert_allclose(out["metallic"], 1 - f, atol=1e-6)  # measured 0
+    np.testing.assert_allclose(out["roughness"], 0.2 * (1 - f) + f, atol=1e-6)  # measured 0
     np.testing.assert_allclose(out["base_color"], np.stack([1 - f, 0.5 + 0 * f, f], axis=1), atol=1e-6)
+
+
+def test_evaluated_materials_carry_their_animation(atlas):
+    material = surface("animated", lambda t: principled(t, Roughness=output(node(t, "ShaderNodeValue"))))
+    value = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeValue").outputs[0]
+    for frame in (1, 11):
+        value.default_value = (frame - 1) / 10
+        value.keyframe_insert("default_value", frame=frame)
+    scene = bpy.context.scene
+    shown = plane(scene, material, 0, 0)
+    scene.frame_set(6)
+    evaluated = shown.evaluated_get(bpy.context.evaluated_depsgraph_get()).material_slots[0].material
+    assert convert_material(evaluated).constants["roughness"] == pytest.approx((0.5,))
 
 
 # What cannot be evaluated
@@ -752,5 +769,5 @@ def test_a_picture_baked_at_its_own_resolution_is_the_picture():
     assert suggested_resolution(graph) == (5, 3)
     image = next(n.image for n in ex.walk(graph.base_color) if isinstance(n, ex.ImageTexture))
     expected = ex.linear_from_srgb(image.texels[..., :3] / np.float32(255))
-    # measured 3e-7: the texel centres are not exact in float32
+    # measured 0; the texel centres are rounded to float32
     np.testing.assert_allclose(bake(graph, (5, 3))["base_color"], expected, atol=2e-6)
