@@ -29,6 +29,7 @@ from .probe import capabilities
 
 MODES = {"TRIANGLES": "TRIS", "LINES": "LINES", "POINTS": "POINTS"}
 IMAGE_TYPES = {"R32UI": "UINT_2D_ATOMIC", "RGBA32F": "FLOAT_2D"}
+LOG_STAGE = re.compile(r"pyGPU_Shader\W+(vert|frag|comp)", re.IGNORECASE)
 LOG_PLACE = re.compile(r"python_shader\.glsl:(\d+)")  # from Blender 5 on; 4.5 prints no line that can be relied on
 
 
@@ -343,6 +344,8 @@ def _explain(log: str, loaded: Mapping[str, sources.Source]) -> str:
     """Blender's log with the lines of the joined text replaced by those of the files."""
     lines, stage = [], next(iter(loaded))
     for line in log.splitlines():
-        stage = next((s for s in loaded if f"{s[:4].title()}Shader" in line), stage)
+        heading = LOG_STAGE.search(line)
+        if heading:
+            stage = next((s for s in loaded if s.startswith(heading.group(1).lower())), stage)
         lines.append(LOG_PLACE.sub(lambda match, s=stage: loaded[s].place(int(match.group(1))), line))
     return "\n".join(lines).strip()
