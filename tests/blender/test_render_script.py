@@ -1,0 +1,91 @@
+"""scripts/render.py as a person calls it: a picture and a report, or words that say what was wrong."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+REPORT_KEYS = {"device", "seconds", "passes", "skipped", "points", "triangles", "bytes", "warnings"}
+
+MAKE_FILES = """
+import os, sys
+import bpy
+folder = sys.argv[1]
+scene = bpy.context.scene
+scene.render.resolution_x, scene.render.resolution_y = 48, 32
+bpy.ops.wm.save_as_mainfile(filepath=os.path.join(folder, "cube.blend"))
+bpy.data.objects.remove(scene.camera)
+bpy.ops.wm.save_as_mainfile(filepath=os.path.join(folder, "no_camera.blend"))
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with Blender's start-up file, with a camera and without."""
+    folder = tmp_path_factory.mktemp("files")
+    subprocess.run([sys.executable, "-c", MAKE_FILES, str(folder)], check=True, capture_output=True, timeout=120)
+    (folder / "text.blend").write_text("no Blender file")
+    return folder
+
+
+def render(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "scripts" / "render.py"), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+def test_a_file_becomes_a_picture_of_its_size_and_a_report(files: Path, tmp_path: Path) -> None:
+    result = render(files / "cube.blend", "--output", tmp_path / "new/a.png", "--report", tmp_path / "new/a.json")
+    assert result.returncode == 0, result.stdout + result.stderr
+    picture = Image.open(tmp_path / "new/a.png")
+    assert picture.size == (48, 32)
+    report = json.loads((tmp_path / "new/a.json").read_text())
+    assert set(report) == REPORT_KEYS
+    assert set(report["points"]) == {"total", "cut", "drawn"}
+    assert set(report["bytes"]) == {"cpu", "gpu"}
+    assert all(set(p) == {"name", "ms"} for p in report["passes"])
+
+
+def test_frames_are_numbered_and_each_has_its_report(files: Path, tmp_path: Path) -> None:
+    result = render(
+        *(files / "cube.blend", "--output", tmp_path / "b.exr", "--frames", "2-3", "--size", "16x24"),
+        *("--set", "samples=1", "--report", tmp_path / "b.json"),
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert sorted(p.name for p in tmp_path.glob("*.exr")) == ["b_0002.exr", "b_0003.exr"]
+    assert len(json.loads((tmp_path / "b.json").read_text())) == 2
+
+
+WRONG = {
+    "no file": (("nowhere.blend",), 2, "there is no file"),
+    "no Blender file": (("text.blend",), 2, "cannot open"),
+    "no camera": (("no_camera.blend",), 2, "has no camera"),
+    "unknown camera": (("cube.blend", "--camera", "Kamera"), 2, "there are Camera"),
+    "empty size": (("cube.blend", "--size", "0x9"), 2, "is no size"),
+    "frames backwards": (("cube.blend", "--frames", "9-1"), 2, "no range"),
+    "unknown setting": (("cube.blend", "--set", "smples=3"), 2, "samples"),
+    "no number": (("cube.blend", "--set", "samples=many"), 2, "no int"),
+    "out of range": (("cube.blend", "--set", "tolerance=0"), 2, "must lie between"),
+    "unknown choice": (("cube.blend", "--set", "technique=OILS"), 2, "IMAGE_SPACE"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_said_and_no_picture_is_written(case: str, files: Path, tmp_path: Path) -> None:
+    (name, *rest), code, words = WRONG[case]
+    result = render(files / name, "--output", tmp_path / "c.png", *rest)
+    assert result.returncode == code, result.stdout + result.stderr
+    assert words in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "c.png").exists()
+
+
+def test_an_ending_that_is_no_format_is_refused(files: Path, tmp_path: Path) -> None:
+    result = render(files / "cube.blend", "--output", tmp_path / "c.jpg")
+    assert result.returncode == 2
+    assert ".png or .exr" in result.stderr
