@@ -154,7 +154,7 @@ def test_an_empty_scene_and_one_without_a_light_render_without_complaint(tmp_pat
 
 def test_no_camera_is_an_error_that_says_so():
     scene_with(camera=False)
-    with pytest.raises(RuntimeError, match="[Cc]amera"):
+    with pytest.raises(RuntimeError, match=r"[Cc]amera"):
         bpy.ops.render.render()
 
 
