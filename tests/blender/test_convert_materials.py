@@ -683,6 +683,15 @@ def test_an_unknown_node_leaves_its_input_at_its_own_value():
     assert "Noise Texture" in row.warnings[0]
 
 
+def test_a_varying_index_of_refraction_keeps_its_own_value():
+    row = convert_material(surface("gem", lambda t: principled(t, IOR=scalar(t))))
+    assert row.constants["ior"] == (1.5,)
+    assert row.graph is None
+    assert len(row.warnings) == 1
+    assert "gem" in row.warnings[0]
+    assert "Principled BSDF" in row.warnings[0]
+
+
 def test_a_missing_file_is_magenta_and_named(tmp_path):
     def build(tree):
         image = bpy.data.images.new("gone", 4, 4)

@@ -13,7 +13,7 @@ from ...core import expressions as ex
 from ...core.cryptomatte import cryptomatte_hash
 from ...core.materials import CHANNELS, MaterialGraph
 from ...core.scene import MaterialTable, default_materials
-from .nodes import Path, Reader, UnsupportedNodeError, Walker, resolve
+from .nodes import Path, Reader, UnsupportedNodeError, Walker, default, resolve
 
 BLACK = ex.Constant((0.0, 0.0, 0.0))
 ZERO, ONE = ex.Constant((0.0,)), ex.Constant((1.0,))
@@ -135,7 +135,8 @@ def _surface_of(material: bpy.types.Material, walker: Walker) -> Surface:
     try:
         return _shader(walker, output.inputs["Surface"], ())
     except UnsupportedNodeError as reason:
-        walker.warnings.append(f'Material "{material.name}": {reason}; its viewport colour is shown')
+        # Whatever was wrong deeper in the tree no longer matters
+        walker.warnings[:] = [f'Material "{material.name}": {reason}; its viewport colour is shown']
         return _viewport_surface(material)
 
 
@@ -182,9 +183,17 @@ def _principled(node: Reader) -> Surface:
         alpha=node["Alpha"],
         emission=_scaled(node["Emission Color"], node["Emission Strength"]),
         normal=node["Normal"],
-        ior=node["IOR"],
-        specular=node["Specular IOR Level"],
+        ior=_constant_input(node, "IOR"),
+        specular=_constant_input(node, "Specular IOR Level"),
     )
+
+
+def _constant_input(node: Reader, identifier: str) -> ex.Expression:
+    """An input that the table holds only as a constant: its own value where something that varies is linked."""
+    if not node[identifier].varies:
+        return node[identifier]
+    node.warn(f'has a varying "{identifier}"; its own value is used')
+    return default(node.socket(identifier))
 
 
 def _diffuse(node: Reader) -> Surface:
