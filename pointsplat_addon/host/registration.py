@@ -31,8 +31,10 @@ def register() -> None:
     properties.register()
     panels.register()
     caches.register()
-    # As a Python package, Blender 4.5 hangs at exit while an engine is registered.
-    atexit.register(unregister)
+    if bpy.app.module:
+        # As a Python package, Blender 4.5 hangs at exit while an engine is registered. The desktop program does
+        # not, and has taken its types away by then.
+        atexit.register(unregister)
     _registered = True
 
 
