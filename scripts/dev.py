@@ -5,6 +5,7 @@
     python3 scripts/dev.py test       every test (--python 3.11|3.13|all, --long, then pytest's own arguments)
     python3 scripts/dev.py build      the extension: dist/pointsplat-<version>.zip
     python3 scripts/dev.py lint       ruff and pyright
+    python3 scripts/dev.py benchmark  scripts/benchmark.py, with what it compares against
     python3 scripts/dev.py env        only the environment
 
 Blender comes as the package bpy, which needs Python 3.11 (Blender 4.5 LTS) or 3.13 (Blender 5.2 LTS).
@@ -154,7 +155,8 @@ def install(python, requirements):
         with open(stamp) as file:
             if file.read() == wanted:
                 return
-    say("installing requirements/%s into %s (bpy alone is 400 MB)" % (requirements, os.path.relpath(python, ROOT)))
+    size = " (bpy alone is 400 MB)" if requirements.startswith("py") else ""
+    say("installing requirements/%s into %s" % (requirements, os.path.relpath(python, ROOT)) + size)
     pip = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check"]
     if run(pip + ["-r", os.path.join("requirements", requirements)]) != 0:
         raise ImpossibleError("pip could not install requirements/" + requirements)
@@ -315,13 +317,19 @@ def test(args, rest):
     return 0 if ran and not failed else 1
 
 
+def benchmark(args, rest):
+    python = ready(args.python)[0]
+    install(python, "benchmark.txt")
+    return run([python, "scripts/benchmark.py"] + rest)
+
+
 def env(args, rest):
     for python in ready(args.python):
         say("ready: " + os.path.relpath(python, ROOT))
     return 0
 
 
-VERBS = {"render": render, "test": test, "build": build, "lint": lint, "env": env}
+VERBS = {"render": render, "test": test, "build": build, "lint": lint, "benchmark": benchmark, "env": env}
 
 
 def main():
