@@ -40,6 +40,7 @@ _WEIGHT_SLACK = 4e-7
 # Steiner's circumellipse about the centroid: corner 1 seen from there, and an edge over sqrt(3), are conjugate.
 _STEINER = np.array([[2 / 3, -1 / 3], [0, 1 / math.sqrt(3)]]) * (1 + 4 * _WEIGHT_SLACK)
 _MIN_ASPECT = 2.0**-20  # minor over major half-axis: keeps conics invertible in float32
+_EXACT_INSTANCES = 64  # beyond these the next instance's bounding box speaks for all others: finer, never coarser
 _BLOCK = 1 << 15  # triangles or samples: the float64 scratch of one block stays in the cache
 
 
@@ -755,29 +756,46 @@ def required_spacing(
     view_from_object: np.ndarray,
     camera: Camera,
     pixels: float = 1.0,
-    max_samples: int = MAX_SAMPLES,
+    max_samples: int | None = MAX_SAMPLES,
     ok: np.ndarray | None = None,
 ) -> float:
     """The object-space distance that nowhere on the visible mesh projects to more than `pixels`; inf: not visible.
+
+    view_from_object is (4, 4) float64, or (I, 4, 4) for instances that share the mesh's samples; they may mirror
+    or flatten, and count as invisible where they have no extent or are not finite.
 
     Visible is what of the triangles lies in the full frame between the clip distances; occlusion is ignored.
     A length l at depth d and angle a off the axis spans at most f l / (d cos a) pixels of a perspective camera,
     f l of a parallel one, and an object-space length at most as many view-space units as the transform's
     largest singular value. On each triangle the least depth is taken together with the greatest angle.
 
-    A camera inside or close to a mesh would ask for very many samples: the spacing is then doubled from its
-    octave until AREA makes no more than `max_samples`, or until one sample for each triangle is reached. Not
-    quantised otherwise. view_from_object is (4, 4) float64 and may mirror or flatten; it is inf where that has
-    no extent or is not finite.
+    A camera inside or close to a mesh would ask for very many samples: `limit_spacing` then has the last word,
+    unless max_samples is None (for a caller that only asks whether the samples it has are fine enough).
+    The result is not quantised otherwise.
     """
-    stretch = _largest_singular_value(view_from_object[:3, :3])
     ok = validate(mesh)[0] if ok is None else ok
-    rows = np.flatnonzero(ok)
-    if len(rows) == 0 or not np.isfinite(view_from_object).all() or stretch < 1e-30:
+    matrices = np.reshape(view_from_object, (-1, 4, 4))
+    matrices = matrices[np.isfinite(matrices).all(axis=(1, 2))]
+    stretch = np.linalg.norm(matrices[:, :3, :3], 2, axis=(1, 2))
+    matrices, stretch = matrices[stretch > 1e-30], stretch[stretch > 1e-30]
+    triangles = (mesh.triangles if ok.all() else mesh.triangles[ok]).T.astype(np.intp, order="C")
+    if len(matrices) == 0 or triangles.shape[1] == 0:
         return math.inf
-    view_spacing = _view_spacing(mesh, rows, view_from_object, camera)
-    spacing = pixels * view_spacing / stretch
-    return spacing if math.isinf(spacing) else limit_spacing(mesh, spacing, max_samples, ok)
+
+    # Nearest boxes first: once a box promises no finer spacing than was found, neither do those behind it.
+    position = mesh.position.T.astype(np.float64, order="C")
+    box = _box(mesh.position if ok.all() else mesh.position[_used(mesh, ok)])
+    at_least = _box_spacing(*box, matrices, camera) / stretch
+    spacing = math.inf
+    for tried, i in enumerate(np.argsort(at_least, kind="stable")):
+        if at_least[i] >= spacing:
+            break
+        if tried == _EXACT_INSTANCES:
+            spacing = float(at_least[i])
+            break
+        spacing = min(spacing, _view_spacing(position, triangles, matrices[i], camera) / stretch[i])
+    spacing = float(pixels * spacing)
+    return spacing if math.isinf(spacing) or max_samples is None else limit_spacing(mesh, spacing, max_samples, ok)
 
 
 def limit_spacing(mesh: Mesh, spacing: float, max_samples: int = MAX_SAMPLES, ok: np.ndarray | None = None) -> float:
@@ -795,46 +813,66 @@ def limit_spacing(mesh: Mesh, spacing: float, max_samples: int = MAX_SAMPLES, ok
     return spacing
 
 
-def _largest_singular_value(matrix: np.ndarray) -> float:
-    return float(np.linalg.norm(matrix, 2)) if np.isfinite(matrix).all() else math.inf
+def _focal(camera: Camera) -> float:
+    """Pixels for a view-space unit, at unit depth in a perspective view; of the larger direction."""
+    return max(abs(f) for f in camera.pixel_from_view()[:2])
 
 
-def _view_spacing(mesh: Mesh, rows: np.ndarray, view_from_object: np.ndarray, camera: Camera) -> float:
-    """The least view-space length that projects to one pixel on the visible part of the triangles; inf: none."""
-    focal = max(abs(f) for f in camera.pixel_from_view()[:2])
+def _box_spacing(low: np.ndarray, high: np.ndarray, view_from_object: np.ndarray, camera: Camera) -> np.ndarray:
+    """(I,) at most `_view_spacing` of any mesh within the box; inf where the box is certainly invisible."""
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij")).reshape(3, 8)
+    view = view_from_object[:, :3, :3] @ corners + view_from_object[:, :3, 3:]  # (I, 3, 8)
     planes = _frustum_planes(camera)
-    frustum_edges = _frustum_edges(camera)
+    distance = planes[:, :3] @ view + planes[:, 3:]  # (I, 6, 8)
+    outside = (distance.max(axis=2) < 0).any(axis=1)
+    if not camera.perspective:
+        return np.where(outside, np.inf, 1 / _focal(camera))
+    rim = _frustum_edges(camera)[0]
+    cosine = (-rim[:, 2] / np.linalg.norm(rim, axis=1)).min()
+    depth = np.maximum(-view[:, 2].max(axis=1), camera.near)
+    return np.where(outside, np.inf, depth * cosine / _focal(camera))
+
+
+def _view_spacing(position: np.ndarray, triangles: np.ndarray, view_from_object: np.ndarray, camera: Camera) -> float:
+    """The least view-space length that projects to one pixel on the visible part of the triangles; inf: none.
+
+    position (3, V) float64, triangles (3, M), view_from_object (4, 4).
+    """
+    view = view_from_object[:3, :3] @ position + view_from_object[:3, 3:]
+    planes = _frustum_planes(camera)
+    outside = planes[:, :3] @ view + planes[:, 3:] < 0
+    # One bit for each plane (Cohen and Sutherland): a triangle is whole, cut, or on the far side of some plane.
+    a, b, c = np.packbits(outside, axis=0)[0].take(triangles)
+    whole = (a | b | c) == 0
+    cut = np.flatnonzero(~whole & ((a & b & c) == 0))
     least = math.inf
-    # Parallel view: any visible triangle tells all.
-    for block in _blocks(len(rows)):
-        corners = _corners(mesh, rows[block])
-        view = np.einsum("ij,kjn->kin", view_from_object[:3, :3], corners) + view_from_object[:3, 3:]
-        distance = np.einsum("pj,kjn->pkn", planes[:, :3], view) + planes[:, 3, None, None]  # (P, 3, n)
-        outside = (distance < 0).all(axis=1).any(axis=0)
-        whole = (distance >= 0).all(axis=(0, 1))
-        cut = np.flatnonzero(~outside & ~whole)
-        near, cosine = _nearest(view[:, :, whole], camera.perspective)
-        least = min(least, float((near * cosine).min(initial=math.inf)))
-        if len(cut):
-            points = _cut_points(view[:, :, cut], distance[:, :, cut], frustum_edges)
-            near, cosine = _nearest(points, camera.perspective)
-            least = min(least, float((near * cosine).min(initial=math.inf)))
-        if not camera.perspective and least < math.inf:
-            break
-    return least / focal
+    if whole.any():
+        if not camera.perspective:
+            return 1 / _focal(camera)
+        depth = -view[2]
+        distance = np.sqrt(_dot(view, view))
+        cosine = np.divide(depth, distance, out=np.ones_like(depth), where=distance > 0)
+        inside = triangles if whole.all() else triangles[:, whole]
+        least = float((depth.take(inside).min(axis=0) * cosine.take(inside).min(axis=0)).min())
+    edges = _frustum_edges(camera)
+    for block in _blocks(len(cut)):
+        corners = view[:, triangles[:, cut[block]]].swapaxes(0, 1)  # (3 corners, 3, n)
+        points = _cut_points(corners, planes[:, :3] @ corners + planes[:, 3:], edges)
+        least = min(least, _nearest(points, camera.perspective))
+    return least / _focal(camera)
 
 
-def _nearest(points: np.ndarray, perspective: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Of point sets (K, 3, n) in view space, (n,) least depth and least cosine off the axis; NaN points are absent.
+def _nearest(points: np.ndarray, perspective: bool) -> float:
+    """Of point sets (K, 3, n) in view space, the least product of least depth and least cosine off the axis.
 
-    Both are 1 in a parallel view, and the depth is inf for a set without points.
+    NaN points are absent, and a set without points counts as infinitely far. In a parallel view both are 1.
     """
     absent = np.isnan(points[:, 0])
     if not perspective:
-        return np.where(absent.all(axis=0), np.inf, 1.0), np.ones(points.shape[2])
+        return math.inf if absent.all() else 1.0
     depth = -points[:, 2]
     cosine = depth / np.sqrt(_dot(points.swapaxes(0, 1), points.swapaxes(0, 1)))
-    return np.where(absent, np.inf, depth).min(axis=0), np.where(absent, 1.0, cosine).min(axis=0)
+    return float((np.where(absent, np.inf, depth).min(axis=0) * np.where(absent, 1.0, cosine).min(axis=0)).min())
 
 
 def _frustum_planes(camera: Camera) -> np.ndarray:
@@ -862,8 +900,9 @@ def _cut_points(view: np.ndarray, distance: np.ndarray, edges: tuple[np.ndarray,
     """Corners of triangles cut by the frustum, (K, 3, n), NaN where absent; those on the far side are left out.
 
     They are where the triangles' edges enter and leave the frustum, and where the frustum's edges pierce the
-    triangles. view (3, 3, n) corners; distance (6, 3, n) of them from the frustum's planes.
+    triangles. view (3 corners, 3, n); distance (3 corners, 6, n) of them from the frustum's planes.
     """
+    distance = distance.swapaxes(0, 1)
     enter, leave = _clip(distance, np.roll(distance, -1, axis=1))
     step = np.roll(view, -1, axis=0) - view
     on_edges = [np.where((enter <= leave)[:, None], view + t[:, None] * step, np.nan) for t in (enter, leave)]

@@ -479,7 +479,7 @@ CAMERAS = {
 def test_required_spacing_projects_to_a_pixel_where_the_mesh_is_nearest(name, distance, shape):
     mesh, view_from_object = SHAPES[shape][0], transform(7, distance)
     least = brute_force(mesh, view_from_object, CAMERAS[name], 40_000 // len(mesh.triangles))
-    spacing = sampling.required_spacing(mesh, view_from_object, CAMERAS[name], max_samples=1 << 40)
+    spacing = sampling.required_spacing(mesh, view_from_object, CAMERAS[name], max_samples=None)
     assert spacing <= least * (1 + 1e-9)  # measured 1.0 exactly in parallel views
     # Random points miss the nearest one, above all on the soup's few large triangles: measured 0.645; cube 0.896.
     assert spacing >= least * 0.6
@@ -490,7 +490,7 @@ def test_the_part_of_a_large_triangle_between_the_frustum_s_sides_counts():
     ground = make([(-50, -1, 50), (50, -1, 50), (50, -1, -50), (-50, -1, -50)], [[0, 1, 2], [0, 2, 3]])
     cam = camera(resolution=(200, 200))
     depth, half = 1.4, 1 / 1.4  # the frame's lower edge looks down at tan = 1 / focal, and meets y = -1 at 1.4
-    assert sampling.required_spacing(ground, np.eye(4), cam, max_samples=1 << 40) == pytest.approx(
+    assert sampling.required_spacing(ground, np.eye(4), cam, max_samples=None) == pytest.approx(
         depth / (140 * np.sqrt(1 + 2 * half**2)), rel=1e-9
     )
 
@@ -515,6 +515,21 @@ def test_spacing_under_scaled_mirrored_and_flattened_transforms():
     assert np.isfinite(sampling.required_spacing(mesh, transform(1, 6, (1, 0, 1)), cam))
     assert sampling.required_spacing(mesh, np.full((4, 4), np.nan), cam) == np.inf
     assert sampling.required_spacing(mesh, transform(1, 6), cam, pixels=2) == pytest.approx(2 * one)
+
+
+def test_instances_share_the_spacing_of_the_one_that_needs_the_finest():
+    mesh, cam = SHAPES["sphere"][0], camera()
+    rng = np.random.default_rng(3)
+    for count in (7, 300):
+        matrices = np.array([transform(i, 30 * d, (s, s, s)) for i, (d, s) in enumerate(rng.random((count, 2)))])
+        matrices[:, :2, 3] = rng.uniform(-20, 20, (count, 2))
+        each = [sampling.required_spacing(mesh, m, cam, max_samples=None) for m in matrices]
+        together = sampling.required_spacing(mesh, matrices, cam, max_samples=None)
+        assert together == pytest.approx(min(each), rel=1e-12)
+    # So many equal instances that boxes decide: finer by the sphere's and the frustum's corners, never coarser.
+    many = np.repeat(transform(0, 6)[None], 200, axis=0)
+    one = sampling.required_spacing(mesh, many[0], cam, max_samples=None)
+    assert 0.5 * one < sampling.required_spacing(mesh, many, cam, max_samples=None) <= one
 
 
 def test_a_camera_inside_is_limited_by_the_number_of_samples():
