@@ -16,6 +16,7 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     "opacity": ((), np.float32),
     "surface": ((2,), np.float32),
     "emission": ((3,), np.float32),
+    "shading_normal": ((3,), np.float32),
     "extinction": (None, np.float32),
     "material": ((), np.uint16),
     "value": ((), np.float32),
@@ -40,6 +41,7 @@ class PointCloud:
     opacity: np.ndarray | None = None  # (N,) float32, at the splat's centre
     surface: np.ndarray | None = None  # (N, 2) float32: roughness, metallic (where they vary within a material)
     emission: np.ndarray | None = None  # (N, 3) float32, scene-linear emitted radiance (where it varies)
+    shading_normal: np.ndarray | None = None  # (N, 3) float32, unit where they are not the splat's own `normal`
     extinction: np.ndarray | None = None  # (N,) or (N, 3) float32, per object unit
     material: np.ndarray | None = None  # (N,) uint16, rows of the material table
     value: np.ndarray | None = None  # (N,) float32, physical scalar for transfer functions

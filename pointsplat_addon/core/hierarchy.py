@@ -24,7 +24,7 @@ CHUNK = 1 << 15  # children that are merged together, for the same reason
 THIN = 1e-3  # smallest ratio of the axes of a bounding ellipse
 ROUNDING = 1 + 4e-7  # float32 copies of bounds are rounded outwards
 OPAQUE = 100.0  # optical depth of an opaque splat
-AVERAGED = ("color", "opacity", "surface", "emission", "extinction", "value")
+AVERAGED = ("color", "opacity", "surface", "emission", "shading_normal", "extinction", "value")
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +52,7 @@ class Hierarchy:
     opacity: np.ndarray | None = None  # (M,) float32: 1 - T with T = 1 - f + f exp(-tau / f)
     surface: np.ndarray | None = None  # (M, 2) float32
     emission: np.ndarray | None = None  # (M, 3) float32
+    shading_normal: np.ndarray | None = None  # (M, 3) float32, not normalised
     extinction: np.ndarray | None = None  # (M,) or (M, C) float32
     value: np.ndarray | None = None  # (M,) float32
     material: np.ndarray | None = None  # (M,) uint16, of the heaviest child
