@@ -53,47 +53,145 @@ class _Front:
     count: np.ndarray  # (k,) int64
 
 
-_Level = tuple[np.ndarray, np.ndarray, np.ndarray]  # child_count, first_point, point_count of a level's nodes
+@dataclass
+class _Piece:
+    """Neighbouring nodes of one level."""
+
+    child_count: np.ndarray  # (k,) uint8
+    first: np.ndarray  # (k,) int64
+    count: np.ndarray  # (k,) int64
+
+
+@dataclass
+class _Root:
+    """A node whose subtree is still to be made: node `at` of `piece`."""
+
+    piece: _Piece
+    at: int
+    depth: int
+
+    @property
+    def first(self) -> int:
+        return int(self.piece.first[self.at])
+
+    @property
+    def count(self) -> int:
+        return int(self.piece.count[self.at])
 
 
 def partition(position: np.ndarray, leaf_size: int) -> tuple[np.ndarray, Tree]:
     """Split points (N, 3) at their mean, eight octants at a time; the tree order (N,) int32 and the links.
 
-    The top levels run over all points at once. Then blocks of neighbouring subtrees are finished one by one,
-    so that their working arrays stay in the processor's cache and small in memory.
+    Nodes of more than BLOCK points are split one by one, in passes over memory. Below, neighbouring subtrees are
+    finished together, all nodes of a level at once, with working arrays that stay in the processor's cache.
     """
     n = len(position)
-    order = np.empty(n, np.int32)
+    order = np.arange(n, dtype=np.int32)
     if n == 0:
         return order, link(np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0, np.int32), np.zeros(1, np.int64))
-    index = np.arange(n, dtype=np.int32)
-    front = _Front([position[:, i].copy() for i in range(3)], index, np.zeros(1, np.int64), np.array([n]))
-    top: list[_Level] = [(np.zeros(1, np.uint8), front.first, front.count)]
-    if n <= leaf_size:
-        order[:], front.count = index, front.count[:0]
-    front = _descend(front, top, order, leaf_size, block=BLOCK)
-    below: list[list[_Level]] = []
-    for block in _blocks(front):
-        mine: list[_Level] = [(np.zeros(len(block.count), np.uint8), block.first, block.count)]
-        _descend(block, mine, order, leaf_size, block=0, depth=len(top) - 1)
-        below.append(mine)
-    return order, _join(top, below, leaf_size)
+    coordinates = [position[:, i].copy() for i in range(3)]
+    top = _piece(np.zeros(1, np.int64), np.array([n]))
+    levels = [[top]]
+    roots = _descend_large(coordinates, order, _Root(top, 0, 0), levels, leaf_size)
+    for group in _neighbours(roots):
+        _descend_block(coordinates, order, group, levels, leaf_size)
+    return order, _join(levels)
 
 
-def _descend(
-    front: _Front, levels: list[_Level], order: np.ndarray, leaf_size: int, block: int, depth: int = 0
-) -> _Front:
-    """Split level after level, appending to `levels`, until nothing is left or no node has more than `block` points."""
-    while len(front.count) and front.count.max() > block:
-        limit = leaf_size if depth + len(levels) < MAX_DEPTH else np.iinfo(np.int64).max
-        # The nodes of the front are those of the last level with too many points; `split` says what became of them.
-        child_count, _, count = levels[-1]
-        children, child_first, child_size, front = _split(front, order, limit)
-        child_count[count > leaf_size] = children
-        if len(child_size) == 0:
-            break
-        levels.append((np.zeros(len(child_size), np.uint8), child_first, child_size))
-    return front
+def _piece(first: np.ndarray, count: np.ndarray) -> _Piece:
+    return _Piece(np.zeros(len(first), np.uint8), first, count)
+
+
+def _add(levels: list[list[_Piece]], depth: int, piece: _Piece) -> None:
+    if depth == len(levels):
+        levels.append([])
+    levels[depth].append(piece)
+
+
+def _descend_large(
+    coordinates: list[np.ndarray], order: np.ndarray, root: _Root, levels: list[list[_Piece]], leaf_size: int
+) -> list[_Root]:
+    """Split until no node has more than BLOCK points; what is to be split further, in tree order."""
+    waiting, done = [root], []
+    while waiting:
+        root = waiting.pop()
+        if root.count <= leaf_size or root.depth == MAX_DEPTH:
+            continue
+        if root.count <= BLOCK:
+            done.append(root)
+            continue
+        size = _regroup(coordinates, order, slice(root.first, root.first + root.count))
+        size = size[size > 0]
+        if len(size) > 1:
+            root.piece.child_count[root.at] = len(size)
+            piece = _piece(root.first + starts(size), size)
+            _add(levels, root.depth + 1, piece)
+            waiting += [_Root(piece, i, root.depth + 1) for i in reversed(range(len(size)))]
+    return done
+
+
+def _regroup(coordinates: list[np.ndarray], order: np.ndarray, node: slice) -> np.ndarray:
+    """Sort the points of one node by octant in place, a block at a time; the number of points in each (8,)."""
+    means = [x[node].mean() for x in coordinates]
+    blocks = [slice(i, min(i + BLOCK, node.stop)) for i in range(node.start, node.stop, BLOCK)]
+    octants = []
+    for block in blocks:
+        octant = np.zeros(block.stop - block.start, np.uint8)
+        for bit, (x, mean) in enumerate(zip(coordinates, means, strict=True)):
+            octant |= (x[block] > mean).view(np.uint8) << bit
+        octants.append(octant)
+    sizes = np.array([np.bincount(octant, minlength=8) for octant in octants])
+    total = sizes.sum(axis=0)
+    if np.count_nonzero(total) == 1:
+        return total
+
+    # Every block's run of an octant follows that of the block before.
+    target = starts(total) + np.cumsum(sizes, axis=0) - sizes
+    sorted_by = [octant.argsort(kind="stable") for octant in octants]
+    for array in (*coordinates, order):
+        out = np.empty(node.stop - node.start, array.dtype)
+        for block, index, size, to in zip(blocks, sorted_by, sizes, target, strict=True):
+            grouped = array[block][index]
+            for begin, n, at in zip(starts(size), size, to, strict=True):
+                out[at : at + n] = grouped[begin : begin + n]
+        array[node] = out
+    return total
+
+
+def _neighbours(roots: list[_Root]) -> Iterator[list[_Root]]:
+    """Runs of roots of one depth whose points follow each other, of at most BLOCK points together."""
+    group: list[_Root] = []
+    points = 0
+    for root in roots:
+        points += root.count
+        apart = group and (root.depth != group[-1].depth or root.first != group[-1].first + group[-1].count)
+        if group and (apart or points > BLOCK):
+            yield group
+            group, points = [], root.count
+        group.append(root)
+    if group:
+        yield group
+
+
+def _descend_block(
+    coordinates: list[np.ndarray], order: np.ndarray, group: list[_Root], levels: list[list[_Piece]], leaf_size: int
+) -> None:
+    """Split level after level until only leaves are left."""
+    points = slice(group[0].first, group[-1].first + group[-1].count)
+    first, count = np.array([root.first for root in group]), np.array([root.count for root in group])
+    depth = group[0].depth
+    piece = _piece(first, count)
+    front = _Front([x[points] for x in coordinates], order[points].copy(), first, count)
+    while len(front.count):
+        depth += 1
+        children, child_first, child_size, front = _split(front, order, leaf_size if depth < MAX_DEPTH else BLOCK)
+        piece.child_count[piece.count > leaf_size] = children
+        if depth == group[0].depth + 1:
+            for root, n in zip(group, piece.child_count, strict=True):
+                root.piece.child_count[root.at] = n
+        if len(child_size):
+            piece = _piece(child_first, child_size)
+            _add(levels, depth, piece)
 
 
 def _split(front: _Front, order: np.ndarray, leaf_size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, _Front]:
@@ -133,14 +231,6 @@ def _split(front: _Front, order: np.ndarray, leaf_size: int) -> tuple[np.ndarray
     return children, first[~stuck], size[~stuck], rest
 
 
-def _blocks(front: _Front) -> Iterator[_Front]:
-    """The front in runs of nodes of about BLOCK points each."""
-    begin = starts(front.count)
-    for a, b in runs(front.count, BLOCK):
-        lo, hi = begin[a], begin[b - 1] + front.count[b - 1]
-        yield _Front([x[lo:hi] for x in front.position], front.index[lo:hi], front.first[a:b], front.count[a:b])
-
-
 def runs(count: np.ndarray, most: int) -> Iterator[tuple[int, int]]:
     """Cut consecutive segments into runs (a, b) that hold at most `most` elements, or one segment."""
     end = np.cumsum(count)
@@ -152,19 +242,13 @@ def runs(count: np.ndarray, most: int) -> Iterator[tuple[int, int]]:
         a = b
 
 
-def _join(top: list[_Level], below: list[list[_Level]], leaf_size: int) -> Tree:
-    """Concatenate levels breadth first. Blocks follow each other in tree order, hence so do their levels."""
-    levels = list(top)
-    if below:
-        child_count, _, count = top[-1]
-        child_count[count > leaf_size] = np.concatenate([block[0][0] for block in below])
-        for depth in range(1, max(len(block) for block in below)):
-            parts = [block[depth] for block in below if depth < len(block)]
-            children, first, count = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-            levels.append((children, first, count))
-    offsets = np.concatenate([[0], np.cumsum([len(level[0]) for level in levels])])
-    child_count, first, count = (np.concatenate(arrays) for arrays in zip(*levels, strict=True))
-    return link(child_count, first.astype(np.int32), count.astype(np.int32), offsets)
+def _join(levels: list[list[_Piece]]) -> Tree:
+    """Concatenate breadth first: within a level, pieces hold separate ranges of the tree order."""
+    pieces = [piece for level in levels for piece in sorted(level, key=lambda piece: piece.first[0])]
+    sizes = [sum(len(piece.first) for piece in level) for level in levels]
+    child_count = np.concatenate([piece.child_count for piece in pieces])
+    first, count = (np.concatenate([getattr(p, name) for p in pieces]).astype(np.int32) for name in ("first", "count"))
+    return link(child_count, first, count, np.cumsum([0, *sizes]))
 
 
 def link(child_count: np.ndarray, first_point: np.ndarray, point_count: np.ndarray, levels: np.ndarray) -> Tree:
