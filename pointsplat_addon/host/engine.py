@@ -34,15 +34,18 @@ class PointSplatEngine(bpy.types.RenderEngine):
     def render(self, depsgraph):
         if self._final is None:
             self._final = final.FinalRender()
-        last_report.clear()
+        report = {}
         try:
-            last_report.update(self._final.render(self, depsgraph))
+            report = self._final.render(self, depsgraph)
         except (final.RenderError, DeviceError) as error:
             self.report({"ERROR"}, str(error))
         except Exception as error:
             # Blender takes a render for finished when its engine raises.
             LOG.exception("The render failed")
             self.report({"ERROR"}, f"PointSplat: {type(error).__name__}: {error}")
+        if not self.is_preview:
+            last_report.clear()
+            last_report.update(report)
 
     def view_update(self, context, depsgraph):
         if self._viewport is None:

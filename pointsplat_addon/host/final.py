@@ -46,6 +46,9 @@ class FinalRender:
         wanted = frozenset(p.key for p in PASSES if not p.switch or getattr(depsgraph.view_layer_eval, p.switch))
         previous = _previous(engine, depsgraph) if "vector" in wanted else None
         camera, warnings = _camera(engine, depsgraph)
+        if previous is not None:
+            # Going to another frame and back replaced what the dependency graph tells of changes.
+            self.synchronizer.forget()
         before, transforms = previous or (None, None)
         if before is not None:
             camera = replace(
@@ -65,8 +68,9 @@ class FinalRender:
         if not result.cancelled:
             _write(engine, depsgraph.view_layer_eval.name, scene, result, camera.window[2:])
         told = dict.fromkeys((*warnings, *scene.warnings, *problems, *result.report.get("warnings", ())))
-        for warning in told:
-            engine.report({"WARNING"}, warning)
+        if not engine.is_preview:
+            for warning in told:
+                engine.report({"WARNING"}, warning)
         return {**result.report, "seconds": time.perf_counter() - started, "warnings": list(told)}
 
 

@@ -137,6 +137,14 @@ def test_materials_of_faces_become_rows_of_the_table():
     assert sorted(scene.materials.names[row] for row in mesh.materials) == ["Blue", "Red"]
 
 
+def test_a_view_layers_material_takes_the_place_of_all():
+    square("With").data.materials.append(material("Own"))
+    square("Without")
+    bpy.context.view_layer.material_override = material("Override")
+    scene = sync()
+    assert {scene.materials.names[row] for g in scene.geometries for row in g.mesh.materials} == {"Override"}
+
+
 def test_a_material_index_beyond_the_slots_means_the_last_slot():
     ob = square()
     ob.data.materials.append(material("Only"))

@@ -70,7 +70,7 @@ def collect(
             source = known[key] = len(sources)
             drawn, holdout = _visibility(ob, parent, view_layer, flags)
             if drawn and instance.show_self and (view3d is None or ob.visible_in_viewport_get(view3d)):
-                sources.append(_source(ob, holdout, instance.is_instance))
+                sources.append(_source(ob, view_layer.material_override, holdout, instance.is_instance))
             else:
                 source = known[key] = -1
         if source < 0:
@@ -87,13 +87,13 @@ def collect(
     return Collected(sources, np.array(rows, np.int32), world_from_object, identity, unsupported)
 
 
-def _source(ob: bpy.types.Object, holdout: bool, generated: bool) -> Source:
-    materials = tuple(slot.material for slot in ob.material_slots)
+def _source(ob: bpy.types.Object, override: bpy.types.Material | None, holdout: bool, generated: bool) -> Source:
+    materials = tuple(override or slot.material for slot in ob.material_slots)
     return Source(
         name=ob.name,
         owner=ob.original.session_uid,
         data=ob.data,  # pyright: ignore[reportArgumentType]
-        materials=materials or (None,),
+        materials=materials or (override,),
         primitive=ob.pointsplat.primitive,
         spacing=ob.pointsplat.spacing,
         pass_index=ob.pass_index,
