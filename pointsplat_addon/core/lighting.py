@@ -1,12 +1,13 @@
 """Direct light on opaque surfaces in float64: the reference for shaders/lib/*.glsl, and the texture that these read.
 
 Surfaces are Blender's Principled BSDF without coat, sheen, transmission and subsurface: a GGX lobe with multiple
-scattering over a Lambert base that receives what the lobe does not reflect. Lights are closed forms or
-representative points, so nothing is noisy. There are no shadows here.
+scattering over a Lambert base that receives what the lobe does not reflect. Diffuse light is in closed form, specular
+light of lights with a size in closed form for narrow lobes and a small quadrature for wide ones, so nothing is noisy.
+There are no shadows here.
 
 References: Walter et al. 2007 (GGX); Heitz 2014 (height-correlated Smith); Kulla and Conty 2017 (multiple scattering);
 Baum, Rushmeier and Winget 1989, equation 5 (polygon form factor); Snyder 1996 (sphere cut by the horizon);
-Karis 2013 (representative points, split sum).
+Karis 2013 (split sum).
 """
 
 from __future__ import annotations
@@ -31,6 +32,13 @@ KINDS = ("POINT", "SPOT", "SUN", "AREA")
 COLUMNS = 6
 ELLIPSE_SIDES = 24
 SPREAD_CELLS = 8  # to a side: an area light with a narrowed beam is summed over a grid
+BLUR = 0.06  # of a light's angular radius squared, added to alpha^2: found to fit best between seven points
+NARROW = (1.5, 4.0)  # angular radius of a light over the lobe's width, between which narrow-lobe shading sets in
+# A quadrature of degree 5 over the unit disk: cosine and sine of the azimuth, radius, weight.
+DISK = (
+    (1.0, 0.0, 0.0, 0.25),
+    *((np.cos(i * np.pi / 3), np.sin(i * np.pi / 3), np.sqrt(2 / 3), 0.125) for i in range(6)),
+)
 MIN_ALPHA = 1e-3  # float32 on the GPU cannot hold a narrower lobe's peak
 
 
@@ -76,9 +84,9 @@ def shade(
 
     result = material.surface.emission.copy()
     for light in lights:
-        result += _shade_light(position, normal, to_eye, material, light)
+        result += _shade_light(position, normal, material, light)
     if world is not None:
-        result += _shade_world(normal, to_eye, material, world, atlas)
+        result += _shade_world(normal, material, world, atlas)
     return result
 
 
@@ -183,12 +191,29 @@ class _Material:
         )
         self.diffuse = np.maximum(surface.base, 0) * (1 - metallic) * (1 - np.minimum(reflected, 1))
 
-    def specular(self, direction: np.ndarray) -> np.ndarray:
-        """(N, 3) BSDF of the GGX lobe times n.l for unit directions to the light (N, 3)."""
+        self.mirror = 2 * _dot(normal, to_eye)[:, None] * normal - to_eye
+        across = np.cross(normal, to_eye)
+        length = np.linalg.norm(across, axis=1, keepdims=True)
+        self.across = across / np.maximum(length, 1e-20) * (length > 1e-6)
+
+    def width_along(self, direction: np.ndarray) -> np.ndarray:
+        """Angle (N,) by which reflected rays turn along a unit direction (or (3,)) where the half vector's slope is
+        alpha: half vectors turned across the plane of incidence move them by less.
+
+        Per unit of length along `direction` at unit distance: a direction along the mirrored ray gives a large one.
+        """
+        direction = np.broadcast_to(direction, self.mirror.shape)
+        seen = direction - _dot(direction, self.mirror)[:, None] * self.mirror
+        size2 = np.maximum((seen**2).sum(1), 1e-6)
+        across2 = _dot(seen, self.across) ** 2 / size2
+        return 2 * self.alpha * np.sqrt((1 - across2 * (1 - self.cos_eye**2)) / size2)
+
+    def specular(self, direction: np.ndarray, alpha: np.ndarray | None = None) -> np.ndarray:
+        """(N, 3) BSDF of the GGX lobe times n.l for unit directions to the light (N, 3), or of a wider lobe."""
         cos_light = _dot(self.normal, direction)
         half = _unit(direction + self.to_eye)
         cos_half, cos_between = _dot(self.normal, half), np.clip(_dot(half, direction), 0, 1)
-        a2 = self.alpha**2
+        a2 = (self.alpha if alpha is None else alpha) ** 2
         # |n x h|^2 in place of 1 - (n.h)^2, which cancels in float32.
         sin2 = (np.cross(self.normal, half) ** 2).sum(1)
         density = a2 / (np.pi * (a2 * cos_half**2 + sin2) ** 2)
@@ -202,26 +227,18 @@ class _Material:
         return lobe * (self.metal_scale * metal + self.dielectric_scale * dielectric)
 
 
-def _shade_light(
-    position: np.ndarray, normal: np.ndarray, to_eye: np.ndarray, material: _Material, light: Light
-) -> np.ndarray:
+def _shade_light(position: np.ndarray, normal: np.ndarray, material: _Material, light: Light) -> np.ndarray:
     """Reflected radiance (N, 3) of one light."""
-    # The lobe's width as an angle of reflected rays: half vectors of a GGX lobe fill a solid angle of pi alpha^2.
-    width = np.sqrt(2) * material.alpha
-    mirror = 2 * _dot(normal, to_eye)[:, None] * normal - to_eye
-    if light.kind == "AREA":
-        irradiance, direction, energy = _area_light(position, normal, mirror, width, light)
-    else:
-        irradiance, direction, energy = _round_light(position, normal, mirror, width, light)
+    received = _area_light if light.kind == "AREA" else _round_light
+    irradiance, specular = received(position, normal, material, light)
     diffuse = light.diffuse * irradiance[:, None] / np.pi * material.diffuse
-    specular = light.specular * energy[:, None] * material.specular(direction)
-    return light.color * (diffuse + specular)
+    return light.color * (diffuse + light.specular * specular)
 
 
 def _round_light(
-    position: np.ndarray, normal: np.ndarray, mirror: np.ndarray, width: np.ndarray, light: Light
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Per unit of light.color: irradiance, direction of the representative point, radiance times solid angle."""
+    position: np.ndarray, normal: np.ndarray, material: _Material, light: Light
+) -> tuple[np.ndarray, np.ndarray]:
+    """Irradiance (N,) and radiance (N, 3) of the GGX lobe for light.color = 1."""
     cone = cone_seen = np.ones(len(position))
     if light.kind == "SUN":
         to_light = np.broadcast_to(-light.direction, position.shape)
@@ -244,9 +261,54 @@ def _round_light(
     strength = strength * cone_seen
 
     sigma = np.arcsin(np.sqrt(sine2))
-    shrink, focus = _shrink(sigma, width)
-    direction = _towards(to_light, mirror, sigma * shrink)
-    return irradiance, direction, strength * 2 / (1 + np.cos(sigma)) * focus
+    side = _unit(material.mirror - _dot(material.mirror, to_light)[:, None] * to_light)
+    other = np.cross(to_light, side)
+    directions = []
+    for cosine, sine, radius, _ in DISK:
+        turn = (radius * sigma)[:, None]
+        directions.append(np.cos(turn) * to_light + np.sin(turn) * (cosine * side + sine * other))
+
+    angle = np.arctan2(np.linalg.norm(np.cross(to_light, material.mirror), axis=1), _dot(to_light, material.mirror))
+    share = _disk_share(angle, sigma, material.width_along(side), material.width_along(other))
+    solid_angle = 4 * np.pi * np.sin(sigma / 2) ** 2
+    lobe = _lobe_over_light(material, directions, [w for *_, w in DISK], sigma, share, solid_angle)
+    return irradiance, (strength * 2 / (1 + np.cos(sigma)))[:, None] * lobe
+
+
+def _lobe_over_light(
+    material: _Material,
+    directions: Sequence[np.ndarray],
+    weights: Sequence[np.ndarray | float],
+    sigma: np.ndarray,
+    share: np.ndarray,
+    solid_angle: np.ndarray,
+) -> np.ndarray:
+    """Mean (N, 3) of BSDF times n.l over a light of angular radius sigma.
+
+    Wide lobes: summed over a few points, each blurred by its part of the light. Narrow ones: the share of the
+    lobe that the light fills.
+    """
+    alpha = np.minimum(np.sqrt(material.alpha**2 + BLUR * sigma**2), 1)
+    wide = sum(
+        np.reshape(weight, (-1, 1)) * material.specular(direction, alpha)
+        for direction, weight in zip(directions, weights, strict=True)
+    )
+    narrow = material.reflectance * (share / np.maximum(solid_angle, 1e-20))[:, None]
+    low, high = NARROW
+    t = np.clip((sigma / (np.sqrt(2) * material.alpha) - low) / (high - low), 0, 1)[:, None]
+    t = t * t * (3 - 2 * t)
+    return (1 - t) * wide + t * narrow
+
+
+def _disk_share(angle: np.ndarray, sigma: np.ndarray, width: np.ndarray, width_across: np.ndarray) -> np.ndarray:
+    """Share of a GGX lobe in a disk of radius sigma whose centre is `angle` away, as for a square of that height."""
+    along = _marginal((sigma - angle) / width) + _marginal((sigma + angle) / width)
+    return 0.5 * along * _marginal(sigma / width_across)
+
+
+def _marginal(x: np.ndarray) -> np.ndarray:
+    """Share of a GGX lobe's half vectors with a slope of at most x alpha to either side in one direction, odd in x."""
+    return x / np.sqrt(1 + x**2)
 
 
 def cap_cosine(cosine: np.ndarray, sine2: np.ndarray) -> np.ndarray:
@@ -280,14 +342,12 @@ def _spot_factors(
     u = _unit(np.cross(np.where(aside[:, None], light.direction, axis_u), to_light))
     v = np.cross(to_light, u)
     plain, weighted, weights = np.zeros((3, len(position)))
-    for i in range(7 if light.radius > 0 else 1):
-        angle, radius = i * np.pi / 3, light.radius * np.sqrt(2 / 3) * (i > 0)
-        ray = position - light.position - radius * (np.cos(angle) * u + np.sin(angle) * v)
+    for cosine, sine, radius, part in DISK:
+        ray = position - light.position - light.radius * radius * (cosine * u + sine * v)
         local = np.stack([ray @ axis_u, ray @ axis_v, ray @ light.direction], -1)
         z = local[:, 2] / np.maximum(np.linalg.norm(local, axis=1), 1e-20)
         t = np.clip((z - light.spot_cos) / max((1 - light.spot_cos) * light.spot_blend, 1e-6), 0, 1)
         cone = t * t * (3 - 2 * t)
-        part = 1.0 if light.radius <= 0 else 0.25 if i == 0 else 0.125
         weight = part * np.maximum(-_dot(ray, normal), 0)
         plain += part * cone
         weighted += weight * cone
@@ -296,8 +356,8 @@ def _spot_factors(
 
 
 def _area_light(
-    position: np.ndarray, normal: np.ndarray, mirror: np.ndarray, width: np.ndarray, light: Light
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    position: np.ndarray, normal: np.ndarray, material: _Material, light: Light
+) -> tuple[np.ndarray, np.ndarray]:
     """The same for a rectangle or ellipse that shines to one side."""
     axis_u, axis_v = _axes(light)
     half_u, half_v = np.linalg.norm(axis_u), np.linalg.norm(axis_v)
@@ -305,6 +365,7 @@ def _area_light(
     offset = light.position - position
     height = -offset @ light.direction
     front = height > 0
+    height = np.maximum(height, 1e-9)
 
     narrowed = light.spread < np.pi * 0.9999
     if narrowed:
@@ -312,28 +373,53 @@ def _area_light(
     else:
         irradiance = polygon_irradiance(_outline(light)[None] - position[:, None], normal)
 
-    # Where the mirrored ray meets the light's plane, drawn towards a light that is small against the lobe.
-    distance = np.linalg.norm(offset, axis=1)
-    ray = height / np.maximum(mirror @ -light.direction, 1e-4)
-    a = (ray * (mirror @ unit_u) - offset @ unit_u) / half_u
-    b = (ray * (mirror @ unit_v) - offset @ unit_v) / half_v
-    centre = offset / np.maximum(distance, 1e-20)[:, None]
-    sigma_u = half_u * np.sqrt(np.maximum(1 - (centre @ unit_u) ** 2, 0)) / np.maximum(distance, 1e-20)
-    sigma_v = half_v * np.sqrt(np.maximum(1 - (centre @ unit_v) ** 2, 0)) / np.maximum(distance, 1e-20)
-    (shrink_u, focus_u), (shrink_v, focus_v) = _shrink(sigma_u, width), _shrink(sigma_v, width)
-    if light.ellipse:
-        over = 1 / np.maximum(np.hypot(a, b), 1)
-        a, b = a * over, b * over
-    a, b = np.clip(a, -1, 1) * shrink_u, np.clip(b, -1, 1) * shrink_v
-    direction = _unit(offset + a[:, None] * axis_u + b[:, None] * axis_v)
+    # Points on the light, weighted with the solid angle around them.
+    directions, weights = [], []
+    for s, t, weight in _points(light):
+        to_point = offset + s * axis_u + t * axis_v
+        distance = np.linalg.norm(to_point, axis=1)
+        directions.append(to_point / distance[:, None])
+        weights.append(weight * distance**-3)
+    total = sum(weights)
+    weights = [w / total * _light_beam(d, light) for w, d in zip(weights, directions, strict=True)]
 
-    u, v = axis_u, axis_v
-    corners = [_unit(offset + s * u + t * v) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    # Where the mirrored ray meets the light's plane, and how wide the lobe is there, in half-sides.
+    ray = height / np.maximum(material.mirror @ -light.direction, 1e-4)
+    a = (ray * (material.mirror @ unit_u) - offset @ unit_u) / half_u
+    b = (ray * (material.mirror @ unit_v) - offset @ unit_v) / half_v
+    width_u = material.width_along(unit_u) * ray / half_u
+    width_v = material.width_along(unit_v) * ray / half_v
+    if light.ellipse:
+        radius = np.hypot(a, b)
+        x, y = np.where(radius > 0, a / np.maximum(radius, 1e-9), 1), b / np.maximum(radius, 1e-9)
+        across = np.hypot(y * width_u, x * width_v)
+        share = _disk_share(radius, np.ones_like(radius), np.hypot(x * width_u, y * width_v), across)
+    else:
+        share = 0.25 * (_marginal((1 - a) / width_u) + _marginal((1 + a) / width_u))
+        share *= _marginal((1 - b) / width_v) + _marginal((1 + b) / width_v)
+    share *= _light_beam(material.mirror, light)
+
+    corners = [_unit(offset + s * axis_u + t * axis_v) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     solid_angle = _triangle(corners[0], corners[1], corners[2]) + _triangle(corners[0], corners[2], corners[3])
-    energy = solid_angle * np.sqrt(focus_u * focus_v) * (np.pi / 4 if light.ellipse else 1.0)
-    if narrowed:
-        energy = energy * _beam(direction @ -light.direction, light.spread / 2)
-    return np.where(front, irradiance, 0.0), direction, np.where(front, energy, 0.0)
+    solid_angle *= np.pi / 4 if light.ellipse else 1
+    sigma = np.sqrt(solid_angle / np.pi)
+    lobe = _lobe_over_light(material, directions, weights, sigma, share, solid_angle)
+    return np.where(front, irradiance, 0.0), np.where(front, solid_angle, 0.0)[:, None] * lobe
+
+
+def _points(light: Light) -> list[tuple[float, float, float]]:
+    """Quadrature of degree 5 over an area light: (along axis_u, along axis_v, weight)."""
+    if light.ellipse:
+        return [(c * r, s * r, w) for c, s, r, w in DISK]
+    nodes = ((-np.sqrt(0.6), 5 / 18), (0.0, 8 / 18), (np.sqrt(0.6), 5 / 18))
+    return [(s, t, ws * wt) for t, wt in nodes for s, ws in nodes]
+
+
+def _light_beam(direction: np.ndarray, light: Light) -> np.ndarray:
+    """The share of an area light's radiance that leaves it against unit directions towards it."""
+    if light.spread >= np.pi * 0.9999:
+        return np.ones(len(direction))
+    return _beam(direction @ -light.direction, light.spread / 2)
 
 
 def polygon_irradiance(vertices: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -390,18 +476,15 @@ def _beam(cosine: np.ndarray, half_spread: float) -> np.ndarray:
     return np.maximum(limit - tangent, 0) / max(scale, 1e-12)
 
 
-def _shade_world(
-    normal: np.ndarray, to_eye: np.ndarray, material: _Material, world: World, atlas: np.ndarray | None
-) -> np.ndarray:
+def _shade_world(normal: np.ndarray, material: _Material, world: World, atlas: np.ndarray | None) -> np.ndarray:
     if world.image is None:
         return world.color * (material.diffuse + material.reflectance)
     if atlas is None:
         atlas = environment.build_atlas(world.image)
     # A rough lobe leans from the mirror direction towards the normal (Lagarde and de Rousiers 2014, 4.9.3).
-    mirror = 2 * _dot(normal, to_eye)[:, None] * normal - to_eye
     smooth = 1 - material.alpha
     lean = smooth * (np.sqrt(smooth) + material.alpha)
-    direction = _unit(normal + lean[:, None] * (mirror - normal))
+    direction = _unit(normal + lean[:, None] * (material.mirror - normal))
     image = world.world_rotation.T
     roughness = np.clip(material.surface.roughness, 0, 1)
     return material.diffuse * environment.mean_radiance(atlas, normal @ image) + (
@@ -427,22 +510,6 @@ def _axes(light: Light) -> tuple[np.ndarray, np.ndarray]:
         return light.axis_u, light.axis_v
     u, v = _frame(light.direction[None])
     return u[0], v[0]
-
-
-def _shrink(sigma: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far towards its rim a light of angular radius sigma moves its representative point, and the mean of a lobe
-    over it relative to the peak. Both treat the lobe as a Gaussian of standard deviation `width` (radians)."""
-    x = sigma**2 / width**2
-    return x / (1 + x), np.where(x < 1e-4, 1.0, -np.expm1(-x / 2) / np.maximum(x / 2, 1e-20))
-
-
-def _towards(start: np.ndarray, goal: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Unit vectors (N, 3) turned from start to goal by at most `angle`."""
-    cosine = _dot(start, goal)
-    side = goal - cosine[:, None] * start
-    length = np.linalg.norm(side, axis=1)
-    turn = np.minimum(np.arctan2(length, cosine), angle)[:, None]
-    return np.cos(turn) * start + np.sin(turn) * side / np.maximum(length, 1e-9)[:, None]
 
 
 def _edge(a: np.ndarray, b: np.ndarray, normal: np.ndarray) -> np.ndarray:

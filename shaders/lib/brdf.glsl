@@ -27,6 +27,8 @@ struct PsLobes {
   float eta;
   float alpha;
   float cos_eye;
+  vec3 mirror;  // the reflected view direction
+  vec3 across;  // unit, perpendicular to the plane of incidence; 0 where there is none
 };
 
 float ps_fresnel_dielectric(float cosine, float eta)
@@ -71,6 +73,10 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 to_eye)
   float metallic = clamp(surface.metallic, 0.0, 1.0);
   lobes.alpha = max(roughness * roughness, PS_MIN_ALPHA);
   lobes.cos_eye = clamp(dot(normal, to_eye), 1e-4, 1.0);
+  lobes.mirror = 2.0 * dot(normal, to_eye) * normal - to_eye;
+  lobes.across = cross(normal, to_eye);
+  float sine = length(lobes.across);
+  lobes.across = sine > 1e-6 ? lobes.across / sine : vec3(0.0);
   lobes.metal_f0 = clamp(surface.base, 0.0, 1.0);
 
   // The specular level scales F0, which stands for another index.
@@ -96,8 +102,18 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 to_eye)
   return lobes;
 }
 
-// BSDF of the GGX lobe times n.l.
-vec3 ps_specular(PsLobes lobes, vec3 normal, vec3 to_eye, vec3 direction)
+// Angle by which reflected rays turn along a unit direction where the half vector's slope is alpha, per unit of length
+// along `direction` at unit distance.
+float ps_width_along(PsLobes lobes, vec3 direction)
+{
+  vec3 seen = direction - dot(direction, lobes.mirror) * lobes.mirror;
+  float size2 = max(dot(seen, seen), 1e-6);
+  float across = dot(seen, lobes.across);
+  return 2.0 * lobes.alpha * sqrt((1.0 - across * across / size2 * (1.0 - lobes.cos_eye * lobes.cos_eye)) / size2);
+}
+
+// BSDF of the GGX lobe times n.l, where the lobe may be widened to another alpha.
+vec3 ps_specular(PsLobes lobes, vec3 normal, vec3 to_eye, vec3 direction, float alpha)
 {
   float cos_light = dot(normal, direction);
   if (cos_light <= 0.0) {
@@ -107,7 +123,7 @@ vec3 ps_specular(PsLobes lobes, vec3 normal, vec3 to_eye, vec3 direction)
   vec3 middle = normalize(direction + to_eye);
   float cos_half = dot(normal, middle);
   float cos_between = clamp(dot(middle, direction), 0.0, 1.0);
-  float a2 = lobes.alpha * lobes.alpha;
+  float a2 = alpha * alpha;
   // |n x h|^2 in place of 1 - (n.h)^2, which cancels.
   vec3 sine = cross(normal, middle);
   float spread = a2 * cos_half * cos_half + dot(sine, sine);

@@ -10,6 +10,10 @@
 #define PS_KIND_AREA 3
 #define PS_ELLIPSE_SIDES 24
 #define PS_SPREAD_CELLS 8
+#define PS_BLUR 0.06
+#define PS_NARROW_LOW 1.5
+#define PS_NARROW_HIGH 4.0
+#define PS_SMALL 0.02  // of the lobe's width: a light that is a point to it
 
 #ifdef PS_HAS_LIGHTS
 
@@ -29,8 +33,7 @@ struct PsLight {
 // What one light does to one surface point, per unit of its colour.
 struct PsReceived {
   float irradiance;
-  float energy;  // radiance times solid angle
-  vec3 direction;  // to the representative point
+  vec3 specular;  // radiance of the GGX lobe
 };
 
 PsLight ps_light(int index)
@@ -46,23 +49,37 @@ PsLight ps_light(int index)
                  axis_u.w, axis_v, shape);
 }
 
-// How far towards its rim a light of angular radius sigma moves its representative point (x), and the mean of a
-// Gaussian lobe over it relative to the peak (y).
-vec2 ps_shrink(float sigma, float width)
+// A quadrature of degree 5 over the unit disk: place and weight of the centre and six points.
+vec3 ps_disk_point(int i)
 {
-  float x = sigma * sigma / (width * width);
-  // The series where 1 - exp(-x / 2) cancels.
-  float focus = x < 0.02 ? 1.0 - x * (0.25 - x / 24.0) : (1.0 - exp(-0.5 * x)) / (0.5 * x);
-  return vec2(x / (1.0 + x), focus);
+  float angle = float(i - 1) * PS_PI / 3.0;
+  float radius = i == 0 ? 0.0 : sqrt(2.0 / 3.0);
+  return vec3(radius * cos(angle), radius * sin(angle), i == 0 ? 0.25 : 0.125);
 }
 
-vec3 ps_towards(vec3 start, vec3 goal, float angle)
+// Share of a GGX lobe's half vectors with a slope of at most x alpha to either side in one direction, odd in x.
+float ps_marginal(float x)
 {
-  float cosine = dot(start, goal);
-  vec3 side = goal - cosine * start;
-  float len = length(side);
-  float turn = min(atan(len, cosine), angle);
-  return cos(turn) * start + sin(turn) * side / max(len, 1e-9);
+  return x * inversesqrt(1.0 + x * x);
+}
+
+// Share of a GGX lobe in a disk of radius sigma whose centre is `angle` away, as for a square of that height.
+float ps_disk_share(float angle, float sigma, float width, float width_across)
+{
+  float along = ps_marginal((sigma - angle) / width) + ps_marginal((sigma + angle) / width);
+  return 0.5 * along * ps_marginal(sigma / width_across);
+}
+
+// 0: the lobe is wide against a light of angular radius sigma; 1: narrow.
+float ps_narrow(PsLobes lobes, float sigma)
+{
+  return smoothstep(PS_NARROW_LOW, PS_NARROW_HIGH, sigma / (sqrt(2.0) * lobes.alpha));
+}
+
+// The lobe blurred by the part of the light that each point of a quadrature stands for.
+float ps_blurred_alpha(PsLobes lobes, float sigma)
+{
+  return min(sqrt(lobes.alpha * lobes.alpha + PS_BLUR * sigma * sigma), 1.0);
 }
 
 // Irradiance of a bright cone over that of the same cone overhead, cut by the horizon (Snyder 1996).
@@ -94,28 +111,27 @@ float ps_spot_cone(PsLight light, vec3 ray)
 vec2 ps_spot_factors(PsLight light, vec3 position, vec3 normal, vec3 to_light)
 {
   vec3 ray = position - light.position;
-  float centre = ps_spot_cone(light, ray);
   if (light.radius <= 0.0) {
-    return vec2(centre);
+    return vec2(ps_spot_cone(light, ray));
   }
   // Aligned with the cone, so that the camera's turning changes nothing.
   bool aside = abs(dot(to_light, light.direction)) < 0.999;
   vec3 u = normalize(cross(aside ? light.direction : light.axis_u, to_light));
   vec3 v = cross(to_light, u);
   float radius = light.radius * sqrt(2.0 / 3.0);
-  float weights = 0.25 * max(-dot(ray, normal), 0.0);
-  vec2 total = centre * vec2(0.25, weights);
-  for (int i = 0; i < 6; i++) {
-    float angle = float(i) * PS_PI / 3.0;
-    vec3 from_point = ray - radius * (cos(angle) * u + sin(angle) * v);
-    float weight = 0.125 * max(-dot(from_point, normal), 0.0);
-    total += ps_spot_cone(light, from_point) * vec2(0.125, weight);
+  vec2 total = vec2(0.0);
+  float weights = 0.0;
+  for (int i = 0; i < 7; i++) {
+    vec3 point = ps_disk_point(i);
+    vec3 from_point = ray - light.radius * (point.x * u + point.y * v);
+    float weight = point.z * max(-dot(from_point, normal), 0.0);
+    total += ps_spot_cone(light, from_point) * vec2(point.z, weight);
     weights += weight;
   }
   return vec2(total.x, weights > 0.0 ? total.y / weights : total.x);
 }
 
-PsReceived ps_round_light(PsLight light, vec3 position, vec3 normal, vec3 mirror, float width)
+PsReceived ps_round_light(PsLight light, vec3 position, vec3 normal, vec3 to_eye, PsLobes lobes)
 {
   vec3 to_light = -light.direction;
   float sine2, strength = 1.0;
@@ -141,12 +157,42 @@ PsReceived ps_round_light(PsLight light, vec3 position, vec3 normal, vec3 mirror
   }
   float cosine = sqrt(max(1.0 - sine2, 0.0));
   float sigma = atan(sqrt(sine2), cosine);
-  vec2 shrink = ps_shrink(sigma, width);
-  float energy = strength * cone.x * 2.0 / (1.0 + cosine) * shrink.y;
   // Inside a sphere light comes from everywhere.
   float received = inside ? 1.0 : ps_cap_cosine(dot(normal, to_light), sine2);
-  return PsReceived(strength * cone.y * received, energy,
-                    ps_towards(to_light, mirror, sigma * shrink.x));
+  float irradiance = strength * cone.y * received;
+  float energy = strength * cone.x * 2.0 / (1.0 + cosine);
+  if (energy <= 0.0) {
+    return PsReceived(irradiance, vec3(0.0));
+  }
+  if (sigma < PS_SMALL * lobes.alpha) {
+    return PsReceived(irradiance, energy * ps_specular(lobes, normal, to_eye, to_light, lobes.alpha));
+  }
+
+  // Wide lobes: seven points of the light; narrow ones: the share of the lobe that the light fills.
+  vec3 side = lobes.mirror - dot(lobes.mirror, to_light) * to_light;
+  float away = length(side);
+  side /= max(away, 1e-9);
+  vec3 other = cross(to_light, side);
+  float narrow = ps_narrow(lobes, sigma);
+  vec3 lobe = vec3(0.0);
+  if (narrow < 1.0) {
+    float alpha = ps_blurred_alpha(lobes, sigma);
+    for (int i = 0; i < 7; i++) {
+      vec3 point = ps_disk_point(i);
+      float turn = length(point.xy) * sigma;
+      vec2 azimuth = i == 0 ? vec2(0.0) : normalize(point.xy);
+      vec3 direction = cos(turn) * to_light + sin(turn) * (azimuth.x * side + azimuth.y * other);
+      lobe += point.z * ps_specular(lobes, normal, to_eye, direction, alpha);
+    }
+  }
+  if (narrow > 0.0) {
+    float angle = atan(away, dot(lobes.mirror, to_light));
+    float share = ps_disk_share(angle, sigma, ps_width_along(lobes, side), ps_width_along(lobes, other));
+    float half_sine = sin(0.5 * sigma);
+    float solid_angle = 4.0 * PS_PI * half_sine * half_sine;
+    lobe = mix(lobe, lobes.reflectance * share / solid_angle, narrow);
+  }
+  return PsReceived(irradiance, energy * lobe);
 }
 
 #ifdef PS_HAS_AREA_LIGHTS
@@ -237,43 +283,85 @@ float ps_narrow_irradiance(PsLight light, vec3 offset, vec3 normal)
   return total * size.x * size.y;
 }
 
-PsReceived ps_area_light(PsLight light, vec3 position, vec3 normal, vec3 mirror, float width)
+// The share of an area light's radiance that leaves it against a unit direction towards it.
+float ps_light_beam(PsLight light, vec3 direction)
+{
+  bool narrowed = light.shape.y < 0.5 * PS_PI * 0.9999;
+  return narrowed ? ps_beam(-dot(direction, light.direction), light.shape.y) : 1.0;
+}
+
+// A quadrature of degree 5 over an area light: place in half-sides, and weight.
+vec3 ps_area_point(PsLight light, int i)
+{
+  if (light.shape.x > 0.5) {
+    return ps_disk_point(i);
+  }
+  int column = i % 3, row = i / 3;
+  float weight = (column == 1 ? 8.0 : 5.0) * (row == 1 ? 8.0 : 5.0) / 324.0;
+  return vec3(sqrt(0.6) * vec2(float(column - 1), float(row - 1)), weight);
+}
+
+// Share of the lobe that the light fills, where the mirrored ray meets the light's plane.
+float ps_area_share(PsLight light, vec3 offset, float height, PsLobes lobes)
+{
+  vec2 extent = vec2(length(light.axis_u), length(light.axis_v));
+  vec3 unit_u = light.axis_u / extent.x, unit_v = light.axis_v / extent.y;
+  float ray = height / max(-dot(lobes.mirror, light.direction), 1e-4);
+  vec3 meets = ray * lobes.mirror - offset;
+  vec2 place = vec2(dot(meets, unit_u), dot(meets, unit_v)) / extent;
+  vec2 width = vec2(ps_width_along(lobes, unit_u), ps_width_along(lobes, unit_v)) * ray / extent;
+  float share;
+  if (light.shape.x > 0.5) {
+    float radius = length(place);
+    vec2 azimuth = radius > 0.0 ? place / max(radius, 1e-9) : vec2(1.0, 0.0);
+    share = ps_disk_share(radius, 1.0, length(azimuth * width), length(azimuth.yx * width));
+  }
+  else {
+    share = 0.25 * (ps_marginal((1.0 - place.x) / width.x) + ps_marginal((1.0 + place.x) / width.x)) *
+            (ps_marginal((1.0 - place.y) / width.y) + ps_marginal((1.0 + place.y) / width.y));
+  }
+  return share * ps_light_beam(light, lobes.mirror);
+}
+
+PsReceived ps_area_light(PsLight light, vec3 position, vec3 normal, vec3 to_eye, PsLobes lobes)
 {
   vec3 offset = light.position - position;
   float height = -dot(offset, light.direction);
   if (height <= 0.0) {
-    return PsReceived(0.0, 0.0, normal);
+    return PsReceived(0.0, vec3(0.0));
   }
   bool narrowed = light.shape.y < 0.5 * PS_PI * 0.9999;
   float irradiance = narrowed ? ps_narrow_irradiance(light, offset, normal)
                               : ps_area_irradiance(light, offset, normal);
 
-  // Where the mirrored ray meets the light's plane, drawn towards a light that is small against the lobe.
-  vec2 extent = vec2(length(light.axis_u), length(light.axis_v));
-  vec3 unit_u = light.axis_u / extent.x, unit_v = light.axis_v / extent.y;
-  float distance_centre = max(length(offset), 1e-20);
-  vec3 centre = offset / distance_centre;
-  vec2 slant = vec2(dot(centre, unit_u), dot(centre, unit_v));
-  vec2 sigma = extent * sqrt(max(1.0 - slant * slant, 0.0)) / distance_centre;
-  vec2 shrink_u = ps_shrink(sigma.x, width), shrink_v = ps_shrink(sigma.y, width);
-  float ray = height / max(-dot(mirror, light.direction), 1e-4);
-  vec2 place = vec2(dot(ray * mirror - offset, unit_u), dot(ray * mirror - offset, unit_v)) / extent;
-  if (light.shape.x > 0.5) {
-    place /= max(length(place), 1.0);
-  }
-  place = clamp(place, -1.0, 1.0) * vec2(shrink_u.x, shrink_v.x);
-  vec3 direction = normalize(offset + place.x * light.axis_u + place.y * light.axis_v);
-
+  bool ellipse = light.shape.x > 0.5;
   vec3 c0 = normalize(offset - light.axis_u - light.axis_v), c1 = normalize(offset + light.axis_u - light.axis_v);
   vec3 c2 = normalize(offset + light.axis_u + light.axis_v), c3 = normalize(offset - light.axis_u + light.axis_v);
-  float energy = (ps_triangle(c0, c1, c2) + ps_triangle(c0, c2, c3)) * sqrt(shrink_u.y * shrink_v.y);
-  if (light.shape.x > 0.5) {
-    energy *= PS_PI / 4.0;
+  float solid_angle = (ps_triangle(c0, c1, c2) + ps_triangle(c0, c2, c3)) * (ellipse ? PS_PI / 4.0 : 1.0);
+  float sigma = sqrt(solid_angle / PS_PI);
+
+  // Wide lobes: points of the light, weighted with the solid angle around them; narrow ones: the share.
+  float narrow = ps_narrow(lobes, sigma);
+  vec3 reflected = vec3(0.0);
+  if (narrow < 1.0) {
+    float alpha = ps_blurred_alpha(lobes, sigma);
+    vec3 sum = vec3(0.0);
+    float weights = 0.0;
+    for (int i = 0; i < (ellipse ? 7 : 9); i++) {
+      vec3 point = ps_area_point(light, i);
+      vec3 to_point = offset + point.x * light.axis_u + point.y * light.axis_v;
+      float inverse = inversesqrt(max(dot(to_point, to_point), 1e-20));
+      float weight = point.z * inverse * inverse * inverse;
+      vec3 direction = to_point * inverse;
+      sum += weight * ps_light_beam(light, direction) * ps_specular(lobes, normal, to_eye, direction, alpha);
+      weights += weight;
+    }
+    reflected = solid_angle * sum / weights;
   }
-  if (narrowed) {
-    energy *= ps_beam(-dot(direction, light.direction), light.shape.y);
+  if (narrow > 0.0) {
+    reflected = mix(reflected, lobes.reflectance * ps_area_share(light, offset, height, lobes), narrow);
   }
-  return PsReceived(irradiance, energy, direction);
+  return PsReceived(irradiance, reflected);
 }
 
 #endif
@@ -282,25 +370,19 @@ PsReceived ps_area_light(PsLight light, vec3 position, vec3 normal, vec3 mirror,
 vec3 ps_shade_light(int index, vec3 position, vec3 normal, vec3 to_eye, PsLobes lobes)
 {
   PsLight light = ps_light(index);
-  vec3 mirror = 2.0 * dot(normal, to_eye) * normal - to_eye;
-  // The lobe's width as an angle of reflected rays: its half vectors fill a solid angle of pi alpha^2.
-  float width = sqrt(2.0) * lobes.alpha;
   PsReceived received;
 #ifdef PS_HAS_AREA_LIGHTS
   if (light.kind == PS_KIND_AREA) {
-    received = ps_area_light(light, position, normal, mirror, width);
+    received = ps_area_light(light, position, normal, to_eye, lobes);
   }
   else {
-    received = ps_round_light(light, position, normal, mirror, width);
+    received = ps_round_light(light, position, normal, to_eye, lobes);
   }
 #else
-  received = ps_round_light(light, position, normal, mirror, width);
+  received = ps_round_light(light, position, normal, to_eye, lobes);
 #endif
-  vec3 reflected = light.diffuse * received.irradiance / PS_PI * lobes.diffuse;
-  if (received.energy > 0.0) {
-    reflected += light.specular * received.energy * ps_specular(lobes, normal, to_eye, received.direction);
-  }
-  return light.color * reflected;
+  vec3 diffuse = received.irradiance / PS_PI * lobes.diffuse;
+  return light.color * (light.diffuse * diffuse + light.specular * received.specular);
 }
 
 #endif
@@ -318,7 +400,7 @@ vec3 ps_shade(vec3 position, vec3 normal, vec3 to_eye, PsSurface surface, int li
     result += ps_shade_light(i, position, normal, to_eye, lobes);
   }
 #endif
-  result += ps_shade_world(lobes, surface.roughness, normal, to_eye);
+  result += ps_shade_world(lobes, surface.roughness, normal);
 #endif
   return result;
 }

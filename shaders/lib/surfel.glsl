@@ -1,0 +1,80 @@
+// What a pixel of the G-buffer and of its pyramid knows: one splat, or a mean of several.
+//   place   depth d; offset of the splat's centre from the pixel's, in pixels of the picture; half extent in depth:
+//           0 empty, -1 a polygon (extends over its own pixel only), > 0 a splat
+//   shape   Cholesky factor l11, l21, l22 of the splat's covariance in pixels^2, and its material (-1 - m: a holdout).
+//           A uniform disk of radius r has the variance r^2 / 4: the splat's rim lies at 2 sigma
+//   normal  in view space, (0, 0, 0) for a ball; roughness
+//   color   base colour, metallic
+// PS_COLOR: colour and surface come with the points; else the material table has them. PS_EMISSION likewise.
+// PS_OWNER: which instance, for passes that ask.
+
+struct PsSurfel {
+  vec4 place;
+  vec4 shape;
+  vec4 normal;
+#ifdef PS_COLOR
+  vec4 color;
+#endif
+#ifdef PS_EMISSION
+  vec4 emission;
+#endif
+#ifdef PS_OWNER
+  uint owner;
+#endif
+};
+
+#define PS_RIM 4.0  // squared Mahalanobis distance of a splat's rim: 2 sigma
+
+void ps_store(PsSurfel s)
+{
+  out_place = s.place;
+  out_shape = s.shape;
+  out_normal = s.normal;
+#ifdef PS_COLOR
+  out_color = s.color;
+#endif
+#ifdef PS_EMISSION
+  out_emission = s.emission;
+#endif
+#ifdef PS_OWNER
+  out_owner = s.owner;
+#endif
+}
+
+PsSurfel ps_empty()
+{
+  PsSurfel s;
+  s.place = vec4(0.0);
+  s.shape = vec4(0.0);
+  s.normal = vec4(0.0);
+#ifdef PS_COLOR
+  s.color = vec4(0.0);
+#endif
+#ifdef PS_EMISSION
+  s.emission = vec4(0.0);
+#endif
+#ifdef PS_OWNER
+  s.owner = 0xFFFFFFFFu;
+#endif
+  return s;
+}
+
+vec3 ps_covariance(vec3 l)
+{
+  return vec3(l.x * l.x, l.x * l.y, l.y * l.y + l.z * l.z);
+}
+
+vec3 ps_cholesky(vec3 c)
+{
+  float l11 = sqrt(max(c.x, 1e-12));
+  float l21 = c.y / l11;
+  return vec3(l11, l21, sqrt(max(c.z - l21 * l21, 1e-12)));
+}
+
+// Squared Mahalanobis distance of an offset, by forward substitution.
+float ps_mahalanobis(vec3 l, vec2 v)
+{
+  float a = v.x / max(l.x, 1e-6);
+  float b = (v.y - l.y * a) / max(l.z, 1e-6);
+  return a * a + b * b;
+}
