@@ -50,6 +50,7 @@ class Mesh:
     active_uv: str | None = None  # the map that a texture node without a UV Map node reads
     material: np.ndarray | None = None  # (T,) uint16, rows of Scene.materials; None: all `materials[0]`
     materials: tuple[int, ...] = (0,)  # the rows in use
+    topology: str = ""  # content key of all but positions and normals: equal keys mean that samples can be kept
 
     @property
     def nbytes(self) -> int:

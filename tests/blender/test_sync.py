@@ -433,6 +433,17 @@ def test_a_moved_vertex_changes_the_content_key_and_back_again():
     assert sync().geometries[0].key == first.geometries[0].key
 
 
+def test_a_deformed_mesh_keeps_its_topology_key():
+    ob = square()
+    first = sync().geometries[0].mesh
+    ob.data.vertices[0].co.z = 0.5
+    ob.data.update()
+    second = sync().geometries[0].mesh
+    assert second.topology == first.topology != ""
+    ob.data.materials.append(material("Other"))
+    assert sync().geometries[0].mesh.topology != first.topology
+
+
 def test_content_keys_do_not_depend_on_which_other_materials_are_shown():
     first, second = square("First"), square("Second")
     first.data.materials.append(material("A"))

@@ -62,15 +62,17 @@ def read_mesh(
             active_uv=active,
             material=material,
             materials=used,
+            topology=topology,
         )
 
-    parts = [position, corner_vert, offsets, smooth, normal, rows, active]
+    parts = [len(position), corner_vert, offsets, smooth, rows, active]
     parts += [] if slot is None else [slot]
     for attribute, array in uv.items():
         parts += [attribute, array]
     for attribute, (domain, array) in colors.items():
         parts += [attribute, domain, array]
-    key = arrays.digest(*parts)
+    topology = arrays.digest(*parts)
+    key = arrays.digest(topology, position, normal)
     return lookup(key, build)
 
 
