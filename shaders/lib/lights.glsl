@@ -63,11 +63,32 @@ float ps_marginal(float x)
   return x * inversesqrt(1.0 + x * x);
 }
 
+// How much wider the lobe is across where it is x alpha off in one direction: its tails fan out.
+float ps_flare(float x)
+{
+  x = max(x, 0.0);
+  return sqrt(1.0 + x * x);
+}
+
 // Share of a GGX lobe in a disk of radius sigma whose centre is `angle` away, as for a square of that height.
 float ps_disk_share(float angle, float sigma, float width, float width_across)
 {
   float along = ps_marginal((sigma - angle) / width) + ps_marginal((sigma + angle) / width);
-  return 0.5 * along * ps_marginal(sigma / width_across);
+  return 0.5 * along * ps_marginal(sigma / (width_across * ps_flare((angle - sigma) / width)));
+}
+
+// Share of a GGX lobe centred on `place` in the square from -1 to 1.
+float ps_rectangle_share(vec2 place, vec2 width)
+{
+  vec2 excess = (abs(place) - 1.0) / width;
+  if (excess.y > excess.x) {
+    width.x *= ps_flare(excess.y);
+  }
+  else {
+    width.y *= ps_flare(excess.x);
+  }
+  vec2 low = (1.0 - place) / width, high = (1.0 + place) / width;
+  return 0.25 * (ps_marginal(low.x) + ps_marginal(high.x)) * (ps_marginal(low.y) + ps_marginal(high.y));
 }
 
 // 0: the lobe is wide against a light of angular radius sigma; 1: narrow.
@@ -187,7 +208,8 @@ PsReceived ps_round_light(PsLight light, vec3 position, vec3 normal, vec3 to_eye
   }
   if (narrow > 0.0) {
     float angle = atan(away, dot(lobes.mirror, to_light));
-    float share = ps_disk_share(angle, sigma, ps_width_along(lobes, side), ps_width_along(lobes, other));
+    float width = ps_width_along(lobes, cross(other, lobes.mirror));
+    float share = ps_disk_share(angle, sigma, width, ps_width_along(lobes, other));
     float half_sine = sin(0.5 * sigma);
     float solid_angle = 4.0 * PS_PI * half_sine * half_sine;
     lobe = mix(lobe, lobes.reflectance * share / solid_angle, narrow);
@@ -317,8 +339,7 @@ float ps_area_share(PsLight light, vec3 offset, float height, PsLobes lobes)
     share = ps_disk_share(radius, 1.0, length(azimuth * width), length(azimuth.yx * width));
   }
   else {
-    share = 0.25 * (ps_marginal((1.0 - place.x) / width.x) + ps_marginal((1.0 + place.x) / width.x)) *
-            (ps_marginal((1.0 - place.y) / width.y) + ps_marginal((1.0 + place.y) / width.y));
+    share = ps_rectangle_share(place, width);
   }
   return share * ps_light_beam(light, lobes.mirror);
 }

@@ -1,0 +1,186 @@
+"""Material graphs over meshes: evaluated at samples (points), at corners or over the UV square (polygons)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .cloud import PointCloud
+from .expressions import SampleInputs
+from .materials import MaterialGraph, bake, bakeable, evaluate_samples, needs, suggested_resolution, triangle_tangents
+from .sampling import Evaluated, Samples, interpolate, material_ids
+from .scene import MaterialTable, Mesh
+
+CLIP = 0.5  # of alpha: surfaces are cut out below it
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """What varies over N places of a mesh; None where the material table says it all."""
+
+    color: np.ndarray | None = None  # (N, 3) float32
+    surface: np.ndarray | None = None  # (N, 2) float32: roughness, metallic
+    emission: np.ndarray | None = None  # (N, 3) float32
+    normal: np.ndarray | None = None  # (N, 3) float32, unit, object space
+    alpha: np.ndarray | None = None  # (N,) float32
+
+
+def graphs_of(mesh: Mesh, table: MaterialTable) -> dict[int, MaterialGraph]:
+    """The graphs of the materials that a mesh uses, by row."""
+    found = {row: table.graphs[row] for row in mesh.materials if row < len(table.graphs)}
+    return {row: graph for row, graph in found.items() if isinstance(graph, MaterialGraph)}
+
+
+def digest(mesh: Mesh, table: MaterialTable) -> str:
+    """Equal digests give a mesh the same appearance: the graphs and the constants that fill their gaps."""
+    parts = [f"{row}:{graph.digest}" for row, graph in graphs_of(mesh, table).items()]
+    if parts:
+        rows = list(mesh.materials)
+        parts += [table.base_color[rows].tobytes().hex(), table.emission[rows].tobytes().hex()]
+        parts += [table.roughness[rows].tobytes().hex(), table.metallic[rows].tobytes().hex()]
+    return "|".join(parts)
+
+
+def point_cloud(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: MaterialTable) -> PointCloud:
+    """The splats of a mesh: geometry, material rows, and what its graphs make of them; cut-out samples are left out."""
+    cloud = PointCloud(
+        evaluated.position,
+        evaluated.origin,
+        normal=evaluated.plane,
+        axis=evaluated.axis,
+        radii=evaluated.radii,
+        material=material_ids(mesh, samples),
+    )
+    own = evaluated.normal
+    look = at_samples(mesh, samples, evaluated, table)
+    if look.normal is not None:
+        own = look.normal
+    # Below a quarter of a degree the splat's plane shades as well.
+    if own is not evaluated.plane and (np.einsum("ij,ij->i", own, evaluated.plane) < 1 - 1e-5).any():
+        cloud = replace(cloud, shading_normal=np.ascontiguousarray(own, np.float32))
+    cloud = replace(cloud, color=look.color, surface=look.surface, emission=look.emission)
+    return cloud if look.alpha is None else cloud.take(look.alpha >= CLIP)
+
+
+def at_samples(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: MaterialTable) -> Appearance:
+    """The appearance of a mesh at its samples."""
+    graphs = graphs_of(mesh, table)
+    if not graphs:
+        return Appearance()
+    rows = material_ids(mesh, samples)
+    position = evaluated.position + evaluated.origin.astype(np.float32)
+    return _evaluate(mesh, samples, rows, position, evaluated.normal, graphs, table)
+
+
+def at_corners(mesh: Mesh, table: MaterialTable, graphs: dict[int, MaterialGraph], rows: np.ndarray) -> Appearance:
+    """The appearance of a mesh, (3T,), at the corners of its triangles; `rows` (T,) are their materials."""
+    triangles = len(mesh.triangles)
+    weights = np.tile(np.array([[0, 0], [1, 0], [0, 1]], np.float32), (triangles, 1))
+    samples = Samples("VERTICES", np.repeat(np.arange(triangles, dtype=np.int32), 3), weights)
+    position = mesh.position[mesh.triangles.reshape(-1)]
+    return _evaluate(mesh, samples, np.repeat(rows, 3), position, corner_normals(mesh), graphs, table)
+
+
+def corner_normals(mesh: Mesh) -> np.ndarray:
+    """(3T, 3) float32: the mesh's own normals at its corners, else those of its triangles."""
+    if mesh.corner_normal is not None:
+        return mesh.corner_normal.reshape(-1, 3)
+    if mesh.vertex_normal is not None:
+        return mesh.vertex_normal[mesh.triangles.reshape(-1)]
+    a, b, c = mesh.position[mesh.triangles].transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.repeat(normal / np.maximum(length, 1e-30), 3, axis=0).astype(np.float32)
+
+
+def baked(mesh: Mesh, table: MaterialTable, row: int, largest: int) -> dict[str, np.ndarray] | None:
+    """Pictures (H, W, C) of a material's varying channels over the UV square, sides at most `largest`; None where its
+    graph needs more than one UV map or does not repeat."""
+    graph = table.graphs[row]
+    if not isinstance(graph, MaterialGraph):
+        return None
+    name = _uv_name(mesh, graph)
+    inside = name in mesh.uv and bool((mesh.uv[name] >= 0).all() and (mesh.uv[name] <= 1).all())
+    if not bakeable(graph, unit_square=inside, active_uv=mesh.active_uv):
+        return None
+    return bake(graph, suggested_resolution(graph, largest))
+
+
+def _uv_name(mesh: Mesh, graph: MaterialGraph) -> str:
+    name = next(iter(needs(graph).uv), None)
+    return name or mesh.active_uv or ""
+
+
+def uv_of(mesh: Mesh, graph: MaterialGraph) -> np.ndarray:
+    """(3T, 2) float32: the map that a bakeable graph reads; zeros where the mesh lacks it."""
+    uv = mesh.uv.get(_uv_name(mesh, graph))
+    return np.zeros((3 * len(mesh.triangles), 2), np.float32) if uv is None else uv.reshape(-1, 2)
+
+
+def _evaluate(
+    mesh: Mesh,
+    samples: Samples,
+    rows: np.ndarray,
+    position: np.ndarray,
+    normal: np.ndarray,
+    graphs: dict[int, MaterialGraph],
+    table: MaterialTable,
+) -> Appearance:
+    """Each graph where its material is; constants of the table elsewhere."""
+    channels = {name for graph in graphs.values() for name in graph.channels}
+    out: dict[str, np.ndarray] = {}
+    if "base_color" in channels:
+        out["color"] = table.base_color[rows]
+    if channels & {"roughness", "metallic"}:
+        out["surface"] = np.stack([table.roughness[rows], table.metallic[rows]], axis=1)
+    if "emission" in channels:
+        out["emission"] = table.emission[rows]
+    if "normal" in channels:
+        out["normal"] = normal.copy()
+    if "alpha" in channels:
+        out["alpha"] = np.ones(len(rows), np.float32)
+
+    for row, graph in graphs.items():
+        which = slice(None) if len(mesh.materials) == 1 else np.flatnonzero(rows == row)
+        some = samples if isinstance(which, slice) else _subset(samples, which)
+        values = evaluate_samples(graph, _inputs(mesh, graph, some, position[which], normal[which]))
+        for name, value in values.items():
+            if name in ("roughness", "metallic"):
+                out["surface"][which, ("roughness", "metallic").index(name)] = value
+            else:
+                out["color" if name == "base_color" else name][which] = value
+    return Appearance(**out)
+
+
+def _subset(samples: Samples, which: np.ndarray) -> Samples:
+    ellipse = None if samples.ellipse is None else samples.ellipse[which]
+    return replace(samples, triangle=samples.triangle[which], barycentric=samples.barycentric[which], ellipse=ellipse)
+
+
+def _inputs(
+    mesh: Mesh, graph: MaterialGraph, samples: Samples, position: np.ndarray, normal: np.ndarray
+) -> SampleInputs:
+    """What the graph reads, and nothing else."""
+    wanted = needs(graph)
+    uv_names = {name or mesh.active_uv for name in wanted.uv | wanted.tangent} & mesh.uv.keys()
+    colors = mesh.colors.keys() if None in wanted.colors else wanted.colors & mesh.colors.keys()
+    generated = tangent = sign = None
+    if wanted.generated and len(mesh.position):
+        low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
+        generated = (position - low) / np.maximum(high - low, 1e-30)
+    tangent_map = next(iter({name or mesh.active_uv for name in wanted.tangent} & mesh.uv.keys()), None)
+    if tangent_map is not None:
+        along, side = triangle_tangents(mesh.position[mesh.triangles], mesh.uv[tangent_map])
+        tangent, sign = along[samples.triangle], side[samples.triangle]
+    return SampleInputs(
+        uv={name: interpolate(mesh, samples, mesh.uv[name]) for name in uv_names if name is not None},
+        active_uv=mesh.active_uv,
+        colors={name: interpolate(mesh, samples, mesh.colors[name]) for name in colors if name is not None},
+        position=position if wanted.position else None,
+        generated=generated,
+        normal=normal if wanted.normal else None,
+        tangent=tangent,
+        bitangent_sign=sign,
+        count=len(samples),
+    )

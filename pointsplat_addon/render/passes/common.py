@@ -1,0 +1,94 @@
+"""The uniform block and the G-buffer that all passes share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.scene import Camera
+from ...shading.interface import Block
+from ..device import Device, Target, Texture
+
+FRAME = Block(
+    "PsFrame",
+    "frame",
+    (
+        ("mat4", "view_from_object"),  # of the polygons, or of the only instance of points
+        ("mat4", "world_from_view"),
+        ("vec4", "focal"),  # fx, fy, cx, cy: core.scene.Camera.pixel_from_view
+        ("vec4", "lens"),  # near, far, 1 for perspective, 1 or -1: sense of front faces
+        ("vec4", "mist"),  # start, 1 / range, exponent, 1 / samples so far
+        ("vec4", "previous"),  # Vector: size and corner of the picture. Present: clip z and w from view z
+        ("ivec4", "size"),  # width, height, level, instance
+        ("ivec4", "page"),  # points: first index, blocks, log2 of a block. polygons: corner, material, holdout. lights
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What the G-buffer of a scene holds beyond geometry; each True is a `#define` and a texture."""
+
+    color: bool = False  # colour, roughness and metallic vary within a material
+    emission: bool = False
+    owner: bool = False  # a pass asks which instance a pixel shows
+    wide: bool = False  # more materials than half floats count
+
+    @property
+    def defines(self) -> tuple[str, ...]:
+        named = {"PS_COLOR": self.color, "PS_EMISSION": self.emission, "PS_OWNER": self.owner}
+        return tuple(name for name, on in named.items() if on)
+
+    @property
+    def channels(self) -> tuple[tuple[str, str, str], ...]:
+        """(name, texture format, GLSL type) of each texture."""
+        found = [
+            ("place", "RGBA32F", "vec4"),
+            ("shape", "RGBA32F" if self.wide else "RGBA16F", "vec4"),
+            ("normal", "RGBA16F", "vec4"),
+        ]
+        if self.color:
+            found.append(("color", "RGBA16F", "vec4"))
+        if self.emission:
+            found.append(("emission", "RGBA16F", "vec4"))
+        if self.owner:
+            found.append(("owner", "R32UI", "uint"))
+        return tuple(found)
+
+    def outputs(self) -> tuple[tuple[str, str], ...]:
+        return tuple((glsl, f"out_{name}") for name, _, glsl in self.channels)
+
+    def samplers(self, prefix: str = "ps_", only: tuple[str, ...] = ()) -> tuple[tuple[str, str], ...]:
+        kinds = {"vec4": "FLOAT_2D", "uint": "UINT_2D"}
+        return tuple((kinds[glsl], prefix + name) for name, _, glsl in self.channels if not only or name in only)
+
+
+class GBuffer:
+    """One level of surfels."""
+
+    def __init__(self, device: Device, variant: Variant, size: tuple[int, int], depth: bool = False) -> None:
+        self.size = size
+        self.textures: dict[str, Texture] = {name: device.texture(size, format) for name, format, _ in variant.channels}
+        self.target: Target = device.target(list(self.textures.values()), depth=depth)
+
+    def bound(self, prefix: str = "ps_") -> dict[str, Texture]:
+        """Textures by sampler name."""
+        return {prefix + name: texture for name, texture in self.textures.items()}
+
+    def release(self) -> None:
+        self.target.release()
+        for texture in self.textures.values():
+            texture.release()
+
+
+def frame_record(camera: Camera, offset: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """The block for one sample whose rays pass `offset` pixels beside the pixels' centres."""
+    fx, fy, cx, cy = camera.pixel_from_view()
+    _, _, width, height = camera.window
+    return FRAME.record(
+        world_from_view=np.linalg.inv(camera.view_from_world),
+        focal=(fx, fy, cx - offset[0], cy - offset[1]),
+        lens=(camera.near, camera.far, float(camera.perspective), 1.0),
+        size=(width, height, 0, 0),
+    )

@@ -1,0 +1,304 @@
+"""Points: uploaded once as pages of textures, sent to pixels as blocks of consecutive splats.
+
+A page holds the splats of several point sets. Texture by texture, one texel a splat:
+  place           xyz relative to the set's origin; packed normal (pack_normal; -1: a ball)
+  extent          half-axes (major, minor), angle of the major axis about the normal, material row
+  color           base colour                    \\  where any set of the scene has them
+  surface         roughness, metallic             |
+  emission        emitted radiance                |
+  shading_normal  packed normal, -1: the splat's  /
+A block is up to 2^shift consecutive splats of one instance: texel (x, y) of the first one, count, instance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.cloud import PointCloud
+from ...core.hierarchy import splats
+from ...core.scene import MaterialTable
+from ...shading.interface import Interface
+from ..device import Device, Texture
+from ..packing import NO_NORMAL, PAGE_WIDTH, angle_about, pack_normal, paged, unpack_normal
+from ..prepare import PointSet, Prepared
+from .common import FRAME, GBuffer, Variant
+
+LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
+DRAWN_LIMIT = 2**31 - 2**20  # indices of drawn splats are 32-bit
+_BATCH = 1 << 18
+
+POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_place"))
+
+
+@dataclass(frozen=True)
+class PointOptions:
+    """Shader variants of the point passes."""
+
+    shading_normal: bool = False
+    cull: bool = False
+    holdout: bool = False
+    one_instance: bool = False
+    depth: bool = False  # polygons share the G-buffer
+
+
+class Page:
+    """Splats on the device."""
+
+    def __init__(
+        self, device: Device, sets: list[PointSet], variant: Variant, options: PointOptions, table: MaterialTable
+    ):
+        self.first: dict[tuple, int] = {}
+        clouds, start = [], 0
+        for points in sets:
+            self.first[points.key] = start
+            cloud = splats(points.hierarchy) if points.hierarchy else points.cloud
+            clouds.append(cloud)
+            start += len(cloud)
+        self.textures: dict[str, Texture] = {}
+
+        def upload(name: str, format: str, channels: int, rows: list[np.ndarray]) -> None:
+            size, data = paged(rows[0] if len(rows) == 1 else np.concatenate(rows), channels)
+            self.textures[f"ps_{name}"] = device.texture(size, format, data)
+
+        upload("place", "RGBA32F", 4, [_place(c) for c in clouds])
+        upload("extent", "RGBA32F", 4, [_extent(c) for c in clouds])
+        if variant.color:
+            upload("color", "RGBA16F", 4, [_filled(c, "color", table.base_color) for c in clouds])
+            constants = np.stack([table.roughness, table.metallic], axis=1)
+            upload("surface", "RG32F", 2, [_filled(c, "surface", constants) for c in clouds])
+        if variant.emission:
+            upload("emission", "RGBA16F", 4, [_filled(c, "emission", table.emission) for c in clouds])
+        if options.shading_normal:
+            upload("shading_normal", "R32F", 1, [_shading(c) for c in clouds])
+
+    def release(self) -> None:
+        for texture in self.textures.values():
+            texture.release()
+
+
+def _place(cloud: PointCloud) -> np.ndarray:
+    rows = np.empty((len(cloud), 4), np.float32)
+    rows[:, :3] = cloud.position
+    rows[:, 3] = NO_NORMAL if cloud.normal is None else pack_normal(cloud.normal)
+    return rows
+
+
+def _extent(cloud: PointCloud) -> np.ndarray:
+    rows = np.zeros((len(cloud), 4), np.float32)
+    if cloud.radii is not None:
+        rows[:, 0] = cloud.radii[:, 0]
+        rows[:, 1] = cloud.radii[:, 0 if cloud.radii.shape[1] == 1 else 1]
+    if cloud.axis is not None and cloud.normal is not None:
+        for start in range(0, len(cloud), _BATCH):
+            some = slice(start, start + _BATCH)
+            rows[some, 2] = angle_about(unpack_normal(pack_normal(cloud.normal[some])), cloud.axis[some])
+    if cloud.material is not None:
+        rows[:, 3] = cloud.material
+    return rows
+
+
+def _filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:
+    """An attribute, or its material's constant where the cloud has none."""
+    own = getattr(cloud, name)
+    if own is not None:
+        return own
+    if cloud.material is None:
+        return np.broadcast_to(constants[0], (len(cloud), constants.shape[1]))
+    return constants[cloud.material]
+
+
+def _shading(cloud: PointCloud) -> np.ndarray:
+    if cloud.shading_normal is None:
+        return np.full(len(cloud), NO_NORMAL, np.float32)
+    size = np.linalg.norm(cloud.shading_normal, axis=1, keepdims=True)
+    code = pack_normal(cloud.shading_normal / np.maximum(size, 1e-20))
+    return np.where(size[:, 0] > 1e-6, code, NO_NORMAL).astype(np.float32)
+
+
+def blocks(prepared: Prepared, geometry: np.ndarray, first: dict[int, int]) -> tuple[np.ndarray, int]:
+    """The cut as blocks, (B, 4) float32, and the log2 of a block's size. `first` is each geometry's first splat in the
+    page; geometries that it lacks are skipped."""
+    cut = prepared.cut
+    base = np.array([first.get(g, -1) for g in range(int(geometry.max(initial=-1)) + 1)], np.int64)
+    start = base[geometry[cut.instance]] if len(cut.instance) else np.empty(0, np.int64)
+    mine = start >= 0
+    instance, begin, count = cut.instance[mine], start[mine] + cut.first[mine], cut.count[mine]
+    mean = count.mean() if len(count) else 0.0
+    shift = LONG_BLOCK if mean >= 1 << (LONG_BLOCK - 1) else SHORT_BLOCK
+    number = (count + (1 << shift) - 1) >> shift
+    owner = np.repeat(np.arange(len(count)), number)
+    step = (np.arange(len(owner)) - np.repeat(np.cumsum(number) - number, number)) << shift
+    at = begin[owner] + step
+    rows = np.empty((len(owner), 4), np.float32)
+    rows[:, 0], rows[:, 1] = at % PAGE_WIDTH, at // PAGE_WIDTH
+    rows[:, 2] = np.minimum(count[owner] - step, 1 << shift)
+    rows[:, 3] = instance[owner]
+    return rows, shift
+
+
+def instance_rows(view_from_object: np.ndarray, origin: np.ndarray, holdout: np.ndarray | None) -> np.ndarray:
+    """(4 I, 4) float32: three rows of each matrix, with the origin (I, 3) of its cloud taken in, and flags."""
+    rows = np.zeros((len(view_from_object), 4, 4))
+    rows[:, :3] = with_origin(view_from_object, origin)[:, :3]
+    if holdout is not None:
+        rows[:, 3, 0] = holdout
+    return np.nan_to_num(rows, nan=0.0, posinf=0.0, neginf=0.0).reshape(-1, 4).astype(np.float32)
+
+
+def with_origin(view_from_object: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Matrices (I, 4, 4) that take positions relative to `origin` (I, 3); in float64, so that nothing cancels."""
+    moved = view_from_object.copy()
+    moved[:, :3, 3] += np.einsum("iab,ib->ia", view_from_object[:, :3, :3], origin)
+    return moved
+
+
+@dataclass(frozen=True)
+class PointPrograms:
+    """Interfaces of the passes that bring points to pixels."""
+
+    nearest: Interface
+    identify: Interface
+    raster: Interface
+    resolve: Interface
+
+
+def programs(variant: Variant, options: PointOptions) -> PointPrograms:
+    """The programs of one variant; which of them are compiled depends on the device."""
+    instances = () if options.one_instance else (("FLOAT_2D", "ps_instances"),)
+    cull = (("FLOAT_2D", "ps_extent"), ("FLOAT_2D", "ps_materials")) if options.cull else ()
+    common = (*POINT_SAMPLERS, *instances)
+    names = (("PS_ONE_INSTANCE", options.one_instance), ("PS_CULL", options.cull))
+    defines = tuple((name, "1") for name, on in names if on)
+    nearest = Interface(
+        "project",
+        compute="project.comp",
+        block=FRAME,
+        samplers=(*common, *cull),
+        images=(("R32UI", "depth"),),
+        defines=defines,
+    )
+    identify = Interface(
+        "identify",
+        compute="project.comp",
+        block=FRAME,
+        samplers=(*common, *cull, ("UINT_2D", "ps_depth")),
+        images=(("R32UI", "ids"),),
+        defines=(*defines, ("PS_IDENTIFY", "1")),
+    )
+    raster = Interface(
+        "project",
+        vertex="project.vert",
+        fragment="project.frag",
+        block=FRAME,
+        samplers=(*common, *cull),
+        varyings=(("flat", "uint", "ps_id"),),
+        outputs=(("uint", "id"),),
+        defines=defines,
+    )
+    extra = [("FLOAT_2D", "ps_extent"), ("UINT_2D", "ps_ids")]
+    if variant.color:
+        extra += [("FLOAT_2D", "ps_color"), ("FLOAT_2D", "ps_surface")]
+    if variant.emission:
+        extra.append(("FLOAT_2D", "ps_emission"))
+    if options.shading_normal:
+        extra.append(("FLOAT_2D", "ps_shading_normal"))
+    named = {
+        "PS_SHADING_NORMAL": options.shading_normal,
+        "PS_HOLDOUT": options.holdout,
+        "PS_DEPTH": options.depth,
+        "PS_ONE_INSTANCE": options.one_instance,
+    }
+    resolve = Interface(
+        "resolve",
+        fragment="resolve.frag",
+        block=FRAME,
+        samplers=(*common, *extra),
+        outputs=variant.outputs(),
+        defines=tuple((name, "1") for name in (*variant.defines, *(n for n, on in named.items() if on))),
+        depth=options.depth,
+    )
+    return PointPrograms(nearest, identify, raster, resolve)
+
+
+@dataclass
+class PageDraw:
+    """What one view draws of one page."""
+
+    page: Page
+    blocks: Texture
+    count: int  # blocks
+    shift: int
+    first_index: int  # of this page's splats among all that are drawn
+    uniforms: dict[str, object]
+
+    @property
+    def elements(self) -> int:
+        return self.count << self.shift
+
+    def fill(self, record: np.ndarray) -> np.ndarray:
+        record["page"][0, :3] = self.first_index, self.count, self.shift
+        for name, value in self.uniforms.items():
+            record[name][0] = value
+        return record
+
+
+class PointPass:
+    """Projects the cut, then resolves the winners into the G-buffer."""
+
+    def __init__(self, device: Device, variant: Variant, options: PointOptions, size: tuple[int, int]) -> None:
+        self.device, self.programs = device, programs(variant, options)
+        self.ids = device.texture(size, "R32UI")
+        self.depth = device.texture(size, "R32UI") if device.limits.image_atomics else None
+        self.raster_target = None if self.depth else device.target([self.ids], depth=True)
+
+    def project(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
+        """Which splat each pixel shows."""
+        device = self.device
+        if self.raster_target is not None:
+            device.clear(self.raster_target)
+            for draw in draws:
+                device.draw(
+                    self.programs.raster,
+                    self.raster_target,
+                    uniforms=draw.fill(record),
+                    textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks},
+                    vertices=draw.elements,
+                    primitive="POINTS",
+                    depth_test=True,
+                )
+            return
+        assert self.depth is not None
+        device.fill(self.depth)
+        device.fill(self.ids)
+        for program, images in (
+            (self.programs.nearest, {"depth": self.depth}),
+            (self.programs.identify, {"ids": self.ids}),
+        ):
+            for draw in draws:
+                device.dispatch(
+                    program,
+                    -(-draw.elements // program.local_size),
+                    uniforms=draw.fill(record),
+                    textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks, "ps_depth": self.depth},
+                    images=images,
+                )
+
+    def resolve(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture], out: GBuffer) -> None:
+        """The identified splats' ellipses and attributes; pixels without one stay as they are."""
+        for draw in draws:
+            self.device.draw(
+                self.programs.resolve,
+                out.target,
+                uniforms=draw.fill(record),
+                textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks, "ps_ids": self.ids},
+                depth_test=self.programs.resolve.depth,
+            )
+
+    def release(self) -> None:
+        if self.raster_target is not None:
+            self.raster_target.release()
+        self.ids.release()
+        if self.depth is not None:
+            self.depth.release()

@@ -1,0 +1,177 @@
+"""Polygons: corners of triangles in textures, one draw for each material of each instance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.appearance import at_corners, baked, corner_normals, graphs_of, uv_of
+from ...core.scene import MaterialTable, Mesh
+from ...shading.interface import Interface
+from ..device import Device, Texture
+from ..packing import pack_normal, paged
+from .common import FRAME, GBuffer, Variant
+
+LARGEST_PICTURE = 4096  # texels along a side of a baked picture
+
+
+@dataclass
+class Group:
+    """Triangles of one material: a range of corners, and what its shader reads."""
+
+    material: int
+    first: int  # corner
+    count: int  # corners
+    cull: bool
+    defines: tuple[str, ...]
+    textures: dict[str, Texture]
+
+
+class PolygonMesh:
+    """One mesh on the device, its valid triangles sorted by material."""
+
+    def __init__(self, device: Device, mesh: Mesh, ok: np.ndarray, table: MaterialTable, variant: Variant) -> None:
+        self.origin = _origin(mesh, ok)
+        rows = np.full(len(mesh.triangles), mesh.materials[0]) if mesh.material is None else mesh.material.astype(int)
+        order = np.argsort(rows, kind="stable")
+        order = order[ok[order]]
+        corners = (3 * order[:, None] + np.arange(3)).reshape(-1)
+        place = np.empty((len(corners), 4), np.float32)
+        place[:, :3] = mesh.position[mesh.triangles[order].reshape(-1)] - self.origin
+        place[:, 3] = pack_normal(corner_normals(mesh)[corners])
+        self.textures: dict[str, Texture] = {}
+
+        def upload(name: str, format: str, channels: int, values: np.ndarray) -> None:
+            size, data = paged(values, channels)
+            self.textures[name] = device.texture(size, format, data)
+
+        upload("ps_corner", "RGBA32F", 4, place)
+        graphs = graphs_of(mesh, table)
+        pictures = {row: baked(mesh, table, row, LARGEST_PICTURE) for row in graphs}
+        flat = {row: graph for row, graph in graphs.items() if pictures[row] is None}
+        if flat:
+            look = at_corners(mesh, table, flat, rows)
+            alpha = np.ones(len(rows) * 3, np.float32) if look.alpha is None else look.alpha
+            color = np.repeat(table.base_color[rows], 3, axis=0) if look.color is None else look.color
+            surface = np.repeat(np.stack([table.roughness[rows], table.metallic[rows]], 1), 3, axis=0)
+            surface = surface if look.surface is None else look.surface
+            upload("ps_corner_color", "RGBA16F", 4, np.column_stack([color, alpha])[corners])
+            upload("ps_corner_surface", "RG32F", 2, surface[corners])
+            if variant.emission:
+                emission = np.repeat(table.emission[rows], 3, axis=0) if look.emission is None else look.emission
+                upload("ps_corner_emission", "RGBA16F", 4, emission[corners])
+        uv = np.zeros((len(corners), 2), np.float32)
+        starts = np.searchsorted(rows[order], list(mesh.materials))
+        ends = np.searchsorted(rows[order], list(mesh.materials), side="right")
+        self.groups: list[Group] = []
+        for row, start, end in zip(mesh.materials, 3 * starts, 3 * ends, strict=True):
+            if end == start:
+                continue
+            picture = pictures.get(row)
+            defines: tuple[str, ...] = ()
+            textures: dict[str, Texture] = {}
+            if picture is not None:
+                uv[start:end] = uv_of(mesh, graphs[row])[corners[start:end]]
+                defines, textures = self._pictures(device, picture, table, row, variant)
+            elif row in flat:
+                defines = ("PS_CORNER_COLOR", *(("PS_CORNER_EMISSION",) if variant.emission else ()))
+            cull = bool(table.cull[row])
+            self.groups.append(Group(row, int(start), int(end - start), cull, defines, textures))
+        if any(picture is not None for picture in pictures.values()):
+            upload("ps_corner_uv", "RG32F", 2, uv)
+
+    def _pictures(
+        self, device: Device, picture: dict[str, np.ndarray], table: MaterialTable, row: int, variant: Variant
+    ) -> tuple[tuple[str, ...], dict[str, Texture]]:
+        """Baked channels as textures; constants of the table where a channel does not vary."""
+        height, width = next(iter(picture.values())).shape[:2]
+        names, textures = ["PS_UV"], {}
+
+        def add(name: str, format: str, values: list[np.ndarray | float]) -> None:
+            columns = [np.broadcast_to(np.asarray(v, np.float32), (height, width, 1)) for v in values]
+            textures[name] = device.texture((width, height), format, np.concatenate(columns, axis=2).reshape(-1))
+            self.textures[f"{row} {name}"] = textures[name]
+
+        if variant.color:
+            color = picture.get("base_color", np.broadcast_to(table.base_color[row], (height, width, 3)))
+            add("ps_baked_color", "RGBA16F", [color[..., i : i + 1] for i in range(3)] + [picture.get("alpha", 1.0)])
+            roughness, metallic = table.roughness[row], table.metallic[row]
+            add("ps_baked_surface", "RG32F", [picture.get("roughness", roughness), picture.get("metallic", metallic)])
+            names.append("PS_BAKED_COLOR")
+            if "alpha" in picture:
+                names.append("PS_BAKED_ALPHA")
+        if variant.emission and "emission" in picture:
+            add("ps_baked_emission", "RGBA16F", [*(picture["emission"][..., i : i + 1] for i in range(3)), 0.0])
+            names.append("PS_BAKED_EMISSION")
+        if "normal" in picture:
+            add("ps_baked_normal", "RGBA16F", [*(picture["normal"][..., i : i + 1] for i in range(3)), 0.0])
+            names.append("PS_BAKED_NORMAL")
+        return tuple(names), textures
+
+    def release(self) -> None:
+        for texture in self.textures.values():
+            texture.release()
+
+
+def _origin(mesh: Mesh, ok: np.ndarray) -> np.ndarray:
+    used = mesh.position[mesh.triangles[ok].reshape(-1)]
+    return ((used.min(axis=0) + used.max(axis=0)) / 2).astype(np.float64) if len(used) else np.zeros(3)
+
+
+def program(variant: Variant, group: Group) -> Interface:
+    """The program that draws a group."""
+    names = group.defines
+    samplers = [("FLOAT_2D", "ps_corner"), ("FLOAT_2D", "ps_materials")]
+    varyings = [("smooth", "vec3", "v_position"), ("smooth", "vec3", "v_normal")]
+    if "PS_UV" in names:
+        samplers.append(("FLOAT_2D", "ps_corner_uv"))
+        varyings.append(("smooth", "vec2", "v_uv"))
+    if "PS_CORNER_COLOR" in names:
+        samplers += [("FLOAT_2D", "ps_corner_color"), ("FLOAT_2D", "ps_corner_surface")]
+        varyings += [("smooth", "vec4", "v_color"), ("smooth", "vec2", "v_surface")]
+    if "PS_CORNER_EMISSION" in names:
+        samplers.append(("FLOAT_2D", "ps_corner_emission"))
+        varyings.append(("smooth", "vec3", "v_emission"))
+    samplers += [("FLOAT_2D", name) for name in group.textures]
+    cull = ("PS_CULL",) if group.cull else ()
+    return Interface(
+        "polygons",
+        vertex="polygon.vert",
+        fragment="polygon.frag",
+        block=FRAME,
+        samplers=tuple(samplers),
+        varyings=tuple(varyings),
+        outputs=variant.outputs(),
+        defines=tuple((name, "1") for name in (*variant.defines, *names, *cull)),
+        depth=True,
+    )
+
+
+def draw(
+    device: Device,
+    variant: Variant,
+    mesh: PolygonMesh,
+    view_from_object: np.ndarray,
+    instance: int,
+    holdout: bool,
+    record: np.ndarray,
+    shared: dict[str, Texture],
+    out: GBuffer,
+) -> None:
+    """One instance of a mesh into the G-buffer."""
+    matrix = view_from_object.copy()
+    matrix[:3, 3] += matrix[:3, :3] @ mesh.origin
+    record["view_from_object"][0] = matrix.T.reshape(-1)
+    record["lens"][0, 3] = -1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0
+    record["size"][0, 3] = instance
+    for group in mesh.groups:
+        record["page"][0, :3] = group.first, group.material, int(holdout)
+        device.draw(
+            program(variant, group),
+            out.target,
+            uniforms=record,
+            textures={**shared, **mesh.textures, **group.textures},
+            vertices=group.count,
+            depth_test=True,
+        )

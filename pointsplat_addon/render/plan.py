@@ -1,0 +1,91 @@
+"""Which passes, targets and shader variants a scene needs; each that is left out has its reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.appearance import graphs_of
+from ..core.materials import MaterialGraph
+from ..core.scene import Scene
+from .passes.common import Variant
+from .passes.points import PointOptions
+from .passes.shade import NEED_OWNER, data
+from .prepare import Prepared
+
+EXACT_HALF = 2048  # integers below it are exact as half floats
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that is decided before the first draw."""
+
+    points: bool
+    polygons: bool
+    variant: Variant
+    options: PointOptions
+    lighting: tuple[str, ...]  # PS_HAS_ names
+    background: bool
+    data: bool
+    skipped: tuple[tuple[str, str], ...]  # (pass, because)
+
+
+def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
+    """The plan for one view of a scene."""
+    points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
+    drawn = points or polygons
+    graphs = _graphs(scene, prepared)
+    channels = {name for graph in graphs for name in graph.channels}
+    sets = list(prepared.point_sets.values())
+    clouds = [p.cloud for p in sets]
+    color = any(c.color is not None or c.surface is not None for c in clouds) or (
+        polygons and bool(channels & {"base_color", "roughness", "metallic", "alpha"})
+    )
+    emission = any(c.emission is not None for c in clouds) or (polygons and "emission" in channels)
+    owner = drawn and bool(passes & set(NEED_OWNER))
+    variant = Variant(color, emission, owner, wide=len(scene.materials) >= EXACT_HALF)
+    holdout = scene.instances.holdout is not None and bool(scene.instances.holdout.any())
+    one = points and not holdout and len(np.unique(prepared.cut.instance)) == 1
+    options = PointOptions(
+        shading_normal=any(c.shading_normal is not None for c in clouds),
+        cull=points and bool(scene.materials.cull.any()),
+        holdout=holdout,
+        one_instance=one,
+        depth=polygons,
+    )
+    lighting = _lighting(scene) if drawn else _world(scene) if not scene.transparent else ()
+    skipped = []
+    if not points:
+        skipped += [(name, "nothing is drawn as points") for name in ("project", "resolve", "pull", "push")]
+    if not polygons:
+        skipped.append(("polygons", "nothing is drawn as polygons"))
+    if not data(passes):
+        skipped.append(("data", "no pass asks for position, index or motion"))
+    skipped += [("translucent", "not yet part of PointSplat"), ("shadows", "not yet part of PointSplat")]
+    return Plan(
+        points, polygons, variant, options, lighting,
+        background=not scene.transparent, data=bool(data(passes)), skipped=tuple(skipped),
+    )  # fmt: skip
+
+
+def _graphs(scene: Scene, prepared: Prepared) -> list[MaterialGraph]:
+    """Graphs of the meshes that are drawn as polygons."""
+    rows = np.unique(scene.instances.geometry[prepared.polygons]) if len(prepared.polygons) else []
+    meshes = [scene.geometries[int(row)].mesh for row in rows]
+    return [graph for mesh in meshes if mesh is not None for graph in graphs_of(mesh, scene.materials).values()]
+
+
+def _world(scene: Scene) -> tuple[str, ...]:
+    if scene.world.image is not None:
+        return ("PS_HAS_ENVIRONMENT",)
+    return ("PS_HAS_WORLD",) if np.any(scene.world.color > 0) else ()
+
+
+def _lighting(scene: Scene) -> tuple[str, ...]:
+    names = list(_world(scene))
+    if scene.lights:
+        names.append("PS_HAS_LIGHTS")
+    if any(light.kind == "AREA" for light in scene.lights):
+        names.append("PS_HAS_AREA_LIGHTS")
+    return tuple(names)

@@ -1,0 +1,44 @@
+// Triangles of one material of one instance, corner by corner from textures.
+
+#include "lib/camera.glsl"
+#include "lib/pack.glsl"
+
+ivec2 ps_texel(int index)
+{
+  return ivec2(index & 4095, index >> 12);
+}
+
+vec3 ps_turn(vec3 n)
+{
+  mat3 m = mat3(frame.view_from_object);
+  return cross(m[1], m[2]) * n.x + cross(m[2], m[0]) * n.y + cross(m[0], m[1]) * n.z;
+}
+
+void main()
+{
+  ivec2 texel = ps_texel(frame.page.x + gl_VertexID);
+  vec4 corner = texelFetch(ps_corner, texel, 0);
+  v_position = (frame.view_from_object * vec4(corner.xyz, 1.0)).xyz;
+  v_normal = ps_turn(ps_unpack_normal(corner.w));
+  float size = length(v_normal);
+  v_normal = size > 0.0 ? v_normal / size : vec3(0.0, 0.0, 1.0);
+#ifdef PS_UV
+  v_uv = texelFetch(ps_corner_uv, texel, 0).xy;
+#endif
+#ifdef PS_CORNER_COLOR
+  v_color = texelFetch(ps_corner_color, texel, 0);
+  v_surface = texelFetch(ps_corner_surface, texel, 0).xy;
+#endif
+#ifdef PS_CORNER_EMISSION
+  v_emission = texelFetch(ps_corner_emission, texel, 0).rgb;
+#endif
+  // Rasterised with the picture's own projection; depth is linear, and written by the fragment shader.
+  vec2 offset = 2.0 * frame.focal.zw / vec2(frame.size.xy) - 1.0;
+  vec2 scale = 2.0 * frame.focal.xy / vec2(frame.size.xy);
+  float w = ps_is_perspective() ? -v_position.z : 1.0;
+  float near = frame.lens.x, far = frame.lens.y;
+  // Clips at the near and far plane: z / w in [-1, 1] between them.
+  float z = ps_is_perspective() ? (w * (far + near) - 2.0 * far * near) / (far - near)
+                                : (-2.0 * v_position.z - far - near) / (far - near);
+  gl_Position = vec4(scale * v_position.xy + offset * w, z, w);
+}

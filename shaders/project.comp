@@ -1,0 +1,39 @@
+// Each splat to the one pixel that holds its centre (Marroquim et al. 2008, section 3): the least depth of each pixel,
+// then (PS_IDENTIFY) the lowest index among the splats that have it.
+
+#include "lib/index.glsl"
+#include "lib/splat.glsl"
+
+void main()
+{
+  int index = ps_index();
+  ivec3 element = ps_element(index);
+  if (element.x < 0) {
+    return;
+  }
+  vec4 head = texelFetch(ps_place, element.xy, 0);
+  vec3 view = ps_view_from_point(element.z, head.xyz);
+  vec3 pixel = ps_pixel_from_view(view);
+  if (!ps_in_frame(pixel)) {
+    return;
+  }
+#ifdef PS_CULL
+  int material = int(texelFetch(ps_extent, element.xy, 0).w);
+  if (texelFetch(ps_materials, ivec2(2, material), 0).x > 0.5 && head.w >= 0.0) {
+    vec3 normal = ps_view_normal(ps_linear(element.z), ps_unpack_normal(head.w));
+    vec3 toward = ps_is_perspective() ? -view : vec3(0.0, 0.0, 1.0);
+    if (dot(normal, toward) < 0.0) {
+      return;
+    }
+  }
+#endif
+  ivec2 place = ivec2(pixel.xy);
+  uint key = floatBitsToUint(pixel.z - frame.lens.x);
+#ifdef PS_IDENTIFY
+  if (texelFetch(ps_depth, place, 0).x == key) {
+    imageAtomicMin(ids, place, uint(frame.page.x + index));
+  }
+#else
+  imageAtomicMin(depth, place, key);
+#endif
+}

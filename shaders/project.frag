@@ -1,0 +1,4 @@
+void main()
+{
+  id = ps_id;
+}

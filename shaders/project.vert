@@ -1,0 +1,34 @@
+// The same as project.comp for devices without image atomics: one-pixel points through the depth test. Of equally
+// near splats the first one drawn stays.
+
+#include "lib/splat.glsl"
+
+void main()
+{
+  ps_id = uint(frame.page.x + gl_VertexID);
+  gl_PointSize = 1.0;
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  ivec3 element = ps_element(gl_VertexID);
+  if (element.x < 0) {
+    return;
+  }
+  vec4 head = texelFetch(ps_place, element.xy, 0);
+  vec3 view = ps_view_from_point(element.z, head.xyz);
+  vec3 pixel = ps_pixel_from_view(view);
+  if (!ps_in_frame(pixel)) {
+    return;
+  }
+#ifdef PS_CULL
+  int material = int(texelFetch(ps_extent, element.xy, 0).w);
+  if (texelFetch(ps_materials, ivec2(2, material), 0).x > 0.5 && head.w >= 0.0) {
+    vec3 normal = ps_view_normal(ps_linear(element.z), ps_unpack_normal(head.w));
+    vec3 toward = ps_is_perspective() ? -view : vec3(0.0, 0.0, 1.0);
+    if (dot(normal, toward) < 0.0) {
+      return;
+    }
+  }
+#endif
+  // The pixel's centre, so that no rasteriser's rule for ties moves the point.
+  vec2 centre = floor(pixel.xy) + 0.5;
+  gl_Position = vec4(centre / vec2(frame.size.xy) * 2.0 - 1.0, 2.0 * ps_buffer_depth(pixel.z) - 1.0, 1.0);
+}
