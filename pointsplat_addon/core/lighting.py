@@ -269,7 +269,8 @@ def _round_light(
         directions.append(np.cos(turn) * to_light + np.sin(turn) * (cosine * side + sine * other))
 
     angle = np.arctan2(np.linalg.norm(np.cross(to_light, material.mirror), axis=1), _dot(to_light, material.mirror))
-    share = _disk_share(angle, sigma, material.width_along(side), material.width_along(other))
+    along = np.cross(other, material.mirror)
+    share = _disk_share(angle, sigma, material.width_along(along), material.width_along(other))
     solid_angle = 4 * np.pi * np.sin(sigma / 2) ** 2
     lobe = _lobe_over_light(material, directions, [w for *_, w in DISK], sigma, share, solid_angle)
     return irradiance, (strength * 2 / (1 + np.cos(sigma)))[:, None] * lobe
@@ -303,7 +304,23 @@ def _lobe_over_light(
 def _disk_share(angle: np.ndarray, sigma: np.ndarray, width: np.ndarray, width_across: np.ndarray) -> np.ndarray:
     """Share of a GGX lobe in a disk of radius sigma whose centre is `angle` away, as for a square of that height."""
     along = _marginal((sigma - angle) / width) + _marginal((sigma + angle) / width)
-    return 0.5 * along * _marginal(sigma / width_across)
+    return 0.5 * along * _marginal(sigma / (width_across * _flare((angle - sigma) / width)))
+
+
+def _rectangle_share(a: np.ndarray, b: np.ndarray, width_a: np.ndarray, width_b: np.ndarray) -> np.ndarray:
+    """Share of a GGX lobe centred on (a, b) in the square from -1 to 1."""
+    excess_a, excess_b = (np.abs(a) - 1) / width_a, (np.abs(b) - 1) / width_b
+    width_a, width_b = (
+        np.where(excess_b > excess_a, width_a * _flare(excess_b), width_a),
+        np.where(excess_b > excess_a, width_b, width_b * _flare(excess_a)),
+    )
+    share_a = _marginal((1 - a) / width_a) + _marginal((1 + a) / width_a)
+    return 0.25 * share_a * (_marginal((1 - b) / width_b) + _marginal((1 + b) / width_b))
+
+
+def _flare(x: np.ndarray) -> np.ndarray:
+    """How much wider a GGX lobe is across where it is x alpha off in one direction: its tails fan out."""
+    return np.sqrt(1 + np.maximum(x, 0) ** 2)
 
 
 def _marginal(x: np.ndarray) -> np.ndarray:
@@ -395,8 +412,7 @@ def _area_light(
         across = np.hypot(y * width_u, x * width_v)
         share = _disk_share(radius, np.ones_like(radius), np.hypot(x * width_u, y * width_v), across)
     else:
-        share = 0.25 * (_marginal((1 - a) / width_u) + _marginal((1 + a) / width_u))
-        share *= _marginal((1 - b) / width_v) + _marginal((1 + b) / width_v)
+        share = _rectangle_share(a, b, width_u, width_v)
     share *= _light_beam(material.mirror, light)
 
     corners = [_unit(offset + s * axis_u + t * axis_v) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]

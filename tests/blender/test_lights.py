@@ -10,7 +10,6 @@ bpy = pytest.importorskip("bpy")
 from mathutils import Euler, Matrix  # noqa: E402
 
 from pointsplat_addon.core import lighting  # noqa: E402
-from pointsplat_addon.host.convert import camera as cameras  # noqa: E402
 from pointsplat_addon.host.convert import lights, world  # noqa: E402
 
 SIZE = 20
@@ -291,3 +290,77 @@ def test_principled_sphere_reflects_as_much_as_in_cycles(scene, tmp_path, name, 
     assert np.abs(ratio - 1).max() < 0.05
     # measured: 0.013 on the dielectric, 0.101 on metal, where only the lobe is seen
     assert rms < (0.12 if metallic else 0.02)
+
+
+def test_light_nodes_multiply_or_warn(scene):
+    data = bpy.data.lights.new("light", "POINT")
+    data.energy = 4 * np.pi
+    obj = add(scene, "light", data)
+    if not data.node_tree or not data.use_nodes:
+        data.use_nodes = True
+    tree = data.node_tree
+    emission = next(n for n in tree.nodes if n.bl_idname == "ShaderNodeEmission")
+    emission.inputs["Color"].default_value, emission.inputs["Strength"].default_value = (0.5, 1, 0.25, 1), 3
+
+    light, warnings = convert_one(obj)
+    assert light.color == pytest.approx([1.5, 3, 0.75])
+    assert warnings == []
+
+    noise = tree.nodes.new("ShaderNodeTexNoise")
+    tree.links.new(noise.outputs[0], emission.inputs["Color"])
+    light, warnings = convert_one(obj)
+    assert light.color == pytest.approx([1, 1, 1])
+    assert len(warnings) == 1
+    assert "light" in warnings[0]
+
+
+def convert_one(obj):
+    return lights.from_object(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+
+
+def test_lights_that_give_nothing_are_left_out(scene):
+    dark = bpy.data.lights.new("dark", "POINT")
+    dark.energy = 0
+    assert convert_one(add(scene, "dark", dark)) == (None, [])
+    flat = add(scene, "flat", bpy.data.lights.new("flat", "AREA"))
+    flat.scale = 0, 1, 1
+    light, warnings = convert_one(flat)
+    assert light is None
+    assert "flat" in warnings[0]
+
+
+def test_instanced_lights_shine_where_they_are(scene):
+    source = bpy.data.collections.new("lamps")
+    source.objects.link(bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "POINT")))
+    for x in (1, 5):
+        empty = add(scene, "instance", None)
+        empty.instance_type, empty.instance_collection = "COLLECTION", source
+        empty.location.x = x
+    converted, _ = lights.convert_lights(bpy.context.evaluated_depsgraph_get())
+    assert sorted(light.position[0] for light in converted) == pytest.approx([1, 5])
+
+
+def test_worlds_that_cannot_be_read_keep_their_viewport_colour(scene):
+    node = plain_background(scene, (1, 1, 1, 1), 2)
+    scene.world.color = 0.1, 0.2, 0.3
+    sky = scene.world.node_tree.nodes.new("ShaderNodeTexSky")
+    scene.world.node_tree.links.new(sky.outputs[0], node.inputs["Color"])
+    converted, warnings = world.convert_world(bpy.context.evaluated_depsgraph_get())
+    assert converted.color == pytest.approx([0.1, 0.2, 0.3])
+    assert len(warnings) == 1
+    assert sky.name in warnings[0]
+
+
+def test_missing_environment_image_is_reported(scene):
+    node = plain_background(scene, (1, 1, 1, 1), 2)
+    texture = scene.world.node_tree.nodes.new("ShaderNodeTexEnvironment")
+    scene.world.node_tree.links.new(texture.outputs[0], node.inputs["Color"])
+    converted, warnings = world.convert_world(bpy.context.evaluated_depsgraph_get())
+    assert len(warnings) == 1
+    assert np.isfinite(converted.image).all()
+
+
+def test_no_world_is_black(scene):
+    converted, warnings = world.convert_world(bpy.context.evaluated_depsgraph_get())
+    assert not converted.color.any()
+    assert warnings == []

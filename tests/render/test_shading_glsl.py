@@ -12,6 +12,8 @@ from pointsplat_addon.shading.interface import Interface
 
 moderngl = pytest.importorskip("moderngl")
 COUNT = 4096
+# measured 9.2e-4 (sun) and 7e-4 (soft spot) where the light touches the horizon and float32 cancels; others 6e-4
+TOLERANCE = 2e-3
 FRAGMENT = str(Path(__file__).with_name("shading.frag"))
 
 
@@ -79,14 +81,14 @@ def shade_on_device(device, inputs, lights, world, defines) -> np.ndarray:
     return device.read(target.colors[0])[0, :, :3]
 
 
-def compare(device, inputs, lights, world, defines, tolerance):
+def compare(device, inputs, lights, world, defines):
     position, normal, to_eye, surface = inputs
     got = shade_on_device(device, inputs, lights, world, defines)
     want = lighting.shade(position, normal, to_eye, surface, lights, world)
     assert np.isfinite(got).all()
     error = np.abs(got - want) / (np.abs(want) + 0.1 * want.mean())
     assert want.mean() > 0.05
-    assert error.max() < tolerance, f"worst {error.max():.2g}, 99.9 %: {np.quantile(error, 0.999):.2g}"
+    assert error.max() < TOLERANCE, f"worst {error.max():.2g}, 99.9 %: {np.quantile(error, 0.999):.2g}"
 
 
 AXIS = np.array([0.0, 0.0, -1.0])
@@ -103,37 +105,37 @@ SPOT = replace(
     axis_v=np.array([0.0, 2.0, 0.0]),
 )
 LIGHTS = {
-    "point": (POINT, 1e-3),
-    "soft point": (replace(POINT, radius=0.8), 1e-3),
-    "sphere": (replace(POINT, radius=0.8, soft=False), 1e-3),
-    "enclosing sphere": (replace(POINT, radius=8.0, soft=False), 1e-3),
-    "sun": (replace(POINT, kind="SUN", radius=0.2), 1e-3),
-    "spot": (SPOT, 1e-3),
-    "soft spot": (replace(SPOT, radius=0.4), 1e-3),
-    "rectangle": (AREA, 1e-3),
-    "ellipse": (replace(AREA, ellipse=True), 1e-3),
-    "narrow rectangle": (replace(AREA, spread=1.0), 1e-3),
-    "narrow ellipse": (replace(AREA, ellipse=True, spread=1.0), 1e-3),
+    "point": POINT,
+    "soft point": replace(POINT, radius=0.8),
+    "sphere": replace(POINT, radius=0.8, soft=False),
+    "enclosing sphere": replace(POINT, radius=8.0, soft=False),
+    "sun": replace(POINT, kind="SUN", radius=0.2),
+    "spot": SPOT,
+    "soft spot": replace(SPOT, radius=0.4),
+    "rectangle": AREA,
+    "ellipse": replace(AREA, ellipse=True),
+    "narrow rectangle": replace(AREA, spread=1.0),
+    "narrow ellipse": replace(AREA, ellipse=True, spread=1.0),
 }
 
 
 @pytest.mark.parametrize("name", LIGHTS)
 def test_light_equals_reference(device, inputs, name):
-    light, tolerance = LIGHTS[name]
+    light = LIGHTS[name]
     defines = ["PS_HAS_LIGHTS"] + ["PS_HAS_AREA_LIGHTS"] * (light.kind == "AREA")
-    compare(device, inputs, [light], World(), defines, tolerance)
+    compare(device, inputs, [light], World(), defines)
 
 
 def test_all_lights_and_colour_world_equal_reference(device, inputs):
-    lights = [light for light, _ in LIGHTS.values()]
+    lights = list(LIGHTS.values())
     world = World(color=np.array([0.3, 0.5, 0.9]))
-    compare(device, inputs, lights, world, ["PS_HAS_LIGHTS", "PS_HAS_AREA_LIGHTS", "PS_HAS_WORLD"], 1e-3)
+    compare(device, inputs, lights, world, ["PS_HAS_LIGHTS", "PS_HAS_AREA_LIGHTS", "PS_HAS_WORLD"])
 
 
 def test_picture_world_equals_reference(device, inputs):
     image = np.random.default_rng(5).random((32, 64, 3)).astype(np.float32) ** 4
     turn = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    compare(device, inputs, [], World(image=image, world_rotation=turn), ["PS_HAS_ENVIRONMENT"], 1e-3)
+    compare(device, inputs, [], World(image=image, world_rotation=turn), ["PS_HAS_ENVIRONMENT"])
 
 
 def test_without_light_only_emission_is_left(device, inputs):
