@@ -296,19 +296,21 @@ def test_light_nodes_multiply_or_warn(scene):
     data = bpy.data.lights.new("light", "POINT")
     data.energy = 4 * np.pi
     obj = add(scene, "light", data)
-    if not data.node_tree or not data.use_nodes:
+    if bpy.app.version < (5, 0):
         data.use_nodes = True
     tree = data.node_tree
     emission = next(n for n in tree.nodes if n.bl_idname == "ShaderNodeEmission")
     emission.inputs["Color"].default_value, emission.inputs["Strength"].default_value = (0.5, 1, 0.25, 1), 3
 
     light, warnings = convert_one(obj)
+    assert light is not None
     assert light.color == pytest.approx([1.5, 3, 0.75])
     assert warnings == []
 
     noise = tree.nodes.new("ShaderNodeTexNoise")
     tree.links.new(noise.outputs[0], emission.inputs["Color"])
     light, warnings = convert_one(obj)
+    assert light is not None
     assert light.color == pytest.approx([1, 1, 1])
     assert len(warnings) == 1
     assert "light" in warnings[0]
@@ -357,6 +359,7 @@ def test_missing_environment_image_is_reported(scene):
     scene.world.node_tree.links.new(texture.outputs[0], node.inputs["Color"])
     converted, warnings = world.convert_world(bpy.context.evaluated_depsgraph_get())
     assert len(warnings) == 1
+    assert converted.image is not None
     assert np.isfinite(converted.image).all()
 
 
