@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..render.prepare import STORE
 from . import engine, gl_thread, sync
 from .convert import images
 from .final import FinalRender
@@ -19,6 +20,7 @@ def release() -> None:
     MAIN_GPU.release()
     gl_thread.THREAD.release()
     FinalRender.last_scene = None
+    STORE.clear()
     sync.CACHE.clear()
     images.clear()
 
