@@ -1,6 +1,7 @@
 """Cameras: known vertices projected by the Camera against where Cycles draws small glowing objects."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -185,3 +186,36 @@ def test_border_is_truncated_as_blender_does(scene):
     scene.render.border_min_y, scene.render.border_max_y = 0.5, 0.5
     camera = cameras.from_camera_object(obj, bpy.context.evaluated_depsgraph_get(), 100, 90)
     assert camera.window == (33, 45, 33, 0)
+
+
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_border_in_camera_view_is_a_part_of_the_camera_frame(scene, kind):
+    """A region twice as wide as the camera's frame, which then fills its middle half."""
+    data = bpy.data.cameras.new("camera")
+    data.type, data.shift_x = kind, 0.1
+    obj = bpy.data.objects.new("camera", data)
+    scene.collection.objects.link(obj)
+    scene.camera = obj
+    scene.render.use_border = True
+    scene.render.border_min_x, scene.render.border_max_x = 0.25, 0.75
+    scene.render.border_min_y, scene.render.border_max_y = 0.1, 0.6
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    narrow = obj.calc_matrix_camera(depsgraph, x=160, y=120)
+    region = SimpleNamespace(width=640, height=240)
+    rv3d = SimpleNamespace(
+        view_perspective="CAMERA",
+        view_matrix=obj.matrix_world.inverted(),
+        window_matrix=Matrix.Diagonal((0.5, 1, 1, 1)) @ narrow,
+    )
+    space = SimpleNamespace(camera=obj, use_local_camera=False, use_render_border=False)
+    camera = cameras.from_view(region, rv3d, space, scene)
+    # The frame covers columns 160 to 480.
+    assert camera.window == (240, 24, 160, 120)
+    assert (camera.near, camera.far) == pytest.approx((data.clip_start, data.clip_end), rel=1e-3)
+
+    rv3d.view_perspective = "PERSP"
+    assert cameras.from_view(region, rv3d, space, scene).region is None
+    space.use_render_border = True
+    space.render_border_min_x, space.render_border_max_x = 0.5, 1.0
+    space.render_border_min_y, space.render_border_max_y = 0.0, 0.25
+    assert cameras.from_view(region, rv3d, space, scene).window == (320, 0, 320, 60)
