@@ -21,7 +21,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 WHEELS = ROOT / "wheels"
 PINS = ROOT / "requirements" / "wheels.txt"
-PYTHONS = ("311", "313")  # Blender 4.5 LTS and 5.2 LTS
+PYTHONS = ("311", "313", "314")  # Blender 4.5 LTS, 5.2 LTS, and as distributions build it
 PLATFORMS = ("manylinux_2_28_x86_64", "win_amd64", "macosx_11_0_arm64")
 
 
