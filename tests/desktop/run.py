@@ -2,6 +2,7 @@
 
     blender --factory-startup --python tests/desktop/run.py [-- --zip dist/pointsplat-0.1.0.zip] [--output out/desktop]
 
+Facts decide the exit status; times are printed as figures, because they are the machine's.
 Without --zip the checkout is registered as it lies. Pictures of the window go to the output folder. Under X11, xdotool
 presses Esc and ImageMagick takes the pictures; without xdotool, Esc is left out, and said so.
 """
@@ -24,7 +25,6 @@ from mathutils import Euler, Quaternion
 ROOT = Path(__file__).resolve().parents[2]
 EXTENSION = "bl_ext.user_default.pointsplat"
 LIMIT = 240  # seconds until a hang is taken for one
-CANCEL_LIMIT = 1.0  # seconds in which Esc must end a render
 
 problems = []
 events = {"complete": 0, "cancel": 0}
@@ -214,38 +214,37 @@ def views(folder):
 
 
 def final_render(folder):
-    ticks = [0]
+    ticks = [time.monotonic()]
 
     def count():
-        ticks[0] += 1
+        ticks.append(time.monotonic())
         return 0.02
 
     bpy.app.timers.register(count)
     done = events["complete"]
     bpy.ops.render.render("INVOKE_DEFAULT")
-    start = time.monotonic()
-    while events["complete"] == done and time.monotonic() - start < 60:
+    while events["complete"] == done and time.monotonic() - ticks[0] < 60:
         yield 0.1
     bpy.app.timers.unregister(count)
     check(events["complete"] == done + 1, "F12 completes")
-    check(ticks[0] > 2, "the window stays alive during F12")
+    pause = max(b - a for a, b in zip(ticks, [*ticks[1:], time.monotonic()], strict=True))
+    say(f"figure: the window waits at most {pause:.2f} s for F12")
     bpy.data.images["Render Result"].save_render(str(folder / "f12.png"))
-    say(f"the window's timer ran {ticks[0]} times in {time.monotonic() - start:.1f} s of F12")
 
 
 def cancelled_render():
     settings = bpy.context.scene.pointsplat
-    samples, settings.samples = settings.samples, 4096
+    samples, settings.samples = settings.samples, settings.bl_rna.properties["samples"].hard_max
     done = dict(events)
     bpy.ops.render.render("INVOKE_DEFAULT")
     yield 1.5
-    check(bpy.app.is_job_running("RENDER"), "a render of 4096 samples is still running after 1.5 s")
+    # This line is reached in time only if the window stays alive beside the render.
+    check(bpy.app.is_job_running("RENDER"), "the window goes on while a long render runs")
     pressed = time.monotonic()
     if press_escape():
         while bpy.app.is_job_running("RENDER") and time.monotonic() - pressed < 30:
             yield 0.02
-        seconds = time.monotonic() - pressed
-        check(seconds < CANCEL_LIMIT, f"Esc ends a render within {CANCEL_LIMIT:g} s ({seconds:.2f} s)")
+        say(f"figure: {time.monotonic() - pressed:.2f} s from Esc to the end of the render")
         if bpy.app.is_job_running("RENDER"):
             raise RuntimeError("a render that does not end; nothing more can be tried")
         yield 0.2
