@@ -113,7 +113,7 @@ def test_the_archive_holds_the_package_the_shaders_and_nothing_of_the_workshop(a
 
 
 def test_each_supported_python_and_system_has_its_wheels() -> None:
-    """Blender 4.5 has Python 3.11, 5.2 has 3.13, distributions build with 3.14; Intel Macs have no wheel of moderngl."""
+    """Blender 4.5 has Python 3.11, 5.2 has 3.13, distributions build with 3.14; Intel Macs have no moderngl."""
     systems = {"manylinux": "linux", "win": "windows", "macosx": "macos"}
     found = set()
     for wheel in MANIFEST["wheels"]:
