@@ -61,8 +61,10 @@ class Clock:
 
     def run(self, name: str, work: Callable[[], None]) -> None:
         timer = self.device.start_timer()
-        work()
-        self.device.stop_timer(timer)
+        try:
+            work()
+        finally:  # a shader that fails must not leave the device timing
+            self.device.stop_timer(timer)
         self._open.append((name, timer))
 
     def settle(self) -> None:
@@ -416,20 +418,20 @@ class Frame:
             out["vector"] = data["vector"]
         if "index" in data:
             instance, material = (data["index"][..., i].astype(np.int64) for i in range(2))
-            if self.scene.instances.pass_index is not None:
-                out["object_index"] = _looked_up(self.scene.instances.pass_index, instance)
+            out["object_index"] = _looked_up(self.scene.instances.pass_index, instance)
             out["material_index"] = _looked_up(self.scene.materials.pass_index, material)
         if self._identities:
             for key, column, table in (
                 ("crypto_object", 0, self.scene.instances.object_hash),
                 ("crypto_material", 1, self.scene.materials.hash),
             ):
-                if key in wanted and table is not None:
+                if key in wanted:
                     out |= self._cryptomatte(key, column, table)
         return {key: array for key, array in out.items() if key in wanted or key.startswith(CRYPTO)}
 
-    def _cryptomatte(self, key: str, column: int, table: np.ndarray) -> dict[str, np.ndarray]:
-        padded = np.append(table.astype(np.uint32), np.uint32(0))  # -1 looks up the last: no identity
+    def _cryptomatte(self, key: str, column: int, table: np.ndarray | None) -> dict[str, np.ndarray]:
+        known = np.zeros(len(self.scene.instances), np.uint32) if table is None else table.astype(np.uint32)
+        padded = np.append(known, np.uint32(0))  # -1 looks up the last: no identity
         hashes = padded[np.stack([ids[..., column] for ids in self._identities])]
         pictures = cryptomatte(hashes, self.request.crypto_levels)
         return {f"{key}{i:02d}": picture for i, picture in enumerate(pictures)}
@@ -493,9 +495,9 @@ class Same:
         return isinstance(other, Same) and other.array is self.array
 
 
-def _looked_up(table: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """(H, W, 1) float32: table[index], 0 where the index is negative."""
-    if len(table) == 0:
+def _looked_up(table: np.ndarray | None, index: np.ndarray) -> np.ndarray:
+    """(H, W, 1) float32: table[index], 0 where the index is negative or there is no table."""
+    if table is None or len(table) == 0:
         return np.zeros((*index.shape, 1), np.float32)
     return np.where(index >= 0, table[np.maximum(index, 0)], 0).astype(np.float32)[..., None]
 

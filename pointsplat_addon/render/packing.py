@@ -62,7 +62,7 @@ def paged(values: np.ndarray, channels: int) -> tuple[tuple[int, int], np.ndarra
     A page of fewer than 4,096 rows is one row high and as wide as a page all the same: shaders shift and mask.
     """
     height = max(1, -(-len(values) // PAGE_WIDTH))
-    flat = values.reshape(len(values), -1)
+    flat = values.reshape(len(values), values[:1].size if len(values) else channels)
     if flat.shape[1] == channels and len(values) == height * PAGE_WIDTH:
         return (PAGE_WIDTH, height), np.ascontiguousarray(flat, np.float32).reshape(-1)
     data = np.zeros((height * PAGE_WIDTH, channels), np.float32)
