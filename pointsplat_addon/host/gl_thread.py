@@ -12,7 +12,6 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from ..render.device import Device
 from ..render.frame import Renderer
 
 T = TypeVar("T")
@@ -57,12 +56,12 @@ class GLThread:
 
 def _work(jobs: queue.SimpleQueue) -> None:
     """The thread: makes its context for the first job, and again for the next one where that failed."""
-    device: Device | None = None
+    device: Any = None
     renderer: Renderer | None = None
     while (item := jobs.get()) is not None:
         job, future = item
         try:
-            if device is None or renderer is None:
+            if renderer is None:
                 device = _make_device()
                 renderer = Renderer(device)
             future.set_result(job(renderer))
