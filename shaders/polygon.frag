@@ -1,6 +1,7 @@
 // Polygons into the G-buffer that points share: splats of radius zero (Marroquim et al. 2008, section 5).
 
 #include "lib/surfel.glsl"
+#include "lib/store.glsl"
 #include "lib/camera.glsl"
 
 #ifdef PS_UV
@@ -52,23 +53,31 @@ void main()
   PsSurfel s = ps_empty();
   s.place = vec4(d, 0.0, 0.0, -1.0);
   s.shape = vec4(0.0, 0.0, 0.0, frame.page.z == 1 ? -1.0 - material : material);
+#ifdef PS_NORMAL
   s.normal.xyz = normalize(v_normal);
 #ifdef PS_BAKED_NORMAL
   s.normal.xyz = ps_bent(s.normal.xyz, ps_repeat(ps_baked_normal, v_uv).xyz);
 #endif
+#endif
 #ifdef PS_COLOR
 #if defined(PS_BAKED_COLOR)
-  vec2 surface = ps_repeat(ps_baked_surface, v_uv).xy;
-  s.color = vec4(ps_repeat(ps_baked_color, v_uv).rgb, surface.y);
-  s.normal.w = surface.x;
+  s.color.rgb = ps_repeat(ps_baked_color, v_uv).rgb;
 #elif defined(PS_CORNER_COLOR)
-  s.color = vec4(v_color.rgb, v_surface.y);
-  s.normal.w = v_surface.x;
+  s.color.rgb = v_color.rgb;
 #else
-  vec4 rest = texelFetch(ps_materials, ivec2(2, frame.page.y), 0);
-  s.color = vec4(texelFetch(ps_materials, ivec2(0, frame.page.y), 0).rgb, rest.z);
-  s.normal.w = rest.y;
+  s.color.rgb = texelFetch(ps_materials, ivec2(0, frame.page.y), 0).rgb;
 #endif
+#endif
+#ifdef PS_SURFACE
+#if defined(PS_BAKED_COLOR)
+  vec2 surface = ps_repeat(ps_baked_surface, v_uv).xy;
+#elif defined(PS_CORNER_COLOR)
+  vec2 surface = v_surface;
+#else
+  vec2 surface = texelFetch(ps_materials, ivec2(2, frame.page.y), 0).yz;
+#endif
+  s.normal.w = surface.x;
+  s.color.w = surface.y;
 #endif
 #ifdef PS_EMISSION
 #if defined(PS_BAKED_EMISSION)
@@ -82,6 +91,6 @@ void main()
 #ifdef PS_OWNER
   s.owner = uint(frame.size.w);
 #endif
-  ps_store(s);
+  ps_store_front(s, true);
   gl_FragDepth = ps_buffer_depth(d);
 }

@@ -2,6 +2,7 @@
 // (Marroquim et al. 2008, section 3.1; there without the spread of the centres, which leaves holes between them).
 
 #include "lib/surfel.glsl"
+#include "lib/store.glsl"
 
 void main()
 {
@@ -18,8 +19,11 @@ void main()
       front = place[i].x + place[i].w;
     }
   }
+  if (nearest >= 1e38) {
+    discard;
+  }
   PsSurfel s = ps_empty();
-  if (nearest < 1e38) {
+  {
     float count = 0.0, near_end = 1e38, far_end = -1e38;
     vec3 second = vec3(0.0);
     vec2 first = vec2(0.0);
@@ -34,7 +38,9 @@ void main()
         near_end = min(near_end, place[i].x - place[i].w);
         far_end = max(far_end, place[i].x + place[i].w);
         s.place.x += place[i].x;
+#ifdef PS_NORMAL
         s.normal += texelFetch(ps_normal, child, 0);
+#endif
         // Identities cannot be mixed: the nearest splat's.
         bool best = place[i].x == nearest;
         s.shape.w = best ? shape.w : s.shape.w;
@@ -55,7 +61,9 @@ void main()
     float d = s.place.x * weight;
     s.place = vec4(d, first, max(far_end - d, d - near_end));
     s.shape.xyz = ps_cholesky(second);
+#ifdef PS_NORMAL
     s.normal *= weight;
+#endif
 #ifdef PS_COLOR
     s.color *= weight;
 #endif
@@ -63,5 +71,5 @@ void main()
     s.emission *= weight;
 #endif
   }
-  ps_store(s);
+  ps_store_front(s, true);
 }

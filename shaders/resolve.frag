@@ -2,6 +2,7 @@
 
 #include "lib/splat.glsl"
 #include "lib/surfel.glsl"
+#include "lib/store.glsl"
 
 // A splat is at least this wide, as a standard deviation in pixels, in any direction: it then reaches its pixel's
 // centre often enough for the pyramid to find no holes, and a silhouette grows by less than a third of a pixel.
@@ -28,9 +29,14 @@ void main()
   if (head.w >= 0.0) {
     vec3 n = ps_unpack_normal(head.w), u, v;
     ps_basis(n, u, v);
-    float c = cos(extent.z), s = sin(extent.z);
-    a = linear * ((c * u + s * v) * extent.x);
-    b = linear * ((c * v - s * u) * extent.y);
+    if (extent.z != 0.0) {
+      float c = cos(extent.z), s = sin(extent.z);
+      vec3 turned = c * u + s * v;
+      v = c * v - s * u;
+      u = turned;
+    }
+    a = linear * (u * extent.x);
+    b = linear * (v * extent.y);
     normal = ps_view_normal(linear, n);
     radius = max(length(a), length(b));
   }
@@ -58,6 +64,7 @@ void main()
   PsSurfel s = ps_empty();
   s.place = vec4(pixel.z, pixel.xy - (vec2(place) + 0.5), radius + steep * ps_pixel_size(pixel.z));
   s.shape = vec4(ps_cholesky(covariance), extent.w);
+#ifdef PS_NORMAL
   s.normal.xyz = normal;
 #ifdef PS_SHADING_NORMAL
   float code = texelFetch(ps_shading_normal, element.xy, 0).x;
@@ -65,9 +72,11 @@ void main()
     s.normal.xyz = ps_view_normal(linear, ps_unpack_normal(code));
   }
 #endif
+#endif
 #ifdef PS_COLOR
-  vec4 tint = texelFetch(ps_color, element.xy, 0);
-  s.color.rgb = tint.rgb;
+  s.color.rgb = texelFetch(ps_color, element.xy, 0).rgb;
+#endif
+#ifdef PS_SURFACE
   vec2 surface = texelFetch(ps_surface, element.xy, 0).xy;
   s.normal.w = surface.x;
   s.color.w = surface.y;
@@ -83,7 +92,7 @@ void main()
     s.shape.w = -1.0 - s.shape.w;
   }
 #endif
-  ps_store(s);
+  ps_store_front(s, ps_mahalanobis(s.shape.xyz, s.place.yz) <= PS_RIM);
 #ifdef PS_DEPTH
   gl_FragDepth = ps_buffer_depth(pixel.z);
 #endif

@@ -20,9 +20,9 @@ from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
 from .packing import paged
 from .passes import polygons as polygon_pass
 from .passes import shade as shade_pass
-from .passes.common import GBuffer, frame_record
-from .passes.points import Page, PageDraw, PointPass, blocks, instance_rows, with_origin
-from .passes.pyramid import PyramidPass, levels
+from .passes.common import GBuffer, Variant, frame_record
+from .passes.points import Page, PageDraw, Projection, blocks, instance_rows, programs, resolve, with_origin
+from .passes.pyramid import Pyramid, levels
 from .plan import Plan, make_plan
 from .prepare import STORE, PointSet, Prepared, prepare
 
@@ -129,6 +129,58 @@ class Renderer:
         self._kept.clear()
 
 
+class Surfels:
+    """A G-buffer of one variant, with the pyramid that closes it."""
+
+    def __init__(self, frame: Frame, variant: Variant) -> None:
+        self.frame, self.variant, device = frame, variant, frame.device
+        size, plan = frame.request.camera.window[2:], frame.plan
+        self.buffer = GBuffer(device, variant, size, depth=plan.polygons)
+        self.pyramid = None
+        if plan.points:
+            self.resolve_program = programs(variant, plan.options).resolve
+            self.pyramid = Pyramid(device, variant, self.buffer, levels(frame.prepared.largest, size))
+
+    def draw(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
+        """One sample: points resolved, polygons rasterised, holes filled."""
+        frame, device, run = self.frame, self.frame.device, self.frame.clock.run
+
+        def resolve_points() -> None:
+            device.clear(self.buffer.target)
+            if frame.projection is not None:
+                ids = frame.projection.ids
+                resolve(device, self.resolve_program, ids, frame.draws, record.copy(), shared, self.buffer)
+
+        run("resolve", resolve_points)
+        if frame.plan.polygons:
+            run("polygons", lambda: self._draw_polygons(record.copy(), shared))
+        if self.pyramid is not None:
+            pyramid = self.pyramid
+            run("pull", lambda: pyramid.pull(record.copy()))
+            run("push", lambda: pyramid.push(record.copy()))
+
+    def _draw_polygons(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
+        frame = self.frame
+        instances = frame.scene.instances
+        for instance in frame.prepared.polygons.tolist():
+            polygon_pass.draw(
+                frame.device,
+                self.variant,
+                frame.meshes[int(instances.geometry[instance])],
+                frame.prepared.view_from_object[instance],
+                instance,
+                bool(instances.holdout is not None and instances.holdout[instance]),
+                record,
+                shared,
+                self.buffer,
+            )
+
+    def release(self) -> None:
+        self.buffer.release()
+        if self.pyramid is not None:
+            self.pyramid.release()
+
+
 class Frame:
     """One picture in the making. Every call comes from the device's thread."""
 
@@ -157,11 +209,8 @@ class Frame:
     def _allocate(self) -> None:
         device, plan, passes = self.device, self.plan, self.request.passes
         size = self.request.camera.window[2:]
-        self.buffer = self._own(GBuffer(device, plan.variant, size, depth=plan.polygons))
-        self.point_pass = self.pyramid = None
-        if plan.points:
-            self.point_pass = self._own(PointPass(device, plan.variant, plan.options, size))
-            self.pyramid = self._own(PyramidPass(device, plan.variant, size, levels(self.prepared.largest, size)))
+        self.projection = self._own(Projection(device, plan.options, size)) if plan.points else None
+        self.surfels = self._own(Surfels(self, plan.variant))
         self.sums = [self._own(device.texture(size, "RGBA32F")) for _ in range(1 + len(shade_pass.averaged(passes)))]
         self.sum_target: Target = self._own(device.target(self.sums))
         device.clear(self.sum_target)
@@ -169,7 +218,12 @@ class Frame:
         if plan.data:
             self.data_textures = [self._own(device.texture(size, "RGBA32F")) for _ in shade_pass.data(passes)]
             self.data_target: Target = self._own(device.target(self.data_textures))
-        self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.background, passes)
+            # Identities cannot be averaged, and motion and positions are asked for once: they have a G-buffer of their
+            # own, so that no sample carries what only one of them needs.
+            same = plan.data_variant == plan.variant
+            self.data_surfels = self.surfels if same else self._own(Surfels(self, plan.data_variant))
+        self.shade = shade_pass.shade_program(plan.variant, plan.lighting, passes)
+        self.background = shade_pass.background_program(plan.lighting, self.scene.transparent, passes)
 
     def _upload(self) -> None:
         scene, camera, plan, device = self.scene, self.request.camera, self.plan, self.device
@@ -233,8 +287,7 @@ class Frame:
         plan, table = self.plan, self.scene.materials
         sets = list({points.key: points for points in group.values()}.values())
         filled = _fill_key(self.scene) if plan.variant.color or plan.variant.emission else b""
-        key = ("page", tuple(p.key for p in sets), plan.variant.color, plan.variant.emission,
-               plan.options.shading_normal, filled)  # fmt: skip
+        key = ("page", tuple(p.key for p in sets), plan.variant, plan.options.shading_normal, filled)  # fmt: skip
         self._used.add(key)
         return self.renderer.keep(key, lambda: Page(self.device, sets, plan.variant, plan.options, table))
 
@@ -245,7 +298,7 @@ class Frame:
             mesh = geometry.mesh
             assert mesh is not None
             ok, _ = STORE.lookup(("valid", geometry.key), lambda mesh=mesh: sampling.validate(mesh))
-            look = (digest(mesh, scene.materials), plan.variant.color, plan.variant.emission, _fill_key(scene))
+            look = (digest(mesh, scene.materials), plan.variant, _fill_key(scene))
             key = ("polygons", geometry.key, *look, scene.materials.cull.tobytes())
             self._used.add(key)
             meshes[row] = self.renderer.keep(
@@ -277,13 +330,22 @@ class Frame:
             return False
         if not self._trivial:
             record = self._record(self.done)
-            surfels = self._surfels(record)
+            shared = {"ps_materials": self.materials}
+            if self.plan.points and self.instance_texture is not None:
+                shared["ps_instances"] = self.instance_texture
+            if self.projection is not None:
+                projection = self.projection
+                self.clock.run("project", lambda: projection.run(self.draws, record.copy(), shared))
+            self.surfels.draw(record, shared)
             first = self.done == 0
             if self.plan.data and (first or self._wants_identities):
-                self.clock.run("data", lambda: self._draw_data(surfels, record))
+                if self.data_surfels is not self.surfels:
+                    self.data_surfels.draw(record, shared)
+                self.clock.run("data", lambda: self._draw_data(record))
                 self._read_data(first)
-            self.clock.run("shade", lambda: self._shade(surfels, record))
-            self.last = surfels
+            self.clock.run("shade", lambda: self._shade(record))
+            if self.plan.background:
+                self.clock.run("background", lambda: self._draw_background(record))
         self.done += 1
         return self.done < self.request.samples
 
@@ -300,60 +362,25 @@ class Frame:
         record["page"][0, 3] = len(self.scene.lights)
         return record
 
-    def _surfels(self, record: np.ndarray) -> GBuffer:
-        """The G-buffer of one sample, reconstructed."""
-        device, plan = self.device, self.plan
-        shared = {"ps_materials": self.materials}
-        if plan.points and self.instance_texture is not None:
-            shared["ps_instances"] = self.instance_texture
-        if self.point_pass is not None:
-            point_pass = self.point_pass
-            self.clock.run("project", lambda: point_pass.project(self.draws, record.copy(), shared))
-
-        def resolve() -> None:
-            device.clear(self.buffer.target)
-            if self.point_pass is not None:
-                self.point_pass.resolve(self.draws, record.copy(), shared, self.buffer)
-
-        self.clock.run("resolve", resolve)
-        if plan.polygons:
-            self.clock.run("polygons", lambda: self._draw_polygons(record.copy(), shared))
-        if self.pyramid is None:
-            return self.buffer
-        pyramid = self.pyramid
-        self.clock.run("pull", lambda: pyramid.run_pull(self.buffer, record.copy()))
-        self.clock.run("push", lambda: pyramid.run_push(self.buffer, record.copy()))
-        return pyramid.result
-
-    def _draw_polygons(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
-        instances = self.scene.instances
-        for instance in self.prepared.polygons.tolist():
-            polygon_pass.draw(
-                self.device,
-                self.plan.variant,
-                self.meshes[int(instances.geometry[instance])],
-                self.prepared.view_from_object[instance],
-                instance,
-                bool(instances.holdout is not None and instances.holdout[instance]),
-                record,
-                shared,
-                self.buffer,
-            )
-
-    def _shade(self, surfels: GBuffer, record: np.ndarray) -> None:
-        textures = surfels.bound()
+    def _shade(self, record: np.ndarray) -> None:
+        textures = self.surfels.buffer.bound()
         textures |= shade_pass.textures(materials=self.materials, lights=self.lights, environment=self.environment)
         self.device.draw(self.shade, self.sum_target, uniforms=record, textures=textures, blend=True)
 
-    def _draw_data(self, surfels: GBuffer, record: np.ndarray) -> None:
+    def _draw_background(self, record: np.ndarray) -> None:
+        textures = {"ps_place": self.surfels.buffer.textures["place"]}
+        textures |= shade_pass.textures(lights=self.lights, environment=self.environment)
+        self.device.draw(self.background, self.sum_target, uniforms=record, textures=textures, blend=True)
+
+    def _draw_data(self, record: np.ndarray) -> None:
         camera = self.request.camera
         record = record.copy()
         x0, y0, _, _ = camera.window
         record["previous"][0] = *camera.resolution, x0, y0
-        textures = surfels.bound()
+        textures = self.data_surfels.buffer.bound()
         if "vector" in shade_pass.data(self.request.passes):
             textures["ps_previous"] = self.previous
-        program = shade_pass.data_program(self.plan.variant, self.request.passes)
+        program = shade_pass.data_program(self.plan.data_variant, self.request.passes)
         self.device.draw(program, self.data_target, uniforms=record, textures=textures)
 
     @property
@@ -378,7 +405,7 @@ class Frame:
         record = self._record(0)
         record["mist"][0, 3] = 1 / max(self.done, 1)
         record["previous"][0] = m[2, 2], m[2, 3], m[3, 2], m[3, 3]
-        textures = {"ps_combined": self.sums[0], "ps_place": self.last.textures["place"]}
+        textures = {"ps_combined": self.sums[0], "ps_place": self.surfels.buffer.textures["place"]}
         self.device.draw(shade_pass.PRESENT, None, uniforms=record, textures=textures)
 
     def _present_constant(self) -> None:

@@ -23,10 +23,11 @@ class Plan:
 
     points: bool
     polygons: bool
-    variant: Variant
+    variant: Variant  # of the G-buffer that is shaded
+    data_variant: Variant  # of the one that the passes which are not averaged read
     options: PointOptions
     lighting: tuple[str, ...]  # PS_HAS_ names
-    background: bool
+    background: bool  # pixels that show nothing hold something
     data: bool
     skipped: tuple[tuple[str, str], ...]  # (pass, because)
 
@@ -39,12 +40,16 @@ def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
     channels = {name for graph in graphs for name in graph.channels}
     sets = list(prepared.point_sets.values())
     clouds = [p.cloud for p in sets]
-    color = any(c.color is not None or c.surface is not None for c in clouds) or (
-        polygons and bool(channels & {"base_color", "roughness", "metallic", "alpha"})
+    lighting = _lighting(scene) if drawn else _world(scene) if not scene.transparent else ()
+    surface = any(c.surface is not None for c in clouds) or (polygons and bool(channels & {"roughness", "metallic"}))
+    color = (
+        surface or any(c.color is not None for c in clouds) or (polygons and bool(channels & {"base_color", "alpha"}))
     )
     emission = any(c.emission is not None for c in clouds) or (polygons and "emission" in channels)
-    owner = drawn and bool(passes & set(NEED_OWNER))
-    variant = Variant(color, emission, owner, wide=len(scene.materials) >= EXACT_HALF)
+    wide = len(scene.materials) >= EXACT_HALF
+    lit = bool(lighting) or surface or "normal" in passes
+    variant = Variant(lit, color, surface, emission, wide=wide)
+    data_variant = Variant(owner=bool(passes & set(NEED_OWNER)), wide=wide)
     holdout = scene.instances.holdout is not None and bool(scene.instances.holdout.any())
     one = points and not holdout and len(np.unique(prepared.cut.instance)) == 1
     options = PointOptions(
@@ -54,7 +59,6 @@ def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
         one_instance=one,
         depth=polygons,
     )
-    lighting = _lighting(scene) if drawn else _world(scene) if not scene.transparent else ()
     skipped = []
     if not points:
         skipped += [(name, "nothing is drawn as points") for name in ("project", "resolve", "pull", "push")]
@@ -62,10 +66,12 @@ def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
         skipped.append(("polygons", "nothing is drawn as polygons"))
     if not data(passes):
         skipped.append(("data", "no pass asks for position, index or motion"))
+    if scene.transparent and "mist" not in passes:
+        skipped.append(("background", "the film is transparent"))
     skipped += [("translucent", "not yet part of PointSplat"), ("shadows", "not yet part of PointSplat")]
     return Plan(
-        points, polygons, variant, options, lighting,
-        background=not scene.transparent, data=bool(data(passes)), skipped=tuple(skipped),
+        points, polygons, variant, data_variant, options, lighting,
+        background=not scene.transparent or "mist" in passes, data=drawn and bool(data(passes)), skipped=tuple(skipped),
     )  # fmt: skip
 
 

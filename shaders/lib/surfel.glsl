@@ -5,13 +5,15 @@
 //           A uniform disk of radius r has the variance r^2 / 4: the splat's rim lies at 2 sigma
 //   normal  in view space, (0, 0, 0) for a ball; roughness
 //   color   base colour, metallic
-// PS_COLOR: colour and surface come with the points; else the material table has them. PS_EMISSION likewise.
-// PS_OWNER: which instance, for passes that ask.
+// PS_NORMAL: something shines, or a pass asks. PS_COLOR: colours come with the points; else the material table has
+// them; so do PS_SURFACE roughness and metallic, and PS_EMISSION. PS_OWNER: which instance, for passes that ask.
 
 struct PsSurfel {
   vec4 place;
   vec4 shape;
+#ifdef PS_NORMAL
   vec4 normal;
+#endif
 #ifdef PS_COLOR
   vec4 color;
 #endif
@@ -25,28 +27,14 @@ struct PsSurfel {
 
 #define PS_RIM 4.0  // squared Mahalanobis distance of a splat's rim: 2 sigma
 
-void ps_store(PsSurfel s)
-{
-  out_place = s.place;
-  out_shape = s.shape;
-  out_normal = s.normal;
-#ifdef PS_COLOR
-  out_color = s.color;
-#endif
-#ifdef PS_EMISSION
-  out_emission = s.emission;
-#endif
-#ifdef PS_OWNER
-  out_owner = s.owner;
-#endif
-}
-
 PsSurfel ps_empty()
 {
   PsSurfel s;
   s.place = vec4(0.0);
   s.shape = vec4(0.0);
+#ifdef PS_NORMAL
   s.normal = vec4(0.0);
+#endif
 #ifdef PS_COLOR
   s.color = vec4(0.0);
 #endif

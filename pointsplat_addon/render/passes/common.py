@@ -30,14 +30,19 @@ FRAME = Block(
 class Variant:
     """What the G-buffer of a scene holds beyond geometry; each True is a `#define` and a texture."""
 
-    color: bool = False  # colour, roughness and metallic vary within a material
+    normal: bool = True  # something shines, or a pass asks for positions or normals
+    color: bool = False  # colour varies within a material
+    surface: bool = False  # so do roughness and metallic; they ride with normal and colour, which this implies
     emission: bool = False
     owner: bool = False  # a pass asks which instance a pixel shows
     wide: bool = False  # more materials than half floats count
 
     @property
     def defines(self) -> tuple[str, ...]:
-        named = {"PS_COLOR": self.color, "PS_EMISSION": self.emission, "PS_OWNER": self.owner}
+        named = {
+            "PS_NORMAL": self.normal, "PS_COLOR": self.color, "PS_SURFACE": self.surface,
+            "PS_EMISSION": self.emission, "PS_OWNER": self.owner,
+        }  # fmt: skip
         return tuple(name for name, on in named.items() if on)
 
     @property
@@ -46,8 +51,9 @@ class Variant:
         found = [
             ("place", "RGBA32F", "vec4"),
             ("shape", "RGBA32F" if self.wide else "RGBA16F", "vec4"),
-            ("normal", "RGBA16F", "vec4"),
         ]
+        if self.normal:
+            found.append(("normal", "RGBA16F", "vec4"))
         if self.color:
             found.append(("color", "RGBA16F", "vec4"))
         if self.emission:
@@ -59,18 +65,33 @@ class Variant:
     def outputs(self) -> tuple[tuple[str, str], ...]:
         return tuple((glsl, f"out_{name}") for name, _, glsl in self.channels)
 
+    @property
+    def front_outputs(self) -> tuple[tuple[str, str], ...]:
+        """With the depth of the near end, for the passes that write a level anew."""
+        return (*self.outputs(), ("float", "out_front"))
+
+    @property
+    def front_defines(self) -> tuple[tuple[str, str], ...]:
+        return tuple((name, "1") for name in (*self.defines, "PS_FRONT"))
+
     def samplers(self, prefix: str = "ps_", only: tuple[str, ...] = ()) -> tuple[tuple[str, str], ...]:
         kinds = {"vec4": "FLOAT_2D", "uint": "UINT_2D"}
         return tuple((kinds[glsl], prefix + name) for name, _, glsl in self.channels if not only or name in only)
 
 
 class GBuffer:
-    """One level of surfels."""
+    """One level of surfels.
+
+    `target` takes them together with `front`, the depth of their near end; `fill_target` takes them alone, so that the
+    pass that fills holes can read `front` while it writes the rest.
+    """
 
     def __init__(self, device: Device, variant: Variant, size: tuple[int, int], depth: bool = False) -> None:
         self.size = size
         self.textures: dict[str, Texture] = {name: device.texture(size, format) for name, format, _ in variant.channels}
-        self.target: Target = device.target(list(self.textures.values()), depth=depth)
+        self.front = device.texture(size, "R32F")
+        self.target: Target = device.target([*self.textures.values(), self.front], depth=depth)
+        self.fill_target: Target = device.target(list(self.textures.values()))
 
     def bound(self, prefix: str = "ps_") -> dict[str, Texture]:
         """Textures by sampler name."""
@@ -78,7 +99,8 @@ class GBuffer:
 
     def release(self) -> None:
         self.target.release()
-        for texture in self.textures.values():
+        self.fill_target.release()
+        for texture in (*self.textures.values(), self.front):
             texture.release()
 
 

@@ -20,7 +20,7 @@ from ...core.cloud import PointCloud
 from ...core.hierarchy import splats
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
-from ..device import Device, Texture
+from ..device import Device, Target, Texture
 from ..packing import NO_NORMAL, PAGE_WIDTH, angle_about, pack_normal, paged, unpack_normal
 from ..prepare import PointSet, Prepared
 from .common import FRAME, GBuffer, Variant
@@ -66,6 +66,7 @@ class Page:
         upload("extent", "RGBA32F", 4, [_extent(c) for c in clouds])
         if variant.color:
             upload("color", "RGBA16F", 4, [_filled(c, "color", table.base_color) for c in clouds])
+        if variant.surface:
             constants = np.stack([table.roughness, table.metallic], axis=1)
             upload("surface", "RG32F", 2, [_filled(c, "surface", constants) for c in clouds])
         if variant.emission:
@@ -199,10 +200,12 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     )
     extra = [("FLOAT_2D", "ps_extent"), ("UINT_2D", "ps_ids")]
     if variant.color:
-        extra += [("FLOAT_2D", "ps_color"), ("FLOAT_2D", "ps_surface")]
+        extra.append(("FLOAT_2D", "ps_color"))
+    if variant.surface:
+        extra.append(("FLOAT_2D", "ps_surface"))
     if variant.emission:
         extra.append(("FLOAT_2D", "ps_emission"))
-    if options.shading_normal:
+    if options.shading_normal and variant.normal:
         extra.append(("FLOAT_2D", "ps_shading_normal"))
     named = {
         "PS_SHADING_NORMAL": options.shading_normal,
@@ -215,8 +218,8 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         fragment="resolve.frag",
         block=FRAME,
         samplers=(*common, *extra),
-        outputs=variant.outputs(),
-        defines=tuple((name, "1") for name in (*variant.defines, *(n for n, on in named.items() if on))),
+        outputs=variant.front_outputs,
+        defines=(*variant.front_defines, *((name, "1") for name, on in named.items() if on)),
         depth=options.depth,
     )
     return PointPrograms(nearest, identify, raster, resolve)
@@ -244,40 +247,25 @@ class PageDraw:
         return record
 
 
-class PointPass:
-    """Projects the cut, then resolves the winners into the G-buffer."""
+class Projection:
+    """Which splat of the cut each pixel shows."""
 
-    def __init__(self, device: Device, variant: Variant, options: PointOptions, size: tuple[int, int]) -> None:
-        self.device, self.programs = device, programs(variant, options)
+    def __init__(self, device: Device, options: PointOptions, size: tuple[int, int]) -> None:
+        self.device, self.programs = device, programs(Variant(), options)
         self.ids = device.texture(size, "R32UI")
         self.depth = device.texture(size, "R32UI") if device.limits.image_atomics else None
-        self.raster_target = None if self.depth else device.target([self.ids], depth=True)
+        self.raster_target: Target | None = None if self.depth else device.target([self.ids], depth=True)
 
-    def project(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
-        """Which splat each pixel shows."""
-        device = self.device
-        if self.raster_target is not None:
-            device.clear(self.raster_target)
-            for draw in draws:
-                device.draw(
-                    self.programs.raster,
-                    self.raster_target,
-                    uniforms=draw.fill(record),
-                    textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks},
-                    vertices=draw.elements,
-                    primitive="POINTS",
-                    depth_test=True,
-                )
+    def run(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
+        if self.depth is None:
+            self._rasterise(draws, record, shared)
             return
-        assert self.depth is not None
-        device.fill(self.depth)
-        device.fill(self.ids)
-        for program, images in (
-            (self.programs.nearest, {"depth": self.depth}),
-            (self.programs.identify, {"ids": self.ids}),
-        ):
+        self.device.fill(self.depth)
+        self.device.fill(self.ids)
+        steps = ((self.programs.nearest, {"depth": self.depth}), (self.programs.identify, {"ids": self.ids}))
+        for program, images in steps:
             for draw in draws:
-                device.dispatch(
+                self.device.dispatch(
                     program,
                     -(-draw.elements // program.local_size),
                     uniforms=draw.fill(record),
@@ -285,15 +273,19 @@ class PointPass:
                     images=images,
                 )
 
-    def resolve(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture], out: GBuffer) -> None:
-        """The identified splats' ellipses and attributes; pixels without one stay as they are."""
+    def _rasterise(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
+        """Without image atomics: one-pixel points through the depth test."""
+        assert self.raster_target is not None
+        self.device.clear(self.raster_target)
         for draw in draws:
             self.device.draw(
-                self.programs.resolve,
-                out.target,
+                self.programs.raster,
+                self.raster_target,
                 uniforms=draw.fill(record),
-                textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks, "ps_ids": self.ids},
-                depth_test=self.programs.resolve.depth,
+                textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks},
+                vertices=draw.elements,
+                primitive="POINTS",
+                depth_test=True,
             )
 
     def release(self) -> None:
@@ -302,3 +294,23 @@ class PointPass:
         self.ids.release()
         if self.depth is not None:
             self.depth.release()
+
+
+def resolve(
+    device: Device,
+    program: Interface,
+    ids: Texture,
+    draws: list[PageDraw],
+    record: np.ndarray,
+    shared: dict[str, Texture],
+    out: GBuffer,
+) -> None:
+    """The identified splats' ellipses and attributes; pixels without one stay as they are."""
+    for draw in draws:
+        device.draw(
+            program,
+            out.target,
+            uniforms=draw.fill(record),
+            textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks, "ps_ids": ids},
+            depth_test=program.depth,
+        )

@@ -142,8 +142,8 @@ def program(variant: Variant, group: Group) -> Interface:
         block=FRAME,
         samplers=tuple(samplers),
         varyings=tuple(varyings),
-        outputs=variant.outputs(),
-        defines=tuple((name, "1") for name in (*variant.defines, *names, *cull)),
+        outputs=variant.front_outputs,
+        defines=(*variant.front_defines, *((name, "1") for name in (*names, *cull))),
         depth=True,
     )
 

@@ -20,49 +20,44 @@ def levels(radius: float, size: tuple[int, int]) -> int:
     return max(1, min(wanted, math.ceil(math.log2(max(*size, 2)))))
 
 
-class PyramidPass:
-    """Level 0 is the G-buffer that points and polygons share; the result is another one."""
+class Pyramid:
+    """Coarser levels above a G-buffer that points and polygons share; holes in that are filled in place."""
 
-    def __init__(self, device: Device, variant: Variant, size: tuple[int, int], count: int) -> None:
+    def __init__(self, device: Device, variant: Variant, base: GBuffer, count: int) -> None:
         self.device = device
-        self.pulled: list[GBuffer] = []
-        self.pushed: list[GBuffer] = []
-        for level in range(count + 1):
-            of_level = (-(-size[0] // (1 << level)), -(-size[1] // (1 << level)))
-            if level > 0:
-                self.pulled.append(GBuffer(device, variant, of_level))
-            if level < count:
-                self.pushed.append(GBuffer(device, variant, of_level))
-        self.pull = Interface(
-            "pull", fragment="pull.frag", block=FRAME, samplers=variant.samplers(), outputs=variant.outputs(),
+        sides = [tuple(-(-side // (1 << level)) for side in base.size) for level in range(1, count + 1)]
+        self.levels = [base, *(GBuffer(device, variant, (width, height)) for width, height in sides)]
+        self.pull_program = Interface(
+            "pull", fragment="pull.frag", block=FRAME, samplers=variant.samplers(), outputs=variant.front_outputs,
+            defines=variant.front_defines,
+        )  # fmt: skip
+        self.fill_program = Interface(
+            "push", fragment="fill.frag", block=FRAME, outputs=variant.outputs(),
+            samplers=(("FLOAT_2D", "ps_front"), *variant.samplers("ps_coarse_")),
             defines=tuple((name, "1") for name in variant.defines),
         )  # fmt: skip
-        self.push = Interface(
-            "push", fragment="push.frag", block=FRAME, outputs=variant.outputs(),
-            samplers=(*variant.samplers(), *variant.samplers("ps_coarse_")),
-            defines=tuple((name, "1") for name in variant.defines),
-        )  # fmt: skip
+        self.finest_program = self.fill_program.with_defines("PS_FINEST")
 
-    @property
-    def result(self) -> GBuffer:
-        return self.pushed[0]
-
-    def run_pull(self, source: GBuffer, record: np.ndarray) -> None:
-        fine = source
-        for level, coarse in enumerate(self.pulled, start=1):
+    def pull(self, record: np.ndarray) -> None:
+        """Each level from the next finer one."""
+        for level in range(1, len(self.levels)):
             record["size"][0, 2] = level
-            self.device.draw(self.pull, coarse.target, uniforms=record, textures=fine.bound())
-            fine = coarse
+            coarse = self.levels[level]
+            self.device.clear(coarse.target)
+            self.device.draw(self.pull_program, coarse.target, uniforms=record, textures=self.levels[level - 1].bound())
 
-    def run_push(self, source: GBuffer, record: np.ndarray) -> None:
-        coarse = self.pulled[-1]
-        for level in range(len(self.pushed) - 1, -1, -1):
-            own = source if level == 0 else self.pulled[level - 1]
+    def push(self, record: np.ndarray) -> None:
+        """Each level's holes from the next coarser one."""
+        for level in range(len(self.levels) - 2, -1, -1):
             record["size"][0, 2] = level
-            textures = {**own.bound(), **coarse.bound("ps_coarse_")}
-            self.device.draw(self.push, self.pushed[level].target, uniforms=record, textures=textures)
-            coarse = self.pushed[level]
+            fine, coarse = self.levels[level], self.levels[level + 1]
+            self.device.draw(
+                self.fill_program if level else self.finest_program,
+                fine.fill_target,
+                uniforms=record,
+                textures={"ps_front": fine.front, **coarse.bound("ps_coarse_")},
+            )
 
     def release(self) -> None:
-        for buffer in (*self.pulled, *self.pushed):
+        for buffer in self.levels[1:]:
             buffer.release()

@@ -35,21 +35,39 @@ def data(passes: frozenset[str]) -> tuple[str, ...]:
     return tuple(name for name, (_, _, serves) in DATA.items() if passes & set(serves))
 
 
-def shade_program(variant: Variant, lighting: tuple[str, ...], background: bool, passes: frozenset[str]) -> Interface:
+def shade_program(variant: Variant, lighting: tuple[str, ...], passes: frozenset[str]) -> Interface:
     """`lighting`: the PS_HAS_ names of what shines."""
-    read = ("place", "shape", "normal", "color", "emission")
-    outputs = [("vec4", "out_combined"), *(("vec4", AVERAGED[key][1]) for key in averaged(passes))]
-    samplers = [*variant.samplers(only=read), ("FLOAT_2D", "ps_materials")]
-    if lighting:
-        samplers.append(("FLOAT_2D", "ps_lights"))
-    if "PS_HAS_ENVIRONMENT" in lighting:
-        samplers.append(("FLOAT_2D", "ps_environment"))
-    names = [n for n in variant.defines if n != "PS_OWNER"] + list(lighting)
-    names += [AVERAGED[key][0] for key in averaged(passes)] + (["PS_BACKGROUND"] if background else [])
+    read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
+    names = (*variant.defines, *lighting, *_averaged_defines(passes))
     return Interface(
-        "shade", fragment="shade.frag", block=FRAME, samplers=tuple(samplers), outputs=tuple(outputs),
+        "shade", fragment="shade.frag", block=FRAME, outputs=_averaged_outputs(passes),
+        samplers=(*read, ("FLOAT_2D", "ps_materials"), *_lighting_samplers(lighting)),
         defines=tuple((name, "1") for name in names),
     )  # fmt: skip
+
+
+def background_program(lighting: tuple[str, ...], transparent: bool, passes: frozenset[str]) -> Interface:
+    """The world behind everything, of which `lighting` says what it is."""
+    world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT"))
+    names = (*world, *_averaged_defines(passes), *(() if transparent else ("PS_BACKGROUND",)))
+    return Interface(
+        "background", fragment="background.frag", block=FRAME, outputs=_averaged_outputs(passes),
+        samplers=(("FLOAT_2D", "ps_place"), *_lighting_samplers(world)),
+        defines=tuple((name, "1") for name in names),
+    )  # fmt: skip
+
+
+def _averaged_outputs(passes: frozenset[str]) -> tuple[tuple[str, str], ...]:
+    return (("vec4", "out_combined"), *(("vec4", AVERAGED[key][1]) for key in averaged(passes)))
+
+
+def _averaged_defines(passes: frozenset[str]) -> tuple[str, ...]:
+    return tuple(AVERAGED[key][0] for key in averaged(passes))
+
+
+def _lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    lights = (("FLOAT_2D", "ps_lights"),) if lighting else ()
+    return (*lights, ("FLOAT_2D", "ps_environment")) if "PS_HAS_ENVIRONMENT" in lighting else lights
 
 
 def data_program(variant: Variant, passes: frozenset[str]) -> Interface:

@@ -1,0 +1,26 @@
+// The world where nothing else is, added to what earlier samples left.
+
+#include "lib/camera.glsl"
+#include "lib/lights.glsl"
+#include "lib/finite.glsl"
+
+void main()
+{
+  if (texelFetch(ps_place, ivec2(gl_FragCoord.xy), 0).w != 0.0) {
+    discard;
+  }
+#ifdef PS_BACKGROUND
+  out_combined = vec4(ps_finite(ps_background(ps_ray(gl_FragCoord.xy))), 1.0);
+#else
+  out_combined = vec4(0.0);
+#endif
+#ifdef PS_OUT_NORMAL
+  out_normal_pass = vec4(0.0);
+#endif
+#ifdef PS_OUT_ALBEDO
+  out_albedo = vec4(0.0);
+#endif
+#ifdef PS_OUT_MIST
+  out_mist = vec4(1.0);
+#endif
+}

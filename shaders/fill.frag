@@ -1,0 +1,110 @@
+// One level down the pyramid: pixels that are empty, or lie behind a surface that covers them, take the elliptical
+// Gaussian mean of the four coarser splats around them (Marroquim et al. 2008, section 3.2). All others stay as they
+// are: they are discarded before most of the work, which also software rasterisers skip then.
+// PS_FINEST: into level 0, where what counts is the pixel's centre.
+
+#include "lib/surfel.glsl"
+#include "lib/store.glsl"
+
+void main()
+{
+  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  float own_front = texelFetch(ps_front, pixel, 0).x;
+  own_front = own_front == 0.0 ? 1e38 : own_front + frame.lens.x;
+
+  // The four coarser pixels around this one: the parent, and its neighbours on this pixel's side.
+  ivec2 parent = pixel >> 1;
+  ivec2 toward = (pixel & 1) * 2 - 1;
+  ivec2 last = textureSize(ps_coarse_place, 0) - 1;
+  ivec2 beside = clamp(parent + toward, ivec2(0), last);
+  ivec2 at[4] = ivec2[4](parent, ivec2(beside.x, parent.y), ivec2(parent.x, beside.y), beside);
+  vec4 place[4];
+  float front = 1e38;
+  for (int i = 0; i < 4; i++) {
+    place[i] = texelFetch(ps_coarse_place, at[i], 0);
+    front = place[i].w > 0.0 ? min(front, place[i].x + place[i].w) : front;
+  }
+  if (front >= own_front) {
+    discard;
+  }
+
+  float side = float(1 << frame.size.z);
+  vec4 shape[4];
+  float weight[4];
+  float nearest = 1e38;
+  front = 1e38;
+  for (int i = 0; i < 4; i++) {
+    weight[i] = 0.0;
+    // At the picture's rim a neighbour is the parent again.
+    bool again = (i == 1 && at[1] == at[0]) || (i == 2 && at[2] == at[0]) ||
+                 (i == 3 && (at[3] == at[1] || at[3] == at[2]));
+    if (place[i].w > 0.0 && !again) {
+      shape[i] = texelFetch(ps_coarse_shape, at[i], 0);
+      // From the splat's centre to this pixel's.
+      vec2 v = (vec2(pixel) + 0.5) * side - (vec2(at[i]) + 0.5) * 2.0 * side - place[i].yz;
+#ifdef PS_FINEST
+      float m = ps_mahalanobis(shape[i].xyz, v);
+#else
+      // Between levels a splat must not miss a pixel that it touches.
+      vec3 c = ps_covariance(shape[i].xyz);
+      c.xz += side * side * 0.125;
+      float m = ps_mahalanobis(ps_cholesky(c), v);
+#endif
+      if (m <= PS_RIM) {
+        weight[i] = exp(-0.5 * m);
+        if (place[i].x < nearest) {
+          nearest = place[i].x;
+          front = place[i].x + place[i].w;
+        }
+      }
+    }
+  }
+  if (front >= own_front) {
+    discard;
+  }
+
+  PsSurfel s = ps_empty();
+  float total = 0.0, best = 0.0, near_end = 1e38, far_end = -1e38;
+  for (int i = 0; i < 4; i++) {
+    if (weight[i] > 0.0 && place[i].x - place[i].w <= front) {
+      float w = weight[i];
+      total += w;
+      vec2 offset = place[i].yz + (vec2(at[i]) + 0.5) * 2.0 * side - (vec2(pixel) + 0.5) * side;
+      s.place.xyz += w * vec3(place[i].x, offset);
+      near_end = min(near_end, place[i].x - place[i].w);
+      far_end = max(far_end, place[i].x + place[i].w);
+      // Means of Cholesky factors are factors again.
+      s.shape.xyz += w * shape[i].xyz;
+#ifdef PS_NORMAL
+      s.normal += w * texelFetch(ps_coarse_normal, at[i], 0);
+#endif
+      // Identities cannot be mixed: the heaviest splat's.
+      bool heaviest = w > best;
+      best = max(best, w);
+      s.shape.w = heaviest ? shape[i].w : s.shape.w;
+#ifdef PS_COLOR
+      s.color += w * texelFetch(ps_coarse_color, at[i], 0);
+#endif
+#ifdef PS_EMISSION
+      s.emission += w * texelFetch(ps_coarse_emission, at[i], 0);
+#endif
+#ifdef PS_OWNER
+      s.owner = heaviest ? texelFetch(ps_coarse_owner, at[i], 0).x : s.owner;
+#endif
+    }
+  }
+  float scale = 1.0 / total;
+  s.place.xyz *= scale;
+  s.place.w = max(far_end - s.place.x, s.place.x - near_end);
+  s.shape.xyz *= scale;
+#ifdef PS_NORMAL
+  s.normal *= scale;
+#endif
+#ifdef PS_COLOR
+  s.color *= scale;
+#endif
+#ifdef PS_EMISSION
+  s.emission *= scale;
+#endif
+  ps_store(s);
+}
