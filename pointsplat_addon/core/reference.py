@@ -52,8 +52,9 @@ class _Hit:
 
     @classmethod
     def none(cls, count: int) -> _Hit:
-        far, no = np.full(count, np.inf), np.full(count, -1)
-        return cls(far, *np.zeros((3, count, 3)), np.zeros((count, 2)), no, no.copy())
+        normal, base, emission = np.zeros((3, count, 3))
+        material, instance = np.full((2, count), -1)
+        return cls(np.full(count, np.inf), normal, base, emission, np.zeros((count, 2)), material, instance)
 
     def merge(self, other: _Hit) -> None:
         """Keep the nearer of the two for each ray."""
@@ -64,7 +65,7 @@ class _Hit:
 
 def picture(scene: Scene, camera: Camera) -> Picture:
     """The picture that `camera` sees: clouds as splats, meshes as triangles. Motion and mist are left out."""
-    x0, y0, width, height = camera.window
+    _, _, width, height = camera.window
     fx, fy, cx, cy = camera.pixel_from_view()
     x, y = (a.ravel() for a in np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5))
     across = np.stack([(x - cx) / fx, (y - cy) / fy], axis=1)
@@ -286,8 +287,9 @@ def _shaded(
         combined[:, :3] = world.color if atlas is None else environment.radiance(atlas, away, np.zeros(len(away)))
         combined[:, 3] = 1
     row = hit.material[there]
+    roughness, metallic = hit.surface[there].T
     surface = Surface(
-        hit.base[there], hit.emission[there], hit.surface[there, 0], hit.surface[there, 1], table.ior[row], table.specular[row]
+        hit.base[there], hit.emission[there], roughness, metallic, table.ior[row], table.specular[row]
     )  # fmt: skip
     combined[there, :3] = shade(position[there], normal[there], to_eye[there], surface, scene.lights, world, atlas)
     combined[there, 3] = 1
@@ -307,7 +309,9 @@ def _shaded(
 
 def _turned(normal: np.ndarray, linear: np.ndarray) -> np.ndarray:
     """Unit normals (N, 3) under a linear map: by its cofactors, which singular and mirroring maps have as well."""
-    cofactor = np.stack([np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])])
+    cofactor = np.stack(
+        [np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])]
+    )
     return _unit(normal @ cofactor.T)
 
 

@@ -1,0 +1,151 @@
+"""Material graphs over meshes: the same at samples, at corners, and in baked pictures."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from pointsplat_addon.core import expressions as ex
+from pointsplat_addon.core import sampling
+from pointsplat_addon.core.appearance import at_corners, at_samples, baked, corner_normals, digest, point_cloud, uv_of
+from pointsplat_addon.core.materials import MaterialGraph
+from pointsplat_addon.core.scene import Mesh, default_materials
+
+POSITION = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
+TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+
+
+def square(**more) -> Mesh:
+    """The unit square in XY, whose UV map is its position."""
+    uv = POSITION[TRIANGLES][..., :2].copy()
+    return Mesh("square", "Square", POSITION, TRIANGLES, uv={"UV": uv}, active_uv="UV", **more)
+
+
+def table(*graphs, **columns):
+    base = default_materials()
+    count = max(len(graphs), 1)
+    names = [f for f in base.__dataclass_fields__ if f not in ("names", "graphs")]
+    repeated = {name: np.repeat(getattr(base, name), count, axis=0) for name in names}
+    changed = {name: np.asarray(v, repeated[name].dtype) for name, v in columns.items()}
+    return replace(base, **repeated | changed, names=tuple("m" * count), graphs=graphs or (None,))
+
+
+def ramp():
+    """Colour (u, v, 0)."""
+    return ex.Color(ex.UV())
+
+
+def samples_of(mesh, spacing=0.05, method="AREA"):
+    samples = sampling.sample(mesh, spacing, method)
+    return samples, sampling.evaluate(mesh, samples)
+
+
+def test_constants_cost_nothing():
+    mesh = square()
+    samples, evaluated = samples_of(mesh)
+    cloud = point_cloud(mesh, samples, evaluated, table())
+    assert cloud.color is cloud.surface is cloud.emission is cloud.shading_normal is None
+
+
+def test_a_graph_is_evaluated_at_the_samples_own_place():
+    mesh = square()
+    samples, evaluated = samples_of(mesh)
+    cloud = point_cloud(mesh, samples, evaluated, table(MaterialGraph(base_color=ramp())))
+    where = cloud.position + cloud.origin
+    assert cloud.color is not None
+    np.testing.assert_allclose(cloud.color[:, :2], where[:, :2], atol=1e-6)  # measured 1.2e-7
+    assert not cloud.color[:, 2].any()
+
+
+def test_each_material_has_its_own_graph_and_constants_fill_the_rest():
+    mesh = square(material=np.array([0, 1], np.uint16), materials=(0, 1))
+    samples, evaluated = samples_of(mesh)
+    graphs = MaterialGraph(base_color=ramp()), MaterialGraph(roughness=ex.Constant((0.25,)))
+    colors = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], np.float32)
+    look = at_samples(mesh, samples, evaluated, table(*graphs, base_color=colors, metallic=[0.0, 1.0]))
+    first = samples.triangle == 0
+    assert look.color is not None
+    assert look.surface is not None
+    np.testing.assert_allclose(look.color[first, :2], evaluated.position[first, :2] + evaluated.origin[:2], atol=1e-6)
+    assert (look.color[~first] == colors[1]).all()
+    assert (look.surface[first] == np.array([0.5, 0.0], np.float32)).all()
+    assert (look.surface[~first] == np.array([0.25, 1.0], np.float32)).all()
+    assert look.emission is look.normal is look.alpha is None
+
+
+def test_samples_are_cut_out_where_alpha_is_below_a_half():
+    mesh = square()
+    samples, evaluated = samples_of(mesh)
+    cloud = point_cloud(mesh, samples, evaluated, table(MaterialGraph(alpha=ex.Component(ex.UV(), 0))))
+    x = cloud.position[:, 0] + cloud.origin[0]
+    assert 0.4 < len(cloud) / len(samples) < 0.6
+    assert x.min() >= 0.5 - 1e-6
+
+
+def test_corners_agree_with_samples_there():
+    mesh = square()
+    graphs = {0: MaterialGraph(base_color=ramp())}
+    look = at_corners(mesh, table(*graphs.values()), graphs, np.zeros(2, int))
+    assert look.color is not None
+    np.testing.assert_array_equal(look.color[:, :2], POSITION[TRIANGLES].reshape(-1, 3)[:, :2])
+
+
+def test_a_baked_picture_holds_the_graph_at_the_texels_centres():
+    mesh = square()
+    pictures = baked(mesh, table(MaterialGraph(base_color=ramp())), 0, 64)
+    assert pictures is not None
+    color = pictures["base_color"]
+    height, width = color.shape[:2]
+    assert max(height, width) <= 64
+    np.testing.assert_allclose(color[0, :, 0], (np.arange(width) + 0.5) / width, atol=1e-6)  # measured 3e-8
+    np.testing.assert_allclose(color[:, 0, 1], (np.arange(height) + 0.5) / height, atol=1e-6)
+
+
+def test_what_does_not_repeat_is_not_baked_where_uvs_leave_the_square():
+    mesh = square()
+    outside = replace(mesh, uv={"UV": mesh.uv["UV"] * 2})
+    materials = table(MaterialGraph(base_color=ramp()))
+    assert baked(mesh, materials, 0, 64) is not None
+    assert baked(outside, materials, 0, 64) is None
+    assert baked(mesh, table(), 0, 64) is None
+
+
+def test_a_missing_uv_map_reads_as_zero():
+    mesh = replace(square(), uv={}, active_uv=None)
+    graph = MaterialGraph(base_color=ramp())
+    assert not uv_of(mesh, graph).any()
+    assert uv_of(square(), graph).max() == 1
+
+
+def test_a_digest_tells_what_changes_the_look():
+    mesh, graph = square(), MaterialGraph(base_color=ramp())
+    known = digest(mesh, table(graph))
+    assert digest(mesh, table(MaterialGraph(base_color=ramp()))) == known
+    assert digest(mesh, table(graph, roughness=[0.7])) != known
+    assert digest(mesh, table(MaterialGraph(roughness=graph.base_color))) != known
+    assert digest(mesh, table()) == digest(mesh, table(roughness=[0.7]))  # constants are read when shading
+
+
+def test_smooth_normals_are_kept_beside_the_splats_plane_only_where_they_differ():
+    up = np.tile(np.array([0, 0, 1], np.float32), (4, 1))
+    leaning = up + np.array([0.3, 0, 0], np.float32) * (POSITION[:, :1] - 0.5)
+    leaning = (leaning / np.linalg.norm(leaning, axis=1, keepdims=True)).astype(np.float32)
+    for normal, differs in ((up, False), (leaning, True)):
+        mesh = square(vertex_normal=normal)
+        samples, evaluated = samples_of(mesh)
+        cloud = point_cloud(mesh, samples, evaluated, table())
+        assert (cloud.shading_normal is not None) == differs
+        assert cloud.normal is not None
+        np.testing.assert_allclose(np.abs(cloud.normal[:, 2]), 1, atol=1e-6)
+
+
+def test_corner_normals_come_from_the_mesh_or_its_triangles():
+    flat = corner_normals(square())
+    np.testing.assert_allclose(flat, np.tile([0, 0, 1], (6, 1)), atol=1e-7)
+    smooth = _unit_rows(np.arange(12, dtype=np.float32).reshape(4, 3) + 1)
+    np.testing.assert_array_equal(corner_normals(square(vertex_normal=smooth)), smooth[TRIANGLES.ravel()])
+    corners = _unit_rows(np.arange(18, dtype=np.float32).reshape(6, 3) + 1).reshape(2, 3, 3)
+    np.testing.assert_array_equal(corner_normals(square(corner_normal=corners)), corners.reshape(-1, 3))
+
+
+def _unit_rows(v):
+    return (v / np.linalg.norm(v, axis=1, keepdims=True)).astype(np.float32)
