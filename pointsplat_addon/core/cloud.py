@@ -82,7 +82,6 @@ def finite(cloud: PointCloud) -> tuple[PointCloud, int]:
     good = np.ones(len(cloud), bool)
     for array in cloud.arrays().values():
         if array.dtype.kind == "f":
-            flat = array.reshape(len(cloud), -1)
-            good &= np.isfinite(flat).all(axis=1)
+            good &= np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
     dropped = len(cloud) - int(np.count_nonzero(good))
     return (cloud if dropped == 0 else cloud.take(good)), dropped

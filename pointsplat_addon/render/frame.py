@@ -454,7 +454,9 @@ class Frame:
             ):
                 if key in wanted:
                     out |= self._cryptomatte(key, column, table)
-        return {key: array for key, array in out.items() if key in wanted or key.startswith(CRYPTO)}
+        found = {key: array for key, array in out.items() if key in wanted or key.startswith(CRYPTO)}
+        missing = frozenset(key for key in wanted if not {key, f"{key}00"} & found.keys())
+        return found | self._empty_pixels(missing, width, height)
 
     def _cryptomatte(self, key: str, column: int, table: np.ndarray | None) -> dict[str, np.ndarray]:
         known = np.zeros(len(self.scene.instances), np.uint32) if table is None else table.astype(np.uint32)
