@@ -98,7 +98,7 @@ class Viewport:
         if self._coarse:
             samples = 1
             settings = replace(settings, tolerance=settings.tolerance * NAVIGATION_TOLERANCE)
-        request = Request(camera, settings, frozenset({"combined"}), samples)
+        request = Request(camera, settings, frozenset({"combined"}), samples, interactive=True)
         self._frame = MAIN_GPU.renderer().start(scene, request)
         return self._frame
 

@@ -39,7 +39,7 @@ class Request:
     passes: frozenset[str]  # keys of outputs.PASSES; combined is always there
     samples: int
     crypto_levels: int = 6
-    profile: bool = False
+    interactive: bool = False  # drawn again and again, and at once: see prepare
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class Frame:
         self.device = renderer.device
         self.done = 0
         self.clock = Clock(self.device)
-        self.prepared = prepare(scene, request.camera, request.settings, request.samples)
+        self.prepared = prepare(scene, request.camera, request.settings, request.samples, request.interactive)
         self.plan = make_plan(scene, self.prepared, request.passes)
         self._owned: list[Any] = []
         self._used: set[tuple] = set()

@@ -9,7 +9,8 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,13 @@ from ..core import sampling
 from ..core.appearance import digest, point_cloud
 from ..core.cloud import PointCloud, finite
 from ..core.cut import Cut, Forest, forest, fully, select
-from ..core.hierarchy import Hierarchy, build
+from ..core.hierarchy import Hierarchy, build, refit
 from ..core.scene import Camera, Geometry, Instances, Mesh, Scene, Settings
 
 POLYGON_PIXELS = 4.0  # AUTO draws polygons where the typical triangle's edge spans more than this many pixels
 HIERARCHY_PAYS = 80  # building costs about as much as drawing the points this many times
 SMALL_SPLAT = 0.25  # of the tolerance: where typical splats are smaller, most of a cloud can be left out
-NEAREST_INSTANCES = 64  # of one mesh, that are asked exactly how fine they need it
+VERTEX_PIXELS = 2.0  # vertices are samples enough where no edge spans more; with pictures on them, one sample a pixel
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +35,13 @@ class PointSet:
     key: tuple
     cloud: PointCloud
     hierarchy: Hierarchy | None = None
+    family: tuple = ()  # what other poses of the same samples share
 
     def __len__(self) -> int:
         return len(self.cloud) + (len(self.hierarchy) if self.hierarchy else 0)
+
+
+NOTHING = PointSet((), PointCloud(np.zeros((0, 3), np.float32)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,20 +66,46 @@ class Store:
     _items: OrderedDict[tuple, tuple[Any, int]] = field(default_factory=OrderedDict)
     _spacing: dict[tuple, float] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)
+    _worker: ThreadPoolExecutor | None = None
+    _pending: dict[tuple, Future] = field(default_factory=dict)
 
     def __contains__(self, key: tuple) -> bool:
         with self._lock:
             return key in self._items
 
     def lookup(self, key: tuple, make: Callable[[], Any]) -> Any:
+        """What is kept under `key`, made first where there is nothing. Two threads may make it; the first one stays."""
+        with self._lock:
+            if key in self._items:
+                self._items.move_to_end(key)
+                return self._items[key][0]
+        item = make()
         with self._lock:
             if key not in self._items:
-                item = make()
                 self._items[key] = item, _nbytes(item)
                 self.nbytes += self._items[key][1]
                 self._trim()
-            self._items.move_to_end(key)
-            return self._items[key][0]
+            return self._items[key][0] if key in self._items else item
+
+    def later(self, key: tuple, make: Callable[[], Any]) -> None:
+        """Have `make` run on a thread of the store's own, once; `key` is there when it has."""
+        with self._lock:
+            if key in self._items or key in self._pending:
+                return
+            self._worker = self._worker or ThreadPoolExecutor(1, thread_name_prefix="PointSplat builds")
+            self._pending[key] = self._worker.submit(self._build, key, make)
+
+    def _build(self, key: tuple, make: Callable[[], Any]) -> None:
+        try:
+            self.lookup(key, make)
+        finally:
+            with self._lock:
+                self._pending.pop(key, None)
+
+    @property
+    def building(self) -> bool:
+        with self._lock:
+            return bool(self._pending)
 
     def finest(self, key: tuple, spacing: float) -> float:
         """The finer of `spacing` and what was asked for `key` before: samples are only ever refined."""
@@ -83,9 +114,15 @@ class Store:
             return self._spacing[key]
 
     def clear(self) -> None:
+        """Forget everything; what is being built is finished first."""
+        with self._lock:
+            worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.shutdown(wait=True, cancel_futures=True)
         with self._lock:
             self._items.clear()
             self._spacing.clear()
+            self._pending.clear()
             self.nbytes = 0
 
     def _trim(self) -> None:
@@ -105,91 +142,151 @@ def _nbytes(item: Any) -> int:
 STORE = Store()
 
 
-def prepare(scene: Scene, camera: Camera, settings: Settings, samples: int, store: Store = STORE) -> Prepared:
-    """Choose, sample and cut everything that `camera` sees."""
-    instances = scene.instances
-    with np.errstate(all="ignore"):
-        view_from_object = camera.view_from_world @ instances.world_from_object
-    usable = np.isfinite(view_from_object).all(axis=(1, 2)) if len(instances) else np.zeros(0, bool)
-    warnings: list[str] = []
-    point_sets: dict[int, PointSet] = {}
-    polygons: list[np.ndarray] = []
-    for row, geometry in enumerate(scene.geometries):
-        where = np.flatnonzero(usable & (instances.geometry == row))
-        if len(where) == 0:
-            continue
-        chosen = _choose(scene, geometry, view_from_object[where], camera, settings, store, warnings)
-        if chosen is None:
-            continue
-        if chosen is POLYGONS:
-            polygons.append(where)
-        elif len(chosen):
-            point_sets[row] = _with_hierarchy(chosen, view_from_object[where], camera, settings, samples, store)
-    cut = _cut(scene, point_sets, view_from_object, camera, settings, store)
-    counts = np.zeros(len(scene.geometries), np.int64)
-    for row, points in point_sets.items():
-        counts[row] = len(points.cloud)
-    return Prepared(
-        point_sets,
-        cut,
-        np.concatenate(polygons) if polygons else np.empty(0, np.int64),
-        view_from_object,
-        _largest(instances, point_sets, cut, view_from_object, camera, settings),
-        int(counts[instances.geometry].sum()) if len(instances) else 0,
-        tuple(dict.fromkeys(warnings)),
-    )
-
-
-POLYGONS = object()
-
-
-def _choose(
+def prepare(
     scene: Scene,
-    geometry: Geometry,
-    view_from_object: np.ndarray,
     camera: Camera,
     settings: Settings,
-    store: Store,
-    warnings: list[str],
-) -> PointSet | object | None:
-    """The points of a geometry at the density that this view needs, POLYGONS, or None where nothing can be seen."""
-    if geometry.cloud is not None:
-        cloud, dropped = store.lookup(("finite", geometry.key), lambda: finite(geometry.cloud))  # type: ignore[arg-type]
+    samples: int,
+    interactive: bool = False,
+    store: Store = STORE,
+) -> Prepared:
+    """Choose, sample and cut everything that `camera` sees.
+
+    `samples` tells how often the result will be drawn. `interactive`: again and again, and at once; what takes long is
+    then built on another thread and used when it is there.
+    """
+    return _View(scene, camera, settings, samples, interactive, store).prepared()
+
+
+@dataclass
+class _View:
+    scene: Scene
+    camera: Camera
+    settings: Settings
+    samples: int
+    interactive: bool
+    store: Store
+    warnings: list[str] = field(default_factory=list)
+
+    def prepared(self) -> Prepared:
+        scene, camera, instances = self.scene, self.camera, self.scene.instances
+        with np.errstate(all="ignore"):
+            view_from_object = camera.view_from_world @ instances.world_from_object
+        usable = np.isfinite(view_from_object).all(axis=(1, 2)) if len(instances) else np.zeros(0, bool)
+        point_sets: dict[int, PointSet] = {}
+        polygons: list[np.ndarray] = []
+        for row, geometry in enumerate(scene.geometries):
+            where = np.flatnonzero(usable & (instances.geometry == row))
+            if len(where) == 0:
+                continue
+            points = self._points(geometry, view_from_object[where])
+            if points is None:
+                polygons.append(where)
+            elif len(points):
+                point_sets[row] = self._with_hierarchy(points, view_from_object[where])
+        cut = _cut(scene, point_sets, view_from_object, camera, self.settings, self.store)
+        counts = np.zeros(len(scene.geometries), np.int64)
+        for row, points in point_sets.items():
+            counts[row] = len(points.cloud)
+        return Prepared(
+            point_sets,
+            cut,
+            np.concatenate(polygons) if polygons else np.empty(0, np.int64),
+            view_from_object,
+            _largest(instances, point_sets, cut, view_from_object, camera, self.settings),
+            int(counts[instances.geometry].sum()) if len(instances) else 0,
+            tuple(dict.fromkeys(self.warnings)),
+        )
+
+    def _points(self, geometry: Geometry, view_from_object: np.ndarray) -> PointSet | None:
+        """The points of a geometry at the density that this view needs (none where nothing can be seen), or None where
+        polygons are drawn."""
+        if geometry.cloud is not None:
+            return self._given_points(geometry, geometry.cloud)
+        mesh = geometry.mesh
+        if mesh is None or len(mesh.triangles) == 0:
+            return NOTHING
+        ok, dropped = self.store.lookup(("valid", geometry.key), lambda: sampling.validate(mesh))
+        if dropped.total:
+            self.warnings.append(dropped.message(geometry.name))
+        if not ok.any():
+            return NOTHING
+        if geometry.primitive == "POLYGONS":
+            return None
+        tolerance = self.settings.tolerance
+        needed = sampling.required_spacing(mesh, view_from_object, self.camera, tolerance, max_samples=None, ok=ok)
+        if not np.isfinite(needed):
+            return NOTHING
+        if geometry.primitive == "AUTO":
+            edge = self.store.lookup(("edge", geometry.key), lambda: _typical_edge(mesh, ok))
+            if edge * tolerance > POLYGON_PIXELS * needed:
+                return None
+        return self._sampled(geometry, mesh, ok, needed)
+
+    def _given_points(self, geometry: Geometry, cloud: PointCloud) -> PointSet:
+        points, dropped = self.store.lookup(("finite", geometry.key), lambda: finite(cloud))
         if dropped:
-            warnings.append(f"{geometry.name}: {dropped} points that are not finite were left out")
-        return PointSet(("cloud", geometry.key), cloud)
-    mesh = geometry.mesh
-    if mesh is None or len(mesh.triangles) == 0:
-        return None
-    ok, dropped = store.lookup(("valid", geometry.key), lambda: sampling.validate(mesh))
-    if dropped.total:
-        warnings.append(dropped.message(geometry.name))
-    if not ok.any():
-        return None
-    if geometry.primitive == "POLYGONS":
-        return POLYGONS
-    needed = sampling.required_spacing(mesh, view_from_object, camera, settings.tolerance, max_samples=None, ok=ok)
-    if not np.isfinite(needed):
-        return None
-    if geometry.primitive == "AUTO":
-        edge = store.lookup(("edge", geometry.key), lambda: _typical_edge(mesh, ok))
-        if edge * settings.tolerance > POLYGON_PIXELS * needed:
-            return POLYGONS
-    spacing = geometry.spacing if geometry.spacing > 0 else needed
-    look = digest(mesh, scene.materials)
-    known = store.finest(("spacing", geometry.key, geometry.spacing), np.inf)
-    if geometry.spacing <= 0 and spacing < known:
-        spacing = sampling.quantise_spacing(sampling.limit_spacing(mesh, spacing, ok=ok))
-    spacing = store.finest(("spacing", geometry.key, geometry.spacing), spacing)
-    method = store.lookup(("method", geometry.key, spacing), lambda: sampling.choose(mesh, spacing, ok))
-    key = ("samples", geometry.key, look, method, 0.0 if method == "VERTICES" else spacing)
-    return PointSet(key, store.lookup(key, lambda: _sample(scene, mesh, spacing, method, ok)))
+            self.warnings.append(f"{geometry.name}: {dropped} points that are not finite were left out")
+        return PointSet(("cloud", geometry.key), points)
+
+    def _sampled(self, geometry: Geometry, mesh: Mesh, ok: np.ndarray, needed: float) -> PointSet:
+        """Samples depend on the topology alone, so that a mesh that deforms keeps them and does not shimmer."""
+        store, shape = self.store, mesh.topology or geometry.key
+        spacing = geometry.spacing if geometry.spacing > 0 else needed
+        known = store.finest(("spacing", shape, geometry.spacing), np.inf)
+        if geometry.spacing <= 0 and spacing < known:
+            spacing = sampling.quantise_spacing(sampling.limit_spacing(mesh, spacing, ok=ok))
+        spacing = store.finest(("spacing", shape, geometry.spacing), spacing)
+        look = digest(mesh, self.scene.materials)
+        # Vertices do for coarser needs than samples: their disks cover the mesh whatever its edges project to.
+        loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
+        method = store.lookup(("method", shape, loose), lambda: sampling.choose(mesh, loose, ok))
+        spacing = 0.0 if method == "VERTICES" else spacing
+        first = sampling.centre(mesh)
+        samples, origin = store.lookup(
+            ("places", shape, method, spacing), lambda: (sampling.sample(mesh, spacing or loose, method, ok), first)
+        )
+        key = ("samples", geometry.key, look, method, spacing)
+        table = self.scene.materials
+
+        def make() -> PointCloud:
+            evaluated = sampling.evaluate(mesh, samples, origin, ok)
+            return finite(point_cloud(mesh, samples, evaluated, table))[0]
+
+        return PointSet(key, store.lookup(key, make), family=("family", shape, look, method, spacing))
+
+    def _with_hierarchy(self, points: PointSet, view_from_object: np.ndarray) -> PointSet:
+        """The point-octree is built only where it can leave out most points, often enough to pay for itself."""
+        key, store = ("hierarchy", *points.key), self.store
+        if key not in store:
+            if not self._pays(points, view_from_object):
+                return points
+            if self.interactive and points.family not in store:
+                store.later(key, lambda: _hierarchy(points, store))
+                return points
+        return replace(points, key=key, hierarchy=store.lookup(key, lambda: _hierarchy(points, store)))
+
+    def _pays(self, points: PointSet, view_from_object: np.ndarray) -> bool:
+        """Whether enough instances show this set's splats so small that a cut leaves most of them out."""
+        cloud, store, camera = points.cloud, self.store, self.camera
+        radius = store.lookup(("radius", *points.key), lambda: _typical_radius(cloud))
+        middle = store.lookup(("middle", *points.key), lambda: _middle(cloud))
+        linear = view_from_object[:, :3, :3]
+        depth = np.maximum(-(linear @ middle + view_from_object[:, :3, 3])[:, 2], camera.near)
+        scale = np.abs(np.linalg.det(linear)) ** (1 / 3) * abs(camera.pixel_from_view()[0])
+        diameter = 2 * radius * scale / (depth if camera.perspective else 1.0)
+        small = np.count_nonzero(diameter < SMALL_SPLAT * self.settings.tolerance)
+        return bool(small > 0) if self.interactive else bool(small * self.samples >= HIERARCHY_PAYS)
 
 
-def _sample(scene: Scene, mesh: Mesh, spacing: float, method: str, ok: np.ndarray) -> PointCloud:
-    samples = sampling.sample(mesh, spacing, method, ok)
-    evaluated = sampling.evaluate(mesh, samples, ok=ok)
-    return finite(point_cloud(mesh, samples, evaluated, scene.materials))[0]
+def _hierarchy(points: PointSet, store: Store) -> Hierarchy:
+    """A refitted octree where another pose of the same samples has one, else a new one."""
+    if not points.family:
+        return build(points.cloud)
+    known, source = store.lookup(points.family, lambda: (build(points.cloud), points.cloud))
+    if source is points.cloud:
+        return known
+    return refit(known, points.cloud) if len(source) == len(points.cloud) else build(points.cloud)
 
 
 def _typical_edge(mesh: Mesh, ok: np.ndarray) -> float:
@@ -198,33 +295,8 @@ def _typical_edge(mesh: Mesh, ok: np.ndarray) -> float:
     return float(np.sqrt(np.linalg.norm(np.cross(b - a, c - a), axis=1).mean()))
 
 
-def _with_hierarchy(
-    points: PointSet,
-    view_from_object: np.ndarray,
-    camera: Camera,
-    settings: Settings,
-    samples: int,
-    store: Store,
-) -> PointSet:
-    """The point-octree is built only where it can leave out most points, often enough to pay for itself."""
-    key = ("hierarchy", *points.key)
-    built = key in store
-    size = store.lookup(("size", *points.key), lambda: _typical_radius(points.cloud))
-    if not built:
-        scale = np.abs(np.linalg.det(view_from_object[:, :3, :3])) ** (1 / 3)
-        centre = view_from_object[:, :3, :3] @ _middle(points.cloud, store, points.key) + view_from_object[:, :3, 3]
-        depth = np.maximum(-centre[:, 2], camera.near) if camera.perspective else 1.0
-        diameter = 2 * size * scale * abs(camera.pixel_from_view()[0]) / depth
-        small = np.count_nonzero(diameter < SMALL_SPLAT * settings.tolerance)
-        if small * samples < HIERARCHY_PAYS:
-            return points
-    return PointSet(key, points.cloud, store.lookup(key, lambda: build(points.cloud)))
-
-
-def _middle(cloud: PointCloud, store: Store, key: tuple) -> np.ndarray:
-    return store.lookup(
-        ("middle", *key), lambda: cloud.origin + (cloud.position.min(axis=0) + cloud.position.max(axis=0)) / 2
-    )
+def _middle(cloud: PointCloud) -> np.ndarray:
+    return cloud.origin + (cloud.position.min(axis=0) + cloud.position.max(axis=0)) / 2
 
 
 def _typical_radius(cloud: PointCloud) -> float:
