@@ -189,7 +189,9 @@ class Frame:
         self.device = renderer.device
         self.done = 0
         self.clock = Clock(self.device)
-        self.prepared = prepare(scene, request.camera, request.settings, request.samples, request.interactive)
+        self.prepared = prepare(
+            scene, request.camera, request.settings, request.samples, interactive=request.interactive
+        )
         self.plan = make_plan(scene, self.prepared, request.passes)
         self._owned: list[Any] = []
         self._used: set[tuple] = set()

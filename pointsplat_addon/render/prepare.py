@@ -147,8 +147,9 @@ def prepare(
     camera: Camera,
     settings: Settings,
     samples: int,
-    interactive: bool = False,
     store: Store = STORE,
+    *,
+    interactive: bool = False,
 ) -> Prepared:
     """Choose, sample and cut everything that `camera` sees.
 

@@ -156,7 +156,7 @@ def sphere_points(count: int = 400, size: float = 1.0) -> np.ndarray:
 def sphere_cloud(count: int = 400, **more) -> PointCloud:
     """A unit sphere of disks that cover it."""
     position = sphere_points(count).astype(np.float32)
-    radii = np.full((count, 1), 1.2 * np.sqrt(4 / count), np.float32)
+    radii = np.full((count, 1), 1.5 * np.sqrt(4 / count), np.float32)
     return PointCloud(position, normal=position.copy(), radii=radii, **more)
 
 

@@ -88,13 +88,14 @@ class PolygonMesh:
         height, width = next(iter(picture.values())).shape[:2]
         names, textures = ["PS_UV"], {}
 
-        def add(name: str, format: str, values: list[np.ndarray | float]) -> None:
+        def add(name: str, format: str, values: list) -> None:
             columns = [np.broadcast_to(np.asarray(v, np.float32), (height, width, 1)) for v in values]
             textures[name] = device.texture((width, height), format, np.concatenate(columns, axis=2).reshape(-1))
             self.textures[f"{row} {name}"] = textures[name]
 
         if variant.color:
-            color = picture.get("base_color", np.broadcast_to(table.base_color[row], (height, width, 3)))
+            color = picture.get("base_color")
+            color = np.broadcast_to(table.base_color[row], (height, width, 3)) if color is None else color
             add("ps_baked_color", "RGBA16F", [color[..., i : i + 1] for i in range(3)] + [picture.get("alpha", 1.0)])
             roughness, metallic = table.roughness[row], table.metallic[row]
             add("ps_baked_surface", "RG32F", [picture.get("roughness", roughness), picture.get("metallic", metallic)])
