@@ -23,6 +23,7 @@ from .octree import Tree, partition, runs, starts
 CHUNK = 1 << 15  # children that are merged together, for the same reason
 THIN = 1e-3  # smallest ratio of the axes of a bounding ellipse
 ROUNDING = 1 + 4e-7  # float32 copies of bounds are rounded outwards
+LEAF_SIZE = 12  # points: balances the nodes' memory against the points that a cut must show instead
 OPAQUE = 100.0  # optical depth of an opaque splat
 AVERAGED = ("color", "opacity", "surface", "emission", "shading_normal", "extinction", "value")
 
@@ -73,7 +74,7 @@ class Hierarchy:
         return self.cloud.nbytes + sum(a.nbytes for a in held if isinstance(a, np.ndarray))
 
 
-def build(cloud: PointCloud, leaf_size: int = 12) -> Hierarchy:
+def build(cloud: PointCloud, leaf_size: int = LEAF_SIZE) -> Hierarchy:
     """The point-octree of a cloud, with leaves of at most `leaf_size` points where points are distinct.
 
     Raises ValueError for a NaN or infinity in any attribute, negative radii, leaf_size < 1, or 2^31 points or more.

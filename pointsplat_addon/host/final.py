@@ -17,7 +17,7 @@ from ..core.cryptomatte import murmur3
 from ..render.device import DeviceError
 from ..render.frame import Renderer, Request, Result
 from ..render.outputs import BY_KEY, CRYPTO, PASSES
-from . import gl_thread, main_gpu
+from . import disk_cache, gl_thread, main_gpu
 from .convert.camera import render_camera
 from .convert.objects import collect
 from .sync import Synchronizer
@@ -43,6 +43,7 @@ class FinalRender:
         """Draw the active view layer into Blender's result and return the report. RenderError: it cannot be."""
         started = time.perf_counter()
         engine.update_stats("", "Converting the scene")
+        disk_cache.refresh()
         wanted = frozenset(p.key for p in PASSES if not p.switch or getattr(depsgraph.view_layer_eval, p.switch))
         previous = _previous(engine, depsgraph) if "vector" in wanted else None
         camera, warnings = _camera(engine, depsgraph)

@@ -14,6 +14,7 @@ from ..core import scene as core
 from ..render.device import DeviceError
 from ..render.frame import Frame, Request
 from ..shading.sources import ShaderError
+from . import disk_cache
 from .convert.camera import viewport_camera
 from .main_gpu import MAIN_GPU
 from .sync import Synchronizer
@@ -44,6 +45,7 @@ class Viewport:
 
     def update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Take over what changed in the scene."""
+        disk_cache.refresh()
         self._scene = self.synchronizer.scene(depsgraph, view3d=context.space_data)
         self._drop()
         self._error = ""

@@ -63,6 +63,7 @@ class Store:
 
     limit: int = 4 << 30  # bytes
     nbytes: int = 0
+    build: Callable[[PointCloud], Hierarchy] = build  # or one that knows hierarchies from before
     _items: OrderedDict[tuple, tuple[Any, int]] = field(default_factory=OrderedDict)
     _spacing: dict[tuple, float] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)
@@ -283,11 +284,11 @@ class _View:
 def _hierarchy(points: PointSet, store: Store) -> Hierarchy:
     """A refitted octree where another pose of the same samples has one, else a new one."""
     if not points.family:
-        return build(points.cloud)
-    known, source = store.lookup(points.family, lambda: (build(points.cloud), points.cloud))
+        return store.build(points.cloud)
+    known, source = store.lookup(points.family, lambda: (store.build(points.cloud), points.cloud))
     if source is points.cloud:
         return known
-    return refit(known, points.cloud) if len(source) == len(points.cloud) else build(points.cloud)
+    return refit(known, points.cloud) if len(source) == len(points.cloud) else store.build(points.cloud)
 
 
 def _typical_edge(mesh: Mesh, ok: np.ndarray) -> float:
