@@ -21,9 +21,11 @@ void main()
 #endif
 #ifdef PS_OUT_INDEX
   float instance = -1.0;
+#ifdef PS_OWNER
   if (there) {
     instance = float(texelFetch(ps_owner, pixel, 0).x);
   }
+#endif
   out_index = vec4(instance, there ? (shape.w < -0.5 ? -1.0 - shape.w : shape.w) : -1.0, 0.0, 0.0);
 #endif
 #ifdef PS_OUT_VECTOR

@@ -9,25 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from ..core import sampling
-from ..core.appearance import digest
-from ..core.environment import build_atlas
-from ..core.lighting import light_texture
 from ..core.scene import Camera, Scene, Settings
 from .device import Device, Target, Texture
 from .filtering import cryptomatte, offsets
 from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
-from .packing import paged
-from .passes import polygons as polygon_pass
 from .passes import shade as shade_pass
-from .passes.common import GBuffer, Variant, frame_record
-from .passes.points import Page, PageDraw, Projection, blocks, instance_rows, programs, resolve, with_origin
-from .passes.pyramid import Pyramid, levels
-from .plan import Plan, make_plan
-from .prepare import STORE, PointSet, Prepared, prepare
-
-OWN_PAGE = 4 << 20  # splats: larger sets get a page of their own, so that small changes upload little
-DEVICE_LIMIT = 4 << 30  # bytes of geometry that stay on the device after their frame
+from .passes.common import frame_record
+from .passes.points import Projection
+from .plan import make_plan
+from .prepare import STORE, prepare
+from .surfels import Surfels
+from .uploads import Kept, Uploads
 
 
 @dataclass(frozen=True)
@@ -78,7 +70,7 @@ class Renderer:
 
     def __init__(self, device: Device) -> None:
         self.device = device
-        self._kept: dict[tuple, Any] = {}
+        self.kept = Kept(device)
 
     def render(
         self,
@@ -107,78 +99,9 @@ class Renderer:
         """A picture that is drawn sample by sample."""
         return Frame(self, scene, request)
 
-    def keep(self, key: tuple, make: Callable[[], Any]) -> Any:
-        """What `make` puts on the device, made once for `key`."""
-        if key not in self._kept:
-            self._kept[key] = make()
-        self._kept[key] = self._kept.pop(key)
-        return self._kept[key]
-
-    def forget(self, used: set[tuple]) -> None:
-        """Free what no frame used lately, oldest first, until the rest fits."""
-        for key in list(self._kept):
-            if self.device.bytes_allocated() <= DEVICE_LIMIT:
-                return
-            if key not in used:
-                self._kept.pop(key).release()
-
     def release(self) -> None:
         """Free everything that is kept on the device."""
-        for item in self._kept.values():
-            item.release()
-        self._kept.clear()
-
-
-class Surfels:
-    """A G-buffer of one variant, with the pyramid that closes it."""
-
-    def __init__(self, frame: Frame, variant: Variant) -> None:
-        self.frame, self.variant, device = frame, variant, frame.device
-        size, plan = frame.request.camera.window[2:], frame.plan
-        self.buffer = GBuffer(device, variant, size, depth=plan.polygons)
-        self.pyramid = None
-        if plan.points:
-            self.resolve_program = programs(variant, plan.options).resolve
-            self.pyramid = Pyramid(device, variant, self.buffer, levels(frame.prepared.largest, size))
-
-    def draw(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
-        """One sample: points resolved, polygons rasterised, holes filled."""
-        frame, device, run = self.frame, self.frame.device, self.frame.clock.run
-
-        def resolve_points() -> None:
-            device.clear(self.buffer.target)
-            if frame.projection is not None:
-                ids = frame.projection.ids
-                resolve(device, self.resolve_program, ids, frame.draws, record.copy(), shared, self.buffer)
-
-        run("resolve", resolve_points)
-        if frame.plan.polygons:
-            run("polygons", lambda: self._draw_polygons(record.copy(), shared))
-        if self.pyramid is not None:
-            pyramid = self.pyramid
-            run("pull", lambda: pyramid.pull(record.copy()))
-            run("push", lambda: pyramid.push(record.copy()))
-
-    def _draw_polygons(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
-        frame = self.frame
-        instances = frame.scene.instances
-        for instance in frame.prepared.polygons.tolist():
-            polygon_pass.draw(
-                frame.device,
-                self.variant,
-                frame.meshes[int(instances.geometry[instance])],
-                frame.prepared.view_from_object[instance],
-                instance,
-                bool(instances.holdout is not None and instances.holdout[instance]),
-                record,
-                shared,
-                self.buffer,
-            )
-
-    def release(self) -> None:
-        self.buffer.release()
-        if self.pyramid is not None:
-            self.pyramid.release()
+        self.kept.release()
 
 
 class Frame:
@@ -194,14 +117,12 @@ class Frame:
         )
         self.plan = make_plan(scene, self.prepared, request.passes)
         self._owned: list[Any] = []
-        self._used: set[tuple] = set()
         self._identities: list[np.ndarray] = []
         self._data: dict[str, np.ndarray] = {}
         self._trivial = not (self.plan.points or self.plan.polygons) and scene.world.image is None
         if not self._trivial:
             try:
                 self._allocate()
-                self._upload()
             except Exception:
                 self.release()
                 raise
@@ -210,9 +131,13 @@ class Frame:
 
     def _allocate(self) -> None:
         device, plan, passes = self.device, self.plan, self.request.passes
+        motion = "vector" in shade_pass.data(passes)
+        self.uploads = self._own(
+            Uploads(self.renderer.kept, self.scene, self.request.camera, self.prepared, plan, motion)
+        )
         size = self.request.camera.window[2:]
         self.projection = self._own(Projection(device, plan.options, size)) if plan.points else None
-        self.surfels = self._own(Surfels(self, plan.variant))
+        self.surfels = self._own(Surfels(device, plan, plan.variant, size, self.prepared.largest))
         self.sums = [self._own(device.texture(size, "RGBA32F")) for _ in range(1 + len(shade_pass.averaged(passes)))]
         self.sum_target: Target = self._own(device.target(self.sums))
         device.clear(self.sum_target)
@@ -223,106 +148,11 @@ class Frame:
             # Identities cannot be averaged, and motion and positions are asked for once: they have a G-buffer of their
             # own, so that no sample carries what only one of them needs.
             same = plan.data_variant == plan.variant
-            self.data_surfels = self.surfels if same else self._own(Surfels(self, plan.data_variant))
+            self.data_surfels = self.surfels
+            if not same:
+                self.data_surfels = self._own(Surfels(device, plan, plan.data_variant, size, self.prepared.largest))
         self.shade = shade_pass.shade_program(plan.variant, plan.lighting, passes)
         self.background = shade_pass.background_program(plan.lighting, self.scene.transparent, passes)
-
-    def _upload(self) -> None:
-        scene, camera, plan, device = self.scene, self.request.camera, self.plan, self.device
-        table = shade_pass.material_rows(scene.materials)
-        self.materials = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
-        lights = light_texture(scene.lights, scene.world, camera.view_from_world) if plan.lighting else None
-        self.lights = None
-        if lights is not None:
-            size = (lights.shape[1], lights.shape[0])
-            self.lights = self._own(device.texture(size, "RGBA32F", lights.reshape(-1)))
-        self.environment = None
-        if "PS_HAS_ENVIRONMENT" in plan.lighting and scene.world.image is not None:
-            self.environment = self._environment(scene.world.image)
-        self.draws = self._point_draws() if plan.points else []
-        self.meshes = self._polygon_meshes() if plan.polygons else {}
-        if "vector" in shade_pass.data(self.request.passes):
-            self.previous = self._own(self._motion())
-        self.renderer.forget(self._used)
-
-    def _environment(self, image: np.ndarray) -> Texture:
-        def make() -> Texture:
-            atlas = build_atlas(image)
-            rgba = np.concatenate([atlas[..., :3], np.ones((*atlas.shape[:2], 1), np.float32)], axis=2)
-            return self.device.texture((atlas.shape[1], atlas.shape[0]), "RGBA32F", rgba.reshape(-1))
-
-        # The array itself is part of the key, so that its identity is not given to another one.
-        key = ("environment", Same(image))
-        self._used.add(key)
-        return self.renderer.keep(key, make)
-
-    def _point_draws(self) -> list[PageDraw]:
-        prepared, scene, device, plan = self.prepared, self.scene, self.device, self.plan
-        instances = scene.instances
-        origin = np.zeros((len(instances), 3))
-        for row, points in prepared.point_sets.items():
-            origin[instances.geometry == row] = points.cloud.origin
-        one = int(prepared.cut.instance[0]) if plan.options.one_instance else None
-        self.instance_texture = None
-        if one is None:
-            rows = instance_rows(prepared.view_from_object, origin, instances.holdout)
-            size, data = paged(rows, 4)
-            self.instance_texture = self._own(device.texture(size, "RGBA32F", data))
-        draws, index = [], 0
-        for group in _pages(prepared.point_sets, self.device.limits.texture_size):
-            page = self._page(group)
-            first = {row: page.first[points.key] for row, points in group.items()}
-            rows, shift = blocks(prepared, instances.geometry, first)
-            if len(rows) == 0:
-                continue
-            size, data = paged(rows, 4)
-            uniforms: dict[str, Any] = {}
-            if one is not None:
-                matrix = with_origin(prepared.view_from_object[one : one + 1], origin[one : one + 1])[0]
-                uniforms["view_from_object"] = matrix.T.reshape(-1)
-            texture = self._own(device.texture(size, "RGBA32F", data))
-            draws.append(PageDraw(page, texture, len(rows), shift, index, uniforms))
-            index += len(rows) << shift
-        return draws
-
-    def _page(self, group: dict[int, PointSet]) -> Page:
-        plan, table = self.plan, self.scene.materials
-        sets = list({points.key: points for points in group.values()}.values())
-        filled = _fill_key(self.scene) if plan.variant.color or plan.variant.emission else b""
-        key = ("page", tuple(p.key for p in sets), plan.variant, plan.options.shading_normal, filled)  # fmt: skip
-        self._used.add(key)
-        return self.renderer.keep(key, lambda: Page(self.device, sets, plan.variant, plan.options, table))
-
-    def _polygon_meshes(self) -> dict[int, polygon_pass.PolygonMesh]:
-        scene, plan, meshes = self.scene, self.plan, {}
-        for row in np.unique(scene.instances.geometry[self.prepared.polygons]).tolist():
-            geometry = scene.geometries[row]
-            mesh = geometry.mesh
-            assert mesh is not None
-            ok, _ = STORE.lookup(("valid", geometry.key), lambda mesh=mesh: sampling.validate(mesh))
-            look = (digest(mesh, scene.materials), plan.variant, _fill_key(scene))
-            key = ("polygons", geometry.key, *look, scene.materials.cull.tobytes())
-            self._used.add(key)
-            meshes[row] = self.renderer.keep(
-                key,
-                lambda mesh=mesh, ok=ok: polygon_pass.PolygonMesh(self.device, mesh, ok, scene.materials, plan.variant),
-            )
-        return meshes
-
-    def _motion(self) -> Texture:
-        """Clip space a frame before from today's view space, four rows for each instance."""
-        camera, instances = self.request.camera, self.scene.instances
-        view = camera.view_from_world if camera.previous_view_from_world is None else camera.previous_view_from_world
-        clip = camera.clip_from_view if camera.previous_clip_from_view is None else camera.previous_clip_from_view
-        before = instances.world_from_object if instances.previous is None else instances.previous
-        with np.errstate(all="ignore"):
-            still = clip @ view @ np.linalg.inv(camera.view_from_world)
-            rows = np.broadcast_to(still, (len(instances), 4, 4)).copy()
-            good = np.abs(np.linalg.det(self.prepared.view_from_object[:, :3, :3])) > 1e-30
-            good &= np.isfinite(self.prepared.view_from_object).all(axis=(1, 2))
-            rows[good] = clip @ view @ before[good] @ np.linalg.inv(self.prepared.view_from_object[good])
-        size, data = paged(np.nan_to_num(rows).reshape(-1, 4), 4)
-        return self.device.texture(size, "RGBA32F", data)
 
     # Drawing
 
@@ -332,17 +162,14 @@ class Frame:
             return False
         if not self._trivial:
             record = self._record(self.done)
-            shared = {"ps_materials": self.materials}
-            if self.plan.points and self.instance_texture is not None:
-                shared["ps_instances"] = self.instance_texture
-            if self.projection is not None:
-                projection = self.projection
-                self.clock.run("project", lambda: projection.run(self.draws, record.copy(), shared))
-            self.surfels.draw(record, shared)
+            projection, uploads = self.projection, self.uploads
+            if projection is not None:
+                self.clock.run("project", lambda: projection.run(uploads.draws, record.copy(), uploads.shared))
+            self.surfels.draw(uploads, projection, record, self.clock.run)
             first = self.done == 0
             if self.plan.data and (first or self._wants_identities):
                 if self.data_surfels is not self.surfels:
-                    self.data_surfels.draw(record, shared)
+                    self.data_surfels.draw(uploads, projection, record, self.clock.run)
                 self.clock.run("data", lambda: self._draw_data(record))
                 self._read_data(first)
             self.clock.run("shade", lambda: self._shade(record))
@@ -366,12 +193,12 @@ class Frame:
 
     def _shade(self, record: np.ndarray) -> None:
         textures = self.surfels.buffer.bound()
-        textures |= shade_pass.textures(materials=self.materials, lights=self.lights, environment=self.environment)
+        textures |= self.uploads.shading
         self.device.draw(self.shade, self.sum_target, uniforms=record, textures=textures, blend=True)
 
     def _draw_background(self, record: np.ndarray) -> None:
         textures = {"ps_place": self.surfels.buffer.textures["place"]}
-        textures |= shade_pass.textures(lights=self.lights, environment=self.environment)
+        textures |= self.uploads.shading
         self.device.draw(self.background, self.sum_target, uniforms=record, textures=textures, blend=True)
 
     def _draw_data(self, record: np.ndarray) -> None:
@@ -380,8 +207,8 @@ class Frame:
         x0, y0, _, _ = camera.window
         record["previous"][0] = *camera.resolution, x0, y0
         textures = self.data_surfels.buffer.bound()
-        if "vector" in shade_pass.data(self.request.passes):
-            textures["ps_previous"] = self.previous
+        if self.uploads.previous is not None:
+            textures["ps_previous"] = self.uploads.previous
         program = shade_pass.data_program(self.plan.data_variant, self.request.passes)
         self.device.draw(program, self.data_target, uniforms=record, textures=textures)
 
@@ -513,46 +340,8 @@ class Frame:
         return item
 
 
-@dataclass(frozen=True)
-class Same:
-    """An array as a key: equal to itself only."""
-
-    array: np.ndarray = field(compare=False)
-
-    def __hash__(self) -> int:
-        return id(self.array)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Same) and other.array is self.array
-
-
 def _looked_up(table: np.ndarray | None, index: np.ndarray) -> np.ndarray:
     """(H, W, 1) float32: table[index], 0 where the index is negative or there is no table."""
     if table is None or len(table) == 0:
         return np.zeros((*index.shape, 1), np.float32)
     return np.where(index >= 0, table[np.maximum(index, 0)], 0).astype(np.float32)[..., None]
-
-
-def _fill_key(scene: Scene) -> bytes:
-    """The constants that fill attributes which a cloud lacks."""
-    table = scene.materials
-    return b"".join(a.tobytes() for a in (table.base_color, table.roughness, table.metallic, table.emission))
-
-
-def _pages(point_sets: dict[int, PointSet], texture_size: int) -> list[dict[int, PointSet]]:
-    """Point sets by geometry row, grouped: large ones alone, small ones together as long as a page holds them."""
-    limit = 4096 * texture_size
-    pages: list[dict[int, PointSet]] = []
-    small: dict[int, PointSet] = {}
-    for row, points in point_sets.items():
-        if len(points) >= OWN_PAGE:
-            pages.append({row: points})
-            continue
-        if sum(len(p) for p in small.values()) + len(points) > limit:
-            pages.append(small)
-            small = {}
-        small[row] = points
-    return [*pages, small] if small else pages
-
-
-__all__ = ["Frame", "Plan", "Prepared", "Renderer", "Request", "Result"]

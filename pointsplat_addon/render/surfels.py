@@ -1,0 +1,78 @@
+"""From projected points and polygons to a closed G-buffer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from .device import Device
+from .passes import polygons as polygon_pass
+from .passes.common import GBuffer, Variant
+from .passes.points import Projection, programs, resolve
+from .passes.pyramid import Pyramid, levels
+from .plan import Plan
+from .uploads import Uploads
+
+
+class Surfels:
+    """A G-buffer of one variant, with the pyramid that closes it."""
+
+    def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], largest: float) -> None:
+        """`largest`: no splat has a greater radius, in pixels."""
+        self.device, self.plan, self.variant = device, plan, variant
+        self.buffer = GBuffer(device, variant, size, depth=plan.polygons)
+        self.pyramid = None
+        if plan.points:
+            self.resolve_program = programs(variant, plan.options).resolve
+            self.pyramid = Pyramid(device, variant, self.buffer, levels(largest, size))
+
+    def draw(
+        self,
+        uploads: Uploads,
+        projection: Projection | None,
+        record: np.ndarray,
+        run: Callable[[str, Callable[[], None]], None],
+    ) -> None:
+        """One sample: points resolved, polygons rasterised, holes filled. `run` times each pass."""
+
+        def resolve_points() -> None:
+            self.device.clear(self.buffer.target)
+            if projection is not None:
+                resolve(
+                    self.device,
+                    self.resolve_program,
+                    projection.ids,
+                    uploads.draws,
+                    record.copy(),
+                    uploads.shared,
+                    self.buffer,
+                )
+
+        run("resolve", resolve_points)
+        if self.plan.polygons:
+            run("polygons", lambda: self._draw_polygons(uploads, record.copy()))
+        if self.pyramid is not None:
+            pyramid = self.pyramid
+            run("pull", lambda: pyramid.pull(record.copy()))
+            run("push", lambda: pyramid.push(record.copy()))
+
+    def _draw_polygons(self, uploads: Uploads, record: np.ndarray) -> None:
+        instances = uploads.scene.instances
+        for instance in uploads.prepared.polygons.tolist():
+            polygon_pass.draw(
+                self.device,
+                self.variant,
+                uploads.meshes[int(instances.geometry[instance])],
+                uploads.prepared.view_from_object[instance],
+                instance,
+                bool(instances.holdout is not None and instances.holdout[instance]),
+                record,
+                uploads.shared,
+                self.buffer,
+            )
+
+    def release(self) -> None:
+        self.buffer.release()
+        if self.pyramid is not None:
+            self.pyramid.release()

@@ -1,0 +1,221 @@
+"""What a frame needs on the device beside its targets: tables, pages of points, polygons, the environment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..core import sampling
+from ..core.appearance import digest
+from ..core.environment import build_atlas
+from ..core.lighting import light_texture
+from ..core.scene import Camera, Scene
+from .device import Device, Texture
+from .packing import PAGE_WIDTH, paged
+from .passes import polygons as polygon_pass
+from .passes import shade as shade_pass
+from .passes.points import Page, PageDraw, blocks, instance_rows, with_origin
+from .plan import Plan
+from .prepare import STORE, PointSet, Prepared
+
+OWN_PAGE = 4 << 20  # splats: larger sets get a page of their own, so that small changes upload little
+DEVICE_LIMIT = 4 << 30  # bytes of geometry that stay on the device after their frame
+
+
+class Kept:
+    """What stays on the device for the next frame, by content."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self._items: dict[tuple, Any] = {}
+
+    def keep(self, key: tuple, make: Callable[[], Any]) -> Any:
+        """What `make` puts on the device, made once for `key`."""
+        if key not in self._items:
+            self._items[key] = make()
+        self._items[key] = self._items.pop(key)
+        return self._items[key]
+
+    def forget(self, used: set[tuple]) -> None:
+        """Free what is not in use, longest unused first, until the rest fits."""
+        for key in list(self._items):
+            if self.device.bytes_allocated() <= DEVICE_LIMIT:
+                return
+            if key not in used:
+                self._items.pop(key).release()
+
+    def release(self) -> None:
+        for item in self._items.values():
+            item.release()
+        self._items.clear()
+
+
+class Uploads:
+    """Everything that one view of a scene reads; small tables are this frame's own, the rest is `kept`."""
+
+    def __init__(
+        self, kept: Kept, scene: Scene, camera: Camera, prepared: Prepared, plan: Plan, motion: bool = False
+    ) -> None:
+        self.kept, self.device = kept, kept.device
+        self.scene, self.camera, self.prepared, self.plan = scene, camera, prepared, plan
+        self.used: set[tuple] = set()
+        self._owned: list[Any] = []
+        self.lights: Texture | None = None
+        self.environment: Texture | None = None
+        self.previous: Texture | None = None
+        self.draws: list[PageDraw] = []
+        self.meshes: dict[int, polygon_pass.PolygonMesh] = {}
+        try:
+            self._upload(motion)
+        except Exception:
+            self.release()
+            raise
+
+    @property
+    def shading(self) -> dict[str, Texture]:
+        """Textures that shading reads, by sampler name."""
+        return shade_pass.textures(materials=self.materials, lights=self.lights, environment=self.environment)
+
+    def release(self) -> None:
+        for item in self._owned:
+            item.release()
+        self._owned.clear()
+
+    def _own(self, item: Any) -> Any:
+        self._owned.append(item)
+        return item
+
+    def _upload(self, motion: bool) -> None:
+        scene, plan, device = self.scene, self.plan, self.device
+        table = shade_pass.material_rows(scene.materials)
+        self.materials = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
+        self.shared: dict[str, Texture] = {"ps_materials": self.materials}
+        if plan.lighting:
+            lights = light_texture(scene.lights, scene.world, self.camera.view_from_world)
+            size = (lights.shape[1], lights.shape[0])
+            self.lights = self._own(device.texture(size, "RGBA32F", lights.reshape(-1)))
+        if "PS_HAS_ENVIRONMENT" in plan.lighting and scene.world.image is not None:
+            self.environment = self._environment(scene.world.image)
+        if plan.points:
+            self.draws = self._point_draws()
+        if plan.polygons:
+            self.meshes = self._polygon_meshes()
+        if motion:
+            self.previous = self._own(self._motion())
+        self.kept.forget(self.used)
+
+    def _environment(self, image: np.ndarray) -> Texture:
+        def make() -> Texture:
+            atlas = build_atlas(image)
+            rgba = np.concatenate([atlas[..., :3], np.ones((*atlas.shape[:2], 1), np.float32)], axis=2)
+            return self.device.texture((atlas.shape[1], atlas.shape[0]), "RGBA32F", rgba.reshape(-1))
+
+        # The array itself is part of the key, so that its identity is not given to another one.
+        key = ("environment", Same(image))
+        self.used.add(key)
+        return self.kept.keep(key, make)
+
+    def _point_draws(self) -> list[PageDraw]:
+        prepared, scene, device, plan = self.prepared, self.scene, self.device, self.plan
+        instances = scene.instances
+        origin = np.zeros((len(instances), 3))
+        for row, points in prepared.point_sets.items():
+            origin[instances.geometry == row] = points.cloud.origin
+        one = int(prepared.cut.instance[0]) if plan.options.one_instance else None
+        if one is None:
+            rows = instance_rows(prepared.view_from_object, origin, instances.holdout)
+            size, data = paged(rows, 4)
+            self.shared["ps_instances"] = self._own(device.texture(size, "RGBA32F", data))
+        draws, index = [], 0
+        for group in _pages(prepared.point_sets, self.device.limits.texture_size):
+            page = self._page(group)
+            first = {row: page.first[points.key] for row, points in group.items()}
+            rows, shift = blocks(prepared, instances.geometry, first)
+            if len(rows) == 0:
+                continue
+            size, data = paged(rows, 4)
+            uniforms: dict[str, Any] = {}
+            if one is not None:
+                matrix = with_origin(prepared.view_from_object[one : one + 1], origin[one : one + 1])[0]
+                uniforms["view_from_object"] = matrix.T.reshape(-1)
+            texture = self._own(device.texture(size, "RGBA32F", data))
+            draws.append(PageDraw(page, texture, len(rows), shift, index, uniforms))
+            index += len(rows) << shift
+        return draws
+
+    def _page(self, group: dict[int, PointSet]) -> Page:
+        plan, table = self.plan, self.scene.materials
+        sets = list({points.key: points for points in group.values()}.values())
+        filled = _fill_key(self.scene) if plan.variant.color or plan.variant.emission else b""
+        key = ("page", tuple(p.key for p in sets), plan.variant, plan.options.shading_normal, filled)  # fmt: skip
+        self.used.add(key)
+        return self.kept.keep(key, lambda: Page(self.device, sets, plan.variant, plan.options, table))
+
+    def _polygon_meshes(self) -> dict[int, polygon_pass.PolygonMesh]:
+        scene, plan, meshes = self.scene, self.plan, {}
+        for row in np.unique(scene.instances.geometry[self.prepared.polygons]).tolist():
+            geometry = scene.geometries[row]
+            mesh = geometry.mesh
+            assert mesh is not None
+            ok, _ = STORE.lookup(("valid", geometry.key), lambda mesh=mesh: sampling.validate(mesh))
+            look = (digest(mesh, scene.materials), plan.variant, _fill_key(scene))
+            key = ("polygons", geometry.key, *look, scene.materials.cull.tobytes())
+            self.used.add(key)
+            meshes[row] = self.kept.keep(
+                key,
+                lambda mesh=mesh, ok=ok: polygon_pass.PolygonMesh(self.device, mesh, ok, scene.materials, plan.variant),
+            )
+        return meshes
+
+    def _motion(self) -> Texture:
+        """Clip space a frame before from today's view space, four rows for each instance."""
+        camera, instances = self.camera, self.scene.instances
+        view = camera.view_from_world if camera.previous_view_from_world is None else camera.previous_view_from_world
+        clip = camera.clip_from_view if camera.previous_clip_from_view is None else camera.previous_clip_from_view
+        before = instances.world_from_object if instances.previous is None else instances.previous
+        with np.errstate(all="ignore"):
+            still = clip @ view @ np.linalg.inv(camera.view_from_world)
+            rows = np.broadcast_to(still, (len(instances), 4, 4)).copy()
+            good = np.abs(np.linalg.det(self.prepared.view_from_object[:, :3, :3])) > 1e-30
+            good &= np.isfinite(self.prepared.view_from_object).all(axis=(1, 2))
+            rows[good] = clip @ view @ before[good] @ np.linalg.inv(self.prepared.view_from_object[good])
+        size, data = paged(np.nan_to_num(rows).reshape(-1, 4), 4)
+        return self.device.texture(size, "RGBA32F", data)
+
+
+@dataclass(frozen=True)
+class Same:
+    """An array as a key: equal to itself only."""
+
+    array: np.ndarray = field(compare=False)
+
+    def __hash__(self) -> int:
+        return id(self.array)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and other.array is self.array
+
+
+def _fill_key(scene: Scene) -> bytes:
+    """The constants that fill attributes which a cloud lacks."""
+    table = scene.materials
+    return b"".join(a.tobytes() for a in (table.base_color, table.roughness, table.metallic, table.emission))
+
+
+def _pages(point_sets: dict[int, PointSet], texture_size: int) -> list[dict[int, PointSet]]:
+    """Point sets by geometry row, grouped: large ones alone, small ones together as long as a page holds them."""
+    limit = PAGE_WIDTH * texture_size
+    pages: list[dict[int, PointSet]] = []
+    small: dict[int, PointSet] = {}
+    for row, points in point_sets.items():
+        if len(points) >= OWN_PAGE:
+            pages.append({row: points})
+            continue
+        if sum(len(p) for p in small.values()) + len(points) > limit:
+            pages.append(small)
+            small = {}
+        small[row] = points
+    return [*pages, small] if small else pages
