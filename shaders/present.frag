@@ -3,7 +3,7 @@
 void main()
 {
   ivec2 pixel = ivec2(v_place * vec2(frame.size.xy));
-  pixel = clamp(pixel, ivec2(0), frame.size.xy - 1);
+  pixel = clamp(pixel, ivec2(0), frame.size.xy - 1) + frame.page.xy;
   out_color = texelFetch(ps_combined, pixel, 0) * frame.mist.w;
   float d = texelFetch(ps_place, pixel, 0).x;
   bool there = texelFetch(ps_place, pixel, 0).w != 0.0;

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,13 @@ from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
 from .passes import shade as shade_pass
 from .passes.common import frame_record
 from .passes.points import Projection
+from .passes.pyramid import levels
 from .plan import make_plan
 from .prepare import STORE, prepare
 from .surfels import Surfels
 from .uploads import Kept, Uploads
+
+MOST_MARGIN = 64  # pixels around the window in which the centres of wide splats are looked for
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,8 @@ class Frame:
             scene, request.camera, request.settings, request.samples, interactive=request.interactive
         )
         self.plan = make_plan(scene, self.prepared, request.passes)
+        # Everything is drawn for `view`, of which the camera's window is a part.
+        self.view, self.corner = _widened(request.camera, self.prepared.largest if self.plan.points else 0.0)
         self._owned: list[Any] = []
         self._identities: list[np.ndarray] = []
         self._data: dict[str, np.ndarray] = {}
@@ -132,12 +138,10 @@ class Frame:
     def _allocate(self) -> None:
         device, plan, passes = self.device, self.plan, self.request.passes
         motion = "vector" in shade_pass.data(passes)
-        self.uploads = self._own(
-            Uploads(self.renderer.kept, self.scene, self.request.camera, self.prepared, plan, motion)
-        )
-        size = self.request.camera.window[2:]
+        self.uploads = self._own(Uploads(self.renderer.kept, self.scene, self.view, self.prepared, plan, motion))
+        size, count = self.view.window[2:], levels(self.prepared.largest, self.view.resolution)
         self.projection = self._own(Projection(device, plan.options, size)) if plan.points else None
-        self.surfels = self._own(Surfels(device, plan, plan.variant, size, self.prepared.largest))
+        self.surfels = self._own(Surfels(device, plan, plan.variant, size, count))
         self.sums = [self._own(device.texture(size, "RGBA32F")) for _ in range(1 + len(shade_pass.averaged(passes)))]
         self.sum_target: Target = self._own(device.target(self.sums))
         device.clear(self.sum_target)
@@ -150,7 +154,7 @@ class Frame:
             same = plan.data_variant == plan.variant
             self.data_surfels = self.surfels
             if not same:
-                self.data_surfels = self._own(Surfels(device, plan, plan.data_variant, size, self.prepared.largest))
+                self.data_surfels = self._own(Surfels(device, plan, plan.data_variant, size, count))
         self.shade = shade_pass.shade_program(plan.variant, plan.lighting, passes)
         self.background = shade_pass.background_program(plan.lighting, self.scene.transparent, passes)
 
@@ -184,7 +188,7 @@ class Frame:
         return self.sums[0]
 
     def _record(self, index: int) -> np.ndarray:
-        camera, mist = self.request.camera, self.scene.mist
+        camera, mist = self.view, self.scene.mist
         x, y = offsets(self.request.samples)[index] if self.request.samples > 1 else (0.0, 0.0)
         record = frame_record(camera, (float(x), float(y)))
         record["mist"][0] = mist.start, 1 / max(mist.depth, 1e-6), shade_pass.MIST_EXPONENT[mist.falloff], 0.0
@@ -202,7 +206,7 @@ class Frame:
         self.device.draw(self.background, self.sum_target, uniforms=record, textures=textures, blend=True)
 
     def _draw_data(self, record: np.ndarray) -> None:
-        camera = self.request.camera
+        camera = self.view
         record = record.copy()
         x0, y0, _, _ = camera.window
         record["previous"][0] = *camera.resolution, x0, y0
@@ -219,11 +223,17 @@ class Frame:
     def _read_data(self, first: bool) -> None:
         for name, texture in zip(shade_pass.data(self.request.passes), self.data_textures, strict=True):
             if first or name == "index":
-                array = self.device.read(texture)
+                array = self._cropped(texture)
                 if first:
                     self._data[name] = array
                 if name == "index" and self._wants_identities:
                     self._identities.append(array[..., :2].astype(np.int32))
+
+    def _cropped(self, texture: Texture) -> np.ndarray:
+        """The camera's window of a texture."""
+        _, _, width, height = self.request.camera.window
+        x, y = self.corner
+        return self.device.read(texture)[y : y + height, x : x + width]
 
     def present(self) -> None:
         """Draw the average so far and its depth into the framebuffer that is bound, in the viewport that is set."""
@@ -232,6 +242,8 @@ class Frame:
             return
         m = self.request.camera.clip_from_view
         record = self._record(0)
+        record["size"][0, :2] = self.request.camera.window[2:]
+        record["page"][0, :2] = self.corner
         record["mist"][0, 3] = 1 / max(self.done, 1)
         record["previous"][0] = m[2, 2], m[2, 3], m[3, 2], m[3, 3]
         textures = {"ps_combined": self.sums[0], "ps_place": self.surfels.buffer.textures["place"]}
@@ -265,7 +277,7 @@ class Frame:
         out: dict[str, np.ndarray] = {}
         names = ("combined", *shade_pass.averaged(self.request.passes))
         for name, texture in zip(names, self.sums, strict=True):
-            mean = self.device.read(texture) / max(self.done, 1)
+            mean = self._cropped(texture) / max(self.done, 1)
             out[name] = np.ascontiguousarray(mean[..., : BY_KEY[name].channels])
         data = self._data
         if "position" in data:
@@ -338,6 +350,19 @@ class Frame:
     def _own(self, item: Any) -> Any:
         self._owned.append(item)
         return item
+
+
+def _widened(camera: Camera, radius: float) -> tuple[Camera, tuple[int, int]]:
+    """The camera with a window that also holds the centres of splats which reach into its own, and where in it that
+    lies. The corner keeps its place in the pyramid, so that a border shows the pixels of the full frame."""
+    if radius <= 0.0:
+        return camera, (0, 0)
+    x0, y0, width, height = camera.window
+    margin = min(math.ceil(radius), MOST_MARGIN)
+    step = 1 << levels(radius, camera.resolution)
+    left, below = margin + x0 % step, margin + y0 % step
+    region = (x0 - left, y0 - below, width + left + margin, height + below + margin)
+    return replace(camera, region=region), (left, below)
 
 
 def _looked_up(table: np.ndarray | None, index: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from .device import Device
 from .passes import polygons as polygon_pass
 from .passes.common import GBuffer, Variant
 from .passes.points import Projection, programs, resolve
-from .passes.pyramid import Pyramid, levels
+from .passes.pyramid import Pyramid
 from .plan import Plan
 from .uploads import Uploads
 
@@ -18,14 +18,14 @@ from .uploads import Uploads
 class Surfels:
     """A G-buffer of one variant, with the pyramid that closes it."""
 
-    def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], largest: float) -> None:
-        """`largest`: no splat has a greater radius, in pixels."""
+    def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> None:
+        """`count`: levels of the pyramid above the G-buffer."""
         self.device, self.plan, self.variant = device, plan, variant
         self.buffer = GBuffer(device, variant, size, depth=plan.polygons)
         self.pyramid = None
         if plan.points:
             self.resolve_program = programs(variant, plan.options).resolve
-            self.pyramid = Pyramid(device, variant, self.buffer, levels(largest, size))
+            self.pyramid = Pyramid(device, variant, self.buffer, count)
 
     def draw(
         self,
