@@ -1,12 +1,13 @@
 // The world where nothing else is, added to what earlier samples left.
 
 #include "lib/camera.glsl"
+#include "lib/place.glsl"
 #include "lib/lights.glsl"
 #include "lib/finite.glsl"
 
 void main()
 {
-  if (texelFetch(ps_place, ivec2(gl_FragCoord.xy), 0).w != 0.0) {
+  if (ps_is_there(texelFetch(ps_place, ivec2(gl_FragCoord.xy), 0))) {
     discard;
   }
 #ifdef PS_BACKGROUND

@@ -1,13 +1,14 @@
 // Passes that are not averaged: what lies under the pixel's centre in the first sample.
 
 #include "lib/camera.glsl"
+#include "lib/place.glsl"
 #include "lib/geometry.glsl"
 
 void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   vec4 place = texelFetch(ps_place, pixel, 0);
-  bool there = place.w != 0.0;
+  bool there = ps_is_there(place);
   vec3 position = vec3(0.0, 0.0, -1e10);
   vec4 shape = vec4(0.0);
   if (there) {

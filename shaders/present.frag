@@ -1,12 +1,15 @@
 // The finished picture and its depth into the viewport, so that Blender's overlays hide behind points.
 
+#include "lib/place.glsl"
+
 void main()
 {
   ivec2 pixel = ivec2(v_place * vec2(frame.size.xy));
   pixel = clamp(pixel, ivec2(0), frame.size.xy - 1) + frame.page.xy;
   out_color = texelFetch(ps_combined, pixel, 0) * frame.mist.w;
-  float d = texelFetch(ps_place, pixel, 0).x;
-  bool there = texelFetch(ps_place, pixel, 0).w != 0.0;
+  vec4 place = texelFetch(ps_place, pixel, 0);
+  float d = place.x;
+  bool there = ps_is_there(place);
   vec4 z = frame.previous;  // clip z = z.x * view z + z.y, clip w = z.z * view z + z.w
   gl_FragDepth = there ? clamp(0.5 * (z.x * -d + z.y) / (z.z * -d + z.w) + 0.5, 0.0, 1.0) : 1.0;
 }

@@ -2,7 +2,7 @@
 // then (PS_IDENTIFY) the lowest index among the splats that have it.
 
 #include "lib/index.glsl"
-#include "lib/splat.glsl"
+#include "lib/footprint.glsl"
 
 void main()
 {
@@ -29,11 +29,15 @@ void main()
 #endif
   ivec2 place = ivec2(pixel.xy);
   uint key = floatBitsToUint(pixel.z - frame.lens.x);
+  // Splats that hold the pixel's centre come before those that only lie in the pixel: on a dense surface the nearest
+  // one is always at the same side of the pixel, and would miss its centre.
+  vec3 covariance = ps_footprint(element.z, view, head.w, texelFetch(ps_extent, element.xy, 0));
+  uint beside = ps_beside(covariance, pixel.xy - (vec2(place) + 0.5));
 #ifdef PS_IDENTIFY
-  if (texelFetch(ps_depth, place, 0).x == key) {
-    imageAtomicMin(ids, place, uint(frame.page.x + index));
+  if ((texelFetch(ps_depth, place, 0).x & ~PS_BESIDE) == key) {
+    imageAtomicMin(ids, place, uint(frame.page.x + index) | beside);
   }
 #else
-  imageAtomicMin(depth, place, key);
+  imageAtomicMin(depth, place, key | beside);
 #endif
 }

@@ -1,7 +1,7 @@
 // The same as project.comp for devices without image atomics: one-pixel points through the depth test. Of equally
 // near splats the first one drawn stays.
 
-#include "lib/splat.glsl"
+#include "lib/footprint.glsl"
 
 void main()
 {
@@ -30,5 +30,10 @@ void main()
 #endif
   // The pixel's centre, so that no rasteriser's rule for ties moves the point.
   vec2 centre = floor(pixel.xy) + 0.5;
-  gl_Position = vec4(centre / vec2(frame.size.xy) * 2.0 - 1.0, 2.0 * ps_buffer_depth(pixel.z) - 1.0, 1.0);
+  vec3 covariance = ps_footprint(element.z, view, head.w, texelFetch(ps_extent, element.xy, 0));
+  uint beside = ps_beside(covariance, pixel.xy - centre);
+  ps_id |= beside;
+  // Splats that miss the pixel's centre come after all that hold it: the far half of the depth range.
+  float z = 0.5 * ps_buffer_depth(pixel.z) + (beside == 0u ? 0.0 : 0.5);
+  gl_Position = vec4(centre / vec2(frame.size.xy) * 2.0 - 1.0, 2.0 * z - 1.0, 1.0);
 }

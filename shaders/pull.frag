@@ -14,6 +14,7 @@ void main()
   for (int i = 0; i < 4; i++) {
     ivec2 child = 2 * parent + ivec2(i & 1, i >> 1);
     place[i] = all(lessThanEqual(child, last)) ? texelFetch(ps_place, child, 0) : vec4(0.0);
+    place[i].w = place[i].w <= PS_POLYGON ? 0.0 : abs(place[i].w);
     if (place[i].w > 0.0 && place[i].x < nearest) {
       nearest = place[i].x;
       front = place[i].x + place[i].w;

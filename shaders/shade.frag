@@ -2,6 +2,7 @@
 // that show nothing are left to background.frag.
 
 #include "lib/camera.glsl"
+#include "lib/place.glsl"
 #include "lib/lights.glsl"
 #include "lib/materials.glsl"
 #include "lib/geometry.glsl"
@@ -11,7 +12,7 @@ void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   vec4 place = texelFetch(ps_place, pixel, 0);
-  if (place.w == 0.0) {
+  if (!ps_is_there(place)) {
     discard;
   }
   vec4 shape = texelFetch(ps_shape, pixel, 0);

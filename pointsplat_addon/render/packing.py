@@ -44,18 +44,6 @@ def unpack_normal(code: np.ndarray) -> np.ndarray:
     return n / np.linalg.norm(n, axis=1, keepdims=True)
 
 
-def angle_about(normal: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """(N,) float32: the angle of `axis` about `normal`, both (N, 3) unit, in the frame that the shader builds from the
-    *decoded* normal (ps_basis, Duff et al. 2017)."""
-    n = normal.T
-    sign = np.where(n[2] >= 0, 1.0, -1.0)
-    a = -1.0 / (sign + n[2])
-    b = n[0] * n[1] * a
-    u = np.stack([1 + sign * n[0] ** 2 * a, sign * b, -sign * n[0]])
-    v = np.stack([b, sign + n[1] ** 2 * a, -n[1]])
-    return np.arctan2((v * axis.T).sum(axis=0), (u * axis.T).sum(axis=0)).astype(np.float32)
-
-
 def paged(values: np.ndarray, channels: int) -> tuple[tuple[int, int], np.ndarray]:
     """Rows (N, C <= channels) laid out as a texture: its (width, height) and flat float32 data, zero padded.
 

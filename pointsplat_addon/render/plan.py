@@ -56,6 +56,7 @@ def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
         shading_normal=any(c.shading_normal is not None for c in clouds),
         cull=points and bool(scene.materials.cull.any()),
         holdout=holdout,
+        ellipses=any(p.hierarchy is not None or p.cloud.axis is not None for p in sets),
         one_instance=one,
         depth=polygons,
     )

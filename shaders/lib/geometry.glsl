@@ -18,7 +18,7 @@ vec3 ps_surface_normal(vec3 stored, vec4 place, vec4 shape, vec2 pixel)
 // The splat's centre is not under the pixel's: go along the ray to the splat's plane, but no farther than it extends.
 vec3 ps_surface_position(vec3 normal, vec3 stored, vec4 place, vec2 pixel)
 {
-  if (place.w < 0.0 || dot(stored, stored) <= 1e-6) {
+  if (place.w <= PS_POLYGON || dot(stored, stored) <= 1e-6) {
     return ps_view_from_pixel(pixel, place.x);
   }
   vec3 centre = ps_view_from_pixel(pixel + place.yz, place.x);

@@ -1,34 +1,31 @@
 // Direct light in view space; the entry is ps_shade. Reference, sources and the layout of ps_lights: core/lighting.py.
-// PS_HAS_LIGHTS, PS_HAS_AREA_LIGHTS, PS_HAS_WORLD, PS_HAS_ENVIRONMENT switch on what a scene needs.
+// Names say what a scene needs, and all else is left out: PS_HAS_SUNS, PS_HAS_POINTS, PS_HAS_SPOTS, PS_HAS_RECTANGLES,
+// PS_HAS_ELLIPSES (kinds of lights); PS_HAS_WIDE_LIGHTS (some light's size is seen), PS_HAS_BEAMS (narrowed area
+// lights), PS_HAS_METAL, PS_ONE_ROUGHNESS, PS_HAS_WORLD, PS_HAS_ENVIRONMENT. Some GPUs run both sides of every
+// branch, so work that not all pixels need stands in loops of as many turns as a pixel needs.
+
+#if defined(PS_HAS_SUNS) || defined(PS_HAS_POINTS) || defined(PS_HAS_SPOTS)
+#define PS_HAS_ROUND_LIGHTS
+#endif
+#if defined(PS_HAS_RECTANGLES) || defined(PS_HAS_ELLIPSES)
+#define PS_HAS_AREA_LIGHTS
+#endif
+#if defined(PS_HAS_ROUND_LIGHTS) || defined(PS_HAS_AREA_LIGHTS)
+#define PS_HAS_LIGHTS
+#endif
 
 #include "lib/brdf.glsl"
 #include "lib/environment.glsl"
 
-#define PS_FIRST_LIGHT (PS_TABLE_ROWS + 1)
-#define PS_KIND_SPOT 1
-#define PS_KIND_SUN 2
-#define PS_KIND_AREA 3
+#define PS_FIRST_LIGHT (PS_TABLE_ROWS + 2)
 #define PS_ELLIPSE_SIDES 24
 #define PS_SPREAD_CELLS 8
 #define PS_BLUR 0.06
 #define PS_NARROW_LOW 1.5
 #define PS_NARROW_HIGH 4.0
-#define PS_SMALL 0.02  // of the lobe's width: a light that is a point to it
+#define PS_SMALL 0.2  // of the lobe's alpha: the angular radius of a light that is a point to it
 
 #ifdef PS_HAS_LIGHTS
-
-struct PsLight {
-  vec3 color;
-  int kind;
-  vec3 position;
-  float radius;
-  vec3 direction;
-  float diffuse;
-  vec3 axis_u;
-  float specular;
-  vec3 axis_v;
-  vec3 shape;
-};
 
 // What one light does to one surface point, per unit of its colour.
 struct PsReceived {
@@ -36,25 +33,27 @@ struct PsReceived {
   vec3 specular;  // radiance of the GGX lobe
 };
 
-PsLight ps_light(int index)
+vec4 ps_light(int index, int column)
 {
-  int row = PS_FIRST_LIGHT + index;
-  vec4 color = texelFetch(ps_lights, ivec2(0, row), 0);
-  vec4 position = texelFetch(ps_lights, ivec2(1, row), 0);
-  vec4 direction = texelFetch(ps_lights, ivec2(2, row), 0);
-  vec4 axis_u = texelFetch(ps_lights, ivec2(3, row), 0);
-  vec3 axis_v = texelFetch(ps_lights, ivec2(4, row), 0).xyz;
-  vec3 shape = texelFetch(ps_lights, ivec2(5, row), 0).xyz;
-  return PsLight(color.xyz, int(color.w + 0.5), position.xyz, position.w, direction.xyz, direction.w, axis_u.xyz,
-                 axis_u.w, axis_v, shape);
+  return texelFetch(ps_lights, ivec2(column, PS_FIRST_LIGHT + index), 0);
 }
 
-// A quadrature of degree 5 over the unit disk: place and weight of the centre and six points.
-vec3 ps_disk_point(int i)
+// Radiance that the surface reflects; the light's colour and position texels hold its factors.
+vec3 ps_reflected(PsReceived received, PsLobes lobes, vec4 color, float specular)
 {
-  float angle = float(i - 1) * PS_PI / 3.0;
-  float radius = i == 0 ? 0.0 : sqrt(2.0 / 3.0);
-  return vec3(radius * cos(angle), radius * sin(angle), i == 0 ? 0.25 : 0.125);
+  return color.rgb * (color.w * received.irradiance / PS_PI * lobes.diffuse + specular * received.specular);
+}
+
+// The points of a quadrature of degree 5 over the unit disk: the centre, weighing 1/4, then six at this distance,
+// weighing 1/8 each.
+#define PS_DISK_RADIUS 0.816496581  // sqrt(2 / 3)
+
+// The next of the six by its azimuth (cosine, sine); the centre has none.
+vec2 ps_next_azimuth(vec2 azimuth)
+{
+  const float sine = 0.866025404;
+  vec2 turned = vec2(0.5 * azimuth.x - sine * azimuth.y, sine * azimuth.x + 0.5 * azimuth.y);
+  return azimuth == vec2(0.0) ? vec2(1.0, 0.0) : turned;
 }
 
 // Share of a GGX lobe's half vectors with a slope of at most x alpha to either side in one direction, odd in x.
@@ -77,263 +76,359 @@ float ps_disk_share(float angle, float sigma, float width, float width_across)
   return 0.5 * along * ps_marginal(sigma / (width_across * ps_flare((angle - sigma) / width)));
 }
 
-// Share of a GGX lobe centred on `place` in the square from -1 to 1.
-float ps_rectangle_share(vec2 place, vec2 width)
-{
-  vec2 excess = (abs(place) - 1.0) / width;
-  if (excess.y > excess.x) {
-    width.x *= ps_flare(excess.y);
-  }
-  else {
-    width.y *= ps_flare(excess.x);
-  }
-  vec2 low = (1.0 - place) / width, high = (1.0 + place) / width;
-  return 0.25 * (ps_marginal(low.x) + ps_marginal(high.x)) * (ps_marginal(low.y) + ps_marginal(high.y));
-}
-
 // 0: the lobe is wide against a light of angular radius sigma; 1: narrow.
 float ps_narrow(PsLobes lobes, float sigma)
 {
   return smoothstep(PS_NARROW_LOW, PS_NARROW_HIGH, sigma / (sqrt(2.0) * lobes.alpha));
 }
 
-// The lobe blurred by the part of the light that each point of a quadrature stands for.
-float ps_blurred_alpha(PsLobes lobes, float sigma)
+bool ps_is_small(PsLobes lobes, float sigma)
 {
-  return min(sqrt(lobes.alpha * lobes.alpha + PS_BLUR * sigma * sigma), 1.0);
+  return sigma < PS_SMALL * lobes.alpha;
 }
+
+// alpha^2 of the lobe, blurred by the part of the light that each point of a quadrature stands for.
+float ps_blurred(PsLobes lobes, float sigma)
+{
+  float a2 = lobes.alpha * lobes.alpha;
+  return ps_is_small(lobes, sigma) ? a2 : min(a2 + PS_BLUR * sigma * sigma, 1.0);
+}
+
+#ifdef PS_HAS_ROUND_LIGHTS
+
+#ifdef PS_HAS_WIDE_LIGHTS
 
 // Irradiance of a bright cone over that of the same cone overhead, cut by the horizon (Snyder 1996).
 float ps_cap_cosine(float cosine, float sine2)
 {
   sine2 = clamp(sine2, 0.0, 1.0);
-  // Narrow cones change within a fraction of their own width only, and would cancel below.
-  if (sine2 < 4e-6 || abs(cosine) >= sqrt(sine2)) {
-    return max(cosine, 0.0);
-  }
   float sin_theta = sqrt(max(1.0 - cosine * cosine, 1e-12));
-  float x = sqrt(max(1.0 / sine2 - 1.0, 0.0));
+  float x = sqrt(max(1.0 / max(sine2, 1e-12) - 1.0, 0.0));
   float y = clamp(-x * cosine / sin_theta, -1.0, 1.0);
   float up = sqrt(1.0 - y * y), chord = sin_theta * up;
   // atan throughout: some drivers' acos and asin are good to 1e-4 only.
-  return max(cosine * atan(up, y) - x * chord + atan(chord, x) / sine2, 0.0) / PS_PI;
+  float cut = max(cosine * atan(up, y) - x * chord + atan(chord, x) / sine2, 0.0) / PS_PI;
+  // Narrow cones change within a fraction of their own width only, and would cancel.
+  return sine2 < 1e-4 || abs(cosine) >= sqrt(sine2) ? max(cosine, 0.0) : cut;
 }
 
-float ps_spot_cone(PsLight light, vec3 ray)
+// Mean of BSDF times n.l over a cone of light.
+vec3 ps_cone_specular(PsLobes lobes, vec3 to_light, float sine2, float cosine)
 {
-  vec3 local = vec3(dot(ray, light.axis_u), dot(ray, light.axis_v), dot(ray, light.direction));
-  float z = local.z / max(length(local), 1e-20);
-  float t = clamp((z - light.shape.y) / max((1.0 - light.shape.y) * light.shape.z, 1e-6), 0.0, 1.0);
-  return t * t * (3.0 - 2.0 * t);
-}
-
-// Means of the cone over the light's disk, by the centre and six points (a quadrature of degree 5): plain, and
-// weighted with n.l.
-vec2 ps_spot_factors(PsLight light, vec3 position, vec3 normal, vec3 to_light)
-{
-  vec3 ray = position - light.position;
-  if (light.radius <= 0.0) {
-    return vec2(ps_spot_cone(light, ray));
-  }
-  // Aligned with the cone, so that the camera's turning changes nothing.
-  bool aside = abs(dot(to_light, light.direction)) < 0.999;
-  vec3 u = normalize(cross(aside ? light.direction : light.axis_u, to_light));
-  vec3 v = cross(to_light, u);
-  float radius = light.radius * sqrt(2.0 / 3.0);
-  vec2 total = vec2(0.0);
-  float weights = 0.0;
-  for (int i = 0; i < 7; i++) {
-    vec3 point = ps_disk_point(i);
-    vec3 from_point = ray - light.radius * (point.x * u + point.y * v);
-    float weight = point.z * max(-dot(from_point, normal), 0.0);
-    total += ps_spot_cone(light, from_point) * vec2(point.z, weight);
-    weights += weight;
-  }
-  return vec2(total.x, weights > 0.0 ? total.y / weights : total.x);
-}
-
-PsReceived ps_round_light(PsLight light, vec3 position, vec3 normal, vec3 to_eye, PsLobes lobes)
-{
-  vec3 to_light = -light.direction;
-  float sine2, strength = 1.0;
-  vec2 cone = vec2(1.0);
-  bool inside = false;
-  if (light.kind == PS_KIND_SUN) {
-    sine2 = sin(min(light.radius, 0.5 * PS_PI));
-    sine2 *= sine2;
-  }
-  else {
-    vec3 offset = light.position - position;
-    float d2 = max(dot(offset, offset), 1e-20);
-    to_light = offset * inversesqrt(d2);
-    // A facing disk is seen as a cone, as a sphere is, only under a smaller angle.
-    float r2 = light.radius * light.radius;
-    float reach2 = light.shape.x < 0.5 ? d2 + r2 : max(d2, r2);
-    sine2 = r2 / reach2;
-    strength = 1.0 / reach2;
-    inside = light.shape.x > 0.5 && d2 < r2;
-    if (light.kind == PS_KIND_SPOT) {
-      cone = ps_spot_factors(light, position, normal, to_light);
-    }
-  }
-  float cosine = sqrt(max(1.0 - sine2, 0.0));
   float sigma = atan(sqrt(sine2), cosine);
-  // Inside a sphere light comes from everywhere.
-  float received = inside ? 1.0 : ps_cap_cosine(dot(normal, to_light), sine2);
-  float irradiance = strength * cone.y * received;
-  float energy = strength * cone.x * 2.0 / (1.0 + cosine);
-  if (energy <= 0.0) {
-    return PsReceived(irradiance, vec3(0.0));
-  }
-  if (sigma < PS_SMALL * lobes.alpha) {
-    return PsReceived(irradiance, energy * ps_specular(lobes, normal, to_eye, to_light, lobes.alpha));
-  }
-
-  // Wide lobes: seven points of the light; narrow ones: the share of the lobe that the light fills.
   vec3 side = lobes.mirror - dot(lobes.mirror, to_light) * to_light;
   float away = length(side);
   side /= max(away, 1e-9);
   vec3 other = cross(to_light, side);
+
+  // Wide lobes: seven points of the light. Only the centre, where all of it is as one point.
   float narrow = ps_narrow(lobes, sigma);
-  vec3 lobe = vec3(0.0);
-  if (narrow < 1.0) {
-    float alpha = ps_blurred_alpha(lobes, sigma);
-    for (int i = 0; i < 7; i++) {
-      vec3 point = ps_disk_point(i);
-      float turn = length(point.xy) * sigma;
-      vec2 azimuth = i == 0 ? vec2(0.0) : normalize(point.xy);
-      vec3 direction = cos(turn) * to_light + sin(turn) * (azimuth.x * side + azimuth.y * other);
-      lobe += point.z * ps_specular(lobes, normal, to_eye, direction, alpha);
-    }
+  bool small = ps_is_small(lobes, sigma);
+  int count = small || narrow == 1.0 ? 1 : 7;
+  float a2 = ps_blurred(lobes, sigma);
+  float turn = PS_DISK_RADIUS * sigma;
+  float sin_turn = sin(turn), cos_turn = cos(turn);
+  vec2 azimuth = vec2(0.0);
+  float weight = small ? 1.0 : 0.25;
+  vec3 direction = to_light, lobe = vec3(0.0);
+  for (int i = 0; i < count; i++) {
+    lobe += weight * ps_specular(lobes, direction, a2);
+    azimuth = ps_next_azimuth(azimuth);
+    direction = cos_turn * to_light + sin_turn * (azimuth.x * side + azimuth.y * other);
+    weight = 0.125;
   }
-  if (narrow > 0.0) {
-    float angle = atan(away, dot(lobes.mirror, to_light));
-    float width = ps_width_along(lobes, cross(other, lobes.mirror));
-    float share = ps_disk_share(angle, sigma, width, ps_width_along(lobes, other));
-    float half_sine = sin(0.5 * sigma);
-    float solid_angle = 4.0 * PS_PI * half_sine * half_sine;
-    lobe = mix(lobe, lobes.reflectance * share / solid_angle, narrow);
-  }
-  return PsReceived(irradiance, energy * lobe);
+
+  // Narrow ones: the share of the lobe that the light fills.
+  float angle = atan(away, dot(lobes.mirror, to_light));
+  float width = ps_width_along(lobes, cross(other, lobes.mirror));
+  float share = ps_disk_share(angle, sigma, width, ps_width_along(lobes, other));
+  float solid_angle = 2.0 * PS_PI * sine2 / (1.0 + cosine);
+  return mix(lobe, lobes.reflectance * share / max(solid_angle, 1e-20), narrow);
 }
+
+#endif
+
+// A light that fills a cone around to_light, of which sine2 is the squared sine of half the angle. scale: irradiance
+// of a surface that faces it.
+PsReceived ps_round_light(PsLobes lobes, vec3 to_light, float sine2, float scale)
+{
+#ifdef PS_HAS_WIDE_LIGHTS
+  float cosine = sqrt(max(1.0 - sine2, 0.0));
+  float energy = scale * 2.0 / (1.0 + cosine);
+  return PsReceived(scale * ps_cap_cosine(dot(lobes.normal, to_light), sine2),
+                    energy * ps_cone_specular(lobes, to_light, sine2, cosine));
+#else
+  return PsReceived(scale * max(dot(lobes.normal, to_light), 0.0),
+                    scale * ps_specular(lobes, to_light, lobes.alpha * lobes.alpha));
+#endif
+}
+
+vec3 ps_sun(int index, PsLobes lobes)
+{
+  vec4 color = ps_light(index, 0), to_light = ps_light(index, 1);
+#ifdef PS_HAS_WIDE_LIGHTS
+  float sine2 = ps_light(index, 2).w;
+#else
+  float sine2 = 0.0;
+#endif
+  return ps_reflected(ps_round_light(lobes, to_light.xyz, sine2, 1.0), lobes, color, to_light.w);
+}
+
+// A point or spot light without its cone. `radius` is negative for a sphere, positive for a disk that faces the
+// surface, which is seen as a cone, as a sphere is, only under a smaller angle.
+PsReceived ps_lamp(PsLobes lobes, vec3 offset, float radius)
+{
+  float d2 = max(dot(offset, offset), 1e-20);
+  vec3 to_light = offset * inversesqrt(d2);
+#ifdef PS_HAS_WIDE_LIGHTS
+  float r2 = radius * radius;
+  float reach2 = radius < 0.0 ? max(d2, r2) : d2 + r2;
+  PsReceived received = ps_round_light(lobes, to_light, r2 / reach2, 1.0 / reach2);
+  // Inside a sphere light comes from everywhere.
+  received.irradiance = radius < 0.0 && d2 < r2 ? 1.0 / reach2 : received.irradiance;
+  return received;
+#else
+  return ps_round_light(lobes, to_light, 0.0, 1.0 / d2);
+#endif
+}
+
+vec3 ps_point(int index, vec3 position, PsLobes lobes)
+{
+  vec4 color = ps_light(index, 0), place = ps_light(index, 1);
+#ifdef PS_HAS_WIDE_LIGHTS
+  float radius = ps_light(index, 2).w;
+#else
+  float radius = 0.0;
+#endif
+  return ps_reflected(ps_lamp(lobes, place.xyz - position, radius), lobes, color, place.w);
+}
+
+#ifdef PS_HAS_SPOTS
+
+struct PsCone {
+  vec3 direction;
+  vec4 axis_u;  // w: cosine of half the angle
+  vec4 axis_v;  // w: 1 / range of cosines of the blend
+};
+
+float ps_cone(PsCone cone, vec3 ray)
+{
+  vec3 local = vec3(dot(ray, cone.axis_u.xyz), dot(ray, cone.axis_v.xyz), dot(ray, cone.direction));
+  float z = local.z * inversesqrt(max(dot(local, local), 1e-30));
+  float t = clamp((z - cone.axis_u.w) * cone.axis_v.w, 0.0, 1.0);
+  return t * t * (3.0 - 2.0 * t);
+}
+
+#ifdef PS_HAS_WIDE_LIGHTS
+
+// Means of the cone over the light's disk: plain, and weighted with n.l.
+vec2 ps_cone_means(PsCone cone, vec3 ray, float radius, vec3 normal)
+{
+  // Aligned with the cone, so that the camera's turning changes nothing.
+  vec3 to_light = -ray * inversesqrt(max(dot(ray, ray), 1e-20));
+  bool aside = abs(dot(to_light, cone.direction)) < 0.999;
+  vec3 u = normalize(cross(aside ? cone.direction : cone.axis_u.xyz, to_light));
+  vec3 v = cross(to_light, u);
+  float step = abs(radius) * PS_DISK_RADIUS;
+  int count = radius == 0.0 ? 1 : 7;
+  vec2 azimuth = vec2(0.0), total = vec2(0.0), weights = vec2(0.0);
+  float part = 0.25;
+  for (int i = 0; i < count; i++) {
+    vec3 from_point = ray - step * (azimuth.x * u + azimuth.y * v);
+    vec2 weight = part * vec2(1.0, max(-dot(from_point, normal), 0.0));
+    total += ps_cone(cone, from_point) * weight;
+    weights += weight;
+    azimuth = ps_next_azimuth(azimuth);
+    part = 0.125;
+  }
+  float plain = total.x / weights.x;
+  return vec2(plain, weights.y > 0.0 ? total.y / weights.y : plain);
+}
+
+#endif
+
+vec3 ps_spot(int index, vec3 position, PsLobes lobes)
+{
+  vec4 color = ps_light(index, 0), place = ps_light(index, 1), direction = ps_light(index, 2);
+  PsCone cone = PsCone(direction.xyz, ps_light(index, 3), ps_light(index, 4));
+  PsReceived received = ps_lamp(lobes, place.xyz - position, direction.w);
+#ifdef PS_HAS_WIDE_LIGHTS
+  vec2 share = ps_cone_means(cone, position - place.xyz, direction.w, lobes.normal);
+#else
+  vec2 share = vec2(ps_cone(cone, position - place.xyz));
+#endif
+  received.specular *= share.x;
+  received.irradiance *= share.y;
+  return ps_reflected(received, lobes, color, place.w);
+}
+
+#endif
+
+#endif
 
 #ifdef PS_HAS_AREA_LIGHTS
 
+struct PsArea {
+  vec3 offset;  // from the surface to the middle
+  vec3 direction;
+  vec3 axis_u;
+  vec3 axis_v;
+  vec2 extent;  // lengths of the axes
+  float limit;  // tangent of half the beam's angle
+  float beam;  // 1 / mean of the beam over the flux; 0: not narrowed
+};
+
+PsArea ps_area(int index, vec3 offset)
+{
+  vec4 direction = ps_light(index, 2), axis_u = ps_light(index, 3), axis_v = ps_light(index, 4);
+#ifdef PS_HAS_BEAMS
+  float limit = ps_light(index, 5).x;
+#else
+  float limit = 0.0;
+#endif
+  return PsArea(offset, direction.xyz, axis_u.xyz, axis_v.xyz, vec2(axis_u.w, axis_v.w), limit, direction.w);
+}
+
+// Twice what the edge from a to b adds to Lambert's formula: the angle between them times the component along the
+// normal of the unit vector perpendicular to both.
 float ps_edge(vec3 a, vec3 b, vec3 normal)
 {
-  vec3 c = cross(a, b);
-  float len = length(c);
-  return len < 1e-30 ? 0.0 : atan(len, dot(a, b)) * dot(c, normal) / len;
-}
-
-float ps_triangle(vec3 a, vec3 b, vec3 c)
-{
-  return 2.0 * atan(abs(dot(a, cross(b, c))), 1.0 + dot(a, b) + dot(b, c) + dot(c, a));
-}
-
-vec3 ps_corner(PsLight light, vec3 offset, int i)
-{
-  if (light.shape.x < 0.5) {
-    float s = (i == 0 || i == 3) ? -1.0 : 1.0;
-    float t = i < 2 ? -1.0 : 1.0;
-    return offset + s * light.axis_u + t * light.axis_v;
-  }
-  // A polygon with the ellipse's area.
-  float step = 2.0 * PS_PI / float(PS_ELLIPSE_SIDES);
-  float grow = sqrt(step / sin(step));
-  return offset + grow * (cos(step * float(i)) * light.axis_u + sin(step * float(i)) * light.axis_v);
+  float scale = inversesqrt(max(dot(a, a) * dot(b, b), 1e-30));
+  float cosine = clamp(dot(a, b) * scale, -1.0, 1.0);
+  // angle / sine for an acute angle: a rational fit, exact to 6e-7.
+  float x = abs(cosine);
+  float acute = (1.570795 + (0.9058155 + 0.02603237 * x) * x) / (1.0 + (1.21324 + 0.2894018 * x) * x);
+  float ratio = cosine < 0.0 ? PS_PI * inversesqrt(max(1.0 - x * x, 1e-12)) - acute : acute;
+  return ratio * scale * dot(cross(a, b), normal);
 }
 
 // Lambert's formula, cut by the horizon: a convex polygon leaves and enters the upper side at most once.
-float ps_area_irradiance(PsLight light, vec3 offset, vec3 normal)
+struct PsPolygon {
+  float total;
+  vec3 leaving;
+  vec3 entering;
+};
+
+void ps_add_edge(inout PsPolygon polygon, vec3 a, vec3 b, vec3 normal)
 {
-  int sides = light.shape.x < 0.5 ? 4 : PS_ELLIPSE_SIDES;
-  vec3 a = ps_corner(light, offset, sides - 1);
-  float above = dot(a, normal);
-  vec3 leaving = vec3(0.0), entering = vec3(0.0);
-  float total = 0.0;
-  for (int i = 0; i < sides; i++) {
-    vec3 b = ps_corner(light, offset, i);
-    float below = dot(b, normal);
-    if (above > 0.0 || below > 0.0) {
-      vec3 start = a, end = b;
-      if (above <= 0.0) {
-        start = entering = mix(a, b, above / (above - below));
-      }
-      if (below <= 0.0) {
-        end = leaving = mix(a, b, above / (above - below));
-      }
-      total += ps_edge(start, end, normal);
-    }
-    a = b;
-    above = below;
-  }
-  return 0.5 * abs(total + ps_edge(leaving, entering, normal));
+  float above = dot(a, normal), below = dot(b, normal);
+  float gap = above - below;
+  vec3 crossing = mix(a, b, clamp(above / (gap == 0.0 ? 1.0 : gap), 0.0, 1.0));
+  bool enters = above <= 0.0 && below > 0.0, leaves = above > 0.0 && below <= 0.0;
+  polygon.entering = enters ? crossing : polygon.entering;
+  polygon.leaving = leaves ? crossing : polygon.leaving;
+  float edge = ps_edge(enters ? crossing : a, leaves ? crossing : b, normal);
+  polygon.total += above > 0.0 || below > 0.0 ? edge : 0.0;
 }
 
-// Blender's soft-box grid: the share of light at an angle from the light's normal.
-float ps_beam(float cosine, float half_spread)
+float ps_polygon_irradiance(PsPolygon polygon, vec3 normal)
 {
-  float limit = tan(half_spread);
-  float tangent = sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-6);
-  float scale = half_spread > 0.05 ? limit - half_spread : half_spread * half_spread * half_spread / 3.0;
-  return max(limit - tangent, 0.0) / max(scale, 1e-12);
+  return 0.5 * abs(polygon.total + ps_edge(polygon.leaving, polygon.entering, normal));
 }
+
+float ps_rectangle_irradiance(PsArea area, vec3 normal)
+{
+  vec3 a = area.offset - area.axis_u - area.axis_v, b = area.offset + area.axis_u - area.axis_v;
+  vec3 c = area.offset + area.axis_u + area.axis_v, d = area.offset - area.axis_u + area.axis_v;
+  PsPolygon polygon = PsPolygon(0.0, vec3(0.0), vec3(0.0));
+  ps_add_edge(polygon, a, b, normal);
+  ps_add_edge(polygon, b, c, normal);
+  ps_add_edge(polygon, c, d, normal);
+  ps_add_edge(polygon, d, a, normal);
+  return ps_polygon_irradiance(polygon, normal);
+}
+
+// As a polygon of the ellipse's area.
+float ps_ellipse_irradiance(PsArea area, vec3 normal)
+{
+  const float angle = 2.0 * PS_PI / float(PS_ELLIPSE_SIDES);
+  float sine = sin(angle), cosine = cos(angle);
+  vec2 place = vec2(sqrt(angle / sine), 0.0);
+  vec3 a = area.offset + place.x * area.axis_u;
+  PsPolygon polygon = PsPolygon(0.0, vec3(0.0), vec3(0.0));
+  for (int i = 0; i < PS_ELLIPSE_SIDES; i++) {
+    place = vec2(cosine * place.x - sine * place.y, sine * place.x + cosine * place.y);
+    vec3 b = area.offset + place.x * area.axis_u + place.y * area.axis_v;
+    ps_add_edge(polygon, a, b, normal);
+    a = b;
+  }
+  return ps_polygon_irradiance(polygon, normal);
+}
+
+// The share of an area light's radiance that leaves it at an angle from its normal: Blender's soft-box grid.
+float ps_beam(PsArea area, float cosine)
+{
+#ifdef PS_HAS_BEAMS
+  float tangent = sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-6);
+  return area.beam == 0.0 ? 1.0 : max(area.limit - tangent, 0.0) * area.beam;
+#else
+  return 1.0;
+#endif
+}
+
+#ifdef PS_HAS_BEAMS
 
 // A light whose beam is narrowed: a grid over the part that can shine here.
-float ps_narrow_irradiance(PsLight light, vec3 offset, vec3 normal)
+float ps_beam_irradiance(PsArea area, float height, bool ellipse, vec3 normal)
 {
-  vec2 extent = vec2(length(light.axis_u), length(light.axis_v));
-  vec3 unit_u = light.axis_u / extent.x, unit_v = light.axis_v / extent.y;
-  float height = max(-dot(offset, light.direction), 1e-9);
-  vec2 foot = -vec2(dot(offset, unit_u), dot(offset, unit_v));
-  float reach = height * tan(light.shape.y);
-  vec2 low = max(foot - reach, -extent), high = min(foot + reach, extent);
+  vec3 unit_u = area.axis_u / area.extent.x, unit_v = area.axis_v / area.extent.y;
+  vec2 foot = -vec2(dot(area.offset, unit_u), dot(area.offset, unit_v));
+  float reach = height * area.limit;
+  vec2 low = max(foot - reach, -area.extent), high = min(foot + reach, area.extent);
   vec2 size = max(high - low, 0.0) / float(PS_SPREAD_CELLS);
+  int rows = area.beam == 0.0 || size.x * size.y == 0.0 ? 0 : PS_SPREAD_CELLS;
   float total = 0.0;
-  for (int i = 0; i < PS_SPREAD_CELLS * PS_SPREAD_CELLS; i++) {
-    vec2 place = low + size * (vec2(float(i % PS_SPREAD_CELLS), float(i / PS_SPREAD_CELLS)) + 0.5);
-    vec2 relative = place / extent;
-    if (light.shape.x > 0.5 && dot(relative, relative) > 1.0) {
-      continue;
+  for (int row = 0; row < rows; row++) {
+    vec2 place = low + size * vec2(0.5, float(row) + 0.5);
+    for (int column = 0; column < PS_SPREAD_CELLS; column++) {
+      vec2 relative = place / area.extent;
+      vec3 to_light = area.offset + place.x * unit_u + place.y * unit_v;
+      float inverse = inversesqrt(dot(to_light, to_light));
+      float cosine = max(dot(to_light, normal), 0.0) * inverse;
+      float part = ps_beam(area, height * inverse) * cosine * height * inverse * inverse * inverse;
+      total += ellipse && dot(relative, relative) > 1.0 ? 0.0 : part;
+      place.x += size.x;
     }
-    vec3 to_light = offset + place.x * unit_u + place.y * unit_v;
-    float d2 = dot(to_light, to_light);
-    float d = sqrt(d2);
-    total += ps_beam(height / d, light.shape.y) * max(dot(to_light, normal) / d, 0.0) * height / (d * d2);
   }
   return total * size.x * size.y;
 }
 
-// The share of an area light's radiance that leaves it against a unit direction towards it.
-float ps_light_beam(PsLight light, vec3 direction)
+#endif
+
+// Twice half the solid angle is that of two triangles (Van Oosterom and Strackee 1983), whose arguments add as those
+// of complex numbers do.
+float ps_rectangle_solid_angle(PsArea area)
 {
-  bool narrowed = light.shape.y < 0.5 * PS_PI * 0.9999;
-  return narrowed ? ps_beam(-dot(direction, light.direction), light.shape.y) : 1.0;
+  vec3 a = normalize(area.offset - area.axis_u - area.axis_v), b = normalize(area.offset + area.axis_u - area.axis_v);
+  vec3 c = normalize(area.offset + area.axis_u + area.axis_v), d = normalize(area.offset - area.axis_u + area.axis_v);
+  float ac = dot(a, c);
+  vec3 diagonal = cross(c, a);
+  vec2 first = vec2(1.0 + dot(a, b) + dot(b, c) + ac, abs(dot(b, diagonal)));
+  vec2 second = vec2(1.0 + ac + dot(c, d) + dot(d, a), abs(dot(d, diagonal)));
+  return 2.0 * atan(first.x * second.y + first.y * second.x, first.x * second.x - first.y * second.y);
 }
 
-// A quadrature of degree 5 over an area light: place in half-sides, and weight.
-vec3 ps_area_point(PsLight light, int i)
+// Share of a GGX lobe centred on `place` in the square from -1 to 1.
+float ps_rectangle_share(vec2 place, vec2 width)
 {
-  if (light.shape.x > 0.5) {
-    return ps_disk_point(i);
-  }
-  int column = i % 3, row = i / 3;
-  float weight = (column == 1 ? 8.0 : 5.0) * (row == 1 ? 8.0 : 5.0) / 324.0;
-  return vec3(sqrt(0.6) * vec2(float(column - 1), float(row - 1)), weight);
+  vec2 excess = (abs(place) - 1.0) / width;
+  bool vertical = excess.y > excess.x;
+  float flare = ps_flare(vertical ? excess.y : excess.x);
+  width *= vertical ? vec2(flare, 1.0) : vec2(1.0, flare);
+  vec2 low = (1.0 - place) / width, high = (1.0 + place) / width;
+  return 0.25 * (ps_marginal(low.x) + ps_marginal(high.x)) * (ps_marginal(low.y) + ps_marginal(high.y));
 }
 
 // Share of the lobe that the light fills, where the mirrored ray meets the light's plane.
-float ps_area_share(PsLight light, vec3 offset, float height, PsLobes lobes)
+float ps_area_share(PsArea area, float height, bool ellipse, PsLobes lobes)
 {
-  vec2 extent = vec2(length(light.axis_u), length(light.axis_v));
-  vec3 unit_u = light.axis_u / extent.x, unit_v = light.axis_v / extent.y;
-  float ray = height / max(-dot(lobes.mirror, light.direction), 1e-4);
-  vec3 meets = ray * lobes.mirror - offset;
-  vec2 place = vec2(dot(meets, unit_u), dot(meets, unit_v)) / extent;
-  vec2 width = vec2(ps_width_along(lobes, unit_u), ps_width_along(lobes, unit_v)) * ray / extent;
+  vec3 unit_u = area.axis_u / area.extent.x, unit_v = area.axis_v / area.extent.y;
+  float ray = height / max(-dot(lobes.mirror, area.direction), 1e-4);
+  vec3 meets = ray * lobes.mirror - area.offset;
+  vec2 place = vec2(dot(meets, unit_u), dot(meets, unit_v)) / area.extent;
+  vec2 width = vec2(ps_width_along(lobes, unit_u), ps_width_along(lobes, unit_v)) * ray / area.extent;
   float share;
-  if (light.shape.x > 0.5) {
+  if (ellipse) {
     float radius = length(place);
     vec2 azimuth = radius > 0.0 ? place / max(radius, 1e-9) : vec2(1.0, 0.0);
     share = ps_disk_share(radius, 1.0, length(azimuth * width), length(azimuth.yx * width));
@@ -341,69 +436,108 @@ float ps_area_share(PsLight light, vec3 offset, float height, PsLobes lobes)
   else {
     share = ps_rectangle_share(place, width);
   }
-  return share * ps_light_beam(light, lobes.mirror);
+  return share * ps_beam(area, -dot(lobes.mirror, area.direction));
 }
 
-PsReceived ps_area_light(PsLight light, vec3 position, vec3 normal, vec3 to_eye, PsLobes lobes)
+// Mean of BSDF times n.l over the light, by a quadrature of degree 5: seven points of the disk, or nine of the
+// square, the centre first. Points weigh with the solid angle around them.
+vec3 ps_area_specular(PsArea area, int count, bool ellipse, float a2, PsLobes lobes)
 {
-  vec3 offset = light.position - position;
-  float height = -dot(offset, light.direction);
-  if (height <= 0.0) {
-    return PsReceived(0.0, vec3(0.0));
-  }
-  bool narrowed = light.shape.y < 0.5 * PS_PI * 0.9999;
-  float irradiance = narrowed ? ps_narrow_irradiance(light, offset, normal)
-                              : ps_area_irradiance(light, offset, normal);
-
-  bool ellipse = light.shape.x > 0.5;
-  vec3 c0 = normalize(offset - light.axis_u - light.axis_v), c1 = normalize(offset + light.axis_u - light.axis_v);
-  vec3 c2 = normalize(offset + light.axis_u + light.axis_v), c3 = normalize(offset - light.axis_u + light.axis_v);
-  float solid_angle = (ps_triangle(c0, c1, c2) + ps_triangle(c0, c2, c3)) * (ellipse ? PS_PI / 4.0 : 1.0);
-  float sigma = sqrt(solid_angle / PS_PI);
-
-  // Wide lobes: points of the light, weighted with the solid angle around them; narrow ones: the share.
-  float narrow = ps_narrow(lobes, sigma);
-  vec3 reflected = vec3(0.0);
-  if (narrow < 1.0) {
-    float alpha = ps_blurred_alpha(lobes, sigma);
-    vec3 sum = vec3(0.0);
-    float weights = 0.0;
-    for (int i = 0; i < (ellipse ? 7 : 9); i++) {
-      vec3 point = ps_area_point(light, i);
-      vec3 to_point = offset + point.x * light.axis_u + point.y * light.axis_v;
-      float inverse = inversesqrt(max(dot(to_point, to_point), 1e-20));
-      float weight = point.z * inverse * inverse * inverse;
-      vec3 direction = to_point * inverse;
-      sum += weight * ps_light_beam(light, direction) * ps_specular(lobes, normal, to_eye, direction, alpha);
-      weights += weight;
+  vec2 place = vec2(0.0);
+  float part = ellipse ? 0.25 : 64.0 / 324.0;
+  bool corner = true;
+  float weights = 0.0;
+  vec3 sum = vec3(0.0);
+  for (int i = 0; i < count; i++) {
+    vec2 at = ellipse ? PS_DISK_RADIUS * place : place;
+    vec3 to_point = area.offset + at.x * area.axis_u + at.y * area.axis_v;
+    float inverse = inversesqrt(max(dot(to_point, to_point), 1e-20));
+    float weight = part * inverse * inverse * inverse;
+    vec3 direction = to_point * inverse;
+    sum += weight * ps_beam(area, -dot(direction, area.direction)) * ps_specular(lobes, direction, a2);
+    weights += weight;
+    if (ellipse) {
+      place = ps_next_azimuth(place);
+      part = 0.125;
     }
-    reflected = solid_angle * sum / weights;
+    else {
+      // Around the square by eighths of a turn, from the middle of a side to a corner and on.
+      vec2 turned = (corner ? 0.5 : 1.0) * vec2(place.x - place.y, place.x + place.y);
+      place = place == vec2(0.0) ? vec2(0.774596669, 0.0) : turned;
+      corner = !corner;
+      part = (corner ? 25.0 : 40.0) / 324.0;
+    }
   }
-  if (narrow > 0.0) {
-    reflected = mix(reflected, lobes.reflectance * ps_area_share(light, offset, height, lobes), narrow);
-  }
-  return PsReceived(irradiance, reflected);
+  return sum / weights;
+}
+
+// `ellipse` is a constant where this is called.
+vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
+{
+  vec4 color = ps_light(index, 0), place = ps_light(index, 1);
+  PsArea area = ps_area(index, place.xyz - position);
+  float height = max(-dot(area.offset, area.direction), 1e-9);
+  float irradiance = ellipse ? ps_ellipse_irradiance(area, lobes.normal) : ps_rectangle_irradiance(area, lobes.normal);
+#ifdef PS_HAS_BEAMS
+  float narrowed = ps_beam_irradiance(area, height, ellipse, lobes.normal);
+  irradiance = area.beam == 0.0 ? irradiance : narrowed;
+#endif
+
+  // Wide lobes: points of the light; narrow ones: the share of the lobe that the light fills.
+  float solid_angle = ps_rectangle_solid_angle(area) * (ellipse ? PS_PI / 4.0 : 1.0);
+  float sigma = sqrt(solid_angle / PS_PI);
+  float narrow = ps_narrow(lobes, sigma);
+  int count = ps_is_small(lobes, sigma) || narrow == 1.0 ? 1 : ellipse ? 7 : 9;
+  vec3 wide = solid_angle * ps_area_specular(area, count, ellipse, ps_blurred(lobes, sigma), lobes);
+  vec3 specular = mix(wide, lobes.reflectance * ps_area_share(area, height, ellipse, lobes), narrow);
+  vec3 reflected = ps_reflected(PsReceived(irradiance, specular), lobes, color, place.w);
+  return dot(area.offset, area.direction) < 0.0 ? reflected : vec3(0.0);
 }
 
 #endif
 
-// Radiance that the surface reflects of light `index`.
-vec3 ps_shade_light(int index, vec3 position, vec3 normal, vec3 to_eye, PsLobes lobes)
+// Rows of lights are sorted by kind; each kind but the last ends where this says.
+ivec4 ps_light_ends()
 {
-  PsLight light = ps_light(index);
-  PsReceived received;
-#ifdef PS_HAS_AREA_LIGHTS
-  if (light.kind == PS_KIND_AREA) {
-    received = ps_area_light(light, position, normal, to_eye, lobes);
-  }
-  else {
-    received = ps_round_light(light, position, normal, to_eye, lobes);
-  }
+  return ivec4(texelFetch(ps_lights, ivec2(4, PS_WORLD_ROW), 0) + 0.5);
+}
+
+vec3 ps_shade_lights(vec3 position, PsLobes lobes, int light_count)
+{
+  vec3 result = vec3(0.0);
+  int i = 0;
+#if defined(PS_HAS_SUNS) + defined(PS_HAS_POINTS) + defined(PS_HAS_SPOTS) + defined(PS_HAS_RECTANGLES) + \
+    defined(PS_HAS_ELLIPSES) == 1
+  ivec4 ends = ivec4(light_count);
 #else
-  received = ps_round_light(light, position, normal, to_eye, lobes);
+  ivec4 ends = ps_light_ends();
 #endif
-  vec3 diffuse = received.irradiance / PS_PI * lobes.diffuse;
-  return light.color * (light.diffuse * diffuse + light.specular * received.specular);
+#ifdef PS_HAS_SUNS
+  for (; i < ends.x; i++) {
+    result += ps_sun(i, lobes);
+  }
+#endif
+#ifdef PS_HAS_POINTS
+  for (; i < ends.y; i++) {
+    result += ps_point(i, position, lobes);
+  }
+#endif
+#ifdef PS_HAS_SPOTS
+  for (; i < ends.z; i++) {
+    result += ps_spot(i, position, lobes);
+  }
+#endif
+#ifdef PS_HAS_RECTANGLES
+  for (; i < ends.w; i++) {
+    result += ps_area_light(i, false, position, lobes);
+  }
+#endif
+#ifdef PS_HAS_ELLIPSES
+  for (; i < light_count; i++) {
+    result += ps_area_light(i, true, position, lobes);
+  }
+#endif
+  return result;
 }
 
 #endif
@@ -417,11 +551,9 @@ vec3 ps_shade(vec3 position, vec3 normal, vec3 to_eye, PsSurface surface, int li
   normal = dot(normal, to_eye) < 0.0 ? -normal : normal;
   PsLobes lobes = ps_lobes(surface, normal, to_eye);
 #ifdef PS_HAS_LIGHTS
-  for (int i = 0; i < light_count; i++) {
-    result += ps_shade_light(i, position, normal, to_eye, lobes);
-  }
+  result += ps_shade_lights(position, lobes, light_count);
 #endif
-  result += ps_shade_world(lobes, surface.roughness, normal);
+  result += ps_shade_world(lobes, surface.roughness);
 #endif
   return result;
 }

@@ -12,13 +12,3 @@ vec3 ps_unpack_normal(float code)
   }
   return normalize(n);
 }
-
-// Two unit vectors that complete n to a right-handed frame (Duff et al. 2017).
-void ps_basis(vec3 n, out vec3 u, out vec3 v)
-{
-  float s = n.z >= 0.0 ? 1.0 : -1.0;
-  float a = -1.0 / (s + n.z);
-  float b = n.x * n.y * a;
-  u = vec3(1.0 + s * n.x * n.x * a, s * b, -s * n.x);
-  v = vec3(b, s + n.y * n.y * a, -n.y);
-}

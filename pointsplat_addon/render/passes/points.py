@@ -2,7 +2,7 @@
 
 A page holds the splats of several point sets. Texture by texture, one texel a splat:
   place           xyz relative to the set's origin; packed normal (pack_normal; -1: a ball)
-  extent          half-axes (major, minor), angle of the major axis about the normal, material row
+  extent          half-axes (major, minor), packed major axis, material row
   color           base colour                    \\  where any set of the scene has them
   surface         roughness, metallic             |
   emission        emitted radiance                |
@@ -17,19 +17,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.cloud import PointCloud
+from ...core.cut import largest_singular_value
 from ...core.hierarchy import splats
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
-from ..packing import NO_NORMAL, PAGE_WIDTH, angle_about, pack_normal, paged, unpack_normal
+from ..packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged
 from ..prepare import PointSet, Prepared
 from .common import FRAME, GBuffer, Variant
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
 DRAWN_LIMIT = 2**31 - 2**20  # indices of drawn splats are 32-bit
-_BATCH = 1 << 18
 
-POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_place"))
+POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_place"), ("FLOAT_2D", "ps_extent"))
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class PointOptions:
     shading_normal: bool = False
     cull: bool = False
     holdout: bool = False
+    ellipses: bool = False  # some splats are not round
     one_instance: bool = False
     depth: bool = False  # polygons share the G-buffer
 
@@ -91,10 +92,8 @@ def _extent(cloud: PointCloud) -> np.ndarray:
     if cloud.radii is not None:
         rows[:, 0] = cloud.radii[:, 0]
         rows[:, 1] = cloud.radii[:, 0 if cloud.radii.shape[1] == 1 else 1]
-    if cloud.axis is not None and cloud.normal is not None:
-        for start in range(0, len(cloud), _BATCH):
-            some = slice(start, start + _BATCH)
-            rows[some, 2] = angle_about(unpack_normal(pack_normal(cloud.normal[some])), cloud.axis[some])
+    if cloud.axis is not None:
+        rows[:, 2] = pack_normal(cloud.axis)
     if cloud.material is not None:
         rows[:, 3] = cloud.material
     return rows
@@ -140,9 +139,11 @@ def blocks(prepared: Prepared, geometry: np.ndarray, first: dict[int, int]) -> t
 
 
 def instance_rows(view_from_object: np.ndarray, origin: np.ndarray, holdout: np.ndarray | None) -> np.ndarray:
-    """(4 I, 4) float32: three rows of each matrix, with the origin (I, 3) of its cloud taken in, and flags."""
+    """(4 I, 4) float32: three rows of each matrix, with the origin (I, 3) of its cloud taken in;
+    holdout and largest stretch."""
     rows = np.zeros((len(view_from_object), 4, 4))
     rows[:, :3] = with_origin(view_from_object, origin)[:, :3]
+    rows[:, 3, 1] = largest_singular_value(np.nan_to_num(view_from_object[:, :3, :3], posinf=0.0, neginf=0.0))
     if holdout is not None:
         rows[:, 3, 0] = holdout
     return np.nan_to_num(rows, nan=0.0, posinf=0.0, neginf=0.0).reshape(-1, 4).astype(np.float32)
@@ -168,9 +169,13 @@ class PointPrograms:
 def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     """The programs of one variant; which of them are compiled depends on the device."""
     instances = () if options.one_instance else (("FLOAT_2D", "ps_instances"),)
-    cull = (("FLOAT_2D", "ps_extent"), ("FLOAT_2D", "ps_materials")) if options.cull else ()
+    cull = (("FLOAT_2D", "ps_materials"),) if options.cull else ()
     common = (*POINT_SAMPLERS, *instances)
-    names = (("PS_ONE_INSTANCE", options.one_instance), ("PS_CULL", options.cull))
+    names = (
+        ("PS_ONE_INSTANCE", options.one_instance),
+        ("PS_CULL", options.cull),
+        ("PS_ELLIPSES", options.ellipses),
+    )
     defines = tuple((name, "1") for name, on in names if on)
     nearest = Interface(
         "project",
@@ -198,7 +203,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         outputs=(("uint", "id"),),
         defines=defines,
     )
-    extra = [("FLOAT_2D", "ps_extent"), ("UINT_2D", "ps_ids")]
+    extra = [("UINT_2D", "ps_ids")]
     if variant.color:
         extra.append(("FLOAT_2D", "ps_color"))
     if variant.surface:
@@ -212,6 +217,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         "PS_HOLDOUT": options.holdout,
         "PS_DEPTH": options.depth,
         "PS_ONE_INSTANCE": options.one_instance,
+        "PS_ELLIPSES": options.ellipses,
     }
     resolve = Interface(
         "resolve",
@@ -235,6 +241,7 @@ class PageDraw:
     shift: int
     first_index: int  # of this page's splats among all that are drawn
     uniforms: dict[str, object]
+    scale: float = 1.0  # of the only instance
 
     @property
     def elements(self) -> int:
@@ -244,6 +251,7 @@ class PageDraw:
         record["page"][0, :3] = self.first_index, self.count, self.shift
         for name, value in self.uniforms.items():
             record[name][0] = value
+        record["lens"][0, 3] = self.scale
         return record
 
 

@@ -1,12 +1,14 @@
 """Deferred shading into accumulators, the passes that are not averaged, and what shading reads.
 
-Material table, four texels a row: base colour, alpha; emission, specular; culls, roughness, metallic, IOR; unused.
+Material table, four texels a row: base colour, alpha; emission, unused; culls, roughness, metallic, index of
+refraction that stands for IOR and specular level; unused.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from ...core.lighting import relative_index
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
 from ..device import Texture
@@ -94,8 +96,8 @@ def material_rows(table: MaterialTable) -> np.ndarray:
     """(M, 4, 4) float32, one row of texels a material."""
     rows = np.zeros((len(table), 4, 4), np.float32)
     rows[:, 0, :3], rows[:, 0, 3] = table.base_color, table.alpha
-    rows[:, 1, :3], rows[:, 1, 3] = table.emission, table.specular
-    rows[:, 2] = np.stack([table.cull, table.roughness, table.metallic, table.ior], axis=1)
+    rows[:, 1, :3] = table.emission
+    rows[:, 2] = np.stack([table.cull, table.roughness, table.metallic, relative_index(table.ior, table.specular)], axis=1)
     return rows
 
 
