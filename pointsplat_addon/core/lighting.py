@@ -23,17 +23,21 @@ from .scene import Light, World
 
 # ps_lights, (FIRST_LIGHT + lights, WIDTH, 4) float32:
 #   rows 0 .. TABLE_ROWS      reflectance table, see reflectance_table
-#   row TABLE_ROWS            (0) world colour; (1..3) columns of image_from_view
-#   rows FIRST_LIGHT ..       one light each, see light_records
+#   row TABLE_ROWS            (0) world colour; (1..3) columns of image_from_view; (4) where each kind but the last ends
+#   row ROUGHNESS_ROW         the table at the roughness of a scene that has but one
+#   rows FIRST_LIGHT ..       one light each, sorted by kind, see light_records
 WIDTH = 32
 TABLE_ROWS = 32
-FIRST_LIGHT = TABLE_ROWS + 1
-KINDS = ("POINT", "SPOT", "SUN", "AREA")
+ROUGHNESS_ROW = TABLE_ROWS + 1
+FIRST_LIGHT = TABLE_ROWS + 2
+KINDS = ("SUN", "POINT", "SPOT", "RECTANGLE", "ELLIPSE")
 COLUMNS = 6
 ELLIPSE_SIDES = 24
 SPREAD_CELLS = 8  # to a side: an area light with a narrowed beam is summed over a grid
 BLUR = 0.06  # of a light's angular radius squared, added to alpha^2: found to fit best between seven points
 NARROW = (1.5, 4.0)  # angular radius of a light over the lobe's width, between which narrow-lobe shading sets in
+SMALL = 0.2  # angular radius of a light over the lobe's alpha, below which it is a point: 0.5 % in the peak
+SMALL_SINE = 0.01  # of an angular radius whose cut by the horizon is not seen
 # A quadrature of degree 5 over the unit disk: cosine and sine of the azimuth, radius, weight.
 DISK = (
     (1.0, 0.0, 0.0, 0.25),
@@ -119,10 +123,39 @@ def reflectance_table() -> np.ndarray:
     return table
 
 
-def light_texture(lights: Sequence[Light], world: World, view_from_world: np.ndarray) -> np.ndarray:
-    """Everything that shaders/lib/lights.glsl reads from ps_lights: (FIRST_LIGHT + L, WIDTH, 4) float32."""
+def relative_index(ior: np.ndarray, specular: np.ndarray) -> np.ndarray:
+    """Index of refraction (N,) that stands for Blender's IOR and specular level, which scales F0."""
+    f0 = ((ior - 1) / (ior + 1)) ** 2 * (2 * np.maximum(specular, 0))
+    root = np.sqrt(np.minimum(f0, 0.99))
+    eta = (1 + root) / (1 - root)
+    return np.where(ior < 1, 1 / eta, eta)
+
+
+def light_names(lights: Sequence[Light], roughness: float) -> tuple[str, ...]:
+    """Which parts of shaders/lib/lights.glsl the lights need (PS_ names), where no surface is smoother than this."""
+    kinds = {_kind(light) for light in lights}
+    found = {f"PS_HAS_{kind}S": kind in kinds for kind in KINDS}
+    found["PS_ONE_KIND"] = len(kinds) == 1
+    found["PS_HAS_WIDE_LIGHTS"] = any(_is_wide(light, roughness) for light in lights)
+    found["PS_HAS_BEAMS"] = any(light.kind == "AREA" and _is_narrowed(light) for light in lights)
+    return tuple(name for name, needed in found.items() if needed)
+
+
+def light_texture(
+    lights: Sequence[Light], world: World, view_from_world: np.ndarray, roughness: float = 0.5
+) -> np.ndarray:
+    """Everything that shaders/lib/lights.glsl reads from ps_lights: (FIRST_LIGHT + L, WIDTH, 4) float32.
+
+    roughness: of the whole scene, where PS_ONE_ROUGHNESS says that it has but one.
+    """
+    lights = sorted(lights, key=lambda light: KINDS.index(_kind(light)))
     texture = np.zeros((FIRST_LIGHT + len(lights), WIDTH, 4), np.float32)
     texture[:TABLE_ROWS] = reflectance_table()
+    row = np.clip(roughness, 0, 1) * (TABLE_ROWS - 1)
+    low = min(int(row), TABLE_ROWS - 2)
+    texture[ROUGHNESS_ROW] = (1 - (row - low)) * reflectance_table()[low] + (row - low) * reflectance_table()[low + 1]
+    kinds = [KINDS.index(_kind(light)) for light in lights]
+    texture[TABLE_ROWS, 4] = np.searchsorted(kinds, np.arange(len(KINDS) - 1), side="right")
     texture[TABLE_ROWS, 0, :3] = world.color
     texture[TABLE_ROWS, 1:4, :3] = (world.world_rotation @ view_from_world[:3, :3].T).T  # columns as rows
     texture[FIRST_LIGHT:, :COLUMNS] = light_records(lights, view_from_world)
@@ -130,31 +163,59 @@ def light_texture(lights: Sequence[Light], world: World, view_from_world: np.nda
 
 
 def light_records(lights: Sequence[Light], view_from_world: np.ndarray) -> np.ndarray:
-    """(L, COLUMNS, 4) float32 in view space.
+    """(L, COLUMNS, 4) float32 in view space; what a kind does not name is 0.
 
     column  xyz                                      w
-    0       color, as in scene.Light                 index in KINDS
-    1       position                                 radius (SUN: half angle in radians)
-    2       direction                                diffuse factor
-    3       axis_u                                   specular factor
-    4       axis_v                                   unused
-    5       POINT: 1 a sphere, 0 soft. SPOT: the same, cosine of half the cone, blend.
-            AREA: 1 an ellipse, half the beam's angle (pi / 2: not narrowed)
+    0       color, as in scene.Light                 diffuse factor
+    1       position (SUN: direction to the light)   specular factor
+    2       direction (not SUN)                      SUN: squared sine of half the angle. POINT, SPOT: radius, less
+                                                     than 0 for a sphere. Area: 1 / mean of the beam, 0: not narrowed
+    3       axis_u                                   SPOT: cosine of half the cone. Area: length of axis_u
+    4       axis_v                                   SPOT: 1 / range of the blend's cosines. Area: length of axis_v
+    5       x, area: tangent of half the beam's angle
     """
     rotation = view_from_world[:3, :3]
     records = np.zeros((len(lights), COLUMNS, 4))
     for record, light in zip(records, lights, strict=True):
-        axis_u, axis_v = _axes(light)
-        record[0] = *light.color, KINDS.index(light.kind)
-        record[1] = *(rotation @ light.position + view_from_world[:3, 3]), light.radius
-        record[2] = *(rotation @ light.direction), light.diffuse
-        record[3] = *(rotation @ axis_u), light.specular
-        record[4, :3] = rotation @ axis_v
+        record[:2, 3] = light.diffuse, light.specular
+        record[0, :3] = light.color
+        if light.kind == "SUN":
+            record[1, :3], record[2, 3] = rotation @ -light.direction, np.sin(min(light.radius, np.pi / 2)) ** 2
+            continue
+        record[1, :3] = rotation @ light.position + view_from_world[:3, 3]
+        record[2] = *(rotation @ light.direction), light.radius if light.soft else -light.radius
+        axes = _axes(light)
+        record[3:5, :3] = axes @ rotation.T
+        if light.kind == "SPOT":
+            record[3:5, 3] = light.spot_cos, 1 / _blend_range(light)
         if light.kind == "AREA":
-            record[5, :2] = light.ellipse, light.spread / 2
-        else:
-            record[5, :3] = not light.soft, light.spot_cos, light.spot_blend
+            record[3:5, 3] = np.linalg.norm(axes, axis=1)
+            record[2, 3] = 1 / _beam_mean(light.spread / 2) if _is_narrowed(light) else 0
+            record[5, 0] = np.tan(light.spread / 2) if _is_narrowed(light) else 0
     return records.astype(np.float32)
+
+
+def _kind(light: Light) -> str:
+    """Of KINDS."""
+    if light.kind != "AREA":
+        return light.kind
+    return "ELLIPSE" if light.ellipse else "RECTANGLE"
+
+
+def _is_wide(light: Light, roughness: float) -> bool:
+    """Whether its size may be seen; that of lamps depends on their distance."""
+    if light.kind != "SUN":
+        return light.kind != "AREA" and light.radius > 0
+    return np.sin(light.radius) >= SMALL_SINE or light.radius >= SMALL * max(roughness**2, MIN_ALPHA)
+
+
+def _blend_range(light: Light) -> float:
+    """Of cosines, within which a spot's cone fades."""
+    return max((1 - light.spot_cos) * light.spot_blend, 1e-6)
+
+
+def _is_narrowed(light: Light) -> bool:
+    return light.spread < np.pi * 0.9999
 
 
 class _Material:
@@ -167,11 +228,8 @@ class _Material:
         metallic = np.clip(surface.metallic, 0, 1)[:, None]
         self.metal_f0 = np.clip(surface.base, 0, 1)
 
-        # The specular level scales F0, which stands for another index (Blender's Principled BSDF).
-        f0 = ((surface.ior - 1) / (surface.ior + 1)) ** 2 * (2 * np.maximum(surface.specular, 0))
-        f0 = np.minimum(f0, 0.99)
-        eta = (1 + np.sqrt(f0)) / (1 - np.sqrt(f0))
-        self.eta = np.where(surface.ior < 1, 1 / eta, eta)
+        self.eta = relative_index(surface.ior, surface.specular)
+        f0 = ((self.eta - 1) / (self.eta + 1)) ** 2
 
         albedo, s_metal, s_dielectric, mean = _table(self.cos_eye, np.clip(surface.roughness, 0, 1)).T[:, :, None]
         missing = (1 - albedo) / albedo
@@ -283,17 +341,20 @@ def _lobe_over_light(
     sigma: np.ndarray,
     share: np.ndarray,
     solid_angle: np.ndarray,
+    centre: np.ndarray | float = 1.0,
 ) -> np.ndarray:
     """Mean (N, 3) of BSDF times n.l over a light of angular radius sigma.
 
-    Wide lobes: summed over a few points, each blurred by its part of the light. Narrow ones: the share of the
-    lobe that the light fills.
+    Wide lobes: summed over a few points, each blurred by its part of the light; over the first, weighing `centre`,
+    where all of it is as one point. Narrow lobes: the share that the light fills.
     """
     alpha = np.minimum(np.sqrt(material.alpha**2 + BLUR * sigma**2), 1)
     wide = sum(
         np.reshape(weight, (-1, 1)) * material.specular(direction, alpha)
         for direction, weight in zip(directions, weights, strict=True)
     )
+    small = (sigma < SMALL * material.alpha)[:, None]
+    wide = np.where(small, np.reshape(centre, (-1, 1)) * material.specular(directions[0]), wide)
     narrow = material.reflectance * (share / np.maximum(solid_angle, 1e-20))[:, None]
     low, high = NARROW
     t = np.clip((sigma / (np.sqrt(2) * material.alpha) - low) / (high - low), 0, 1)[:, None]
@@ -335,7 +396,7 @@ def cap_cosine(cosine: np.ndarray, sine2: np.ndarray) -> np.ndarray:
     """
     sine2 = np.clip(sine2, 0, 1)
     sine = np.sqrt(sine2)
-    partial = (np.abs(cosine) < sine) & (sine > 2e-3)
+    partial = (np.abs(cosine) < sine) & (sine >= SMALL_SINE)
     c = np.where(partial, cosine, 0.0)
     s2 = np.where(partial, sine2, 0.5)
     sin_theta = np.sqrt(np.maximum(1 - c**2, 1e-12))
@@ -363,7 +424,7 @@ def _spot_factors(
         ray = position - light.position - light.radius * radius * (cosine * u + sine * v)
         local = np.stack([ray @ axis_u, ray @ axis_v, ray @ light.direction], -1)
         z = local[:, 2] / np.maximum(np.linalg.norm(local, axis=1), 1e-20)
-        t = np.clip((z - light.spot_cos) / max((1 - light.spot_cos) * light.spot_blend, 1e-6), 0, 1)
+        t = np.clip((z - light.spot_cos) / _blend_range(light), 0, 1)
         cone = t * t * (3 - 2 * t)
         weight = part * np.maximum(-_dot(ray, normal), 0)
         plain += part * cone
@@ -384,8 +445,7 @@ def _area_light(
     front = height > 0
     height = np.maximum(height, 1e-9)
 
-    narrowed = light.spread < np.pi * 0.9999
-    if narrowed:
+    if _is_narrowed(light):
         irradiance = _narrow_irradiance(position, normal, light)
     else:
         irradiance = polygon_irradiance(_outline(light)[None] - position[:, None], normal)
@@ -398,7 +458,8 @@ def _area_light(
         directions.append(to_point / distance[:, None])
         weights.append(weight * distance**-3)
     total = sum(weights)
-    weights = [w / total * _light_beam(d, light) for w, d in zip(weights, directions, strict=True)]
+    beams = [_light_beam(d, light) for d in directions]
+    weights = [w / total * beam for w, beam in zip(weights, beams, strict=True)]
 
     # Where the mirrored ray meets the light's plane, and how wide the lobe is there, in half-sides.
     ray = height / np.maximum(material.mirror @ -light.direction, 1e-4)
@@ -419,21 +480,21 @@ def _area_light(
     solid_angle = _triangle(corners[0], corners[1], corners[2]) + _triangle(corners[0], corners[2], corners[3])
     solid_angle *= np.pi / 4 if light.ellipse else 1
     sigma = np.sqrt(solid_angle / np.pi)
-    lobe = _lobe_over_light(material, directions, weights, sigma, share, solid_angle)
+    lobe = _lobe_over_light(material, directions, weights, sigma, share, solid_angle, beams[0])
     return np.where(front, irradiance, 0.0), np.where(front, solid_angle, 0.0)[:, None] * lobe
 
 
 def _points(light: Light) -> list[tuple[float, float, float]]:
-    """Quadrature of degree 5 over an area light: (along axis_u, along axis_v, weight)."""
+    """Quadrature of degree 5 over an area light, the centre first: (along axis_u, along axis_v, weight)."""
     if light.ellipse:
         return [(c * r, s * r, w) for c, s, r, w in DISK]
-    nodes = ((-np.sqrt(0.6), 5 / 18), (0.0, 8 / 18), (np.sqrt(0.6), 5 / 18))
+    nodes = ((0.0, 8 / 18), (-np.sqrt(0.6), 5 / 18), (np.sqrt(0.6), 5 / 18))
     return [(s, t, ws * wt) for t, wt in nodes for s, ws in nodes]
 
 
 def _light_beam(direction: np.ndarray, light: Light) -> np.ndarray:
     """The share of an area light's radiance that leaves it against unit directions towards it."""
-    if light.spread >= np.pi * 0.9999:
+    if not _is_narrowed(light):
         return np.ones(len(direction))
     return _beam(direction @ -light.direction, light.spread / 2)
 
@@ -486,10 +547,13 @@ def _narrow_irradiance(position: np.ndarray, normal: np.ndarray, light: Light) -
 
 def _beam(cosine: np.ndarray, half_spread: float) -> np.ndarray:
     """Blender's soft-box grid: the share of light at an angle from the light's normal, of mean 1 over the flux."""
-    limit = np.tan(half_spread)
     tangent = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 1e-6)
-    scale = limit - half_spread if half_spread > 0.05 else half_spread**3 / 3
-    return np.maximum(limit - tangent, 0) / max(scale, 1e-12)
+    return np.maximum(np.tan(half_spread) - tangent, 0) / _beam_mean(half_spread)
+
+
+def _beam_mean(half_spread: float) -> float:
+    """Mean over the flux of what _beam scales to 1."""
+    return max(np.tan(half_spread) - half_spread if half_spread > 0.05 else half_spread**3 / 3, 1e-12)
 
 
 def _shade_world(normal: np.ndarray, material: _Material, world: World, atlas: np.ndarray | None) -> np.ndarray:

@@ -1,8 +1,9 @@
 // Direct light in view space; the entry is ps_shade. Reference, sources and the layout of ps_lights: core/lighting.py.
 // Names say what a scene needs, and all else is left out: PS_HAS_SUNS, PS_HAS_POINTS, PS_HAS_SPOTS, PS_HAS_RECTANGLES,
-// PS_HAS_ELLIPSES (kinds of lights); PS_HAS_WIDE_LIGHTS (some light's size is seen), PS_HAS_BEAMS (narrowed area
-// lights), PS_HAS_METAL, PS_ONE_ROUGHNESS, PS_HAS_WORLD, PS_HAS_ENVIRONMENT. Some GPUs run both sides of every
-// branch, so work that not all pixels need stands in loops of as many turns as a pixel needs.
+// PS_HAS_ELLIPSES (kinds of lights), PS_ONE_KIND (all lights are of one); PS_HAS_WIDE_LIGHTS (some light's size is
+// seen), PS_HAS_BEAMS (narrowed area lights), PS_HAS_METAL, PS_ONE_ROUGHNESS, PS_HAS_WORLD, PS_HAS_ENVIRONMENT. Some
+// devices run both sides of every branch, so work that not all pixels need stands in loops of as many turns as a
+// pixel needs.
 
 #if defined(PS_HAS_SUNS) || defined(PS_HAS_POINTS) || defined(PS_HAS_SPOTS)
 #define PS_HAS_ROUND_LIGHTS
@@ -395,8 +396,7 @@ float ps_beam_irradiance(PsArea area, float height, bool ellipse, vec3 normal)
 
 #endif
 
-// Twice half the solid angle is that of two triangles (Van Oosterom and Strackee 1983), whose arguments add as those
-// of complex numbers do.
+// Of two triangles (Van Oosterom and Strackee 1983), whose angles add as those of complex numbers do.
 float ps_rectangle_solid_angle(PsArea area)
 {
   vec3 a = normalize(area.offset - area.axis_u - area.axis_v), b = normalize(area.offset + area.axis_u - area.axis_v);
@@ -506,8 +506,7 @@ vec3 ps_shade_lights(vec3 position, PsLobes lobes, int light_count)
 {
   vec3 result = vec3(0.0);
   int i = 0;
-#if defined(PS_HAS_SUNS) + defined(PS_HAS_POINTS) + defined(PS_HAS_SPOTS) + defined(PS_HAS_RECTANGLES) + \
-    defined(PS_HAS_ELLIPSES) == 1
+#ifdef PS_ONE_KIND
   ivec4 ends = ivec4(light_count);
 #else
   ivec4 ends = ps_light_ends();

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.render.packing import NO_NORMAL, PAGE_WIDTH, angle_about, pack_normal, paged, unpack_normal
+from pointsplat_addon.render.packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged, unpack_normal
 
 
 def directions(count=20000):
@@ -12,15 +12,6 @@ def directions(count=20000):
 
 def _unit(v):
     return v / np.linalg.norm(v, axis=1, keepdims=True)
-
-
-def basis(n):
-    """Duff et al. 2017, written from the paper."""
-    sign = np.copysign(1.0, n[:, 2])
-    a = -1.0 / (sign + n[:, 2])
-    b = n[:, 0] * n[:, 1] * a
-    u = np.stack([1 + sign * n[:, 0] ** 2 * a, sign * b, -sign * n[:, 0]], axis=1)
-    return u, np.stack([b, sign + n[:, 1] ** 2 * a, -n[:, 1]], axis=1)
 
 
 def test_a_packed_normal_is_within_six_hundredths_of_a_degree():
@@ -59,15 +50,6 @@ def test_a_normal_of_length_zero_packs_without_warning():
 def test_blocks_of_rows_join_without_a_seam(count):
     n = np.tile(directions(1000), (count // 1000 + 1, 1))[:count].astype(np.float32)
     np.testing.assert_array_equal(pack_normal(n)[-1000:], pack_normal(n[-1000:]))
-
-
-def test_the_angle_gives_the_axis_back_in_the_shaders_frame():
-    n = unpack_normal(pack_normal(directions().astype(np.float32)))
-    axis = _unit(np.cross(n, directions()[::-1]))
-    angle = angle_about(n, axis).astype(np.float64)[:, None]
-    u, v = basis(n)
-    found = np.cos(angle) * u + np.sin(angle) * v
-    assert np.abs(found - axis).max() < 5e-7  # measured 1.2e-7
 
 
 def test_a_page_is_4096_wide_and_padded_with_zeros():
