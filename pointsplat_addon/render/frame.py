@@ -47,11 +47,20 @@ class Result:
     cancelled: bool = False
 
 
+class Cancelled(Exception):  # noqa: N818 - not an error
+    """The picture is not wanted any more."""
+
+
+SLOW_SECONDS = 0.2  # a sample that takes longer is asked after each of its passes whether it is still wanted
+
+
 @dataclass
 class Clock:
     """Time by pass; each reading waits for the device."""
 
     device: Device
+    cancelled: Callable[[], bool] = lambda: False
+    slow: bool = True
     spent: dict[str, float] = field(default_factory=dict)
     _open: list[tuple[str, Any]] = field(default_factory=list)
 
@@ -62,6 +71,14 @@ class Clock:
         finally:  # a shader that fails must not leave the device timing
             self.device.stop_timer(timer)
         self._open.append((name, timer))
+        if self.slow:
+            self.settle()
+            self.check()
+
+    def check(self) -> None:
+        """Raise Cancelled where the picture is not wanted any more."""
+        if self.cancelled():
+            raise Cancelled
 
     def settle(self) -> None:
         for name, timer in self._open:
@@ -87,21 +104,30 @@ class Renderer:
         """All samples of a picture. DeviceError, ShaderError: the device cannot draw it."""
         started = time.perf_counter()
         progress(0.0, "Preparing points")
-        frame = self.start(scene, request)
+        try:
+            frame = Frame(self, scene, request, cancelled)
+        except Cancelled:
+            return Result({}, {}, cancelled=True)
         try:
             while frame.done < request.samples:
-                if cancelled():
-                    return Result({}, frame.report(time.perf_counter() - started), cancelled=True)
+                before = time.perf_counter()
                 frame.sample()
                 frame.clock.settle()
+                frame.clock.slow = time.perf_counter() - before > SLOW_SECONDS
                 progress(frame.done / request.samples, f"Sample {frame.done}/{request.samples}")
+                if frame.done < request.samples:
+                    frame.clock.check()
             return Result(frame.pixels(), frame.report(time.perf_counter() - started))
+        except Cancelled:
+            return Result({}, frame.report(time.perf_counter() - started), cancelled=True)
         finally:
             frame.release()
 
     def start(self, scene: Scene, request: Request) -> Frame:
         """A picture that is drawn sample by sample."""
-        return Frame(self, scene, request)
+        frame = Frame(self, scene, request)
+        frame.clock.slow = False
+        return frame
 
     def release(self) -> None:
         """Free everything that is kept on the device."""
@@ -111,13 +137,20 @@ class Renderer:
 class Frame:
     """One picture in the making. Every call comes from the device's thread."""
 
-    def __init__(self, renderer: Renderer, scene: Scene, request: Request) -> None:
+    def __init__(
+        self, renderer: Renderer, scene: Scene, request: Request, cancelled: Callable[[], bool] = lambda: False
+    ) -> None:
         self.renderer, self.scene, self.request = renderer, scene, request
         self.device = renderer.device
         self.done = 0
-        self.clock = Clock(self.device)
+        self.clock = Clock(self.device, cancelled)
         self.prepared = prepare(
-            scene, request.camera, request.settings, request.samples, interactive=request.interactive
+            scene,
+            request.camera,
+            request.settings,
+            request.samples,
+            interactive=request.interactive,
+            check=self.clock.check,
         )
         self.plan = make_plan(scene, self.prepared, request.passes)
         # Everything is drawn for `view`, of which the camera's window is a part.
@@ -155,7 +188,7 @@ class Frame:
             self.data_surfels = self.surfels
             if not same:
                 self.data_surfels = self._own(Surfels(device, plan, plan.data_variant, size, count))
-        self.shade = shade_pass.shade_program(plan.variant, plan.lighting, passes)
+        self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes)
         self.background = shade_pass.background_program(plan.lighting, self.scene.transparent, passes)
 
     # Drawing

@@ -151,13 +151,14 @@ def prepare(
     store: Store = STORE,
     *,
     interactive: bool = False,
+    check: Callable[[], None] = lambda: None,
 ) -> Prepared:
     """Choose, sample and cut everything that `camera` sees.
 
     `samples` tells how often the result will be drawn. `interactive`: again and again, and at once; what takes long is
-    then built on another thread and used when it is there.
+    then built on another thread and used when it is there. `check` is called between geometries, and may raise to stop.
     """
-    return _View(scene, camera, settings, samples, interactive, store).prepared()
+    return _View(scene, camera, settings, samples, interactive, store, check).prepared()
 
 
 @dataclass
@@ -168,6 +169,7 @@ class _View:
     samples: int
     interactive: bool
     store: Store
+    check: Callable[[], None]
     warnings: list[str] = field(default_factory=list)
 
     def prepared(self) -> Prepared:
@@ -181,6 +183,7 @@ class _View:
             where = np.flatnonzero(usable & (instances.geometry == row))
             if len(where) == 0:
                 continue
+            self.check()
             points = self._points(geometry, view_from_object[where])
             if points is None:
                 polygons.append(where)
