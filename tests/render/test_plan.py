@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core import expressions as ex
+from pointsplat_addon.core.lighting import FIRST_LIGHT, KINDS, WIDTH
 from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
@@ -132,10 +133,12 @@ def test_lights_and_world_cost_only_what_shines():
     def on(case):
         return {name for name in defines(record(case)[0]) if name.startswith("PS_HAS_")}
 
-    assert on(scenes.unlit()) == set()
-    assert on(scenes.cube()) == {"PS_HAS_LIGHTS", "PS_HAS_WORLD"}
-    assert on(scenes.environment()) == {"PS_HAS_ENVIRONMENT"}
-    assert on(scenes.lights()) == {"PS_HAS_LIGHTS", "PS_HAS_AREA_LIGHTS", "PS_HAS_WORLD"}
+    shining = on(scenes.lights())
+    assert {"PS_HAS_WORLD"} | {f"PS_HAS_{kind}S" for kind in KINDS} <= shining
+    assert not shining & on(scenes.unlit())
+    assert shining & on(scenes.cube()) == {"PS_HAS_SUNS", "PS_HAS_WORLD"}
+    assert "PS_HAS_ENVIRONMENT" in on(scenes.environment())
+    assert not shining & on(scenes.environment())
     assert "ps_lights" not in samplers(record(scenes.unlit())[0])
 
 
@@ -240,7 +243,7 @@ def test_the_second_frame_uploads_only_small_tables(name):
     again = [texture for texture in device.textures[pages:] if texture.uploaded]
     assert device.uploaded_bytes - first < first
     # One page each for the blocks of the cut, instances and motion; lights below the reflectances; materials.
-    largest = {(4096, 1), (32, 33 + len(case.scene.lights)), (4, len(case.scene.materials))}
+    largest = {(4096, 1), (WIDTH, FIRST_LIGHT + len(case.scene.lights)), (4, len(case.scene.materials))}
     assert {texture.size for texture in again} <= largest
     assert len(again) <= 5
 
