@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.appearance import graphs_of
+from ..core.lighting import light_names
 from ..core.materials import MaterialGraph
 from ..core.scene import Scene
 from .passes.common import Variant
@@ -26,7 +27,8 @@ class Plan:
     variant: Variant  # of the G-buffer that is shaded
     data_variant: Variant  # of the one that the passes which are not averaged read
     options: PointOptions
-    lighting: tuple[str, ...]  # PS_HAS_ names
+    lighting: tuple[str, ...]  # PS_ names of what shines
+    materials: tuple[str, ...]  # and of what surfaces do with it
     background: bool  # pixels that show nothing hold something
     data: bool
     skipped: tuple[tuple[str, str], ...]  # (pass, because)
@@ -40,8 +42,11 @@ def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
     channels = {name for graph in graphs for name in graph.channels}
     sets = list(prepared.point_sets.values())
     clouds = [p.cloud for p in sets]
-    lighting = _lighting(scene) if drawn else _world(scene) if not scene.transparent else ()
     surface = any(c.surface is not None for c in clouds) or (polygons and bool(channels & {"roughness", "metallic"}))
+    materials = _materials(scene, surface)
+    smoothest = 0.0 if surface else float(scene.materials.roughness.min())
+    shining = light_names(scene.lights, smoothest) if drawn else ()
+    lighting = (*(() if scene.transparent and not drawn else _world(scene)), *shining)
     color = (
         surface or any(c.color is not None for c in clouds) or (polygons and bool(channels & {"base_color", "alpha"}))
     )
@@ -71,7 +76,7 @@ def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
         skipped.append(("background", "the film is transparent"))
     skipped += [("translucent", "not yet part of PointSplat"), ("shadows", "not yet part of PointSplat")]
     return Plan(
-        points, polygons, variant, data_variant, options, lighting,
+        points, polygons, variant, data_variant, options, lighting, materials,
         background=not scene.transparent or "mist" in passes, data=drawn and bool(data(passes)), skipped=tuple(skipped),
     )  # fmt: skip
 
@@ -89,10 +94,12 @@ def _world(scene: Scene) -> tuple[str, ...]:
     return ("PS_HAS_WORLD",) if np.any(scene.world.color > 0) else ()
 
 
-def _lighting(scene: Scene) -> tuple[str, ...]:
-    names = list(_world(scene))
-    if scene.lights:
-        names.append("PS_HAS_LIGHTS")
-    if any(light.kind == "AREA" for light in scene.lights):
-        names.append("PS_HAS_AREA_LIGHTS")
-    return tuple(names)
+def _materials(scene: Scene, surface: bool) -> tuple[str, ...]:
+    """`surface`: roughness and metallic vary within a material."""
+    table = scene.materials
+    found = {
+        "PS_HAS_METAL": surface or bool((table.metallic > 0).any()),
+        "PS_HAS_GLOW": bool((table.emission > 0).any()),
+        "PS_ONE_ROUGHNESS": not surface and bool((table.roughness == table.roughness[0]).all()),
+    }
+    return tuple(name for name, needed in found.items() if needed)

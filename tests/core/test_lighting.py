@@ -191,7 +191,7 @@ def test_records_are_in_view_space():
     view[:3, :3] = [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]
     view[:3, 3] = 1, 2, 3
     record = lighting.light_records([AREA], view)[0]
-    assert record[0] == pytest.approx([1, 1, 1, lighting.KINDS.index("AREA")])
+    assert record[0] == pytest.approx([1, 1, 1, AREA.diffuse])
     assert record[1, :3] == pytest.approx([-0.3 + 1, -0.4 + 2, 1.5 + 3])
     assert record[3, :3] == pytest.approx([0, -0.8, 0])
     texture = lighting.light_texture([AREA], World(color=np.array([0.1, 0.2, 0.3])), view)

@@ -55,16 +55,17 @@ VIEW[:3, 3] = 0.3, -0.2, 0.1
 
 def shade_on_device(device, inputs, lights, world, defines) -> np.ndarray:
     position, normal, to_eye, surface = inputs
+    roughness = float(surface.roughness[0])
     rotation = VIEW[:3, :3].T
     rows = np.zeros((6, COUNT, 4), np.float32)
     rows[0, :, :3] = position @ rotation + VIEW[:3, 3]
     rows[1, :, :3], rows[2, :, :3] = normal @ rotation, to_eye @ rotation
     rows[3, :, :3], rows[3, :, 3] = surface.base, surface.roughness
     rows[4, :, :3], rows[4, :, 3] = surface.emission, surface.metallic
-    rows[5, :, 0], rows[5, :, 1] = surface.ior, surface.specular
+    rows[5, :, 0] = lighting.relative_index(surface.ior, surface.specular)
     textures = {"rows": device.texture((COUNT, 6), "RGBA32F", rows)}
     if defines:
-        data = lighting.light_texture(lights, world, VIEW)
+        data = lighting.light_texture(lights, world, VIEW, roughness)
         textures["ps_lights"] = device.texture(data.shape[1::-1], "RGBA32F", data)
     if "PS_HAS_ENVIRONMENT" in defines:
         atlas = environment.build_atlas(world.image)
@@ -121,21 +122,33 @@ LIGHTS = {
 
 @pytest.mark.parametrize("name", LIGHTS)
 def test_light_equals_reference(device, inputs, name):
-    light = LIGHTS[name]
-    defines = ["PS_HAS_LIGHTS"] + ["PS_HAS_AREA_LIGHTS"] * (light.kind == "AREA")
-    compare(device, inputs, [light], World(), defines)
+    compare(device, inputs, [LIGHTS[name]], World(), names([LIGHTS[name]], inputs))
+
+
+@pytest.mark.parametrize("name", ["point", "distant sun", "rectangle"])
+def test_dielectrics_of_one_roughness_equal_reference(device, inputs, name):
+    *seen, surface = inputs
+    plain = replace(surface, roughness=np.full(COUNT, 0.4), metallic=np.zeros(COUNT))
+    lights = [LIGHTS.get(name) or replace(POINT, kind="SUN", radius=0.005)]
+    defines = [*lighting.light_names(lights, 0.4), "PS_ONE_ROUGHNESS"]
+    assert "PS_HAS_WIDE_LIGHTS" not in defines
+    compare(device, (*seen, plain), lights, World(), defines)
+
+
+def names(lights, inputs):
+    return [*lighting.light_names(lights, inputs[3].roughness.min()), "PS_HAS_METAL"]
 
 
 def test_all_lights_and_colour_world_equal_reference(device, inputs):
     lights = list(LIGHTS.values())
     world = World(color=np.array([0.3, 0.5, 0.9]))
-    compare(device, inputs, lights, world, ["PS_HAS_LIGHTS", "PS_HAS_AREA_LIGHTS", "PS_HAS_WORLD"])
+    compare(device, inputs, lights, world, [*names(lights, inputs), "PS_HAS_WORLD"])
 
 
 def test_picture_world_equals_reference(device, inputs):
     image = np.random.default_rng(5).random((32, 64, 3)).astype(np.float32) ** 4
     turn = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    compare(device, inputs, [], World(image=image, world_rotation=turn), ["PS_HAS_ENVIRONMENT"])
+    compare(device, inputs, [], World(image=image, world_rotation=turn), ["PS_HAS_ENVIRONMENT", "PS_HAS_METAL"])
 
 
 def test_without_light_only_emission_is_left(device, inputs):

@@ -37,10 +37,12 @@ def data(passes: frozenset[str]) -> tuple[str, ...]:
     return tuple(name for name, (_, _, serves) in DATA.items() if passes & set(serves))
 
 
-def shade_program(variant: Variant, lighting: tuple[str, ...], passes: frozenset[str]) -> Interface:
-    """`lighting`: the PS_HAS_ names of what shines."""
+def shade_program(
+    variant: Variant, lighting: tuple[str, ...], materials: tuple[str, ...], passes: frozenset[str]
+) -> Interface:
+    """`lighting`, `materials`: the PS_ names of what shines and of what surfaces do with it."""
     read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
-    names = (*variant.defines, *lighting, *_averaged_defines(passes))
+    names = (*variant.defines, *lighting, *materials, *_averaged_defines(passes))
     return Interface(
         "shade", fragment="shade.frag", block=FRAME, outputs=_averaged_outputs(passes),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *_lighting_samplers(lighting)),
@@ -97,7 +99,9 @@ def material_rows(table: MaterialTable) -> np.ndarray:
     rows = np.zeros((len(table), 4, 4), np.float32)
     rows[:, 0, :3], rows[:, 0, 3] = table.base_color, table.alpha
     rows[:, 1, :3] = table.emission
-    rows[:, 2] = np.stack([table.cull, table.roughness, table.metallic, relative_index(table.ior, table.specular)], axis=1)
+    rows[:, 2] = np.stack(
+        [table.cull, table.roughness, table.metallic, relative_index(table.ior, table.specular)], axis=1
+    )
     return rows
 
 
