@@ -11,16 +11,15 @@ from typing import Any
 import numpy as np
 
 from ..core.scene import Camera, Scene, Settings
-from .device import Device, Target, Texture
+from .device import Device, Texture
 from .filtering import cryptomatte, offsets
 from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
 from .passes import shade as shade_pass
 from .passes.common import frame_record
-from .passes.points import Projection
 from .passes.pyramid import levels
 from .plan import make_plan
 from .prepare import STORE, prepare
-from .surfels import Surfels
+from .targets import Pool, Targets
 from .uploads import Kept, Uploads
 
 MOST_MARGIN = 64  # pixels around the window in which the centres of wide splats are looked for
@@ -92,6 +91,7 @@ class Renderer:
     def __init__(self, device: Device) -> None:
         self.device = device
         self.kept = Kept(device)
+        self.pool = Pool(device)
 
     def render(
         self,
@@ -132,6 +132,7 @@ class Renderer:
     def release(self) -> None:
         """Free everything that is kept on the device."""
         self.kept.release()
+        self.pool.release()
 
 
 class Frame:
@@ -156,6 +157,7 @@ class Frame:
         # Everything is drawn for `view`, of which the camera's window is a part.
         self.view, self.corner = _widened(request.camera, self.prepared.largest if self.plan.points else 0.0)
         self._owned: list[Any] = []
+        self._lent: tuple[tuple, Targets] | None = None
         self._identities: list[np.ndarray] = []
         self._data: dict[str, np.ndarray] = {}
         self._trivial = not (self.plan.points or self.plan.polygons) and scene.world.image is None
@@ -173,21 +175,9 @@ class Frame:
         motion = "vector" in shade_pass.data(passes)
         self.uploads = self._own(Uploads(self.renderer.kept, self.scene, self.view, self.prepared, plan, motion))
         size, count = self.view.window[2:], levels(self.prepared.largest, self.view.resolution)
-        self.projection = self._own(Projection(device, plan.options, size)) if plan.points else None
-        self.surfels = self._own(Surfels(device, plan, plan.variant, size, count))
-        self.sums = [self._own(device.texture(size, "RGBA32F")) for _ in range(1 + len(shade_pass.averaged(passes)))]
-        self.sum_target: Target = self._own(device.target(self.sums))
-        device.clear(self.sum_target)
-        self.data_textures: list[Texture] = []
-        if plan.data:
-            self.data_textures = [self._own(device.texture(size, "RGBA32F")) for _ in shade_pass.data(passes)]
-            self.data_target: Target = self._own(device.target(self.data_textures))
-            # Identities cannot be averaged, and motion and positions are asked for once: they have a G-buffer of their
-            # own, so that no sample carries what only one of them needs.
-            same = plan.data_variant == plan.variant
-            self.data_surfels = self.surfels
-            if not same:
-                self.data_surfels = self._own(Surfels(device, plan, plan.data_variant, size, count))
+        self._lent = self.renderer.pool.borrow(plan, passes, size, count)
+        self.targets = self._lent[1]
+        device.clear(self.targets.sum_target)
         self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes)
         self.background = shade_pass.background_program(plan.lighting, self.scene.transparent, passes)
 
@@ -199,14 +189,14 @@ class Frame:
             return False
         if not self._trivial:
             record = self._record(self.done)
-            projection, uploads = self.projection, self.uploads
+            projection, uploads = self.targets.projection, self.uploads
             if projection is not None:
                 self.clock.run("project", lambda: projection.run(uploads.draws, record.copy(), uploads.shared))
-            self.surfels.draw(uploads, projection, record, self.clock.run)
+            self.targets.surfels.draw(uploads, projection, record, self.clock.run)
             first = self.done == 0
             if self.plan.data and (first or self._wants_identities):
-                if self.data_surfels is not self.surfels:
-                    self.data_surfels.draw(uploads, projection, record, self.clock.run)
+                if self.targets.data_surfels is not self.targets.surfels:
+                    self.targets.data_surfels.draw(uploads, projection, record, self.clock.run)
                 self.clock.run("data", lambda: self._draw_data(record))
                 self._read_data(first)
             self.clock.run("shade", lambda: self._shade(record))
@@ -218,7 +208,7 @@ class Frame:
     @property
     def color(self) -> Texture:
         """Sum of the samples so far, premultiplied, scene-linear; `present` averages."""
-        return self.sums[0]
+        return self.targets.sums[0]
 
     def _record(self, index: int) -> np.ndarray:
         camera, mist = self.view, self.scene.mist
@@ -229,32 +219,32 @@ class Frame:
         return record
 
     def _shade(self, record: np.ndarray) -> None:
-        textures = self.surfels.buffer.bound()
+        textures = self.targets.surfels.buffer.bound()
         textures |= self.uploads.shading
-        self.device.draw(self.shade, self.sum_target, uniforms=record, textures=textures, blend=True)
+        self.device.draw(self.shade, self.targets.sum_target, uniforms=record, textures=textures, blend=True)
 
     def _draw_background(self, record: np.ndarray) -> None:
-        textures = {"ps_place": self.surfels.buffer.textures["place"]}
+        textures = {"ps_place": self.targets.surfels.buffer.textures["place"]}
         textures |= self.uploads.shading
-        self.device.draw(self.background, self.sum_target, uniforms=record, textures=textures, blend=True)
+        self.device.draw(self.background, self.targets.sum_target, uniforms=record, textures=textures, blend=True)
 
     def _draw_data(self, record: np.ndarray) -> None:
         camera = self.view
         record = record.copy()
         x0, y0, _, _ = camera.window
         record["previous"][0] = *camera.resolution, x0, y0
-        textures = self.data_surfels.buffer.bound()
+        textures = self.targets.data_surfels.buffer.bound()
         if self.uploads.previous is not None:
             textures["ps_previous"] = self.uploads.previous
         program = shade_pass.data_program(self.plan.data_variant, self.request.passes)
-        self.device.draw(program, self.data_target, uniforms=record, textures=textures)
+        self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 
     @property
     def _wants_identities(self) -> bool:
         return bool(self.request.passes & set(CRYPTO))
 
     def _read_data(self, first: bool) -> None:
-        for name, texture in zip(shade_pass.data(self.request.passes), self.data_textures, strict=True):
+        for name, texture in zip(shade_pass.data(self.request.passes), self.targets.data, strict=True):
             if first or name == "index":
                 array = self._cropped(texture)
                 if first:
@@ -279,7 +269,7 @@ class Frame:
         record["page"][0, :2] = self.corner
         record["mist"][0, 3] = 1 / max(self.done, 1)
         record["previous"][0] = m[2, 2], m[2, 3], m[3, 2], m[3, 3]
-        textures = {"ps_combined": self.sums[0], "ps_place": self.surfels.buffer.textures["place"]}
+        textures = {"ps_combined": self.targets.sums[0], "ps_place": self.targets.surfels.buffer.textures["place"]}
         self.device.draw(shade_pass.PRESENT, None, uniforms=record, textures=textures)
 
     def _present_constant(self) -> None:
@@ -309,7 +299,7 @@ class Frame:
             return self._empty_pixels(wanted, width, height)
         out: dict[str, np.ndarray] = {}
         names = ("combined", *shade_pass.averaged(self.request.passes))
-        for name, texture in zip(names, self.sums, strict=True):
+        for name, texture in zip(names, self.targets.sums, strict=True):
             mean = self._cropped(texture) / max(self.done, 1)
             out[name] = np.ascontiguousarray(mean[..., : BY_KEY[name].channels])
         data = self._data
@@ -379,6 +369,9 @@ class Frame:
         for item in self._owned:
             item.release()
         self._owned.clear()
+        if self._lent is not None:
+            self.renderer.pool.give_back(*self._lent)
+        self._lent = None
 
     def _own(self, item: Any) -> Any:
         self._owned.append(item)

@@ -1,0 +1,80 @@
+"""The textures that one picture is drawn into, lent from frame to frame: making them anew costs as much as a pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .device import Device, Target, Texture
+from .passes import shade as shade_pass
+from .passes.points import Projection
+from .plan import Plan
+from .surfels import Surfels
+
+
+class Targets:
+    """Everything that one sample writes, and the sums over samples."""
+
+    def __init__(self, device: Device, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
+        """`count`: levels of the pyramid above the G-buffer."""
+        self._owned: list[Any] = []
+        self._device = device
+        try:
+            self._allocate(plan, passes, size, count)
+        except Exception:
+            self.release()
+            raise
+
+    def _allocate(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
+        device = self._device
+        self.projection = self._own(Projection(device, plan.options, size)) if plan.points else None
+        self.surfels: Surfels = self._own(Surfels(device, plan, plan.variant, size, count))
+        self.sums: list[Texture] = [
+            self._own(device.texture(size, "RGBA32F")) for _ in range(1 + len(shade_pass.averaged(passes)))
+        ]
+        self.sum_target: Target = self._own(device.target(self.sums))
+        self.data: list[Texture] = []
+        if plan.data:
+            self.data = [self._own(device.texture(size, "RGBA32F")) for _ in shade_pass.data(passes)]
+            self.data_target: Target = self._own(device.target(self.data))
+            # Identities cannot be averaged, and motion and positions are asked for once: they have a G-buffer of their
+            # own, so that no sample carries what only one of them needs.
+            self.data_surfels = self.surfels
+            if plan.data_variant != plan.variant:
+                self.data_surfels = self._own(Surfels(device, plan, plan.data_variant, size, count))
+
+    def _own(self, item: Any) -> Any:
+        self._owned.append(item)
+        return item
+
+    def release(self) -> None:
+        for item in self._owned:
+            item.release()
+        self._owned.clear()
+
+
+class Pool:
+    """Targets that no frame uses: the last set that came back."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self._idle: tuple[tuple, Targets] | None = None
+
+    def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
+        """Targets for a plan, and the key to give them back with."""
+        key = (size, count, plan.points, plan.polygons, plan.variant, plan.options, shade_pass.averaged(passes),
+               (plan.data_variant, shade_pass.data(passes)) if plan.data else None)  # fmt: skip
+        idle, self._idle = self._idle, None
+        if idle is not None and idle[0] == key:
+            return idle
+        if idle is not None:
+            idle[1].release()
+        return key, Targets(self.device, plan, passes, size, count)
+
+    def give_back(self, key: tuple, targets: Targets) -> None:
+        self.release()
+        self._idle = key, targets
+
+    def release(self) -> None:
+        if self._idle is not None:
+            self._idle[1].release()
+        self._idle = None
