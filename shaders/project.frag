@@ -1,4 +1,6 @@
+// Which splat: see project.vert.
 void main()
 {
   id = ps_id;
+  gl_FragDepth = ps_order;
 }

@@ -6,6 +6,7 @@
 void main()
 {
   ps_id = uint(frame.page.x + gl_VertexID);
+  ps_order = 1.0;
   gl_PointSize = 1.0;
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   ivec3 element = ps_element(gl_VertexID);
@@ -33,7 +34,8 @@ void main()
   vec3 covariance = ps_footprint(element.z, view, head.w, texelFetch(ps_extent, element.xy, 0));
   uint beside = ps_beside(covariance, pixel.xy - centre);
   ps_id |= beside;
-  // Splats that miss the pixel's centre come after all that hold it: the far half of the depth range.
-  float z = 0.5 * ps_buffer_depth(pixel.z) + (beside == 0u ? 0.0 : 0.5);
-  gl_Position = vec4(centre / vec2(frame.size.xy) * 2.0 - 1.0, 2.0 * z - 1.0, 1.0);
+  // Splats that miss the pixel's centre come after all that hold it: the far half of the depth range. Written by the
+  // fragment shader, since clip space would round it to a part of the whole range.
+  ps_order = 0.5 * ps_buffer_depth(pixel.z) + (beside == 0u ? 0.0 : 0.5);
+  gl_Position = vec4(centre / vec2(frame.size.xy) * 2.0 - 1.0, 0.0, 1.0);
 }

@@ -21,23 +21,29 @@ void main()
   vec3 covariance = ps_footprint(element.z, p, head.w, extent);
   mat3 linear = ps_linear(element.z);
   bool ball = head.w < 0.0;
-  vec3 normal = ball ? vec3(0.0) : ps_view_normal(linear, ps_unpack_normal(head.w));
+  vec3 n = ball ? vec3(0.0) : ps_unpack_normal(head.w);
+  vec3 normal = ball ? vec3(0.0) : ps_view_normal(linear, n);
+  // Splats have two sides. Those that meet in a mean must show the same one.
+  bool turned = dot(normal, ps_is_perspective() ? p : vec3(0.0, 0.0, -1.0)) > 0.0;
+  normal = turned ? -normal : normal;
 
-  // Where the surface is steep, neighbours of one surface are this far apart in depth.
-  float steep = ball ? 1.0 : min(length(normal.xy) / max(abs(normal.z), 1e-3), 8.0);
-  float reach = extent.x * ps_scale(element.z) + steep * ps_pixel_size(pixel.z);
+  // How far the splat extends in depth, and its neighbours on the same surface lie apart.
+  vec3 depth_row = transpose(linear)[2];
+  float along = dot(depth_row, n);
+  float steep = ball ? 1.0 : min(length(normal.xy) / max(abs(normal.z), 1e-3), 1.0);
+  float reach = extent.x * sqrt(max(dot(depth_row, depth_row) - along * along, 0.0)) + steep * ps_pixel_size(pixel.z);
   // Whether the splat holds the pixel's centre was found out when it was projected, in full precision.
   bool covers = found == id;
 
   PsSurfel s = ps_empty();
-  s.place = vec4(pixel.z, pixel.xy - (vec2(place) + 0.5), covers ? reach : -reach);
+  s.place = vec4(pixel.z, pixel.xy - (vec2(place) + 0.5), covers ? max(reach, 1e-30) : -max(reach, 1e-30));
   s.shape = vec4(ps_cholesky(covariance), extent.w);
 #ifdef PS_NORMAL
   s.normal.xyz = normal;
 #ifdef PS_SHADING_NORMAL
   float code = texelFetch(ps_shading_normal, element.xy, 0).x;
   if (code >= 0.0) {
-    s.normal.xyz = ps_view_normal(linear, ps_unpack_normal(code));
+    s.normal.xyz = ps_view_normal(linear, ps_unpack_normal(code)) * (turned ? -1.0 : 1.0);
   }
 #endif
 #endif

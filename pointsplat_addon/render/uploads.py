@@ -139,13 +139,11 @@ class Uploads:
                 continue
             size, data = paged(rows, 4)
             uniforms: dict[str, Any] = {}
-            scale = 1.0
             if one is not None:
                 matrix = with_origin(prepared.view_from_object[one : one + 1], origin[one : one + 1])[0]
                 uniforms["view_from_object"] = matrix.T.reshape(-1)
-                scale = float(np.linalg.norm(matrix[:3, :3], 2))
             texture = self._own(device.texture(size, "RGBA32F", data))
-            draws.append(PageDraw(page, texture, len(rows), shift, index, uniforms, scale))
+            draws.append(PageDraw(page, texture, len(rows), shift, index, uniforms))
             index += len(rows) << shift
         return draws
 

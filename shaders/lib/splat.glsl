@@ -39,12 +39,6 @@ mat3 ps_linear(int instance)
   return mat3(frame.view_from_object);
 }
 
-// The instance's largest stretch.
-float ps_scale(int instance)
-{
-  return frame.lens.w;
-}
-
 #else
 
 vec4 ps_instance_row(int instance, int row)
@@ -63,11 +57,6 @@ mat3 ps_linear(int instance)
 {
   return transpose(mat3(ps_instance_row(instance, 0).xyz, ps_instance_row(instance, 1).xyz,
                         ps_instance_row(instance, 2).xyz));
-}
-
-float ps_scale(int instance)
-{
-  return ps_instance_row(instance, 3).y;
 }
 
 #endif

@@ -85,10 +85,7 @@ def test_blenders_gpu_and_moderngl_agree(blender, opengl, name):
     agree(opengl(case, True), pictures(blender, case))
 
 
-FAR = pytest.mark.xfail(strict=True, reason="the vertex shader's depth from -1 to 1 loses what is near the eye")
-
-
-@pytest.mark.parametrize("name", [pytest.param(name, marks=FAR) if name == "scales" else name for name in CASES])
+@pytest.mark.parametrize("name", CASES)
 def test_with_and_without_image_atomics_agree(opengl, name):
     case = CASES[name]()
     agree(opengl(case, True), opengl(case, False))

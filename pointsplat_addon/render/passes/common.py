@@ -17,7 +17,7 @@ FRAME = Block(
         ("mat4", "view_from_object"),  # of the polygons, or of the only instance of points
         ("mat4", "world_from_view"),
         ("vec4", "focal"),  # fx, fy, cx, cy: core.scene.Camera.pixel_from_view
-        ("vec4", "lens"),  # near, far, 1 for perspective, polygons: 1 or -1, sense of front faces; points: stretch
+        ("vec4", "lens"),  # near, far, 1 for perspective, 1 or -1: sense of front faces
         ("vec4", "mist"),  # start, 1 / range, exponent, 1 / samples so far
         ("vec4", "previous"),  # Vector: size and corner of the picture. Present: clip z and w from view z
         ("ivec4", "size"),  # width, height, level, instance

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.cloud import PointCloud
-from ...core.cut import largest_singular_value
 from ...core.hierarchy import splats
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
@@ -139,11 +138,9 @@ def blocks(prepared: Prepared, geometry: np.ndarray, first: dict[int, int]) -> t
 
 
 def instance_rows(view_from_object: np.ndarray, origin: np.ndarray, holdout: np.ndarray | None) -> np.ndarray:
-    """(4 I, 4) float32: three rows of each matrix, with the origin (I, 3) of its cloud taken in;
-    holdout and largest stretch."""
+    """(4 I, 4) float32: three rows of each matrix, with the origin (I, 3) of its cloud taken in; holdout."""
     rows = np.zeros((len(view_from_object), 4, 4))
     rows[:, :3] = with_origin(view_from_object, origin)[:, :3]
-    rows[:, 3, 1] = largest_singular_value(np.nan_to_num(view_from_object[:, :3, :3], posinf=0.0, neginf=0.0))
     if holdout is not None:
         rows[:, 3, 0] = holdout
     return np.nan_to_num(rows, nan=0.0, posinf=0.0, neginf=0.0).reshape(-1, 4).astype(np.float32)
@@ -199,8 +196,9 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         fragment="project.frag",
         block=FRAME,
         samplers=(*common, *cull),
-        varyings=(("flat", "uint", "ps_id"),),
+        varyings=(("flat", "uint", "ps_id"), ("flat", "float", "ps_order")),
         outputs=(("uint", "id"),),
+        depth=True,
         defines=defines,
     )
     extra = [("UINT_2D", "ps_ids")]
@@ -241,7 +239,6 @@ class PageDraw:
     shift: int
     first_index: int  # of this page's splats among all that are drawn
     uniforms: dict[str, object]
-    scale: float = 1.0  # of the only instance
 
     @property
     def elements(self) -> int:
@@ -251,7 +248,6 @@ class PageDraw:
         record["page"][0, :3] = self.first_index, self.count, self.shift
         for name, value in self.uniforms.items():
             record[name][0] = value
-        record["lens"][0, 3] = self.scale
         return record
 
 
