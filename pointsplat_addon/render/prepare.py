@@ -18,7 +18,7 @@ import numpy as np
 from ..core import sampling
 from ..core.appearance import digest, point_cloud
 from ..core.cloud import PointCloud, finite
-from ..core.cut import Cut, Forest, forest, fully, select
+from ..core.cut import Cut, Forest, forest, fully, largest_singular_value, select
 from ..core.hierarchy import Hierarchy, build, refit
 from ..core.scene import Camera, Geometry, Instances, Mesh, Scene, Settings
 
@@ -275,7 +275,7 @@ class _View:
         """Whether enough instances show this set's splats so small that a cut leaves most of them out."""
         cloud, store, camera = points.cloud, self.store, self.camera
         radius = store.lookup(("radius", *points.key), lambda: _typical_radius(cloud))
-        middle = cloud.origin + sum(_reach(points, store)[:2]) / 2
+        middle, _, _ = _extent(points, store)
         linear = view_from_object[:, :3, :3]
         depth = np.maximum(-(linear @ middle + view_from_object[:, :3, 3])[:, 2], camera.near)
         scale = np.abs(np.linalg.det(linear)) ** (1 / 3) * abs(camera.pixel_from_view()[0])
@@ -300,16 +300,20 @@ def _typical_edge(mesh: Mesh, ok: np.ndarray) -> float:
     return float(np.sqrt(np.linalg.norm(np.cross(b - a, c - a), axis=1).mean()))
 
 
-def _reach(points: PointSet, store: Store) -> tuple[np.ndarray, np.ndarray, float]:
-    """The least and the greatest position, (3,) each, and the largest radius."""
+def _extent(points: PointSet, store: Store) -> tuple[np.ndarray, float, float]:
+    """Centre in object space, greatest distance of a point from it, greatest radius of a splat."""
     cloud = points.cloud
 
-    def look() -> tuple[np.ndarray, np.ndarray, float]:
+    def look() -> tuple[np.ndarray, float, float]:
         # Column by column: along the first axis of an (N, 3) array NumPy is twenty times slower.
-        low, high = (np.array([reduce(column) for column in cloud.position.T], float) for reduce in (np.min, np.max))
-        return low, high, 0.0 if cloud.radii is None else float(cloud.radii[:, 0].max(initial=0.0))
+        middle = np.array([(float(column.min()) + float(column.max())) / 2 for column in cloud.position.T])
+        squared = np.zeros(len(cloud))
+        for column, m in zip(cloud.position.T, middle, strict=True):
+            squared += (column - m) ** 2
+        radius = 0.0 if cloud.radii is None else float(cloud.radii[:, 0].max(initial=0.0))
+        return cloud.origin + middle, float(np.sqrt(squared.max())) * (1 + 1e-6), radius
 
-    return store.lookup(("reach", *points.key), look)
+    return store.lookup(("extent", *points.key), look)
 
 
 def _typical_radius(cloud: PointCloud) -> float:
@@ -360,15 +364,12 @@ def _largest(
     largest = 0.0
     focal = max(abs(f) for f in camera.pixel_from_view()[:2])
     for row, points in point_sets.items():
-        where = np.flatnonzero(instances.geometry == row)
-        matrix = view_from_object[where]
-        cloud = points.cloud
-        low, high, radius = _reach(points, store)
-        reach = float(np.linalg.norm(high - low)) / 2
-        with np.errstate(all="ignore"):
-            scale = np.linalg.norm(matrix[:, :3, :3], axis=(1, 2))
-            centre = matrix[:, :3, :3] @ (cloud.origin + (low + high) / 2) + matrix[:, :3, 3]
-            depth = np.maximum(-centre[:, 2] - reach * scale, max(camera.near, 1e-6)) if camera.perspective else 1.0
-            pixels = radius * scale * focal / depth
-        largest = max(largest, float(np.nanmax(pixels, initial=0.0)))
+        matrix = view_from_object[instances.geometry == row]
+        matrix = matrix[np.isfinite(matrix).all(axis=(1, 2))]
+        middle, reach, radius = _extent(points, store)
+        scale = largest_singular_value(matrix[:, :3, :3])
+        depth = 1.0
+        if camera.perspective:
+            depth = np.maximum(-(matrix[:, 2, :3] @ middle + matrix[:, 2, 3]) - reach * scale, max(camera.near, 1e-6))
+        largest = max(largest, float((radius * scale * focal / depth).max(initial=0.0)))
     return max(largest, settings.tolerance if cut.nodes else 0.0)

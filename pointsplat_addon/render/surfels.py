@@ -37,7 +37,7 @@ class Surfels:
         """One sample: points resolved, polygons rasterised, holes filled. `run` times each pass."""
 
         def resolve_points() -> None:
-            self.device.clear(self.buffer.target)
+            self.buffer.clear()
             if projection is not None:
                 resolve(
                     self.device,

@@ -92,6 +92,13 @@ class GBuffer:
         self.front = device.texture(size, "R32F")
         self.target: Target = device.target([*self.textures.values(), self.front], depth=depth)
         self.fill_target: Target = device.target(list(self.textures.values()))
+        # Where these two are zero nothing else is read.
+        self.mark_target: Target = device.target([self.textures["place"], self.front])
+        self._device, self._depth = device, depth
+
+    def clear(self) -> None:
+        """Nothing anywhere."""
+        self._device.clear(self.target if self._depth else self.mark_target)
 
     def bound(self, prefix: str = "ps_") -> dict[str, Texture]:
         """Textures by sampler name."""
@@ -100,6 +107,7 @@ class GBuffer:
     def release(self) -> None:
         self.target.release()
         self.fill_target.release()
+        self.mark_target.release()
         for texture in (*self.textures.values(), self.front):
             texture.release()
 

@@ -43,7 +43,7 @@ class Pyramid:
         for level in range(1, len(self.levels)):
             record["size"][0, 2] = level
             coarse = self.levels[level]
-            self.device.clear(coarse.target)
+            coarse.clear()
             self.device.draw(self.pull_program, coarse.target, uniforms=record, textures=self.levels[level - 1].bound())
 
     def push(self, record: np.ndarray) -> None:
