@@ -140,8 +140,8 @@ class Light:
     radius: float = 0.0  # sphere radius (POINT, SPOT); SUN: half angle in radians
     spot_cos: float = -1.0  # SPOT: cosine of half the cone angle
     spot_blend: float = 0.0  # SPOT: Blender's blend in [0, 1]
-    # AREA: (3,) half-extent vector of the first and second side. SPOT: rows X and Y of the inverse of its matrix, divided
-    # by the length of row Z (unit local axes where the scale is uniform; None: a round cone)
+    # AREA: (3,) half-extent vector of the first and second side. SPOT: rows X and Y of the inverse of its matrix,
+    # divided by the length of row Z (unit local axes where the scale is uniform; None: a round cone)
     axis_u: np.ndarray | None = None
     axis_v: np.ndarray | None = None
     ellipse: bool = False  # AREA: disk or ellipse instead of a rectangle

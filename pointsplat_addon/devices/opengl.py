@@ -77,7 +77,7 @@ class OpenGLTimer:
         self._query.__enter__()
 
     def stop(self) -> None:
-        self._query.__exit__(None, None, None)
+        self._query.__exit__(None, None, None)  # pyright: ignore[reportArgumentType] - as `with` does
 
     def milliseconds(self) -> float:
         if self._elapsed < 0.0:
