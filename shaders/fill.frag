@@ -6,6 +6,23 @@
 #include "lib/surfel.glsl"
 #include "lib/store.glsl"
 
+#ifdef PS_FINEST
+// Whether the four splats around a pixel belong to one surface and the pixel's centre lies in the quadrilateral of
+// theirs. Silhouettes do not grow by what is filled there.
+bool ps_surrounded(vec4 a, vec4 b, vec4 c, vec4 d, vec2 toward)
+{
+  vec4 depth = vec4(a.x, b.x, c.x, d.x), reach = vec4(a.w, b.w, c.w, d.w);
+  vec4 end = depth + reach;
+  float nearest = min(min(a.x, b.x), min(c.x, d.x));
+  float front = a.x == nearest ? end.x : b.x == nearest ? end.y : c.x == nearest ? end.z : end.w;
+  vec4 x = toward.x * vec4(a.y, b.y, c.y, d.y) + vec4(-0.5, 1.5, -0.5, 1.5);
+  vec4 y = toward.y * vec4(a.z, b.z, c.z, d.z) + vec4(-0.5, -0.5, 1.5, 1.5);
+  vec4 across = x.xywz * y.ywzx - y.xywz * x.ywzx;
+  return all(greaterThan(reach, vec4(0.0))) && all(greaterThan(across, vec4(0.0))) &&
+         all(lessThanEqual(depth - reach, vec4(front)));
+}
+#endif
+
 void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
@@ -29,11 +46,10 @@ void main()
   }
 
   // Between levels a splat must not miss a pixel that it touches. At the end, where the pixel's centre is what counts,
-  // a gap between splats on all four sides is none: the surface goes on there.
+  // splats may be too small to reach it from all sides: a surface goes on between the centres of its splats.
   float side = float(1 << frame.size.z);
 #ifdef PS_FINEST
-  bool inside = place[0].w > 0.0 && place[1].w > 0.0 && place[2].w > 0.0 && place[3].w > 0.0;
-  float slack = inside ? 0.25 : 0.0;
+  float slack = ps_surrounded(place[0], place[1], place[2], place[3], vec2(toward)) ? 0.25 : 0.0;
 #else
   float slack = side * side * 0.125;
 #endif
