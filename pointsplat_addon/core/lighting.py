@@ -24,11 +24,11 @@ from .scene import Light, World
 # ps_lights, (FIRST_LIGHT + lights, WIDTH, 4) float32:
 #   rows 0 .. TABLE_ROWS      reflectance table, see reflectance_table
 #   row TABLE_ROWS            (0) world colour; (1..3) columns of image_from_view; (4) where each kind but the last ends
-#   row ROUGHNESS_ROW         the table at the roughness of a scene that has but one
+#   row SURFACE_ROW           dielectrics of one kind: see surface_row
 #   rows FIRST_LIGHT ..       one light each, sorted by kind, see light_records
 WIDTH = 32
 TABLE_ROWS = 32
-ROUGHNESS_ROW = TABLE_ROWS + 1
+SURFACE_ROW = TABLE_ROWS + 1
 FIRST_LIGHT = TABLE_ROWS + 2
 KINDS = ("SUN", "POINT", "SPOT", "RECTANGLE", "ELLIPSE")
 COLUMNS = 6
@@ -142,24 +142,32 @@ def light_names(lights: Sequence[Light], roughness: float) -> tuple[str, ...]:
 
 
 def light_texture(
-    lights: Sequence[Light], world: World, view_from_world: np.ndarray, roughness: float = 0.5
+    lights: Sequence[Light], world: World, view_from_world: np.ndarray, roughness: float = 0.5, eta: float = 1.5
 ) -> np.ndarray:
     """Everything that shaders/lib/lights.glsl reads from ps_lights: (FIRST_LIGHT + L, WIDTH, 4) float32.
 
-    roughness: of the whole scene, where PS_ONE_ROUGHNESS says that it has but one.
+    roughness, eta: of the whole scene, where PS_ONE_SURFACE says that all of it is alike and nothing metallic.
     """
     lights = sorted(lights, key=lambda light: KINDS.index(_kind(light)))
     texture = np.zeros((FIRST_LIGHT + len(lights), WIDTH, 4), np.float32)
     texture[:TABLE_ROWS] = reflectance_table()
-    row = np.clip(roughness, 0, 1) * (TABLE_ROWS - 1)
-    low = min(int(row), TABLE_ROWS - 2)
-    texture[ROUGHNESS_ROW] = (1 - (row - low)) * reflectance_table()[low] + (row - low) * reflectance_table()[low + 1]
+    texture[SURFACE_ROW] = surface_row(roughness, eta)
     kinds = [KINDS.index(_kind(light)) for light in lights]
     texture[TABLE_ROWS, 4] = np.searchsorted(kinds, np.arange(len(KINDS) - 1), side="right")
     texture[TABLE_ROWS, 0, :3] = world.color
     texture[TABLE_ROWS, 1:4, :3] = (world.world_rotation @ view_from_world[:3, :3].T).T  # columns as rows
     texture[FIRST_LIGHT:, :COLUMNS] = light_records(lights, view_from_world)
     return texture
+
+
+def surface_row(roughness: float, eta: float) -> np.ndarray:
+    """(WIDTH, 4) float64 of a dielectric, by view cosine as in reflectance_table: reflectance of uniform light,
+    multiple over single scattering; roughness, eta."""
+    cosine = np.maximum(np.linspace(0, 1, WIDTH) ** 2, 1e-4)
+    roughness = np.clip(roughness, 0, 1)
+    albedo, _, share, mean = _table(cosine, np.full(WIDTH, roughness)).T
+    reflected, scale = _dielectric(albedo, share, mean, np.full(WIDTH, eta))
+    return np.stack([reflected, scale, np.full(WIDTH, roughness), np.full(WIDTH, eta)], axis=1)
 
 
 def light_records(lights: Sequence[Light], view_from_world: np.ndarray) -> np.ndarray:
@@ -229,20 +237,9 @@ class _Material:
         self.metal_f0 = np.clip(surface.base, 0, 1)
 
         self.eta = relative_index(surface.ior, surface.specular)
-        f0 = ((self.eta - 1) / (self.eta + 1)) ** 2
-
         albedo, s_metal, s_dielectric, mean = _table(self.cos_eye, np.clip(surface.roughness, 0, 1)).T[:, :, None]
-        missing = (1 - albedo) / albedo
-
-        def scattered(mean_fresnel: np.ndarray) -> np.ndarray:
-            """Multiple over single scattering (Kulla and Conty 2017)."""
-            return 1 + missing * mean_fresnel * mean / (1 - mean_fresnel * (1 - mean))
-
-        self.metal_scale = metallic * scattered(self.metal_f0 + (1 - self.metal_f0) / 21)
-        f0 = f0[:, None]
-        dielectric_scale = scattered(_mean_fresnel(self.eta)[:, None])
-        reflected = (f0 * (1 - s_dielectric) + s_dielectric) * albedo * dielectric_scale
-        reflected = np.where(self.eta[:, None] == 1, 0.0, reflected)
+        self.metal_scale = metallic * _scattered(self.metal_f0 + (1 - self.metal_f0) / 21, albedo, mean)
+        reflected, dielectric_scale = _dielectric(albedo, s_dielectric, mean, self.eta[:, None])
         self.dielectric_scale = (1 - metallic) * dielectric_scale
         self.reflectance = (1 - metallic) * reflected + self.metal_scale * albedo * (
             self.metal_f0 * (1 - s_metal) + s_metal
@@ -485,11 +482,12 @@ def _area_light(
 
 
 def _points(light: Light) -> list[tuple[float, float, float]]:
-    """Quadrature of degree 5 over an area light, the centre first: (along axis_u, along axis_v, weight)."""
+    """Quadrature of degree 5 (Radon 1948) over an area light, centre first: (along axis_u, along axis_v, weight)."""
     if light.ellipse:
         return [(c * r, s * r, w) for c, s, r, w in DISK]
-    nodes = ((0.0, 8 / 18), (-np.sqrt(0.6), 5 / 18), (np.sqrt(0.6), 5 / 18))
-    return [(s, t, ws * wt) for t, wt in nodes for s, ws in nodes]
+    sides = [(0.0, t * np.sqrt(14 / 15), 5 / 63) for t in (-1, 1)]
+    corners = [(s * np.sqrt(3 / 5), t * np.sqrt(1 / 3), 5 / 36) for s in (-1, 1) for t in (-1, 1)]
+    return [(0.0, 0.0, 2 / 7), *sides, *corners]
 
 
 def _light_beam(direction: np.ndarray, light: Light) -> np.ndarray:
@@ -614,6 +612,20 @@ def _table(cosine: np.ndarray, roughness: np.ndarray) -> np.ndarray:
     low = table[y0, x0] * (1 - fx) + table[y0, x0 + 1] * fx
     high = table[y0 + 1, x0] * (1 - fx) + table[y0 + 1, x0 + 1] * fx
     return low * (1 - fy) + high * fy
+
+
+def _dielectric(
+    albedo: np.ndarray, share: np.ndarray, mean: np.ndarray, eta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reflectance of uniform light, and multiple over single scattering, from the table's channels 0, 2 and 3."""
+    f0 = ((eta - 1) / (eta + 1)) ** 2
+    scale = _scattered(_mean_fresnel(eta), albedo, mean)
+    return np.where(eta == 1, 0.0, (f0 * (1 - share) + share) * albedo * scale), scale
+
+
+def _scattered(mean_fresnel: np.ndarray, albedo: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Multiple over single scattering (Kulla and Conty 2017), from the table's channels 0 and 3."""
+    return 1 + (1 - albedo) / albedo * mean_fresnel * mean / (1 - mean_fresnel * (1 - mean))
 
 
 def _albedo(alpha: float, cosine: np.ndarray) -> np.ndarray:

@@ -97,9 +97,11 @@ def _world(scene: Scene) -> tuple[str, ...]:
 def _materials(scene: Scene, surface: bool) -> tuple[str, ...]:
     """`surface`: roughness and metallic vary within a material."""
     table = scene.materials
+    metal = surface or bool((table.metallic > 0).any())
     found = {
-        "PS_HAS_METAL": surface or bool((table.metallic > 0).any()),
+        "PS_HAS_METAL": metal,
         "PS_HAS_GLOW": bool((table.emission > 0).any()),
-        "PS_ONE_ROUGHNESS": not surface and bool((table.roughness == table.roughness[0]).all()),
+        "PS_ONE_SURFACE": not metal
+        and all(bool((values == values[0]).all()) for values in (table.roughness, table.ior, table.specular)),
     }
     return tuple(name for name, needed in found.items() if needed)

@@ -94,8 +94,8 @@ class Uploads:
         self.materials = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
         self.shared: dict[str, Texture] = {"ps_materials": self.materials}
         if plan.lighting:
-            roughness = float(scene.materials.roughness[0])
-            lights = light_texture(scene.lights, scene.world, self.camera.view_from_world, roughness)
+            roughness, eta = table[0, 2, 1], table[0, 2, 3]
+            lights = light_texture(scene.lights, scene.world, self.camera.view_from_world, roughness, eta)
             size = (lights.shape[1], lights.shape[0])
             self.lights = self._own(device.texture(size, "RGBA32F", lights.reshape(-1)))
         if "PS_HAS_ENVIRONMENT" in plan.lighting and scene.world.image is not None:

@@ -1,11 +1,11 @@
 // The Principled BSDF without coat, sheen, transmission and subsurface: GGX with multiple scattering over Lambert.
 // Reference and sources: core/lighting.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
-// PS_HAS_METAL: something is metallic. PS_ONE_ROUGHNESS: the scene has one roughness.
+// PS_HAS_METAL: something is metallic. PS_ONE_SURFACE: nothing is, and roughness and eta are those of the whole scene.
 
 #define PS_PI 3.14159265358979
 #define PS_TABLE_WIDTH 32
 #define PS_TABLE_ROWS 32
-#define PS_ROUGHNESS_ROW (PS_TABLE_ROWS + 1)
+#define PS_SURFACE_ROW (PS_TABLE_ROWS + 1)
 #define PS_MIN_ALPHA 1e-3
 
 struct PsSurface {
@@ -28,6 +28,7 @@ struct PsLobes {
   vec3 metal_scale;
   float dielectric_scale;
   float eta;
+  float roughness;
   float alpha;
   float cos_eye;
   vec3 mirror;  // the reflected view direction
@@ -53,48 +54,53 @@ float ps_mean_fresnel(float eta)
   return clamp(eta >= 1.0 ? dense : thin, 0.0, 1.0);
 }
 
-vec4 ps_reflectance_row(int row, int column, float along)
+vec4 ps_table_row(int row, float cosine)
 {
-  return mix(texelFetch(ps_lights, ivec2(column, row), 0), texelFetch(ps_lights, ivec2(column + 1, row), 0), along);
+  float x = sqrt(cosine) * float(PS_TABLE_WIDTH - 1);
+  int column = min(int(x), PS_TABLE_WIDTH - 2);
+  return mix(texelFetch(ps_lights, ivec2(column, row), 0), texelFetch(ps_lights, ivec2(column + 1, row), 0),
+             x - float(column));
 }
 
 vec4 ps_reflectance_table(float cosine, float roughness)
 {
-  float x = sqrt(cosine) * float(PS_TABLE_WIDTH - 1);
-  int column = min(int(x), PS_TABLE_WIDTH - 2);
-  float along = x - float(column);
-#ifdef PS_ONE_ROUGHNESS
-  return ps_reflectance_row(PS_ROUGHNESS_ROW, column, along);
-#else
   float y = roughness * float(PS_TABLE_ROWS - 1);
   int row = min(int(y), PS_TABLE_ROWS - 2);
-  return mix(ps_reflectance_row(row, column, along), ps_reflectance_row(row + 1, column, along), y - float(row));
-#endif
+  return mix(ps_table_row(row, cosine), ps_table_row(row + 1, cosine), y - float(row));
 }
 
 PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 to_eye)
 {
   PsLobes lobes;
-  float roughness = clamp(surface.roughness, 0.0, 1.0);
   float facing = dot(normal, to_eye);
   lobes.normal = normal;
   lobes.to_eye = to_eye;
-  lobes.alpha = max(roughness * roughness, PS_MIN_ALPHA);
   lobes.cos_eye = clamp(facing, 1e-4, 1.0);
   lobes.mirror = 2.0 * facing * normal - to_eye;
   lobes.across = cross(normal, to_eye);
   float sine = length(lobes.across);
   lobes.across = sine > 1e-6 ? lobes.across / sine : vec3(0.0);
+
+#ifdef PS_ONE_SURFACE
+  vec4 table = ps_table_row(PS_SURFACE_ROW, lobes.cos_eye);
+  float reflected = table.x;
+  lobes.dielectric_scale = table.y;
+  lobes.roughness = table.z;
+  lobes.eta = table.w;
+#else
+  lobes.roughness = clamp(surface.roughness, 0.0, 1.0);
   lobes.eta = surface.eta;
   float root = (surface.eta - 1.0) / (surface.eta + 1.0);
   float f0 = root * root;
 
   // Single scattering from the table, multiple over single scattering as a factor.
-  vec4 table = ps_reflectance_table(lobes.cos_eye, roughness);
+  vec4 table = ps_reflectance_table(lobes.cos_eye, lobes.roughness);
   float missing = (1.0 - table.x) / table.x;
   float dielectric_mean = ps_mean_fresnel(surface.eta);
   lobes.dielectric_scale = 1.0 + missing * dielectric_mean * table.w / (1.0 - dielectric_mean * (1.0 - table.w));
   float reflected = surface.eta == 1.0 ? 0.0 : mix(f0, 1.0, table.z) * table.x * lobes.dielectric_scale;
+#endif
+  lobes.alpha = max(lobes.roughness * lobes.roughness, PS_MIN_ALPHA);
   lobes.reflectance = vec3(reflected);
   lobes.diffuse = max(surface.base, 0.0) * (1.0 - min(reflected, 1.0));
 #ifdef PS_HAS_METAL

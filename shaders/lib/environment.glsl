@@ -73,7 +73,7 @@ vec3 ps_background(vec3 direction)
 
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
 
-vec3 ps_shade_world(PsLobes lobes, float roughness)
+vec3 ps_shade_world(PsLobes lobes)
 {
 #if defined(PS_HAS_ENVIRONMENT)
   // A rough lobe leans from the mirror direction towards the normal (Lagarde and de Rousiers 2014, 4.9.3).
@@ -81,7 +81,7 @@ vec3 ps_shade_world(PsLobes lobes, float roughness)
   vec3 direction = normalize(mix(lobes.normal, lobes.mirror, smoothness * (sqrt(smoothness) + lobes.alpha)));
   vec2 uv = ps_uv_from_direction(ps_image_from_view(lobes.normal));
   return lobes.diffuse * ps_environment_level(uv, PS_ROUGH_LEVELS + 1) +
-         lobes.reflectance * ps_environment_radiance(ps_image_from_view(direction), clamp(roughness, 0.0, 1.0));
+         lobes.reflectance * ps_environment_radiance(ps_image_from_view(direction), lobes.roughness);
 #elif defined(PS_HAS_WORLD)
   return (lobes.diffuse + lobes.reflectance) * texelFetch(ps_lights, ivec2(0, PS_WORLD_ROW), 0).rgb;
 #else

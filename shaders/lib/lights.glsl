@@ -1,7 +1,7 @@
 // Direct light in view space; the entry is ps_shade. Reference, sources and the layout of ps_lights: core/lighting.py.
 // Names say what a scene needs, and all else is left out: PS_HAS_SUNS, PS_HAS_POINTS, PS_HAS_SPOTS, PS_HAS_RECTANGLES,
 // PS_HAS_ELLIPSES (kinds of lights), PS_ONE_KIND (all lights are of one); PS_HAS_WIDE_LIGHTS (some light's size is
-// seen), PS_HAS_BEAMS (narrowed area lights), PS_HAS_METAL, PS_ONE_ROUGHNESS, PS_HAS_WORLD, PS_HAS_ENVIRONMENT. Some
+// seen), PS_HAS_BEAMS (narrowed area lights), PS_HAS_METAL, PS_ONE_SURFACE, PS_HAS_WORLD, PS_HAS_ENVIRONMENT. Some
 // devices run both sides of every branch, so work that not all pixels need stands in loops of as many turns as a
 // pixel needs.
 
@@ -439,34 +439,30 @@ float ps_area_share(PsArea area, float height, bool ellipse, PsLobes lobes)
   return share * ps_beam(area, -dot(lobes.mirror, area.direction));
 }
 
-// Mean of BSDF times n.l over the light, by a quadrature of degree 5: seven points of the disk, or nine of the
-// square, the centre first. Points weigh with the solid angle around them.
+// Place in half-sides, and weight, of the quadrature of degree 5 over the square (Radon 1948), by the azimuths of the
+// disk's points.
+vec3 ps_square_point(vec2 azimuth)
+{
+  bool middle = abs(azimuth.x) > 0.75;  // of a side; the others have (0.6, 1/3) squared
+  float weight = azimuth == vec2(0.0) ? 2.0 / 7.0 : middle ? 5.0 / 63.0 : 5.0 / 36.0;
+  return vec3(azimuth.yx * vec2(0.894427191, middle ? 0.966091783 : 1.154700538), weight);
+}
+
+// Mean of BSDF times n.l over the light, by the centre and six points, which weigh with the solid angle around them.
 vec3 ps_area_specular(PsArea area, int count, bool ellipse, float a2, PsLobes lobes)
 {
-  vec2 place = vec2(0.0);
-  float part = ellipse ? 0.25 : 64.0 / 324.0;
-  bool corner = true;
+  vec2 azimuth = vec2(0.0);
   float weights = 0.0;
   vec3 sum = vec3(0.0);
   for (int i = 0; i < count; i++) {
-    vec2 at = ellipse ? PS_DISK_RADIUS * place : place;
-    vec3 to_point = area.offset + at.x * area.axis_u + at.y * area.axis_v;
+    vec3 place = ellipse ? vec3(PS_DISK_RADIUS * azimuth, i == 0 ? 0.25 : 0.125) : ps_square_point(azimuth);
+    vec3 to_point = area.offset + place.x * area.axis_u + place.y * area.axis_v;
     float inverse = inversesqrt(max(dot(to_point, to_point), 1e-20));
-    float weight = part * inverse * inverse * inverse;
+    float weight = place.z * inverse * inverse * inverse;
     vec3 direction = to_point * inverse;
     sum += weight * ps_beam(area, -dot(direction, area.direction)) * ps_specular(lobes, direction, a2);
     weights += weight;
-    if (ellipse) {
-      place = ps_next_azimuth(place);
-      part = 0.125;
-    }
-    else {
-      // Around the square by eighths of a turn, from the middle of a side to a corner and on.
-      vec2 turned = (corner ? 0.5 : 1.0) * vec2(place.x - place.y, place.x + place.y);
-      place = place == vec2(0.0) ? vec2(0.774596669, 0.0) : turned;
-      corner = !corner;
-      part = (corner ? 25.0 : 40.0) / 324.0;
-    }
+    azimuth = ps_next_azimuth(azimuth);
   }
   return sum / weights;
 }
@@ -487,7 +483,7 @@ vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
   float solid_angle = ps_rectangle_solid_angle(area) * (ellipse ? PS_PI / 4.0 : 1.0);
   float sigma = sqrt(solid_angle / PS_PI);
   float narrow = ps_narrow(lobes, sigma);
-  int count = ps_is_small(lobes, sigma) || narrow == 1.0 ? 1 : ellipse ? 7 : 9;
+  int count = ps_is_small(lobes, sigma) || narrow == 1.0 ? 1 : 7;
   vec3 wide = solid_angle * ps_area_specular(area, count, ellipse, ps_blurred(lobes, sigma), lobes);
   vec3 specular = mix(wide, lobes.reflectance * ps_area_share(area, height, ellipse, lobes), narrow);
   vec3 reflected = ps_reflected(PsReceived(irradiance, specular), lobes, color, place.w);
@@ -552,7 +548,7 @@ vec3 ps_shade(vec3 position, vec3 normal, vec3 to_eye, PsSurface surface, int li
 #ifdef PS_HAS_LIGHTS
   result += ps_shade_lights(position, lobes, light_count);
 #endif
-  result += ps_shade_world(lobes, surface.roughness);
+  result += ps_shade_world(lobes);
 #endif
   return result;
 }

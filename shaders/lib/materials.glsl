@@ -1,4 +1,5 @@
 // The material table: four texels a row. Layout: render/passes/shade.py. PS_HAS_GLOW: some material emits light.
+// PS_ONE_SURFACE: all are alike beyond their colours, which lib/brdf.glsl reads elsewhere.
 
 PsSurface ps_material(int row)
 {
@@ -8,6 +9,10 @@ PsSurface ps_material(int row)
 #else
   vec3 emission = vec3(0.0);
 #endif
+#ifdef PS_ONE_SURFACE
+  vec4 rest = vec4(0.0);
+#else
   vec4 rest = texelFetch(ps_materials, ivec2(2, row), 0);
+#endif
   return PsSurface(base.rgb, emission, rest.y, rest.z, rest.w);
 }

@@ -55,17 +55,17 @@ VIEW[:3, 3] = 0.3, -0.2, 0.1
 
 def shade_on_device(device, inputs, lights, world, defines) -> np.ndarray:
     position, normal, to_eye, surface = inputs
-    roughness = float(surface.roughness[0])
+    eta = lighting.relative_index(surface.ior, surface.specular)
     rotation = VIEW[:3, :3].T
     rows = np.zeros((6, COUNT, 4), np.float32)
     rows[0, :, :3] = position @ rotation + VIEW[:3, 3]
     rows[1, :, :3], rows[2, :, :3] = normal @ rotation, to_eye @ rotation
     rows[3, :, :3], rows[3, :, 3] = surface.base, surface.roughness
     rows[4, :, :3], rows[4, :, 3] = surface.emission, surface.metallic
-    rows[5, :, 0] = lighting.relative_index(surface.ior, surface.specular)
+    rows[5, :, 0] = eta
     textures = {"rows": device.texture((COUNT, 6), "RGBA32F", rows)}
     if defines:
-        data = lighting.light_texture(lights, world, VIEW, roughness)
+        data = lighting.light_texture(lights, world, VIEW, surface.roughness[0], eta[0])
         textures["ps_lights"] = device.texture(data.shape[1::-1], "RGBA32F", data)
     if "PS_HAS_ENVIRONMENT" in defines:
         atlas = environment.build_atlas(world.image)
@@ -125,14 +125,17 @@ def test_light_equals_reference(device, inputs, name):
     compare(device, inputs, [LIGHTS[name]], World(), names([LIGHTS[name]], inputs))
 
 
+ONE_SURFACE = {"roughness": 0.4, "metallic": 0.0, "ior": 1.45, "specular": 0.5}
+
+
 @pytest.mark.parametrize("name", ["point", "distant sun", "rectangle"])
-def test_dielectrics_of_one_roughness_equal_reference(device, inputs, name):
+def test_dielectrics_of_one_kind_equal_reference(device, inputs, name):
     *seen, surface = inputs
-    plain = replace(surface, roughness=np.full(COUNT, 0.4), metallic=np.zeros(COUNT))
+    plain = replace(surface, **{name: np.full(COUNT, value) for name, value in ONE_SURFACE.items()})
     lights = [LIGHTS.get(name) or replace(POINT, kind="SUN", radius=0.005)]
-    defines = [*lighting.light_names(lights, 0.4), "PS_ONE_ROUGHNESS"]
+    defines = [*lighting.light_names(lights, 0.4), "PS_ONE_SURFACE", "PS_HAS_WORLD"]
     assert "PS_HAS_WIDE_LIGHTS" not in defines
-    compare(device, (*seen, plain), lights, World(), defines)
+    compare(device, (*seen, plain), lights, World(color=np.full(3, 0.5)), defines)
 
 
 def names(lights, inputs):
