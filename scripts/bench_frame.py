@@ -271,7 +271,7 @@ def against_vtk(ours: Callable[[float, bool], Ours], count: int, frames: int, qu
                             f"{spread(ratios)} in {frames} turns")  # fmt: skip
                     title = f"frame, radius {pixels} px, {name}, VTK {splat} / PointSplat"
                     rows.append(row(title, float(np.median(ratios)), "x", target, note))
-    except (EOFError, BrokenPipeError):
+    except (EOFError, OSError):
         rows.append(row("frame, VTK / PointSplat", None, "x", ">= 4", "VTK could not draw here"))
     finally:
         theirs.close()

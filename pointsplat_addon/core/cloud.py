@@ -22,6 +22,8 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     "value": ((), np.float32),
 }
 
+SCATTERED = 1 << 16  # points: fewer stay in the caches, whatever their order
+
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
@@ -74,14 +76,42 @@ class PointCloud:
 
     def take(self, index: np.ndarray | slice) -> PointCloud:
         """The points that `index` selects, in its order."""
-        return replace(self, **{name: array[index] for name, array in self.arrays().items()})
+        if isinstance(index, slice):
+            return replace(self, **{name: array[index] for name, array in self.arrays().items()})
+        rows = np.flatnonzero(index) if index.dtype == bool else index
+        # Several times faster than indexing.
+        return replace(self, **{name: np.take(array, rows, axis=0) for name, array in self.arrays().items()})
 
 
 def finite(cloud: PointCloud) -> tuple[PointCloud, int]:
     """The cloud without points that hold a NaN or an infinity in any attribute, and how many were dropped."""
     good = np.ones(len(cloud), bool)
     for array in cloud.arrays().values():
-        if array.dtype.kind == "f":
+        # Row by row only where there is something to find: that takes many times as long.
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
             good &= np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
     dropped = len(cloud) - int(np.count_nonzero(good))
     return (cloud if dropped == 0 else cloud.take(good)), dropped
+
+
+def coherent(cloud: PointCloud) -> PointCloud:
+    """The points in an order in which those that follow one another lie close together: what neighbouring pixels show
+    then lies side by side in memory.
+
+    By cells of a grid of 32 to each side in Morton order, stably. A cloud that has such an order already, as most
+    scans and files do, stays as it is, and so does one that fits the processor's caches.
+    """
+    if len(cloud) < SCATTERED:
+        return cloud
+    key = np.zeros(len(cloud), np.uint16)
+    columns = cloud.position.T
+    low = [float(column.min()) for column in columns]
+    side = max(float(column.max()) for column in (c - np.float32(o) for c, o in zip(columns, low, strict=True)))
+    for axis in range(3):
+        cell = ((columns[axis] - np.float32(low[axis])) * np.float32(31.99 / max(side, 1e-30))).astype(np.uint16)
+        for bit in range(5):
+            key |= ((cell >> bit) & 1) << (3 * bit + axis)
+    occupied = np.count_nonzero(np.bincount(key))
+    if np.count_nonzero(key[1:] != key[:-1]) < max(len(key) // 4, 2 * occupied):
+        return cloud
+    return cloud.take(np.argsort(key, kind="stable"))

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..core import sampling
 from ..core.appearance import digest, point_cloud
-from ..core.cloud import PointCloud, finite
+from ..core.cloud import PointCloud, coherent, finite
 from ..core.cut import Cut, Forest, forest, fully, largest_singular_value, select
 from ..core.hierarchy import Hierarchy, build, refit
 from ..core.scene import Camera, Geometry, Instances, Mesh, Scene, Settings
@@ -229,7 +229,7 @@ class _View:
         return self._sampled(geometry, mesh, ok, needed)
 
     def _given_points(self, geometry: Geometry, cloud: PointCloud) -> PointSet:
-        points, dropped = self.store.lookup(("finite", geometry.key), lambda: finite(cloud))
+        points, dropped = self.store.lookup(("finite", geometry.key), lambda: _given(cloud))
         if dropped:
             self.warnings.append(f"{geometry.name}: {dropped} points that are not finite were left out")
         return PointSet(("cloud", geometry.key), points)
@@ -240,7 +240,7 @@ class _View:
         spacing = geometry.spacing if geometry.spacing > 0 else needed
         known = store.finest(("spacing", shape, geometry.spacing), np.inf)
         if geometry.spacing <= 0 and spacing < known:
-            spacing = sampling.quantise_spacing(sampling.limit_spacing(mesh, spacing, ok=ok))
+            spacing = sampling.limit_spacing(mesh, sampling.quantise_spacing(spacing), ok=ok)
         spacing = store.finest(("spacing", shape, geometry.spacing), spacing)
         look = digest(mesh, self.scene.materials)
         # Vertices do for coarser needs than samples: their disks cover the mesh whatever its edges project to.
@@ -282,6 +282,12 @@ class _View:
         diameter = 2 * radius * scale / (depth if camera.perspective else 1.0)
         small = np.count_nonzero(diameter < SMALL_SPLAT * self.settings.tolerance)
         return bool(small > 0) if self.interactive else bool(small * self.samples >= HIERARCHY_PAYS)
+
+
+def _given(cloud: PointCloud) -> tuple[PointCloud, int]:
+    """What is finite of a cloud, in coherent order, and how many points were dropped."""
+    cloud, dropped = finite(cloud)
+    return coherent(cloud), dropped
 
 
 def _hierarchy(points: PointSet, store: Store) -> Hierarchy:
