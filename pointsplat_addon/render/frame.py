@@ -339,7 +339,7 @@ class Frame:
                 continue
             out[key] = np.zeros((height, width, channels), np.float32)
             if key == "combined":
-                out[key][:] = self._constant()
+                out[key].reshape(-1, width * channels)[:] = np.tile(self._constant(), width)
             elif key == "depth":
                 out[key][:] = BACKGROUND_DEPTH
             elif key == "mist":
@@ -380,15 +380,20 @@ class Frame:
 
 def _widened(camera: Camera, radius: float) -> tuple[Camera, tuple[int, int]]:
     """The camera with a window that also holds the centres of splats which reach into its own, and where in it that
-    lies. The corner keeps its place in the pyramid, so that a border shows the pixels of the full frame."""
+    lies. A border shows the pixels of the full frame: it is widened by what the pyramid gathers from, and its corner
+    keeps its place in there."""
     if radius <= 0.0:
         return camera, (0, 0)
-    x0, y0, width, height = camera.window
     margin = min(math.ceil(radius), MOST_MARGIN)
     step = 1 << levels(radius, camera.resolution)
-    left, below = margin + x0 % step, margin + y0 % step
-    region = (x0 - left, y0 - below, width + left + margin, height + below + margin)
-    return replace(camera, region=region), (left, below)
+    corner, lows, sizes = camera.window[:2], [], []
+    for at, size, full in zip(corner, camera.window[2:], camera.resolution, strict=True):
+        low = max((at - 2 * step + margin) // step * step - margin, -margin)
+        high = max(min(at + size + 2 * step, full + margin), at + size)
+        lows.append(min(low, at))
+        sizes.append(high - lows[-1])
+    region = (lows[0], lows[1], sizes[0], sizes[1])
+    return replace(camera, region=region), (corner[0] - lows[0], corner[1] - lows[1])
 
 
 def _looked_up(table: np.ndarray | None, index: np.ndarray) -> np.ndarray:

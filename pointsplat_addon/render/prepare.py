@@ -20,11 +20,12 @@ from ..core.appearance import digest, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
 from ..core.cut import Cut, Forest, forest, fully, largest_singular_value, select
 from ..core.hierarchy import Hierarchy, build, refit
-from ..core.scene import Camera, Geometry, Instances, Mesh, Scene, Settings
+from ..core.scene import Camera, Geometry, Mesh, Scene, Settings
 
 POLYGON_PIXELS = 4.0  # AUTO draws polygons where the typical triangle's edge spans more than this many pixels
 HIERARCHY_PAYS = 80  # building costs about as much as drawing the points this many times
 SMALL_SPLAT = 0.25  # of the tolerance: where typical splats are smaller, most of a cloud can be left out
+COARSEST_OCTAVE = 6  # beyond it, the few samples that are left cost less than another cloud
 VERTEX_PIXELS = 2.0  # vertices are samples enough where no edge spans more; with pictures on them, one sample a pixel
 
 
@@ -41,14 +42,13 @@ class PointSet:
         return len(self.cloud) + (len(self.hierarchy) if self.hierarchy else 0)
 
 
-NOTHING = PointSet((), PointCloud(np.zeros((0, 3), np.float32)))
-
-
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """What one view draws."""
 
-    point_sets: dict[int, PointSet]  # by geometry row
+    # By geometry row; coarser ones of the same geometry, for instances farther away, follow after all rows.
+    point_sets: dict[int, PointSet]
+    set_of_instance: np.ndarray  # (I,) int: key of point_sets; -1: not drawn as points
     cut: Cut
     polygons: np.ndarray  # (P,) int: instances that are drawn as polygons
     view_from_object: np.ndarray  # (I, 4, 4) float64
@@ -178,55 +178,77 @@ class _View:
             view_from_object = camera.view_from_world @ instances.world_from_object
         usable = np.isfinite(view_from_object).all(axis=(1, 2)) if len(instances) else np.zeros(0, bool)
         point_sets: dict[int, PointSet] = {}
+        set_of_instance = np.full(len(instances), -1)
         polygons: list[np.ndarray] = []
         for row, geometry in enumerate(scene.geometries):
             where = np.flatnonzero(usable & (instances.geometry == row))
             if len(where) == 0:
                 continue
             self.check()
-            points = self._points(geometry, view_from_object[where])
-            if points is None:
+            found = self._points(geometry, view_from_object[where])
+            if found is None:
                 polygons.append(where)
-            elif len(points):
-                point_sets[row] = self._with_hierarchy(points, view_from_object[where])
-        cut = _cut(scene, point_sets, view_from_object, camera, self.settings, self.store)
-        counts = np.zeros(len(scene.geometries), np.int64)
-        for row, points in point_sets.items():
-            counts[row] = len(points.cloud)
+                continue
+            for number, (points, some) in enumerate(found):
+                if len(points):
+                    key = row if number == 0 else len(scene.geometries) + len(point_sets)
+                    point_sets[key] = self._with_hierarchy(points, view_from_object[where[some]])
+                    set_of_instance[where[some]] = key
+        cut = self._cut(point_sets, set_of_instance, view_from_object)
+        counts = _counts(point_sets)
         return Prepared(
             point_sets,
+            set_of_instance,
             cut,
             np.concatenate(polygons) if polygons else np.empty(0, np.int64),
             view_from_object,
-            _largest(instances, point_sets, cut, view_from_object, camera, self.settings, self.store),
-            int(counts[instances.geometry].sum()) if len(instances) else 0,
+            _largest(set_of_instance, point_sets, cut, view_from_object, camera, self.settings, self.store),
+            int(counts[set_of_instance].sum()) if len(instances) else 0,
             tuple(dict.fromkeys(self.warnings)),
         )
 
-    def _points(self, geometry: Geometry, view_from_object: np.ndarray) -> PointSet | None:
-        """The points of a geometry at the density that this view needs (none where nothing can be seen), or None where
-        polygons are drawn."""
+    def _points(self, geometry: Geometry, view_from_object: np.ndarray) -> list[tuple[PointSet, np.ndarray]] | None:
+        """The points of a geometry at the density that this view needs, for all or for some of its instances; None
+        where polygons are drawn."""
         if geometry.cloud is not None:
-            return self._given_points(geometry, geometry.cloud)
+            return [(self._given_points(geometry, geometry.cloud), np.arange(len(view_from_object)))]
         mesh = geometry.mesh
         if mesh is None or len(mesh.triangles) == 0:
-            return NOTHING
+            return []
         ok, dropped = self.store.lookup(("valid", geometry.key), lambda: sampling.validate(mesh))
         if dropped.total:
             self.warnings.append(dropped.message(geometry.name))
         if not ok.any():
-            return NOTHING
+            return []
         if geometry.primitive == "POLYGONS":
             return None
         tolerance = self.settings.tolerance
         needed = sampling.required_spacing(mesh, view_from_object, self.camera, tolerance, max_samples=None, ok=ok)
         if not np.isfinite(needed):
-            return NOTHING
+            return []
         if geometry.primitive == "AUTO":
             edge = self.store.lookup(("edge", geometry.key), lambda: _typical_edge(mesh, ok))
             if edge * tolerance > POLYGON_PIXELS * needed:
                 return None
-        return self._sampled(geometry, mesh, ok, needed)
+        octave = self._octaves(geometry, mesh, ok, needed, view_from_object)
+        return [
+            (self._sampled(geometry, mesh, ok, needed, int(n)), np.flatnonzero(octave == n)) for n in np.unique(octave)
+        ]
+
+    def _octaves(
+        self, geometry: Geometry, mesh: Mesh, ok: np.ndarray, needed: float, view_from_object: np.ndarray
+    ) -> np.ndarray:
+        """(I,) how many octaves coarser than `needed` each instance may be sampled, from its bounding sphere."""
+        if geometry.spacing > 0 or not self.camera.perspective or len(view_from_object) == 1:
+            return np.zeros(len(view_from_object), int)
+        middle, reach = self.store.lookup(("bounds", geometry.key), lambda: _bounds(mesh, ok))
+        scale = largest_singular_value(view_from_object[:, :3, :3])
+        depth = -(view_from_object[:, 2, :3] @ middle + view_from_object[:, 2, 3]) - reach * scale
+        focal = max(abs(f) for f in self.camera.pixel_from_view()[:2])
+        with np.errstate(all="ignore"):
+            allowed = np.maximum(depth, self.camera.near) * self.settings.tolerance / (focal * scale)
+            coarser = np.floor(np.log2(allowed / needed))
+        return np.clip(np.nan_to_num(coarser), 0, COARSEST_OCTAVE).astype(int)
 
     def _given_points(self, geometry: Geometry, cloud: PointCloud) -> PointSet:
         points, dropped = self.store.lookup(("finite", geometry.key), lambda: _given(cloud))
@@ -234,14 +256,15 @@ class _View:
             self.warnings.append(f"{geometry.name}: {dropped} points that are not finite were left out")
         return PointSet(("cloud", geometry.key), points)
 
-    def _sampled(self, geometry: Geometry, mesh: Mesh, ok: np.ndarray, needed: float) -> PointSet:
+    def _sampled(self, geometry: Geometry, mesh: Mesh, ok: np.ndarray, needed: float, octave: int) -> PointSet:
         """Samples depend on the topology alone, so that a mesh that deforms keeps them and does not shimmer."""
         store, shape = self.store, mesh.topology or geometry.key
         spacing = geometry.spacing if geometry.spacing > 0 else needed
         known = store.finest(("spacing", shape, geometry.spacing), np.inf)
         if geometry.spacing <= 0 and spacing < known:
             spacing = sampling.limit_spacing(mesh, sampling.quantise_spacing(spacing), ok=ok)
-        spacing = store.finest(("spacing", shape, geometry.spacing), spacing)
+        spacing = store.finest(("spacing", shape, geometry.spacing), spacing) * 2.0**octave
+        needed *= 2.0**octave
         look = digest(mesh, self.scene.materials)
         # Vertices do for coarser needs than samples: their disks cover the mesh whatever its edges project to.
         loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
@@ -271,6 +294,18 @@ class _View:
                 return points
         return replace(points, key=key, hierarchy=store.lookup(key, lambda: _hierarchy(points, store)))
 
+    def _cut(self, point_sets: dict[int, PointSet], set_of_instance: np.ndarray, view_from_object: np.ndarray) -> Cut:
+        if not any(points.hierarchy for points in point_sets.values()):
+            return fully(_counts(point_sets), set_of_instance)
+        key = ("forest", *((row, points.key) for row, points in point_sets.items()))
+        trees: Forest = self.store.lookup(
+            key, lambda: forest({row: p.hierarchy or p.cloud for row, p in point_sets.items()})
+        )
+        scene = self.scene
+        cull = np.array([bool(scene.materials.cull[_rows(g)].all()) for g in scene.geometries], bool)
+        cull = cull[scene.instances.geometry]
+        return select(trees, set_of_instance, view_from_object, self.camera, self.settings.tolerance, cull=cull)
+
     def _pays(self, points: PointSet, view_from_object: np.ndarray) -> bool:
         """Whether enough instances show this set's splats so small that a cut leaves most of them out."""
         cloud, store, camera = points.cloud, self.store, self.camera
@@ -298,6 +333,13 @@ def _hierarchy(points: PointSet, store: Store) -> Hierarchy:
     if source is points.cloud:
         return known
     return refit(known, points.cloud) if len(source) == len(points.cloud) else store.build(points.cloud)
+
+
+def _bounds(mesh: Mesh, ok: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre and radius of a ball that holds the valid triangles."""
+    used = mesh.position[np.unique(mesh.triangles[ok])].astype(np.float64)
+    middle = (used.min(axis=0) + used.max(axis=0)) / 2
+    return middle, float(np.sqrt(((used - middle) ** 2).sum(axis=1).max()))
 
 
 def _typical_edge(mesh: Mesh, ok: np.ndarray) -> float:
@@ -329,25 +371,12 @@ def _typical_radius(cloud: PointCloud) -> float:
     return float(np.median(cloud.radii[::step, 0]))
 
 
-def _cut(
-    scene: Scene,
-    point_sets: dict[int, PointSet],
-    view_from_object: np.ndarray,
-    camera: Camera,
-    settings: Settings,
-    store: Store,
-) -> Cut:
-    geometry = np.where(np.isin(scene.instances.geometry, list(point_sets)), scene.instances.geometry, -1)
-    if not any(points.hierarchy for points in point_sets.values()):
-        counts = np.zeros(len(scene.geometries) + 1, np.int64)
-        for row, points in point_sets.items():
-            counts[row] = len(points.cloud)
-        good = np.isfinite(view_from_object).all(axis=(1, 2)) if len(geometry) else np.zeros(0, bool)
-        return fully(counts, np.where(good, geometry, len(scene.geometries)))
-    key = ("forest", *((row, points.key) for row, points in point_sets.items()))
-    trees: Forest = store.lookup(key, lambda: forest({row: p.hierarchy or p.cloud for row, p in point_sets.items()}))
-    cull = np.array([bool(scene.materials.cull[_rows(g)].all()) for g in scene.geometries], bool)
-    return select(trees, geometry, view_from_object, camera, settings.tolerance, cull=cull[scene.instances.geometry])
+def _counts(point_sets: dict[int, PointSet]) -> np.ndarray:
+    """(K + 1,) int64: points of each set by its key; the last one, that -1 reads, has none."""
+    counts = np.zeros(max(point_sets, default=-1) + 2, np.int64)
+    for key, points in point_sets.items():
+        counts[key] = len(points.cloud)
+    return counts
 
 
 def _rows(geometry: Geometry) -> list[int]:
@@ -358,7 +387,7 @@ def _rows(geometry: Geometry) -> list[int]:
 
 
 def _largest(
-    instances: Instances,
+    set_of_instance: np.ndarray,
     point_sets: dict[int, PointSet],
     cut: Cut,
     view_from_object: np.ndarray,
@@ -370,7 +399,7 @@ def _largest(
     largest = 0.0
     focal = max(abs(f) for f in camera.pixel_from_view()[:2])
     for row, points in point_sets.items():
-        matrix = view_from_object[instances.geometry == row]
+        matrix = view_from_object[set_of_instance == row]
         matrix = matrix[np.isfinite(matrix).all(axis=(1, 2))]
         middle, reach, radius = _extent(points, store)
         scale = largest_singular_value(matrix[:, :3, :3])

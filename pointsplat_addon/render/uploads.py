@@ -124,7 +124,7 @@ class Uploads:
         instances = scene.instances
         origin = np.zeros((len(instances), 3))
         for row, points in prepared.point_sets.items():
-            origin[instances.geometry == row] = points.cloud.origin
+            origin[prepared.set_of_instance == row] = points.cloud.origin
         one = int(prepared.cut.instance[0]) if plan.options.one_instance else None
         if one is None:
             rows = instance_rows(prepared.view_from_object, origin, instances.holdout)
@@ -134,7 +134,7 @@ class Uploads:
         for group in _pages(prepared.point_sets, self.device.limits.texture_size):
             page = self._page(group)
             first = {row: page.first[points.key] for row, points in group.items()}
-            rows, shift = blocks(prepared, instances.geometry, first)
+            rows, shift = blocks(prepared, first)
             if len(rows) == 0:
                 continue
             size, data = paged(rows, 4)

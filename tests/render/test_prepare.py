@@ -66,7 +66,7 @@ def test_the_cut_of_small_clouds_is_all_of_each_usable_instance():
     case = CASES["instances"]()
     found = prepared(case)
     assert found.cut.splats == 5 * 200
-    assert found.total == 6 * 200
+    assert found.total == 5 * 200
     assert not np.isin(found.cut.instance, np.flatnonzero(~np.isfinite(found.view_from_object).all(axis=(1, 2)))).any()
     assert len(found.polygons) == 5
 

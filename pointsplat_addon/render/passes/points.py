@@ -116,12 +116,13 @@ def _shading(cloud: PointCloud) -> np.ndarray:
     return np.where(size[:, 0] > 1e-6, code, NO_NORMAL).astype(np.float32)
 
 
-def blocks(prepared: Prepared, geometry: np.ndarray, first: dict[int, int]) -> tuple[np.ndarray, int]:
-    """The cut as blocks, (B, 4) float32, and the log2 of a block's size. `first` is each geometry's first splat in the
-    page; geometries that it lacks are skipped."""
+def blocks(prepared: Prepared, first: dict[int, int]) -> tuple[np.ndarray, int]:
+    """The cut as blocks, (B, 4) float32, and the log2 of a block's size. `first` is each point set's first splat in the
+    page; sets that it lacks are skipped."""
     cut = prepared.cut
-    base = np.array([first.get(g, -1) for g in range(int(geometry.max(initial=-1)) + 1)], np.int64)
-    start = base[geometry[cut.instance]] if len(cut.instance) else np.empty(0, np.int64)
+    base = np.full(max(prepared.point_sets, default=-1) + 2, -1)
+    base[list(first)] = list(first.values())
+    start = base[prepared.set_of_instance[cut.instance]]
     mine = start >= 0
     instance, begin, count = cut.instance[mine], start[mine] + cut.first[mine], cut.count[mine]
     mean = count.mean() if len(count) else 0.0
