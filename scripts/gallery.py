@@ -8,12 +8,7 @@ MODEL is a .ply or .obj file, which may be compressed (.gz); TEXTURE becomes its
 Cycles, lit by one sun without shadows. DIR receives NAME.jpg (points, polygons, Cycles, and their differences),
 figures.json with every view's figures, and figures.md with the worst of them.
 
-What is measured, over the views of one model:
-  holes       pixels of the polygons' silhouette, eroded by one pixel, that the points do not cover fully
-  IoU         of the silhouettes: alpha >= 0.5; soft: sum of the lesser alphas over sum of the greater
-  thickening  sum of alpha by points over sum of alpha by polygons
-  PSNR        in decibels, of sRGB values in 0..1 over black, over the union of the two silhouettes
-  interior    the same over the eroded silhouette only: without what the edges contribute
+What is measured is told in compare.py.
 """
 
 import argparse
@@ -27,67 +22,11 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from compare import compare, directions, displayed
 from mathutils import Matrix, Vector
 
 ROOT = Path(__file__).resolve().parents[1]
 GAIN = 8.0  # of the difference pictures
-COVERED = 1.0 - 1e-4  # alpha of a pixel that all samples hit, but for rounding of the mean
-
-
-# ---------------------------------------------------------------------------- what is compared (arrays only)
-
-
-def eroded(mask: np.ndarray) -> np.ndarray:
-    """The pixels of a mask (H, W) bool whose eight neighbours belong to it as well."""
-    padded = np.pad(mask, 1)
-    height, width = mask.shape
-    shifts = [(y, x) for y in range(3) for x in range(3)]
-    return np.logical_and.reduce([padded[y : y + height, x : x + width] for y, x in shifts])
-
-
-def displayed(pixels: np.ndarray) -> np.ndarray:
-    """(H, W, 3) sRGB in 0..1 of premultiplied scene-linear RGBA over black."""
-    linear = np.clip(pixels[..., :3], 0.0, 1.0)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-
-
-def psnr(a: np.ndarray, b: np.ndarray, where: np.ndarray) -> float:
-    """Of displayed values in decibels over the pixels `where`; infinite where nothing differs."""
-    squared = (displayed(a) - displayed(b))[where] ** 2
-    error = float(squared.mean()) if squared.size else 0.0
-    return -10 * math.log10(error) if error > 0 else math.inf
-
-
-def iou(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """Intersection over union of two alphas (H, W): thresholded at one half, and soft."""
-    hard = np.count_nonzero((a >= 0.5) & (b >= 0.5)) / max(np.count_nonzero((a >= 0.5) | (b >= 0.5)), 1)
-    soft = float(np.minimum(a, b).sum() / max(np.maximum(a, b).sum(), 1e-30))
-    return hard, soft
-
-
-def compare(points: np.ndarray, polygons: np.ndarray) -> dict[str, float]:
-    """The figures of two pictures (H, W, 4), premultiplied and scene-linear."""
-    a, b = points[..., 3], polygons[..., 3]
-    inside = eroded(b >= COVERED)
-    hard, soft = iou(a, b)
-    return {
-        "holes": int(np.count_nonzero(inside & (a < COVERED))),
-        "inside": int(np.count_nonzero(inside)),
-        "iou": hard,
-        "soft_iou": soft,
-        "thickening": float(a.sum() / b.sum()),
-        "psnr": psnr(points, polygons, (a > 0) | (b > 0)),
-        "interior_psnr": psnr(points, polygons, inside),
-    }
-
-
-def directions(count: int) -> np.ndarray:
-    """(count, 3) unit vectors spread over the sphere by a Fibonacci lattice."""
-    i = np.arange(count) + 0.5
-    z = 1 - 2 * i / count
-    turn = math.pi * (1 + math.sqrt(5)) * i
-    across = np.sqrt(1 - z * z)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
 
 
 # ---------------------------------------------------------------------------- Blender
@@ -230,29 +169,28 @@ def sheet(points: np.ndarray, polygons: np.ndarray, cycles: np.ndarray) -> np.nd
     return np.concatenate([*shown, *differences], axis=1)
 
 
-def worst(rows: list[dict]) -> dict[str, float]:
-    """Over views: the most holes, the least of everything else, thickening as far from 1 as it comes."""
+def summarise(rows: list[dict]) -> dict[str, float]:
+    """Over views: the most holes, thickening as far from 1 as it comes, of everything else the least; and means."""
     return {
+        "views": len(rows),
         "holes": max(r["holes"] for r in rows),
-        "iou": min(r["iou"] for r in rows),
-        "soft_iou": min(r["soft_iou"] for r in rows),
         "thickening": max((r["thickening"] for r in rows), key=lambda t: abs(t - 1)),
-        "psnr": min(r["psnr"] for r in rows),
-        "mean_psnr": float(np.mean([r["psnr"] for r in rows])),
-        "interior_psnr": min(r["interior_psnr"] for r in rows),
+        **{key: min(r[key] for r in rows) for key in ("iou", "soft_iou", "psnr", "interior_psnr")},
+        **{f"mean_{key}": float(np.mean([r[key] for r in rows])) for key in ("iou", "thickening", "psnr")},
     }
 
 
 def table(summary: list[dict]) -> str:
+    """Worst (mean) over views, as Markdown."""
     lines = [
-        "| model | tolerance | samples | holes | IoU | soft IoU | thickening | PSNR, worst | PSNR, mean | interior |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| model | tolerance | samples | views | holes | IoU | thickening | PSNR | interior PSNR |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for s in summary:
         lines.append(
-            f"| {s['model']} | {s['tolerance']:g} | {s['samples']} | {s['holes']} | {s['iou']:.4f} | "
-            f"{s['soft_iou']:.4f} | {s['thickening']:.4f} | {s['psnr']:.1f} dB | {s['mean_psnr']:.1f} dB | "
-            f"{s['interior_psnr']:.1f} dB |"
+            f"| {s['model']} | {s['tolerance']:g} | {s['samples']} | {s['views']} | {s['holes']} | "
+            f"{s['iou']:.4f} ({s['mean_iou']:.4f}) | {s['thickening']:.4f} ({s['mean_thickening']:.4f}) | "
+            f"{s['psnr']:.1f} dB ({s['mean_psnr']:.1f}) | {s['interior_psnr']:.1f} dB |"
         )
     return "\n".join(lines) + "\n"
 
@@ -331,7 +269,7 @@ def main() -> None:
     for row in rows:
         groups.setdefault((row["model"], row["tolerance"], row["samples"]), []).append(row)
     keys = ("model", "tolerance", "samples")
-    summary = [{**dict(zip(keys, key, strict=True)), **worst(group)} for key, group in groups.items()]
+    summary = [{**dict(zip(keys, key, strict=True)), **summarise(group)} for key, group in groups.items()]
     everything = {"summary": summary, "cycles": against_cycles, "views": rows}
     (args.output / "figures.json").write_text(json.dumps(everything, indent=1) + "\n", encoding="utf-8")
     (args.output / "figures.md").write_text(table(summary), encoding="utf-8")

@@ -25,6 +25,7 @@ from ..core.scene import Camera, Geometry, Mesh, Scene, Settings
 POLYGON_PIXELS = 4.0  # AUTO draws polygons where the typical triangle's edge spans more than this many pixels
 HIERARCHY_PAYS = 80  # building costs about as much as drawing the points this many times
 SMALL_SPLAT = 0.25  # of the tolerance: where typical splats are smaller, most of a cloud can be left out
+EXACT_TRIANGLES = 4 << 20  # of all instances: so many are asked one by one what they need
 COARSEST_OCTAVE = 6  # beyond it, the few samples that are left cost less than another cloud
 VERTEX_PIXELS = 2.0  # vertices are samples enough where no edge spans more; with pictures on them, one sample a pixel
 
@@ -238,16 +239,20 @@ class _View:
     def _octaves(
         self, geometry: Geometry, mesh: Mesh, ok: np.ndarray, needed: float, view_from_object: np.ndarray
     ) -> np.ndarray:
-        """(I,) how many octaves coarser than `needed` each instance may be sampled, from its bounding sphere."""
+        """(I,) how many octaves coarser than `needed` each instance may be sampled."""
         if geometry.spacing > 0 or not self.camera.perspective or len(view_from_object) == 1:
             return np.zeros(len(view_from_object), int)
-        middle, reach = self.store.lookup(("bounds", geometry.key), lambda: _bounds(mesh, ok))
-        scale = largest_singular_value(view_from_object[:, :3, :3])
-        depth = -(view_from_object[:, 2, :3] @ middle + view_from_object[:, 2, 3]) - reach * scale
-        focal = max(abs(f) for f in self.camera.pixel_from_view()[:2])
+        if len(view_from_object) * len(mesh.triangles) <= EXACT_TRIANGLES:
+            tolerance = self.settings.tolerance
+            allowed = np.array([
+                sampling.required_spacing(mesh, matrix, self.camera, tolerance, max_samples=None, ok=ok)
+                for matrix in view_from_object
+            ])  # fmt: skip
+        else:
+            allowed = self._allowed_by_bounds(geometry, mesh, ok, view_from_object)
         with np.errstate(all="ignore"):
-            allowed = np.maximum(depth, self.camera.near) * self.settings.tolerance / (focal * scale)
-            coarser = np.floor(np.log2(allowed / needed))
+            # Relative to the octave that `needed` is rounded to, so that the coarser ones round alike.
+            coarser = np.floor(np.log2(allowed / sampling.quantise_spacing(needed)))
         return np.clip(np.nan_to_num(coarser), 0, COARSEST_OCTAVE).astype(int)
 
     def _given_points(self, geometry: Geometry, cloud: PointCloud) -> PointSet:
@@ -256,9 +261,20 @@ class _View:
             self.warnings.append(f"{geometry.name}: {dropped} points that are not finite were left out")
         return PointSet(("cloud", geometry.key), points)
 
+    def _allowed_by_bounds(
+        self, geometry: Geometry, mesh: Mesh, ok: np.ndarray, view_from_object: np.ndarray
+    ) -> np.ndarray:
+        """(I,) a spacing that is fine enough for each instance, from the nearest point of its bounding sphere."""
+        middle, reach = self.store.lookup(("bounds", geometry.key), lambda: _bounds(mesh, ok))
+        scale = largest_singular_value(view_from_object[:, :3, :3])
+        depth = -(view_from_object[:, 2, :3] @ middle + view_from_object[:, 2, 3]) - reach * scale
+        focal = max(abs(f) for f in self.camera.pixel_from_view()[:2])
+        with np.errstate(all="ignore"):
+            return np.maximum(depth, self.camera.near) * self.settings.tolerance / (focal * scale)
+
     def _sampled(self, geometry: Geometry, mesh: Mesh, ok: np.ndarray, needed: float, octave: int) -> PointSet:
         """Samples depend on the topology alone, so that a mesh that deforms keeps them and does not shimmer."""
-        store, shape = self.store, mesh.topology or geometry.key
+        store, shape = self.store, (mesh.topology or geometry.key, geometry.name)
         spacing = geometry.spacing if geometry.spacing > 0 else needed
         known = store.finest(("spacing", shape, geometry.spacing), np.inf)
         if geometry.spacing <= 0 and spacing < known:
