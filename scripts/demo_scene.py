@@ -183,6 +183,7 @@ def build():
         1.7,
         "Spot",
     )
+    cow.data.shade_smooth()  # the file holds no normals
     bear = load(
         "teddy_bear/teddyBear.obj.gz",
         {

@@ -120,7 +120,7 @@ class Job:
 
     def __init__(self, scene: core.Scene, request: Request) -> None:
         self.scene, self.request = scene, request
-        self.fraction, self.text = 0.0, ""
+        self.fraction, self.text, self._told = 0.0, "", ""
         self._stop = threading.Event()
         self._poll = lambda: None  # asked at every progress where job and waiter share a thread
 
@@ -150,7 +150,10 @@ class Job:
 
     def _exchange(self, engine: bpy.types.RenderEngine) -> None:
         engine.update_progress(self.fraction)
-        engine.update_stats("", self.text)
+        if self.text != self._told:
+            # In background mode each call prints a line.
+            engine.update_stats("", self.text)
+            self._told = self.text
         if engine.test_break():
             self._stop.set()
 
