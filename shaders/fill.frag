@@ -12,14 +12,19 @@
 bool ps_surrounded(vec4 a, vec4 b, vec4 c, vec4 d, vec2 toward)
 {
   vec4 depth = vec4(a.x, b.x, c.x, d.x), reach = vec4(a.w, b.w, c.w, d.w);
-  vec4 end = depth + reach;
+  vec4 begin = depth - reach, end = depth + reach;
   float nearest = min(min(a.x, b.x), min(c.x, d.x));
   float front = a.x == nearest ? end.x : b.x == nearest ? end.y : c.x == nearest ? end.z : end.w;
+  // Where a surface is steep, the farthest splat may overlap with the nearest only by way of others.
+  for (int i = 0; i < 2; i++) {
+    vec4 linked = mix(vec4(front), end, lessThanEqual(begin, vec4(front)));
+    front = max(max(linked.x, linked.y), max(linked.z, linked.w));
+  }
   vec4 x = toward.x * vec4(a.y, b.y, c.y, d.y) + vec4(-0.5, 1.5, -0.5, 1.5);
   vec4 y = toward.y * vec4(a.z, b.z, c.z, d.z) + vec4(-0.5, -0.5, 1.5, 1.5);
   vec4 across = x.xywz * y.ywzx - y.xywz * x.ywzx;
   return all(greaterThan(reach, vec4(0.0))) && all(greaterThan(across, vec4(0.0))) &&
-         all(lessThanEqual(depth - reach, vec4(front)));
+         all(lessThanEqual(begin, vec4(front)));
 }
 #endif
 
