@@ -26,12 +26,15 @@ class Settings:
     tolerance: float = 1.0  # pixels: projected size below which a node is drawn instead of its children
     samples: int = 16  # sub-pixel samples averaged in a final render
     viewport_samples: int = 16  # the same in the viewport, when it is still
+    use_shadows: bool = True  # lights cast shadows, through translucent matter too
+    shadow_resolution: int = 1024  # cells of a light's shadow table per half turn
     device: str = "AUTO"  # one of DEVICES
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
         "tolerance": (0.05, 64.0),
         "samples": (1, 4096),
         "viewport_samples": (1, 1024),
+        "shadow_resolution": (16, 16384),
     }
 
 
@@ -60,15 +63,62 @@ class Mesh:
 
 
 @dataclass(frozen=True, eq=False)
+class Volume:
+    """Active voxels of one evaluated volume object, sparse, in index space: an integer index is a voxel's centre."""
+
+    key: str  # content key of the voxels
+    name: str  # the object's name, for messages
+    index: np.ndarray  # (N, 3) int32
+    object_from_index: np.ndarray  # (4, 4) float64
+    # Grids by name, (N,) or (N, 3) float32: density, temperature, color, ... Voxels that a grid lacks hold 0.
+    grids: dict[str, np.ndarray] = field(default_factory=dict)
+    material: int = 0  # row of Scene.materials
+    transfer: Transfer | None = None  # instead of what the material says
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """A transfer function: a colour ramp over the values of one grid."""
+
+    grid: str
+    low: float  # the value at the ramp's left end
+    high: float  # and at its right end
+    ramp: np.ndarray  # (R, 4) float32: scene-linear colour, opacity in [0, 1], evenly spaced over [low, high]
+    density: float = 1.0  # extinction per object unit where the ramp's opacity is 1
+
+
+@dataclass(frozen=True, eq=False)
+class Medium:
+    """What fills a volume: Blender's Principled Volume, Volume Absorption and Volume Scatter, per object unit.
+
+    Scattering is density times color, absorption is density times (1 - color) times (1 - sqrt(absorption)).
+    """
+
+    density: float = 1.0
+    density_grid: str = "density"  # empty: the density is the same everywhere
+    color: np.ndarray = field(default_factory=lambda: np.full(3, 0.5))  # (3,) float64
+    color_grid: str = ""
+    absorption: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) float64
+    anisotropy: float = 0.0  # Henyey-Greenstein's g
+    emission: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) float64, radiance per unit of length
+    blackbody: float = 0.0  # intensity
+    blackbody_tint: np.ndarray = field(default_factory=lambda: np.ones(3))
+    temperature: float = 1000.0  # kelvin, times the grid where there is one
+    temperature_grid: str = "temperature"
+
+
+@dataclass(frozen=True, eq=False)
 class Geometry:
-    """What an instance refers to: a mesh (drawn as points or polygons) or a cloud (drawn as points)."""
+    """What an instance refers to: a mesh (points or polygons), a cloud or a volume (both points)."""
 
     key: str  # content key
     name: str
     mesh: Mesh | None = None
     cloud: PointCloud | None = None
+    volume: Volume | None = None
     primitive: str = "AUTO"  # one of PRIMITIVES
     spacing: float = 0.0  # distance between samples in object units; 0 chooses
+    extinction: float = 0.0  # of this geometry's points, per object unit; 0 takes it from the material
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +130,7 @@ class Instances:
     previous: np.ndarray | None = None  # (I, 4, 4) float64: world_from_object a frame before; only for the Vector pass
     pass_index: np.ndarray | None = None  # (I,) int32
     holdout: np.ndarray | None = None  # (I,) bool: cuts a hole into alpha
+    casts: np.ndarray | None = None  # (I,) bool: casts shadows; None: all do
     object_hash: np.ndarray | None = None  # (I,) uint32: cryptomatte hash of the object's name
     names: tuple[str, ...] = ()  # object name for each row, for messages
 
@@ -102,6 +153,12 @@ class MaterialTable:
     pass_index: np.ndarray  # (M,) int32
     hash: np.ndarray  # (M,) uint32: cryptomatte hash of the name
     names: tuple[str, ...] = ()
+    # (M,) float32, Henyey-Greenstein's g of media; None: all 0
+    anisotropy: np.ndarray | None = None
+    # (M,) bool: light passes through (alpha below 1 somewhere, or transmission), so the material's surfaces are drawn
+    # as translucent splats; None: nowhere
+    translucent: np.ndarray | None = None
+    media: tuple[Medium | None, ...] = ()  # what fills volumes of each material
     graphs: tuple[object | None, ...] = ()  # core.materials.Graph for materials whose inputs vary, else None
 
     def __len__(self) -> int:
@@ -149,6 +206,7 @@ class Light:
     soft: bool = True  # POINT, SPOT: a disk that faces the receiver instead of a sphere (Blender's soft falloff)
     diffuse: float = 1.0  # factor on diffuse light
     specular: float = 1.0  # factor on specular light
+    shadow: bool = True
     name: str = ""
 
 
