@@ -63,6 +63,18 @@ class POINTSPLAT_RENDER_PT_points(_Panel, bpy.types.Panel):
         layout.prop(settings, "tolerance")
 
 
+class POINTSPLAT_RENDER_PT_shadows(_Panel, bpy.types.Panel):
+    bl_label = "Shadows"
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.pointsplat, "use_shadows", text="")
+
+    def draw(self, context):
+        settings, layout = context.scene.pointsplat, self.split_layout()
+        layout.active = settings.use_shadows
+        layout.prop(settings, "shadow_resolution")
+
+
 class POINTSPLAT_RENDER_PT_film(_Panel, bpy.types.Panel):
     bl_label = "Film"
     bl_options = {"DEFAULT_CLOSED"}
@@ -109,14 +121,19 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
         row = layout.row()
         row.active = ob.pointsplat.primitive != "POLYGONS"
         row.prop(ob.pointsplat, "spacing")
+        row = layout.row()
+        row.active = ob.pointsplat.primitive != "POLYGONS"
+        row.prop(ob.pointsplat, "extinction")
         column = layout.column(heading="Visibility")
         column.prop(ob, "visible_camera", text="Camera")
+        column.prop(ob, "visible_shadow", text="Shadow")
         column.prop(ob, "is_shadow_catcher")
 
 
 CLASSES = (
     POINTSPLAT_RENDER_PT_sampling,
     POINTSPLAT_RENDER_PT_points,
+    POINTSPLAT_RENDER_PT_shadows,
     POINTSPLAT_RENDER_PT_film,
     POINTSPLAT_RENDER_PT_performance,
     POINTSPLAT_VIEWLAYER_PT_passes,

@@ -4,7 +4,7 @@ from dataclasses import fields
 from typing import Any
 
 import bpy
-from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 
 from ..core.scene import DEVICES, PRIMITIVES, TECHNIQUES, Settings
 from . import engine
@@ -47,6 +47,11 @@ LABELS: dict[str, tuple[str, str]] = {
     ),
     "samples": ("Render", "Number of sub-pixel samples that are averaged for each pixel of a final render"),
     "viewport_samples": ("Viewport", "Number of sub-pixel samples that are averaged in the viewport while it is still"),
+    "use_shadows": ("Shadows", "Lights cast shadows, which what is translucent softens and tints"),
+    "shadow_resolution": (
+        "Resolution",
+        "Number of cells in half a turn around each lamp that hold what its light crosses; more cells, sharper shadows",
+    ),
     "device": ("Device", "What draws the pictures"),
 }
 ITEMS = {"technique": [TECHNIQUE_ITEMS[n] for n in TECHNIQUES], "device": [DEVICE_ITEMS[n] for n in DEVICES]}
@@ -65,6 +70,8 @@ def _property(name: str, default: Any) -> Any:
     common = {"name": label, "description": tooltip, "default": default, "update": UPDATES.get(name, changed)}
     if name in ITEMS:
         return EnumProperty(items=ITEMS[name], **common)
+    if isinstance(default, bool):
+        return BoolProperty(**common)
     low, high = Settings.RANGES[name]
     if isinstance(default, int):
         return IntProperty(min=int(low), max=int(high), **common)
@@ -102,6 +109,15 @@ class PointSplatObject(bpy.types.PropertyGroup):
         soft_max=1.0,
         precision=4,
         subtype="DISTANCE",
+        update=changed,
+    )
+    extinction: FloatProperty(
+        name="Extinction",
+        description="How much the object's points absorb and scatter per unit of length; zero asks the material",
+        default=0.0,
+        min=0.0,
+        soft_max=100.0,
+        precision=3,
         update=changed,
     )
 

@@ -38,18 +38,18 @@ def test_every_setting_is_a_property_with_its_default_and_range():
             low, high = Settings.RANGES[field.name]
             assert found.hard_min == pytest.approx(low, rel=1e-7)  # float32
             assert found.hard_max == high
-            assert found.default == field.default
+        assert found.default == field.default
     assert bpy.context.scene.pointsplat.settings() == Settings()
 
 
 @pytest.mark.usefixtures("registered")
-def test_objects_choose_their_primitive_and_spacing():
+def test_objects_choose_their_primitive_spacing_and_extinction():
     ob = bpy.data.objects.new("Object", None)
     assert [item.identifier for item in ob.pointsplat.bl_rna.properties["primitive"].enum_items] == list(PRIMITIVES)
-    assert (ob.pointsplat.primitive, ob.pointsplat.spacing) == ("AUTO", 0)
+    assert (ob.pointsplat.primitive, ob.pointsplat.spacing, ob.pointsplat.extinction) == ("AUTO", 0, 0)
     assert ob.pointsplat.bl_rna.properties["spacing"].unit == "LENGTH"
-    ob.pointsplat.spacing = -1
-    assert ob.pointsplat.spacing == 0
+    ob.pointsplat.spacing = ob.pointsplat.extinction = -1
+    assert ob.pointsplat.spacing == ob.pointsplat.extinction == 0
 
 
 @pytest.mark.usefixtures("registered")
@@ -67,11 +67,12 @@ def test_a_script_that_sets_an_objects_property_is_seen_by_the_evaluated_copy():
 def test_settings_survive_saving_and_loading(tmp_path):
     bpy.context.scene.pointsplat.tolerance = 2.5
     bpy.context.scene.pointsplat.device = "OPENGL"
+    bpy.context.scene.pointsplat.use_shadows = False
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert bpy.context.scene.pointsplat.tolerance == 1
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
-    assert bpy.context.scene.pointsplat.settings() == Settings(tolerance=2.5, device="OPENGL")
+    assert bpy.context.scene.pointsplat.settings() == Settings(tolerance=2.5, device="OPENGL", use_shadows=False)
 
 
 def test_registering_twice_and_in_cycles_leaves_nothing_behind():
