@@ -1,4 +1,4 @@
-"""Voxels as Gaussian splats: what they let through, where they lie, and what media and transfer functions make of them."""
+"""Voxels as Gaussian splats: what they let through, where they lie, what media and transfer functions make of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core import volumes
-from pointsplat_addon.core.scene import Medium, Transfer, Volume
+from pointsplat_addon.core.scene import Medium, Volume
 
 WHITE = Medium(color=np.ones(3))
 
