@@ -19,12 +19,15 @@ Lengths are object units. The work is done in float64 on blocks that fit the cac
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from .scene import Camera, Mesh
+from .scene import Mesh
+from .vectors import blocks as _blocks
+from .vectors import clip as _clip
+from .vectors import cross as _cross
+from .vectors import dot as _dot
 
 METHODS = ("AUTO", "VERTICES", "AREA", "GRID")
 MAX_SAMPLES = 1 << 23  # of one mesh: about 400 MB of hierarchy
@@ -40,8 +43,6 @@ _WEIGHT_SLACK = 4e-7
 # Steiner's circumellipse about the centroid: corner 1 seen from there, and an edge over sqrt(3), are conjugate.
 _STEINER = np.array([[2 / 3, -1 / 3], [0, 1 / math.sqrt(3)]]) * (1 + 4 * _WEIGHT_SLACK)
 _MIN_ASPECT = 2.0**-20  # minor over major half-axis: keeps conics invertible in float32
-_EXACT_INSTANCES = 64  # beyond these the next instance's bounding box speaks for all others: finer, never coarser
-_BLOCK = 1 << 15  # triangles or samples: the float64 scratch of one block stays in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +110,6 @@ class DroppedCounts:
 # --- Triangles ----------------------------------------------------------------------------------------------
 
 
-def _blocks(count: int) -> Iterator[slice]:
-    return (slice(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
-
-
 def _corners(mesh: Mesh, rows: np.ndarray | slice, origin: np.ndarray | float = 0.0) -> np.ndarray:
     """(3 corners, 3 coordinates, n) float64 of the triangles that `rows` selects, relative to `origin`."""
     triangles = mesh.triangles[rows] if isinstance(rows, slice) else mesh.triangles.take(rows, axis=0)
@@ -121,19 +118,6 @@ def _corners(mesh: Mesh, rows: np.ndarray | slice, origin: np.ndarray | float = 
         corner[:] = mesh.position.take(vertex, axis=0).T
     corners -= np.asarray(origin, np.float64).reshape(-1, 1)
     return corners
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product of (3, n) arrays."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Dot product over the first axis, of (2 | 3, n) arrays."""
-    result = a[0] * b[0]
-    for x, y in zip(a[1:], b[1:], strict=True):
-        result += x * y
-    return result
 
 
 def _squared_edges(corners: np.ndarray) -> np.ndarray:
@@ -262,7 +246,7 @@ def choose(mesh: Mesh, spacing: float, ok: np.ndarray | None = None) -> str:
     for block in _blocks(len(rows)):
         if (_squared_edges(_corners(mesh, rows[block])) > limit).any():
             return "AREA"
-    return "VERTICES" if np.count_nonzero(_used(mesh, ok)) <= len(rows) else "AREA"
+    return "VERTICES" if np.count_nonzero(used(mesh, ok)) <= len(rows) else "AREA"
 
 
 def sample_vertices(mesh: Mesh, ok: np.ndarray | None = None) -> Samples:
@@ -511,18 +495,6 @@ def _clamp(weights: np.ndarray) -> np.ndarray:
     return weights / np.maximum(weights.sum(axis=0), 1)
 
 
-def _clip(start: np.ndarray, stop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters in [0, 1] at which segments enter and leave the intersection of half-spaces (Liang and Barsky).
-
-    start, stop (K, ...): signed distances of the segments' ends, positive inside. Segments outside have
-    enter > leave.
-    """
-    span = start - stop
-    t = np.divide(start, span, out=np.zeros_like(span), where=span != 0)
-    enter = np.where(start < 0, np.where(stop < 0, 2.0, t), 0.0).max(axis=0)
-    return enter, np.where(stop < 0, t, 1.0).min(axis=0)
-
-
 def _bounds(start: np.ndarray, stop: np.ndarray, enter: np.ndarray, leave: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Bounding box, low and high (C, n), of clipped segments (E, C, n); low > high where no segment is left."""
     met = (enter <= leave)[:, None]
@@ -535,13 +507,13 @@ def _bounds(start: np.ndarray, stop: np.ndarray, enter: np.ndarray, leave: np.nd
 
 def centre(mesh: Mesh) -> np.ndarray:
     """(3,) float64: the middle of the finite vertices' bounding box, rounded to float32: a sum is then exact."""
-    low, high = _box(mesh.position)
+    low, high = bounding_box(mesh.position)
     if not max(np.abs(low).max(), np.abs(high).max()) <= LARGEST:
-        low, high = _box(mesh.position[(np.abs(mesh.position) <= LARGEST).all(axis=1)])
+        low, high = bounding_box(mesh.position[(np.abs(mesh.position) <= LARGEST).all(axis=1)])
     return ((low + high) / 2).astype(np.float32).astype(np.float64)
 
 
-def _box(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def bounding_box(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Low and high corner, (3,) float64, of points (V, 3); zeros where there are none."""
     if len(position) == 0:
         return np.zeros(3), np.zeros(3)
@@ -701,6 +673,74 @@ def _covering_radius(squared: np.ndarray, double_area: np.ndarray) -> np.ndarray
     return np.where(a + b > c, acute, c_length * b / np.maximum(b + c - a, np.finfo(np.float64).tiny))
 
 
+def areas(mesh: Mesh, samples: Samples, ok: np.ndarray | None = None) -> np.ndarray:
+    """(N,) float64: the area, in object units squared, that each sample stands for on this pose of its mesh.
+
+    A vertex stands for a third of each valid triangle around it. The others share their own triangle, by what of it
+    lies in their cells (AREA) or by the sizes of their ellipses (GRID): the areas of a triangle's samples add up to
+    the triangle's, and where a pose only stretches it, each keeps its share. `ok` is what `validate` returned.
+    """
+    if samples.ellipse is None:
+        rows = np.flatnonzero(validate(mesh)[0] if ok is None else ok)
+        area, vertices = _triangle_areas(mesh, rows), len(mesh.position)
+        ring = sum((np.bincount(corner, area / 3, vertices) for corner in mesh.triangles[rows].T), np.zeros(vertices))
+        return ring[mesh.triangles[samples.triangle, _corner(samples)]]
+    share = np.empty(len(samples))
+    for block in _blocks(len(samples)):
+        shape = samples.ellipse[block].transpose(1, 2, 0).astype(np.float64)
+        share[block] = np.abs(shape[0, 0] * shape[1, 1] - shape[0, 1] * shape[1, 0])
+        if samples.method == "AREA":
+            weights = samples.barycentric[block].T.astype(np.float64)
+            # What is nothing but rounding still counts.
+            share[block] = np.maximum(_cell_area(weights, shape), 1e-6 * share[block])
+    total = np.bincount(samples.triangle, share, len(mesh.triangles))
+    used = np.flatnonzero(total)
+    per_share = np.zeros(len(total))
+    per_share[used] = _triangle_areas(mesh, used) / total[used]
+    return share * per_share[samples.triangle]
+
+
+def _triangle_areas(mesh: Mesh, rows: np.ndarray) -> np.ndarray:
+    area = np.empty(len(rows))
+    for block in _blocks(len(rows)):
+        corners = _corners(mesh, rows[block])
+        cross = _cross(corners[1] - corners[0], corners[2] - corners[0])
+        area[block] = 0.5 * np.sqrt(_dot(cross, cross))
+    return area
+
+
+def _cell_area(weights: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """(n,) area of AREA's cells within their triangles, where the base and the height have length 1.
+
+    weights (2, n) and shape (2, 2, n) are Samples.barycentric and Samples.ellipse of cells, which tell the cells'
+    bounds; those of triangles with a single sample give anything.
+    """
+    along, up = (np.stack([-a - b, a, b]) for a, b in shape)  # half-diameters as weights of all three corners
+    place = np.stack([1 - weights[0] - weights[1], *weights])
+    apex = np.abs(along).argmin(axis=0)[None]
+    end = (apex + 2) % 3
+
+    def at(values: np.ndarray, corner: np.ndarray) -> np.ndarray:
+        return np.take_along_axis(values, corner, axis=0)[0]
+
+    half_y = at(up, apex)
+    foot = np.clip(-at(up, end) / half_y, 0.0, 1.0)
+    width = (np.abs(at(along, end)) - _WEIGHT_SLACK) / _RADIUS
+    height = (half_y - _WEIGHT_SLACK) / _RADIUS
+    x, y = at(place, end) + foot * at(place, apex), at(place, apex)
+    low, high = y - height / 2, y + height / 2
+    smallest = np.finfo(np.float64).tiny
+
+    def missing(x: np.ndarray) -> np.ndarray:
+        """The area above the roof and below `high`, from 0 to x."""
+        before = np.maximum(high - x / np.maximum(foot, smallest), 0.0)
+        after = np.maximum(high - (1 - x) / np.maximum(1 - foot, smallest), 0.0)
+        return (foot * (high**2 - before**2) + (1 - foot) * after**2) / 2
+
+    left, right = np.maximum(x - width / 2, 0.0), np.minimum(x + width / 2, 1.0)
+    return (high - low) * (right - left) - (missing(right) - missing(left))
+
+
 def interpolate(mesh: Mesh, samples: Samples, per_corner: np.ndarray) -> np.ndarray:
     """(N, C) float32: an attribute of corners, (T, 3, C), at the samples. Vertex samples take their corner's value."""
     if samples.ellipse is None:
@@ -740,62 +780,15 @@ def estimate_count(mesh: Mesh, spacing: float, method: str = "AREA", ok: np.ndar
     if method == "AUTO":
         method = choose(mesh, spacing, ok)
     if method == "VERTICES":
-        return int(np.count_nonzero(_used(mesh, ok)))
+        return int(np.count_nonzero(used(mesh, ok)))
     return math.ceil(_area_count(_measure(mesh, ok), spacing))
 
 
-def _used(mesh: Mesh, ok: np.ndarray) -> np.ndarray:
+def used(mesh: Mesh, ok: np.ndarray) -> np.ndarray:
     """(V,) bool: vertices of valid triangles."""
     used = np.zeros(len(mesh.position), bool)
     used[(mesh.triangles if ok.all() else mesh.triangles[ok]).reshape(-1)] = True
     return used
-
-
-def required_spacing(
-    mesh: Mesh,
-    view_from_object: np.ndarray,
-    camera: Camera,
-    pixels: float = 1.0,
-    max_samples: int | None = MAX_SAMPLES,
-    ok: np.ndarray | None = None,
-) -> float:
-    """The object-space distance that nowhere on the visible mesh projects to more than `pixels`; inf: not visible.
-
-    view_from_object is (4, 4) float64, or (I, 4, 4) for instances that share the mesh's samples; they may mirror
-    or flatten, and count as invisible where they have no extent or are not finite.
-
-    Visible is what of the triangles lies in the full frame between the clip distances; occlusion is ignored.
-    A length l at depth d and angle a off the axis spans at most f l / (d cos a) pixels of a perspective camera,
-    f l of a parallel one, and an object-space length at most as many view-space units as the transform's
-    largest singular value. On each triangle the least depth is taken together with the greatest angle.
-
-    A camera inside or close to a mesh would ask for very many samples: `limit_spacing` then has the last word,
-    unless max_samples is None (for a caller that only asks whether the samples it has are fine enough).
-    The result is not quantised otherwise.
-    """
-    ok = validate(mesh)[0] if ok is None else ok
-    matrices = np.reshape(view_from_object, (-1, 4, 4))
-    matrices = matrices[np.isfinite(matrices).all(axis=(1, 2))]
-    stretch = np.linalg.norm(matrices[:, :3, :3], 2, axis=(1, 2))
-    matrices, stretch = matrices[stretch > 1e-30], stretch[stretch > 1e-30]
-    triangles = (mesh.triangles if ok.all() else mesh.triangles[ok]).T.astype(np.intp, order="C")
-    if len(matrices) == 0 or triangles.shape[1] == 0:
-        return math.inf
-
-    # Nearest boxes first: once a box promises no finer spacing than was found, neither do those behind it.
-    position = mesh.position.T.astype(np.float64, order="C")
-    box = _box(mesh.position if ok.all() else mesh.position[_used(mesh, ok)])
-    at_least = _box_spacing(*box, matrices, camera) / stretch
-    spacing = math.inf
-    for tried, i in enumerate(np.argsort(at_least, kind="stable")):
-        if at_least[i] >= spacing:
-            break
-        if tried == _EXACT_INSTANCES:
-            spacing = float(at_least[i])
-            break
-        spacing = min(spacing, _view_spacing(position, triangles, matrices[i], camera) / stretch[i])
-    spacing = float(pixels * spacing)
-    return spacing if math.isinf(spacing) or max_samples is None else limit_spacing(mesh, spacing, max_samples, ok)
 
 
 def limit_spacing(mesh: Mesh, spacing: float, max_samples: int = MAX_SAMPLES, ok: np.ndarray | None = None) -> float:
@@ -811,113 +804,3 @@ def limit_spacing(mesh: Mesh, spacing: float, max_samples: int = MAX_SAMPLES, ok
     while _area_count(m, spacing) > max_samples and spacing < one_each:
         spacing *= 2
     return spacing
-
-
-def _focal(camera: Camera) -> float:
-    """Pixels for a view-space unit, at unit depth in a perspective view; of the larger direction."""
-    return max(abs(f) for f in camera.pixel_from_view()[:2])
-
-
-def _box_spacing(low: np.ndarray, high: np.ndarray, view_from_object: np.ndarray, camera: Camera) -> np.ndarray:
-    """(I,) at most `_view_spacing` of any mesh within the box; inf where the box is certainly invisible."""
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij")).reshape(3, 8)
-    view = view_from_object[:, :3, :3] @ corners + view_from_object[:, :3, 3:]  # (I, 3, 8)
-    planes = _frustum_planes(camera)
-    distance = planes[:, :3] @ view + planes[:, 3:]  # (I, 6, 8)
-    outside = (distance.max(axis=2) < 0).any(axis=1)
-    if not camera.perspective:
-        return np.where(outside, np.inf, 1 / _focal(camera))
-    rim = _frustum_edges(camera)[0]
-    cosine = (-rim[:, 2] / np.linalg.norm(rim, axis=1)).min()
-    depth = np.maximum(-view[:, 2].max(axis=1), camera.near)
-    return np.where(outside, np.inf, depth * cosine / _focal(camera))
-
-
-def _view_spacing(position: np.ndarray, triangles: np.ndarray, view_from_object: np.ndarray, camera: Camera) -> float:
-    """The least view-space length that projects to one pixel on the visible part of the triangles; inf: none.
-
-    position (3, V) float64, triangles (3, M), view_from_object (4, 4).
-    """
-    view = view_from_object[:3, :3] @ position + view_from_object[:3, 3:]
-    planes = _frustum_planes(camera)
-    outside = planes[:, :3] @ view + planes[:, 3:] < 0
-    # One bit for each plane (Cohen and Sutherland): a triangle is whole, cut, or on the far side of some plane.
-    a, b, c = np.packbits(outside, axis=0)[0].take(triangles)
-    whole = (a | b | c) == 0
-    cut = np.flatnonzero(~whole & ((a & b & c) == 0))
-    least = math.inf
-    if whole.any():
-        if not camera.perspective:
-            return 1 / _focal(camera)
-        depth = -view[2]
-        distance = np.sqrt(_dot(view, view))
-        cosine = np.divide(depth, distance, out=np.ones_like(depth), where=distance > 0)
-        inside = triangles if whole.all() else triangles[:, whole]
-        least = float((depth.take(inside).min(axis=0) * cosine.take(inside).min(axis=0)).min())
-    edges = _frustum_edges(camera)
-    for block in _blocks(len(cut)):
-        corners = view[:, triangles[:, cut[block]]].swapaxes(0, 1)  # (3 corners, 3, n)
-        points = _cut_points(corners, planes[:, :3] @ corners + planes[:, 3:], edges)
-        least = min(least, _nearest(points, camera.perspective))
-    return least / _focal(camera)
-
-
-def _nearest(points: np.ndarray, perspective: bool) -> float:
-    """Of point sets (K, 3, n) in view space, the least product of least depth and least cosine off the axis.
-
-    NaN points are absent, and a set without points counts as infinitely far. In a parallel view both are 1.
-    """
-    absent = np.isnan(points[:, 0])
-    if not perspective:
-        return math.inf if absent.all() else 1.0
-    depth = -points[:, 2]
-    cosine = depth / np.sqrt(_dot(points.swapaxes(0, 1), points.swapaxes(0, 1)))
-    return float((np.where(absent, np.inf, depth).min(axis=0) * np.where(absent, 1.0, cosine).min(axis=0)).min())
-
-
-def _frustum_planes(camera: Camera) -> np.ndarray:
-    """(6, 4): view space points p with planes @ (p, 1) >= 0 are visible."""
-    x, y, _, w = camera.clip_from_view
-    depth = np.array([0.0, 0.0, -1.0, 0.0])
-    one = np.array([0.0, 0.0, 0.0, 1.0])
-    return np.stack([w + x, w - x, w + y, w - y, depth - camera.near * one, camera.far * one - depth])
-
-
-def _frustum_edges(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Start and stop, (8, 3) each, of the frustum's four edges in depth and the four around its near side."""
-    m = camera.clip_from_view
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    corners = np.empty((2, 4, 3))
-    for side, depth in zip(corners, (camera.near, camera.far), strict=True):
-        # clip = scale * xy + m[2] z + m[3], over depth in a perspective view.
-        xy = (signs + m[:2, 2]) * depth if camera.perspective else signs - m[:2, 3] + m[:2, 2] * depth
-        side[:] = np.column_stack([xy / m[[0, 1], [0, 1]], np.full(4, -depth)])
-    near, far = corners
-    return np.concatenate([near, near]), np.concatenate([far, np.roll(near, -1, axis=0)])
-
-
-def _cut_points(view: np.ndarray, distance: np.ndarray, edges: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Corners of triangles cut by the frustum, (K, 3, n), NaN where absent; those on the far side are left out.
-
-    They are where the triangles' edges enter and leave the frustum, and where the frustum's edges pierce the
-    triangles. view (3 corners, 3, n); distance (3 corners, 6, n) of them from the frustum's planes.
-    """
-    distance = distance.swapaxes(0, 1)
-    enter, leave = _clip(distance, np.roll(distance, -1, axis=1))
-    step = np.roll(view, -1, axis=0) - view
-    on_edges = [np.where((enter <= leave)[:, None], view + t[:, None] * step, np.nan) for t in (enter, leave)]
-
-    a, u, v = view[0], view[1] - view[0], view[2] - view[0]
-    normal = _cross(u, v)
-    area = _dot(normal, normal)
-    pierced = []
-    for start, stop in zip(*edges, strict=True):
-        along = (stop - start)[:, None]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = _dot(a - start[:, None], normal) / _dot(along, normal)
-            point = start[:, None] + t * along
-            first = _dot(_cross(point - a, v), normal) / area
-            second = _dot(_cross(u, point - a), normal) / area
-            hit = (t >= 0) & (t <= 1) & (first >= 0) & (second >= 0) & (first + second <= 1)
-        pierced.append(np.where(hit, point, np.nan))
-    return np.concatenate([*on_edges, np.stack(pierced)])

@@ -21,11 +21,13 @@ from ..core.cloud import PointCloud, coherent, finite
 from ..core.cut import Cut, Forest, forest, fully, largest_singular_value, select
 from ..core.hierarchy import Hierarchy, build, refit
 from ..core.scene import Camera, Geometry, Mesh, Scene, Settings
+from ..core.spacing import make_parts, required_spacing
 
 POLYGON_PIXELS = 4.0  # AUTO draws polygons where the typical triangle's edge spans more than this many pixels
 HIERARCHY_PAYS = 80  # building costs about as much as drawing the points this many times
 SMALL_SPLAT = 0.25  # of the tolerance: where typical splats are smaller, most of a cloud can be left out
 EXACT_TRIANGLES = 4 << 20  # of all instances: so many are asked one by one what they need
+MANY_TRIANGLES = 1 << 14  # of one mesh: fewer are all looked at in no time
 COARSEST_OCTAVE = 6  # beyond it, the few samples that are left cost less than another cloud
 VERTEX_PIXELS = 2.0  # vertices are samples enough where no edge spans more; with pictures on them, one sample a pixel
 
@@ -223,18 +225,27 @@ class _View:
             return []
         if geometry.primitive == "POLYGONS":
             return None
-        tolerance = self.settings.tolerance
-        needed = sampling.required_spacing(mesh, view_from_object, self.camera, tolerance, max_samples=None, ok=ok)
+        needed = self._needed(geometry, mesh, ok, view_from_object)
         if not np.isfinite(needed):
             return []
         if geometry.primitive == "AUTO":
             edge = self.store.lookup(("edge", geometry.key), lambda: _typical_edge(mesh, ok))
-            if edge * tolerance > POLYGON_PIXELS * needed:
+            if edge * self.settings.tolerance > POLYGON_PIXELS * needed:
                 return None
         octave = self._octaves(geometry, mesh, ok, needed, view_from_object)
         return [
             (self._sampled(geometry, mesh, ok, needed, int(n)), np.flatnonzero(octave == n)) for n in np.unique(octave)
         ]
+
+    def _needed(self, geometry: Geometry, mesh: Mesh, ok: np.ndarray, view_from_object: np.ndarray) -> float:
+        """The spacing that one or more instances need in this view. Views that ask again are answered by parts."""
+        asked = ("asked", geometry.key)
+        parts = None
+        if len(mesh.triangles) >= MANY_TRIANGLES and asked in self.store:
+            parts = self.store.lookup(("parts", geometry.key), lambda: make_parts(mesh, ok))
+        self.store.lookup(asked, lambda: True)
+        tolerance = self.settings.tolerance
+        return required_spacing(mesh, view_from_object, self.camera, tolerance, max_samples=None, ok=ok, parts=parts)
 
     def _octaves(
         self, geometry: Geometry, mesh: Mesh, ok: np.ndarray, needed: float, view_from_object: np.ndarray
@@ -243,11 +254,7 @@ class _View:
         if geometry.spacing > 0 or not self.camera.perspective or len(view_from_object) == 1:
             return np.zeros(len(view_from_object), int)
         if len(view_from_object) * len(mesh.triangles) <= EXACT_TRIANGLES:
-            tolerance = self.settings.tolerance
-            allowed = np.array([
-                sampling.required_spacing(mesh, matrix, self.camera, tolerance, max_samples=None, ok=ok)
-                for matrix in view_from_object
-            ])  # fmt: skip
+            allowed = np.array([self._needed(geometry, mesh, ok, matrix) for matrix in view_from_object])
         else:
             allowed = self._allowed_by_bounds(geometry, mesh, ok, view_from_object)
         with np.errstate(all="ignore"):

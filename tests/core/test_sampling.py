@@ -7,6 +7,7 @@ import pytest
 
 from pointsplat_addon.core import sampling
 from pointsplat_addon.core.scene import Camera, Mesh
+from pointsplat_addon.core.spacing import PART, make_parts, required_spacing
 
 METHODS = ("VERTICES", "AREA", "GRID")
 
@@ -301,7 +302,7 @@ def test_nothing_to_draw(mesh, method):
     assert len(samples) == len(e.position) == len(e.radii) == 0
     assert sampling.estimate_count(mesh, 0.1) == 0
     assert sampling.interpolate(mesh, samples, np.zeros((len(mesh.triangles), 3, 2), np.float32)).shape == (0, 2)
-    assert sampling.required_spacing(mesh, np.eye(4), camera()) == np.inf
+    assert required_spacing(mesh, np.eye(4), camera()) == np.inf
 
 
 @pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan, np.inf])
@@ -479,10 +480,27 @@ CAMERAS = {
 def test_required_spacing_projects_to_a_pixel_where_the_mesh_is_nearest(name, distance, shape):
     mesh, view_from_object = SHAPES[shape][0], transform(7, distance)
     least = brute_force(mesh, view_from_object, CAMERAS[name], 40_000 // len(mesh.triangles))
-    spacing = sampling.required_spacing(mesh, view_from_object, CAMERAS[name], max_samples=None)
+    spacing = required_spacing(mesh, view_from_object, CAMERAS[name], max_samples=None)
     assert spacing <= least * (1 + 1e-9)  # measured 1.0 exactly in parallel views
     # Random points miss the nearest one, above all on the soup's few large triangles: measured 0.645; cube 0.896.
     assert spacing >= least * 0.6
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_parts_of_a_mesh_tell_the_same_spacing(name):
+    rng = np.random.default_rng(4)
+    meshes = [wave(60), sphere(40), soup(rng.normal(size=(3 * PART + 1, 1, 3)) + rng.normal(size=(3 * PART + 1, 3, 3)))]
+    seen = 0
+    for mesh in meshes:
+        parts = make_parts(mesh)
+        for seed in range(40):
+            m = transform(seed, rng.uniform(-1, 6))
+            whole = required_spacing(mesh, m, CAMERAS[name], max_samples=None)
+            assert required_spacing(mesh, m, CAMERAS[name], max_samples=None, parts=parts) == pytest.approx(
+                whole, rel=1e-9
+            )
+            seen += np.isfinite(whole)
+    assert seen > 60  # measured 88 and more of 120
 
 
 def test_the_part_of_a_large_triangle_between_the_frustum_s_sides_counts():
@@ -490,7 +508,7 @@ def test_the_part_of_a_large_triangle_between_the_frustum_s_sides_counts():
     ground = make([(-50, -1, 50), (50, -1, 50), (50, -1, -50), (-50, -1, -50)], [[0, 1, 2], [0, 2, 3]])
     cam = camera(resolution=(200, 200))
     depth, half = 1.4, 1 / 1.4  # the frame's lower edge looks down at tan = 1 / focal, and meets y = -1 at 1.4
-    assert sampling.required_spacing(ground, np.eye(4), cam, max_samples=None) == pytest.approx(
+    assert required_spacing(ground, np.eye(4), cam, max_samples=None) == pytest.approx(
         depth / (140 * np.sqrt(1 + 2 * half**2)), rel=1e-9
     )
 
@@ -500,21 +518,21 @@ def test_what_the_camera_does_not_see_needs_no_samples():
         for offset in ((0, 0, 5), (60, 0, -5), (0, -60, -5), (0, 0, -200)):
             m = np.eye(4)
             m[:3, 3] = offset
-            assert sampling.required_spacing(cube(), m, cam) == np.inf
+            assert required_spacing(cube(), m, cam) == np.inf
 
 
 def test_spacing_under_scaled_mirrored_and_flattened_transforms():
     mesh, cam = cube(), camera()
-    one = sampling.required_spacing(mesh, transform(1, 6), cam)
+    one = required_spacing(mesh, transform(1, 6), cam)
     m = transform(1, 6) @ np.diag([1, -1, 1, 1.0])
-    assert sampling.required_spacing(mesh, m, cam) == pytest.approx(one, rel=1e-12)  # the cube is symmetric
+    assert required_spacing(mesh, m, cam) == pytest.approx(one, rel=1e-12)  # the cube is symmetric
     doubled = replace(mesh, position=mesh.position * 2)
     m = transform(1, 6) @ np.diag([0.5, 0.5, 0.5, 1])
-    assert sampling.required_spacing(doubled, m, cam) == pytest.approx(2 * one, rel=1e-12)
-    assert sampling.required_spacing(mesh, transform(1, 6, (0, 0, 0)), cam) == np.inf
-    assert np.isfinite(sampling.required_spacing(mesh, transform(1, 6, (1, 0, 1)), cam))
-    assert sampling.required_spacing(mesh, np.full((4, 4), np.nan), cam) == np.inf
-    assert sampling.required_spacing(mesh, transform(1, 6), cam, pixels=2) == pytest.approx(2 * one)
+    assert required_spacing(doubled, m, cam) == pytest.approx(2 * one, rel=1e-12)
+    assert required_spacing(mesh, transform(1, 6, (0, 0, 0)), cam) == np.inf
+    assert np.isfinite(required_spacing(mesh, transform(1, 6, (1, 0, 1)), cam))
+    assert required_spacing(mesh, np.full((4, 4), np.nan), cam) == np.inf
+    assert required_spacing(mesh, transform(1, 6), cam, pixels=2) == pytest.approx(2 * one)
 
 
 def test_instances_share_the_spacing_of_the_one_that_needs_the_finest():
@@ -523,13 +541,13 @@ def test_instances_share_the_spacing_of_the_one_that_needs_the_finest():
     for count in (7, 300):
         matrices = np.array([transform(i, 30 * d, (s, s, s)) for i, (d, s) in enumerate(rng.random((count, 2)))])
         matrices[:, :2, 3] = rng.uniform(-20, 20, (count, 2))
-        each = [sampling.required_spacing(mesh, m, cam, max_samples=None) for m in matrices]
-        together = sampling.required_spacing(mesh, matrices, cam, max_samples=None)
+        each = [required_spacing(mesh, m, cam, max_samples=None) for m in matrices]
+        together = required_spacing(mesh, matrices, cam, max_samples=None)
         assert together == pytest.approx(min(each), rel=1e-12)
     # So many equal instances that boxes decide: finer by the sphere's and the frustum's corners, never coarser.
     many = np.repeat(transform(0, 6)[None], 200, axis=0)
-    one = sampling.required_spacing(mesh, many[0], cam, max_samples=None)
-    assert 0.5 * one < sampling.required_spacing(mesh, many, cam, max_samples=None) <= one
+    one = required_spacing(mesh, many[0], cam, max_samples=None)
+    assert 0.5 * one < required_spacing(mesh, many, cam, max_samples=None) <= one
 
 
 def test_a_camera_inside_is_limited_by_the_number_of_samples():
@@ -538,7 +556,7 @@ def test_a_camera_inside_is_limited_by_the_number_of_samples():
     m = np.eye(4)
     m[2, 3] = 0.9999  # the eye is 1e-4 from the face that it looks at
     for limit in (1000, 100_000):
-        spacing = sampling.required_spacing(mesh, m, cam, max_samples=limit)
+        spacing = required_spacing(mesh, m, cam, max_samples=limit)
         count = len(sampling.sample_area(mesh, spacing))
         assert limit / 8 < count <= limit  # an octave is a factor of four in samples
         assert spacing == sampling.quantise_spacing(spacing)
