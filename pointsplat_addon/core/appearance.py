@@ -9,10 +9,14 @@ import numpy as np
 from .cloud import PointCloud
 from .expressions import SampleInputs
 from .materials import MaterialGraph, bake, bakeable, evaluate_samples, needs, suggested_resolution, triangle_tangents
-from .sampling import Evaluated, Samples, interpolate, material_ids
+from .sampling import Evaluated, Samples, areas, interpolate, material_ids
 from .scene import MaterialTable, Mesh
 
-CLIP = 0.5  # of alpha: surfaces are cut out below it
+CLIP = 0.5  # of alpha: surfaces that are not translucent are cut out below it
+OPAQUE = 100.0  # the largest optical depth
+# Half-axes of translucent splats over those that cover the surface: sums of Gaussians with standard deviations of
+# 0.6 spacings are constant within 0.2 percent, and those of 0.35 only within 17.
+OVERLAP = 1.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +43,61 @@ def digest(mesh: Mesh, table: MaterialTable) -> str:
         rows = list(mesh.materials)
         parts += [table.base_color[rows].tobytes().hex(), table.emission[rows].tobytes().hex()]
         parts += [table.roughness[rows].tobytes().hex(), table.metallic[rows].tobytes().hex()]
+    if (passes := passing(mesh, table)) is not None:
+        rows = list(mesh.materials)
+        parts += [passes[rows].tobytes().hex(), table.alpha[rows].tobytes().hex()]
     return "|".join(parts)
 
 
+def passing(mesh: Mesh, table: MaterialTable) -> np.ndarray | None:
+    """(M,) bool, MaterialTable.translucent; None where none of the mesh's materials is."""
+    if table.translucent is None or not table.translucent[list(mesh.materials)].any():
+        return None
+    return table.translucent
+
+
+def split_translucent(mesh: Mesh, table: MaterialTable) -> tuple[Mesh | None, Mesh | None]:
+    """The opaque and the translucent part of a mesh, by material; None where there is none.
+
+    What is all of one kind is the mesh itself. Parts share its vertices, and have content keys that tell from which
+    materials they are. Triangles with a constant alpha of 0 are in neither.
+    """
+    passes = passing(mesh, table)
+    if passes is None:
+        return mesh, None
+    graphs = graphs_of(mesh, table)
+    seen = [row for row in mesh.materials if table.alpha[row] > 0 or (row in graphs and graphs[row].alpha is not None)]
+    opaque = _part(mesh, tuple(row for row in seen if not passes[row]))
+    return opaque, _part(mesh, tuple(row for row in seen if passes[row]))
+
+
+def _part(mesh: Mesh, rows: tuple[int, ...]) -> Mesh | None:
+    """The triangles that have these materials."""
+    if rows == mesh.materials:
+        return mesh
+    if not rows or mesh.material is None:
+        return None
+    which = np.flatnonzero(np.isin(mesh.material, rows))
+    name = f" of {','.join(map(str, rows))}"
+    return replace(
+        mesh,
+        key=mesh.key + name,
+        topology=mesh.topology and mesh.topology + name,
+        triangles=mesh.triangles[which],
+        corner_normal=None if mesh.corner_normal is None else mesh.corner_normal[which],
+        uv={n: a[which] for n, a in mesh.uv.items()},
+        colors={n: a[which] for n, a in mesh.colors.items()},
+        material=mesh.material[which] if len(rows) > 1 else None,
+        materials=rows,
+    )
+
+
 def point_cloud(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: MaterialTable) -> PointCloud:
-    """The splats of a mesh: geometry, material rows, and what its graphs make of them; cut-out samples are left out."""
+    """The splats of a mesh: geometry, material rows, and what its graphs make of them; cut-out samples are left out.
+
+    With a translucent material there are opacities, which are shares: overlapping splats add up to the alpha A. A
+    sample that stands for the area S has the optical mass -ln(1 - A) S, spread over its ellipse.
+    """
     cloud = PointCloud(
         evaluated.position,
         evaluated.origin,
@@ -60,7 +114,32 @@ def point_cloud(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: Mater
     if own is not evaluated.plane and (np.einsum("ij,ij->i", own, evaluated.plane) < 1 - 1e-5).any():
         cloud = replace(cloud, shading_normal=np.ascontiguousarray(own, np.float32))
     cloud = replace(cloud, color=look.color, surface=look.surface, emission=look.emission)
+    passes = passing(mesh, table)
+    if passes is not None:
+        return _with_opacity(cloud, passes[cloud.material], look.alpha, areas(mesh, samples), table)
     return cloud if look.alpha is None else cloud.take(look.alpha >= CLIP)
+
+
+def _with_opacity(
+    cloud: PointCloud, passes: np.ndarray, alpha: np.ndarray | None, area: np.ndarray, table: MaterialTable
+) -> PointCloud:
+    """The splats that show, with their shares of opacity. passes (N,) bool: translucent; alpha, area (N,)."""
+    assert cloud.radii is not None
+    if alpha is None:
+        alpha = table.alpha[cloud.material]
+    shows = np.where(passes, alpha > 0, alpha >= CLIP)
+    radii = cloud.radii * np.where(passes, np.float32(OVERLAP), np.float32(1))[:, None]
+    depth = optical_depth(np.where(passes, alpha, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth *= area / (np.pi * radii[:, 0].astype(np.float64) * radii[:, -1])
+    opacity = np.where(passes, -np.expm1(-np.minimum(depth, OPAQUE)), 1).astype(np.float32)
+    return replace(cloud, radii=radii, opacity=opacity).take(shows)
+
+
+def optical_depth(alpha: np.ndarray) -> np.ndarray:
+    """float64: -ln(1 - alpha), at most OPAQUE."""
+    with np.errstate(divide="ignore"):
+        return np.minimum(-np.log1p(-np.clip(alpha, 0, 1).astype(np.float64)), OPAQUE)
 
 
 def at_samples(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: MaterialTable) -> Appearance:
@@ -139,7 +218,7 @@ def _evaluate(
     if "normal" in channels:
         out["normal"] = normal.copy()
     if "alpha" in channels:
-        out["alpha"] = np.ones(len(rows), np.float32)
+        out["alpha"] = table.alpha[rows]
 
     for row, graph in graphs.items():
         which = slice(None) if len(mesh.materials) == 1 else np.flatnonzero(rows == row)

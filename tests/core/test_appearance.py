@@ -3,10 +3,20 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from pointsplat_addon.core import expressions as ex
 from pointsplat_addon.core import sampling
-from pointsplat_addon.core.appearance import at_corners, at_samples, baked, corner_normals, digest, point_cloud, uv_of
+from pointsplat_addon.core.appearance import (
+    at_corners,
+    at_samples,
+    baked,
+    corner_normals,
+    digest,
+    point_cloud,
+    split_translucent,
+    uv_of,
+)
 from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import Mesh, default_materials
 
@@ -20,13 +30,19 @@ def square(**more) -> Mesh:
     return Mesh("square", "Square", POSITION, TRIANGLES, uv={"UV": uv}, active_uv="UV", **more)
 
 
-def table(*graphs, **columns):
+def table(*graphs, translucent=None, **columns):
     base = default_materials()
     count = max(len(graphs), 1)
-    names = [f for f in base.__dataclass_fields__ if f not in ("names", "graphs")]
+    names = [f for f in base.__dataclass_fields__ if isinstance(getattr(base, f), np.ndarray)]
     repeated = {name: np.repeat(getattr(base, name), count, axis=0) for name in names}
     changed = {name: np.asarray(v, repeated[name].dtype) for name, v in columns.items()}
-    return replace(base, **repeated | changed, names=tuple("m" * count), graphs=graphs or (None,))
+    return replace(
+        base,
+        **repeated | changed,
+        translucent=None if translucent is None else np.array(translucent),
+        names=tuple("m" * count),
+        graphs=graphs or (None,),
+    )
 
 
 def ramp():
@@ -145,6 +161,111 @@ def test_corner_normals_come_from_the_mesh_or_its_triangles():
     np.testing.assert_array_equal(corner_normals(square(vertex_normal=smooth)), smooth[TRIANGLES.ravel()])
     corners = _unit_rows(np.arange(18, dtype=np.float32).reshape(6, 3) + 1).reshape(2, 3, 3)
     np.testing.assert_array_equal(corner_normals(square(corner_normal=corners)), corners.reshape(-1, 3))
+
+
+# Translucent surfaces
+
+
+def masses(cloud):
+    """(N,) float64: the splats' optical depths times their areas."""
+    return (
+        -np.log1p(-cloud.opacity.astype(np.float64)) * np.pi * cloud.radii[:, 0].astype(np.float64) * cloud.radii[:, -1]
+    )
+
+
+@pytest.mark.parametrize("method", ["VERTICES", "AREA", "GRID"])
+@pytest.mark.parametrize("spacing", [2.0, 0.31, 0.1, 0.013])
+def test_the_optical_mass_of_a_veil_is_that_of_its_area(spacing, method):
+    bent = POSITION * np.array([3, 1, 1], np.float32)
+    bent[2, 2] = 0.7
+    mesh = replace(square(), position=bent)
+    a, b, c = bent[TRIANGLES].astype(float).transpose(1, 0, 2)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    samples, evaluated = samples_of(mesh, spacing, method)
+    cloud = point_cloud(mesh, samples, evaluated, table(alpha=[0.3], translucent=[True]))
+    assert masses(cloud).sum() == pytest.approx(-np.log(0.7) * area, rel=1e-6)  # measured 1.1e-7
+
+
+def test_a_sample_stands_for_what_of_the_triangle_lies_in_its_cell():
+    """Samples of one triangle in the unit square: the area to the left of a line between columns is a trapezium's."""
+    mesh = Mesh("t", "T", np.array([[0, 0, 0], [4, 0, 0], [1.5, 3, 0]], np.float32), np.array([[0, 1, 2]], np.int32))
+    samples = sampling.sample(mesh, 0.25, "AREA")
+    area = sampling.areas(mesh, samples)
+    y = samples.barycentric[:, 1].astype(float)  # over the height, 3
+    rows = 12
+    for row in range(rows):
+        # The roof lowers the centres of a row's outer cells, so that only rows can be told apart by their centres.
+        inside = (y * rows >= row) & (y * rows < row + 1)
+        strip = 6 * ((1 - row / rows) ** 2 - (1 - (row + 1) / rows) ** 2)
+        assert area[inside].sum() == pytest.approx(strip, rel=1e-5)
+    # A cell's ellipse is spanned by half-diameters that are its sides over the root of 2; those at the edges are cut.
+    assert samples.ellipse is not None
+    cell = 6 * 4 * np.abs(np.linalg.det(samples.ellipse.astype(float)))
+    assert (area <= cell * (1 + 1e-4)).all()
+    assert np.isclose(area, cell, rtol=1e-4).mean() > 0.7  # measured 0.78
+
+
+def test_a_pose_keeps_each_samples_share_of_its_triangle():
+    mesh = square()
+    samples, _ = samples_of(mesh, 0.11)
+    stretched = replace(mesh, position=mesh.position * np.array([2, 3, 1], np.float32))
+    np.testing.assert_allclose(sampling.areas(stretched, samples), 6 * sampling.areas(mesh, samples), rtol=1e-12)
+
+
+def test_opaque_samples_of_a_translucent_material_have_the_largest_depth_and_clear_ones_are_left_out():
+    mesh = square()
+    samples, evaluated = samples_of(mesh)
+    stripes = ex.Math(ex.Component(ex.UV(), 0), ex.Constant((0.5,)), ex.Constant((0.0,)), "GREATER_THAN")
+    cloud = point_cloud(mesh, samples, evaluated, table(MaterialGraph(alpha=stripes), translucent=[True]))
+    assert cloud.opacity is not None
+    x = cloud.position[:, 0] + cloud.origin[0]
+    assert len(cloud) == (evaluated.position[:, 0] + evaluated.origin[0] > 0.5).sum()
+    assert x.min() > 0.5
+    assert cloud.opacity.min() > 0.999  # a share of the depth of 100
+
+
+def test_alpha_is_evaluated_at_each_sample():
+    mesh = square()
+    samples, evaluated = samples_of(mesh, 0.01)
+    half = ex.Math(ex.Component(ex.UV(), 0), ex.Constant((0.5,)), ex.Constant((0.0,)), "MULTIPLY")
+    cloud = point_cloud(mesh, samples, evaluated, table(MaterialGraph(alpha=half), translucent=[True]))
+    # The integral of -ln(1 - x/2) from 0 to 1.
+    assert masses(cloud).sum() == pytest.approx(1 - np.log(2), rel=1e-4)  # measured 6.8e-6
+
+
+def test_a_mesh_of_one_kind_is_its_own_part():
+    mesh = square()
+    assert split_translucent(mesh, table()) == (mesh, None)
+    assert split_translucent(mesh, table(translucent=[False])) == (mesh, None)
+    assert split_translucent(mesh, table(alpha=[0.5], translucent=[True])) == (None, mesh)
+    assert split_translucent(mesh, table(alpha=[0.0], translucent=[True])) == (None, None)
+
+
+def test_parts_by_material_hold_all_triangles_and_have_keys_of_their_own():
+    corners = np.arange(18, dtype=np.float32).reshape(2, 3, 3)
+    mesh = square(material=np.array([0, 1], np.uint16), materials=(0, 1), corner_normal=corners, topology="t")
+    materials = table(None, None, alpha=[1.0, 0.5], translucent=[False, True])
+    opaque, translucent = split_translucent(mesh, materials)
+    assert opaque is not None
+    assert translucent is not None
+    assert len({mesh.key, opaque.key, translucent.key}) == 3
+    assert len({mesh.topology, opaque.topology, translucent.topology}) == 3
+    for row, part in enumerate((opaque, translucent)):
+        np.testing.assert_array_equal(part.triangles, TRIANGLES[row : row + 1])
+        np.testing.assert_array_equal(part.corner_normal, corners[row : row + 1])
+        np.testing.assert_array_equal(part.uv["UV"], mesh.uv["UV"][row : row + 1])
+        assert part.materials == (row,)
+        assert part.position is mesh.position
+    # What the other part looks like does not change this one's key.
+    again, _ = split_translucent(mesh, replace(materials, alpha=np.array([1, 0.9], np.float32)))
+    assert again is not None
+    assert again.key == opaque.key
+    assert digest(translucent, materials) != digest(translucent, replace(materials, alpha=np.ones(2, np.float32)))
+
+
+def test_an_alpha_that_varies_from_zero_is_not_dropped():
+    mesh, graph = square(), MaterialGraph(alpha=ex.Component(ex.UV(), 0))
+    assert split_translucent(mesh, table(graph, alpha=[1.0], translucent=[True])) == (None, mesh)
 
 
 def _unit_rows(v):
