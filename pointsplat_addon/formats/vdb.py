@@ -1,0 +1,315 @@
+"""OpenVDB files by the `openvdb` module that Blender ships: sparse grids in and dense arrays out.
+
+The module is handed in (host/openvdb.py finds it), so that nothing here needs Blender.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.volumes import bounds, keys
+
+BLOCK = 1 << 18  # voxels that are copied together whatever of them is active
+SPARSE = 16  # so many voxels for each active one are still copied rather than searched
+SLAB = 1 << 24  # voxels that are copied at once
+FAR = 1 << 48  # voxels of a box so wide that cutting it would cost more than visiting each active voxel
+MOST = 1 << 28  # active voxels: more would not fit the memory of most machines as points
+CUT = 8  # boxes are cut along the leaves of the tree
+EMPTY = -(2**31)  # what integer grids get for a background
+SAME = 1e-6  # of a voxel's edge, over the whole grid: transforms that differ by less are the same
+ROWS = 1 << 20  # voxels that are resampled together
+KINDS: dict[str, Any] = {  # grids that are read, and a background that no value equals
+    "FloatGrid": np.nan,
+    "DoubleGrid": np.nan,
+    "Int32Grid": EMPTY,
+    "Int64Grid": EMPTY,
+    "BoolGrid": False,
+    "Vec3SGrid": (np.nan,) * 3,
+    "Vec3DGrid": (np.nan,) * 3,
+    "Vec3IGrid": (EMPTY,) * 3,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Active voxels of one grid. An integer index is a voxel's centre."""
+
+    name: str
+    index: np.ndarray  # (N, 3) int32, distinct, in lexicographic order
+    value: np.ndarray  # (N,) or (N, 3) float32
+    object_from_index: np.ndarray  # (4, 4) float64
+
+
+@dataclass(frozen=True, eq=False)
+class Grids:
+    """Grids of one file or object on one lattice."""
+
+    index: np.ndarray  # (N, 3) int32, distinct, in lexicographic order
+    object_from_index: np.ndarray  # (4, 4) float64
+    values: dict[str, np.ndarray]  # name to (N,) or (N, 3) float32; voxels that a grid lacks hold 0
+
+
+def read(openvdb: Any, path: Path, names: Collection[str] | None = None) -> tuple[list[Grid], list[str]]:
+    """The grids of a file that are called `names` (None: all of them), and what is wrong with others.
+
+    Where a file has none of those names, its first grid of voxels is read instead: the region that it fills.
+    Level sets become densities: 1 inside, falling to 0 over one voxel across the surface.
+    Raises OSError where the file cannot be read.
+    """
+    grids, messages = [], []
+    try:
+        listed = list(openvdb.readAllGridMetadata(str(path)))
+        usable = [m for m in listed if _problem(openvdb, m) is None]
+        wanted = [m for m in listed if names is None or m.name in names]
+        messages += [problem for m in wanted if (problem := _problem(openvdb, m))]
+        chosen = [m for m in wanted if m in usable] or usable[:1]
+        if not chosen and listed and not messages:
+            messages.append(str(_problem(openvdb, listed[0])))
+        for name in dict.fromkeys(m.name for m in chosen):
+            try:
+                grid, found = sparse(openvdb, openvdb.read(str(path), name))
+            except ValueError as error:
+                grid, found = None, [f'the grid "{name}" is left out: {error}']
+            messages += found
+            if grid is not None:
+                grids.append(grid)
+    except (RuntimeError, KeyError) as error:
+        raise OSError(f"{path.name} cannot be read: {error}") from error
+    return grids, messages
+
+
+def _problem(openvdb: Any, grid: Any) -> str | None:
+    """Why a grid holds no voxels that can be drawn."""
+    if type(grid).__name__ not in KINDS:
+        what = "points" if grid.valueTypeName.startswith("ptdata") else grid.valueTypeName
+        return f'the grid "{grid.name}" holds {what}, which volumes are not drawn from'
+    if not grid.transform.isLinear:
+        return f'the grid "{grid.name}" is a frustum, which is not supported'
+    return None
+
+
+def sparse(openvdb: Any, grid: Any) -> tuple[Grid | None, list[str]]:
+    """The active voxels of an `openvdb` grid, which is used up, and what was wrong with it; None where it has none.
+
+    Raises ValueError where they lie so far apart that cells have no 64-bit number.
+    """
+    name, matrix = grid.name, transform(grid)
+    if np.linalg.matrix_rank(matrix[:3, :3]) < 3 or not np.isfinite(matrix).all():
+        return None, [f'the grid "{name}" has voxels without volume']
+    count = grid.activeVoxelCount()
+    if count == 0:
+        return None, []
+    if count > MOST:
+        return None, [f'the grid "{name}" has {count} active voxels, more than the {MOST} that are supported']
+    if grid.gridClass == openvdb.GridClass.LEVEL_SET:
+        return _inside(grid, name, matrix)
+    # With a background that no value equals, copies tell what is active.
+    grid.background = empty = KINDS[type(grid).__name__]
+    parts = [part for part, low, high in _boxes(grid, empty) for part in _voxels(part, low, high, empty)]
+    index, value = (np.concatenate(column) for column in zip(*parts, strict=True))
+    lost = 0 if empty is False else count - len(index)
+    messages = [f'{lost} voxels of the grid "{name}" are not a number and are left out'] if lost else []
+    if len(parts) > 1 and len(index):
+        order = np.argsort(keys(index, *bounds(index)))
+        index, value = index[order], value[order]
+    return (Grid(name, index, value, matrix) if len(index) else None), messages
+
+
+def transform(grid: Any) -> np.ndarray:
+    """object_from_index (4, 4) float64 of a grid with a linear transform."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = grid.transform.indexToWorld((0, 0, 0))
+    for k in range(3):
+        # A far origin would take digits from the edges: many voxels away they are found again.
+        step = [0, 0, 0]
+        step[k] = 1 << 20
+        matrix[:3, k] = (np.array(grid.transform.indexToWorld(tuple(step))) - matrix[:3, 3]) / (1 << 20)
+    return matrix
+
+
+def _boxes(grid: Any, empty: Any) -> Iterator[tuple[Any, np.ndarray, np.ndarray]]:
+    """(grid, low, high) that together hold all active voxels, each box small or well filled.
+
+    Boxes are halved, and shrunk to what is active in them, by copies of the tree that have the other half cleared.
+    """
+    rest = [grid]
+    while rest:
+        grid = rest.pop()
+        count = grid.activeVoxelCount()
+        if count == 0:
+            continue
+        low, high = (np.array(corner, np.int64) for corner in grid.evalActiveVoxelBoundingBox())
+        size = high - low + 1
+        volume = _volume(low, high)
+        if volume <= max(BLOCK, SPARSE * count) or volume >= FAR:
+            yield grid, low, high
+            continue
+        axis = int(np.argmax(size))
+        middle = (low[axis] + size[axis] // 2) // CUT * CUT
+        left, right = high.copy(), low.copy()
+        left[axis], right[axis] = middle - 1, middle
+        other = grid.deepCopy()
+        grid.fill(_tuple(low), _tuple(left), empty, False)
+        other.fill(_tuple(right), _tuple(high), empty, False)
+        rest += [grid, other]
+
+
+def _voxels(grid: Any, low: np.ndarray, high: np.ndarray, empty: Any) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Indices (n, 3) int32 and values of the active voxels of a box, piece by piece."""
+    if _volume(low, high) >= FAR:
+        yield from _visited(grid)
+        return
+    background = np.float32(np.ravel(empty)[0])
+    for start, block in _slabs(grid, low, high, (3,) if isinstance(empty, tuple) else ()):
+        head = block if block.ndim == 3 else block[..., 0]
+        yield _listed(block, ~np.isnan(head) if np.isnan(background) else head != background, start)
+
+
+def _slabs(
+    grid: Any, low: np.ndarray, high: np.ndarray, width: tuple[int, ...] = ()
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Low corners and dense values (X, Y, Z, *width) float32 of slices of a box."""
+    size = high - low + 1
+    thick = max(1, int(SLAB // (size[1] * size[2])))
+    for x in range(int(low[0]), int(high[0]) + 1, thick):
+        block = np.empty((min(thick, int(high[0]) + 1 - x), size[1], size[2], *width), np.float32)
+        start = np.array([x, low[1], low[2]])
+        grid.copyToArray(block, ijk=_tuple(start))
+        yield start, block
+
+
+def _listed(block: np.ndarray, where: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    places = np.nonzero(where)
+    return np.stack([(p + s).astype(np.int32) for p, s in zip(places, start, strict=True)], axis=1), block[places]
+
+
+def _visited(grid: Any) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The same for a few voxels that lie very far apart: tile by tile."""
+    for item in grid.citerOnValues():
+        low, high = np.array(item.min), np.array(item.max)
+        index = np.stack(np.meshgrid(*map(np.arange, low, high + 1), indexing="ij"), axis=-1).reshape(-1, 3)
+        value = np.asarray(item.value, np.float32)
+        yield index.astype(np.int32), np.broadcast_to(value, (len(index), *value.shape))
+
+
+def _inside(grid: Any, name: str, matrix: np.ndarray) -> tuple[Grid | None, list[str]]:
+    """A signed distance as a density: the share of a voxel that lies inside, were its surface flat.
+
+    The inside is not active, but negative, and is found by copying the whole box.
+    """
+    low, high = (np.array(corner, np.int64) for corner in grid.evalActiveVoxelBoundingBox())
+    if _volume(low, high) > 8 * MOST:
+        return None, [f'the level set "{name}" spans {" x ".join(map(str, high - low + 1))} voxels, which is too many']
+    edge = np.float32(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
+    parts = []
+    for start, block in _slabs(grid, low, high):
+        density = np.clip(np.float32(0.5) - block / edge, 0, 1)
+        parts.append(_listed(density, density > 0, start))
+    index, value = (np.concatenate(column) for column in zip(*parts, strict=True))
+    message = f'the grid "{name}" is a level set, not a density: it counts as 1 inside and 0 outside'
+    return (Grid(name, index, value, matrix) if len(index) else None), [message]
+
+
+def _volume(low: np.ndarray, high: np.ndarray) -> float:
+    """Voxels of a box; it may be more than integers hold."""
+    return float(np.prod((high - low + 1).astype(np.float64)))
+
+
+def _tuple(corner: np.ndarray) -> tuple[int, int, int]:
+    return int(corner[0]), int(corner[1]), int(corner[2])
+
+
+# Several grids on one lattice
+
+
+def combine(grids: list[Grid]) -> tuple[Grids, list[str]]:
+    """All grids on the lattice of the first, and what had to be done for it. Raises ValueError for no grids.
+
+    Those of the same transform bring their voxels; others are resampled at the voxels that are there.
+    """
+    if not grids:
+        raise ValueError("there are no grids")
+    first = grids[0]
+    alike = [g for g in grids if _same_transform(g, first)]
+    others = [g for g in grids if not _same_transform(g, first)]
+    index = first.index
+    if any(len(g.index) != len(index) or not np.array_equal(g.index, index) for g in alike):
+        index = _union([g.index for g in alike])
+    values = {g.name: _spread(g, index) for g in alike}
+    values |= {g.name: _resampled(g, index, first.object_from_index) for g in others}
+    messages = [
+        f'the grid "{g.name}" has a lattice of its own and is resampled to that of "{first.name}"' for g in others
+    ]
+    return Grids(index, first.object_from_index, {g.name: values[g.name] for g in grids}), messages
+
+
+def _same_transform(a: Grid, b: Grid) -> bool:
+    edge = np.abs(b.object_from_index[:3, :3]).max()
+    reach = np.append(np.abs(b.index).max(axis=0) if len(b.index) else np.zeros(3), 1.0)
+    return bool((np.abs(a.object_from_index - b.object_from_index)[:3] @ reach <= SAME * edge * reach.max()).all())
+
+
+def _union(indices: list[np.ndarray]) -> np.ndarray:
+    every = np.concatenate(indices)
+    low, extent = bounds(every)
+    key = np.unique(keys(every, low, extent))
+    x, rest = np.divmod(key, extent[1] * extent[2])
+    y, z = np.divmod(rest, extent[2])
+    return (np.stack([x, y, z], axis=1) + low).astype(np.int32)
+
+
+def _spread(grid: Grid, index: np.ndarray) -> np.ndarray:
+    """The grid's values at a lexicographic superset of its voxels, 0 elsewhere."""
+    if len(grid.index) == len(index):
+        return grid.value
+    low, extent = bounds(index)
+    result = np.zeros((len(index), *grid.value.shape[1:]), np.float32)
+    result[np.searchsorted(keys(index, low, extent), keys(grid.index, low, extent))] = grid.value
+    return result
+
+
+def _resampled(grid: Grid, index: np.ndarray, object_from_index: np.ndarray) -> np.ndarray:
+    """Trilinear values (N,) or (N, 3) at voxels of another lattice."""
+    own_from_other = np.linalg.inv(grid.object_from_index) @ object_from_index
+    low, extent = bounds(grid.index, margin=1)
+    key = keys(grid.index, low, extent)
+    result = np.zeros((len(index), *grid.value.shape[1:]), np.float32)
+    for i in range(0, len(index), ROWS):
+        place = index[i : i + ROWS] @ own_from_other[:3, :3].T + own_from_other[:3, 3]
+        # Beyond the margin all is empty.
+        place = np.clip(place, low, low + extent - 1.001)
+        corner = np.floor(place).astype(np.int64)
+        part = place - corner
+        for offset in np.ndindex(2, 2, 2):
+            weight = np.prod(np.where(offset, part, 1 - part), axis=1)
+            wanted = keys(corner + offset, low, extent)
+            at = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+            weight = np.where(key[at] == wanted, weight, 0)
+            result[i : i + ROWS] += grid.value[at] * (weight if grid.value.ndim == 1 else weight[:, None])
+    return result
+
+
+# Writing
+
+
+def write(openvdb: Any, path: Path, name: str, array: np.ndarray, object_from_index: np.ndarray, empty: float) -> int:
+    """A dense array (X, Y, Z) as a fog volume whose voxels of the value `empty` are not stored; how many are.
+
+    Raises OSError where the file cannot be written.
+    """
+    grid = openvdb.FloatGrid(float(empty))
+    grid.copyFromArray(np.ascontiguousarray(array, np.float32), tolerance=0.0)
+    grid.prune()
+    grid.name, grid.gridClass = name, openvdb.GridClass.FOG_VOLUME
+    # Row vectors, as OpenVDB has them
+    grid.transform = openvdb.createLinearTransform(object_from_index.T.tolist())
+    try:
+        openvdb.write(str(path), grids=[grid])
+    except RuntimeError as error:
+        raise OSError(f"{path} cannot be written: {error}") from error
+    return grid.activeVoxelCount()
