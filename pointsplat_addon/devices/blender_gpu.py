@@ -148,16 +148,20 @@ class BlenderDevice:
         vertices: int = 3,
         primitive: str = "TRIANGLES",
         blend: bool = False,
+        over: bool = False,
+        mask: str = "RGBA",
         depth_test: bool = False,
         cull: bool = False,
     ) -> None:
-        checks.check_call(interface, target, uniforms, textures or {}, {}, blend)
+        checks.check_call(interface, target, uniforms, textures or {}, {}, blend or over)
         if vertices == 0:
             return
         program = self._program(interface)
         batch = self._batch(primitive, vertices)
         with _saved_state(), target.handle.bind() if target else contextlib.nullcontext():
-            gpu.state.blend_set("ADDITIVE_PREMULT" if blend else "NONE")  # Blender's name for (ONE, ONE)
+            # Blender's names for (ONE, ONE) and (ONE, ONE_MINUS_SRC_ALPHA).
+            gpu.state.blend_set("ADDITIVE_PREMULT" if blend else "ALPHA_PREMULT" if over else "NONE")
+            gpu.state.color_mask_set(*(channel in mask for channel in "RGBA"))
             gpu.state.depth_test_set("LESS" if depth_test else "NONE")
             gpu.state.depth_mask_set(depth_test)
             gpu.state.face_culling_set("BACK" if cull else "NONE")
@@ -270,6 +274,7 @@ def _saved_state() -> Iterator[None]:
         state.depth_test_set(depth_test)
         state.depth_mask_set(depth_mask)
         state.line_width_set(line_width)
+        state.color_mask_set(True, True, True, True)
         state.face_culling_set("NONE")
         state.program_point_size_set(False)
 

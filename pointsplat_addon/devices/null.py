@@ -26,7 +26,8 @@ class Call:
     uniforms: np.ndarray | None = None
     textures: Mapping[str, Texture] = field(default_factory=dict)
     images: Mapping[str, Texture] = field(default_factory=dict)
-    flags: frozenset[str] = frozenset()  # of blend, depth_test, cull
+    flags: frozenset[str] = frozenset()  # of blend, over, depth_test, cull
+    mask: str = "RGBA"
 
 
 class NullTexture:
@@ -108,12 +109,14 @@ class NullDevice:
         vertices: int = 3,
         primitive: str = "TRIANGLES",
         blend: bool = False,
+        over: bool = False,
+        mask: str = "RGBA",
         depth_test: bool = False,
         cull: bool = False,
     ) -> None:
-        checks.check_call(interface, target, uniforms, textures or {}, {}, blend)
+        checks.check_call(interface, target, uniforms, textures or {}, {}, blend or over)
         self._use(interface, interface.vertex, interface.fragment)
-        flags = {"blend": blend, "depth_test": depth_test, "cull": cull}
+        flags = {"blend": blend, "over": over, "depth_test": depth_test, "cull": cull}
         self.calls.append(
             Call(
                 interface,
@@ -123,6 +126,7 @@ class NullDevice:
                 None if uniforms is None else uniforms.copy(),
                 dict(textures or {}),
                 flags=frozenset(name for name, on in flags.items() if on),
+                mask=mask,
             )
         )
 

@@ -143,12 +143,14 @@ class OpenGLDevice:
         vertices: int = 3,
         primitive: str = "TRIANGLES",
         blend: bool = False,
+        over: bool = False,
+        mask: str = "RGBA",
         depth_test: bool = False,
         cull: bool = False,
     ) -> None:
         if target is None:
             raise DeviceError(f"{interface.name}: this device has no screen to draw on")
-        checks.check_call(interface, target, uniforms, textures or {}, {}, blend)
+        checks.check_call(interface, target, uniforms, textures or {}, {}, blend or over)
         if vertices == 0:
             return
         program, array = self._program(interface)
@@ -157,13 +159,15 @@ class OpenGLDevice:
         context = self.context
         context.enable_only(
             moderngl.PROGRAM_POINT_SIZE
-            | (moderngl.BLEND if blend else 0)
+            | (moderngl.BLEND if blend or over else 0)
             | (moderngl.DEPTH_TEST if depth_test else 0)
             | (moderngl.CULL_FACE if cull else 0)
         )
-        context.blend_func = moderngl.ONE, moderngl.ONE
+        context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA if over else moderngl.ONE
         context.depth_func = "<"
+        _set_mask(target, mask)
         array.render(MODES[primitive], vertices=vertices)  # type: ignore[attr-defined]
+        _set_mask(target, "RGBA")
 
     def dispatch(
         self,
@@ -256,6 +260,14 @@ class OpenGLDevice:
             if name in program:
                 textures[name].handle.use(unit)
                 program[name] = unit
+
+
+def _set_mask(target: Target, mask: str) -> None:
+    """Which channels of a target are written."""
+    channels = tuple(channel in mask for channel in "RGBA")
+    given = channels if len(target.colors) == 1 else (channels,) * len(target.colors)
+    if target.handle.color_mask != given:  # type: ignore[attr-defined]
+        target.handle.color_mask = given  # type: ignore[attr-defined]
 
 
 def _make_context() -> tuple[moderngl.Context, object]:

@@ -92,14 +92,18 @@ class Device(Protocol):
         vertices: int = 3,
         primitive: str = "TRIANGLES",
         blend: bool = False,
+        over: bool = False,
+        mask: str = "RGBA",
         depth_test: bool = False,
         cull: bool = False,
     ) -> None:
         """Draw `vertices` without vertex attributes (gl_VertexID counts them) as TRIANGLES, LINES or POINTS.
 
-        blend adds to what is there; depth_test keeps the nearer (of equals the first) and writes depth; cull
-        drops back faces (clockwise on screen). The vertex shader of POINTS sets gl_PointSize. `target` None
-        draws into what is bound, within the viewport that is set: Blender's own framebuffer in view_draw.
+        blend adds to what is there; over covers it with premultiplied colours, (ONE, ONE_MINUS_SRC_ALPHA), in the
+        order of the vertices; mask names the channels that are written; depth_test keeps the nearer (of equals the
+        first) and writes depth; cull drops back faces (clockwise on screen). The vertex shader of POINTS sets
+        gl_PointSize. `target` None draws into what is bound, within the viewport that is set: Blender's own
+        framebuffer in view_draw.
         """
         ...
 

@@ -11,10 +11,13 @@ from typing import Any
 import numpy as np
 
 from ..core.scene import Camera, Scene, Settings
-from .device import Device, Texture
+from ..shading.interface import Interface
+from .device import Device, Target, Texture
 from .filtering import cryptomatte, offsets
 from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
+from .parts import parted
 from .passes import shade as shade_pass
+from .passes import translucent as translucent_pass
 from .passes.common import frame_record
 from .passes.pyramid import levels
 from .plan import make_plan
@@ -141,7 +144,9 @@ class Frame:
     def __init__(
         self, renderer: Renderer, scene: Scene, request: Request, cancelled: Callable[[], bool] = lambda: False
     ) -> None:
-        self.renderer, self.scene, self.request = renderer, scene, request
+        self.renderer, self.request = renderer, request
+        scene, self._warnings = parted(scene)
+        self.scene = scene
         self.device = renderer.device
         self.done = 0
         self.clock = Clock(self.device, cancelled)
@@ -160,7 +165,8 @@ class Frame:
         self._lent: tuple[tuple, Targets] | None = None
         self._identities: list[np.ndarray] = []
         self._data: dict[str, np.ndarray] = {}
-        self._trivial = not (self.plan.points or self.plan.polygons) and scene.world.image is None
+        drawn = self.plan.points or self.plan.polygons or self.plan.translucent is not None
+        self._trivial = not drawn and scene.world.image is None
         if not self._trivial:
             try:
                 self._allocate()
@@ -180,6 +186,14 @@ class Frame:
         device.clear(self.targets.sum_target)
         self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes)
         self.background = shade_pass.background_program(plan.lighting, self.scene.transparent, passes)
+        self.lit: translucent_pass.LitSplats | None = None
+        if plan.translucent is not None:
+            samplers = tuple(name.removeprefix("ps_") for name in self.uploads.shading if name != "ps_materials")
+            program = translucent_pass.light_program(plan.translucent, plan.lighting, plan.materials, samplers)
+            variant = plan.variant
+            channels = variant.samplers(only=("place", "shape", "normal") if variant.normal else ("place",))
+            self.depth_program = translucent_pass.depth_program(channels, variant.normal)
+            self.lit = self._own(translucent_pass.LitSplats(device, plan.translucent, program, self.uploads.listed))
 
     # Drawing
 
@@ -188,7 +202,7 @@ class Frame:
         if self.done >= self.request.samples:
             return False
         if not self._trivial:
-            record = self._record(self.done)
+            device, record = self.device, self._record(self.done)
             projection, uploads = self.targets.projection, self.uploads
             if projection is not None:
                 self.clock.run("project", lambda: projection.run(uploads.draws, record.copy(), uploads.shared))
@@ -199,9 +213,13 @@ class Frame:
                     self.targets.data_surfels.draw(uploads, projection, record, self.clock.run)
                 self.clock.run("data", lambda: self._draw_data(record))
                 self._read_data(first)
+            if self.lit is not None:
+                device.clear(self.targets.layer_target)
             self.clock.run("shade", lambda: self._shade(record))
             if self.plan.background:
                 self.clock.run("background", lambda: self._draw_background(record))
+            if self.lit is not None:
+                self._draw_translucent(self.lit, record.copy(), first)
         self.done += 1
         return self.done < self.request.samples
 
@@ -221,12 +239,32 @@ class Frame:
     def _shade(self, record: np.ndarray) -> None:
         textures = self.targets.surfels.buffer.bound()
         textures |= self.uploads.shading
-        self.device.draw(self.shade, self.targets.sum_target, uniforms=record, textures=textures, blend=True)
+        self.device.draw(self.shade, self.targets.shade_target, uniforms=record, textures=textures, blend=True)
 
     def _draw_background(self, record: np.ndarray) -> None:
         textures = {"ps_place": self.targets.surfels.buffer.textures["place"]}
         textures |= self.uploads.shading
-        self.device.draw(self.background, self.targets.sum_target, uniforms=record, textures=textures, blend=True)
+        self.device.draw(self.background, self.targets.shade_target, uniforms=record, textures=textures, blend=True)
+
+    def _draw_translucent(self, lit: translucent_pass.LitSplats, record: np.ndarray, first: bool) -> None:
+        """Over the opaque picture of this sample, which is then added to the sums."""
+        targets, run = self.targets, self.clock.run
+        assert targets.layer is not None
+
+        def draw(program: Interface, target: Target, textures: dict[str, Texture], blend: bool = False) -> None:
+            self.device.draw(program, target, uniforms=record, textures=textures, blend=blend)
+
+        if first:
+            # The same for all samples: seen from the middle of the pixel.
+            centred = self._record(0)
+            centred["focal"][0] = self.view.pixel_from_view()
+            run("light", lambda: lit.light(centred, {**self.uploads.splats, **self.uploads.shading}))
+        if targets.depth is not None:
+            surfels = targets.surfels.buffer.bound()
+            run("opaque depth", lambda: draw(self.depth_program, targets.depth_target, surfels))
+        run("translucent", lambda: lit.draw(targets.layer_target, record, targets.depth))
+        layer = {"ps_layer": targets.layer}
+        run("add", lambda: draw(translucent_pass.ADD, targets.combined_target, layer, blend=True))
 
     def _draw_data(self, record: np.ndarray) -> None:
         camera = self.view
@@ -349,7 +387,8 @@ class Frame:
     def report(self, seconds: float) -> dict[str, Any]:
         """What was done, as scripts/render.py writes it."""
         self.clock.settle()
-        cut, prepared = self.prepared.cut, self.prepared
+        prepared = self.prepared
+        cut = prepared.cut.splats + prepared.translucent.cut.splats
         geometries, polygons = self.scene.geometries, self.prepared.polygons
         rows = self.scene.instances.geometry[polygons] if len(polygons) else []
         triangles = sum(len(g.mesh.triangles) for g in (geometries[int(r)] for r in rows) if g.mesh is not None)
@@ -358,10 +397,10 @@ class Frame:
             "seconds": seconds,
             "passes": [{"name": name, "ms": round(ms, 3)} for name, ms in self.clock.spent.items()],
             "skipped": [{"name": name, "because": why} for name, why in self.plan.skipped],
-            "points": {"total": prepared.total, "cut": cut.splats, "drawn": cut.splats * self.done},
+            "points": {"total": prepared.total, "cut": cut, "drawn": cut * self.done},
             "triangles": triangles,
             "bytes": {"cpu": STORE.nbytes, "gpu": self.device.bytes_allocated()},
-            "warnings": list(prepared.warnings),
+            "warnings": [*self._warnings, *prepared.warnings],
         }
 
     def release(self) -> None:

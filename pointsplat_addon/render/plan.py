@@ -13,6 +13,8 @@ from ..core.scene import Scene
 from .passes.common import Variant
 from .passes.points import PointOptions
 from .passes.shade import NEED_OWNER, data
+from .passes.translucent import TranslucentOptions
+from .passes.translucent import options as translucent_options
 from .prepare import Prepared
 
 EXACT_HALF = 2048  # integers below it are exact as half floats
@@ -31,20 +33,24 @@ class Plan:
     materials: tuple[str, ...]  # and of what surfaces do with it
     background: bool  # pixels that show nothing hold something
     data: bool
+    translucent: TranslucentOptions | None  # None: nothing is
     skipped: tuple[tuple[str, str], ...]  # (pass, because)
 
 
 def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
     """The plan for one view of a scene."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
-    drawn = points or polygons
+    behind = [p.cloud for p in prepared.translucent.point_sets.values()]
+    translucent = translucent_options(behind, scene.materials, points or polygons) if behind else None
+    drawn = points or polygons or translucent is not None
     graphs = _graphs(scene, prepared)
     channels = {name for graph in graphs for name in graph.channels}
     sets = list(prepared.point_sets.values())
     clouds = [p.cloud for p in sets]
     surface = any(c.surface is not None for c in clouds) or (polygons and bool(channels & {"roughness", "metallic"}))
-    materials = _materials(scene, surface)
-    smoothest = 0.0 if surface else float(scene.materials.roughness.min())
+    varies = surface or (translucent is not None and translucent.surface)
+    materials = _materials(scene, varies)
+    smoothest = 0.0 if varies else float(scene.materials.roughness.min())
     shining = light_names(scene.lights, smoothest) if drawn else ()
     lighting = (*(() if scene.transparent and not drawn else _world(scene)), *shining)
     color = (
@@ -74,10 +80,13 @@ def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
         skipped.append(("data", "no pass asks for position, index or motion"))
     if scene.transparent and "mist" not in passes:
         skipped.append(("background", "the film is transparent"))
-    skipped += [("translucent", "not yet part of PointSplat"), ("shadows", "not yet part of PointSplat")]
+    if translucent is None:
+        skipped += [(name, "nothing is translucent") for name in ("order", "light", "translucent", "add")]
+    skipped += [("shadows", "not yet part of PointSplat")]
     return Plan(
         points, polygons, variant, data_variant, options, lighting, materials,
-        background=not scene.transparent or "mist" in passes, data=drawn and bool(data(passes)), skipped=tuple(skipped),
+        background=not scene.transparent or "mist" in passes, data=drawn and bool(data(passes)),
+        translucent=translucent, skipped=tuple(skipped),
     )  # fmt: skip
 
 

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from ..core import sampling
-from ..core.appearance import digest, point_cloud
+from ..core.appearance import digest, passing, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
 from ..core.cut import Cut, Forest, forest, fully, largest_singular_value, select
 from ..core.hierarchy import Hierarchy, build, refit
-from ..core.scene import Camera, Geometry, Mesh, Scene, Settings
+from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
 from ..core.spacing import make_parts, required_spacing
 
 POLYGON_PIXELS = 4.0  # AUTO draws polygons where the typical triangle's edge spans more than this many pixels
@@ -46,13 +46,20 @@ class PointSet:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """What one view draws."""
+class Layer:
+    """Points that one view draws together."""
 
     # By geometry row; coarser ones of the same geometry, for instances farther away, follow after all rows.
     point_sets: dict[int, PointSet]
     set_of_instance: np.ndarray  # (I,) int: key of point_sets; -1: not drawn as points
     cut: Cut
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared(Layer):
+    """What one view draws: opaque points, polygons, and translucent points."""
+
+    translucent: Layer
     polygons: np.ndarray  # (P,) int: instances that are drawn as polygons
     view_from_object: np.ndarray  # (I, 4, 4) float64
     largest: float  # upper bound of a drawn splat's projected radius in pixels
@@ -180,8 +187,7 @@ class _View:
         with np.errstate(all="ignore"):
             view_from_object = camera.view_from_world @ instances.world_from_object
         usable = np.isfinite(view_from_object).all(axis=(1, 2)) if len(instances) else np.zeros(0, bool)
-        point_sets: dict[int, PointSet] = {}
-        set_of_instance = np.full(len(instances), -1)
+        opaque, translucent = ({}, np.full(len(instances), -1)), ({}, np.full(len(instances), -1))
         polygons: list[np.ndarray] = []
         for row, geometry in enumerate(scene.geometries):
             where = np.flatnonzero(usable & (instances.geometry == row))
@@ -192,21 +198,26 @@ class _View:
             if found is None:
                 polygons.append(where)
                 continue
+            point_sets, set_of_instance = translucent if lets_through(geometry, scene.materials) else opaque
             for number, (points, some) in enumerate(found):
                 if len(points):
                     key = row if number == 0 else len(scene.geometries) + len(point_sets)
                     point_sets[key] = self._with_hierarchy(points, view_from_object[where[some]])
                     set_of_instance[where[some]] = key
-        cut = self._cut(point_sets, set_of_instance, view_from_object)
-        counts = _counts(point_sets)
+        layer, behind = (
+            Layer(sets, which, self._cut(sets, which, view_from_object)) for sets, which in (opaque, translucent)
+        )
         return Prepared(
-            point_sets,
-            set_of_instance,
-            cut,
+            layer.point_sets,
+            layer.set_of_instance,
+            layer.cut,
+            behind,
             np.concatenate(polygons) if polygons else np.empty(0, np.int64),
             view_from_object,
-            _largest(set_of_instance, point_sets, cut, view_from_object, camera, self.settings, self.store),
-            int(counts[set_of_instance].sum()) if len(instances) else 0,
+            _largest(
+                layer.set_of_instance, layer.point_sets, layer.cut, view_from_object, camera, self.settings, self.store
+            ),
+            sum(int(_counts(one.point_sets)[one.set_of_instance].sum()) for one in (layer, behind)),
             tuple(dict.fromkeys(self.warnings)),
         )
 
@@ -340,6 +351,13 @@ class _View:
         diameter = 2 * radius * scale / (depth if camera.perspective else 1.0)
         small = np.count_nonzero(diameter < SMALL_SPLAT * self.settings.tolerance)
         return bool(small > 0) if self.interactive else bool(small * self.samples >= HIERARCHY_PAYS)
+
+
+def lets_through(geometry: Geometry, table: MaterialTable) -> bool:
+    """Whether light passes through a geometry, all of which is alike."""
+    if geometry.cloud is not None:
+        return geometry.cloud.opacity is not None or geometry.cloud.extinction is not None
+    return geometry.mesh is not None and passing(geometry.mesh, table) is not None
 
 
 def _given(cloud: PointCloud) -> tuple[PointCloud, int]:

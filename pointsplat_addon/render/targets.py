@@ -32,6 +32,18 @@ class Targets:
             self._own(device.texture(size, "RGBA32F")) for _ in range(1 + len(shade_pass.averaged(passes)))
         ]
         self.sum_target: Target = self._own(device.target(self.sums))
+        # What is translucent lies over the finished picture of each sample, which is then added to the sums.
+        self.shade_target: Target = self.sum_target
+        self.layer: Texture | None = None
+        self.depth: Texture | None = None
+        if plan.translucent is not None:
+            self.layer = layer = self._own(device.texture(size, "RGBA32F"))
+            self.layer_target: Target = self._own(device.target([layer]))
+            self.combined_target: Target = self._own(device.target(self.sums[:1]))
+            self.shade_target = self._own(device.target([layer, *self.sums[1:]]))
+            if plan.translucent.opaque:
+                self.depth = depth = self._own(device.texture(size, "R32F"))
+                self.depth_target: Target = self._own(device.target([depth]))
         self.data: list[Texture] = []
         if plan.data:
             self.data = [self._own(device.texture(size, "RGBA32F")) for _ in shade_pass.data(passes)]
@@ -62,6 +74,7 @@ class Pool:
     def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
         """Targets for a plan, and the key to give them back with."""
         key = (size, count, plan.points, plan.polygons, plan.variant, plan.options, shade_pass.averaged(passes),
+               None if plan.translucent is None else plan.translucent.opaque,
                (plan.data_variant, shade_pass.data(passes)) if plan.data else None)  # fmt: skip
         idle, self._idle = self._idle, None
         if idle is not None and idle[0] == key:

@@ -8,18 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from ..core import sampling
+from ..core import order, sampling
 from ..core.appearance import digest
 from ..core.environment import build_atlas
 from ..core.lighting import light_texture
+from ..core.octree import ranges
 from ..core.scene import Camera, Scene
 from .device import Device, Texture
 from .packing import PAGE_WIDTH, paged
 from .passes import polygons as polygon_pass
 from .passes import shade as shade_pass
+from .passes import translucent as translucent_pass
 from .passes.points import Page, PageDraw, blocks, instance_rows, with_origin
 from .plan import Plan
-from .prepare import STORE, PointSet, Prepared
+from .prepare import STORE, Layer, PointSet, Prepared
 
 OWN_PAGE = 4 << 20  # splats: larger sets get a page of their own, so that small changes upload little
 DEVICE_LIMIT = 4 << 30  # bytes of geometry that stay on the device after their frame
@@ -68,6 +70,8 @@ class Uploads:
         self.previous: Texture | None = None
         self.draws: list[PageDraw] = []
         self.meshes: dict[int, polygon_pass.PolygonMesh] = {}
+        self.splats: dict[str, Texture] = {}  # translucent ones, and their draw list
+        self.listed = 0  # how many
         try:
             self._upload(motion)
         except Exception:
@@ -104,6 +108,8 @@ class Uploads:
             self.draws = self._point_draws()
         if plan.polygons:
             self.meshes = self._polygon_meshes()
+        if plan.translucent is not None:
+            self._draw_list()
         if motion:
             self.previous = self._own(self._motion())
         self.kept.forget(self.used)
@@ -155,6 +161,30 @@ class Uploads:
         self.used.add(key)
         return self.kept.keep(key, lambda: Page(self.device, sets, plan.variant, plan.options, table))
 
+    def _draw_list(self) -> None:
+        """Translucent splats, and the order in which this view draws them."""
+        layer, scene, device = self.prepared.translucent, self.scene, self.device
+        options = self.plan.translucent
+        assert options is not None
+        sets = list({points.key: points for points in layer.point_sets.values()}.values())
+        key = ("translucent", tuple(p.key for p in sets), options, _fill_key(scene))
+        self.used.add(key)
+        page = self.kept.keep(key, lambda: translucent_pass.TranslucentPage(device, sets, options, scene.materials))
+        matrices, view = scene.instances.world_from_object, self.camera.view_from_world
+        self.used.add(("order",))
+        sorted_list: DrawList = self.kept.keep(("order",), DrawList)
+        sorted_list.update(
+            device, page, layer, matrices, view, (key, layer.set_of_instance.tobytes(), matrices.tobytes())
+        )
+        origin = np.zeros((len(matrices), 3))
+        for row, points in layer.point_sets.items():
+            origin[layer.set_of_instance == row] = points.cloud.origin
+        size, data = paged(instance_rows(self.prepared.view_from_object, origin, None), 4)
+        instances = self._own(device.texture(size, "RGBA32F", data))
+        assert sorted_list.texture is not None
+        self.splats = {**page.textures, "ps_order": sorted_list.texture, "ps_instances": instances}
+        self.listed = sorted_list.count
+
     def _polygon_meshes(self) -> dict[int, polygon_pass.PolygonMesh]:
         scene, plan, meshes = self.scene, self.plan, {}
         for row in np.unique(scene.instances.geometry[self.prepared.polygons]).tolist():
@@ -185,6 +215,50 @@ class Uploads:
             rows[good] = clip @ view @ before[good] @ np.linalg.inv(self.prepared.view_from_object[good])
         size, data = paged(np.nan_to_num(rows).reshape(-1, 4), 4)
         return self.device.texture(size, "RGBA32F", data)
+
+
+class DrawList:
+    """Translucent splats back to front on the device; sorted again only where that would matter."""
+
+    def __init__(self) -> None:
+        self.texture: Texture | None = None
+        self.count = 0
+        self.sorts = 0  # how often they were sorted
+        self._order: order.Order | None = None
+        self._key: tuple = ()
+
+    def update(
+        self,
+        device: Device,
+        page: translucent_pass.TranslucentPage,
+        layer: Layer,
+        world_from_object: np.ndarray,
+        view_from_world: np.ndarray,
+        key: tuple,
+    ) -> None:
+        """Sort what `layer` shows for a view, unless the last order does. `key`: what is drawn, and where it stands."""
+        known = self._order if self.texture is not None and key == self._key else None
+        if known is not None and not known.stale(view_from_world, layer.cut):
+            return
+        entries = {row: points.hierarchy or points.cloud for row, points in layer.point_sets.items()}
+        self._order = order.sort(layer.cut, entries, layer.set_of_instance, world_from_object, view_from_world)
+        self._key, self.sorts = key, self.sorts + 1
+        first = np.zeros(max(layer.point_sets) + 1, np.int64)
+        for row, points in layer.point_sets.items():
+            first[row] = page.first[points.key]
+        cut = layer.cut
+        texel = ranges(first[layer.set_of_instance[cut.instance]] + cut.first, cut.count)
+        instance = np.repeat(cut.instance, cut.count)
+        index = self._order.index
+        self.count = len(index)
+        size, data = paged(translucent_pass.draw_list(texel[index], instance[index]), 2)
+        self.release()
+        self.texture = device.texture(size, "RG32F", data)
+
+    def release(self) -> None:
+        if self.texture is not None:
+            self.texture.release()
+        self.texture = None
 
 
 @dataclass(frozen=True)

@@ -190,7 +190,7 @@ def materials(count: int = 1, **columns) -> MaterialTable:
     )
 
 
-FIELDS = ("names", "graphs")
+FIELDS = ("names", "graphs", "anisotropy", "translucent", "media")
 
 
 def moved(offset: Vector = (0, 0, 0), scale: float | Vector = 1.0) -> np.ndarray:

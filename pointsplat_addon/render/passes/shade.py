@@ -1,6 +1,6 @@
 """Deferred shading into accumulators, the passes that are not averaged, and what shading reads.
 
-Material table, four texels a row: base colour, alpha; emission, unused; culls, roughness, metallic, index of
+Material table, four texels a row: base colour, alpha; emission, anisotropy; culls, roughness, metallic, index of
 refraction that stands for IOR and specular level; unused.
 """
 
@@ -24,6 +24,7 @@ DATA = {
     "vector": ("PS_OUT_VECTOR", "out_vector", ("vector",)),
 }
 NEED_OWNER = ("object_index", "crypto_object", "vector")
+LEAST_SPREAD = 0.99  # of |g|: lobes narrower than this would alias between splats
 MIST_EXPONENT = {"LINEAR": 1.0, "QUADRATIC": 2.0, "INVERSE_QUADRATIC": 0.5}
 
 
@@ -99,6 +100,8 @@ def material_rows(table: MaterialTable) -> np.ndarray:
     rows = np.zeros((len(table), 4, 4), np.float32)
     rows[:, 0, :3], rows[:, 0, 3] = table.base_color, table.alpha
     rows[:, 1, :3] = table.emission
+    if table.anisotropy is not None:
+        rows[:, 1, 3] = np.clip(table.anisotropy, -LEAST_SPREAD, LEAST_SPREAD)
     rows[:, 2] = np.stack(
         [table.cull, table.roughness, table.metallic, relative_index(table.ior, table.specular)], axis=1
     )

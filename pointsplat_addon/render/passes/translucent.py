@@ -1,0 +1,271 @@
+"""Translucent splats: lit once for a view, then drawn back to front over the opaque picture of every sample.
+
+A page holds the splats of all translucent point sets, one texel a splat:
+  place           xyz relative to the set's origin; packed normal (-1: a ball)
+  extent          half-axes (major, minor), packed major axis, material row
+  optics          media: extinction per object unit, half-axis along the normal, 1; shells: optical depth of the splat's
+                  own area, 0, 0
+  color           base colour of shells, albedo of media          \\
+  surface         roughness, metallic                              |
+  emission        shells: radiance; media: radiance per unit       | where any set has them
+  tint            extinction by channel over `optics`' first       |
+  shading_normal  packed normal, -1: none                         /
+The draw list, sorted, holds two floats a splat: column + 4096 (row % 4096), and 4 instance + row / 4096.
+
+What lighting leaves of each splat of the list, one texel each:
+  place   centre in pixels from the principal point, depth, optical depth at the centre
+  shape   covariance in pixels^2 (xx, xy, yy)
+  source  radiance of what is opaque in it (rgb): the splat's is this times 1 - T
+  front   standard deviation of depth along a ray, change of depth per pixel (x, y); where something opaque is drawn
+  tint    as above
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.cloud import PointCloud
+from ...core.hierarchy import basis, splats
+from ...core.scene import MaterialTable
+from ...shading.interface import Interface
+from ..device import Device, Target, Texture
+from ..packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged
+from ..prepare import PointSet
+from .common import FRAME
+
+OPAQUE = 100.0  # optical depth of what is opaque
+CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
+CHANNELS = ("R", "GA", "B")  # drawn one after the other where extinction is coloured
+
+
+@dataclass(frozen=True)
+class TranslucentOptions:
+    """What translucent splats have beyond geometry and optical depth."""
+
+    media: bool = False  # some fill a volume
+    shells: bool = False  # some cover a surface
+    color: bool = False
+    surface: bool = False
+    emission: bool = False
+    tint: bool = False  # some extinction differs between the channels
+    shading_normal: bool = False
+    opaque: bool = False  # something opaque may hide them
+
+    @property
+    def attributes(self) -> tuple[tuple[str, bool], ...]:
+        names = ("color", "surface", "emission", "tint", "shading_normal")
+        return tuple((name, getattr(self, name)) for name in names)
+
+
+def options(clouds: list[PointCloud], table: MaterialTable, opaque: bool) -> TranslucentOptions:
+    """What these clouds need. `opaque`: something opaque is drawn, too."""
+    return TranslucentOptions(
+        media=any(c.extinction is not None for c in clouds),
+        shells=any(c.extinction is None for c in clouds),
+        color=any(c.color is not None for c in clouds),
+        surface=any(c.surface is not None for c in clouds),
+        emission=any(c.emission is not None for c in clouds)
+        or (any(c.extinction is None for c in clouds) and bool((table.emission > 0).any())),
+        tint=any(c.extinction is not None and c.extinction.ndim == 2 for c in clouds),
+        shading_normal=any(c.shading_normal is not None for c in clouds),
+        opaque=opaque,
+    )
+
+
+class TranslucentPage:
+    """Translucent splats on the device."""
+
+    def __init__(self, device: Device, sets: list[PointSet], options: TranslucentOptions, table: MaterialTable) -> None:
+        """DeviceError: more splats than a texture holds."""
+        clouds = [splats(points.hierarchy) if points.hierarchy else points.cloud for points in sets]
+        ends = np.cumsum([len(cloud) for cloud in clouds])
+        self.first = {points.key: int(end) - len(cloud) for points, cloud, end in zip(sets, clouds, ends, strict=True)}
+        self.textures: dict[str, Texture] = {}
+
+        def upload(name: str, format: str, channels: int, rows: list[np.ndarray]) -> None:
+            size, data = paged(rows[0] if len(rows) == 1 else np.concatenate(rows), channels)
+            self.textures[f"ps_{name}"] = device.texture(size, format, data)
+
+        upload("place", "RGBA32F", 4, [_place(c) for c in clouds])
+        upload("extent", "RGBA32F", 4, [_extent(c) for c in clouds])
+        upload("optics", "RGBA32F", 4, [_optics(c) for c in clouds])
+        if options.color:
+            upload("color", "RGBA16F", 4, [_filled(c, "color", table.base_color) for c in clouds])
+        if options.surface:
+            constants = np.stack([table.roughness, table.metallic], axis=1)
+            upload("surface", "RG32F", 2, [_filled(c, "surface", constants) for c in clouds])
+        if options.emission:
+            dark = np.zeros_like(table.emission)
+            upload("emission", "RGBA32F", 4, [
+                _filled(c, "emission", table.emission if c.extinction is None else dark) for c in clouds
+            ])  # fmt: skip
+        if options.tint:
+            upload("tint", "RGBA16F", 4, [_tint(c) for c in clouds])
+        if options.shading_normal:
+            upload("shading_normal", "R32F", 1, [_shading(c) for c in clouds])
+
+    def release(self) -> None:
+        for texture in self.textures.values():
+            texture.release()
+
+
+def _place(cloud: PointCloud) -> np.ndarray:
+    rows = np.empty((len(cloud), 4), np.float32)
+    rows[:, :3] = cloud.position
+    rows[:, 3] = NO_NORMAL if cloud.normal is None else pack_normal(cloud.normal)
+    return rows
+
+
+def _extent(cloud: PointCloud) -> np.ndarray:
+    rows = np.zeros((len(cloud), 4), np.float32)
+    if cloud.radii is not None:
+        rows[:, 0] = cloud.radii[:, 0]
+        rows[:, 1] = cloud.radii[:, min(1, cloud.radii.shape[1] - 1)]
+    if cloud.normal is not None:
+        axis = basis(cloud.normal.T.astype(np.float64))[0].T if cloud.axis is None else cloud.axis
+        rows[:, 2] = pack_normal(axis)
+    if cloud.material is not None:
+        rows[:, 3] = cloud.material
+    return rows
+
+
+def _optics(cloud: PointCloud) -> np.ndarray:
+    rows = np.zeros((len(cloud), 4), np.float32)
+    if cloud.extinction is not None:
+        rows[:, 0] = _strength(cloud.extinction)
+        rows[:, 2] = 1.0
+        if cloud.radii is not None:
+            thick = cloud.normal is not None and cloud.radii.shape[1] == 3
+            # A flat splat of a medium stands for a slab as thick as it is wide.
+            rows[:, 1] = cloud.radii[:, 2] if thick else np.sqrt(cloud.radii[:, 0] * cloud.radii[:, -1])
+    elif cloud.opacity is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = -np.log1p(-np.clip(cloud.opacity.astype(np.float64), 0, 1))
+        rows[:, 0] = np.minimum(depth, OPAQUE)
+    return rows
+
+
+def _strength(extinction: np.ndarray) -> np.ndarray:
+    """(N,) what the channels are relative to."""
+    return extinction if extinction.ndim == 1 else extinction.max(axis=1)
+
+
+def _tint(cloud: PointCloud) -> np.ndarray:
+    if cloud.extinction is None or cloud.extinction.ndim == 1:
+        return np.ones((len(cloud), 3), np.float32)
+    return cloud.extinction / np.maximum(_strength(cloud.extinction), np.finfo(np.float32).tiny)[:, None]
+
+
+def _filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:
+    """An attribute, or its material's constant where the cloud has none."""
+    own = getattr(cloud, name)
+    if own is not None:
+        return own
+    if cloud.material is None:
+        return np.broadcast_to(constants[0], (len(cloud), constants.shape[1]))
+    return constants[cloud.material]
+
+
+def _shading(cloud: PointCloud) -> np.ndarray:
+    if cloud.shading_normal is None:
+        return np.full(len(cloud), NO_NORMAL, np.float32)
+    size = np.linalg.norm(cloud.shading_normal, axis=1, keepdims=True)
+    code = pack_normal(cloud.shading_normal / np.maximum(size, 1e-20))
+    return np.where(size[:, 0] > 1e-6, code, NO_NORMAL).astype(np.float32)
+
+
+def draw_list(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
+    """(N, 2) float32 of splats' places in the page, counted texel by texel, and their instances."""
+    rows = np.empty((len(texel), 2), np.float32)
+    rows[:, 0] = texel & (PAGE_WIDTH * PAGE_WIDTH - 1)
+    rows[:, 1] = 4 * instance.astype(np.int64) + (texel >> 24)
+    return rows
+
+
+def light_program(
+    options: TranslucentOptions, lighting: tuple[str, ...], materials: tuple[str, ...], samplers: tuple[str, ...]
+) -> Interface:
+    """Every splat of the draw list, lit. `samplers`: those that lighting reads."""
+    read = ("order", "instances", "place", "extent", "optics", "materials", *samplers)
+    read += tuple(name for name, on in options.attributes if on)
+    named = {"PS_MEDIA": options.media, "PS_SHELLS": options.shells, "PS_OPAQUE": options.opaque}
+    named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
+    outputs = ["place", "shape", "source", *(["front"] if options.opaque else []), *(["tint"] if options.tint else [])]
+    return Interface(
+        "light", fragment="translucent_light.frag", block=FRAME,
+        samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),
+        outputs=tuple(("vec4", f"out_{name}") for name in outputs),
+        defines=tuple((name, "1") for name in (*lighting, *materials, *(name for name, on in named.items() if on))),
+    )  # fmt: skip
+
+
+def draw_program(options: TranslucentOptions, channel: str) -> Interface:
+    """Splats over the picture. `channel`: one of CHANNELS, or "" where all are alike."""
+    read = ["place", "shape", "source", *(["front", "depth"] if options.opaque else [])]
+    varyings = [("flat", "vec4", "v_conic"), ("flat", "vec4", "v_source"), ("flat", "vec2", "v_centre")]
+    defines = []
+    if options.opaque:
+        varyings.append(("flat", "vec4", "v_front"))
+        defines.append(("PS_OPAQUE", "1"))
+    if channel:
+        read.append("tint")
+        defines.append(("PS_CHANNEL", str("RGB".index(channel[0]))))
+    return Interface(
+        "translucent", vertex="translucent.vert", fragment="translucent.frag", block=FRAME,
+        samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),
+        varyings=tuple(varyings), outputs=(("vec4", "out_color"),), defines=tuple(defines),
+    )  # fmt: skip
+
+
+def depth_program(samplers: tuple[tuple[str, str], ...], normal: bool) -> Interface:
+    """Depth of the opaque surface under each pixel's centre."""
+    return Interface(
+        "opaque depth", fragment="translucent_depth.frag", block=FRAME, samplers=samplers,
+        outputs=(("float", "out_depth"),), defines=(("PS_NORMAL", "1"),) if normal else (),
+    )  # fmt: skip
+
+
+ADD = Interface(
+    "add", fragment="translucent_add.frag", block=FRAME, samplers=(("FLOAT_2D", "ps_layer"),),
+    outputs=(("vec4", "out_combined"),),
+)  # fmt: skip
+
+
+class LitSplats:
+    """The draw list of one view after lighting, and the draws that read it."""
+
+    def __init__(self, device: Device, options: TranslucentOptions, program: Interface, count: int) -> None:
+        """DeviceError: more splats than a texture holds."""
+        self.device, self.count, self.program = device, count, program
+        size = (PAGE_WIDTH, max(1, -(-count // PAGE_WIDTH)))
+        self.textures: dict[str, Texture] = {}
+        for _, name in program.outputs:
+            format = "RGBA16F" if name == "out_tint" else "RGBA32F"
+            self.textures[name.replace("out_", "ps_")] = device.texture(size, format)
+        self.target: Target = device.target(list(self.textures.values()))
+        channels = CHANNELS if options.tint else ("",)
+        self.draws = [(draw_program(options, channel), channel or "RGBA") for channel in channels]
+
+    def light(self, record: np.ndarray, textures: Mapping[str, Texture]) -> None:
+        """Once for a view."""
+        record["page"][0, 1] = self.count
+        self.device.draw(self.program, self.target, uniforms=record, textures=dict(textures))
+
+    def draw(self, target: Target, record: np.ndarray, depth: Texture | None) -> None:
+        """Over what `target` holds; `depth` is that of what is opaque."""
+        textures = {**self.textures, **({} if depth is None else {"ps_depth": depth})}
+        for program, mask in self.draws:
+            for first in range(0, self.count, CHUNK):
+                record["page"][0, 0] = first
+                vertices = 6 * min(CHUNK, self.count - first)
+                self.device.draw(
+                    program, target, uniforms=record, textures=textures, vertices=vertices, over=True, mask=mask
+                )
+
+    def release(self) -> None:
+        self.target.release()
+        for texture in self.textures.values():
+            texture.release()

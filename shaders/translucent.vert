@@ -1,0 +1,32 @@
+// Two triangles that hold a lit splat's ellipse up to 3 sigma. Layout: render/passes/translucent.py.
+
+void main()
+{
+  int index = frame.page.x + gl_VertexID / 6;
+  ivec2 at = ivec2(index & 4095, index >> 12);
+  vec4 place = texelFetch(ps_place, at, 0), shape = texelFetch(ps_shape, at, 0);
+  vec3 c = shape.xyz;
+  float det = c.x * c.z - c.y * c.y;
+  v_centre = place.xy + frame.focal.zw;
+  v_source = vec4(texelFetch(ps_source, at, 0).rgb, place.w);
+#ifdef PS_CHANNEL
+  v_source.w *= texelFetch(ps_tint, at, 0)[PS_CHANNEL];
+#endif
+  v_conic = vec4(c.z, -c.y, c.x, 0.0) / det;
+#ifdef PS_OPAQUE
+  vec4 front = texelFetch(ps_front, at, 0);
+  v_front = vec4(place.z, 1.0 / front.x, front.yz);
+#endif
+
+  // Half-axes of the ellipse.
+  float middle = 0.5 * (c.x + c.z), apart = 0.5 * (c.x - c.z), root = length(vec2(apart, c.y));
+  float angle = root > 1e-6 * middle ? 0.5 * atan(c.y, apart) : 0.0;
+  vec2 axis = vec2(cos(angle), sin(angle));
+  vec2 size = 3.0 * sqrt(max(vec2(middle + root, middle - root), 0.0));
+  int corner = gl_VertexID % 6;
+  vec2 side = vec2(corner == 1 || corner == 2 || corner == 4 ? 1.0 : -1.0, corner == 2 || corner >= 4 ? 1.0 : -1.0);
+  side.x = corner == 5 ? -1.0 : side.x;
+  vec2 pixel = v_centre + side.x * size.x * axis + side.y * size.y * vec2(-axis.y, axis.x);
+  vec2 clip = pixel / vec2(frame.size.xy) * 2.0 - 1.0;
+  gl_Position = place.w > 0.0 ? vec4(clip, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+}

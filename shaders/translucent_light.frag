@@ -1,0 +1,161 @@
+// One translucent splat of the draw list: its ellipse in pixels, its optical depth and the light that it sends to the
+// eye. Texel by texel; layouts: render/passes/translucent.py. Reference: core/media_reference.py.
+// PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_OPAQUE: something opaque may stand among them.
+
+#include "lib/camera.glsl"
+#include "lib/pack.glsl"
+#include "lib/lights.glsl"
+#include "lib/materials.glsl"
+#include "lib/finite.glsl"
+
+#define PS_TRUNCATED 1.01123627  // a Gaussian cut off at 3 sigma, 1 / (1 - exp(-9 / 2)), keeps its mass
+#define PS_LOW_PASS 0.04  // pixels^2: splats smaller than a pixel are not missed between the pixels' centres
+#define PS_VIEW 1.3  // of the picture's half width: beyond it the perspective is taken as at its rim
+#define PS_FAINT 1e-7  // optical depth of what only emits
+#define PS_FAINT_TINT 1e-4  // least extinction of a channel over that of the strongest
+
+ivec2 ps_texel(int index)
+{
+  return ivec2(index & 4095, index >> 12);
+}
+
+vec4 ps_instance_row(int instance, int row)
+{
+  return texelFetch(ps_instances, ps_texel(instance * 4 + row), 0);
+}
+
+// Slopes of the ray through p, no steeper than those a little beyond the picture.
+vec2 ps_slope(vec3 p)
+{
+  vec2 size = vec2(frame.size.xy);
+  vec2 reach = PS_VIEW * max(abs(frame.focal.zw), abs(size - frame.focal.zw)) / abs(frame.focal.xy);
+  return ps_is_perspective() ? clamp(p.xy / -p.z, -reach, reach) : vec2(0.0);
+}
+
+vec3 ps_cofactor(mat3 m, vec3 n)
+{
+  vec3 v = cross(m[1], m[2]) * n.x + cross(m[2], m[0]) * n.y + cross(m[0], m[1]) * n.z;
+  float size = length(v);
+  return size > 0.0 ? v / size : vec3(0.0);
+}
+
+void main()
+{
+  ivec2 here = ivec2(gl_FragCoord.xy);
+  if (here.x + 4096 * here.y >= frame.page.y) {
+    discard;
+  }
+  vec2 entry = texelFetch(ps_order, here, 0).xy;
+  int low = int(entry.x), high = int(entry.y);
+  int instance = high >> 2;
+  ivec2 at = ivec2(low & 4095, (low >> 12) + ((high & 3) << 12));
+
+  // Half-axes in view space.
+  vec4 head = texelFetch(ps_place, at, 0), extent = texelFetch(ps_extent, at, 0);
+  vec3 optics = texelFetch(ps_optics, at, 0).xyz;
+  vec4 rows[3] = vec4[3](ps_instance_row(instance, 0), ps_instance_row(instance, 1), ps_instance_row(instance, 2));
+  vec4 q = vec4(head.xyz, 1.0);
+  vec3 p = vec3(dot(rows[0], q), dot(rows[1], q), dot(rows[2], q));
+  mat3 linear = transpose(mat3(rows[0].xyz, rows[1].xyz, rows[2].xyz));
+  bool ball = head.w < 0.0, medium = optics.z > 0.5;
+  vec3 n = ps_unpack_normal(max(head.w, 0.0)), major = ps_unpack_normal(extent.z);
+  // Codes are rounded: perpendicular again.
+  major = normalize(major - dot(major, n) * n);
+  vec3 normal = ball ? vec3(0.0) : ps_cofactor(linear, n);
+  vec3 a = ball ? linear[0] * extent.x : linear * major * extent.x;
+  vec3 b = ball ? linear[1] * extent.x : linear * cross(n, major) * extent.y;
+  vec3 c = ball ? linear[2] * extent.x : linear * n * optics.y;
+
+  // Covariance in pixels, and with depth (Zwicker et al. 2001).
+  float d = -p.z;
+  vec2 slope = ps_slope(p);
+  vec2 scale = 0.5 * frame.focal.xy * (ps_is_perspective() ? 1.0 / d : 1.0);
+  vec2 ua = scale * (a.xy + slope * a.z), ub = scale * (b.xy + slope * b.z), uc = scale * (c.xy + slope * c.z);
+  vec3 own = vec3(ua.x * ua.x + ub.x * ub.x + uc.x * uc.x, ua.x * ua.y + ub.x * ub.y + uc.x * uc.y,
+                  ua.y * ua.y + ub.y * ub.y + uc.y * uc.y);
+  vec3 wide = own + vec3(PS_LOW_PASS, 0.0, PS_LOW_PASS);
+  float det = wide.x * wide.z - wide.y * wide.y;
+  float kept = sqrt(max(own.x * own.z - own.y * own.y, 0.0) / det);
+
+  // Optical depth along the ray through the centre. A medium's: extinction times 16 / 3 standard deviations along the
+  // ray, in the object's units; a shell's does not depend on the angle.
+  float peak = 2.0 * optics.x, strength = optics.x;
+#ifdef PS_MEDIA
+  if (medium) {
+    float unit = max(max(length(a), length(b)), length(c));
+    mat3 half_axes = mat3(a, b, c) / (2.0 * unit);
+    vec3 ray = normalize(vec3(slope, -1.0));
+    float along = unit / length(inverse(half_axes) * ray);
+    float shrink = pow(abs(dot(linear[0], cross(linear[1], linear[2]))), 1.0 / 3.0);
+    float path = (16.0 / 3.0) * along / shrink;
+#ifdef PS_EMISSION
+    strength = max(strength, PS_FAINT / path);
+#endif
+    peak = strength * path;
+  }
+#endif
+  vec3 tint = vec3(1.0);
+#ifdef PS_TINT
+  tint = max(texelFetch(ps_tint, at, 0).rgb, PS_FAINT_TINT);
+#endif
+
+  // Outside of the picture?
+  vec2 centre = frame.focal.xy * p.xy * (ps_is_perspective() ? 1.0 / d : 1.0);
+  vec2 margin = 3.0 * sqrt(wide.xz) + 2.0;
+  vec2 pixel = centre + frame.focal.zw;
+  bool seen = d > frame.lens.x && d < frame.lens.y && all(greaterThan(pixel + margin, vec2(0.0))) &&
+              all(lessThan(pixel - margin, vec2(frame.size.xy))) && peak >= 0.0 && peak < 1e30 && det < 1e30;
+
+  // Light.
+  int material = int(extent.w + 0.5);
+  vec3 to_eye = ps_is_perspective() ? normalize(-p) : vec3(0.0, 0.0, 1.0);
+  PsSurface surface = ps_material(material);
+#ifdef PS_COLOR
+  surface.base = texelFetch(ps_color, at, 0).rgb;
+#endif
+#ifdef PS_SURFACE
+  vec2 rough = texelFetch(ps_surface, at, 0).xy;
+  surface.roughness = rough.x;
+  surface.metallic = rough.y;
+#endif
+  vec3 emission = vec3(0.0);
+#ifdef PS_EMISSION
+  emission = texelFetch(ps_emission, at, 0).rgb;
+#endif
+  vec3 facing = normal;
+#ifdef PS_SHADING_NORMAL
+  float code = texelFetch(ps_shading_normal, at, 0).x;
+  facing = code >= 0.0 ? ps_cofactor(linear, ps_unpack_normal(code)) : medium ? vec3(0.0) : facing;
+#else
+  facing = medium ? vec3(0.0) : facing;
+#endif
+  bool lit_as_surface = !medium || dot(facing, facing) > 0.5;
+  vec3 source = vec3(0.0);
+#ifdef PS_MEDIA
+  if (!lit_as_surface) {
+    source = ps_shade_medium(p, to_eye, texelFetch(ps_materials, ivec2(1, material), 0).w, surface.base, frame.page.w);
+  }
+  // What emits per unit of length has this radiance where it is opaque.
+  source += medium ? emission / (strength * tint) : vec3(0.0);
+#endif
+  surface.emission = medium ? vec3(0.0) : emission;
+  if (lit_as_surface) {
+    facing = dot(facing, facing) > 0.5 ? facing : to_eye;
+    source += ps_shade(p, facing, to_eye, surface, frame.page.w);
+  }
+
+  out_place = seen ? vec4(centre, d, peak * kept * PS_TRUNCATED) : vec4(0.0);
+  out_shape = seen ? vec4(wide, 0.0) : vec4(1.0, 0.0, 1.0, 0.0);
+  out_source = vec4(ps_finite(source), 0.0);
+#ifdef PS_OPAQUE
+  // Regression of depth on the place in the picture, and what it leaves of the variance.
+  vec3 deep = -0.5 * vec3(a.z, b.z, c.z);
+  vec2 together = deep.x * ua + deep.y * ub + deep.z * uc;
+  vec2 gradient = vec2(wide.z * together.x - wide.y * together.y, wide.x * together.y - wide.y * together.x) / det;
+  float variance = max(dot(deep, deep) - dot(gradient, together), 1e-10 * d * d);
+  out_front = vec4(sqrt(variance), gradient, 0.0);
+#endif
+#ifdef PS_TINT
+  out_tint = vec4(tint, 0.0);
+#endif
+}
