@@ -657,14 +657,14 @@ def test_evaluated_materials_carry_their_animation(atlas):
 
 
 def test_an_unknown_surface_shows_the_viewport_colour_with_one_warning():
-    glass = surface("window", lambda t: output(node(t, "ShaderNodeBsdfGlass")))
-    glass.diffuse_color, glass.roughness, glass.metallic = (0.3, 0.2, 0.1, 1), 0.9, 0.25
-    table, warnings = convert_materials([glass])
+    cloth = surface("velvet", lambda t: output(node(t, "ShaderNodeBsdfSheen")))
+    cloth.diffuse_color, cloth.roughness, cloth.metallic = (0.3, 0.2, 0.1, 1), 0.9, 0.25
+    table, warnings = convert_materials([cloth])
     np.testing.assert_array_equal(table.base_color[1], f32([0.3, 0.2, 0.1]))
     assert (table.roughness[1], table.metallic[1]) == (np.float32(0.9), np.float32(0.25))
     assert len(warnings) == 1
-    assert "window" in warnings[0]
-    assert "Glass BSDF" in warnings[0]
+    assert "velvet" in warnings[0]
+    assert "Sheen BSDF" in warnings[0]
 
 
 def test_an_unknown_node_leaves_its_input_at_its_own_value():

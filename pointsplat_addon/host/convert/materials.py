@@ -1,4 +1,9 @@
-"""Blender's materials to the material table: constants, and graphs for inputs that vary over a surface."""
+"""Blender's materials to the material table: constants, graphs for inputs that vary over a surface, and media.
+
+Light passes a translucent surface along a straight line and unchanged in colour: a surface has one alpha. Glass is
+thin. What it reflects is a mirror that covers as much as Fresnel's equation reflects at normal incidence; the mean of
+its tint tells how much of the rest passes, and what colour the tint has beyond that is shown as if it were painted on.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +16,16 @@ import numpy as np
 
 from ...core import expressions as ex
 from ...core.cryptomatte import cryptomatte_hash
-from ...core.materials import CHANNELS, MaterialGraph
-from ...core.scene import MaterialTable, default_materials
+from ...core.materials import CHANNELS, MaterialGraph, is_mask
+from ...core.scene import MaterialTable, Medium, default_materials
+from .media import medium_of
 from .nodes import Path, Reader, UnsupportedNodeError, Walker, default, resolve
 
 BLACK = ex.Constant((0.0, 0.0, 0.0))
 ZERO, ONE = ex.Constant((0.0,)), ex.Constant((1.0,))
 GLASS = ex.Constant((1.5,))  # Principled's default index of refraction
 DEFAULT_SURFACE = "default_surface"  # what Cycles calls the surface of faces without a material
+CLEAR = ex.Constant((1.0, 1.0, 1.0))
 FACING = ex.Coordinates("normal")
 PLACEHOLDER = {  # the table's constant of a channel that varies
     "base_color": (0.8, 0.8, 0.8),
@@ -53,12 +60,16 @@ class Row:
     pass_index: int
     name: str
     hash: int
+    translucent: bool = False
+    medium: Medium | None = None
     warnings: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
         varying = "" if self.graph is None else self.graph.digest
-        text = repr((sorted(self.constants.items()), varying, self.cull, self.pass_index, self.name))
+        volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
+        shown = sorted(self.constants.items()), varying, self.cull, self.translucent, volume
+        text = repr((*shown, self.pass_index, self.name))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
@@ -81,9 +92,17 @@ def convert_materials(materials: Iterable[bpy.types.Material | None]) -> tuple[M
         pass_index=np.array([row.pass_index for row in rows], np.int32),
         hash=np.array([row.hash for row in rows], np.uint32),
         names=tuple(row.name for row in rows),
+        anisotropy=_column(np.float32, [row.medium.anisotropy if row.medium else 0 for row in rows]),
+        translucent=_column(bool, [row.translucent for row in rows]),
+        media=tuple(row.medium for row in rows),
         graphs=tuple(row.graph for row in rows),
     )
     return converted, [warning for row in rows for warning in row.warnings]
+
+
+def _column(dtype: type, values: list) -> np.ndarray | None:
+    """A column of the table, or None where it says nothing."""
+    return np.array(values, dtype) if any(values) else None
 
 
 def _default_row(table: MaterialTable) -> Row:
@@ -107,7 +126,8 @@ def material_key(material: bpy.types.Material) -> str:
 def convert_material(material: bpy.types.Material) -> Row:
     """One row of the table. Surfaces that have no counterpart show the viewport colour, with one warning."""
     walker = Walker(material.name)
-    surface = _surface_of(material, walker)
+    output = _output_of(material)
+    surface = _surface_of(material, output, walker)
     constants, graph = _split(surface, walker)
     return Row(
         constants=constants,
@@ -116,19 +136,36 @@ def convert_material(material: bpy.types.Material) -> Row:
         pass_index=material.pass_index,
         name=material.name,
         hash=cryptomatte_hash(material.name),
+        translucent=_is_translucent(surface.alpha, material),
+        medium=None if output is None else medium_of(walker, output.inputs["Volume"]),
         warnings=tuple(walker.warnings),
     )
 
 
-def _surface_of(material: bpy.types.Material, walker: Walker) -> Surface:
+def _is_translucent(alpha: ex.Expression, material: bpy.types.Material) -> bool:
+    """Whether alpha is neither 1 nor a mask, whose edges alone lie between 0 and 1: those are cut out, which is sharp
+    and fast. Materials that ask to be blended have their edges as they are."""
+    value = ex.constant(alpha)
+    if value is not None:
+        return bool(value[0] < 1 - 1e-6)
+    return not is_mask(alpha, edges=material.surface_render_method != "BLENDED")
+
+
+def _tree(material: bpy.types.Material) -> bpy.types.ShaderNodeTree | None:
     # Blender 5 has no materials without nodes, and use_nodes warns there
     without_nodes = bpy.app.version < (5, 0, 0) and not material.use_nodes
-    if without_nodes or material.node_tree is None:
-        return _viewport_surface(material)
-    tree = material.node_tree
-    output = next((o for o in map(tree.get_output_node, ("ALL", "CYCLES", "EEVEE")) if o is not None), None)
+    return None if without_nodes else material.node_tree
+
+
+def _output_of(material: bpy.types.Material) -> bpy.types.Node | None:
+    tree = _tree(material)
+    outputs = map(tree.get_output_node, ("ALL", "CYCLES", "EEVEE")) if tree else ()
+    return next((o for o in outputs if o is not None), None)
+
+
+def _surface_of(material: bpy.types.Material, output: bpy.types.Node | None, walker: Walker) -> Surface:
     if output is None:
-        return Surface()
+        return Surface() if _tree(material) else _viewport_surface(material)
     if not output.inputs["Surface"].is_linked:
         # A volume has no surface of its own
         return Surface(alpha=ZERO) if output.inputs["Volume"].is_linked else Surface()
@@ -173,19 +210,47 @@ def _product(a: ex.Expression, b: ex.Expression) -> ex.Expression:
 
 
 def _principled(node: Reader) -> Surface:
-    transmission = ex.constant(node["Transmission Weight"])
-    if transmission is None or transmission[0] > 0:
-        node.warn("is drawn without its transmission")
-    return Surface(
+    solid = Surface(
         base_color=node["Base Color"],
         roughness=node["Roughness"],
         metallic=node["Metallic"],
-        alpha=node["Alpha"],
         emission=_scaled(node["Emission Color"], node["Emission Strength"]),
         normal=node["Normal"],
         ior=_constant_input(node, "IOR"),
         specular=_constant_input(node, "Specular IOR Level"),
     )
+    weight = ex.Clamp(node["Transmission Weight"], ZERO, ONE)
+    if _is_constant(weight, 0):
+        return replace(solid, alpha=node["Alpha"])
+    # Metals reflect all the same (OpenPBR's and Blender's order of layers)
+    weight = _product(weight, ex.Math(ONE, solid.metallic, ZERO, "SUBTRACT"))
+    # Light crosses two faces of a solid, hence the root
+    tint = ex.VectorMath(ex.Clamp(solid.base_color, ZERO, ONE), ex.Constant((0.5,) * 3), BLACK, ZERO, "POWER")
+    mixed = _mixed(solid, _glass_surface(tint, solid), weight)
+    # Glass shines as much as what it takes the place of, however little of it shows
+    shines = replace(mixed, emission=_over(solid.emission, mixed.alpha))
+    return replace(shines, alpha=_product(node["Alpha"], mixed.alpha))
+
+
+def _over(color: ex.Expression, weight: ex.Expression) -> ex.Expression:
+    """color / weight; black where the weight is 0."""
+    return color if _is_constant(color, 0) else _scaled(color, ex.Math(ONE, weight, ZERO, "DIVIDE"))
+
+
+def _glass_surface(tint: ex.Expression, like: Surface, *, reflects: bool = True) -> Surface:
+    """Thin glass whose transmittance is `tint`: its alpha and what that covers (see above)."""
+    passing = ex.Gray(tint, mean=True)
+    absorbed = ex.Math(ONE, passing, ZERO, "SUBTRACT")
+    beyond = ex.VectorMath(tint, ex.Color(passing), BLACK, ZERO, "SUBTRACT")
+    painted = _over(ex.VectorMath(beyond, BLACK, BLACK, ZERO, "MAXIMUM"), absorbed)
+    paint = replace(like, base_color=painted, metallic=ZERO, emission=BLACK, alpha=absorbed)
+    index = ex.constant(like.ior)
+    if not reflects or index is None:
+        return paint
+    # The paint reflects by itself
+    fresnel = ex.Constant((float((index[0] - 1) / (index[0] + 1)) ** 2,))
+    mirror = replace(like, base_color=CLEAR, metallic=ONE, emission=BLACK)
+    return _mixed(paint, mirror, _product(fresnel, passing))
 
 
 def _constant_input(node: Reader, identifier: str) -> ex.Expression:
@@ -209,16 +274,33 @@ def _emission(node: Reader) -> Surface:
 
 
 def _transparent(node: Reader) -> Surface:
-    color = ex.constant(node["Color"])
-    if color is None or color.min() < 1:
-        node.warn("is drawn without its tint")
-    return Surface(alpha=ZERO)
+    tint = ex.Clamp(node["Color"], ZERO, ONE)
+    return Surface(alpha=ZERO) if _is_constant(tint, 1) else _glass_surface(tint, Surface(), reflects=False)
+
+
+def _glass(node: Reader) -> Surface:
+    reflects = node.node.bl_idname == "ShaderNodeBsdfGlass"
+    like = Surface(
+        roughness=node["Roughness"],
+        normal=node["Normal"],
+        ior=_constant_input(node, "IOR"),
+        specular=ex.Constant((0.5 if reflects else 0.0,)),
+    )
+    return _glass_surface(ex.Clamp(node["Color"], ZERO, ONE), like, reflects=reflects)
+
+
+def _translucent(node: Reader) -> Surface:
+    node.warn("is lit on the side that is seen")
+    return _diffuse(node)
 
 
 def _mix_shader(node: Reader) -> Surface:
-    """(1 - f) A + f B: opacities mix by f, everything else by f weighted with the opacities."""
     a, b = (_shader(node.walker, node.socket(name), node.path) for name in ("Shader", "Shader_001"))
-    second = ex.Clamp(node["Fac"], ZERO, ONE)
+    return _mixed(a, b, ex.Clamp(node["Fac"], ZERO, ONE))
+
+
+def _mixed(a: Surface, b: Surface, second: ex.Expression) -> Surface:
+    """(1 - f) A + f B: opacities mix by f, everything else by f weighted with the opacities."""
     first = ex.Math(ONE, second, ZERO, "SUBTRACT")
     a_weight, b_weight = _product(a.alpha, first), _product(b.alpha, second)
     if _is_constant(b_weight, 0):
@@ -265,6 +347,9 @@ SHADERS: dict[str, Callable[[Reader], Surface]] = {
     "ShaderNodeBsdfGlossy": _glossy,
     "ShaderNodeEmission": _emission,
     "ShaderNodeBsdfTransparent": _transparent,
+    "ShaderNodeBsdfGlass": _glass,
+    "ShaderNodeBsdfRefraction": _glass,
+    "ShaderNodeBsdfTranslucent": _translucent,
     "ShaderNodeMixShader": _mix_shader,
     "ShaderNodeAddShader": _add_shader,
 }

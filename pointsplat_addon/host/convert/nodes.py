@@ -193,6 +193,17 @@ def _image(node: Reader) -> Outputs:
     return {"Color": ex.Color(value), "Alpha": ex.Component(value, 3)}
 
 
+def _volume_info(node: Reader) -> Outputs:
+    grids = {"Color": ex.Color(ex.Attribute("color"))}
+    return grids | {name: ex.Component(ex.Attribute(name.lower()), 4) for name in ("Density", "Flame", "Temperature")}
+
+
+def _light_path(node: Reader) -> Outputs:
+    """Rays that come from the camera and have met nothing yet."""
+    names = (s.identifier for s in node.node.outputs)
+    return {name: ex.Constant((float(name == "Is Camera Ray"),)) for name in names if name != "Ray Length"}
+
+
 def _value(node: Reader) -> Outputs:
     return {"Value": ex.Constant((float(node.node.outputs[0].default_value),))}
 
@@ -360,6 +371,8 @@ NODES: dict[str, Callable[[Reader], Outputs]] = {
     "ShaderNodeAttribute": _attribute,
     "ShaderNodeTexCoord": _coordinates,
     "ShaderNodeTexImage": _image,
+    "ShaderNodeVolumeInfo": _volume_info,
+    "ShaderNodeLightPath": _light_path,
     "ShaderNodeValue": _value,
     "ShaderNodeRGB": _rgb,
     "ShaderNodeMath": _math,

@@ -1,0 +1,381 @@
+"""What lets light through: surfaces, media, particles, and who casts shadows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+import pointsplat_addon  # noqa: E402
+from pointsplat_addon.core.materials import SampleInputs, evaluate_samples  # noqa: E402
+from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key  # noqa: E402
+
+FRESNEL = 0.04  # of glass with an index of refraction of 1.5, at normal incidence
+
+
+@pytest.fixture(autouse=True)
+def empty_file():
+    pointsplat_addon.register()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    pointsplat_addon.register()
+    yield
+    pointsplat_addon.unregister()
+
+
+def new_material(name="Material"):
+    material = bpy.data.materials.new(name)
+    if not material.node_tree:
+        material.use_nodes = True
+    material.node_tree.nodes.clear()
+    return material
+
+
+def node(tree, kind, inputs=None, **properties):
+    """A new node; inputs are by identifier, either values or the outputs to link."""
+    made = tree.nodes.new(kind)
+    for name, value in properties.items():
+        setattr(made, name, value)
+    for identifier, value in (inputs or {}).items():
+        socket = next(s for s in made.inputs if s.identifier == identifier)
+        if isinstance(value, bpy.types.NodeSocket):
+            tree.links.new(value, socket)
+        else:
+            socket.default_value = value
+    return made
+
+
+def linked(build, socket="Surface", name="Material", **properties):
+    """A material whose output's socket is fed by the node that `build` makes of the tree."""
+    material = new_material(name)
+    for key, value in properties.items():
+        setattr(material, key, value)
+    tree = material.node_tree
+    made = build(tree)
+    tree.links.new(made.outputs[0], node(tree, "ShaderNodeOutputMaterial").inputs[socket])
+    return material
+
+
+def shader(kind, socket="Surface", name="Material", **inputs):
+    by_identifier = {key.replace("_", " "): value for key, value in inputs.items()}
+    return linked(lambda tree: node(tree, kind, by_identifier), socket, name)
+
+
+def picture(alpha, name="Picture"):
+    """A white image with these alphas (H, W)."""
+    height, width = alpha.shape
+    image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=True)
+    texels = np.ones((height, width, 4), np.float32)
+    texels[..., 3] = alpha
+    image.pixels.foreach_set(texels.ravel())
+    return image
+
+
+def card(alpha, **properties):
+    """A Principled surface whose alpha is that of a picture."""
+
+    def build(tree):
+        texture = node(tree, "ShaderNodeTexImage", image=picture(alpha))
+        return node(tree, "ShaderNodeBsdfPrincipled", {"Alpha": texture.outputs["Alpha"]})
+
+    return linked(build, **properties)
+
+
+# Surfaces
+
+
+def test_a_constant_alpha_below_one_is_translucent():
+    table, warnings = convert_materials(
+        [shader("ShaderNodeBsdfPrincipled", Alpha=alpha) for alpha in (1.0, 0.3, 0.0)] + [None]
+    )
+    assert warnings == []
+    np.testing.assert_array_equal(table.translucent, [False, False, True, True, False])
+    np.testing.assert_array_equal(table.alpha, np.array([1, 1, 0.3, 0, 1], np.float32))
+
+
+def test_a_scene_of_opaque_materials_has_no_columns_for_others():
+    table, _ = convert_materials([shader("ShaderNodeBsdfDiffuse")])
+    assert table.translucent is table.anisotropy is None
+    assert table.media == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("name", "alpha", "blended", "expected"),
+    [
+        ("hole", np.array([[0.0, 1, 1, 0]] * 4), False, False),
+        ("hole", np.array([[0.0, 1, 1, 0]] * 4), True, False),
+        ("opaque", np.ones((4, 4)), False, False),
+        ("gradient", np.linspace(0, 1, 16)[None].repeat(4, 0), False, True),
+        ("window", np.array([[0.3, 0.3, 1, 1]] * 4), False, True),
+        ("smooth edge", np.repeat([0.0, 0.5, 1], [20, 2, 20])[None].repeat(4, 0), False, False),
+        ("smooth edge", np.repeat([0.0, 0.5, 1], [20, 2, 20])[None].repeat(4, 0), True, True),
+    ],
+)
+def test_pictures_that_cut_out_stay_opaque_with_holes(name, alpha, blended, expected):
+    material = card(alpha, name=name, surface_render_method="BLENDED" if blended else "DITHERED")
+    row = convert_material(material)
+    assert row.translucent == expected
+    assert row.graph.alpha is not None
+
+
+def test_thresholds_and_inverted_masks_cut_out_and_products_with_a_constant_do_not():
+    def of(operation, number):
+        def build(tree):
+            texture = node(tree, "ShaderNodeTexImage", image=picture(np.array([[0.0, 1]])))
+            vertex = node(tree, "ShaderNodeVertexColor", layer_name="Col")
+            source = (vertex if operation == "GREATER_THAN" else texture).outputs["Alpha"]
+            alpha = node(tree, "ShaderNodeMath", {"Value": number, "Value_001": source}, operation=operation)
+            return node(tree, "ShaderNodeBsdfPrincipled", {"Alpha": alpha.outputs[0]})
+
+        return convert_material(linked(build)).translucent
+
+    assert not of("GREATER_THAN", 0.5)
+    assert not of("SUBTRACT", 1.0)
+    assert of("MULTIPLY", 0.5)
+
+
+def test_a_mix_with_transparent_is_translucent():
+    def build(tree):
+        clear = node(tree, "ShaderNodeBsdfTransparent").outputs[0]
+        matt = node(tree, "ShaderNodeBsdfDiffuse", {"Color": (0.2, 0.4, 0.6, 1)}).outputs[0]
+        return node(tree, "ShaderNodeMixShader", {"Fac": 0.3, "Shader": clear, "Shader_001": matt})
+
+    row = convert_material(linked(build))
+    assert row.translucent
+    assert row.constants["alpha"] == pytest.approx((0.3,))
+
+
+def test_what_only_shadow_rays_see_does_not_show():
+    """A usual way to have clear shadows of a surface that is opaque to the eye."""
+
+    def build(tree):
+        clear = node(tree, "ShaderNodeBsdfTransparent").outputs[0]
+        matt = node(tree, "ShaderNodeBsdfDiffuse").outputs[0]
+        path = node(tree, "ShaderNodeLightPath").outputs["Is Shadow Ray"]
+        return node(tree, "ShaderNodeMixShader", {"Fac": path, "Shader": matt, "Shader_001": clear})
+
+    row = convert_material(linked(build))
+    assert not row.translucent
+    assert row.warnings == ()
+
+
+def transmittance(row):
+    return 1 - row.constants["alpha"][0]
+
+
+def test_clear_glass_lets_through_what_it_does_not_reflect():
+    for material in (
+        shader("ShaderNodeBsdfGlass"),
+        shader("ShaderNodeBsdfPrincipled", Base_Color=(1, 1, 1, 1), Transmission_Weight=1.0, IOR=1.5),
+    ):
+        row = convert_material(material)
+        assert row.translucent
+        assert row.warnings == ()
+        assert transmittance(row) == pytest.approx(1 - FRESNEL, abs=1e-6)
+        # The rest is a mirror: together they reflect what Fresnel's equation says.
+        assert row.constants["metallic"] == (1,)
+        assert row.constants["base_color"] == (1, 1, 1)
+
+
+def test_gray_glass_lets_its_tint_through_and_shows_no_colour_of_its_own():
+    row = convert_material(shader("ShaderNodeBsdfTransparent", Color=(0.6, 0.6, 0.6, 1)))
+    assert transmittance(row) == pytest.approx(0.6, abs=1e-6)
+    assert row.constants["base_color"] == pytest.approx((0, 0, 0), abs=1e-6)
+    assert row.constants["specular"] == (0,)
+
+
+def test_coloured_glass_before_white_shows_its_tint():
+    """Before something as bright as its own paint: alpha * paint + (1 - alpha) * white is the tint, where no channel
+    of it lies below the mean; those lie at the mean."""
+    tint = np.array([0.9, 0.5, 0.4])
+    row = convert_material(shader("ShaderNodeBsdfRefraction", Color=(*tint, 1)))
+    alpha = row.constants["alpha"][0]
+    seen = alpha * np.array(row.constants["base_color"]) + (1 - alpha)
+    np.testing.assert_allclose(seen, np.maximum(tint, tint.mean()), atol=1e-6)
+
+
+def test_transmission_mixes_glass_with_the_painted_surface():
+    inputs = {"Base_Color": (0.25, 0.25, 0.25, 1), "IOR": 1.5, "Roughness": 0.2, "Emission_Color": (1, 1, 1, 1)}
+    row = convert_material(
+        shader("ShaderNodeBsdfPrincipled", Transmission_Weight=0.5, Emission_Strength=3.0, Alpha=0.8, **inputs)
+    )
+    # The root of the base colour passes each of a solid's two faces.
+    passing = (1 - FRESNEL * 0.5) * 0.5
+    assert transmittance(row) == pytest.approx(1 - 0.8 * (1 - 0.5 * passing), abs=1e-6)
+    assert row.constants["roughness"] == pytest.approx((0.2,))
+    # Emission does not become less where light passes, only by Alpha.
+    emitted = row.constants["alpha"][0] * np.array(row.constants["emission"])
+    np.testing.assert_allclose(emitted, 0.8 * 3, rtol=1e-5)
+    metal = convert_material(shader("ShaderNodeBsdfPrincipled", Transmission_Weight=1.0, Metallic=1.0, **inputs))
+    assert not metal.translucent
+
+
+def test_a_varying_transmission_varies_alpha():
+    def build(tree):
+        weight = node(tree, "ShaderNodeVertexColor", layer_name="Col").outputs["Alpha"]
+        return node(
+            tree, "ShaderNodeBsdfPrincipled", {"Base Color": (1, 1, 1, 1), "Transmission Weight": weight, "IOR": 1.5}
+        )
+
+    row = convert_material(linked(build))
+    assert row.translucent
+    assert row.warnings == ()
+    weight = np.array([0, 0.5, 1], np.float32)
+    colors = {"Col": np.stack([weight] * 4, axis=1)}
+    out = evaluate_samples(row.graph, SampleInputs(colors=colors, count=3))
+    np.testing.assert_allclose(out["alpha"], 1 - weight * (1 - FRESNEL), atol=1e-6)
+
+
+def test_a_translucent_bsdf_hides_what_is_behind_it():
+    row = convert_material(shader("ShaderNodeBsdfTranslucent", name="Paper"))
+    assert not row.translucent
+    assert "Paper" in row.warnings[0]
+
+
+# Media
+
+
+def coefficients(medium):
+    """Scattering and absorption as Cycles computes them from a Principled Volume's inputs."""
+    absorbed = np.maximum(1 - medium.color, 0) * np.maximum(1 - np.sqrt(medium.absorption), 0)
+    return medium.density * medium.color, medium.density * absorbed
+
+
+def volume(kind, **inputs):
+    row = convert_material(shader(kind, "Volume", "Fog", **inputs))
+    assert row.warnings == ()
+    return row
+
+
+def test_a_principled_volume_is_taken_as_it_is():
+    color, absorbed = (0.2, 0.5, 0.8, 1), (0.1, 0, 0.3, 1)
+    row = volume(
+        "ShaderNodeVolumePrincipled", Color=color, Density=3.0, Absorption_Color=absorbed, Anisotropy=0.4,
+        Emission_Strength=2.0, Emission_Color=(1, 0.5, 0.25, 1), Density_Attribute="smoke", Blackbody_Intensity=0.5,
+        Color_Attribute="tint", Temperature=900.0,
+    )  # fmt: skip
+    medium = row.medium
+    assert (medium.density, medium.density_grid, medium.color_grid) == (3, "smoke", "tint")
+    assert (medium.temperature, medium.temperature_grid, medium.blackbody) == (900, "temperature", 0.5)
+    assert medium.anisotropy == pytest.approx(0.4)
+    np.testing.assert_allclose(medium.color, color[:3], rtol=1e-6)
+    np.testing.assert_allclose(medium.absorption, absorbed[:3], rtol=1e-6)
+    np.testing.assert_allclose(medium.emission, (2, 1, 0.5))
+    assert row.constants["alpha"] == (0,)  # it has no surface
+
+
+def test_absorption_absorbs_and_scatter_scatters():
+    color = np.array([0.75, 0.25, 0.5])
+    scattering, absorption = coefficients(volume("ShaderNodeVolumeAbsorption", Color=(*color, 1), Density=2.0).medium)
+    np.testing.assert_allclose(scattering, 0, atol=1e-12)
+    np.testing.assert_allclose(absorption, 2 * (1 - color), rtol=1e-6)
+    row = volume("ShaderNodeVolumeScatter", Color=(*color, 1), Density=2.0, Anisotropy=-0.3)
+    scattering, absorption = coefficients(row.medium)
+    np.testing.assert_allclose(scattering, 2 * color, rtol=1e-6)
+    np.testing.assert_allclose(absorption, 0, atol=1e-12)
+    assert row.medium.anisotropy == pytest.approx(-0.3)
+    assert row.medium.density_grid == ""
+
+
+def test_coefficients_are_taken_as_they_are():
+    row = volume(
+        "ShaderNodeVolumeCoefficients",
+        Absorption_Coefficients=(1, 2, 3), Scatter_Coefficients=(3, 0, 4), Emission_Coefficients=(0, 5, 0),
+    )  # fmt: skip
+    scattering, absorption = coefficients(row.medium)
+    np.testing.assert_allclose(scattering, (3, 0, 4), rtol=1e-12)
+    np.testing.assert_allclose(absorption, (1, 2, 3), rtol=1e-12)
+    np.testing.assert_array_equal(row.medium.emission, (0, 5, 0))
+
+
+def combined(kind, **inputs):
+    """Absorption, scattering and light, added up or mixed."""
+
+    def build(tree):
+        absorb = node(tree, "ShaderNodeVolumeAbsorption", {"Color": (0, 0.5, 1, 1), "Density": 4.0})
+        scatter = node(tree, "ShaderNodeVolumeScatter", {"Color": (1, 0.5, 0, 1), "Density": 2.0, "Anisotropy": 0.5})
+        glow = node(tree, "ShaderNodeEmission", {"Color": (1, 0.5, 0.25, 1), "Strength": 4.0})
+        both = node(tree, kind, {**inputs, "Shader": absorb.outputs[0], "Shader_001": scatter.outputs[0]})
+        return node(tree, "ShaderNodeAddShader", {"Shader": glow.outputs[0], "Shader_001": both.outputs[0]})
+
+    return convert_material(linked(build, "Volume"))
+
+
+def test_volumes_add_up_by_their_coefficients():
+    row = combined("ShaderNodeAddShader")
+    scattering, absorption = coefficients(row.medium)
+    np.testing.assert_allclose(scattering, (2, 1, 0), atol=1e-12)
+    np.testing.assert_allclose(absorption, (4, 2, 0), atol=1e-12)
+    np.testing.assert_allclose(row.medium.emission, (4, 2, 1))
+    assert row.medium.anisotropy == 0.5  # only one of them scatters
+    assert row.warnings == ()
+
+
+def test_volumes_mix_by_a_factor():
+    scattering, absorption = coefficients(combined("ShaderNodeMixShader", Fac=0.25).medium)
+    np.testing.assert_allclose(scattering, np.array([2, 1, 0]) * 0.25, atol=1e-12)
+    np.testing.assert_allclose(absorption, np.array([4, 2, 0]) * 0.75, atol=1e-12)
+
+
+def grid_material(multiplied=None, kind="ShaderNodeVolumeScatter", **more):
+    def build(tree):
+        density = node(tree, "ShaderNodeAttribute", attribute_name="smoke").outputs["Fac"]
+        if multiplied is not None:
+            operation, number = multiplied
+            density = node(
+                tree, "ShaderNodeMath", {"Value": density, "Value_001": number}, operation=operation
+            ).outputs[0]
+        return node(tree, kind, {"Density": density, **more})
+
+    return convert_material(linked(build, "Volume", name="Fog"))
+
+
+def test_a_linked_attribute_is_the_grid_of_the_density_and_constants_multiply_it():
+    assert (grid_material().medium.density_grid, grid_material().medium.density) == ("smoke", pytest.approx(0.8))
+    for operation, number, density in (("MULTIPLY", 5.0, 5.0), ("DIVIDE", 4.0, 0.25)):
+        row = grid_material((operation, number), Color=(1, 1, 1, 1))
+        assert row.warnings == ()
+        assert row.medium.density_grid == "smoke"
+        assert row.medium.density == pytest.approx(density)
+
+
+def test_volume_info_reads_blenders_own_grids():
+    def build(tree):
+        info = node(tree, "ShaderNodeVolumeInfo")
+        inputs = {"Density": info.outputs["Density"], "Color": info.outputs["Color"]}
+        inputs |= {"Temperature": info.outputs["Temperature"], "Density Attribute": ""}
+        return node(tree, "ShaderNodeVolumePrincipled", inputs)
+
+    row = convert_material(linked(build, "Volume"))
+    medium = row.medium
+    assert (medium.density_grid, medium.color_grid, medium.temperature_grid) == ("density", "color", "temperature")
+    assert row.warnings == ()
+
+
+def test_what_is_no_grid_times_a_constant_keeps_its_own_value_with_one_warning():
+    row = grid_material(("POWER", 2.0))
+    assert row.medium.density == pytest.approx(0.8)
+    assert row.medium.density_grid == ""
+    assert len(row.warnings) == 1
+    assert "Fog" in row.warnings[0]
+    assert "Volume Scatter" in row.warnings[0]
+    twice = grid_material(kind="ShaderNodeVolumePrincipled")
+    assert len(twice.warnings) == 1
+    assert twice.medium.density_grid == "smoke"
+
+
+def test_an_unknown_volume_shader_is_left_out_with_one_warning():
+    row = convert_material(shader("ShaderNodeBsdfSheen", "Volume", "Fog"))
+    assert row.medium is None
+    assert len(row.warnings) == 1
+    assert "Fog" in row.warnings[0]
+
+
+def test_the_table_has_media_and_their_anisotropy():
+    fog = shader("ShaderNodeVolumeScatter", "Volume", Anisotropy=0.5)
+    table, _ = convert_materials([None, fog])
+    np.testing.assert_array_equal(table.anisotropy, np.array([0, 0, 0.5], np.float32))
+    assert [m is None for m in table.media] == [True, True, False]
+    before = material_key(fog)
+    next(n for n in fog.node_tree.nodes if n.bl_idname == "ShaderNodeVolumeScatter").inputs["Density"].default_value = 7
+    assert material_key(fog) != before
