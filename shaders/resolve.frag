@@ -3,6 +3,7 @@
 #include "lib/footprint.glsl"
 #include "lib/surfel.glsl"
 #include "lib/store.glsl"
+#include "lib/attributes.glsl"
 
 void main()
 {
@@ -47,25 +48,7 @@ void main()
   }
 #endif
 #endif
-#ifdef PS_COLOR
-  s.color.rgb = texelFetch(ps_color, element.xy, 0).rgb;
-#endif
-#ifdef PS_SURFACE
-  vec2 surface = texelFetch(ps_surface, element.xy, 0).xy;
-  s.normal.w = surface.x;
-  s.color.w = surface.y;
-#endif
-#ifdef PS_EMISSION
-  s.emission = texelFetch(ps_emission, element.xy, 0);
-#endif
-#ifdef PS_OWNER
-  s.owner = uint(element.z);
-#endif
-#ifdef PS_HOLDOUT
-  if (ps_instance_row(element.z, 3).x > 0.5) {
-    s.shape.w = -1.0 - s.shape.w;
-  }
-#endif
+  s = ps_attributed(s, element);
   ps_store_front(s, covers);
 #ifdef PS_DEPTH
   gl_FragDepth = covers ? ps_buffer_depth(pixel.z) : 1.0;  // what lies beside the centre hides no polygon

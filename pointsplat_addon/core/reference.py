@@ -115,9 +115,11 @@ def _splats(
     hit = _Hit.none(len(start))
     if len(cloud) == 0:
         return hit
+    if cloud.normal is None:
+        return _balls(cloud, view_from_object, start, direction, camera, table)
     linear = view_from_object[:3, :3]
     centre = (cloud.position.astype(np.float64) + cloud.origin) @ linear.T + view_from_object[:3, 3]
-    a, b, stored = _half_axes(cloud, linear, centre, camera.perspective)
+    a, b, stored = _half_axes(cloud, linear)
     plane = np.cross(a, b)
     rows = np.zeros(len(cloud), int) if cloud.material is None else cloud.material.astype(int)
 
@@ -130,8 +132,7 @@ def _splats(
         v = np.einsum("pnc,nc->pn", from_centre, np.cross(plane, a)) / area2
         rim = u**2 + v**2
         met = (rim <= 1) & (depth > camera.near) & (depth < camera.far)
-    if cloud.normal is not None:
-        met &= ~(table.cull[rows] & ((stored * centre).sum(axis=1) > 0 if camera.perspective else stored[:, 2] < 0))
+    met &= ~(table.cull[rows] & ((stored * centre).sum(axis=1) > 0 if camera.perspective else stored[:, 2] < 0))
 
     extent = np.hypot(a[:, 2], b[:, 2])
     front = np.where(met, -centre[:, 2] - extent, np.inf)
@@ -151,29 +152,59 @@ def _splats(
     hit.emission[some] = mean(table.emission[rows] if cloud.emission is None else cloud.emission)
     constants = np.stack([table.roughness[rows], table.metallic[rows]], axis=1)
     hit.surface[some] = mean(constants if cloud.surface is None else cloud.surface)
-    if cloud.normal is not None:
-        shading = stored if cloud.shading_normal is None else _turned(cloud.shading_normal, linear)
-        hit.normal[some] = _unit(mean(shading))
-    else:
-        # Each ball's normal where the ray enters it.
-        u, v, rim = (np.where(met[some], w[some], 0) for w in (u, v, rim))
-        bulge = (weight * u) @ _unit(a) + (weight * v) @ _unit(b) + (weight * np.sqrt(1 - rim)) @ stored
-        hit.normal[some] = _unit(bulge)
+    shading = stored if cloud.shading_normal is None else _turned(cloud.shading_normal, linear)
+    hit.normal[some] = _unit(mean(shading))
     hit.normal[some] = hit.normal[some] @ camera.view_from_world[:3, :3]
     return hit
 
 
-def _half_axes(
-    cloud: PointCloud, linear: np.ndarray, centre: np.ndarray, perspective: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _balls(
+    cloud: PointCloud,
+    view_from_object: np.ndarray,
+    start: np.ndarray,
+    direction: np.ndarray,
+    camera: Camera,
+    table: MaterialTable,
+) -> _Hit:
+    """Where rays (P, 3) enter N balls, ellipsoids under the transform; those that hold the near plane show their
+    inside."""
+    hit = _Hit.none(len(start))
+    linear = view_from_object[:3, :3]
+    radius = np.zeros(len(cloud)) if cloud.radii is None else cloud.radii[:, 0].astype(np.float64)
+    if abs(np.linalg.det(linear)) < 1e-30:
+        return hit
+    # Where the balls are balls: object space, (P, N).
+    inverse = np.linalg.inv(linear)
+    centre = cloud.position.astype(np.float64) + cloud.origin + inverse @ view_from_object[:3, 3]
+    along = direction @ inverse.T
+    eye = (start @ inverse.T)[:, None] - centre
+    with np.errstate(all="ignore"):
+        a = (along**2).sum(axis=1)[:, None]
+        middle = -np.einsum("pnc,pc->pn", eye, along) / a
+        nearest = eye + middle[..., None] * along[:, None]
+        half_chord = np.sqrt((radius**2 - (nearest**2).sum(axis=2)) / a)
+        depth = np.where(middle - half_chord < camera.near, middle + half_chord, middle - half_chord)
+        depth = np.where((depth >= camera.near) & (depth <= camera.far), depth, np.inf)
+    ball = depth.argmin(axis=1)
+    some = np.isfinite(depth.min(axis=1))
+    ball, ray = ball[some], np.flatnonzero(some)
+    rows = np.zeros(len(cloud), int) if cloud.material is None else cloud.material.astype(int)
+    hit.depth[some] = depth[ray, ball]
+    hit.material[some] = rows[ball]
+    hit.base[some] = (table.base_color[rows] if cloud.color is None else cloud.color)[ball]
+    hit.emission[some] = (table.emission[rows] if cloud.emission is None else cloud.emission)[ball]
+    constants = np.stack([table.roughness[rows], table.metallic[rows]], axis=1)
+    hit.surface[some] = (constants if cloud.surface is None else cloud.surface)[ball]
+    outwards = eye[ray, ball] + depth[ray, ball][:, None] * along[some]
+    hit.normal[some] = _unit(outwards @ inverse) @ camera.view_from_world[:3, :3]
+    return hit
+
+
+def _half_axes(cloud: PointCloud, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Conjugate half-axes (N, 3) of the ellipses in view space, and their normals there (N, 3), unit."""
     radii = np.zeros((len(cloud), 1)) if cloud.radii is None else cloud.radii.astype(np.float64)
     major, minor = radii[:, :1], radii[:, 1:2] if radii.shape[1] > 1 else radii[:, :1]
-    if cloud.normal is None:
-        radius = major * np.abs(np.linalg.det(linear)) ** (1 / 3)
-        toward = _unit(-centre) if perspective else np.broadcast_to([0.0, 0, 1], centre.shape)
-        across = _unit(np.cross([0.0, 1, 0], toward))
-        return radius * across, radius * np.cross(toward, across), toward
+    assert cloud.normal is not None
     normal = _unit(cloud.normal.astype(np.float64))
     helper = np.where(np.abs(normal[:, 2:]) < 0.9, [0.0, 0, 1], [1.0, 0, 0])
     axis = _unit(np.cross(helper, normal)) if cloud.axis is None else _unit(cloud.axis.astype(np.float64))

@@ -165,7 +165,8 @@ class Frame:
         self._lent: tuple[tuple, Targets] | None = None
         self._identities: list[np.ndarray] = []
         self._data: dict[str, np.ndarray] = {}
-        drawn = self.plan.points or self.plan.polygons or self.plan.translucent is not None
+        plan = self.plan
+        drawn = plan.points or plan.polygons or plan.spheres or plan.translucent is not None
         self._trivial = not drawn and scene.world.image is None
         if not self._trivial:
             try:
@@ -388,7 +389,7 @@ class Frame:
         """What was done, as scripts/render.py writes it."""
         self.clock.settle()
         prepared = self.prepared
-        cut = prepared.cut.splats + prepared.translucent.cut.splats
+        cut = sum(layer.cut.splats for layer in (prepared, prepared.translucent, prepared.spheres))
         geometries, polygons = self.scene.geometries, self.prepared.polygons
         rows = self.scene.instances.geometry[polygons] if len(polygons) else []
         triangles = sum(len(g.mesh.triangles) for g in (geometries[int(r)] for r in rows) if g.mesh is not None)

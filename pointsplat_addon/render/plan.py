@@ -26,6 +26,7 @@ class Plan:
 
     points: bool
     polygons: bool
+    spheres: bool  # wide balls
     variant: Variant  # of the G-buffer that is shaded
     data_variant: Variant  # of the one that the passes which are not averaged read
     options: PointOptions
@@ -40,12 +41,14 @@ class Plan:
 def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
     """The plan for one view of a scene."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
+    spheres = prepared.spheres.cut.splats > 0
     behind = [p.cloud for p in prepared.translucent.point_sets.values()]
-    translucent = translucent_options(behind, scene.materials, points or polygons) if behind else None
-    drawn = points or polygons or translucent is not None
+    solid = points or polygons or spheres
+    translucent = translucent_options(behind, scene.materials, solid) if behind else None
+    drawn = solid or translucent is not None
     graphs = _graphs(scene, prepared)
     channels = {name for graph in graphs for name in graph.channels}
-    sets = list(prepared.point_sets.values())
+    sets = [*prepared.point_sets.values(), *prepared.spheres.point_sets.values()]
     clouds = [p.cloud for p in sets]
     surface = any(c.surface is not None for c in clouds) or (polygons and bool(channels & {"roughness", "metallic"}))
     varies = surface or (translucent is not None and translucent.surface)
@@ -62,20 +65,23 @@ def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
     variant = Variant(lit, color, surface, emission, wide=wide)
     data_variant = Variant(owner=bool(passes & set(NEED_OWNER)), wide=wide)
     holdout = scene.instances.holdout is not None and bool(scene.instances.holdout.any())
-    one = points and not holdout and len(np.unique(prepared.cut.instance)) == 1
+    shown = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])
+    one = not holdout and len(np.unique(shown)) == 1
     options = PointOptions(
         shading_normal=any(c.shading_normal is not None for c in clouds),
         cull=points and bool(scene.materials.cull.any()),
         holdout=holdout,
         ellipses=any(p.hierarchy is not None or p.cloud.axis is not None for p in sets),
         one_instance=one,
-        depth=polygons,
+        depth=polygons or spheres,
     )
     skipped = []
     if not points:
         skipped += [(name, "nothing is drawn as points") for name in ("project", "resolve", "pull", "push")]
     if not polygons:
         skipped.append(("polygons", "nothing is drawn as polygons"))
+    if not spheres:
+        skipped.append(("spheres", "no ball without a normal is wide"))
     if not data(passes):
         skipped.append(("data", "no pass asks for position, index or motion"))
     if scene.transparent and "mist" not in passes:
@@ -84,7 +90,7 @@ def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
         skipped += [(name, "nothing is translucent") for name in ("order", "light", "translucent", "add")]
     skipped += [("shadows", "not yet part of PointSplat")]
     return Plan(
-        points, polygons, variant, data_variant, options, lighting, materials,
+        points, polygons, spheres, variant, data_variant, options, lighting, materials,
         background=not scene.transparent or "mist" in passes, data=drawn and bool(data(passes)),
         translucent=translucent, skipped=tuple(skipped),
     )  # fmt: skip

@@ -27,6 +27,7 @@ POLYGON_PIXELS = 4.0  # AUTO draws polygons where the typical triangle's edge sp
 HIERARCHY_PAYS = 80  # building costs about as much as drawing the points this many times
 SMALL_SPLAT = 0.25  # of the tolerance: where typical splats are smaller, most of a cloud can be left out
 EXACT_TRIANGLES = 4 << 20  # of all instances: so many are asked one by one what they need
+WIDE_BALL = 2.0  # pixels of radius: means of wider balls that overlap would show
 MANY_TRIANGLES = 1 << 14  # of one mesh: fewer are all looked at in no time
 COARSEST_OCTAVE = 6  # beyond it, the few samples that are left cost less than another cloud
 VERTEX_PIXELS = 2.0  # vertices are samples enough where no edge spans more; with pictures on them, one sample a pixel
@@ -60,6 +61,7 @@ class Prepared(Layer):
     """What one view draws: opaque points, polygons, and translucent points."""
 
     translucent: Layer
+    spheres: Layer  # balls so wide on the screen that each is drawn by itself
     polygons: np.ndarray  # (P,) int: instances that are drawn as polygons
     view_from_object: np.ndarray  # (I, 4, 4) float64
     largest: float  # upper bound of a drawn splat's projected radius in pixels
@@ -187,7 +189,7 @@ class _View:
         with np.errstate(all="ignore"):
             view_from_object = camera.view_from_world @ instances.world_from_object
         usable = np.isfinite(view_from_object).all(axis=(1, 2)) if len(instances) else np.zeros(0, bool)
-        opaque, translucent = ({}, np.full(len(instances), -1)), ({}, np.full(len(instances), -1))
+        opaque, translucent, spheres = (({}, np.full(len(instances), -1)) for _ in range(3))
         polygons: list[np.ndarray] = []
         for row, geometry in enumerate(scene.geometries):
             where = np.flatnonzero(usable & (instances.geometry == row))
@@ -200,24 +202,33 @@ class _View:
                 continue
             point_sets, set_of_instance = translucent if lets_through(geometry, scene.materials) else opaque
             for number, (points, some) in enumerate(found):
-                if len(points):
+                if len(points) == 0:
+                    continue
+                wide = self._wide(points, view_from_object[where[some]]) & (point_sets is opaque[0])
+                if wide.any():
+                    spheres[0][row] = points
+                    spheres[1][where[some[wide]]] = row
+                    some = some[~wide]
+                if len(some):
                     key = row if number == 0 else len(scene.geometries) + len(point_sets)
                     point_sets[key] = self._with_hierarchy(points, view_from_object[where[some]])
                     set_of_instance[where[some]] = key
         layer, behind = (
             Layer(sets, which, self._cut(sets, which, view_from_object)) for sets, which in (opaque, translucent)
         )
+        balls = Layer(*spheres, fully(_counts(spheres[0]), spheres[1]))
         return Prepared(
             layer.point_sets,
             layer.set_of_instance,
             layer.cut,
             behind,
+            balls,
             np.concatenate(polygons) if polygons else np.empty(0, np.int64),
             view_from_object,
             _largest(
                 layer.set_of_instance, layer.point_sets, layer.cut, view_from_object, camera, self.settings, self.store
             ),
-            sum(int(_counts(one.point_sets)[one.set_of_instance].sum()) for one in (layer, behind)),
+            sum(int(_counts(one.point_sets)[one.set_of_instance].sum()) for one in (layer, behind, balls)),
             tuple(dict.fromkeys(self.warnings)),
         )
 
@@ -340,16 +351,25 @@ class _View:
         cull = cull[scene.instances.geometry]
         return select(trees, set_of_instance, view_from_object, self.camera, self.settings.tolerance, cull=cull)
 
-    def _pays(self, points: PointSet, view_from_object: np.ndarray) -> bool:
-        """Whether enough instances show this set's splats so small that a cut leaves most of them out."""
+    def _wide(self, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:
+        """(I,) bool: instances whose typical splat is a ball that is wide on the screen."""
+        if points.cloud.normal is not None or points.cloud.radii is None:
+            return np.zeros(len(view_from_object), bool)
+        return self._diameter(points, view_from_object) > 2 * WIDE_BALL
+
+    def _diameter(self, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:
+        """(I,) pixels that the typical splat of each instance spans in the middle of it."""
         cloud, store, camera = points.cloud, self.store, self.camera
         radius = store.lookup(("radius", *points.key), lambda: _typical_radius(cloud))
         middle, _, _ = _extent(points, store)
         linear = view_from_object[:, :3, :3]
         depth = np.maximum(-(linear @ middle + view_from_object[:, :3, 3])[:, 2], camera.near)
         scale = np.abs(np.linalg.det(linear)) ** (1 / 3) * abs(camera.pixel_from_view()[0])
-        diameter = 2 * radius * scale / (depth if camera.perspective else 1.0)
-        small = np.count_nonzero(diameter < SMALL_SPLAT * self.settings.tolerance)
+        return 2 * radius * scale / (depth if camera.perspective else 1.0)
+
+    def _pays(self, points: PointSet, view_from_object: np.ndarray) -> bool:
+        """Whether enough instances show this set's splats so small that a cut leaves most of them out."""
+        small = np.count_nonzero(self._diameter(points, view_from_object) < SMALL_SPLAT * self.settings.tolerance)
         return bool(small > 0) if self.interactive else bool(small * self.samples >= HIERARCHY_PAYS)
 
 

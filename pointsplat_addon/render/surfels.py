@@ -8,6 +8,7 @@ import numpy as np
 
 from .device import Device
 from .passes import polygons as polygon_pass
+from .passes import spheres as sphere_pass
 from .passes.common import GBuffer, Variant
 from .passes.points import Projection, programs, resolve
 from .passes.pyramid import Pyramid
@@ -21,7 +22,7 @@ class Surfels:
     def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> None:
         """`count`: levels of the pyramid above the G-buffer."""
         self.device, self.plan, self.variant = device, plan, variant
-        self.buffer = GBuffer(device, variant, size, depth=plan.polygons)
+        self.buffer = GBuffer(device, variant, size, depth=plan.options.depth)
         self.pyramid = None
         if plan.points:
             self.resolve_program = programs(variant, plan.options).resolve
@@ -52,10 +53,16 @@ class Surfels:
         run("resolve", resolve_points)
         if self.plan.polygons:
             run("polygons", lambda: self._draw_polygons(uploads, record.copy()))
+        if self.plan.spheres:
+            run("spheres", lambda: self._draw_spheres(uploads, record.copy()))
         if self.pyramid is not None:
             pyramid = self.pyramid
             run("pull", lambda: pyramid.pull(record.copy()))
             run("push", lambda: pyramid.push(record.copy()))
+
+    def _draw_spheres(self, uploads: Uploads, record: np.ndarray) -> None:
+        program = sphere_pass.program(self.variant, self.plan.options)
+        sphere_pass.draw(self.device, program, uploads.balls, record, uploads.shared, self.buffer)
 
     def _draw_polygons(self, uploads: Uploads, record: np.ndarray) -> None:
         instances = uploads.scene.instances

@@ -69,6 +69,7 @@ class Uploads:
         self.environment: Texture | None = None
         self.previous: Texture | None = None
         self.draws: list[PageDraw] = []
+        self.balls: list[PageDraw] = []
         self.meshes: dict[int, polygon_pass.PolygonMesh] = {}
         self.splats: dict[str, Texture] = {}  # translucent ones, and their draw list
         self.listed = 0  # how many
@@ -104,8 +105,10 @@ class Uploads:
             self.lights = self._own(device.texture(size, "RGBA32F", lights.reshape(-1)))
         if "PS_HAS_ENVIRONMENT" in plan.lighting and scene.world.image is not None:
             self.environment = self._environment(scene.world.image)
-        if plan.points:
-            self.draws = self._point_draws()
+        if plan.points or plan.spheres:
+            one = self._transforms()
+            self.draws = self._point_draws(self.prepared, one)
+            self.balls = self._point_draws(self.prepared.spheres, one)
         if plan.polygons:
             self.meshes = self._polygon_meshes()
         if plan.translucent is not None:
@@ -125,30 +128,30 @@ class Uploads:
         self.used.add(key)
         return self.kept.keep(key, make)
 
-    def _point_draws(self) -> list[PageDraw]:
-        prepared, scene, device, plan = self.prepared, self.scene, self.device, self.plan
-        instances = scene.instances
+    def _transforms(self) -> dict[str, Any]:
+        """The only instance of points as uniforms, or a texture for all and no uniforms."""
+        prepared, instances = self.prepared, self.scene.instances
         origin = np.zeros((len(instances), 3))
-        for row, points in prepared.point_sets.items():
-            origin[prepared.set_of_instance == row] = points.cloud.origin
-        one = int(prepared.cut.instance[0]) if plan.options.one_instance else None
-        if one is None:
-            rows = instance_rows(prepared.view_from_object, origin, instances.holdout)
-            size, data = paged(rows, 4)
-            self.shared["ps_instances"] = self._own(device.texture(size, "RGBA32F", data))
+        for layer in (prepared, prepared.spheres):
+            for row, points in layer.point_sets.items():
+                origin[layer.set_of_instance == row] = points.cloud.origin
+        if self.plan.options.one_instance:
+            one = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])[:1]
+            return {"view_from_object": with_origin(prepared.view_from_object[one], origin[one])[0].T.reshape(-1)}
+        size, data = paged(instance_rows(prepared.view_from_object, origin, instances.holdout), 4)
+        self.shared["ps_instances"] = self._own(self.device.texture(size, "RGBA32F", data))
+        return {}
+
+    def _point_draws(self, layer: Layer, uniforms: dict[str, Any]) -> list[PageDraw]:
         draws, index = [], 0
-        for group in _pages(prepared.point_sets, self.device.limits.texture_size):
+        for group in _pages(layer.point_sets, self.device.limits.texture_size):
             page = self._page(group)
             first = {row: page.first[points.key] for row, points in group.items()}
-            rows, shift = blocks(prepared, first)
+            rows, shift = blocks(layer, first)
             if len(rows) == 0:
                 continue
             size, data = paged(rows, 4)
-            uniforms: dict[str, Any] = {}
-            if one is not None:
-                matrix = with_origin(prepared.view_from_object[one : one + 1], origin[one : one + 1])[0]
-                uniforms["view_from_object"] = matrix.T.reshape(-1)
-            texture = self._own(device.texture(size, "RGBA32F", data))
+            texture = self._own(self.device.texture(size, "RGBA32F", data))
             draws.append(PageDraw(page, texture, len(rows), shift, index, uniforms))
             index += len(rows) << shift
         return draws

@@ -316,6 +316,28 @@ def balls() -> Case:
     return Case(scene((points("balls", cloud), moved())), camera())
 
 
+def wide_balls() -> Case:
+    """Balls of many pixels that overlap, also turned to ellipsoids, mirrored, around the eye and beyond the frame."""
+    rng = np.random.default_rng(5)
+    color = rng.random((40, 3), np.float32)
+    radius = rng.uniform(0.1, 0.5, (40, 1)).astype(np.float32)
+    position = rng.uniform(-1, 1, (40, 3)).astype(np.float32)
+    geometry = points("wide balls", PointCloud(position, radii=radius, color=color))
+    sheared = moved((1, 1.5, 0.5), (0.6, -0.9, 0.4))
+    sheared[0, 2] = 0.5
+    around = points(
+        "around the eye", PointCloud(np.array([[0.0, -4.5, 0.0]], np.float32), radii=np.full((1, 1), 2.0, "f4"))
+    )
+    block = mesh(cube_mesh("cut cube", 0.7), "POLYGONS")
+    things = ((geometry, moved()), (geometry, sheared), (around, moved((-3, 0, 1))), (block, moved((-0.5, 0.3, -0.4))))
+    return Case(scene(*things), camera())
+
+
+def parallel_balls() -> Case:
+    """The same in a parallel view."""
+    return replace(wide_balls(), camera=camera((0.5, -5, 1), parallel=4.0))
+
+
 def emission() -> Case:
     """Light comes from the surfaces alone."""
     glow = np.abs(sphere_points()).astype(np.float32) * 3
@@ -531,6 +553,8 @@ CASES: dict[str, Callable[[], Case]] = {
         textured,
         instances,
         balls,
+        wide_balls,
+        parallel_balls,
         emission,
         holdout,
         environment,

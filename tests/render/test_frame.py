@@ -44,6 +44,18 @@ def test_every_pass_of_every_scene_is_finite(name):
     assert result.pixels["combined"].min() >= 0
 
 
+@pytest.mark.parametrize("name", ["balls", "wide_balls", "parallel_balls"])
+def test_wide_balls_are_what_the_rays_meet(name):
+    case = CASES[name]()
+    result, expected = render(case), reference.picture(case.scene, case.camera)
+    seen = there(result)
+    np.testing.assert_array_equal(seen, expected.depth < BACKGROUND_DEPTH)
+    np.testing.assert_array_equal(flat(result, "object_index")[seen], expected.instance[seen] + 1)
+    assert np.abs(flat(result, "depth") / expected.depth - 1)[seen].max() < 2e-5  # measured 5.4e-6
+    assert np.abs(result.pixels["normal"] - expected.normal).max() < 1e-3  # measured 3.3e-4: half floats
+    assert np.abs(result.pixels["combined"] - expected.combined).max() < 1e-3  # measured 3.5e-4
+
+
 @pytest.mark.parametrize("name", POLYGONS)
 def test_polygons_are_where_the_reference_has_them(name):
     case = CASES[name]()

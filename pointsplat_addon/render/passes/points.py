@@ -22,7 +22,7 @@ from ...core.scene import MaterialTable
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
 from ..packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged
-from ..prepare import PointSet, Prepared
+from ..prepare import Layer, PointSet
 from .common import FRAME, GBuffer, Variant
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
@@ -116,13 +116,13 @@ def _shading(cloud: PointCloud) -> np.ndarray:
     return np.where(size[:, 0] > 1e-6, code, NO_NORMAL).astype(np.float32)
 
 
-def blocks(prepared: Prepared, first: dict[int, int]) -> tuple[np.ndarray, int]:
+def blocks(layer: Layer, first: dict[int, int]) -> tuple[np.ndarray, int]:
     """The cut as blocks, (B, 4) float32, and the log2 of a block's size. `first` is each point set's first splat in the
     page; sets that it lacks are skipped."""
-    cut = prepared.cut
-    base = np.full(max(prepared.point_sets, default=-1) + 2, -1)
+    cut = layer.cut
+    base = np.full(max(layer.point_sets, default=-1) + 2, -1)
     base[list(first)] = list(first.values())
-    start = base[prepared.set_of_instance[cut.instance]]
+    start = base[layer.set_of_instance[cut.instance]]
     mine = start >= 0
     instance, begin, count = cut.instance[mine], start[mine] + cut.first[mine], cut.count[mine]
     mean = count.mean() if len(count) else 0.0
@@ -152,6 +152,19 @@ def with_origin(view_from_object: np.ndarray, origin: np.ndarray) -> np.ndarray:
     moved = view_from_object.copy()
     moved[:, :3, 3] += np.einsum("iab,ib->ia", view_from_object[:, :3, :3], origin)
     return moved
+
+
+def attributes(
+    variant: Variant, options: PointOptions
+) -> tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...]]:
+    """Samplers and defines of a program that brings splats with their attributes into a G-buffer."""
+    samplers = [*POINT_SAMPLERS]
+    if not options.one_instance:
+        samplers.append(("FLOAT_2D", "ps_instances"))
+    has = {"ps_color": variant.color, "ps_surface": variant.surface, "ps_emission": variant.emission}
+    samplers += [("FLOAT_2D", name) for name, on in has.items() if on]
+    named = {"PS_HOLDOUT": options.holdout, "PS_ONE_INSTANCE": options.one_instance}
+    return tuple(samplers), tuple((name, "1") for name, on in named.items() if on)
 
 
 @dataclass(frozen=True)
@@ -202,29 +215,21 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         depth=True,
         defines=defines,
     )
-    extra = [("UINT_2D", "ps_ids")]
-    if variant.color:
-        extra.append(("FLOAT_2D", "ps_color"))
-    if variant.surface:
-        extra.append(("FLOAT_2D", "ps_surface"))
-    if variant.emission:
-        extra.append(("FLOAT_2D", "ps_emission"))
+    samplers, named = attributes(variant, options)
     if options.shading_normal and variant.normal:
-        extra.append(("FLOAT_2D", "ps_shading_normal"))
-    named = {
+        samplers = (*samplers, ("FLOAT_2D", "ps_shading_normal"))
+    flags = {
         "PS_SHADING_NORMAL": options.shading_normal,
-        "PS_HOLDOUT": options.holdout,
         "PS_DEPTH": options.depth,
-        "PS_ONE_INSTANCE": options.one_instance,
         "PS_ELLIPSES": options.ellipses,
     }
     resolve = Interface(
         "resolve",
         fragment="resolve.frag",
         block=FRAME,
-        samplers=(*common, *extra),
+        samplers=(*samplers, ("UINT_2D", "ps_ids")),
         outputs=variant.front_outputs,
-        defines=(*variant.front_defines, *((name, "1") for name, on in named.items() if on)),
+        defines=(*variant.front_defines, *named, *((name, "1") for name, on in flags.items() if on)),
         depth=options.depth,
     )
     return PointPrograms(nearest, identify, raster, resolve)

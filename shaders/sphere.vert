@@ -1,0 +1,55 @@
+// Balls that are wide on the screen: a rectangle around each one's picture.
+
+#include "lib/splat.glsl"
+
+// Where planes through the eye and the picture's y axis (`axis` 0; x axis: 1) touch the ellipsoid with the centre p and
+// the shape S = r^2 L L^T: those with (n . p)^2 = n^T S n. Slopes, or places in a parallel view; all where it reaches the
+// eye.
+vec2 ps_reach(vec3 p, mat3 shape, int axis)
+{
+  if (!ps_is_perspective()) {
+    float half_width = sqrt(shape[axis][axis]);
+    return vec2(p[axis] - half_width, p[axis] + half_width);
+  }
+  float a = p.z * p.z - shape[2][2];
+  float b = p[axis] * p.z - shape[axis][2];
+  float c = p[axis] * p[axis] - shape[axis][axis];
+  float root = sqrt(max(b * b - a * c, 0.0));
+  return a > 1e-6 * p.z * p.z ? vec2(-b - root, -b + root) / a : vec2(-1e8, 1e8);
+}
+
+void main()
+{
+  int index = gl_VertexID / 6, corner = gl_VertexID - 6 * index;
+  v_centre = vec3(0.0);
+  v_row0 = v_row1 = v_row2 = vec3(0.0);
+  v_element = vec3(-1.0);
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  ivec3 element = ps_element(index);
+  if (element.x < 0) {
+    return;
+  }
+  vec3 p = ps_view_from_point(element.z, texelFetch(ps_place, element.xy, 0).xyz);
+  float radius = texelFetch(ps_extent, element.xy, 0).x;
+  mat3 linear = ps_linear(element.z);
+  // Where the ellipsoid is the unit ball: the inverse of r L, by cofactors.
+  mat3 cofactors = mat3(cross(linear[1], linear[2]), cross(linear[2], linear[0]), cross(linear[0], linear[1]));
+  float volume = dot(linear[0], cofactors[0]) * radius;
+  mat3 shape = (radius * linear) * transpose(radius * linear);
+  float deep = sqrt(shape[2][2]);
+  if (abs(volume) < 1e-37 || -p.z + deep < frame.lens.x || -p.z - deep > frame.lens.y) {
+    return;
+  }
+  v_centre = p;
+  v_row0 = cofactors[0] / volume;
+  v_row1 = cofactors[1] / volume;
+  v_row2 = cofactors[2] / volume;
+  v_element = vec3(element);
+  vec2 x = ps_reach(p, shape, 0) * frame.focal.x + frame.focal.z;
+  vec2 y = ps_reach(p, shape, 1) * frame.focal.y + frame.focal.w;
+  ivec2 side = ivec2(corner == 1 || corner == 2 || corner == 4, corner == 2 || corner == 4 || corner == 5);
+  vec2 size = vec2(frame.size.xy);
+  vec2 pixel = clamp(vec2(side.x == 0 ? min(x.x, x.y) : max(x.x, x.y), side.y == 0 ? min(y.x, y.y) : max(y.x, y.y)),
+                     vec2(-1.0), size + 1.0);
+  gl_Position = vec4(pixel / size * 2.0 - 1.0, 0.0, 1.0);
+}
