@@ -1,0 +1,792 @@
+"""Translucent shadow tables: how much of a lamp's light reaches any point (Gunjee et al. 2007, section 4.1).
+
+A table holds, for each cell of directions around the lamp (rows of latitude, columns of longitude; for suns a plane
+grid), a list of (distance, cumulated optical depth) in order of distance. Cells have about equal area and are as wide
+as high: every row has as many columns as its circumference asks for, and the poles are cells of their own. A splat
+gives its optical mass to the cells that its projection touches, each its share, over the cell's area at the splat's
+distance: a cell then holds the mean optical depth over its directions. Levels of cells that double in size let each
+splat touch four cells at most; a look-up sums the levels and interpolates between four cells of each.
+
+Three kinds of matter are kept apart. VOLUME and SHELL sum optical depth, T = exp(-sum tau) (Beer's law). OPAQUE sums
+the fraction of the cell that is covered (a ray that hits has optical depth 100, others none), T = max(0, 1 - sum f):
+the samples of one surface tile it, and shadows have smooth edges. SHELL and OPAQUE entries lie where the splat's
+*plane* meets the middle of the cell, and a look-up with a normal compares them with its own plane there, so that
+a surface does not shade itself, however it is inclined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .cloud import PointCloud
+from .scene import Light
+
+OPAQUE_DEPTH = 100.0  # optical depth that stands for no light at all
+KINDS = ("OPAQUE", "SHELL", "VOLUME")
+BIAS = 1.0  # cells: how far along its normal a receiver is lifted
+UNORIENTED_BIAS = 1.5  # cells, towards the lamp: receivers without a normal
+STEEPEST = 0.1  # cosine: surfaces closer to edge-on are treated as this one
+REACH = 8.0  # cells: how far a plane is followed along the ray
+NARROW = 0.8  # radians: casters within this angle about one direction get a grid about it, without poles
+FINEST = 1e-6  # radians: a cell that float32 still resolves
+COARSEST = 0.5  # radians: the widest cell of a grid without poles
+WIDEST = 10.0  # radians: standard deviation of a splat that surrounds the lamp
+SPAN = 4.0
+LEAST_SHARE = 1 / 256  # of a row or column: below it, the nearer one takes all
+WORD = 24  # cells to a mask: as many bits as a float32 holds as an integer
+TEXEL = 3 * WORD  # cells to a texel: where its entries start, then three masks
+CHUNK = 1 << 16  # splats that are projected together, so that scratch arrays stay in the cache
+
+
+@dataclass(frozen=True, eq=False)
+class Casters:
+    """Splats of one kind in world space: balls (`radius`), ellipses or ellipsoids (`axes`)."""
+
+    kind: str  # one of KINDS
+    origin: np.ndarray  # (3,) float64
+    position: np.ndarray  # (N, 3) float32, relative to origin
+    radius: np.ndarray | None = None  # (N,) float32
+    axes: np.ndarray | None = None  # (N, K, 3) float32, half-axes: K = 2 flat, 3 solid
+    # VOLUME: (N,) or (N, 3) float32, optical mass in units^2: the integral of extinction over the splat.
+    # SHELL: (N,) or (N, 3) float32, optical depth -ln(1 - opacity) face on. OPAQUE: None.
+    mass: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def colored(self) -> bool:
+        return self.mass is not None and self.mass.ndim == 2
+
+    def take(self, index: np.ndarray | slice) -> Casters:
+        arrays = (self.position, self.radius, self.axes, self.mass)
+        position, radius, axes, mass = (None if a is None else a[index] for a in arrays)
+        assert position is not None
+        return Casters(self.kind, self.origin, position, radius, axes, mass)
+
+    def reach(self) -> np.ndarray:
+        """(N,) float32: no part of a splat lies farther than this from its position."""
+        if self.axes is None:
+            assert self.radius is not None
+            return self.radius
+        return np.sqrt(np.einsum("nkc,nkc->n", self.axes, self.axes))
+
+
+def casters(cloud: PointCloud, world_from_object: np.ndarray) -> Casters:
+    """The splats of `cloud` as casters: VOLUME where it has `extinction`, SHELL where it has `opacity`, else OPAQUE.
+
+    world_from_object: (4, 4) float64. Extinction is per object unit, so scaling an object keeps its optical depths.
+    Splats with a NaN or infinity, or without size or mass, are left out.
+    """
+    linear = np.asarray(world_from_object[:3, :3], float)
+    origin = linear @ cloud.origin + world_from_object[:3, 3]
+    position = cloud.position @ linear.T.astype(np.float32)
+    kind = "VOLUME" if cloud.extinction is not None else "SHELL" if cloud.opacity is not None else "OPAQUE"
+    radii = np.zeros((len(cloud), 1), np.float32) if cloud.radii is None else cloud.radii
+    radius, axes, size = None, None, radii[:, 0]
+    solid = kind == "VOLUME" and radii.shape[1] == 3
+    with np.errstate(over="ignore", invalid="ignore"):
+        if cloud.normal is None or (kind == "VOLUME" and not solid):
+            scale = np.linalg.norm(linear, axis=0)
+            if np.allclose(linear.T @ linear, np.eye(3) * scale[0] ** 2, atol=1e-4 * scale.max() ** 2):
+                radius = radii[:, 0] * np.float32(scale[0])
+            else:
+                axes = radii[:, :1, None] * linear.T.astype(np.float32)
+        else:
+            axes = _half_axes(cloud, radii, solid) @ linear.T.astype(np.float32)
+        mass = None
+        if cloud.extinction is not None:
+            volume = 4 / 3 * np.pi * (radii[:, :3].prod(axis=1) if solid else radii[:, 0] ** 3)
+            volume *= abs(np.linalg.det(linear)) ** (2 / 3)
+            extinction = cloud.extinction[:, 0] if cloud.extinction.shape[1:] == (1,) else cloud.extinction
+            mass = np.maximum(extinction, 0) * (volume if extinction.ndim == 1 else volume[:, None])
+            size = mass if mass.ndim == 1 else mass.sum(axis=1)
+        elif cloud.opacity is not None:
+            least = np.float32(np.exp(-OPAQUE_DEPTH / 2))  # float32 holds it
+            mass = -np.log(np.maximum(1 - np.clip(cloud.opacity, 0, 1), least))
+            mass[cloud.opacity >= 1] = OPAQUE_DEPTH
+            size = size * mass
+        good = np.isfinite(position).all(axis=1) & np.isfinite(size) & (size > 0)
+        good &= np.isfinite(radius) if axes is None else np.isfinite(axes).all(axis=(1, 2))
+    if mass is not None:
+        mass = mass.astype(np.float32, copy=False)
+    result = Casters(kind, origin, position, radius, axes, mass)
+    return result if good.all() else result.take(good)
+
+
+def _half_axes(cloud: PointCloud, radii: np.ndarray, solid: bool) -> np.ndarray:
+    """(N, 2 or 3, 3) float32 in object space."""
+    normal = cloud.normal
+    assert normal is not None
+    first = cloud.axis
+    if first is None:
+        # Any direction in the plane of a disk: the cross product with the axis that is farthest from the normal.
+        least = np.eye(3, dtype=np.float32)[np.abs(normal).argmin(axis=1)]
+        first = np.cross(normal, least)
+        first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), np.float32(1e-20))
+    second = np.cross(normal, first)
+    frame = [first, second, normal] if solid else [first, second]
+    columns = [min(k, radii.shape[1] - 1) for k in range(len(frame))]
+    return np.stack([a * radii[:, k, None] for a, k in zip(frame, columns, strict=True)], axis=1)
+
+
+# The grid of cells
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Where a lamp's cells lie. Local coordinates: for suns (x, y, distance), else a polar axis z.
+
+    Angles are radians for lamps and lengths for suns: `latitude` is y, `longitude` is x.
+    """
+
+    parallel: bool
+    light_from_world: np.ndarray  # (3, 3) float64, a rotation
+    origin: np.ndarray  # (3,) float64, world: the lamp, or a point of the plane from which a sun's distances count
+    full: bool  # all directions, with poles and without a seam
+    low: np.ndarray  # (2,) least latitude and longitude where not full
+    high: np.ndarray  # (2,)
+    rows: int  # of the finest level
+
+    def spherical(self, local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Latitude, longitude and distance (N,) of local coordinates (N, 3), in their dtype."""
+        x, y, z = local.T
+        if self.parallel:
+            return y, x, z
+        across = np.hypot(x, y)
+        return np.arctan2(z, across), np.arctan2(y, x), np.hypot(across, z)
+
+    @property
+    def step(self) -> float:
+        """Side of the finest cells."""
+        return np.pi / self.rows if self.full else float((self.high - self.low).max() / self.rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Cells of one size. Row i lies about latitude low + i step, its cells about longitudes (column0 + j) / density."""
+
+    low: float
+    step: float
+    column0: np.ndarray  # (R,) int64
+    count: np.ndarray  # (R,) int64: cells in each row
+    density: np.ndarray  # (R,) float32: columns per unit of longitude
+    first: np.ndarray  # (R,) int64: index of each row's first cell
+    wraps: bool  # the last column borders on the first
+
+    @property
+    def cells(self) -> int:
+        return int(self.first[-1] + self.count[-1])
+
+    @cached_property
+    def latitude(self) -> np.ndarray:
+        return self.low + self.step * np.arange(len(self.count))
+
+    def area(self, parallel: bool) -> np.ndarray:
+        """(R,) float64: of a cell of each row, in steradians (for suns, in units^2)."""
+        if parallel:
+            return np.full(len(self.count), self.step**2)
+        edges = np.clip([self.latitude - self.step / 2, self.latitude + self.step / 2], -np.pi / 2, np.pi / 2)
+        return np.maximum(np.sin(edges[1]) - np.sin(edges[0]), 1e-12) / self.density
+
+
+def _grids(frame: Frame) -> list[Grid]:
+    """Finest first, each of twice the step of the one before."""
+    grids = []
+    for level in range(frame.rows.bit_length()):
+        if frame.full:
+            rows = max(1, frame.rows >> level)
+            step, low, count = np.pi / rows, -np.pi / 2, rows + 1
+            latitude = low + step * np.arange(count)
+            columns = np.maximum(np.rint(2 * np.pi * np.cos(latitude) / step), 1).astype(np.int64)
+            density, column0 = columns / (2 * np.pi), np.zeros(count, np.int64)
+        else:
+            step = frame.step * 2**level
+            if level and not frame.parallel and step > COARSEST:
+                break
+            low = frame.low[0] - step
+            latitude = low + step * np.arange(int(np.ceil((frame.high[0] - frame.low[0]) / step)) + 3)
+            shrink = np.ones(len(latitude)) if frame.parallel else np.maximum(np.cos(latitude), STEEPEST)
+            density = shrink / step
+            column0 = np.floor(frame.low[1] * density).astype(np.int64) - 1
+            columns = np.ceil(frame.high[1] * density).astype(np.int64) + 2 - column0
+        first = np.cumsum(columns) - columns
+        grids.append(Grid(low, step, column0, columns, density.astype(np.float32), first, frame.full))
+    return grids
+
+
+def _fit(light: Light, batches: Sequence[Casters], resolution: int) -> Frame:
+    """A grid about the casters, as far as the lamp shines on them."""
+    rows = max(int(resolution), 1)
+    low = np.min([b.origin + b.position.min(axis=0) - b.reach().max() for b in batches], axis=0)
+    high = np.max([b.origin + b.position.max(axis=0) + b.reach().max() for b in batches], axis=0)
+    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3)
+    if light.kind == "SUN":
+        rotation = _rotation(light.direction)[[1, 2, 0]]
+        local = (corners - corners.mean(axis=0)) @ rotation.T
+        side = np.ptp(local[:, :2], axis=0)
+        # The distance of what lies flat across the light is resolved too.
+        least = max(side.max() * 1e-6, np.abs(corners).max() * 1e-12, 1e-30)
+        half = np.maximum(side / 2, least)
+        origin = corners.mean(axis=0) + rotation[2] * local[:, 2].min()
+        return Frame(True, rotation, origin, False, -half[::-1], half[::-1], rows)
+    direction, angle = _cone(light, corners)
+    if angle > NARROW:
+        # The poles lie across the lamp's own direction: a spot or area light has nothing there but at its rim.
+        return Frame(False, _rotation(light.direction), light.position, True, np.zeros(2), np.zeros(2), rows)
+    angle = max(angle, FINEST * rows / 2)
+    return Frame(False, _rotation(direction), light.position, False, np.full(2, -angle), np.full(2, angle), rows)
+
+
+def _cone(light: Light, corners: np.ndarray) -> tuple[np.ndarray, float]:
+    """A direction, and the angle about it that holds all that lies between the corners (8, 3) and is lit."""
+    seen = corners - light.position
+    inside = (seen.min(axis=0) <= 0).all() and (seen.max(axis=0) >= 0).all()
+    direction, angle = seen.mean(axis=0), np.pi
+    if not inside:
+        direction = _unit(direction)
+        angle = float(np.arccos(np.clip((_unit(seen) @ direction).min(), -1, 1)))
+    if light.kind == "SPOT" and light.axis_u is None:
+        lit = float(np.arccos(np.clip(light.spot_cos, -1, 1)))
+        if lit < angle:
+            return light.direction, lit
+    return direction, angle
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+
+
+def _rotation(direction: np.ndarray) -> np.ndarray:
+    """(3, 3) float64 rotation whose first row is `direction`."""
+    first = _unit(np.asarray(direction, float))
+    if not first.any():
+        first = np.array([1.0, 0, 0])
+    second = _unit(np.cross(first, np.eye(3)[np.abs(first).argmin()]))
+    return np.stack([first, second, np.cross(first, second)])
+
+
+def _lit(light: Light, batch: Casters) -> Casters:
+    """Without the casters that a spot or area lamp does not shine at."""
+    if light.kind not in ("SPOT", "AREA"):
+        return batch
+    seen = batch.position + (batch.origin - light.position).astype(np.float32)
+    reach = batch.reach() + np.float32(light.radius)
+    depth = seen @ light.direction.astype(np.float32)
+    if light.kind == "AREA":
+        keep = depth > -reach
+    elif light.axis_u is not None or light.spot_cos <= 0:
+        return batch
+    else:
+        # The distance to the cone's side, in the plane of its axis.
+        across = np.sqrt(np.maximum(np.einsum("nc,nc->n", seen, seen) - depth**2, 0))
+        sine = np.sqrt(max(1 - light.spot_cos**2, 0))
+        keep = across * light.spot_cos - depth * sine < reach
+    return batch if keep.all() else batch.take(keep)
+
+
+# Building
+
+
+def build(light: Light, batches: Sequence[Casters], resolution: int) -> ShadowTable:
+    """The table of `light`, `resolution` cells high: over half a turn, or over the casters where they fill less.
+
+    ValueError: a lamp or direction that is not finite, or more entries than 32-bit links reach.
+    """
+    if not (np.isfinite(light.position).all() and np.isfinite(light.direction).all()):
+        raise ValueError(f"light {light.name!r}: position or direction is not finite")
+    batches = [b for b in (_lit(light, b) for b in batches) if len(b)]
+    colored = any(b.colored for b in batches)
+    if not batches:
+        nothing = Frame(True, np.eye(3), np.zeros(3), False, -np.ones(2), np.ones(2), 1)
+        return ShadowTable(nothing, (), colored)
+    frame = _fit(light, batches, resolution)
+    rows = _Rows(frame, _grids(frame))
+    keys, depths = [], []
+    for batch in batches:
+        parts = [batch.take(slice(start, start + CHUNK)) for start in range(0, len(batch), CHUNK)]
+        nearest = min(_nearest(frame, part) for part in parts)
+        for part in parts:
+            key, depth = _entries(rows, part, nearest)
+            keys.append(key)
+            depths.append(np.broadcast_to(depth[:, None], (len(depth), 3)) if colored and depth.ndim == 1 else depth)
+    return ShadowTable(frame, tuple(_levels(rows, np.concatenate(keys), np.concatenate(depths))), colored)
+
+
+class _Rows:
+    """The rows of all grids, one after another."""
+
+    def __init__(self, frame: Frame, grids: list[Grid]) -> None:
+        self.frame, self.grids = frame, grids
+        self.low = np.array([g.low for g in grids], np.float32)
+        self.step = np.array([g.step for g in grids], np.float32)
+        count = np.array([len(g.count) for g in grids])
+        self.height, self.base = count, np.cumsum(count) - count  # (L,) rows of each grid, and its first
+        cells = np.array([g.cells for g in grids])
+        self.cell_base = np.cumsum(cells) - cells  # (L,) first cell of each grid
+        self.cells = int(cells.sum())
+        if self.cells * len(KINDS) >= 2**31:
+            raise ValueError(f"a shadow table of {frame.rows} rows has too many cells for 32-bit links")
+        self.first = np.concatenate([g.first + b for g, b in zip(grids, self.cell_base, strict=True)])
+        self.column0 = np.concatenate([g.column0 for g in grids])
+        self.count = np.concatenate([g.count for g in grids])
+        self.density = np.concatenate([g.density for g in grids])
+        self.inverse_area = (1 / np.concatenate([g.area(frame.parallel) for g in grids])).astype(np.float32)
+        latitude = np.concatenate([g.latitude for g in grids])
+        self.latitude = latitude.astype(np.float32)
+        self.cosine, self.sine = np.cos(latitude).astype(np.float32), np.sin(latitude).astype(np.float32)
+
+
+def _nearest(frame: Frame, batch: Casters) -> float:
+    """Distance of the splat that is nearest to the lamp."""
+    seen = batch.position + (batch.origin - frame.origin).astype(np.float32)
+    return float(np.sqrt(np.einsum("nc,nc->n", seen, seen).min()))
+
+
+def _entries(rows: _Rows, batch: Casters, nearest: float) -> tuple[np.ndarray, np.ndarray]:
+    """What splats give to the cells: keys (E,) uint64 of cell and distance, optical depths (E,) or (E, 3) float32."""
+    frame = rows.frame
+    turn = frame.light_from_world.T.astype(np.float32)
+    local = (batch.position + (batch.origin - frame.origin)).astype(np.float32) @ turn
+    latitude, longitude, distance = frame.spherical(local)
+    axes = None if batch.axes is None else batch.axes @ turn
+    ray, north, east = _directions(frame, latitude, longitude)
+
+    # Standard deviations along rows and columns; as angles, seen from within a splat, they are as wide as need be.
+    if axes is None:
+        assert batch.radius is not None
+        up = across = batch.radius / 2
+    else:
+        up, across = (np.sqrt((np.einsum("nkc,nc->nk", axes, d) ** 2).sum(axis=1)) / 2 for d in (north, east))
+    strength = _strength(batch, axes, ray)
+    if not frame.parallel:
+        near = np.maximum(np.maximum(distance, np.maximum(up, across)), np.float32(1e-30))
+        strength = strength / (near**2 if strength.ndim == 1 else (near**2)[:, None])
+        floor = np.maximum(distance, np.float32(1e-30))
+        up, across = np.minimum(up / floor, WIDEST), np.minimum(across / floor, WIDEST)
+    widest = np.maximum(up, across)
+    if frame.full:
+        # Around a pole a spread along rows also moves away from the pole: the mean of the Rice distribution.
+        cosine = np.cos(latitude)
+        latitude = latitude - (np.hypot(cosine, np.minimum(widest, 1)) - cosine) * np.sin(latitude)
+    level = _level(rows, widest, distance, nearest)
+
+    # The nearer row and, where the splat reaches into it, the next; in each of them the same with columns.
+    step = rows.step[level]
+    which, row, share = _split((latitude - rows.low[level]) / step, up / step)
+    inside = (row >= 0) & (row < rows.height[level[which]])
+    row = np.where(inside, row, 0) + rows.base[level[which]]
+    density = rows.density[row]
+    if not frame.parallel:
+        across = across / np.maximum(np.cos(latitude), np.float32(1e-6))
+    again, column, part = _split(longitude[which] * density, across[which] * density)
+    which, row, share, inside = which[again], row[again], share[again] * part, inside[again]
+    place = column.astype(np.float32) / rows.density[row]
+    column -= rows.column0[row]
+    if frame.full:
+        column %= rows.count[row]
+    inside &= (column >= 0) & (column < rows.count[row])
+
+    at = distance[which]
+    if axes is not None and batch.kind != "VOLUME":
+        to_cell = place - longitude[which], rows.latitude[row] - latitude[which]
+        middle = _directions(frame, rows.latitude[row], place)[0]
+        at = _plane_distance(
+            frame, np.cross(axes[:, 0], axes[:, 1])[which], at, ray[which], middle, to_cell, step[which]
+        )
+    weight = share * rows.inverse_area[row]
+    depth = np.minimum(strength[which] * (weight if strength.ndim == 1 else weight[:, None]), np.float32(OPAQUE_DEPTH))
+    cell = (rows.first[row] + column + KINDS.index(batch.kind) * rows.cells).astype(np.uint64)
+    # Positive float32 are in the order of their bits.
+    key = cell << np.uint64(32) | (np.maximum(at, 0) + np.float32(0)).view(np.uint32)
+    return (key, depth) if inside.all() else (key[inside], depth[inside])
+
+
+def _level(rows: _Rows, widest: np.ndarray, distance: np.ndarray, nearest: float) -> np.ndarray:
+    """(N,) int32: the finest grid in which splats of these standard deviations (N,) are not wider than a cell.
+
+    Where levels meet, their different widths show. So all splats of one size that are at most SPAN times as far away
+    as the nearest share the level of the nearest, and so on outwards.
+    """
+    if not rows.frame.parallel and len(distance):
+        base = np.float32(max(nearest, 1e-30))
+        with np.errstate(divide="ignore"):
+            spans = np.floor(np.log(np.maximum(distance, base) / base) / np.float32(np.log(SPAN)))
+        widest = np.minimum(widest * (distance / (base * np.float32(SPAN) ** spans)), WIDEST)
+    with np.errstate(divide="ignore"):
+        level = np.ceil(np.log2(4 * widest / rows.step[0]))
+    return np.clip(level, 0, len(rows.grids) - 1).astype(np.int32)
+
+
+def _directions(frame: Frame, latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors (N, 3) away from the lamp, along growing latitude and along growing longitude; local."""
+    if frame.parallel:
+        shape = (len(latitude), 3)
+        return tuple(np.broadcast_to(np.eye(3, dtype=latitude.dtype)[k], shape) for k in (2, 1, 0))  # type: ignore[return-value]
+    c, s, x, y = np.cos(latitude), np.sin(latitude), np.cos(longitude), np.sin(longitude)
+    ray, north = np.stack([c * x, c * y, s], axis=1), np.stack([-s * x, -s * y, c], axis=1)
+    return ray, north, np.stack([-y, x, np.zeros_like(x)], axis=1)
+
+
+def _split(place: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which splat (E,), which cell (E,) int64, what share of it (E,): of Gaussians on a line of cells about integers.
+
+    Of a Gaussian not wider than a cell (4 standard deviations), what lies beyond the nearest border goes to the cell
+    there and the rest stays. The normal distribution is that of Page 1977: within 1.5e-4 (of a cell's share).
+    """
+    cell = np.rint(place)
+    off = place - cell
+    x = (np.abs(off) - np.float32(0.5)) / np.maximum(deviation, np.float32(1e-20))
+    x = np.maximum(x, np.float32(-8))
+    beyond = np.float32(0.5) * (1 + np.tanh(np.float32(0.7988) * x * (1 + np.float32(0.04417) * x**2)))
+    beyond[beyond < LEAST_SHARE] = 0
+    far = np.flatnonzero(beyond)
+    cell = cell.astype(np.int64)
+    next_cell = cell[far] + np.where(off[far] < 0, -1, 1)
+    which = np.concatenate([np.arange(len(place)), far])
+    return which, np.concatenate([cell, next_cell]), np.concatenate([1 - beyond, beyond[far]])
+
+
+def _strength(batch: Casters, axes: np.ndarray | None, ray: np.ndarray) -> np.ndarray:
+    """(N,) or (N, 3) float32: optical mass towards the lamp, units^2; of opaque splats the area that is seen."""
+    if batch.kind == "VOLUME":
+        assert batch.mass is not None
+        return batch.mass
+    if axes is None:
+        assert batch.radius is not None
+        area = np.pi * batch.radius**2
+    else:
+        area = np.float32(np.pi) * np.abs(np.einsum("nc,nc->n", np.cross(axes[:, 0], axes[:, 1]), ray))
+    if batch.mass is None:
+        return area
+    return batch.mass * (area if batch.mass.ndim == 1 else area[:, None])
+
+
+def _plane_distance(
+    frame: Frame,
+    normal: np.ndarray,  # (N, 3) local, of any length
+    distance: np.ndarray,  # (N,) of a point of the plane
+    ray: np.ndarray,  # (N, 3) towards it, unit
+    middle: np.ndarray,  # (N, 3) towards the cell, unit
+    to_cell: tuple[np.ndarray, np.ndarray],  # (N,) longitude and latitude of the cell less those of the point
+    step: np.ndarray,  # (N,) or scalar: sides of the cells, as _Rows.step
+) -> np.ndarray:
+    """(N,) distance at which the plane meets the middle of the cell, within REACH cells of `distance`."""
+    facing = (normal * ray).sum(axis=1)
+    least = STEEPEST * np.sqrt((normal**2).sum(axis=1))
+    if frame.parallel:
+        rise = -(normal[:, 0] * to_cell[0] + normal[:, 1] * to_cell[1]) / _at_least(facing, least)
+        limit = REACH * step
+    else:
+        there = (normal * middle).sum(axis=1)
+        # A plane that turns its other side to the cell never meets it.
+        there = np.where((there > 0) == (facing > 0), _at_least(there, least), _at_least(facing, least))
+        rise = distance * (_at_least(facing, least) / there - 1)
+        limit = REACH * step * distance
+    return distance + np.clip(rise, -limit, limit)
+
+
+def _at_least(value: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """With its sign, and not nearer to 0 than `least`; never 0."""
+    return np.copysign(np.maximum(np.maximum(np.abs(value), least), np.float32(1e-30)), value)
+
+
+def _levels(rows: _Rows, key: np.ndarray, depth: np.ndarray) -> Iterator[Level]:
+    """Sort the entries of all cells at once, sum within cells, and cut into levels."""
+    order = np.argsort(key, kind="stable")
+    key, depth = key[order], depth[order].astype(np.float64)
+    del order
+    total = _sums_within(key >> np.uint64(32), depth)
+
+    # What lies behind no light at all is not needed.
+    opaque = key < np.uint64(rows.cells) << np.uint64(32)
+    before = (total - depth).reshape(len(key), -1).min(axis=1)
+    key, total = (a[before < np.where(opaque, 1.0, OPAQUE_DEPTH)] for a in (key, total))
+    # Of one distance, the last holds the sum.
+    last = np.append(key[1:] != key[:-1], True)
+    key, total = key[last], total[last].astype(np.float32).reshape(np.count_nonzero(last), -1)
+    cell, distance = (key >> np.uint64(32)).astype(np.int64), (key & np.uint64(0xFFFFFFFF)).astype(np.uint32)
+    starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]) if len(cell) else np.zeros(0, bool))
+    occupied = cell[starts]
+    starts = np.append(starts, len(cell))
+    for k, kind in enumerate(KINDS):
+        for level, grid in enumerate(rows.grids):
+            base = k * rows.cells + int(rows.cell_base[level])
+            low, high = np.searchsorted(occupied, [base, base + grid.cells])
+            if low == high:
+                continue
+            first, end = int(starts[low]), int(starts[high])
+            rank, mask = _masks(occupied[low:high] - base, grid.cells)
+            links = (starts[low : high + 1] - first).astype(np.int32)
+            near = distance[first:end].view(np.float32)
+            yield Level(kind, grid, rank, mask, links, near.copy(), total[first:end].copy())
+
+
+def _sums_within(group: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Running sums (E, ...) of `values` that start anew where `group` (E,) changes."""
+    total = np.cumsum(values, axis=0)
+    starts = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
+    before = np.concatenate([np.zeros_like(total[:1]), total[starts[1:] - 1]])
+    return total - np.repeat(before, np.diff(np.append(starts, len(group))), axis=0)
+
+
+def _masks(occupied: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which cells hold entries: the number (W,) int32 of occupied cells before each TEXEL, bits (W, 3) int32."""
+    words = -(-cells // TEXEL)
+    mask = np.bincount(occupied // WORD, weights=2.0 ** (occupied % WORD), minlength=3 * words).astype(np.int32)
+    count = np.bincount(occupied // TEXEL, minlength=words)
+    return (np.cumsum(count) - count).astype(np.int32), mask.reshape(words, 3)
+
+
+# The table
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Cells of one size and kind. Cell c holds entries links[k] .. links[k + 1], k its rank among occupied cells."""
+
+    kind: str
+    grid: Grid
+    rank: np.ndarray  # (W,) int32: occupied cells before cell W * TEXEL
+    mask: np.ndarray  # (W, 3) int32: WORD cells each, lowest bit first
+    links: np.ndarray  # (O + 1,) int32
+    distance: np.ndarray  # (E,) float32, ascending within a cell
+    total: np.ndarray  # (E, 1 or 3) float32: optical depth (OPAQUE: covered fraction) up to and with the entry
+
+    @cached_property
+    def nearest(self) -> float:
+        """No entry is nearer to the lamp."""
+        return float(self.distance.min())
+
+    @property
+    def nbytes(self) -> int:
+        rows = 16 * len(self.grid.count)
+        return sum(a.nbytes for a in (self.rank, self.mask, self.links, self.distance, self.total)) + rows
+
+    def range(self, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First entry (P,) and one past the last of cells (P,); the same where a cell holds none or is negative."""
+        inside = cell >= 0
+        cell = np.where(inside, cell, 0)
+        texel, bit = cell // TEXEL, cell % TEXEL
+        words = self.mask[texel]
+        word = bit // WORD
+        below = np.where(np.arange(3) < word[:, None], 0xFFFFFF, 0)
+        below[np.arange(len(cell)), word] = (1 << (bit % WORD)) - 1
+        rank = self.rank[texel] + _bit_count(words & below).sum(axis=1)
+        held = inside & ((words[np.arange(len(cell)), word] >> (bit % WORD)) & 1 == 1)
+        rank = np.where(held, rank, 0)
+        return self.links[rank], np.where(held, self.links[np.minimum(rank + 1, len(self.links) - 1)], self.links[rank])
+
+
+def _bit_count(words: np.ndarray) -> np.ndarray:
+    return np.unpackbits(words.astype("<u4")[..., None].view(np.uint8), axis=-1).sum(axis=-1, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class ShadowTable:
+    """What stands between a lamp and the points that it could light."""
+
+    frame: Frame
+    levels: tuple[Level, ...]
+    colored: bool  # optical depths have three channels
+
+    @property
+    def entries(self) -> int:
+        return sum(len(level.distance) for level in self.levels)
+
+    @property
+    def nbytes(self) -> int:
+        return sum(level.nbytes for level in self.levels)
+
+    def transmittance(self, points: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
+        """(P,) float64, or (P, 3) where colored: the share of the light that reaches world points (P, 3).
+
+        normals: (P, 3) unit, or zero where there is none: of the surface that receives the light.
+        """
+        parts = range(0, max(len(points), 1), CHUNK)
+        found = [
+            self._transmittance(points[i : i + CHUNK], None if normals is None else normals[i : i + CHUNK])
+            for i in parts
+        ]
+        result = np.concatenate(found)
+        return result if self.colored else result[:, 0]
+
+    def optical_depth(self, points: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
+        """-ln of `transmittance`, at most OPAQUE_DEPTH."""
+        floor = np.exp(-OPAQUE_DEPTH)
+        return -np.log(np.maximum(self.transmittance(points, normals), floor))
+
+    def _transmittance(self, points: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
+        turn = self.frame.light_from_world.T
+        local = (np.asarray(points, float) - self.frame.origin) @ turn
+        local_normals = None if normals is None else np.asarray(normals, float) @ turn
+        covered, depth = np.zeros((len(points), 1)), np.zeros((len(points), 3 if self.colored else 1))
+        for level in self.levels:
+            found = self._look_up(level, local, local_normals)
+            if level.kind == "OPAQUE":
+                covered += found[:, :1]
+            else:
+                depth += found
+        return np.maximum(1 - covered, 0) * np.exp(-depth)
+
+    def _look_up(self, level: Level, local: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
+        """(P, 1 or 3) float64: what a level holds in front of the points, between the four cells around each."""
+        frame, grid = self.frame, level.grid
+        latitude, longitude, distance = frame.spherical(local)
+        ray = _directions(frame, latitude, longitude)[0]
+        width = grid.step * (np.ones_like(distance) if frame.parallel else distance)
+        place = (latitude - grid.low) / grid.step
+        result = np.zeros((len(local), level.total.shape[1]))
+        for next_row in (0, 1):
+            row = np.floor(place).astype(np.int64) + next_row
+            row_share = 1 - np.abs(place - row)
+            inside = (row >= 0) & (row < len(grid.count))
+            row = np.where(inside, row, 0)
+            across = longitude * grid.density[row]
+            for next_column in (0, 1):
+                column = np.floor(across).astype(np.int64) + next_column
+                share = row_share * (1 - np.abs(across - column))
+                limit = distance
+                if level.kind != "VOLUME" and normals is not None:
+                    there = column / grid.density[row]
+                    to_cell = there - longitude, grid.latitude[row] - latitude
+                    middle = _directions(frame, grid.latitude[row], there)[0]
+                    facing = np.maximum(np.abs((normals * ray).sum(axis=1)), STEEPEST)
+                    limit = _plane_distance(frame, normals, distance, ray, middle, to_cell, np.float64(grid.step))
+                    limit = np.where(normals.any(axis=1), limit - BIAS * width / facing, distance)
+                if level.kind == "OPAQUE":
+                    unoriented = True if normals is None else ~normals.any(axis=1)
+                    limit = np.where(unoriented, distance - UNORIENTED_BIAS * width, limit)
+                column -= grid.column0[row]
+                if grid.wraps:
+                    column %= grid.count[row]
+                good = inside & (column >= 0) & (column < grid.count[row])
+                cell = np.where(good, grid.first[row] + column, -1)
+                result += share[:, None] * _up_to(level, cell, limit, width / 2)
+        return result
+
+
+def _up_to(level: Level, cell: np.ndarray, limit: np.ndarray, ramp: np.ndarray) -> np.ndarray:
+    """(P, C) float64: what cells (P,) hold in front of distances (P,).
+
+    Opaque entries count in full. Others set in along the ray from `ramp` (P,) before to as much after their distance,
+    or half the way to their neighbours where these are nearer: a splat counts half for itself.
+    """
+    first, end = level.range(cell)
+    low, high = first.copy(), end.copy()
+    while (low < high).any():
+        middle = (low + high) // 2
+        before = (low < high) & (level.distance[np.minimum(middle, len(level.distance) - 1)] < limit)
+        low, high = np.where(before, middle + 1, low), np.where(before | (low >= high), high, middle)
+
+    def total(entry: np.ndarray) -> np.ndarray:
+        return np.where((entry >= first)[:, None], level.total[np.clip(entry, 0, len(level.total) - 1)], 0).astype(
+            float
+        )
+
+    if level.kind == "OPAQUE":
+        return np.minimum(total(low - 1), 1)
+    has_last, has_next = low > first, low < end
+    last, following = np.maximum(low - 1, 0), np.minimum(low, len(level.distance) - 1)
+    before, after = limit - level.distance[last], level.distance[following] - limit
+    reach = np.where(has_last & has_next, np.minimum(ramp, (before + after) / 2), ramp)
+    reach = np.maximum(reach, 1e-30)
+    result, half = total(low - 1), 0.5
+    missing = has_last * half * np.clip(1 - before / reach, 0, 1)
+    added = has_next * half * np.clip(1 - after / reach, 0, 1)
+    return (
+        result
+        - missing[:, None] * (result - total(low - 2))
+        + added[:, None] * (np.where(has_next[:, None], total(low), result) - result)
+    )
+
+
+# What the device reads
+
+PAGE_WIDTH = 4096  # texels to a row of the tables' texture
+HEAD = 4  # texels of a lamp's record before its levels
+LEVEL = 3  # texels of a level's record
+
+
+@dataclass(frozen=True, eq=False)
+class PackedTables:
+    """All lamps' tables as one texture that no view changes, and what each view needs to read it.
+
+    `data` holds, for each level: rows (first cell, column0, count, density), masks (rank, three masks), links, and
+    entries (distance, total): two to a texel, or one where `colored`. Integers that may be large are `coded`.
+    """
+
+    data: np.ndarray  # (H, PAGE_WIDTH, 4) float32
+    colored: bool
+    frames: tuple[Frame | None, ...]  # of each lamp; None: it casts no shadow
+    levels: np.ndarray  # (lamps, most levels, LEVEL, 4) float32
+    counts: tuple[int, ...]  # levels of each lamp
+
+    def records(self, view_from_world: np.ndarray) -> np.ndarray:
+        """(lamps, HEAD + LEVEL levels, 4) float32: ps_shadow_lights for one view, (4, 4) float64 and rigid.
+
+        Texels 0 to 2 are the rows of light_from_view, 3 is (1 for suns, number of levels, 0, 0).
+        """
+        world_from_view = np.linalg.inv(view_from_world)
+        head = np.zeros((len(self.frames), HEAD, 4))
+        for row, frame, count in zip(head, self.frames, self.counts, strict=True):
+            if frame is not None:
+                row[:3, :3] = frame.light_from_world @ world_from_view[:3, :3]
+                row[:3, 3] = frame.light_from_world @ (world_from_view[:3, 3] - frame.origin)
+                row[3, :2] = frame.parallel, count
+        return np.concatenate([head.astype(np.float32), self.levels.reshape(len(head), -1, 4)], axis=1)
+
+
+def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> PackedTables:
+    """The tables of lamps, in the order of their rows in the texture of lights; None where one casts no shadow.
+
+    ValueError: they need more than `texture_size` rows of PAGE_WIDTH texels.
+    """
+    colored = any(t is not None and t.colored for t in tables)
+    most = max([len(t.levels) for t in tables if t is not None], default=0)
+    records = np.zeros((len(tables), most, LEVEL, 4), np.float32)
+    parts, texels = [], 0
+    for table, record in zip(tables, records, strict=True):
+        for level, texel in zip(() if table is None else table.levels, record, strict=False):
+            blocks = _blocks(level, colored)
+            sizes = np.array([len(b) for b in blocks])
+            base = texels + np.cumsum(sizes) - sizes
+            texel[0] = level.grid.low, level.grid.step, len(level.grid.count), KINDS.index(level.kind)
+            texel[1] = coded(base * (1, 1, 4, 1 if colored else 2))
+            texel[2, :2] = level.grid.wraps, level.nearest
+            parts += blocks
+            texels += int(sizes.sum())
+    height = max(1, -(-texels // PAGE_WIDTH))
+    if height > texture_size:
+        raise ValueError(f"shadow tables need {height} rows of a texture, this device has {texture_size}")
+    data = np.zeros((height * PAGE_WIDTH, 4), np.float32)
+    if parts:
+        np.concatenate(parts, out=data[:texels])
+    frames = tuple(None if t is None else t.frame for t in tables)
+    counts = tuple(0 if t is None else len(t.levels) for t in tables)
+    return PackedTables(data.reshape(height, PAGE_WIDTH, 4), colored, frames, records, counts)
+
+
+def coded(integers: np.ndarray) -> np.ndarray:
+    """Integers below 2^31 - 2^24 as the float32 of their bits: positive, normal, so that no device alters them."""
+    return (np.asarray(integers, np.int64) + 0x00800000).astype(np.int32).view(np.float32)
+
+
+def _blocks(level: Level, colored: bool) -> list[np.ndarray]:
+    """Rows, masks, links and entries as texels (n, 4) float32."""
+    grid = level.grid
+    rows = np.stack([coded(grid.first), grid.column0, grid.count, grid.density], axis=1).astype(np.float32)
+    masks = np.concatenate([coded(level.rank)[:, None], level.mask.astype(np.float32)], axis=1)
+    total = np.broadcast_to(level.total, (len(level.total), 3)) if colored else level.total
+    entries = np.concatenate([level.distance[:, None], total], axis=1)
+    return [rows, masks, *(_texels(a.reshape(-1)) for a in (coded(level.links), entries))]
+
+
+def _texels(values: np.ndarray) -> np.ndarray:
+    texels = np.zeros((-(-len(values) // 4), 4), np.float32)
+    texels.reshape(-1)[: len(values)] = values
+    return texels
