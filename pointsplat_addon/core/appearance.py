@@ -142,6 +142,19 @@ def optical_depth(alpha: np.ndarray) -> np.ndarray:
         return np.minimum(-np.log1p(-np.clip(alpha, 0, 1).astype(np.float64)), OPAQUE)
 
 
+def ball_extinction(alpha: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """(N,) float32 extinction of Gaussian balls whose centres have these alphas (N,); radii (N,) in object units.
+
+    A ball of radius r, its rim at two standard deviations, has the mass m = 4/3 pi r^3 extinction. Its optical depth
+    at the centre is m / (2 pi (r / 2)^2), over the share of the kernel within three standard deviations.
+    """
+    within = -np.expm1(-4.5)
+    with np.errstate(divide="ignore"):
+        extinction = optical_depth(alpha) * within * 3 / (8 * radius.astype(np.float64))
+    # Balls of no extent have no mass.
+    return np.where(radius > 0, np.minimum(extinction, np.finfo(np.float32).max), 0).astype(np.float32)
+
+
 def at_samples(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: MaterialTable) -> Appearance:
     """The appearance of a mesh at its samples."""
     graphs = graphs_of(mesh, table)

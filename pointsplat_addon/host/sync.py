@@ -18,7 +18,7 @@ from .convert.lights import convert_lights
 from .convert.materials import convert_materials
 from .convert.mesh import read_mesh
 from .convert.objects import Collected, Source, collect
-from .convert.pointcloud import CloudMaterial, read_pointcloud
+from .convert.pointcloud import cloud_material, read_pointcloud, splats
 from .convert.world import convert_world
 
 MAX_NAMED = 3  # objects that a warning names before it counts the rest
@@ -163,6 +163,7 @@ class Synchronizer:
             pass_index=np.array([s.pass_index for s in sources], np.int32)[source],
             holdout=np.array([s.holdout for s in sources], bool)[source],
             object_hash=np.array([hash_of_name(s.name) for s in sources], np.uint32)[source],
+            casts=None if all(s.casts for s in sources) else np.array([s.casts for s in sources], bool)[source],
             names=tuple([sources[i].name for i in source]),
         )
 
@@ -173,7 +174,11 @@ class Synchronizer:
         for source in sources:
             rows = tuple(self.cache.row(m) for m in source.materials)
             reads = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
-            key = source.data.session_uid, rows, reads, source.primitive, source.spacing
+            key = source.data.session_uid, rows, reads, source.primitive, source.spacing, source.extinction
+            if source.particles:
+                key = (*key, source.particles.key)
+            if source.particles or isinstance(source.data, bpy.types.PointCloud):
+                key = (*key, cloud_material(table, rows[0]).key)
             keys.append(key)
             last = known.get(key) or self._known.get(key)
             geometry = last.geometry if last and not source.editing else self._read(source, rows, table)
@@ -184,23 +189,27 @@ class Synchronizer:
 
     def _read(self, source: Source, rows: tuple[int, ...], table: core.MaterialTable) -> core.Geometry | None:
         mesh = cloud = None
-        if isinstance(source.data, bpy.types.PointCloud):
-            row = rows[0]
-            material = CloudMaterial(row, _graph(table, row), float(table.roughness[row]), float(table.metallic[row]))
-            found = read_pointcloud(source.data, material, self.cache.lookup)
-            key, cloud = found or ("", None)
+        if source.particles or isinstance(source.data, bpy.types.PointCloud):
+            material, lookup = cloud_material(table, rows[0], source.extinction), self.cache.lookup
+            if source.particles:
+                key, cloud = splats(source.particles, material, lookup)
+            else:
+                found = read_pointcloud(source.data, material, lookup)  # pyright: ignore[reportArgumentType]
+                key, cloud = found or ("", None)
         else:
             wanted = _attributes(table, rows)
             mesh = _read_evaluated(source, rows, wanted, self.cache.lookup)
             key = mesh.key if mesh else ""
         if mesh is None and cloud is None:
             return None
-        primitive, spacing = source.primitive, source.spacing
+        primitive, spacing, extinction = source.primitive, source.spacing, source.extinction
 
         def build() -> core.Geometry:
-            return core.Geometry(key, source.name, mesh, cloud, primitive, spacing)
+            return core.Geometry(
+                key, source.name, mesh, cloud, primitive=primitive, spacing=spacing, extinction=extinction
+            )
 
-        key = f"{key} {primitive} {spacing:g}"
+        key = f"{key} {primitive} {spacing:g} {extinction:g}"
         return self.cache.lookup(key, build)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -379,3 +381,248 @@ def test_the_table_has_media_and_their_anisotropy():
     before = material_key(fog)
     next(n for n in fog.node_tree.nodes if n.bl_idname == "ShaderNodeVolumeScatter").inputs["Density"].default_value = 7
     assert material_key(fog) != before
+
+
+# Points
+
+
+def sync() -> Any:
+    from pointsplat_addon.host.sync import Synchronizer
+
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    depsgraph.update()
+    return Synchronizer().scene(depsgraph)
+
+
+def mesh_object(name, vertices, faces=()):
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(vertices, [], faces)
+    ob = bpy.data.objects.new(name, mesh)
+    bpy.context.collection.objects.link(ob)
+    return ob
+
+
+def pointcloud(positions, material=None, **attributes):
+    """A PointCloud object. Attributes: name to (type, key, array)."""
+    ob = mesh_object("Points", positions)
+    if material is not None:
+        ob.data.materials.append(material)
+    for attribute, (kind, key, values) in attributes.items():
+        made = ob.data.attributes.new(attribute, kind, "POINT")
+        made.data.foreach_set(key, np.asarray(values, np.float32).ravel())
+    with bpy.context.temp_override(active_object=ob, object=ob, selected_objects=[ob], selected_editable_objects=[ob]):
+        bpy.context.view_layer.objects.active = ob
+        ob.select_set(True)
+        bpy.ops.object.convert(target="POINTCLOUD")
+    return bpy.context.view_layer.objects.active
+
+
+def cloud_of(scene, row=0):
+    return scene.geometries[row].cloud
+
+
+def at_centre(cloud):
+    """Optical depth through the centres of balls: their mass times the truncated Gaussian's peak."""
+    radius = cloud.radii[:, 0].astype(float)
+    mass = 4 / 3 * np.pi * radius**3 * cloud.extinction
+    return mass / (2 * np.pi * (radius / 2) ** 2) / -np.expm1(-4.5)
+
+
+TWO = [(0, 0, 0), (1, 0, 0)]
+
+
+@pytest.mark.parametrize("name", ["opacity", "alpha"])
+def test_points_with_an_opacity_are_balls_that_have_it_at_their_centres(name):
+    alpha, radius = np.array([0.3, 1.0, 0.0, 0.9]), [0.1, 0.2, 0.3, 5.0]
+    made = {name: ("FLOAT", "value", alpha), "radius": ("FLOAT", "value", radius)}
+    pointcloud([(i, 0, 0) for i in range(4)], **made)
+    cloud = cloud_of(sync())
+    assert cloud.opacity is cloud.normal is None
+    shown = np.array([0.3, 1.0, 0.9])
+    np.testing.assert_allclose(-np.expm1(-at_centre(cloud)), shown, rtol=1e-6)  # measured 6e-8, here as below
+    assert at_centre(cloud)[1] == pytest.approx(100, rel=1e-6)
+
+
+def test_opaque_points_stay_as_they_are_and_odd_opacities_are_put_right():
+    pointcloud(TWO, opacity=("FLOAT", "value", [1, 1]))
+    assert cloud_of(sync()).extinction is cloud_of(sync()).opacity is None
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    pointcloud([*TWO, (2, 0, 0)], opacity=("FLOAT", "value", [7, np.nan, 0.5]))
+    np.testing.assert_allclose(-np.expm1(-at_centre(cloud_of(sync()))), [1, 1, 0.5], rtol=1e-6)
+
+
+def test_captured_opacities_are_logits_and_are_not_read():
+    pointcloud(TWO, opacity=("FLOAT", "value", [-3, 4]), f_dc_0=("FLOAT", "value", [1, 1]))
+    cloud = cloud_of(sync())
+    assert len(cloud) == 2
+    assert cloud.extinction is None
+
+
+def test_points_with_normals_keep_their_opacity():
+    pointcloud(TWO, opacity=("FLOAT", "value", [0.25, 1]), normal=("FLOAT_VECTOR", "vector", [(0, 0, 1)] * 2))
+    cloud = cloud_of(sync())
+    assert cloud.extinction is None
+    np.testing.assert_array_equal(cloud.opacity, np.array([0.25, 1], np.float32))
+
+
+def test_a_colours_alpha_counts_where_there_is_no_material():
+    pointcloud(TWO, Color=("FLOAT_COLOR", "color", [(1, 0, 0, 0.5), (0, 1, 0, 1)]))
+    np.testing.assert_allclose(-np.expm1(-at_centre(cloud_of(sync()))), [0.5, 1], rtol=1e-6)
+
+
+def test_a_translucent_material_makes_balls_that_glow_with_its_radiance():
+    pointcloud(
+        TWO,
+        shader("ShaderNodeBsdfPrincipled", Alpha=0.4, Emission_Color=(1, 0.5, 0, 1), Emission_Strength=2.0),
+        radius=("FLOAT", "value", [0.1, 0.2]),
+    )
+    cloud = cloud_of(sync())
+    np.testing.assert_allclose(-np.expm1(-at_centre(cloud)), 0.4, rtol=1e-6)
+    # In the limit of great depth a medium shines with emission / extinction.
+    np.testing.assert_allclose(cloud.emission / cloud.extinction[:, None], [(2, 1, 0)] * 2, rtol=1e-6)
+
+
+def test_an_alpha_that_an_attribute_gives_is_each_points_own():
+    def build(tree):
+        alpha = node(tree, "ShaderNodeAttribute", attribute_name="fade").outputs["Fac"]
+        return node(tree, "ShaderNodeBsdfPrincipled", {"Alpha": alpha})
+
+    pointcloud(TWO, linked(build), fade=("FLOAT", "value", [0.2, 0.7]))
+    np.testing.assert_allclose(-np.expm1(-at_centre(cloud_of(sync()))), [0.2, 0.7], rtol=1e-6)
+
+
+def test_a_medium_fills_the_points_by_their_own_density():
+    fog = shader(
+        "ShaderNodeVolumePrincipled", "Volume", Density=2.0, Color=(0.5, 0.5, 0.5, 1), Absorption_Color=(0, 0, 0, 1)
+    )
+    pointcloud(TWO, fog, density=("FLOAT", "value", [1, 3]))
+    cloud = cloud_of(sync())
+    np.testing.assert_allclose(cloud.extinction, [2, 6], rtol=1e-6)  # half is scattered, half absorbed
+    np.testing.assert_allclose(cloud.color, 0.5, rtol=1e-6)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    pointcloud(TWO, shader("ShaderNodeVolumeAbsorption", "Volume", Color=(0.5, 1, 0, 1)))
+    cloud = cloud_of(sync())
+    np.testing.assert_allclose(cloud.extinction, [(0.5, 0, 1)] * 2, rtol=1e-6)
+    assert not cloud.color.any()
+
+
+def test_an_objects_extinction_goes_before_its_materials():
+    ob = pointcloud(TWO, shader("ShaderNodeBsdfPrincipled", Alpha=0.4))
+    ob.pointsplat.extinction = 7
+    scene = sync()
+    assert scene.geometries[0].extinction == 7
+    np.testing.assert_array_equal(cloud_of(scene).extinction, [7, 7])
+
+
+def test_a_change_of_alpha_reaches_the_points():
+    from pointsplat_addon.host.sync import Synchronizer
+
+    material = shader("ShaderNodeBsdfPrincipled", Alpha=0.4)
+    pointcloud(TWO, material)
+    synchronizer = Synchronizer()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    first = synchronizer.scene(depsgraph).geometries[0]
+    principled = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
+    principled.inputs["Alpha"].default_value = 0.8
+    depsgraph.update()
+    second = synchronizer.scene(depsgraph).geometries[0]
+    assert first.key != second.key
+    np.testing.assert_allclose(-np.expm1(-at_centre(second.cloud)), 0.8, rtol=1e-6)
+
+
+# Particles
+
+
+def emitter(count=50, **settings):
+    ob = mesh_object("Emitter", [(0, 0, 0), (2, 0, 0), (0, 2, 0)], [(0, 1, 2)])
+    ob.location, ob.scale = (1, 2, 3), (2, 2, 2)
+    ob.modifiers.new("Particles", "PARTICLE_SYSTEM")
+    made = ob.particle_systems[0].settings
+    made.count, made.frame_start, made.frame_end, made.lifetime = count, 1, 10, 4
+    for name, value in settings.items():
+        setattr(made, name, value)
+    for frame in range(1, 7):
+        bpy.context.scene.frame_set(frame)
+    return ob
+
+
+def expected_particles(ob):
+    found = ob.evaluated_get(bpy.context.evaluated_depsgraph_get()).particle_systems[0].particles
+    return np.array([tuple(p.location) for p in found if p.alive_state == "ALIVE"])
+
+
+def particles_of(scene):
+    return [i for i, g in enumerate(scene.instances.geometry) if scene.geometries[g].cloud is not None]
+
+
+def test_living_particles_are_points_where_blender_has_them():
+    ob = emitter(particle_size=0.125)
+    scene = sync()
+    (row,) = particles_of(scene)
+    assert len(scene.instances) == 2  # and the emitter
+    cloud = scene.geometries[scene.instances.geometry[row]].cloud
+    expected = expected_particles(ob)
+    assert 0 < len(expected) < 50
+    matrix = scene.instances.world_from_object[row]
+    np.testing.assert_allclose(cloud.position @ matrix[:3, :3].T + matrix[:3, 3], expected, atol=1e-6)
+    np.testing.assert_array_equal(cloud.radii, np.full((len(expected), 1), 0.125, np.float32))
+    assert scene.instances.names[row] == "Emitter"
+
+
+def test_particles_are_there_without_their_emitter_and_dead_ones_where_they_are_asked_for():
+    ob = emitter(use_dead=True)
+    ob.show_instancer_for_viewport = False
+    scene = sync()
+    (row,) = range(len(scene.instances))
+    assert len(scene.geometries[scene.instances.geometry[row]].cloud) > len(expected_particles(ob))
+
+
+@pytest.mark.parametrize("kind", ["NONE", "OBJECT"])
+def test_particles_that_blender_hides_or_puts_objects_in_are_no_points(kind):
+    emitter(render_type=kind)
+    assert particles_of(sync()) == []
+
+
+def test_particles_have_the_material_of_their_slot():
+    ob = emitter(material=2)
+    ob.data.materials.append(None)
+    ob.data.materials.append(shader("ShaderNodeBsdfPrincipled", Alpha=0.5, name="Spray"))
+    scene = sync()
+    (row,) = particles_of(scene)
+    cloud = scene.geometries[scene.instances.geometry[row]].cloud
+    assert {scene.materials.names[m] for m in cloud.material} == {"Spray"}
+    np.testing.assert_allclose(-np.expm1(-at_centre(cloud)), 0.5, rtol=1e-6)
+
+
+def test_particles_move_with_the_frames_and_stay_the_same_within_one():
+    from pointsplat_addon.host.sync import Synchronizer
+
+    emitter()
+    synchronizer = Synchronizer()
+    keys = []
+    for frame in (6, 6, 7):
+        bpy.context.scene.frame_set(frame)
+        scene = synchronizer.scene(bpy.context.evaluated_depsgraph_get())
+        keys.append([g.key for g in scene.geometries if g.cloud is not None])
+    assert keys[0] == keys[1]
+    assert keys[1] != keys[2]
+
+
+# Shadows
+
+
+def test_objects_that_cast_no_shadows_are_named_and_none_costs_nothing():
+    casting = mesh_object("Casts", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    other = mesh_object("Other", [(0, 0, 0), (1, 0, 0), (0, 2, 0)], [(0, 1, 2)])
+    assert sync().instances.casts is None
+    other.visible_shadow = False
+    instances = sync().instances
+    assert dict(zip(instances.names, instances.casts, strict=True)) == {casting.name: True, other.name: False}
+
+
+def test_lights_say_whether_they_cast_shadows():
+    for name, cast in (("One", True), ("Two", False)):
+        data = bpy.data.lights.new(name, "POINT")
+        data.use_shadow = cast
+        bpy.context.collection.objects.link(bpy.data.objects.new(name, data))
+    assert {light.name: light.shadow for light in sync().lights} == {"One": True, "Two": False}

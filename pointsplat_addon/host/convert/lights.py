@@ -42,6 +42,7 @@ def from_object(obj: bpy.types.Object, world_from_object: np.ndarray | None = No
         "direction": direction,
         "diffuse": data.diffuse_factor if obj.visible_diffuse else 0.0,
         "specular": data.specular_factor if obj.visible_glossy else 0.0,
+        "shadow": data.use_shadow,
         "name": obj.name,
     }
     shape = {"POINT": _point, "SPOT": _spot, "SUN": _sun, "AREA": _area}[data.type](data, matrix)

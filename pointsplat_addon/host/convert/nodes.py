@@ -194,8 +194,8 @@ def _image(node: Reader) -> Outputs:
 
 
 def _volume_info(node: Reader) -> Outputs:
-    grids = {"Color": ex.Color(ex.Attribute("color"))}
-    return grids | {name: ex.Component(ex.Attribute(name.lower()), 4) for name in ("Density", "Flame", "Temperature")}
+    color: Outputs = {"Color": ex.Color(ex.Attribute("color"))}
+    return color | {name: ex.Component(ex.Attribute(name.lower()), 4) for name in ("Density", "Flame", "Temperature")}
 
 
 def _light_path(node: Reader) -> Outputs:

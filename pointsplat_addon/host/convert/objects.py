@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import bpy
 import numpy as np
+
+from .particles import read_particles
+from .pointcloud import Points
 
 GEOMETRY = ("MESH", "POINTCLOUD")
 # Blender lists the surfaces of CURVE, SURFACE, FONT and META objects as instances of type MESH.
@@ -27,10 +31,13 @@ class Source:
     materials: tuple[bpy.types.Material | None, ...]  # one for each slot, at least one
     primitive: str
     spacing: float
+    extinction: float
     pass_index: int
     holdout: bool
+    casts: bool  # shadows
     generated: bool  # is_instance: the data may belong to the instancer
     editing: bpy.types.Object | None = None  # the object, where its mesh is in edit mode
+    particles: Points | None = None  # instead of the data, in world space
 
 
 @dataclass(eq=False)
@@ -47,11 +54,12 @@ def collect(
 ) -> Collected:
     """All that the camera can see. view3d: the viewport, whose local view and filters hold."""
     view_layer = depsgraph.view_layer_eval
-    flags: dict[int, tuple[bool, bool]] = {}
-    known: dict[tuple, int] = {}  # to a row of sources; -1: not drawn
+    flags: dict[int, Flags] = {}
+    known: dict[tuple, range] = {}  # to rows of sources: what is drawn of an object itself, and its particles
     sources: list[Source] = []
     rows: list[int] = []
     picked: list[int] = []
+    free: list[int] = []  # of rows: those in world space
     identity: list[tuple] = []
     unsupported: dict[str, list[str]] = {}
     count = 0
@@ -65,29 +73,33 @@ def collect(
             continue
         parent = instance.parent if instance.is_instance else ob
         key = ob.original.session_uid, ob.data.session_uid, parent.original.session_uid, instance.is_instance
-        source = known.get(key)
-        if source is None:
-            source = known[key] = len(sources)
-            drawn, holdout = _visibility(ob, parent, view_layer, flags)
-            if drawn and instance.show_self and (view3d is None or ob.visible_in_viewport_get(view3d)):
-                sources.append(_source(ob, view_layer.material_override, holdout, instance.is_instance))
-            else:
-                source = known[key] = -1
-        if source < 0:
-            continue
-        picked.append(row)
-        rows.append(source)
-        if identify:
-            persistent = tuple(instance.persistent_id) if instance.is_instance else ()
-            identity.append((key[0], key[2], persistent))
+        found = known.get(key)
+        if found is None:
+            first = len(sources)
+            visible = _visibility(ob, parent, view_layer, flags)
+            if visible.drawn and (view3d is None or ob.visible_in_viewport_get(view3d)):
+                source = _source(ob, view_layer.material_override, visible, instance.is_instance)
+                sources += [source] if instance.show_self else []
+                if len(ob.particle_systems) and instance.show_particles and not instance.is_instance:
+                    sources += _particles(source, ob, view_layer.material_override, depsgraph.mode == "RENDER")
+            found = known[key] = range(first, len(sources))
+        for source in found:
+            if sources[source].particles:
+                free.append(len(rows))
+            picked.append(row)
+            rows.append(source)
+            if identify:
+                persistent = tuple(instance.persistent_id) if instance.is_instance else ()
+                identity.append((key[0], key[2], persistent, source - found.start))
     matrices = np.empty(count * 16, np.float32)
     depsgraph.object_instances.foreach_get("matrix_world", matrices)
     # Blender stores columns one after another.
     world_from_object = matrices.reshape(-1, 4, 4)[picked].transpose(0, 2, 1).astype(np.float64)
+    world_from_object[free] = np.eye(4)
     return Collected(sources, np.array(rows, np.int32), world_from_object, identity, unsupported)
 
 
-def _source(ob: bpy.types.Object, override: bpy.types.Material | None, holdout: bool, generated: bool) -> Source:
+def _source(ob: bpy.types.Object, override: bpy.types.Material | None, visible: Flags, generated: bool) -> Source:
     materials = tuple(override or slot.material for slot in ob.material_slots)
     return Source(
         name=ob.name,
@@ -96,21 +108,37 @@ def _source(ob: bpy.types.Object, override: bpy.types.Material | None, holdout: 
         materials=materials or (override,),
         primitive=ob.pointsplat.primitive,
         spacing=ob.pointsplat.spacing,
+        extinction=ob.pointsplat.extinction,
         pass_index=ob.pass_index,
-        holdout=holdout,
+        holdout=visible.holdout,
+        casts=visible.casts,
         generated=generated,
         editing=ob if ob.type == "MESH" and ob.data.is_editmode else None,
     )
 
 
+def _particles(emitter: Source, ob: bpy.types.Object, override: bpy.types.Material | None, final: bool) -> list[Source]:
+    return [
+        replace(emitter, materials=(override or material,), editing=None, particles=points)
+        for points, material in read_particles(ob, final)
+    ]
+
+
+class Flags(NamedTuple):
+    drawn: bool
+    holdout: bool
+    casts: bool  # shadows
+
+
 def _visibility(
-    ob: bpy.types.Object, parent: bpy.types.Object, view_layer: bpy.types.ViewLayer, flags: dict[int, tuple[bool, bool]]
-) -> tuple[bool, bool]:
-    """(drawn, holdout). As in Cycles, the instancer decides on holdout, and both on what the camera sees."""
+    ob: bpy.types.Object, parent: bpy.types.Object, view_layer: bpy.types.ViewLayer, flags: dict[int, Flags]
+) -> Flags:
+    """As in Cycles, the instancer decides on holdout, and both on what the camera sees and what casts shadows."""
     uid = parent.original.session_uid
     if uid not in flags:
         drawn = parent.visible_camera and not parent.indirect_only_get(view_layer=view_layer)
         # A shadow catcher shows nothing but shadows: without them it is a hole.
-        flags[uid] = drawn, parent.holdout_get(view_layer=view_layer) or parent.is_shadow_catcher
-    drawn, holdout = flags[uid]
-    return drawn and ob.visible_camera, holdout or ob.is_shadow_catcher
+        holdout = parent.holdout_get(view_layer=view_layer) or parent.is_shadow_catcher
+        flags[uid] = Flags(drawn, holdout, parent.visible_shadow)
+    drawn, holdout, casts = flags[uid]
+    return Flags(drawn and ob.visible_camera, holdout or ob.is_shadow_catcher, casts and ob.visible_shadow)

@@ -1,32 +1,89 @@
-"""An evaluated PointCloud object to splats."""
+"""Points of an evaluated PointCloud object, or of a particle system, to splats.
+
+Points without normals are balls. Those that light passes through become Gaussians: by the object's own extinction, by
+the medium of a material that has a volume and no surface, or such that a ray through a ball's centre meets its alpha.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import bpy
 import numpy as np
 
+from ...core.appearance import CLIP, ball_extinction
 from ...core.cloud import PointCloud
 from ...core.materials import MaterialGraph, Needs, SampleInputs, evaluate_samples, needs
+from ...core.scene import MaterialTable, Medium, Volume
+from ...core.volumes import optics
 from . import arrays
 from .mesh import COLOR_TYPES, as_color
 
 DEFAULT_RADIUS = 0.01  # Blender's, for points without a radius attribute
 COLOR_NAMES = ("Color", "Col")  # what importers call it
+OPACITY_NAMES = ("opacity", "alpha")
+CAPTURED = "f_dc_0"  # an attribute of captured splats, whose opacities are logits
+NUMBERS = {"FLOAT": ("value", 1), "FLOAT2": ("vector", 2), "FLOAT_VECTOR": ("vector", 3)}
 Lookup = Callable[[str, Callable[[], PointCloud]], PointCloud]
 
 
 @dataclass(frozen=True, eq=False)
 class CloudMaterial:
-    """What a cloud must know of its material."""
+    """What points must know of their material."""
 
-    row: int  # of the scene's table; 0 is no material, and then the colour attribute of importers gives the colour
+    row: int  # of the scene's table; 0 is no material, and then attributes by the names of importers give the looks
     graph: MaterialGraph | None = None
     roughness: float = 0.5  # the constants, for when only the other one varies
     metallic: float = 0.0
+    emission: tuple[float, ...] = (0.0, 0.0, 0.0)
+    alpha: float = 1.0
+    translucent: bool = False
+    medium: Medium | None = None  # of a material without a surface
+    extinction: float = 0.0  # the object's own, per object unit; 0 takes the material's
+
+    @property
+    def key(self) -> str:
+        volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
+        looks = self.roughness, self.metallic, self.emission, self.alpha, self.translucent, self.extinction
+        return repr((self.row, self.graph and self.graph.digest, looks, volume))
+
+
+def cloud_material(table: MaterialTable, row: int, extinction: float = 0.0) -> CloudMaterial:
+    """What the table says of a material's points."""
+    graph = table.graphs[row] if row < len(table.graphs) else None
+    alpha = float(table.alpha[row])
+    varies = isinstance(graph, MaterialGraph) and graph.alpha is not None
+    return CloudMaterial(
+        row,
+        graph,  # pyright: ignore[reportArgumentType]
+        float(table.roughness[row]),
+        float(table.metallic[row]),
+        tuple(table.emission[row].tolist()),
+        alpha,
+        table.translucent is not None and bool(table.translucent[row]),
+        table.media[row] if row < len(table.media) and alpha == 0 and not varies else None,
+        extinction,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Arrays of N points as Blender has them."""
+
+    position: np.ndarray  # (N, 3) float32
+    radius: np.ndarray  # (N,) float32
+    normal: np.ndarray | None = None  # (N, 3) float32
+    opacity: np.ndarray | None = None  # (N,) float32
+    colors: dict[str, np.ndarray] = field(default_factory=dict)  # name to (N, 4) as stored
+    uv: dict[str, np.ndarray] = field(default_factory=dict)  # name to (N, 2) float32
+    grids: dict[str, np.ndarray] = field(default_factory=dict)  # what a medium reads, (N,) or (N, 3) float32
+
+    @property
+    def key(self) -> str:
+        named = [part for group in (self.colors, self.uv, self.grids) for item in group.items() for part in item]
+        return arrays.digest("pointcloud", self.position, self.radius, self.normal, self.opacity, *named)
 
 
 def read_pointcloud(
@@ -35,50 +92,124 @@ def read_pointcloud(
     """(content key, cloud) of a point cloud in object space, or None where it is empty."""
     if "position" not in data.attributes or len(data.points) == 0:
         return None
-    count, graph = len(data.points), material.graph
-    wanted = needs(graph) if graph else Needs()
-    position = arrays.read(data.attributes["position"].data, "vector", 3, np.float32)
-    radius = _read(data.attributes.get("radius"), "FLOAT")
-    if radius is None:
-        radius = np.full(count, DEFAULT_RADIUS, np.float32)
-    normal = _read(data.attributes.get("normal"), "FLOAT_VECTOR")
-    found = {a.name: a for a in _color_attributes(data, wanted, imported=material.row == 0)}
-    colors = {name: as_color(attribute) for name, attribute in found.items()}
-    named = {name: _read(data.attributes.get(name), "FLOAT2") for name in wanted.uv if name is not None}
-    uv = {name: array for name, array in named.items() if array is not None}
-
-    def build() -> PointCloud:
-        linear = {name: arrays.scene_linear(array) for name, array in colors.items()}
-        varying = {}
-        if graph is not None:
-            varying = _evaluate(graph, wanted, SampleInputs(uv, colors=linear, position=position, normal=normal))
-        elif linear:
-            varying = {"base_color": next(iter(linear.values()))[:, :3]}
-        facing = varying.get("normal", normal)
-        return PointCloud(
-            position=position,
-            normal=None if facing is None or normal is None else _unit(facing),
-            radii=radius[:, None],
-            color=_contiguous(varying.get("base_color")),
-            opacity=_contiguous(varying.get("alpha")),
-            surface=_surface(varying, material, count),
-            emission=_contiguous(varying.get("emission")),
-            material=np.full(count, material.row, np.uint16) if material.row else None,
-        )
-
-    parts = [position, radius, normal, material.row, material.roughness, material.metallic, graph and graph.digest]
-    for name, array in (*colors.items(), *uv.items()):
-        parts += [name, array]
-    key = arrays.digest("pointcloud", *parts)
-    return key, lookup(key, build)
+    wanted, imported = needs(material.graph) if material.graph else Needs(), material.row == 0
+    radius = _read(data, "radius", "FLOAT")
+    points = Points(
+        arrays.read(data.attributes["position"].data, "vector", 3, np.float32),
+        np.full(len(data.points), DEFAULT_RADIUS, np.float32) if radius is None else radius,
+        _read(data, "normal", "FLOAT_VECTOR"),
+        _opacity(data) if imported else None,
+        {a.name: as_color(a) for a in _color_attributes(data, wanted, imported)},
+        _present((name, _read(data, name, "FLOAT2")) for name in wanted.uv if name is not None),
+        _present((name, _grid(data, name)) for name in _grid_names(material.medium)),
+    )
+    return splats(points, material, lookup)
 
 
-def _read(attribute: Any, kind: str) -> np.ndarray | None:
+def splats(points: Points, material: CloudMaterial, lookup: Lookup) -> tuple[str, PointCloud]:
+    """(content key, cloud) of points by their material; the cloud is made only where it is not known."""
+    key = f"{points.key} {arrays.digest(material.key)}"
+    return key, lookup(key, lambda: _build(points, material))
+
+
+def _build(points: Points, material: CloudMaterial) -> PointCloud:
+    count, graph, normal = len(points.position), material.graph, points.normal
+    linear = {name: arrays.scene_linear(array) for name, array in points.colors.items()}
+    varying: dict[str, np.ndarray] = {}
+    if graph is not None:
+        varying = _evaluate(graph, SampleInputs(points.uv, colors=linear, position=points.position, normal=normal))
+    elif linear and material.row == 0:
+        color = next(iter(linear.values()))
+        varying = {"base_color": color[:, :3], "alpha": np.clip(color[:, 3], 0, 1)}
+    facing = varying.get("normal", normal)
+    cloud = PointCloud(
+        position=points.position,
+        normal=None if facing is None or normal is None else _unit(facing),
+        radii=points.radius[:, None],
+        color=_contiguous(varying.get("base_color")),
+        surface=_surface(varying, material, count),
+        emission=_contiguous(varying.get("emission")),
+        material=np.full(count, material.row, np.uint16) if material.row else None,
+    )
+    if material.extinction > 0 or material.medium is not None:
+        return _filled(cloud, points, material)
+    alpha = varying.get("alpha", np.full(count, material.alpha, np.float32))
+    if points.opacity is not None:
+        alpha = alpha * points.opacity
+    return _seen(cloud, alpha, material)
+
+
+def _filled(cloud: PointCloud, points: Points, material: CloudMaterial) -> PointCloud:
+    """Balls of a medium."""
+    if material.medium is None:
+        return _balls(cloud, np.full(len(cloud), material.extinction, np.float32), material)
+    medium = material.medium
+    if medium.density_grid not in points.grids:
+        medium = replace(medium, density_grid="")
+    # Points are voxels without places: what is read of them does not depend on where they are.
+    voxels = Volume("", "", np.empty((len(cloud), 0), np.int32), np.eye(4), points.grids)
+    found, _ = optics(voxels, medium, material.extinction)
+    return replace(cloud, normal=None, color=found.albedo, emission=found.emission, extinction=found.extinction)
+
+
+def _balls(cloud: PointCloud, extinction: np.ndarray, material: CloudMaterial) -> PointCloud:
+    """Gaussians of an extinction (N,), in whose depths the surface's emitted radiance is reached."""
+    radiance = cloud.emission
+    if radiance is None and any(material.emission):
+        radiance = np.array([material.emission], np.float32)
+    emission = None if radiance is None else radiance * extinction[:, None]
+    return replace(cloud, normal=None, extinction=extinction, emission=emission)
+
+
+def _seen(cloud: PointCloud, alpha: np.ndarray, material: CloudMaterial) -> PointCloud:
+    """The points that show, with their extinction, or opacity where they have normals, unless all are opaque."""
+    if material.graph is not None and not material.translucent:
+        return cloud if (alpha >= CLIP).all() else cloud.take(alpha >= CLIP)
+    if not (alpha < 1).any():
+        return cloud
+    if cloud.normal is not None:
+        cloud = replace(cloud, opacity=alpha.astype(np.float32))
+    else:
+        assert cloud.radii is not None
+        cloud = _balls(cloud, ball_extinction(alpha, cloud.radii[:, 0]), material)
+    return cloud.take(alpha > 0)
+
+
+# Attributes
+
+
+def _read(data: bpy.types.PointCloud, name: str, kind: str) -> np.ndarray | None:
     """A point attribute, or None where there is none of that name and type."""
+    attribute = data.attributes.get(name)
     if attribute is None or attribute.data_type != kind:
         return None
-    name, width = {"FLOAT": ("value", 1), "FLOAT2": ("vector", 2), "FLOAT_VECTOR": ("vector", 3)}[kind]
-    return arrays.read(attribute.data, name, width, np.float32)
+    return arrays.read(attribute.data, *NUMBERS[kind], np.float32)
+
+
+def _opacity(data: bpy.types.PointCloud) -> np.ndarray | None:
+    """(N,) in [0, 1]; what is no number counts as opaque."""
+    if CAPTURED in data.attributes:
+        return None
+    found = next((a for name in OPACITY_NAMES if (a := _read(data, name, "FLOAT")) is not None), None)
+    return None if found is None else np.clip(np.nan_to_num(found, nan=1.0), 0, 1)
+
+
+def _grid_names(medium: Medium | None) -> set[str]:
+    names = {medium.density_grid, medium.color_grid, medium.temperature_grid} if medium else set()
+    return names - {""}
+
+
+def _grid(data: bpy.types.PointCloud, name: str) -> np.ndarray | None:
+    """(N,) of a number, (N, 3) of a vector or colour; None where there is no such attribute."""
+    attribute = data.attributes.get(name)
+    if attribute is None or attribute.data_type not in ("FLOAT", "FLOAT_VECTOR", *COLOR_TYPES):
+        return None
+    value = arrays.scene_linear(as_color(attribute))
+    return value[:, 0].copy() if attribute.data_type == "FLOAT" else value[:, :3].copy()
+
+
+def _present(named: Iterable[tuple[str, np.ndarray | None]]) -> dict[str, np.ndarray]:
+    return {name: array for name, array in named if array is not None}
 
 
 def _color_attributes(data: bpy.types.PointCloud, wanted: Needs, imported: bool) -> list[Any]:
@@ -94,11 +225,10 @@ def _color_attributes(data: bpy.types.PointCloud, wanted: Needs, imported: bool)
     return [*colors[:1], *found] if None in wanted.colors else found
 
 
-def _evaluate(graph: MaterialGraph, wanted: Needs, inputs: SampleInputs) -> dict[str, np.ndarray]:
-    position = inputs.position
+def _evaluate(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np.ndarray]:
+    position, generated = inputs.position, None
     assert position is not None
-    generated = None
-    if wanted.generated:
+    if needs(graph).generated:
         low, high = position.min(axis=0), position.max(axis=0)
         generated = (position - low) / np.where(high > low, high - low, 1)
     return evaluate_samples(
