@@ -2,10 +2,10 @@
 
     python scripts/benchmark.py [--quick] [--only PART ...] [--json FILE] [--write-docs]
 
-Parts: hierarchy, sampling, frame, blender. What a part compares against (SciPy, VTK, the bpy package) must be
-installed in the running interpreter; where it is missing, its rows have no value. `--only frame` needs NumPy and
-moderngl alone, and so runs on a machine with a real GPU and no Blender. --write-docs replaces the figures of this
-interpreter's Blender in docs/benchmarks.md.
+Parts: hierarchy, sampling, order, shadow, frame, translucent, blender. What a part compares against (SciPy, VTK, the
+bpy package) must be installed in the running interpreter; where it is missing, its rows have no value. `--only frame`
+and `--only translucent` need NumPy and moderngl alone, and so run on a machine with a real GPU and no Blender.
+--write-docs replaces the figures of this interpreter's Blender in docs/benchmarks.md.
 """
 
 from __future__ import annotations
@@ -40,7 +40,10 @@ def with_tables(module: str) -> Callable[[bool], tuple[list[dict], Tables]]:
 PARTS = {
     "hierarchy": plain("bench_hierarchy"),
     "sampling": plain("bench_sampling"),
+    "order": plain("bench_order"),
+    "shadow": plain("bench_shadow"),
     "frame": with_tables("bench_frame"),
+    "translucent": plain("bench_translucent"),
     "blender": with_tables("bench_blender"),
 }
 

@@ -1,0 +1,109 @@
+"""A cloud of smoke under one light, seen by a camera that moves: what the first frame costs and what the later ones do.
+
+python scripts/bench_translucent.py [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from bench_hierarchy import row
+
+from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.scene import Camera, Geometry, Instances, Light, Scene, Settings, World, default_materials
+from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.prepare import STORE
+
+COUNT = 624_614  # points
+SIZE = (600, 500)  # pixels
+TURN = np.radians(1.0)  # of the camera from frame to frame
+DEPTH = 4.0  # optical depth through the middle of the cloud
+
+
+def smoke(count: int) -> PointCloud:
+    """Balls that fill a unit ball evenly, of the spacing that `count` of them have."""
+    rng = np.random.default_rng(0)
+    direction = rng.standard_normal((count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    position = (direction * np.cbrt(rng.random((count, 1)))).astype(np.float32)
+    volume = 4 / 3 * np.pi / count
+    radius = 1.2 * np.cbrt(volume)
+    share = DEPTH / 2 * volume / (4 / 3 * np.pi * radius**3)
+    return PointCloud(
+        position, radii=np.full((count, 1), radius, np.float32), extinction=np.full(count, share, np.float32)
+    )
+
+
+def scene(count: int) -> Scene:
+    geometry = Geometry(f"smoke {count}", "Smoke", cloud=smoke(count))
+    lamp = Light("POINT", np.full(3, 30.0), np.array([2.0, -2.0, 2.0]), np.array([0.0, 0.0, -1.0]), radius=0.05)
+    return Scene((geometry,), Instances(np.zeros(1, np.int32), np.eye(4)[None]), default_materials(), (lamp,), World())
+
+
+def camera(angle: float) -> Camera:
+    cos, sin = np.cos(angle), np.sin(angle)
+    view = np.array([[cos, 0, -sin, 0], [0, 1, 0, 0], [sin, 0, cos, -4], [0, 0, 0, 1.0]])
+    near, far, focal = 0.1, 100.0, 2.5
+    depth = -(far + near) / (far - near), -2 * far * near / (far - near)
+    clip = np.array([[focal, 0, 0, 0], [0, focal * SIZE[0] / SIZE[1], 0, 0], [0, 0, *depth], [0, 0, -1.0, 0]])
+    return Camera(view, clip, SIZE, near=near, far=far)
+
+
+def frames(smoke_scene: Scene, settings: Settings, count: int) -> tuple[list[float], list[dict]]:
+    """Seconds and reports of frames whose camera turns, the first with nothing kept."""
+    STORE.clear()
+    device = OpenGLDevice()
+    renderer = Renderer(device)
+    # Shaders are compiled once in the life of a device, whatever is drawn: by another, smaller cloud.
+    renderer.render(scene(100), Request(camera(0.0), settings, frozenset({"combined"}), 1))
+    times, reports = [], []
+    for number in range(count):
+        start = time.perf_counter()
+        result = renderer.render(smoke_scene, Request(camera(number * TURN), settings, frozenset({"combined"}), 1))
+        times.append(time.perf_counter() - start)
+        reports.append(result.report)
+    renderer.release()
+    device.release()
+    return times, reports
+
+
+def run(quick: bool = False) -> list[dict]:
+    """Rows of name, value, unit, target and note. `quick` takes a tenth of the points."""
+    count = COUNT // (10 if quick else 1)
+    cloud = scene(count)
+    times, reports = frames(cloud, Settings(), 6)
+    bare, _ = frames(cloud, Settings(use_shadows=False), 6)
+    later = float(np.median(times[1:]))
+    built = [any(p["name"].startswith("shadow") for p in report["passes"]) for report in reports]
+    what = f"{count:,} points of smoke, one light, {SIZE[0]}x{SIZE[1]}"
+    note = f"{1e3 * times[0]:.0f} ms against {1e3 * later:.0f} ms (median of {len(times) - 1})"
+    return [
+        row(f"{what}, first frame / later ones", times[0] / later, "x", ">= 3", note),
+        row(
+            "frames after the first that build a shadow table",
+            float(sum(built[1:])),
+            "",
+            "<= 0",
+            f"of {len(built) - 1}",
+        ),
+        row("later frames, with shadows / without", later / float(np.median(bare[1:])), "x", "", ""),
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a tenth of the points")
+    for entry in run(parser.parse_args().quick):
+        sys.stdout.write("{name:70} {value:8.2f} {unit:4} {target:8} {note}\n".format(**entry))
+
+
+if __name__ == "__main__":
+    main()
