@@ -18,11 +18,12 @@ void main()
   v_front = vec4(place.z, 1.0 / front.x, front.yz);
 #endif
 
-  // Half-axes of the ellipse.
+  // Along the ellipse's axes where that saves much; else along the picture's, which rasterisers fill faster.
   float middle = 0.5 * (c.x + c.z), apart = 0.5 * (c.x - c.z), root = length(vec2(apart, c.y));
-  float angle = root > 1e-6 * middle ? 0.5 * atan(c.y, apart) : 0.0;
+  bool oblique = 2.0 * det < c.x * c.z;
+  float angle = oblique ? 0.5 * atan(c.y, apart) : 0.0;
   vec2 axis = vec2(cos(angle), sin(angle));
-  vec2 size = 3.0 * sqrt(max(vec2(middle + root, middle - root), 0.0));
+  vec2 size = 3.0 * sqrt(max(oblique ? vec2(middle + root, middle - root) : c.xz, 0.0));
   int corner = gl_VertexID % 6;
   vec2 side = vec2(corner == 1 || corner == 2 || corner == 4 ? 1.0 : -1.0, corner == 2 || corner >= 4 ? 1.0 : -1.0);
   side.x = corner == 5 ? -1.0 : side.x;

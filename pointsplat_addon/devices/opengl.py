@@ -155,6 +155,7 @@ class OpenGLDevice:
             return
         program, array = self._program(interface)
         self._bind(interface, program, uniforms, textures or {})
+        _set_mask(target, mask)
         target.handle.use()
         context = self.context
         context.enable_only(
@@ -165,7 +166,6 @@ class OpenGLDevice:
         )
         context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA if over else moderngl.ONE
         context.depth_func = "<"
-        _set_mask(target, mask)
         array.render(MODES[primitive], vertices=vertices)  # type: ignore[attr-defined]
         _set_mask(target, "RGBA")
 
@@ -263,7 +263,7 @@ class OpenGLDevice:
 
 
 def _set_mask(target: Target, mask: str) -> None:
-    """Which channels of a target are written."""
+    """Which channels of a target are written when it is used next."""
     channels = tuple(channel in mask for channel in "RGBA")
     given = channels if len(target.colors) == 1 else (channels,) * len(target.colors)
     if target.handle.color_mask != given:  # type: ignore[attr-defined]

@@ -1,0 +1,275 @@
+"""Light through splats: closed forms, opaque things among them, and what is drawn and sorted when."""
+
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.scene import Light, Medium, Settings, Volume, World
+from pointsplat_addon.devices.null import NullDevice
+from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.parts import parted
+from pointsplat_addon.render.prepare import Store
+from tests.render import scenes
+from tests.render.scenes import camera, moved, points
+
+COMBINED = frozenset({"combined"})
+WHITE = World(np.ones(3))
+SIGMA = 0.6  # standard deviation of a voxel's Gaussian over the voxel's edge
+
+
+def voxels(
+    across: float, thick: float, cells: int, extinction: float | np.ndarray = 1.0, seen: object = None, **more
+) -> PointCloud:
+    """A slab about the origin, `thick` along y and `across` along x and z, of `cells` voxels through it."""
+    edge = thick / cells
+    side = (np.arange(round(across / edge)) + 0.5) * edge - across / 2
+    depth = (np.arange(cells) + 0.5) * edge - thick / 2
+    position = np.stack(np.meshgrid(side, depth, side, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
+    if callable(seen):
+        position = position[seen(position)]
+    count, radius = len(position), 2 * SIGMA * edge
+    share = edge**3 / (4 / 3 * np.pi * radius**3)
+    strength = np.broadcast_to(np.asarray(extinction, np.float32) * share, (count, *np.shape(extinction)))
+    black = np.zeros((count, 3), np.float32)
+    given = {name: np.broadcast_to(np.float32(value), (count, 3)) for name, value in more.items()}
+    if "emission" in given:
+        given["emission"] = given["emission"] * np.float32(share)
+    radii = np.full((count, 1), radius, np.float32)
+    return PointCloud(position, radii=radii, extinction=strength.astype(np.float32), **{"color": black, **given})
+
+
+def draw(scene, eye_camera, samples=1, settings=None):
+    return scenes.opengl().render(scene, Request(eye_camera, settings or Settings(), COMBINED, samples))
+
+
+def picture(scene, eye_camera, samples=1):
+    return draw(scene, eye_camera, samples).pixels["combined"].astype(np.float64)
+
+
+def alone(cloud, key, **more):
+    return scenes.scene((points(key, cloud), moved()), **{"lights": (), "world": WHITE, **more})
+
+
+def from_angle(degrees, distance=30.0, field=0.6):
+    angle = np.radians(degrees)
+    return camera((distance * np.sin(angle), -distance * np.cos(angle), 0), field_of_view=field, resolution=(16, 12))
+
+
+# Closed forms
+
+
+@pytest.mark.parametrize("cells", [6, 10, 16])
+@pytest.mark.parametrize("angle", [0, 30, 55])
+def test_a_slab_lets_as_much_light_through_as_beers_law_says(cells, angle):
+    for depth in (0.01, 1.0, 5.0, 12.0, 20.0):
+        cloud = voxels(2.4 if angle else 1.2, 0.5, cells, depth / 0.5 * np.cos(np.radians(angle)))
+        mean = picture(alone(cloud, f"slab {cells} {angle} {depth}"), from_angle(angle), 4)[..., 0].mean()
+        if depth <= 5:
+            assert mean == pytest.approx(np.exp(-depth), rel=5e-3)
+        assert -np.log(mean) == pytest.approx(depth, rel=5e-3)
+
+
+def test_halving_the_spacing_changes_no_radiance():
+    light = Light("POINT", np.full(3, 20.0), np.array([0.5, -3.0, 1.0]), np.array([0.0, 0, -1]), shadow=False)
+    inside = lambda p: (p**2).sum(axis=1) < 1  # noqa: E731
+    means = []
+    for cells in (20, 40):
+        cloud = voxels(2, 2, cells, 1.5, inside, color=(0.9, 0.6, 0.3))
+        made = alone(cloud, f"halved {cells}", lights=(light,), world=World(np.full(3, 0.2)))
+        means.append(picture(made, camera(resolution=(40, 40)), 2)[..., :3].mean(axis=(0, 1)))
+    np.testing.assert_allclose(means[0], means[1], rtol=1e-2)
+
+
+def stacked(order, alphas, colors):
+    """Squares of unlit emission one behind the other, and a grey world."""
+    count = len(alphas)
+    table = scenes.materials(
+        count, base_color=np.zeros((count, 3)), specular=np.zeros(count), emission=colors, alpha=alphas,
+        translucent=np.ones(count, bool),
+    )  # fmt: skip
+    things = []
+    for place, row in enumerate(order):
+        plane = replace(scenes.plane_mesh(f"stacked {row}"), materials=(row,), topology=f"stacked {row}")
+        things.append((scenes.mesh(plane), moved((0, 0.3 * place, 0))))
+    return scenes.scene(*things, lights=(), world=World(np.full(3, 0.5)), table=table)
+
+
+@pytest.mark.parametrize("eye", [(0, -5, 0), (3, -4, 0.5)])
+def test_stacked_planes_are_composited_in_the_order_of_their_distances(eye):
+    alphas = np.array([0.3, 0.6, 0.85])
+    colors = np.array([[1, 0.1, 0.1], [0.1, 1, 0.2], [0.2, 0.3, 1]])
+    for order in permutations(range(3)):
+        expected = np.full(3, 0.5)
+        for row in order[::-1]:
+            expected = expected * (1 - alphas[row]) + colors[row] * alphas[row]
+        found = picture(stacked(order, alphas, colors), camera(eye, (0, 0.3, 0), field_of_view=8), 4)
+        assert np.abs(found[..., :3] - expected).max() < 1 / 255
+        assert found[..., 3].min() > 1 - 1e-5
+
+
+def test_a_shell_hides_the_same_share_at_every_angle():
+    alphas, colors = np.array([0.6]), np.zeros((1, 3))
+    for angle in (0, 45, 75):
+        eye = 5 * np.array([np.sin(np.radians(angle)), -np.cos(np.radians(angle)), 0])
+        found = picture(stacked((0,), alphas, colors), camera(eye, field_of_view=3), 8)
+        assert found[..., 0].mean() == pytest.approx(0.5 * 0.4, rel=5e-3)
+
+
+def test_extinction_may_differ_between_the_channels():
+    depth = np.array([0.2, 1.0, 3.0])
+    found = picture(alone(voxels(1.2, 0.5, 8, depth / 0.5), "tinted"), from_angle(0), 2)
+    np.testing.assert_allclose(found[..., :3].mean(axis=(0, 1)), np.exp(-depth), rtol=5e-3)
+
+
+def test_what_only_emits_adds_its_radiance_along_the_ray():
+    cloud = voxels(1.2, 0.5, 8, 0.0, emission=(1.0, 2.0, 0.5))
+    found = picture(alone(cloud, "glow", world=World(np.full(3, 0.25))), from_angle(0), 4)
+    np.testing.assert_allclose(found[..., :3].mean(axis=(0, 1)), 0.25 + 0.5 * np.array([1, 2, 0.5]), rtol=5e-3)
+
+
+def test_what_emits_and_absorbs_tends_to_emission_over_extinction():
+    cloud = voxels(1.2, 0.5, 12, 4.0, emission=(2.0, 2.0, 2.0))
+    found = picture(alone(cloud, "fire", world=World()), from_angle(0), 4)
+    assert found[..., :3].mean() == pytest.approx(0.5 * (1 - np.exp(-2.0)), rel=5e-3)
+
+
+@pytest.mark.parametrize("g", [0.0, 0.6, -0.5])
+@pytest.mark.parametrize("angle", [0, 60])
+def test_a_thin_medium_scatters_by_henyey_and_greenstein(g, angle):
+    depth, albedo = 0.5, np.array([0.9, 0.5, 0.2])
+    sun = replace(scenes.sun(3.0, (0, 1, 0)), shadow=False)
+    made = alone(
+        voxels(2.4, 0.5, 8, depth / 0.5 * np.cos(np.radians(angle)), color=albedo), f"scattering {angle}",
+        lights=(sun,), world=World(), table=scenes.materials(anisotropy=np.array([g], np.float32)),
+    )  # fmt: skip
+    found = picture(made, from_angle(angle), 2)[..., :3].mean(axis=(0, 1))
+    cosine = -np.cos(np.radians(angle))  # the sun shines along +Y, and light reaches the eye along about -Y
+    phase = (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
+    np.testing.assert_allclose(found, 3.0 * albedo * phase * (1 - np.exp(-depth)), rtol=1e-2)
+
+
+# Among opaque things
+
+
+@pytest.mark.parametrize("primitive", ["POLYGONS", "POINTS"])
+@pytest.mark.parametrize("place", [-0.2, 0.0, 0.125])
+def test_what_is_opaque_hides_what_of_a_medium_lies_behind_it(primitive, place):
+    depth = 2.0
+    wall = scenes.mesh(scenes.plane_mesh(f"wall {primitive}", 1.5), primitive)
+    table = scenes.materials(base_color=np.zeros((1, 3)), specular=[0], emission=np.ones((1, 3)))
+    made = scenes.scene(
+        (wall, moved((0, place, 0))), (points("fog", voxels(1.2, 0.5, 12, depth / 0.5)), moved()),
+        lights=(), world=World(), table=table,
+    )  # fmt: skip
+    found = picture(made, from_angle(0), 2)
+    assert found[..., 0].mean() == pytest.approx(np.exp(-depth * (0.25 + place) / 0.5), rel=1e-2)
+
+
+def test_a_camera_within_a_medium_sees_what_lies_in_front():
+    depth = 2.0
+    made = alone(voxels(1.6, 1.0, 16, depth), "around the eye")
+    found = picture(made, camera((0, 0, 0), (0, 1, 0), field_of_view=10, near=1e-3), 4)
+    assert np.isfinite(found).all()
+    assert found[..., 0].mean() == pytest.approx(np.exp(-depth / 2), rel=2e-2)
+
+
+def test_a_transparent_film_is_covered_by_what_the_medium_hides():
+    found = picture(alone(voxels(1.2, 0.5, 8, 2.0), "on film", transparent=True), from_angle(0), 2)
+    assert found[..., 3].mean() == pytest.approx(1 - np.exp(-1.0), rel=5e-3)
+
+
+@pytest.mark.parametrize("strength", [1e-30, 1e6, np.nan, np.inf, -1.0])
+def test_media_out_of_all_proportion_are_finite(strength):
+    cloud = voxels(0.4, 0.4, 4, 1.0, color=(0.5, 0.5, 0.5))
+    assert cloud.extinction is not None
+    odd = cloud.extinction.copy()
+    odd[::3] = strength
+    made = alone(replace(cloud, extinction=odd), f"odd {strength}", lights=(scenes.sun(),))
+    found = picture(made, camera())
+    assert np.isfinite(found).all()
+    assert found.min() >= 0
+    assert found[..., 3].max() <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e4])
+def test_voxels_of_any_size_let_the_same_light_through(scale):
+    """Extinction is per object unit: under a scaled instance it stays what it is across the object."""
+    cloud = voxels(1.2, 0.5, 8, 2.0)
+    scaled = scenes.scene((points("scaled", cloud), moved(scale=scale)), lights=(), world=WHITE)
+    eye = camera((0, -30 * scale, 0), field_of_view=0.6, resolution=(16, 12), near=1e-2 * scale, far=1e3 * scale)
+    assert picture(scaled, eye, 2)[..., 0].mean() == pytest.approx(np.exp(-1.0), rel=5e-3)
+
+
+# What is drawn
+
+
+def record(made, eye_camera=None, passes=COMBINED, samples=1):
+    device = NullDevice()
+    result = Renderer(device).render(made, Request(eye_camera or camera(), Settings(), passes, samples))
+    return device, result
+
+
+@pytest.mark.parametrize("name", scenes.CASES)
+def test_scenes_with_nothing_translucent_sort_and_composite_nothing(name):
+    case = scenes.CASES[name]()
+    if parted(case.scene, Store())[0] is case.scene and not any(
+        g.cloud is not None and (g.cloud.opacity is not None or g.cloud.extinction is not None)
+        for g in case.scene.geometries
+    ):
+        device, result = record(case.scene, case.camera, scenes.ALL_PASSES, 2)
+        assert not {"light", "translucent", "add", "opaque depth"} & set(device.names)
+        assert {"order", "light", "translucent", "add"} <= {entry["name"] for entry in result.report["skipped"]}
+        # As many pictures as before: the sums alone.
+        assert all("layer" not in name for i in device.interfaces for _, name in i.samplers)
+
+
+def test_what_is_translucent_is_lit_once_and_drawn_for_every_sample():
+    device, _ = record(alone(voxels(1, 1, 4), "drawn"), samples=3)
+    assert [device.names.count(name) for name in ("light", "translucent", "add", "opaque depth")] == [1, 3, 3, 0]
+    draw = next(call for call in device.calls if call.interface.name == "translucent")
+    assert draw.flags == {"over"}
+    assert draw.count == 6 * 64
+
+
+def test_coloured_extinction_alone_is_drawn_by_channel():
+    grey, _ = record(alone(voxels(1, 1, 4), "grey"))
+    tinted, _ = record(alone(voxels(1, 1, 4, np.array([1.0, 2, 3])), "three channels"))
+    masks = [[c.mask for c in d.calls if c.interface.name == "translucent"] for d in (grey, tinted)]
+    assert masks == [["RGBA"], ["R", "GA", "B"]]
+
+
+def test_splats_are_sorted_again_only_for_other_directions():
+    renderer, made = Renderer(NullDevice()), alone(voxels(1, 1, 8), "sorted")
+    sorts = []
+    for eye, target in (
+        ((0, -4, 0), (0, 0, 0)),
+        ((0, -3, 0), (0, 0, 0)),
+        ((1, -3, 0), (1, 0, 0)),
+        ((3, -3, 0), (0, 0, 0)),
+    ):
+        renderer.render(made, Request(camera(eye, target), Settings(), COMBINED, 1))
+        sorts.append(renderer.kept.keep(("order",), lambda: None).sorts)
+    assert sorts == [1, 1, 1, 2]
+
+
+def test_a_mesh_of_two_materials_is_drawn_in_two_ways():
+    cube = scenes.cube_mesh("half glass")
+    rows = np.repeat(np.array([0, 1], np.uint16), 6)
+    table = scenes.materials(2, alpha=[1, 0.5], translucent=np.array([False, True]))
+    made = scenes.scene((scenes.mesh(replace(cube, material=rows, materials=(0, 1))), moved()), table=table)
+    device, result = record(made, passes=scenes.ALL_PASSES)
+    assert {"polygons", "light", "translucent"} <= set(device.names)
+    assert result.report["triangles"] == 6
+    assert result.report["points"]["total"] > 0
+
+
+def test_a_volume_is_drawn_as_translucent_points():
+    index = np.stack(np.meshgrid(*3 * [np.arange(4)], indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
+    volume = Volume("v", "v", index, np.diag([0.25, 0.25, 0.25, 1.0]), {"density": np.ones(64, np.float32)})
+    geometry = replace(points("v", voxels(1, 1, 1)), cloud=None, volume=volume)
+    table = replace(scenes.materials(), media=(Medium(),))
+    _, result = record(scenes.scene((geometry, moved()), table=table))
+    assert result.report["points"]["total"] == 64
