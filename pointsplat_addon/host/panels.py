@@ -10,6 +10,7 @@ from ..render.outputs import PASSES
 
 ENGINE = "POINTSPLAT"
 DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT", "POINTCLOUD"}  # objects that become points or polygons
+FILLED = {"POINTCLOUD", "VOLUME"}  # whose points may be Gaussians of a medium
 
 # Blender's panels for any engine that show what PointSplat does not have.
 EXCLUDED = {"RENDER_PT_stereoscopy", "RENDER_PT_output_views", "MATERIAL_PT_freestyle_line"}
@@ -19,6 +20,7 @@ INCLUDED = {
     "DATA_PT_EEVEE_light",
     "EEVEE_MATERIAL_PT_context_material",
     "EEVEE_MATERIAL_PT_surface",
+    "EEVEE_MATERIAL_PT_volume",
     "EEVEE_WORLD_PT_mist",
     "EEVEE_WORLD_PT_surface",
     "MATERIAL_PT_preview",
@@ -107,6 +109,19 @@ class POINTSPLAT_VIEWLAYER_PT_passes(_Panel, bpy.types.Panel):
                 column.prop(context.view_layer, p.switch)
 
 
+class POINTSPLAT_DATA_PT_light_shadow(_Panel, bpy.types.Panel):
+    bl_label = "Shadow"
+    bl_context = "data"
+    bl_parent_id = "DATA_PT_EEVEE_light"
+
+    @classmethod
+    def poll(cls, context):
+        return context.engine == ENGINE and context.light
+
+    def draw(self, context):
+        self.split_layout().prop(context.light, "use_shadow", text="Cast Shadow")
+
+
 class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
     bl_label = "PointSplat"
     bl_context = "object"
@@ -121,9 +136,8 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
         row = layout.row()
         row.active = ob.pointsplat.primitive != "POLYGONS"
         row.prop(ob.pointsplat, "spacing")
-        row = layout.row()
-        row.active = ob.pointsplat.primitive != "POLYGONS"
-        row.prop(ob.pointsplat, "extinction")
+        if ob.type in FILLED or len(ob.particle_systems):
+            layout.prop(ob.pointsplat, "extinction")
         column = layout.column(heading="Visibility")
         column.prop(ob, "visible_camera", text="Camera")
         column.prop(ob, "visible_shadow", text="Shadow")
@@ -137,6 +151,7 @@ CLASSES = (
     POINTSPLAT_RENDER_PT_film,
     POINTSPLAT_RENDER_PT_performance,
     POINTSPLAT_VIEWLAYER_PT_passes,
+    POINTSPLAT_DATA_PT_light_shadow,
     POINTSPLAT_OBJECT_PT_pointsplat,
 )
 
