@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 from compare import displayed  # noqa: E402
-from volume_objects import ball, medium, surface, volume_object, write_vdb  # noqa: E402
+from volume_objects import ball, medium, surface, volume_object, volumes_last, write_vdb  # noqa: E402
 
 from pointsplat_addon.core import media_reference as ref  # noqa: E402
 
@@ -169,6 +169,7 @@ def planes_scene(order: tuple[int, ...], angle: float, size: int) -> bpy.types.S
 
 def draw(scene: bpy.types.Scene, folder: Path, engine: str, samples: int) -> np.ndarray:
     """(H, W, 4) float64, premultiplied, scene-linear, bottom row first."""
+    volumes_last(scene)
     scene.render.engine = engine
     scene.cycles.samples = samples
     if engine == "POINTSPLAT":
