@@ -111,7 +111,12 @@ class Synchronizer:
             world=world,
             transparent=evaluated.render.film_transparent,
             mist=core.Mist(mist.start, mist.depth, mist.falloff) if mist else core.Mist(),
-            warnings=(*_unsupported(collected), *self._material_warnings, *light_warnings, *world_warnings),
+            warnings=(
+                *_unsupported(collected.unsupported | self._filled(collected.sources, table)),
+                *self._material_warnings,
+                *light_warnings,
+                *world_warnings,
+            ),
         )
 
     def forget(self) -> None:
@@ -140,6 +145,16 @@ class Synchronizer:
             table, warnings = convert_materials([used.get(row) for row in range(1, self.cache.rows())])
             self._materials, self._material_warnings = table, tuple(warnings)
         return self._materials
+
+    def _filled(self, sources: Iterable[Source], table: core.MaterialTable) -> dict[str, list[str]]:
+        """Meshes that a material fills with a medium."""
+        names = [
+            source.name
+            for source in sources
+            if isinstance(source.data, bpy.types.Mesh) and not source.particles
+            if any(table.media[row] for m in source.materials if (row := self.cache.row(m)) < len(table.media))
+        ]
+        return {"volumes within meshes": names} if names else {}
 
     def _instances(
         self, collected: Collected, table: core.MaterialTable, previous: dict[tuple, np.ndarray] | None
@@ -235,10 +250,10 @@ def _read_evaluated(
         source.editing.to_mesh_clear()
 
 
-def _unsupported(collected: Collected) -> list[str]:
+def _unsupported(kinds: dict[str, list[str]]) -> list[str]:
     """One warning for each kind of object that is not drawn, naming a few."""
     warnings = []
-    for kind, names in collected.unsupported.items():
+    for kind, names in kinds.items():
         unique = sorted(set(names))
         shown = ", ".join(f'"{name}"' for name in unique[:MAX_NAMED])
         rest = f" and {len(unique) - MAX_NAMED} more" if len(unique) > MAX_NAMED else ""

@@ -506,6 +506,13 @@ def test_a_medium_fills_the_points_by_their_own_density():
     assert not cloud.color.any()
 
 
+def test_a_mesh_filled_with_a_volume_is_named():
+    ob = mesh_object("Tank", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    ob.data.materials.append(shader("ShaderNodeVolumeScatter", "Volume"))
+    (warning,) = sync().warnings
+    assert "Tank" in warning
+
+
 def test_an_objects_extinction_goes_before_its_materials():
     ob = pointcloud(TWO, shader("ShaderNodeBsdfPrincipled", Alpha=0.4))
     ob.pointsplat.extinction = 7
