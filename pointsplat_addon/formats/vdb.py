@@ -12,14 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from ..core.octree import ranges
 from ..core.volumes import bounds, keys
 
 BLOCK = 1 << 18  # voxels that are copied together whatever of them is active
 SPARSE = 16  # so many voxels for each active one are still copied rather than searched
 SLAB = 1 << 24  # voxels that are copied at once
-FAR = 1 << 48  # voxels of a box so wide that cutting it would cost more than visiting each active voxel
+VISIT = 1500  # bytes of a tree that are copied while Python visits one value
 MOST = 1 << 28  # active voxels: more would not fit the memory of most machines as points
-CUT = 8  # boxes are cut along the leaves of the tree
+NODES = (4096, 128, 8)  # edges in voxels of what the tree's levels hold, of leaves last
 EMPTY = -(2**31)  # what integer grids get for a background
 SAME = 1e-6  # of a voxel's edge, over the whole grid: transforms that differ by less are the same
 ROWS = 1 << 20  # voxels that are resampled together
@@ -133,7 +134,7 @@ def transform(grid: Any) -> np.ndarray:
 
 
 def _boxes(grid: Any, empty: Any) -> Iterator[tuple[Any, np.ndarray, np.ndarray]]:
-    """(grid, low, high) that together hold all active voxels, each box small or well filled.
+    """(grid, low, high) that together hold all active voxels, each box small, well filled, or of few voxels far apart.
 
     Boxes are halved, and shrunk to what is active in them, by copies of the tree that have the other half cleared.
     """
@@ -144,30 +145,53 @@ def _boxes(grid: Any, empty: Any) -> Iterator[tuple[Any, np.ndarray, np.ndarray]
         if count == 0:
             continue
         low, high = (np.array(corner, np.int64) for corner in grid.evalActiveVoxelBoundingBox())
-        size = high - low + 1
-        volume = _volume(low, high)
-        if volume <= max(BLOCK, SPARSE * count) or volume >= FAR:
+        halvings = np.log2(_volume(low, high) / (SPARSE * count))
+        if _dense(low, high, count) or VISIT * count < grid.memUsage() * halvings:
             yield grid, low, high
             continue
+        size = high - low + 1
         axis = int(np.argmax(size))
-        middle = (low[axis] + size[axis] // 2) // CUT * CUT
+        # Along the largest nodes that can be parted: a cut through nodes makes smaller ones all over its plane.
+        edge = next(n for n in NODES if size[axis] > 2 * n or n == NODES[-1])
+        middle = (low[axis] + size[axis] // 2) // edge * edge
+        low, high = low // NODES[0] * NODES[0], (high // NODES[0] + 1) * NODES[0] - 1
         left, right = high.copy(), low.copy()
         left[axis], right[axis] = middle - 1, middle
         other = grid.deepCopy()
         grid.fill(_tuple(low), _tuple(left), empty, False)
         other.fill(_tuple(right), _tuple(high), empty, False)
+        grid.pruneInactive()
+        other.pruneInactive()
         rest += [grid, other]
+
+
+def _dense(low: np.ndarray, high: np.ndarray, count: int) -> bool:
+    return _volume(low, high) <= max(BLOCK, SPARSE * count)
 
 
 def _voxels(grid: Any, low: np.ndarray, high: np.ndarray, empty: Any) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Indices (n, 3) int32 and values of the active voxels of a box, piece by piece."""
-    if _volume(low, high) >= FAR:
-        yield from _visited(grid)
+    width = (3,) if isinstance(empty, tuple) else ()
+    if not _dense(low, high, grid.activeVoxelCount()):
+        yield _visited(grid, width)
         return
     background = np.float32(np.ravel(empty)[0])
-    for start, block in _slabs(grid, low, high, (3,) if isinstance(empty, tuple) else ()):
-        head = block if block.ndim == 3 else block[..., 0]
+    for start, block in _slabs(grid, low, high, width):
+        head = block[..., 0] if width else block
         yield _listed(block, ~np.isnan(head) if np.isnan(background) else head != background, start)
+
+
+def _visited(grid: Any, width: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Indices and values of a few voxels that lie far apart; constant regions come as one item each."""
+    items = [(item.min, item.max, item.value) for item in grid.citerOnValues()]
+    low, high = (np.array([item[k] for item in items], np.int64) for k in (0, 1))
+    value = np.array([item[2] for item in items], np.float32).reshape(-1, *width)
+    size = high - low + 1
+    owner = np.repeat(np.arange(len(items)), size.prod(axis=1))
+    place = ranges(np.zeros(len(items), np.int64), size.prod(axis=1))
+    x, rest = np.divmod(place, (size[:, 1] * size[:, 2])[owner])
+    y, z = np.divmod(rest, size[owner, 2])
+    return (np.stack([x, y, z], axis=1) + low[owner]).astype(np.int32), value[owner]
 
 
 def _slabs(
@@ -186,15 +210,6 @@ def _slabs(
 def _listed(block: np.ndarray, where: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     places = np.nonzero(where)
     return np.stack([(p + s).astype(np.int32) for p, s in zip(places, start, strict=True)], axis=1), block[places]
-
-
-def _visited(grid: Any) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The same for a few voxels that lie very far apart: tile by tile."""
-    for item in grid.citerOnValues():
-        low, high = np.array(item.min), np.array(item.max)
-        index = np.stack(np.meshgrid(*map(np.arange, low, high + 1), indexing="ij"), axis=-1).reshape(-1, 3)
-        value = np.asarray(item.value, np.float32)
-        yield index.astype(np.int32), np.broadcast_to(value, (len(index), *value.shape))
 
 
 def _inside(grid: Any, name: str, matrix: np.ndarray) -> tuple[Grid | None, list[str]]:
