@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,7 +31,12 @@ KINDS = ("OPAQUE", "SHELL", "VOLUME")
 BIAS = 1.0  # cells: how far along its normal a receiver is lifted
 UNORIENTED_BIAS = 1.5  # cells, towards the lamp: receivers without a normal
 STEEPEST = 0.1  # cosine: surfaces closer to edge-on are treated as this one
-REACH = 8.0  # cells: how far a plane is followed along the ray
+SHARP = 0.5  # cells: a lamp whose penumbrae are at most so wide is a point
+TAPS = 64  # points of a wide lamp; the device takes some in each sample of the picture
+SEGMENTS = 3  # of each ray to a point of a wide lamp
+# Additive recurrence in five dimensions (Roberts 2018): two on the lamp, two in the cell, one along the ray.
+SEQUENCE = 1.1347241384015194 ** -np.arange(1, 6)
+SHAPES = ("POINT", "DISK", "RECTANGLE", "ELLIPSE")
 NARROW = 0.8  # radians: casters within this angle about one direction get a grid about it, without poles
 FINEST = 1e-6  # radians: a cell that float32 still resolves
 COARSEST = 0.5  # radians: the widest cell of a grid without poles
@@ -111,7 +117,7 @@ def casters(cloud: PointCloud, world_from_object: np.ndarray) -> Casters:
             mass[cloud.opacity >= 1] = OPAQUE_DEPTH
             size = size * mass
         good = np.isfinite(position).all(axis=1) & np.isfinite(size) & (size > 0)
-        good &= np.isfinite(radius) if axes is None else np.isfinite(axes).all(axis=(1, 2))
+        good &= np.isfinite(axes).all(axis=(1, 2)) if axes is not None else np.isfinite(radii[:, 0])
     if mass is not None:
         mass = mass.astype(np.float32, copy=False)
     result = Casters(kind, origin, position, radius, axes, mass)
@@ -303,7 +309,7 @@ def build(light: Light, batches: Sequence[Casters], resolution: int) -> ShadowTa
     colored = any(b.colored for b in batches)
     if not batches:
         nothing = Frame(True, np.eye(3), np.zeros(3), False, -np.ones(2), np.ones(2), 1)
-        return ShadowTable(nothing, (), colored)
+        return ShadowTable(nothing, Emitter("POINT", np.zeros((2, 3))), (), colored)
     frame = _fit(light, batches, resolution)
     rows = _Rows(frame, _grids(frame))
     keys, depths = [], []
@@ -314,7 +320,9 @@ def build(light: Light, batches: Sequence[Casters], resolution: int) -> ShadowTa
             key, depth = _entries(rows, part, nearest)
             keys.append(key)
             depths.append(np.broadcast_to(depth[:, None], (len(depth), 3)) if colored and depth.ndim == 1 else depth)
-    return ShadowTable(frame, tuple(_levels(rows, np.concatenate(keys), np.concatenate(depths))), colored)
+    emitter = _emitter(light, frame)
+    levels = _levels(rows, np.concatenate(keys), np.concatenate(depths), emitter.shape != "POINT")
+    return ShadowTable(frame, emitter, tuple(levels), colored)
 
 
 class _Rows:
@@ -395,9 +403,7 @@ def _entries(rows: _Rows, batch: Casters, nearest: float) -> tuple[np.ndarray, n
     if axes is not None and batch.kind != "VOLUME":
         to_cell = place - longitude[which], rows.latitude[row] - latitude[which]
         middle = _directions(frame, rows.latitude[row], place)[0]
-        at = _plane_distance(
-            frame, np.cross(axes[:, 0], axes[:, 1])[which], at, ray[which], middle, to_cell, step[which]
-        )
+        at = _plane_distance(frame, np.cross(axes[:, 0], axes[:, 1])[which], at, ray[which], middle, to_cell)
     weight = share * rows.inverse_area[row]
     depth = np.minimum(strength[which] * (weight if strength.ndim == 1 else weight[:, None]), np.float32(OPAQUE_DEPTH))
     cell = (rows.first[row] + column + KINDS.index(batch.kind) * rows.cells).astype(np.uint64)
@@ -473,21 +479,16 @@ def _plane_distance(
     ray: np.ndarray,  # (N, 3) towards it, unit
     middle: np.ndarray,  # (N, 3) towards the cell, unit
     to_cell: tuple[np.ndarray, np.ndarray],  # (N,) longitude and latitude of the cell less those of the point
-    step: np.ndarray,  # (N,) or scalar: sides of the cells, as _Rows.step
 ) -> np.ndarray:
-    """(N,) distance at which the plane meets the middle of the cell, within REACH cells of `distance`."""
+    """(N,) distance at which the plane meets the middle of the cell."""
     facing = (normal * ray).sum(axis=1)
     least = STEEPEST * np.sqrt((normal**2).sum(axis=1))
     if frame.parallel:
-        rise = -(normal[:, 0] * to_cell[0] + normal[:, 1] * to_cell[1]) / _at_least(facing, least)
-        limit = REACH * step
-    else:
-        there = (normal * middle).sum(axis=1)
-        # A plane that turns its other side to the cell never meets it.
-        there = np.where((there > 0) == (facing > 0), _at_least(there, least), _at_least(facing, least))
-        rise = distance * (_at_least(facing, least) / there - 1)
-        limit = REACH * step * distance
-    return distance + np.clip(rise, -limit, limit)
+        return distance - (normal[:, 0] * to_cell[0] + normal[:, 1] * to_cell[1]) / _at_least(facing, least)
+    there = (normal * middle).sum(axis=1)
+    # A plane that turns its other side to the cell never meets it.
+    there = np.where((there > 0) == (facing > 0), there, facing)
+    return distance * (_at_least(facing, least) / _at_least(there, least))
 
 
 def _at_least(value: np.ndarray, least: np.ndarray) -> np.ndarray:
@@ -495,17 +496,17 @@ def _at_least(value: np.ndarray, least: np.ndarray) -> np.ndarray:
     return np.copysign(np.maximum(np.maximum(np.abs(value), least), np.float32(1e-30)), value)
 
 
-def _levels(rows: _Rows, key: np.ndarray, depth: np.ndarray) -> Iterator[Level]:
-    """Sort the entries of all cells at once, sum within cells, and cut into levels."""
+def _levels(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> Iterator[Level]:
+    """Sort the entries of all cells at once, sum within cells, and cut into levels. `wide`: the lamp has a size."""
     order = np.argsort(key, kind="stable")
     key, depth = key[order], depth[order].astype(np.float64)
     del order
     total = _sums_within(key >> np.uint64(32), depth)
 
-    # What lies behind no light at all is not needed.
+    # What lies behind no light at all is not needed, but where light comes from the side.
     opaque = key < np.uint64(rows.cells) << np.uint64(32)
     before = (total - depth).reshape(len(key), -1).min(axis=1)
-    key, total = (a[before < np.where(opaque, 1.0, OPAQUE_DEPTH)] for a in (key, total))
+    key, total = (a[before < np.where(opaque & (not wide), 1.0, OPAQUE_DEPTH)] for a in (key, total))
     # Of one distance, the last holds the sum.
     last = np.append(key[1:] != key[:-1], True)
     key, total = key[last], total[last].astype(np.float32).reshape(np.count_nonzero(last), -1)
@@ -557,11 +558,6 @@ class Level:
     distance: np.ndarray  # (E,) float32, ascending within a cell
     total: np.ndarray  # (E, 1 or 3) float32: optical depth (OPAQUE: covered fraction) up to and with the entry
 
-    @cached_property
-    def nearest(self) -> float:
-        """No entry is nearer to the lamp."""
-        return float(self.distance.min())
-
     @property
     def nbytes(self) -> int:
         rows = 16 * len(self.grid.count)
@@ -587,10 +583,31 @@ def _bit_count(words: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
+class Emitter:
+    """What shines, for the softness of shadows."""
+
+    shape: str  # one of SHAPES; DISK: faces the receiver
+    size: np.ndarray  # (2, 3) float64, local half-sides; DISK: both as long as the radius, for suns per unit of length
+
+    @property
+    def radius(self) -> float:
+        return float(np.linalg.norm(self.size, axis=1).max())
+
+
+def _emitter(light: Light, frame: Frame) -> Emitter:
+    if light.kind == "AREA" and light.axis_u is not None and light.axis_v is not None:
+        size = np.stack([light.axis_u, light.axis_v]) @ frame.light_from_world.T
+        return Emitter("ELLIPSE" if light.ellipse else "RECTANGLE", size)
+    radius = np.tan(min(light.radius, 1.5)) if light.kind == "SUN" else light.radius
+    return Emitter("DISK" if radius > 0 else "POINT", np.eye(3)[:2] * radius)
+
+
+@dataclass(frozen=True, eq=False)
 class ShadowTable:
     """What stands between a lamp and the points that it could light."""
 
     frame: Frame
+    emitter: Emitter
     levels: tuple[Level, ...]
     colored: bool  # optical depths have three channels
 
@@ -602,81 +619,162 @@ class ShadowTable:
     def nbytes(self) -> int:
         return sum(level.nbytes for level in self.levels)
 
-    def transmittance(self, points: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
+    @cached_property
+    def nearest(self) -> float:
+        """No entry is nearer to the lamp."""
+        return min((float(level.distance.min()) for level in self.levels), default=0.0)
+
+    def transmittance(self, points: np.ndarray, normals: np.ndarray | None = None, taps: int = TAPS) -> np.ndarray:
         """(P,) float64, or (P, 3) where colored: the share of the light that reaches world points (P, 3).
 
-        normals: (P, 3) unit, or zero where there is none: of the surface that receives the light.
+        normals: (P, 3) unit, or zero where there is none: of the surface that receives the light. Where shadows are
+        soft, `taps` points of the lamp are averaged.
         """
-        parts = range(0, max(len(points), 1), CHUNK)
-        found = [
-            self._transmittance(points[i : i + CHUNK], None if normals is None else normals[i : i + CHUNK])
-            for i in parts
-        ]
-        result = np.concatenate(found)
+        normals = np.zeros_like(points, dtype=float) if normals is None else normals
+        parts = [slice(i, i + CHUNK) for i in range(0, max(len(points), 1), CHUNK)]
+        result = np.concatenate([self._transmittance(points[part], normals[part], taps) for part in parts])
         return result if self.colored else result[:, 0]
 
-    def optical_depth(self, points: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
+    def optical_depth(self, points: np.ndarray, normals: np.ndarray | None = None, taps: int = TAPS) -> np.ndarray:
         """-ln of `transmittance`, at most OPAQUE_DEPTH."""
-        floor = np.exp(-OPAQUE_DEPTH)
-        return -np.log(np.maximum(self.transmittance(points, normals), floor))
+        return -np.log(np.maximum(self.transmittance(points, normals, taps), np.exp(-OPAQUE_DEPTH)))
 
-    def _transmittance(self, points: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
+    def _transmittance(self, points: np.ndarray, normals: np.ndarray, taps: int) -> np.ndarray:
         turn = self.frame.light_from_world.T
-        local = (np.asarray(points, float) - self.frame.origin) @ turn
-        local_normals = None if normals is None else np.asarray(normals, float) @ turn
-        covered, depth = np.zeros((len(points), 1)), np.zeros((len(points), 3 if self.colored else 1))
-        for level in self.levels:
-            found = self._look_up(level, local, local_normals)
-            if level.kind == "OPAQUE":
-                covered += found[:, :1]
-            else:
-                depth += found
-        return np.maximum(1 - covered, 0) * np.exp(-depth)
-
-    def _look_up(self, level: Level, local: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
-        """(P, 1 or 3) float64: what a level holds in front of the points, between the four cells around each."""
-        frame, grid = self.frame, level.grid
-        latitude, longitude, distance = frame.spherical(local)
-        ray = _directions(frame, latitude, longitude)[0]
-        width = grid.step * (np.ones_like(distance) if frame.parallel else distance)
-        place = (latitude - grid.low) / grid.step
-        result = np.zeros((len(local), level.total.shape[1]))
-        for next_row in (0, 1):
-            row = np.floor(place).astype(np.int64) + next_row
-            row_share = 1 - np.abs(place - row)
-            inside = (row >= 0) & (row < len(grid.count))
-            row = np.where(inside, row, 0)
-            across = longitude * grid.density[row]
-            for next_column in (0, 1):
-                column = np.floor(across).astype(np.int64) + next_column
-                share = row_share * (1 - np.abs(across - column))
-                limit = distance
-                if level.kind != "VOLUME" and normals is not None:
-                    there = column / grid.density[row]
-                    to_cell = there - longitude, grid.latitude[row] - latitude
-                    middle = _directions(frame, grid.latitude[row], there)[0]
-                    facing = np.maximum(np.abs((normals * ray).sum(axis=1)), STEEPEST)
-                    limit = _plane_distance(frame, normals, distance, ray, middle, to_cell, np.float64(grid.step))
-                    limit = np.where(normals.any(axis=1), limit - BIAS * width / facing, distance)
-                if level.kind == "OPAQUE":
-                    unoriented = True if normals is None else ~normals.any(axis=1)
-                    limit = np.where(unoriented, distance - UNORIENTED_BIAS * width, limit)
-                column -= grid.column0[row]
-                if grid.wraps:
-                    column %= grid.count[row]
-                good = inside & (column >= 0) & (column < grid.count[row])
-                cell = np.where(good, grid.first[row] + column, -1)
-                result += share[:, None] * _up_to(level, cell, limit, width / 2)
+        receiver = _Receiver(self.frame, (np.asarray(points, float) - self.frame.origin) @ turn, normals @ turn)
+        wide = receiver.spread(self) > SHARP
+        result = np.empty((len(points), 3 if self.colored else 1))
+        result[~wide] = self._light(receiver.take(~wide), [(0.0, np.inf)], np.zeros(2), None)
+        soft, sum_ = receiver.take(wide), 0.0
+        for k in range(taps if wide.any() else 0):
+            x, y, row, column, cut = (0.5 + k * SEQUENCE) % 1
+            lamp = np.array([x, y]) * 2 - 1
+            if self.emitter.shape != "RECTANGLE":
+                lamp = np.sqrt(x) * np.array([np.cos(2 * np.pi * y), np.sin(2 * np.pi * y)])
+            edges = [0.0, *(((j + cut) / (SEGMENTS - 1)) ** 2 for j in range(SEGMENTS - 1)), np.inf]
+            sum_ = sum_ + self._light(soft, list(pairwise(edges)), lamp, np.array([row, column]) - 0.5)
+        result[wide] = sum_ / taps
         return result
 
+    def _light(
+        self, receiver: _Receiver, segments: list[tuple[float, float]], lamp: np.ndarray, jitter: np.ndarray | None
+    ) -> np.ndarray:
+        """(P, C): what comes from one point of the lamp. Its ray crosses cells where the lamp is wide.
 
-def _up_to(level: Level, cell: np.ndarray, limit: np.ndarray, ramp: np.ndarray) -> np.ndarray:
-    """(P, C) float64: what cells (P,) hold in front of distances (P,).
+        Segments of the ray, as parts of the spread, are looked up in the cells of their middles.
+        """
+        covered, depth = np.zeros((len(receiver), 1)), np.zeros((len(receiver), 3 if self.colored else 1))
+        spread = receiver.reach(self)
+        offset = receiver.offset(self.emitter, lamp)
+        for start, end in segments:
+            far = receiver.along(start * spread)
+            near = receiver.along(end * spread) if np.isfinite(end) else np.full(len(receiver), -np.inf)
+            middle = (start + min(end, 1.0)) / 2
+            latitude, longitude = receiver.tap(offset, middle * spread)
+            for level in self.levels:
+                found = _look_up(level, receiver, latitude, longitude, near, far, jitter)
+                if level.kind == "OPAQUE":
+                    covered += found[:, :1]
+                else:
+                    depth += found
+        return np.maximum(1 - covered, 0) * np.exp(-depth)
+
+
+class _Receiver:
+    """Points that receive light, in the lamp's coordinates; normals are zero where there is none."""
+
+    def __init__(self, frame: Frame, local: np.ndarray, normals: np.ndarray) -> None:
+        self.frame, self.local, self.normals = frame, local, normals
+        self.latitude, self.longitude, self.distance = frame.spherical(local)
+        self.ray, self.north, self.east = _directions(frame, self.latitude, self.longitude)
+        self.oriented = normals.any(axis=1)
+        self.facing = np.maximum(np.abs((normals * self.ray).sum(axis=1)), STEEPEST)
+
+    def __len__(self) -> int:
+        return len(self.local)
+
+    def take(self, index: np.ndarray) -> _Receiver:
+        return _Receiver(self.frame, self.local[index], self.normals[index])
+
+    def reach(self, table: ShadowTable) -> np.ndarray:
+        """(P,) how far the ray from the lamp's rim departs there from the ray from its middle, per size of the lamp."""
+        if self.frame.parallel:
+            return np.maximum(self.distance - table.nearest, 0)
+        nearest = max(table.nearest, table.emitter.radius, 1e-30)
+        return np.maximum(1 / nearest - 1 / np.maximum(self.distance, 1e-30), 0)
+
+    def spread(self, table: ShadowTable) -> np.ndarray:
+        """(P,) the same in cells."""
+        return self.reach(table) * table.emitter.radius / self.frame.step
+
+    def along(self, spread: np.ndarray) -> np.ndarray:
+        """(P,) distance from the lamp at which rays have departed so far."""
+        return self.distance - spread if self.frame.parallel else self.distance / (1 + self.distance * spread)
+
+    def offset(self, emitter: Emitter, lamp: np.ndarray) -> np.ndarray:
+        """(P, 3) from the lamp's middle to a point (2,) of it, across the ray."""
+        if emitter.shape in ("POINT", "DISK") and not self.frame.parallel:
+            return emitter.radius * (lamp[0] * self.east + lamp[1] * self.north)
+        point = lamp @ emitter.size
+        return point - (self.ray @ point)[:, None] * self.ray
+
+    def tap(self, offset: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Latitude and longitude (P,) of rays that have departed so far towards `offset` (P, 3)."""
+        if self.frame.parallel:
+            return self.latitude + offset[:, 1] * spread, self.longitude + offset[:, 0] * spread
+        return self.frame.spherical(self.ray + offset * spread[:, None])[:2]
+
+
+def _look_up(
+    level: Level,
+    receiver: _Receiver,
+    latitude: np.ndarray,
+    longitude: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    jitter: np.ndarray | None,
+) -> np.ndarray:
+    """(P, 1 or 3) float64: what a level holds in a direction between two distances (P,), by the four cells around it.
+
+    With a `jitter` (2,) in cells, by the one cell there: many of them average to the same.
+    """
+    frame, grid = receiver.frame, level.grid
+    width = grid.step * (np.ones(len(receiver)) if frame.parallel else receiver.distance)
+    place = (latitude - grid.low) / grid.step
+    result = np.zeros((len(receiver), level.total.shape[1]))
+    for next_row, next_column in np.ndindex(2, 2) if jitter is None else [(0, 0)]:
+        row = np.floor(place) + next_row if jitter is None else np.rint(place + jitter[0])
+        inside = (row >= 0) & (row < len(grid.count))
+        row = np.where(inside, row, 0).astype(np.int64)
+        across = longitude * grid.density[row]
+        column = np.floor(across) + next_column if jitter is None else np.rint(across + jitter[1])
+        share = (1 - np.abs(place - row)) * (1 - np.abs(across - column)) if jitter is None else np.ones_like(place)
+        limit = np.full(len(receiver), np.inf)
+        if level.kind != "VOLUME":
+            there = column / grid.density[row]
+            to_cell = there - receiver.longitude, grid.latitude[row] - receiver.latitude
+            middle = _directions(frame, grid.latitude[row], there)[0]
+            plane = _plane_distance(frame, receiver.normals, receiver.distance, receiver.ray, middle, to_cell)
+            unoriented = receiver.distance - UNORIENTED_BIAS * width if level.kind == "OPAQUE" else np.inf
+            limit = np.where(receiver.oriented, plane - BIAS * width / receiver.facing, unoriented)
+        column = column.astype(np.int64) - grid.column0[row]
+        if grid.wraps:
+            column %= grid.count[row]
+        inside &= (column >= 0) & (column < grid.count[row])
+        first, end = level.range(np.where(inside, grid.first[row] + column, -1))
+        found = _up_to(level, first, end, np.minimum(far, limit), width / 2)
+        if jitter is not None:
+            found -= _up_to(level, first, end, np.minimum(near, limit), width / 2)
+        result += share[:, None] * (np.minimum(found, 1) if level.kind == "OPAQUE" else found)
+    return result
+
+
+def _up_to(level: Level, first: np.ndarray, end: np.ndarray, limit: np.ndarray, ramp: np.ndarray) -> np.ndarray:
+    """(P, C) float64: what the entries first .. end (P,) hold in front of distances (P,).
 
     Opaque entries count in full. Others set in along the ray from `ramp` (P,) before to as much after their distance,
     or half the way to their neighbours where these are nearer: a splat counts half for itself.
     """
-    first, end = level.range(cell)
     low, high = first.copy(), end.copy()
     while (low < high).any():
         middle = (low + high) // 2
@@ -689,15 +787,16 @@ def _up_to(level: Level, cell: np.ndarray, limit: np.ndarray, ramp: np.ndarray) 
         )
 
     if level.kind == "OPAQUE":
-        return np.minimum(total(low - 1), 1)
+        return total(low - 1)
     has_last, has_next = low > first, low < end
     last, following = np.maximum(low - 1, 0), np.minimum(low, len(level.distance) - 1)
     before, after = limit - level.distance[last], level.distance[following] - limit
-    reach = np.where(has_last & has_next, np.minimum(ramp, (before + after) / 2), ramp)
+    gap = level.distance[following].astype(float) - level.distance[last]
+    reach = np.where(has_last & has_next, np.minimum(ramp, gap / 2), ramp)
     reach = np.maximum(reach, 1e-30)
-    result, half = total(low - 1), 0.5
-    missing = has_last * half * np.clip(1 - before / reach, 0, 1)
-    added = has_next * half * np.clip(1 - after / reach, 0, 1)
+    result = total(low - 1)
+    missing = has_last * np.clip(1 - before / reach, 0, 1) / 2
+    added = has_next * np.clip(1 - after / reach, 0, 1) / 2
     return (
         result
         - missing[:, None] * (result - total(low - 2))
@@ -708,7 +807,7 @@ def _up_to(level: Level, cell: np.ndarray, limit: np.ndarray, ramp: np.ndarray) 
 # What the device reads
 
 PAGE_WIDTH = 4096  # texels to a row of the tables' texture
-HEAD = 4  # texels of a lamp's record before its levels
+HEAD = 6  # texels of a lamp's record before its levels
 LEVEL = 3  # texels of a level's record
 
 
@@ -722,22 +821,24 @@ class PackedTables:
 
     data: np.ndarray  # (H, PAGE_WIDTH, 4) float32
     colored: bool
-    frames: tuple[Frame | None, ...]  # of each lamp; None: it casts no shadow
+    tables: tuple[ShadowTable | None, ...]  # of each lamp; None: it casts no shadow
     levels: np.ndarray  # (lamps, most levels, LEVEL, 4) float32
-    counts: tuple[int, ...]  # levels of each lamp
 
     def records(self, view_from_world: np.ndarray) -> np.ndarray:
         """(lamps, HEAD + LEVEL levels, 4) float32: ps_shadow_lights for one view, (4, 4) float64 and rigid.
 
-        Texels 0 to 2 are the rows of light_from_view, 3 is (1 for suns, number of levels, 0, 0).
+        Texels 0 to 2 are the rows of light_from_view, 3 is (1 for suns, number of levels, index of the shape, nearest
+        entry), 4 and 5 are the size, local, with the radius and the finest step behind.
         """
         world_from_view = np.linalg.inv(view_from_world)
-        head = np.zeros((len(self.frames), HEAD, 4))
-        for row, frame, count in zip(head, self.frames, self.counts, strict=True):
-            if frame is not None:
+        head = np.zeros((len(self.tables), HEAD, 4))
+        for row, table in zip(head, self.tables, strict=True):
+            if table is not None and table.levels:
+                frame, emitter = table.frame, table.emitter
                 row[:3, :3] = frame.light_from_world @ world_from_view[:3, :3]
                 row[:3, 3] = frame.light_from_world @ (world_from_view[:3, 3] - frame.origin)
-                row[3, :2] = frame.parallel, count
+                row[3] = frame.parallel, len(table.levels), SHAPES.index(emitter.shape), table.nearest
+                row[4:, :3], row[4:, 3] = emitter.size, (emitter.radius, frame.step)
         return np.concatenate([head.astype(np.float32), self.levels.reshape(len(head), -1, 4)], axis=1)
 
 
@@ -757,7 +858,7 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
             base = texels + np.cumsum(sizes) - sizes
             texel[0] = level.grid.low, level.grid.step, len(level.grid.count), KINDS.index(level.kind)
             texel[1] = coded(base * (1, 1, 4, 1 if colored else 2))
-            texel[2, :2] = level.grid.wraps, level.nearest
+            texel[2, 0] = level.grid.wraps
             parts += blocks
             texels += int(sizes.sum())
     height = max(1, -(-texels // PAGE_WIDTH))
@@ -766,9 +867,7 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
     data = np.zeros((height * PAGE_WIDTH, 4), np.float32)
     if parts:
         np.concatenate(parts, out=data[:texels])
-    frames = tuple(None if t is None else t.frame for t in tables)
-    counts = tuple(0 if t is None else len(t.levels) for t in tables)
-    return PackedTables(data.reshape(height, PAGE_WIDTH, 4), colored, frames, records, counts)
+    return PackedTables(data.reshape(height, PAGE_WIDTH, 4), colored, tuple(tables), records)
 
 
 def coded(integers: np.ndarray) -> np.ndarray:

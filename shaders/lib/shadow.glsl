@@ -1,12 +1,26 @@
 // How much of a lamp's light reaches a point, from its table. Reference and layout: core/shadow.py.
 // Samplers: ps_shadow_tables (all lamps' cells), ps_shadow_lights (one row for each lamp, of this view).
-// PS_SHADOW_COLORED: optical depths have three channels.
+// PS_SHADOWS: some lamp casts shadows; else nothing here exists. PS_SHADOW_COLORED: optical depths have three channels.
+// Shadows of wide lamps are the mean of PS_SHADOW_TAPS points of the lamp, of a sequence that goes on from sample to
+// sample of a picture: PS_SHADOW_SAMPLE is the sample's number.
+
+#ifdef PS_SHADOWS
+
+#ifndef PS_SHADOW_TAPS
+#define PS_SHADOW_TAPS 4
+#endif
+#ifndef PS_SHADOW_SAMPLE
+#define PS_SHADOW_SAMPLE 0
+#endif
 
 #define PS_SHADOW_BIAS 1.0
 #define PS_SHADOW_UNORIENTED_BIAS 1.5
 #define PS_SHADOW_STEEPEST 0.1
-#define PS_SHADOW_REACH 8.0
-#define PS_SHADOW_HEAD 4
+#define PS_SHADOW_SHARP 0.5
+#define PS_SHADOW_SEGMENTS 3
+#define PS_SHADOW_HEAD 6
+#define PS_DISK 1
+#define PS_RECTANGLE 2
 #define PS_OPAQUE 0.0
 #define PS_VOLUME 2.0
 
@@ -31,7 +45,14 @@ struct PsShadowEntry {
 struct PsReceiver {
   bool parallel, oriented;
   float latitude, longitude, at;
-  vec3 ray, normal;
+  vec3 ray, north, east, normal;
+};
+
+// Where a table is looked up: the direction, and between which distances. `jitter` in cells, if only one cell is.
+struct PsTap {
+  float latitude, longitude, near, far;
+  bool one;
+  vec2 jitter;
 };
 
 vec4 ps_shadow_texel(int i)
@@ -85,10 +106,9 @@ ivec2 ps_shadow_range(PsShadowLevel level, int cell)
   return held ? level.entry_base + ps_shadow_links(level.link_base + rank) : ivec2(level.entry_base);
 }
 
-// What a cell holds in front of a distance; see _up_to.
-PsDepth ps_shadow_up_to(PsShadowLevel level, int cell, float limit, float ramp)
+// What a cell's entries hold in front of a distance; see _up_to.
+PsDepth ps_shadow_up_to(PsShadowLevel level, ivec2 range, float limit, float ramp)
 {
-  ivec2 range = ps_shadow_range(level, cell);
   int low = range.x, high = range.y;
   while (low < high) {
     int middle = (low + high) >> 1;
@@ -100,7 +120,7 @@ PsDepth ps_shadow_up_to(PsShadowLevel level, int cell, float limit, float ramp)
   bool has_last = low > range.x, has_next = low < range.y;
   PsDepth total = has_last ? last.total : PsDepth(0.0);
   if (level.kind == PS_OPAQUE) {
-    return min(total, PsDepth(1.0));
+    return total;
   }
   PsShadowEntry next = ps_shadow_entry(has_next ? low : range.x), previous = ps_shadow_entry(max(low - 2, range.x));
   float before = limit - last.at, after = next.at - limit;
@@ -123,50 +143,70 @@ float ps_shadow_cosine(float cosine)
   return (cosine < 0.0 ? -1.0 : 1.0) * max(abs(cosine), PS_SHADOW_STEEPEST);
 }
 
-// Distance at which the receiver's plane meets the middle of a cell; see _plane_distance.
-float ps_shadow_plane(PsReceiver p, vec2 cell, float cell_size)
+// Distance at which the receiver's plane meets the middle of a cell (longitude, latitude); see _plane_distance.
+float ps_shadow_plane(PsReceiver p, vec2 cell)
 {
-  float facing = dot(p.normal, p.ray), rise, limit = PS_SHADOW_REACH * cell_size;
-  if (p.parallel) {
-    rise = -dot(p.normal.xy, cell.yx - vec2(p.longitude, p.latitude)) / ps_shadow_cosine(facing);
-  }
-  else {
-    float there = dot(p.normal, ps_shadow_ray(cell.x, cell.y));
-    rise = p.at * (ps_shadow_cosine(facing) / ps_shadow_cosine((there > 0.0) == (facing > 0.0) ? there : facing) - 1.0);
-    limit *= p.at;
-  }
-  return p.at + clamp(rise, -limit, limit);
+  float facing = dot(p.normal, p.ray), there = dot(p.normal, ps_shadow_ray(cell.y, cell.x));
+  there = (there > 0.0) == (facing > 0.0) ? there : facing;
+  float lateral = dot(p.normal.xy, cell - vec2(p.longitude, p.latitude));
+  return p.parallel ? p.at - lateral / ps_shadow_cosine(facing)
+                    : p.at * (ps_shadow_cosine(facing) / ps_shadow_cosine(there));
 }
 
-// What a level holds in front of the receiver, between the four cells around it.
-PsDepth ps_shadow_look_up(PsShadowLevel level, PsReceiver p)
+// What a level holds at a tap, between the four cells around it or in the one there; see _look_up.
+PsDepth ps_shadow_look_up(PsShadowLevel level, PsReceiver p, PsTap tap)
 {
   float width = level.step * (p.parallel ? 1.0 : p.at);
-  float place = (p.latitude - level.low) / level.step;
+  float place = (tap.latitude - level.low) / level.step;
   float bias = width * PS_SHADOW_BIAS / max(abs(dot(p.normal, p.ray)), PS_SHADOW_STEEPEST);
   PsDepth result = PsDepth(0.0);
-  for (int i = 0; i < 4; i++) {
-    float row = floor(place) + float(i >> 1);
-    float row_share = 1.0 - abs(place - row);
+  int corners = tap.one ? 1 : 4;
+  for (int i = 0; i < corners; i++) {
+    float row = tap.one ? floor(place + tap.jitter.x + 0.5) : floor(place) + float(i >> 1);
     bool inside = row >= 0.0 && row < level.rows;
     vec4 record = ps_shadow_texel(level.row_base + int(clamp(row, 0.0, level.rows - 1.0)));
-    float across = p.longitude * record.w;
-    float column = floor(across) + float(i & 1);
-    float share = row_share * (1.0 - abs(across - column));
-    float limit = p.at;
+    float across = tap.longitude * record.w;
+    float column = tap.one ? floor(across + tap.jitter.y + 0.5) : floor(across) + float(i & 1);
+    float share = tap.one ? 1.0 : (1.0 - abs(place - row)) * (1.0 - abs(across - column));
+    float limit = level.kind == PS_OPAQUE ? p.at - PS_SHADOW_UNORIENTED_BIAS * width : 1e30;
     if (level.kind != PS_VOLUME && p.oriented) {
-      limit = ps_shadow_plane(p, vec2(level.low + row * level.step, column / record.w), level.step) - bias;
-    }
-    else if (level.kind == PS_OPAQUE) {
-      limit = p.at - PS_SHADOW_UNORIENTED_BIAS * width;
+      limit = ps_shadow_plane(p, vec2(column / record.w, level.low + row * level.step)) - bias;
     }
     column -= record.y;
     column -= level.wraps ? record.z * floor((column + 0.5) / record.z) : 0.0;
-    if (inside && share > 0.0 && column >= 0.0 && column < record.z) {
-      result += share * ps_shadow_up_to(level, ps_shadow_index(record.x) + int(column), limit, 0.5 * width);
+    if (inside && column >= 0.0 && column < record.z) {
+      ivec2 range = ps_shadow_range(level, ps_shadow_index(record.x) + int(column));
+      PsDepth found = ps_shadow_up_to(level, range, min(tap.far, limit), 0.5 * width);
+      if (tap.one) {
+        found -= ps_shadow_up_to(level, tap.near > 0.0 ? range : range.xx, min(tap.near, limit), 0.5 * width);
+      }
+      result += share * (level.kind == PS_OPAQUE ? min(found, PsDepth(1.0)) : found);
     }
   }
   return result;
+}
+
+PsReceiver ps_shadow_receiver(bool parallel, vec3 local, vec3 normal)
+{
+  float across = length(local.xy);
+  PsReceiver p;
+  p.parallel = parallel;
+  p.oriented = dot(normal, normal) > 0.0;
+  p.normal = normal;
+  // atan(0, 0) is undefined.
+  p.latitude = parallel ? local.y : atan(local.z, max(across, 1e-30));
+  p.longitude = parallel ? local.x : atan(local.y, across > 0.0 ? local.x : 1.0);
+  p.at = parallel ? local.z : length(local);
+  p.ray = parallel ? vec3(0.0, 0.0, 1.0) : ps_shadow_ray(p.latitude, p.longitude);
+  p.east = parallel ? vec3(1.0, 0.0, 0.0) : vec3(-sin(p.longitude), cos(p.longitude), 0.0);
+  p.north = cross(p.ray, p.east);
+  return p;
+}
+
+// A number of the additive recurrence; its terms for successive integers fill the unit interval evenly.
+float ps_shadow_sequence(int index, float step)
+{
+  return fract(0.5 + float(index) * step);
 }
 
 // Share of the light of lamp `light` (a row of ps_shadow_lights) that reaches a point in view space. `normal`: unit, of
@@ -175,35 +215,63 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal)
 {
   vec4 x = texelFetch(ps_shadow_lights, ivec2(0, light), 0), y = texelFetch(ps_shadow_lights, ivec2(1, light), 0);
   vec4 z = texelFetch(ps_shadow_lights, ivec2(2, light), 0), head = texelFetch(ps_shadow_lights, ivec2(3, light), 0);
+  vec4 size_u = texelFetch(ps_shadow_lights, ivec2(4, light), 0);
+  vec4 size_v = texelFetch(ps_shadow_lights, ivec2(5, light), 0);
   vec4 point = vec4(position, 1.0);
   vec3 local = vec3(dot(x, point), dot(y, point), dot(z, point));
-  PsReceiver p;
-  p.parallel = head.x == 1.0;
-  p.normal = vec3(dot(x.xyz, normal), dot(y.xyz, normal), dot(z.xyz, normal));
-  p.oriented = dot(normal, normal) > 0.0;
-  float across = length(local.xy);
-  // atan(0, 0) is undefined.
-  p.latitude = p.parallel ? local.y : atan(local.z, max(across, 1e-30));
-  p.longitude = p.parallel ? local.x : atan(local.y, across > 0.0 ? local.x : 1.0);
-  p.at = p.parallel ? local.z : length(local);
-  p.ray = p.parallel ? vec3(0.0, 0.0, 1.0) : ps_shadow_ray(p.latitude, p.longitude);
+  vec3 local_normal = vec3(dot(x.xyz, normal), dot(y.xyz, normal), dot(z.xyz, normal));
+  PsReceiver p = ps_shadow_receiver(head.x == 1.0, local, local_normal);
+  int levels = int(head.y), shape = int(head.z);
 
-  float covered = 0.0;
-  PsDepth depth = PsDepth(0.0);
-  int levels = int(head.y);
-  for (int i = 0; i < levels; i++) {
-    PsShadowLevel level = ps_shadow_level(light, i);
-    PsDepth found = ps_shadow_look_up(level, p);
-    if (level.kind == PS_OPAQUE) {
+  // How far the ray from the lamp's rim departs from the ray from its middle, per size of the lamp.
+  float radius = size_u.w;
+  float spread = p.parallel ? p.at - head.w : 1.0 / max(max(head.w, radius), 1e-30) - 1.0 / max(p.at, 1e-30);
+  bool wide = spread * radius > PS_SHADOW_SHARP * size_v.w;
+  int taps = wide ? PS_SHADOW_TAPS : 1, segments = wide ? PS_SHADOW_SEGMENTS : 1;
+
+  vec3 sum = vec3(0.0);
+  for (int k = 0; k < taps; k++) {
+    int index = PS_SHADOW_SAMPLE * PS_SHADOW_TAPS + k;
+    vec2 lamp = vec2(ps_shadow_sequence(index, 0.8812714616335696), ps_shadow_sequence(index, 0.7766393890897682));
+    lamp = shape == PS_RECTANGLE ? 2.0 * lamp - 1.0
+                                 : sqrt(lamp.x) * vec2(cos(6.28318531 * lamp.y), sin(6.28318531 * lamp.y));
+    float cut = ps_shadow_sequence(index, 0.5315553977157914);
+    vec3 offset = shape == PS_DISK && !p.parallel ? radius * (lamp.x * p.east + lamp.y * p.north)
+                                                  : lamp.x * size_u.xyz + lamp.y * size_v.xyz;
+    offset = wide ? offset - dot(offset, p.ray) * p.ray : vec3(0.0);
+    PsTap tap;
+    tap.one = wide;
+    tap.jitter = vec2(ps_shadow_sequence(index, 0.6844301295853426), ps_shadow_sequence(index, 0.6031687406857283)) - 0.5;
+
+    float covered = 0.0;
+    PsDepth depth = PsDepth(0.0);
+    float start = 0.0;
+    for (int j = 0; j < segments; j++) {
+      float end = (float(j) + cut) / float(PS_SHADOW_SEGMENTS - 1);
+      bool last = j == segments - 1;
+      end = last ? 1.0 : end * end;
+      float from = start * spread, to = end * spread, middle = 0.5 * (from + to);
+      tap.far = p.parallel ? p.at - from : p.at / (1.0 + p.at * from);
+      tap.near = last ? 0.0 : p.parallel ? p.at - to : p.at / (1.0 + p.at * to);
+      vec3 direction = p.ray + offset * middle;
+      tap.latitude = p.parallel || !wide ? p.latitude + offset.y * middle
+                                        : atan(direction.z, max(length(direction.xy), 1e-30));
+      tap.longitude = p.parallel || !wide ? p.longitude + offset.x * middle : atan(direction.y, direction.x);
+      start = end;
+      for (int i = 0; i < levels; i++) {
+        PsShadowLevel level = ps_shadow_level(light, i);
+        PsDepth found = ps_shadow_look_up(level, p, tap);
 #ifdef PS_SHADOW_COLORED
-      covered += found.x;
+        covered += level.kind == PS_OPAQUE ? found.x : 0.0;
 #else
-      covered += found;
+        covered += level.kind == PS_OPAQUE ? found : 0.0;
 #endif
+        depth += level.kind == PS_OPAQUE ? PsDepth(0.0) : found;
+      }
     }
-    else {
-      depth += found;
-    }
+    sum += vec3(max(1.0 - covered, 0.0) * exp(-depth));
   }
-  return vec3(max(1.0 - covered, 0.0) * exp(-depth));
+  return sum / float(taps);
 }
+
+#endif

@@ -10,7 +10,8 @@ from pointsplat_addon.core.scene import Light
 from pointsplat_addon.shading.interface import Interface
 
 moderngl = pytest.importorskip("moderngl")
-COUNT = 4096
+COUNT = 1024
+TAPS = 8
 FRAGMENT = str(Path(__file__).with_name("shadow.frag"))
 RNG = np.random.default_rng(4)
 VIEW = np.eye(4)
@@ -18,13 +19,22 @@ VIEW[:3, :3] = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
 VIEW[:3, :3] *= np.linalg.det(VIEW[:3, :3])
 VIEW[:3, 3] = 0.3, -0.2, 0.1
 DOWN = np.array([0.0, 0.0, -1.0])
+SIDES = np.array([[0.3, 0.0, 0.0], [0.0, 0.1, 0.0]])
 LIGHTS = {
     "sun": Light("SUN", np.ones(3), np.zeros(3), np.array([0.36, 0.48, -0.8])),
     "far point": Light("POINT", np.ones(3), np.array([4.0, 1.0, 5.0]), DOWN),
     "inside": Light("POINT", np.ones(3), np.array([0.05, 0.1, 0.0]), DOWN),
     "spot": Light("SPOT", np.ones(3), np.array([0.0, 0.2, 3.0]), DOWN, spot_cos=0.95),
-    "area": Light("AREA", np.ones(3), np.array([0.0, 0.2, 1.0]), DOWN),
+    "soft sun": Light("SUN", np.ones(3), np.zeros(3), np.array([0.36, 0.48, -0.8]), radius=0.05),
+    "soft point": Light("POINT", np.ones(3), np.array([0.0, 0.2, 2.0]), DOWN, radius=0.2),
+    "soft inside": Light("POINT", np.ones(3), np.array([0.05, 0.1, 0.0]), DOWN, radius=0.1),
+    "area": Light("AREA", np.ones(3), np.array([0.0, 0.2, 2.0]), DOWN, axis_u=SIDES[0], axis_v=SIDES[1]),
+    "ellipse": Light(
+        "AREA", np.ones(3), np.array([0.0, 0.2, 2.0]), DOWN, axis_u=SIDES[0], axis_v=SIDES[1], ellipse=True
+    ),
 }
+
+SOFT = ("soft sun", "soft point", "soft inside", "area", "ellipse")
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +53,13 @@ def device():
 def matter(colored: bool) -> list[shadow.Casters]:
     """Some of each kind, in a cube."""
     rng = np.random.default_rng(1)
-    position = rng.uniform(-1, 1, (3, 5000, 3)).astype(np.float32)
-    axes = rng.normal(size=(3, 5000, 3, 3)).astype(np.float32) * 0.01
-    mass = rng.uniform(0, 3e-3, (5000, 3) if colored else 5000).astype(np.float32)
+    position = rng.uniform(-1, 1, (3, 2000, 3)).astype(np.float32)
+    axes = rng.normal(size=(3, 2000, 3, 3)).astype(np.float32) * 0.01
+    mass = rng.uniform(0, 3e-3, (2000, 3) if colored else 2000).astype(np.float32)
     zero = np.zeros(3)
     return [
-        shadow.Casters("VOLUME", zero, position[0], radius=np.full(5000, 0.02, np.float32), mass=mass),
-        shadow.Casters("SHELL", zero, position[1], axes=axes[1, :, :2], mass=rng.random(5000).astype(np.float32)),
+        shadow.Casters("VOLUME", zero, position[0], radius=np.full(2000, 0.02, np.float32), mass=mass),
+        shadow.Casters("SHELL", zero, position[1], axes=axes[1, :, :2], mass=rng.random(2000).astype(np.float32)),
         shadow.Casters("OPAQUE", zero, position[2][:500], axes=axes[2, :500, :2]),
     ]
 
@@ -69,8 +79,8 @@ def on_device(device, packed, light, position, normal):
         fragment=FRAGMENT,
         samplers=tuple(("FLOAT_2D", name) for name in textures),
         outputs=(("vec4", "color"),),
-        defines=(("LIGHT", str(light)),),
-    ).with_defines(*(["PS_SHADOW_COLORED"] if packed.colored else []))
+        defines=(("LIGHT", str(light)), ("PS_SHADOW_TAPS", str(TAPS))),
+    ).with_defines("PS_SHADOWS", *(["PS_SHADOW_COLORED"] if packed.colored else []))
     target = device.target([device.texture((COUNT, 1), "RGBA32F")])
     device.draw(interface, target, textures=textures)
     return device.read(target.colors[0])[0, :, :3]
@@ -78,7 +88,7 @@ def on_device(device, packed, light, position, normal):
 
 @pytest.mark.parametrize("colored", [False, True])
 def test_device_equals_numpy(device, colored):
-    tables = [shadow.build(light, matter(colored), 128) for light in LIGHTS.values()]
+    tables = [shadow.build(light, matter(colored), 64) for light in LIGHTS.values()]
     packed = shadow.pack([None, *tables])
     position = RNG.uniform(-1.5, 1.5, (COUNT, 3))
     normal = RNG.normal(size=(COUNT, 3))
@@ -88,10 +98,11 @@ def test_device_equals_numpy(device, colored):
     assert (on_device(device, packed, 0, position, normal) == 1).all()
     for i, (name, table) in enumerate(zip(LIGHTS, tables, strict=True), start=1):
         got = on_device(device, packed, i, position, normal)
-        want = table.transmittance(position, normal).reshape(COUNT, -1)
+        want = table.transmittance(position, normal, TAPS).reshape(COUNT, -1)
         assert np.isfinite(got).all()
         assert 0.1 < want.mean() < 0.95
         error = np.abs(got - want).max(axis=1)
-        # Where an entry of a surface lies at the very distance that it is compared with, float32 decides either way.
-        print(name, want.mean(), error.max(), np.quantile(error, 0.99), [(v.kind, v.grid.step) for v in table.levels])
-        assert np.quantile(error, 0.99) < 1e-3
+        # measured 1.4e-4 (the driver's atan); soft: where a tap rounds to another cell, or an entry lies at the very
+        # distance that it is compared with, float32 decides either way, in 1 of 8 taps
+        assert np.quantile(error, 0.99) < 5e-4, name
+        assert error.max() < (1 / TAPS if name in SOFT else 1e-3), name
