@@ -141,6 +141,11 @@ def light_names(lights: Sequence[Light], roughness: float) -> tuple[str, ...]:
     return tuple(name for name, needed in found.items() if needed)
 
 
+def in_rows(lights: Sequence[Light]) -> list[Light]:
+    """Lights in the order of their rows: by kind."""
+    return sorted(lights, key=lambda light: KINDS.index(_kind(light)))
+
+
 def light_texture(
     lights: Sequence[Light], world: World, view_from_world: np.ndarray, roughness: float = 0.5, eta: float = 1.5
 ) -> np.ndarray:
@@ -148,7 +153,7 @@ def light_texture(
 
     roughness, eta: of the whole scene, where PS_ONE_SURFACE says that all of it is alike and nothing metallic.
     """
-    lights = sorted(lights, key=lambda light: KINDS.index(_kind(light)))
+    lights = in_rows(lights)
     texture = np.zeros((FIRST_LIGHT + len(lights), WIDTH, 4), np.float32)
     texture[:TABLE_ROWS] = reflectance_table()
     texture[SURFACE_ROW] = surface_row(roughness, eta)

@@ -22,6 +22,7 @@ from .passes.common import frame_record
 from .passes.pyramid import levels
 from .plan import make_plan
 from .prepare import STORE, prepare
+from .shadows import Shadows, cast
 from .targets import Pool, Targets
 from .uploads import Kept, Uploads
 
@@ -158,7 +159,8 @@ class Frame:
             interactive=request.interactive,
             check=self.clock.check,
         )
-        self.plan = make_plan(scene, self.prepared, request.passes)
+        self.shadows, unshadowed = self._shadows()
+        self.plan = make_plan(scene, self.prepared, request.passes, self.shadows, unshadowed)
         # Everything is drawn for `view`, of which the camera's window is a part.
         self.view, self.corner = _widened(request.camera, self.prepared.largest if self.plan.points else 0.0)
         self._owned: list[Any] = []
@@ -175,12 +177,25 @@ class Frame:
                 self.release()
                 raise
 
+    def _shadows(self) -> tuple[Shadows | None, str]:
+        prepared = self.prepared
+        layers = (prepared, prepared.translucent, prepared.spheres)
+        if not any(layer.cut.splats for layer in layers) and len(prepared.polygons) == 0:
+            return None, "nothing is drawn"
+        before = time.perf_counter()
+        found = cast(self.scene, self.request.settings, STORE, self.clock.check)
+        if found[0] is not None:
+            self.clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
+        return found
+
     # What is on the device
 
     def _allocate(self) -> None:
         device, plan, passes = self.device, self.plan, self.request.passes
         motion = "vector" in shade_pass.data(passes)
-        self.uploads = self._own(Uploads(self.renderer.kept, self.scene, self.view, self.prepared, plan, motion))
+        self.uploads = self._own(
+            Uploads(self.renderer.kept, self.scene, self.view, self.prepared, plan, motion, self.shadows)
+        )
         size, count = self.view.window[2:], levels(self.prepared.largest, self.view.resolution)
         self._lent = self.renderer.pool.borrow(plan, passes, size, count)
         self.targets = self._lent[1]
@@ -401,7 +416,7 @@ class Frame:
             "points": {"total": prepared.total, "cut": cut, "drawn": cut * self.done},
             "triangles": triangles,
             "bytes": {"cpu": STORE.nbytes, "gpu": self.device.bytes_allocated()},
-            "warnings": [*self._warnings, *prepared.warnings],
+            "warnings": [*self._warnings, *prepared.warnings, *(self.shadows.warnings if self.shadows else ())],
         }
 
     def release(self) -> None:

@@ -16,6 +16,7 @@ from .passes.shade import NEED_OWNER, data
 from .passes.translucent import TranslucentOptions
 from .passes.translucent import options as translucent_options
 from .prepare import Prepared
+from .shadows import Shadows
 
 EXACT_HALF = 2048  # integers below it are exact as half floats
 
@@ -38,8 +39,10 @@ class Plan:
     skipped: tuple[tuple[str, str], ...]  # (pass, because)
 
 
-def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
-    """The plan for one view of a scene."""
+def make_plan(
+    scene: Scene, prepared: Prepared, passes: frozenset[str], shadows: Shadows | None = None, unshadowed: str = ""
+) -> Plan:
+    """The plan for one view of a scene. `unshadowed`: why there are no shadows."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
     behind = [p.cloud for p in prepared.translucent.point_sets.values()]
@@ -56,6 +59,8 @@ def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
     smoothest = 0.0 if varies else float(scene.materials.roughness.min())
     shining = light_names(scene.lights, smoothest) if drawn else ()
     lighting = (*(() if scene.transparent and not drawn else _world(scene)), *shining)
+    if shadows is not None:
+        lighting += ("PS_SHADOWS", *(("PS_SHADOW_COLORED",) if shadows.packed.colored else ()))
     color = (
         surface or any(c.color is not None for c in clouds) or (polygons and bool(channels & {"base_color", "alpha"}))
     )
@@ -88,7 +93,8 @@ def make_plan(scene: Scene, prepared: Prepared, passes: frozenset[str]) -> Plan:
         skipped.append(("background", "the film is transparent"))
     if translucent is None:
         skipped += [(name, "nothing is translucent") for name in ("order", "light", "translucent", "add")]
-    skipped += [("shadows", "not yet part of PointSplat")]
+    if shadows is None:
+        skipped.append(("shadows", unshadowed))
     return Plan(
         points, polygons, spheres, variant, data_variant, options, lighting, materials,
         background=not scene.transparent or "mist" in passes, data=drawn and bool(data(passes)),

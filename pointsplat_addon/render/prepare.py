@@ -285,7 +285,7 @@ class _View:
         return np.clip(np.nan_to_num(coarser), 0, COARSEST_OCTAVE).astype(int)
 
     def _given_points(self, geometry: Geometry, cloud: PointCloud) -> PointSet:
-        points, dropped = self.store.lookup(("finite", geometry.key), lambda: _given(cloud))
+        points, dropped = self.store.lookup(("finite", geometry.key), lambda: given(cloud))
         if dropped:
             self.warnings.append(f"{geometry.name}: {dropped} points that are not finite were left out")
         return PointSet(("cloud", geometry.key), points)
@@ -380,7 +380,7 @@ def lets_through(geometry: Geometry, table: MaterialTable) -> bool:
     return geometry.mesh is not None and passing(geometry.mesh, table) is not None
 
 
-def _given(cloud: PointCloud) -> tuple[PointCloud, int]:
+def given(cloud: PointCloud) -> tuple[PointCloud, int]:
     """What is finite of a cloud, in coherent order, and how many points were dropped."""
     cloud, dropped = finite(cloud)
     return coherent(cloud), dropped

@@ -22,6 +22,7 @@ from .passes import translucent as translucent_pass
 from .passes.points import Page, PageDraw, blocks, instance_rows, with_origin
 from .plan import Plan
 from .prepare import STORE, Layer, PointSet, Prepared
+from .shadows import Shadows
 
 OWN_PAGE = 4 << 20  # splats: larger sets get a page of their own, so that small changes upload little
 DEVICE_LIMIT = 4 << 30  # bytes of geometry that stay on the device after their frame
@@ -59,7 +60,14 @@ class Uploads:
     """Everything that one view of a scene reads; small tables are this frame's own, the rest is `kept`."""
 
     def __init__(
-        self, kept: Kept, scene: Scene, camera: Camera, prepared: Prepared, plan: Plan, motion: bool = False
+        self,
+        kept: Kept,
+        scene: Scene,
+        camera: Camera,
+        prepared: Prepared,
+        plan: Plan,
+        motion: bool = False,
+        shadows: Shadows | None = None,
     ) -> None:
         self.kept, self.device = kept, kept.device
         self.scene, self.camera, self.prepared, self.plan = scene, camera, prepared, plan
@@ -68,13 +76,14 @@ class Uploads:
         self.lights: Texture | None = None
         self.environment: Texture | None = None
         self.previous: Texture | None = None
+        self.shadows: tuple[Texture | None, Texture | None] = None, None  # tables, and their records in this view
         self.draws: list[PageDraw] = []
         self.balls: list[PageDraw] = []
         self.meshes: dict[int, polygon_pass.PolygonMesh] = {}
         self.splats: dict[str, Texture] = {}  # translucent ones, and their draw list
         self.listed = 0  # how many
         try:
-            self._upload(motion)
+            self._upload(motion, shadows)
         except Exception:
             self.release()
             raise
@@ -82,7 +91,11 @@ class Uploads:
     @property
     def shading(self) -> dict[str, Texture]:
         """Textures that shading reads, by sampler name."""
-        return shade_pass.textures(materials=self.materials, lights=self.lights, environment=self.environment)
+        tables, records = self.shadows
+        return shade_pass.textures(
+            materials=self.materials, lights=self.lights, environment=self.environment,
+            shadow_tables=tables, shadow_lights=records,
+        )  # fmt: skip
 
     def release(self) -> None:
         for item in self._owned:
@@ -93,7 +106,7 @@ class Uploads:
         self._owned.append(item)
         return item
 
-    def _upload(self, motion: bool) -> None:
+    def _upload(self, motion: bool, shadows: Shadows | None) -> None:
         scene, plan, device = self.scene, self.plan, self.device
         table = shade_pass.material_rows(scene.materials)
         self.materials = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
@@ -105,6 +118,8 @@ class Uploads:
             self.lights = self._own(device.texture(size, "RGBA32F", lights.reshape(-1)))
         if "PS_HAS_ENVIRONMENT" in plan.lighting and scene.world.image is not None:
             self.environment = self._environment(scene.world.image)
+        if shadows is not None:
+            self._upload_shadows(shadows)
         if plan.points or plan.spheres:
             one = self._transforms()
             self.draws = self._point_draws(self.prepared, one)
@@ -116,6 +131,18 @@ class Uploads:
         if motion:
             self.previous = self._own(self._motion())
         self.kept.forget(self.used)
+
+    def _upload_shadows(self, shadows: Shadows) -> None:
+        data, device = shadows.packed.data, self.device
+
+        def make() -> Texture:
+            return device.texture((data.shape[1], data.shape[0]), "RGBA32F", data.reshape(-1))
+
+        key = ("shadows", shadows.key)
+        self.used.add(key)
+        records = shadows.packed.records(self.camera.view_from_world).astype(np.float32)
+        size = (records.shape[1], records.shape[0])
+        self.shadows = self.kept.keep(key, make), self._own(device.texture(size, "RGBA32F", records.reshape(-1)))
 
     def _environment(self, image: np.ndarray) -> Texture:
         def make() -> Texture:

@@ -17,6 +17,7 @@
 
 #include "lib/brdf.glsl"
 #include "lib/environment.glsl"
+#include "lib/shadow.glsl"
 
 #define PS_FIRST_LIGHT (PS_TABLE_ROWS + 2)
 #define PS_ELLIPSE_SIDES 24

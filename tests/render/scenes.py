@@ -38,16 +38,24 @@ class Case:
 
     scene: Scene
     camera: Camera
-    settings: Settings = field(default_factory=Settings)
+    settings: Settings = field(default_factory=lambda: Settings(use_shadows=False))  # the reference has none
 
     def request(self, passes: frozenset[str] = ALL_PASSES, samples: int = 1) -> Request:
         return Request(self.camera, self.settings, passes, samples)
 
 
 @cache
-def opengl() -> Renderer:
+def _renderer() -> Renderer:
     """One renderer for all tests of a process, since compiling shaders takes most of their time."""
     return Renderer(OpenGLDevice())
+
+
+def opengl() -> Renderer:
+    """That one, with its context made current: other tests of the process may have made another."""
+    renderer = _renderer()
+    assert isinstance(renderer.device, OpenGLDevice)
+    renderer.device.context.__enter__()
+    return renderer
 
 
 def render(case: Case, passes: frozenset[str] = ALL_PASSES, samples: int = 1) -> Result:

@@ -42,7 +42,9 @@ def voxels(
 
 
 def draw(scene, eye_camera, samples=1, settings=None):
-    return scenes.opengl().render(scene, Request(eye_camera, settings or Settings(), COMBINED, samples))
+    return scenes.opengl().render(
+        scene, Request(eye_camera, settings or Settings(use_shadows=False), COMBINED, samples)
+    )
 
 
 def picture(scene, eye_camera, samples=1):
@@ -206,9 +208,10 @@ def test_voxels_of_any_size_let_the_same_light_through(scale):
 # What is drawn
 
 
-def record(made, eye_camera=None, passes=COMBINED, samples=1):
+def record(made, eye_camera=None, passes=COMBINED, samples=1, shadows=False):
     device = NullDevice()
-    result = Renderer(device).render(made, Request(eye_camera or camera(), Settings(), passes, samples))
+    settings = Settings(use_shadows=shadows)
+    result = Renderer(device).render(made, Request(eye_camera or camera(), settings, passes, samples))
     return device, result
 
 

@@ -71,8 +71,13 @@ def _averaged_defines(passes: frozenset[str]) -> tuple[str, ...]:
 
 
 def _lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    lights = (("FLOAT_2D", "ps_lights"),) if lighting else ()
-    return (*lights, ("FLOAT_2D", "ps_environment")) if "PS_HAS_ENVIRONMENT" in lighting else lights
+    wanted = (
+        ("ps_lights", bool(lighting)),
+        ("ps_environment", "PS_HAS_ENVIRONMENT" in lighting),
+        ("ps_shadow_tables", "PS_SHADOWS" in lighting),
+        ("ps_shadow_lights", "PS_SHADOWS" in lighting),
+    )
+    return tuple(("FLOAT_2D", name) for name, needed in wanted if needed)
 
 
 def data_program(variant: Variant, passes: frozenset[str]) -> Interface:
