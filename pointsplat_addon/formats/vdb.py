@@ -115,10 +115,13 @@ def sparse(openvdb: Any, grid: Any) -> tuple[Grid | None, list[str]]:
     index, value = (np.concatenate(column) for column in zip(*parts, strict=True))
     lost = 0 if empty is False else count - len(index)
     messages = [f'{lost} voxels of the grid "{name}" are not a number and are left out'] if lost else []
-    if len(parts) > 1 and len(index):
-        order = np.argsort(keys(index, *bounds(index)))
+    if len(index) == 0:
+        return None, messages
+    key = keys(index, *bounds(index))
+    if (key[1:] < key[:-1]).any():
+        order = np.argsort(key)
         index, value = index[order], value[order]
-    return (Grid(name, index, value, matrix) if len(index) else None), messages
+    return Grid(name, index, value, matrix), messages
 
 
 def transform(grid: Any) -> np.ndarray:
@@ -253,7 +256,7 @@ def combine(grids: list[Grid]) -> tuple[Grids, list[str]]:
     alike = [g for g in grids if _same_transform(g, first)]
     others = [g for g in grids if not _same_transform(g, first)]
     index = first.index
-    if any(len(g.index) != len(index) or not np.array_equal(g.index, index) for g in alike):
+    if any(len(g.index) != len(index) or not np.array_equal(g.index, index) for g in alike[1:]):
         index = _union([g.index for g in alike])
     values = {g.name: _spread(g, index) for g in alike}
     values |= {g.name: _resampled(g, index, first.object_from_index) for g in others}
@@ -264,8 +267,10 @@ def combine(grids: list[Grid]) -> tuple[Grids, list[str]]:
 
 
 def _same_transform(a: Grid, b: Grid) -> bool:
+    if np.array_equal(a.object_from_index, b.object_from_index):
+        return True
     edge = np.abs(b.object_from_index[:3, :3]).max()
-    reach = np.append(np.abs(b.index).max(axis=0) if len(b.index) else np.zeros(3), 1.0)
+    reach = np.append(np.maximum(np.abs(b.index.min(axis=0)), np.abs(b.index.max(axis=0))), 1.0)
     return bool((np.abs(a.object_from_index - b.object_from_index)[:3] @ reach <= SAME * edge * reach.max()).all())
 
 

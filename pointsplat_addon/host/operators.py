@@ -20,4 +20,22 @@ class POINTSPLAT_OT_clear_cache(bpy.types.Operator):
         return {"FINISHED"}
 
 
-CLASSES = (POINTSPLAT_OT_clear_cache,)
+class POINTSPLAT_OT_transfer_ramp(bpy.types.Operator):
+    """Give the volume a colour ramp of its own"""
+
+    bl_idname = "pointsplat.transfer_ramp"
+    bl_label = "New Colour Ramp"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and context.object.type == "VOLUME"
+
+    def execute(self, context):
+        texture = bpy.data.textures.new(f"{context.object.name} Transfer", "BLEND")
+        texture.use_color_ramp = True
+        context.object.pointsplat.transfer_texture = texture
+        return {"FINISHED"}
+
+
+CLASSES = (POINTSPLAT_OT_clear_cache, POINTSPLAT_OT_transfer_ramp)

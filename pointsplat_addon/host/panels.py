@@ -9,7 +9,7 @@ import bpy
 from ..render.outputs import PASSES
 
 ENGINE = "POINTSPLAT"
-DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT", "POINTCLOUD"}  # objects that become points or polygons
+DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT", "POINTCLOUD", "VOLUME"}  # objects that become points or polygons
 FILLED = {"POINTCLOUD", "VOLUME"}  # whose points may be Gaussians of a medium
 
 # Blender's panels for any engine that show what PointSplat does not have.
@@ -132,16 +132,52 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
 
     def draw(self, context):
         ob, layout = context.object, self.split_layout()
+        if ob.type == "VOLUME":
+            layout.prop(ob.pointsplat, "spacing")
+            layout.prop(ob.pointsplat, "extinction")
+            self._visibility(ob, layout)
+            return
         layout.prop(ob.pointsplat, "primitive")
         row = layout.row()
         row.active = ob.pointsplat.primitive != "POLYGONS"
         row.prop(ob.pointsplat, "spacing")
         if ob.type in FILLED or len(ob.particle_systems):
             layout.prop(ob.pointsplat, "extinction")
+        self._visibility(ob, layout)
+
+    def _visibility(self, ob, layout):
         column = layout.column(heading="Visibility")
         column.prop(ob, "visible_camera", text="Camera")
         column.prop(ob, "visible_shadow", text="Shadow")
         column.prop(ob, "is_shadow_catcher")
+
+
+class POINTSPLAT_OBJECT_PT_transfer(_Panel, bpy.types.Panel):
+    bl_label = "Transfer Function"
+    bl_context = "object"
+    bl_parent_id = "POINTSPLAT_OBJECT_PT_pointsplat"
+
+    @classmethod
+    def poll(cls, context):
+        return context.engine == ENGINE and context.object and context.object.type == "VOLUME"
+
+    def draw_header(self, context):
+        self.layout.prop(context.object.pointsplat, "use_transfer", text="")
+
+    def draw(self, context):
+        ob, layout = context.object, self.split_layout()
+        settings = ob.pointsplat
+        layout.active = settings.use_transfer
+        layout.prop_search(settings, "transfer_grid", ob.data, "grids")
+        column = layout.column(align=True)
+        column.prop(settings, "transfer_low")
+        column.prop(settings, "transfer_high")
+        layout.prop(settings, "transfer_density")
+        texture = settings.transfer_texture
+        if texture is None or texture.color_ramp is None:
+            layout.operator("pointsplat.transfer_ramp")
+        else:
+            layout.template_color_ramp(texture, "color_ramp")
 
 
 CLASSES = (
@@ -153,6 +189,7 @@ CLASSES = (
     POINTSPLAT_VIEWLAYER_PT_passes,
     POINTSPLAT_DATA_PT_light_shadow,
     POINTSPLAT_OBJECT_PT_pointsplat,
+    POINTSPLAT_OBJECT_PT_transfer,
 )
 
 

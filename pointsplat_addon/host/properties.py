@@ -4,7 +4,7 @@ from dataclasses import fields
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..core.scene import DEVICES, PRIMITIVES, TECHNIQUES, Settings
 from . import engine
@@ -118,6 +118,38 @@ class PointSplatObject(bpy.types.PropertyGroup):
         min=0.0,
         soft_max=100.0,
         precision=3,
+        update=changed,
+    )
+    use_transfer: BoolProperty(
+        name="Transfer Function",
+        description="Colour and density of the volume by a colour ramp over the values of a grid, not by the material",
+        default=False,
+        update=changed,
+    )
+    transfer_grid: StringProperty(
+        name="Grid", description="The grid whose values the ramp colours", default="density", update=changed
+    )
+    transfer_low: FloatProperty(
+        name="From", description="The value at the ramp's left end", default=0.0, precision=3, update=changed
+    )
+    transfer_high: FloatProperty(
+        name="To", description="The value at the ramp's right end", default=1.0, precision=3, update=changed
+    )
+    transfer_density: FloatProperty(
+        name="Density",
+        description="Extinction per unit of length where the ramp's alpha is one",
+        default=1.0,
+        min=0.0,
+        soft_max=100.0,
+        precision=3,
+        update=changed,
+    )
+    # Blender has no property that is a colour ramp; a texture has one.
+    transfer_texture: PointerProperty(
+        type=bpy.types.Texture,
+        name="Ramp",
+        description="The texture that holds the colour ramp",
+        poll=lambda _settings, texture: texture.type == "BLEND",
         update=changed,
     )
 

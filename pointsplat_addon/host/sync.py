@@ -19,6 +19,7 @@ from .convert.materials import convert_materials
 from .convert.mesh import read_mesh
 from .convert.objects import Collected, Source, collect
 from .convert.pointcloud import cloud_material, read_pointcloud, splats
+from .convert.volume import Voxels, convert_volume, digest, read_voxels, source_key, wanted_grids
 from .convert.world import convert_world
 
 MAX_NAMED = 3  # objects that a warning names before it counts the rest
@@ -70,6 +71,8 @@ class Known(NamedTuple):
     geometry: core.Geometry | None  # None: nothing to draw
     owners: frozenset[int]  # session_uids of the objects that use it, and of the data
     generated: bool  # made by an instancer, whose changes do not name it
+    voxels: Voxels | None = None
+    warnings: tuple[str, ...] = ()
 
 
 class Synchronizer:
@@ -78,6 +81,7 @@ class Synchronizer:
     def __init__(self, cache: Cache = CACHE) -> None:
         self.cache = cache
         self._known: dict[tuple, Known] = {}
+        self._held: tuple[Voxels | None, ...] = ()  # so that another transfer function finds them
         self._materials: core.MaterialTable | None = None
         self._material_warnings: tuple[str, ...] = ()
         self._used: tuple[int, ...] = ()  # rows of the materials in use
@@ -113,6 +117,7 @@ class Synchronizer:
             mist=core.Mist(mist.start, mist.depth, mist.falloff) if mist else core.Mist(),
             warnings=(
                 *_unsupported(collected.unsupported | self._filled(collected.sources, table)),
+                *dict.fromkeys(warning for known in self._known.values() for warning in known.warnings),
                 *self._material_warnings,
                 *light_warnings,
                 *world_warnings,
@@ -190,16 +195,28 @@ class Synchronizer:
             rows = tuple(self.cache.row(m) for m in source.materials)
             reads = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
             key = source.data.session_uid, rows, reads, source.primitive, source.spacing, source.extinction
+            if isinstance(source.data, bpy.types.Volume):
+                names = wanted_grids(_medium(table, rows[0]), source.transfer)
+                key = (*source_key(source.data), *key, names, source.transfer and digest(source.transfer))
             if source.particles:
                 key = (*key, source.particles.key)
             if source.particles or isinstance(source.data, bpy.types.PointCloud):
                 key = (*key, cloud_material(table, rows[0]).key)
             keys.append(key)
             last = known.get(key) or self._known.get(key)
-            geometry = last.geometry if last and not source.editing else self._read(source, rows, table)
-            owners = {source.owner, source.data.session_uid} | (last.owners if last else frozenset())
-            known[key] = Known(geometry, frozenset(owners), source.generated or bool(last and last.generated))
+            voxels, warnings = (last.voxels, last.warnings) if last else (None, ())
+            if last and not source.editing:
+                geometry = last.geometry
+            elif isinstance(source.data, bpy.types.Volume):
+                geometry, voxels, warnings = self._read_volume(source, rows[0], table)
+            else:
+                geometry = self._read(source, rows, table)
+            owners = {source.owner, source.data.original.session_uid, source.data.session_uid}
+            owners |= last.owners if last else set()
+            generated = source.generated or bool(last and last.generated)
+            known[key] = Known(geometry, frozenset(owners), generated, voxels, warnings)
         self._known = known
+        self._held = tuple(entry.voxels for entry in known.values())
         return [known[key].geometry for key in keys]
 
     def _read(self, source: Source, rows: tuple[int, ...], table: core.MaterialTable) -> core.Geometry | None:
@@ -226,6 +243,25 @@ class Synchronizer:
 
         key = f"{key} {primitive} {spacing:g} {extinction:g}"
         return self.cache.lookup(key, build)
+
+    def _read_volume(
+        self, source: Source, row: int, table: core.MaterialTable
+    ) -> tuple[core.Geometry | None, Voxels, tuple[str, ...]]:
+        """The geometry of a volume, the voxels that it shares with others, and what is wrong with them."""
+        names = wanted_grids(_medium(table, row), source.transfer)
+        voxels = read_voxels(source.data, names, self.cache.lookup)  # pyright: ignore[reportArgumentType]
+        warnings = tuple(f"{source.name}: {message}" for message in voxels.messages)
+        volume = convert_volume(voxels, source.name, row, source.transfer)
+        if volume is None:
+            return None, voxels, warnings
+        spacing, extinction = source.spacing, source.extinction
+        key = f"{volume.key} {row} {spacing:g} {extinction:g} {source.transfer and digest(source.transfer)}"
+        made = core.Geometry(key, source.name, volume=volume, spacing=spacing, extinction=extinction)
+        return self.cache.lookup(key, lambda: made), voxels, warnings
+
+
+def _medium(table: core.MaterialTable, row: int) -> core.Medium | None:
+    return table.media[row] if row < len(table.media) else None
 
 
 def _graph(table: core.MaterialTable, row: int) -> MaterialGraph | None:

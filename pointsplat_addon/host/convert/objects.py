@@ -8,14 +8,15 @@ from typing import NamedTuple
 import bpy
 import numpy as np
 
+from ...core.scene import Transfer
 from .particles import read_particles
 from .pointcloud import Points
+from .volume import convert_transfer
 
-GEOMETRY = ("MESH", "POINTCLOUD")
+GEOMETRY = ("MESH", "POINTCLOUD", "VOLUME")
 # Blender lists the surfaces of CURVE, SURFACE, FONT and META objects as instances of type MESH.
 UNSUPPORTED = {
     "CURVES": "hair curves",
-    "VOLUME": "volumes",
     "GREASEPENCIL": "Grease Pencil",
     "GPENCIL": "Grease Pencil",
 }
@@ -27,7 +28,7 @@ class Source:
 
     name: str
     owner: int  # session_uid of the original object
-    data: bpy.types.Mesh | bpy.types.PointCloud
+    data: bpy.types.Mesh | bpy.types.PointCloud | bpy.types.Volume
     materials: tuple[bpy.types.Material | None, ...]  # one for each slot, at least one
     primitive: str
     spacing: float
@@ -37,6 +38,7 @@ class Source:
     casts: bool  # shadows
     generated: bool  # is_instance: the data may belong to the instancer
     editing: bpy.types.Object | None = None  # the object, where its mesh is in edit mode
+    transfer: Transfer | None = None  # of volumes
     particles: Points | None = None  # instead of the data, in world space
 
 
@@ -114,6 +116,7 @@ def _source(ob: bpy.types.Object, override: bpy.types.Material | None, visible: 
         casts=visible.casts,
         generated=generated,
         editing=ob if ob.type == "MESH" and ob.data.is_editmode else None,
+        transfer=convert_transfer(ob) if ob.type == "VOLUME" else None,
     )
 
 

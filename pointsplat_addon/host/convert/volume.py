@@ -1,0 +1,162 @@
+"""An evaluated Volume object to sparse voxels."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...core.scene import Medium, Transfer, Volume
+from ...formats import vdb
+from . import arrays
+
+RAMP = 256  # samples of a colour ramp
+Lookup = Callable[[str, Callable[[], Any]], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Voxels:
+    """What was read from one file, or from one evaluated object."""
+
+    key: str  # content key
+    grids: vdb.Grids | None  # None: nothing to draw
+    messages: tuple[str, ...] = ()  # what is wrong; they do not name the object
+
+
+def load_openvdb() -> ModuleType:
+    """The `openvdb` module that Blender ships. Raises ImportError where it ships none."""
+    try:
+        return importlib.import_module("openvdb")
+    except ImportError:
+        pass
+    # As a Python package, Blender keeps it beside itself, where Python does not look.
+    version = "python{}.{}".format(*sys.version_info)
+    folder = os.path.join(bpy.utils.resource_path("LOCAL"), "python", "lib", version, "site-packages")
+    sys.path.append(folder)
+    try:
+        return importlib.import_module("openvdb")
+    finally:
+        sys.path.remove(folder)
+
+
+def wanted_grids(medium: Medium | None, transfer: Transfer | None) -> tuple[str, ...]:
+    """Names of the grids that the optics read, that of the density or transfer function first."""
+    if transfer is not None:
+        return (transfer.grid,)
+    medium = medium or Medium()
+    temperature = medium.temperature_grid if medium.blackbody > 0 else ""
+    return tuple(dict.fromkeys(n for n in (medium.density_grid, medium.color_grid, temperature) if n))
+
+
+def source_key(data: bpy.types.Volume) -> tuple:
+    """What tells this state of a volume from others: its session_uid, file, and when that was written.
+
+    The evaluated copy of a volume that nothing modifies has no session_uid of its own.
+    """
+    path = _file(data)
+    if path is None:
+        return (data.session_uid,)
+    try:
+        state = path.stat()
+    except OSError:
+        return data.original.session_uid, str(path)
+    return data.original.session_uid, str(path), state.st_mtime_ns, state.st_size
+
+
+def read_voxels(data: bpy.types.Volume, names: Collection[str], lookup: Lookup) -> Voxels:
+    """The voxels of the grids called `names`; `lookup(key, make)` gives what is known by its content key.
+
+    The reading is repeated only for another file, or for other grids of it; what modifiers and nodes make is always
+    read, and recognised by its content.
+    """
+    if not data.grids.load():
+        return Voxels("", None, (data.grids.error_message,))
+    if len(data.grids) == 0:
+        return Voxels("", None)
+    path = _file(data)
+    if path is None:
+        return _generated(data, names, lookup)
+    key = arrays.digest("volume file", source_key(data)[1:], tuple(names))
+    return lookup(key, lambda: _read(key, path, names))
+
+
+def _generated(data: bpy.types.Volume, names: Collection[str], lookup: Lookup) -> Voxels:
+    """By way of a file: Python has no other access to grids in memory."""
+    with tempfile.TemporaryDirectory(prefix="pointsplat-") as folder:
+        path = Path(folder) / "grids.vdb"
+        try:
+            data.grids.save(str(path))
+        except RuntimeError as error:
+            return Voxels("", None, (str(error),))
+        read = _read("", path, names)
+    if read.grids is None:
+        return read
+    parts = [part for name, values in read.grids.values.items() for part in (name, values)]
+    key = arrays.digest("volume", read.grids.index, read.grids.object_from_index, read.messages, *parts)
+    return lookup(key, lambda: replace(read, key=key))
+
+
+def _read(key: str, path: Path, names: Collection[str]) -> Voxels:
+    try:
+        found, messages = vdb.read(load_openvdb(), path, names)
+        if not found:
+            return Voxels(key, None, tuple(messages))
+        # The lattice is that of the first name.
+        order = {name: place for place, name in enumerate(names)}
+        grids, more = vdb.combine(sorted(found, key=lambda grid: order.get(grid.name, len(order))))
+    except (OSError, ValueError, ImportError) as error:
+        return Voxels(key, None, (str(error),))
+    return Voxels(key, grids, (*messages, *more))
+
+
+def convert_volume(voxels: Voxels, name: str, row: int, transfer: Transfer | None) -> Volume | None:
+    """A volume of the scene; None where nothing is active."""
+    grids = voxels.grids
+    if grids is None:
+        return None
+    return Volume(voxels.key, name, grids.index, grids.object_from_index, grids.values, row, transfer)
+
+
+def sample_ramp(ramp: bpy.types.ColorRamp) -> np.ndarray:
+    """(R, 4) float32 of a colour ramp, evenly spaced from its left to its right end."""
+    return np.array([ramp.evaluate(x) for x in np.linspace(0, 1, RAMP)], np.float32)
+
+
+def convert_transfer(ob: bpy.types.Object) -> Transfer | None:
+    """The transfer function of an object, where it has one."""
+    settings = ob.pointsplat
+    if not settings.use_transfer or settings.transfer_texture is None:
+        return None
+    texture = settings.transfer_texture
+    if texture.color_ramp is None:
+        return None
+    return Transfer(
+        grid=settings.transfer_grid,
+        low=settings.transfer_low,
+        high=settings.transfer_high,
+        ramp=sample_ramp(texture.color_ramp),
+        density=settings.transfer_density,
+    )
+
+
+def digest(transfer: Transfer) -> str:
+    """Content key of a transfer function."""
+    return arrays.digest("transfer", transfer.grid, transfer.low, transfer.high, transfer.ramp, transfer.density)
+
+
+def _file(data: bpy.types.Volume) -> Path | None:
+    """The file that holds exactly these grids; None for what modifiers or nodes have made, which has no original."""
+    if data.original == data:
+        return None
+    data.grids.load()
+    path = data.grids.frame_filepath
+    return Path(bpy.path.abspath(path)) if path and data.packed_file is None else None
