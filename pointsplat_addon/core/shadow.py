@@ -41,7 +41,10 @@ NARROW = 0.8  # radians: casters within this angle about one direction get a gri
 FINEST = 1e-6  # radians: a cell that float32 still resolves
 COARSEST = 0.5  # radians: the widest cell of a grid without poles
 WIDEST = 10.0  # radians: standard deviation of a splat that surrounds the lamp
-SPAN = 4.0
+SPAN = 2.0  # ratio of distances that share a level
+WHOLE = 4.0  # ratio of all distances up to which they share one
+# Cells of three voxels where a splat's radius is 1.2 of them: their lattice does not show in cells of whole voxels.
+SMOKE = 2.5
 LEAST_SHARE = 1 / 256  # of a row or column: below it, the nearer one takes all
 WORD = 24  # cells to a mask: as many bits as a float32 holds as an integer
 TEXEL = 3 * WORD  # cells to a texel: where its entries start, then three masks
@@ -200,18 +203,18 @@ class Grid:
         return np.maximum(np.sin(edges[1]) - np.sin(edges[0]), 1e-12) / self.density
 
 
-def _grids(frame: Frame) -> list[Grid]:
-    """Finest first, each of twice the step of the one before."""
+def _grids(frame: Frame, coarser: float) -> list[Grid]:
+    """Finest first, of `coarser` times the frame's step, each of twice the step of the one before."""
     grids = []
     for level in range(frame.rows.bit_length()):
         if frame.full:
-            rows = max(1, frame.rows >> level)
+            rows = max(1, int(frame.rows / coarser) >> level)
             step, low, count = np.pi / rows, -np.pi / 2, rows + 1
             latitude = low + step * np.arange(count)
             columns = np.maximum(np.rint(2 * np.pi * np.cos(latitude) / step), 1).astype(np.int64)
             density, column0 = columns / (2 * np.pi), np.zeros(count, np.int64)
         else:
-            step = frame.step * 2**level
+            step = frame.step * coarser * 2**level
             if level and not frame.parallel and step > COARSEST:
                 break
             low = frame.low[0] - step
@@ -311,13 +314,12 @@ def build(light: Light, batches: Sequence[Casters], resolution: int) -> ShadowTa
         nothing = Frame(True, np.eye(3), np.zeros(3), False, -np.ones(2), np.ones(2), 1)
         return ShadowTable(nothing, Emitter("POINT", np.zeros((2, 3))), (), colored)
     frame = _fit(light, batches, resolution)
-    rows = _Rows(frame, _grids(frame))
+    rows = _Rows(frame, [_grids(frame, _coarser(frame, kind, batches)) for kind in KINDS])
     keys, depths = [], []
     for batch in batches:
-        parts = [batch.take(slice(start, start + CHUNK)) for start in range(0, len(batch), CHUNK)]
-        nearest = min(_nearest(frame, part) for part in parts)
-        for part in parts:
-            key, depth = _entries(rows, part, nearest)
+        spans = _spans(frame, batch)
+        for start in range(0, len(batch), CHUNK):
+            key, depth = _entries(rows, batch.take(slice(start, start + CHUNK)), spans)
             keys.append(key)
             depths.append(np.broadcast_to(depth[:, None], (len(depth), 3)) if colored and depth.ndim == 1 else depth)
     emitter = _emitter(light, frame)
@@ -326,36 +328,56 @@ def build(light: Light, batches: Sequence[Casters], resolution: int) -> ShadowTa
 
 
 class _Rows:
-    """The rows of all grids, one after another."""
+    """The rows of all kinds' grids, one after another."""
 
-    def __init__(self, frame: Frame, grids: list[Grid]) -> None:
-        self.frame, self.grids = frame, grids
+    def __init__(self, frame: Frame, kinds: list[list[Grid]]) -> None:
+        self.frame, self.levels = frame, len(kinds[0])
+        self.grids = grids = [grid for kind in kinds for grid in kind]
         self.low = np.array([g.low for g in grids], np.float32)
         self.step = np.array([g.step for g in grids], np.float32)
-        count = np.array([len(g.count) for g in grids])
-        self.height, self.base = count, np.cumsum(count) - count  # (L,) rows of each grid, and its first
+        self.height = np.array([len(g.count) for g in grids])
+        self.base = np.cumsum(self.height) - self.height  # (G,) first row of each grid
         cells = np.array([g.cells for g in grids])
-        self.cell_base = np.cumsum(cells) - cells  # (L,) first cell of each grid
-        self.cells = int(cells.sum())
-        if self.cells * len(KINDS) >= 2**31:
+        self.cell_base = np.cumsum(cells) - cells  # (G,) first cell of each grid
+        if cells.sum() >= 2**31:
             raise ValueError(f"a shadow table of {frame.rows} rows has too many cells for 32-bit links")
         self.first = np.concatenate([g.first + b for g, b in zip(grids, self.cell_base, strict=True)])
         self.column0 = np.concatenate([g.column0 for g in grids])
         self.count = np.concatenate([g.count for g in grids])
         self.density = np.concatenate([g.density for g in grids])
         self.inverse_area = (1 / np.concatenate([g.area(frame.parallel) for g in grids])).astype(np.float32)
-        latitude = np.concatenate([g.latitude for g in grids])
-        self.latitude = latitude.astype(np.float32)
-        self.cosine, self.sine = np.cos(latitude).astype(np.float32), np.sin(latitude).astype(np.float32)
+        self.latitude = np.concatenate([g.latitude for g in grids]).astype(np.float32)
 
 
-def _nearest(frame: Frame, batch: Casters) -> float:
-    """Distance of the splat that is nearest to the lamp."""
-    seen = batch.position + (batch.origin - frame.origin).astype(np.float32)
-    return float(np.sqrt(np.einsum("nc,nc->n", seen, seen).min()))
+def _coarser(frame: Frame, kind: str, batches: Sequence[Casters]) -> float:
+    """By how much the finest cells of a kind are wider than the frame's, from 1 to 2.
+
+    A level of smoke's cells is then SMOKE times as wide as most of its splats' radius: wider cells would blur it more.
+    """
+    found = [batch for batch in batches if batch.kind == kind]
+    if kind != "VOLUME" or not found:
+        return 1.0
+    batch = max(found, key=len)
+    ratio = SMOKE * float(np.median(batch.reach())) / _spans(frame, batch)[0] / frame.step
+    return ratio / 2 ** np.floor(np.log2(ratio)) if ratio > 1 else 1.0
 
 
-def _entries(rows: _Rows, batch: Casters, nearest: float) -> tuple[np.ndarray, np.ndarray]:
+def _spans(frame: Frame, batch: Casters) -> tuple[float, float]:
+    """Where the farthest and the nearest span of distances begin; see _level."""
+    if frame.parallel:
+        return 1.0, 1.0
+    least, most = np.inf, 0.0
+    for start in range(0, len(batch), CHUNK):
+        seen = batch.position[start : start + CHUNK] + (batch.origin - frame.origin).astype(np.float32)
+        squared = np.einsum("nc,nc->n", seen, seen)
+        least, most = min(least, float(squared.min())), max(most, float(squared.max()))
+    least, most = max(np.sqrt(least), 1e-30), max(np.sqrt(most), 1e-30)
+    if most <= WHOLE * least:
+        return least, least
+    return most / SPAN, most / SPAN ** np.ceil(np.log(most / least) / np.log(SPAN))
+
+
+def _entries(rows: _Rows, batch: Casters, spans: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """What splats give to the cells: keys (E,) uint64 of cell and distance, optical depths (E,) or (E, 3) float32."""
     frame = rows.frame
     turn = frame.light_from_world.T.astype(np.float32)
@@ -372,8 +394,8 @@ def _entries(rows: _Rows, batch: Casters, nearest: float) -> tuple[np.ndarray, n
         up, across = (np.sqrt((np.einsum("nkc,nc->nk", axes, d) ** 2).sum(axis=1)) / 2 for d in (north, east))
     strength = _strength(batch, axes, ray)
     if not frame.parallel:
-        near = np.maximum(np.maximum(distance, np.maximum(up, across)), np.float32(1e-30))
-        strength = strength / (near**2 if strength.ndim == 1 else (near**2)[:, None])
+        spread = _inverse_square(distance, np.maximum(up, across))
+        strength = strength * (spread if strength.ndim == 1 else spread[:, None])
         floor = np.maximum(distance, np.float32(1e-30))
         up, across = np.minimum(up / floor, WIDEST), np.minimum(across / floor, WIDEST)
     widest = np.maximum(up, across)
@@ -381,17 +403,17 @@ def _entries(rows: _Rows, batch: Casters, nearest: float) -> tuple[np.ndarray, n
         # Around a pole a spread along rows also moves away from the pole: the mean of the Rice distribution.
         cosine = np.cos(latitude)
         latitude = latitude - (np.hypot(cosine, np.minimum(widest, 1)) - cosine) * np.sin(latitude)
-    level = _level(rows, widest, distance, nearest)
+    level = _level(rows, KINDS.index(batch.kind), widest, distance, spans)
 
     # The nearer row and, where the splat reaches into it, the next; in each of them the same with columns.
     step = rows.step[level]
-    which, row, share = _split((latitude - rows.low[level]) / step, up / step)
+    which, row, share = _split((latitude - rows.low[level]) / step, 2 * up / step)
     inside = (row >= 0) & (row < rows.height[level[which]])
     row = np.where(inside, row, 0) + rows.base[level[which]]
     density = rows.density[row]
     if not frame.parallel:
         across = across / np.maximum(np.cos(latitude), np.float32(1e-6))
-    again, column, part = _split(longitude[which] * density, across[which] * density)
+    again, column, part = _split(longitude[which] * density, 2 * across[which] * density)
     which, row, share, inside = which[again], row[again], share[again] * part, inside[again]
     place = column.astype(np.float32) / rows.density[row]
     column -= rows.column0[row]
@@ -406,26 +428,27 @@ def _entries(rows: _Rows, batch: Casters, nearest: float) -> tuple[np.ndarray, n
         at = _plane_distance(frame, np.cross(axes[:, 0], axes[:, 1])[which], at, ray[which], middle, to_cell)
     weight = share * rows.inverse_area[row]
     depth = np.minimum(strength[which] * (weight if strength.ndim == 1 else weight[:, None]), np.float32(OPAQUE_DEPTH))
-    cell = (rows.first[row] + column + KINDS.index(batch.kind) * rows.cells).astype(np.uint64)
+    cell = (rows.first[row] + column).astype(np.uint64)
     # Positive float32 are in the order of their bits.
     key = cell << np.uint64(32) | (np.maximum(at, 0) + np.float32(0)).view(np.uint32)
     return (key, depth) if inside.all() else (key[inside], depth[inside])
 
 
-def _level(rows: _Rows, widest: np.ndarray, distance: np.ndarray, nearest: float) -> np.ndarray:
-    """(N,) int32: the finest grid in which splats of these standard deviations (N,) are not wider than a cell.
+def _level(rows: _Rows, kind: int, widest: np.ndarray, distance: np.ndarray, spans: tuple[float, float]) -> np.ndarray:
+    """(N,) int32: the finest grid of a kind in which splats of standard deviations (N,) are not wider than a cell.
 
-    Where levels meet, their different widths show. So all splats of one size that are at most SPAN times as far away
-    as the nearest share the level of the nearest, and so on outwards.
+    Where levels meet, their different widths show. So splats of one size whose distances are in a ratio of up to SPAN
+    share a level, that of the nearest.
     """
-    if not rows.frame.parallel and len(distance):
-        base = np.float32(max(nearest, 1e-30))
-        with np.errstate(divide="ignore"):
-            spans = np.floor(np.log(np.maximum(distance, base) / base) / np.float32(np.log(SPAN)))
-        widest = np.minimum(widest * (distance / (base * np.float32(SPAN) ** spans)), WIDEST)
+    if not rows.frame.parallel:
+        _, base = spans
+        span = np.floor(np.log(np.maximum(distance / np.float32(base), 1)) / np.float32(np.log(SPAN)))
+        span = np.zeros_like(span) if spans[0] == spans[1] else span
+        widest = np.minimum(widest * (distance / (np.float32(base) * np.float32(SPAN) ** span)), WIDEST)
+    first = kind * rows.levels
     with np.errstate(divide="ignore"):
-        level = np.ceil(np.log2(4 * widest / rows.step[0]))
-    return np.clip(level, 0, len(rows.grids) - 1).astype(np.int32)
+        level = np.ceil(np.log2(4 * widest / rows.step[first]))
+    return np.clip(level, 0, rows.levels - 1).astype(np.int32) + first
 
 
 def _directions(frame: Frame, latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -438,23 +461,41 @@ def _directions(frame: Frame, latitude: np.ndarray, longitude: np.ndarray) -> tu
     return ray, north, np.stack([-y, x, np.zeros_like(x)], axis=1)
 
 
-def _split(place: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which splat (E,), which cell (E,) int64, what share of it (E,): of Gaussians on a line of cells about integers.
+def _split(place: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which splat (E,), which cell (E,) int64, what share of it (E,): of splats on a line of cells about integers.
 
-    Of a Gaussian not wider than a cell (4 standard deviations), what lies beyond the nearest border goes to the cell
-    there and the rest stays. The normal distribution is that of Page 1977: within 1.5e-4 (of a cell's share).
+    `half` is a splat's half extent in cells; it is at most half a cell, so the nearest border divides it. Along the
+    line it counts as a parabola (Epanechnikov's kernel): it ends at the rim, so that no cell but two gets a share.
     """
     cell = np.rint(place)
     off = place - cell
-    x = (np.abs(off) - np.float32(0.5)) / np.maximum(deviation, np.float32(1e-20))
-    x = np.maximum(x, np.float32(-8))
-    beyond = np.float32(0.5) * (1 + np.tanh(np.float32(0.7988) * x * (1 + np.float32(0.04417) * x**2)))
+    t = np.clip((np.abs(off) - np.float32(0.5)) / np.maximum(half, np.float32(1e-20)), -1, 1)
+    beyond = np.float32(0.5) + t * (np.float32(0.75) - np.float32(0.25) * t**2)
     beyond[beyond < LEAST_SHARE] = 0
     far = np.flatnonzero(beyond)
     cell = cell.astype(np.int64)
     next_cell = cell[far] + np.where(off[far] < 0, -1, 1)
     which = np.concatenate([np.arange(len(place)), far])
     return which, np.concatenate([cell, next_cell]), np.concatenate([1 - beyond, beyond[far]])
+
+
+def _inverse_square(distance: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """(N,) float32: mean of 1 / r^2 over Gaussians, which smoke around a lamp is far from the value at their centres.
+
+    With t = distance / deviation it is Dawson's integral, over deviation^2: the integral of exp(-t^2 (1 - s^2) / 2) for
+    s from 0 to 1, or 1 / t^2 (1 + 1 / t^2 (1 + 3 / t^2 (1 + 5 / t^2))) for large t.
+    """
+    squared = np.maximum(distance, np.float32(1e-18)) ** 2
+    inverse = 1 / squared
+    ratio = deviation**2 * inverse
+    result = inverse * (1 + ratio * (1 + 3 * ratio * (1 + 5 * ratio)))
+    near = np.flatnonzero(ratio > 1 / 25)
+    if len(near):
+        place, weight = np.polynomial.legendre.leggauss(12)
+        t2 = np.minimum(squared[near] / np.maximum(deviation[near] ** 2, np.float32(1e-36)), 25)
+        exact = np.exp(-t2[:, None] * (1 - (0.5 + place / 2) ** 2) / 2) @ (weight / 2)
+        result[near] = exact / np.maximum(deviation[near] ** 2, np.float32(1e-36))
+    return result.astype(np.float32)
 
 
 def _strength(batch: Casters, axes: np.ndarray | None, ray: np.ndarray) -> np.ndarray:
@@ -504,7 +545,7 @@ def _levels(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> Iter
     total = _sums_within(key >> np.uint64(32), depth)
 
     # What lies behind no light at all is not needed, but where light comes from the side.
-    opaque = key < np.uint64(rows.cells) << np.uint64(32)
+    opaque = key < np.uint64(rows.cell_base[rows.levels * (KINDS.index("OPAQUE") + 1)]) << np.uint64(32)
     before = (total - depth).reshape(len(key), -1).min(axis=1)
     key, total = (a[before < np.where(opaque & (not wide), 1.0, OPAQUE_DEPTH)] for a in (key, total))
     # Of one distance, the last holds the sum.
@@ -514,17 +555,15 @@ def _levels(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> Iter
     starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]) if len(cell) else np.zeros(0, bool))
     occupied = cell[starts]
     starts = np.append(starts, len(cell))
-    for k, kind in enumerate(KINDS):
-        for level, grid in enumerate(rows.grids):
-            base = k * rows.cells + int(rows.cell_base[level])
-            low, high = np.searchsorted(occupied, [base, base + grid.cells])
-            if low == high:
-                continue
-            first, end = int(starts[low]), int(starts[high])
-            rank, mask = _masks(occupied[low:high] - base, grid.cells)
-            links = (starts[low : high + 1] - first).astype(np.int32)
-            near = distance[first:end].view(np.float32)
-            yield Level(kind, grid, rank, mask, links, near.copy(), total[first:end].copy())
+    for k, (grid, base) in enumerate(zip(rows.grids, rows.cell_base, strict=True)):
+        low, high = np.searchsorted(occupied, [base, base + grid.cells])
+        if low == high:
+            continue
+        first, end = int(starts[low]), int(starts[high])
+        rank, mask = _masks(occupied[low:high] - base, grid.cells)
+        links = (starts[low : high + 1] - first).astype(np.int32)
+        near = distance[first:end].view(np.float32)
+        yield Level(KINDS[k // rows.levels], grid, rank, mask, links, near.copy(), total[first:end].copy())
 
 
 def _sums_within(group: np.ndarray, values: np.ndarray) -> np.ndarray:
