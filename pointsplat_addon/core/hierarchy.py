@@ -9,11 +9,17 @@ held about its own mean, where the first-order row of M vanishes; what remains o
 S' = S + w d d^T with d the step between the means. Sums about a far origin, which cancel, never occur.
 A uniform disk of radius r has the variance r^2 / 4 along each axis of its plane, hence half-axes
 are 2 sqrt(eigenvalue), with eigenvalues from l^2 - tr l + det = 0.
+
+Nodes of translucent clouds let as much light through as the splats below them, drawn by the same law, T = exp(-tau).
+Optical masses add up where splats fill a node evenly; where they are strewn, cross-sections do (`absorbed`: the area
+of which a splat alone takes the light), since light passes between them, however thick they are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import numpy as np
 
@@ -25,6 +31,14 @@ THIN = 1e-3  # smallest ratio of the axes of a bounding ellipse
 ROUNDING = 1 + 4e-7  # float32 copies of bounds are rounded outwards
 LEAF_SIZE = 12  # points: balances the nodes' memory against the points that a cut must show instead
 OPAQUE = 100.0  # optical depth of an opaque splat
+# Mean depth of a node of opaque splats that leave no gap: its Gaussian stops as much light as its ellipse within 8 %,
+# and a wall of such nodes lets 2 % through.
+CLOSED = 2.5
+CUT_OFF = 4.5  # Gaussians end at 3 sigma
+# Kernels of media are drawn wider than their moments: Gaussians of cells side by side then add up to an even medium
+# (a standard deviation of 0.29 of the cell leaves ripples of 38 %, one of 0.33 of 23 %), and outlines grow no more than
+# the thickness at which they are seen shrinks.
+WIDER = 1.15
 AVERAGED = ("color", "opacity", "surface", "emission", "shading_normal", "extinction", "value")
 
 
@@ -50,15 +64,17 @@ class Hierarchy:
     cone: np.ndarray  # (M, 2) float32: cosine and sine of the half-angle that holds all normals about `normal`
     smallest: np.ndarray  # (M,) float32: least `size` among the node and its descendants of two or more points
     color: np.ndarray | None = None  # (M, 3) float32, weighted mean, as all below
-    opacity: np.ndarray | None = None  # (M,) float32: 1 - T with T = 1 - f + f exp(-tau / f)
+    opacity: np.ndarray | None = None  # (M,) float32: by which exp(-tau) is the node's transmittance
     surface: np.ndarray | None = None  # (M, 2) float32
     emission: np.ndarray | None = None  # (M, 3) float32
     shading_normal: np.ndarray | None = None  # (M, 3) float32, not normalised
-    extinction: np.ndarray | None = None  # (M,) or (M, C) float32
+    extinction: np.ndarray | None = (
+        None  # (M,) or (M, C) float32, of the splat that `splats` gives, as is emission then
+    )
     value: np.ndarray | None = None  # (M,) float32
     material: np.ndarray | None = None  # (M,) uint16, of the heaviest child
     mass: np.ndarray | None = None  # (M,) or (M, C) float32: integral of extinction, or of optical depth over area
-    covered: np.ndarray | None = None  # (M,) float32: fraction f of the kernel ellipse that splats cover
+    covered: np.ndarray | None = None  # (M,) float32: fraction of the kernel's volume (shells: ellipse) that is filled
 
     def __len__(self) -> int:
         return len(self.tree)
@@ -100,10 +116,65 @@ def refit(hierarchy: Hierarchy, cloud: PointCloud, in_tree_order: bool = False) 
     return _evaluate(cloud if in_tree_order else _gather(cloud, hierarchy.order), hierarchy.order, hierarchy.tree)
 
 
+def recolor(hierarchy: Hierarchy, cloud: PointCloud, in_tree_order: bool = False) -> Hierarchy:
+    """The same points and nodes in other colours, surfaces, emission, extinction, values: what a transfer function
+    changes. Equal to `refit`, several times faster where splats are not weighted by their opacity.
+
+    `cloud` has the attributes of the hierarchy's, in the original order unless `in_tree_order`; places, normals,
+    half-axes and materials stay the hierarchy's. Raises ValueError as `refit` does, or where attributes are others.
+    """
+    if cloud.arrays().keys() != hierarchy.cloud.arrays().keys():
+        raise ValueError("recolor with other attributes than the hierarchy has")
+    if len(cloud) != len(hierarchy.cloud) or cloud.opacity is not None:
+        return refit(hierarchy, cloud, in_tree_order)
+    given = {name: array for name, array in cloud.arrays().items() if name in AVERAGED}
+    if not in_tree_order:
+        given = {name: array[hierarchy.order] for name, array in given.items()}
+    cloud = replace(hierarchy.cloud, **given)
+    check(cloud)
+
+    def columns(which: slice) -> np.ndarray:
+        weight = splat_weight(cloud, which)
+        averages = [_rows(array, which) for array in given.values()]
+        return np.concatenate(
+            [weight[None], *(weight * a for a in averages), _sums(cloud, which, _frames(cloud, which)[2])]
+        )
+
+    weight, totals = np.split(_sum_up(hierarchy.tree, len(cloud), columns), [1])
+    width = sum(int(np.prod(array.shape[1:])) for array in given.values())
+    named = _averages(cloud, totals[:width] / weight)
+    if len(totals) > width:
+        named |= _optics(cloud, hierarchy.radii.T, totals[width:])
+    return replace(hierarchy, cloud=cloud, **named)
+
+
+def shells(hierarchy: Hierarchy) -> PointCloud:
+    """The M nodes of an opaque cloud as translucent shells: what lets light pass where the gaps between its surfaces
+    are smaller than a node. The points are opaque over their ellipses and nowhere else.
+
+    Raises ValueError for clouds that have an opacity or extinction: `splats` gives theirs.
+    """
+    cloud, radii = hierarchy.cloud, hierarchy.radii.T
+    if cloud.opacity is not None or cloud.extinction is not None:
+        raise ValueError("shells are made of opaque clouds: this one has an opacity or extinction")
+    cloud = replace(cloud, opacity=np.ones(len(cloud), np.float32))
+
+    def columns(which: slice) -> np.ndarray:
+        area = _footprint(cloud, _frames(cloud, which)[2])
+        return np.stack([area, CLOSED * area, area])
+
+    def sheets(sums: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        return _sheets(cloud, sums, radii[:, nodes])
+
+    optics = _optics(cloud, radii, _sum_up(hierarchy.tree, len(cloud), columns, sheets))
+    return splats(replace(hierarchy, cloud=cloud, **optics)).take(slice(len(cloud), None))
+
+
 def moments(hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Zeroth, first and second moments of each node: weight (M,), mean (M, 3), covariance (M, 3, 3), float64.
 
-    The weight of a point is the product of its first two half-axes times its opacity (`splat_weight`).
+    The weight of a point is the product of its first two half-axes times its opacity, in media of all three
+    (`splat_weight`).
     """
     nodes = _merge_all(hierarchy.cloud, hierarchy.tree)
     xx, xy, xz, yy, yz, zz = nodes.second / np.maximum(nodes.weight, np.finfo(float).tiny)
@@ -114,20 +185,23 @@ def moments(hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def splats(hierarchy: Hierarchy) -> PointCloud:
     """The N points in tree order, then the M nodes, as one cloud: what a device is given once and a cut indexes.
 
-    Flat clouds keep two half-axes (and gain axis and radii columns where their points are disks); a cloud without
-    normals stays one of balls, whose nodes have the radius of the major half-axis.
+    Flat clouds keep two half-axes (and gain axis and radii columns where their points are disks); media have three, and
+    so do shells, whose nodes are ellipsoids that are equally deep in the middle from all sides. A cloud without normals
+    stays one of balls, whose nodes have the radius of the major half-axis, or of the variance's mean where light passes
+    through them.
     """
-    cloud = hierarchy.cloud
+    cloud, drawn = hierarchy.cloud, _drawn(hierarchy.cloud, hierarchy.radii.T).T.astype(np.float32)
     arrays: dict[str, np.ndarray] = {"position": np.concatenate([cloud.position, hierarchy.center])}
     if cloud.normal is None:
         points = np.zeros(len(cloud), np.float32) if cloud.radii is None else cloud.radii[:, 0]
-        arrays["radii"] = np.concatenate([points, hierarchy.radii[:, 0]])[:, None]
+        arrays["radii"] = np.concatenate([points, drawn[:, 0]])[:, None]
     else:
         normal, axis, radii = (a.astype(np.float32).T for a in _frames(cloud, slice(None)))
-        columns = 3 if cloud.radii is not None and cloud.radii.shape[1] == 3 else 2
+        given = 2 if cloud.radii is None else cloud.radii.shape[1]
+        columns = 3 if cloud.extinction is not None or cloud.opacity is not None or given == 3 else 2
         arrays["normal"] = np.concatenate([normal, hierarchy.normal])
         arrays["axis"] = np.concatenate([axis, hierarchy.axis])
-        arrays["radii"] = np.concatenate([radii, hierarchy.radii])[:, :columns]
+        arrays["radii"] = np.concatenate([radii, drawn])[:, :columns]
     for name in (*AVERAGED, "material"):
         array = getattr(cloud, name)
         if array is not None:
@@ -155,7 +229,7 @@ class _Rows:
     angle: np.ndarray  # (n,) float32: half-angle of the normal cone
     smallest: np.ndarray  # (n,) float32
     averages: np.ndarray  # (A, n) float32
-    sums: np.ndarray  # (B, n) float64: area / pi, optical mass
+    sums: np.ndarray  # (B, n) float64: what adds up, see `_sums`
     material: np.ndarray  # (1, n) uint16; (0, n) without materials
 
     @staticmethod
@@ -173,8 +247,11 @@ class _Rows:
 
 
 def splat_weight(cloud: PointCloud, which: slice) -> np.ndarray:
-    """(n,) float64: area over pi (1 where points have no extent) times opacity: what a splat counts in averages."""
+    """(n,) float64: area over pi (1 where points have no extent) times opacity, in media the volume over 4/3 pi: what a
+    splat counts in averages."""
     weight = np.ones(len(cloud.position[which]))
+    if cloud.extinction is not None and cloud.radii is not None:
+        return np.maximum(np.prod(_frames(cloud, which)[2], axis=0), 1e-60)
     if cloud.radii is not None:
         r = cloud.radii[which].astype(np.float64)
         flat = cloud.axis is not None and r.shape[1] > 1
@@ -208,7 +285,8 @@ def _outer(a: np.ndarray) -> np.ndarray:
 
 
 def _frames(cloud: PointCloud, which: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normal, major axis and three half-axes of points, (3, n) float64 each; balls get a fixed frame."""
+    """Normal, major axis and three half-axes of points, (3, n) float64 each; balls get a fixed frame, and flat splats
+    of a medium stand for a slab as thick as it is wide."""
     n = len(cloud.position[which])
     radii = np.zeros((3, n))
     given = cloud.radii[which].T if cloud.radii is not None else radii
@@ -223,6 +301,8 @@ def _frames(cloud: PointCloud, which: slice) -> tuple[np.ndarray, np.ndarray, np
     else:
         axis = cloud.axis[which].T.astype(np.float64)
         radii[: len(given)] = given
+    if cloud.extinction is not None and len(given) < 3:
+        radii[2] = np.sqrt(radii[0] * radii[1])
     return normal, axis, radii
 
 
@@ -250,21 +330,86 @@ def _point_rows(cloud: PointCloud, which: slice) -> _Rows:
 
 
 def _sums(cloud: PointCloud, which: slice, radii: np.ndarray) -> np.ndarray:
-    """Quantities (B, n) that add up: area over pi and optical mass; none for clouds that are simply opaque."""
-    area = radii[0] * radii[1]
-    if cloud.radii is not None and cloud.extinction is not None:
-        # A flat splat stands for a slab as thick as it is wide.
-        thickness = np.where(radii[2] > 0, radii[2], np.sqrt(area))
-        return np.concatenate([area[None], 4 / 3 * np.pi * area * thickness * _rows(cloud.extinction, which)])
-    if cloud.radii is not None and cloud.opacity is not None:
+    """Quantities (B, n) of points that add up, none for clouds that are simply opaque.
+
+    Of media the optical mass squared over the volume, the mass and the cross-section of each channel, a weight and the
+    colour times it, and the volume times the emission. Of shells the area, the optical mass and the cross-section.
+    """
+    if cloud.radii is None or (cloud.extinction is None and cloud.opacity is None):
+        return np.empty((0, radii.shape[1]))
+    area = _footprint(cloud, radii)
+    if cloud.extinction is None:
         with np.errstate(divide="ignore"):
-            depth = -np.log1p(-_rows(cloud.opacity, which).astype(np.float64))
-        return np.concatenate([area[None], np.pi * area * np.clip(depth, 0, OPAQUE)])
-    return np.empty((0, len(area)))
+            depth = -np.log1p(-np.clip(_rows(cloud.opacity, which).astype(np.float64), 0, 1))  # type: ignore[arg-type]
+        depth = np.minimum(depth, OPAQUE)
+        return np.concatenate([area[None], area * depth, area * absorbed(depth)])
+    volume = 4 / 3 * np.pi * np.prod(radii, axis=0)
+    mass = volume * np.maximum(_rows(cloud.extinction, which), 0)
+    mean = mass.mean(axis=0)
+    rows = [(mean**2 / np.maximum(volume, 1e-150))[None], mass, area * absorbed(mass / area)]
+    if cloud.color is not None:
+        # What is not there has a colour, too: one that only counts among its like.
+        weight = np.maximum(mean, 1e-60)
+        rows += [weight[None], weight * _rows(cloud.color, which)]
+    if cloud.emission is not None:
+        rows.append(volume * _rows(cloud.emission, which))
+    return np.concatenate(rows)
 
 
-def _merge(rows: _Rows, count: np.ndarray) -> _Rows:
-    """Merge consecutive runs of `count` rows into one row each."""
+def _footprint(cloud: PointCloud, radii: np.ndarray) -> np.ndarray:
+    """(n,) area of ellipsoids of half-axes (3, n): of media that of a disk as wide as the ball of the same volume; of
+    shells half the surface, which is twice what is seen of it on average, and of flat ones their area.
+
+    The surface is Thomsen's approximation with the exponent that makes disks exact, as balls are anyway.
+    """
+    a, b, c = np.maximum(radii.astype(np.float64), 1e-30)
+    if cloud.extinction is not None:
+        return np.pi * np.cbrt(a * b * c) ** 2
+    power = np.log(3) / np.log(2)
+    return 2 * np.pi * (((a * b) ** power + (a * c) ** power + (b * c) ** power) / 3) ** (1 / power)
+
+
+def _drawn(cloud: PointCloud, radii: np.ndarray) -> np.ndarray:
+    """Half-axes (3, n) by which nodes of these kernels are drawn: as they are where they are opaque."""
+    if cloud.extinction is None and cloud.opacity is None:
+        return radii
+    if cloud.normal is None:
+        radii = np.broadcast_to(np.sqrt((radii.astype(np.float64) ** 2).mean(axis=0)), radii.shape)
+    return radii if cloud.extinction is None else WIDER * radii
+
+
+def absorbed(depth: np.ndarray) -> np.ndarray:
+    """The cross-section of a Gaussian, the integral of 1 - exp(-tau) over the plane, in areas of its ellipse (rim at
+    2 sigma), float64. `depth` is its optical mass in the same unit: the mean depth of the ellipse.
+
+    With Ein(x) the integral of (1 - exp(-t)) / t from 0 to x and p the depth in the middle, it is
+    (Ein(p) - Ein(p exp(-9 / 2))) / 2.
+    """
+    x, y = _absorption()
+    thin = np.asarray(depth, np.float64)
+    return np.where(thin < x[0], thin, np.exp(np.interp(np.log(np.maximum(thin, x[0])), np.log(x), np.log(y))))
+
+
+def even(depth: np.ndarray) -> np.ndarray:
+    """The mean depth of the Gaussian that has the cross-section of an ellipse of an even depth: equal to it in the
+    first two orders, and less than 2.2 where the ellipse is opaque."""
+    x, y = _absorption()
+    wanted = -np.expm1(-np.asarray(depth, np.float64))
+    return np.where(wanted < y[0], depth, np.exp(np.interp(np.log(np.maximum(wanted, y[0])), np.log(y), np.log(x))))
+
+
+@cache
+def _absorption() -> tuple[np.ndarray, np.ndarray]:
+    """Mean depths, evenly spaced in the logarithm, and `absorbed` of them, by Simpson's rule."""
+    middle = 2 * np.geomspace(1e-5, 1e9, 2801) / -np.expm1(-CUT_OFF)
+    t = np.linspace(-CUT_OFF, 0, 129)
+    simpson = np.r_[1, np.tile([4, 2], 63), 4, 1] * (t[1] - t[0]) / 3
+    # With t the logarithm of the depth over that in the middle, dx dy is -pi a b dt / 2.
+    return middle / 2 * -np.expm1(-CUT_OFF), -np.expm1(-middle[:, None] * np.exp(t)) @ simpson / 2
+
+
+def _merge(rows: _Rows, count: np.ndarray, cloud: PointCloud) -> _Rows:
+    """Merge consecutive runs of `count` rows of a cloud into one row each."""
     begin = starts(count)
     owner = np.repeat(np.arange(len(count)), count)
 
@@ -284,6 +429,7 @@ def _merge(rows: _Rows, count: np.ndarray) -> _Rows:
     angle = 2 * np.arcsin(np.minimum(_length(rows.normal - normal.take(owner, axis=1)) / 2, 1))
     angle = np.maximum.reduceat(angle + rows.angle, begin) + 1e-6
     smallest = np.minimum.reduceat(rows.smallest, begin)
+    sums = np.add.reduceat(rows.sums, begin, axis=1)
     size = np.minimum(sphere, np.hypot(bound[0], bound[2]))
     single = (count == 1) & np.isinf(smallest)
 
@@ -292,7 +438,7 @@ def _merge(rows: _Rows, count: np.ndarray) -> _Rows:
         angle=np.where(flat, np.minimum(angle, np.pi), np.pi),
         smallest=np.where(single, np.inf, np.minimum(smallest, size)),
         averages=np.add.reduceat(rows.weight * rows.averages, begin, axis=1) / weight,
-        sums=np.add.reduceat(rows.sums, begin, axis=1),
+        sums=_sheets(cloud, sums, radii) if len(sums) and cloud.extinction is None else sums,
         material=_heaviest(rows, begin, owner),
     )  # fmt: skip
 
@@ -390,15 +536,38 @@ def _merge_all(cloud: PointCloud, tree: Tree) -> _Rows:
     begin = np.append(tree.first_point[leaves], len(cloud))
     for a, b in runs(tree.point_count[leaves], CHUNK):
         rows = _point_rows(cloud, slice(begin[a], begin[b]))
-        nodes.put(leaves[a:b], _merge(rows, tree.point_count[leaves[a:b]]))
+        nodes.put(leaves[a:b], _merge(rows, tree.point_count[leaves[a:b]], cloud))
     for first, last in zip(tree.levels[-2::-1], tree.levels[:0:-1], strict=True):
         parents = first + np.flatnonzero(tree.child_count[first:last])
         count = tree.child_count[parents].astype(np.int64)
         for a, b in runs(count, CHUNK):
             begin = tree.first_child[parents[a]]
             end = tree.first_child[parents[b - 1]] + count[b - 1]
-            nodes.put(parents[a:b], _merge(nodes.take(slice(begin, end)), count[a:b]))
+            nodes.put(parents[a:b], _merge(nodes.take(slice(begin, end)), count[a:b], cloud))
     return nodes
+
+
+def _sum_up(
+    tree: Tree,
+    points: int,
+    columns: Callable[[slice], np.ndarray],
+    merged: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda sums, _: sums,
+) -> np.ndarray:
+    """Sums (B, M) of what `columns` gives for a range of points, bottom up; `merged` makes of the sums (B, k) over the
+    parts of nodes (k,) what counts for the nodes themselves."""
+    total = np.empty((len(columns(slice(0, 0))), len(tree)))
+    leaves = _leaves_in_tree_order(tree, points)
+    begin = np.append(tree.first_point[leaves], points)
+    for a, b in runs(tree.point_count[leaves], CHUNK):
+        part = np.add.reduceat(columns(slice(begin[a], begin[b])), begin[a:b] - begin[a], axis=1)
+        total[:, leaves[a:b]] = merged(part, leaves[a:b])
+    for first, last in zip(tree.levels[-2::-1], tree.levels[:0:-1], strict=True):
+        parents = first + np.flatnonzero(tree.child_count[first:last])
+        if len(parents):
+            begin, end = tree.first_child[parents], tree.first_child[parents[-1]] + tree.child_count[parents[-1]]
+            part = np.add.reduceat(total[:, begin[0] : end], begin - begin[0], axis=1)
+            total[:, parents] = merged(part, parents)
+    return total
 
 
 def _leaves_in_tree_order(tree: Tree, points: int) -> np.ndarray:
@@ -412,9 +581,9 @@ def _leaves_in_tree_order(tree: Tree, points: int) -> np.ndarray:
 def _evaluate(cloud: PointCloud, order: np.ndarray, tree: Tree) -> Hierarchy:
     """Attributes of all nodes over points in tree order."""
     rows = _merge_all(cloud, tree)
-    named = _averages(cloud, rows)
+    named = _averages(cloud, rows.averages)
     if len(rows.sums):
-        named |= _coverage(cloud, rows)
+        named |= _optics(cloud, rows.radii, rows.sums)
     return Hierarchy(
         cloud, order, tree,
         center=_columns(rows.center), normal=_columns(rows.normal), axis=_columns(rows.axis),
@@ -425,30 +594,69 @@ def _evaluate(cloud: PointCloud, order: np.ndarray, tree: Tree) -> Hierarchy:
     )  # fmt: skip
 
 
-def _averages(cloud: PointCloud, rows: _Rows) -> dict[str, np.ndarray]:
-    """The rows of `averages` by name, in the shape that they have in the cloud."""
+def _averages(cloud: PointCloud, averages: np.ndarray) -> dict[str, np.ndarray]:
+    """Rows (A, n) by name, in the shape that they have in the cloud."""
     named, at = {}, 0
     for name in AVERAGED:
         given = getattr(cloud, name)
         if given is None:
             continue
         width = int(np.prod(given.shape[1:]))
-        named[name] = _columns(rows.averages[at : at + width]).reshape(-1, *given.shape[1:])
+        named[name] = _columns(averages[at : at + width]).reshape(-1, *given.shape[1:])
         at += width
     return named
 
 
-def _coverage(cloud: PointCloud, rows: _Rows) -> dict[str, np.ndarray]:
-    """Optical mass and covered fraction; and opacity, so that half-covered nodes neither vanish nor turn solid."""
-    area, mass = rows.sums[0], rows.sums[1:]
-    ellipse = np.maximum(rows.radii[0].astype(np.float64) * rows.radii[1], 1e-60)
-    covered = np.clip(area / ellipse, 1e-6, 1)
-    shape = () if cloud.extinction is None else cloud.extinction.shape[1:]
-    named = {"mass": _columns(mass).reshape(-1, *shape), "covered": covered.astype(np.float32)}
+def _optics(cloud: PointCloud, radii: np.ndarray, sums: np.ndarray) -> dict[str, np.ndarray]:
+    """Optical mass, filled fraction, and the attributes by which nodes of these kernels (3, n) are drawn."""
+    drawn = _drawn(cloud, radii)
+    area = _footprint(cloud, drawn)
     if cloud.extinction is None:
-        depth = mass[0] / (np.pi * ellipse)
-        named["opacity"] = (covered * -np.expm1(-depth / covered)).astype(np.float32)
-    return named
+        covered = _tiled(sums[0], radii)
+        depth = _mixed(sums[1] / area, sums[2] / area, covered)
+        named = {"mass": sums[1], "opacity": -np.expm1(-depth), "covered": covered}
+        return {name: array.astype(np.float32) for name, array in named.items()}
+    shape = cloud.extinction.shape[1:]
+    channels = int(np.prod(shape))
+    volume = np.maximum(4 / 3 * np.pi * np.prod(drawn.astype(np.float64), axis=0), 1e-60)
+    mass, section, rest = np.split(sums[1:], [channels, 2 * channels])
+    mean = mass.mean(axis=0)
+    covered = np.clip(mean**2 / np.maximum(sums[0] * volume, 1e-300), 0, 1)
+    extinction = area / volume * _mixed(even(mass / area), section / area, covered)
+    named = {"mass": _columns(mass).reshape(-1, *shape), "extinction": _columns(extinction).reshape(-1, *shape)}
+    if cloud.color is not None:
+        named["color"] = _columns(rest[1:4] / rest[0])
+    if cloud.emission is not None:
+        named["emission"] = _columns(rest[-3:] / volume)
+    return named | {"covered": covered.astype(np.float32)}
+
+
+def _mixed(filled: np.ndarray, strewn: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """The depth of nodes that are filled over a part of their area, by the mean of the transmittances."""
+    filled, strewn = np.minimum(filled, OPAQUE), np.minimum(strewn, np.minimum(filled, OPAQUE))
+    apart = strewn - filled
+    # The first form keeps the digits of small differences, the second what is left of the largest.
+    return strewn - np.where(
+        apart > -1, np.log1p(covered * np.expm1(apart)), np.log((1 - covered) + covered * np.exp(apart))
+    )
+
+
+def _tiled(area: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """(n,) how far sheets of this area close a plane, instead of lying far apart in it, or behind one another.
+
+    With the cube, opaque ones that cover a fraction f of a plane without overlap stop f of the light, within 0.032.
+    """
+    a, b, c = np.maximum(radii.astype(np.float64), 1e-30)
+    return np.minimum(area / (np.pi * a * b), 1) ** 3 * np.clip(1 - 2 * c / b, 0, 1)
+
+
+def _sheets(cloud: PointCloud, sums: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Area, optical mass and cross-section of merged shells, whose parts count once where they overlap."""
+    area, mass, section = sums
+    ellipse = _footprint(cloud, _drawn(cloud, radii))
+    covered = _tiled(area, radii)
+    whole = ellipse * -np.expm1(-mass / ellipse)
+    return np.stack([np.minimum(area, ellipse), mass, section + covered * np.minimum(whole - section, 0)])
 
 
 def _length(a: np.ndarray) -> np.ndarray:
