@@ -20,6 +20,7 @@ SPARSE = 16  # so many voxels for each active one are still copied rather than s
 SLAB = 1 << 24  # voxels that are copied at once
 VISIT = 1500  # bytes of a tree that are copied while Python visits one value
 MOST = 1 << 28  # active voxels: more would not fit the memory of most machines as points
+ENTRY = 128  # bytes of one of the tree's largest nodes that is constant
 NODES = (4096, 128, 8)  # edges in voxels of what the tree's levels hold, of leaves last
 EMPTY = -(2**31)  # what integer grids get for a background
 SAME = 1e-6  # of a voxel's edge, over the whole grid: transforms that differ by less are the same
@@ -148,8 +149,10 @@ def _boxes(grid: Any, empty: Any) -> Iterator[tuple[Any, np.ndarray, np.ndarray]
         if count == 0:
             continue
         low, high = (np.array(corner, np.int64) for corner in grid.evalActiveVoxelBoundingBox())
-        halvings = np.log2(_volume(low, high) / (SPARSE * count))
-        if _dense(low, high, count) or VISIT * count < grid.memUsage() * halvings:
+        # Constant regions are one value each; cleared ones take an entry for each of the largest nodes.
+        visited = VISIT * grid.activeLeafVoxelCount()
+        copied = grid.memUsage() + ENTRY * _volume(low, high) / NODES[0] ** 3
+        if _dense(low, high, count) or visited < copied * np.log2(_volume(low, high) / (SPARSE * count)):
             yield grid, low, high
             continue
         size = high - low + 1

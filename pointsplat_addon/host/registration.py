@@ -29,6 +29,7 @@ def register() -> None:
             bpy.utils.unregister_class(cls)
         raise
     properties.register()
+    operators.register()
     panels.register()
     caches.register()
     if bpy.app.module:
@@ -46,6 +47,7 @@ def unregister() -> None:
     _registered = False
     atexit.unregister(unregister)
     panels.unregister()
+    operators.unregister()
     properties.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -320,3 +320,34 @@ def test_the_ramp_of_an_object_is_its_transfer_function(openvdb, tmp_path):
     again = sync(synchronizer).geometries[0]
     np.testing.assert_allclose(again.volume.transfer.ramp[-1], [0, 1, 0, 1], atol=1e-6)
     assert again.volume.key == after.volume.key
+
+
+def test_an_array_becomes_a_volume_object_of_a_chosen_size(tmp_path):
+    array = np.zeros((20, 10, 5), np.int16)
+    array[4:9, 2:7, 1:4] = np.arange(75).reshape(5, 5, 3) - 10
+    np.save(tmp_path / "scan.npy", array)
+    assert bpy.ops.pointsplat.import_volume(filepath=str(tmp_path / "scan.npy"), size=4) == {"FINISHED"}
+    ob = bpy.context.object
+    assert (ob.type, ob.name) == ("VOLUME", "scan")
+    scene = sync()
+    assert not scene.warnings
+    volume = scene.geometries[0].volume
+    # The lowest value is the background.
+    assert len(volume.index) == 999
+    value = dict(zip(map(tuple, volume.index.tolist()), volume.grids["density"].tolist(), strict=True))
+    assert value[8, 6, 3] == 64
+    corner = volume.object_from_index @ [-0.5, -0.5, -0.5, 1]
+    np.testing.assert_allclose(corner[:3], [-2, -1, -0.5], atol=1e-6)
+    assert (volume.transfer.low, volume.transfer.high) == (-10, 64)
+    # A second import does not overwrite the first one's file.
+    bpy.ops.pointsplat.import_volume(filepath=str(tmp_path / "scan.npy"))
+    assert {p.name for p in tmp_path.glob("*.vdb")} == {"scan.vdb", "scan.001.vdb"}
+
+
+def test_a_file_that_is_no_volume_is_told(tmp_path):
+    np.save(tmp_path / "flat.npy", np.ones((3, 3)))
+    with pytest.raises(RuntimeError, match="expected three dimensions"):
+        bpy.ops.pointsplat.import_volume(filepath=str(tmp_path / "flat.npy"))
+    with pytest.raises(RuntimeError, match="No such file"):
+        bpy.ops.pointsplat.import_volume(filepath=str(tmp_path / "gone.nii"))
+    assert len(bpy.data.objects) == 0

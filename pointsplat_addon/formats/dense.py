@@ -1,0 +1,129 @@
+"""Dense arrays of voxels: NumPy's `.npy` and NIfTI-1's `.nii` and `.nii.gz`, as scanners' pictures come."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+SUFFIXES = (".npy", ".nii", ".nii.gz")
+HEADER = 348  # bytes
+DATATYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
+METRES = {1: 1.0, 2: 1e-3, 3: 1e-6}  # by NIfTI's code of the unit of length
+
+# The fields of NIfTI-1's header that are read
+FIELDS = np.dtype({
+    "names": [
+        "sizeof_hdr", "dim", "datatype", "pixdim", "vox_offset", "slope", "inter", "units", "qform", "sform",
+        "quatern", "qoffset", "srow", "magic",
+    ],
+    "formats": ["i4", "8i2", "i2", "8f4", "f4", "f4", "f4", "u1", "i2", "i2", "3f4", "3f4", "(3,4)f4", "S4"],
+    "offsets": [0, 40, 70, 76, 108, 112, 116, 123, 252, 254, 256, 268, 280, 344],
+    "itemsize": HEADER,
+})  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Dense:
+    """Values on a lattice. An integer index is a voxel's centre."""
+
+    value: np.ndarray  # (X, Y, Z) float32
+    object_from_index: np.ndarray  # (4, 4) float64; in metres where the file tells its unit
+
+
+def read(path: Path) -> Dense:
+    """The array of a file, of any kind of real numbers; of more than one in it, the first.
+
+    Raises OSError where the file cannot be read and ValueError where it holds something else.
+    """
+    name = path.name.lower()
+    if name.endswith(".npy"):
+        return Dense(_real(np.load(path, allow_pickle=False), path.name), np.eye(4))
+    if name.endswith((".nii", ".nii.gz")):
+        try:
+            data = path.read_bytes()
+            return _nifti(gzip.decompress(data) if name.endswith(".gz") else data, path.name)
+        except (EOFError, zlib.error) as error:
+            raise OSError(f"{path.name} is damaged: {error}") from error
+    raise ValueError(f"{path.name} is none of {', '.join(SUFFIXES)}")
+
+
+def _real(array: np.ndarray, name: str) -> np.ndarray:
+    if array.dtype.kind not in "buif":
+        raise ValueError(f"{name} holds {array.dtype}, not real numbers")
+    if array.ndim != 3 or array.size == 0:
+        raise ValueError(f"{name} has the shape {array.shape}, expected three dimensions")
+    with np.errstate(over="ignore"):
+        return array.astype(np.float32)
+
+
+def _nifti(data: bytes, name: str) -> Dense:
+    """NIfTI-1 (Cox et al. 2004, nifti1.h): a header of 348 bytes in either byte order, then voxels, x fastest."""
+    if len(data) < HEADER:
+        raise ValueError(f"{name} is too short for NIfTI")
+    order = "<" if data[:4] == b"\x5c\x01\0\0" else ">"
+    header = np.frombuffer(data, FIELDS.newbyteorder(order), 1)[0]
+    if header["sizeof_hdr"] != HEADER or header["magic"] != b"n+1":
+        raise ValueError(f"{name} is no NIfTI-1 file with its voxels in it")
+    if int(header["datatype"]) not in DATATYPES:
+        raise ValueError(f"{name} holds NIfTI's data type {int(header['datatype'])}, not real numbers")
+    shape = tuple(int(n) for n in header["dim"][1:4])
+    if not 3 <= header["dim"][0] <= 7 or min(shape) < 1:
+        raise ValueError(f"{name} has the shape {shape}, expected three dimensions")
+    dtype = np.dtype(order + DATATYPES[int(header["datatype"])])
+    offset, count = int(header["vox_offset"]), int(np.prod(shape, dtype=np.int64))
+    if offset < HEADER or len(data) < offset + count * dtype.itemsize:
+        raise ValueError(f"{name} ends before its last voxel")
+    value = np.frombuffer(data, dtype, count, offset).reshape(shape, order="F")
+    slope, inter = float(header["slope"]), float(header["inter"])
+    if slope != 0 and np.isfinite([slope, inter]).all():
+        value = value * slope + inter
+    matrix = _affine(header)
+    matrix[:3] *= METRES.get(int(header["units"]) & 7, 1e-3)
+    return Dense(_real(value, name), matrix)
+
+
+def _affine(header: np.void) -> np.ndarray:
+    """(4, 4) float64 from indices to the header's unit: method 3 (sform), else 2 (qform), else 1 (pixdim)."""
+    matrix, size = np.eye(4), np.abs(header["pixdim"][1:4].astype(np.float64))
+    size[~(size > 0)] = 1
+    if header["sform"] > 0:
+        matrix[:3] = header["srow"]
+        if np.isfinite(matrix).all() and np.linalg.matrix_rank(matrix) == 4:
+            return matrix
+        matrix = np.eye(4)
+    if header["qform"] > 0:
+        b, c, d = header["quatern"].astype(np.float64)
+        a = np.sqrt(max(0.0, 1 - b * b - c * c - d * d))
+        # The quaternion's matrix is 1 - 2 |v|^2 + 2 v v^T + 2 a [v]x.
+        v = np.array([b, c, d])
+        cross = np.array([[0, -d, c], [d, 0, -b], [-c, b, 0]])
+        matrix[:3, :3] = (1 - 2 * v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * a * cross
+        size[2] *= -1 if header["pixdim"][0] < 0 else 1
+        matrix[:3, 3] = header["qoffset"]
+    matrix[:3, :3] *= size
+    return matrix
+
+
+def centred(dense: Dense, longest: float) -> np.ndarray:
+    """object_from_index with the lattice's middle at 0 and its longest side `longest` units long."""
+    matrix, shape = dense.object_from_index.copy(), np.array(dense.value.shape)
+    side = float((np.linalg.norm(matrix[:3, :3], axis=0) * shape).max())
+    matrix[:3, :3] *= longest / side
+    matrix[:3, 3] = -matrix[:3, :3] @ ((shape - 1) / 2)
+    return matrix
+
+
+def without_background(value: np.ndarray, share: float) -> tuple[np.ndarray, float, float]:
+    """(values, empty, highest): values up to a share of their range from the lowest become `empty`, the lowest itself.
+
+    So do values that are not finite. Raises ValueError where all are alike: nothing would be left.
+    """
+    good = np.isfinite(value)
+    low, high = (float(f(value, where=good, initial=i)) for f, i in ((np.min, np.inf), (np.max, -np.inf)))
+    if not low < high:
+        raise ValueError("all voxels have the same value")
+    return np.where(good & (value > low + share * (high - low)), value, np.float32(low)), low, high
