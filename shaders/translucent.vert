@@ -13,7 +13,7 @@ void main()
   v_source.w *= texelFetch(ps_tint, at, 0)[PS_CHANNEL];
 #endif
   v_conic = vec4(c.z, -c.y, c.x, 0.0) / det;
-#ifdef PS_OPAQUE
+#ifdef PS_AMONG_OPAQUE
   vec4 front = texelFetch(ps_front, at, 0);
   v_front = vec4(place.z, 1.0 / front.x, front.yz);
 #endif

@@ -1,6 +1,6 @@
 // One translucent splat of the draw list: its ellipse in pixels, its optical depth and the light that it sends to the
 // eye. Texel by texel; layouts: render/passes/translucent.py. Reference: core/media_reference.py.
-// PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_OPAQUE: something opaque may stand among them.
+// PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/camera.glsl"
 #include "lib/pack.glsl"
@@ -147,7 +147,7 @@ void main()
   out_place = seen ? vec4(centre, d, peak * kept * PS_TRUNCATED) : vec4(0.0);
   out_shape = seen ? vec4(wide, 0.0) : vec4(1.0, 0.0, 1.0, 0.0);
   out_source = vec4(ps_finite(source), 0.0);
-#ifdef PS_OPAQUE
+#ifdef PS_AMONG_OPAQUE
   // Regression of depth on the place in the picture, and what it leaves of the variance.
   vec3 deep = -0.5 * vec3(a.z, b.z, c.z);
   vec2 together = deep.x * ua + deep.y * ub + deep.z * uc;

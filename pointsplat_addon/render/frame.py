@@ -26,6 +26,7 @@ from .shadows import Shadows, cast
 from .targets import Pool, Targets
 from .uploads import Kept, Uploads
 
+RELIT = 4  # times that translucent splats are lit in one picture, where lamps are wide
 MOST_MARGIN = 64  # pixels around the window in which the centres of wide splats are looked for
 
 
@@ -204,8 +205,7 @@ class Frame:
         self.background = shade_pass.background_program(plan.lighting, self.scene.transparent, passes)
         self.lit: translucent_pass.LitSplats | None = None
         if plan.translucent is not None:
-            samplers = tuple(name.removeprefix("ps_") for name in self.uploads.shading if name != "ps_materials")
-            program = translucent_pass.light_program(plan.translucent, plan.lighting, plan.materials, samplers)
+            program = translucent_pass.light_program(plan.translucent, plan.lighting, plan.materials)
             variant = plan.variant
             channels = variant.samplers(only=("place", "shape", "normal") if variant.normal else ("place",))
             self.depth_program = translucent_pass.depth_program(channels, variant.normal)
@@ -253,6 +253,8 @@ class Frame:
         return record
 
     def _shade(self, record: np.ndarray) -> None:
+        record = record.copy()
+        record["size"][0, 2] = self.done
         textures = self.targets.surfels.buffer.bound()
         textures |= self.uploads.shading
         self.device.draw(self.shade, self.targets.shade_target, uniforms=record, textures=textures, blend=True)
@@ -270,10 +272,12 @@ class Frame:
         def draw(program: Interface, target: Target, textures: dict[str, Texture], blend: bool = False) -> None:
             self.device.draw(program, target, uniforms=record, textures=textures, blend=blend)
 
-        if first:
-            # The same for all samples: seen from the middle of the pixel.
+        # The same for all samples, but for the shadows of wide lamps, which splats blur among each other.
+        relit = max(self.request.samples // RELIT, 1) if self.shadows is not None and self.shadows.wide else 0
+        if first or (relit and self.done % relit == 0):
             centred = self._record(0)
             centred["focal"][0] = self.view.pixel_from_view()
+            centred["size"][0, 2] = self.done // max(relit, 1)
             run("light", lambda: lit.light(centred, {**self.uploads.splats, **self.uploads.shading}))
         if targets.depth is not None:
             surfels = targets.surfels.buffer.bound()

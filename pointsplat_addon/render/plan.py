@@ -60,7 +60,7 @@ def make_plan(
     shining = light_names(scene.lights, smoothest) if drawn else ()
     lighting = (*(() if scene.transparent and not drawn else _world(scene)), *shining)
     if shadows is not None:
-        lighting += ("PS_SHADOWS", *(("PS_SHADOW_COLORED",) if shadows.packed.colored else ()))
+        lighting += ("PS_SHADOWS", "PS_SHADOW_SAMPLE", *(("PS_SHADOW_COLORED",) if shadows.packed.colored else ()))
     color = (
         surface or any(c.color is not None for c in clouds) or (polygons and bool(channels & {"base_color", "alpha"}))
     )

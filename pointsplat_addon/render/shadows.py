@@ -19,8 +19,10 @@ from ..core.lighting import in_rows
 from ..core.scene import Geometry, Light, Mesh, Scene, Settings
 from .prepare import Store, given
 
-MOST_SAMPLES = 4 << 20  # of all meshes together; where more would be needed, all are sampled more coarsely
+MOST_SAMPLES = 1 << 20  # of all meshes together; where more would be needed, all are sampled more coarsely
 NEAREST = 0.05  # of the scene's radius: lamps that are nearer to a surface do not ask for finer samples
+FEW_INSTANCES = 64  # of one mesh: so many are asked where they are nearest to a lamp
+SCATTERED = 1024  # places of a mesh that are asked for it
 LARGEST_PICTURE = 16384  # rows of a texture
 
 
@@ -31,6 +33,7 @@ class Shadows:
     key: tuple  # content key
     packed: shadow.PackedTables
     entries: int
+    wide: bool  # some lamp's penumbrae are seen: samples of a picture see different points of it
     warnings: tuple[str, ...] = ()
 
     @property
@@ -105,7 +108,8 @@ def cast(
             tables.append(store.lookup(("shadow", matter, key), build))
         packed = shadow.pack(tables, LARGEST_PICTURE)
         entries = sum(table.entries for table in tables if table is not None)
-        return Shadows((matter, keys), packed, entries, tuple(warnings))
+        wide = any(light.shadow and (light.radius > 0 or light.kind == "AREA") for light in lights)
+        return Shadows((matter, keys), packed, entries, wide, tuple(warnings))
 
     return store.lookup(("shadows", matter, keys), make), ""
 
@@ -165,24 +169,45 @@ def _spacings(casters: list[_Caster], lights: tuple[Light, ...], resolution: int
         if mesh is None:
             found.append(0.0)
             continue
-        cell = min(_cell(light, caster, middle, reach, resolution) for light in lights if light.shadow)
+        places = store.lookup(("scattered", caster.geometry.key), lambda mesh=mesh: _scattered(mesh))
+        cell = min(_cell(light, caster, places, middle, reach, resolution) for light in lights if light.shadow)
         scale = float(largest_singular_value(caster.matrices[:, :3, :3]).max())
         spacing = cell / scale if scale > 0 else np.inf
         found.append(spacing)
         area = store.lookup(("area", caster.geometry.key), lambda mesh=mesh: _area(mesh))
         samples += len(caster.matrices) * area / spacing**2
     coarser = max(np.sqrt(samples / MOST_SAMPLES), 1.0)
-    return [sampling.quantise_spacing(coarser * s) if 0 < s < np.inf else 0.0 for s in found]
+    # To the nearest octave.
+    return [sampling.quantise_spacing(np.sqrt(2) * coarser * s) if 0 < s < np.inf else 0.0 for s in found]
 
 
-def _cell(light: Light, caster: _Caster, middle: np.ndarray, reach: float, resolution: int) -> float:
-    """World units that a cell of a lamp's table spans at the nearest of a caster's instances."""
+def _cell(
+    light: Light, caster: _Caster, places: np.ndarray, middle: np.ndarray, reach: float, resolution: int
+) -> float:
+    """World units that a cell of a lamp's table spans where a caster is nearest to the lamp. `places` (n, 3) are some
+    of its mesh."""
     if light.kind == "SUN":
         return 2 * reach / resolution
     away = float(np.linalg.norm(light.position - middle))
     angle = 2 * np.arcsin(reach / away) if away > 1.4 * reach else np.pi
-    near = np.linalg.norm(caster.centre - light.position, axis=1) - caster.radius
+    if len(caster.matrices) > FEW_INSTANCES:
+        near = np.linalg.norm(caster.centre - light.position, axis=1) - caster.radius
+    else:
+        world = np.einsum("iab,nb->ina", caster.matrices[:, :3, :3], places) + caster.matrices[:, None, :3, 3]
+        near = np.linalg.norm(world - light.position, axis=-1)
     return float(angle / resolution * max(near.min(), NEAREST * reach))
+
+
+def _scattered(mesh: Mesh) -> np.ndarray:
+    """(n, 3) float64 places all over a mesh, in object space."""
+    ok, _ = sampling.validate(mesh)
+    if not ok.any():
+        return np.zeros((1, 3))
+    spacing = max(np.sqrt(_area(mesh) / SCATTERED), 1e-30)
+    samples = sampling.sample(mesh, spacing, "AREA", ok)
+    step = max(1, len(samples) // (4 * SCATTERED))
+    places = sampling.interpolate(mesh, samples, mesh.position[mesh.triangles])
+    return places[::step].astype(np.float64)
 
 
 def _area(mesh: Mesh) -> float:

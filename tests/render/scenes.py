@@ -550,6 +550,71 @@ def culled() -> Case:
     )
 
 
+def smoke_cloud(cells: int = 12, extinction: float | Vector = 2.0, **more) -> PointCloud:
+    """A unit ball of voxels, each a Gaussian of 0.6 voxels' edges as its standard deviation."""
+    edge = 2 / cells
+    middle = (np.arange(cells) + 0.5) * edge - 1
+    position = np.stack(np.meshgrid(middle, middle, middle, indexing="ij"), -1).reshape(-1, 3)
+    position = position[(position**2).sum(axis=1) < 1].astype(np.float32)
+    radius = 1.2 * edge
+    share = np.asarray(extinction, np.float32) * np.float32(edge**3 / (4 / 3 * np.pi * radius**3))
+    given = np.broadcast_to(share, (len(position), *share.shape)).copy()
+    return PointCloud(position, radii=np.full((len(position), 1), radius, np.float32), extinction=given, **more)
+
+
+def smoke() -> Case:
+    """A ball of smoke with a lamp in it, through which a cube of polygons and a sphere of points stick."""
+    cloud = smoke_cloud()
+    lamp = Light("POINT", np.full(3, 3.0), np.array([0.1, -0.3, 0.2]), np.array([0.0, 0, -1]))
+    return Case(
+        scene(
+            (points("smoke", replace(cloud, color=np.abs(cloud.position))), moved()),
+            (mesh(cube_mesh("cube in smoke", 0.5), "POLYGONS"), moved((0.8, 0, 0))),
+            (points("sphere in smoke", sphere_cloud(200)), moved((-0.8, 0, 0), 0.5)),
+            lights=(lamp, sun(1.0)),
+            table=materials(anisotropy=np.array([0.4], np.float32)),
+        ),
+        camera(),
+        Settings(shadow_resolution=64),
+    )
+
+
+def tinted_smoke() -> Case:
+    """A ball whose extinction is coloured and that glows, before a plane on which its shadow falls."""
+    cloud = smoke_cloud(10, (0.5, 1.0, 3.0))
+    return Case(
+        scene(
+            (points("tinted smoke", replace(cloud, emission=0.1 * np.abs(cloud.position))), moved()),
+            (mesh(plane_mesh("plane behind smoke", 2.0), "POLYGONS"), moved((0, 1.5, 0))),
+        ),
+        camera(),
+        Settings(shadow_resolution=64),
+    )
+
+
+def panes() -> Case:
+    """Coloured panes of glass, one behind the other, and a cube of which half is glass."""
+    colors, alphas = [[0.8, 0.8, 0.8], [0.9, 0.2, 0.1], [0.1, 0.3, 0.9]], [1.0, 0.4, 0.7]
+    table = materials(3, base_color=colors, alpha=alphas, translucent=np.array([False, True, True]))
+    half = replace(cube_mesh("half a cube", 0.4), material=np.repeat(np.array([0, 2], np.uint16), 6), materials=(0, 2))
+    front, back = (replace(plane_mesh(f"pane {row}", 0.7), materials=(row,)) for row in (1, 2))
+    return Case(
+        scene(
+            (mesh(front), moved((-0.3, -0.5, 0.2))),
+            (mesh(back), moved((0.3, 0.5, -0.2))),
+            (mesh(half, "POLYGONS"), moved((0.5, 0, 0.5))),
+            table=table,
+        ),
+        camera((0.5, -4, 0.5)),
+        Settings(shadow_resolution=64),
+    )
+
+
+def in_smoke() -> Case:
+    """The camera stands in a ball of smoke."""
+    return Case(scene((points("around the camera", smoke_cloud(10)), moved(scale=2))), camera((0.2, 0, 0), (0, 1, 0)))
+
+
 CASES: dict[str, Callable[[], Case]] = {
     function.__name__: cache(function)
     for function in (
@@ -576,5 +641,9 @@ CASES: dict[str, Callable[[], Case]] = {
         unlit,
         moving,
         culled,
+        smoke,
+        tinted_smoke,
+        panes,
+        in_smoke,
     )
 }

@@ -1,5 +1,6 @@
 """Light through splats: closed forms, opaque things among them, and what is drawn and sorted when."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import permutations
 
@@ -21,14 +22,19 @@ SIGMA = 0.6  # standard deviation of a voxel's Gaussian over the voxel's edge
 
 
 def voxels(
-    across: float, thick: float, cells: int, extinction: float | np.ndarray = 1.0, seen: object = None, **more
+    across: float,
+    thick: float,
+    cells: int,
+    extinction: float | np.ndarray = 1.0,
+    seen: Callable[[np.ndarray], np.ndarray] | None = None,
+    **more,
 ) -> PointCloud:
     """A slab about the origin, `thick` along y and `across` along x and z, of `cells` voxels through it."""
     edge = thick / cells
     side = (np.arange(round(across / edge)) + 0.5) * edge - across / 2
     depth = (np.arange(cells) + 0.5) * edge - thick / 2
     position = np.stack(np.meshgrid(side, depth, side, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
-    if callable(seen):
+    if seen is not None:
         position = position[seen(position)]
     count, radius = len(position), 2 * SIGMA * edge
     share = edge**3 / (4 / 3 * np.pi * radius**3)
@@ -203,6 +209,107 @@ def test_voxels_of_any_size_let_the_same_light_through(scale):
     scaled = scenes.scene((points("scaled", cloud), moved(scale=scale)), lights=(), world=WHITE)
     eye = camera((0, -30 * scale, 0), field_of_view=0.6, resolution=(16, 12), near=1e-2 * scale, far=1e3 * scale)
     assert picture(scaled, eye, 2)[..., 0].mean() == pytest.approx(np.exp(-1.0), rel=5e-3)
+
+
+# Shadows
+
+LAMP = Light("POINT", np.full(3, 50.0), np.array([0.0, 0.0, 3.0]), np.array([0.0, 0, -1]))
+
+
+def lit_floor(*things, lamp=LAMP, table=None):
+    """A floor below `things`, lit by a lamp above them and nothing else."""
+    level = np.eye(4)
+    level[1:3, 1:3] = [[0, -1], [1, 0]]
+    level[2, 3] = -1
+    floor = scenes.mesh(scenes.plane_mesh("floor", 2.0), "POLYGONS")
+    return scenes.scene((floor, level), *things, lights=(lamp,), world=World(), table=table)
+
+
+def shaded(made, shadows=True):
+    """The middle of the floor, seen from below the things."""
+    low = camera((0.0, -1.5, -0.75), (0, 0, -1), field_of_view=6, resolution=(16, 12))
+    settings = Settings(use_shadows=shadows, shadow_resolution=512)
+    return draw(made, low, 2, settings).pixels["combined"][..., :3].mean(axis=(0, 1)).astype(np.float64)
+
+
+@pytest.mark.parametrize("depth", [0.05, 1.0, 4.0])
+def test_a_medium_shades_the_floor_by_beers_law(depth):
+    fog = points(f"fog {depth}", voxels(1.5, 0.5, 10, depth / 0.5))
+    turned = np.eye(4)
+    turned[1:3, 1:3] = [[0, -1], [1, 0]]
+    made = lit_floor((fog, turned))
+    assert shaded(made) / shaded(made, False) == pytest.approx(np.exp(-depth) * np.ones(3), rel=2e-2)
+
+
+def test_shadows_of_tinted_media_are_tinted():
+    depth = np.array([0.2, 1.0, 3.0])
+    turned = np.eye(4)
+    turned[1:3, 1:3] = [[0, -1], [1, 0]]
+    made = lit_floor((points("tinted fog", voxels(1.5, 0.5, 10, depth / 0.5)), turned))
+    np.testing.assert_allclose(shaded(made) / shaded(made, False), np.exp(-depth), rtol=2e-2)
+
+
+@pytest.mark.parametrize("primitive", ["POLYGONS", "POINTS"])
+def test_opaque_things_cast_whatever_they_are_drawn_as(primitive):
+    block = scenes.mesh(scenes.cube_mesh(f"block {primitive}", 0.5), primitive)
+    made = lit_floor((block, moved((0, 0, 0.5))))
+    assert shaded(made).max() < 1e-6  # measured 5e-10
+    assert shaded(made, False).min() > 0.05
+    aside = replace(made, instances=replace(made.instances, casts=np.array([True, False])))
+    np.testing.assert_allclose(shaded(aside), shaded(aside, False), rtol=1e-6)
+
+
+def test_a_translucent_surface_shades_by_its_alpha():
+    table = scenes.materials(2, alpha=[1, 0.7], translucent=np.array([False, True]))
+    pane = replace(scenes.plane_mesh("pane", 1.0), materials=(1,))
+    level = np.eye(4)
+    level[1:3, 1:3] = [[0, -1], [1, 0]]
+    made = lit_floor((scenes.mesh(pane), level), table=table)
+    np.testing.assert_allclose(shaded(made) / shaded(made, False), np.full(3, 0.3), rtol=2e-2)
+
+
+def test_a_medium_shades_itself():
+    """Seen from the lamp's side and thin across the ray: single scattering of light that has come through."""
+    depth, albedo = 2.0, 0.8
+    sun = scenes.sun(3.0, (0, 1, 0))
+    made = alone(voxels(1.2, 0.5, 12, depth / 0.5, color=np.full(3, albedo)), "self", lights=(sun,), world=World())
+    found = draw(made, from_angle(0), 2, Settings(shadow_resolution=256)).pixels["combined"][..., :3].mean()
+    # The light that comes to a depth t of the medium and back is exp(-2 t).
+    expected = 3.0 * albedo / (4 * np.pi) * (1 - np.exp(-2 * depth)) / 2
+    assert found == pytest.approx(expected, rel=2e-2)
+
+
+def test_tables_are_made_once_for_all_views():
+    made = lit_floor((points("fog once", voxels(1.5, 0.5, 6, 1.0)), moved()))
+    renderer = Renderer(NullDevice())
+    tables = []
+    for eye in ((0, -4, 0), (2, -3, 1)):
+        renderer.render(made, Request(camera(eye), Settings(), COMBINED, 1))
+        call = next(c for c in renderer.device.calls[::-1] if c.interface.name == "light")
+        tables.append(call.textures["ps_shadow_tables"])
+    assert tables[0] is tables[1]
+    brighter = replace(made, lights=(replace(LAMP, color=np.full(3, 9.0)),))
+    renderer.render(brighter, Request(camera(), Settings(), COMBINED, 1))
+    call = next(c for c in renderer.device.calls[::-1] if c.interface.name == "light")
+    assert call.textures["ps_shadow_tables"] is tables[0]
+
+
+@pytest.mark.parametrize(
+    ("why", "change"),
+    [
+        ("shadows are switched off", {}),
+        ("no light casts shadows", {"lights": (replace(LAMP, shadow=False),)}),
+        ("nothing casts shadows", {"casts": np.zeros(2, bool)}),
+    ],
+)
+def test_no_table_is_made_where_nothing_shades(why, change):
+    made = lit_floor((points("fog unshaded", voxels(1.5, 0.5, 4, 1.0)), moved()))
+    casts = change.pop("casts", None)
+    made = replace(made, instances=replace(made.instances, casts=casts), **change)
+    device, result = record(made, shadows=why != "shadows are switched off")
+    assert {entry["name"]: entry["because"] for entry in result.report["skipped"]}["shadows"] == why
+    names = {name for i in device.interfaces for _, name in i.samplers}
+    assert not {"ps_shadow_tables", "ps_shadow_lights"} & names
 
 
 # What is drawn

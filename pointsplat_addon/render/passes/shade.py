@@ -43,11 +43,11 @@ def shade_program(
 ) -> Interface:
     """`lighting`, `materials`: the PS_ names of what shines and of what surfaces do with it."""
     read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
-    names = (*variant.defines, *lighting, *materials, *_averaged_defines(passes))
+    names = (*variant.defines, *materials, *_averaged_defines(passes))
     return Interface(
         "shade", fragment="shade.frag", block=FRAME, outputs=_averaged_outputs(passes),
-        samplers=(*read, ("FLOAT_2D", "ps_materials"), *_lighting_samplers(lighting)),
-        defines=tuple((name, "1") for name in names),
+        samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
+        defines=(*lighting_defines(lighting), *((name, "1") for name in names)),
     )  # fmt: skip
 
 
@@ -57,7 +57,7 @@ def background_program(lighting: tuple[str, ...], transparent: bool, passes: fro
     names = (*world, *_averaged_defines(passes), *(() if transparent else ("PS_BACKGROUND",)))
     return Interface(
         "background", fragment="background.frag", block=FRAME, outputs=_averaged_outputs(passes),
-        samplers=(("FLOAT_2D", "ps_place"), *_lighting_samplers(world)),
+        samplers=(("FLOAT_2D", "ps_place"), *lighting_samplers(world)),
         defines=tuple((name, "1") for name in names),
     )  # fmt: skip
 
@@ -70,7 +70,13 @@ def _averaged_defines(passes: frozenset[str]) -> tuple[str, ...]:
     return tuple(AVERAGED[key][0] for key in averaged(passes))
 
 
-def _lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+def lighting_defines(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """Shadows of wide lamps differ from sample to sample: PS_SHADOW_SAMPLE is where the shader finds its number."""
+    return tuple((name, "frame.size.z" if name == "PS_SHADOW_SAMPLE" else "1") for name in lighting)
+
+
+def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """What lib/lights.glsl reads."""
     wanted = (
         ("ps_lights", bool(lighting)),
         ("ps_environment", "PS_HAS_ENVIRONMENT" in lighting),

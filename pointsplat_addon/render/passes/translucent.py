@@ -1,4 +1,4 @@
-"""Translucent splats: lit once for a view, then drawn back to front over the opaque picture of every sample.
+"""Translucent splats: lit for a view, then drawn back to front over the opaque picture of every sample.
 
 A page holds the splats of all translucent point sets, one texel a splat:
   place           xyz relative to the set's origin; packed normal (-1: a ball)
@@ -35,6 +35,7 @@ from ..device import Device, Target, Texture
 from ..packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged
 from ..prepare import PointSet
 from .common import FRAME
+from .shade import lighting_defines, lighting_samplers
 
 OPAQUE = 100.0  # optical depth of what is opaque
 CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
@@ -185,20 +186,20 @@ def draw_list(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
     return rows
 
 
-def light_program(
-    options: TranslucentOptions, lighting: tuple[str, ...], materials: tuple[str, ...], samplers: tuple[str, ...]
-) -> Interface:
-    """Every splat of the draw list, lit. `samplers`: those that lighting reads."""
-    read = ("order", "instances", "place", "extent", "optics", "materials", *samplers)
+def light_program(options: TranslucentOptions, lighting: tuple[str, ...], materials: tuple[str, ...]) -> Interface:
+    """Every splat of the draw list, lit."""
+    read = ("order", "instances", "place", "extent", "optics", "materials")
     read += tuple(name for name, on in options.attributes if on)
-    named = {"PS_MEDIA": options.media, "PS_SHELLS": options.shells, "PS_OPAQUE": options.opaque}
+    named = {"PS_MEDIA": options.media, "PS_SHELLS": options.shells, "PS_AMONG_OPAQUE": options.opaque}
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
     outputs = ["place", "shape", "source", *(["front"] if options.opaque else []), *(["tint"] if options.tint else [])]
     return Interface(
         "light", fragment="translucent_light.frag", block=FRAME,
-        samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),
+        samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_{name}") for name in outputs),
-        defines=tuple((name, "1") for name in (*lighting, *materials, *(name for name, on in named.items() if on))),
+        # One point of each wide lamp a sample: splats overlap, and blur what they receive.
+        defines=(*lighting_defines(lighting), ("PS_SHADOW_TAPS", "1"),
+                 *((name, "1") for name in (*materials, *(name for name, on in named.items() if on)))),
     )  # fmt: skip
 
 
@@ -209,7 +210,7 @@ def draw_program(options: TranslucentOptions, channel: str) -> Interface:
     defines = []
     if options.opaque:
         varyings.append(("flat", "vec4", "v_front"))
-        defines.append(("PS_OPAQUE", "1"))
+        defines.append(("PS_AMONG_OPAQUE", "1"))
     if channel:
         read.append("tint")
         defines.append(("PS_CHANNEL", str("RGB".index(channel[0]))))
@@ -250,7 +251,7 @@ class LitSplats:
         self.draws = [(draw_program(options, channel), channel or "RGBA") for channel in channels]
 
     def light(self, record: np.ndarray, textures: Mapping[str, Texture]) -> None:
-        """Once for a view."""
+        """Light all of them, seen from the middle of the pixel."""
         record["page"][0, 1] = self.count
         self.device.draw(self.program, self.target, uniforms=record, textures=dict(textures))
 
