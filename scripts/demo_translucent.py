@@ -435,14 +435,12 @@ def fill_ramp(ramp: bpy.types.ColorRamp, stops) -> None:
 
 def transfer(volume: bpy.types.Object, stops, density: float) -> None:
     """The same transfer function in the object's own settings."""
+    texture = bpy.data.textures.new("Transfer", "BLEND")
+    texture.use_color_ramp = True
+    fill_ramp(texture.color_ramp, stops)
     own = volume.pointsplat
-    if not hasattr(own, "use_transfer"):
-        return
-    own.use_transfer, own.transfer_grid = True, "density"
+    own.use_transfer, own.transfer_grid, own.transfer_texture = True, "density", texture
     own.transfer_low, own.transfer_high, own.transfer_density = 0.0, 1.0, density
-    own.transfer_ramp = bpy.data.textures.new("Transfer", "BLEND")
-    own.transfer_ramp.use_color_ramp = True
-    fill_ramp(own.transfer_ramp.color_ramp, stops)
 
 
 MAKERS: tuple[Callable[[Maker], None], ...] = (
