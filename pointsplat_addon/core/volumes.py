@@ -19,7 +19,7 @@ SIGMA = 0.6  # standard deviation of a voxel's Gaussian in voxel edges
 SHARE = 1 / (4 / 3 * np.pi * (2 * SIGMA) ** 3)  # the volume of a voxel over that of its splat's ellipsoid
 NEARLY_CUBIC = 1.03  # ratio of a voxel's principal lengths up to which its splat is a ball
 OPAQUE = 1e6  # optical depth of a voxel's edge that is as good as any above it
-BRIGHT = 1e30  # radiance per unit of length, likewise
+BRIGHT = 1e30  # extinction, and radiance per unit of length, that leaves room for products in float32
 ROWS = 1 << 20  # voxels that are handled together: temporary arrays stay small
 
 # Planck's law times the observer, relative to its luminance; Cycles holds the colour constant outside this range, too.
@@ -127,7 +127,8 @@ def optics(volume: Volume, medium: Medium, extinction: float = 0.0) -> tuple[Opt
                 f'{volume.name}: there is no grid "{medium.density_grid}", the density is the same everywhere'
             )
         value = np.ones(len(volume.index), np.float32)
-    density = value * np.float32(extinction or max(medium.density, 0.0))
+    with np.errstate(over="ignore"):
+        density = np.minimum(value * np.float32(extinction or max(medium.density, 0.0)), np.float32(BRIGHT))
     tint = grids.read(medium.color_grid)
     color = np.maximum(np.asarray(medium.color, np.float32), 0)[None]
     if tint is not None:
