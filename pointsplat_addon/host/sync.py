@@ -156,7 +156,7 @@ class Synchronizer:
         names = [
             source.name
             for source in sources
-            if isinstance(source.data, bpy.types.Mesh) and not source.particles
+            if isinstance(source.data, bpy.types.Mesh) and not source.particles and not source.smoke
             if any(table.media[row] for m in source.materials if (row := self.cache.row(m)) < len(table.media))
         ]
         return {"volumes within meshes": names} if names else {}
@@ -195,6 +195,8 @@ class Synchronizer:
             rows = tuple(self.cache.row(m) for m in source.materials)
             reads = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
             key = source.data.session_uid, rows, reads, source.primitive, source.spacing, source.extinction
+            if source.smoke:
+                key = (*key, source.smoke.key)
             if isinstance(source.data, bpy.types.Volume):
                 names = wanted_grids(_medium(table, rows[0]), source.transfer)
                 key = (*source_key(source.data), *key, names, source.transfer and digest(source.transfer))
@@ -207,7 +209,7 @@ class Synchronizer:
             voxels, warnings = (last.voxels, last.warnings) if last else (None, ())
             if last and not source.editing:
                 geometry = last.geometry
-            elif isinstance(source.data, bpy.types.Volume):
+            elif source.smoke or isinstance(source.data, bpy.types.Volume):
                 geometry, voxels, warnings = self._read_volume(source, rows[0], table)
             else:
                 geometry = self._read(source, rows, table)
@@ -249,7 +251,7 @@ class Synchronizer:
     ) -> tuple[core.Geometry | None, Voxels, tuple[str, ...]]:
         """The geometry of a volume, the voxels that it shares with others, and what is wrong with them."""
         names = wanted_grids(_medium(table, row), source.transfer)
-        voxels = read_voxels(source.data, names, self.cache.lookup)  # pyright: ignore[reportArgumentType]
+        voxels = source.smoke or read_voxels(source.data, names, self.cache.lookup)  # pyright: ignore[reportArgumentType]
         warnings = tuple(f"{source.name}: {message}" for message in voxels.messages)
         volume = convert_volume(voxels, source.name, row, source.transfer)
         if volume is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import bpy
@@ -351,3 +352,40 @@ def test_a_file_that_is_no_volume_is_told(tmp_path):
     with pytest.raises(RuntimeError, match="No such file"):
         bpy.ops.pointsplat.import_volume(filepath=str(tmp_path / "gone.nii"))
     assert len(bpy.data.objects) == 0
+
+
+class Floats(list):
+    """As Blender's arrays of floats: read into a buffer."""
+
+    def foreach_get(self, buffer):
+        buffer[:] = self
+
+
+def test_a_fluid_domains_smoke_is_where_its_cells_are():
+    from pointsplat_addon.host.convert.volume import smoke
+
+    shape, edge = np.array([4, 3, 2]), np.array([0.5, 0.5, 0.5])
+    for finer in (1, 2):
+        z, y, x = np.indices(shape[::-1] * finer)
+        density = np.where((x == 2) & (y == 1), z + 1.0, 0).ravel()
+        domain = SimpleNamespace(
+            domain_resolution=shape, start_point=(-1, 0, 5), cell_size=edge, density_grid=Floats(density),
+            flame_grid=Floats(), heat_grid=Floats(), temperature_grid=Floats(2 * density),
+        )  # fmt: skip
+        grids = smoke(domain).grids
+        assert grids is not None
+        assert set(grids.values) == {"density", "temperature"}
+        np.testing.assert_array_equal(grids.values["density"], np.arange(2 * finer) + 1)
+        np.testing.assert_array_equal(grids.values["temperature"], 2 * grids.values["density"])
+        first = grids.index[0] @ grids.object_from_index[:3, :3].T + grids.object_from_index[:3, 3]
+        np.testing.assert_allclose(first, [-1, 0, 5] + (np.array([2, 1, 0]) + 0.5) * edge / finer)
+
+
+def test_a_domain_before_its_simulation_holds_nothing():
+    bpy.ops.mesh.primitive_cube_add()
+    modifier = bpy.context.object.modifiers.new("Fluid", "FLUID")
+    modifier.fluid_type = "DOMAIN"
+    modifier.domain_settings.domain_type = "GAS"
+    scene = sync()
+    assert len(scene.geometries) == 0
+    assert not scene.warnings

@@ -11,7 +11,7 @@ import numpy as np
 from ...core.scene import Transfer
 from .particles import read_particles
 from .pointcloud import Points
-from .volume import convert_transfer
+from .volume import Voxels, convert_transfer, read_domain
 
 GEOMETRY = ("MESH", "POINTCLOUD", "VOLUME")
 # Blender lists the surfaces of CURVE, SURFACE, FONT and META objects as instances of type MESH.
@@ -39,6 +39,7 @@ class Source:
     generated: bool  # is_instance: the data may belong to the instancer
     editing: bpy.types.Object | None = None  # the object, where its mesh is in edit mode
     transfer: Transfer | None = None  # of volumes
+    smoke: Voxels | None = None  # instead of the data: what a fluid domain holds
     particles: Points | None = None  # instead of the data, in world space
 
 
@@ -117,6 +118,7 @@ def _source(ob: bpy.types.Object, override: bpy.types.Material | None, visible: 
         generated=generated,
         editing=ob if ob.type == "MESH" and ob.data.is_editmode else None,
         transfer=convert_transfer(ob) if ob.type == "VOLUME" else None,
+        smoke=read_domain(ob) if ob.type == "MESH" else None,
     )
 
 

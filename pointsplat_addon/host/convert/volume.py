@@ -19,6 +19,7 @@ from ...core.scene import Medium, Transfer, Volume
 from ...formats import vdb
 from . import arrays
 
+DOMAIN_GRIDS = ("density", "flame", "heat", "temperature")  # of fluid simulations
 RAMP = 256  # samples of a colour ramp
 Lookup = Callable[[str, Callable[[], Any]], Any]
 
@@ -124,6 +125,50 @@ def convert_volume(voxels: Voxels, name: str, row: int, transfer: Transfer | Non
     if grids is None:
         return None
     return Volume(voxels.key, name, grids.index, grids.object_from_index, grids.values, row, transfer)
+
+
+def read_domain(ob: bpy.types.Object) -> Voxels | None:
+    """What a gas domain of Blender's fluid simulation holds in this frame, in object space; None for other meshes."""
+    for modifier in ob.modifiers:
+        if (
+            modifier.type == "FLUID"
+            and modifier.fluid_type == "DOMAIN"
+            and modifier.domain_settings.domain_type == "GAS"
+        ):
+            return smoke(modifier.domain_settings)
+    return None
+
+
+def smoke(domain: Any) -> Voxels:
+    """The voxels of a FluidDomainSettings that hold smoke or flames; x varies fastest in Blender's arrays.
+
+    With noise, grids are finer than the domain's resolution by a whole factor.
+    """
+    resolution = np.array(domain.domain_resolution, np.int64)
+    found = {name: _flat(getattr(domain, f"{name}_grid")) for name in DOMAIN_GRIDS}
+    count, coarse = len(found["density"]), int(resolution.prod())
+    finer = round((count / coarse) ** (1 / 3)) if coarse else 0
+    if count == 0 or count != coarse * finer**3:
+        return Voxels("", None)
+    active = np.flatnonzero((found["density"] > 0) | (found["flame"] > 0 if len(found["flame"]) == count else False))
+    fine = resolution * finer
+    index = np.stack([active % fine[0], active // fine[0] % fine[1], active // (fine[0] * fine[1])], axis=1)
+    matrix = np.eye(4)
+    edge = np.array(domain.cell_size, np.float64) / finer
+    matrix[:3, :3] = np.diag(edge)
+    matrix[:3, 3] = np.array(domain.start_point, np.float64) + edge / 2
+    order = np.lexsort(index.T[::-1])
+    values = {name: grid[active[order]] for name, grid in found.items() if len(grid) == count}
+    grids = vdb.Grids(index[order].astype(np.int32), matrix, values)
+    parts = [part for name, value in values.items() for part in (name, value)]
+    return Voxels(arrays.digest("smoke", grids.index, matrix, *parts), grids if len(active) else None)
+
+
+def _flat(array: Any) -> np.ndarray:
+    values = np.empty(len(array), np.float32)
+    if len(array):
+        array.foreach_get(values)
+    return values
 
 
 def sample_ramp(ramp: bpy.types.ColorRamp) -> np.ndarray:
