@@ -366,7 +366,7 @@ def test_a_fluid_domains_smoke_is_where_its_cells_are():
 
     shape, edge = np.array([4, 3, 2]), np.array([0.5, 0.5, 0.5])
     for finer in (1, 2):
-        z, y, x = np.indices(shape[::-1] * finer)
+        z, y, x = np.indices((2 * finer, 3 * finer, 4 * finer))
         density = np.where((x == 2) & (y == 1), z + 1.0, 0).ravel()
         domain = SimpleNamespace(
             domain_resolution=shape, start_point=(-1, 0, 5), cell_size=edge, density_grid=Floats(density),
