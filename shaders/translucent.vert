@@ -1,21 +1,26 @@
 // Two triangles that hold a lit splat's ellipse up to 3 sigma. Layout: render/passes/translucent.py.
 
+#define PS_LOW_PASS 0.04
+
 void main()
 {
   int index = frame.page.x + gl_VertexID / 6;
   ivec2 at = ivec2(index & 4095, index >> 12);
   vec4 place = texelFetch(ps_place, at, 0), shape = texelFetch(ps_shape, at, 0);
-  vec3 c = shape.xyz;
+  // In a coarser picture's pixels, of which splats are not to miss any either.
+  float scale = frame.lens.w;
+  vec3 c = scale * scale * shape.xyz + (scale < 1.0 ? vec3(PS_LOW_PASS, 0.0, PS_LOW_PASS) : vec3(0.0));
   float det = c.x * c.z - c.y * c.y;
-  v_centre = place.xy + frame.focal.zw;
-  v_source = vec4(texelFetch(ps_source, at, 0).rgb, place.w);
+  float kept = scale < 1.0 ? scale * scale * sqrt((shape.x * shape.z - shape.y * shape.y) / det) : 1.0;
+  v_centre = scale * (place.xy + frame.focal.zw);
+  v_source = vec4(texelFetch(ps_source, at, 0).rgb, kept * place.w);
 #ifdef PS_CHANNEL
   v_source.w *= texelFetch(ps_tint, at, 0)[PS_CHANNEL];
 #endif
   v_conic = vec4(c.z, -c.y, c.x, 0.0) / det;
 #ifdef PS_AMONG_OPAQUE
   vec4 front = texelFetch(ps_front, at, 0);
-  v_front = vec4(place.z, 1.0 / front.x, front.yz);
+  v_front = vec4(place.z, 1.0 / front.x, front.yz / scale);
 #endif
 
   // Along the ellipse's axes where that saves much; else along the picture's, which rasterisers fill faster.

@@ -161,7 +161,7 @@ class Frame:
             check=self.clock.check,
         )
         self.shadows, unshadowed = self._shadows()
-        self.plan = make_plan(scene, self.prepared, request.passes, self.shadows, unshadowed)
+        self.plan = make_plan(scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive)
         # Everything is drawn for `view`, of which the camera's window is a part.
         self.view, self.corner = _widened(request.camera, self.prepared.largest if self.plan.points else 0.0)
         self._owned: list[Any] = []
@@ -269,8 +269,10 @@ class Frame:
         targets, run = self.targets, self.clock.run
         assert targets.layer is not None
 
-        def draw(program: Interface, target: Target, textures: dict[str, Texture], blend: bool = False) -> None:
-            self.device.draw(program, target, uniforms=record, textures=textures, blend=blend)
+        def draw(program: Interface, target: Target, textures: dict[str, Texture], mode: str = "") -> None:
+            self.device.draw(
+                program, target, uniforms=record, textures=textures, blend=mode == "blend", over=mode == "over"
+            )
 
         # The same for all samples, but for the shadows of wide lamps, which splats blur among each other.
         relit = max(self.request.samples // RELIT, 1) if self.shadows is not None and self.shadows.wide else 0
@@ -282,9 +284,18 @@ class Frame:
         if targets.depth is not None:
             surfels = targets.surfels.buffer.bound()
             run("opaque depth", lambda: draw(self.depth_program, targets.depth_target, surfels))
-        run("translucent", lambda: lit.draw(targets.layer_target, record, targets.depth))
+        if self.plan.coarse and first:
+            self.device.clear(targets.coarse_target)
+            coarse = record.copy(), targets.depth, translucent_pass.COARSE
+            run("translucent", lambda: lit.draw(targets.coarse_target, *coarse))
+            run(
+                "enlarge",
+                lambda: draw(translucent_pass.ENLARGE, targets.layer_target, {"ps_coarse": targets.coarse}, "over"),
+            )
+        else:
+            run("translucent", lambda: lit.draw(targets.layer_target, record.copy(), targets.depth))
         layer = {"ps_layer": targets.layer}
-        run("add", lambda: draw(translucent_pass.ADD, targets.combined_target, layer, blend=True))
+        run("add", lambda: draw(translucent_pass.ADD, targets.combined_target, layer, "blend"))
 
     def _draw_data(self, record: np.ndarray) -> None:
         camera = self.view

@@ -36,11 +36,17 @@ class Plan:
     background: bool  # pixels that show nothing hold something
     data: bool
     translucent: TranslucentOptions | None  # None: nothing is
+    coarse: bool  # the first sample's translucent layer has fewer pixels: views that move show it at once
     skipped: tuple[tuple[str, str], ...]  # (pass, because)
 
 
 def make_plan(
-    scene: Scene, prepared: Prepared, passes: frozenset[str], shadows: Shadows | None = None, unshadowed: str = ""
+    scene: Scene,
+    prepared: Prepared,
+    passes: frozenset[str],
+    shadows: Shadows | None = None,
+    unshadowed: str = "",
+    interactive: bool = False,
 ) -> Plan:
     """The plan for one view of a scene. `unshadowed`: why there are no shadows."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
@@ -98,7 +104,8 @@ def make_plan(
     return Plan(
         points, polygons, spheres, variant, data_variant, options, lighting, materials,
         background=not scene.transparent or "mist" in passes, data=drawn and bool(data(passes)),
-        translucent=translucent, skipped=tuple(skipped),
+        translucent=translucent, coarse=interactive and translucent is not None and not translucent.tint,
+        skipped=tuple(skipped),
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from typing import Any
 from .device import Device, Target, Texture
 from .passes import shade as shade_pass
 from .passes.points import Projection
+from .passes.translucent import COARSE
 from .plan import Plan
 from .surfels import Surfels
 
@@ -41,6 +42,10 @@ class Targets:
             self.layer_target: Target = self._own(device.target([layer]))
             self.combined_target: Target = self._own(device.target(self.sums[:1]))
             self.shade_target = self._own(device.target([layer, *self.sums[1:]]))
+            if plan.coarse:
+                size_of_coarse = (-(-size[0] // COARSE), -(-size[1] // COARSE))
+                self.coarse: Texture = self._own(device.texture(size_of_coarse, "RGBA32F"))
+                self.coarse_target: Target = self._own(device.target([self.coarse]))
             if plan.translucent.opaque:
                 self.depth = depth = self._own(device.texture(size, "R32F"))
                 self.depth_target: Target = self._own(device.target([depth]))
@@ -74,7 +79,7 @@ class Pool:
     def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
         """Targets for a plan, and the key to give them back with."""
         key = (size, count, plan.points, plan.polygons, plan.variant, plan.options, shade_pass.averaged(passes),
-               None if plan.translucent is None else plan.translucent.opaque,
+               None if plan.translucent is None else (plan.translucent.opaque, plan.coarse),
                (plan.data_variant, shade_pass.data(passes)) if plan.data else None)  # fmt: skip
         idle, self._idle = self._idle, None
         if idle is not None and idle[0] == key:

@@ -344,6 +344,29 @@ def test_what_is_translucent_is_lit_once_and_drawn_for_every_sample():
     assert draw.count == 6 * 64
 
 
+def test_a_view_that_moves_shows_a_coarse_layer_first():
+    case = scenes.smoke()
+    request = Request(case.camera, case.settings, COMBINED, 3, interactive=True)
+    device = NullDevice()
+    Renderer(device).render(case.scene, request)
+    drawn = [call.target for call in device.calls if call.interface.name == "translucent" and call.target]
+    sizes = [target.colors[0].size for target in drawn]
+    assert sizes[0] == tuple(-(-side // 2) for side in sizes[1])
+    assert sizes[1] == sizes[2]
+    assert device.names.count("enlarge") == 1
+    # And it is the same light, spread over a pixel and a half more; measured 10 % at the lamp, and 0.2 % in the mean.
+    alone = replace(
+        case.scene,
+        instances=replace(case.scene.instances, world_from_object=np.stack([moved(), *2 * [moved(scale=0)]])),
+    )
+    first = [
+        scenes.opengl().render(alone, replace(request, samples=1, interactive=moving)).pixels["combined"]
+        for moving in (False, True)
+    ]
+    assert np.abs(first[0] - first[1]).max() < 0.15 * first[0].max()
+    np.testing.assert_allclose(first[0].mean(axis=(0, 1)), first[1].mean(axis=(0, 1)), rtol=5e-3)
+
+
 def test_coloured_extinction_alone_is_drawn_by_channel():
     grey, _ = record(alone(voxels(1, 1, 4), "grey"))
     tinted, _ = record(alone(voxels(1, 1, 4, np.array([1.0, 2, 3])), "three channels"))

@@ -39,6 +39,7 @@ from .shade import lighting_defines, lighting_samplers
 
 OPAQUE = 100.0  # optical depth of what is opaque
 CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
+COARSE = 2  # pixels of the picture along a side of the coarse one's
 CHANNELS = ("R", "GA", "B")  # drawn one after the other where extinction is coloured
 
 
@@ -229,6 +230,11 @@ def depth_program(samplers: tuple[tuple[str, str], ...], normal: bool) -> Interf
     )  # fmt: skip
 
 
+# The coarse picture of a view that moves, over the fine one.
+ENLARGE = Interface(
+    "enlarge", fragment="translucent_enlarge.frag", block=FRAME, samplers=(("FLOAT_2D", "ps_coarse"),),
+    outputs=(("vec4", "out_color"),),
+)  # fmt: skip
 ADD = Interface(
     "add", fragment="translucent_add.frag", block=FRAME, samplers=(("FLOAT_2D", "ps_layer"),),
     outputs=(("vec4", "out_combined"),),
@@ -255,8 +261,11 @@ class LitSplats:
         record["page"][0, 1] = self.count
         self.device.draw(self.program, self.target, uniforms=record, textures=dict(textures))
 
-    def draw(self, target: Target, record: np.ndarray, depth: Texture | None) -> None:
-        """Over what `target` holds; `depth` is that of what is opaque."""
+    def draw(self, target: Target, record: np.ndarray, depth: Texture | None, pixels: int = 1) -> None:
+        """Over what `target` holds, of which a pixel spans `pixels` of the picture; `depth` is that of what is opaque,
+        in pixels of the picture."""
+        record["lens"][0, 3] = 1 / pixels
+        record["size"][0, :2] = target.colors[0].size
         textures = {**self.textures, **({} if depth is None else {"ps_depth": depth})}
         for program, mask in self.draws:
             for first in range(0, self.count, CHUNK):
