@@ -17,7 +17,7 @@ a surface does not shade itself, however it is inclined.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -33,7 +33,7 @@ UNORIENTED_BIAS = 1.5  # cells, towards the lamp: receivers without a normal
 STEEPEST = 0.1  # cosine: surfaces closer to edge-on are treated as this one
 SHARP = 0.5  # cells: a lamp whose penumbrae are at most so wide is a point
 TAPS = 64  # points of a wide lamp; the device takes some in each sample of the picture
-SEGMENTS = 3  # of each ray to a point of a wide lamp
+SEGMENTS = 4  # of each ray to a point of a wide lamp
 # Additive recurrence in five dimensions (Roberts 2018): two on the lamp, two in the cell, one along the ray.
 SEQUENCE = 1.1347241384015194 ** -np.arange(1, 6)
 SHAPES = ("POINT", "DISK", "RECTANGLE", "ELLIPSE")
@@ -42,9 +42,13 @@ FINEST = 1e-6  # radians: a cell that float32 still resolves
 COARSEST = 0.5  # radians: the widest cell of a grid without poles
 WIDEST = 10.0  # radians: standard deviation of a splat that surrounds the lamp
 SPAN = 2.0  # ratio of distances that share a level
-WHOLE = 4.0  # ratio of all distances up to which they share one
-# Cells of three voxels where a splat's radius is 1.2 of them: their lattice does not show in cells of whole voxels.
-SMOKE = 2.5
+WHOLE = 4.0  # ratio of all distances of a batch up to which they share one
+WHOLE_SURFACE = 64.0  # and of samples of a surface, which would let light through where levels meet
+TYPICAL = 0.9  # quantile of the radii of a surface's samples
+OVERLAP = 0.15  # of a segment: how far it reaches into the next, lest light slips between the cells of both
+OVERLAP_CELLS = 1.0  # and as many cells
+# Cells of three voxels where a splat's radius is 0.78 of them: their lattice does not show in cells of whole voxels.
+SMOKE = 3.8
 LEAST_SHARE = 1 / 256  # of a row or column: below it, the nearer one takes all
 WORD = 24  # cells to a mask: as many bits as a float32 holds as an integer
 TEXEL = 3 * WORD  # cells to a texel: where its entries start, then three masks
@@ -78,11 +82,11 @@ class Casters:
         return Casters(self.kind, self.origin, position, radius, axes, mass)
 
     def reach(self) -> np.ndarray:
-        """(N,) float32: no part of a splat lies farther than this from its position."""
+        """(N,) float32: the longest half-axis."""
         if self.axes is None:
             assert self.radius is not None
             return self.radius
-        return np.sqrt(np.einsum("nkc,nkc->n", self.axes, self.axes))
+        return np.sqrt(np.einsum("nkc,nkc->nk", self.axes, self.axes).max(axis=1))
 
 
 def casters(cloud: PointCloud, world_from_object: np.ndarray) -> Casters:
@@ -215,7 +219,7 @@ def _grids(frame: Frame, coarser: float) -> list[Grid]:
             density, column0 = columns / (2 * np.pi), np.zeros(count, np.int64)
         else:
             step = frame.step * coarser * 2**level
-            if level and not frame.parallel and step > COARSEST:
+            if level and not frame.parallel and frame.step * 2**level > COARSEST:
                 break
             low = frame.low[0] - step
             latitude = low + step * np.arange(int(np.ceil((frame.high[0] - frame.low[0]) / step)) + 3)
@@ -243,7 +247,7 @@ def _fit(light: Light, batches: Sequence[Casters], resolution: int) -> Frame:
         half = np.maximum(side / 2, least)
         origin = corners.mean(axis=0) + rotation[2] * local[:, 2].min()
         return Frame(True, rotation, origin, False, -half[::-1], half[::-1], rows)
-    direction, angle = _cone(light, corners)
+    direction, angle = _cone(light, corners.mean(axis=0), batches)
     if angle > NARROW:
         # The poles lie across the lamp's own direction: a spot or area light has nothing there but at its rim.
         return Frame(False, _rotation(light.direction), light.position, True, np.zeros(2), np.zeros(2), rows)
@@ -251,14 +255,18 @@ def _fit(light: Light, batches: Sequence[Casters], resolution: int) -> Frame:
     return Frame(False, _rotation(direction), light.position, False, np.full(2, -angle), np.full(2, angle), rows)
 
 
-def _cone(light: Light, corners: np.ndarray) -> tuple[np.ndarray, float]:
-    """A direction, and the angle about it that holds all that lies between the corners (8, 3) and is lit."""
-    seen = corners - light.position
-    inside = (seen.min(axis=0) <= 0).all() and (seen.max(axis=0) >= 0).all()
-    direction, angle = seen.mean(axis=0), np.pi
-    if not inside:
-        direction = _unit(direction)
-        angle = float(np.arccos(np.clip((_unit(seen) @ direction).min(), -1, 1)))
+def _cone(light: Light, middle: np.ndarray, batches: Sequence[Casters]) -> tuple[np.ndarray, float]:
+    """A direction, and the angle about it that holds all splats that are lit; pi where the lamp is among them."""
+    direction, angle = _unit(middle - light.position), 0.0
+    for batch in batches:
+        for start in range(0, len(batch), CHUNK):
+            part = batch.take(slice(start, start + CHUNK))
+            seen = part.position + (batch.origin - light.position).astype(np.float32)
+            distance = np.maximum(np.sqrt(np.einsum("nc,nc->n", seen, seen)), np.float32(1e-30))
+            cosine = seen @ direction.astype(np.float32) / distance
+            angle = max(angle, float((np.arccos(np.clip(cosine, -1, 1)) + part.reach() / distance).max()))
+            if angle > NARROW:
+                break
     if light.kind == "SPOT" and light.axis_u is None:
         lit = float(np.arccos(np.clip(light.spot_cos, -1, 1)))
         if lit < angle:
@@ -358,26 +366,36 @@ def _coarser(frame: Frame, kind: str, batches: Sequence[Casters]) -> float:
     if kind != "VOLUME" or not found:
         return 1.0
     batch = max(found, key=len)
-    ratio = SMOKE * float(np.median(batch.reach())) / _spans(frame, batch)[0] / frame.step
+    ratio = SMOKE * float(np.median(batch.reach())) / _spans(frame, batch).farthest / frame.step
     return ratio / 2 ** np.floor(np.log2(ratio)) if ratio > 1 else 1.0
 
 
-def _spans(frame: Frame, batch: Casters) -> tuple[float, float]:
-    """Where the farthest and the nearest span of distances begin; see _level."""
+@dataclass(frozen=True)
+class _Spans:
+    """How the splats of a batch are given their levels; see _level."""
+
+    farthest: float  # where the farthest span of distances begins
+    nearest: float  # and the nearest
+    least: float  # radius: smaller splats count as this one
+
+
+def _spans(frame: Frame, batch: Casters) -> _Spans:
+    surface = batch.kind != "VOLUME"
+    least = float(np.quantile(batch.reach(), TYPICAL)) if surface else 0.0
     if frame.parallel:
-        return 1.0, 1.0
-    least, most = np.inf, 0.0
+        return _Spans(1.0, 1.0, least)
+    near, far = np.inf, 0.0
     for start in range(0, len(batch), CHUNK):
         seen = batch.position[start : start + CHUNK] + (batch.origin - frame.origin).astype(np.float32)
         squared = np.einsum("nc,nc->n", seen, seen)
-        least, most = min(least, float(squared.min())), max(most, float(squared.max()))
-    least, most = max(np.sqrt(least), 1e-30), max(np.sqrt(most), 1e-30)
-    if most <= WHOLE * least:
-        return least, least
-    return most / SPAN, most / SPAN ** np.ceil(np.log(most / least) / np.log(SPAN))
+        near, far = min(near, float(squared.min())), max(far, float(squared.max()))
+    near, far = max(np.sqrt(near), 1e-30), max(np.sqrt(far), 1e-30)
+    if far <= (WHOLE_SURFACE if surface else WHOLE) * near:
+        return _Spans(near, near, least)
+    return _Spans(far / SPAN, far / SPAN ** np.ceil(np.log(far / near) / np.log(SPAN)), least)
 
 
-def _entries(rows: _Rows, batch: Casters, spans: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np.ndarray]:
     """What splats give to the cells: keys (E,) uint64 of cell and distance, optical depths (E,) or (E, 3) float32."""
     frame = rows.frame
     turn = frame.light_from_world.T.astype(np.float32)
@@ -398,12 +416,11 @@ def _entries(rows: _Rows, batch: Casters, spans: tuple[float, float]) -> tuple[n
         strength = strength * (spread if strength.ndim == 1 else spread[:, None])
         floor = np.maximum(distance, np.float32(1e-30))
         up, across = np.minimum(up / floor, WIDEST), np.minimum(across / floor, WIDEST)
-    widest = np.maximum(up, across)
     if frame.full:
         # Around a pole a spread along rows also moves away from the pole: the mean of the Rice distribution.
         cosine = np.cos(latitude)
-        latitude = latitude - (np.hypot(cosine, np.minimum(widest, 1)) - cosine) * np.sin(latitude)
-    level = _level(rows, KINDS.index(batch.kind), widest, distance, spans)
+        latitude = latitude - (np.hypot(cosine, np.minimum(np.maximum(up, across), 1)) - cosine) * np.sin(latitude)
+    level = _level(rows, batch, distance, spans)
 
     # The nearer row and, where the splat reaches into it, the next; in each of them the same with columns.
     step = rows.step[level]
@@ -434,20 +451,21 @@ def _entries(rows: _Rows, batch: Casters, spans: tuple[float, float]) -> tuple[n
     return (key, depth) if inside.all() else (key[inside], depth[inside])
 
 
-def _level(rows: _Rows, kind: int, widest: np.ndarray, distance: np.ndarray, spans: tuple[float, float]) -> np.ndarray:
-    """(N,) int32: the finest grid of a kind in which splats of standard deviations (N,) are not wider than a cell.
+def _level(rows: _Rows, batch: Casters, distance: np.ndarray, spans: _Spans) -> np.ndarray:
+    """(N,) int32: the finest grid of the batch's kind in which no splat is wider than a cell.
 
     Where levels meet, their different widths show. So splats of one size whose distances are in a ratio of up to SPAN
-    share a level, that of the nearest.
+    share a level, that of the nearest (in a batch whose distances are all alike, all do), and the samples of surfaces
+    share that of a wide one among them.
     """
+    angle = 2 * np.maximum(batch.reach(), np.float32(spans.least))
     if not rows.frame.parallel:
-        _, base = spans
-        span = np.floor(np.log(np.maximum(distance / np.float32(base), 1)) / np.float32(np.log(SPAN)))
-        span = np.zeros_like(span) if spans[0] == spans[1] else span
-        widest = np.minimum(widest * (distance / (np.float32(base) * np.float32(SPAN) ** span)), WIDEST)
-    first = kind * rows.levels
-    with np.errstate(divide="ignore"):
-        level = np.ceil(np.log2(4 * widest / rows.step[first]))
+        base = np.full_like(distance, spans.nearest)
+        if spans.farthest > spans.nearest:
+            base *= SPAN ** np.floor(np.log(np.maximum(distance / base, 1)) / np.float32(np.log(SPAN)))
+        angle = np.minimum(angle / base, 4 * WIDEST)
+    first = KINDS.index(batch.kind) * rows.levels
+    level = np.ceil(np.log2(np.maximum(angle / rows.step[first], np.float32(1e-30))))
     return np.clip(level, 0, rows.levels - 1).astype(np.int32) + first
 
 
@@ -485,16 +503,15 @@ def _inverse_square(distance: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     With t = distance / deviation it is Dawson's integral, over deviation^2: the integral of exp(-t^2 (1 - s^2) / 2) for
     s from 0 to 1, or 1 / t^2 (1 + 1 / t^2 (1 + 3 / t^2 (1 + 5 / t^2))) for large t.
     """
-    squared = np.maximum(distance, np.float32(1e-18)) ** 2
-    inverse = 1 / squared
-    ratio = deviation**2 * inverse
-    result = inverse * (1 + ratio * (1 + 3 * ratio * (1 + 5 * ratio)))
+    distance = np.maximum(distance, np.float32(1e-18))
+    ratio = np.minimum(deviation / distance, 1) ** 2
+    result = (1 + ratio * (1 + 3 * ratio * (1 + 5 * ratio))) / distance**2
     near = np.flatnonzero(ratio > 1 / 25)
     if len(near):
         place, weight = np.polynomial.legendre.leggauss(12)
-        t2 = np.minimum(squared[near] / np.maximum(deviation[near] ** 2, np.float32(1e-36)), 25)
-        exact = np.exp(-t2[:, None] * (1 - (0.5 + place / 2) ** 2) / 2) @ (weight / 2)
-        result[near] = exact / np.maximum(deviation[near] ** 2, np.float32(1e-36))
+        width = np.maximum(deviation[near], np.float32(1e-18))
+        exact = np.exp(-((distance[near] / width) ** 2)[:, None] * (1 - (0.5 + place / 2) ** 2) / 2) @ (weight / 2)
+        result[near] = exact / width**2
     return result.astype(np.float32)
 
 
@@ -545,12 +562,18 @@ def _levels(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> Iter
     total = _sums_within(key >> np.uint64(32), depth)
 
     # What lies behind no light at all is not needed, but where light comes from the side.
-    opaque = key < np.uint64(rows.cell_base[rows.levels * (KINDS.index("OPAQUE") + 1)]) << np.uint64(32)
-    before = (total - depth).reshape(len(key), -1).min(axis=1)
-    key, total = (a[before < np.where(opaque & (not wide), 1.0, OPAQUE_DEPTH)] for a in (key, total))
+    before = total - depth if depth.ndim == 1 else (total - depth).min(axis=1)
+    lit = before < OPAQUE_DEPTH
+    if not wide:
+        opaque = np.searchsorted(key, np.uint64(rows.cell_base[rows.levels]) << np.uint64(32))
+        lit[:opaque] = before[:opaque] < 1
     # Of one distance, the last holds the sum.
+    if not lit.all():
+        key, total = key[lit], total[lit]
     last = np.append(key[1:] != key[:-1], True)
-    key, total = key[last], total[last].astype(np.float32).reshape(np.count_nonzero(last), -1)
+    if not last.all():
+        key, total = key[last], total[last]
+    total = total.astype(np.float32).reshape(len(key), -1)
     cell, distance = (key >> np.uint64(32)).astype(np.int64), (key & np.uint64(0xFFFFFFFF)).astype(np.uint32)
     starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]) if len(cell) else np.zeros(0, bool))
     occupied = cell[starts]
@@ -615,6 +638,11 @@ class Level:
         held = inside & ((words[np.arange(len(cell)), word] >> (bit % WORD)) & 1 == 1)
         rank = np.where(held, rank, 0)
         return self.links[rank], np.where(held, self.links[np.minimum(rank + 1, len(self.links) - 1)], self.links[rank])
+
+    def occupied(self) -> np.ndarray:
+        """(O,) int64: cells that hold entries."""
+        bits = np.unpackbits(self.mask.astype("<u4")[..., None].view(np.uint8), axis=-1, bitorder="little")
+        return np.flatnonzero(bits.reshape(-1, 32)[:, :WORD])
 
 
 def _bit_count(words: np.ndarray) -> np.ndarray:
@@ -683,14 +711,14 @@ class ShadowTable:
         receiver = _Receiver(self.frame, (np.asarray(points, float) - self.frame.origin) @ turn, normals @ turn)
         wide = receiver.spread(self) > SHARP
         result = np.empty((len(points), 3 if self.colored else 1))
-        result[~wide] = self._light(receiver.take(~wide), [(0.0, np.inf)], np.zeros(2), None)
+        result[~wide] = self._light(receiver.take(~wide), [(0.0, 1.0)], np.zeros(2), None)
         soft, sum_ = receiver.take(wide), 0.0
         for k in range(taps if wide.any() else 0):
             x, y, row, column, cut = (0.5 + k * SEQUENCE) % 1
             lamp = np.array([x, y]) * 2 - 1
             if self.emitter.shape != "RECTANGLE":
                 lamp = np.sqrt(x) * np.array([np.cos(2 * np.pi * y), np.sin(2 * np.pi * y)])
-            edges = [0.0, *(((j + cut) / (SEGMENTS - 1)) ** 2 for j in range(SEGMENTS - 1)), np.inf]
+            edges = (np.arange(SEGMENTS + 1) + cut - 1) / (SEGMENTS - 1)
             sum_ = sum_ + self._light(soft, list(pairwise(edges)), lamp, np.array([row, column]) - 0.5)
         result[wide] = sum_ / taps
         return result
@@ -700,23 +728,60 @@ class ShadowTable:
     ) -> np.ndarray:
         """(P, C): what comes from one point of the lamp. Its ray crosses cells where the lamp is wide.
 
-        Segments of the ray, as parts of the spread, are looked up in the cells of their middles.
+        Segments of the ray are looked up in the cells of their middles. They are given by the square roots of parts of
+        the spread, so that shadows sharpen towards what casts them.
         """
         covered, depth = np.zeros((len(receiver), 1)), np.zeros((len(receiver), 3 if self.colored else 1))
-        spread = receiver.reach(self)
-        offset = receiver.offset(self.emitter, lamp)
+        spread, offset = receiver.reach(self), receiver.offset(self.emitter, lamp)
         for start, end in segments:
-            far = receiver.along(start * spread)
-            near = receiver.along(end * spread) if np.isfinite(end) else np.full(len(receiver), -np.inf)
-            middle = (start + min(end, 1.0)) / 2
+            far = receiver.along(max(start, 0.0) ** 2 * spread)
+            near, behind = (receiver.along(e**2 * spread) for e in (end, end + OVERLAP * (end - start)))
+            if end >= 1:
+                near = behind = np.full(len(receiver), -np.inf)
+            middle = max((start + end) / 2, 0.0) ** 2 if jitter is not None else 0.0
             latitude, longitude = receiver.tap(offset, middle * spread)
             for level in self.levels:
-                found = _look_up(level, receiver, latitude, longitude, near, far, jitter)
+                until = behind if level.kind == "OPAQUE" else near
+                found = _look_up(level, receiver, latitude, longitude, until, far, jitter)
                 if level.kind == "OPAQUE":
                     covered += found[:, :1]
                 else:
                     depth += found
         return np.maximum(1 - covered, 0) * np.exp(-depth)
+
+
+def isosurface(table: ShadowTable, depth: float) -> np.ndarray:
+    """(K, 3) float64 world points where the optical depth from the lamp reaches `depth`: one in the middle of each cell
+    of the fullest level where it does. (Gunjee et al. 2007, figure 15.) The lamp counts as a point.
+
+    ValueError: a depth that is not positive and below OPAQUE_DEPTH.
+    """
+    if not 0 < depth < OPAQUE_DEPTH:
+        raise ValueError(f"an isosurface of optical depth {depth}: expected above 0 and below {OPAQUE_DEPTH:g}")
+    if not table.levels:
+        return np.zeros((0, 3))
+    table = replace(table, emitter=Emitter("POINT", np.zeros((2, 3))))
+    level = max(table.levels, key=lambda level: len(level.distance))
+    cell, grid, frame = level.occupied(), level.grid, table.frame
+    row = np.searchsorted(grid.first, cell, side="right") - 1
+    latitude, longitude = grid.latitude[row], (cell - grid.first[row] + grid.column0[row]) / grid.density[row]
+    ray = _directions(frame, latitude, longitude)[0]
+    start = np.stack([longitude, latitude, np.zeros(len(cell))], axis=1) if frame.parallel else np.zeros((len(cell), 3))
+
+    def at(distance: np.ndarray) -> np.ndarray:
+        return (start + distance[:, None] * ray) @ frame.light_from_world + frame.origin
+
+    def reached(distance: np.ndarray) -> np.ndarray:
+        return table.optical_depth(at(distance)).reshape(len(cell), -1).max(axis=1) >= depth
+
+    low = np.zeros(len(cell))
+    high = np.full(len(cell), max(float(v.distance.max()) * (1 + v.grid.step) + v.grid.step for v in table.levels))
+    found = reached(high)
+    for _ in range(40):
+        middle = (low + high) / 2
+        behind = reached(middle)
+        low, high = np.where(behind, low, middle), np.where(behind, middle, high)
+    return at(high)[found]
 
 
 class _Receiver:
@@ -803,7 +868,8 @@ def _look_up(
         first, end = level.range(np.where(inside, grid.first[row] + column, -1))
         found = _up_to(level, first, end, np.minimum(far, limit), width / 2)
         if jitter is not None:
-            found -= _up_to(level, first, end, np.minimum(near, limit), width / 2)
+            until = near - OVERLAP_CELLS * width if level.kind == "OPAQUE" else near
+            found -= _up_to(level, first, end, np.minimum(until, limit), width / 2)
         result += share[:, None] * (np.minimum(found, 1) if level.kind == "OPAQUE" else found)
     return result
 

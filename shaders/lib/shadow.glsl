@@ -17,7 +17,9 @@
 #define PS_SHADOW_UNORIENTED_BIAS 1.5
 #define PS_SHADOW_STEEPEST 0.1
 #define PS_SHADOW_SHARP 0.5
-#define PS_SHADOW_SEGMENTS 3
+#define PS_SHADOW_SEGMENTS 4
+#define PS_SHADOW_OVERLAP 0.15
+#define PS_SHADOW_OVERLAP_CELLS 1.0
 #define PS_SHADOW_HEAD 6
 #define PS_DISK 1
 #define PS_RECTANGLE 2
@@ -50,7 +52,7 @@ struct PsReceiver {
 
 // Where a table is looked up: the direction, and between which distances. `jitter` in cells, if only one cell is.
 struct PsTap {
-  float latitude, longitude, near, far;
+  float latitude, longitude, far, near, near_opaque;
   bool one;
   vec2 jitter;
 };
@@ -178,7 +180,8 @@ PsDepth ps_shadow_look_up(PsShadowLevel level, PsReceiver p, PsTap tap)
       ivec2 range = ps_shadow_range(level, ps_shadow_index(record.x) + int(column));
       PsDepth found = ps_shadow_up_to(level, range, min(tap.far, limit), 0.5 * width);
       if (tap.one) {
-        found -= ps_shadow_up_to(level, tap.near > 0.0 ? range : range.xx, min(tap.near, limit), 0.5 * width);
+        float until = level.kind == PS_OPAQUE ? tap.near_opaque - PS_SHADOW_OVERLAP_CELLS * width : tap.near;
+        found -= ps_shadow_up_to(level, tap.near > 0.0 ? range : range.xx, min(until, limit), 0.5 * width);
       }
       result += share * (level.kind == PS_OPAQUE ? min(found, PsDepth(1.0)) : found);
     }
@@ -201,6 +204,12 @@ PsReceiver ps_shadow_receiver(bool parallel, vec3 local, vec3 normal)
   p.east = parallel ? vec3(1.0, 0.0, 0.0) : vec3(-sin(p.longitude), cos(p.longitude), 0.0);
   p.north = cross(p.ray, p.east);
   return p;
+}
+
+// Distance from the lamp at which rays to its points have departed so far.
+float ps_shadow_along(PsReceiver p, float spread)
+{
+  return p.parallel ? p.at - spread : p.at / (1.0 + p.at * spread);
 }
 
 // A number of the additive recurrence; its terms for successive integers fill the unit interval evenly.
@@ -245,19 +254,21 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal)
 
     float covered = 0.0;
     PsDepth depth = PsDepth(0.0);
-    float start = 0.0;
     for (int j = 0; j < segments; j++) {
-      float end = (float(j) + cut) / float(PS_SHADOW_SEGMENTS - 1);
-      bool last = j == segments - 1;
-      end = last ? 1.0 : end * end;
-      float from = start * spread, to = end * spread, middle = 0.5 * (from + to);
-      tap.far = p.parallel ? p.at - from : p.at / (1.0 + p.at * from);
-      tap.near = last ? 0.0 : p.parallel ? p.at - to : p.at / (1.0 + p.at * to);
+      // Square roots of parts of the spread.
+      float start = wide ? (float(j) + cut - 1.0) / float(PS_SHADOW_SEGMENTS - 1) : 0.0;
+      float end = start + 1.0 / float(PS_SHADOW_SEGMENTS - 1);
+      float middle = wide ? max(0.5 * (start + end), 0.0) : 0.0;
+      float behind = end + PS_SHADOW_OVERLAP * (end - start);
+      middle *= middle * spread;
+      start = max(start, 0.0);
+      tap.far = ps_shadow_along(p, start * start * spread);
+      tap.near = end >= 1.0 ? 0.0 : ps_shadow_along(p, end * end * spread);
+      tap.near_opaque = ps_shadow_along(p, behind * behind * spread);
       vec3 direction = p.ray + offset * middle;
       tap.latitude = p.parallel || !wide ? p.latitude + offset.y * middle
                                         : atan(direction.z, max(length(direction.xy), 1e-30));
       tap.longitude = p.parallel || !wide ? p.longitude + offset.x * middle : atan(direction.y, direction.x);
-      start = end;
       for (int i = 0; i < levels; i++) {
         PsShadowLevel level = ps_shadow_level(light, i);
         PsDepth found = ps_shadow_look_up(level, p, tap);
