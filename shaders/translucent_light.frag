@@ -1,5 +1,6 @@
 // One translucent splat of the draw list: its ellipse in pixels, its optical depth and the light that it sends to the
 // eye. Texel by texel; layouts: render/passes/translucent.py. Reference: core/media_reference.py.
+// PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
 // PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/camera.glsl"
@@ -62,6 +63,52 @@ void main()
   // Codes are rounded: perpendicular again.
   major = normalize(major - dot(major, n) * n);
   vec3 normal = ball ? vec3(0.0) : ps_cofactor(linear, n);
+  vec3 facing = normal;
+#ifdef PS_SHADING_NORMAL
+  float code = texelFetch(ps_shading_normal, at, 0).x;
+  facing = code >= 0.0 ? ps_cofactor(linear, ps_unpack_normal(code)) : medium ? vec3(0.0) : facing;
+#else
+  facing = medium ? vec3(0.0) : facing;
+#endif
+
+#ifdef PS_REACH
+  // How much of each light comes here does not depend on the camera.
+  vec3 share[4] = vec3[4](vec3(1.0), vec3(1.0), vec3(1.0), vec3(1.0));
+  for (int i = 0; i < PS_REACH; i++) {
+    share[i] = ps_transmittance(i, p, facing);
+  }
+#ifdef PS_SHADOW_COLORED
+  out_reach_0 = vec4(share[0], 1.0);
+#if PS_REACH > 1
+  out_reach_1 = vec4(share[1], 1.0);
+#endif
+#if PS_REACH > 2
+  out_reach_2 = vec4(share[2], 1.0);
+#endif
+#if PS_REACH > 3
+  out_reach_3 = vec4(share[3], 1.0);
+#endif
+#else
+  out_reach_0 = vec4(share[0].x, share[1].x, share[2].x, share[3].x);
+#endif
+#else
+#ifdef PS_REACHED
+#ifdef PS_REACHED_COLORED
+  ps_reached[0] = texelFetch(ps_reach_0, at, 0).rgb;
+#if PS_REACHED > 1
+  ps_reached[1] = texelFetch(ps_reach_1, at, 0).rgb;
+#endif
+#if PS_REACHED > 2
+  ps_reached[2] = texelFetch(ps_reach_2, at, 0).rgb;
+#endif
+#if PS_REACHED > 3
+  ps_reached[3] = texelFetch(ps_reach_3, at, 0).rgb;
+#endif
+#else
+  vec4 reached = texelFetch(ps_reach_0, at, 0);
+  ps_reached = vec3[4](vec3(reached.x), vec3(reached.y), vec3(reached.z), vec3(reached.w));
+#endif
+#endif
   vec3 a = ball ? linear[0] * extent.x : linear * major * extent.x;
   vec3 b = ball ? linear[1] * extent.x : linear * cross(n, major) * extent.y;
   vec3 c = ball ? linear[2] * extent.x : linear * n * optics.y;
@@ -122,13 +169,6 @@ void main()
 #ifdef PS_EMISSION
   emission = texelFetch(ps_emission, at, 0).rgb;
 #endif
-  vec3 facing = normal;
-#ifdef PS_SHADING_NORMAL
-  float code = texelFetch(ps_shading_normal, at, 0).x;
-  facing = code >= 0.0 ? ps_cofactor(linear, ps_unpack_normal(code)) : medium ? vec3(0.0) : facing;
-#else
-  facing = medium ? vec3(0.0) : facing;
-#endif
   bool lit_as_surface = !medium || dot(facing, facing) > 0.5;
   vec3 source = vec3(0.0);
 #ifdef PS_MEDIA
@@ -157,5 +197,6 @@ void main()
 #endif
 #ifdef PS_TINT
   out_tint = vec4(tint, 0.0);
+#endif
 #endif
 }

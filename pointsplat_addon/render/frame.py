@@ -205,7 +205,9 @@ class Frame:
         self.background = shade_pass.background_program(plan.lighting, self.scene.transparent, passes)
         self.lit: translucent_pass.LitSplats | None = None
         if plan.translucent is not None:
-            program = translucent_pass.light_program(plan.translucent, plan.lighting, plan.materials)
+            program = translucent_pass.light_program(
+                plan.translucent, plan.lighting, plan.materials, self.uploads.reach_lights
+            )
             variant = plan.variant
             channels = variant.samplers(only=("place", "shape", "normal") if variant.normal else ("place",))
             self.depth_program = translucent_pass.depth_program(channels, variant.normal)
@@ -280,7 +282,10 @@ class Frame:
             centred = self._record(0)
             centred["focal"][0] = self.view.pixel_from_view()
             centred["size"][0, 2] = self.done // max(relit, 1)
-            run("light", lambda: lit.light(centred, {**self.uploads.splats, **self.uploads.shading}))
+            textures = {**self.uploads.splats, **self.uploads.shading}
+            if self.uploads.reach_lights:
+                textures |= self.uploads.reach(int(centred["size"][0, 2]), centred, run)
+            run("light", lambda: lit.light(centred, textures))
         if targets.depth is not None:
             surfels = targets.surfels.buffer.bound()
             run("opaque depth", lambda: draw(self.depth_program, targets.depth_target, surfels))

@@ -14,7 +14,7 @@ from ..core.environment import build_atlas
 from ..core.lighting import light_texture
 from ..core.octree import ranges
 from ..core.scene import Camera, Scene
-from .device import Device, Texture
+from .device import Device, Target, Texture
 from .packing import PAGE_WIDTH, paged
 from .passes import polygons as polygon_pass
 from .passes import shade as shade_pass
@@ -82,6 +82,9 @@ class Uploads:
         self.meshes: dict[int, polygon_pass.PolygonMesh] = {}
         self.splats: dict[str, Texture] = {}  # translucent ones, and their draw list
         self.listed = 0  # how many
+        self.reach_lights = 0  # of so many lights the share that reaches each of them may be kept
+        self.reach_instances = np.empty(0, np.int64)
+        self.reach_key: tuple = ()
         try:
             self._upload(motion, shadows)
         except Exception:
@@ -138,6 +141,7 @@ class Uploads:
         def make() -> Texture:
             return device.texture((data.shape[1], data.shape[0]), "RGBA32F", data.reshape(-1))
 
+        self._shadow_key = shadows.key
         key = ("shadows", shadows.key)
         self.used.add(key)
         records = shadows.packed.records(self.camera.view_from_world).astype(np.float32)
@@ -212,8 +216,45 @@ class Uploads:
         size, data = paged(instance_rows(self.prepared.view_from_object, origin, None), 4)
         instances = self._own(device.texture(size, "RGBA32F", data))
         assert sorted_list.texture is not None
+        self._remember(page, key, layer, matrices)
         self.splats = {**page.textures, "ps_order": sorted_list.texture, "ps_instances": instances}
         self.listed = sorted_list.count
+
+    def _remember(
+        self, page: translucent_pass.TranslucentPage, key: tuple, layer: Layer, world_from_object: np.ndarray
+    ) -> None:
+        """What it needs to know the light that reaches each splat for all cameras: one instance for each splat."""
+        shown = layer.set_of_instance[layer.set_of_instance >= 0]
+        lights = len(self.scene.lights)
+        if self.shadows[0] is None or len(np.unique(shown)) < len(shown) or lights > translucent_pass.MOST_REACHED:
+            return
+        instance = np.zeros(page.count, np.int64)
+        for row in np.flatnonzero(layer.set_of_instance >= 0):
+            points = layer.point_sets[int(layer.set_of_instance[row])]
+            first = page.first[points.key]
+            instance[first : first + len(points)] = row
+        self.reach_key = (key, self._shadow_key, layer.set_of_instance.tobytes(), world_from_object.tobytes())
+        self.reach_lights, self.reach_instances = lights, instance
+
+    def reach(self, tap: int, record: np.ndarray, run: Callable[[str, Callable[[], None]], None]) -> dict[str, Texture]:
+        """How much of each light reaches the translucent splats, by sampler name; `tap`: which point of wide lamps."""
+        device, options = self.device, self.plan.translucent
+        assert options is not None
+        program = translucent_pass.reach_program(options, self.plan.lighting, self.reach_lights)
+        count = len(self.reach_instances)
+
+        def light(target: Target) -> None:
+            size, data = paged(translucent_pass.draw_list(np.arange(count), self.reach_instances), 2)
+            order = device.texture(size, "RG32F", data)
+            every = record.copy()
+            every["page"][0, 1] = count
+            textures = {**self.splats, **self.shading, "ps_order": order}
+            run("reach", lambda: device.draw(program, target, uniforms=every, textures=textures))
+            order.release()
+
+        self.used.add(("reach",))
+        kept: translucent_pass.Reach = self.kept.keep(("reach",), lambda: translucent_pass.Reach(device))
+        return kept.textures(self.reach_key, tap, program, self.splats["ps_place"].size, light)
 
     def _polygon_meshes(self) -> dict[int, polygon_pass.PolygonMesh]:
         scene, plan, meshes = self.scene, self.plan, {}

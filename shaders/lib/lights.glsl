@@ -500,9 +500,15 @@ ivec4 ps_light_ends()
 }
 
 // The share of a light that reaches a point in view space, whose normal is 0 within a medium.
+#ifdef PS_REACHED
+vec3 ps_reached[4];  // known before
+#endif
+
 vec3 ps_reaches(int index, vec3 position, vec3 normal)
 {
-#ifdef PS_SHADOWS
+#if defined(PS_REACHED)
+  return ps_reached[index];
+#elif defined(PS_SHADOWS)
   return ps_transmittance(index, position, normal);
 #else
   return vec3(1.0);

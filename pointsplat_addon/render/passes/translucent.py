@@ -22,7 +22,7 @@ What lighting leaves of each splat of the list, one texel each:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +40,7 @@ from .shade import lighting_defines, lighting_samplers
 OPAQUE = 100.0  # optical depth of what is opaque
 CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
 COARSE = 2  # pixels of the picture along a side of the coarse one's
+MOST_REACHED = 4  # lights whose shares are kept
 CHANNELS = ("R", "GA", "B")  # drawn one after the other where extinction is coloured
 
 
@@ -84,6 +85,7 @@ class TranslucentPage:
         """DeviceError: more splats than a texture holds."""
         clouds = [splats(points.hierarchy) if points.hierarchy else points.cloud for points in sets]
         ends = np.cumsum([len(cloud) for cloud in clouds])
+        self.count = int(ends[-1])
         self.first = {points.key: int(end) - len(cloud) for points, cloud, end in zip(sets, clouds, ends, strict=True)}
         self.textures: dict[str, Texture] = {}
 
@@ -187,10 +189,18 @@ def draw_list(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
     return rows
 
 
-def light_program(options: TranslucentOptions, lighting: tuple[str, ...], materials: tuple[str, ...]) -> Interface:
-    """Every splat of the draw list, lit."""
+def light_program(
+    options: TranslucentOptions, lighting: tuple[str, ...], materials: tuple[str, ...], reached: int = 0
+) -> Interface:
+    """Every splat of the draw list, lit. `reached`: of so many lights the share that reaches each splat is known."""
+    colored = "PS_SHADOW_COLORED" in lighting
+    known: tuple[tuple[str, str], ...] = ()
+    if reached:
+        lighting = tuple(name for name in lighting if not name.startswith("PS_SHADOW"))
+        known = ("PS_REACHED", str(reached)), *((("PS_REACHED_COLORED", "1"),) if colored else ())
     read = ("order", "instances", "place", "extent", "optics", "materials")
     read += tuple(name for name, on in options.attributes if on)
+    read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
     named = {"PS_MEDIA": options.media, "PS_SHELLS": options.shells, "PS_AMONG_OPAQUE": options.opaque}
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
     outputs = ["place", "shape", "source", *(["front"] if options.opaque else []), *(["tint"] if options.tint else [])]
@@ -199,9 +209,60 @@ def light_program(options: TranslucentOptions, lighting: tuple[str, ...], materi
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_{name}") for name in outputs),
         # One point of each wide lamp a sample: splats overlap, and blur what they receive.
-        defines=(*lighting_defines(lighting), ("PS_SHADOW_TAPS", "1"),
+        defines=(*lighting_defines(lighting), *known, ("PS_SHADOW_TAPS", "1"),
                  *((name, "1") for name in (*materials, *(name for name, on in named.items() if on)))),
     )  # fmt: skip
+
+
+def reach_program(options: TranslucentOptions, lighting: tuple[str, ...], lights: int) -> Interface:
+    """The share of each light that reaches every splat of a page, by a list of all of them in their own order."""
+    colored = "PS_SHADOW_COLORED" in lighting
+    read = ("order", "instances", "place", "extent", "optics", "materials")
+    read += ("shading_normal",) if options.shading_normal else ()
+    defines = (("PS_SHADING_NORMAL", "1"),) if options.shading_normal else ()
+    return Interface(
+        "reach", fragment="translucent_light.frag", block=FRAME,
+        samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
+        outputs=tuple(("vec4", f"out_reach_{i}") for i in range(_reach_textures(lights, colored))),
+        defines=(*lighting_defines(lighting), ("PS_SHADOW_TAPS", "1"), ("PS_REACH", str(lights)), *defines),
+    )  # fmt: skip
+
+
+def _reach_textures(lights: int, colored: bool) -> int:
+    """Shares without a colour of all lights lie in one."""
+    return lights if colored else min(lights, 1)
+
+
+class Reach:
+    """How much of each light reaches the splats of a page: the same for all cameras."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self._key: tuple = ()
+        self._kept: dict[int, tuple[Target, dict[str, Texture]]] = {}  # by which point of wide lamps
+
+    def textures(
+        self, key: tuple, tap: int, program: Interface, size: tuple[int, int], light: Callable[[Target], None]
+    ) -> dict[str, Texture]:
+        """By sampler name. `light` draws them where they are not known for `key`."""
+        if key != self._key:
+            self.release()
+            self._key = key
+        if tap not in self._kept:
+            textures = {
+                name.replace("out_", "ps_"): self.device.texture(size, "RGBA16F") for _, name in program.outputs
+            }
+            target = self.device.target(list(textures.values()))
+            self._kept[tap] = target, textures
+            light(target)
+        return self._kept[tap][1]
+
+    def release(self) -> None:
+        for target, textures in self._kept.values():
+            target.release()
+            for texture in textures.values():
+                texture.release()
+        self._kept.clear()
 
 
 def draw_program(options: TranslucentOptions, channel: str) -> Interface:
