@@ -178,7 +178,7 @@ def test_what_is_opaque_hides_what_of_a_medium_lies_behind_it(primitive, place):
 
 def test_a_camera_within_a_medium_sees_what_lies_in_front():
     depth = 2.0
-    made = alone(voxels(1.6, 1.0, 16, depth), "around the eye")
+    made = alone(voxels(1.6, 1.0, 16, depth), "fog around the eye")
     found = picture(made, camera((0, 0, 0), (0, 1, 0), field_of_view=10, near=1e-3), 4)
     assert np.isfinite(found).all()
     assert found[..., 0].mean() == pytest.approx(np.exp(-depth / 2), rel=2e-2)
