@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from bench_hierarchy import row
 
 from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.kernel import EVEN
 from pointsplat_addon.core.scene import Camera, Geometry, Instances, Light, Scene, Settings, World, default_materials
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.frame import Renderer, Request
@@ -35,7 +36,7 @@ def smoke(count: int) -> PointCloud:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     position = (direction * np.cbrt(rng.random((count, 1)))).astype(np.float32)
     volume = 4 / 3 * np.pi / count
-    radius = 1.2 * np.cbrt(volume)
+    radius = 2 * EVEN * np.cbrt(volume)
     share = DEPTH / 2 * volume / (4 / 3 * np.pi * radius**3)
     return PointCloud(
         position, radii=np.full((count, 1), radius, np.float32), extinction=np.full(count, share, np.float32)

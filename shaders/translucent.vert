@@ -1,4 +1,6 @@
-// Two triangles that hold a lit splat's ellipse up to 3 sigma. Layout: render/passes/translucent.py.
+// Two triangles that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent.py.
+
+#include "lib/kernel.glsl"
 
 #define PS_LOW_PASS 0.04
 
@@ -28,7 +30,7 @@ void main()
   bool oblique = 2.0 * det < c.x * c.z;
   float angle = oblique ? 0.5 * atan(c.y, apart) : 0.0;
   vec2 axis = vec2(cos(angle), sin(angle));
-  vec2 size = 3.0 * sqrt(max(oblique ? vec2(middle + root, middle - root) : c.xz, 0.0));
+  vec2 size = PS_RIM_SIGMA * sqrt(max(oblique ? vec2(middle + root, middle - root) : c.xz, 0.0));
   int corner = gl_VertexID % 6;
   vec2 side = vec2(corner == 1 || corner == 2 || corner == 4 ? 1.0 : -1.0, corner == 2 || corner >= 4 ? 1.0 : -1.0);
   side.x = corner == 5 ? -1.0 : side.x;

@@ -4,12 +4,12 @@
 // PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/camera.glsl"
+#include "lib/kernel.glsl"
 #include "lib/pack.glsl"
 #include "lib/lights.glsl"
 #include "lib/materials.glsl"
 #include "lib/finite.glsl"
 
-#define PS_TRUNCATED 1.01123627  // a Gaussian cut off at 3 sigma, 1 / (1 - exp(-9 / 2)), keeps its mass
 #define PS_LOW_PASS 0.04  // pixels^2: splats smaller than a pixel are not missed between the pixels' centres
 #define PS_VIEW 1.3  // of the picture's half width: beyond it the perspective is taken as at its rim
 #define PS_FAINT 1e-7  // optical depth of what only emits
@@ -148,7 +148,7 @@ void main()
 
   // Outside of the picture?
   vec2 centre = frame.focal.xy * p.xy * (ps_is_perspective() ? 1.0 / d : 1.0);
-  vec2 margin = 3.0 * sqrt(wide.xz) + 2.0;
+  vec2 margin = PS_RIM_SIGMA * sqrt(wide.xz) + 2.0;
   vec2 pixel = centre + frame.focal.zw;
   bool seen = d > frame.lens.x && d < frame.lens.y && all(greaterThan(pixel + margin, vec2(0.0))) &&
               all(lessThan(pixel - margin, vec2(frame.size.xy))) && peak >= 0.0 && peak < 1e30 && det < 1e30;
@@ -184,7 +184,7 @@ void main()
     source += ps_shade(p, facing, to_eye, surface, frame.page.w);
   }
 
-  out_place = seen ? vec4(centre, d, peak * kept * PS_TRUNCATED) : vec4(0.0);
+  out_place = seen ? vec4(centre, d, peak * kept * PS_PEAK) : vec4(0.0);
   out_shape = seen ? vec4(wide, 0.0) : vec4(1.0, 0.0, 1.0, 0.0);
   out_source = vec4(ps_finite(source), 0.0);
 #ifdef PS_AMONG_OPAQUE

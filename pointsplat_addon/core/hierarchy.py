@@ -24,6 +24,7 @@ from functools import cache
 import numpy as np
 
 from .cloud import PointCloud
+from .kernel import SUPPORT, kernel
 from .octree import Tree, partition, runs, starts
 
 CHUNK = 1 << 15  # children that are merged together, for the same reason
@@ -31,12 +32,11 @@ THIN = 1e-3  # smallest ratio of the axes of a bounding ellipse
 ROUNDING = 1 + 4e-7  # float32 copies of bounds are rounded outwards
 LEAF_SIZE = 12  # points: balances the nodes' memory against the points that a cut must show instead
 OPAQUE = 100.0  # optical depth of an opaque splat
-# Mean depth of a node of opaque splats that leave no gap: its Gaussian stops as much light as its ellipse within 8 %,
+# Mean depth of a node of opaque splats that leave no gap: its kernel stops as much light as its ellipse within 10 %,
 # and a wall of such nodes lets 2 % through.
 CLOSED = 2.5
-CUT_OFF = 4.5  # Gaussians end at 3 sigma
-# Kernels of media are drawn wider than their moments: Gaussians of cells side by side then add up to an even medium
-# (a standard deviation of 0.29 of the cell leaves ripples of 38 %, one of 0.33 of 23 %), and outlines grow no more than
+# Kernels of media are drawn wider than their moments: those of cells side by side then add up to an even medium (a
+# standard deviation of 0.29 of the cell leaves ripples of 28 %, one of 0.33 of 12 %), and outlines grow no more than
 # the thickness at which they are seen shrinks.
 WIDER = 1.15
 AVERAGED = ("color", "opacity", "surface", "emission", "shading_normal", "extinction", "value")
@@ -379,19 +379,15 @@ def _drawn(cloud: PointCloud, radii: np.ndarray) -> np.ndarray:
 
 
 def absorbed(depth: np.ndarray) -> np.ndarray:
-    """The cross-section of a Gaussian, the integral of 1 - exp(-tau) over the plane, in areas of its ellipse (rim at
-    2 sigma), float64. `depth` is its optical mass in the same unit: the mean depth of the ellipse.
-
-    With Ein(x) the integral of (1 - exp(-t)) / t from 0 to x and p the depth in the middle, it is
-    (Ein(p) - Ein(p exp(-9 / 2))) / 2.
-    """
+    """The cross-section of a kernel, the integral of 1 - exp(-tau) over the plane, in areas of its ellipse (rim at
+    2 sigma), float64. `depth` is its optical mass in the same unit: the mean depth of the ellipse."""
     x, y = _absorption()
     thin = np.asarray(depth, np.float64)
     return np.where(thin < x[0], thin, np.exp(np.interp(np.log(np.maximum(thin, x[0])), np.log(x), np.log(y))))
 
 
 def even(depth: np.ndarray) -> np.ndarray:
-    """The mean depth of the Gaussian that has the cross-section of an ellipse of an even depth: equal to it in the
+    """The mean depth of the kernel that has the cross-section of an ellipse of an even depth: equal to it in the
     first two orders, and less than 2.2 where the ellipse is opaque."""
     x, y = _absorption()
     wanted = -np.expm1(-np.asarray(depth, np.float64))
@@ -401,11 +397,12 @@ def even(depth: np.ndarray) -> np.ndarray:
 @cache
 def _absorption() -> tuple[np.ndarray, np.ndarray]:
     """Mean depths, evenly spaced in the logarithm, and `absorbed` of them, by Simpson's rule."""
-    middle = 2 * np.geomspace(1e-5, 1e9, 2801) / -np.expm1(-CUT_OFF)
-    t = np.linspace(-CUT_OFF, 0, 129)
-    simpson = np.r_[1, np.tile([4, 2], 63), 4, 1] * (t[1] - t[0]) / 3
-    # With t the logarithm of the depth over that in the middle, dx dy is -pi a b dt / 2.
-    return middle / 2 * -np.expm1(-CUT_OFF), -np.expm1(-middle[:, None] * np.exp(t)) @ simpson / 2
+    depth = np.geomspace(1e-5, 1e9, 2801)
+    # With q = SUPPORT (1 - x^4), dx dy is pi a b dq / 4; the fourth power spreads the rim, where deep kernels end.
+    x = np.linspace(0, 1, 513)
+    simpson = np.r_[1, np.tile([4, 2], 255), 4, 1] * (x[1] - x[0]) / 3
+    absorbs = -np.expm1(-2 * depth[:, None] * kernel(SUPPORT * (1 - x**4)))
+    return depth, absorbs @ (simpson * SUPPORT * x**3)
 
 
 def _merge(rows: _Rows, count: np.ndarray, cloud: PointCloud) -> _Rows:

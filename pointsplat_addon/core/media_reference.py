@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .cloud import PointCloud
+from .kernel import kernel
 from .scene import Light
 
 OPAQUE = 100.0  # optical depth of an opaque hit, and the most that one splat of a surface has
-CUT = 3.0  # standard deviations at which kernels end
-_KEPT = 1 - np.exp(-(CUT**2) / 2)  # share of a 2D Gaussian within CUT
 _PAIRS = 1 << 20  # rays times splats, or points of a field, that are evaluated together
 _HALVINGS = 14
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -55,10 +54,10 @@ def splat_optical_depth(
     """Optical depth (R,), or (R, 3) where extinction is coloured, along rays from origins up to the distance `far`.
 
     origins, directions: (R, 3) in the cloud's object space; directions of any length; far: (R,) or a number.
-    Volumetric splats (with extinction) are Gaussians whose standard deviations are half their half-axes and whose
-    optical mass is 4/3 pi a b c times extinction; the integral along the ray is exact at both of its ends. Translucent
-    surface samples (with opacity) have -ln(1 - opacity) pi a b, met where the ray crosses their plane; opaque ones have
-    OPAQUE inside their ellipse. Kernels end at CUT standard deviations across the ray and are scaled to keep their sum.
+    Volumetric splats (with extinction) are Gaussians along the ray, whose standard deviations are half their half-axes
+    and whose optical mass is 4/3 pi a b c times extinction; the integral along the ray is exact at both of its ends.
+    Translucent surface samples (with opacity) have -ln(1 - opacity) pi a b, met where the ray crosses their plane;
+    opaque ones have OPAQUE inside their ellipse. Across the ray kernels are those of core.kernel.
     """
     origins, directions = np.asarray(origins, float), _unit(np.asarray(directions, float))
     far = np.broadcast_to(np.asarray(far, float), len(origins))
@@ -91,7 +90,7 @@ def _volumetric(cloud: PointCloud, origins: np.ndarray, directions: np.ndarray, 
     nearest = -np.einsum("rni,rni->rn", start, step) / scale  # where the ray comes nearest, in whitened length
     across2 = (start**2).sum(axis=2) - nearest**2
     part = _normal_cdf(far[:, None] * scale - nearest) - _normal_cdf(-nearest)
-    line = np.exp(-across2 / 2) / (2 * np.pi) * np.linalg.det(whiten) / scale / _KEPT * (across2 <= CUT**2) * part
+    line = kernel(across2) / (2 * np.pi) * np.linalg.det(whiten) / scale * part
     share = np.asarray(cloud.extinction, float).reshape(len(cloud), -1)
     mass = 4 / 3 * np.pi * radii.prod(axis=1)[:, None] * share
     return line[..., None] * mass
@@ -114,8 +113,7 @@ def _surface(cloud: PointCloud, origins: np.ndarray, directions: np.ndarray, far
         return (OPAQUE * (met & (rim2 <= 1)))[..., None]
     with np.errstate(divide="ignore"):
         single = np.minimum(-np.log1p(-cloud.opacity.astype(float)), OPAQUE)
-    met &= 4 * rim2 <= CUT**2
-    return np.minimum(2 * np.exp(-2 * np.where(met, rim2, 0)) / _KEPT * met * single, OPAQUE)[..., None]
+    return np.minimum(2 * kernel(4 * np.where(met, rim2, np.inf)) * single, OPAQUE)[..., None]
 
 
 def _centre(cloud: PointCloud) -> np.ndarray:

@@ -1,9 +1,9 @@
-"""Participating media as points: each active voxel becomes one Gaussian splat.
+"""Participating media as points: each active voxel becomes one splat.
 
 A splat's `extinction` is the share that it alone contributes, spread over its own ellipsoid (radius 2 sigma): its
 optical mass 4/3 pi a b c * extinction is that of the voxel, extinction times the voxel's volume. Overlapping splats of
-neighbouring voxels then add up to the medium. SIGMA voxel edges are wide enough that the lattice does not show
-(Poisson summation: the first harmonic of a row is 2 exp(-2 pi^2 SIGMA^2) = 0.16 %), and no wider than needed.
+neighbouring voxels then add up to the medium: kernels of EVEN voxel edges are wide enough that the lattice does not
+show, and no wider than needed.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .cloud import PointCloud
+from .kernel import EVEN
 from .scene import Medium, Transfer, Volume
 
-SIGMA = 0.6  # standard deviation of a voxel's Gaussian in voxel edges
-SHARE = 1 / (4 / 3 * np.pi * (2 * SIGMA) ** 3)  # the volume of a voxel over that of its splat's ellipsoid
+SHARE = 1 / (4 / 3 * np.pi * (2 * EVEN) ** 3)  # the volume of a voxel over that of its splat's ellipsoid
 NEARLY_CUBIC = 1.03  # ratio of a voxel's principal lengths up to which its splat is a ball
 OPAQUE = 1e6  # optical depth of a voxel's edge that is as good as any above it
 BRIGHT = 1e30  # extinction, and radiance per unit of length, that leaves room for products in float32
@@ -239,7 +239,7 @@ def _ellipsoid(linear: np.ndarray, count: int) -> tuple[np.ndarray | None, np.nd
     The map's left singular vectors and values are the principal axes; they hold shear, too.
     """
     axes, lengths, _ = np.linalg.svd(linear)
-    radii = 2 * SIGMA * lengths
+    radii = 2 * EVEN * lengths
     if lengths[0] <= NEARLY_CUBIC * lengths[2]:
         return None, None, np.full((count, 1), np.cbrt(np.prod(radii)), np.float32)
     axis, normal = (np.tile(axes[:, k].astype(np.float32), (count, 1)) for k in (0, 2))

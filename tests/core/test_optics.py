@@ -13,10 +13,9 @@ import pytest
 
 from pointsplat_addon.core import hierarchy as h
 from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.kernel import EVEN, SUPPORT, kernel
 
-KEPT = -np.expm1(-4.5)  # of a Gaussian within 3 sigma
 VIEWS = ((0.0, 0.0, 1.0), (1.0, 0.4, 0.7))
-SIGMA = 0.6  # of a voxel's Gaussian, in voxels
 
 
 def projected(cloud: PointCloud, direction: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -35,7 +34,7 @@ def projected(cloud: PointCloud, direction: tuple[float, float, float]) -> tuple
 def mean_transmittance(
     cloud: PointCloud, half: float, direction: tuple[float, float, float], pixels: int = 96, hard: bool = False
 ) -> float:
-    """Over the square about the origin with this half side: exp(-tau) of all splats, Gaussians cut off at 3 sigma.
+    """Over the square about the origin with this half side: exp(-tau) of all splats.
     `hard`: opaque over their ellipses instead."""
     place, covariance = projected(cloud, direction)
     determinant, conic = np.linalg.det(covariance), np.linalg.inv(covariance)
@@ -48,7 +47,7 @@ def mean_transmittance(
         # The mass is the depth times the seen area, which is that of the projected ellipse.
         middle = -2 * np.log1p(-np.minimum(cloud.opacity.astype(np.float64), 1 - 1e-16))
     step, tau = 2 * half / pixels, np.zeros(pixels * pixels)
-    reach = (2 if hard else 3) * np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
+    reach = (2 if hard else np.sqrt(SUPPORT)) * np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
     spans, home = np.ceil(reach / step).astype(int) + 1, np.floor((place + half) / step).astype(int)
     for span in np.unique(spans):
         rows = np.flatnonzero(spans == span)
@@ -57,8 +56,8 @@ def mean_transmittance(
             cell = home[some, None] + window
             x = (cell + 0.5) * step - half - place[some, None]
             q = np.einsum("nwx,nxy,nwy->nw", x, conic[some], x)
-            seen = (q <= (4 if hard else 9)) & ((cell >= 0) & (cell < pixels)).all(axis=-1)
-            depth = middle[some, None] * (np.ones_like(q) if hard else np.exp(-q / 2) / KEPT)
+            seen = (q <= (4 if hard else SUPPORT)) & ((cell >= 0) & (cell < pixels)).all(axis=-1)
+            depth = middle[some, None] * (np.ones_like(q) if hard else kernel(q))
             tau += np.bincount((cell[..., 1] * pixels + cell[..., 0])[seen], depth[seen], pixels * pixels)
     return float(np.exp(-tau).mean())
 
@@ -95,7 +94,7 @@ def voxel_ball(diameter: int, fraction: float = 1.0) -> np.ndarray:
 
 def medium(position: np.ndarray, extinction: float | np.ndarray, **attributes: np.ndarray) -> PointCloud:
     """Voxels of edge 1 and true extinction, as balls."""
-    radius = 2 * SIGMA
+    radius = 2 * EVEN
     share = np.float32(1 / (4 / 3 * np.pi * radius**3)) * np.float32(extinction)
     own = np.broadcast_to(share, (len(position), *np.shape(share)[1:])).astype(np.float32).copy()
     return PointCloud(position, radii=np.full((len(position), 1), radius, np.float32), extinction=own, **attributes)
@@ -109,7 +108,7 @@ MEDIA: dict[str, tuple[Callable[[], PointCloud], int, float]] = {
     "opaque": (lambda: medium(voxel_ball(32), 50.0), 4000, 0.02),  # measured 0.015
     "sparse": (lambda: medium(voxel_ball(40, 0.03), 1.0), 200, 0.01),
     "sparse and thick": (lambda: medium(voxel_ball(40, 0.03), 10.0), 200, 0.01),
-    "sparse and opaque": (lambda: medium(voxel_ball(40, 0.03), 50 * 2 * np.pi * SIGMA**2), 200, 0.01),
+    "sparse and opaque": (lambda: medium(voxel_ball(40, 0.03), 50 * 2 * np.pi * EVEN**2), 200, 0.01),
     "half full": (lambda: medium(voxel_ball(32, 0.2), 1.0), 1000, 0.01),
 }
 
@@ -196,12 +195,12 @@ def test_albedo_is_weighted_by_mass() -> None:
     np.testing.assert_allclose(built.color[0], [0.25, 0.75, 0], rtol=1e-6)  # measured 6e-8
 
 
-def test_cross_sections_of_gaussians() -> None:
+def test_cross_sections_of_kernels() -> None:
     """The integral of 1 - exp(-tau), in rings."""
-    q = np.linspace(0, 9, 200_001)
+    q = np.linspace(0, SUPPORT, 200_001)
     q = (q[1:] + q[:-1]) / 2
     for depth in (1e-8, 1e-3, 0.1, 1.0, 10.0, 1e3):
-        rings = -np.expm1(-2 * depth / KEPT * np.exp(-q / 2)).sum() * (q[1] - q[0]) / 4
+        rings = -np.expm1(-2 * depth * kernel(q)).sum() * (q[1] - q[0]) / 4
         assert h.absorbed(depth) == pytest.approx(rings, rel=1e-5)  # measured 2e-6
         assert h.absorbed(h.even(depth)) == pytest.approx(-np.expm1(-depth), rel=1e-5)  # measured 1e-7
 

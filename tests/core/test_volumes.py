@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core import volumes
+from pointsplat_addon.core.kernel import EVEN, kernel
 from pointsplat_addon.core.scene import Medium, Transfer, Volume
 
 WHITE = Medium(color=np.ones(3))
@@ -38,7 +39,7 @@ def optical_mass(cloud):
 
 
 def optical_depth(cloud, start, direction):
-    """(R,) along lines through `start` (R, 3): sums of projected Gaussians, cut off at 3 sigma and renormalised."""
+    """(R,) along lines through `start` (R, 3): sums of projected kernels."""
     center = cloud.position.astype(np.float64) + cloud.origin
     radii = cloud.radii.astype(np.float64)
     if radii.shape[1] == 1:
@@ -56,9 +57,8 @@ def optical_depth(cloud, start, direction):
     for r, row in enumerate(start):
         x = (center - row) @ plane.T
         q = np.einsum("ni,ij,nj->n", x, conic, x)
-        inside = q < 9
-        result[r] = (mass[inside] * np.exp(-q[inside] / 2)).sum()
-    return result / (2 * np.pi * np.sqrt(np.linalg.det(flat)) * -np.expm1(-4.5))
+        result[r] = (mass * kernel(q)).sum()
+    return result / (2 * np.pi * np.sqrt(np.linalg.det(flat)))
 
 
 def slab_depths(matrix, shape, angle, spacing=0.0, count=200):
@@ -285,6 +285,6 @@ def test_shear_and_flat_voxels_make_ellipsoids_of_their_mass():
     axes = cloud.radii[0] / 2
     frame = np.stack([cloud.axis[0], np.cross(cloud.normal[0], cloud.axis[0]), cloud.normal[0]], axis=1)
     linear = matrix[:3, :3]
-    covariance = volumes.SIGMA**2 * linear @ linear.T
+    covariance = EVEN**2 * linear @ linear.T
     np.testing.assert_allclose(frame @ np.diag(axes**2) @ frame.T, covariance, atol=1e-6)
     assert point_cloud(block((2, 2, 2), scaled(1, 1, 1.02)), WHITE)[0].normal is None

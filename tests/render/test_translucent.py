@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.kernel import EVEN
 from pointsplat_addon.core.scene import Light, Medium, Settings, Volume, World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame import Renderer, Request
@@ -18,7 +19,6 @@ from tests.render.scenes import camera, moved, points
 
 COMBINED = frozenset({"combined"})
 WHITE = World(np.ones(3))
-SIGMA = 0.6  # standard deviation of a voxel's Gaussian over the voxel's edge
 
 
 def voxels(
@@ -36,7 +36,7 @@ def voxels(
     position = np.stack(np.meshgrid(side, depth, side, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
     if seen is not None:
         position = position[seen(position)]
-    count, radius = len(position), 2 * SIGMA * edge
+    count, radius = len(position), 2 * EVEN * edge
     share = edge**3 / (4 / 3 * np.pi * radius**3)
     strength = np.broadcast_to(np.asarray(extinction, np.float32) * share, (count, *np.shape(extinction)))
     black = np.zeros((count, 3), np.float32)
