@@ -47,8 +47,8 @@ WHOLE_SURFACE = 64.0  # and of samples of a surface, which would let light throu
 TYPICAL = 0.9  # quantile of the radii of a surface's samples
 OVERLAP = 0.15  # of a segment: how far it reaches into the next, lest light slips between the cells of both
 OVERLAP_CELLS = 1.0  # and as many cells
-# Cells of three voxels where a splat's radius is 0.78 of them: their lattice does not show in cells of whole voxels.
-SMOKE = 3.8
+RIM = {"VOLUME": np.sqrt(11) / 2, "SHELL": 1.0, "OPAQUE": 1.0}  # half extent in a cell, in half-axes: see _split
+SMOKE = 1.005 * 2 * RIM["VOLUME"]  # cells of smoke per radius of its splats: just wide enough for them
 LEAST_SHARE = 1 / 256  # of a row or column: below it, the nearer one takes all
 WORD = 24  # cells to a mask: as many bits as a float32 holds as an integer
 TEXEL = 3 * WORD  # cells to a texel: where its entries start, then three masks
@@ -360,7 +360,7 @@ class _Rows:
 def _coarser(frame: Frame, kind: str, batches: Sequence[Casters]) -> float:
     """By how much the finest cells of a kind are wider than the frame's, from 1 to 2.
 
-    A level of smoke's cells is then SMOKE times as wide as most of its splats' radius: wider cells would blur it more.
+    A level of smoke's cells is then SMOKE radii of most of its splats wide: wider cells would blur it more.
     """
     found = [batch for batch in batches if batch.kind == kind]
     if kind != "VOLUME" or not found:
@@ -423,14 +423,14 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
     level = _level(rows, batch, distance, spans)
 
     # The nearer row and, where the splat reaches into it, the next; in each of them the same with columns.
-    step = rows.step[level]
-    which, row, share = _split((latitude - rows.low[level]) / step, 2 * up / step)
+    step, smoke, rim = rows.step[level], batch.kind == "VOLUME", np.float32(2 * RIM[batch.kind])
+    which, row, share = _split((latitude - rows.low[level]) / step, rim * up / step, smoke)
     inside = (row >= 0) & (row < rows.height[level[which]])
     row = np.where(inside, row, 0) + rows.base[level[which]]
     density = rows.density[row]
     if not frame.parallel:
         across = across / np.maximum(np.cos(latitude), np.float32(1e-6))
-    again, column, part = _split(longitude[which] * density, 2 * across[which] * density)
+    again, column, part = _split(longitude[which] * density, rim * across[which] * density, smoke)
     which, row, share, inside = which[again], row[again], share[again] * part, inside[again]
     place = column.astype(np.float32) / rows.density[row]
     column -= rows.column0[row]
@@ -458,7 +458,7 @@ def _level(rows: _Rows, batch: Casters, distance: np.ndarray, spans: _Spans) -> 
     share a level, that of the nearest (in a batch whose distances are all alike, all do), and the samples of surfaces
     share that of a wide one among them.
     """
-    angle = 2 * np.maximum(batch.reach(), np.float32(spans.least))
+    angle = np.float32(2 * RIM[batch.kind]) * np.maximum(batch.reach(), np.float32(spans.least))
     if not rows.frame.parallel:
         base = np.full_like(distance, spans.nearest)
         if spans.farthest > spans.nearest:
@@ -479,16 +479,23 @@ def _directions(frame: Frame, latitude: np.ndarray, longitude: np.ndarray) -> tu
     return ray, north, np.stack([-y, x, np.zeros_like(x)], axis=1)
 
 
-def _split(place: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _split(place: np.ndarray, half: np.ndarray, smoke: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which splat (E,), which cell (E,) int64, what share of it (E,): of splats on a line of cells about integers.
 
     `half` is a splat's half extent in cells; it is at most half a cell, so the nearest border divides it. Along the
-    line it counts as a parabola (Epanechnikov's kernel): it ends at the rim, so that no cell but two gets a share.
+    line a disk counts as a parabola that ends at its rim, and smoke as (1 - x^2)^4, near to the projection of
+    core/kernel.py, with the variance of a splat where it ends at sqrt(11) standard deviations. Both have an end, so
+    that no cell but two gets a share.
     """
     cell = np.rint(place)
     off = place - cell
     t = np.clip((np.abs(off) - np.float32(0.5)) / np.maximum(half, np.float32(1e-20)), -1, 1)
-    beyond = np.float32(0.5) + t * (np.float32(0.75) - np.float32(0.25) * t**2)
+    t2 = t * t
+    if smoke:
+        t *= np.float32(315 / 128) * (1 + t2 * (-4 / 3 + t2 * (6 / 5 + t2 * (-4 / 7 + t2 / 9))))
+    else:
+        t *= np.float32(1.5) - np.float32(0.5) * t2
+    beyond = np.float32(0.5) + np.float32(0.5) * t
     beyond[beyond < LEAST_SHARE] = 0
     far = np.flatnonzero(beyond)
     cell = cell.astype(np.int64)

