@@ -71,11 +71,13 @@ void main()
   facing = medium ? vec3(0.0) : facing;
 #endif
 
+  // A medium that shines like a surface is steep there, and the lattice near it would show as rings.
+  vec3 place = p + (medium ? 3.0 * extent.x * length(linear[0]) * facing : vec3(0.0));
 #ifdef PS_REACH
   // How much of each light comes here does not depend on the camera.
   vec3 share[4] = vec3[4](vec3(1.0), vec3(1.0), vec3(1.0), vec3(1.0));
   for (int i = 0; i < PS_REACH; i++) {
-    share[i] = ps_transmittance(i, p, facing);
+    share[i] = ps_transmittance(i, place, facing);
   }
 #ifdef PS_SHADOW_COLORED
   out_reach_0 = vec4(share[0], 1.0);
@@ -181,7 +183,7 @@ void main()
   surface.emission = medium ? vec3(0.0) : emission;
   if (lit_as_surface) {
     facing = dot(facing, facing) > 0.5 ? facing : to_eye;
-    source += ps_shade(p, facing, to_eye, surface, frame.page.w);
+    source += ps_shade(place, facing, to_eye, surface, frame.page.w);
   }
 
   out_place = seen ? vec4(centre, d, peak * kept * PS_PEAK) : vec4(0.0);

@@ -118,6 +118,7 @@ class Geometry:
     volume: Volume | None = None
     primitive: str = "AUTO"  # one of PRIMITIVES
     spacing: float = 0.0  # distance between samples in object units; 0 chooses
+    lattice: str = ""  # clouds of equal keys and attributes have the same points and half-axes; "": no other does
     extinction: float = 0.0  # of this geometry's points, per object unit; 0 takes it from the material
 
 

@@ -67,7 +67,7 @@ def _volume(geometry: Geometry, volume: Volume, table: MaterialTable, store: Sto
 
     points = store.lookup(("volume", key), make)
     warnings += points.warnings
-    return replace(geometry, key=key, volume=None, cloud=points.cloud)
+    return replace(geometry, key=key, volume=None, cloud=points.cloud, lattice=f"{volume.key} {geometry.spacing}")
 
 
 class Points:

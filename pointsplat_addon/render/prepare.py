@@ -19,7 +19,7 @@ from ..core import sampling
 from ..core.appearance import digest, passing, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
 from ..core.cut import Cut, Forest, forest, fully, largest_singular_value, select
-from ..core.hierarchy import Hierarchy, build, refit
+from ..core.hierarchy import Hierarchy, build, recolor, refit
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
 from ..core.spacing import make_parts, required_spacing
 
@@ -288,7 +288,8 @@ class _View:
         points, dropped = self.store.lookup(("finite", geometry.key), lambda: given(cloud))
         if dropped:
             self.warnings.append(f"{geometry.name}: {dropped} points that are not finite were left out")
-        return PointSet(("cloud", geometry.key), points)
+        same = ("lattice", geometry.lattice, len(points), *points.arrays()) if geometry.lattice else ()
+        return PointSet(("cloud", geometry.key), points, family=same)
 
     def _allowed_by_bounds(
         self, geometry: Geometry, mesh: Mesh, ok: np.ndarray, view_from_object: np.ndarray
@@ -387,13 +388,15 @@ def given(cloud: PointCloud) -> tuple[PointCloud, int]:
 
 
 def _hierarchy(points: PointSet, store: Store) -> Hierarchy:
-    """A refitted octree where another pose of the same samples has one, else a new one."""
+    """The octree that another pose or colouring of the same points has, refitted; else a new one."""
     if not points.family:
         return store.build(points.cloud)
     known, source = store.lookup(points.family, lambda: (store.build(points.cloud), points.cloud))
     if source is points.cloud:
         return known
-    return refit(known, points.cloud) if len(source) == len(points.cloud) else store.build(points.cloud)
+    if len(source) != len(points.cloud):
+        return store.build(points.cloud)
+    return (recolor if points.family[0] == "lattice" else refit)(known, points.cloud)
 
 
 def _bounds(mesh: Mesh, ok: np.ndarray) -> tuple[np.ndarray, float]:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.scene import Settings
+from pointsplat_addon.core.scene import Geometry, Settings, Transfer, Volume
+from pointsplat_addon.render.parts import parted
 from pointsplat_addon.render.prepare import Store, prepare
 from tests.render import scenes
 from tests.render.scenes import CASES, Case
@@ -175,3 +176,25 @@ def test_a_store_keeps_what_is_too_large_for_it_until_the_next_one_comes():
     store.clear()
     assert store.nbytes == 0
     assert ("y",) not in store
+
+
+def test_another_transfer_function_keeps_the_tree_and_the_kernels():
+    rng = np.random.default_rng(1)
+    index = np.stack(np.meshgrid(*[np.arange(20)] * 3, indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
+    values = rng.random(len(index)).astype(np.float32)
+    store = Store()
+
+    def seen(high):
+        transfer = Transfer("density", 0.0, high, np.linspace([0, 0, 0, 0], [1, 1, 1, 1], 8).astype(np.float32))
+        volume = Volume("lattice of noise", "Noise", index, np.eye(4), {"density": values}, transfer=transfer)
+        made = scenes.scene((Geometry(f"noise up to {high}", "Noise", volume=volume), scenes.moved(scale=0.01)))
+        made, _ = parted(made, store)
+        layer = prepare(made, scenes.camera((0, -40, 0)), Settings(), 1000, store).translucent
+        (points,) = layer.point_sets.values()
+        assert points.hierarchy is not None
+        return points.hierarchy
+
+    first, second = seen(1.0), seen(0.5)
+    assert second.tree is first.tree
+    np.testing.assert_array_equal(second.radii, first.radii)
+    assert not np.array_equal(second.extinction, first.extinction)
