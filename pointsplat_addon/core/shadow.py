@@ -170,8 +170,8 @@ class Frame:
         x, y, z = local.T
         if self.parallel:
             return y, x, z
-        across = np.hypot(x, y)
-        return np.arctan2(z, across), np.arctan2(y, x), np.hypot(across, z)
+        squared = x * x + y * y
+        return np.arctan2(z, np.sqrt(squared)), np.arctan2(y, x), np.sqrt(squared + z * z)
 
     @property
     def step(self) -> float:
@@ -344,14 +344,14 @@ class _Rows:
         self.low = np.array([g.low for g in grids], np.float32)
         self.step = np.array([g.step for g in grids], np.float32)
         self.height = np.array([len(g.count) for g in grids])
-        self.base = np.cumsum(self.height) - self.height  # (G,) first row of each grid
+        self.base = (np.cumsum(self.height) - self.height).astype(np.int32)  # (G,) first row of each grid
         cells = np.array([g.cells for g in grids])
         self.cell_base = np.cumsum(cells) - cells  # (G,) first cell of each grid
         if cells.sum() >= 2**31:
             raise ValueError(f"a shadow table of {frame.rows} rows has too many cells for 32-bit links")
-        self.first = np.concatenate([g.first + b for g, b in zip(grids, self.cell_base, strict=True)])
-        self.column0 = np.concatenate([g.column0 for g in grids])
-        self.count = np.concatenate([g.count for g in grids])
+        self.first = np.concatenate([g.first + b for g, b in zip(grids, self.cell_base, strict=True)]).astype(np.int32)
+        self.column0 = np.concatenate([g.column0 for g in grids]).astype(np.int32)
+        self.count = np.concatenate([g.count for g in grids]).astype(np.int32)
         self.density = np.concatenate([g.density for g in grids])
         self.inverse_area = (1 / np.concatenate([g.area(frame.parallel) for g in grids])).astype(np.float32)
         self.latitude = np.concatenate([g.latitude for g in grids]).astype(np.float32)
@@ -399,16 +399,17 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
     """What splats give to the cells: keys (E,) uint64 of cell and distance, optical depths (E,) or (E, 3) float32."""
     frame = rows.frame
     turn = frame.light_from_world.T.astype(np.float32)
-    local = (batch.position + (batch.origin - frame.origin)).astype(np.float32) @ turn
+    local = (batch.position + (batch.origin - frame.origin).astype(np.float32)) @ turn
     latitude, longitude, distance = frame.spherical(local)
-    axes = None if batch.axes is None else batch.axes @ turn
-    ray, north, east = _directions(frame, latitude, longitude)
 
     # Standard deviations along rows and columns; as angles, seen from within a splat, they are as wide as need be.
-    if axes is None:
+    axes, ray = None, np.zeros(0)
+    if batch.axes is None:
         assert batch.radius is not None
         up = across = batch.radius / 2
     else:
+        axes = batch.axes @ turn
+        ray, north, east = _directions(frame, latitude, longitude)
         up, across = (np.sqrt((np.einsum("nkc,nc->nk", axes, d) ** 2).sum(axis=1)) / 2 for d in (north, east))
     strength = _strength(batch, axes, ray)
     if not frame.parallel:
@@ -425,21 +426,23 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
     # The nearer row and, where the splat reaches into it, the next; in each of them the same with columns.
     step, smoke, rim = rows.step[level], batch.kind == "VOLUME", np.float32(2 * RIM[batch.kind])
     which, row, share = _split((latitude - rows.low[level]) / step, rim * up / step, smoke)
-    inside = (row >= 0) & (row < rows.height[level[which]])
-    row = np.where(inside, row, 0) + rows.base[level[which]]
+    level = level[which]
+    inside = (row >= 0) & (row < rows.height[level])
+    row = np.where(inside, row, 0) + rows.base[level]
     density = rows.density[row]
     if not frame.parallel:
         across = across / np.maximum(np.cos(latitude), np.float32(1e-6))
     again, column, part = _split(longitude[which] * density, rim * across[which] * density, smoke)
     which, row, share, inside = which[again], row[again], share[again] * part, inside[again]
-    place = column.astype(np.float32) / rows.density[row]
-    column -= rows.column0[row]
+    place = column
+    column = column - rows.column0[row]
     if frame.full:
         column %= rows.count[row]
     inside &= (column >= 0) & (column < rows.count[row])
 
     at = distance[which]
     if axes is not None and batch.kind != "VOLUME":
+        place = place.astype(np.float32) / rows.density[row]
         to_cell = place - longitude[which], rows.latitude[row] - latitude[which]
         middle = _directions(frame, rows.latitude[row], place)[0]
         at = _plane_distance(frame, np.cross(axes[:, 0], axes[:, 1])[which], at, ray[which], middle, to_cell)
@@ -480,7 +483,7 @@ def _directions(frame: Frame, latitude: np.ndarray, longitude: np.ndarray) -> tu
 
 
 def _split(place: np.ndarray, half: np.ndarray, smoke: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which splat (E,), which cell (E,) int64, what share of it (E,): of splats on a line of cells about integers.
+    """Which splat (E,), which cell (E,) int32, what share of it (E,): of splats on a line of cells about integers.
 
     `half` is a splat's half extent in cells; it is at most half a cell, so the nearest border divides it. Along the
     line a disk counts as a parabola that ends at its rim, and smoke as (1 - x^2)^4, near to the projection of
@@ -498,10 +501,9 @@ def _split(place: np.ndarray, half: np.ndarray, smoke: bool) -> tuple[np.ndarray
     beyond = np.float32(0.5) + np.float32(0.5) * t
     beyond[beyond < LEAST_SHARE] = 0
     far = np.flatnonzero(beyond)
-    cell = cell.astype(np.int64)
-    next_cell = cell[far] + np.where(off[far] < 0, -1, 1)
+    next_cell = cell[far] + np.copysign(np.float32(1), off[far])
     which = np.concatenate([np.arange(len(place)), far])
-    return which, np.concatenate([cell, next_cell]), np.concatenate([1 - beyond, beyond[far]])
+    return which, np.concatenate([cell, next_cell]).astype(np.int32), np.concatenate([1 - beyond, beyond[far]])
 
 
 def _inverse_square(distance: np.ndarray, deviation: np.ndarray) -> np.ndarray:
