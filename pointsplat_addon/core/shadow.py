@@ -52,7 +52,7 @@ SMOKE = 1.005 * 2 * RIM["VOLUME"]  # cells of smoke per radius of its splats: ju
 LEAST_SHARE = 1 / 256  # of a row or column: below it, the nearer one takes all
 WORD = 24  # cells to a mask: as many bits as a float32 holds as an integer
 TEXEL = 3 * WORD  # cells to a texel: where its entries start, then three masks
-CHUNK = 1 << 16  # splats that are projected together, so that scratch arrays stay in the cache
+CHUNK = 1 << 14  # splats that are projected together, so that scratch arrays stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -973,6 +973,7 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
             texel[0] = level.grid.low, level.grid.step, len(level.grid.count), KINDS.index(level.kind)
             texel[1] = coded(base * (1, 1, 4, 1 if colored else 2))
             texel[2, 0] = level.grid.wraps
+            texel[2, 1:3] = level.distance.min(initial=np.inf), level.distance.max(initial=0)
             parts += blocks
             texels += int(sizes.sum())
     height = max(1, -(-texels // PAGE_WIDTH))
