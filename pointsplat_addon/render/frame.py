@@ -201,7 +201,9 @@ class Frame:
         self._lent = self.renderer.pool.borrow(plan, passes, size, count)
         self.targets = self._lent[1]
         device.clear(self.targets.sum_target)
-        self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes)
+        self.shade = shade_pass.shade_program(
+            plan.variant, plan.lighting, plan.materials, passes, self.request.samples
+        )
         self.background = shade_pass.background_program(plan.lighting, self.scene.transparent, passes)
         self.lit: translucent_pass.LitSplats | None = None
         if plan.translucent is not None:

@@ -218,6 +218,22 @@ float ps_shadow_sequence(int index, float step)
   return fract(0.5 + float(index) * step);
 }
 
+// The first level from `i` on that holds something between the tap's distances. Few do, and software rasterisers run
+// the body of a loop only as often as some pixel needs it.
+int ps_shadow_next(int light, int i, int levels, PsReceiver p, PsTap tap)
+{
+  bool holds = false;
+  while (i < levels && !holds) {
+    int column = PS_SHADOW_HEAD + 3 * i;
+    float width = texelFetch(ps_shadow_lights, ivec2(column, light), 0).y * (p.parallel ? 1.0 : p.at);
+    vec2 ends = texelFetch(ps_shadow_lights, ivec2(column + 2, light), 0).yz;
+    float near = tap.one && tap.near > 0.0 ? min(tap.near, tap.near_opaque - PS_SHADOW_OVERLAP_CELLS * width) : -1e30;
+    holds = tap.far > ends.x - width && near < ends.y + width;
+    i += holds ? 0 : 1;
+  }
+  return i;
+}
+
 // Share of the light of lamp `light` (a row of ps_shadow_lights) that reaches a point in view space. `normal`: unit, of
 // the surface there, or zero where there is none.
 vec3 ps_transmittance(int light, vec3 position, vec3 normal)
@@ -250,7 +266,8 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal)
     offset = wide ? offset - dot(offset, p.ray) * p.ray : vec3(0.0);
     PsTap tap;
     tap.one = wide;
-    tap.jitter = vec2(ps_shadow_sequence(index, 0.6844301295853426), ps_shadow_sequence(index, 0.6031687406857283)) - 0.5;
+    tap.jitter = vec2(ps_shadow_sequence(index, 0.6844301295853426), ps_shadow_sequence(index, 0.6031687406857283));
+    tap.jitter -= 0.5;
 
     float covered = 0.0;
     PsDepth depth = PsDepth(0.0);
@@ -269,7 +286,8 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal)
       tap.latitude = p.parallel || !wide ? p.latitude + offset.y * middle
                                         : atan(direction.z, max(length(direction.xy), 1e-30));
       tap.longitude = p.parallel || !wide ? p.longitude + offset.x * middle : atan(direction.y, direction.x);
-      for (int i = 0; i < levels; i++) {
+      int i = ps_shadow_next(light, 0, levels, p, tap);
+      for (; i < levels; i = ps_shadow_next(light, i + 1, levels, p, tap)) {
         PsShadowLevel level = ps_shadow_level(light, i);
         PsDepth found = ps_shadow_look_up(level, p, tap);
 #ifdef PS_SHADOW_COLORED

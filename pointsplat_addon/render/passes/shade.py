@@ -25,6 +25,7 @@ DATA = {
 }
 NEED_OWNER = ("object_index", "crypto_object", "vector")
 LEAST_SPREAD = 0.99  # of |g|: lobes narrower than this would alias between splats
+LAMP_POINTS, MOST_LAMP_POINTS = 32, 4  # of a wide lamp: in a picture, and in one of its samples
 MIST_EXPONENT = {"LINEAR": 1.0, "QUADRATIC": 2.0, "INVERSE_QUADRATIC": 0.5}
 
 
@@ -39,15 +40,18 @@ def data(passes: frozenset[str]) -> tuple[str, ...]:
 
 
 def shade_program(
-    variant: Variant, lighting: tuple[str, ...], materials: tuple[str, ...], passes: frozenset[str]
+    variant: Variant, lighting: tuple[str, ...], materials: tuple[str, ...], passes: frozenset[str], samples: int = 1
 ) -> Interface:
-    """`lighting`, `materials`: the PS_ names of what shines and of what surfaces do with it."""
+    """`lighting`, `materials`: the PS_ names of what shines and of what surfaces do with it. Wide lamps are looked at
+    from as many points as the `samples` of a picture leave over from LAMP_POINTS."""
     read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
     names = (*variant.defines, *materials, *_averaged_defines(passes))
+    points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)
+    taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
     return Interface(
         "shade", fragment="shade.frag", block=FRAME, outputs=_averaged_outputs(passes),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
-        defines=(*lighting_defines(lighting), *((name, "1") for name in names)),
+        defines=(*lighting_defines(lighting), *taps, *((name, "1") for name in names)),
     )  # fmt: skip
 
 
