@@ -1,10 +1,13 @@
 """Drive the add-on inside a desktop Blender with a window; the exit status tells whether all went well.
 
     blender --factory-startup --python tests/desktop/run.py [-- --zip dist/pointsplat-0.1.0.zip] [--output out/desktop]
+        [--scene FILE.blend]
 
 Facts decide the exit status; times are printed as figures, because they are the machine's.
-Without --zip the checkout is registered as it lies. Pictures of the window go to the output folder. Under X11, xdotool
-presses Esc and ImageMagick takes the pictures; without xdotool, Esc is left out, and said so.
+Without --zip the checkout is registered as it lies. With --scene, a file is orbited in the Rendered viewport, and that
+is all (`python scripts/demo_translucent.py --scene outdoor` makes one that mixes everything). Pictures of the window go
+to the output folder. Under X11, xdotool presses Esc and ImageMagick takes the pictures; without xdotool, Esc is left
+out, and said so.
 """
 
 import argparse
@@ -33,6 +36,7 @@ events = {"complete": 0, "cancel": 0}
 def arguments():
     parser = argparse.ArgumentParser(prog="run.py")
     parser.add_argument("--zip", type=Path, help="install this archive instead of registering the checkout")
+    parser.add_argument("--scene", type=Path, help="orbit this file instead of telling the whole story")
     parser.add_argument("--output", type=Path, default=ROOT / "out" / "desktop")
     argv = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
     return parser.parse_args(argv)
@@ -300,11 +304,44 @@ def save_and_load(folder, before):
     check(difference(before, shoot(folder, "loaded")) < 0.02, "after loading the viewport is as before")
 
 
+def orbit_file(folder, path):
+    """A file as its camera sees it, then from all around, in motion and at rest."""
+    bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
+    yield 1.0
+    bpy.context.scene.render.engine = "POINTSPLAT"
+    _, area, _, space = viewport()
+    view = space.region_3d
+    space.overlay.show_overlays = False
+    view.view_perspective = "CAMERA"
+    space.shading.type = "RENDERED"
+    yield 20.0
+    pictures = [shoot(folder, f"{path.stem}_camera")]
+    view.view_perspective = "PERSP"
+    frames = []
+    for step in range(24):
+        view.view_rotation = Euler((math.radians(78), 0, math.radians(15 * step - 40))).to_quaternion()
+        area.tag_redraw()
+        started = time.monotonic()
+        yield 0.05
+        frames.append(time.monotonic() - started)
+        if step % 6 == 0:
+            shoot(folder, f"{path.stem}_moving_{step:02d}")
+        if step % 6 == 5:
+            yield 8.0
+            pictures.append(shoot(folder, f"{path.stem}_still_{step:02d}"))
+    for i in range(1, len(pictures)):
+        check(difference(pictures[i - 1], pictures[i]) > 0.005, f"the viewport follows the orbit of {path.stem} ({i})")
+    say(f"figure: {sorted(frames)[len(frames) // 2]:.2f} s a step of the orbit in the median")
+
+
 def story(args):
     args.output.mkdir(parents=True, exist_ok=True)
     yield 1.0
     install(args.zip)
     check(registered(), "the engine is registered")
+    if args.scene:
+        yield from orbit_file(args.output, args.scene)
+        return
     watch_renders()
     bpy.context.preferences.view.render_display_type = "NONE"  # F12 leaves the window as it is
     fill_scene()
