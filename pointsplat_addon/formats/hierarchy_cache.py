@@ -22,7 +22,7 @@ from ..core.hierarchy import Hierarchy
 from ..core.packed import Layout, Packed, pack, unpack
 
 MAGIC = b"PSPLAT\r\n"
-VERSION = 1
+VERSION = 2
 SUFFIX = ".pshier"
 FIXED = struct.Struct("<8sII32s")
 HEADER_LIMIT = 1 << 16  # bytes; a header has a few hundred
