@@ -53,6 +53,7 @@ LEAST_SHARE = 1 / 256  # of a row or column: below it, the nearer one takes all
 WORD = 24  # cells to a mask: as many bits as a float32 holds as an integer
 TEXEL = 3 * WORD  # cells to a texel: where its entries start, then three masks
 CHUNK = 1 << 14  # splats that are projected together, so that scratch arrays stay in the cache
+RUN = 1 << 14  # entries that are sorted together, for the same reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,16 +324,18 @@ def build(light: Light, batches: Sequence[Casters], resolution: int) -> ShadowTa
         return ShadowTable(nothing, Emitter("POINT", np.zeros((2, 3))), (), colored)
     frame = _fit(light, batches, resolution)
     rows = _Rows(frame, [_grids(frame, _coarser(frame, kind, batches)) for kind in KINDS])
-    keys, depths = [], []
+    found: list[tuple[np.ndarray, ...]] = []
     for batch in batches:
         spans = _spans(frame, batch)
         for start in range(0, len(batch), CHUNK):
-            key, depth = _entries(rows, batch.take(slice(start, start + CHUNK)), spans)
-            keys.append(key)
-            depths.append(np.broadcast_to(depth[:, None], (len(depth), 3)) if colored and depth.ndim == 1 else depth)
+            cell, at, depth = _entries(rows, batch.take(slice(start, start + CHUNK)), spans)
+            if colored and depth.ndim == 1:
+                depth = np.broadcast_to(depth[:, None], (len(depth), 3))
+            found.append((cell, at, depth))
+    cell, at, depth = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    del found
     emitter = _emitter(light, frame)
-    levels = _levels(rows, np.concatenate(keys), np.concatenate(depths), emitter.shape != "POINT")
-    return ShadowTable(frame, emitter, tuple(levels), colored)
+    return ShadowTable(frame, emitter, tuple(_levels(rows, cell, at, depth, emitter.shape != "POINT")), colored)
 
 
 class _Rows:
@@ -395,8 +398,9 @@ def _spans(frame: Frame, batch: Casters) -> _Spans:
     return _Spans(far / SPAN, far / SPAN ** np.ceil(np.log(far / near) / np.log(SPAN)), least)
 
 
-def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np.ndarray]:
-    """What splats give to the cells: keys (E,) uint64 of cell and distance, optical depths (E,) or (E, 3) float32."""
+def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What splats give to the cells: which (E,) int32, at what distance (E,) float32, how much (E,) or (E, 3) float32:
+    optical depth, of opaque splats the covered fraction."""
     frame = rows.frame
     turn = frame.light_from_world.T.astype(np.float32)
     local = (batch.position + (batch.origin - frame.origin).astype(np.float32)) @ turn
@@ -448,10 +452,8 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
         at = _plane_distance(frame, np.cross(axes[:, 0], axes[:, 1])[which], at, ray[which], middle, to_cell)
     weight = share * rows.inverse_area[row]
     depth = np.minimum(strength[which] * (weight if strength.ndim == 1 else weight[:, None]), np.float32(OPAQUE_DEPTH))
-    cell = (rows.first[row] + column).astype(np.uint64)
-    # Positive float32 are in the order of their bits.
-    key = cell << np.uint64(32) | (np.maximum(at, 0) + np.float32(0)).view(np.uint32)
-    return (key, depth) if inside.all() else (key[inside], depth[inside])
+    cell, at = rows.first[row] + column, np.maximum(at, 0)
+    return (cell, at, depth) if inside.all() else (cell[inside], at[inside], depth[inside])
 
 
 def _level(rows: _Rows, batch: Casters, distance: np.ndarray, spans: _Spans) -> np.ndarray:
@@ -563,28 +565,14 @@ def _at_least(value: np.ndarray, least: np.ndarray) -> np.ndarray:
     return np.copysign(np.maximum(np.maximum(np.abs(value), least), np.float32(1e-30)), value)
 
 
-def _levels(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> Iterator[Level]:
-    """Sort the entries of all cells at once, sum within cells, and cut into levels. `wide`: the lamp has a size."""
-    order = np.argsort(key, kind="stable")
-    key, depth = key[order], depth[order].astype(np.float64)
-    del order
-    total = _sums_within(key >> np.uint64(32), depth)
-
-    # What lies behind no light at all is not needed, but where light comes from the side.
-    before = total - depth if depth.ndim == 1 else (total - depth).min(axis=1)
-    lit = before < OPAQUE_DEPTH
-    if not wide:
-        opaque = np.searchsorted(key, np.uint64(rows.cell_base[rows.levels]) << np.uint64(32))
-        lit[:opaque] = before[:opaque] < 1
-    # Of one distance, the last holds the sum.
-    if not lit.all():
-        key, total = key[lit], total[lit]
-    last = np.append(key[1:] != key[:-1], True)
-    if not last.all():
-        key, total = key[last], total[last]
-    total = total.astype(np.float32).reshape(len(key), -1)
-    cell, distance = (key >> np.uint64(32)).astype(np.int64), (key & np.uint64(0xFFFFFFFF)).astype(np.uint32)
-    starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]) if len(cell) else np.zeros(0, bool))
+def _levels(rows: _Rows, cell: np.ndarray, at: np.ndarray, depth: np.ndarray, wide: bool) -> Iterator[Level]:
+    """Sort the entries of all cells, sum within cells, and cut into levels. `wide`: the lamp has a size."""
+    opaque = 0 if wide else int(rows.cell_base[rows.levels])
+    summed = [_summed(key, part, opaque) for key, part in _sorted_runs(cell, at, depth)]
+    del cell, at, depth
+    cell, distance, total = (np.concatenate(parts) for parts in zip(*summed, strict=True))
+    del summed
+    starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
     occupied = cell[starts]
     starts = np.append(starts, len(cell))
     for k, (grid, base) in enumerate(zip(rows.grids, rows.cell_base, strict=True)):
@@ -594,8 +582,55 @@ def _levels(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> Iter
         first, end = int(starts[low]), int(starts[high])
         rank, mask = _masks(occupied[low:high] - base, grid.cells)
         links = (starts[low : high + 1] - first).astype(np.int32)
-        near = distance[first:end].view(np.float32)
-        yield Level(KINDS[k // rows.levels], grid, rank, mask, links, near.copy(), total[first:end].copy())
+        yield Level(
+            KINDS[k // rows.levels], grid, rank, mask, links, distance[first:end].copy(), total[first:end].copy()
+        )
+
+
+def _sorted_runs(cell: np.ndarray, at: np.ndarray, depth: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Runs of whole cells in order: keys (E,) uint64 of cell and distance, and depths; those of one key as given.
+
+    Entries are first dealt out to runs that fit the processor's caches: the cost then grows with their number.
+    """
+    group = cell >> max(int(cell.max(initial=0)).bit_length() - 20, 0)
+    count = np.bincount(group)
+    run = ((np.cumsum(count) - count) // max(RUN, len(cell) >> 15)).astype(np.uint16)[group]
+    order = np.argsort(run, kind="stable")  # of 16 bits: a radix sort
+    ends = np.cumsum(np.bincount(run)).tolist()
+    for start, end in pairwise([0, *ends]):
+        if start == end:
+            continue
+        where = order[start:end]
+        # Positive float32 are in the order of their bits; adding 0 makes -0 one of them.
+        part = cell[where].astype(np.uint64) << np.uint64(32) | (at[where] + np.float32(0)).view(np.uint32)
+        first = part.min() >> np.uint64(32) << np.uint64(32)
+        bits = len(part).bit_length()
+        if int(part.max() - first).bit_length() + bits <= 64:
+            # Sorting numbers is several times as fast as finding their order: each carries its index.
+            carried = (part - first) << np.uint64(bits) | np.arange(len(part), dtype=np.uint64)
+            index = (np.sort(carried) & np.uint64((1 << bits) - 1)).astype(np.int64)
+        else:
+            index = np.argsort(part, kind="stable")
+        yield part[index], depth[where[index]]
+
+
+def _summed(key: np.ndarray, depth: np.ndarray, opaque: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cells (E,) int32, distances (E,) float32 and sums over each cell up to there (E, C) float32, of sorted entries.
+
+    Cells below `opaque` hold covered fractions, of which nothing counts behind 1.
+    """
+    depth = depth.astype(np.float64)
+    cell = (key >> np.uint64(32)).astype(np.int32)
+    total = _sums_within(cell, depth)
+    # What lies behind no light at all is not needed, but where light comes from the side.
+    before = total - depth if depth.ndim == 1 else (total - depth).min(axis=1)
+    lit = before < np.where(cell < opaque, 1, OPAQUE_DEPTH)
+    # Of one distance, the last holds the sum.
+    key, total = key[lit], total[lit]
+    last = np.append(key[1:] != key[:-1], True)
+    key, total = key[last], total[last].astype(np.float32)
+    distance = (key & np.uint64(0xFFFFFFFF)).astype(np.uint32).view(np.float32)
+    return (key >> np.uint64(32)).astype(np.int32), distance, total.reshape(len(key), -1)
 
 
 def _sums_within(group: np.ndarray, values: np.ndarray) -> np.ndarray:
