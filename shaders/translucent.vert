@@ -3,6 +3,7 @@
 #include "lib/kernel.glsl"
 
 #define PS_LOW_PASS 0.04
+#define PS_SHAPED 0.25  // pixels^4: determinant of the covariance above which kernels have shapes of their own
 
 void main()
 {
@@ -15,11 +16,16 @@ void main()
   float det = c.x * c.z - c.y * c.y;
   float kept = scale < 1.0 ? scale * scale * sqrt((shape.x * shape.z - shape.y * shape.y) / det) : 1.0;
   v_centre = scale * (place.xy + frame.focal.zw);
-  v_source = vec4(texelFetch(ps_source, at, 0).rgb, kept * place.w);
+  vec4 source = texelFetch(ps_source, at, 0);
+  v_source = vec4(source.rgb, kept * place.w);
 #ifdef PS_CHANNEL
   v_source.w *= texelFetch(ps_tint, at, 0)[PS_CHANNEL];
 #endif
-  v_conic = vec4(c.z, -c.y, c.x, 0.0) / det;
+  v_conic = vec4(vec3(c.z, -c.y, c.x) / det, source.w);
+#ifdef PS_KERNELS
+  // The shapes of splats that are no wider than a pixel would only be missed between the pixels' centres.
+  v_conic.w = det > PS_SHAPED ? source.w : source.w < 0.0 ? -1.0 : 0.0;
+#endif
 #ifdef PS_AMONG_OPAQUE
   vec4 front = texelFetch(ps_front, at, 0);
   v_front = vec4(place.z, 1.0 / front.x, front.yz / scale);

@@ -1,6 +1,7 @@
 // One translucent splat of the draw list: its ellipse in pixels, its optical depth and the light that it sends to the
 // eye. Texel by texel; layouts: render/passes/translucent.py. Reference: core/media_reference.py.
 // PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
+// PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/camera.glsl"
@@ -53,7 +54,7 @@ void main()
 
   // Half-axes in view space.
   vec4 head = texelFetch(ps_place, at, 0), extent = texelFetch(ps_extent, at, 0);
-  vec3 optics = texelFetch(ps_optics, at, 0).xyz;
+  vec4 optics = texelFetch(ps_optics, at, 0);
   vec4 rows[3] = vec4[3](ps_instance_row(instance, 0), ps_instance_row(instance, 1), ps_instance_row(instance, 2));
   vec4 q = vec4(head.xyz, 1.0);
   vec3 p = vec3(dot(rows[0], q), dot(rows[1], q), dot(rows[2], q));
@@ -189,6 +190,14 @@ void main()
   out_place = seen ? vec4(centre, d, peak * kept * PS_PEAK) : vec4(0.0);
   out_shape = seen ? vec4(wide, 0.0) : vec4(1.0, 0.0, 1.0, 0.0);
   out_source = vec4(ps_finite(source), 0.0);
+#ifdef PS_KERNELS
+  out_source.w = optics.w;
+#endif
+#ifdef PS_HOLDOUT
+  if (ps_instance_row(instance, 3).x > 0.5) {
+    out_source = vec4(0.0, 0.0, 0.0, -1.0 - out_source.w);
+  }
+#endif
 #ifdef PS_AMONG_OPAQUE
   // Regression of depth on the place in the picture, and what it leaves of the variance.
   vec3 deep = -0.5 * vec3(a.z, b.z, c.z);

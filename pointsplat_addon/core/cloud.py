@@ -20,6 +20,7 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     "extinction": (None, np.float32),
     "material": ((), np.uint16),
     "value": ((), np.float32),
+    "kernel": ((), np.uint8),
 }
 
 SCATTERED = 1 << 16  # points: fewer stay in the caches, whatever their order
@@ -47,6 +48,9 @@ class PointCloud:
     extinction: np.ndarray | None = None  # (N,) or (N, 3) float32, per object unit
     material: np.ndarray | None = None  # (N,) uint16, rows of the material table
     value: np.ndarray | None = None  # (N,) float32, physical scalar for transfer functions
+    kernel: np.ndarray | None = (
+        None  # (N,) uint8, row of core.kernel.PROFILES: shape of splats that light passes through
+    )
 
     def __post_init__(self) -> None:
         """Raise ValueError where an attribute's length, shape or dtype does not fit."""

@@ -73,6 +73,7 @@ class Hierarchy:
     )
     value: np.ndarray | None = None  # (M,) float32
     material: np.ndarray | None = None  # (M,) uint16, of the heaviest child
+    kernel: np.ndarray | None = None  # (M,) uint8, 0: many splats of any shape look like one of the default
     mass: np.ndarray | None = None  # (M,) or (M, C) float32: integral of extinction, or of optical depth over area
     covered: np.ndarray | None = None  # (M,) float32: fraction of the kernel's volume (shells: ellipse) that is filled
 
@@ -121,7 +122,8 @@ def recolor(hierarchy: Hierarchy, cloud: PointCloud, in_tree_order: bool = False
     changes. Equal to `refit`, in half the time where splats are not weighted by their opacity.
 
     `cloud` has the attributes of the hierarchy's, in the original order unless `in_tree_order`; places, normals,
-    half-axes and materials stay the hierarchy's. Raises ValueError as `refit` does, or where attributes are others.
+    half-axes, materials and kernels stay the hierarchy's. Raises ValueError as `refit` does, or where attributes are
+    others.
     """
     if cloud.arrays().keys() != hierarchy.cloud.arrays().keys():
         raise ValueError("recolor with other attributes than the hierarchy has")
@@ -202,7 +204,7 @@ def splats(hierarchy: Hierarchy) -> PointCloud:
         arrays["normal"] = np.concatenate([normal, hierarchy.normal])
         arrays["axis"] = np.concatenate([axis, hierarchy.axis])
         arrays["radii"] = np.concatenate([radii, drawn])[:, :columns]
-    for name in (*AVERAGED, "material"):
+    for name in (*AVERAGED, "material", "kernel"):
         array = getattr(cloud, name)
         if array is not None:
             arrays[name] = np.concatenate([array, getattr(hierarchy, name)])
@@ -587,6 +589,7 @@ def _evaluate(cloud: PointCloud, order: np.ndarray, tree: Tree) -> Hierarchy:
         radii=_columns(rows.radii), bound=_columns(rows.bound), sphere=rows.sphere,
         cone=np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1), smallest=rows.smallest,
         material=None if cloud.material is None else rows.material[0],
+        kernel=None if cloud.kernel is None else np.zeros(len(tree), np.uint8),
         **named,
     )  # fmt: skip
 

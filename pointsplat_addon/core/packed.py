@@ -77,7 +77,9 @@ class Packed:
 def pack(hierarchy: Hierarchy) -> Packed:
     """Quantise. Colours and emission below 0 become 0, and unit-range attributes are clipped to [0, 1]."""
     cloud, tree = hierarchy.cloud, hierarchy.tree
-    names = [name for name in (*AVERAGED, "material", "mass", "covered") if getattr(hierarchy, name) is not None]
+    names = [
+        name for name in (*AVERAGED, "material", "kernel", "mass", "covered") if getattr(hierarchy, name) is not None
+    ]
     layout = Layout(
         normal=cloud.normal is not None,
         axis=cloud.normal is not None and cloud.axis is not None,

@@ -201,9 +201,7 @@ class Frame:
         self._lent = self.renderer.pool.borrow(plan, passes, size, count)
         self.targets = self._lent[1]
         device.clear(self.targets.sum_target)
-        self.shade = shade_pass.shade_program(
-            plan.variant, plan.lighting, plan.materials, passes, self.request.samples
-        )
+        self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes, self.request.samples)
         self.background = shade_pass.background_program(plan.lighting, self.scene.transparent, passes)
         self.lit: translucent_pass.LitSplats | None = None
         if plan.translucent is not None:
@@ -212,6 +210,7 @@ class Frame:
             )
             variant = plan.variant
             channels = variant.samplers(only=("place", "shape", "normal") if variant.normal else ("place",))
+            self.add_program = translucent_pass.add_program(plan.translucent)
             self.depth_program = translucent_pass.depth_program(channels, variant.normal)
             self.lit = self._own(translucent_pass.LitSplats(device, plan.translucent, program, self.uploads.listed))
 
@@ -301,8 +300,8 @@ class Frame:
             )
         else:
             run("translucent", lambda: lit.draw(targets.layer_target, record.copy(), targets.depth))
-        layer = {"ps_layer": targets.layer}
-        run("add", lambda: draw(translucent_pass.ADD, targets.combined_target, layer, "blend"))
+        layer = {"ps_layer": targets.layer, **({} if targets.cut is None else {"ps_cut": targets.cut})}
+        run("add", lambda: draw(self.add_program, targets.combined_target, layer, "blend"))
 
     def _draw_data(self, record: np.ndarray) -> None:
         camera = self.view

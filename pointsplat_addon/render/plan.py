@@ -53,7 +53,10 @@ def make_plan(
     spheres = prepared.spheres.cut.splats > 0
     behind = [p.cloud for p in prepared.translucent.point_sets.values()]
     solid = points or polygons or spheres
-    translucent = translucent_options(behind, scene.materials, solid) if behind else None
+    held = np.zeros(len(scene.instances), bool) if scene.instances.holdout is None else scene.instances.holdout
+    holdout = bool(held.any())
+    cut = bool(held[prepared.translucent.set_of_instance >= 0].any())
+    translucent = translucent_options(behind, scene.materials, solid, cut) if behind else None
     drawn = solid or translucent is not None
     graphs = _graphs(scene, prepared)
     channels = {name for graph in graphs for name in graph.channels}
@@ -75,7 +78,6 @@ def make_plan(
     lit = bool(lighting) or surface or "normal" in passes
     variant = Variant(lit, color, surface, emission, wide=wide)
     data_variant = Variant(owner=bool(passes & set(NEED_OWNER)), wide=wide)
-    holdout = scene.instances.holdout is not None and bool(scene.instances.holdout.any())
     shown = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])
     one = not holdout and len(np.unique(shown)) == 1
     options = PointOptions(
@@ -104,7 +106,8 @@ def make_plan(
     return Plan(
         points, polygons, spheres, variant, data_variant, options, lighting, materials,
         background=not scene.transparent or "mist" in passes, data=drawn and bool(data(passes)),
-        translucent=translucent, coarse=interactive and translucent is not None and not translucent.tint,
+        translucent=translucent,
+        coarse=interactive and translucent is not None and not (translucent.tint or translucent.holdout),
         skipped=tuple(skipped),
     )  # fmt: skip
 

@@ -39,7 +39,9 @@ class Targets:
         self.depth: Texture | None = None
         if plan.translucent is not None:
             self.layer = layer = self._own(device.texture(size, "RGBA32F"))
-            self.layer_target: Target = self._own(device.target([layer]))
+            # The share of a pixel's alpha that holdouts take away.
+            self.cut: Texture | None = self._own(device.texture(size, "RGBA32F")) if plan.translucent.holdout else None
+            self.layer_target: Target = self._own(device.target([layer] if self.cut is None else [layer, self.cut]))
             self.combined_target: Target = self._own(device.target(self.sums[:1]))
             self.shade_target = self._own(device.target([layer, *self.sums[1:]]))
             if plan.coarse:
@@ -79,7 +81,7 @@ class Pool:
     def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
         """Targets for a plan, and the key to give them back with."""
         key = (size, count, plan.points, plan.polygons, plan.variant, plan.options, shade_pass.averaged(passes),
-               None if plan.translucent is None else (plan.translucent.opaque, plan.coarse),
+               None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),
                (plan.data_variant, shade_pass.data(passes)) if plan.data else None)  # fmt: skip
         idle, self._idle = self._idle, None
         if idle is not None and idle[0] == key:

@@ -213,7 +213,7 @@ class Uploads:
         origin = np.zeros((len(matrices), 3))
         for row, points in layer.point_sets.items():
             origin[layer.set_of_instance == row] = points.cloud.origin
-        size, data = paged(instance_rows(self.prepared.view_from_object, origin, None), 4)
+        size, data = paged(instance_rows(self.prepared.view_from_object, origin, scene.instances.holdout), 4)
         instances = self._own(device.texture(size, "RGBA32F", data))
         assert sorted_list.texture is not None
         self._remember(page, key, layer, matrices)

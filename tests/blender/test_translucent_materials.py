@@ -409,7 +409,7 @@ def pointcloud(positions, material=None, **attributes):
         ob.data.materials.append(material)
     for attribute, (kind, key, values) in attributes.items():
         made = ob.data.attributes.new(attribute, kind, "POINT")
-        made.data.foreach_set(key, np.asarray(values, np.float32).ravel())
+        made.data.foreach_set(key, np.asarray(values, np.int32 if kind == "INT" else np.float32).ravel())
     with bpy.context.temp_override(active_object=ob, object=ob, selected_objects=[ob], selected_editable_objects=[ob]):
         bpy.context.view_layer.objects.active = ob
         ob.select_set(True)
@@ -429,6 +429,16 @@ def at_centre(cloud):
 
 
 TWO = [(0, 0, 0), (1, 0, 0)]
+
+
+def test_an_attribute_of_integers_chooses_kernels():
+    at, alpha = [(i, 0, 0) for i in range(6)], ("FLOAT", "value", [0.5, 0.5, 0, 0.5, 0.5, 0.5])
+    pointcloud(at, opacity=alpha, kernel=("INT", "value", [0, 3, 2, 1, -1, 300]))
+    np.testing.assert_array_equal(cloud_of(sync()).kernel, [0, 3, 1, 0, 0])  # the third does not show
+    assert cloud_of(sync()).kernel.dtype == np.uint8
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    pointcloud(at, opacity=alpha, kernel=("FLOAT", "value", [1] * 6))
+    assert cloud_of(sync()).kernel is None
 
 
 @pytest.mark.parametrize("name", ["opacity", "alpha"])

@@ -41,7 +41,7 @@ def rich_cloud(n: int = 1200) -> PointCloud:
         color=rng.random((n, 3), np.float32), opacity=rng.random(n, np.float32),
         surface=rng.random((n, 2), np.float32), emission=(100 * rng.random((n, 3), np.float32)),
         extinction=rng.random((n, 3), np.float32), material=rng.integers(0, 9, n).astype(np.uint16),
-        value=rng.standard_normal(n).astype(np.float32),
+        value=rng.standard_normal(n).astype(np.float32), kernel=rng.integers(0, 4, n).astype(np.uint8),
     )  # fmt: skip
 
 

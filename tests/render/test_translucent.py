@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.kernel import EVEN
+from pointsplat_addon.core.kernel import EVEN, PROFILES
 from pointsplat_addon.core.scene import Light, Medium, Settings, Volume, World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame import Renderer, Request
@@ -211,6 +211,42 @@ def test_voxels_of_any_size_let_the_same_light_through(scale):
     assert picture(scaled, eye, 2)[..., 0].mean() == pytest.approx(np.exp(-1.0), rel=5e-3)
 
 
+@pytest.mark.parametrize("primitive", ["", "POLYGONS", "POINTS"])
+@pytest.mark.parametrize("depth", [1.0, np.array([0.2, 1.0, 3.0])])
+def test_a_medium_that_holds_out_takes_of_color_and_alpha_what_it_hides(depth, primitive):
+    """Before glow, or an opaque wall; and behind other glow, of which it takes nothing."""
+    behind = points("glow behind", voxels(1.2, 0.5, 8, 2.0, emission=(2.0, 2.0, 2.0)))
+    if primitive:
+        behind = scenes.mesh(scenes.plane_mesh(f"wall behind {primitive}", 1.5), primitive)
+    things = [
+        (points("glow before", voxels(1.2, 0.5, 8, 1.0, emission=(3.0, 3.0, 3.0))), moved((0, -1, 0))),
+        (points(f"hole {np.size(depth)}", voxels(1.2, 0.5, 8, depth / 0.5, emission=(9.0, 9.0, 9.0))), moved()),
+        (behind, moved((0, 1, 0))),
+    ]
+    table = scenes.materials(base_color=np.zeros((1, 3)), specular=[0], emission=np.ones((1, 3)))
+
+    def mean(which, holdout):
+        made = scenes.scene(
+            *(things[i] for i in which), lights=(), world=World(), table=table, transparent=True, holdout=holdout
+        )
+        return picture(made, from_angle(0), 2).mean(axis=(0, 1))
+
+    before, after = mean([0], None), mean([2], None)
+    through = np.exp(-depth * np.ones(3))
+    expected = before[:3] + (1 - before[3]) * through * after[:3]
+    found = mean([0, 1, 2], [False, True, False])
+    np.testing.assert_allclose(found[:3], expected, rtol=5e-3)
+    # Alpha is the second channel's, the green one's.
+    assert found[3] == pytest.approx(before[3] + (1 - before[3]) * through[1] * after[3], rel=5e-3)
+
+
+def test_holdouts_cost_only_where_they_are_translucent():
+    fog, ball = (points("fog held", voxels(1, 1, 4)), moved()), (points("ball", scenes.sphere_cloud(50)), moved())
+    for holdout, cut in (([True, False], True), ([False, True], False)):
+        device, _ = record(scenes.scene(fog, ball, holdout=holdout, transparent=True))
+        assert ("ps_cut" in {name for i in device.interfaces for _, name in i.samplers}) == cut
+
+
 # Shadows
 
 LAMP = Light("POINT", np.full(3, 50.0), np.array([0.0, 0.0, 3.0]), np.array([0.0, 0, -1]))
@@ -322,6 +358,60 @@ def test_no_table_is_made_where_nothing_shades(why, change):
     assert {entry["name"]: entry["because"] for entry in result.report["skipped"]}["shadows"] == why
     names = {name for i in device.interfaces for _, name in i.samplers}
     assert not {"ps_shadow_tables", "ps_shadow_lights"} & names
+
+
+# Kernels of other shapes
+
+
+def blob(key, row, extinction=0.002, **more):
+    """One ball of a thin medium, of a kernel; None: no attribute."""
+    kernel = None if row is None else np.array([row], np.uint8)
+    cloud = PointCloud(
+        np.zeros((1, 3), np.float32), radii=np.full((1, 1), 0.5, np.float32), color=np.zeros((1, 3), np.float32),
+        extinction=np.full(1, extinction, np.float32), kernel=kernel,
+    )  # fmt: skip
+    return alone(cloud, f"{key} {row} {extinction}", transparent=True)
+
+
+def taken(made, eye_camera=None, samples=1):
+    """Optical depths."""
+    return -np.log1p(-picture(made, eye_camera or camera((0, -4, 0), resolution=(96, 96)), samples)[..., 3])
+
+
+@pytest.mark.parametrize("row", range(len(PROFILES)))
+def test_kernels_of_all_shapes_weigh_the_same(row):
+    plain, shaped = taken(blob("blob", None), samples=16), taken(blob("blob", row), samples=16)
+    assert shaped.sum() == pytest.approx(plain.sum(), rel=5e-4)  # measured 1.3e-4
+
+
+def test_kernels_have_the_shapes_that_their_names_say():
+    default, disk, ring, spark = (taken(blob("blob", row), samples=4) for row in range(4))
+    middle = slice(46, 50)
+    assert ring[middle, middle].max() < 1e-3 * ring.max()
+    assert spark[middle, middle].mean() > 2 * default[middle, middle].mean()
+    # A disk is even over half of its radius and more: 0.87 units wide here, of which 96 pixels see 2.9.
+    assert np.ptp(disk[48, 39:57]) < 1e-3 * disk.max()
+    assert np.ptp(default[48, 39:57]) > 0.2 * default.max()
+
+
+@pytest.mark.parametrize("row", range(len(PROFILES)))
+def test_splats_below_a_pixel_weigh_the_same_whatever_their_kernels(row):
+    far = camera((0, -300, 0), resolution=(24, 24), far=1e3)
+    plain, shaped = taken(blob("far blob", None, 1.0), far, 16), taken(blob("far blob", row, 1.0), far, 16)
+    assert shaped.sum() == pytest.approx(plain.sum(), rel=1e-3)  # measured 1.4e-4
+
+
+def test_kernels_cost_only_where_points_have_them():
+    def used(row):
+        device, _ = record(blob("costs", row))
+        names = {name for i in device.interfaces for _, name in i.samplers}
+        defined = {name for i in device.interfaces for name, _ in i.defines}
+        return "ps_profiles" in names, "PS_KERNELS" in defined, (PROFILES.shape[1], len(PROFILES)) in {
+            texture.size for texture in device.textures
+        }  # fmt: skip
+
+    assert used(None) == (False, False, False)
+    assert used(2) == (True, True, True)
 
 
 # What is drawn

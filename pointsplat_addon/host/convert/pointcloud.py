@@ -15,6 +15,7 @@ import numpy as np
 
 from ...core.appearance import CLIP, ball_extinction
 from ...core.cloud import PointCloud
+from ...core.kernel import PROFILES
 from ...core.materials import MaterialGraph, Needs, SampleInputs, evaluate_samples, needs
 from ...core.scene import MaterialTable, Medium, Volume
 from ...core.volumes import optics
@@ -76,6 +77,7 @@ class Points:
     radius: np.ndarray  # (N,) float32
     normal: np.ndarray | None = None  # (N, 3) float32
     opacity: np.ndarray | None = None  # (N,) float32
+    kernel: np.ndarray | None = None  # (N,) uint8, rows of core.kernel.PROFILES
     colors: dict[str, np.ndarray] = field(default_factory=dict)  # name to (N, 4) as stored
     uv: dict[str, np.ndarray] = field(default_factory=dict)  # name to (N, 2) float32
     grids: dict[str, np.ndarray] = field(default_factory=dict)  # what a medium reads, (N,) or (N, 3) float32
@@ -83,7 +85,7 @@ class Points:
     @property
     def key(self) -> str:
         named = [part for group in (self.colors, self.uv, self.grids) for item in group.items() for part in item]
-        return arrays.digest("pointcloud", self.position, self.radius, self.normal, self.opacity, *named)
+        return arrays.digest("pointcloud", self.position, self.radius, self.normal, self.opacity, self.kernel, *named)
 
 
 def read_pointcloud(
@@ -99,6 +101,7 @@ def read_pointcloud(
         np.full(len(data.points), DEFAULT_RADIUS, np.float32) if radius is None else radius,
         _read(data, "normal", "FLOAT_VECTOR"),
         _opacity(data) if imported else None,
+        _kernel(data),
         {a.name: as_color(a) for a in _color_attributes(data, wanted, imported)},
         _present((name, _read(data, name, "FLOAT2")) for name in wanted.uv if name is not None),
         _present((name, _grid(data, name)) for name in _grid_names(material.medium)),
@@ -130,6 +133,7 @@ def _build(points: Points, material: CloudMaterial) -> PointCloud:
         surface=_surface(varying, material, count),
         emission=_contiguous(varying.get("emission")),
         material=np.full(count, material.row, np.uint16) if material.row else None,
+        kernel=points.kernel,
     )
     if material.extinction > 0 or material.medium is not None:
         return _filled(cloud, points, material)
@@ -192,6 +196,15 @@ def _opacity(data: bpy.types.PointCloud) -> np.ndarray | None:
         return None
     found = next((a for name in OPACITY_NAMES if (a := _read(data, name, "FLOAT")) is not None), None)
     return None if found is None else np.clip(np.nan_to_num(found, nan=1.0), 0, 1)
+
+
+def _kernel(data: bpy.types.PointCloud) -> np.ndarray | None:
+    """(N,) uint8 shapes of splats by an attribute of integers, if any; numbers that name none are the default, 0."""
+    attribute = data.attributes.get("kernel")
+    if attribute is None or attribute.data_type != "INT":
+        return None
+    row = arrays.read(attribute.data, "value", 1, np.int32)
+    return np.where((row >= 0) & (row < len(PROFILES)), row, 0).astype(np.uint8)
 
 
 def _grid_names(medium: Medium | None) -> set[str]:

@@ -4,7 +4,7 @@ A page holds the splats of all translucent point sets, one texel a splat:
   place           xyz relative to the set's origin; packed normal (-1: a ball)
   extent          half-axes (major, minor), packed major axis, material row
   optics          media: extinction per object unit, half-axis along the normal, 1; shells: optical depth of the splat's
-                  own area, 0, 0
+                  own area, 0, 0; row of core.kernel.PROFILES
   color           base colour of shells, albedo of media          \\
   surface         roughness, metallic                              |
   emission        shells: radiance; media: radiance per unit       | where any set has them
@@ -15,7 +15,8 @@ The draw list, sorted, holds two floats a splat: column + 4096 (row % 4096), and
 What lighting leaves of each splat of the list, one texel each:
   place   centre in pixels from the principal point, depth, optical depth at the centre
   shape   covariance in pixels^2 (xx, xy, yy)
-  source  radiance of what is opaque in it (rgb): the splat's is this times 1 - T
+  source  radiance of what is opaque in it (rgb): the splat's is this times 1 - T; the kernel's row k, -1 - k where
+          the splat only cuts a hole
   front   standard deviation of depth along a ray, change of depth per pixel (x, y); where something opaque is drawn
   tint    as above
 """
@@ -29,6 +30,7 @@ import numpy as np
 
 from ...core.cloud import PointCloud
 from ...core.hierarchy import basis, splats
+from ...core.kernel import PROFILES
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
@@ -55,6 +57,8 @@ class TranslucentOptions:
     emission: bool = False
     tint: bool = False  # some extinction differs between the channels
     shading_normal: bool = False
+    kernels: bool = False  # some have another kernel than the default
+    holdout: bool = False  # some cut holes
     opaque: bool = False  # something opaque may hide them
 
     @property
@@ -63,8 +67,8 @@ class TranslucentOptions:
         return tuple((name, getattr(self, name)) for name in names)
 
 
-def options(clouds: list[PointCloud], table: MaterialTable, opaque: bool) -> TranslucentOptions:
-    """What these clouds need. `opaque`: something opaque is drawn, too."""
+def options(clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdout: bool = False) -> TranslucentOptions:
+    """What these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of them cuts a hole."""
     return TranslucentOptions(
         media=any(c.extinction is not None for c in clouds),
         shells=any(c.extinction is None for c in clouds),
@@ -74,6 +78,8 @@ def options(clouds: list[PointCloud], table: MaterialTable, opaque: bool) -> Tra
         or (any(c.extinction is None for c in clouds) and bool((table.emission > 0).any())),
         tint=any(c.extinction is not None and c.extinction.ndim == 2 for c in clouds),
         shading_normal=any(c.shading_normal is not None for c in clouds),
+        kernels=any(c.kernel is not None for c in clouds),
+        holdout=holdout,
         opaque=opaque,
     )
 
@@ -149,6 +155,8 @@ def _optics(cloud: PointCloud) -> np.ndarray:
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = -np.log1p(-np.clip(cloud.opacity.astype(np.float64), 0, 1))
         rows[:, 0] = np.minimum(depth, OPAQUE)
+    if cloud.kernel is not None:
+        rows[:, 3] = np.where(cloud.kernel < len(PROFILES), cloud.kernel, 0)
     return rows
 
 
@@ -202,6 +210,7 @@ def light_program(
     read += tuple(name for name, on in options.attributes if on)
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
     named = {"PS_MEDIA": options.media, "PS_SHELLS": options.shells, "PS_AMONG_OPAQUE": options.opaque}
+    named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout}
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
     outputs = ["place", "shape", "source", *(["front"] if options.opaque else []), *(["tint"] if options.tint else [])]
     return Interface(
@@ -273,13 +282,20 @@ def draw_program(options: TranslucentOptions, channel: str) -> Interface:
     if options.opaque:
         varyings.append(("flat", "vec4", "v_front"))
         defines.append(("PS_AMONG_OPAQUE", "1"))
+    if options.kernels:
+        read.append("profiles")
+        defines += [("PS_KERNELS", "1"), ("PS_PROFILE_STEPS", str(PROFILES.shape[1]))]
+    outputs = [("vec4", "out_color")]
+    if options.holdout:
+        outputs.append(("vec4", "out_cut"))
+        defines.append(("PS_HOLDOUT", "1"))
     if channel:
         read.append("tint")
         defines.append(("PS_CHANNEL", str("RGB".index(channel[0]))))
     return Interface(
         "translucent", vertex="translucent.vert", fragment="translucent.frag", block=FRAME,
         samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),
-        varyings=tuple(varyings), outputs=(("vec4", "out_color"),), defines=tuple(defines),
+        varyings=tuple(varyings), outputs=tuple(outputs), defines=tuple(defines),
     )  # fmt: skip
 
 
@@ -296,10 +312,15 @@ ENLARGE = Interface(
     "enlarge", fragment="translucent_enlarge.frag", block=FRAME, samplers=(("FLOAT_2D", "ps_coarse"),),
     outputs=(("vec4", "out_color"),),
 )  # fmt: skip
-ADD = Interface(
-    "add", fragment="translucent_add.frag", block=FRAME, samplers=(("FLOAT_2D", "ps_layer"),),
-    outputs=(("vec4", "out_combined"),),
-)  # fmt: skip
+
+
+def add_program(options: TranslucentOptions) -> Interface:
+    """One sample's picture to the sums."""
+    return Interface(
+        "add", fragment="translucent_add.frag", block=FRAME,
+        samplers=(("FLOAT_2D", "ps_layer"), *((("FLOAT_2D", "ps_cut"),) if options.holdout else ())),
+        outputs=(("vec4", "out_combined"),), defines=(("PS_HOLDOUT", "1"),) if options.holdout else (),
+    )  # fmt: skip
 
 
 class LitSplats:
@@ -314,6 +335,10 @@ class LitSplats:
             format = "RGBA16F" if name == "out_tint" else "RGBA32F"
             self.textures[name.replace("out_", "ps_")] = device.texture(size, format)
         self.target: Target = device.target(list(self.textures.values()))
+        self._profiles: dict[str, Texture] = {}
+        if options.kernels:
+            kernels, steps = PROFILES.shape
+            self._profiles["ps_profiles"] = device.texture((steps, kernels), "R32F", PROFILES.reshape(-1))
         channels = CHANNELS if options.tint else ("",)
         self.draws = [(draw_program(options, channel), channel or "RGBA") for channel in channels]
 
@@ -327,7 +352,7 @@ class LitSplats:
         in pixels of the picture."""
         record["lens"][0, 3] = 1 / pixels
         record["size"][0, :2] = target.colors[0].size
-        textures = {**self.textures, **({} if depth is None else {"ps_depth": depth})}
+        textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth})}
         for program, mask in self.draws:
             for first in range(0, self.count, CHUNK):
                 record["page"][0, 0] = first
@@ -338,5 +363,5 @@ class LitSplats:
 
     def release(self) -> None:
         self.target.release()
-        for texture in self.textures.values():
+        for texture in (*self.textures.values(), *self._profiles.values()):
             texture.release()
