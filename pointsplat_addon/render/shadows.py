@@ -18,6 +18,7 @@ from ..core.cut import largest_singular_value
 from ..core.lighting import in_rows
 from ..core.scene import Geometry, Light, Mesh, Scene, Settings
 from .prepare import Store, given
+from .shadow_pages import PackedTables, pack
 
 MOST_SAMPLES = 1 << 20  # of all meshes together; where more would be needed, all are sampled more coarsely
 NEAREST = 0.05  # of the scene's radius: lamps that are nearer to a surface do not ask for finer samples
@@ -31,7 +32,7 @@ class Shadows:
     """What lamps need to be shadowed on a device."""
 
     key: tuple  # content key
-    packed: shadow.PackedTables
+    packed: PackedTables
     entries: int
     wide: bool  # some lamp's penumbrae are seen: samples of a picture see different points of it
     warnings: tuple[str, ...] = ()
@@ -106,7 +107,7 @@ def cast(
                     return None
 
             tables.append(store.lookup(("shadow", matter, key), build))
-        packed = shadow.pack(tables, LARGEST_PICTURE)
+        packed = pack(tables, LARGEST_PICTURE)
         entries = sum(table.entries for table in tables if table is not None)
         wide = any(light.shadow and (light.radius > 0 or light.kind == "AREA") for light in lights)
         return Shadows((matter, keys), packed, entries, wide, tuple(warnings))

@@ -1,4 +1,4 @@
-// How much of a lamp's light reaches a point, from its table. Reference and layout: core/shadow.py.
+// How much of a lamp's light reaches a point. Reference: core/shadow_table.py; layout: render/shadow_pages.py.
 // Samplers: ps_shadow_tables (all lamps' cells), ps_shadow_lights (one row for each lamp, of this view).
 // PS_SHADOWS: some lamp casts shadows; else nothing here exists. PS_SHADOW_COLORED: optical depths have three channels.
 // Shadows of wide lamps are the mean of PS_SHADOW_TAPS points of the lamp, of a sequence that goes on from sample to

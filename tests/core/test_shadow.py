@@ -324,7 +324,6 @@ def test_nothing_casts_nothing():
     found = shadow.build(point(0, 0, 0), [], 64)
     assert (found.transmittance(np.zeros((2, 3))) == 1).all()
     assert found.entries == 0
-    assert shadow.pack([None, found]).records(np.eye(4)).shape == (2, shadow.HEAD, 4)
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e4])
@@ -379,11 +378,3 @@ def test_spot_and_area_lamps_leave_out_what_they_do_not_light():
     assert narrow.optical_depth(place) == pytest.approx(wide.optical_depth(place), rel=0.02)  # of 8 voxels
     up = Light("AREA", np.ones(3), np.array([0, 0, 3.0]), -DOWN, axis_u=np.eye(3)[0] * 0.1, axis_v=np.eye(3)[1] * 0.1)
     assert table(up, cloud).entries == 0
-
-
-def test_integers_beyond_2_24_survive_as_floats():
-    integers = np.array([0, 1, 2**24 + 1, 2**31 - 2**24 - 1])
-    code = shadow.coded(integers)
-    assert np.isfinite(code).all()
-    assert (np.abs(code) >= np.finfo(np.float32).tiny).all()
-    assert (code.view(np.int32).astype(np.int64) - 0x00800000 == integers).all()

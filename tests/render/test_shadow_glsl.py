@@ -7,6 +7,7 @@ import pytest
 
 from pointsplat_addon.core import shadow
 from pointsplat_addon.core.scene import Light
+from pointsplat_addon.render import shadow_pages
 from pointsplat_addon.shading.interface import Interface
 
 moderngl = pytest.importorskip("moderngl")
@@ -89,7 +90,7 @@ def on_device(device, packed, light, position, normal):
 @pytest.mark.parametrize("colored", [False, True])
 def test_device_equals_numpy(device, colored):
     tables = [shadow.build(light, matter(colored), 64) for light in LIGHTS.values()]
-    packed = shadow.pack([None, *tables])
+    packed = shadow_pages.pack([None, *tables])
     position = RNG.uniform(-1.5, 1.5, (COUNT, 3))
     normal = RNG.normal(size=(COUNT, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -106,3 +107,16 @@ def test_device_equals_numpy(device, colored):
         # distance that it is compared with, float32 decides either way, in 1 of 8 taps
         assert np.quantile(error, 0.99) < 5e-4, name
         assert error.max() < (1 / TAPS if name in SOFT else 1e-3), name
+
+
+def test_integers_beyond_2_24_survive_as_floats():
+    integers = np.array([0, 1, 2**24 + 1, 2**31 - 2**24 - 1])
+    code = shadow_pages.coded(integers)
+    assert np.isfinite(code).all()
+    assert (np.abs(code) >= np.finfo(np.float32).tiny).all()
+    assert (code.view(np.int32).astype(np.int64) - 0x00800000 == integers).all()
+
+
+def test_lamps_without_casters_have_a_record():
+    nothing = shadow.build(Light("POINT", np.ones(3), np.zeros(3), np.array([0, 0, -1.0])), [], 64)
+    assert shadow_pages.pack([None, nothing]).records(np.eye(4)).shape == (2, shadow_pages.HEAD, 4)

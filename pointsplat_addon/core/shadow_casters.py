@@ -1,0 +1,105 @@
+"""What casts shadows: splats in world space, of media, of surfaces that let light through, and of opaque ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .cloud import PointCloud
+
+OPAQUE_DEPTH = 100.0  # optical depth that stands for no light at all
+KINDS = ("OPAQUE", "SHELL", "VOLUME")
+CHUNK = 1 << 14  # splats that are handled together, so that scratch arrays stay in the cache
+
+
+@dataclass(frozen=True, eq=False)
+class Casters:
+    """Splats of one kind in world space: balls (`radius`), ellipses or ellipsoids (`axes`)."""
+
+    kind: str  # one of KINDS
+    origin: np.ndarray  # (3,) float64
+    position: np.ndarray  # (N, 3) float32, relative to origin
+    radius: np.ndarray | None = None  # (N,) float32
+    axes: np.ndarray | None = None  # (N, K, 3) float32, half-axes: K = 2 flat, 3 solid
+    # VOLUME: (N,) or (N, 3) float32, optical mass in units^2: the integral of extinction over the splat.
+    # SHELL: (N,) or (N, 3) float32, optical depth -ln(1 - opacity) face on. OPAQUE: None.
+    mass: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def colored(self) -> bool:
+        return self.mass is not None and self.mass.ndim == 2
+
+    def take(self, index: np.ndarray | slice) -> Casters:
+        arrays = (self.position, self.radius, self.axes, self.mass)
+        position, radius, axes, mass = (None if a is None else a[index] for a in arrays)
+        assert position is not None
+        return Casters(self.kind, self.origin, position, radius, axes, mass)
+
+    def reach(self) -> np.ndarray:
+        """(N,) float32: the longest half-axis."""
+        if self.axes is None:
+            assert self.radius is not None
+            return self.radius
+        return np.sqrt(np.einsum("nkc,nkc->nk", self.axes, self.axes).max(axis=1))
+
+
+def casters(cloud: PointCloud, world_from_object: np.ndarray) -> Casters:
+    """The splats of `cloud` as casters: VOLUME where it has `extinction`, SHELL where it has `opacity`, else OPAQUE.
+
+    world_from_object: (4, 4) float64. Extinction is per object unit, so scaling an object keeps its optical depths.
+    Splats with a NaN or infinity, or without size or mass, are left out.
+    """
+    linear = np.asarray(world_from_object[:3, :3], float)
+    origin = linear @ cloud.origin + world_from_object[:3, 3]
+    position = cloud.position @ linear.T.astype(np.float32)
+    kind = "VOLUME" if cloud.extinction is not None else "SHELL" if cloud.opacity is not None else "OPAQUE"
+    radii = np.zeros((len(cloud), 1), np.float32) if cloud.radii is None else cloud.radii
+    radius, axes, size = None, None, radii[:, 0]
+    solid = kind == "VOLUME" and radii.shape[1] == 3
+    with np.errstate(over="ignore", invalid="ignore"):
+        if cloud.normal is None or (kind == "VOLUME" and not solid):
+            scale = np.linalg.norm(linear, axis=0)
+            if np.allclose(linear.T @ linear, np.eye(3) * scale[0] ** 2, atol=1e-4 * scale.max() ** 2):
+                radius = radii[:, 0] * np.float32(scale[0])
+            else:
+                axes = radii[:, :1, None] * linear.T.astype(np.float32)
+        else:
+            axes = _half_axes(cloud, radii, solid) @ linear.T.astype(np.float32)
+        mass = None
+        if cloud.extinction is not None:
+            volume = 4 / 3 * np.pi * (radii[:, :3].prod(axis=1) if solid else radii[:, 0] ** 3)
+            volume *= abs(np.linalg.det(linear)) ** (2 / 3)
+            extinction = cloud.extinction[:, 0] if cloud.extinction.shape[1:] == (1,) else cloud.extinction
+            mass = np.maximum(extinction, 0) * (volume if extinction.ndim == 1 else volume[:, None])
+            size = mass if mass.ndim == 1 else mass.sum(axis=1)
+        elif cloud.opacity is not None:
+            least = np.float32(np.exp(-OPAQUE_DEPTH / 2))  # float32 holds it
+            mass = -np.log(np.maximum(1 - np.clip(cloud.opacity, 0, 1), least))
+            mass[cloud.opacity >= 1] = OPAQUE_DEPTH
+            size = size * mass
+        good = np.isfinite(position).all(axis=1) & np.isfinite(size) & (size > 0)
+        good &= np.isfinite(axes).all(axis=(1, 2)) if axes is not None else np.isfinite(radii[:, 0])
+    if mass is not None:
+        mass = mass.astype(np.float32, copy=False)
+    result = Casters(kind, origin, position, radius, axes, mass)
+    return result if good.all() else result.take(good)
+
+
+def _half_axes(cloud: PointCloud, radii: np.ndarray, solid: bool) -> np.ndarray:
+    """(N, 2 or 3, 3) float32 in object space."""
+    normal = cloud.normal
+    assert normal is not None
+    first = cloud.axis
+    if first is None:
+        # Any direction in the plane of a disk: the cross product with the axis that is farthest from the normal.
+        least = np.eye(3, dtype=np.float32)[np.abs(normal).argmin(axis=1)]
+        first = np.cross(normal, least)
+        first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), np.float32(1e-20))
+    second = np.cross(normal, first)
+    frame = [first, second, normal] if solid else [first, second]
+    columns = [min(k, radii.shape[1] - 1) for k in range(len(frame))]
+    return np.stack([a * radii[:, k, None] for a, k in zip(frame, columns, strict=True)], axis=1)
