@@ -25,6 +25,7 @@ NEAREST = 0.05  # of the scene's radius: lamps that are nearer to a surface do n
 FEW_INSTANCES = 64  # of one mesh: so many are asked where they are nearest to a lamp
 SCATTERED = 1024  # places of a mesh that are asked for it
 LARGEST_PICTURE = 16384  # rows of a texture
+FARTHEST = 1e18  # units from the origin: squares of distances are to fit float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,8 @@ def _casting(scene: Scene) -> np.ndarray:
     """(I,) bool: instances that cast shadows."""
     instances = scene.instances
     casts = np.ones(len(instances), bool) if instances.casts is None else instances.casts.astype(bool)
-    return casts & np.isfinite(instances.world_from_object).all(axis=(1, 2))
+    # What is no number is not smaller.
+    return casts & (np.abs(instances.world_from_object) < FARTHEST).all(axis=(1, 2))
 
 
 def cast(
@@ -148,7 +150,7 @@ def _ball(geometry: Geometry) -> tuple[np.ndarray, float]:
         ok, _ = sampling.validate(mesh)
         position, origin = mesh.position[np.unique(mesh.triangles[ok])], np.zeros(3)
     elif cloud is not None and len(cloud):
-        position, origin = finite(cloud)[0].position, cloud.origin
+        position, origin = _reached(finite(cloud)[0]).position, cloud.origin
     else:
         return np.zeros(3), -1.0
     if len(position) == 0:
@@ -227,11 +229,19 @@ def _batches(
         cloud = caster.geometry.cloud
         if cloud is not None:
             cloud, _ = store.lookup(("finite", caster.geometry.key), lambda cloud=cloud: given(cloud))
+            cloud = _reached(cloud)
         if caster.geometry.mesh is not None:
             cloud = _sampled(scene, caster.geometry, caster.geometry.mesh, length, store) if length > 0 else None
         if cloud is not None and len(cloud):
             found += [shadow.casters(cloud, matrix) for matrix in caster.matrices]
     return found
+
+
+def _reached(cloud: PointCloud) -> PointCloud:
+    """The points that are not farther away than numbers reach."""
+    if len(cloud) == 0 or max(-float(cloud.position.min()), float(cloud.position.max())) < FARTHEST:
+        return cloud
+    return cloud.take(np.flatnonzero((np.abs(cloud.position) < FARTHEST).all(axis=1)))
 
 
 def _sampled(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store: Store) -> PointCloud:

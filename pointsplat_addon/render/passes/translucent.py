@@ -150,7 +150,9 @@ def _optics(cloud: PointCloud) -> np.ndarray:
         if cloud.radii is not None:
             thick = cloud.normal is not None and cloud.radii.shape[1] == 3
             # A flat splat of a medium stands for a slab as thick as it is wide.
-            rows[:, 1] = cloud.radii[:, 2] if thick else np.sqrt(cloud.radii[:, 0] * cloud.radii[:, -1])
+            rows[:, 1] = (
+                cloud.radii[:, 2] if thick else np.sqrt(np.abs(cloud.radii[:, 0])) * np.sqrt(np.abs(cloud.radii[:, -1]))
+            )
     elif cloud.opacity is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = -np.log1p(-np.clip(cloud.opacity.astype(np.float64), 0, 1))
