@@ -63,7 +63,7 @@ def assert_room_is_right(*things, lights=None, rtol=2e-3, **more):
     expected = left(draw(room(lights=lights)))
     assert expected.max() > 0.1
     apart = np.abs(left(found) - expected)
-    # But for single pixels: shadow tables are fitted to all that casts, so that their cells lie elsewhere.
+    # But for what the shadow of one nearly opaque ball, as blurred as its cells are wide, reaches: a single pixel.
     assert np.mean(apart > rtol * (expected + expected.max())) < 5e-3  # measured 1e-3
     assert apart.max() < 0.05 * expected.max()  # measured 2.1 %
     return found
