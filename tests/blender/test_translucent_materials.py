@@ -10,6 +10,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 import pointsplat_addon  # noqa: E402
+from pointsplat_addon.core.kernel import PEAK  # noqa: E402
 from pointsplat_addon.core.materials import SampleInputs, evaluate_samples  # noqa: E402
 from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key  # noqa: E402
 
@@ -422,10 +423,10 @@ def cloud_of(scene, row=0):
 
 
 def at_centre(cloud):
-    """Optical depth through the centres of balls: their mass times the truncated Gaussian's peak."""
+    """Optical depth through the centres of balls: their mass times the kernel's peak."""
     radius = cloud.radii[:, 0].astype(float)
     mass = 4 / 3 * np.pi * radius**3 * cloud.extinction
-    return mass / (2 * np.pi * (radius / 2) ** 2) / -np.expm1(-4.5)
+    return PEAK * mass / (2 * np.pi * (radius / 2) ** 2)
 
 
 TWO = [(0, 0, 0), (1, 0, 0)]

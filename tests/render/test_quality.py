@@ -67,7 +67,7 @@ def picture(geometry, view: int, tolerance: float = 1.0, samples: int = 8) -> np
     scene = scenes.scene(
         (geometry, scenes.moved()), lights=[sun], world=World(np.zeros(3)), table=table, transparent=True
     )
-    case = Case(scene, camera, Settings(tolerance=tolerance))
+    case = Case(scene, camera, Settings(tolerance=tolerance, use_shadows=False))
     return render(case, frozenset({"combined"}), samples).pixels["combined"]
 
 
