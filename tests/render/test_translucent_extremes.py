@@ -229,7 +229,7 @@ def test_a_lamp_on_a_point_loses_half_of_the_points_depth():
 def test_a_lamp_inside_of_smoke():
     smoke = voxels(2, 2, 8, 0.7, color=(0.8, 0.8, 0.8))
     light = lamp((0.013, 0.02, 0.01))
-    found = draw(room((points("smoke", smoke), moved()), lights=(light,)))
+    found = draw(room((points("smoke round a lamp", smoke), moved()), lights=(light,)))
     clear = draw(room(lights=(light,)))
     corner = found[:6, :6, :3].mean() / clear[:6, :6, :3].mean()
     # To a corner of the picture it goes through more than 1 and less than 1.8 units; some is scattered on the way.
