@@ -69,7 +69,10 @@ def make_plan(
     shining = light_names(scene.lights, smoothest) if drawn else ()
     lighting = (*(() if scene.transparent and not drawn else _world(scene)), *shining)
     if shadows is not None:
-        lighting += ("PS_SHADOWS", "PS_SHADOW_SAMPLE", *(("PS_SHADOW_COLORED",) if shadows.packed.colored else ()))
+        packed = shadows.packed
+        named = {"PS_SHADOW_COLORED": packed.colored, "PS_SHADOW_SOLID": packed.solid, "PS_SHADOW_SUNS": packed.suns,
+                 "PS_SHADOW_HARD": packed.hard}  # fmt: skip
+        lighting += ("PS_SHADOWS", "PS_SHADOW_SAMPLE", *(name for name, on in named.items() if on))
     color = (
         surface or any(c.color is not None for c in clouds) or (polygons and bool(channels & {"base_color", "alpha"}))
     )

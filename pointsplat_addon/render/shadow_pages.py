@@ -28,6 +28,25 @@ class PackedTables:
     tables: tuple[ShadowTable | None, ...]  # of each lamp; None: it casts no shadow
     levels: np.ndarray  # (lamps, most levels, LEVEL, 4) float32
 
+    @property
+    def solid(self) -> bool:
+        """Only opaque things cast."""
+        return all(level.kind == "OPAQUE" for table in self._made for level in table.levels)
+
+    @property
+    def suns(self) -> bool:
+        """Only suns cast shadows."""
+        return all(table.frame.parallel for table in self._made)
+
+    @property
+    def hard(self) -> bool:
+        """No lamp has a size."""
+        return all(table.emitter.shape == "POINT" for table in self._made)
+
+    @property
+    def _made(self) -> list[ShadowTable]:
+        return [table for table in self.tables if table is not None]
+
     def records(self, view_from_world: np.ndarray) -> np.ndarray:
         """(lamps, HEAD + LEVEL levels, 4) float32: ps_shadow_lights for one view, (4, 4) float64 and rigid.
 

@@ -2,7 +2,9 @@
 // Samplers: ps_shadow_tables (all lamps' cells), ps_shadow_lights (one row for each lamp, of this view).
 // PS_SHADOWS: some lamp casts shadows; else nothing here exists. PS_SHADOW_COLORED: optical depths have three channels.
 // Shadows of wide lamps are the mean of PS_SHADOW_TAPS points of the lamp, of a sequence that goes on from sample to
-// sample of a picture: PS_SHADOW_SAMPLE is the sample's number.
+// sample of a picture: PS_SHADOW_SAMPLE is the sample's number. PS_SHADOW_ONE_CELL: samples are so many that each looks
+// at one cell instead of interpolating four. PS_SHADOW_SOLID: only opaque things cast.
+// PS_SHADOW_SUNS: all lamps are suns. PS_SHADOW_HARD: none has a size.
 
 #ifdef PS_SHADOWS
 
@@ -121,6 +123,9 @@ PsDepth ps_shadow_up_to(PsShadowLevel level, ivec2 range, float limit, float ram
   PsShadowEntry last = ps_shadow_entry(max(low - 1, range.x));
   bool has_last = low > range.x, has_next = low < range.y;
   PsDepth total = has_last ? last.total : PsDepth(0.0);
+#ifdef PS_SHADOW_SOLID
+  return total;
+#else
   if (level.kind == PS_OPAQUE) {
     return total;
   }
@@ -132,6 +137,7 @@ PsDepth ps_shadow_up_to(PsShadowLevel level, ivec2 range, float limit, float ram
   PsDepth own = total - (low - 2 >= range.x ? previous.total : PsDepth(0.0));
   PsDepth others = has_next ? next.total - total : PsDepth(0.0);
   return total - missing * own + added * others;
+#endif
 }
 
 vec3 ps_shadow_ray(float latitude, float longitude)
@@ -178,10 +184,10 @@ PsDepth ps_shadow_look_up(PsShadowLevel level, PsReceiver p, PsTap tap)
     column -= level.wraps ? record.z * floor((column + 0.5) / record.z) : 0.0;
     if (inside && column >= 0.0 && column < record.z) {
       ivec2 range = ps_shadow_range(level, ps_shadow_index(record.x) + int(column));
-      PsDepth found = ps_shadow_up_to(level, range, min(tap.far, limit), 0.5 * width);
-      if (tap.one) {
-        float until = level.kind == PS_OPAQUE ? tap.near_opaque - PS_SHADOW_OVERLAP_CELLS * width : tap.near;
-        found -= ps_shadow_up_to(level, tap.near > 0.0 ? range : range.xx, min(until, limit), 0.5 * width);
+      float until = level.kind == PS_OPAQUE ? tap.near_opaque - PS_SHADOW_OVERLAP_CELLS * width : tap.near;
+      PsDepth found = PsDepth(0.0);
+      for (int end = tap.near > 0.0 ? 2 : 1; end > 0; end--) {
+        found = ps_shadow_up_to(level, range, min(end == 2 ? until : tap.far, limit), 0.5 * width) - found;
       }
       result += share * (level.kind == PS_OPAQUE ? min(found, PsDepth(1.0)) : found);
     }
@@ -227,7 +233,7 @@ int ps_shadow_next(int light, int i, int levels, PsReceiver p, PsTap tap)
     int column = PS_SHADOW_HEAD + 3 * i;
     float width = texelFetch(ps_shadow_lights, ivec2(column, light), 0).y * (p.parallel ? 1.0 : p.at);
     vec2 ends = texelFetch(ps_shadow_lights, ivec2(column + 2, light), 0).yz;
-    float near = tap.one && tap.near > 0.0 ? min(tap.near, tap.near_opaque - PS_SHADOW_OVERLAP_CELLS * width) : -1e30;
+    float near = tap.near > 0.0 ? min(tap.near, tap.near_opaque - PS_SHADOW_OVERLAP_CELLS * width) : -1e30;
     holds = tap.far > ends.x - width && near < ends.y + width;
     i += holds ? 0 : 1;
   }
@@ -245,13 +251,22 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal)
   vec4 point = vec4(position, 1.0);
   vec3 local = vec3(dot(x, point), dot(y, point), dot(z, point));
   vec3 local_normal = vec3(dot(x.xyz, normal), dot(y.xyz, normal), dot(z.xyz, normal));
-  PsReceiver p = ps_shadow_receiver(head.x == 1.0, local, local_normal);
+#ifdef PS_SHADOW_SUNS
+  const bool parallel = true;
+#else
+  bool parallel = head.x == 1.0;
+#endif
+  PsReceiver p = ps_shadow_receiver(parallel, local, local_normal);
   int levels = int(head.y), shape = int(head.z);
 
   // How far the ray from the lamp's rim departs from the ray from its middle, per size of the lamp.
   float radius = size_u.w;
   float spread = p.parallel ? p.at - head.w : 1.0 / max(max(head.w, radius), 1e-30) - 1.0 / max(p.at, 1e-30);
+#ifdef PS_SHADOW_HARD
+  const bool wide = false;
+#else
   bool wide = spread * radius > PS_SHADOW_SHARP * size_v.w;
+#endif
   int taps = wide ? PS_SHADOW_TAPS : 1, segments = wide ? PS_SHADOW_SEGMENTS : 1;
 
   vec3 sum = vec3(0.0);
@@ -265,7 +280,11 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal)
                                                   : lamp.x * size_u.xyz + lamp.y * size_v.xyz;
     offset = wide ? offset - dot(offset, p.ray) * p.ray : vec3(0.0);
     PsTap tap;
+#ifdef PS_SHADOW_ONE_CELL
+    tap.one = true;
+#else
     tap.one = wide;
+#endif
     tap.jitter = vec2(ps_shadow_sequence(index, 0.6844301295853426), ps_shadow_sequence(index, 0.6031687406857283));
     tap.jitter -= 0.5;
 
@@ -280,7 +299,7 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal)
       middle *= middle * spread;
       start = max(start, 0.0);
       tap.far = ps_shadow_along(p, start * start * spread);
-      tap.near = end >= 1.0 ? 0.0 : ps_shadow_along(p, end * end * spread);
+      tap.near = end >= 1.0 || !wide ? 0.0 : ps_shadow_along(p, end * end * spread);
       tap.near_opaque = ps_shadow_along(p, behind * behind * spread);
       vec3 direction = p.ray + offset * middle;
       tap.latitude = p.parallel || !wide ? p.latitude + offset.y * middle

@@ -26,6 +26,7 @@ DATA = {
 NEED_OWNER = ("object_index", "crypto_object", "vector")
 LEAST_SPREAD = 0.99  # of |g|: lobes narrower than this would alias between splats
 LAMP_POINTS, MOST_LAMP_POINTS = 32, 4  # of a wide lamp: in a picture, and in one of its samples
+ENOUGH_CELLS = 16  # samples that, each with a shadow cell of its own, make the mean of four between which it lies
 MIST_EXPONENT = {"LINEAR": 1.0, "QUADRATIC": 2.0, "INVERSE_QUADRATIC": 0.5}
 
 
@@ -48,6 +49,7 @@ def shade_program(
     names = (*variant.defines, *materials, *_averaged_defines(passes))
     points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
+    taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
     return Interface(
         "shade", fragment="shade.frag", block=FRAME, outputs=_averaged_outputs(passes),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
