@@ -78,7 +78,7 @@ void main()
   // How much of each light comes here does not depend on the camera.
   vec3 share[4] = vec3[4](vec3(1.0), vec3(1.0), vec3(1.0), vec3(1.0));
   for (int i = 0; i < PS_REACH; i++) {
-    share[i] = ps_transmittance(i, place, facing);
+    share[i] = ps_transmittance(i, place, facing, true);
   }
 #ifdef PS_SHADOW_COLORED
   out_reach_0 = vec4(share[0], 1.0);

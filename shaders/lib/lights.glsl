@@ -499,19 +499,19 @@ ivec4 ps_light_ends()
   return ivec4(texelFetch(ps_lights, ivec2(4, PS_WORLD_ROW), 0) + 0.5);
 }
 
-// The share of a light that reaches a point in view space, whose normal is 0 within a medium.
+// What of the light that lamp `index` sends reaches a point in view space, whose normal is 0 within a medium.
 #ifdef PS_REACHED
 vec3 ps_reached[4];  // known before
 #endif
 
-vec3 ps_reaches(int index, vec3 position, vec3 normal)
+vec3 ps_reaching(int index, vec3 light, vec3 position, vec3 normal)
 {
 #if defined(PS_REACHED)
-  return ps_reached[index];
+  return light * ps_reached[index];
 #elif defined(PS_SHADOWS)
-  return ps_transmittance(index, position, normal);
+  return light * ps_transmittance(index, position, normal, any(greaterThan(light, vec3(0.0))));
 #else
-  return vec3(1.0);
+  return light;
 #endif
 }
 
@@ -526,27 +526,27 @@ vec3 ps_shade_lights(vec3 position, PsLobes lobes, int light_count)
 #endif
 #ifdef PS_HAS_SUNS
   for (; i < ends.x; i++) {
-    result += ps_sun(i, lobes) * ps_reaches(i, position, lobes.normal);
+    result += ps_reaching(i, ps_sun(i, lobes), position, lobes.normal);
   }
 #endif
 #ifdef PS_HAS_POINTS
   for (; i < ends.y; i++) {
-    result += ps_point(i, position, lobes) * ps_reaches(i, position, lobes.normal);
+    result += ps_reaching(i, ps_point(i, position, lobes), position, lobes.normal);
   }
 #endif
 #ifdef PS_HAS_SPOTS
   for (; i < ends.z; i++) {
-    result += ps_spot(i, position, lobes) * ps_reaches(i, position, lobes.normal);
+    result += ps_reaching(i, ps_spot(i, position, lobes), position, lobes.normal);
   }
 #endif
 #ifdef PS_HAS_RECTANGLES
   for (; i < ends.w; i++) {
-    result += ps_area_light(i, false, position, lobes) * ps_reaches(i, position, lobes.normal);
+    result += ps_reaching(i, ps_area_light(i, false, position, lobes), position, lobes.normal);
   }
 #endif
 #ifdef PS_HAS_ELLIPSES
   for (; i < light_count; i++) {
-    result += ps_area_light(i, true, position, lobes) * ps_reaches(i, position, lobes.normal);
+    result += ps_reaching(i, ps_area_light(i, true, position, lobes), position, lobes.normal);
   }
 #endif
   return result;
@@ -616,7 +616,8 @@ vec3 ps_shade_medium(vec3 position, vec3 to_eye, float g, vec3 albedo, int light
   for (int i = 0; i < light_count; i++) {
     vec3 to_light;
     vec3 irradiance = ps_ball_irradiance(i, ends, position, to_light);
-    result += irradiance * ps_phase(g, -dot(to_light, to_eye)) * ps_reaches(i, position, vec3(0.0));
+    irradiance = ps_reaching(i, irradiance, position, vec3(0.0));
+    result += irradiance * ps_phase(g, -dot(to_light, to_eye));
   }
 #endif
   return albedo * result;

@@ -241,8 +241,8 @@ int ps_shadow_next(int light, int i, int levels, PsReceiver p, PsTap tap)
 }
 
 // Share of the light of lamp `light` (a row of ps_shadow_lights) that reaches a point in view space. `normal`: unit, of
-// the surface there, or zero where there is none.
-vec3 ps_transmittance(int light, vec3 position, vec3 normal)
+// the surface there, or zero where there is none. Surfaces that face away from the lamp do not want to know.
+vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
 {
   vec4 x = texelFetch(ps_shadow_lights, ivec2(0, light), 0), y = texelFetch(ps_shadow_lights, ivec2(1, light), 0);
   vec4 z = texelFetch(ps_shadow_lights, ivec2(2, light), 0), head = texelFetch(ps_shadow_lights, ivec2(3, light), 0);
@@ -267,7 +267,7 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal)
 #else
   bool wide = spread * radius > PS_SHADOW_SHARP * size_v.w;
 #endif
-  int taps = wide ? PS_SHADOW_TAPS : 1, segments = wide ? PS_SHADOW_SEGMENTS : 1;
+  int taps = !wanted ? 0 : wide ? PS_SHADOW_TAPS : 1, segments = wide ? PS_SHADOW_SEGMENTS : 1;
 
   vec3 sum = vec3(0.0);
   for (int k = 0; k < taps; k++) {
@@ -319,7 +319,7 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal)
     }
     sum += vec3(max(1.0 - covered, 0.0) * exp(-depth));
   }
-  return sum / float(taps);
+  return sum / float(max(taps, 1));
 }
 
 #endif

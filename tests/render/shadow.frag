@@ -5,5 +5,5 @@ void main()
 {
   int x = int(gl_FragCoord.x);
   vec3 position = texelFetch(rows, ivec2(x, 0), 0).xyz, normal = texelFetch(rows, ivec2(x, 1), 0).xyz;
-  color = vec4(ps_transmittance(LIGHT, position, normal), 1.0);
+  color = vec4(ps_transmittance(LIGHT, position, normal, true), 1.0);
 }
