@@ -118,6 +118,7 @@ def test_pictures_that_cut_out_stay_opaque_with_holes(name, alpha, blended, expe
     material = card(alpha, name=name, surface_render_method="BLENDED" if blended else "DITHERED")
     row = convert_material(material)
     assert row.translucent == expected
+    assert row.graph is not None
     assert row.graph.alpha is not None
 
 
@@ -225,6 +226,7 @@ def test_a_varying_transmission_varies_alpha():
     assert row.warnings == ()
     weight = np.array([0, 0.5, 1], np.float32)
     colors = {"Col": np.stack([weight] * 4, axis=1)}
+    assert row.graph is not None
     out = evaluate_samples(row.graph, SampleInputs(colors=colors, count=3))
     np.testing.assert_allclose(out["alpha"], 1 - weight * (1 - FRESNEL), atol=1e-6)
 
@@ -236,6 +238,12 @@ def test_a_translucent_bsdf_hides_what_is_behind_it():
 
 
 # Media
+
+
+def medium_of_row(row):
+    """What fills the material, which something does."""
+    assert row.medium is not None
+    return row.medium
 
 
 def coefficients(medium):
@@ -257,7 +265,7 @@ def test_a_principled_volume_is_taken_as_it_is():
         Emission_Strength=2.0, Emission_Color=(1, 0.5, 0.25, 1), Density_Attribute="smoke", Blackbody_Intensity=0.5,
         Color_Attribute="tint", Temperature=900.0,
     )  # fmt: skip
-    medium = row.medium
+    medium = medium_of_row(row)
     assert (medium.density, medium.density_grid, medium.color_grid) == (3, "smoke", "tint")
     assert (medium.temperature, medium.temperature_grid, medium.blackbody) == (900, "temperature", 0.5)
     assert medium.anisotropy == pytest.approx(0.4)
@@ -273,11 +281,11 @@ def test_absorption_absorbs_and_scatter_scatters():
     np.testing.assert_allclose(scattering, 0, atol=1e-12)
     np.testing.assert_allclose(absorption, 2 * (1 - color), rtol=1e-6)
     row = volume("ShaderNodeVolumeScatter", Color=(*color, 1), Density=2.0, Anisotropy=-0.3)
-    scattering, absorption = coefficients(row.medium)
+    scattering, absorption = coefficients(medium_of_row(row))
     np.testing.assert_allclose(scattering, 2 * color, rtol=1e-6)
     np.testing.assert_allclose(absorption, 0, atol=1e-12)
-    assert row.medium.anisotropy == pytest.approx(-0.3)
-    assert row.medium.density_grid == ""
+    assert medium_of_row(row).anisotropy == pytest.approx(-0.3)
+    assert medium_of_row(row).density_grid == ""
 
 
 def test_coefficients_are_taken_as_they_are():
@@ -285,10 +293,10 @@ def test_coefficients_are_taken_as_they_are():
         "ShaderNodeVolumeCoefficients",
         Absorption_Coefficients=(1, 2, 3), Scatter_Coefficients=(3, 0, 4), Emission_Coefficients=(0, 5, 0),
     )  # fmt: skip
-    scattering, absorption = coefficients(row.medium)
+    scattering, absorption = coefficients(medium_of_row(row))
     np.testing.assert_allclose(scattering, (3, 0, 4), rtol=1e-12)
     np.testing.assert_allclose(absorption, (1, 2, 3), rtol=1e-12)
-    np.testing.assert_array_equal(row.medium.emission, (0, 5, 0))
+    np.testing.assert_array_equal(medium_of_row(row).emission, (0, 5, 0))
 
 
 def combined(kind, **inputs):
@@ -306,11 +314,11 @@ def combined(kind, **inputs):
 
 def test_volumes_add_up_by_their_coefficients():
     row = combined("ShaderNodeAddShader")
-    scattering, absorption = coefficients(row.medium)
+    scattering, absorption = coefficients(medium_of_row(row))
     np.testing.assert_allclose(scattering, (2, 1, 0), atol=1e-12)
     np.testing.assert_allclose(absorption, (4, 2, 0), atol=1e-12)
-    np.testing.assert_allclose(row.medium.emission, (4, 2, 1))
-    assert row.medium.anisotropy == 0.5  # only one of them scatters
+    np.testing.assert_allclose(medium_of_row(row).emission, (4, 2, 1))
+    assert medium_of_row(row).anisotropy == 0.5  # only one of them scatters
     assert row.warnings == ()
 
 
@@ -334,12 +342,15 @@ def grid_material(multiplied=None, kind="ShaderNodeVolumeScatter", **more):
 
 
 def test_a_linked_attribute_is_the_grid_of_the_density_and_constants_multiply_it():
-    assert (grid_material().medium.density_grid, grid_material().medium.density) == ("smoke", pytest.approx(0.8))
+    assert (medium_of_row(grid_material()).density_grid, medium_of_row(grid_material()).density) == (
+        "smoke",
+        pytest.approx(0.8),
+    )
     for operation, number, density in (("MULTIPLY", 5.0, 5.0), ("DIVIDE", 4.0, 0.25)):
         row = grid_material((operation, number), Color=(1, 1, 1, 1))
         assert row.warnings == ()
-        assert row.medium.density_grid == "smoke"
-        assert row.medium.density == pytest.approx(density)
+        assert medium_of_row(row).density_grid == "smoke"
+        assert medium_of_row(row).density == pytest.approx(density)
 
 
 def test_volume_info_reads_blenders_own_grids():
@@ -350,21 +361,21 @@ def test_volume_info_reads_blenders_own_grids():
         return node(tree, "ShaderNodeVolumePrincipled", inputs)
 
     row = convert_material(linked(build, "Volume"))
-    medium = row.medium
+    medium = medium_of_row(row)
     assert (medium.density_grid, medium.color_grid, medium.temperature_grid) == ("density", "color", "temperature")
     assert row.warnings == ()
 
 
 def test_what_is_no_grid_times_a_constant_keeps_its_own_value_with_one_warning():
     row = grid_material(("POWER", 2.0))
-    assert row.medium.density == pytest.approx(0.8)
-    assert row.medium.density_grid == ""
+    assert medium_of_row(row).density == pytest.approx(0.8)
+    assert medium_of_row(row).density_grid == ""
     assert len(row.warnings) == 1
     assert "Fog" in row.warnings[0]
     assert "Volume Scatter" in row.warnings[0]
     twice = grid_material(kind="ShaderNodeVolumePrincipled")
     assert len(twice.warnings) == 1
-    assert twice.medium.density_grid == "smoke"
+    assert medium_of_row(twice).density_grid == "smoke"
 
 
 def test_an_unknown_volume_shader_is_left_out_with_one_warning():

@@ -197,4 +197,6 @@ def test_another_transfer_function_keeps_the_tree_and_the_kernels():
     first, second = seen(1.0), seen(0.5)
     assert second.tree is first.tree
     np.testing.assert_array_equal(second.radii, first.radii)
+    assert first.extinction is not None
+    assert second.extinction is not None
     assert not np.array_equal(second.extinction, first.extinction)
