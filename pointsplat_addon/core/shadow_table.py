@@ -16,7 +16,8 @@ BIAS = 1.0  # cells: how far along its normal a receiver is lifted
 UNORIENTED_BIAS = 1.5  # cells, towards the lamp: receivers without a normal
 SHARP = 0.5  # cells: a lamp whose penumbrae are at most so wide is a point
 TAPS = 64  # points of a wide lamp; the device takes some in each sample of the picture
-SEGMENTS = 4  # of each ray to a point of a wide lamp
+SEGMENTS, FEW_SEGMENTS = 4, 2  # of each ray to a point of a wide lamp; where it crosses few cells
+NARROW = 2.0  # cells: so many are few
 # Additive recurrence in five dimensions (Roberts 2018): two on the lamp, two in the cell, one along the ray.
 SEQUENCE = 1.1347241384015194 ** -np.arange(1, 6)
 SHAPES = ("POINT", "DISK", "RECTANGLE", "ELLIPSE")
@@ -127,19 +128,26 @@ class ShadowTable:
     def _transmittance(self, points: np.ndarray, normals: np.ndarray, taps: int) -> np.ndarray:
         turn = self.frame.light_from_world.T
         receiver = _Receiver(self.frame, (np.asarray(points, float) - self.frame.origin) @ turn, normals @ turn)
-        wide = receiver.spread(self) > SHARP
+        cells = receiver.spread(self)
         result = np.empty((len(points), 3 if self.colored else 1))
-        result[~wide] = self._light(receiver.take(~wide), [(0.0, 1.0)], np.zeros(2), None)
-        soft, sum_ = receiver.take(wide), 0.0
-        for k in range(taps if wide.any() else 0):
+        hard, far = cells <= SHARP, cells > NARROW
+        result[hard] = self._light(receiver.take(hard), [(0.0, 1.0)], np.zeros(2), None)
+        for some, segments in ((~hard & ~far, FEW_SEGMENTS), (far, SEGMENTS)):
+            if some.any():
+                result[some] = self._soft(receiver.take(some), segments, taps)
+        return result
+
+    def _soft(self, receiver: _Receiver, segments: int, taps: int) -> np.ndarray:
+        """(P, C): the mean of what comes from points of a lamp that is wide, its rays cut into segments."""
+        sum_ = 0.0
+        for k in range(taps):
             x, y, row, column, cut = (0.5 + k * SEQUENCE) % 1
             lamp = np.array([x, y]) * 2 - 1
             if self.emitter.shape != "RECTANGLE":
                 lamp = np.sqrt(x) * np.array([np.cos(2 * np.pi * y), np.sin(2 * np.pi * y)])
-            edges = (np.arange(SEGMENTS + 1) + cut - 1) / (SEGMENTS - 1)
-            sum_ = sum_ + self._light(soft, list(pairwise(edges)), lamp, np.array([row, column]) - 0.5)
-        result[wide] = sum_ / taps
-        return result
+            edges = (np.arange(segments + 1) + cut - 1) / (segments - 1)
+            sum_ = sum_ + self._light(receiver, list(pairwise(edges)), lamp, np.array([row, column]) - 0.5)
+        return np.asarray(sum_ / taps)
 
     def _light(
         self, receiver: _Receiver, segments: list[tuple[float, float]], lamp: np.ndarray, jitter: np.ndarray | None

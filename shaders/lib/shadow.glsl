@@ -20,6 +20,8 @@
 #define PS_SHADOW_STEEPEST 0.1
 #define PS_SHADOW_SHARP 0.5
 #define PS_SHADOW_SEGMENTS 4
+#define PS_SHADOW_FEW_SEGMENTS 2
+#define PS_SHADOW_NARROW 2.0
 #define PS_SHADOW_OVERLAP 0.15
 #define PS_SHADOW_OVERLAP_CELLS 1.0
 #define PS_SHADOW_HEAD 6
@@ -267,7 +269,9 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
 #else
   bool wide = spread * radius > PS_SHADOW_SHARP * size_v.w;
 #endif
-  int taps = !wanted ? 0 : wide ? PS_SHADOW_TAPS : 1, segments = wide ? PS_SHADOW_SEGMENTS : 1;
+  bool narrow = spread * radius <= PS_SHADOW_NARROW * size_v.w;
+  int taps = !wanted ? 0 : wide ? PS_SHADOW_TAPS : 1;
+  int segments = !wide ? 1 : narrow ? PS_SHADOW_FEW_SEGMENTS : PS_SHADOW_SEGMENTS;
 
   vec3 sum = vec3(0.0);
   for (int k = 0; k < taps; k++) {
@@ -292,8 +296,8 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
     PsDepth depth = PsDepth(0.0);
     for (int j = 0; j < segments; j++) {
       // Square roots of parts of the spread.
-      float start = wide ? (float(j) + cut - 1.0) / float(PS_SHADOW_SEGMENTS - 1) : 0.0;
-      float end = start + 1.0 / float(PS_SHADOW_SEGMENTS - 1);
+      float start = wide ? (float(j) + cut - 1.0) / float(segments - 1) : 0.0;
+      float end = start + 1.0 / float(max(segments - 1, 1));
       float middle = wide ? max(0.5 * (start + end), 0.0) : 0.0;
       float behind = end + PS_SHADOW_OVERLAP * (end - start);
       middle *= middle * spread;
