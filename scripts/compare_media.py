@@ -270,7 +270,7 @@ def difference(picture: np.ndarray, truth: np.ndarray, kept: np.ndarray | None =
     the relative error of the mean of all."""
     where = np.ones(truth.shape[:2], bool) if kept is None else kept
     rmse = math.sqrt(((picture - truth)[where, :3] ** 2).mean()) / np.quantile(truth[where, :3], 0.999)
-    return rmse, picture[..., :3].mean() / truth[..., :3].mean() - 1
+    return float(rmse), float(picture[..., :3].mean() / truth[..., :3].mean() - 1)
 
 
 def check_sphere(args: argparse.Namespace, folder: Path) -> list[dict]:

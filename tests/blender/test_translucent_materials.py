@@ -92,6 +92,7 @@ def test_a_constant_alpha_below_one_is_translucent():
         [shader("ShaderNodeBsdfPrincipled", Alpha=alpha) for alpha in (1.0, 0.3, 0.0)] + [None]
     )
     assert warnings == []
+    assert table.translucent is not None
     np.testing.assert_array_equal(table.translucent, [False, False, True, True, False])
     np.testing.assert_array_equal(table.alpha, np.array([1, 1, 0.3, 0, 1], np.float32))
 
@@ -388,6 +389,7 @@ def test_an_unknown_volume_shader_is_left_out_with_one_warning():
 def test_the_table_has_media_and_their_anisotropy():
     fog = shader("ShaderNodeVolumeScatter", "Volume", Anisotropy=0.5)
     table, _ = convert_materials([None, fog])
+    assert table.anisotropy is not None
     np.testing.assert_array_equal(table.anisotropy, np.array([0, 0, 0.5], np.float32))
     assert [m is None for m in table.media] == [True, True, False]
     before = material_key(fog)

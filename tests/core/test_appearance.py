@@ -254,6 +254,7 @@ def test_parts_by_material_hold_all_triangles_and_have_keys_of_their_own():
     assert len({mesh.topology, opaque.topology, translucent.topology}) == 3
     for row, part in enumerate((opaque, translucent)):
         np.testing.assert_array_equal(part.triangles, TRIANGLES[row : row + 1])
+        assert part.corner_normal is not None
         np.testing.assert_array_equal(part.corner_normal, corners[row : row + 1])
         np.testing.assert_array_equal(part.uv["UV"], mesh.uv["UV"][row : row + 1])
         assert part.materials == (row,)
