@@ -508,3 +508,31 @@ def test_a_volume_is_drawn_as_translucent_points():
     table = replace(scenes.materials(), media=(Medium(),))
     _, result = record(scenes.scene((geometry, moved()), table=table))
     assert result.report["points"]["total"] == 64
+
+
+@pytest.mark.parametrize("alpha", [0.3, 0.9])
+def test_cards_let_as_much_light_through_as_coarse_nodes_of_them(alpha):
+    """As leaves do: cards that face all ways, whose nodes are thick."""
+    rng = np.random.default_rng(3)
+    count = 20_000
+    normal = rng.normal(size=(count, 3))
+    cards = PointCloud(
+        rng.uniform(-1, 1, (count, 3)).astype(np.float32),
+        normal=(normal / np.linalg.norm(normal, axis=1, keepdims=True)).astype(np.float32),
+        radii=np.full((count, 1), 0.03, np.float32),
+        opacity=np.full(count, alpha, np.float32),
+        color=np.zeros((count, 3), np.float32),
+    )
+    made = alone(cards, f"cards {alpha}", table=scenes.materials(1, specular=[0]))
+    seen = {}
+    for tolerance in (0.05, 4.0, 8.0):
+        # So many samples that a hierarchy pays for itself.
+        settings = Settings(tolerance=tolerance, use_shadows=False)
+        result = draw(made, camera((0, -6, 0), resolution=(48, 48)), 96, settings)
+        seen[result.report["points"]["cut"]] = result.pixels["combined"][..., 0].mean()
+    every, fine, coarse = sorted(seen, reverse=True)
+    assert every == count
+    assert fine < count / 4
+    assert coarse < count / 30
+    assert seen[fine] == pytest.approx(seen[every], abs=0.015)  # measured 0.012
+    assert seen[coarse] == pytest.approx(seen[every], abs=0.015)  # measured 0.011

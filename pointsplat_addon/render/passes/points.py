@@ -16,14 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.cloud import PointCloud
-from ...core.hierarchy import splats
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
-from ..packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged
+from ..packing import PAGE_WIDTH
 from ..prepare import Layer, PointSet
 from .common import FRAME, GBuffer, Variant
+from .pages import SplatPage, extent, filled, place, shading_normal
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
 DRAWN_LIMIT = 2**31 - 2**20  # indices of drawn splats are 32-bit
@@ -43,77 +42,26 @@ class PointOptions:
     depth: bool = False  # polygons share the G-buffer
 
 
-class Page:
-    """Splats on the device."""
+class Page(SplatPage):
+    """Splats of opaque points."""
 
     def __init__(
         self, device: Device, sets: list[PointSet], variant: Variant, options: PointOptions, table: MaterialTable
-    ):
-        self.first: dict[tuple, int] = {}
-        clouds, start = [], 0
-        for points in sets:
-            self.first[points.key] = start
-            cloud = splats(points.hierarchy) if points.hierarchy else points.cloud
-            clouds.append(cloud)
-            start += len(cloud)
-        self.textures: dict[str, Texture] = {}
-
-        def upload(name: str, format: str, channels: int, rows: list[np.ndarray]) -> None:
-            size, data = paged(rows[0] if len(rows) == 1 else np.concatenate(rows), channels)
-            self.textures[f"ps_{name}"] = device.texture(size, format, data)
-
-        upload("place", "RGBA32F", 4, [_place(c) for c in clouds])
-        upload("extent", "RGBA32F", 4, [_extent(c) for c in clouds])
+    ) -> None:
+        super().__init__(device, sets)
+        clouds = self.clouds
+        self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
+        self.upload("extent", "RGBA32F", 4, [extent(c) for c in clouds])
         if variant.color:
-            upload("color", "RGBA16F", 4, [_filled(c, "color", table.base_color) for c in clouds])
+            self.upload("color", "RGBA16F", 4, [filled(c, "color", table.base_color) for c in clouds])
         if variant.surface:
             constants = np.stack([table.roughness, table.metallic], axis=1)
-            upload("surface", "RG32F", 2, [_filled(c, "surface", constants) for c in clouds])
+            self.upload("surface", "RG32F", 2, [filled(c, "surface", constants) for c in clouds])
         if variant.emission:
-            upload("emission", "RGBA16F", 4, [_filled(c, "emission", table.emission) for c in clouds])
+            self.upload("emission", "RGBA16F", 4, [filled(c, "emission", table.emission) for c in clouds])
         if options.shading_normal:
-            upload("shading_normal", "R32F", 1, [_shading(c) for c in clouds])
-
-    def release(self) -> None:
-        for texture in self.textures.values():
-            texture.release()
-
-
-def _place(cloud: PointCloud) -> np.ndarray:
-    rows = np.empty((len(cloud), 4), np.float32)
-    rows[:, :3] = cloud.position
-    rows[:, 3] = NO_NORMAL if cloud.normal is None else pack_normal(cloud.normal)
-    return rows
-
-
-def _extent(cloud: PointCloud) -> np.ndarray:
-    rows = np.zeros((len(cloud), 4), np.float32)
-    if cloud.radii is not None:
-        rows[:, 0] = cloud.radii[:, 0]
-        rows[:, 1] = cloud.radii[:, 0 if cloud.radii.shape[1] == 1 else 1]
-    if cloud.axis is not None:
-        rows[:, 2] = pack_normal(cloud.axis)
-    if cloud.material is not None:
-        rows[:, 3] = cloud.material
-    return rows
-
-
-def _filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:
-    """An attribute, or its material's constant where the cloud has none."""
-    own = getattr(cloud, name)
-    if own is not None:
-        return own
-    if cloud.material is None:
-        return np.broadcast_to(constants[0], (len(cloud), constants.shape[1]))
-    return constants[cloud.material]
-
-
-def _shading(cloud: PointCloud) -> np.ndarray:
-    if cloud.shading_normal is None:
-        return np.full(len(cloud), NO_NORMAL, np.float32)
-    size = np.linalg.norm(cloud.shading_normal, axis=1, keepdims=True)
-    code = pack_normal(cloud.shading_normal / np.maximum(size, 1e-20))
-    return np.where(size[:, 0] > 1e-6, code, NO_NORMAL).astype(np.float32)
+            self.upload("shading_normal", "R32F", 1, [shading_normal(c) for c in clouds])
+        self.clouds = []
 
 
 def blocks(layer: Layer, first: dict[int, int]) -> tuple[np.ndarray, int]:

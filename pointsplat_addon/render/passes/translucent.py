@@ -4,7 +4,7 @@ A page holds the splats of all translucent point sets, one texel a splat:
   place           xyz relative to the set's origin; packed normal (-1: a ball)
   extent          half-axes (major, minor), packed major axis, material row
   optics          media: extinction per object unit, half-axis along the normal, 1; shells: optical depth of the splat's
-                  own area, 0, 0; row of core.kernel.PROFILES
+                  own area, half-axis along the normal, 0; row of core.kernel.PROFILES
   color           base colour of shells, albedo of media          \\
   surface         roughness, metallic                              |
   emission        shells: radiance; media: radiance per unit       | where any set has them
@@ -29,14 +29,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.cloud import PointCloud
-from ...core.hierarchy import basis, splats
 from ...core.kernel import PROFILES
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
-from ..packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged
+from ..packing import PAGE_WIDTH
 from ..prepare import PointSet
 from .common import FRAME
+from .pages import SplatPage, extent, filled, place, shading_normal
 from .shade import lighting_defines, lighting_samplers
 
 OPAQUE = 100.0  # optical depth of what is opaque
@@ -84,62 +84,30 @@ def options(clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdou
     )
 
 
-class TranslucentPage:
+class TranslucentPage(SplatPage):
     """Translucent splats on the device."""
 
     def __init__(self, device: Device, sets: list[PointSet], options: TranslucentOptions, table: MaterialTable) -> None:
-        """DeviceError: more splats than a texture holds."""
-        clouds = [splats(points.hierarchy) if points.hierarchy else points.cloud for points in sets]
-        ends = np.cumsum([len(cloud) for cloud in clouds])
-        self.count = int(ends[-1])
-        self.first = {points.key: int(end) - len(cloud) for points, cloud, end in zip(sets, clouds, ends, strict=True)}
-        self.textures: dict[str, Texture] = {}
-
-        def upload(name: str, format: str, channels: int, rows: list[np.ndarray]) -> None:
-            size, data = paged(rows[0] if len(rows) == 1 else np.concatenate(rows), channels)
-            self.textures[f"ps_{name}"] = device.texture(size, format, data)
-
-        upload("place", "RGBA32F", 4, [_place(c) for c in clouds])
-        upload("extent", "RGBA32F", 4, [_extent(c) for c in clouds])
-        upload("optics", "RGBA32F", 4, [_optics(c) for c in clouds])
+        super().__init__(device, sets)
+        clouds = self.clouds
+        self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
+        self.upload("extent", "RGBA32F", 4, [extent(c, always_axis=True) for c in clouds])
+        self.upload("optics", "RGBA32F", 4, [_optics(c) for c in clouds])
         if options.color:
-            upload("color", "RGBA16F", 4, [_filled(c, "color", table.base_color) for c in clouds])
+            self.upload("color", "RGBA16F", 4, [filled(c, "color", table.base_color) for c in clouds])
         if options.surface:
             constants = np.stack([table.roughness, table.metallic], axis=1)
-            upload("surface", "RG32F", 2, [_filled(c, "surface", constants) for c in clouds])
+            self.upload("surface", "RG32F", 2, [filled(c, "surface", constants) for c in clouds])
         if options.emission:
             dark = np.zeros_like(table.emission)
-            upload("emission", "RGBA32F", 4, [
-                _filled(c, "emission", table.emission if c.extinction is None else dark) for c in clouds
+            self.upload("emission", "RGBA32F", 4, [
+                filled(c, "emission", table.emission if c.extinction is None else dark) for c in clouds
             ])  # fmt: skip
         if options.tint:
-            upload("tint", "RGBA16F", 4, [_tint(c) for c in clouds])
+            self.upload("tint", "RGBA16F", 4, [_tint(c) for c in clouds])
         if options.shading_normal:
-            upload("shading_normal", "R32F", 1, [_shading(c) for c in clouds])
-
-    def release(self) -> None:
-        for texture in self.textures.values():
-            texture.release()
-
-
-def _place(cloud: PointCloud) -> np.ndarray:
-    rows = np.empty((len(cloud), 4), np.float32)
-    rows[:, :3] = cloud.position
-    rows[:, 3] = NO_NORMAL if cloud.normal is None else pack_normal(cloud.normal)
-    return rows
-
-
-def _extent(cloud: PointCloud) -> np.ndarray:
-    rows = np.zeros((len(cloud), 4), np.float32)
-    if cloud.radii is not None:
-        rows[:, 0] = cloud.radii[:, 0]
-        rows[:, 1] = cloud.radii[:, min(1, cloud.radii.shape[1] - 1)]
-    if cloud.normal is not None:
-        axis = basis(cloud.normal.T.astype(np.float64))[0].T if cloud.axis is None else cloud.axis
-        rows[:, 2] = pack_normal(axis)
-    if cloud.material is not None:
-        rows[:, 3] = cloud.material
-    return rows
+            self.upload("shading_normal", "R32F", 1, [shading_normal(c) for c in clouds])
+        self.clouds = []
 
 
 def _optics(cloud: PointCloud) -> np.ndarray:
@@ -157,6 +125,9 @@ def _optics(cloud: PointCloud) -> np.ndarray:
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = -np.log1p(-np.clip(cloud.opacity.astype(np.float64), 0, 1))
         rows[:, 0] = np.minimum(depth, OPAQUE)
+        if cloud.radii is not None and cloud.radii.shape[1] == 3:
+            # Coarse nodes of surfaces that do not lie in a plane, as of a tree's leaves.
+            rows[:, 1] = cloud.radii[:, 2]
     if cloud.kernel is not None:
         rows[:, 3] = np.where(cloud.kernel < len(PROFILES), cloud.kernel, 0)
     return rows
@@ -171,24 +142,6 @@ def _tint(cloud: PointCloud) -> np.ndarray:
     if cloud.extinction is None or cloud.extinction.ndim == 1:
         return np.ones((len(cloud), 3), np.float32)
     return cloud.extinction / np.maximum(_strength(cloud.extinction), np.finfo(np.float32).tiny)[:, None]
-
-
-def _filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:
-    """An attribute, or its material's constant where the cloud has none."""
-    own = getattr(cloud, name)
-    if own is not None:
-        return own
-    if cloud.material is None:
-        return np.broadcast_to(constants[0], (len(cloud), constants.shape[1]))
-    return constants[cloud.material]
-
-
-def _shading(cloud: PointCloud) -> np.ndarray:
-    if cloud.shading_normal is None:
-        return np.full(len(cloud), NO_NORMAL, np.float32)
-    size = np.linalg.norm(cloud.shading_normal, axis=1, keepdims=True)
-    code = pack_normal(cloud.shading_normal / np.maximum(size, 1e-20))
-    return np.where(size[:, 0] > 1e-6, code, NO_NORMAL).astype(np.float32)
 
 
 def draw_list(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
