@@ -19,7 +19,6 @@ import argparse
 import itertools
 import json
 import math
-import os
 import sys
 import tempfile
 from pathlib import Path
@@ -32,6 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 from compare import displayed  # noqa: E402
+from leaving import run  # noqa: E402
 from volume_objects import ball, medium, surface, volume_object, volumes_last, write_vdb  # noqa: E402
 
 from pointsplat_addon.core import media_reference as ref  # noqa: E402
@@ -419,15 +419,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    code = 1
-    try:
-        main()
-        code = 0
-    except Exception:
-        import traceback
-
-        traceback.print_exc()
-    # Blender 4.5 does not come back from the interpreter's own shutdown while an engine is registered.
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
+    run(main)

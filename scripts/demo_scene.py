@@ -6,13 +6,13 @@ python scripts/demo_scene.py --output out/demo.blend
 import argparse
 import gzip
 import math
-import os
 import sys
 import tempfile
 from pathlib import Path
 
 import bpy
 import numpy as np
+from leaving import run
 from mathutils import Matrix, Vector
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -273,15 +273,4 @@ def main():
 
 
 if __name__ == "__main__":
-    code = 1
-    try:
-        main()
-        code = 0
-    except Exception:
-        import traceback
-
-        traceback.print_exc()
-    # Blender 4.5 does not come back from the interpreter's own shutdown while an engine is registered.
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
+    run(main)

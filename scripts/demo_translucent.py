@@ -11,7 +11,6 @@ The cases follow Gunjee, Fujimoto and Chiba 2007, figures 7 and 17.
 import argparse
 import itertools
 import math
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 import demo_scene as demo  # noqa: E402
+from leaving import run  # noqa: E402
 from volume_objects import medium, surface, volume_object, volumes_last, write_vdb  # noqa: E402
 
 SHELL_ALPHA = 0.3
@@ -481,15 +481,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    code = 1
-    try:
-        main()
-        code = 0
-    except Exception:
-        import traceback
-
-        traceback.print_exc()
-    # Blender 4.5 does not come back from the interpreter's own shutdown while an engine is registered.
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
+    run(main)

@@ -15,7 +15,6 @@ import argparse
 import gzip
 import json
 import math
-import os
 import sys
 import tempfile
 from pathlib import Path
@@ -23,6 +22,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 from compare import compare, directions, displayed
+from leaving import run
 from mathutils import Matrix, Vector
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -277,15 +277,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    code = 1
-    try:
-        main()
-        code = 0
-    except Exception:
-        import traceback
-
-        traceback.print_exc()
-    # Blender 4.5 does not come back from the interpreter's own shutdown while an engine is registered.
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
+    run(main)

@@ -10,11 +10,11 @@ the report is a list. Exit codes: 0 rendered, 1 the render failed, 2 a wrong arg
 
 import argparse
 import json
-import os
 import re
 import sys
-import traceback
 from pathlib import Path
+
+from leaving import run
 
 ROOT = Path(__file__).resolve().parents[1]
 FORMATS = {".png": "PNG", ".exr": "OPEN_EXR"}
@@ -216,12 +216,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    code = 1
-    try:
-        code = main()
-    except Exception:
-        traceback.print_exc()
-    # Blender 4.5 does not come back from the interpreter's own shutdown while an engine is registered.
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
+    run(main)

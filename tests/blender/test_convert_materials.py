@@ -7,6 +7,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from nodes import new_material, node  # noqa: E402
+
 from pointsplat_addon.core import expressions as ex  # noqa: E402
 from pointsplat_addon.core.cryptomatte import cryptomatte_hash  # noqa: E402
 from pointsplat_addon.core.materials import (  # noqa: E402
@@ -43,28 +45,6 @@ def color_of(position):
 
 
 # Trees
-
-
-def new_material(name):
-    material = bpy.data.materials.new(name)
-    if not material.node_tree:
-        material.use_nodes = True
-    material.node_tree.nodes.clear()
-    return material
-
-
-def node(tree, kind, inputs=None, **properties):
-    """A new node; inputs are by identifier, either values or the outputs to link."""
-    made = tree.nodes.new(kind)
-    for name, value in properties.items():
-        setattr(made, name, value)
-    for identifier, value in (inputs or {}).items():
-        socket = next(s for s in made.inputs if s.identifier == identifier)
-        if isinstance(value, bpy.types.NodeSocket):
-            tree.links.new(value, socket)
-        else:
-            socket.default_value = value
-    return made
 
 
 def output(made, identifier=None):
