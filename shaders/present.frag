@@ -6,7 +6,12 @@ void main()
 {
   ivec2 pixel = ivec2(v_place * vec2(frame.size.xy));
   pixel = clamp(pixel, ivec2(0), frame.size.xy - 1) + frame.page.xy;
-  out_color = texelFetch(ps_combined, pixel, 0) * frame.mist.w;
+  float weight = frame.mist.w;
+#ifdef PS_TILE
+  float count = texelFetch(ps_counts, pixel / PS_TILE, 0).x;
+  weight = count > 0.0 ? 1.0 / count : weight;
+#endif
+  out_color = texelFetch(ps_combined, pixel, 0) * weight;
   vec4 place = texelFetch(ps_place, pixel, 0);
   float d = place.x;
   bool there = ps_is_there(place);

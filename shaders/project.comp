@@ -1,5 +1,6 @@
 // Each splat to the one pixel that holds its centre (Marroquim et al. 2008, section 3): the least depth of each pixel,
-// then (PS_IDENTIFY) the lowest index among the splats that have it.
+// then (PS_IDENTIFY) the lowest index among the splats that have it. PS_MARK: instead, which blocks have splats in the
+// tiles that `ps_tiles` names.
 
 #include "lib/index.glsl"
 #include "lib/footprint.glsl"
@@ -28,6 +29,11 @@ void main()
   }
 #endif
   ivec2 place = ivec2(pixel.xy);
+#ifdef PS_MARK
+  if (texelFetch(ps_tiles, place / PS_TILE, 0).x != 0.0) {
+    imageAtomicMin(marks, ps_texel(index >> frame.page.z), 0u);
+  }
+#else
   uint key = floatBitsToUint(pixel.z - frame.lens.x);
   // Splats that hold the pixel's centre come before those that only lie in the pixel: on a dense surface the nearest
   // one is always at the same side of the pixel, and would miss its centre.
@@ -39,5 +45,6 @@ void main()
   }
 #else
   imageAtomicMin(depth, place, key | beside);
+#endif
 #endif
 }

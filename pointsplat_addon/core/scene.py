@@ -13,7 +13,7 @@ import numpy as np
 
 from .cloud import PointCloud
 
-TECHNIQUES = ("AUTO", "IMAGE_SPACE")
+TECHNIQUES = ("AUTO", "IMAGE_SPACE", "EWA")
 DEVICES = ("AUTO", "BLENDER_GPU", "OPENGL")
 PRIMITIVES = ("AUTO", "POINTS", "POLYGONS")
 
@@ -26,6 +26,8 @@ class Settings:
     tolerance: float = 1.0  # pixels: projected size below which a node is drawn instead of its children
     samples: int = 16  # sub-pixel samples averaged in a final render
     viewport_samples: int = 16  # the same in the viewport, when it is still
+    use_adaptive_sampling: bool = True  # parts of the picture whose samples agree get fewer of them
+    adaptive_threshold: float = 0.02  # over the root of the brightness: 1/255 of what a display shows
     use_shadows: bool = True  # lights cast shadows, through translucent matter too
     shadow_resolution: int = 1024  # cells of a light's shadow table per half turn
     device: str = "AUTO"  # one of DEVICES
@@ -34,6 +36,7 @@ class Settings:
         "tolerance": (0.05, 64.0),
         "samples": (1, 4096),
         "viewport_samples": (1, 1024),
+        "adaptive_threshold": (0.0, 1.0),
         "shadow_resolution": (16, 16384),
     }
 

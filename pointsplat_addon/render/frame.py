@@ -24,6 +24,7 @@ from .plan import make_plan
 from .prepare import STORE, prepare
 from .shadows import Shadows, cast
 from .targets import Pool, Targets
+from .tiles import EVERYWHERE, Adaptive, why_everywhere
 from .uploads import Kept, Uploads
 
 RELIT = 4  # times that translucent splats are lit in one picture, where lamps are wide
@@ -114,13 +115,13 @@ class Renderer:
         except Cancelled:
             return Result({}, {}, cancelled=True)
         try:
-            while frame.done < request.samples:
+            while not frame.complete:
                 before = time.perf_counter()
                 frame.sample()
                 frame.clock.settle()
                 frame.clock.slow = time.perf_counter() - before > SLOW_SECONDS
                 progress(frame.done / request.samples, f"Sample {frame.done}/{request.samples}")
-                if frame.done < request.samples:
+                if not frame.complete:
                     frame.clock.check()
             return Result(frame.pixels(), frame.report(time.perf_counter() - started))
         except Cancelled:
@@ -130,7 +131,7 @@ class Renderer:
 
     def start(self, scene: Scene, request: Request) -> Frame:
         """A picture that is drawn sample by sample."""
-        frame = Frame(self, scene, request)
+        frame = Frame(self, scene, request, presented=True)
         frame.clock.slow = False
         return frame
 
@@ -144,9 +145,15 @@ class Frame:
     """One picture in the making. Every call comes from the device's thread."""
 
     def __init__(
-        self, renderer: Renderer, scene: Scene, request: Request, cancelled: Callable[[], bool] = lambda: False
+        self,
+        renderer: Renderer,
+        scene: Scene,
+        request: Request,
+        cancelled: Callable[[], bool] = lambda: False,
+        presented: bool = False,
     ) -> None:
-        self.renderer, self.request = renderer, request
+        """`presented`: between samples too."""
+        self.renderer, self.request, self.presented = renderer, request, presented
         scene, self._warnings = parted(scene)
         self.scene = scene
         self.device = renderer.device
@@ -161,14 +168,20 @@ class Frame:
             check=self.clock.check,
         )
         self.shadows, unshadowed = self._shadows()
-        self.plan = make_plan(scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive)
+        self.plan = make_plan(
+            scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive, self._blended()
+        )
         # Everything is drawn for `view`, of which the camera's window is a part.
-        self.view, self.corner = _widened(request.camera, self.prepared.largest if self.plan.points else 0.0)
+        self.view, self.corner = _widened(request.camera, self.plan.reach(self.prepared.largest))
         self._owned: list[Any] = []
         self._lent: tuple[tuple, Targets] | None = None
         self._identities: list[np.ndarray] = []
         self._data: dict[str, np.ndarray] = {}
+        self.adaptive: Adaptive | None = None
         plan = self.plan
+        self.everywhere = why_everywhere(
+            request.settings, request.samples, plan.translucent is not None, self._wants_identities
+        )
         drawn = plan.points or plan.polygons or plan.spheres or plan.translucent is not None
         self._trivial = not drawn and scene.world.image is None
         if not self._trivial:
@@ -177,6 +190,16 @@ class Frame:
             except Exception:
                 self.release()
                 raise
+
+    def _blended(self) -> tuple[Camera, int] | None:
+        """What EWA needs to know, where it draws the points."""
+        request = self.request
+        if request.settings.technique != "EWA":
+            return None
+        if not self.device.limits.float_blend:
+            self._warnings += ("EWA needs blending of floats, which this GPU lacks: points are drawn in image space",)
+            return None
+        return request.camera, request.samples
 
     def _shadows(self) -> tuple[Shadows | None, str]:
         prepared = self.prepared
@@ -201,8 +224,16 @@ class Frame:
         self._lent = self.renderer.pool.borrow(plan, passes, size, count)
         self.targets = self._lent[1]
         device.clear(self.targets.sum_target)
-        self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes, self.request.samples)
-        self.background = shade_pass.background_program(plan.lighting, self.scene.transparent, passes)
+        if not self.everywhere:
+            # Two pixels of the coarsest level on either side.
+            threshold = self.request.settings.adaptive_threshold
+            place = self.targets.surfels.buffer.textures["place"] if self.presented else None
+            self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, 2 << count, place))
+        self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes, self.request.samples,
+                                                plan.ewa is not None)  # fmt: skip
+        self.background = shade_pass.background_program(
+            plan.lighting, self.scene.transparent, passes, plan.ewa is not None
+        )
         self.lit: translucent_pass.LitSplats | None = None
         if plan.translucent is not None:
             program = translucent_pass.light_program(
@@ -218,14 +249,15 @@ class Frame:
 
     def sample(self) -> bool:
         """Draw one more sample; False when there were enough."""
-        if self.done >= self.request.samples:
+        if self.complete:
             return False
         if not self._trivial:
             device, record = self.device, self._record(self.done)
+            region = self.adaptive.gathered if self.adaptive else EVERYWHERE
             projection, uploads = self.targets.projection, self.uploads
             if projection is not None:
                 self.clock.run("project", lambda: projection.run(uploads.draws, record.copy(), uploads.shared))
-            self.targets.surfels.draw(uploads, projection, record, self.clock.run)
+            self.targets.surfels.draw(uploads, projection, record, self.clock.run, region)
             first = self.done == 0
             if self.plan.data and (first or self._wants_identities):
                 if self.targets.data_surfels is not self.targets.surfels:
@@ -240,7 +272,21 @@ class Frame:
             if self.lit is not None:
                 self._draw_translucent(self.lit, record.copy(), first)
         self.done += 1
-        return self.done < self.request.samples
+        if self.adaptive is not None and self.done < self.request.samples:
+            adaptive = self.adaptive
+            self.clock.run("adapt", lambda: self._adapt(adaptive))
+        return not self.complete
+
+    def _adapt(self, adaptive: Adaptive) -> None:
+        """Leave out what no tile needs any more."""
+        record, projection, uploads = self._record(0), self.targets.projection, self.uploads
+        if adaptive.check(self.done, record) and projection is not None and not adaptive.finished:
+            uploads.narrow(projection.within(uploads.draws, record, uploads.shared, adaptive.gathered))
+
+    @property
+    def complete(self) -> bool:
+        """No sample is missing."""
+        return self.done >= self.request.samples or (self.adaptive is not None and self.adaptive.finished)
 
     @property
     def color(self) -> Texture:
@@ -260,12 +306,15 @@ class Frame:
         record["size"][0, 2] = self.done
         textures = self.targets.surfels.buffer.bound()
         textures |= self.uploads.shading
-        self.device.draw(self.shade, self.targets.shade_target, uniforms=record, textures=textures, blend=True)
+        self._add(self.shade, record, textures)
 
     def _draw_background(self, record: np.ndarray) -> None:
-        textures = {"ps_place": self.targets.surfels.buffer.textures["place"]}
-        textures |= self.uploads.shading
-        self.device.draw(self.background, self.targets.shade_target, uniforms=record, textures=textures, blend=True)
+        textures = self.targets.surfels.buffer.bound() | self.uploads.shading
+        self._add(self.background, record.copy(), textures)
+
+    def _add(self, program: Interface, record: np.ndarray, textures: dict[str, Texture]) -> None:
+        region = self.adaptive.shown if self.adaptive else EVERYWHERE
+        region.draw(self.device, program, self.targets.shade_target, uniforms=record, textures=textures, blend=True)
 
     def _draw_translucent(self, lit: translucent_pass.LitSplats, record: np.ndarray, first: bool) -> None:
         """Over the opaque picture of this sample, which is then added to the sums."""
@@ -328,10 +377,13 @@ class Frame:
                     self._identities.append(array[..., :2].astype(np.int32))
 
     def _cropped(self, texture: Texture) -> np.ndarray:
-        """The camera's window of a texture."""
+        return self._window(self.device.read(texture))
+
+    def _window(self, picture: np.ndarray) -> np.ndarray:
+        """The camera's window of what is drawn."""
         _, _, width, height = self.request.camera.window
         x, y = self.corner
-        return self.device.read(texture)[y : y + height, x : x + width]
+        return picture[y : y + height, x : x + width]
 
     def present(self) -> None:
         """Draw the average so far and its depth into the framebuffer that is bound, in the viewport that is set."""
@@ -345,7 +397,11 @@ class Frame:
         record["mist"][0, 3] = 1 / max(self.done, 1)
         record["previous"][0] = m[2, 2], m[2, 3], m[3, 2], m[3, 3]
         textures = {"ps_combined": self.targets.sums[0], "ps_place": self.targets.surfels.buffer.textures["place"]}
-        self.device.draw(shade_pass.PRESENT, None, uniforms=record, textures=textures)
+        program = shade_pass.PRESENT
+        if self.adaptive is not None and self.adaptive.place is not None:
+            program = shade_pass.PRESENT_ADAPTIVE
+            textures |= {"ps_counts": self.adaptive.known, "ps_place": self.adaptive.place}
+        self.device.draw(program, None, uniforms=record, textures=textures)
 
     def _present_constant(self) -> None:
         """A world of one colour needs no picture: one texel does."""
@@ -374,8 +430,9 @@ class Frame:
             return self._empty_pixels(wanted, width, height)
         out: dict[str, np.ndarray] = {}
         names = ("combined", *shade_pass.averaged(self.request.passes))
+        samples = max(self.done, 1) if self.adaptive is None else self._window(self.adaptive.samples(self.done))
         for name, texture in zip(names, self.targets.sums, strict=True):
-            mean = self._cropped(texture) / max(self.done, 1)
+            mean = self._cropped(texture) / samples
             out[name] = np.ascontiguousarray(mean[..., : BY_KEY[name].channels])
         data = self._data
         if "position" in data:
@@ -433,12 +490,25 @@ class Frame:
             "device": f"{self.device.name}: {self.device.limits.renderer}",
             "seconds": seconds,
             "passes": [{"name": name, "ms": round(ms, 3)} for name, ms in self.clock.spent.items()],
-            "skipped": [{"name": name, "because": why} for name, why in self.plan.skipped],
+            "skipped": [{"name": name, "because": why} for name, why in self._skipped()],
             "points": {"total": prepared.total, "cut": cut, "drawn": cut * self.done},
             "triangles": triangles,
             "bytes": {"cpu": STORE.nbytes, "gpu": self.device.bytes_allocated()},
             "warnings": [*self._warnings, *prepared.warnings, *(self.shadows.warnings if self.shadows else ())],
         }
+
+    def _skipped(self) -> list[tuple[str, str]]:
+        """Passes that did not run, and why."""
+        found = list(self.plan.skipped)
+        if self._trivial:
+            return found
+        if self.everywhere:
+            found.append(("adapt", self.everywhere))
+        elif self.adaptive is not None:
+            mean = float(self._window(self.adaptive.samples(self.done)).mean())
+            if mean < self.request.samples:
+                found.append(("samples", f"pixels have {mean:.1f} of {self.request.samples}: the others would agree"))
+        return found
 
     def release(self) -> None:
         """Free what only this picture needed."""

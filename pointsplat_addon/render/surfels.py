@@ -7,12 +7,14 @@ from collections.abc import Callable
 import numpy as np
 
 from .device import Device
+from .passes import ewa as ewa_pass
 from .passes import polygons as polygon_pass
 from .passes import spheres as sphere_pass
 from .passes.common import GBuffer, Variant
 from .passes.points import Projection, programs, resolve
 from .passes.pyramid import Pyramid
 from .plan import Plan
+from .tiles import EVERYWHERE, Region
 from .uploads import Uploads
 
 
@@ -34,8 +36,10 @@ class Surfels:
         projection: Projection | None,
         record: np.ndarray,
         run: Callable[[str, Callable[[], None]], None],
+        region: Region = EVERYWHERE,
     ) -> None:
-        """One sample: points resolved, polygons rasterised, holes filled. `run` times each pass."""
+        """One sample: points resolved, polygons rasterised, holes filled. `run` times each pass; outside `region`
+        nothing of it will be looked at."""
 
         def resolve_points() -> None:
             self.buffer.clear()
@@ -48,17 +52,23 @@ class Surfels:
                     record.copy(),
                     uploads.shared,
                     self.buffer,
+                    region,
                 )
 
         run("resolve", resolve_points)
+        self._draw_solids(uploads, record, run)
+        if self.pyramid is not None:
+            pyramid = self.pyramid
+            run("pull", lambda: pyramid.pull(record.copy(), region))
+            run("push", lambda: pyramid.push(record.copy(), region))
+
+    def _draw_solids(
+        self, uploads: Uploads, record: np.ndarray, run: Callable[[str, Callable[[], None]], None]
+    ) -> None:
         if self.plan.polygons:
             run("polygons", lambda: self._draw_polygons(uploads, record.copy()))
         if self.plan.spheres:
             run("spheres", lambda: self._draw_spheres(uploads, record.copy()))
-        if self.pyramid is not None:
-            pyramid = self.pyramid
-            run("pull", lambda: pyramid.pull(record.copy()))
-            run("push", lambda: pyramid.push(record.copy()))
 
     def _draw_spheres(self, uploads: Uploads, record: np.ndarray) -> None:
         program = sphere_pass.program(self.variant, self.plan.options)
@@ -83,3 +93,45 @@ class Surfels:
         self.buffer.release()
         if self.pyramid is not None:
             self.pyramid.release()
+
+
+class EwaSurfels(Surfels):
+    """A G-buffer of one variant, closed by blending splats as Gaussians."""
+
+    def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> None:
+        assert plan.ewa is not None
+        self.device, self.plan, self.variant = device, plan, variant
+        self.buffer = GBuffer(device, variant, size, depth=plan.options.depth)
+        self.pyramid = None
+        self.ewa = ewa_pass.Ewa(device, variant, plan.options, plan.ewa, size)
+
+    def draw(
+        self,
+        uploads: Uploads,
+        projection: Projection | None,
+        record: np.ndarray,
+        run: Callable[[str, Callable[[], None]], None],
+        region: Region = EVERYWHERE,
+    ) -> None:
+        """One sample: splats blended and normalised, polygons rasterised."""
+        ewa, shared = self.ewa, uploads.shared
+
+        def normalise() -> None:
+            self.buffer.clear()
+            ewa.normalise(record.copy(), self.buffer, region)
+
+        if ewa.draws is not uploads.draws:
+            run("splats", lambda: ewa.project(uploads.draws, record.copy(), shared))
+        run("visibility", lambda: ewa.see(record.copy(), shared))
+        run("blend", lambda: ewa.blend(record.copy(), shared))
+        run("normalise", normalise)
+        self._draw_solids(uploads, record, run)
+
+    def release(self) -> None:
+        super().release()
+        self.ewa.release()
+
+
+def make_surfels(device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> Surfels:
+    """A G-buffer, and how the plan's technique fills it."""
+    return (EwaSurfels if plan.ewa else Surfels)(device, plan, variant, size, count)

@@ -100,6 +100,12 @@ class Uploads:
             shadow_tables=tables, shadow_lights=records,
         )  # fmt: skip
 
+    def narrow(self, draws: list[PageDraw]) -> None:
+        """Points are drawn by these from now on, whose blocks become the frame's own."""
+        if draws is not self.draws:
+            self.draws = draws
+            self._owned.extend(draw.blocks for draw in draws)
+
     def release(self) -> None:
         for item in self._owned:
             item.release()

@@ -305,6 +305,7 @@ def test_cryptomatte_coverages_add_up_to_what_is_covered():
 def test_many_samples_are_the_mean_of_single_ones(name):
     """A sample `o` pixels beside the centre is a picture whose camera is shifted by `o` pixels."""
     case, samples = CASES[name](), 16
+    case = replace(case, settings=replace(case.settings, use_adaptive_sampling=False))
     passes = frozenset({"combined", "normal", "albedo", "mist"})
     together = render(case, passes, samples).pixels
     single = []

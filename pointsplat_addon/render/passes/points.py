@@ -12,15 +12,16 @@ A block is up to 2^shift consecutive splats of one instance: texel (x, y) of the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
-from ..device import Device, Target, Texture
-from ..packing import PAGE_WIDTH
+from ..device import EMPTY, Device, Target, Texture
+from ..packing import PAGE_WIDTH, paged
 from ..prepare import Layer, PointSet
+from ..tiles import TILE_DEFINE, Region
 from .common import FRAME, GBuffer, Variant
 from .pages import SplatPage, extent, filled, place, shading_normal
 
@@ -121,6 +122,7 @@ class PointPrograms:
 
     nearest: Interface
     identify: Interface
+    mark: Interface
     raster: Interface
     resolve: Interface
 
@@ -152,6 +154,14 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         images=(("R32UI", "ids"),),
         defines=(*defines, ("PS_IDENTIFY", "1")),
     )
+    mark = Interface(
+        "mark",
+        compute="project.comp",
+        block=FRAME,
+        samplers=(*common, *cull, ("FLOAT_2D", "ps_tiles")),
+        images=(("R32UI", "marks"),),
+        defines=(*defines, ("PS_MARK", "1"), TILE_DEFINE),
+    )
     raster = Interface(
         "project",
         vertex="project.vert",
@@ -180,7 +190,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         defines=(*variant.front_defines, *named, *((name, "1") for name, on in flags.items() if on)),
         depth=options.depth,
     )
-    return PointPrograms(nearest, identify, raster, resolve)
+    return PointPrograms(nearest, identify, mark, raster, resolve)
 
 
 @dataclass
@@ -231,6 +241,36 @@ class Projection:
                     images=images,
                 )
 
+    def within(
+        self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture], region: Region
+    ) -> list[PageDraw]:
+        """The draws without the blocks that have no splat in the region; the caller frees their `blocks`.
+
+        Without image atomics blocks cannot be told apart, and all are kept.
+        """
+        if self.depth is None or region.mask is None:
+            return draws
+        program, found, index = self.programs.mark, [], 0
+        for draw in draws:
+            marks = self.device.texture(draw.blocks.size, "R32UI")
+            self.device.fill(marks)
+            self.device.dispatch(
+                program,
+                -(-draw.elements // program.local_size),
+                uniforms=draw.fill(record),
+                textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks, "ps_tiles": region.mask},
+                images={"marks": marks},
+            )
+            marked = self.device.read(marks).reshape(-1)[: draw.count] != EMPTY
+            marks.release()
+            rows = self.device.read(draw.blocks).reshape(-1, 4)[: draw.count][marked]
+            if len(rows):
+                size, data = paged(rows, 4)
+                texture = self.device.texture(size, "RGBA32F", data)
+                found.append(replace(draw, blocks=texture, count=len(rows), first_index=index))
+                index += found[-1].elements
+        return found
+
     def _rasterise(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
         """Without image atomics: one-pixel points through the depth test."""
         assert self.raster_target is not None
@@ -262,10 +302,12 @@ def resolve(
     record: np.ndarray,
     shared: dict[str, Texture],
     out: GBuffer,
+    region: Region,
 ) -> None:
     """The identified splats' ellipses and attributes; pixels without one stay as they are."""
     for draw in draws:
-        device.draw(
+        region.draw(
+            device,
             program,
             out.target,
             uniforms=draw.fill(record),

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...shading.interface import Interface
 from ..device import Device
+from ..tiles import Region
 from .common import FRAME, GBuffer, Variant
 
 FINEST_LEVELS = 2  # even sub-pixel splats leave some pixels without a centre
@@ -38,24 +39,27 @@ class Pyramid:
         )  # fmt: skip
         self.finest_program = self.fill_program.with_defines("PS_FINEST")
 
-    def pull(self, record: np.ndarray) -> None:
+    def pull(self, record: np.ndarray, region: Region) -> None:
         """Each level from the next finer one."""
         for level in range(1, len(self.levels)):
             record["size"][0, 2] = level
             coarse = self.levels[level]
             coarse.clear()
-            self.device.draw(self.pull_program, coarse.target, uniforms=record, textures=self.levels[level - 1].bound())
+            textures = self.levels[level - 1].bound()
+            region.draw(self.device, self.pull_program, coarse.target, uniforms=record, textures=textures, level=level)
 
-    def push(self, record: np.ndarray) -> None:
+    def push(self, record: np.ndarray, region: Region) -> None:
         """Each level's holes from the next coarser one."""
         for level in range(len(self.levels) - 2, -1, -1):
             record["size"][0, 2] = level
             fine, coarse = self.levels[level], self.levels[level + 1]
-            self.device.draw(
+            region.draw(
+                self.device,
                 self.fill_program if level else self.finest_program,
                 fine.fill_target,
                 uniforms=record,
                 textures={"ps_front": fine.front, **coarse.bound("ps_coarse_")},
+                level=level,
             )
 
     def release(self) -> None:

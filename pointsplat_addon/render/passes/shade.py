@@ -6,6 +6,8 @@ refraction that stands for IOR and specular level; unused.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...core.lighting import relative_index
@@ -13,6 +15,7 @@ from ...core.scene import MaterialTable
 from ...shading.interface import Interface
 from ..device import Texture
 from ..outputs import BY_KEY
+from ..tiles import TILE_DEFINE
 from .common import FRAME, Variant
 
 AVERAGED = {"normal": ("PS_OUT_NORMAL", "out_normal_pass"), "albedo": ("PS_OUT_ALBEDO", "out_albedo"),
@@ -41,12 +44,17 @@ def data(passes: frozenset[str]) -> tuple[str, ...]:
 
 
 def shade_program(
-    variant: Variant, lighting: tuple[str, ...], materials: tuple[str, ...], passes: frozenset[str], samples: int = 1
+    variant: Variant,
+    lighting: tuple[str, ...],
+    materials: tuple[str, ...],
+    passes: frozenset[str],
+    samples: int = 1,
+    coverage: bool = False,
 ) -> Interface:
     """`lighting`, `materials`: the PS_ names of what shines and of what surfaces do with it. Wide lamps are looked at
-    from as many points as the `samples` of a picture leave over from LAMP_POINTS."""
+    from as many points as the `samples` of a picture leave over from LAMP_POINTS. `coverage`: edges are soft."""
     read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
-    names = (*variant.defines, *materials, *_averaged_defines(passes))
+    names = (*variant.defines, *materials, *_averaged_defines(passes), *(("PS_COVERAGE",) if coverage else ()))
     points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
@@ -57,13 +65,17 @@ def shade_program(
     )  # fmt: skip
 
 
-def background_program(lighting: tuple[str, ...], transparent: bool, passes: frozenset[str]) -> Interface:
-    """The world behind everything, of which `lighting` says what it is."""
+def background_program(
+    lighting: tuple[str, ...], transparent: bool, passes: frozenset[str], coverage: bool = False
+) -> Interface:
+    """The world behind everything, of which `lighting` says what it is. `coverage`: edges let some of it through."""
     world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT"))
-    names = (*world, *_averaged_defines(passes), *(() if transparent else ("PS_BACKGROUND",)))
+    named = {"PS_BACKGROUND": not transparent, "PS_COVERAGE": coverage}
+    names = (*world, *_averaged_defines(passes), *(name for name, on in named.items() if on))
+    read = ("ps_place", "ps_shape") if coverage else ("ps_place",)
     return Interface(
         "background", fragment="background.frag", block=FRAME, outputs=_averaged_outputs(passes),
-        samplers=(("FLOAT_2D", "ps_place"), *lighting_samplers(world)),
+        samplers=(*(("FLOAT_2D", name) for name in read), *lighting_samplers(world)),
         defines=tuple((name, "1") for name in names),
     )  # fmt: skip
 
@@ -110,6 +122,9 @@ PRESENT = Interface(
     samplers=(("FLOAT_2D", "ps_combined"), ("FLOAT_2D", "ps_place")),
     varyings=(("smooth", "vec2", "v_place"),), outputs=(("vec4", "out_color"),), depth=True,
 )  # fmt: skip
+PRESENT_ADAPTIVE = replace(
+    PRESENT, samplers=(*PRESENT.samplers, ("FLOAT_2D", "ps_counts")), defines=(TILE_DEFINE,)
+)  # pixels differ in how many samples they have: render/tiles.py
 
 
 def material_rows(table: MaterialTable) -> np.ndarray:
