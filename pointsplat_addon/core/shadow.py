@@ -24,9 +24,10 @@ import numpy as np
 
 from .kernel import SUPPORT
 from .scene import Light
-from .shadow_casters import CHUNK, KINDS, OPAQUE_DEPTH, Casters, casters
-from .shadow_cells import Frame, Grid, cell_grids, directions, fit_frame, lit_part, plane_distance
+from .shadow_casters import CHUNK, KINDS, OPAQUE_DEPTH, Casters, casters, typical
+from .shadow_cells import Frame, Grid, cell_grids, directions, fit_frame, lit_part, plane_distance, slopes
 from .shadow_table import TEXEL, WORD, Emitter, Level, ShadowTable, emitter_of, isosurface
+from .vectors import cross
 
 __all__ = ["Casters", "ShadowTable", "build", "casters", "isosurface"]
 
@@ -34,7 +35,6 @@ WIDEST = 10.0  # radians: standard deviation of a splat that surrounds the lamp
 SPAN = 2.0  # ratio of distances that share a level
 WHOLE = 4.0  # ratio of all distances of a batch up to which they share one
 WHOLE_SURFACE = 64.0  # and of samples of a surface, which would let light through where levels meet
-TYPICAL = 0.9  # quantile of the radii of a surface's samples
 RIM = {"VOLUME": np.sqrt(SUPPORT) / 2, "SHELL": 1.0, "OPAQUE": 1.0}  # half extent in a cell, in half-axes: see _split
 SMOKE = 1.005 * 2 * RIM["VOLUME"]  # cells of smoke per radius of its splats: just wide enough for them
 LEAST_SHARE = 1 / 256  # of a row or column: below it, the nearer one takes all
@@ -115,7 +115,7 @@ class _Spans:
 
 def _spans(frame: Frame, batch: Casters) -> _Spans:
     surface = batch.kind != "VOLUME"
-    least = float(np.quantile(batch.reach(), TYPICAL)) if surface else 0.0
+    least = typical(batch.reach()) if surface else 0.0
     if frame.parallel:
         return _Spans(1.0, 1.0, least)
     near, far = np.inf, 0.0
@@ -138,15 +138,21 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
     latitude, longitude, distance = frame.spherical(local)
 
     # Standard deviations along rows and columns; as angles, seen from within a splat, they are as wide as need be.
-    axes, ray = None, np.zeros(0)
+    normal, ray = None, np.zeros(0)
     if batch.axes is None:
         assert batch.radius is not None
         up = across = batch.radius / 2
     else:
         axes = batch.axes @ turn
         ray, north, east = directions(frame, latitude, longitude)
-        up, across = (np.sqrt((np.einsum("nkc,nc->nk", axes, d) ** 2).sum(axis=1)) / 2 for d in (north, east))
-    strength = _strength(batch, axes, ray)
+        along = (
+            (axes[..., 1], axes[..., 0])
+            if frame.parallel
+            else (np.einsum("nkc,nc->nk", axes, d) for d in (north, east))
+        )
+        up, across = (np.sqrt(np.einsum("nk,nk->n", a, a)) / 2 for a in along)
+        normal = cross(axes[:, 0].T, axes[:, 1].T).T if batch.kind != "VOLUME" else None
+    strength = _strength(batch, normal, ray)
     if not frame.parallel:
         spread = _inverse_square(distance, np.maximum(up, across))
         strength = strength * (spread if strength.ndim == 1 else spread[:, None])
@@ -176,11 +182,15 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
     inside &= (column >= 0) & (column < rows.count[row])
 
     at = distance[which]
-    if axes is not None and batch.kind != "VOLUME":
+    if normal is not None:
         place = place.astype(np.float32) / rows.density[row]
         to_cell = place - longitude[which], rows.latitude[row] - latitude[which]
-        middle = directions(frame, rows.latitude[row], place)[0]
-        at = plane_distance(frame, np.cross(axes[:, 0], axes[:, 1])[which], at, ray[which], middle, to_cell)
+        if frame.parallel:
+            slope = slopes(normal)
+            at = at - slope[0][which] * to_cell[0] - slope[1][which] * to_cell[1]
+        else:
+            middle = directions(frame, rows.latitude[row], place)[0]
+            at = plane_distance(frame, normal[which], at, ray[which], middle, to_cell)
     weight = share * rows.inverse_area[row]
     depth = np.minimum(strength[which] * (weight if strength.ndim == 1 else weight[:, None]), np.float32(OPAQUE_DEPTH))
     cell, at = rows.first[row] + column, np.maximum(at, 0)
@@ -247,16 +257,19 @@ def _inverse_square(distance: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     return result.astype(np.float32)
 
 
-def _strength(batch: Casters, axes: np.ndarray | None, ray: np.ndarray) -> np.ndarray:
-    """(N,) or (N, 3) float32: optical mass towards the lamp, units^2; of opaque splats the area that is seen."""
+def _strength(batch: Casters, normal: np.ndarray | None, ray: np.ndarray) -> np.ndarray:
+    """(N,) or (N, 3) float32: optical mass towards the lamp, units^2; of opaque splats the area that is seen.
+
+    normal: (N, 3), of surfaces, as long as the product of the half-axes.
+    """
     if batch.kind == "VOLUME":
         assert batch.mass is not None
         return batch.mass
-    if axes is None:
+    if normal is None:
         assert batch.radius is not None
         area = np.pi * batch.radius**2
     else:
-        area = np.float32(np.pi) * np.abs(np.einsum("nc,nc->n", np.cross(axes[:, 0], axes[:, 1]), ray))
+        area = np.float32(np.pi) * np.abs(np.einsum("nc,nc->n", normal, ray))
     if batch.mass is None:
         return area
     return batch.mass * (area if batch.mass.ndim == 1 else area[:, None])

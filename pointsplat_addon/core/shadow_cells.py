@@ -102,8 +102,7 @@ def cell_grids(frame: Frame, coarser: float) -> list[Grid]:
 def fit_frame(light: Light, batches: Sequence[Casters], resolution: int) -> Frame:
     """A grid about the casters, as far as the lamp shines on them."""
     rows = max(int(resolution), 1)
-    low = np.min([b.origin + b.position.min(axis=0) - b.reach().max() for b in batches], axis=0)
-    high = np.max([b.origin + b.position.max(axis=0) + b.reach().max() for b in batches], axis=0)
+    low, high = np.min([b.box[0] for b in batches], axis=0), np.max([b.box[1] for b in batches], axis=0)
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3)
     if light.kind == "SUN":
         rotation = _rotation(light.direction)[[1, 2, 0]]
@@ -192,14 +191,20 @@ def plane_distance(
     to_cell: tuple[np.ndarray, np.ndarray],  # (N,) longitude and latitude of the cell less those of the point
 ) -> np.ndarray:
     """(N,) distance at which the plane meets the middle of the cell."""
-    facing = (normal * ray).sum(axis=1)
-    least = STEEPEST * np.sqrt((normal**2).sum(axis=1))
     if frame.parallel:
-        return distance - (normal[:, 0] * to_cell[0] + normal[:, 1] * to_cell[1]) / at_least(facing, least)
-    there = (normal * middle).sum(axis=1)
+        slope = slopes(normal)
+        return distance - slope[0] * to_cell[0] - slope[1] * to_cell[1]
+    facing, there = np.einsum("nc,nc->n", normal, ray), np.einsum("nc,nc->n", normal, middle)
+    least = STEEPEST * np.sqrt(np.einsum("nc,nc->n", normal, normal))
     # A plane that turns its other side to the cell never meets it.
     there = np.where((there > 0) == (facing > 0), there, facing)
     return distance * (at_least(facing, least) / at_least(there, least))
+
+
+def slopes(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How much nearer to a sun (N,) planes with a local normal (N, 3) come along x and along y."""
+    facing = at_least(normal[:, 2], STEEPEST * np.sqrt(np.einsum("nc,nc->n", normal, normal)))
+    return normal[:, 0] / facing, normal[:, 1] / facing
 
 
 def at_least(value: np.ndarray, least: np.ndarray) -> np.ndarray:

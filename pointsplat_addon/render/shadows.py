@@ -12,20 +12,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core import sampling, shadow
-from ..core.appearance import digest, point_cloud
+from ..core.appearance import digest
 from ..core.cloud import PointCloud, finite
 from ..core.cut import largest_singular_value
 from ..core.lighting import in_rows
 from ..core.scene import Geometry, Light, Mesh, Scene, Settings
+from ..core.shadow_samples import Outline, outline, places, sampled
 from .prepare import Store, given
 from .shadow_pages import PackedTables, pack
 
 MOST_SAMPLES = 1 << 20  # of all meshes together; where more would be needed, all are sampled more coarsely
 NEAREST = 0.05  # of the scene's radius: lamps that are nearer to a surface do not ask for finer samples
 FEW_INSTANCES = 64  # of one mesh: so many are asked where they are nearest to a lamp
-SCATTERED = 1024  # places of a mesh that are asked for it
 LARGEST_PICTURE = 16384  # rows of a texture
 FARTHEST = 1e18  # units from the origin: squares of distances are to fit float32
+ENDS = (np.min, np.inf), (np.max, -np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +135,7 @@ def _casters(scene: Scene, store: Store) -> list[_Caster]:
     casting, found = _casting(scene), []
     for row, geometry in enumerate(scene.geometries):
         where = np.flatnonzero(casting & (scene.instances.geometry == row))
-        bounds = store.lookup(("ball", geometry.key), lambda g=geometry: _ball(g)) if len(where) else None
+        bounds = store.lookup(("ball", geometry.key), lambda g=geometry: _ball(g, store)) if len(where) else None
         if bounds is None or bounds[1] < 0:
             continue
         matrices = scene.instances.world_from_object[where]
@@ -143,19 +144,24 @@ def _casters(scene: Scene, store: Store) -> list[_Caster]:
     return found
 
 
-def _ball(geometry: Geometry) -> tuple[np.ndarray, float]:
+def _outline(geometry: Geometry, mesh: Mesh, store: Store) -> Outline:
+    valid, _ = store.lookup(("valid", geometry.key), lambda: sampling.validate(mesh))
+    return store.lookup(("shadow outline", geometry.key), lambda: outline(mesh, valid))
+
+
+def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
     """Centre and radius of a ball about a geometry's box, in object space; the radius is negative where it is empty."""
     mesh, cloud = geometry.mesh, geometry.cloud
     if mesh is not None and len(mesh.triangles):
-        ok, _ = sampling.validate(mesh)
-        position, origin = mesh.position[np.unique(mesh.triangles[ok])], np.zeros(3)
+        found = _outline(geometry, mesh, store)
+        low, high, origin = found.low, found.high, np.zeros(3)
     elif cloud is not None and len(cloud):
         position, origin = _reached(finite(cloud)[0]).position, cloud.origin
+        low, high = (np.array([f(column, initial=start) for column in position.T], float) for f, start in ENDS)
     else:
         return np.zeros(3), -1.0
-    if len(position) == 0:
+    if not (low <= high).all():
         return np.zeros(3), -1.0
-    low, high = position.min(axis=0).astype(float), position.max(axis=0).astype(float)
     return origin + (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 
 
@@ -172,51 +178,35 @@ def _spacings(casters: list[_Caster], lights: tuple[Light, ...], resolution: int
         if mesh is None:
             found.append(0.0)
             continue
-        places = store.lookup(("scattered", caster.geometry.key), lambda mesh=mesh: _scattered(mesh))
-        cell = min(_cell(light, caster, places, middle, reach, resolution) for light in lights if light.shadow)
+        found_there = _outline(caster.geometry, mesh, store)
+        cell = min(
+            _cell(light, caster, found_there, middle, reach, resolution, store) for light in lights if light.shadow
+        )
         scale = float(largest_singular_value(caster.matrices[:, :3, :3]).max())
         spacing = cell / scale if scale > 0 else np.inf
         found.append(spacing)
-        area = store.lookup(("area", caster.geometry.key), lambda mesh=mesh: _area(mesh))
-        samples += len(caster.matrices) * area / spacing**2
+        samples += len(caster.matrices) * found_there.size / spacing**2
     coarser = max(np.sqrt(samples / MOST_SAMPLES), 1.0)
     # To the nearest octave.
     return [sampling.quantise_spacing(np.sqrt(2) * coarser * s) if 0 < s < np.inf else 0.0 for s in found]
 
 
 def _cell(
-    light: Light, caster: _Caster, places: np.ndarray, middle: np.ndarray, reach: float, resolution: int
+    light: Light, caster: _Caster, shape: Outline, middle: np.ndarray, reach: float, resolution: int, store: Store
 ) -> float:
-    """World units that a cell of a lamp's table spans where a caster is nearest to the lamp. `places` (n, 3) are some
-    of its mesh."""
+    """World units that a cell of a lamp's table spans where a caster, a mesh of this shape, is nearest to the lamp."""
     if light.kind == "SUN":
         return 2 * reach / resolution
     away = float(np.linalg.norm(light.position - middle))
     angle = 2 * np.arcsin(reach / away) if away > 1.4 * reach else np.pi
-    if len(caster.matrices) > FEW_INSTANCES:
+    mesh = caster.geometry.mesh
+    if mesh is None or len(caster.matrices) > FEW_INSTANCES:
         near = np.linalg.norm(caster.centre - light.position, axis=1) - caster.radius
     else:
-        world = np.einsum("iab,nb->ina", caster.matrices[:, :3, :3], places) + caster.matrices[:, None, :3, 3]
+        found = store.lookup(("shadow places", caster.geometry.key), lambda: places(mesh, shape))
+        world = np.einsum("iab,nb->ina", caster.matrices[:, :3, :3], found) + caster.matrices[:, None, :3, 3]
         near = np.linalg.norm(world - light.position, axis=-1)
     return float(angle / resolution * max(near.min(), NEAREST * reach))
-
-
-def _scattered(mesh: Mesh) -> np.ndarray:
-    """(n, 3) float64 places all over a mesh, in object space."""
-    ok, _ = sampling.validate(mesh)
-    if not ok.any():
-        return np.zeros((1, 3))
-    spacing = max(np.sqrt(_area(mesh) / SCATTERED), 1e-30)
-    samples = sampling.sample(mesh, spacing, "AREA", ok)
-    step = max(1, len(samples) // (4 * SCATTERED))
-    places = sampling.interpolate(mesh, samples, mesh.position[mesh.triangles])
-    return places[::step].astype(np.float64)
-
-
-def _area(mesh: Mesh) -> float:
-    ok, _ = sampling.validate(mesh)
-    a, b, c = mesh.position[mesh.triangles[ok]].astype(np.float64).transpose(1, 0, 2)
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
 def _batches(
@@ -226,14 +216,14 @@ def _batches(
     found = []
     for caster, length in zip(casters, spacing, strict=True):
         check()
-        cloud = caster.geometry.cloud
+        cloud, mesh = caster.geometry.cloud, caster.geometry.mesh
+        clouds = []
         if cloud is not None:
             cloud, _ = store.lookup(("finite", caster.geometry.key), lambda cloud=cloud: given(cloud))
-            cloud = _reached(cloud)
-        if caster.geometry.mesh is not None:
-            cloud = _sampled(scene, caster.geometry, caster.geometry.mesh, length, store) if length > 0 else None
-        if cloud is not None and len(cloud):
-            found += [shadow.casters(cloud, matrix) for matrix in caster.matrices]
+            clouds = [_reached(cloud)]
+        if mesh is not None and length > 0:
+            clouds = _sampled(scene, caster.geometry, mesh, length, store)
+        found += [shadow.casters(cloud, matrix) for cloud in clouds if len(cloud) for matrix in caster.matrices]
     return found
 
 
@@ -244,15 +234,8 @@ def _reached(cloud: PointCloud) -> PointCloud:
     return cloud.take(np.flatnonzero((np.abs(cloud.position) < FARTHEST).all(axis=1)))
 
 
-def _sampled(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store: Store) -> PointCloud:
+def _sampled(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store: Store) -> tuple[PointCloud, ...]:
     """The points of a mesh that is drawn as polygons, or more densely than shadows need."""
-
-    def make() -> PointCloud:
-        ok, _ = sampling.validate(mesh)
-        coarse = sampling.limit_spacing(mesh, spacing, ok=ok)
-        method = sampling.choose(mesh, coarse, ok)
-        samples = sampling.sample(mesh, coarse, method, ok)
-        evaluated = sampling.evaluate(mesh, samples, sampling.centre(mesh), ok)
-        return finite(point_cloud(mesh, samples, evaluated, scene.materials))[0]
-
-    return store.lookup(("shadow samples", geometry.key, _look(scene, geometry), spacing), make)
+    key = ("shadow samples", geometry.key, _look(scene, geometry), spacing)
+    shape = _outline(geometry, mesh, store)
+    return store.lookup(key, lambda: tuple(sampled(mesh, shape, spacing, scene.materials)))
