@@ -42,7 +42,7 @@ def run(quick: bool = False) -> list[dict[str, Any]]:
     dense, coarse = wave(count // 2), wave(1000)
     keys = np.random.default_rng(0).random(count, dtype=np.float32)
     sort = seconds(lambda: np.argsort(keys))
-    fine = float(np.sqrt(sampling._measure(coarse).area / count))  # about `count` samples on large triangles
+    fine = float(np.sqrt(sampling.measure(coarse).area / count))  # about `count` samples on large triangles
     one_each = 10.0  # larger than any triangle
     cases = {
         "VERTICES": (dense, one_each, "triangles, half as many samples"),

@@ -28,9 +28,11 @@ from .vectors import blocks as _blocks
 from .vectors import clip as _clip
 from .vectors import cross as _cross
 from .vectors import dot as _dot
+from .vectors import each_block
 
 METHODS = ("AUTO", "VERTICES", "AREA", "GRID")
-MAX_SAMPLES = 1 << 23  # of one mesh: about 400 MB of hierarchy
+MAX_SAMPLES = 1 << 23  # of one mesh, at a tolerance of a pixel: 0.8 GB, and 0.3 on the device
+MOST_SAMPLES = 1 << 24  # of one mesh, where finer tolerances ask for more
 SMALLEST, LARGEST = 1e-18, 1e18  # edge length and coordinate whose squares float32 still holds
 
 # Splats at a spacing s are at most s / sqrt(2) in radius: the disk around a square cell of side s.
@@ -115,9 +117,22 @@ def _corners(mesh: Mesh, rows: np.ndarray | slice, origin: np.ndarray | float = 
     triangles = mesh.triangles[rows] if isinstance(rows, slice) else mesh.triangles.take(rows, axis=0)
     corners = np.empty((3, 3, len(triangles)))
     for corner, vertex in zip(corners, triangles.T, strict=True):
-        corner[:] = mesh.position.take(vertex, axis=0).T
-    corners -= np.asarray(origin, np.float64).reshape(-1, 1)
+        _to_rows(mesh.position.take(vertex, axis=0), corner)
+    if np.any(origin):
+        corners -= np.asarray(origin, np.float64).reshape(-1, 1)
     return corners
+
+
+def _to_rows(values: np.ndarray, out: np.ndarray) -> None:
+    """(n, C) into (C, n). NumPy copies a whole transposed array several times more slowly."""
+    for row, column in zip(out, values.T, strict=True):
+        row[:] = column
+
+
+def _to_columns(values: np.ndarray, out: np.ndarray) -> None:
+    """(C, n) into (n, C)."""
+    for column, row in zip(out.T, values, strict=True):
+        column[:] = row
 
 
 def _squared_edges(corners: np.ndarray) -> np.ndarray:
@@ -127,39 +142,53 @@ def _squared_edges(corners: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Measures:
-    """Shape of the valid triangles, all (M,)."""
+class Measures:
+    """Shape of the M valid triangles of a mesh."""
 
-    triangle: np.ndarray  # int32, rows of Mesh.triangles
-    apex: np.ndarray  # uint8, the corner opposite the longest edge
-    base: np.ndarray  # float64, length of the longest edge
-    height: np.ndarray  # float64, of the apex over the base
-    foot: np.ndarray  # float64 in [0, 1], where the apex stands on the base, from corner apex + 1
+    triangle: np.ndarray  # (M,) int32, rows of Mesh.triangles
+    apex: np.ndarray  # (M,) uint8, the corner opposite the longest edge
+    base: np.ndarray  # (M,) float64, length of the longest edge
+    height: np.ndarray  # (M,) float64, of the apex over the base
+    foot: np.ndarray  # (M,) float64 in [0, 1], where the apex stands on the base, from corner apex + 1
+    longest: float  # edge of all
+    vertices: int  # that the triangles use
 
     @property
     def area(self) -> float:
         return float((0.5 * self.base * self.height).sum())
 
+    @property
+    def nbytes(self) -> int:
+        return sum(a.nbytes for a in (self.triangle, self.apex, self.base, self.height, self.foot))
 
-def _measure(mesh: Mesh, ok: np.ndarray | None = None) -> _Measures:
+
+def measure(mesh: Mesh, ok: np.ndarray | None = None) -> Measures:
+    """What sampling asks of a mesh. `ok` (T,) bool is what `validate` returned, where it is at hand."""
     ok = validate(mesh)[0] if ok is None else ok
     rows = np.flatnonzero(ok).astype(np.int32)
     count = len(rows)
     apex = np.empty(count, np.uint8)
     base, height, foot = np.empty((3, count))
-    for block in _blocks(count):
+
+    def look(block: slice) -> None:
         corners = _corners(mesh, rows[block])
-        squared = _squared_edges(corners)
+        opposite_0, opposite_1, opposite_2 = squared = _squared_edges(corners)
         cross = _cross(corners[1] - corners[0], corners[2] - corners[0])
         longest = squared.max(axis=0)
-        top = squared.argmax(axis=0)
-        from_start = np.choose((top + 2) % 3, squared)  # the edge opposite the base's end joins its start and the apex
-        from_end = np.choose((top + 1) % 3, squared)
-        apex[block] = top
+        # The first of equally long ones.
+        first = opposite_0 == longest
+        second = ~first & (opposite_1 == longest)
+        # The edges opposite the base's end and opposite its start.
+        from_start = np.where(first, opposite_2, np.where(second, opposite_0, opposite_1))
+        from_end = np.where(first, opposite_1, np.where(second, opposite_2, opposite_0))
+        apex[block] = np.where(first, 0, np.where(second, 1, 2))
         base[block] = np.sqrt(longest)
         height[block] = np.sqrt(_dot(cross, cross)) / base[block]
         foot[block] = np.clip(0.5 + (from_start - from_end) / (2 * longest), 0.0, 1.0)
-    return _Measures(rows, apex, base, height, foot)
+
+    each_block(count, look)
+    vertices = int(np.count_nonzero(used(mesh, ok)))
+    return Measures(rows, apex, base, height, foot, float(base.max(initial=0.0)), vertices)
 
 
 def validate(mesh: Mesh) -> tuple[np.ndarray, DroppedCounts]:
@@ -178,24 +207,25 @@ def validate(mesh: Mesh) -> tuple[np.ndarray, DroppedCounts]:
         ok &= ((triangles >= 0) & (triangles < vertices)).all(axis=1)
     bad_index = count - int(np.count_nonzero(ok))
 
-    non_finite = huge = tiny = degenerate = 0
-    for block in _blocks(count):
-        rows = np.arange(block.start, block.stop)[ok[block]]
+    dropped: list[list[int]] = []  # appending is safe from any thread
+
+    def look(block: slice) -> None:
+        rows = np.arange(block.start, block.stop)[ok[block]] if bad_index else block
         corners = _corners(mesh, rows)
         extent = np.abs(corners).max(axis=0)  # per coordinate; NaN spreads
         largest = extent.max(axis=0)
         finite = np.isfinite(largest)
         small = largest <= LARGEST
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             squared = _squared_edges(corners)
             long_enough = squared.max(axis=0) >= SMALLEST**2
             flat = _flat(corners, squared, extent)
-        non_finite += int(np.count_nonzero(~finite))
-        huge += int(np.count_nonzero(finite & ~small))
-        tiny += int(np.count_nonzero(small & ~long_enough))
-        degenerate += int(np.count_nonzero(small & long_enough & flat))
+        kinds = ~finite, finite & ~small, small & ~long_enough, small & long_enough & flat
+        dropped.append([int(np.count_nonzero(kind)) for kind in kinds])
         ok[rows] = small & long_enough & ~flat
-    return ok, DroppedCounts(bad_index, non_finite, huge, tiny, degenerate)
+
+    each_block(count, look)
+    return ok, DroppedCounts(bad_index, *(sum(kind) for kind in zip(*dropped, strict=True)))
 
 
 def _flat(corners: np.ndarray, squared: np.ndarray, extent: np.ndarray) -> np.ndarray:
@@ -222,8 +252,15 @@ def _flat(corners: np.ndarray, squared: np.ndarray, extent: np.ndarray) -> np.nd
 # --- Sampling -----------------------------------------------------------------------------------------------
 
 
-def sample(mesh: Mesh, spacing: float, method: str = "AUTO", ok: np.ndarray | None = None) -> Samples:
-    """Samples of `mesh` by one of METHODS. `ok` (T,) bool is what `validate` returned, where it is at hand.
+def sample(
+    mesh: Mesh,
+    spacing: float,
+    method: str = "AUTO",
+    ok: np.ndarray | None = None,
+    measures: Measures | None = None,
+) -> Samples:
+    """Samples of `mesh` by one of METHODS. `ok` (T,) bool and `measures` are what `validate` and `measure` returned,
+    where they are at hand.
 
     Raises ValueError for an unknown method, a spacing that is not a positive number, or more than 2^31 samples.
     """
@@ -231,22 +268,17 @@ def sample(mesh: Mesh, spacing: float, method: str = "AUTO", ok: np.ndarray | No
         raise ValueError(f"unknown sampling method {method!r}, expected one of {', '.join(METHODS)}")
     ok = validate(mesh)[0] if ok is None else ok
     if method == "AUTO":
-        method = choose(mesh, spacing, ok)
+        method = choose(mesh, spacing, ok, measures)
     if method == "VERTICES":
         return sample_vertices(mesh, ok)
-    return (sample_area if method == "AREA" else sample_grid)(mesh, spacing, ok)
+    return (sample_area if method == "AREA" else sample_grid)(mesh, spacing, ok, measures)
 
 
-def choose(mesh: Mesh, spacing: float, ok: np.ndarray | None = None) -> str:
+def choose(mesh: Mesh, spacing: float, ok: np.ndarray | None = None, measures: Measures | None = None) -> str:
     """VERTICES where AREA would give no triangle more than one sample and vertices are fewer; else AREA."""
     _check_spacing(spacing)
-    ok = validate(mesh)[0] if ok is None else ok
-    rows = np.flatnonzero(ok)
-    limit = (_ONE_SAMPLE * spacing) ** 2
-    for block in _blocks(len(rows)):
-        if (_squared_edges(_corners(mesh, rows[block])) > limit).any():
-            return "AREA"
-    return "VERTICES" if np.count_nonzero(used(mesh, ok)) <= len(rows) else "AREA"
+    m = measure(mesh, ok) if measures is None else measures
+    return "VERTICES" if m.longest <= _ONE_SAMPLE * spacing and m.vertices <= len(m.triangle) else "AREA"
 
 
 def sample_vertices(mesh: Mesh, ok: np.ndarray | None = None) -> Samples:
@@ -265,7 +297,7 @@ def sample_vertices(mesh: Mesh, ok: np.ndarray | None = None) -> Samples:
     return Samples("VERTICES", triangle.astype(np.int32), barycentric)
 
 
-def sample_area(mesh: Mesh, spacing: float, ok: np.ndarray | None = None) -> Samples:
+def sample_area(mesh: Mesh, spacing: float, ok: np.ndarray | None = None, measures: Measures | None = None) -> Samples:
     """Samples at most `spacing` apart, one ellipse with half-axes of at most spacing / sqrt(2) for each cell.
 
     A triangle is cut into rows parallel to its longest edge and each row into equal columns, so that a sliver
@@ -273,45 +305,58 @@ def sample_area(mesh: Mesh, spacing: float, ok: np.ndarray | None = None) -> Sam
     Raises ValueError for a spacing that is not a positive number, or for more than 2^31 samples.
     """
     _check_spacing(spacing)
-    return _area_samples(_measure(mesh, ok), spacing)
+    return _area_samples(measure(mesh, ok) if measures is None else measures, spacing)
 
 
-def _area_samples(m: _Measures, spacing: float) -> Samples:
+def _area_samples(m: Measures, spacing: float) -> Samples:
     _check_count(_area_count(m, spacing))
     # Rows of cells, parallel to the base. y runs from the base (0) to the apex (1), x along the base (0 to 1).
     single = m.base <= _ONE_SAMPLE * spacing
     rows = np.where(single, 1.0, np.maximum(np.ceil(m.height / spacing), 1.0))
     triangle_of_row, k = _expand(rows)
-    low_of_row = k / rows[triangle_of_row]
+    rows, alone, foot_of_row = rows[triangle_of_row], single[triangle_of_row], m.foot[triangle_of_row]
+    low_of_row, high_of_row = k / rows, (k + 1) / rows
     columns = np.maximum(np.ceil(m.base[triangle_of_row] * (1 - low_of_row) / spacing), 1.0)
-    columns[single[triangle_of_row]] = 1.0
+    columns[alone] = 1.0
+    width_of_row = (1 - low_of_row) / columns
     row_of_sample, j = _expand(columns)
 
     count = len(row_of_sample)
     triangle = np.empty(count, np.int32)
     barycentric = np.empty((count, 2), np.float32)
     ellipse = np.empty((count, 2, 2), np.float32)
-    for block in _blocks(count):
+
+    def fill(block: slice) -> None:
         row = row_of_sample[block]
-        t = triangle_of_row[row]
-        triangle[block] = m.triangle[t]
-        alone = single[t]
-        if not alone.all():
-            low, foot = low_of_row[row], m.foot[t]
-            width = (1 - low) / columns[row]
+        t = triangle_of_row.take(row)
+        triangle[block] = m.triangle.take(t)
+        single = alone.take(row)
+        if not single.all():
+            low, foot, width = low_of_row.take(row), foot_of_row.take(row), width_of_row.take(row)
             left = foot * low + j[block] * width
             right = left + width
             # A cell ends where the triangle's roof does, so that its centre lies within the triangle.
-            high = np.minimum((k[row] + 1) / rows[t], _roof(left, right, foot))
+            high = np.minimum(high_of_row.take(row), _roof(left, right, foot))
             x, y = (left + right) / 2, (low + high) / 2
             half_x = _RADIUS * width + _WEIGHT_SLACK
             half_y = _RADIUS * (high - low) + _WEIGHT_SLACK
-            apex = m.apex[t]
-            barycentric[block] = np.clip(_to_corners(apex, 1.0, x - foot * y, y), 0.0, 1.0)
-            ellipse[block, 0] = _to_corners(apex, 0.0, half_x, np.zeros_like(x))
-            ellipse[block, 1] = _to_corners(apex, 0.0, -foot * half_y, half_y)
-        barycentric[block][alone] = 1 / 3
-        ellipse[block][alone] = _STEINER
+            apex = m.apex.take(t)
+            is_0, is_1 = apex == 0, apex == 1
+
+            def to_corners(out: np.ndarray, start: np.ndarray, end: np.ndarray, top: np.ndarray | float) -> None:
+                """Weights of corners 1 and 2 from those of the base's ends and of the apex."""
+                out[:, 0] = np.where(is_0, start, np.where(is_1, top, end))
+                out[:, 1] = np.where(is_0, end, np.where(is_1, start, top))
+
+            end = x - foot * y
+            to_corners(barycentric[block], *(np.clip(w, 0.0, 1.0) for w in (1.0 - end - y, end, y)))
+            to_corners(ellipse[block, 0], -half_x, half_x, 0.0)
+            to_corners(ellipse[block, 1], (foot - 1) * half_y, -foot * half_y, half_y)
+        if single.any():
+            barycentric[block][single] = 1 / 3
+            ellipse[block][single] = _STEINER
+
+    each_block(count, fill)
     return Samples("AREA", triangle, barycentric, ellipse)
 
 
@@ -323,12 +368,6 @@ def _roof(left: np.ndarray, right: np.ndarray, foot: np.ndarray) -> np.ndarray:
     return np.minimum(np.minimum(rising, falling), 1.0)
 
 
-def _to_corners(apex: np.ndarray, total: float, end: np.ndarray, top: np.ndarray) -> np.ndarray:
-    """(n, 2) weights of corners 1 and 2, from those of the base's end and of the apex; all three sum to `total`."""
-    start = total - end - top
-    return np.stack([np.choose(apex, [start, top, end]), np.choose(apex, [end, start, top])], axis=1)
-
-
 def _expand(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For counts [2, 0, 3]: owners [0, 0, 2, 2, 2] (int32) and positions within them [0, 1, 0, 1, 2] (int64)."""
     counts = counts.astype(np.int64)
@@ -338,7 +377,7 @@ def _expand(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return owner, np.arange(total) - np.repeat(ends - counts, counts)
 
 
-def _area_count(m: _Measures, spacing: float) -> float:
+def _area_count(m: Measures, spacing: float) -> float:
     """At least as many samples as sample_area makes, and at most one more for each row."""
     columns = m.base / spacing
     rows = np.maximum(np.ceil(m.height / spacing), 1.0)
@@ -355,7 +394,7 @@ def _check_count(count: float) -> None:
         raise ValueError(f"{count:.3g} samples are too many; use a larger spacing")
 
 
-def sample_grid(mesh: Mesh, spacing: float, ok: np.ndarray | None = None) -> Samples:
+def sample_grid(mesh: Mesh, spacing: float, ok: np.ndarray | None = None, measures: Measures | None = None) -> Samples:
     """Samples where axis-parallel lines, `spacing` apart, meet the triangles: a layered depth cube.
 
     Each triangle is sampled only along the axis that its normal is closest to (Coconu and Hege 2002, section 4),
@@ -366,7 +405,7 @@ def sample_grid(mesh: Mesh, spacing: float, ok: np.ndarray | None = None) -> Sam
     Raises ValueError for a spacing that is not a positive number, or for more than 2^31 samples.
     """
     _check_spacing(spacing)
-    m = _measure(mesh, ok)
+    m = measure(mesh, ok) if measures is None else measures
     thick = (m.base > _ONE_SAMPLE * spacing) & (m.height > 0.5 * spacing)
     between = _area_samples(_take(m, ~thick), spacing)
     on_grid = _grid_samples(mesh, m.triangle[thick], spacing)
@@ -376,8 +415,8 @@ def sample_grid(mesh: Mesh, spacing: float, ok: np.ndarray | None = None) -> Sam
     return Samples("GRID", *(np.concatenate(pair)[order] for pair in pairs))
 
 
-def _take(m: _Measures, rows: np.ndarray) -> _Measures:
-    return _Measures(m.triangle[rows], m.apex[rows], m.base[rows], m.height[rows], m.foot[rows])
+def _take(m: Measures, rows: np.ndarray) -> Measures:
+    return Measures(m.triangle[rows], m.apex[rows], m.base[rows], m.height[rows], m.foot[rows], m.longest, m.vertices)
 
 
 def _grid_samples(mesh: Mesh, rows: np.ndarray, spacing: float) -> Samples:
@@ -540,50 +579,102 @@ def _evaluate_ellipses(mesh: Mesh, samples: Samples, ellipse: np.ndarray, origin
     position, plane, axis = (np.empty((count, 3), np.float32) for _ in range(3))
     normal = plane if mesh.vertex_normal is None and mesh.corner_normal is None else np.empty_like(plane)
     radii = np.empty((count, 2), np.float32)
-    for block in _blocks(count):
-        triangle = samples.triangle[block]
-        corners = _corners(mesh, triangle, origin)
-        edges = corners[1] - corners[0], corners[2] - corners[0]
-        weights = samples.barycentric[block].T.astype(np.float64)
-        place = _along(edges, weights) + corners[0]
-        position[block] = place.T
 
-        cross = _cross(*edges)
-        double_area = np.sqrt(_dot(cross, cross))
-        plane[block] = _unit(cross, double_area).T
+    def fill(block: slice) -> None:
+        triangles, own = _grouped(samples.triangle[block])
+        flat, metric, normals = _per_triangle(mesh, triangles, origin, normal is not plane)
+        weights = samples.barycentric[block].T.astype(np.float64, order="C")
+        # What `own` holds is in range: nothing needs to be checked.
+        flat, metric = flat.take(own, axis=1, mode="clip"), metric.take(own, axis=1, mode="clip")
+        first, edges, face = flat[:3], (flat[3:6], flat[6:9]), flat[9:]
+        place = _along(edges, weights) + first
+        _to_columns(place, position[block])
+        _to_columns(face, plane[block])
 
-        shape = ellipse[block].transpose(1, 2, 0).astype(np.float64)
-        major, length = _major_half_axis(_along(edges, shape[0]), _along(edges, shape[1]))
-        axis[block] = _unit(major, length, fallback=0).T
+        shape = ellipse[block].transpose(1, 2, 0).astype(np.float64, order="C")
+        major, length = _major_half_axis(edges, metric, shape)
+        _to_columns(_unit(major, length, fallback=0), axis[block])
         # The product of the half-axes follows from the area, so that needles lose no digits.
         determinant = np.abs(shape[0, 0] * shape[1, 1] - shape[0, 1] * shape[1, 0])
-        minor = determinant * double_area / np.maximum(length, np.finfo(np.float64).tiny)
+        minor = determinant * metric[3] / np.maximum(length, np.finfo(np.float64).tiny)
         rounding = 2.0**-23 * np.abs(place).max(axis=0)  # of `position`: neighbours still meet
         radii[block, 0] = length + rounding
         radii[block, 1] = np.maximum(minor, _MIN_ASPECT * length) + rounding
-        if normal is not plane:
-            own = _interpolated_normals(mesh, samples.triangle[block], weights)
-            normal[block] = _unit(own, np.sqrt(_dot(own, own)), plane[block].T).T
+        if normals is not None:
+            smooth = normals.take(own, axis=1, mode="clip")
+            weights = weights.astype(np.float32)
+            mixed = smooth[:3] + _along((smooth[3:6], smooth[6:]), weights)
+            _to_columns(_unit(mixed, np.sqrt(_dot(mixed, mixed)), face), normal[block])
+
+    each_block(count, fill)
     return Evaluated(origin, position, normal, plane, radii, axis)
 
 
-def _along(edges: tuple[np.ndarray, np.ndarray], weights: np.ndarray) -> np.ndarray:
+def _grouped(triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles, and of which of them each sample is. Samples of a triangle follow one another."""
+    first = np.ones(len(triangle), bool)
+    np.not_equal(triangle[1:], triangle[:-1], out=first[1:])
+    return triangle[first], np.cumsum(first) - 1
+
+
+def _per_triangle(
+    mesh: Mesh, triangles: np.ndarray, origin: np.ndarray, smooth: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """What the samples of M triangles share, as rows.
+
+    (12, M) float64: corner 0 relative to `origin`, the edges from there to corners 1 and 2, the unit normal;
+    (4, M) float64: the edges' dot products 1.1, 1.2, 2.2, and twice the area;
+    (9, M) float32 where `smooth`: the mesh's own normal at corner 0, and how much those at 1 and 2 differ from it.
+    """
+    flat, metric = np.empty((12, len(triangles))), np.empty((4, len(triangles)))
+    corners = _corners(mesh, triangles, origin)
+    flat[:3] = corners[0]
+    first, second = (np.subtract(corners[c], corners[0], out=flat[3 * c : 3 * c + 3]) for c in (1, 2))
+    metric[:3] = _dot(first, first), _dot(first, second), _dot(second, second)
+    cross = _cross(first, second)
+    metric[3] = np.sqrt(_dot(cross, cross))
+    flat[9:] = _unit(cross, metric[3])
+    if not smooth:
+        return flat, metric, None
+    normals = np.empty((3, 3, len(triangles)), np.float32)
+    if mesh.corner_normal is not None:
+        of_corner = mesh.corner_normal.take(triangles, axis=0).swapaxes(0, 1)
+    else:
+        assert mesh.vertex_normal is not None
+        vertices = mesh.triangles.take(triangles, axis=0)
+        of_corner = (mesh.vertex_normal.take(vertex, axis=0) for vertex in vertices.T)
+    for values, out in zip(of_corner, normals, strict=True):
+        _to_rows(values, out)
+    normals[1:] -= normals[0]
+    return flat, metric, normals.reshape(9, -1)
+
+
+def _along(edges: tuple[np.ndarray, np.ndarray], weights: np.ndarray | tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     return weights[0] * edges[0] + weights[1] * edges[1]
 
 
-def _major_half_axis(p: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Major half-axis (3, n) of the ellipses with conjugate half-diameters p and q (3, n), and its length (n,).
+def _major_half_axis(
+    edges: tuple[np.ndarray, np.ndarray], metric: np.ndarray, shape: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Major half-axes (3, n) and their lengths (n,) of ellipses with conjugate half-diameters p and q, whose weights of
+    `edges` are the rows of shape (2, 2, n); metric (3.., n): the edges' dot products 1.1, 1.2, 2.2.
 
     The half-axis is p cos a + q sin a with tan 2a = 2 p.q / (p.p - q.q).
     """
-    pp, qq = _dot(p, p), _dot(q, q)
-    swap = qq > pp
-    p, q = np.where(swap, q, p), np.where(swap, p, q)
-    difference, twice = np.abs(pp - qq), 2 * _dot(p, q)
-    hypotenuse = np.hypot(difference, twice)
-    safe = np.where(hypotenuse > 0, hypotenuse, 1)
-    cosine = np.sqrt((1 + np.where(hypotenuse > 0, difference / safe, 1)) / 2)
-    major = cosine * p + twice / (2 * safe * cosine) * q
+    p, q = shape
+    along_p = metric[0] * p[0] + metric[1] * p[1], metric[1] * p[0] + metric[2] * p[1]
+    pp, pq = along_p[0] * p[0] + along_p[1] * p[1], along_p[0] * q[0] + along_p[1] * q[1]
+    qq = metric[0] * q[0] * q[0] + 2 * metric[1] * q[0] * q[1] + metric[2] * q[1] * q[1]
+    difference, twice = pp - qq, 2 * pq
+    hypotenuse = np.sqrt(difference * difference + twice * twice)
+    # Of cos a and sin a the larger comes from |cos 2a|, the other one from sin 2a: no digits are lost.
+    circle = hypotenuse == 0
+    hypotenuse[circle] = difference[circle] = 1
+    large = np.sqrt(0.5 + 0.5 * np.abs(difference) / hypotenuse)
+    small = pq / (hypotenuse * large)
+    swap = difference < 0
+    cosine, sine = np.where(swap, small, large), np.where(swap, large, small)
+    major = _along(edges, (cosine * p[0] + sine * q[0], cosine * p[1] + sine * q[1]))
     return major, np.sqrt(_dot(major, major))
 
 
@@ -594,17 +685,6 @@ def _unit(vectors: np.ndarray, length: np.ndarray, fallback: np.ndarray | int = 
         return vectors / length
     other = np.eye(3)[fallback][:, None] if isinstance(fallback, int) else fallback
     return np.where(good, vectors / np.where(good, length, 1), other)
-
-
-def _interpolated_normals(mesh: Mesh, triangle: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(3, n) float64, the mesh's own normals at the weights (2, n) of corners 1 and 2, not normalised."""
-    if mesh.corner_normal is not None:
-        normals = mesh.corner_normal.take(triangle, axis=0)
-    else:
-        assert mesh.vertex_normal is not None
-        normals = mesh.vertex_normal.take(mesh.triangles.take(triangle, axis=0), axis=0)
-    a, b, c = normals.transpose(1, 2, 0).astype(np.float64)
-    return a + weights[0] * (b - a) + weights[1] * (c - a)
 
 
 def _evaluate_vertices(mesh: Mesh, samples: Samples, origin: np.ndarray, ok: np.ndarray) -> Evaluated:
@@ -781,7 +861,7 @@ def estimate_count(mesh: Mesh, spacing: float, method: str = "AREA", ok: np.ndar
         method = choose(mesh, spacing, ok)
     if method == "VERTICES":
         return int(np.count_nonzero(used(mesh, ok)))
-    return math.ceil(_area_count(_measure(mesh, ok), spacing))
+    return math.ceil(_area_count(measure(mesh, ok), spacing))
 
 
 def used(mesh: Mesh, ok: np.ndarray) -> np.ndarray:
@@ -791,15 +871,21 @@ def used(mesh: Mesh, ok: np.ndarray) -> np.ndarray:
     return used
 
 
-def limit_spacing(mesh: Mesh, spacing: float, max_samples: int = MAX_SAMPLES, ok: np.ndarray | None = None) -> float:
+def limit_spacing(
+    mesh: Mesh,
+    spacing: float,
+    max_samples: int = MAX_SAMPLES,
+    ok: np.ndarray | None = None,
+    measures: Measures | None = None,
+) -> float:
     """`spacing`, or the finest octave above it at which AREA makes at most `max_samples` samples.
 
     Where the mesh has more triangles than that, the finest octave that gives each triangle one sample.
     """
-    m = _measure(mesh, ok)
+    m = measure(mesh, ok) if measures is None else measures
     if len(m.triangle) == 0 or _area_count(m, spacing) <= max_samples:
         return spacing
-    one_each = float(m.base.max()) / _ONE_SAMPLE
+    one_each = m.longest / _ONE_SAMPLE
     spacing = quantise_spacing(max(spacing, math.sqrt(m.area / max_samples) / 2))
     while _area_count(m, spacing) > max_samples and spacing < one_each:
         spacing *= 2

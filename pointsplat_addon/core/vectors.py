@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 BLOCK = 1 << 15  # items: the float64 scratch of one block stays in the cache
+MOST_THREADS = 8  # beyond them memory is what blocks wait for
 
 
 def blocks(count: int) -> Iterator[slice]:
     """`count` items in slices of at most BLOCK."""
     return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
+
+
+def each_block(count: int, work: Callable[[slice], None], block: int = BLOCK) -> None:
+    """Call `work` for `count` items in slices of at most `block`, on all cores where there are many: NumPy lets go of
+    the interpreter's lock within its loops. Slices must not depend on one another. Raises what `work` raises."""
+    slices = [slice(start, min(start + block, count)) for start in range(0, count, block)]
+    threads = min(os.cpu_count() or 1, MOST_THREADS, len(slices) // 2)
+    if threads < 2:
+        for one in slices:
+            work(one)
+        return
+    with ThreadPoolExecutor(threads, thread_name_prefix="PointSplat blocks") as pool:
+        for done in [pool.submit(work, one) for one in slices]:
+            done.result()
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -307,18 +307,24 @@ class _View:
         store, shape = self.store, (mesh.topology or geometry.key, geometry.name)
         spacing = geometry.spacing if geometry.spacing > 0 else needed
         known = store.finest(("spacing", shape, geometry.spacing), np.inf)
+        measures = store.lookup(("measures", geometry.key), lambda: sampling.measure(mesh, ok))
         if geometry.spacing <= 0 and spacing < known:
-            spacing = sampling.limit_spacing(mesh, sampling.quantise_spacing(spacing), ok=ok)
+            octave_of, most = sampling.quantise_spacing(spacing), most_samples(self.settings.tolerance)
+            spacing = store.lookup(
+                ("limited", shape, octave_of, most),
+                lambda: sampling.limit_spacing(mesh, octave_of, most, ok, measures),
+            )
         spacing = store.finest(("spacing", shape, geometry.spacing), spacing) * 2.0**octave
         needed *= 2.0**octave
         look = digest(mesh, self.scene.materials)
         # Vertices do for coarser needs than samples: their disks cover the mesh whatever its edges project to.
         loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
-        method = store.lookup(("method", shape, loose), lambda: sampling.choose(mesh, loose, ok))
+        method = store.lookup(("method", shape, loose), lambda: sampling.choose(mesh, loose, ok, measures))
         spacing = 0.0 if method == "VERTICES" else spacing
         first = sampling.centre(mesh)
         samples, origin = store.lookup(
-            ("places", shape, method, spacing), lambda: (sampling.sample(mesh, spacing or loose, method, ok), first)
+            ("places", shape, method, spacing),
+            lambda: (sampling.sample(mesh, spacing or loose, method, ok, measures), first),
         )
         key = ("samples", geometry.key, look, method, spacing)
         table = self.scene.materials
@@ -372,6 +378,11 @@ class _View:
         """Whether enough instances show this set's splats so small that a cut leaves most of them out."""
         small = np.count_nonzero(self._diameter(points, view_from_object) < SMALL_SPLAT * self.settings.tolerance)
         return bool(small > 0) if self.interactive else bool(small * self.samples >= HIERARCHY_PAYS)
+
+
+def most_samples(tolerance: float) -> int:
+    """Samples that one mesh may have: a finer tolerance asks for more, up to what memory holds."""
+    return int(min(sampling.MAX_SAMPLES / min(tolerance, 1.0) ** 2, sampling.MOST_SAMPLES))
 
 
 def lets_through(geometry: Geometry, table: MaterialTable) -> bool:
