@@ -80,7 +80,7 @@ def test_many_small_triangles_cast_from_their_vertices():
     assert radii(cloud).max() <= spacing / np.sqrt(2)
     # Where tables tell more apart than vertices do, there are samples.
     (fine,) = sampled(mesh, shape(mesh), spacing / 2, TABLE)
-    assert np.median(radii(fine)[:, 0]) < np.median(wide(cloud))
+    assert np.median(radii(fine)[:, 0]) < np.median(radii(cloud))
 
 
 def test_a_wide_triangle_among_small_ones_is_sampled():
