@@ -19,7 +19,7 @@ mat2x3 ps_half_pixels(int instance, vec3 p)
 
 // Covariance (xx, xy, yy) of the splat at `p` in view space; its rim lies at 2 sigma. With M from ps_half_pixels, a ball
 // has r^2 M M^T, a disk lacks what lies along its normal, and an ellipse has more along its major axis.
-vec3 ps_footprint(int instance, vec3 p, float normal_code, vec4 extent)
+vec3 ps_moments(int instance, vec3 p, float normal_code, vec4 extent)
 {
   mat2x3 m = ps_half_pixels(instance, p);
   float minor2 = extent.y * extent.y;
@@ -30,6 +30,13 @@ vec3 ps_footprint(int instance, vec3 p, float normal_code, vec4 extent)
   vec2 major = ps_unpack_normal(extent.z) * m;
   covariance += (extent.x * extent.x - minor2) * vec3(major.x * major.x, major.x * major.y, major.y * major.y);
 #endif
+  return covariance;
+}
+
+// The same, at least PS_LEAST_SIGMA wide in any direction.
+vec3 ps_footprint(int instance, vec3 p, float normal_code, vec4 extent)
+{
+  vec3 covariance = ps_moments(instance, p, normal_code, extent);
   float mean = 0.5 * (covariance.x + covariance.z);
   float least = mean - length(vec2(0.5 * (covariance.x - covariance.z), covariance.y));
   covariance.xz += max(PS_LEAST_SIGMA * PS_LEAST_SIGMA - least, 0.0);

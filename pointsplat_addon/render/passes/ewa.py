@@ -1,0 +1,233 @@
+"""EWA splatting: splats as elliptical Gaussians that are blended and normalised (Zwicker et al. 2001, Ren et al. 2002).
+
+Four passes. `splats` projects every splat once for all samples of a view; then, sample by sample, `visibility` finds the
+nearest surface under each pixel's centre, `blend` adds up the attributes of all splats of that surface, weighted by
+their kernels, and `normalise` divides by the sum of the weights, into the G-buffer that polygons and spheres share.
+
+What `splats` leaves of each drawn element, one texel each:
+  place     centre in pixels from the principal point; depth; 1 + 2 instance (small), 2 + 2 instance (large), 0: not
+            drawn; negative where the splat shows its back
+  shape     covariance in pixels^2 (xx, xy, yy) without low-pass, its rim at 2 sigma; material (-1 - m: a holdout)
+  front     change of depth per pixel (x, y), half extent in depth, depth within which it is one surface with others
+  normal    in view space, (0, 0, 0) for a ball; roughness   \\
+  color     base colour, metallic                            | where the G-buffer has them
+  emission                                                   /
+What `visibility` leaves of each pixel: depth (0: nothing), depth up to which splats belong to it, material, instance.
+What `blend` sums, times weights: depth, material, 1 for front faces, 1; normal; color; emission.
+
+Small splats are squares around points, projected affinely. Large ones are rectangles, whose fragments meet the splat's
+plane exactly; only views that may have any draw them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.ewa import CUTOFF, low_pass
+from ...core.scene import Camera
+from ...shading.interface import Interface
+from ..device import Device, Target, Texture
+from ..packing import PAGE_WIDTH
+from ..tiles import Region
+from .common import FRAME, GBuffer, Variant
+from .points import PageDraw, PointOptions, attributes
+
+WIDEST_POINT = 32.0  # pixels of radius up to which shaders/ewa_splats.frag calls splats small
+AFFINE_ERROR = 0.1  # pixels, as there
+CHUNK = 1 << 20  # elements of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
+ATTRIBUTES = ("normal", "color", "emission")  # of the G-buffer, that are blended
+
+
+@dataclass(frozen=True)
+class EwaOptions:
+    """What a view's splats need beyond PointOptions."""
+
+    low_pass: float  # pixels^2: core.ewa.low_pass
+    balls: bool = False  # some have no normal
+    large: bool = False  # some may be wide, or near
+
+    def reach(self, largest: float) -> float:
+        """Pixels from the centre to the end of the kernel of splats that are drawn as points, of at most the radius
+        `largest`; wider ones are drawn wherever their centres are."""
+        return math.sqrt(CUTOFF * (min(largest, WIDEST_POINT) ** 2 / 4 + self.low_pass))
+
+
+def options(camera: Camera, largest: float, balls: bool, samples: int) -> EwaOptions:
+    """`largest`: bound of the splats' radii in pixels. A rim's projection errs by its radius times the share of the depth
+    that it extends over, at most the radius squared over the focal length in pixels."""
+    focal = min(abs(f) for f in camera.pixel_from_view()[:2])
+    affine = math.sqrt(AFFINE_ERROR * focal) if camera.perspective else math.inf
+    return EwaOptions(low_pass(samples), balls, large=not largest <= min(WIDEST_POINT, affine))
+
+
+@dataclass(frozen=True)
+class EwaPrograms:
+    """Interfaces of one variant."""
+
+    splats: Interface
+    visibility: tuple[Interface, ...]  # of small splats, and of large ones
+    blend: tuple[Interface, ...]
+    normalise: Interface
+
+
+def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaPrograms:
+    """The programs of one variant."""
+    named = tuple((name, "1") for name in variant.defines if name != "PS_OWNER")
+    flags = {"PS_SHADING_NORMAL": points.shading_normal, "PS_CULL": points.cull, "PS_ELLIPSES": points.ellipses}
+    flagged = tuple((name, "1") for name, on in flags.items() if on)
+    samplers, defines = attributes(variant, points)
+    extra = (("FLOAT_2D", "ps_shading_normal"),) if points.shading_normal and variant.normal else ()
+    cull = (("FLOAT_2D", "ps_materials"),) if points.cull else ()
+    blended = _blended(variant)
+    splats = Interface(
+        "splats", fragment="ewa_splats.frag", block=FRAME, samplers=(*samplers, *extra, *cull),
+        outputs=tuple(("vec4", f"out_{name}") for name in ("place", "shape", "front", *blended)),
+        defines=(*named, *flagged, *defines),
+    )  # fmt: skip
+    normalise = Interface(
+        "normalise", fragment="ewa_normalise.frag", block=FRAME,
+        samplers=tuple(("FLOAT_2D", name) for name in ("ps_nearest", *(f"ps_sum_{n}" for n in ("place", *blended)))),
+        outputs=variant.front_outputs, depth=points.depth,
+        defines=(*variant.front_defines, *((("PS_DEPTH", "1"),) if points.depth else ())),
+    )  # fmt: skip
+    kinds = (False, True) if ewa.large else (False,)
+    return EwaPrograms(
+        splats,
+        tuple(_drawn(variant, points, ewa, False, large) for large in kinds),
+        tuple(_drawn(variant, points, ewa, True, large) for large in kinds),
+        normalise,
+    )
+
+
+def _blended(variant: Variant) -> tuple[str, ...]:
+    return tuple(name for name, _, _ in variant.channels if name in ATTRIBUTES)
+
+
+def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool, large: bool) -> Interface:
+    """Splats on the screen: `blend` their kernels, else their ellipses."""
+    blended = _blended(variant) if blend else ()
+    samplers = [("FLOAT_2D", f"ps_splat_{name}") for name in ("place", "shape", "front", *blended)]
+    names = ["v_place", "v_conic", "v_front", "v_material", *(f"v_{name}" for name in blended)]
+    defines: list[tuple[str, str]] = []
+    if blend:
+        samplers.append(("FLOAT_2D", "ps_nearest"))
+        defines += [("PS_BLEND", "1"), *((name, "1") for name in variant.defines if name != "PS_OWNER")]
+        defines += [("PS_BALLS", "1")] if ewa.balls and variant.normal else []
+        outputs = tuple(("vec4", f"out_{name}") for name in ("place", *blended))
+    else:
+        outputs = (("vec4", "out_nearest"),)
+    if large:
+        pages = ("ps_blocks", "ps_place", "ps_extent", *(() if points.one_instance else ("ps_instances",)))
+        samplers += [("FLOAT_2D", name) for name in pages]
+        names += ["v_u", "v_v", "v_plane"]
+        flags = {"PS_LARGE": True, "PS_ELLIPSES": points.ellipses, "PS_ONE_INSTANCE": points.one_instance}
+        defines += [(name, "1") for name, on in flags.items() if on]
+    return Interface(
+        "blend" if blend else "visibility",
+        vertex="ewa_large.vert" if large else "ewa.vert",
+        fragment="ewa.frag", block=FRAME, samplers=tuple(samplers),
+        varyings=tuple(("flat", "vec4", name) for name in names),
+        outputs=outputs, defines=tuple(defines), depth=not blend,
+    )  # fmt: skip
+
+
+class Splats:
+    """The projected splats of one page of one view."""
+
+    def __init__(self, device: Device, program: Interface, draw: PageDraw) -> None:
+        """DeviceError: more splats than a texture holds."""
+        self.draw = draw
+        size = (PAGE_WIDTH, max(1, -(-draw.elements // PAGE_WIDTH)))
+        exact = ("out_place", "out_shape", "out_front")
+        self.textures: dict[str, Texture] = {
+            name.replace("out_", "ps_splat_"): device.texture(size, "RGBA32F" if name in exact else "RGBA16F")
+            for _, name in program.outputs
+        }
+        self.target: Target = device.target(list(self.textures.values()))
+
+    def release(self) -> None:
+        self.target.release()
+        for texture in self.textures.values():
+            texture.release()
+
+
+class Ewa:
+    """From the splats of a view to a G-buffer: the textures between them."""
+
+    def __init__(
+        self, device: Device, variant: Variant, points: PointOptions, ewa: EwaOptions, size: tuple[int, int]
+    ) -> None:
+        self.device, self.options = device, ewa
+        self.programs = programs(variant, points, ewa)
+        self.nearest = device.texture(size, "RGBA32F")
+        self.nearest_target: Target = device.target([self.nearest], depth=True)
+        self.sums: dict[str, Texture] = {
+            f"ps_sum_{name}": device.texture(size, "RGBA32F") for name in ("place", *_blended(variant))
+        }
+        self.sum_target: Target = device.target(list(self.sums.values()))
+        self._splats: list[Splats] = []
+        self.draws: list[PageDraw] | None = None  # of which the splats are projected
+
+    def project(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
+        """Project the splats of a view."""
+        self._forget()
+        self.draws = draws
+        for draw in draws:
+            splats = Splats(self.device, self.programs.splats, draw)
+            self._splats.append(splats)
+            textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks}
+            self.device.draw(self.programs.splats, splats.target, uniforms=draw.fill(record), textures=textures)
+
+    def see(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
+        """The nearest surface under each pixel's centre."""
+        self.device.clear(self.nearest_target)
+        self._draw(self.programs.visibility, self.nearest_target, record, shared, depth_test=True)
+
+    def blend(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
+        """Attributes of that surface's splats times their kernels."""
+        self.device.clear(self.sum_target)
+        self._draw(self.programs.blend, self.sum_target, record, {**shared, "ps_nearest": self.nearest}, blend=True)
+
+    def normalise(self, record: np.ndarray, out: GBuffer, region: Region) -> None:
+        """Sums over weights, into the G-buffer; pixels that nothing reaches stay as they are."""
+        program = self.programs.normalise
+        textures = {**self.sums, "ps_nearest": self.nearest}
+        region.draw(self.device, program, out.target, uniforms=record, textures=textures, depth_test=program.depth)
+
+    def _draw(
+        self,
+        kinds: tuple[Interface, ...],
+        target: Target,
+        record: np.ndarray,
+        shared: dict[str, Texture],
+        **state: bool,
+    ) -> None:
+        record["lens"][0, 3] = self.options.low_pass
+        for splats in self._splats:
+            draw = splats.draw
+            textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks, **splats.textures}
+            draw.fill(record)
+            for program, large in zip(kinds, (False, True), strict=False):
+                for first in range(0, draw.elements, CHUNK):
+                    record["page"][0, 0] = first
+                    count = min(CHUNK, draw.elements - first)
+                    self.device.draw(
+                        program, target, uniforms=record, textures=textures, vertices=count * (6 if large else 1),
+                        primitive="TRIANGLES" if large else "POINTS", **state,
+                    )  # fmt: skip
+
+    def _forget(self) -> None:
+        for splats in self._splats:
+            splats.release()
+        self._splats.clear()
+        self.draws = None
+
+    def release(self) -> None:
+        self._forget()
+        self.nearest_target.release()
+        self.sum_target.release()
+        for texture in (self.nearest, *self.sums.values()):
+            texture.release()

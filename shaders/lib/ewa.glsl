@@ -1,0 +1,21 @@
+// The resampling kernel of EWA splatting (Zwicker et al. 2001): a Gaussian whose covariance is the splat's on the screen
+// plus the low-pass of a pixel. Reference: core/ewa.py.
+
+#define PS_EWA_CUTOFF 5.0  // squared Mahalanobis distance at which kernels end
+#define PS_EWA_CUTOFF_SIGMA 2.2360680  // its root
+#define PS_EWA_KEPT 0.91791500  // 1 - exp(-c) with c = PS_EWA_CUTOFF / 2: what the cut leaves of a Gaussian's mass
+#define PS_EWA_SHARE 0.63661977  // 2 / pi: of its ellipse's area a splat stands for the cell that the ellipse goes around
+
+// Closed surfaces end with their front and their back at the same edge, where only the front is to be seen: what shows its
+// back weighs less by this factor.
+#define PS_EWA_BACK 0.015625
+
+// The least variance that an ellipse keeps across, in pixels^2: disks seen edge-on stay invertible.
+#define PS_EWA_LEAST 4e-4
+
+// The kernel's middle, for the determinants of the covariance with and without the low-pass: the pixels that the splat
+// stands for, 4 pi share sqrt(of), over the integral of what the cut leaves of the Gaussian, 2 pi kept sqrt(with).
+float ps_ewa_peak(float of, float with)
+{
+  return 2.0 * PS_EWA_SHARE / PS_EWA_KEPT * sqrt(max(of, 0.0) / with);
+}

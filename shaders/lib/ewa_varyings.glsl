@@ -1,0 +1,60 @@
+// What both vertex shaders of EWA hand on: the projected splat `index`. Layout: render/passes/ewa.py.
+
+// Nothing, far outside the picture.
+void ps_no_splat()
+{
+  v_place = v_conic = v_front = v_material = vec4(0.0);
+#ifdef PS_BLEND
+#ifdef PS_NORMAL
+  v_normal = vec4(0.0);
+#endif
+#ifdef PS_COLOR
+  v_color = vec4(0.0);
+#endif
+#ifdef PS_EMISSION
+  v_emission = vec4(0.0);
+#endif
+#endif
+#ifdef PS_LARGE
+  v_u = v_v = v_plane = vec4(0.0);
+#endif
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+}
+
+// Which kind of splat it is: 0 not drawn, 1 small, 2 large.
+int ps_kind(vec4 place)
+{
+  int code = int(abs(place.w));
+  return code == 0 ? 0 : 2 - (code & 1);
+}
+
+// Sets the varyings of a splat that is drawn; the covariance of what is drawn of it: PS_BLEND its kernel, else the ellipse.
+vec3 ps_splat(ivec2 at, vec4 place)
+{
+  vec4 shape = texelFetch(ps_splat_shape, at, 0);
+  vec3 c = shape.xyz;
+  float of = c.x * c.z - c.y * c.y;
+#ifdef PS_BLEND
+  c.xz += frame.lens.w;
+#else
+  float middle = 0.5 * (c.x + c.z), least = middle - length(vec2(0.5 * (c.x - c.z), c.y));
+  c.xz += max(PS_EWA_LEAST - least, 0.0);
+#endif
+  float with = c.x * c.z - c.y * c.y;
+  v_place = vec4(place.xy + frame.focal.zw, place.z, sign(place.w));
+  v_conic = vec4(vec3(c.z, -c.y, c.x) / with, ps_ewa_peak(of, with));
+  v_front = texelFetch(ps_splat_front, at, 0);
+  v_material = vec4(shape.w, float((int(abs(place.w)) - 1) >> 1), sqrt(c.xz));
+#ifdef PS_BLEND
+#ifdef PS_NORMAL
+  v_normal = texelFetch(ps_splat_normal, at, 0);
+#endif
+#ifdef PS_COLOR
+  v_color = texelFetch(ps_splat_color, at, 0);
+#endif
+#ifdef PS_EMISSION
+  v_emission = texelFetch(ps_splat_emission, at, 0);
+#endif
+#endif
+  return c;
+}
