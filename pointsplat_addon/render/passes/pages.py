@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ...core.cloud import PointCloud
 from ...core.hierarchy import basis, splats
+from ...core.vectors import each_block
 from ..device import Device, Texture
-from ..packing import NO_NORMAL, pack_normal, paged
+from ..packing import NO_NORMAL, PAGE_WIDTH, octahedral
 from ..prepare import PointSet
+
+SMALLEST_NORMAL = 1e-6  # of shading: what is shorter has no direction
+Write = Callable[[np.ndarray, slice], None]  # an attribute of the splats in a slice, into an array (n, channels)
 
 
 class SplatPage:
@@ -25,37 +31,66 @@ class SplatPage:
         self.textures: dict[str, Texture] = {}
         self._device = device
 
-    def upload(self, name: str, format: str, channels: int, rows: list[np.ndarray]) -> None:
-        """One attribute: rows (n, C <= channels) of each cloud. DeviceError: more splats than a texture holds."""
-        size, data = paged(rows[0] if len(rows) == 1 else np.concatenate(rows), channels)
-        self.textures[f"ps_{name}"] = self._device.texture(size, format, data)
+    def upload(self, name: str, format: str, channels: int, rows: list[Write | np.ndarray]) -> None:
+        """One attribute of each cloud: what writes it, or rows (n, C <= channels).
+
+        DeviceError: more splats than a texture holds.
+        """
+        height = max(1, -(-self.count // PAGE_WIDTH))
+        data = np.empty((height * PAGE_WIDTH, channels), np.float32)
+        at = 0
+        for cloud, values in zip(self.clouds, rows, strict=True):
+            write = _copy(values) if isinstance(values, np.ndarray) else values
+            out = data[at : at + len(cloud)]
+            each_block(len(cloud), lambda block, write=write, out=out: write(out[block], block))
+            at += len(cloud)
+        data[at:] = 0
+        self.textures[f"ps_{name}"] = self._device.texture((PAGE_WIDTH, height), format, data.reshape(-1))
 
     def release(self) -> None:
         for texture in self.textures.values():
             texture.release()
 
 
-def place(cloud: PointCloud) -> np.ndarray:
-    """(N, 4) float32: position relative to the cloud's origin, packed normal (NO_NORMAL: a ball)."""
-    rows = np.empty((len(cloud), 4), np.float32)
-    rows[:, :3] = cloud.position
-    rows[:, 3] = NO_NORMAL if cloud.normal is None else pack_normal(cloud.normal)
-    return rows
+def _copy(values: np.ndarray) -> Write:
+    """Rows (N,) or (N, C) as they are; zeros in further channels."""
+    columns = values.T if values.ndim > 1 else values[None]
+
+    def write(out: np.ndarray, block: slice) -> None:
+        # Column by column: NumPy copies rows of three several times more slowly.
+        for channel in range(out.shape[1]):
+            out[:, channel] = columns[channel, block] if channel < len(columns) else 0
+
+    return write
 
 
-def extent(cloud: PointCloud, always_axis: bool = False) -> np.ndarray:
-    """(N, 4) float32: half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too."""
-    rows = np.zeros((len(cloud), 4), np.float32)
-    if cloud.radii is not None:
-        rows[:, 0] = cloud.radii[:, 0]
-        rows[:, 1] = cloud.radii[:, min(1, cloud.radii.shape[1] - 1)]
-    if cloud.axis is not None:
-        rows[:, 2] = pack_normal(cloud.axis)
-    elif always_axis and cloud.normal is not None:
-        rows[:, 2] = pack_normal(basis(cloud.normal.T.astype(np.float64))[0].T)
-    if cloud.material is not None:
-        rows[:, 3] = cloud.material
-    return rows
+def place(cloud: PointCloud) -> Write:
+    """(N, 4): position relative to the cloud's origin, packed normal (NO_NORMAL: a ball)."""
+
+    def write(out: np.ndarray, block: slice) -> None:
+        for channel, column in enumerate(cloud.position.T):
+            out[:, channel] = column[block]
+        out[:, 3] = NO_NORMAL if cloud.normal is None else octahedral(cloud.normal[block])
+
+    return write
+
+
+def extent(cloud: PointCloud, always_axis: bool = False) -> Write:
+    """(N, 4): half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too."""
+
+    def write(out: np.ndarray, block: slice) -> None:
+        out[:, :2] = 0
+        if cloud.radii is not None:
+            out[:, 0] = cloud.radii[block, 0]
+            out[:, 1] = cloud.radii[block, min(1, cloud.radii.shape[1] - 1)]
+        out[:, 2] = 0
+        if cloud.axis is not None:
+            out[:, 2] = octahedral(cloud.axis[block])
+        elif always_axis and cloud.normal is not None:
+            out[:, 2] = octahedral(basis(cloud.normal[block].T.astype(np.float64))[0].T)
+        out[:, 3] = 0 if cloud.material is None else cloud.material[block]
+
+    return write
 
 
 def filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:
@@ -65,13 +100,19 @@ def filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:
         return own
     if cloud.material is None:
         return np.broadcast_to(constants[0], (len(cloud), constants.shape[1]))
-    return constants[cloud.material]
+    return constants.take(cloud.material, axis=0)
 
 
-def shading_normal(cloud: PointCloud) -> np.ndarray:
-    """(N,) float32: packed shading normals, NO_NORMAL where there is none."""
-    if cloud.shading_normal is None:
-        return np.full(len(cloud), NO_NORMAL, np.float32)
-    size = np.linalg.norm(cloud.shading_normal, axis=1, keepdims=True)
-    code = pack_normal(cloud.shading_normal / np.maximum(size, 1e-20))
-    return np.where(size[:, 0] > 1e-6, code, NO_NORMAL).astype(np.float32)
+def shading_normal(cloud: PointCloud) -> Write:
+    """(N, 1): packed shading normals, NO_NORMAL where there is none."""
+    own = cloud.shading_normal
+
+    def write(out: np.ndarray, block: slice) -> None:
+        if own is None:
+            out[:, 0] = NO_NORMAL
+        else:
+            x, y, z = own[block].T
+            out[:, 0] = octahedral(own[block])
+            out[np.abs(x) + np.abs(y) + np.abs(z) < SMALLEST_NORMAL, 0] = NO_NORMAL
+
+    return write
