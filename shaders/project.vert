@@ -8,6 +8,10 @@ void main()
   ps_id = uint(frame.page.x + gl_VertexID);
   ps_order = 1.0;
   gl_PointSize = 1.0;
+#ifdef PS_APART
+  ps_ellipse = vec3(0.0);
+  ps_centre = vec2(0.0);
+#endif
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   ivec3 element = ps_element(gl_VertexID);
   if (element.x < 0) {
@@ -31,7 +35,19 @@ void main()
 #endif
   // The pixel's centre, so that no rasteriser's rule for ties moves the point.
   vec2 centre = floor(pixel.xy) + 0.5;
-  vec3 covariance = ps_footprint(element.z, view, head.w, texelFetch(ps_extent, element.xy, 0));
+  vec4 extent = texelFetch(ps_extent, element.xy, 0);
+  vec3 covariance = ps_footprint(element.z, view, head.w, extent);
+#ifdef PS_APART
+  if (ps_alone(covariance, extent)) {
+    ps_ellipse = covariance;
+    ps_centre = pixel.xy;
+    vec2 reach = 2.0 * sqrt(covariance.xz);
+    gl_PointSize = 2.0 * max(reach.x, reach.y) + 2.0;
+    ps_order = 0.5 * ps_buffer_depth(pixel.z);
+    gl_Position = vec4(pixel.xy / vec2(frame.size.xy) * 2.0 - 1.0, 0.0, 1.0);
+    return;
+  }
+#endif
   uint beside = ps_beside(covariance, pixel.xy - centre);
   ps_id |= beside;
   // Splats that miss the pixel's centre come after all that hold it: the far half of the depth range. Written by the

@@ -38,6 +38,11 @@ void main()
 
   PsSurfel s = ps_empty();
   s.place = vec4(pixel.z, pixel.xy - (vec2(place) + 0.5), covers ? max(reach, 1e-30) : -max(reach, 1e-30));
+#ifdef PS_APART
+  if (ps_alone(covariance, extent)) {
+    s.place = vec4(pixel.z, 0.0, 0.0, PS_POLYGON);
+  }
+#endif
   s.shape = vec4(ps_cholesky(covariance), extent.w);
 #ifdef PS_NORMAL
   s.normal.xyz = normal;

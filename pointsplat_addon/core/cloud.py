@@ -21,6 +21,7 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     "material": ((), np.uint16),
     "value": ((), np.float32),
     "kernel": ((), np.uint8),
+    "apart": ((), np.bool_),
 }
 
 SCATTERED = 1 << 16  # points: fewer stay in the caches, whatever their order
@@ -51,6 +52,7 @@ class PointCloud:
     kernel: np.ndarray | None = (
         None  # (N,) uint8, row of core.kernel.PROFILES: shape of splats that light passes through
     )
+    apart: np.ndarray | None = None  # (N,) bool: an opaque splat that closes no surface with its neighbours (leaves)
 
     def __post_init__(self) -> None:
         """Raise ValueError where an attribute's length, shape or dtype does not fit."""

@@ -32,13 +32,11 @@ THIN = 1e-3  # smallest ratio of the axes of a bounding ellipse
 ROUNDING = 1 + 4e-7  # float32 copies of bounds are rounded outwards
 LEAF_SIZE = 12  # points: balances the nodes' memory against the points that a cut must show instead
 OPAQUE = 100.0  # optical depth of an opaque splat
-# Mean depth of a node of opaque splats that leave no gap: its kernel stops as much light as its ellipse within 10 %,
-# and a wall of such nodes lets 2 % through.
-CLOSED = 2.5
 # Kernels of media are drawn wider than their moments: those of cells side by side then add up to an even medium (a
 # standard deviation of 0.29 of the cell leaves ripples of 28 %, one of 0.33 of 12 %), and outlines grow no more than
 # the thickness at which they are seen shrinks.
 WIDER = 1.15
+CELL = 4.5 / np.pi  # surface of a cube over that of the ellipsoid that has its moments
 AVERAGED = ("color", "opacity", "surface", "emission", "shading_normal", "extinction", "value")
 
 
@@ -76,6 +74,10 @@ class Hierarchy:
     kernel: np.ndarray | None = None  # (M,) uint8, 0: many splats of any shape look like one of the default
     mass: np.ndarray | None = None  # (M,) or (M, C) float32: integral of extinction, or of optical depth over area
     covered: np.ndarray | None = None  # (M,) float32: fraction of the kernel's volume (shells: ellipse) that is filled
+    # Of opaque clouds with splats that stand apart, all (M,): whether most of the node's do, and then, the area of the
+    # disk that hides as much as they.
+    apart: np.ndarray | None = None  # bool
+    section: np.ndarray | None = None  # float32
 
     def __len__(self) -> int:
         return len(self.tree)
@@ -139,37 +141,15 @@ def recolor(hierarchy: Hierarchy, cloud: PointCloud, in_tree_order: bool = False
         weight = splat_weight(cloud, which)
         averages = [_rows(array, which) for array in given.values()]
         return np.concatenate(
-            [weight[None], *(weight * a for a in averages), _sums(cloud, which, _frames(cloud, which)[2])]
+            [weight[None], *(weight * a for a in averages), _sums(cloud, which, frames(cloud, which)[2])]
         )
 
-    weight, totals = np.split(_sum_up(hierarchy.tree, len(cloud), columns), [1])
+    weight, totals = np.split(sum_up(hierarchy.tree, len(cloud), columns), [1])
     width = sum(int(np.prod(array.shape[1:])) for array in given.values())
     named = _averages(cloud, totals[:width] / weight)
     if len(totals) > width:
         named |= _optics(cloud, hierarchy.radii.T, totals[width:])
     return replace(hierarchy, cloud=cloud, **named)
-
-
-def shells(hierarchy: Hierarchy) -> PointCloud:
-    """The M nodes of an opaque cloud as translucent shells: what lets light pass where the gaps between its surfaces
-    are smaller than a node. The points are opaque over their ellipses and nowhere else.
-
-    Raises ValueError for clouds that have an opacity or extinction: `splats` gives theirs.
-    """
-    cloud, radii = hierarchy.cloud, hierarchy.radii.T
-    if cloud.opacity is not None or cloud.extinction is not None:
-        raise ValueError("shells are made of opaque clouds: this one has an opacity or extinction")
-    cloud = replace(cloud, opacity=np.ones(len(cloud), np.float32))
-
-    def columns(which: slice) -> np.ndarray:
-        area = _footprint(cloud, _frames(cloud, which)[2])
-        return np.stack([area, CLOSED * area, area])
-
-    def sheets(sums: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        return _sheets(cloud, sums, radii[:, nodes])
-
-    optics = _optics(cloud, radii, _sum_up(hierarchy.tree, len(cloud), columns, sheets))
-    return splats(replace(hierarchy, cloud=cloud, **optics)).take(slice(len(cloud), None))
 
 
 def moments(hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -198,17 +178,40 @@ def splats(hierarchy: Hierarchy) -> PointCloud:
         points = np.zeros(len(cloud), np.float32) if cloud.radii is None else cloud.radii[:, 0]
         arrays["radii"] = np.concatenate([points, drawn[:, 0]])[:, None]
     else:
-        normal, axis, radii = (a.astype(np.float32).T for a in _frames(cloud, slice(None)))
+        normal, axis, radii = (a.astype(np.float32).T for a in frames(cloud, slice(None)))
         given = 2 if cloud.radii is None else cloud.radii.shape[1]
         columns = 3 if cloud.extinction is not None or cloud.opacity is not None or given == 3 else 2
         arrays["normal"] = np.concatenate([normal, hierarchy.normal])
         arrays["axis"] = np.concatenate([axis, hierarchy.axis])
         arrays["radii"] = np.concatenate([radii, drawn])[:, :columns]
-    for name in (*AVERAGED, "material", "kernel"):
+    for name in (*AVERAGED, "material", "kernel", "apart"):
         array = getattr(cloud, name)
         if array is not None:
             arrays[name] = np.concatenate([array, getattr(hierarchy, name)])
+    if hierarchy.apart is not None:
+        _stand_in(hierarchy, arrays)
     return replace(cloud, **arrays)
+
+
+def _stand_in(hierarchy: Hierarchy, arrays: dict[str, np.ndarray]) -> None:
+    """For nodes whose splats stand apart, one of these, drawn by lot, as large as to hide as much as all of them: means
+    of normals say nothing of leaves, no light passes through ellipses of whole nodes, and the middles of nodes lie in
+    rows, one behind the other."""
+    assert hierarchy.apart is not None
+    assert hierarchy.section is not None
+    nodes, tree = np.flatnonzero(hierarchy.apart), hierarchy.tree
+    area = np.pi * np.prod(arrays["radii"][: len(hierarchy.cloud), :2].astype(np.float64), axis=1)
+    below = np.append(0.0, np.cumsum(np.maximum(area, 1e-30)))
+    first = tree.first_point[nodes]
+    last = first + tree.point_count[nodes]
+    lot = np.random.default_rng(0).random(len(tree))[nodes]
+    of = np.searchsorted(below, below[first] + lot * (below[last] - below[first]), side="right") - 1
+    of = np.clip(of, first, last - 1)
+    grown = np.sqrt(hierarchy.section[nodes] / np.maximum(area[of], 1e-30))
+    rows = len(hierarchy.cloud) + nodes
+    for name in ("position", "normal", "axis", "radii"):
+        arrays[name][rows] = arrays[name][of]
+    arrays["radii"][rows] *= grown[:, None]
 
 
 # Attributes of nodes
@@ -253,7 +256,7 @@ def splat_weight(cloud: PointCloud, which: slice) -> np.ndarray:
     splat counts in averages."""
     weight = np.ones(len(cloud.position[which]))
     if cloud.extinction is not None and cloud.radii is not None:
-        return np.maximum(np.prod(_frames(cloud, which)[2], axis=0), 1e-60)
+        return np.maximum(np.prod(frames(cloud, which)[2], axis=0), 1e-60)
     if cloud.radii is not None:
         r = cloud.radii[which].astype(np.float64)
         flat = cloud.axis is not None and r.shape[1] > 1
@@ -281,12 +284,12 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _outer(a: np.ndarray) -> np.ndarray:
+def outer(a: np.ndarray) -> np.ndarray:
     x, y, z = a
     return np.stack([x * x, x * y, x * z, y * y, y * z, z * z])
 
 
-def _frames(cloud: PointCloud, which: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def frames(cloud: PointCloud, which: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal, major axis and three half-axes of points, (3, n) float64 each; balls get a fixed frame, and flat splats
     of a medium stand for a slab as thick as it is wide."""
     n = len(cloud.position[which])
@@ -311,12 +314,12 @@ def _frames(cloud: PointCloud, which: slice) -> tuple[np.ndarray, np.ndarray, np
 def _point_rows(cloud: PointCloud, which: slice) -> _Rows:
     """Points as the rows below the leaves."""
     position = np.ascontiguousarray(cloud.position[which].T)
-    normal, axis, radii = _frames(cloud, which)
+    normal, axis, radii = frames(cloud, which)
     weight = splat_weight(cloud, which)
     a, b, c = 0.25 * weight * radii**2
-    second = a * _outer(axis) + b * _outer(_cross(normal, axis))
+    second = a * outer(axis) + b * outer(_cross(normal, axis))
     if c.any():
-        second += c * _outer(normal)
+        second += c * outer(normal)
     columns = [_rows(array, which) for name, array in cloud.arrays().items() if name in AVERAGED]
     return _Rows(
         weight, position.astype(np.float64), second,
@@ -360,13 +363,16 @@ def _sums(cloud: PointCloud, which: slice, radii: np.ndarray) -> np.ndarray:
 
 def _footprint(cloud: PointCloud, radii: np.ndarray) -> np.ndarray:
     """(n,) area of ellipsoids of half-axes (3, n): of media that of a disk as wide as the ball of the same volume; of
-    shells half the surface, which is twice what is seen of it on average, and of flat ones their area.
-
-    The surface is Thomsen's approximation with the exponent that makes disks exact, as balls are anyway.
-    """
-    a, b, c = np.maximum(radii.astype(np.float64), 1e-30)
+    shells half the surface, which is twice what is seen of it on average, and of flat ones their area."""
     if cloud.extinction is not None:
-        return np.pi * np.cbrt(a * b * c) ** 2
+        return np.pi * np.cbrt(np.prod(np.maximum(radii.astype(np.float64), 1e-30), axis=0)) ** 2
+    return half_surface(radii)
+
+
+def half_surface(radii: np.ndarray) -> np.ndarray:
+    """(n,) half the surface of ellipsoids of half-axes (3, n): the area of flat ones. Thomsen's approximation with the
+    exponent that makes disks exact, as balls are anyway."""
+    a, b, c = np.maximum(radii.astype(np.float64), 1e-30)
     power = np.log(3) / np.log(2)
     return 2 * np.pi * (((a * b) ** power + (a * c) ** power + (b * c) ** power) / 3) ** (1 / power)
 
@@ -416,7 +422,7 @@ def _merge(rows: _Rows, count: np.ndarray, cloud: PointCloud) -> _Rows:
     weight = np.add.reduceat(rows.weight, begin)
     mean = np.add.reduceat(rows.weight * rows.mean, begin, axis=1) / weight
     step = rows.mean - mean.take(owner, axis=1)
-    second = np.add.reduceat(rows.second + rows.weight * _outer(step), begin, axis=1)
+    second = np.add.reduceat(rows.second + rows.weight * outer(step), begin, axis=1)
 
     # The kernel, in the plane of the mean normal where there is one.
     facing = np.add.reduceat(rows.weight * rows.facing, begin, axis=1) / weight
@@ -451,7 +457,7 @@ def _kernel(covariance: np.ndarray, facing: np.ndarray) -> tuple[np.ndarray, np.
     length = _length(facing)
     flat = length > 1e-3
     if not flat.any():
-        return *_principal(covariance), flat
+        return *principal(covariance), flat
     normal = np.where(flat, facing / np.maximum(length, 1e-3), [[0.0], [0.0], [1.0]]).astype(np.float32)
     u, v = basis(normal.astype(np.float64))
     uu, uv, vv = _form(covariance, u, u), _form(covariance, u, v), _form(covariance, v, v)
@@ -466,11 +472,11 @@ def _kernel(covariance: np.ndarray, facing: np.ndarray) -> tuple[np.ndarray, np.
 
     rest = np.flatnonzero(~flat)
     if len(rest):
-        normal[:, rest], axis[:, rest], radii[:, rest] = _principal(covariance[:, rest])
+        normal[:, rest], axis[:, rest], radii[:, rest] = principal(covariance[:, rest])
     return normal, axis, radii, flat
 
 
-def _principal(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def principal(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Last and first principal axis and the half-axes (major, middle, minor) of covariances (6, n), float32."""
     matrix = covariance[[0, 1, 2, 1, 3, 4, 2, 4, 5]].T.reshape(-1, 3, 3)
     scale = np.maximum(np.abs(matrix).max(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
@@ -546,26 +552,18 @@ def _merge_all(cloud: PointCloud, tree: Tree) -> _Rows:
     return nodes
 
 
-def _sum_up(
-    tree: Tree,
-    points: int,
-    columns: Callable[[slice], np.ndarray],
-    merged: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda sums, _: sums,
-) -> np.ndarray:
-    """Sums (B, M) of what `columns` gives for a range of points, bottom up; `merged` makes of the sums (B, k) over the
-    parts of nodes (k,) what counts for the nodes themselves."""
+def sum_up(tree: Tree, points: int, columns: Callable[[slice], np.ndarray]) -> np.ndarray:
+    """Sums (B, M) over nodes of what `columns` gives for a range of points in tree order, bottom up."""
     total = np.empty((len(columns(slice(0, 0))), len(tree)))
     leaves = _leaves_in_tree_order(tree, points)
     begin = np.append(tree.first_point[leaves], points)
     for a, b in runs(tree.point_count[leaves], CHUNK):
-        part = np.add.reduceat(columns(slice(begin[a], begin[b])), begin[a:b] - begin[a], axis=1)
-        total[:, leaves[a:b]] = merged(part, leaves[a:b])
+        total[:, leaves[a:b]] = np.add.reduceat(columns(slice(begin[a], begin[b])), begin[a:b] - begin[a], axis=1)
     for first, last in zip(tree.levels[-2::-1], tree.levels[:0:-1], strict=True):
         parents = first + np.flatnonzero(tree.child_count[first:last])
         if len(parents):
             begin, end = tree.first_child[parents], tree.first_child[parents[-1]] + tree.child_count[parents[-1]]
-            part = np.add.reduceat(total[:, begin[0] : end], begin - begin[0], axis=1)
-            total[:, parents] = merged(part, parents)
+            total[:, parents] = np.add.reduceat(total[:, begin[0] : end], begin - begin[0], axis=1)
     return total
 
 
@@ -583,6 +581,8 @@ def _evaluate(cloud: PointCloud, order: np.ndarray, tree: Tree) -> Hierarchy:
     named = _averages(cloud, rows.averages)
     if len(rows.sums):
         named |= _optics(cloud, rows.radii, rows.sums)
+    if cloud.apart is not None:
+        named |= _gaps(cloud, tree, rows.radii)
     return Hierarchy(
         cloud, order, tree,
         center=_columns(rows.center), normal=_columns(rows.normal), axis=_columns(rows.axis),
@@ -629,6 +629,24 @@ def _optics(cloud: PointCloud, radii: np.ndarray, sums: np.ndarray) -> dict[str,
     if cloud.emission is not None:
         named["emission"] = _columns(rest[-3:] / volume)
     return named | {"covered": covered.astype(np.float32)}
+
+
+def _gaps(cloud: PointCloud, tree: Tree, radii: np.ndarray) -> dict[str, np.ndarray]:
+    """Hierarchy.apart and .section of nodes of these kernels (3, M), from points in tree order.
+
+    Disks of area s that are strewn over a cell of surface 2 S hide S (1 - exp(-s / S)) as one disk does, more by
+    s_i^2 / 2 S, in the second order, since none hides itself.
+    """
+    cell = CELL * half_surface(radii)
+
+    def columns(which: slice) -> np.ndarray:
+        _, _, axes = frames(cloud, which)
+        area = np.pi * axes[0] * axes[1]
+        return np.stack([area, area**2, area * cloud.apart[which]])  # type: ignore[index]
+
+    area, square, strewn = sum_up(tree, len(cloud), columns)
+    section = np.minimum(cell * -np.expm1(-area / cell) + square / (2 * cell), area)
+    return {"apart": strewn > 0.5 * area, "section": section.astype(np.float32)}
 
 
 def _mixed(filled: np.ndarray, strewn: np.ndarray, covered: np.ndarray) -> np.ndarray:

@@ -53,7 +53,7 @@ class Layout:
                 ("points", "<u4"),
             ]
         for name, shape in self.attributes:
-            if nodes or name not in ("mass", "covered"):
+            if nodes or name not in ("mass", "covered", "section"):
                 record.append((name, *_stored(name, shape)))
         return np.dtype(record)
 
@@ -78,7 +78,9 @@ def pack(hierarchy: Hierarchy) -> Packed:
     """Quantise. Colours and emission below 0 become 0, and unit-range attributes are clipped to [0, 1]."""
     cloud, tree = hierarchy.cloud, hierarchy.tree
     names = [
-        name for name in (*AVERAGED, "material", "kernel", "mass", "covered") if getattr(hierarchy, name) is not None
+        name
+        for name in (*AVERAGED, "material", "kernel", "mass", "covered", "apart", "section")
+        if getattr(hierarchy, name) is not None
     ]
     layout = Layout(
         normal=cloud.normal is not None,

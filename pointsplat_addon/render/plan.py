@@ -89,6 +89,7 @@ def make_plan(
         holdout=holdout,
         ellipses=any(p.hierarchy is not None or p.cloud.axis is not None for p in sets),
         one_instance=one,
+        apart=any(c.apart is not None for c in clouds),
         depth=polygons or spheres,
     )
     skipped = []

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..core import sampling
+from ..core.apart import apart
 from ..core.appearance import digest, passing, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
 from ..core.cut import Cut, Forest, forest, fully, largest_singular_value, select
@@ -395,7 +396,9 @@ def lets_through(geometry: Geometry, table: MaterialTable) -> bool:
 def given(cloud: PointCloud) -> tuple[PointCloud, int]:
     """What is finite of a cloud, in coherent order, and how many points were dropped."""
     cloud, dropped = finite(cloud)
-    return coherent(cloud), dropped
+    cloud = coherent(cloud)
+    strewn = apart(cloud)
+    return cloud if strewn is None else replace(cloud, apart=strewn), dropped
 
 
 def _hierarchy(points: PointSet, store: Store) -> Hierarchy:

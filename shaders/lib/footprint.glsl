@@ -4,6 +4,7 @@
 
 // A splat is at least this wide, as a standard deviation in pixels, in any direction: disks seen edge-on stay invertible.
 #define PS_LEAST_SIGMA 0.02
+#define PS_ALONE_SIGMA 4.0  // pixels
 #define PS_BESIDE 0x80000000u  // of a depth or an index: the splat does not hold its pixel's centre
 
 // Rows of the matrix that takes offsets in the object to half pixels: the perspective Jacobian (Zwicker et al. 2001)
@@ -39,9 +40,23 @@ vec3 ps_footprint(int instance, vec3 p, float normal_code, vec4 extent)
   vec3 covariance = ps_moments(instance, p, normal_code, extent);
   float mean = 0.5 * (covariance.x + covariance.z);
   float least = mean - length(vec2(0.5 * (covariance.x - covariance.z), covariance.y));
-  covariance.xz += max(PS_LEAST_SIGMA * PS_LEAST_SIGMA - least, 0.0);
+  float wider = max(PS_LEAST_SIGMA * PS_LEAST_SIGMA - least, 0.0);
+#ifdef PS_APART
+  // Of what stands apart the area counts.
+  wider = extent.y < 0.0 ? 0.0 : wider;
+#endif
+  covariance.xz += wider;
   return covariance;
 }
+
+#ifdef PS_APART
+// Whether a splat shows where it covers pixels' centres, and nowhere else: it stands apart, and is not so wide that to
+// fill it from its middle costs less.
+bool ps_alone(vec3 covariance, vec4 extent)
+{
+  return extent.y < 0.0 && max(covariance.x, covariance.z) <= PS_ALONE_SIGMA * PS_ALONE_SIGMA;
+}
+#endif
 
 // PS_BESIDE where the ellipse around a centre that is `v` pixels from its pixel's centre does not hold that.
 uint ps_beside(vec3 c, vec2 v)

@@ -615,6 +615,24 @@ def in_smoke() -> Case:
     return Case(scene((points("around the camera", smoke_cloud(10)), moved(scale=2))), camera((0.2, 0, 0), (0, 1, 0)))
 
 
+def leaves(count: int, depth: float) -> PointCloud:
+    """Disks in all directions, strewn over the unit ball; their seen areas add up to `depth` times its silhouette."""
+    rng = np.random.default_rng(0)
+    p, normal = rng.standard_normal((2, count, 3))
+    p *= np.cbrt(rng.random((count, 1))) / np.linalg.norm(p, axis=1, keepdims=True)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    radii = np.full((count, 1), np.sqrt(2 * depth / count), np.float32)
+    return PointCloud(p.astype(np.float32), normal=normal.astype(np.float32), radii=radii)
+
+
+def foliage() -> Case:
+    """A crown of small leaves before a ball, and a few wide ones."""
+    crown, wide = points("crown", leaves(3000, 0.7)), points("wide leaves", leaves(60, 0.4))
+    trunk = points("trunk", sphere_cloud(2000))
+    things = ((crown, moved()), (wide, moved((0.9, 0, 0.6), 0.5)), (trunk, moved((0, 1.5, -0.5), 0.6)))
+    return Case(scene(*things), camera((0, -5, 0)))
+
+
 CASES: dict[str, Callable[[], Case]] = {
     function.__name__: cache(function)
     for function in (
@@ -645,5 +663,6 @@ CASES: dict[str, Callable[[], Case]] = {
         tinted_smoke,
         panes,
         in_smoke,
+        foliage,
     )
 }

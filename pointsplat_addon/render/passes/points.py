@@ -2,7 +2,7 @@
 
 A page holds the splats of several point sets. Texture by texture, one texel a splat:
   place           xyz relative to the set's origin; packed normal (pack_normal; -1: a ball)
-  extent          half-axes (major, minor), packed major axis, material row
+  extent          half-axes (major, minor; negative: stands apart), packed major axis, material row
   color           base colour                    \\  where any set of the scene has them
   surface         roughness, metallic             |
   emission        emitted radiance                |
@@ -40,6 +40,7 @@ class PointOptions:
     holdout: bool = False
     ellipses: bool = False  # some splats are not round
     one_instance: bool = False
+    apart: bool = False  # some splats close no surface with others
     depth: bool = False  # polygons share the G-buffer
 
 
@@ -136,6 +137,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         ("PS_ONE_INSTANCE", options.one_instance),
         ("PS_CULL", options.cull),
         ("PS_ELLIPSES", options.ellipses),
+        ("PS_APART", options.apart),
     )
     defines = tuple((name, "1") for name, on in names if on)
     nearest = Interface(
@@ -168,7 +170,11 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         fragment="project.frag",
         block=FRAME,
         samplers=(*common, *cull),
-        varyings=(("flat", "uint", "ps_id"), ("flat", "float", "ps_order")),
+        varyings=(
+            ("flat", "uint", "ps_id"),
+            ("flat", "float", "ps_order"),
+            *((("flat", "vec3", "ps_ellipse"), ("flat", "vec2", "ps_centre")) if options.apart else ()),
+        ),
         outputs=(("uint", "id"),),
         depth=True,
         defines=defines,
@@ -180,6 +186,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         "PS_SHADING_NORMAL": options.shading_normal,
         "PS_DEPTH": options.depth,
         "PS_ELLIPSES": options.ellipses,
+        "PS_APART": options.apart,
     }
     resolve = Interface(
         "resolve",

@@ -1,0 +1,77 @@
+"""Which splats of an opaque cloud stand apart, as leaves do: light passes between them.
+
+Surfaces are closed between their splats; between leaves there is nothing to close. What tells them from each other is
+how much of it there is: the splats around a place have about the area of the ellipsoid that has their moments where
+they tile a surface of whatever shape, much more where surfaces overlap, and little of it where they are strewn.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .cloud import PointCloud
+from .hierarchy import frames, half_surface, outer, principal, splat_weight, sum_up
+from .octree import partition
+
+FILLED = 0.5  # area over half the ellipsoid's surface, below which splats stand apart; tiled ones have 0.95 and more
+LEAST = 8  # splats from which a shape is judged
+LEAF_SIZE = 12
+RUN, RUNS = 16, 256  # looked at first: so many runs of neighbours
+FEW = 0.02  # share of the splats up to which those that seem to stand apart are taken for ends and corners
+
+
+def apart(cloud: PointCloud) -> np.ndarray | None:
+    """(N,) bool: the splats that stand apart; None where there are none, or the cloud is not of opaque disks.
+
+    Whether a splat does is judged with its neighbours: the least node of the point-octree that holds `LEAST` of them.
+    Points are finite, and neighbours follow one another in most of the cloud (`cloud.coherent`).
+    """
+    flat = cloud.normal is not None and cloud.radii is not None and (cloud.axis is None or cloud.radii.shape[1] > 1)
+    if not flat or cloud.opacity is not None or cloud.extinction is not None or len(cloud) < LEAST:
+        return None
+    if _closed_at_a_glance(cloud):
+        return None
+    order, tree = partition(cloud.position, LEAF_SIZE)
+    sorted_cloud = cloud.take(order)
+    sparse = _filling(sum_up(tree, len(cloud), lambda which: _moments(sorted_cloud, which))) < FILLED
+    parent = np.zeros(len(tree), np.int64)
+    inner = np.flatnonzero(tree.child_count)
+    parent[1:] = np.repeat(inner, tree.child_count[inner])
+    leaves = np.flatnonzero(tree.child_count == 0)
+    judge = np.where(tree.point_count[leaves] >= LEAST, leaves, parent[leaves])
+    found = np.empty(len(cloud), bool)
+    at = leaves[np.argsort(tree.first_point[leaves])]
+    by_leaf = np.zeros(len(tree), bool)
+    by_leaf[leaves] = sparse[judge]
+    found[order] = np.repeat(by_leaf[at], tree.point_count[at])
+    return found if np.count_nonzero(found) > FEW * len(found) else None
+
+
+def _closed_at_a_glance(cloud: PointCloud) -> bool:
+    """Whether runs of points that follow one another, evenly taken from the cloud, are all but few of a surface. Runs
+    that jump seem sparser than the cloud is: then it is looked at as a whole."""
+    count = min(len(cloud) // RUN, RUNS)
+    if count == 0:
+        return False
+    first = np.linspace(0, len(cloud) - RUN, count).astype(np.int64)
+    some = cloud.take((first[:, None] + np.arange(RUN)).ravel())
+    sums = np.add.reduceat(_moments(some, slice(None)), RUN * np.arange(count), axis=1)
+    return np.count_nonzero(_filling(sums) < FILLED) <= FEW * count
+
+
+def _moments(cloud: PointCloud, which: slice) -> np.ndarray:
+    """(11, n) float64: weight, first and second moments about the cloud's middle, and area of splats."""
+    middle = (cloud.position.min(axis=0) + cloud.position.max(axis=0)).astype(np.float64) / 2
+    p = (cloud.position[which] - middle).T
+    normal, axis, radii = frames(cloud, which)
+    weight = splat_weight(cloud, which)
+    minor = np.cross(normal.T, axis.T).T
+    second = outer(p) + 0.25 * (radii[0] ** 2 * outer(axis) + radii[1] ** 2 * outer(minor))
+    return np.concatenate([weight[None], weight * p, weight * second, np.pi * (radii[0] * radii[1])[None]])
+
+
+def _filling(sums: np.ndarray) -> np.ndarray:
+    """(n,) the area of splats over half the surface of the ellipsoid of their moments."""
+    mean = sums[1:4] / sums[0]
+    radii = principal(sums[4:10] / sums[0] - outer(mean))[2]
+    return sums[10] / half_surface(radii)

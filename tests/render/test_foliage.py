@@ -1,0 +1,80 @@
+"""What stands apart: light passes between leaves, near and far, and surfaces pay nothing for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.scene import Settings
+from pointsplat_addon.devices.null import NullDevice
+from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.frame import Renderer, Request
+from tests.core.test_optics import mean_transmittance
+from tests.render import scenes
+from tests.render.scenes import camera, leaves, moved, points
+
+COMBINED = frozenset({"combined"})
+
+
+def crown(count, depth):
+    return scenes.scene((points(f"crown {count} {depth}", leaves(count, depth)), moved()), lights=(), transparent=True)
+
+
+def let_through(renderer, count, depth, diameter, samples):
+    """Over the square about a crown that is so many pixels wide, and how many splats were drawn."""
+    # The filter blurs over the square's rim, too.
+    size = round(1.15 * diameter) + 8
+    seen = camera((0, -5, 0), resolution=(size, size), parallel=2 * size / diameter)
+    settings = Settings(use_shadows=False)
+    renderer.device.context.__enter__()  # there may be another
+    result = renderer.render(crown(count, depth), Request(seen, settings, COMBINED, samples))
+    hidden = result.pixels["combined"][..., 3].astype(np.float64).sum() * (2 / diameter) ** 2
+    return 1 - hidden / 2.3**2, result.report["points"]["cut"]
+
+
+@pytest.fixture(scope="module")
+def rasterising():
+    """A renderer without image atomics."""
+    device = OpenGLDevice()
+    device.limits = replace(device.limits, image_atomics=False)
+    renderer = Renderer(device)
+    yield renderer
+    renderer.release()
+    device.release()
+
+
+# A leaf is 3.2, 0.8, 0.2 and 0.1 pixels wide with a depth of 0.5, half as wide again with 1.5.
+@pytest.mark.parametrize(("diameter", "samples"), [(320, 4), (80, 16), (20, 64), (10, 96)])
+@pytest.mark.parametrize("depth", [0.5, 1.5])
+def test_a_crown_of_leaves_lets_as_much_light_through_at_any_distance(diameter, samples, depth):
+    count = 20000
+    exact = mean_transmittance(leaves(count, depth), 1.15, (0.0, 1.0, 0.0), pixels=768, hard=True)
+    found, cut = let_through(scenes.opengl(), count, depth, diameter, samples)
+    assert found == pytest.approx(exact, abs=0.01)  # measured 0.0088
+    assert (cut < count) == (diameter == 10)
+
+
+@pytest.mark.parametrize("diameter", [160, 20])
+def test_devices_without_image_atomics_let_as_much_through(rasterising, diameter):
+    found, _ = let_through(rasterising, 5000, 1.0, diameter, 8)
+    expected, _ = let_through(scenes.opengl(), 5000, 1.0, diameter, 8)
+    assert found == pytest.approx(expected, abs=1e-3)  # measured 0
+
+
+def test_surfaces_have_no_variant_for_it():
+    for case, there in ((scenes.plain_sphere(), False), (scenes.foliage(), True)):
+        device = NullDevice()
+        Renderer(device).render(case.scene, case.request(COMBINED))
+        names = {name for interface in device.interfaces for name, _ in interface.defines}
+        assert ("PS_APART" in names) == there
+
+
+def test_what_is_seen_through_leaves_is_closed():
+    """A crown before a wall hides parts of it, and nothing is seen between the two."""
+    wall = points("wall behind leaves", scenes.plane_cloud(60, 2.0))
+    made = scenes.scene((points("leaves before a wall", leaves(2000, 0.7)), moved((0, -2, 0))), (wall, moved()))
+    result = scenes.opengl().render(
+        replace(made, transparent=True),
+        Request(camera((0, -6, 0), field_of_view=30), Settings(use_shadows=False), COMBINED, 4),
+    )
+    assert result.pixels["combined"][..., 3].min() == 1.0
