@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -38,7 +37,9 @@ WHOLE_SURFACE = 64.0  # and of samples of a surface, which would let light throu
 RIM = {"VOLUME": np.sqrt(SUPPORT) / 2, "SHELL": 1.0, "OPAQUE": 1.0}  # half extent in a cell, in half-axes: see _split
 SMOKE = 1.005 * 2 * RIM["VOLUME"]  # cells of smoke per radius of its splats: just wide enough for them
 LEAST_SHARE = 1 / 256  # of a row or column: below it, the nearer one takes all
-RUN = 1 << 14  # entries that are sorted together, for the same reason
+GROUPS = 18  # bits: cells are counted by groups, at most so many
+DEALT = 1 << 17  # entries that are dealt out to runs together, and
+RUN = 1 << 14  # entries that are sorted together: their scratch arrays stay in the cache
 
 
 def build(light: Light, batches: Sequence[Casters], resolution: int) -> ShadowTable:
@@ -55,18 +56,9 @@ def build(light: Light, batches: Sequence[Casters], resolution: int) -> ShadowTa
         return ShadowTable(nothing, Emitter("POINT", np.zeros((2, 3))), (), colored)
     frame = fit_frame(light, batches, resolution)
     rows = _Rows(frame, [cell_grids(frame, _coarser(frame, kind, batches)) for kind in KINDS])
-    found: list[tuple[np.ndarray, ...]] = []
-    for batch in batches:
-        spans = _spans(frame, batch)
-        for start in range(0, len(batch), CHUNK):
-            cell, at, depth = _entries(rows, batch.take(slice(start, start + CHUNK)), spans)
-            if colored and depth.ndim == 1:
-                depth = np.broadcast_to(depth[:, None], (len(depth), 3))
-            found.append((cell, at, depth))
-    cell, at, depth = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    del found
+    blocks = [*_blocks(rows, batches, colored)]
     emitter = emitter_of(light, frame)
-    return ShadowTable(frame, emitter, tuple(_levels(rows, cell, at, depth, emitter.shape != "POINT")), colored)
+    return ShadowTable(frame, emitter, tuple(_levels(rows, blocks, emitter.shape != "POINT")), colored)
 
 
 class _Rows:
@@ -127,6 +119,32 @@ def _spans(frame: Frame, batch: Casters) -> _Spans:
     if far <= (WHOLE_SURFACE if surface else WHOLE) * near:
         return _Spans(near, near, least)
     return _Spans(far / SPAN, far / SPAN ** np.ceil(np.log(far / near) / np.log(SPAN)), least)
+
+
+_Block = tuple[np.ndarray, np.ndarray, np.ndarray]  # what _entries returns
+
+
+def _blocks(rows: _Rows, batches: Sequence[Casters], colored: bool) -> Iterator[_Block]:
+    """The entries of all splats, in blocks of about DEALT."""
+    parts, held = [], 0
+    for batch in batches:
+        spans = _spans(rows.frame, batch)
+        for start in range(0, len(batch), CHUNK):
+            cell, at, depth = _entries(rows, batch.take(slice(start, start + CHUNK)), spans)
+            if colored and depth.ndim == 1:
+                depth = np.broadcast_to(depth[:, None], (len(depth), 3))
+            parts.append((cell, at, depth))
+            held += len(cell)
+            if held >= DEALT:
+                yield _joined(parts)
+                parts, held = [], 0
+    if held:
+        yield _joined(parts)
+
+
+def _joined(parts: Sequence[Sequence[np.ndarray]]) -> tuple:
+    """Tuples of arrays, each end to end."""
+    return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
 def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -275,16 +293,18 @@ def _strength(batch: Casters, normal: np.ndarray | None, ray: np.ndarray) -> np.
     return batch.mass * (area if batch.mass.ndim == 1 else area[:, None])
 
 
-def _levels(rows: _Rows, cell: np.ndarray, at: np.ndarray, depth: np.ndarray, wide: bool) -> Iterator[Level]:
-    """Sort the entries of all cells, sum within cells, and cut into levels. `wide`: the lamp has a size."""
+def _levels(rows: _Rows, blocks: Sequence[_Block], wide: bool) -> Iterator[Level]:
+    """Sort the entries of all cells, sum within cells, and cut into levels. `wide`: the lamp has a size.
+
+    Arrays of all entries are made for the levels alone: large ones take the system longer than small ones.
+    """
     opaque = 0 if wide else int(rows.cell_base[rows.levels])
-    summed = [_summed(key, part, opaque) for key, part in _sorted_runs(cell, at, depth)]
-    del cell, at, depth
-    cell, distance, total = (np.concatenate(parts) for parts in zip(*summed, strict=True))
-    del summed
-    starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
-    occupied = cell[starts]
-    starts = np.append(starts, len(cell))
+    runs = [_summed(key, part, opaque) for key, part in _sorted_runs(blocks)]
+    if not runs:
+        return
+    occupied, counts = _joined([run[:2] for run in runs])
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    run_starts = np.cumsum([0, *(len(run[2]) for run in runs)])
     for k, (grid, base) in enumerate(zip(rows.grids, rows.cell_base, strict=True)):
         low, high = np.searchsorted(occupied, [base, base + grid.cells])
         if low == high:
@@ -292,40 +312,61 @@ def _levels(rows: _Rows, cell: np.ndarray, at: np.ndarray, depth: np.ndarray, wi
         first, end = int(starts[low]), int(starts[high])
         rank, mask = _masks(occupied[low:high] - base, grid.cells)
         links = (starts[low : high + 1] - first).astype(np.int32)
-        yield Level(
-            KINDS[k // rows.levels], grid, rank, mask, links, distance[first:end].copy(), total[first:end].copy()
-        )
+        some = range(np.searchsorted(run_starts, first, "right") - 1, np.searchsorted(run_starts, end))
+        parts = [slice(max(first - int(run_starts[i]), 0), end - int(run_starts[i])) for i in some]
+        distance, total = _joined([[a[part] for a in runs[i][2:]] for i, part in zip(some, parts, strict=True)])
+        yield Level(KINDS[k // rows.levels], grid, rank, mask, links, distance, total)
 
 
-def _sorted_runs(cell: np.ndarray, at: np.ndarray, depth: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _sorted_runs(blocks: Sequence[_Block]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Runs of whole cells in order: keys (E,) uint64 of cell and distance, and depths; those of one key as given.
 
-    Entries are first dealt out to runs that fit the processor's caches: the cost then grows with their number.
+    Entries are first dealt out to runs that fit the processor's caches: the cost then grows with their number. So that
+    the dealing does too, it is done within blocks. What was in them is lost.
     """
-    group = cell >> max(int(cell.max(initial=0)).bit_length() - 20, 0)
-    count = np.bincount(group)
-    run = ((np.cumsum(count) - count) // max(RUN, len(cell) >> 15)).astype(np.uint16)[group]
-    order = np.argsort(run, kind="stable")  # of 16 bits: a radix sort
-    ends = np.cumsum(np.bincount(run)).tolist()
-    for start, end in pairwise([0, *ends]):
-        if start == end:
+    entries = sum(len(cell) for cell, _, _ in blocks)
+    if entries == 0:
+        return
+    last = max(int(cell.max()) for cell, _, _ in blocks)
+    shift = max(last.bit_length() - GROUPS, 0)
+    size = (last >> shift) + 1
+    count = sum((np.bincount(cell >> shift, minlength=size) for cell, _, _ in blocks), np.zeros(size, np.int64))
+    run_of_group = ((np.cumsum(count) - count) // max(RUN, entries >> 15)).astype(np.uint16)
+    runs = int(run_of_group[-1]) + 1
+    ends = np.empty((len(blocks), runs), np.int64)
+    for block, end in zip(blocks, ends, strict=True):
+        run = run_of_group[block[0] >> shift]
+        order = np.argsort(run, kind="stable")  # of 16 bits: a radix sort
+        for values in block:
+            values[:] = values[order]
+        end[:] = np.cumsum(np.bincount(run, minlength=runs))
+    start = np.zeros(len(blocks), np.int64)
+    for end in ends.T:
+        parts = [
+            [values[low:high] for values in block]
+            for block, low, high in zip(blocks, start.tolist(), end.tolist(), strict=True)
+            if low < high
+        ]
+        start = end
+        if not parts:
             continue
-        where = order[start:end]
+        cell, at, depth = _joined(parts)
         # Positive float32 are in the order of their bits; adding 0 makes -0 one of them.
-        part = cell[where].astype(np.uint64) << np.uint64(32) | (at[where] + np.float32(0)).view(np.uint32)
-        first = part.min() >> np.uint64(32) << np.uint64(32)
-        bits = len(part).bit_length()
-        if int(part.max() - first).bit_length() + bits <= 64:
+        key = cell.astype(np.uint64) << np.uint64(32) | (at + np.float32(0)).view(np.uint32)
+        first = key.min() >> np.uint64(32) << np.uint64(32)
+        bits = len(key).bit_length()
+        if int(key.max() - first).bit_length() + bits <= 64:
             # Sorting numbers is several times as fast as finding their order: each carries its index.
-            carried = (part - first) << np.uint64(bits) | np.arange(len(part), dtype=np.uint64)
+            carried = (key - first) << np.uint64(bits) | np.arange(len(key), dtype=np.uint64)
             index = (np.sort(carried) & np.uint64((1 << bits) - 1)).astype(np.int64)
         else:
-            index = np.argsort(part, kind="stable")
-        yield part[index], depth[where[index]]
+            index = np.argsort(key, kind="stable")
+        yield key[index], depth[index]
 
 
-def _summed(key: np.ndarray, depth: np.ndarray, opaque: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cells (E,) int32, distances (E,) float32 and sums over each cell up to there (E, C) float32, of sorted entries.
+def _summed(key: np.ndarray, depth: np.ndarray, opaque: int) -> tuple[np.ndarray, ...]:
+    """Of sorted entries: occupied cells (O,) int32 and how many entries each holds (O,), distances (E,) float32 and
+    sums over each cell up to there (E, C) float32.
 
     Cells below `opaque` hold covered fractions, of which nothing counts behind 1.
     """
@@ -340,7 +381,9 @@ def _summed(key: np.ndarray, depth: np.ndarray, opaque: int) -> tuple[np.ndarray
     last = np.append(key[1:] != key[:-1], True)
     key, total = key[last], total[last].astype(np.float32)
     distance = (key & np.uint64(0xFFFFFFFF)).astype(np.uint32).view(np.float32)
-    return (key >> np.uint64(32)).astype(np.int32), distance, total.reshape(len(key), -1)
+    cell = (key >> np.uint64(32)).astype(np.int32)
+    starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
+    return cell[starts], np.diff(np.append(starts, len(cell))), distance, total.reshape(len(key), -1)
 
 
 def _sums_within(group: np.ndarray, values: np.ndarray) -> np.ndarray:
