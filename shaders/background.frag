@@ -4,14 +4,17 @@
 #include "lib/place.glsl"
 #include "lib/lights.glsl"
 #include "lib/finite.glsl"
+#include "lib/coverage.glsl"
 
 void main()
 {
-  if (ps_is_there(texelFetch(ps_place, ivec2(gl_FragCoord.xy), 0))) {
+  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  float open = 1.0 - ps_coverage(pixel, texelFetch(ps_place, pixel, 0));
+  if (open == 0.0) {
     discard;
   }
 #ifdef PS_BACKGROUND
-  out_combined = vec4(ps_finite(ps_background(ps_ray(gl_FragCoord.xy))), 1.0);
+  out_combined = open * vec4(ps_finite(ps_background(ps_ray(gl_FragCoord.xy))), 1.0);
 #else
   out_combined = vec4(0.0);
 #endif
@@ -22,6 +25,6 @@ void main()
   out_albedo = vec4(0.0);
 #endif
 #ifdef PS_OUT_MIST
-  out_mist = vec4(1.0);
+  out_mist = vec4(open);
 #endif
 }

@@ -73,7 +73,8 @@ void main()
   if (!(q <= 4.0 && depth > frame.lens.x && depth < frame.lens.y)) {
     discard;
   }
-  out_nearest = vec4(depth, depth + v_front.w, v_material.xy);
+  // Beyond the near plane, so that 0 means that there is nothing.
+  out_nearest = vec4(depth - frame.lens.x, depth + v_front.w, v_material.x, 2.0 * v_material.y + (v_place.w < 0.0 ? 1.0 : 0.0));
   gl_FragDepth = ps_buffer_depth(depth);
 #endif
 }

@@ -7,18 +7,24 @@
 #include "lib/surfel.glsl"
 #include "lib/store.glsl"
 
-// The material beside a pixel whose centre no ellipse holds: a neighbour's, else the mean row of what reaches it.
-float ps_material_beside(ivec2 pixel, float mean)
+bool ps_shows_back(vec4 nearest)
+{
+  return (int(nearest.w) & 1) == 1;
+}
+
+// What is seen around a pixel whose centre no ellipse holds, fronts before backs; (0, 0, 0, 0): nothing.
+vec4 ps_beside(ivec2 pixel)
 {
   ivec2 last = textureSize(ps_nearest, 0) - 1;
+  vec4 found = vec4(0.0);
   for (int i = 0; i < 9; i++) {
-    ivec2 at = clamp(pixel + ivec2(i % 3, i / 3) - 1, ivec2(0), last);
-    vec4 nearest = texelFetch(ps_nearest, at, 0);
-    if (nearest.x > 0.0) {
-      return nearest.z;
+    vec4 nearest = texelFetch(ps_nearest, clamp(pixel + ivec2(i % 3, i / 3) - 1, ivec2(0), last), 0);
+    if (nearest.x > 0.0 && !ps_shows_back(nearest)) {
+      return nearest;
     }
+    found = nearest.x > 0.0 ? nearest : found;
   }
-  return floor(mean + 0.5);
+  return found;
 }
 
 void main()
@@ -31,14 +37,20 @@ void main()
     discard;
   }
   float scale = 1.0 / sum.w;
-  float d = sum.x * scale, reach = max(nearest.y - nearest.x, 1e-30);
+  float d = sum.x * scale, reach = max(nearest.y - frame.lens.x - nearest.x, 1e-30);
   PsSurfel s = ps_empty();
   s.place = vec4(d, 0.0, 0.0, covers ? reach : -reach);
-  s.shape.x = min(max(sum.z, (sum.w - sum.z) / PS_EWA_BACK), 1.0);
+  float front = sum.z, back = (sum.w - sum.z) / PS_EWA_BACK;
+  s.shape.x = max(front, back);
   s.shape.w = nearest.z;
   if (!covers) {
-    s.shape.w = ps_material_beside(pixel, sum.y * scale);
+    vec4 beside = ps_beside(pixel);
+    bool alone = beside.x == 0.0;
+    s.shape.w = alone ? floor(sum.y * scale + 0.5) : beside.z;
+    // What is seen from one side is not widened by its other side.
+    s.shape.x = alone ? s.shape.x : ps_shows_back(beside) ? back : front;
   }
+  s.shape.x = min(s.shape.x, 1.0);
 #ifdef PS_NORMAL
   s.normal = scale * texelFetch(ps_sum_normal, pixel, 0);
 #endif
@@ -49,7 +61,7 @@ void main()
   s.emission = scale * texelFetch(ps_sum_emission, pixel, 0);
 #endif
 #ifdef PS_OWNER
-  s.owner = covers ? uint(nearest.w) : 0xFFFFFFFFu;
+  s.owner = covers ? uint(nearest.w) >> 1 : 0xFFFFFFFFu;
 #endif
   ps_store_front(s, covers);
 #ifdef PS_DEPTH

@@ -7,12 +7,14 @@
 #include "lib/materials.glsl"
 #include "lib/geometry.glsl"
 #include "lib/finite.glsl"
+#include "lib/coverage.glsl"
 
 void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   vec4 place = texelFetch(ps_place, pixel, 0);
-  if (!ps_is_there(place)) {
+  float covered = ps_coverage(pixel, place);
+  if (covered == 0.0) {
     discard;
   }
   vec4 shape = texelFetch(ps_shape, pixel, 0);
@@ -41,18 +43,18 @@ void main()
   surface.emission = texelFetch(ps_emission, pixel, 0).rgb;
 #endif
   vec3 radiance = ps_shade(position, normal, to_eye, surface, frame.page.w);
-  out_combined = holdout ? vec4(0.0) : vec4(ps_finite(radiance), 1.0);
+  out_combined = holdout ? vec4(0.0) : covered * vec4(ps_finite(radiance), 1.0);
 
 #ifdef PS_OUT_NORMAL
   vec3 facing = dot(normal, to_eye) < 0.0 ? -normal : normal;
-  out_normal_pass = vec4(mat3(frame.world_from_view) * facing, 1.0);
+  out_normal_pass = covered * vec4(mat3(frame.world_from_view) * facing, 1.0);
 #endif
 #ifdef PS_OUT_ALBEDO
-  out_albedo = vec4(surface.base * (1.0 - surface.metallic), 1.0);
+  out_albedo = covered * vec4(surface.base * (1.0 - surface.metallic), 1.0);
 #endif
 #ifdef PS_OUT_MIST
   float d = ps_is_perspective() ? length(position) : -position.z;
   float mist = clamp((d - frame.mist.x) * frame.mist.y, 0.0, 1.0);
-  out_mist = vec4(frame.mist.z == 1.0 ? mist : pow(mist, frame.mist.z));
+  out_mist = vec4(covered * (frame.mist.z == 1.0 ? mist : pow(mist, frame.mist.z)));
 #endif
 }

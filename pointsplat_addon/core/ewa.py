@@ -7,9 +7,9 @@ A splat is an elliptical Gaussian. Its resampling kernel on the screen is again 
 V: the splat's own, of a uniform disk of radius r: r^2 / 4 along its plane, nothing across. J: the Jacobian of the
 perspective projection at the splat's centre, in pixels. v: the low-pass of a pixel.
 
-Kernels end at the squared Mahalanobis distance CUTOFF = r^2, which leaves 1 - exp(-c), c = r^2 / 2, of a Gaussian's mass;
-they are divided by that. Each is scaled so that its sum over all pixels is the number of pixels that the splat stands
-for, and their sum over a surface without gaps is one.
+Kernels end at the squared Mahalanobis distance CUTOFF = r^2, which leaves 1 - exp(-c), c = r^2 / 2, of a Gaussian's
+mass; they are divided by that. Each is scaled so that its sum over all pixels is the number of pixels that the splat
+stands for, and their sum over a surface without gaps is one.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ LEAST_LOW_PASS = 4e-4  # pixels^2, which keeps covariances invertible
 def low_pass(samples: int) -> float:
     """v in pixels^2, for a picture whose pixels are means of `samples`.
 
-    With one sample a pixel, all that a picture cannot show must be taken out before: the unit Gaussian of Zwicker et al.
-    leaves exp(-2 pi^2 v) = 3e-9 of a pattern as fine as the pixels, which would else show as a constant, and 0.7 % at
-    half that frequency. N samples a pixel are sqrt(N) times as dense along each axis, and a kernel of v / N has the same
-    relation to their grid; what is between that and the pixel's, the filter that the samples are distributed by takes
-    out when they are averaged (render/filtering.py).
+    With one sample a pixel, all that a picture cannot show must be taken out before: the unit Gaussian of Zwicker et
+    al. leaves exp(-2 pi^2 v) = 3e-9 of a pattern as fine as the pixels, which would else show as a constant, and 0.7 %
+    at half that frequency. N samples a pixel are sqrt(N) times as dense along each axis, and a kernel of v / N has the
+    same relation to their grid; what lies between their grid's frequencies and the pixels' is taken out by the filter
+    that the samples are distributed by, when they are averaged (render/filtering.py).
     """
     return max(1.0 / samples, LEAST_LOW_PASS)
 
@@ -37,7 +37,7 @@ def low_pass(samples: int) -> float:
 def covariance(
     centre: np.ndarray, a: np.ndarray, b: np.ndarray, focal: tuple[float, float], perspective: bool
 ) -> np.ndarray:
-    """(N, 2, 2) J V J^T in pixels^2 of ellipses with centres (N, 3) and conjugate half-axes a, b (N, 3) in view space."""
+    """(N, 2, 2) J V J^T in pixels^2 of ellipses with centres (N, 3) and conjugate half-axes a, b (N, 3), view space."""
     depth = -centre[:, 2]
     scale = 1 / depth if perspective else np.ones(len(centre))
     slope = centre[:, :2] / depth[:, None] if perspective else np.zeros((len(centre), 2))

@@ -9,7 +9,8 @@ import numpy as np
 from ..core.appearance import graphs_of
 from ..core.lighting import light_names
 from ..core.materials import MaterialGraph
-from ..core.scene import Scene
+from ..core.scene import Camera, Scene
+from .passes import ewa
 from .passes.common import Variant
 from .passes.points import PointOptions
 from .passes.shade import NEED_OWNER, data
@@ -38,6 +39,13 @@ class Plan:
     translucent: TranslucentOptions | None  # None: nothing is
     coarse: bool  # the first sample's translucent layer has fewer pixels: views that move show it at once
     skipped: tuple[tuple[str, str], ...]  # (pass, because)
+    ewa: ewa.EwaOptions | None = None  # points are drawn by EWA; None: in image space
+
+    def reach(self, largest: float) -> float:
+        """Pixels that splats of at most the radius `largest` reach beyond their centres."""
+        if not self.points:
+            return 0.0
+        return largest if self.ewa is None else self.ewa.reach(largest)
 
 
 def make_plan(
@@ -47,8 +55,10 @@ def make_plan(
     shadows: Shadows | None = None,
     unshadowed: str = "",
     interactive: bool = False,
+    blended: tuple[Camera, int] | None = None,
 ) -> Plan:
-    """The plan for one view of a scene. `unshadowed`: why there are no shadows."""
+    """The plan for one view of a scene. `unshadowed`: why there are no shadows. `blended`: points are drawn by EWA, for
+    this camera and number of samples."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
     behind = [p.cloud for p in prepared.translucent.point_sets.values()]
@@ -93,8 +103,13 @@ def make_plan(
         depth=polygons or spheres,
     )
     skipped = []
+    image_space, by_ewa = ("project", "resolve", "pull", "push"), ("splats", "visibility", "blend", "normalise")
     if not points:
-        skipped += [(name, "nothing is drawn as points") for name in ("project", "resolve", "pull", "push")]
+        skipped += [(name, "nothing is drawn as points") for name in (*image_space, *by_ewa)]
+    elif blended is None:
+        skipped += [(name, "points are drawn in image space") for name in by_ewa]
+    else:
+        skipped += [(name, "points are drawn by EWA") for name in image_space]
     if not polygons:
         skipped.append(("polygons", "nothing is drawn as polygons"))
     if not spheres:
@@ -113,6 +128,9 @@ def make_plan(
         translucent=translucent,
         coarse=interactive and translucent is not None and not (translucent.tint or translucent.holdout),
         skipped=tuple(skipped),
+        ewa=None if blended is None or not points else ewa.options(
+            blended[0], prepared.largest, any(p.cloud.normal is None for p in prepared.point_sets.values()), blended[1]
+        ),
     )  # fmt: skip
 
 

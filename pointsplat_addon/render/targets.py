@@ -9,7 +9,7 @@ from .passes import shade as shade_pass
 from .passes.points import Projection
 from .passes.translucent import COARSE
 from .plan import Plan
-from .surfels import Surfels
+from .surfels import Surfels, make_surfels
 
 
 class Targets:
@@ -27,8 +27,10 @@ class Targets:
 
     def _allocate(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
         device = self._device
-        self.projection = self._own(Projection(device, plan.options, size)) if plan.points else None
-        self.surfels: Surfels = self._own(Surfels(device, plan, plan.variant, size, count))
+        self.projection: Projection | None = None
+        if plan.points and plan.ewa is None:
+            self.projection = self._own(Projection(device, plan.options, size))
+        self.surfels: Surfels = self._own(make_surfels(device, plan, plan.variant, size, count))
         self.sums: list[Texture] = [
             self._own(device.texture(size, "RGBA32F")) for _ in range(1 + len(shade_pass.averaged(passes)))
         ]
@@ -59,7 +61,7 @@ class Targets:
             # own, so that no sample carries what only one of them needs.
             self.data_surfels = self.surfels
             if plan.data_variant != plan.variant:
-                self.data_surfels = self._own(Surfels(device, plan, plan.data_variant, size, count))
+                self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
 
     def _own(self, item: Any) -> Any:
         self._owned.append(item)
@@ -80,7 +82,8 @@ class Pool:
 
     def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
         """Targets for a plan, and the key to give them back with."""
-        key = (size, count, plan.points, plan.polygons, plan.variant, plan.options, shade_pass.averaged(passes),
+        key = (size, count, plan.points, plan.ewa, plan.polygons, plan.variant, plan.options,
+               shade_pass.averaged(passes),
                None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),
                (plan.data_variant, shade_pass.data(passes)) if plan.data else None)  # fmt: skip
         idle, self._idle = self._idle, None

@@ -1,7 +1,7 @@
 """EWA splatting: splats as elliptical Gaussians that are blended and normalised (Zwicker et al. 2001, Ren et al. 2002).
 
-Four passes. `splats` projects every splat once for all samples of a view; then, sample by sample, `visibility` finds the
-nearest surface under each pixel's centre, `blend` adds up the attributes of all splats of that surface, weighted by
+Four passes. `splats` projects every splat once for all samples of a view; then, sample by sample, `visibility` finds
+the nearest surface under each pixel's centre, `blend` adds up the attributes of all splats of that surface, weighted by
 their kernels, and `normalise` divides by the sum of the weights, into the G-buffer that polygons and spheres share.
 
 What `splats` leaves of each drawn element, one texel each:
@@ -12,7 +12,8 @@ What `splats` leaves of each drawn element, one texel each:
   normal    in view space, (0, 0, 0) for a ball; roughness   \\
   color     base colour, metallic                            | where the G-buffer has them
   emission                                                   /
-What `visibility` leaves of each pixel: depth (0: nothing), depth up to which splats belong to it, material, instance.
+What `visibility` leaves of each pixel: depth beyond the near plane (0: nothing), depth up to which splats belong to it,
+material, 2 instance (and 1 where it shows its back).
 What `blend` sums, times weights: depth, material, 1 for front faces, 1; normal; color; emission.
 
 Small splats are squares around points, projected affinely. Large ones are rectangles, whose fragments meet the splat's
@@ -56,8 +57,8 @@ class EwaOptions:
 
 
 def options(camera: Camera, largest: float, balls: bool, samples: int) -> EwaOptions:
-    """`largest`: bound of the splats' radii in pixels. A rim's projection errs by its radius times the share of the depth
-    that it extends over, at most the radius squared over the focal length in pixels."""
+    """`largest`: bound of the splats' radii in pixels. A rim's projection errs by its radius times the share of the
+    depth that it extends over, at most the radius squared over the focal length in pixels."""
     focal = min(abs(f) for f in camera.pixel_from_view()[:2])
     affine = math.sqrt(AFFINE_ERROR * focal) if camera.perspective else math.inf
     return EwaOptions(low_pass(samples), balls, large=not largest <= min(WIDEST_POINT, affine))
@@ -203,7 +204,8 @@ class Ewa:
         target: Target,
         record: np.ndarray,
         shared: dict[str, Texture],
-        **state: bool,
+        depth_test: bool = False,
+        blend: bool = False,
     ) -> None:
         record["lens"][0, 3] = self.options.low_pass
         for splats in self._splats:
@@ -216,7 +218,7 @@ class Ewa:
                     count = min(CHUNK, draw.elements - first)
                     self.device.draw(
                         program, target, uniforms=record, textures=textures, vertices=count * (6 if large else 1),
-                        primitive="TRIANGLES" if large else "POINTS", **state,
+                        primitive="TRIANGLES" if large else "POINTS", depth_test=depth_test, blend=blend,
                     )  # fmt: skip
 
     def _forget(self) -> None:

@@ -1,0 +1,266 @@
+"""EWA: splats against their closed forms, what mixes and what does not, extremes, and what a view compiles."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core import ewa, reference
+from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.scene import Settings, World
+from pointsplat_addon.devices.null import LIMITS, NullDevice
+from pointsplat_addon.render.frame import Renderer
+from pointsplat_addon.render.outputs import BACKGROUND_DEPTH
+from tests.render import scenes
+from tests.render.scenes import ALL_PASSES, CASES, Case, render
+
+EWA = Settings(technique="EWA", use_shadows=False)
+ONLY_COMBINED = frozenset({"combined"})
+PROGRAMS = {"splats", "visibility", "blend", "normalise"}
+IMAGE_SPACE = {"project", "identify", "resolve", "pull", "push"}
+
+
+def splats(key: str, position, normal, radii, color=None, axis=None) -> scenes.Geometry:
+    """Splats that glow in their colours."""
+    position = np.atleast_2d(np.asarray(position, np.float32))
+    count = len(position)
+    normal = np.broadcast_to(np.asarray(normal, np.float32), (count, 3))
+    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    radii = np.broadcast_to(np.asarray(radii, np.float32), (count, np.shape(radii)[-1]))
+    color = np.ones((count, 3)) if color is None else np.broadcast_to(np.asarray(color, float), (count, 3))
+    axis = None if axis is None else np.broadcast_to(np.asarray(axis, np.float32), (count, 3)).copy()
+    cloud = PointCloud(position, normal=normal.astype(np.float32).copy(), radii=radii.copy(), axis=axis,
+                       emission=color.astype(np.float32))  # fmt: skip
+    return scenes.points(key, cloud)
+
+
+def dark(*things, camera, settings=EWA, transparent=True) -> Case:
+    table = scenes.materials(base_color=[[0, 0, 0]], specular=[0])
+    scene = scenes.scene(
+        *((thing, scenes.moved()) for thing in things), lights=(), world=World(), table=table, transparent=transparent
+    )
+    return Case(scene, camera, settings)
+
+
+def axes(case: Case) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centres (N, 3) and half-axes (N, 3), twice, of the splats of the only cloud, in view space."""
+    cloud = case.scene.geometries[0].cloud
+    assert cloud is not None
+    turn = case.camera.view_from_world
+    a, b, _ = reference._half_axes(cloud, turn[:3, :3])
+    return cloud.position @ turn[:3, :3].T + turn[:3, 3], a, b
+
+
+def closed_form(case: Case, samples: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (H, W, N) of the splats of the only cloud, and their centres in pixels (N, 2)."""
+    fx, fy, cx, cy = case.camera.pixel_from_view()
+    centre, a, b = axes(case)
+    perspective = case.camera.perspective
+    depth = -centre[:, 2:] if perspective else 1.0
+    on_screen = centre[:, :2] / depth * (fx, fy) + (cx, cy)
+    width, height = case.camera.resolution
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    moments = ewa.covariance(centre, a, b, (fx, fy), perspective)
+    found = ewa.weights(np.stack([x.ravel(), y.ravel()], 1), on_screen, moments, ewa.low_pass(samples))
+    return found.reshape(height, width, -1), on_screen
+
+
+def picture(case: Case, samples: int = 1, passes=ONLY_COMBINED) -> np.ndarray:
+    return render(case, passes, samples).pixels["combined"].astype(float)
+
+
+# Closed forms
+
+
+@pytest.mark.parametrize("parallel", [None, 4.0])
+@pytest.mark.parametrize("normal", [(0, -1, 0), (0.5, -1, 0.3), (0, -1, 3), (0.2, 1, 0.1)])
+@pytest.mark.parametrize("radii", [[0.05], [0.09], [0.13, 0.06]])
+def test_one_splat_is_its_closed_form_gaussian(parallel, normal, radii):
+    """As wide as no pixel is surrounded by others that it holds: those within a surface count as whole."""
+    axis = np.cross(normal, (0, 0.3, 1))
+    axis /= np.linalg.norm(axis)
+    color = (0.9, 0.5, 0.2)
+    thing = splats(f"lone {normal} {radii}", (0.013, 0.02, -0.017), normal, radii, color, axis)
+    case = dark(thing, camera=scenes.camera(parallel=parallel))
+    expected = np.minimum(closed_form(case)[0][..., 0], 1)
+    found = picture(case)
+    assert 0.01 < expected.max() < 1
+    assert np.abs(found[..., 3] - expected).max() < 1e-3  # measured 2.5e-4: half floats
+    assert np.abs(found[..., :3] - expected[..., None] * color).max() < 1e-3  # measured 3.9e-4: half floats
+
+
+def test_splats_of_one_surface_are_the_normalised_sum():
+    """Disks on a plane, each in a colour of its own: at every pixel that some of them reaches."""
+    rng = np.random.default_rng(3)
+    place = rng.uniform(-0.6, 0.6, (40, 2))
+    position = np.stack([place[:, 0], np.zeros(40), place[:, 1]], axis=1)
+    thing = splats("on a plane", position, (0, -1, 0), [0.2], rng.uniform(0, 1, (40, 3)))
+    case = dark(thing, camera=scenes.camera((0.5, -4, 1)))
+    weight, _ = closed_form(case)
+    found = picture(case)
+    cloud = thing.cloud
+    assert cloud is not None
+    assert cloud.emission is not None
+    total = weight.sum(axis=2)
+    some = (total > 1e-2) & (found[..., 3] > 0)
+    expected = (weight @ cloud.emission)[some] / total[some, None]
+    mean = found[some][:, :3] / found[some][:, 3:]
+    assert some.sum() > 300
+    assert np.abs(mean - expected).max() < 2e-3  # measured 6.9e-4: half floats, and the plane's normal in 24 bits
+
+
+@pytest.mark.parametrize("turn", [0, 30, 60])
+def test_surfaces_one_radius_apart_do_not_mix(turn):
+    angle = np.radians(turn)
+    normal = np.array([np.sin(angle), -np.cos(angle), 0])
+    cells = (np.arange(14) - 6.5) * 0.1
+    u, w = (a.ravel()[:, None] for a in np.meshgrid(cells, cells))
+    plane = u * np.array([np.cos(angle), np.sin(angle), 0]) + w * np.array([0, 0, 1.0])
+    radius = 0.08
+    front = splats(f"front {turn}", plane, normal, [radius], (1, 0, 0))
+    behind = splats(f"behind {turn}", plane - radius * normal, normal, [radius], (0, 0, 1))
+    camera = scenes.camera(resolution=(144, 120))
+    alone = picture(dark(front, camera=camera))
+    both = picture(dark(front, behind, camera=camera))
+    inside = alone[..., 3] == 1
+    assert inside.sum() > 100
+    assert both[inside][:, 2].max() == 0
+    assert np.abs(both[inside][:, 0] - 1).max() < 1e-3  # measured 4.9e-4: half floats
+
+
+def test_near_splats_lie_where_the_rays_meet_them():
+    """A wide tilted disk close to the eye, whose outline is far from an affine one's."""
+    thing = splats("near disk", (0.1, 0, 0), (0.5, -1, 0.6), [0.55])
+    camera = scenes.camera((0, -0.9, 0.1), (0, 0, 0), field_of_view=70, near=0.05, resolution=(96, 96))
+    case = dark(thing, camera=camera)
+    result = render(case, frozenset({"combined", "depth"}))
+    expected = reference.picture(case.scene, camera)
+    seen, there = result.pixels["depth"][..., 0] < BACKGROUND_DEPTH, expected.depth < BACKGROUND_DEPTH
+    assert there.sum() > 1000
+    assert np.count_nonzero(seen != there) <= 2  # measured 0; the normal has 24 bits
+    both = seen & there
+    assert np.abs(result.pixels["depth"][..., 0][both] / expected.depth[both] - 1).max() < 2e-3  # measured 4.3e-4
+
+
+# Extremes
+
+
+EXTREMES = {
+    "edge-on": {"normal": (1, 0, 0), "radii": [0.5]},
+    "almost edge-on": {"normal": (1, -1e-6, 0), "radii": [0.5]},
+    "through the near plane": {"position": (0, -3.9, 0), "normal": (0, 0.1, 1), "radii": [0.6]},
+    "behind the eye": {"position": (0, -6, 0), "normal": (0, 0.1, 1), "radii": [0.6]},
+    "around the eye": {"position": (0, -4, 0), "normal": (0, 0, 1), "radii": [0.6]},
+    "of a millionth in width": {"normal": (0, -1, 0), "radii": [1.0, 1e-6], "axis": (0, 0, 1)},
+    "tiny": {"normal": (0, -1, 0), "radii": [1e-9]},
+    "without a radius": {"normal": (0, -1, 0), "radii": [0.0]},
+}
+
+
+@pytest.mark.parametrize("name", EXTREMES)
+@pytest.mark.parametrize("parallel", [None, 4.0])
+def test_extreme_splats_are_finite_and_do_not_flash(name, parallel):
+    """No more than the pixels that their outline has, each up to the end of its kernel."""
+    given = {"position": (0, 0, 0), **EXTREMES[name]}
+    thing = splats(f"extreme {name}", **given)
+    camera = scenes.camera(parallel=parallel, near=-10.0 if parallel else 0.1)
+    result = render(replace(dark(thing, camera=camera), settings=EWA), ALL_PASSES)
+    for key, array in result.pixels.items():
+        assert np.isfinite(array if not key.startswith("crypto") else array[..., 1::2]).all(), key
+    alpha = result.pixels["combined"][..., 3]
+    exact = reference.picture(dark(thing, camera=camera).scene, camera).combined[..., 3]
+    outline = np.count_nonzero(exact)
+    perimeter = 2 * sum(camera.resolution)
+    assert alpha.sum() <= outline + 0.5 * perimeter
+    if name in ("tiny", "without a radius", "behind the eye") and parallel is None:
+        assert alpha.sum() < 1e-6
+
+
+def test_a_disk_larger_than_the_screen_fills_it():
+    thing = splats("huge", (0, 0, 0), (0, -1, 0), [500.0], (0.3, 0.6, 0.9))
+    found = picture(dark(thing, camera=scenes.camera()))
+    assert np.abs(found - (0.3, 0.6, 0.9, 1)).max() < 1e-3  # measured 5.9e-4: half floats
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_pass_of_every_scene_is_finite(name):
+    case = CASES[name]()
+    result = render(replace(case, settings=replace(case.settings, technique="EWA")), samples=2)
+    for key, array in result.pixels.items():
+        assert np.isfinite(array if not key.startswith("crypto") else array[..., 1::2]).all(), key
+    combined = result.pixels["combined"]
+    assert combined.min() >= 0
+    assert combined[..., 3].max() <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("name", ["sphere", "mixed", "holdout", "parallel", "culled", "region"])
+def test_pictures_are_near_those_of_image_space(name):
+    """The same surfaces at the same places: only edges and what is finer than a pixel differ."""
+    case = CASES[name]()
+    found = [
+        render(replace(case, settings=replace(case.settings, technique=technique)), ONLY_COMBINED, 16).pixels[
+            "combined"
+        ]
+        for technique in ("IMAGE_SPACE", "EWA")
+    ]
+    assert np.abs(found[0] - found[1]).mean() < 0.02  # measured 0.0168
+
+
+# What a view needs
+
+
+def record(case: Case, device=None, samples: int = 1):
+    device = device or NullDevice()
+    result = Renderer(device).render(case.scene, case.request(ONLY_COMBINED, samples))
+    return device, result
+
+
+def with_technique(case: Case, technique: str) -> Case:
+    return replace(case, settings=replace(case.settings, technique=technique))
+
+
+@pytest.mark.parametrize("technique", ["AUTO", "IMAGE_SPACE", "EWA"])
+def test_the_other_technique_compiles_nothing_and_says_why(technique):
+    device, result = record(with_technique(scenes.sphere(), technique))
+    names = {interface.name for interface in device.interfaces}
+    used, unused = (PROGRAMS, IMAGE_SPACE) if technique == "EWA" else (IMAGE_SPACE, PROGRAMS)
+    assert used <= names
+    assert not unused & names
+    why = {entry["name"]: entry["because"] for entry in result.report["skipped"]}
+    assert {why[name] for name in unused - {"identify"}} == {
+        "points are drawn by EWA" if technique == "EWA" else "points are drawn in image space"
+    }
+    soft = any("PS_COVERAGE" in dict(interface.defines) for interface in device.interfaces)
+    assert soft == (technique == "EWA")
+
+
+def test_polygons_alone_know_nothing_of_ewa():
+    device, _ = record(with_technique(scenes.cube(), "EWA"))
+    assert not (PROGRAMS | IMAGE_SPACE) & {interface.name for interface in device.interfaces}
+    assert not any("PS_COVERAGE" in dict(interface.defines) for interface in device.interfaces)
+
+
+def test_only_near_and_wide_splats_are_met_by_rays_and_only_balls_have_round_normals():
+    def defines(case):
+        return {name for interface in record(case)[0].interfaces for name, _ in interface.defines}
+
+    few = Case(scenes.scene((scenes.points("few far", scenes.sphere_cloud(4000)), scenes.moved())),
+               scenes.camera((0, -30, 0)), EWA)  # fmt: skip
+    assert "PS_LARGE" not in defines(few)
+    assert "PS_LARGE" in defines(with_technique(scenes.inside(), "EWA"))
+    assert "PS_BALLS" not in defines(few)
+    cloud = replace(scenes.sphere_cloud(4000), normal=None)
+    balls = Case(scenes.scene((scenes.points("far balls", cloud), scenes.moved())), scenes.camera((0, -60, 0)), EWA)
+    assert "PS_BALLS" in defines(balls)
+
+
+def test_splats_are_projected_once_for_all_samples():
+    device, _ = record(with_technique(scenes.sphere(), "EWA"), samples=4)
+    assert device.names.count("splats") == 1
+    assert device.names.count("normalise") == 4
+
+
+def test_without_blending_of_floats_image_space_takes_over_and_says_so():
+    device, result = record(with_technique(scenes.sphere(), "EWA"), NullDevice(replace(LIMITS, float_blend=False)))
+    assert not PROGRAMS & set(device.names)
+    assert any("EWA" in warning for warning in result.report["warnings"])
