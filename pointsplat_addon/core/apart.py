@@ -17,6 +17,8 @@ FILLED = 0.5  # area over half the ellipsoid's surface, below which splats stand
 LEAST = 8  # splats from which a shape is judged
 LEAF_SIZE = 12
 RUN, RUNS = 16, 256  # looked at first: so many runs of neighbours
+BORDERS = 0.1  # open edges to a triangle; a square of 20 x 20 has so many, a maple 0.15
+LOOSE = 0.5 + BORDERS / 2 - 0.03  # vertices to a triangle where there are so many open edges, less what handles take
 FEW = 0.02  # share of the splats up to which those that seem to stand apart are taken for ends and corners
 
 
@@ -45,6 +47,21 @@ def apart(cloud: PointCloud) -> np.ndarray | None:
     by_leaf[leaves] = sparse[judge]
     found[order] = np.repeat(by_leaf[at], tree.point_count[at])
     return found if np.count_nonzero(found) > FEW * len(found) else None
+
+
+def leafy(position: np.ndarray, triangles: np.ndarray) -> bool:
+    """Whether a mesh is of leaves: of its triangles (T, 3) over `position` (N, 3), many have edges that no other has.
+    Disks that cover such triangles reach over their edges. Vertices in one place are one."""
+    if len(np.unique(triangles)) < LOOSE * len(triangles):
+        return False
+    # Bits of the coordinates, mixed; that two places share a number is as unlikely as it is harmless.
+    bits = np.ascontiguousarray(position + np.float32(0), np.float32).view(np.uint32).astype(np.uint64)
+    mixed = (bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)).sum(axis=1)
+    place = np.unique(mixed, return_inverse=True)[1].reshape(-1)[triangles].astype(np.int64)
+    ends = np.stack([place, np.roll(place, 1, axis=1)]).reshape(2, -1)
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    _, count = np.unique(low * len(position) + high, return_counts=True)
+    return bool(np.count_nonzero(count == 1) > BORDERS * len(triangles))
 
 
 def _closed_at_a_glance(cloud: PointCloud) -> bool:

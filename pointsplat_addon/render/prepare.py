@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..core import sampling
-from ..core.apart import apart
+from ..core.apart import apart, leafy
 from ..core.appearance import digest, passing, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
 from ..core.cut import Cut, Forest, forest, fully, largest_singular_value, select
@@ -26,6 +26,7 @@ from ..core.spacing import make_parts, required_spacing
 from ..core.vectors import dot, each_block
 
 POLYGON_PIXELS = 4.0  # AUTO draws polygons where the typical triangle's edge spans more than this many pixels
+MOST_LEAVES = 1 << 21  # triangles of all instances of a mesh of leaves, which AUTO draws as polygons from any distance
 HIERARCHY_PAYS = 80  # building costs about as much as drawing the points this many times
 SMALL_SPLAT = 0.25  # of the tolerance: where typical splats are smaller, most of a cloud can be left out
 EXACT_TRIANGLES = 4 << 20  # of all instances: so many are asked one by one what they need
@@ -256,6 +257,10 @@ class _View:
             edge = self.store.lookup(("edge", geometry.key), lambda: _typical_edge(mesh, ok))
             if edge * self.settings.tolerance > POLYGON_PIXELS * needed:
                 return None
+            if len(view_from_object) * len(mesh.triangles) <= MOST_LEAVES:
+                leaves = self.store.lookup(("leafy", geometry.key), lambda: leafy(mesh.position, mesh.triangles[ok]))
+                if leaves:
+                    return None
         octave = self._octaves(geometry, mesh, ok, needed, view_from_object)
         return [
             (self._sampled(geometry, mesh, ok, needed, int(n)), np.flatnonzero(octave == n)) for n in np.unique(octave)

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core import hierarchy as h
-from pointsplat_addon.core.apart import apart
+from pointsplat_addon.core.apart import apart, leafy
 from pointsplat_addon.core.cloud import PointCloud
 from tests.core.test_optics import levels, mean_transmittance
+from tests.render.scenes import plane_mesh, sphere_mesh
 
 
 def leaves(count: int, depth: float, flat: float = 0.0) -> PointCloud:
@@ -130,3 +131,24 @@ def test_poses_of_leaves_are_refitted_to_the_same_nodes() -> None:
     for again in (h.refit(built, cloud), h.recolor(built, painted)):
         np.testing.assert_array_equal(again.section, built.section)
         np.testing.assert_array_equal(again.apart, built.apart)
+
+
+def strips(count: int, cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of so many loose strips of quads."""
+    position = np.random.default_rng(3).random((count * (cells + 1) * 2, 3)).astype(np.float32)
+    quad = np.array([[0, 1, 2], [1, 3, 2]])
+    one = (2 * np.arange(cells)[:, None, None] + quad).reshape(-1, 3)
+    return position, (2 * (cells + 1) * np.arange(count)[:, None, None] + one).reshape(-1, 3)
+
+
+def test_meshes_are_of_leaves_where_many_edges_are_open() -> None:
+    assert leafy(*strips(100, 1))
+    assert leafy(*strips(100, 8))
+    closed = sphere_mesh("closed", 20)
+    assert not leafy(closed.position, closed.triangles)
+    # Each triangle with vertices of its own, as some files have them.
+    assert not leafy(closed.position[closed.triangles].reshape(-1, 3), np.arange(closed.triangles.size).reshape(-1, 3))
+    grid = plane_mesh("grid", cells=40)
+    assert not leafy(grid.position, grid.triangles)
+    both = np.concatenate([closed.position, strips(400, 1)[0]])
+    assert leafy(both, np.concatenate([closed.triangles, strips(400, 1)[1] + len(closed.position)]))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pointsplat_addon.core.hierarchy import basis
 from pointsplat_addon.core.scene import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.devices.opengl import OpenGLDevice
@@ -20,14 +21,14 @@ def crown(count, depth):
     return scenes.scene((points(f"crown {count} {depth}", leaves(count, depth)), moved()), lights=(), transparent=True)
 
 
-def let_through(renderer, count, depth, diameter, samples):
-    """Over the square about a crown that is so many pixels wide, and how many splats were drawn."""
+def let_through(renderer, seen, diameter, samples):
+    """What passes the square about a crown that is so many pixels wide, and how many splats were drawn."""
     # The filter blurs over the square's rim, too.
     size = round(1.15 * diameter) + 8
-    seen = camera((0, -5, 0), resolution=(size, size), parallel=2 * size / diameter)
+    eye = camera((0, -5, 0), resolution=(size, size), parallel=2 * size / diameter)
     settings = Settings(use_shadows=False)
     renderer.device.context.__enter__()  # there may be another
-    result = renderer.render(crown(count, depth), Request(seen, settings, COMBINED, samples))
+    result = renderer.render(seen, Request(eye, settings, COMBINED, samples))
     hidden = result.pixels["combined"][..., 3].astype(np.float64).sum() * (2 / diameter) ** 2
     return 1 - hidden / 2.3**2, result.report["points"]["cut"]
 
@@ -49,16 +50,36 @@ def rasterising():
 def test_a_crown_of_leaves_lets_as_much_light_through_at_any_distance(diameter, samples, depth):
     count = 20000
     exact = mean_transmittance(leaves(count, depth), 1.15, (0.0, 1.0, 0.0), pixels=768, hard=True)
-    found, cut = let_through(scenes.opengl(), count, depth, diameter, samples)
+    found, cut = let_through(scenes.opengl(), crown(count, depth), diameter, samples)
     assert found == pytest.approx(exact, abs=0.01)  # measured 0.0088
     assert (cut < count) == (diameter == 10)
 
 
 @pytest.mark.parametrize("diameter", [160, 20])
 def test_devices_without_image_atomics_let_as_much_through(rasterising, diameter):
-    found, _ = let_through(rasterising, 5000, 1.0, diameter, 8)
-    expected, _ = let_through(scenes.opengl(), 5000, 1.0, diameter, 8)
+    found, _ = let_through(rasterising, crown(5000, 1.0), diameter, 8)
+    expected, _ = let_through(scenes.opengl(), crown(5000, 1.0), diameter, 8)
     assert found == pytest.approx(expected, abs=1e-3)  # measured 0
+
+
+def card_mesh(count, depth):
+    """The same crown of square cards, of two triangles each."""
+    cloud = leaves(count, depth)
+    u, v = (a.T[:, None] for a in basis(cloud.normal.T.astype(float)))
+    half = cloud.radii[:, :1, None] * np.sqrt(np.pi) / 2
+    corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    position = cloud.position[:, None] + half * (u * corner[:, :1] + v * corner[:, 1:])
+    triangles = 4 * np.arange(count)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
+    return scenes.flat_mesh(f"cards {count} {depth}", position.reshape(-1, 3).astype("f4"), triangles.reshape(-1, 3))
+
+
+@pytest.mark.parametrize("diameter", [240, 60, 15])
+def test_a_mesh_of_cards_lets_as_much_light_through_at_any_distance(diameter):
+    count, depth = 5000, 1.0
+    exact = mean_transmittance(leaves(count, depth), 1.15, (0.0, 1.0, 0.0), pixels=768, hard=True)
+    cards = scenes.scene((scenes.mesh(card_mesh(count, depth)), moved()), lights=(), transparent=True)
+    found, _ = let_through(scenes.opengl(), cards, diameter, 16)
+    assert found == pytest.approx(exact, abs=0.01)  # measured 0.0043
 
 
 def test_surfaces_have_no_variant_for_it():
