@@ -20,6 +20,7 @@ import numpy as np
 
 from . import environment
 from .scene import Light, World
+from .vectors import each_block
 
 # ps_lights, (FIRST_LIGHT + lights, WIDTH, 4) float32:
 #   rows 0 .. TABLE_ROWS      reflectance table, see reflectance_table
@@ -115,10 +116,14 @@ def reflectance_table() -> np.ndarray:
     roughness = np.linspace(0, 1, TABLE_ROWS)
     cosine = np.maximum(np.linspace(0, 1, WIDTH) ** 2, 1e-4)
     table = np.empty((TABLE_ROWS, WIDTH, 4))
-    for row, r in zip(table, roughness, strict=True):
-        row[:, :3] = _albedo(np.maximum(r**2, MIN_ALPHA), cosine)
-        flux = row[:, 0] * cosine
-        row[:, 3] = ((flux[1:] + flux[:-1]) * np.diff(cosine)).sum()
+
+    def fill(rows: slice) -> None:
+        for row, r in zip(table[rows], roughness[rows], strict=True):
+            row[:, :3] = _albedo(np.maximum(r**2, MIN_ALPHA), cosine)
+            flux = row[:, 0] * cosine
+            row[:, 3] = ((flux[1:] + flux[:-1]) * np.diff(cosine)).sum()
+
+    each_block(TABLE_ROWS, fill, 1)
     table.setflags(write=False)
     return table
 
@@ -635,21 +640,22 @@ def _scattered(mean_fresnel: np.ndarray, albedo: np.ndarray, mean: np.ndarray) -
 
 def _albedo(alpha: float, cosine: np.ndarray) -> np.ndarray:
     """(M, 3) first three channels of the table for (M,) view cosines, by sampling visible normals (Heitz 2018)."""
+    # One side of the plane of incidence stands for both.
     radius2 = (np.arange(48) + 0.5) / 48
-    angle = (np.arange(64) + 0.5) / 64 * 2 * np.pi
+    angle = (np.arange(32) + 0.5) / 32 * np.pi - np.pi / 2
     t1 = np.sqrt(radius2)[:, None] * np.cos(angle)
     disk2 = np.sqrt(radius2)[:, None] * np.sin(angle)
-    view = np.stack([np.sqrt(1 - cosine**2), np.zeros_like(cosine), cosine], -1)
-    stretched = _unit(view * [alpha, 1, 1])
-    second = np.cross(stretched, [0.0, 1.0, 0.0])
-    s = 0.5 * (1 + stretched[:, 2])[:, None, None]
+    view_x, view_z = np.sqrt(1 - cosine**2)[:, None, None], cosine[:, None, None]
+    length = np.hypot(alpha * view_x, view_z)
+    x, z = alpha * view_x / length, view_z / length
+    s = 0.5 * (1 + z)
     t2 = (1 - s) * np.sqrt(1 - t1**2) + s * disk2
-    t3 = np.sqrt(np.maximum(1 - t1**2 - t2**2, 0))[..., None]
-    hemisphere = t1[..., None] * [0.0, 1.0, 0.0] + t2[..., None] * second[:, None, None] + t3 * stretched[:, None, None]
-    half = _unit(np.maximum(hemisphere, [-1, -1, 1e-9]) * [alpha, alpha, 1])
+    t3 = np.sqrt(np.maximum(1 - t1**2 - t2**2, 0))
+    half_x, half_z = alpha * (t3 * x - t2 * z), np.maximum(t2 * x + t3 * z, 1e-9)
+    length = np.sqrt(half_x * half_x + (alpha * t1) ** 2 + half_z * half_z)
 
-    between = np.clip(np.einsum("mijc,mc->mij", half, view), 1e-6, 1)
-    light_z = 2 * between * half[..., 2] - cosine[:, None, None]
+    between = np.clip((half_x * view_x + half_z * view_z) / length, 1e-6, 1)
+    light_z = 2 * between * half_z / length - view_z
 
     def smith(c: np.ndarray) -> np.ndarray:
         return (np.sqrt(1 + alpha**2 * (1 / np.clip(c, 1e-6, 1) ** 2 - 1)) - 1) / 2
@@ -659,7 +665,9 @@ def _albedo(alpha: float, cosine: np.ndarray) -> np.ndarray:
     total = weight.mean((1, 2))
     f0 = 0.04
     exact = (fresnel_dielectric(between, np.array(1.5)) - f0) / (1 - f0)
-    shares = [(weight * part).mean((1, 2)) / total for part in ((1 - between) ** 5, exact)]
+    grazing = 1 - between
+    squared = grazing * grazing
+    shares = [(weight * part).mean((1, 2)) / total for part in (squared * squared * grazing, exact)]
     return np.stack([total, *shares], -1)
 
 
