@@ -28,6 +28,7 @@ from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.frame import Renderer, Request
 
 SIZE = 1024  # pixels
+SETTINGS = Settings(technique="IMAGE_SPACE", use_shadows=False, use_adaptive_sampling=False)
 DISTANCE = 4.0  # of the camera from the centre of the unit sphere
 FOCAL = 3.5  # distance of the picture over half its side: the sphere is 920 pixels wide
 VISIBLE_DEPTH = (3 + 3.75) / 2  # mean distance of the visible cap's points along the view, uniform in [3, 3.75]
@@ -130,7 +131,7 @@ class Ours:
 
     def frame(self, angle: float, samples: int = 1) -> dict[str, Any]:
         """Draw a picture until the device has finished it; the report, its seconds being the time of all."""
-        request = Request(camera(angle, self.size), Settings(use_shadows=False), frozenset({"combined"}), samples)
+        request = Request(camera(angle, self.size), SETTINGS, frozenset({"combined"}), samples)
         start = time.perf_counter()
         frame = self.renderer.start(self.scene, request)
         started = time.perf_counter()
