@@ -3,12 +3,6 @@
 
 #include "lib/kernel.glsl"
 
-// Share of a Gaussian below x standard deviations, to 3e-4.
-float ps_below(float x)
-{
-  return 1.0 / (1.0 + exp(-1.5957691 * (x + 0.044715 * x * x * x)));
-}
-
 #ifdef PS_KERNELS
 // Over the middle's of the default kernel, as ps_kernel.
 float ps_profile(int row, float q)

@@ -116,6 +116,24 @@ void main()
   vec3 b = ball ? linear[1] * extent.x : linear * cross(n, major) * extent.y;
   vec3 c = ball ? linear[2] * extent.x : linear * n * optics.y;
 
+  // Of what reaches before the near plane, the splat that has the moments of the part beyond: for a Gaussian, those of
+  // the truncated normal distribution, and as many optical depths as are left.
+  vec3 deep = -0.5 * vec3(a.z, b.z, c.z);
+  float spread = max(length(deep), 1e-20), inside = (-p.z - frame.lens.x) / spread, beyond = 1.0;
+  if (inside < PS_RIM_SIGMA && inside > -PS_RIM_SIGMA) {
+    float share = ps_below(inside);
+    float hazard = 0.39894228 * exp(-0.5 * inside * inside) / share;
+    float narrow = sqrt(clamp(1.0 - hazard * (inside + hazard), 0.01, 1.0));
+    vec3 weight = deep / spread;
+    vec3 along = 0.5 * (a * weight.x + b * weight.y + c * weight.z);
+    p += hazard * along;
+    along *= 2.0 * (1.0 - narrow);
+    a -= along * weight.x;
+    b -= along * weight.y;
+    c -= along * weight.z;
+    beyond = share / narrow;
+  }
+
   // Covariance in pixels, and with depth (Zwicker et al. 2001).
   float d = -p.z;
   vec2 slope = ps_slope(p);
@@ -144,6 +162,7 @@ void main()
     peak = strength * path;
   }
 #endif
+  peak *= beyond;
   vec3 tint = vec3(1.0);
 #ifdef PS_TINT
   tint = max(texelFetch(ps_tint, at, 0).rgb, PS_FAINT_TINT);
@@ -200,7 +219,7 @@ void main()
 #endif
 #ifdef PS_AMONG_OPAQUE
   // Regression of depth on the place in the picture, and what it leaves of the variance.
-  vec3 deep = -0.5 * vec3(a.z, b.z, c.z);
+  deep = -0.5 * vec3(a.z, b.z, c.z);
   vec2 together = deep.x * ua + deep.y * ub + deep.z * uc;
   vec2 gradient = vec2(wide.z * together.x - wide.y * together.y, wide.x * together.y - wide.y * together.x) / det;
   float variance = max(dot(deep, deep) - dot(gradient, together), 1e-10 * d * d);

@@ -10,3 +10,9 @@ float ps_kernel(float q)
   float t = 1.0 - q / PS_SUPPORT;
   return t * t * t * t;
 }
+
+// Share of a Gaussian below x standard deviations, to 3e-4.
+float ps_below(float x)
+{
+  return 1.0 / (1.0 + exp(-1.5957691 * (x + 0.044715 * x * x * x)));
+}
