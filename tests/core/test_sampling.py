@@ -8,6 +8,7 @@ import pytest
 from pointsplat_addon.core import sampling
 from pointsplat_addon.core.scene import Camera, Mesh
 from pointsplat_addon.core.spacing import PART, make_parts, required_spacing
+from pointsplat_addon.core.vectors import each_block
 
 METHODS = ("VERTICES", "AREA", "GRID")
 
@@ -501,6 +502,52 @@ def test_parts_of_a_mesh_tell_the_same_spacing(name):
             )
             seen += np.isfinite(whole)
     assert seen > 60  # measured 88 and more of 120
+
+
+def test_parts_follow_the_mesh_unless_its_triangles_lie_scattered():
+    mesh = wave(400)
+    parts = make_parts(mesh)
+    assert np.array_equal(parts.triangles, mesh.triangles)
+    shuffled = replace(mesh, triangles=np.random.default_rng(1).permutation(mesh.triangles))
+    extent = [np.linalg.norm(p.high - p.low, axis=1).mean() for p in (parts, make_parts(shuffled))]
+    assert extent[1] < extent[0]  # a part of the wave is a strip, one in Morton order a patch
+    low, high = parts.low.min(axis=0), parts.high.max(axis=0)
+    assert np.array_equal([low, high], [mesh.position.min(axis=0), mesh.position.max(axis=0)])
+
+
+def test_measures_spare_the_work_and_change_nothing():
+    mesh = soup(np.random.default_rng(8).normal(size=(500, 3, 3)))
+    ok = sampling.validate(mesh)[0]
+    measures = sampling.measure(mesh, ok)
+    edges = np.linalg.norm(mesh.position[mesh.triangles] - mesh.position[mesh.triangles[:, [1, 2, 0]]], axis=2)
+    assert measures.longest == pytest.approx(edges.max(), rel=1e-6)
+    assert np.allclose(measures.base, edges.max(axis=1), rtol=1e-6)
+    assert measures.vertices == len(mesh.position)
+    for method in METHODS:
+        one, other = sampling.sample(mesh, 0.3, method), sampling.sample(mesh, 0.3, method, ok, measures)
+        assert np.array_equal(one.triangle, other.triangle)
+        assert np.array_equal(one.barycentric, other.barycentric)
+    assert sampling.limit_spacing(mesh, 1e-3, 10_000) == sampling.limit_spacing(mesh, 1e-3, 10_000, ok, measures)
+
+
+@pytest.mark.parametrize("count", [0, 1, 9, 10, 11, 1000])
+def test_blocks_hold_every_item_once(count):
+    seen = np.zeros(count, int)
+
+    def look(block):
+        seen[block] += 1
+
+    each_block(count, look, 10)
+    assert (seen == 1).all()
+
+
+def test_what_a_block_raises_arrives():
+    def fail(block):
+        if block.start >= 500:
+            raise FloatingPointError(f"{block.start}")
+
+    with pytest.raises(FloatingPointError, match="500"):
+        each_block(1000, fail, 10)
 
 
 def test_the_part_of_a_large_triangle_between_the_frustum_s_sides_counts():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pointsplat_addon.core import sampling
 from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.scene import Geometry, Settings, Transfer, Volume
 from pointsplat_addon.render.parts import parted
@@ -149,6 +150,32 @@ def test_a_coarser_tolerance_needs_fewer_samples():
 class Item:
     def __init__(self, nbytes):
         self.nbytes = nbytes
+
+
+def test_a_finer_tolerance_may_have_more_samples(monkeypatch):
+    monkeypatch.setattr(sampling, "MAX_SAMPLES", 3000)
+    monkeypatch.setattr(sampling, "MOST_SAMPLES", 20_000)
+    case = of(scenes.sphere_mesh("budget", 8), "POINTS", distance=1.6)
+    counts = []
+    for tolerance in (1.0, 0.5, 0.01):
+        found = prepare(case.scene, case.camera, replace(case.settings, tolerance=tolerance), 1, Store())
+        counts.append(len(found.point_sets[0]))
+    # So many does one sample a pixel take: more than may be, at either tolerance.
+    assert counts[0] <= 3000 < counts[1] <= 12_000 < counts[2] <= 20_000
+
+
+def test_a_view_that_needs_nothing_finer_samples_nothing(monkeypatch):
+    store, mesh = Store(), scenes.sphere_mesh("orbited", 64)
+    first = prepared(of(mesh, "POINTS", distance=4.0), store)
+
+    def unwanted(*args, **kwargs):
+        raise AssertionError("nothing had to be looked at again")
+
+    for name in ("validate", "measure", "sample", "evaluate", "limit_spacing"):
+        monkeypatch.setattr(sampling, name, unwanted)
+    second = prepared(of(mesh, "POINTS", distance=4.1), store)
+    assert second.point_sets[0] is not None
+    assert second.point_sets[0].cloud is first.point_sets[0].cloud
 
 
 def test_a_store_forgets_what_was_used_least_lately():
