@@ -31,7 +31,7 @@ void main()
                                          vec3(dv.x * dv.x, dv.x * dv.y, dv.y * dv.y));
   float det = c.x * c.z - c.y * c.y;
   float q = 4.0 * (c.z * uv.x * uv.x - 2.0 * c.y * uv.x * uv.y + c.x * uv.y * uv.y) / det;
-  float peak = ps_ewa_peak(1.0, det);
+  float peak = ps_ewa_peak(v_front.z, 1.0, det);
 #else
   float q = 4.0 * dot(uv, uv);
 #endif

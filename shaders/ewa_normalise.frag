@@ -41,14 +41,14 @@ void main()
   PsSurfel s = ps_empty();
   s.place = vec4(d, 0.0, 0.0, covers ? reach : -reach);
   float front = sum.z, back = (sum.w - sum.z) / PS_EWA_BACK;
-  s.shape.x = max(front, back);
+  s.shape.x = PS_EWA_WITHIN * max(front, back);
   s.shape.w = nearest.z;
   if (!covers) {
     vec4 beside = ps_beside(pixel);
     bool alone = beside.x == 0.0;
     s.shape.w = alone ? floor(sum.y * scale + 0.5) : beside.z;
     // What is seen from one side is not widened by its other side.
-    s.shape.x = alone ? s.shape.x : ps_shows_back(beside) ? back : front;
+    s.shape.x = alone ? max(front, back) : ps_shows_back(beside) ? back : front;
   }
   s.shape.x = min(s.shape.x, 1.0);
 #ifdef PS_NORMAL

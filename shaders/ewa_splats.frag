@@ -73,7 +73,7 @@ void main()
   float kind = float(element.z) * 2.0 + (large ? 2.0 : 1.0);
   out_place = vec4(pixel.xy - frame.focal.zw, d, drawn ? (turned ? -kind : kind) : 0.0);
   out_shape = vec4(covariance, s.shape.w);
-  out_front = vec4(gradient, reach, same);
+  out_front = vec4(gradient, extent.y < 0.0 ? 1.0 : PS_EWA_SHARE, same);  // alone, a splat stands for all of its ellipse
 #ifdef PS_NORMAL
   out_normal = s.normal;
 #endif

@@ -9,7 +9,7 @@ perspective projection at the splat's centre, in pixels. v: the low-pass of a pi
 
 Kernels end at the squared Mahalanobis distance CUTOFF = r^2, which leaves 1 - exp(-c), c = r^2 / 2, of a Gaussian's
 mass; they are divided by that. Each is scaled so that its sum over all pixels is the number of pixels that the splat
-stands for, and their sum over a surface without gaps is one.
+stands for, and their sum over a surface without gaps is one: how much of each pixel the surface covers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,10 @@ import numpy as np
 
 CUTOFF = 5.0
 KEPT = 1 - np.exp(-CUTOFF / 2)
-SHARE = 2 / np.pi  # of its ellipse's area a splat stands for a cell that the ellipse goes around (core/sampling.py)
+# Of its ellipse's area a splat stands for the cell that the ellipse goes around: between 1 / pi, half a rectangle, and
+# 2 / pi, a rectangle (core/sampling.py); the mean of the two.
+SHARE = np.sqrt(2) / np.pi
+WITHIN = np.sqrt(2)  # where an ellipse holds the pixel's centre the lower sums count as much as the higher ones
 LEAST_LOW_PASS = 4e-4  # pixels^2, which keeps covariances invertible
 
 
@@ -57,3 +60,9 @@ def weights(pixels: np.ndarray, centre: np.ndarray, moments: np.ndarray, v: floa
     covered = 4 * np.pi * np.sqrt(np.maximum(np.linalg.det(moments), 0)) * SHARE
     peak = covered / (2 * np.pi * np.sqrt(np.linalg.det(wide))) / KEPT
     return np.where(q <= CUTOFF, peak * np.exp(-q / 2), 0.0)
+
+
+def coverage(total: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """(P,) how much of each pixel is covered at the edge of a surface, for the sums of its kernels (P,). `within`: (P,)
+    bool, an ellipse holds the pixel's centre."""
+    return np.minimum(np.where(within, WITHIN * total, total), 1.0)

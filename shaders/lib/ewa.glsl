@@ -4,7 +4,11 @@
 #define PS_EWA_CUTOFF 5.0  // squared Mahalanobis distance at which kernels end
 #define PS_EWA_CUTOFF_SIGMA 2.2360680  // its root
 #define PS_EWA_KEPT 0.91791500  // 1 - exp(-c) with c = PS_EWA_CUTOFF / 2: what the cut leaves of a Gaussian's mass
-#define PS_EWA_SHARE 0.63661977  // 2 / pi: of its ellipse's area a splat stands for the cell that the ellipse goes around
+// Of its ellipse's area a splat stands for the cell that the ellipse goes around: between 1 / pi, half a rectangle, and
+// 2 / pi, a rectangle (core/sampling.py). Where an ellipse holds the pixel's centre, the lower sums count as much as the
+// higher ones, so that no surface lets through what is behind; beside it, they are taken as they are.
+#define PS_EWA_SHARE 0.45015816  // the mean of the two, sqrt(2) / pi
+#define PS_EWA_WITHIN 1.4142136
 
 // Closed surfaces end with their front and their back at the same edge, where only the front is to be seen: what shows its
 // back weighs less by this factor.
@@ -15,7 +19,7 @@
 
 // The kernel's middle, for the determinants of the covariance with and without the low-pass: the pixels that the splat
 // stands for, 4 pi share sqrt(of), over the integral of what the cut leaves of the Gaussian, 2 pi kept sqrt(with).
-float ps_ewa_peak(float of, float with)
+float ps_ewa_peak(float share, float of, float with)
 {
-  return 2.0 * PS_EWA_SHARE / PS_EWA_KEPT * sqrt(max(of, 0.0) / with);
+  return 2.0 * share / PS_EWA_KEPT * sqrt(max(of, 0.0) / with);
 }

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.ewa import CUTOFF, KEPT, SHARE, covariance, low_pass, weights
+from pointsplat_addon.core.ewa import CUTOFF, KEPT, SHARE, WITHIN, covariance, coverage, low_pass, weights
 
 
 def pixels(count: int) -> np.ndarray:
@@ -42,7 +42,7 @@ def test_kernels_of_disks_around_the_cells_of_a_lattice_sum_to_one(samples, ripp
     centre = pixels(24)
     moments = np.tile(np.eye(2) / 8, (len(centre), 1, 1))  # r^2 / 4 of a disk around a unit square
     places = np.random.default_rng(0).uniform(10, 14, (4000, 2))
-    total = weights(places, centre, moments, low_pass(samples)).sum(axis=1)
+    total = WITHIN * weights(places, centre, moments, low_pass(samples)).sum(axis=1)
     assert np.abs(total - 1).max() < ripple  # measured 0.0407, 0.0742, 0.1136
     assert abs(total.mean() - 1) < 5e-3  # measured 0.0013
 
@@ -70,3 +70,9 @@ def test_the_jacobian_is_the_derivative_of_the_projection(perspective):
     expected = (da[:, :, None] * da[:, None, :] + db[:, :, None] * db[:, None, :]) / 4
     found = covariance(centre, a, b, focal, perspective)
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()  # measured 4e-10
+
+
+def test_coverage_is_at_most_whole_and_takes_sums_beside_a_surface_as_they_are():
+    total = np.array([0.0, 0.3, 0.8, 3.0])
+    np.testing.assert_allclose(coverage(total, np.zeros(4, bool)), [0, 0.3, 0.8, 1])
+    np.testing.assert_allclose(coverage(total, np.ones(4, bool)), [0, 0.3 * np.sqrt(2), 1, 1])

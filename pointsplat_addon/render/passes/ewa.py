@@ -8,7 +8,8 @@ What `splats` leaves of each drawn element, one texel each:
   place     centre in pixels from the principal point; depth; 1 + 2 instance (small), 2 + 2 instance (large), 0: not
             drawn; negative where the splat shows its back
   shape     covariance in pixels^2 (xx, xy, yy) without low-pass, its rim at 2 sigma; material (-1 - m: a holdout)
-  front     change of depth per pixel (x, y), half extent in depth, depth within which it is one surface with others
+  front     change of depth per pixel (x, y); share of the ellipse that the splat stands for; depth within which it is
+            one surface with others
   normal    in view space, (0, 0, 0) for a ball; roughness   \\
   color     base colour, metallic                            | where the G-buffer has them
   emission                                                   /
