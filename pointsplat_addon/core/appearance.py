@@ -10,7 +10,7 @@ from .cloud import PointCloud
 from .expressions import SampleInputs
 from .kernel import PEAK
 from .materials import MaterialGraph, bake, bakeable, evaluate_samples, needs, suggested_resolution, triangle_tangents
-from .sampling import Evaluated, Samples, areas, interpolate, material_ids
+from .sampling import Evaluated, Samples, along_half_axes, areas, interpolate, material_ids
 from .scene import MaterialTable, Mesh
 
 CLIP = 0.5  # of alpha: surfaces that are not translucent are cut out below it
@@ -162,7 +162,7 @@ def at_samples(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: Materi
         return Appearance()
     rows = material_ids(mesh, samples)
     position = evaluated.position + evaluated.origin.astype(np.float32)
-    return _evaluate(mesh, samples, rows, position, evaluated.normal, graphs, table)
+    return _evaluate(mesh, samples, rows, position, evaluated.normal, graphs, table, wide=True)
 
 
 def at_corners(mesh: Mesh, table: MaterialTable, graphs: dict[int, MaterialGraph], rows: np.ndarray) -> Appearance:
@@ -218,8 +218,9 @@ def _evaluate(
     normal: np.ndarray,
     graphs: dict[int, MaterialGraph],
     table: MaterialTable,
+    wide: bool = False,
 ) -> Appearance:
-    """Each graph where its material is; constants of the table elsewhere."""
+    """Each graph where its material is; constants of the table elsewhere. `wide`: pictures are filtered over splats."""
     channels = {name for graph in graphs.values() for name in graph.channels}
     out: dict[str, np.ndarray] = {}
     if "base_color" in channels:
@@ -236,7 +237,7 @@ def _evaluate(
     for row, graph in graphs.items():
         which = slice(None) if len(mesh.materials) == 1 else np.flatnonzero(rows == row)
         some = samples if isinstance(which, slice) else _subset(samples, which)
-        values = evaluate_samples(graph, _inputs(mesh, graph, some, position[which], normal[which]))
+        values = evaluate_samples(graph, _inputs(mesh, graph, some, position[which], normal[which], wide))
         for name, value in values.items():
             if name in ("roughness", "metallic"):
                 out["surface"][which, ("roughness", "metallic").index(name)] = value
@@ -251,7 +252,7 @@ def _subset(samples: Samples, which: np.ndarray) -> Samples:
 
 
 def _inputs(
-    mesh: Mesh, graph: MaterialGraph, samples: Samples, position: np.ndarray, normal: np.ndarray
+    mesh: Mesh, graph: MaterialGraph, samples: Samples, position: np.ndarray, normal: np.ndarray, wide: bool
 ) -> SampleInputs:
     """What the graph reads, and nothing else."""
     wanted = needs(graph)
@@ -265,7 +266,7 @@ def _inputs(
     if tangent_map is not None:
         along, side = triangle_tangents(mesh.position[mesh.triangles], mesh.uv[tangent_map])
         tangent, sign = along[samples.triangle], side[samples.triangle]
-    return SampleInputs(
+    inputs = SampleInputs(
         uv={name: interpolate(mesh, samples, mesh.uv[name]) for name in uv_names if name is not None},
         active_uv=mesh.active_uv,
         colors={name: interpolate(mesh, samples, mesh.colors[name]) for name in colors if name is not None},
@@ -276,3 +277,24 @@ def _inputs(
         bitangent_sign=sign,
         count=len(samples),
     )
+    return replace(inputs, aside=_aside(mesh, samples, inputs)) if wide and wanted.pictures else inputs
+
+
+def _aside(mesh: Mesh, samples: Samples, inputs: SampleInputs) -> tuple[SampleInputs, SampleInputs]:
+    """The inputs at the ends of two half-diameters of each sample's splat, as far as pictures are mapped by them."""
+    steps = {name: along_half_axes(samples, mesh.uv[name]) for name in inputs.uv}
+    places = {"position": inputs.position, "generated": inputs.generated}
+    places = {name: array for name, array in places.items() if array is not None}
+    if places:
+        moved = along_half_axes(samples, mesh.position[mesh.triangles])
+        extent = np.maximum(mesh.position.max(axis=0) - mesh.position.min(axis=0), 1e-30)
+        scale = {"position": 1.0, "generated": (1 / extent).astype(np.float32)}
+    first, second = (
+        replace(
+            inputs,
+            uv={name: array + steps[name][k] for name, array in inputs.uv.items()},
+            **{name: array + moved[k] * scale[name] for name, array in places.items()},
+        )
+        for k in range(2)
+    )
+    return first, second

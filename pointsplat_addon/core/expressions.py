@@ -14,6 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
+from .textures import Pyramid, filtered, linear_from_srgb, look_up, uniform_b_spline
+
 CHUNK = 1 << 16  # samples evaluated at once: temporaries stay in the processor's cache
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709, Blender's default scene-linear primaries
 
@@ -32,6 +34,8 @@ class SampleInputs:
     tangent: np.ndarray | None = None  # (N, 3), unit, object space, along growing u of the map that is asked for
     bitangent_sign: np.ndarray | None = None  # (N,), bitangent = sign * normal x tangent; None: 1
     count: int | None = None  # N; None: the length of any array given
+    # The same at the ends of two conjugate half-diameters of each sample's splat: how wide pictures are to be filtered
+    aside: tuple[SampleInputs, SampleInputs] | None = None
 
     ARRAYS = ("position", "generated", "normal", "tangent", "bitangent_sign")
 
@@ -52,6 +56,7 @@ class SampleInputs:
             uv={name: array[part] for name, array in self.uv.items()},
             colors={name: array[part] for name, array in self.colors.items()},
             count=len(range(*part.indices(len(self)))),
+            aside=None if self.aside is None else (self.aside[0].take(part), self.aside[1].take(part)),
             **single,
         )
 
@@ -88,6 +93,11 @@ class Image:
     @property
     def nbytes(self) -> int:
         return self.texels.nbytes
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.texels.shape[1], self.texels.shape[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,68 +266,43 @@ class ImageTexture(Expression):
     straight: bool = False
 
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
-        color = _look_up(self.image.texels, values[0], self.interpolation, self.extension)
+        uv, footprint = values[0], self._footprint(inputs, values[0])
+        if footprint is None:
+            return self._decoded(look_up(self.image.texels, uv, self.interpolation, self.extension))
+        return filtered(self._level, self.image.size, uv[:, :2], footprint)
+
+    def _footprint(self, inputs: SampleInputs, uv: np.ndarray) -> np.ndarray | None:
+        """(N, 2, 2): how far `uv` changes along both half-diameters of each sample; None where that is not known."""
+        if inputs.aside is None or not self.uv.varies:
+            return None
+        return np.stack([_evaluate(self.uv, moved, {})[:, :2] - uv[:, :2] for moved in inputs.aside], axis=1)
+
+    def _level(self, level: int, uv: np.ndarray) -> np.ndarray:
+        """Colours (N, 4) of the picture at half its size, `level` times."""
+        if level == 0:
+            return self._decoded(look_up(self.image.texels, uv, self.interpolation, self.extension))
+        smaller = self._pyramid.levels[min(level, len(self._pyramid.levels)) - 1]
+        return look_up(smaller, uv, "Cubic", self.extension)
+
+    @cached_property
+    def _pyramid(self) -> Pyramid:
+        def rows(part: slice) -> np.ndarray:
+            texels = self.image.texels[part]
+            values = texels.reshape(-1, 4).astype(np.float32)
+            if texels.dtype == np.uint8:
+                values /= np.float32(255)
+            return self._decoded(values).reshape(texels.shape)
+
+        return Pyramid(rows, self.image.size)
+
+    def _decoded(self, color: np.ndarray) -> np.ndarray:
+        """Scene-linear colours from stored ones, in place."""
         if self.straight and self.image.associated:
             alpha = color[:, 3:]
             color[:, :3] /= np.where(alpha == 0, 1, alpha)
         if self.image.srgb:
             color[:, :3] = linear_from_srgb(color[:, :3])
         return color
-
-
-def _look_up(texels: np.ndarray, uv: np.ndarray, interpolation: str, extension: str) -> np.ndarray:
-    """Interpolated texels (N, 4) float32, still encoded."""
-    height, width = texels.shape[:2]
-    # UVs that are not finite, or so large that float32 holds no fraction, read texel 0
-    uv = np.where(np.abs(uv[:, :2]) < 2.0**24, uv[:, :2], 0).astype(np.float32)
-    axes = [_axis_taps(uv[:, k], size, interpolation, extension) for k, size in enumerate((width, height))]
-    # One element for a whole texel: gathering is several times faster than by rows of four
-    whole = np.ascontiguousarray(texels).view(np.uint32 if texels.dtype == np.uint8 else np.complex128).ravel()
-    out = np.zeros((len(uv), 4), np.float32)
-    for row, row_weight in axes[1]:
-        for column, column_weight in axes[0]:
-            gathered = whole.take(row * width + column).view(texels.dtype).reshape(-1, 4)
-            out += gathered * (row_weight * column_weight)[:, None]
-    return out / np.float32(255) if texels.dtype == np.uint8 else out
-
-
-def _axis_taps(x: np.ndarray, size: int, interpolation: str, extension: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(texel index, weight) arrays along one axis; weight 0 where the picture is clipped."""
-    scaled = x * np.float32(size)
-    if interpolation == "Closest":
-        low, offsets, weights = np.floor(scaled).astype(np.int64), (0,), (np.ones_like(x),)
-    else:
-        scaled = scaled - np.float32(0.5)
-        low = np.floor(scaled)
-        t = scaled - low
-        low = low.astype(np.int64)
-        if interpolation == "Linear":
-            offsets, weights = (0, 1), (1 - t, t)
-        else:
-            offsets, weights = (-1, 0, 1, 2), _uniform_b_spline(t)
-    return [_wrap(low + o, w, size, extension) for o, w in zip(offsets, weights, strict=True)]
-
-
-def _wrap(index: np.ndarray, weight: np.ndarray, size: int, extension: str) -> tuple[np.ndarray, np.ndarray]:
-    if extension == "REPEAT":
-        return index % size, weight
-    if extension == "MIRROR":
-        index = index % (2 * size)
-        return np.minimum(index, 2 * size - 1 - index), weight
-    inside = np.clip(index, 0, size - 1)
-    return inside, (weight * (inside == index) if extension == "CLIP" else weight)
-
-
-def _uniform_b_spline(t: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Weights of four neighbours of the uniform cubic B-spline at t in [0, 1]."""
-    t2, t3 = t * t, t * t * t
-    return (1 - t) ** 3 / 6, (3 * t3 - 6 * t2 + 4) / 6, (-3 * t3 + 3 * t2 + 3 * t + 1) / 6, t3 / 6
-
-
-def linear_from_srgb(encoded: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1 decoding; values below 0 stay linear."""
-    high = ((np.maximum(encoded, 0) + 0.055) / 1.055) ** 2.4
-    return np.where(encoded < 0.04045, encoded / 12.92, high).astype(encoded.dtype)
 
 
 # Components and conversions
@@ -881,7 +866,7 @@ class ColorRamp(Expression):
         at_end = np.where(after > last, 0, 1)
         t = np.clip(np.where(start == end, at_end, _divide(x - start, end - start)), 0, 1)
         if interpolation in ("CARDINAL", "B_SPLINE"):
-            weights = (_cardinal if interpolation == "CARDINAL" else _uniform_b_spline)(t)
+            weights = (_cardinal if interpolation == "CARDINAL" else uniform_b_spline)(t)
             neighbours = (np.maximum(after - 2, 0), left, right, np.minimum(after + 1, last))
             total = sum(w[:, None] * self.colors[i] for w, i in zip(weights, neighbours, strict=True))
             return np.clip(total, 0, 1)

@@ -102,6 +102,7 @@ class Needs:
     generated: bool = False
     normal: bool = False
     tangent: frozenset[str | None] = frozenset()  # the UV maps whose tangent is read
+    pictures: bool = False  # mapped by any of these
 
 
 def needs(graph: MaterialGraph) -> Needs:
@@ -118,6 +119,7 @@ def needs(graph: MaterialGraph) -> Needs:
         generated="generated" in coordinates,
         normal="normal" in coordinates or bool(normal_maps),
         tangent=frozenset(tangents),
+        pictures=any(isinstance(n, ImageTexture) and n.uv.varies for n in nodes),
     )
 
 

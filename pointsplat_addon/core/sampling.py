@@ -833,6 +833,21 @@ def interpolate(mesh: Mesh, samples: Samples, per_corner: np.ndarray) -> np.ndar
     return result
 
 
+def along_half_axes(samples: Samples, per_corner: np.ndarray) -> np.ndarray:
+    """(2, N, C) float32: how an attribute of corners, (T, 3, C), changes along two conjugate half-diameters of each
+    sample's splat. Splats at vertices reach to the middles of their triangle's edges."""
+    result = np.empty((2, len(samples), per_corner.shape[2]), np.float32)
+    for block in _blocks(len(samples)):
+        a, b, c = per_corner.take(samples.triangle[block], axis=0).transpose(1, 0, 2)
+        for k in range(2):
+            if samples.ellipse is None:
+                result[k, block] = 0.5 * ((b - a) if k == 0 else (c - a))
+            else:
+                weights = samples.ellipse[block, k]
+                result[k, block] = weights[:, :1] * (b - a) + weights[:, 1:] * (c - a)
+    return result
+
+
 def material_ids(mesh: Mesh, samples: Samples) -> np.ndarray:
     """(N,) uint16, rows of the scene's material table."""
     if mesh.material is None:

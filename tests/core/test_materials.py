@@ -453,7 +453,9 @@ def test_needs_name_what_is_read():
     image = noise(2, 2)
     normal_map = ex.NormalMap(ex.Constant((1.0,)), ex.Color(ex.ImageTexture(ex.UV("a"), image)), ex.UV())
     graph = MaterialGraph(base_color=ex.Color(ex.ColorAttribute("Col")), normal=normal_map)
-    expected = Needs(uv=frozenset({"a", None}), colors=frozenset({"Col"}), normal=True, tangent=frozenset({None}))
+    expected = Needs(
+        uv=frozenset({"a", None}), colors=frozenset({"Col"}), normal=True, tangent=frozenset({None}), pictures=True
+    )
     assert needs(graph) == expected
     named = MaterialGraph(roughness=ex.Component(ex.Attribute("x"), 4), emission=ex.Coordinates("position"))
     assert needs(named) == Needs(uv=frozenset({"x"}), colors=frozenset({"x"}), position=True)
