@@ -1,9 +1,17 @@
 """Numbers as the shaders read them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged, unpack_normal
+from pointsplat_addon.render.passes.common import Variant
+from pointsplat_addon.render.passes.points import Page, PointOptions
+from pointsplat_addon.render.prepare import PointSet
+from tests.render import scenes
 
 
 def directions(count=20000):
@@ -68,3 +76,47 @@ def test_any_number_of_rows_makes_a_page(count):
     assert data.dtype == np.float32
     assert data.size == 2 * size[0] * size[1]
     assert data.sum() == 2 * count
+
+
+def test_a_page_holds_its_clouds_one_after_another():
+    rng = np.random.default_rng(3)
+
+    def cloud(count: int, **more: np.ndarray) -> PointCloud:
+        position, radii = rng.random((count, 3), np.float32), rng.random((count, 2), np.float32)
+        normal, axis = (_unit(rng.standard_normal((count, 3))).astype(np.float32) for _ in range(2))
+        return PointCloud(position, normal=normal, axis=axis, radii=radii, **more)
+
+    # More than a block of those that are packed together; shading normals without a direction.
+    own = _unit(rng.standard_normal((40_000, 3))).astype(np.float32)
+    own[::7] = 0
+    first = cloud(40_000, shading_normal=own, material=np.arange(40_000).astype(np.uint16) % 5)
+    second = replace(cloud(1000), normal=None, axis=None)
+    made: dict[str, np.ndarray] = {}
+    names = iter(("place", "extent", "color", "shading_normal"))
+
+    class Recorder(NullDevice):
+        def texture(self, size, format, data=None):
+            assert data is not None
+            made[next(names)] = data.reshape(size[0] * size[1], -1)
+            return super().texture(size, format, data)
+
+    table = scenes.materials(base_color=[[0.1 * i, 0.2, 0.3] for i in range(5)])
+    sets = [PointSet(("first",), first), PointSet(("second",), second)]
+    page = Page(Recorder(), sets, Variant(color=True), PointOptions(shading_normal=True), table)
+    assert page.first == {("first",): 0, ("second",): 40_000}
+
+    wanted = {name: np.asarray(array) for name, array in first.arrays().items()}
+    place, extent, color, shading = (made[name][:41_000] for name in ("place", "extent", "color", "shading_normal"))
+    np.testing.assert_array_equal(place[:, :3], np.concatenate([first.position, second.position]))
+    np.testing.assert_array_equal(place[:40_000, 3], pack_normal(wanted["normal"]))
+    assert (place[40_000:, 3] == NO_NORMAL).all()
+    np.testing.assert_array_equal(extent[:, :2], np.concatenate([wanted["radii"], second.arrays()["radii"]]))
+    np.testing.assert_array_equal(
+        extent[:40_000, 2:], np.stack([pack_normal(wanted["axis"]), wanted["material"]], axis=1)
+    )
+    assert not extent[40_000:, 2:].any()
+    np.testing.assert_array_equal(color[:40_000, :3], table.base_color[wanted["material"]])
+    assert (shading[:40_000:7] == NO_NORMAL).all()
+    np.testing.assert_array_equal(shading[1:40_000:7, 0], pack_normal(own[1::7]))
+    assert (shading[40_000:] == NO_NORMAL).all()
+    assert not any(data[41_000:].any() for data in made.values())
