@@ -23,18 +23,14 @@ bool ps_hidden(vec4 place, float side)
 
 void main()
 {
-  int index = frame.page.x + gl_VertexID;
-  ivec2 at = ivec2(index & 4095, index >> 12);
+  ivec2 at = ps_listed(frame.page.x + gl_VertexID);
   vec4 place = texelFetch(ps_splat_place, at, 0);
   gl_PointSize = 1.0;
-  ps_no_splat();
-  if (ps_kind(place) != 1) {
-    return;
-  }
   vec3 c = ps_splat(at, place);
 #ifdef PS_BLEND
   float side = PS_EWA_CUTOFF_SIGMA * sqrt(max(c.x, c.z));
   if (ps_hidden(place, side)) {
+    gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
     return;
   }
 #else

@@ -30,15 +30,12 @@ void ps_half_axes(ivec3 element, vec3 p, float normal_code, out vec3 a, out vec3
 
 void main()
 {
-  int index = frame.page.x + gl_VertexID / 6, corner = gl_VertexID % 6;
-  ivec2 at = ivec2(index & 4095, index >> 12);
-  vec4 place = texelFetch(ps_splat_place, at, 0);
-  ps_no_splat();
-  if (ps_kind(place) != 2) {
-    return;
-  }
-  ps_splat(at, place);
-  ivec3 element = ps_element(index);
+  int corner = gl_VertexID % 6;
+  ivec2 at = ps_listed(frame.page.x + gl_VertexID / 6);
+  ps_splat(at, texelFetch(ps_splat_place, at, 0));
+  v_u = v_v = v_plane = vec4(0.0);
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  ivec3 element = ps_element((at.y << PS_PAGE_SHIFT) + at.x);
   vec4 head = texelFetch(ps_place, element.xy, 0);
   vec3 p = ps_view_from_point(element.z, head.xyz), a, b;
   ps_half_axes(element, p, head.w, a, b);

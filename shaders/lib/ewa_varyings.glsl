@@ -1,34 +1,12 @@
-// What both vertex shaders of EWA hand on: the projected splat `index`. Layout: render/passes/ewa.py.
+// What both vertex shaders of EWA hand on of a projected splat. Layout: render/passes/ewa.py.
 
-// Nothing, far outside the picture.
-void ps_no_splat()
+// Where the projected splat is that is drawn as the number `index`.
+ivec2 ps_listed(int index)
 {
-  v_place = v_conic = v_front = v_material = vec4(0.0);
-#ifdef PS_BLEND
-#ifdef PS_NORMAL
-  v_normal = vec4(0.0);
-#endif
-#ifdef PS_COLOR
-  v_color = vec4(0.0);
-#endif
-#ifdef PS_EMISSION
-  v_emission = vec4(0.0);
-#endif
-#endif
-#ifdef PS_LARGE
-  v_u = v_v = v_plane = vec4(0.0);
-#endif
-  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  return ivec2(texelFetch(ps_list, ivec2(index & 4095, index >> 12), 0).xy);
 }
 
-// Which kind of splat it is: 0 not drawn, 1 small, 2 large.
-int ps_kind(vec4 place)
-{
-  int code = int(abs(place.w));
-  return code == 0 ? 0 : 2 - (code & 1);
-}
-
-// Sets the varyings of a splat that is drawn; the covariance of what is drawn of it: PS_BLEND its kernel, else the ellipse.
+// Sets the varyings; the covariance of what is drawn of it: PS_BLEND its kernel, else the ellipse.
 vec3 ps_splat(ivec2 at, vec4 place)
 {
   vec4 shape = texelFetch(ps_splat_shape, at, 0);

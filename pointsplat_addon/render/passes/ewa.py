@@ -32,14 +32,15 @@ from ...core.ewa import CUTOFF, low_pass
 from ...core.scene import Camera
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
-from ..packing import PAGE_WIDTH
+from ..packing import PAGE_WIDTH, paged
 from ..tiles import Region
 from .common import FRAME, GBuffer, Variant
 from .points import PageDraw, PointOptions, attributes
 
 WIDEST_POINT = 32.0  # pixels of radius up to which shaders/ewa_splats.frag calls splats small
 AFFINE_ERROR = 0.1  # pixels, as there
-CHUNK = 1 << 20  # elements of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
+JITTER = 1.0  # pixels that samples shift the picture by at most
+CHUNK = 1 << 20  # splats of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
 ATTRIBUTES = ("normal", "color", "emission")  # of the G-buffer, that are blended
 
 
@@ -111,7 +112,9 @@ def _blended(variant: Variant) -> tuple[str, ...]:
 def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool, large: bool) -> Interface:
     """Splats on the screen: `blend` their kernels, else their ellipses."""
     blended = _blended(variant) if blend else ()
-    samplers = [("FLOAT_2D", f"ps_splat_{name}") for name in ("place", "shape", "front", *blended)]
+    samplers = [
+        ("FLOAT_2D", name) for name in ("ps_list", *(f"ps_splat_{n}" for n in ("place", "shape", "front", *blended)))
+    ]
     names = ["v_place", "v_conic", "v_front", "v_material", *(f"v_{name}" for name in blended)]
     defines: list[tuple[str, str]] = []
     if blend:
@@ -149,10 +152,23 @@ class Splats:
             for _, name in program.outputs
         }
         self.target: Target = device.target(list(self.textures.values()))
+        self.lists: list[tuple[Texture, int]] = []
+
+    def list_drawn(self, device: Device, record: np.ndarray, margin: float) -> None:
+        """Lists of the small splats and of the large ones, without those that lie `margin` pixels outside the picture:
+        vertices cost more than looking once which of them are needed."""
+        place = device.read(self.textures["ps_splat_place"]).reshape(-1, 4)
+        kind = np.abs(place[:, 3]).astype(np.int64)
+        on_screen = place[:, :2] + record["focal"][0, 2:]
+        near = ((on_screen > -margin) & (on_screen < record["size"][0, :2] + margin)).all(axis=1)
+        for which in ((kind & 1 == 1) & near, (kind > 0) & (kind & 1 == 0)):
+            index = np.flatnonzero(which)
+            size, data = paged(np.stack([index % PAGE_WIDTH, index // PAGE_WIDTH], axis=1), 2)
+            self.lists.append((device.texture(size, "RG32F", data), len(index)))
 
     def release(self) -> None:
         self.target.release()
-        for texture in self.textures.values():
+        for texture in (*self.textures.values(), *(listed for listed, _ in self.lists)):
             texture.release()
 
 
@@ -182,6 +198,7 @@ class Ewa:
             self._splats.append(splats)
             textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks}
             self.device.draw(self.programs.splats, splats.target, uniforms=draw.fill(record), textures=textures)
+            splats.list_drawn(self.device, record, self.options.reach(WIDEST_POINT) + JITTER)
 
     def see(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
         """The nearest surface under each pixel's centre."""
@@ -213,10 +230,11 @@ class Ewa:
             draw = splats.draw
             textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks, **splats.textures}
             draw.fill(record)
-            for program, large in zip(kinds, (False, True), strict=False):
-                for first in range(0, draw.elements, CHUNK):
+            for program, (listed, total), large in zip(kinds, splats.lists, (False, True), strict=False):
+                textures["ps_list"] = listed
+                for first in range(0, max(total, 1), CHUNK):
                     record["page"][0, 0] = first
-                    count = min(CHUNK, draw.elements - first)
+                    count = min(CHUNK, total - first)
                     self.device.draw(
                         program, target, uniforms=record, textures=textures, vertices=count * (6 if large else 1),
                         primitive="TRIANGLES" if large else "POINTS", depth_test=depth_test, blend=blend,
