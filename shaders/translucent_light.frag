@@ -12,6 +12,7 @@
 #include "lib/finite.glsl"
 
 #define PS_LOW_PASS 0.04  // pixels^2: splats smaller than a pixel are not missed between the pixels' centres
+#define PS_PARTICLE 1.0  // kinds of media: what is strewn, and what fills a lattice evenly
 #define PS_VIEW 1.3  // of the picture's half width: beyond it the perspective is taken as at its rim
 #define PS_FAINT 1e-7  // optical depth of what only emits
 #define PS_FAINT_TINT 1e-4  // least extinction of a channel over that of the strongest
@@ -141,7 +142,10 @@ void main()
   vec2 ua = scale * (a.xy + slope * a.z), ub = scale * (b.xy + slope * b.z), uc = scale * (c.xy + slope * c.z);
   vec3 own = vec3(ua.x * ua.x + ub.x * ub.x + uc.x * uc.x, ua.x * ua.y + ub.x * ub.y + uc.x * uc.y,
                   ua.y * ua.y + ub.y * ub.y + uc.y * uc.y);
-  vec3 wide = own + vec3(PS_LOW_PASS, 0.0, PS_LOW_PASS);
+  // What is widened hides more, the deeper it is: only particles are, which would flicker. Voxels and samples of surfaces
+  // add up evenly, and what they let through is right in the mean of all samples; wide needles must keep an inverse.
+  float low_pass = optics.z == PS_PARTICLE ? PS_LOW_PASS : max(PS_LOW_PASS * frame.mist.w, 1e-4 * (own.x + own.z));
+  vec3 wide = own + vec3(low_pass, 0.0, low_pass);
   float det = wide.x * wide.z - wide.y * wide.y;
   float kept = sqrt(max(own.x * own.z - own.y * own.y, 0.0) / det);
 

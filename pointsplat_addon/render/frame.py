@@ -243,7 +243,8 @@ class Frame:
             channels = variant.samplers(only=("place", "shape", "normal") if variant.normal else ("place",))
             self.add_program = translucent_pass.add_program(plan.translucent)
             self.depth_program = translucent_pass.depth_program(channels, variant.normal)
-            self.lit = self._own(translucent_pass.LitSplats(device, plan.translucent, program, self.uploads.listed))
+            listed, samples = self.uploads.listed, self.request.samples
+            self.lit = self._own(translucent_pass.LitSplats(device, plan.translucent, program, listed, samples))
 
     # Drawing
 

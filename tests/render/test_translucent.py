@@ -82,8 +82,8 @@ def test_a_slab_lets_as_much_light_through_as_beers_law_says(cells, angle):
 
 @pytest.mark.parametrize(("parallel", "bias"), [(2.0, 0.0), (None, 0.022)])
 def test_smoke_begins_at_the_near_plane_wherever_that_cuts_it(parallel, bias):
-    """An eye that flies through voxels sees them thin evenly. In perspective, splats at its nose are 2 % too thick: their
-    pictures are Gaussians only from afar."""
+    """An eye that flies through voxels sees them thin evenly. In perspective, splats at its nose are 2 % too thick:
+    their pictures are Gaussians only from afar."""
     cloud, edge = voxels(4.0, 2.0, 10, 1.5), 0.2
     for place in np.arange(9) / 8:
         y = -0.3 + edge * place

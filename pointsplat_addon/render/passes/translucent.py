@@ -3,8 +3,8 @@
 A page holds the splats of all translucent point sets, one texel a splat:
   place           xyz relative to the set's origin; packed normal (-1: a ball)
   extent          half-axes (major, minor), packed major axis, material row
-  optics          media: extinction per object unit, half-axis along the normal, 1; shells: optical depth of the splat's
-                  own area, half-axis along the normal, 0; row of core.kernel.PROFILES
+  optics          media: extinction per object unit, half-axis along the normal, 1 (voxels: 2); shells: optical depth of
+                  the splat's own area, half-axis along the normal, 0; row of core.kernel.PROFILES
   color           base colour of shells, albedo of media          \\
   surface         roughness, metallic                              |
   emission        shells: radiance; media: radiance per unit       | where any set has them
@@ -92,7 +92,9 @@ class TranslucentPage(SplatPage):
         clouds = self.clouds
         self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
         self.upload("extent", "RGBA32F", 4, [extent(c, always_axis=True) for c in clouds])
-        self.upload("optics", "RGBA32F", 4, [_optics(c) for c in clouds])
+        self.upload("optics", "RGBA32F", 4, [
+            _optics(c, points.family[:1] == ("lattice",)) for c, points in zip(clouds, sets, strict=True)
+        ])  # fmt: skip
         if options.color:
             self.upload("color", "RGBA16F", 4, [filled(c, "color", table.base_color) for c in clouds])
         if options.surface:
@@ -110,11 +112,11 @@ class TranslucentPage(SplatPage):
         self.clouds = []
 
 
-def _optics(cloud: PointCloud) -> np.ndarray:
+def _optics(cloud: PointCloud, lattice: bool) -> np.ndarray:
     rows = np.zeros((len(cloud), 4), np.float32)
     if cloud.extinction is not None:
         rows[:, 0] = _strength(cloud.extinction)
-        rows[:, 2] = 1.0
+        rows[:, 2] = 2.0 if lattice else 1.0
         if cloud.radii is not None:
             thick = cloud.normal is not None and cloud.radii.shape[1] == 3
             # A flat splat of a medium stands for a slab as thick as it is wide.
@@ -281,9 +283,11 @@ def add_program(options: TranslucentOptions) -> Interface:
 class LitSplats:
     """The draw list of one view after lighting, and the draws that read it."""
 
-    def __init__(self, device: Device, options: TranslucentOptions, program: Interface, count: int) -> None:
-        """DeviceError: more splats than a texture holds."""
-        self.device, self.count, self.program = device, count, program
+    def __init__(
+        self, device: Device, options: TranslucentOptions, program: Interface, count: int, samples: int = 1
+    ) -> None:
+        """`samples`: of the picture. DeviceError: more splats than a texture holds."""
+        self.device, self.count, self.program, self.samples = device, count, program, samples
         size = (PAGE_WIDTH, max(1, -(-count // PAGE_WIDTH)))
         self.textures: dict[str, Texture] = {}
         for _, name in program.outputs:
@@ -300,6 +304,7 @@ class LitSplats:
     def light(self, record: np.ndarray, textures: Mapping[str, Texture]) -> None:
         """Light all of them, seen from the middle of the pixel."""
         record["page"][0, 1] = self.count
+        record["mist"][0, 3] = 1 / self.samples**2
         self.device.draw(self.program, self.target, uniforms=record, textures=dict(textures))
 
     def draw(self, target: Target, record: np.ndarray, depth: Texture | None, pixels: int = 1) -> None:
