@@ -16,7 +16,7 @@ from .octree import partition
 FILLED = 0.5  # area over half the ellipsoid's surface, below which splats stand apart; tiled ones have 0.95 and more
 LEAST = 8  # splats from which a shape is judged
 LEAF_SIZE = 12
-RUN, RUNS = 16, 256  # looked at first: so many runs of neighbours
+WINDOW, WINDOWS = 4096, 8  # looked at first: points that follow one another
 BORDERS = 0.1  # open edges to a triangle; a square of 20 x 20 has so many, a maple 0.15
 LOOSE = 0.5 + BORDERS / 2 - 0.03  # vertices to a triangle where there are so many open edges, less what handles take
 FEW = 0.02  # share of the splats up to which those that seem to stand apart are taken for ends and corners
@@ -31,22 +31,30 @@ def apart(cloud: PointCloud) -> np.ndarray | None:
     flat = cloud.normal is not None and cloud.radii is not None and (cloud.axis is None or cloud.radii.shape[1] > 1)
     if not flat or cloud.opacity is not None or cloud.extinction is not None or len(cloud) < LEAST:
         return None
-    if _closed_at_a_glance(cloud):
-        return None
+    if len(cloud) > 2 * WINDOWS * WINDOW:
+        # Windows that jump seem sparser than the cloud is: then it is looked at as a whole.
+        first = np.linspace(0, len(cloud) - WINDOW, WINDOWS).astype(np.int64)
+        seen = [_sparse(cloud.take(slice(at, at + WINDOW))) for at in first]
+        if np.mean(seen) <= FEW:
+            return None
+    found = _sparse(cloud)
+    return found if np.count_nonzero(found) > FEW * len(found) else None
+
+
+def _sparse(cloud: PointCloud) -> np.ndarray:
+    """(N,) bool, whatever their share."""
     order, tree = partition(cloud.position, LEAF_SIZE)
-    sorted_cloud = cloud.take(order)
-    sparse = _filling(sum_up(tree, len(cloud), lambda which: _moments(sorted_cloud, which))) < FILLED
+    ordered = cloud.take(order)
     parent = np.zeros(len(tree), np.int64)
     inner = np.flatnonzero(tree.child_count)
     parent[1:] = np.repeat(inner, tree.child_count[inner])
     leaves = np.flatnonzero(tree.child_count == 0)
-    judge = np.where(tree.point_count[leaves] >= LEAST, leaves, parent[leaves])
+    leaves = leaves[np.argsort(tree.first_point[leaves])]
+    judges, which = np.unique(np.where(tree.point_count[leaves] >= LEAST, leaves, parent[leaves]), return_inverse=True)
+    sums = sum_up(tree, len(cloud), lambda some: _moments(ordered, some))[:, judges]
     found = np.empty(len(cloud), bool)
-    at = leaves[np.argsort(tree.first_point[leaves])]
-    by_leaf = np.zeros(len(tree), bool)
-    by_leaf[leaves] = sparse[judge]
-    found[order] = np.repeat(by_leaf[at], tree.point_count[at])
-    return found if np.count_nonzero(found) > FEW * len(found) else None
+    found[order] = np.repeat((_filling(sums) < FILLED)[which.reshape(-1)], tree.point_count[leaves])
+    return found
 
 
 def leafy(position: np.ndarray, triangles: np.ndarray) -> bool:
@@ -62,18 +70,6 @@ def leafy(position: np.ndarray, triangles: np.ndarray) -> bool:
     low, high = ends.min(axis=0), ends.max(axis=0)
     _, count = np.unique(low * len(position) + high, return_counts=True)
     return bool(np.count_nonzero(count == 1) > BORDERS * len(triangles))
-
-
-def _closed_at_a_glance(cloud: PointCloud) -> bool:
-    """Whether runs of points that follow one another, evenly taken from the cloud, are all but few of a surface. Runs
-    that jump seem sparser than the cloud is: then it is looked at as a whole."""
-    count = min(len(cloud) // RUN, RUNS)
-    if count == 0:
-        return False
-    first = np.linspace(0, len(cloud) - RUN, count).astype(np.int64)
-    some = cloud.take((first[:, None] + np.arange(RUN)).ravel())
-    sums = np.add.reduceat(_moments(some, slice(None)), RUN * np.arange(count), axis=1)
-    return np.count_nonzero(_filling(sums) < FILLED) <= FEW * count
 
 
 def _moments(cloud: PointCloud, which: slice) -> np.ndarray:

@@ -95,7 +95,7 @@ def in_view(cloud: PointCloud, view: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 def disk_rims(cloud: PointCloud, view: np.ndarray, steps: int = 16) -> np.ndarray:
     """Rims (N, steps, 3) of the disks in view space."""
-    normal, axis, radii = (a.T for a in h._frames(cloud, slice(None)))
+    normal, axis, radii = (a.T for a in h.frames(cloud, slice(None)))
     t = np.linspace(0, 2 * np.pi, steps, endpoint=False)[:, None]
     rim = np.cos(t) * axis[:, None] + np.sin(t) * np.cross(normal, axis)[:, None]
     p = cloud.position[:, None] + radii[:, None, :1] * rim + cloud.origin

@@ -122,7 +122,7 @@ def test_size_per_point() -> None:
 def test_packed_bounds_contain_the_packed_disks() -> None:
     for make in (surface_cloud, rich_cloud):
         built = pk.unpack(pk.pack(h.build(make())))
-        normal, axis, radii = (a.T for a in h._frames(built.cloud, slice(None)))
+        normal, axis, radii = (a.T for a in h.frames(built.cloud, slice(None)))
         third = np.cross(normal, axis)
         t = np.linspace(0, 2 * np.pi, 16, endpoint=False)[:, None, None]
         rim = np.cos(t) * axis * radii[:, :1] + np.sin(t) * third * radii[:, 1:2]

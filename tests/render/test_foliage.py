@@ -1,6 +1,6 @@
 """What stands apart: light passes between leaves, near and far, and surfaces pay nothing for it."""
 
-# pyright: reportOptionalMemberAccess=false, reportOptionalSubscript=false
+# pyright: reportOptionalMemberAccess=false, reportOptionalSubscript=false, reportOptionalOperand=false
 # Attributes may be None by type; the clouds here have those that are asked for.
 from dataclasses import replace
 
