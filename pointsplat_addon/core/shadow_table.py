@@ -21,7 +21,11 @@ NARROW = 2.0  # cells: so many are few
 # Additive recurrence in five dimensions (Roberts 2018): two on the lamp, two in the cell, one along the ray.
 SEQUENCE = 1.1347241384015194 ** -np.arange(1, 6)
 SHAPES = ("POINT", "DISK", "RECTANGLE", "ELLIPSE")
-OVERLAP = 0.15  # of a segment: how far it reaches into the next, lest light slips between the cells of both
+CORNER = 1.42  # of a rectangle, over its half-side
+NARROWINGS = 2  # times that the nearest entry is asked for, within what the one before leaves
+SQUARE = 4  # cells of a level: sides of the squares that know its nearest entry
+LOOSE = 0.65  # of a square's side: so far from it, and a cell more, nothing is that its neighbours do not know
+OVERLAP = 0.3  # of a segment: how far it reaches into the next, lest light slips between the cells of both
 OVERLAP_CELLS = 1.0  # and as many cells
 WORD = 24  # cells to a mask: as many bits as a float32 holds as an integer
 TEXEL = 3 * WORD  # cells to a texel: where its entries start, then three masks
@@ -89,6 +93,91 @@ def emitter_of(light: Light, frame: Frame) -> Emitter:
 
 
 @dataclass(frozen=True, eq=False)
+class Nearest:
+    """How near to the lamp the first entry is that rays towards it could meet, by squares of directions.
+
+    From finest to coarsest, squares double in size and halve in number; the last holds all directions. A square knows
+    the cells that a look-up reads up to LOOSE of its side away from it: what surrounds a receiver takes one of them.
+    """
+
+    low: np.ndarray  # (2,) float64, least latitude and longitude
+    side: float  # of the finest squares
+    wraps: bool  # the last column borders on the first
+    distance: tuple[np.ndarray, ...]  # (P, P) float32 each, rows of latitude; inf: nothing
+
+    @property
+    def least(self) -> float:
+        """No entry is nearer to the lamp; 0 where there is none."""
+        return float(np.nan_to_num(self.distance[-1][0, 0], posinf=0.0))
+
+    def around(self, latitude: np.ndarray, longitude: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """(P,) distances, of directions (P,) and what lies within `reach` (P,) of them: radians, for suns units."""
+        size = np.ceil(np.log2(np.maximum(reach / self.side, 1)))
+        size = np.minimum(size, len(self.distance) - 1).astype(np.int64)
+        count = len(self.distance[0]) >> size
+        place = [
+            np.floor((v - low) / (self.side * 2.0**size))
+            for v, low in zip((latitude, longitude), self.low, strict=True)
+        ]
+        row, column = (np.clip(v, 0, count - 1).astype(np.int64) for v in place)
+        first = np.cumsum([0, *(d.size for d in self.distance)])
+        return self.flat[first[size] + row * count + column].astype(float)
+
+    @cached_property
+    def flat(self) -> np.ndarray:
+        """(S,) float32: all squares, row by row, finest first."""
+        return np.concatenate([d.reshape(-1) for d in self.distance])
+
+
+def nearest(frame: Frame, levels: tuple[Level, ...], wide: bool) -> Nearest:
+    """Of a table's levels. Lamps without a size need but the coarsest square."""
+    if not levels or not wide:
+        least = min((float(level.distance.min()) for level in levels), default=np.inf)
+        return Nearest(frame.low, 1.0, frame.full, (np.full((1, 1), least, np.float32),))
+    finest = SQUARE * min(level.grid.step for level in levels)
+    if frame.full:
+        count = 1 << max(int(np.floor(np.log2(2 * np.pi / finest))), 0)
+        low, side = np.array([-np.pi / 2, -np.pi]), 2 * np.pi / count
+    else:
+        low, side = frame.low - finest, finest
+        count = 1 << int(np.ceil(np.log2(float((frame.high - frame.low).max()) / side + 2)))
+    sizes = count.bit_length()
+    # What each level adds to the squares of each size: where squares are SQUARE of its cells wide, and coarser ones.
+    own = [[np.full((count >> k, count >> k), np.inf, np.float32)] * 2 for k in range(sizes)]
+    for level in levels:
+        start = int(np.clip(np.ceil(np.log2(SQUARE * level.grid.step / side * (1 - 1e-6))), 0, sizes - 1))
+        cell, grid, n = level.occupied(), level.grid, count >> start
+        row = np.searchsorted(grid.first, cell, side="right") - 1
+        place = grid.latitude[row], (cell - grid.first[row] + grid.column0[row]) / grid.density[row]
+        if frame.full:
+            place = place[0], (place[1] + np.pi) % (2 * np.pi) - np.pi
+        at = [np.clip((v - o) / (side * 2**start), 0, n - 1).astype(np.int64) for v, o in zip(place, low, strict=True)]
+        found = np.full(n * n, np.inf, np.float32)
+        np.minimum.at(found, at[0] * n + at[1], level.distance[level.links[:-1]])
+        found = found.reshape(n, n)
+        own[start] = [np.minimum(own[start][0], found), own[start][1]]
+        for k in range(start, sizes):
+            own[k] = [own[k][0], np.minimum(own[k][1], found)]
+            found = np.minimum(found[::2], found[1::2]) if k + 1 < sizes else found
+            found = np.minimum(found[:, ::2], found[:, 1::2]) if k + 1 < sizes else found
+    distance: list[np.ndarray] = []
+    coarser = np.full((1, 1), np.inf, np.float32)  # what levels add that begin with larger squares
+    for here, all_ in reversed(own):
+        distance.insert(0, np.minimum(_spread(all_, frame.full), coarser))
+        coarser = np.minimum(_spread(here, frame.full), coarser).repeat(2, axis=0).repeat(2, axis=1)
+    return Nearest(low, side, frame.full, tuple(distance))
+
+
+def _spread(distance: np.ndarray, wraps: bool) -> np.ndarray:
+    """(P, P) the least of each square and its eight neighbours."""
+    padded = np.pad(distance, ((1, 1), (0, 0)), constant_values=np.inf)
+    across = (0, 0), (1, 1)
+    padded = np.pad(padded, across, "wrap") if wraps else np.pad(padded, across, constant_values=np.inf)
+    rows = np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])
+    return np.minimum(np.minimum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
+
+
+@dataclass(frozen=True, eq=False)
 class ShadowTable:
     """What stands between a lamp and the points that it could light."""
 
@@ -106,9 +195,8 @@ class ShadowTable:
         return sum(level.nbytes for level in self.levels)
 
     @cached_property
-    def nearest(self) -> float:
-        """No entry is nearer to the lamp."""
-        return min((float(level.distance.min()) for level in self.levels), default=0.0)
+    def nearest(self) -> Nearest:
+        return nearest(self.frame, self.levels, self.emitter.shape != "POINT")
 
     def transmittance(self, points: np.ndarray, normals: np.ndarray | None = None, taps: int = TAPS) -> np.ndarray:
         """(P,) float64, or (P, 3) where colored: the share of the light that reaches world points (P, 3).
@@ -125,19 +213,24 @@ class ShadowTable:
         """-ln of `transmittance`, at most OPAQUE_DEPTH."""
         return -np.log(np.maximum(self.transmittance(points, normals, taps), np.exp(-OPAQUE_DEPTH)))
 
-    def _transmittance(self, points: np.ndarray, normals: np.ndarray, taps: int) -> np.ndarray:
+    def receiver(self, points: np.ndarray, normals: np.ndarray) -> Receiver:
+        """World points (P, 3) and their normals, as `transmittance` has them."""
         turn = self.frame.light_from_world.T
-        receiver = _Receiver(self.frame, (np.asarray(points, float) - self.frame.origin) @ turn, normals @ turn)
-        cells = receiver.spread(self)
+        return Receiver(self.frame, (np.asarray(points, float) - self.frame.origin) @ turn, normals @ turn)
+
+    def _transmittance(self, points: np.ndarray, normals: np.ndarray, taps: int) -> np.ndarray:
+        receiver = self.receiver(points, normals)
+        spread = receiver.reach(self)
+        cells = spread * self.emitter.radius / self.frame.step
         result = np.empty((len(points), 3 if self.colored else 1))
         hard, far = cells <= SHARP, cells > NARROW
-        result[hard] = self._light(receiver.take(hard), [(0.0, 1.0)], np.zeros(2), None)
+        result[hard] = self._light(receiver.take(hard), spread[hard], [(0.0, 1.0)], np.zeros(2), None)
         for some, segments in ((~hard & ~far, FEW_SEGMENTS), (far, SEGMENTS)):
             if some.any():
-                result[some] = self._soft(receiver.take(some), segments, taps)
+                result[some] = self._soft(receiver.take(some), spread[some], segments, taps)
         return result
 
-    def _soft(self, receiver: _Receiver, segments: int, taps: int) -> np.ndarray:
+    def _soft(self, receiver: Receiver, spread: np.ndarray, segments: int, taps: int) -> np.ndarray:
         """(P, C): the mean of what comes from points of a lamp that is wide, its rays cut into segments."""
         sum_ = 0.0
         for k in range(taps):
@@ -146,11 +239,16 @@ class ShadowTable:
             if self.emitter.shape != "RECTANGLE":
                 lamp = np.sqrt(x) * np.array([np.cos(2 * np.pi * y), np.sin(2 * np.pi * y)])
             edges = (np.arange(segments + 1) + cut - 1) / (segments - 1)
-            sum_ = sum_ + self._light(receiver, list(pairwise(edges)), lamp, np.array([row, column]) - 0.5)
+            sum_ = sum_ + self._light(receiver, spread, list(pairwise(edges)), lamp, np.array([row, column]) - 0.5)
         return np.asarray(sum_ / taps)
 
     def _light(
-        self, receiver: _Receiver, segments: list[tuple[float, float]], lamp: np.ndarray, jitter: np.ndarray | None
+        self,
+        receiver: Receiver,
+        spread: np.ndarray,
+        segments: list[tuple[float, float]],
+        lamp: np.ndarray,
+        jitter: np.ndarray | None,
     ) -> np.ndarray:
         """(P, C): what comes from one point of the lamp. Its ray crosses cells where the lamp is wide.
 
@@ -158,7 +256,7 @@ class ShadowTable:
         the spread, so that shadows sharpen towards what casts them.
         """
         covered, depth = np.zeros((len(receiver), 1)), np.zeros((len(receiver), 3 if self.colored else 1))
-        spread, offset = receiver.reach(self), receiver.offset(self.emitter, lamp)
+        offset = receiver.offset(self.emitter, lamp)
         for start, end in segments:
             far = receiver.along(max(start, 0.0) ** 2 * spread)
             near, behind = (receiver.along(e**2 * spread) for e in (end, end + OVERLAP * (end - start)))
@@ -210,7 +308,7 @@ def isosurface(table: ShadowTable, depth: float) -> np.ndarray:
     return at(high)[found]
 
 
-class _Receiver:
+class Receiver:
     """Points that receive light, in the lamp's coordinates; normals are zero where there is none."""
 
     def __init__(self, frame: Frame, local: np.ndarray, normals: np.ndarray) -> None:
@@ -223,19 +321,27 @@ class _Receiver:
     def __len__(self) -> int:
         return len(self.local)
 
-    def take(self, index: np.ndarray) -> _Receiver:
-        return _Receiver(self.frame, self.local[index], self.normals[index])
+    def take(self, index: np.ndarray) -> Receiver:
+        return Receiver(self.frame, self.local[index], self.normals[index])
 
     def reach(self, table: ShadowTable) -> np.ndarray:
-        """(P,) how far the ray from the lamp's rim departs there from the ray from its middle, per size of the lamp."""
-        if self.frame.parallel:
-            return np.maximum(self.distance - table.nearest, 0)
-        nearest = max(table.nearest, table.emitter.radius, 1e-30)
-        return np.maximum(1 / nearest - 1 / np.maximum(self.distance, 1e-30), 0)
+        """(P,) how far the ray from the lamp's rim departs from the ray from its middle, per size of the lamp, where
+        the first thing lies that the ray may meet."""
+        if table.emitter.shape == "POINT":
+            return np.zeros(len(self))
+        narrowed = 1.0 if self.frame.parallel else np.maximum(np.cos(self.latitude) - 1 + LOOSE, 1e-3) / LOOSE
+        spread = self._reach(table, np.full(len(self), table.nearest.least))
+        # What is known of the nearest narrows the directions in which there may be a nearer one.
+        for _ in range(NARROWINGS):
+            reach = spread * table.emitter.radius * CORNER / (LOOSE * narrowed)
+            spread = self._reach(table, table.nearest.around(self.latitude, self.longitude, reach))
+        return spread
 
-    def spread(self, table: ShadowTable) -> np.ndarray:
-        """(P,) the same in cells."""
-        return self.reach(table) * table.emitter.radius / self.frame.step
+    def _reach(self, table: ShadowTable, nearest: np.ndarray) -> np.ndarray:
+        if self.frame.parallel:
+            return np.maximum(self.distance - nearest, 0)
+        nearest = np.maximum(nearest, max(table.emitter.radius, 1e-30))
+        return np.maximum(1 / nearest - 1 / np.maximum(self.distance, 1e-30), 0)
 
     def along(self, spread: np.ndarray) -> np.ndarray:
         """(P,) distance from the lamp at which rays have departed so far."""
@@ -257,7 +363,7 @@ class _Receiver:
 
 def _look_up(
     level: Level,
-    receiver: _Receiver,
+    receiver: Receiver,
     latitude: np.ndarray,
     longitude: np.ndarray,
     near: np.ndarray,

@@ -11,7 +11,8 @@ from ..core.shadow_casters import KINDS
 from ..core.shadow_table import SHAPES, Level, ShadowTable
 from .packing import PAGE_WIDTH
 
-HEAD = 6  # texels of a lamp's record before its levels
+HEAD = 8  # texels of a lamp's record before its levels
+NOTHING = np.float32(1e30)  # distance of the nearest entry where there is none
 LEVEL = 3  # texels of a level's record
 
 
@@ -20,13 +21,15 @@ class PackedTables:
     """All lamps' tables as one texture that no view changes, and what each view needs to read it.
 
     `data` holds, for each level: rows (first cell, column0, count, density), masks (rank, three masks), links, and
-    entries (distance, total): two to a texel, or one where `colored`. Integers that may be large are `coded`.
+    entries (distance, total): two to a texel, or one where `colored`; and the nearest entry by squares, for lamps with
+    a size. Integers that may be large are `coded`.
     """
 
     data: np.ndarray  # (H, PAGE_WIDTH, 4) float32
     colored: bool
     tables: tuple[ShadowTable | None, ...]  # of each lamp; None: it casts no shadow
     levels: np.ndarray  # (lamps, most levels, LEVEL, 4) float32
+    squares: np.ndarray  # (lamps,) int64: which number of `data` is the first square's, core.shadow_table.Nearest
 
     @property
     def solid(self) -> bool:
@@ -51,7 +54,9 @@ class PackedTables:
         """(lamps, HEAD + LEVEL levels, 4) float32: ps_shadow_lights for one view, (4, 4) float64 and rigid.
 
         Texels 0 to 2 are the rows of light_from_view, 3 is (1 for suns, number of levels, index of the shape, nearest
-        entry), 4 and 5 are the size, local, with the radius and the finest step behind.
+        entry), 4 and 5 are the size, local, with the radius and the finest step behind. Texels 6 and 7 tell of the
+        squares that know the nearest entry: least latitude and longitude, side of the finest, and the coarsest size;
+        how many along a side, and where they begin.
         """
         world_from_view = np.linalg.inv(view_from_world)
         head = np.zeros((len(self.tables), HEAD, 4))
@@ -60,9 +65,14 @@ class PackedTables:
                 frame, emitter = table.frame, table.emitter
                 row[:3, :3] = frame.light_from_world @ world_from_view[:3, :3]
                 row[:3, 3] = frame.light_from_world @ (world_from_view[:3, 3] - frame.origin)
-                row[3] = frame.parallel, len(table.levels), SHAPES.index(emitter.shape), table.nearest
-                row[4:, :3], row[4:, 3] = emitter.size, (emitter.radius, frame.step)
-        return np.concatenate([head.astype(np.float32), self.levels.reshape(len(head), -1, 4)], axis=1)
+                row[3] = frame.parallel, len(table.levels), SHAPES.index(emitter.shape), table.nearest.least
+                row[4:6, :3], row[4:6, 3] = emitter.size, (emitter.radius, frame.step)
+                squares = table.nearest
+                row[6] = *squares.low, squares.side, len(squares.distance) - 1
+                row[7, 0] = len(squares.distance[0])
+        result = np.concatenate([head.astype(np.float32), self.levels.reshape(len(head), -1, 4)], axis=1)
+        result[:, 7, 1] = coded(self.squares)
+        return result
 
 
 def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> PackedTables:
@@ -73,8 +83,9 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
     colored = any(t is not None and t.colored for t in tables)
     most = max([len(t.levels) for t in tables if t is not None], default=0)
     records = np.zeros((len(tables), most, LEVEL, 4), np.float32)
+    squares = np.zeros(len(tables), np.int64)
     parts, texels = [], 0
-    for table, record in zip(tables, records, strict=True):
+    for lamp, (table, record) in enumerate(zip(tables, records, strict=True)):
         for level, texel in zip(() if table is None else table.levels, record, strict=False):
             blocks = _blocks(level, colored)
             sizes = np.array([len(b) for b in blocks])
@@ -85,13 +96,17 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
             texel[2, 1:3] = level.distance.min(initial=np.inf), level.distance.max(initial=0)
             parts += blocks
             texels += int(sizes.sum())
+        if table is not None and table.emitter.shape != "POINT":
+            squares[lamp] = 4 * texels
+            parts.append(_texels(np.minimum(table.nearest.flat, NOTHING)))
+            texels += len(parts[-1])
     height = max(1, -(-texels // PAGE_WIDTH))
     if height > texture_size:
         raise ValueError(f"shadow tables need {height} rows of a texture, this device has {texture_size}")
     data = np.zeros((height * PAGE_WIDTH, 4), np.float32)
     if parts:
         np.concatenate(parts, out=data[:texels])
-    return PackedTables(data.reshape(height, PAGE_WIDTH, 4), colored, tuple(tables), records)
+    return PackedTables(data.reshape(height, PAGE_WIDTH, 4), colored, tuple(tables), records, squares)
 
 
 def coded(integers: np.ndarray) -> np.ndarray:

@@ -22,9 +22,12 @@
 #define PS_SHADOW_SEGMENTS 4
 #define PS_SHADOW_FEW_SEGMENTS 2
 #define PS_SHADOW_NARROW 2.0
-#define PS_SHADOW_OVERLAP 0.15
+#define PS_SHADOW_OVERLAP 0.3
 #define PS_SHADOW_OVERLAP_CELLS 1.0
-#define PS_SHADOW_HEAD 6
+#define PS_SHADOW_CORNER 1.42
+#define PS_SHADOW_LOOSE 0.65
+#define PS_SHADOW_NARROWINGS 2
+#define PS_SHADOW_HEAD 8
 #define PS_DISK 1
 #define PS_RECTANGLE 2
 #define PS_OPAQUE 0.0
@@ -242,6 +245,32 @@ int ps_shadow_next(int light, int i, int levels, PsReceiver p, PsTap tap)
   return i;
 }
 
+// How far the ray from the lamp's rim departs from the ray from its middle, per size of the lamp, at a distance.
+float ps_shadow_spread(PsReceiver p, float nearest, float radius)
+{
+  return max(p.parallel ? p.at - nearest : 1.0 / max(max(nearest, radius), 1e-30) - 1.0 / max(p.at, 1e-30), 0.0);
+}
+
+// The same, where the first entry lies that rays from all of the lamp to the receiver may meet; see Receiver.reach.
+// `nearest`: of all entries.
+float ps_shadow_reach(int light, PsReceiver p, float nearest, float radius)
+{
+  vec4 squares = texelFetch(ps_shadow_lights, ivec2(6, light), 0);
+  vec4 begin = texelFetch(ps_shadow_lights, ivec2(7, light), 0);
+  float narrowed = p.parallel ? PS_SHADOW_LOOSE : max(cos(p.latitude) - 1.0 + PS_SHADOW_LOOSE, 1e-3);
+  float scale = radius * PS_SHADOW_CORNER / (narrowed * squares.z), spread = ps_shadow_spread(p, nearest, radius);
+  vec2 finest = (vec2(p.latitude, p.longitude) - squares.xy) / squares.z;
+  for (int k = 0; k < PS_SHADOW_NARROWINGS; k++) {
+    float size = min(ceil(log2(max(spread * scale, 1.0))), squares.w), count = begin.x * exp2(-size);
+    vec2 place = clamp(floor(finest * exp2(-size)), vec2(0.0), vec2(count - 1.0));
+    // Squares of the sizes before: count^2 of the finest, a quarter of the next.
+    int before = int((begin.x * begin.x - count * count) * (4.0 / 3.0) + 0.5);
+    int i = ps_shadow_index(begin.y) + before + int(place.x * count + place.y);
+    spread = ps_shadow_spread(p, ps_shadow_texel(i >> 2)[i & 3], radius);
+  }
+  return spread;
+}
+
 // Share of the light of lamp `light` (a row of ps_shadow_lights) that reaches a point in view space. `normal`: unit, of
 // the surface there, or zero where there is none. Surfaces that face away from the lamp do not want to know.
 vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
@@ -261,12 +290,12 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
   PsReceiver p = ps_shadow_receiver(parallel, local, local_normal);
   int levels = int(head.y), shape = int(head.z);
 
-  // How far the ray from the lamp's rim departs from the ray from its middle, per size of the lamp.
   float radius = size_u.w;
-  float spread = p.parallel ? p.at - head.w : 1.0 / max(max(head.w, radius), 1e-30) - 1.0 / max(p.at, 1e-30);
 #ifdef PS_SHADOW_HARD
+  const float spread = 0.0;
   const bool wide = false;
 #else
+  float spread = radius > 0.0 ? ps_shadow_reach(light, p, head.w, radius) : 0.0;
   bool wide = spread * radius > PS_SHADOW_SHARP * size_v.w;
 #endif
   bool narrow = spread * radius <= PS_SHADOW_NARROW * size_v.w;
@@ -294,7 +323,8 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
 
     float covered = 0.0;
     PsDepth depth = PsDepth(0.0);
-    for (int j = 0; j < segments; j++) {
+    // Behind what is covered there is no light.
+    for (int j = 0; j < segments && covered < 1.0; j++) {
       // Square roots of parts of the spread.
       float start = wide ? (float(j) + cut - 1.0) / float(segments - 1) : 0.0;
       float end = start + 1.0 / float(max(segments - 1, 1));

@@ -264,7 +264,9 @@ def test_planes_neither_shade_themselves_nor_leak(angle, soft):
             assert behind.mean() < 3e-3  # measured 2e-4
 
 
-@pytest.mark.parametrize("light", [sun(0.3, 0.2, -1), point(1, 2, 3), point(1, 2, 3, radius=0.1)])
+@pytest.mark.parametrize(
+    "light", [sun(0.3, 0.2, -1), point(1, 2, 3), point(1, 2, 3, radius=0.1), point(1, 2, 3, radius=0.2)]
+)
 def test_a_sphere_does_not_shade_its_lit_side(light):
     count = 100_000
     i = np.arange(count) + 0.5
