@@ -2,7 +2,8 @@
 // eye. Texel by texel; layouts: render/passes/translucent.py. Reference: core/media_reference.py.
 // PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
-// PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
+// PS_FUZZY: some are opaque (core/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
+// drawn where they show their backs. PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/camera.glsl"
 #include "lib/kernel.glsl"
@@ -116,6 +117,13 @@ void main()
   vec3 a = ball ? linear[0] * extent.x : linear * major * extent.x;
   vec3 b = ball ? linear[1] * extent.x : linear * cross(n, major) * extent.y;
   vec3 c = ball ? linear[2] * extent.x : linear * n * optics.y;
+#ifdef PS_FUZZY
+  bool fuzzy = optics.z < -0.5;
+  float narrow_rim = fuzzy ? PS_FUZZY : 1.0;
+  a *= narrow_rim;
+  b *= narrow_rim;
+  c *= narrow_rim;
+#endif
 
   // Of what reaches before the near plane, the splat that has the moments of the part beyond: for a Gaussian, those of
   // the truncated normal distribution, and as many optical depths as are left.
@@ -178,6 +186,10 @@ void main()
   vec2 pixel = centre + frame.focal.zw;
   bool seen = d > frame.lens.x && d < frame.lens.y && all(greaterThan(pixel + margin, vec2(0.0))) &&
               all(lessThan(pixel - margin, vec2(frame.size.xy))) && peak >= 0.0 && peak < 1e30 && det < 1e30;
+#ifdef PS_CULL
+  bool back = dot(normal, ps_is_perspective() ? p : vec3(0.0, 0.0, -1.0)) > 0.0;
+  seen = seen && !(fuzzy && back && texelFetch(ps_materials, ivec2(2, int(extent.w + 0.5)), 0).x > 0.5);
+#endif
 
   // Light.
   int material = int(extent.w + 0.5);

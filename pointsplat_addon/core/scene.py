@@ -13,7 +13,7 @@ import numpy as np
 
 from .cloud import PointCloud
 
-TECHNIQUES = ("AUTO", "IMAGE_SPACE", "EWA")
+TECHNIQUES = ("AUTO", "IMAGE_SPACE", "EWA", "PAINTER")
 DEVICES = ("AUTO", "BLENDER_GPU", "OPENGL")
 PRIMITIVES = ("AUTO", "POINTS", "POLYGONS")
 

@@ -23,6 +23,11 @@ TECHNIQUE_ITEMS: dict[str, Item] = {
         "EWA",
         "Blend points as Gaussians that are no finer than the pixels: textures do not flicker from afar, edges are soft",
     ),
+    "PAINTER": (
+        "PAINTER",
+        "Painter",
+        "Paint points as fuzzy ellipses from back to front: they mix with smoke and glass point by point",
+    ),
 }
 DEVICE_ITEMS: dict[str, Item] = {
     "AUTO": ("AUTO", "Automatic", "An OpenGL context of its own for final renders, Blender's in the viewport"),

@@ -15,6 +15,7 @@ from ..shading.interface import Interface
 from .device import Device, Target, Texture
 from .filtering import cryptomatte, offsets
 from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
+from .painter import painted
 from .parts import parted
 from .passes import shade as shade_pass
 from .passes import translucent as translucent_pass
@@ -168,8 +169,12 @@ class Frame:
             check=self.clock.check,
         )
         self.shadows, unshadowed = self._shadows()
+        blended, paints = self._blended(), self._paints()
+        if paints:
+            others = shade_pass.averaged(request.passes) or shade_pass.data(request.passes)
+            self.prepared = painted(self.prepared, keep=presented or bool(others))
         self.plan = make_plan(
-            scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive, self._blended()
+            scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive, blended, paints
         )
         # Everything is drawn for `view`, of which the camera's window is a part.
         self.view, self.corner = _widened(request.camera, self.plan.reach(self.prepared.largest))
@@ -201,6 +206,16 @@ class Frame:
             return None
         return request.camera, request.samples
 
+    def _paints(self) -> bool:
+        """Whether opaque points are painted."""
+        if self.request.settings.technique != "PAINTER" or not self.prepared.cut.splats:
+            return False
+        if not self.device.limits.float_blend:
+            self._warnings += ("The painter needs blending of floats, which this GPU lacks: points are drawn in image "
+                               "space",)  # fmt: skip
+            return False
+        return True
+
     def _shadows(self) -> tuple[Shadows | None, str]:
         prepared = self.prepared
         layers = (prepared, prepared.translucent, prepared.spheres)
@@ -229,6 +244,13 @@ class Frame:
             threshold = self.request.settings.adaptive_threshold
             place = self.targets.surfels.buffer.textures["place"] if self.presented else None
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, 2 << count, place))
+        self.averages: tuple[Interface, ...] = ()
+        if plan.painter and plan.points and shade_pass.averaged(passes):
+            self.averages = (
+                shade_pass.shade_program(plan.data_variant, (), plan.materials, passes),
+                shade_pass.background_program((), True, passes),
+            )
+            passes = frozenset({"combined"})
         self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes, self.request.samples,
                                                 plan.ewa is not None)  # fmt: skip
         self.background = shade_pass.background_program(
@@ -256,15 +278,18 @@ class Frame:
             device, record = self.device, self._record(self.done)
             region = self.adaptive.gathered if self.adaptive else EVERYWHERE
             projection, uploads = self.targets.projection, self.uploads
-            if projection is not None:
+            first = self.done == 0
+            beside = first or self._wants_identities or bool(self.averages)
+            if projection is not None and (beside or not self.plan.painter):
                 self.clock.run("project", lambda: projection.run(uploads.draws, record.copy(), uploads.shared))
             self.targets.surfels.draw(uploads, projection, record, self.clock.run, region)
-            first = self.done == 0
+            if beside and self.targets.data_surfels is not self.targets.surfels:
+                self.targets.data_surfels.draw(uploads, projection, record, self.clock.run)
             if self.plan.data and (first or self._wants_identities):
-                if self.targets.data_surfels is not self.targets.surfels:
-                    self.targets.data_surfels.draw(uploads, projection, record, self.clock.run)
                 self.clock.run("data", lambda: self._draw_data(record))
                 self._read_data(first)
+            if self.averages:
+                self.clock.run("averages", lambda: self._average(record))
             if self.lit is not None:
                 device.clear(self.targets.layer_target)
             self.clock.run("shade", lambda: self._shade(record))
@@ -308,6 +333,14 @@ class Frame:
         textures = self.targets.surfels.buffer.bound()
         textures |= self.uploads.shading
         self._add(self.shade, record, textures)
+
+    def _average(self, record: np.ndarray) -> None:
+        """Passes of what is painted that are averaged: of its G-buffer, without light."""
+        textures = self.targets.data_surfels.buffer.bound() | self.uploads.shading
+        for program in self.averages:
+            self.device.draw(
+                program, self.targets.averages_target, uniforms=record.copy(), textures=textures, blend=True
+            )
 
     def _draw_background(self, record: np.ndarray) -> None:
         textures = self.targets.surfels.buffer.bound() | self.uploads.shading
@@ -397,7 +430,7 @@ class Frame:
         record["page"][0, :2] = self.corner
         record["mist"][0, 3] = 1 / max(self.done, 1)
         record["previous"][0] = m[2, 2], m[2, 3], m[3, 2], m[3, 3]
-        textures = {"ps_combined": self.targets.sums[0], "ps_place": self.targets.surfels.buffer.textures["place"]}
+        textures = {"ps_combined": self.targets.sums[0], "ps_place": self.targets.data_surfels.buffer.textures["place"]}
         program = shade_pass.PRESENT
         if self.adaptive is not None and self.adaptive.place is not None:
             program = shade_pass.PRESENT_ADAPTIVE
@@ -484,7 +517,8 @@ class Frame:
         """What was done, as scripts/render.py writes it."""
         self.clock.settle()
         prepared = self.prepared
-        cut = sum(layer.cut.splats for layer in (prepared, prepared.translucent, prepared.spheres))
+        layers = (*(() if self.plan.painter else (prepared,)), prepared.translucent, prepared.spheres)
+        cut = sum(layer.cut.splats for layer in layers)
         geometries, polygons = self.scene.geometries, self.prepared.polygons
         rows = self.scene.instances.geometry[polygons] if len(polygons) else []
         triangles = sum(len(g.mesh.triangles) for g in (geometries[int(r)] for r in rows) if g.mesh is not None)

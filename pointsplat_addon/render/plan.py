@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,12 @@ class Plan:
     coarse: bool  # the first sample's translucent layer has fewer pixels: views that move show it at once
     skipped: tuple[tuple[str, str], ...]  # (pass, because)
     ewa: ewa.EwaOptions | None = None  # points are drawn by EWA; None: in image space
+    painter: bool = False  # opaque points are painted: what the G-buffer holds of them is for other passes alone
+
+    @property
+    def shaded(self) -> Plan:
+        """The plan of the G-buffer that is shaded."""
+        return replace(self, points=False) if self.painter else self
 
     def reach(self, largest: float) -> float:
         """Pixels that splats of at most the radius `largest` reach beyond their centres."""
@@ -56,13 +62,14 @@ def make_plan(
     unshadowed: str = "",
     interactive: bool = False,
     blended: tuple[Camera, int] | None = None,
+    painter: bool = False,
 ) -> Plan:
     """The plan for one view of a scene. `unshadowed`: why there are no shadows. `blended`: points are drawn by EWA, for
-    this camera and number of samples."""
+    this camera and number of samples. `painter`: opaque points are painted (render/painter.py)."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
     behind = [p.cloud for p in prepared.translucent.point_sets.values()]
-    solid = points or polygons or spheres
+    solid = polygons or spheres or (points and not painter)
     held = np.zeros(len(scene.instances), bool) if scene.instances.holdout is None else scene.instances.holdout
     holdout = bool(held.any())
     cut = bool(held[prepared.translucent.set_of_instance >= 0].any())
@@ -90,7 +97,10 @@ def make_plan(
     wide = len(scene.materials) >= EXACT_HALF
     lit = bool(lighting) or surface or "normal" in passes
     variant = Variant(lit, color, surface, emission, wide=wide)
-    data_variant = Variant(owner=bool(passes & set(NEED_OWNER)), wide=wide)
+    owner = bool(passes & set(NEED_OWNER))
+    data_variant = (
+        replace(variant, normal=True, emission=False, owner=owner) if painter else Variant(owner=owner, wide=wide)
+    )
     shown = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])
     one = not holdout and len(np.unique(shown)) == 1
     options = PointOptions(
@@ -105,7 +115,10 @@ def make_plan(
     skipped = []
     image_space, by_ewa = ("project", "resolve", "pull", "push"), ("splats", "visibility", "blend", "normalise")
     if not points:
-        skipped += [(name, "nothing is drawn as points") for name in (*image_space, *by_ewa)]
+        why = "points are painted" if painter else "nothing is drawn as points"
+        skipped += [(name, why) for name in (*image_space, *by_ewa)]
+    elif painter:
+        skipped += [(name, "points are painted") for name in by_ewa]
     elif blended is None:
         skipped += [(name, "points are drawn in image space") for name in by_ewa]
     else:
@@ -126,11 +139,13 @@ def make_plan(
         points, polygons, spheres, variant, data_variant, options, lighting, materials,
         background=not scene.transparent or "mist" in passes, data=drawn and bool(data(passes)),
         translucent=translucent,
-        coarse=interactive and translucent is not None and not (translucent.tint or translucent.holdout),
+        coarse=interactive and translucent is not None
+        and not (translucent.tint or translucent.holdout or translucent.fuzzy),
         skipped=tuple(skipped),
         ewa=None if blended is None or not points else ewa.options(
             blended[0], prepared.largest, any(p.cloud.normal is None for p in prepared.point_sets.values()), blended[1]
         ),
+        painter=painter,
     )  # fmt: skip
 
 

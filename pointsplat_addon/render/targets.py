@@ -30,13 +30,20 @@ class Targets:
         self.projection: Projection | None = None
         if plan.points and plan.ewa is None:
             self.projection = self._own(Projection(device, plan.options, size))
-        self.surfels: Surfels = self._own(make_surfels(device, plan, plan.variant, size, count))
+        self.surfels: Surfels = self._own(make_surfels(device, plan.shaded, plan.variant, size, count))
+        self.data_surfels = self.surfels
         self.sums: list[Texture] = [
             self._own(device.texture(size, "RGBA32F")) for _ in range(1 + len(shade_pass.averaged(passes)))
         ]
         self.sum_target: Target = self._own(device.target(self.sums))
         # What is translucent lies over the finished picture of each sample, which is then added to the sums.
         self.shade_target: Target = self.sum_target
+        if plan.painter and plan.points:
+            # Passes that are not painted have a G-buffer of their own, and a picture that nobody sees.
+            self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
+            if len(self.sums) > 1:
+                unseen = self._own(device.texture(size, "RGBA32F"))
+                self.averages_target: Target = self._own(device.target([unseen, *self.sums[1:]]))
         self.layer: Texture | None = None
         self.depth: Texture | None = None
         if plan.translucent is not None:
@@ -45,7 +52,8 @@ class Targets:
             self.cut: Texture | None = self._own(device.texture(size, "RGBA32F")) if plan.translucent.holdout else None
             self.layer_target: Target = self._own(device.target([layer] if self.cut is None else [layer, self.cut]))
             self.combined_target: Target = self._own(device.target(self.sums[:1]))
-            self.shade_target = self._own(device.target([layer, *self.sums[1:]]))
+            further = [] if plan.painter and plan.points else self.sums[1:]
+            self.shade_target = self._own(device.target([layer, *further]))
             if plan.coarse:
                 size_of_coarse = (-(-size[0] // COARSE), -(-size[1] // COARSE))
                 self.coarse: Texture = self._own(device.texture(size_of_coarse, "RGBA32F"))
@@ -59,8 +67,7 @@ class Targets:
             self.data_target: Target = self._own(device.target(self.data))
             # Identities cannot be averaged, and motion and positions are asked for once: they have a G-buffer of their
             # own, so that no sample carries what only one of them needs.
-            self.data_surfels = self.surfels
-            if plan.data_variant != plan.variant:
+            if plan.data_variant != plan.variant and self.data_surfels is self.surfels:
                 self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
 
     def _own(self, item: Any) -> Any:
@@ -83,6 +90,7 @@ class Pool:
     def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
         """Targets for a plan, and the key to give them back with."""
         key = (size, count, plan.points, plan.ewa, plan.polygons, plan.variant, plan.options,
+               plan.painter and plan.data_variant,
                shade_pass.averaged(passes),
                None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),
                (plan.data_variant, shade_pass.data(passes)) if plan.data else None)  # fmt: skip

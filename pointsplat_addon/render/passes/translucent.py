@@ -4,7 +4,8 @@ A page holds the splats of all translucent point sets, one texel a splat:
   place           xyz relative to the set's origin; packed normal (-1: a ball)
   extent          half-axes (major, minor), packed major axis, material row
   optics          media: extinction per object unit, half-axis along the normal, 1 (voxels: 2); shells: optical depth of
-                  the splat's own area, half-axis along the normal, 0; row of core.kernel.PROFILES
+                  the splat's own area, half-axis along the normal, 0; opaque splats: the same, -1; row of
+                  core.kernel.PROFILES
   color           base colour of shells, albedo of media          \\
   surface         roughness, metallic                              |
   emission        shells: radiance; media: radiance per unit       | where any set has them
@@ -28,8 +29,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...core import painter
 from ...core.cloud import PointCloud
-from ...core.kernel import PROFILES
+from ...core.kernel import PEAK, PROFILES, SUPPORT
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
@@ -37,7 +39,7 @@ from ..packing import PAGE_WIDTH
 from ..prepare import PointSet
 from .common import FRAME
 from .pages import SplatPage, extent, filled, place, shading_normal
-from .shade import lighting_defines, lighting_samplers
+from .shade import MOST_LAMP_POINTS, lighting_defines, lighting_samplers
 
 OPAQUE = 100.0  # optical depth of what is opaque
 CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
@@ -60,6 +62,8 @@ class TranslucentOptions:
     kernels: bool = False  # some have another kernel than the default
     holdout: bool = False  # some cut holes
     opaque: bool = False  # something opaque may hide them
+    fuzzy: bool = False  # some are opaque: core/painter.py
+    cull: bool = False  # and some of these are not drawn where they show their backs
 
     @property
     def attributes(self) -> tuple[tuple[str, bool], ...]:
@@ -69,6 +73,7 @@ class TranslucentOptions:
 
 def options(clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdout: bool = False) -> TranslucentOptions:
     """What these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of them cuts a hole."""
+    fuzzy = any(is_fuzzy(c) for c in clouds)
     return TranslucentOptions(
         media=any(c.extinction is not None for c in clouds),
         shells=any(c.extinction is None for c in clouds),
@@ -81,7 +86,14 @@ def options(clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdou
         kernels=any(c.kernel is not None for c in clouds),
         holdout=holdout,
         opaque=opaque,
+        fuzzy=fuzzy,
+        cull=fuzzy and bool(table.cull.any()),
     )
+
+
+def is_fuzzy(cloud: PointCloud) -> bool:
+    """Whether the splats of a cloud are opaque, but for their rims."""
+    return cloud.extinction is None and cloud.opacity is None
 
 
 class TranslucentPage(SplatPage):
@@ -127,9 +139,12 @@ def _optics(cloud: PointCloud, lattice: bool) -> np.ndarray:
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = -np.log1p(-np.clip(cloud.opacity.astype(np.float64), 0, 1))
         rows[:, 0] = np.minimum(depth, OPAQUE)
-        if cloud.radii is not None and cloud.radii.shape[1] == 3:
-            # Coarse nodes of surfaces that do not lie in a plane, as of a tree's leaves.
-            rows[:, 1] = cloud.radii[:, 2]
+    else:
+        # The peak of a kernel is twice what its splat has over its own area.
+        rows[:, 0], rows[:, 2] = painter.DEPTH / (2 * PEAK), -1.0
+    if cloud.extinction is None and cloud.radii is not None and cloud.radii.shape[1] == 3:
+        # Coarse nodes of surfaces that do not lie in a plane, as of a tree's leaves.
+        rows[:, 1] = cloud.radii[:, 2]
     if cloud.kernel is not None:
         rows[:, 3] = np.where(cloud.kernel < len(PROFILES), cloud.kernel, 0)
     return rows
@@ -167,15 +182,14 @@ def light_program(
     read += tuple(name for name, on in options.attributes if on)
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
     named = {"PS_MEDIA": options.media, "PS_SHELLS": options.shells, "PS_AMONG_OPAQUE": options.opaque}
-    named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout}
+    named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
     outputs = ["place", "shape", "source", *(["front"] if options.opaque else []), *(["tint"] if options.tint else [])]
     return Interface(
         "light", fragment="translucent_light.frag", block=FRAME,
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_{name}") for name in outputs),
-        # One point of each wide lamp a sample: splats overlap, and blur what they receive.
-        defines=(*lighting_defines(lighting), *known, ("PS_SHADOW_TAPS", "1"),
+        defines=(*lighting_defines(lighting), *known, *_fuzzy_defines(options),
                  *((name, "1") for name in (*materials, *(name for name, on in named.items() if on)))),
     )  # fmt: skip
 
@@ -185,13 +199,22 @@ def reach_program(options: TranslucentOptions, lighting: tuple[str, ...], lights
     colored = "PS_SHADOW_COLORED" in lighting
     read = ("order", "instances", "place", "extent", "optics", "materials")
     read += ("shading_normal",) if options.shading_normal else ()
-    defines = (("PS_SHADING_NORMAL", "1"),) if options.shading_normal else ()
+    defines = (*_fuzzy_defines(options), *((("PS_SHADING_NORMAL", "1"),) if options.shading_normal else ()))
     return Interface(
         "reach", fragment="translucent_light.frag", block=FRAME,
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_reach_{i}") for i in range(_reach_textures(lights, colored))),
-        defines=(*lighting_defines(lighting), ("PS_SHADOW_TAPS", "1"), ("PS_REACH", str(lights)), *defines),
+        defines=(*lighting_defines(lighting), ("PS_REACH", str(lights)), *defines),
     )  # fmt: skip
+
+
+def _fuzzy_defines(options: TranslucentOptions) -> tuple[tuple[str, str], ...]:
+    """One point of each wide lamp a sample is enough for splats that overlap, and blur what they receive; opaque ones
+    do not."""
+    if not options.fuzzy:
+        return (("PS_SHADOW_TAPS", "1"),)
+    narrow = float(np.sqrt(4 * painter.SUPPORT / SUPPORT))
+    return (("PS_SHADOW_TAPS", str(MOST_LAMP_POINTS)), ("PS_FUZZY", repr(narrow)))
 
 
 def _reach_textures(lights: int, colored: bool) -> int:
