@@ -35,6 +35,8 @@ VISIBLE_DEPTH = (3 + 3.75) / 2  # mean distance of the visible cap's points alon
 TURN = np.radians(3.0)  # of the camera from frame to frame
 SPLATS = ("gaussian", "disk")
 TARGETS = {1: ">= 4", 2: ">= 4", 4: ">= 4", 8: ">= 10"}  # by splat radius in pixels
+BLENDED_AT, BLENDED_TARGET = 2, "<= 4"  # radius in pixels at which EWA has a limit, and that, over image space
+BLENDED_VTK = {2: ">= 0.5", 8: ">= 1"}  # VTK's time over that of EWA, by splat radius in pixels
 TABLES = 4 << 20  # bytes: a frame may upload tables of blocks and uniforms, never a million points (32 MB)
 
 
@@ -128,10 +130,12 @@ class Ours:
     device: MeteredDevice
     scene: Scene
     size: int
+    technique: str = SETTINGS.technique
 
     def frame(self, angle: float, samples: int = 1) -> dict[str, Any]:
         """Draw a picture until the device has finished it; the report, its seconds being the time of all."""
-        request = Request(camera(angle, self.size), SETTINGS, frozenset({"combined"}), samples)
+        settings = replace(SETTINGS, technique=self.technique)
+        request = Request(camera(angle, self.size), settings, frozenset({"combined"}), samples)
         start = time.perf_counter()
         frame = self.renderer.start(self.scene, request)
         started = time.perf_counter()
@@ -279,6 +283,47 @@ def against_vtk(ours: Callable[[float, bool], Ours], count: int, frames: int, qu
     return rows
 
 
+def blended(ours: Callable[[float, bool], Ours], frames: int) -> list[dict]:
+    """How many times as long as in image space EWA takes, in turns."""
+    rows = []
+    for pixels in TARGETS:
+        for name, lit in (("unlit", False), ("one sun", True)):
+            plain = ours(pixels, lit)
+            soft = replace(plain, technique="EWA")
+            turns = [(soft.frame(i * TURN)["seconds"], plain.frame(i * TURN)["seconds"]) for i in range(frames + 1)]
+            mine, plainly = np.array(turns[1:]).T
+            ratios = list(mine / plainly)
+            note = (f"{1e3 * np.median(mine):.0f} ms against {1e3 * np.median(plainly):.0f} ms; "
+                    f"{spread(ratios)} in {frames} turns")  # fmt: skip
+            title = f"frame, radius {pixels} px, {name}, EWA / image space"
+            target = BLENDED_TARGET if pixels == BLENDED_AT else ""
+            rows.append(row(title, float(np.median(ratios)), "x", target, note))
+    return rows
+
+
+def blended_against_vtk(ours: Callable[[float, bool], Ours], count: int, frames: int) -> list[dict]:
+    """VTK's blended Gaussians and EWA, both without light, in turns."""
+    rows = []
+    theirs = Theirs(count, SIZE)
+    try:
+        for pixels, target in BLENDED_VTK.items():
+            soft = replace(ours(pixels, False), technique="EWA")
+            angles = [i * TURN for i in range(frames + 1)]
+            turns = [(theirs.frame("gaussian", pixels, angle), soft.frame(angle)["seconds"]) for angle in angles]
+            vtk, mine = np.array(turns[1:]).T
+            ratios = list(vtk / mine)
+            note = (f"{1e3 * np.median(vtk):.0f} ms against {1e3 * np.median(mine):.0f} ms; "
+                    f"{spread(ratios)} in {frames} turns")  # fmt: skip
+            rows.append(
+                row(f"frame, radius {pixels} px, VTK gaussian / EWA", float(np.median(ratios)), "x", target, note)
+            )
+    except (EOFError, OSError):
+        rows.append(row("frame, VTK / EWA", None, "x", ">= 0.5", "VTK could not draw here"))
+    finally:
+        theirs.close()
+    return rows
+
+
 def uploads(ours: Ours) -> dict:
     """Bytes that one more frame of a static cloud uploads."""
     ours.frame(0.0)
@@ -343,8 +388,10 @@ def run(quick: bool = False, vtk: bool = True) -> tuple[list[dict], dict[str, li
         note = f"{count} points at {SIZE}x{SIZE} on {report['device']}"
         rows.append(row("frame, points in the cut", 100 * report["points"]["cut"] / count, "%", ">= 100", note))
         rows.append(uploads(ours(1, True)))
+        rows += blended(ours, 3)
         if vtk and find_spec("vtk"):
             rows += against_vtk(ours, count, frames, quick)
+            rows += blended_against_vtk(ours, count, 3)
         elif vtk:
             rows.append(row("frame, VTK / PointSplat", None, "x", ">= 4", "VTK is not installed"))
         return rows, split_tables(ours, 3 if quick else 5, 4 if quick else 16)

@@ -52,7 +52,7 @@ void main()
   }
   float w = peak * exp(-0.5 * q);
   bool back = v_place.w < 0.0;
-  w *= back ? PS_EWA_BACK : 1.0;
+  w *= back && !ps_back_seen(nearest) ? PS_EWA_BACK : 1.0;
   out_place = w * vec4(depth, v_material.x, back ? 0.0 : 1.0, 1.0);
 #ifdef PS_NORMAL
 #ifdef PS_BALLS
@@ -73,8 +73,10 @@ void main()
   if (!(q <= 4.0 && depth > frame.lens.x && depth < frame.lens.y)) {
     discard;
   }
+  // Ellipses that are seen nearly edge-on reach beyond the edge of a closed surface: their backs are not meant.
+  bool back = v_place.w < 0.0 && length(v_front.xy) < PS_EWA_STEEP * abs(ps_pixel_size(v_place.z));
   // Beyond the near plane, so that 0 means that there is nothing.
-  out_nearest = vec4(depth - frame.lens.x, depth + v_front.w, v_material.x, 2.0 * v_material.y + (v_place.w < 0.0 ? 1.0 : 0.0));
+  out_nearest = vec4(depth - frame.lens.x, depth + v_front.w, v_material.x, 2.0 * v_material.y + (back ? 1.0 : 0.0));
   gl_FragDepth = ps_buffer_depth(depth);
 #endif
 }

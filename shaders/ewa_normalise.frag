@@ -7,11 +7,6 @@
 #include "lib/surfel.glsl"
 #include "lib/store.glsl"
 
-bool ps_shows_back(vec4 nearest)
-{
-  return (int(nearest.w) & 1) == 1;
-}
-
 // What is seen around a pixel whose centre no ellipse holds, fronts before backs; (0, 0, 0, 0): nothing.
 vec4 ps_beside(ivec2 pixel)
 {
@@ -19,7 +14,7 @@ vec4 ps_beside(ivec2 pixel)
   vec4 found = vec4(0.0);
   for (int i = 0; i < 9; i++) {
     vec4 nearest = texelFetch(ps_nearest, clamp(pixel + ivec2(i % 3, i / 3) - 1, ivec2(0), last), 0);
-    if (nearest.x > 0.0 && !ps_shows_back(nearest)) {
+    if (nearest.x > 0.0 && !ps_back_seen(nearest)) {
       return nearest;
     }
     found = nearest.x > 0.0 ? nearest : found;
@@ -40,7 +35,7 @@ void main()
   float d = sum.x * scale, reach = max(nearest.y - frame.lens.x - nearest.x, 1e-30);
   PsSurfel s = ps_empty();
   s.place = vec4(d, 0.0, 0.0, covers ? reach : -reach);
-  float front = sum.z, back = (sum.w - sum.z) / PS_EWA_BACK;
+  float front = sum.z, back = (sum.w - sum.z) / (ps_back_seen(nearest) ? 1.0 : PS_EWA_BACK);
   s.shape.x = PS_EWA_WITHIN * max(front, back);
   s.shape.w = nearest.z;
   if (!covers) {
@@ -48,7 +43,7 @@ void main()
     bool alone = beside.x == 0.0;
     s.shape.w = alone ? floor(sum.y * scale + 0.5) : beside.z;
     // What is seen from one side is not widened by its other side.
-    s.shape.x = alone ? max(front, back) : ps_shows_back(beside) ? back : front;
+    s.shape.x = alone ? max(front, back) : ps_back_seen(beside) ? back : front;
   }
   s.shape.x = min(s.shape.x, 1.0);
 #ifdef PS_NORMAL

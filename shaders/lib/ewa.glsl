@@ -11,8 +11,16 @@
 #define PS_EWA_WITHIN 1.4142136
 
 // Closed surfaces end with their front and their back at the same edge, where only the front is to be seen: what shows its
-// back weighs less by this factor.
+// back weighs less by this factor, where nothing or a front is nearest.
 #define PS_EWA_BACK 0.015625
+
+#define PS_EWA_STEEP 3.0  // pixels of depth that a plane falls within one, from which on it is seen nearly edge-on
+
+// Whether the nearest surface of a pixel, as the pass `visibility` left it, shows its back.
+bool ps_back_seen(vec4 nearest)
+{
+  return nearest.x > 0.0 && (int(nearest.w) & 1) == 1;
+}
 
 // The least variance that an ellipse keeps across, in pixels^2: disks seen edge-on stay invertible.
 #define PS_EWA_LEAST 4e-4

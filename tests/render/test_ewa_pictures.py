@@ -209,7 +209,7 @@ def test_pictures_are_near_those_of_image_space(name):
         ]
         for technique in ("IMAGE_SPACE", "EWA")
     ]
-    assert np.abs(found[0] - found[1]).mean() < 0.02  # measured 0.0168
+    assert np.abs(found[0] - found[1]).mean() < 0.02  # measured 0.0170
 
 
 # What a view needs
