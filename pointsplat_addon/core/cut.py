@@ -9,8 +9,9 @@ Splats are counted per geometry as `hierarchy.splats` lays them out: N points in
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +34,10 @@ class Cut:
     nodes: int = 0  # nodes drawn
     points: int = 0  # points drawn
     culled: int = 0  # points below nodes that are out of view or face away
+
+    def of(self, rows: np.ndarray) -> Cut:
+        """The same, where instances were counted among `rows`, in rising order."""
+        return replace(self, instance=rows[self.instance].astype(np.int32))
 
     @property
     def splats(self) -> int:
@@ -122,7 +127,7 @@ def select(
     known = (geometry >= 0) & (geometry < len(forest.root))
     place = np.where(known, geometry, 0)
     drawable = known & (forest.points[place] > 0) if len(forest.root) else np.zeros(len(geometry), bool)
-    drawable &= np.isfinite(view_from_object).all(axis=(1, 2)) & view_from_object[:, :3, :3].any(axis=(1, 2))
+    drawable &= all_finite(view_from_object) & view_from_object[:, :3, :3].any(axis=(1, 2))
     instance = np.flatnonzero(drawable)
     root = forest.root[place[instance]]
     views = _views(view_from_object, forest.origin[place] if len(forest.root) else np.zeros((0, 3)), cull, drawable)
@@ -132,7 +137,7 @@ def select(
     found.add_points(bare, np.zeros(len(bare), np.int64), forest.points[place[bare]])
     instance, node = instance[root >= 0], root[root >= 0]
     inside = np.zeros(len(node), bool)
-    lens = _lens(camera, tolerance, margin)
+    lens = lens_of(camera, tolerance, margin)
     while len(node):
         pieces = [
             _step(forest, views, lens, instance[i : i + CHUNK], node[i : i + CHUNK], inside[i : i + CHUNK], found)
@@ -143,7 +148,7 @@ def select(
 
 
 @dataclass(frozen=True)
-class _Lens:
+class Lens:
     """The camera as the tests need it."""
 
     planes: np.ndarray  # (6, 4) float64, view space: a sphere is outside where plane . (p, 1) < -radius
@@ -163,7 +168,7 @@ class _Views:
     forward: np.ndarray  # (3, I) float64, unit, in object space; only where `culls`
 
 
-def _lens(camera: Camera, tolerance: float, margin: float) -> _Lens:
+def lens_of(camera: Camera, tolerance: float, margin: float) -> Lens:
     """Frustum planes (Gribb and Hartmann 2001) of the window, from the rows of clip_from_view."""
     x, y, z, w = camera.clip_from_view
     (width, height), (x0, y0, across, up) = camera.resolution, camera.window
@@ -179,7 +184,7 @@ def _lens(camera: Camera, tolerance: float, margin: float) -> _Lens:
     # A far plane at infinity has no direction and excludes nothing.
     planes = np.where(length > 1e-12, planes / np.maximum(length, 1e-300), [0.0, 0.0, 0.0, np.inf])
     fx, fy, _, _ = camera.pixel_from_view()
-    return _Lens(planes, camera.perspective, max(camera.near, 0.0), tolerance / (2 * max(abs(fx), abs(fy))))
+    return Lens(planes, camera.perspective, max(camera.near, 0.0), tolerance / (2 * max(abs(fx), abs(fy))))
 
 
 def _views(view_from_object: np.ndarray, origin: np.ndarray, cull: np.ndarray | None, use: np.ndarray) -> _Views:
@@ -201,14 +206,27 @@ def _views(view_from_object: np.ndarray, origin: np.ndarray, cull: np.ndarray | 
 def largest_singular_value(matrix: np.ndarray) -> np.ndarray:
     """Of matrices (I, 3, 3), from below never off by more than rounding: the largest root of the characteristic
     cubic of A^T A in trigonometric form (Smith 1961)."""
-    size = np.maximum(np.abs(matrix).max(axis=(1, 2), initial=0.0), np.finfo(float).tiny)
-    a = matrix / size[:, None, None]
-    gram = a.transpose(0, 2, 1) @ a
-    middle = np.trace(gram, axis1=1, axis2=2) / 3
-    rest = gram - middle[:, None, None] * np.eye(3)
-    spread = np.sqrt((rest**2).sum(axis=(1, 2)) / 6)
-    cosine = np.clip(np.linalg.det(rest) / np.maximum(2 * spread**3, np.finfo(float).tiny), -1, 1)
+    a = np.ascontiguousarray(matrix.transpose(1, 2, 0))
+    size = np.maximum(np.maximum.reduce(np.abs(a).reshape(9, -1)), np.finfo(float).tiny)
+    x, y, z = (a / size).transpose(1, 0, 2)
+    xx, yy, zz, xy, xz, yz = _dot(x, x), _dot(y, y), _dot(z, z), _dot(x, y), _dot(x, z), _dot(y, z)
+    middle = (xx + yy + zz) / 3
+    xx, yy, zz = xx - middle, yy - middle, zz - middle
+    spread = np.sqrt((xx * xx + yy * yy + zz * zz + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
+    determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    cosine = np.clip(determinant / np.maximum(2 * spread**3, np.finfo(float).tiny), -1, 1)
     return size * np.sqrt(middle + 2 * spread * np.cos(np.arccos(cosine) / 3)) * (1 + 1e-7)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def all_finite(matrix: np.ndarray) -> np.ndarray:
+    """(I,) bool: which of the matrices (I, n, m) hold neither a NaN nor an infinity: what times zero is no zero."""
+    numbers = math.prod(matrix.shape[1:])
+    with np.errstate(invalid="ignore"):
+        return np.asarray(matrix.reshape(-1, numbers) @ np.zeros(numbers) == 0)
 
 
 class _Found:
@@ -259,7 +277,7 @@ def _merge(instance: np.ndarray, first: np.ndarray, count: np.ndarray) -> tuple[
 def _step(
     forest: Forest,
     views: _Views,
-    lens: _Lens,
+    lens: Lens,
     instance: np.ndarray,
     node: np.ndarray,
     inside: np.ndarray,
@@ -276,7 +294,7 @@ def _step(
     reach = sphere * view.scale
 
     # What is out of view or faces away is left out; `safe` are nodes of which no part can be.
-    gone, inside = _against_frustum(lens, position, reach, inside)
+    gone, inside = against_frustum(lens, position, reach, inside)
     safe = inside
     if view.culls.any():
         away, toward = _against_cone(forest, view, lens, node, center, sphere)
@@ -313,8 +331,8 @@ def _pick(views: _Views, instance: np.ndarray) -> _Views:
     )  # fmt: skip
 
 
-def _against_frustum(
-    lens: _Lens, position: np.ndarray, reach: np.ndarray, inside: np.ndarray
+def against_frustum(
+    lens: Lens, position: np.ndarray, reach: np.ndarray, inside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which balls lie outside one of the planes, and which lie inside all of them."""
     gone, inside = np.zeros(len(inside), bool), inside.copy()
@@ -329,7 +347,7 @@ def _against_frustum(
 
 
 def _against_cone(
-    forest: Forest, view: _Views, lens: _Lens, node: np.ndarray, center: np.ndarray, sphere: np.ndarray
+    forest: Forest, view: _Views, lens: Lens, node: np.ndarray, center: np.ndarray, sphere: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which nodes face away as a whole, and which face the eye as a whole (all, where nothing is culled).
 
@@ -352,7 +370,7 @@ def _against_cone(
 
 def _projected(
     forest: Forest,
-    lens: _Lens,
+    lens: Lens,
     node: np.ndarray,
     position: np.ndarray,
     size: np.ndarray,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .cut import all_finite, largest_singular_value
 from .sampling import MAX_SAMPLES, bounding_box, limit_spacing, used, validate
 from .scene import Camera, Mesh
 from .vectors import blocks, clip, cross, dot, each_block
@@ -105,8 +106,8 @@ def required_spacing(
     """
     ok = validate(mesh)[0] if ok is None else ok
     matrices = np.reshape(view_from_object, (-1, 4, 4))
-    matrices = matrices[np.isfinite(matrices).all(axis=(1, 2))]
-    stretch = np.linalg.norm(matrices[:, :3, :3], 2, axis=(1, 2))
+    matrices = matrices[all_finite(matrices)]
+    stretch = largest_singular_value(matrices[:, :3, :3])
     matrices, stretch = matrices[stretch > 1e-30], stretch[stretch > 1e-30]
     triangles = np.count_nonzero(ok) if parts is None else len(parts.triangles)
     if len(matrices) == 0 or triangles == 0:

@@ -19,19 +19,26 @@ from ..core import sampling
 from ..core.apart import apart, leafy
 from ..core.appearance import digest, passing, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
-from ..core.cut import Cut, Forest, forest, fully, largest_singular_value, select
+from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_value, select
 from ..core.hierarchy import Hierarchy, build, recolor, refit
+from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
-from ..core.spacing import make_parts, required_spacing
+from ..core.spacing import EXACT_INSTANCES, make_parts, required_spacing
 from ..core.vectors import dot, each_block
 
 POLYGON_PIXELS = 4.0  # AUTO draws polygons where the typical triangle's edge spans more than this many pixels
 MOST_LEAVES = 1 << 21  # triangles of all instances of a mesh of leaves, which AUTO draws as polygons from any distance
 HIERARCHY_PAYS = 80  # building costs about as much as drawing the points this many times
+BLENDED = 10  # times what a small splat costs in image space, it costs by EWA, where it covers more than its pixel
 SMALL_SPLAT = 0.25  # of the tolerance: where typical splats are smaller, most of a cloud can be left out
+# The same where instances are many, for finding what they draw costs nothing for each splat, and by EWA.
+SMALL_SHARED = 0.5
 EXACT_TRIANGLES = 4 << 20  # of all instances: so many are asked one by one what they need
 WIDE_BALL = 2.0  # pixels of radius: means of wider balls that overlap would show
 MANY_TRIANGLES = 1 << 14  # of one mesh: fewer are all looked at in no time
+MANY_INSTANCES = 16  # of one hierarchy: so many share cuts
+SHARED_CELLS = 128  # samples across a geometry whose instances are many: outlines grow by half a percent
+MOST_BARE = 1 << 24  # splats of all instances together: what draws more waits for its hierarchy
 COARSEST_OCTAVE = 6  # beyond it, the few samples that are left cost less than another cloud
 VERTEX_PIXELS = 2.0  # vertices are samples enough where no edge spans more; with pictures on them, one sample a pixel
 
@@ -191,7 +198,7 @@ class _View:
         scene, camera, instances = self.scene, self.camera, self.scene.instances
         with np.errstate(all="ignore"):
             view_from_object = camera.view_from_world @ instances.world_from_object
-        usable = np.isfinite(view_from_object).all(axis=(1, 2)) if len(instances) else np.zeros(0, bool)
+        usable = all_finite(view_from_object)
         opaque, translucent, spheres = (({}, np.full(len(instances), -1)) for _ in range(3))
         polygons: list[np.ndarray] = []
         for row, geometry in enumerate(scene.geometries):
@@ -201,8 +208,13 @@ class _View:
             self.check()
             found = self._points(geometry, view_from_object[where])
             if found is None:
-                polygons.append(where)
-                continue
+                near = self._near(geometry, view_from_object[where])
+                polygons.append(where[near])
+                where = where[~near]
+                found = self._points(geometry, view_from_object[where]) if len(where) else []
+                if found is None:
+                    polygons.append(where)
+                    continue
             point_sets, set_of_instance = translucent if lets_through(geometry, scene.materials) else opaque
             for number, (points, some) in enumerate(found):
                 if len(points) == 0:
@@ -216,9 +228,10 @@ class _View:
                     key = row if number == 0 else len(scene.geometries) + len(point_sets)
                     point_sets[key] = self._with_hierarchy(points, view_from_object[where[some]])
                     set_of_instance[where[some]] = key
-        layer, behind = (
-            Layer(sets, which, self._cut(sets, which, view_from_object)) for sets, which in (opaque, translucent)
-        )
+        total = sum(int(_counts(sets)[which].sum()) for sets, which in (opaque, translucent, spheres))
+        largest = _largest(opaque[1], opaque[0], view_from_object, camera, self.store)
+        layer, behind = (self._layer(sets, which, view_from_object) for sets, which in (opaque, translucent))
+        largest = max(largest, self.settings.tolerance if layer.cut.nodes else 0.0)
         balls = Layer(*spheres, fully(_counts(spheres[0]), spheres[1]))
         return Prepared(
             layer.point_sets,
@@ -228,10 +241,8 @@ class _View:
             balls,
             np.concatenate(polygons) if polygons else np.empty(0, np.int64),
             view_from_object,
-            _largest(
-                layer.set_of_instance, layer.point_sets, layer.cut, view_from_object, camera, self.settings, self.store
-            ),
-            sum(int(_counts(one.point_sets)[one.set_of_instance].sum()) for one in (layer, behind, balls)),
+            largest,
+            total,
             tuple(dict.fromkeys(self.warnings)),
         )
 
@@ -261,6 +272,8 @@ class _View:
                 leaves = self.store.lookup(("leafy", geometry.key), lambda: leafy(mesh.position, mesh.triangles[ok]))
                 if leaves:
                     return None
+        if len(view_from_object) >= MANY_INSTANCES:
+            needed = min(needed, self._coarsest(geometry, mesh, ok))
         octave = self._octaves(geometry, mesh, ok, needed, view_from_object)
         return [
             (self._sampled(geometry, mesh, ok, needed, int(n)), np.flatnonzero(octave == n)) for n in np.unique(octave)
@@ -274,20 +287,45 @@ class _View:
         tolerance = self.settings.tolerance
         return required_spacing(mesh, view_from_object, self.camera, tolerance, max_samples=None, ok=ok, parts=parts)
 
+    def _near(self, geometry: Geometry, view_from_object: np.ndarray) -> np.ndarray:
+        """(I,) bool: instances of a mesh, some of which is to be drawn as polygons, that are so large on the
+        screen that they are, or may be."""
+        mesh = geometry.mesh
+        near = np.ones(len(view_from_object), bool)
+        if mesh is None or geometry.primitive == "POLYGONS" or len(near) == 1 or not self.camera.perspective:
+            return near
+        ok, _ = self.store.lookup(("valid", geometry.key), lambda: sampling.validate(mesh))
+        edge = self.store.lookup(("edge", geometry.key), lambda: _typical_edge(mesh, ok))
+        middle, reach = self.store.lookup(("bounds", geometry.key), lambda: _bounds(mesh, ok))
+        allowed = self._allowed_by_bounds(geometry, mesh, ok, view_from_object)
+        near = edge * self.settings.tolerance > POLYGON_PIXELS * allowed
+        return near & visible(view_from_object, middle, reach, self.camera)
+
     def _octaves(
         self, geometry: Geometry, mesh: Mesh, ok: np.ndarray, needed: float, view_from_object: np.ndarray
     ) -> np.ndarray:
         """(I,) how many octaves coarser than `needed` each instance may be sampled."""
         if geometry.spacing > 0 or not self.camera.perspective or len(view_from_object) == 1:
             return np.zeros(len(view_from_object), int)
-        if len(view_from_object) * len(mesh.triangles) <= EXACT_TRIANGLES:
+        many = len(view_from_object) > EXACT_INSTANCES
+        if not many and len(view_from_object) * len(mesh.triangles) <= EXACT_TRIANGLES:
             allowed = np.array([self._needed(geometry, mesh, ok, matrix) for matrix in view_from_object])
         else:
             allowed = self._allowed_by_bounds(geometry, mesh, ok, view_from_object)
         with np.errstate(all="ignore"):
             # Relative to the octave that `needed` is rounded to, so that the coarser ones round alike.
             coarser = np.floor(np.log2(allowed / sampling.quantise_spacing(needed)))
-        return np.clip(np.nan_to_num(coarser), 0, COARSEST_OCTAVE).astype(int)
+            # Each triangle has a sample, however coarse the spacing is.
+            most = self.store.lookup(("edge", geometry.key), lambda: _typical_edge(mesh, ok))
+            if len(view_from_object) >= MANY_INSTANCES:
+                most = min(most, self._coarsest(geometry, mesh, ok))
+            most = np.clip(np.ceil(np.log2(most / needed)), 0, COARSEST_OCTAVE)
+        return np.clip(np.nan_to_num(coarser), 0, np.nan_to_num(most)).astype(int)
+
+    def _coarsest(self, geometry: Geometry, mesh: Mesh, ok: np.ndarray) -> float:
+        """The spacing beyond which instances that are many are not sampled: outlines grow by about a quarter of it, and
+        hierarchies made of finer samples have coarser nodes that do not."""
+        return 2 * self.store.lookup(("bounds", geometry.key), lambda: _bounds(mesh, ok))[1] / SHARED_CELLS
 
     def _given_points(self, geometry: Geometry, cloud: PointCloud) -> PointSet:
         points, dropped = self.store.lookup(("finite", geometry.key), lambda: given(cloud))
@@ -342,14 +380,81 @@ class _View:
 
     def _with_hierarchy(self, points: PointSet, view_from_object: np.ndarray) -> PointSet:
         """The point-octree is built only where it can leave out most points, often enough to pay for itself."""
-        key, store = ("hierarchy", *points.key), self.store
+        plain, points, store = points, self._filled(points), self.store
+        key = ("hierarchy", *points.key)
         if key not in store:
-            if not self._pays(points, view_from_object):
-                return points
-            if self.interactive and points.family not in store:
+            if not self._pays(plain, view_from_object):
+                return plain
+            bare = len(plain.cloud) * len(view_from_object)
+            if self.interactive and points.family not in store and bare <= MOST_BARE:
                 store.later(key, lambda: _hierarchy(points, store))
-                return points
+                return plain
         return replace(points, key=key, hierarchy=store.lookup(key, lambda: _hierarchy(points, store)))
+
+    def _filled(self, points: PointSet) -> PointSet:
+        """The points with the constants of their materials as attributes, where these differ: nodes hold the means."""
+        cloud, table, store = points.cloud, self.scene.materials, self.store
+        material = cloud.material
+        if material is None:
+            return points
+        rows = store.lookup(("rows", *points.key), lambda: np.unique(material))
+        constants = {
+            "color": table.base_color,
+            "surface": np.stack([table.roughness, table.metallic], axis=1),
+            "emission": table.emission,
+        }
+        differ = {
+            name: values
+            for name, values in constants.items()
+            if getattr(cloud, name) is None and (values[rows] != values[rows[0]]).any()
+        }
+        if not differ:
+            return points
+        held = tuple((name, values[rows].tobytes()) for name, values in differ.items())
+        key = ("filled", *points.key, held)
+        made = store.lookup(key, lambda: replace(cloud, **{n: v.take(material, axis=0) for n, v in differ.items()}))
+        return replace(points, key=key, cloud=made, family=(*points.family, held) if points.family else ())
+
+    def _layer(
+        self, point_sets: dict[int, PointSet], set_of_instance: np.ndarray, view_from_object: np.ndarray
+    ) -> Layer:
+        """Some point sets and their cut. Where instances of one are many, they share cuts, which are sets of their own;
+        those out of view are left out, and the matrices of those that stand for others are enlarged in place."""
+        tolerance, camera = self.settings.tolerance, self.camera
+        sets, shared = dict(point_sets), []
+        own = set_of_instance.copy()
+        for key, points in point_sets.items():
+            where = np.flatnonzero(set_of_instance == key)
+            if len(where) < MANY_INSTANCES:
+                continue
+            views, levels = view_from_object[where], self._levels(points)
+            if levels is None:
+                middle, far, radius = _extent(points, self.store)
+                gone = where[~visible(views, middle, far + radius, camera)]
+                set_of_instance[gone] = own[gone] = -1
+                continue
+            choice = choose(levels, views, where, camera, tolerance)
+            own[where[choice.level != OWN]] = -1
+            set_of_instance[where[choice.level == NONE]] = -1
+            every = where[choice.level == ALL]
+            shared.append(fully(np.array([len(points.cloud)]), np.zeros(len(every), int)).of(every))
+            some = np.flatnonzero(choice.level >= 0)
+            if len(some):
+                at = len(self.scene.geometries) + max(sets) + 1
+                sets[at] = PointSet(("levels", *points.key), levels.cloud)
+                set_of_instance[where[some]] = at
+                view_from_object[where[some]] = enlarged(views[some], levels.center, choice.scale[some])
+                shared.append(cut_of(levels, where[some], choice.level[some]))
+            if not (set_of_instance == key).any():
+                del sets[key]
+        rest = {key: points for key, points in point_sets.items() if (own == key).any()}
+        return Layer(sets, set_of_instance, joined([self._cut(rest, own, view_from_object), *shared]))
+
+    def _levels(self, points: PointSet) -> Levels | None:
+        hierarchy = points.hierarchy
+        if hierarchy is None:
+            return None
+        return self.store.lookup(("levels of", *points.key), lambda: make_levels(hierarchy))
 
     def _cut(self, point_sets: dict[int, PointSet], set_of_instance: np.ndarray, view_from_object: np.ndarray) -> Cut:
         if not any(points.hierarchy for points in point_sets.values()):
@@ -381,8 +486,11 @@ class _View:
 
     def _pays(self, points: PointSet, view_from_object: np.ndarray) -> bool:
         """Whether enough instances show this set's splats so small that a cut leaves most of them out."""
-        small = np.count_nonzero(self._diameter(points, view_from_object) < SMALL_SPLAT * self.settings.tolerance)
-        return bool(small > 0) if self.interactive else bool(small * self.samples >= HIERARCHY_PAYS)
+        blended = self.settings.technique in ("EWA", "PAINTER")
+        limit = SMALL_SPLAT if len(view_from_object) < MANY_INSTANCES and not blended else SMALL_SHARED
+        small = np.count_nonzero(self._diameter(points, view_from_object) < limit * self.settings.tolerance)
+        drawn = small * self.samples * (BLENDED if blended else 1)
+        return bool(small > 0) if self.interactive else bool(drawn >= HIERARCHY_PAYS)
 
 
 def most_samples(tolerance: float) -> int:
@@ -476,22 +584,20 @@ def _rows(geometry: Geometry) -> list[int]:
 def _largest(
     set_of_instance: np.ndarray,
     point_sets: dict[int, PointSet],
-    cut: Cut,
     view_from_object: np.ndarray,
     camera: Camera,
-    settings: Settings,
     store: Store,
 ) -> float:
-    """No splat of the cut is wider than this radius in pixels: each instance's largest one at its nearest depth."""
+    """No point is wider than this radius in pixels: each instance's largest one at its nearest depth."""
     largest = 0.0
     focal = max(abs(f) for f in camera.pixel_from_view()[:2])
     for row, points in point_sets.items():
         matrix = view_from_object[set_of_instance == row]
-        matrix = matrix[np.isfinite(matrix).all(axis=(1, 2))]
+        matrix = matrix[all_finite(matrix)]
         middle, reach, radius = _extent(points, store)
         scale = largest_singular_value(matrix[:, :3, :3])
         depth = 1.0
         if camera.perspective:
             depth = np.maximum(-(matrix[:, 2, :3] @ middle + matrix[:, 2, 3]) - reach * scale, max(camera.near, 1e-6))
         largest = max(largest, float((radius * scale * focal / depth).max(initial=0.0)))
-    return max(largest, settings.tolerance if cut.nodes else 0.0)
+    return largest
