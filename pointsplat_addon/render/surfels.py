@@ -122,6 +122,7 @@ class EwaSurfels(Surfels):
 
         if ewa.draws is not uploads.draws:
             run("splats", lambda: ewa.project(uploads.draws, record.copy(), shared))
+        ewa.narrow(region)
         run("visibility", lambda: ewa.see(record.copy(), shared))
         run("blend", lambda: ewa.blend(record.copy(), shared))
         run("normalise", normalise)

@@ -348,3 +348,17 @@ def test_a_checkerboard_to_the_horizon_becomes_its_mean_without_moire():
     assert abs(found[far][:, middle].mean() - 0.5) < 0.01  # measured 0.0006
     # The same splats without a low-pass are black and white there.
     assert np.abs(aliased[far][:, middle] - 0.5).mean() > 0.3  # measured 0.499
+
+
+def test_tiles_that_are_done_draw_no_splats_and_the_others_miss_none():
+    case = with_technique(scenes.sphere(), "EWA")
+    case = replace(case, camera=scenes.camera(resolution=(160, 128)))
+    found = {}
+    for adaptive in (False, True):
+        settings = replace(case.settings, use_adaptive_sampling=adaptive, adaptive_threshold=0.02)
+        result = render(replace(case, settings=settings), ONLY_COMBINED, 64)
+        found[adaptive] = result
+    assert "samples" in {entry["name"] for entry in found[True].report["skipped"]}
+    difference = np.abs(found[True].pixels["combined"] - found[False].pixels["combined"])
+    assert difference.max() < 0.02  # measured 0.0153
+    assert difference.mean() < 1e-3  # measured 6.6e-5

@@ -33,7 +33,7 @@ from ...core.scene import Camera
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
 from ..packing import PAGE_WIDTH, paged
-from ..tiles import Region
+from ..tiles import TILE, Region
 from .common import FRAME, GBuffer, Variant
 from .points import PageDraw, PointOptions, attributes
 
@@ -152,7 +152,8 @@ class Splats:
             for _, name in program.outputs
         }
         self.target: Target = device.target(list(self.textures.values()))
-        self.lists: list[tuple[Texture, int]] = []
+        self.lists: list[tuple[Texture, int]] = []  # of small splats and of large ones: their texels, how many
+        self._small = self._tile = np.empty(0, np.int64)  # elements, and the tiles that they lie in
 
     def list_drawn(self, device: Device, record: np.ndarray, margin: float) -> None:
         """Lists of the small splats and of the large ones, without those that lie `margin` pixels outside the picture:
@@ -161,15 +162,27 @@ class Splats:
         kind = np.abs(place[:, 3]).astype(np.int64)
         on_screen = place[:, :2] + record["focal"][0, 2:]
         near = ((on_screen > -margin) & (on_screen < record["size"][0, :2] + margin)).all(axis=1)
-        for which in ((kind & 1 == 1) & near, (kind > 0) & (kind & 1 == 0)):
-            index = np.flatnonzero(which)
-            size, data = paged(np.stack([index % PAGE_WIDTH, index // PAGE_WIDTH], axis=1), 2)
-            self.lists.append((device.texture(size, "RG32F", data), len(index)))
+        self._small = np.flatnonzero((kind & 1 == 1) & near)
+        last = (record["size"][0, :2] - 1) // TILE
+        column, row = np.clip(on_screen[self._small] // TILE, 0, last).astype(np.int64).T
+        self._tile = row * (last[0] + 1) + column
+        large = np.flatnonzero((kind > 0) & (kind & 1 == 0))
+        self.lists = [_listed(device, index) for index in (self._small, large)]
+
+    def list_within(self, device: Device, tiles: np.ndarray | None) -> None:
+        """List only small splats whose middles lie in the tiles (rows, columns) bool; None: all."""
+        self.lists[0][0].release()
+        self.lists[0] = _listed(device, self._small if tiles is None else self._small[tiles.reshape(-1)[self._tile]])
 
     def release(self) -> None:
         self.target.release()
         for texture in (*self.textures.values(), *(listed for listed, _ in self.lists)):
             texture.release()
+
+
+def _listed(device: Device, index: np.ndarray) -> tuple[Texture, int]:
+    size, data = paged(np.stack([index % PAGE_WIDTH, index // PAGE_WIDTH], axis=1), 2)
+    return device.texture(size, "RG32F", data), len(index)
 
 
 class Ewa:
@@ -188,6 +201,7 @@ class Ewa:
         self.sum_target: Target = device.target(list(self.sums.values()))
         self._splats: list[Splats] = []
         self.draws: list[PageDraw] | None = None  # of which the splats are projected
+        self._mask: Texture | None = None  # of the region that they are listed for
 
     def project(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
         """Project the splats of a view."""
@@ -199,6 +213,15 @@ class Ewa:
             textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks}
             self.device.draw(self.programs.splats, splats.target, uniforms=draw.fill(record), textures=textures)
             splats.list_drawn(self.device, record, self.options.reach(WIDEST_POINT) + JITTER)
+
+    def narrow(self, region: Region) -> None:
+        """List the splats for what `region` shows; it names tiles as far around as kernels reach."""
+        if region.mask is self._mask:
+            return
+        self._mask = region.mask
+        tiles = None if region.mask is None else self.device.read(region.mask)[..., 0] != 0
+        for splats in self._splats:
+            splats.list_within(self.device, tiles)
 
     def see(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
         """The nearest surface under each pixel's centre."""
@@ -244,7 +267,7 @@ class Ewa:
         for splats in self._splats:
             splats.release()
         self._splats.clear()
-        self.draws = None
+        self.draws = self._mask = None
 
     def release(self) -> None:
         self._forget()
