@@ -27,7 +27,7 @@ class Settings:
     samples: int = 16  # sub-pixel samples averaged in a final render
     viewport_samples: int = 16  # the same in the viewport, when it is still
     use_adaptive_sampling: bool = True  # parts of the picture whose samples agree get fewer of them
-    adaptive_threshold: float = 0.02  # over the root of the brightness: 1/255 of what a display shows
+    adaptive_threshold: float = 1 / 64  # over the root of the brightness: what a display of 8 bits just shows
     use_shadows: bool = True  # lights cast shadows, through translucent matter too
     shadow_resolution: int = 1024  # cells of a light's shadow table per half turn
     device: str = "AUTO"  # one of DEVICES
