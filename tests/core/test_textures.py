@@ -19,12 +19,16 @@ def picture(values: np.ndarray) -> ex.Image:
     return ex.Image(np.repeat(values[..., None], 4, axis=2).astype(np.float32))
 
 
+def inputs_with(uv: np.ndarray, footprint: np.ndarray) -> SampleInputs:
+    """Samples at `uv` (N, 2) of splats with the half-diameters `footprint` (N, 2, 2)."""
+    first, second = (SampleInputs(uv={"map": uv + footprint[:, k]}) for k in range(2))
+    return SampleInputs(uv={"map": uv}, aside=(first, second))
+
+
 def shown(image: ex.Image, uv: np.ndarray, footprint: np.ndarray, **node) -> np.ndarray:
     """(N,) of the first channel: the picture at splats whose half-diameters are `footprint` (N, 2, 2)."""
-    name = "map"
-    moved = tuple(SampleInputs(uv={name: (uv + footprint[:, k]).astype(np.float32)}) for k in range(2))
-    inputs = SampleInputs(uv={name: uv.astype(np.float32)}, aside=moved)
-    return evaluate(ex.ImageTexture(ex.UV(name), image, **node), inputs)[:, 0]
+    inputs = inputs_with(uv.astype(np.float32), footprint.astype(np.float32))
+    return evaluate(ex.ImageTexture(ex.UV("map"), image, **node), inputs)[:, 0]
 
 
 @pytest.mark.parametrize("size", [(8, 8), (7, 13), (1, 5), (600, 513), (514, 3)])
@@ -109,7 +113,7 @@ def test_footprints_go_through_the_mapping():
     board = np.indices((64, 64))[1] // 8 % 2
     uv = np.random.default_rng(6).random((300, 2)).astype(np.float32)
     step = np.broadcast_to(np.eye(2, dtype=np.float32) * 0.02, (300, 2, 2))
-    inputs = SampleInputs(uv={"map": uv}, aside=tuple(SampleInputs(uv={"map": uv + step[:, k]}) for k in range(2)))
+    inputs = inputs_with(uv, step)
     spread = {}
     for scale in (1.0, 20.0):
         none = ex.Constant((0.0, 0.0, 0.0))
