@@ -14,8 +14,8 @@ import numpy as np
 
 # Standard deviation of what a splat stands for, over its half-axes: a square cell of a lattice whose disks just cover.
 SPREAD = 0.41
-# Standard deviation in texels of a look into the picture itself, by bilinear weights (narrower Gaussians are magnified),
-# and into a smaller one, whose texels are boxes (1/12), by cubic B-splines (1/3), in that one's texels.
+# Standard deviation in texels of a look into the picture itself, by bilinear weights (narrower Gaussians are
+# magnified), and into a smaller one, whose texels are boxes (1/12), by cubic B-splines (1/3), in that one's texels.
 TEXEL, SMALLER = 0.41, (1 / 12 + 1 / 3) ** 0.5
 MOST_ASPECT = 4.0  # of the ellipses; narrower ones are widened
 ROUND = 1.5  # aspect up to which one look is enough, with the mean of both axes

@@ -21,7 +21,7 @@ TECHNIQUE_ITEMS: dict[str, Item] = {
     "EWA": (
         "EWA",
         "EWA",
-        "Blend points as Gaussians that are no finer than the pixels: textures do not flicker from afar, edges are soft",
+        "Blend points as Gaussians no finer than the pixels: textures do not flicker from afar, edges are soft",
     ),
     "PAINTER": (
         "PAINTER",
