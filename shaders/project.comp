@@ -1,7 +1,6 @@
 // Each splat to the one pixel that holds its centre (Marroquim et al. 2008, section 3), or where it stands apart to all
-// pixels whose centres it covers (PS_APART): the least depth of each pixel,
-// then (PS_IDENTIFY) the lowest index among the splats that have it. PS_MARK: instead, which blocks have splats in the
-// tiles that `ps_tiles` names.
+// pixels whose centres it covers (PS_APART): the least depth of each pixel, then (PS_IDENTIFY) the lowest index among the
+// splats that have it. PS_MARK: instead, which blocks have splats in the tiles that `ps_tiles` names.
 
 #include "lib/index.glsl"
 #include "lib/footprint.glsl"
