@@ -65,7 +65,11 @@ def growth(count: int, times: int) -> dict:
 def whole_cut(count: int, times: int) -> dict:
     """From positions to an order, and the same argsort: projection and bounds included."""
     rng = np.random.default_rng(0)
-    cloud = PointCloud(rng.random((count, 3), np.float32), radii=np.full((count, 1), 1e-3, np.float32))
+    cloud = PointCloud(
+        rng.random((count, 3), np.float32),
+        radii=np.full((count, 1), 1e-3, np.float32),
+        extinction=np.ones(count, np.float32),
+    )
     one, world = np.zeros(1, int), np.eye(4)[None]
     cut, depth = fully(np.array([count]), one), rng.random(count, np.float32)
     pairs = [

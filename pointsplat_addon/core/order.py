@@ -1,8 +1,9 @@
 """Splats back to front by a hierarchical bucket sort (Gunjee et al. 2007, section 4.2).
 
-Splats are projected onto the view direction and fall into slices as thick as the smallest of them, counted from
-the farthest. Two tables of 65,536 buckets each, coarse and fine, number the slices; both are filled in stable passes
-over 16-bit keys, fine before coarse, so the cost is linear and splats of one slice keep the order they are given in.
+Splats are projected onto the view direction and fall into slices as thick as the smallest of them (of opaque ones, a
+part of it), counted from the farthest. Two tables of 65,536 buckets each, coarse and fine, number the slices; both are
+filled in stable passes over 16-bit keys, fine before coarse, so the cost is linear and splats of one slice keep the
+order they are given in.
 
 Translations of the camera shift all depths alike, and turns about the view direction change none: neither asks for
 another sort.
@@ -22,6 +23,7 @@ from .octree import ranges, starts
 
 BUCKETS = 1 << 16  # of each table: what a pass over 16-bit keys tells apart
 FARTHEST = 1e300  # depths beyond it are taken for infinite, so that differences stay finite
+OPAQUE_SLICES = 1 / 16  # of the smallest splat: one of two opaque ones hides the other, and has to be the right one
 THINNEST = 1e-300  # a slice: quotients by it keep their digits
 
 
@@ -120,7 +122,7 @@ class _Part:
     count: np.ndarray  # (r,) int64, splats of each range
     linear: np.ndarray  # (r, 3, 3) float64, world from object
     offset: np.ndarray  # (r, 3) float64, where the cloud's origin lies in the world
-    smallest: float  # world units: no splat has a shorter half-axis, but for those that have none
+    smallest: float  # world units: no splat, of opaque ones no OPAQUE_SLICES of one, has a shorter half-axis but 0
 
     @classmethod
     def of(cls, entry: Hierarchy | PointCloud, cut: Cut, rows: np.ndarray, matrix: np.ndarray) -> _Part:
@@ -133,6 +135,7 @@ class _Part:
         picked, linear = _picked(cut.first[rows], cut.count[rows]), matrix[:, :3, :3]
         size = size[picked]
         smallest = float(size.min(where=size > 0, initial=np.inf)) * _least_scale(linear)
+        smallest *= OPAQUE_SLICES if cloud.opacity is None and cloud.extinction is None else 1.0
         return cls(position[picked], cut.count[rows], linear, linear @ cloud.origin + matrix[:, :3, 3], smallest)
 
     def depth(self, direction: np.ndarray) -> np.ndarray:

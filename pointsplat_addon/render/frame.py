@@ -282,7 +282,8 @@ class Frame:
             beside = first or self._wants_identities or bool(self.averages)
             if projection is not None and (beside or not self.plan.painter):
                 self.clock.run("project", lambda: projection.run(uploads.draws, record.copy(), uploads.shared))
-            self.targets.surfels.draw(uploads, projection, record, self.clock.run, region)
+            shown = None if self.plan.painter else projection
+            self.targets.surfels.draw(uploads, shown, record, self.clock.run, region)
             if beside and self.targets.data_surfels is not self.targets.surfels:
                 self.targets.data_surfels.draw(uploads, projection, record, self.clock.run)
             if self.plan.data and (first or self._wants_identities):

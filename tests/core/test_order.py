@@ -110,12 +110,26 @@ def looking(direction: tuple[float, float, float], position: tuple[float, float,
 def smoke(n: int, seed: int = 0) -> PointCloud:
     rng = np.random.default_rng(seed)
     radii = np.full((n, 1), 0.05, np.float32)
-    return PointCloud(rng.random((n, 3), np.float32), origin=np.array([10.0, 0, -5]), radii=radii)
+    return PointCloud(
+        rng.random((n, 3), np.float32), origin=np.array([10.0, 0, -5]), radii=radii, extinction=np.ones(n, np.float32)
+    )
 
 
 def view_depth(cloud: PointCloud, world_from_object: np.ndarray, view: np.ndarray) -> np.ndarray:
     p = cloud.position + cloud.origin
     return -((p @ world_from_object[:3, :3].T + world_from_object[:3, 3]) @ view[2, :3] + view[2, 3])
+
+
+def test_opaque_splats_have_thinner_slices() -> None:
+    """Two sheets a quarter of a splat apart are told from each other."""
+    rng = np.random.default_rng(5)
+    position = rng.random((400, 3), np.float32)
+    position[:, 1] = 0.25 * 0.05 * (np.arange(400) % 2)
+    cloud = PointCloud(position, radii=np.full((400, 1), 0.05, np.float32))
+    cut = fully(np.array([400]), np.zeros(1, int))
+    found = order.sort(cut, {0: cloud}, np.zeros(1, int), np.eye(4)[None], looking((0, 1, 0)))
+    assert found.thickness == pytest.approx(0.05 * order.OPAQUE_SLICES, rel=1e-6)
+    assert (np.diff(view_depth(cloud, np.eye(4), looking((0, 1, 0)))[found.index]) <= 1e-6).all()
 
 
 def test_instances_of_several_clouds_share_one_order() -> None:

@@ -1,0 +1,26 @@
+"""The painter's is the same picture on Blender's gpu and on moderngl."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+gpu = pytest.importorskip("gpu")
+
+from tests.blender.test_devices_agree import COLORS, EDGES, blender, differences, opengl, pictures  # noqa: E402, F401
+from tests.render.scenes import CASES  # noqa: E402
+
+AGREE = 2 / 255
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_blenders_gpu_and_moderngl_agree_on_the_painter(blender, opengl, name):  # noqa: F811 - fixtures
+    case = CASES[name]()
+    case = replace(case, settings=replace(case.settings, technique="PAINTER"))
+    here, there = opengl(case, True), pictures(blender, case)
+    found = differences(here, there)
+    assert found["edges"] <= EDGES  # measured 0, where both run on one driver
+    for key in COLORS:
+        assert found[key] <= AGREE, key  # measured 0, where both run on one driver
+    assert np.abs(here["combined"] - there["combined"]).max() <= AGREE  # edges are soft; measured 0
