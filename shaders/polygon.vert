@@ -1,4 +1,5 @@
-// Triangles of one material of one instance, corner by corner from textures.
+// Triangles of one material of one instance, corner by corner from textures. PS_PARTS: only those of the parts that
+// `ps_parts` lists, each up to PS_PARTS corners.
 
 #include "lib/camera.glsl"
 #include "lib/pack.glsl"
@@ -16,7 +17,13 @@ vec3 ps_turn(vec3 n)
 
 void main()
 {
+#ifdef PS_PARTS
+  vec4 part = texelFetch(ps_parts, ps_texel(gl_VertexID / PS_PARTS), 0);
+  int corner_of_part = gl_VertexID % PS_PARTS;
+  ivec2 texel = ps_texel((int(part.y) << 12) + int(part.x) + min(corner_of_part, int(part.z) - 1));
+#else
   ivec2 texel = ps_texel(frame.page.x + gl_VertexID);
+#endif
   vec4 corner = texelFetch(ps_corner, texel, 0);
   v_position = (frame.view_from_object * vec4(corner.xyz, 1.0)).xyz;
   v_normal = ps_turn(ps_unpack_normal(corner.w));

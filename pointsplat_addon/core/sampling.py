@@ -19,7 +19,7 @@ Lengths are object units. The work is done in float64 on blocks that fit the cac
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -379,9 +379,14 @@ def _expand(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _area_count(m: Measures, spacing: float) -> float:
     """At least as many samples as sample_area makes, and at most one more for each row."""
+    return float(_area_counts(m, spacing).sum())
+
+
+def _area_counts(m: Measures, spacing: float) -> np.ndarray:
+    """(M,) the same of each triangle."""
     columns = m.base / spacing
     rows = np.maximum(np.ceil(m.height / spacing), 1.0)
-    return float(np.where(columns <= _ONE_SAMPLE, 1.0, (columns * (rows + 1)) / 2 + rows).sum())
+    return np.where(columns <= _ONE_SAMPLE, 1.0, (columns * (rows + 1)) / 2 + rows)
 
 
 def _check_spacing(spacing: float) -> None:
@@ -705,6 +710,11 @@ def _corner(samples: Samples) -> np.ndarray:
     return (samples.barycentric @ np.array([1, 2], np.float32)).astype(np.int8)
 
 
+def vertices_of(mesh: Mesh, samples: Samples) -> np.ndarray:
+    """(N,) the vertex where each vertex sample sits."""
+    return mesh.triangles[samples.triangle, _corner(samples)]
+
+
 def _one_rings(mesh: Mesh, ok: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For each vertex, from its valid triangles: area-weighted mean normal (V, 3) and disk radius (V,), float32.
 
@@ -877,6 +887,25 @@ def estimate_count(mesh: Mesh, spacing: float, method: str = "AREA", ok: np.ndar
     if method == "VERTICES":
         return int(np.count_nonzero(used(mesh, ok)))
     return math.ceil(_area_count(measure(mesh, ok), spacing))
+
+
+def estimate_by_part(m: Measures, spacing: float, part: np.ndarray, parts: int) -> np.ndarray:
+    """(parts,) float64: about how many samples AREA makes of the triangles of each part; `part` (M,) names them."""
+    _check_spacing(spacing)
+    return np.bincount(part, _area_counts(m, spacing), parts)
+
+
+def some(m: Measures, which: np.ndarray) -> Measures:
+    """Of some triangles, `which` (M,) bool. What vertices they use is estimated by their share."""
+    share = np.count_nonzero(which) / max(len(which), 1)
+    part = _take(m, which)
+    return replace(part, longest=float(part.base.max(initial=0.0)), vertices=math.ceil(share * m.vertices))
+
+
+def taken(samples: Samples, rows: np.ndarray) -> Samples:
+    """Some samples, in the order of `rows`."""
+    ellipse = None if samples.ellipse is None else samples.ellipse.take(rows, axis=0)
+    return Samples(samples.method, samples.triangle[rows], samples.barycentric.take(rows, axis=0), ellipse)
 
 
 def used(mesh: Mesh, ok: np.ndarray) -> np.ndarray:

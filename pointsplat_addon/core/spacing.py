@@ -26,10 +26,29 @@ class Parts:
     triangles: np.ndarray  # (M, 3) int32, rows of Mesh.position
     low: np.ndarray  # (B, 3) float64, lower corner of the box around each PART triangles
     high: np.ndarray  # (B, 3) float64
+    order: np.ndarray | None = None  # (M,) which of the valid triangles each is; None: as they come
+
+    def __len__(self) -> int:
+        return len(self.low)
 
     @property
     def nbytes(self) -> int:
-        return self.triangles.nbytes + self.low.nbytes + self.high.nbytes
+        arrays = (self.triangles, self.low, self.high, self.order)
+        return sum(a.nbytes for a in arrays if a is not None)
+
+    @property
+    def counts(self) -> np.ndarray:
+        """(B,) int64: triangles of each part."""
+        return np.minimum(PART, len(self.triangles) - PART * np.arange(len(self)))
+
+    def number(self) -> np.ndarray:
+        """(M,) int32: the part of each valid triangle, in the mesh's own order."""
+        number = np.arange(len(self.triangles), dtype=np.int32) // PART
+        if self.order is None:
+            return number
+        result = np.empty_like(number)
+        result[self.order] = number
+        return result
 
 
 def make_parts(mesh: Mesh, ok: np.ndarray | None = None) -> Parts:
@@ -41,8 +60,9 @@ def make_parts(mesh: Mesh, ok: np.ndarray | None = None) -> Parts:
         return Parts(triangles, low, high)
     whole = np.linalg.norm(high.max(axis=0) - low.min(axis=0))
     if np.linalg.norm(high - low, axis=1).mean() > SCATTERED * whole:
-        triangles = triangles.take(_morton_order(mesh.position, triangles), axis=0)
-        low, high = _boxes(mesh.position, triangles)
+        order = _morton_order(mesh.position, triangles)
+        triangles = triangles.take(order, axis=0)
+        return Parts(triangles, *_boxes(mesh.position, triangles), order)
     return Parts(triangles, low, high)
 
 
@@ -57,7 +77,7 @@ def _boxes(position: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.
         for axis in range(3):
             # Contiguous rows are reduced many times faster than along the first axis.
             column = corners[:, axis].copy()
-            rows = column[: whole * 3 * PART].reshape(whole, -1)
+            rows = column[: whole * 3 * PART].reshape(whole, 3 * PART)
             low[first : first + whole, axis], high[first : first + whole, axis] = rows.min(axis=1), rows.max(axis=1)
             if rest := len(column) - rows.size:
                 low[first + whole, axis], high[first + whole, axis] = column[-rest:].min(), column[-rest:].max()
@@ -131,6 +151,14 @@ def required_spacing(
         spacing = min(spacing, look(matrices[i]) / stretch[i])
     spacing = float(pixels * spacing)
     return spacing if math.isinf(spacing) or max_samples is None else limit_spacing(mesh, spacing, max_samples, ok)
+
+
+def part_spacings(parts: Parts, view_from_object: np.ndarray, camera: Camera, pixels: float = 1.0) -> np.ndarray:
+    """(B,) at most what `required_spacing` is of each part, for one instance (4, 4) float64; inf: it is not visible."""
+    stretch = float(largest_singular_value(view_from_object[None, :3, :3])[0]) if len(parts) else 0.0
+    if not stretch > 1e-30 or not np.isfinite(view_from_object).all():
+        return np.full(len(parts), np.inf)
+    return pixels * _box_spacing(parts.low, parts.high, view_from_object, camera) / stretch
 
 
 def _whole(mesh: Mesh, ok: np.ndarray, camera: Camera) -> Callable[[np.ndarray], float]:

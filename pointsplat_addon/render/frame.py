@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.cost import DEFAULT
 from ..core.scene import Camera, Scene, Settings
 from ..shading.interface import Interface
 from .device import Device, Target, Texture
@@ -22,7 +23,7 @@ from .passes import translucent as translucent_pass
 from .passes.common import frame_record
 from .passes.pyramid import levels
 from .plan import make_plan
-from .prepare import STORE, prepare
+from .prepare import STORE, prepare, triangles_of
 from .shadows import Shadows, cast
 from .targets import Pool, Targets
 from .tiles import EVERYWHERE, Adaptive, why_everywhere
@@ -99,6 +100,7 @@ class Renderer:
         self.device = device
         self.kept = Kept(device)
         self.pool = Pool(device)
+        self.costs = DEFAULT  # of this device
 
     def render(
         self,
@@ -167,6 +169,7 @@ class Frame:
             request.samples,
             interactive=request.interactive,
             check=self.clock.check,
+            costs=renderer.costs,
         )
         self.shadows, unshadowed = self._shadows()
         blended, paints = self._blended(), self._paints()
@@ -521,8 +524,11 @@ class Frame:
         layers = (*(() if self.plan.painter else (prepared,)), prepared.translucent, prepared.spheres)
         cut = sum(layer.cut.splats for layer in layers)
         geometries, polygons = self.scene.geometries, self.prepared.polygons
-        rows = self.scene.instances.geometry[polygons] if len(polygons) else []
-        triangles = sum(len(g.mesh.triangles) for g in (geometries[int(r)] for r in rows) if g.mesh is not None)
+        triangles = sum(
+            triangles_of(mesh, prepared.parts.get(instance))
+            for instance in polygons.tolist()
+            if (mesh := geometries[int(self.scene.instances.geometry[instance])].mesh) is not None
+        )
         return {
             "device": f"{self.device.name}: {self.device.limits.renderer}",
             "seconds": seconds,

@@ -19,14 +19,17 @@ from ..core import sampling
 from ..core.apart import apart, leafy
 from ..core.appearance import digest, passing, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
+from ..core.cost import DEFAULT, Costs
 from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_value, select
 from ..core.hierarchy import Hierarchy, build, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
-from ..core.spacing import EXACT_INSTANCES, make_parts, required_spacing
+from ..core.spacing import EXACT_INSTANCES, PART, make_parts, required_spacing
 from ..core.vectors import dot, each_block
+from .hybrid import Divided, PartSamples, Shown, sample_parts, show
 
-POLYGON_PIXELS = 4.0  # AUTO draws polygons where the typical triangle's edge spans more than this many pixels
+# Of meshes whose instances are many, AUTO draws polygons where the typical triangle's edge spans more pixels than this.
+POLYGON_PIXELS = 4.0
 MOST_LEAVES = 1 << 21  # triangles of all instances of a mesh of leaves, which AUTO draws as polygons from any distance
 HIERARCHY_PAYS = 80  # building costs about as much as drawing the points this many times
 BLENDED = 10  # times what a small splat costs in image space, it costs by EWA, where it covers more than its pixel
@@ -77,6 +80,8 @@ class Prepared(Layer):
     largest: float  # upper bound of a drawn splat's projected radius in pixels
     total: int  # points of all instances, before any cut
     warnings: tuple[str, ...] = ()
+    # By instance: the parts (core/spacing.py) that are drawn as polygons, rising; absent: all.
+    parts: dict[int, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass
@@ -174,13 +179,15 @@ def prepare(
     *,
     interactive: bool = False,
     check: Callable[[], None] = lambda: None,
+    costs: Costs = DEFAULT,
 ) -> Prepared:
     """Choose, sample and cut everything that `camera` sees.
 
     `samples` tells how often the result will be drawn. `interactive`: again and again, and at once; what takes long is
     then built on another thread and used when it is there. `check` is called between geometries, and may raise to stop.
+    `costs`: what drawing costs on the device.
     """
-    return _View(scene, camera, settings, samples, interactive, store, check).prepared()
+    return _View(scene, camera, settings, samples, interactive, store, check, costs).prepared()
 
 
 @dataclass
@@ -192,7 +199,10 @@ class _View:
     interactive: bool
     store: Store
     check: Callable[[], None]
+    costs: Costs
     warnings: list[str] = field(default_factory=list)
+    ranges: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)  # of points, by instance
+    parts: dict[int, np.ndarray] = field(default_factory=dict)  # that are polygons, by instance
 
     def prepared(self) -> Prepared:
         scene, camera, instances = self.scene, self.camera, self.scene.instances
@@ -201,12 +211,17 @@ class _View:
         usable = all_finite(view_from_object)
         opaque, translucent, spheres = (({}, np.full(len(instances), -1)) for _ in range(3))
         polygons: list[np.ndarray] = []
+        divided = self._divided(view_from_object, usable)
         for row, geometry in enumerate(scene.geometries):
             where = np.flatnonzero(usable & (instances.geometry == row))
             if len(where) == 0:
                 continue
             self.check()
-            found = self._points(geometry, view_from_object[where])
+            if row in divided:
+                found, with_polygons = self._by_parts(geometry, where, divided[row])
+                polygons.append(with_polygons)
+            else:
+                found = self._points(geometry, view_from_object[where])
             if found is None:
                 near = self._near(geometry, view_from_object[where])
                 polygons.append(where[near])
@@ -226,7 +241,8 @@ class _View:
                     some = some[~wide]
                 if len(some):
                     key = row if number == 0 else len(scene.geometries) + len(point_sets)
-                    point_sets[key] = self._with_hierarchy(points, view_from_object[where[some]])
+                    split = any(instance in self.parts for instance in where[some].tolist())
+                    point_sets[key] = points if split else self._with_hierarchy(points, view_from_object[where[some]])
                     set_of_instance[where[some]] = key
         total = sum(int(_counts(sets)[which].sum()) for sets, which in (opaque, translucent, spheres))
         largest = _largest(opaque[1], opaque[0], view_from_object, camera, self.store)
@@ -244,7 +260,113 @@ class _View:
             largest,
             total,
             tuple(dict.fromkeys(self.warnings)),
+            self.parts,
         )
+
+    def _divided(self, view_from_object: np.ndarray, usable: np.ndarray) -> dict[int, list[Shown | None]]:
+        """Meshes that are chosen for part by part, by row, with each usable instance's choice. Where points would save
+        less than the passes over all pixels cost that they need, all are polygons."""
+        found: dict[int, list[Shown | None]] = {}
+        scene, others = self.scene, False
+        for row, geometry in enumerate(scene.geometries):
+            views = view_from_object[usable & (scene.instances.geometry == row)]
+            mesh = geometry.mesh
+            if len(views) == 0 or (mesh is not None and len(mesh.triangles) == 0):
+                continue
+            if mesh is None or not self._choosable(geometry, mesh, len(views)):
+                others |= geometry.primitive != "POLYGONS" and not lets_through(geometry, scene.materials)
+                continue
+            self.check()
+            found[row] = self._shown(geometry, mesh, views)
+        choices = [s.choice for some in found.values() for s in some if s is not None]
+        pixels = self.costs.pixel * float(np.prod(self.camera.window[2:]))
+        if not others and sum(c.triangles_cost - c.cost for c in choices) < pixels:
+            found = {row: [None if s is None else s.as_polygons() for s in some] for row, some in found.items()}
+        return found
+
+    def _choosable(self, geometry: Geometry, mesh: Mesh, instances: int) -> bool:
+        if geometry.primitive != "AUTO" or geometry.spacing > 0 or instances >= MANY_INSTANCES:
+            return False
+        ok = self._valid(geometry, mesh)
+        if not ok.any() or lets_through(geometry, self.scene.materials):
+            return False
+        return instances * len(mesh.triangles) > MOST_LEAVES or not self.store.lookup(
+            ("leafy", geometry.key), lambda: leafy(mesh.position, mesh.triangles[ok])
+        )
+
+    def _valid(self, geometry: Geometry, mesh: Mesh) -> np.ndarray:
+        """(T,) bool; says what is dropped."""
+        ok, dropped = self.store.lookup(("valid", geometry.key), lambda: sampling.validate(mesh))
+        if dropped.total:
+            self.warnings.append(dropped.message(geometry.name))
+        return ok
+
+    def _division(self, geometry: Geometry, mesh: Mesh) -> Divided:
+        ok = self._valid(geometry, mesh)
+
+        def make() -> Divided:
+            parts = self.store.lookup(("parts", geometry.key), lambda: make_parts(mesh, ok))
+            measures = self.store.lookup(("measures", geometry.key), lambda: sampling.measure(mesh, ok))
+            return Divided(mesh, ok, parts, measures)
+
+        return self.store.lookup(("divided", geometry.key), make)
+
+    def _shown(self, geometry: Geometry, mesh: Mesh, views: np.ndarray) -> list[Shown | None]:
+        divided, tolerance = self._division(geometry, mesh), self.settings.tolerance
+        exact, most = self._needed(geometry, mesh, divided.ok, views), most_samples(tolerance)
+        return [show(divided, self.costs, view, self.camera, tolerance, exact, most) for view in views]
+
+    def _by_parts(
+        self, geometry: Geometry, where: np.ndarray, shown: list[Shown | None]
+    ) -> tuple[list[tuple[PointSet, np.ndarray]], np.ndarray]:
+        """The points of a mesh's instances `where`, by spacing, and those that have polygons. Which ranges and parts
+        they draw is noted where it is not all."""
+        mesh = geometry.mesh
+        assert mesh is not None
+        divided = self._division(geometry, mesh)
+        with_polygons = []
+        by_spacing: dict[float, list[int]] = {}
+        for i, one in enumerate(shown):
+            if one is None:
+                continue
+            if one.choice.polygons.any():
+                with_polygons.append(i)
+                if not one.choice.polygons.all():
+                    self.parts[int(where[i])] = np.flatnonzero(one.choice.polygons)
+            if one.choice.points.any():
+                by_spacing.setdefault(one.spacing, []).append(i)
+        found = []
+        for spacing, some in sorted(by_spacing.items()):
+            worth = divided.worth(self.costs, spacing, most_samples(self.settings.tolerance))
+            point_set, sampled = self._sampled_parts(geometry, divided, spacing, worth)
+            for i in some:
+                one = shown[i]
+                if one is not None and len(point_set) == len(sampled.samples) and not one.choice.points[worth].all():
+                    self.ranges[int(where[i])] = sampled.ranges(one.choice.points)
+            found.append((point_set, np.array(some)))
+        return found, where[np.array(with_polygons, int)]
+
+    def _sampled_parts(
+        self, geometry: Geometry, divided: Divided, spacing: float, worth: np.ndarray
+    ) -> tuple[PointSet, PartSamples]:
+        """The samples of all parts that are points in some view."""
+        mesh, ok, store, table = divided.mesh, divided.ok, self.store, self.scene.materials
+        look, first = digest(mesh, table), sampling.centre(mesh)
+        whole = bool(worth.all())
+        # Parts that lie in the mesh's own order, all of them, depend on its topology alone.
+        shape = (mesh.topology or geometry.key, geometry.name)
+        same = shape if whole and divided.parts.order is None else (geometry.key, worth.tobytes())
+        sampled, origin = store.lookup(
+            ("places by part", same, spacing), lambda: (sample_parts(divided, spacing, worth), first)
+        )
+        key = ("samples by part", geometry.key, same, look, spacing)
+
+        def make() -> PointCloud:
+            evaluated = sampling.evaluate(mesh, sampled.samples, origin, ok)
+            return finite(point_cloud(mesh, sampled.samples, evaluated, table))[0]
+
+        family = ("family by part", same, look, spacing)
+        return PointSet(key, store.lookup(key, make), family=family), sampled
 
     def _points(self, geometry: Geometry, view_from_object: np.ndarray) -> list[tuple[PointSet, np.ndarray]] | None:
         """The points of a geometry at the density that this view needs, for all or for some of its instances; None
@@ -254,9 +376,7 @@ class _View:
         mesh = geometry.mesh
         if mesh is None or len(mesh.triangles) == 0:
             return []
-        ok, dropped = self.store.lookup(("valid", geometry.key), lambda: sampling.validate(mesh))
-        if dropped.total:
-            self.warnings.append(dropped.message(geometry.name))
+        ok = self._valid(geometry, mesh)
         if not ok.any():
             return []
         if geometry.primitive == "POLYGONS":
@@ -423,6 +543,12 @@ class _View:
         tolerance, camera = self.settings.tolerance, self.camera
         sets, shared = dict(point_sets), []
         own = set_of_instance.copy()
+        for instance, (first, count) in self.ranges.items():
+            row = int(own[instance])
+            if row >= 0 and sets[row].hierarchy is None:
+                own[instance] = -1
+                at = np.full(len(first), instance, np.int32)
+                shared.append(Cut(at, first, count, points=int(count.sum())))
         for key, points in point_sets.items():
             where = np.flatnonzero(set_of_instance == key)
             if len(where) < MANY_INSTANCES:
@@ -491,6 +617,12 @@ class _View:
         small = np.count_nonzero(self._diameter(points, view_from_object) < limit * self.settings.tolerance)
         drawn = small * self.samples * (BLENDED if blended else 1)
         return bool(small > 0) if self.interactive else bool(drawn >= HIERARCHY_PAYS)
+
+
+def triangles_of(mesh: Mesh, parts: np.ndarray | None) -> int:
+    """Triangles in parts (P,) of a mesh; None: of all of it."""
+    count = len(mesh.triangles)
+    return count if parts is None else int(np.minimum(PART, count - PART * parts).sum())
 
 
 def most_samples(tolerance: float) -> int:

@@ -87,6 +87,7 @@ class Surfels:
                 record,
                 uploads.shared,
                 self.buffer,
+                uploads.part_lists.get(instance),
             )
 
     def release(self) -> None:

@@ -13,7 +13,8 @@ from ..core.appearance import digest
 from ..core.environment import build_atlas
 from ..core.lighting import light_texture
 from ..core.octree import ranges
-from ..core.scene import Camera, Scene
+from ..core.scene import Camera, Mesh, Scene
+from ..core.spacing import Parts, make_parts
 from .device import Device, Target, Texture
 from .packing import PAGE_WIDTH, paged
 from .passes import polygons as polygon_pass
@@ -80,6 +81,8 @@ class Uploads:
         self.draws: list[PageDraw] = []
         self.balls: list[PageDraw] = []
         self.meshes: dict[int, polygon_pass.PolygonMesh] = {}
+        # Of each group, by instance, where it draws only some parts.
+        self.part_lists: dict[int, list[polygon_pass.PartList | None]] = {}
         self.splats: dict[str, Texture] = {}  # translucent ones, and their draw list
         self.listed = 0  # how many
         self.reach_lights = 0  # of so many lights the share that reaches each of them may be kept
@@ -270,13 +273,26 @@ class Uploads:
             assert mesh is not None
             ok, _ = STORE.lookup(("valid", geometry.key), lambda mesh=mesh: sampling.validate(mesh))
             look = (digest(mesh, scene.materials), plan.variant, _fill_key(scene))
-            key = ("polygons", geometry.key, *look, scene.materials.cull.tobytes())
+            parts = None
+            if geometry.primitive == "AUTO":
+                parts = STORE.lookup(("parts", geometry.key), lambda mesh=mesh, ok=ok: make_parts(mesh, ok))
+            key = ("polygons", geometry.key, *look, scene.materials.cull.tobytes(), parts is not None)
             self.used.add(key)
-            meshes[row] = self.kept.keep(
-                key,
-                lambda mesh=mesh, ok=ok: polygon_pass.PolygonMesh(self.device, mesh, ok, scene.materials, plan.variant),
-            )
+
+            def make(mesh: Mesh = mesh, ok: np.ndarray = ok, parts: Parts | None = parts) -> polygon_pass.PolygonMesh:
+                return polygon_pass.PolygonMesh(self.device, mesh, ok, scene.materials, plan.variant, parts)
+
+            meshes[row] = self.kept.keep(key, make)
+        for instance, parts in self.prepared.parts.items():
+            groups = meshes[int(scene.instances.geometry[instance])].groups
+            self.part_lists[instance] = [self._part_list(group.rows(parts)) for group in groups]
         return meshes
+
+    def _part_list(self, rows: np.ndarray) -> polygon_pass.PartList | None:
+        if len(rows) == 0:
+            return None
+        size, data = paged(rows, 4)
+        return polygon_pass.PartList(self._own(self.device.texture(size, "RGBA32F", data)), len(rows))
 
     def _motion(self) -> Texture:
         """Clip space a frame before from today's view space, four rows for each instance."""

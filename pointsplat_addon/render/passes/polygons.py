@@ -8,9 +8,10 @@ import numpy as np
 
 from ...core.appearance import at_corners, baked, corner_normals, graphs_of, uv_of
 from ...core.scene import MaterialTable, Mesh
+from ...core.spacing import PART, Parts
 from ...shading.interface import Interface
 from ..device import Device, Texture
-from ..packing import pack_normal, paged
+from ..packing import PAGE_WIDTH, pack_normal, paged
 from .common import FRAME, GBuffer, Variant
 
 LARGEST_PICTURE = 4096  # texels along a side of a baked picture
@@ -26,16 +27,43 @@ class Group:
     cull: bool
     defines: tuple[str, ...]
     textures: dict[str, Texture]
+    start: np.ndarray | None = None  # (B + 1,) int64: the first corner of each part of the mesh
+
+    def rows(self, parts: np.ndarray) -> np.ndarray:
+        """(P, 4) float32 of those of the parts that have corners here: texel (x, y) of the first one, how many."""
+        assert self.start is not None
+        first, count = self.start[parts], self.start[parts + 1] - self.start[parts]
+        columns = first % PAGE_WIDTH, first // PAGE_WIDTH, count, np.zeros_like(first)
+        return np.stack(columns, axis=1)[count > 0].astype(np.float32)
+
+
+@dataclass
+class PartList:
+    """Parts of a group that one instance draws in one view."""
+
+    texture: Texture
+    count: int
 
 
 class PolygonMesh:
-    """One mesh on the device, its valid triangles sorted by material."""
+    """One mesh on the device, its valid triangles sorted by material, and within one by parts where there are any."""
 
-    def __init__(self, device: Device, mesh: Mesh, ok: np.ndarray, table: MaterialTable, variant: Variant) -> None:
+    def __init__(
+        self,
+        device: Device,
+        mesh: Mesh,
+        ok: np.ndarray,
+        table: MaterialTable,
+        variant: Variant,
+        parts: Parts | None = None,
+    ) -> None:
         self.origin = _origin(mesh, ok)
         rows = np.full(len(mesh.triangles), mesh.materials[0]) if mesh.material is None else mesh.material.astype(int)
-        order = np.argsort(rows, kind="stable")
-        order = order[ok[order]]
+        valid = np.flatnonzero(ok)
+        if parts is not None and parts.order is not None:
+            valid = valid[parts.order]
+        by_material = np.argsort(rows[valid], kind="stable")
+        order = valid[by_material]
         corners = (3 * order[:, None] + np.arange(3)).reshape(-1)
         place = np.empty((len(corners), 4), np.float32)
         place[:, :3] = mesh.position[mesh.triangles[order].reshape(-1)] - self.origin
@@ -76,8 +104,12 @@ class PolygonMesh:
                 defines, textures = self._pictures(device, picture, table, row, variant)
             elif row in flat:
                 defines = ("PS_CORNER_COLOR", *(("PS_CORNER_EMISSION",) if variant.emission else ()))
+            begins = None
+            if parts is not None:
+                part = by_material[start // 3 : end // 3] // PART
+                begins = start + 3 * np.searchsorted(part, np.arange(len(parts) + 1))
             cull = bool(table.cull[row])
-            self.groups.append(Group(row, int(start), int(end - start), cull, defines, textures))
+            self.groups.append(Group(row, int(start), int(end - start), cull, defines, textures, begins))
         if any(picture is not None for picture in pictures.values()):
             upload("ps_corner_uv", "RG32F", 2, uv)
 
@@ -120,8 +152,8 @@ def _origin(mesh: Mesh, ok: np.ndarray) -> np.ndarray:
     return ((used.min(axis=0) + used.max(axis=0)) / 2).astype(np.float64) if len(used) else np.zeros(3)
 
 
-def program(variant: Variant, group: Group) -> Interface:
-    """The program that draws a group."""
+def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
+    """The program that draws a group, or some of its parts."""
     names = group.defines
     samplers = [("FLOAT_2D", "ps_corner"), ("FLOAT_2D", "ps_materials")]
     varyings = [("smooth", "vec3", "v_position"), ("smooth", "vec3", "v_normal")]
@@ -135,7 +167,9 @@ def program(variant: Variant, group: Group) -> Interface:
         samplers.append(("FLOAT_2D", "ps_corner_emission"))
         varyings.append(("smooth", "vec3", "v_emission"))
     samplers += [("FLOAT_2D", name) for name in group.textures]
-    cull = ("PS_CULL",) if group.cull else ()
+    if parted:
+        samplers.append(("FLOAT_2D", "ps_parts"))
+    more = ((("PS_CULL", "1"),) if group.cull else ()) + ((("PS_PARTS", str(3 * PART)),) if parted else ())
     return Interface(
         "polygons",
         vertex="polygon.vert",
@@ -144,7 +178,7 @@ def program(variant: Variant, group: Group) -> Interface:
         samplers=tuple(samplers),
         varyings=tuple(varyings),
         outputs=variant.front_outputs,
-        defines=(*variant.front_defines, *((name, "1") for name in (*names, *cull))),
+        defines=(*variant.front_defines, *((name, "1") for name in names), *more),
         depth=True,
     )
 
@@ -159,20 +193,27 @@ def draw(
     record: np.ndarray,
     shared: dict[str, Texture],
     out: GBuffer,
+    parts: list[PartList | None] | None = None,
 ) -> None:
-    """One instance of a mesh into the G-buffer."""
+    """One instance of a mesh into the G-buffer; `parts`: only some of each group, where it is not None."""
     matrix = view_from_object.copy()
     matrix[:3, 3] += matrix[:3, :3] @ mesh.origin
     record["view_from_object"][0] = matrix.T.reshape(-1)
     record["lens"][0, 3] = -1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0
     record["size"][0, 3] = instance
-    for group in mesh.groups:
+    for i, group in enumerate(mesh.groups):
+        some = None if parts is None else parts[i]
+        if parts is not None and some is None:
+            continue
+        textures = {**shared, **mesh.textures, **group.textures}
         record["page"][0, :3] = group.first, group.material, int(holdout)
+        if some is not None:
+            textures["ps_parts"] = some.texture
         device.draw(
-            program(variant, group),
+            program(variant, group, some is not None),
             out.target,
             uniforms=record,
-            textures={**shared, **mesh.textures, **group.textures},
-            vertices=group.count,
+            textures=textures,
+            vertices=group.count if some is None else 3 * PART * some.count,
             depth_test=True,
         )

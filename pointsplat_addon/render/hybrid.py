@@ -1,0 +1,154 @@
+"""Meshes that are points in some parts and triangles in others, as one view has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..core import sampling
+from ..core.cost import Choice, Costs, choose, runs
+from ..core.scene import Camera, Mesh
+from ..core.spacing import Parts, part_spacings
+
+
+@dataclass(frozen=True, eq=False)
+class Divided:
+    """A mesh's parts, and what the choice between points and triangles asks of each."""
+
+    mesh: Mesh
+    ok: np.ndarray  # (T,) bool: valid triangles
+    parts: Parts
+    measures: sampling.Measures
+    _samples: dict[float, np.ndarray] = field(default_factory=dict)
+
+    @cached_property
+    def number(self) -> np.ndarray:
+        """(M,) the part of each valid triangle."""
+        return self.parts.number()
+
+    @cached_property
+    def area(self) -> np.ndarray:
+        """(B,) object units squared."""
+        return np.bincount(self.number, 0.5 * self.measures.base * self.measures.height, len(self.parts))
+
+    @property
+    def coarsest(self) -> float:
+        """The octave of spacing beyond which no triangle has fewer samples."""
+        return sampling.quantise_spacing(2 * self.measures.longest)
+
+    @property
+    def nbytes(self) -> int:
+        return self.parts.nbytes + self.measures.nbytes + self.ok.nbytes + 4 * len(self.parts.triangles)
+
+    def samples(self, spacing: float) -> np.ndarray:
+        """(B,) float64: about how many samples each part has."""
+        if spacing not in self._samples:
+            m = self.measures
+            if sampling.choose(self.mesh, spacing, self.ok, m) == "VERTICES":
+                found = self.parts.counts * (m.vertices / len(m.triangle))
+            else:
+                found = sampling.estimate_by_part(m, spacing, self.number, len(self.parts))
+            self._samples[spacing] = found
+        return self._samples[spacing]
+
+    def worth(self, costs: Costs, spacing: float, most: int) -> np.ndarray:
+        """(B,) bool: parts of which some view draws points at this spacing; none where these would be more than
+        `most` samples."""
+        samples, covered = self.samples(spacing), 0.5 * self.area / spacing**2
+        found = samples * costs.point < self.parts.counts * costs.triangle + covered * costs.fragment
+        return found if samples[found].sum() <= most else np.zeros_like(found)
+
+
+@dataclass(frozen=True, eq=False)
+class PartSamples:
+    """Samples of some parts of a mesh, part by part."""
+
+    samples: sampling.Samples
+    start: np.ndarray  # (B + 1,) int64: where each part's samples begin
+    # Vertices on a border are samples of one part, and close its neighbours too: (E,) sample, its part, the neighbour.
+    border: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    @property
+    def nbytes(self) -> int:
+        return self.samples.nbytes + self.start.nbytes + sum(a.nbytes for a in self.border or ())
+
+    def ranges(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First and count, (R,) int64, of the samples that close the parts `points` (B,) bool."""
+        shown = np.repeat(points, np.diff(self.start))
+        if self.border is not None and not points.all():
+            sample, owner, neighbour = self.border
+            shown[sample[points[neighbour] & ~points[owner]]] = True
+        return runs(shown)
+
+
+def sample_parts(divided: Divided, spacing: float, which: np.ndarray) -> PartSamples:
+    """The samples of the parts `which` (B,) bool."""
+    mesh, ok, number = divided.mesh, divided.ok, divided.number
+    mine = which[number]
+    m = divided.measures if mine.all() else sampling.some(divided.measures, mine)
+    inside = ok.copy()
+    inside[ok] = mine
+    method = sampling.choose(mesh, spacing, inside, m)
+    samples = sampling.sample(mesh, spacing, method, inside, m)
+    of_triangle = np.full(len(mesh.triangles), -1, np.int32)
+    of_triangle[ok] = number
+    part = of_triangle[samples.triangle]
+    if (np.diff(part) < 0).any():
+        order = np.argsort(part, kind="stable")
+        samples, part = sampling.taken(samples, order), part[order]
+    start = np.searchsorted(part, np.arange(len(divided.parts) + 1))
+    border = _border(mesh, samples, part, of_triangle, inside) if method == "VERTICES" else None
+    return PartSamples(samples, start, border)
+
+
+def _border(
+    mesh: Mesh, samples: sampling.Samples, part: np.ndarray, of_triangle: np.ndarray, inside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """See PartSamples.border: of vertex samples with their parts (N,), the parts of all triangles (T,)."""
+    at = np.full(len(mesh.position), -1, np.int64)
+    at[sampling.vertices_of(mesh, samples)] = np.arange(len(samples))
+    rows = np.flatnonzero(inside)
+    sample = at[mesh.triangles[rows]]
+    neighbour = np.broadcast_to(of_triangle[rows, None], sample.shape)
+    other = part[sample] != neighbour
+    count = int(of_triangle.max(initial=0)) + 1
+    pairs = np.unique(sample[other] * count + neighbour[other])
+    sample, neighbour = pairs // count, pairs % count
+    return sample, part[sample], neighbour
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One instance in one view: what its parts are drawn as."""
+
+    spacing: float  # of its points
+    choice: Choice
+
+    def as_polygons(self) -> Shown:
+        """The same with polygons for all that is in view."""
+        c = self.choice
+        every = replace(c, points=np.zeros_like(c.points), polygons=c.points | c.polygons, cost=c.triangles_cost)
+        return replace(self, choice=every)
+
+
+def show(
+    divided: Divided, costs: Costs, view_from_object: np.ndarray, camera: Camera, tolerance: float, exact: float,
+    most: int,
+) -> Shown | None:  # fmt: skip
+    """The cheapest way to draw an instance (4, 4); None: nothing of it is in view.
+
+    `exact`: no part needs a finer spacing. `most`: samples that the mesh may have.
+    """
+    needed = part_spacings(divided.parts, view_from_object, camera, tolerance)
+    visible = np.isfinite(needed)
+    if not visible.any():
+        return None
+    needed = np.maximum(needed, exact)
+    octaves = np.ldexp(0.5, np.frexp(needed[visible])[1])  # as quantise_spacing has it
+    spacing = np.unique(np.minimum(octaves, divided.coarsest))
+    worth = np.array([divided.worth(costs, s, most) for s in spacing.tolist()])
+    samples = np.array([divided.samples(s) for s in spacing.tolist()])
+    choice = choose(costs, needed, spacing, np.where(worth, samples, np.inf), divided.parts.counts, divided.area)
+    return Shown(float(spacing[choice.octave]), choice)

@@ -1,0 +1,137 @@
+"""Meshes that are points in some parts and triangles in others look like triangles alone, and cost less."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.cost import Costs
+from pointsplat_addon.core.scene import Camera, Mesh, Scene, Settings, World
+from pointsplat_addon.core.spacing import PART
+from pointsplat_addon.render.calibrate import calibrate
+from pointsplat_addon.render.frame import Request
+from pointsplat_addon.render.prepare import Store, prepare
+from scripts.compare import eroded
+from scripts.transitions import levels
+from tests.render import scenes
+from tests.render.test_transitions import bumpy
+
+SETTINGS = Settings(use_shadows=False, use_adaptive_sampling=False)
+COSTS = Costs(pixel=1e-3)  # points need not pay for their passes: the pictures are small
+SIZE = 128
+
+
+def plane() -> tuple[Mesh, Camera]:
+    """A field of triangles that reaches from the camera's feet to a horizon."""
+    camera = scenes.camera((0, -1.2, -19.5), resolution=(SIZE, SIZE), field_of_view=50, near=0.05)
+    view = scenes.look_at((0, -1.2, -19.5), (0, 0, -10), (0, -1, 0))
+    return scenes.plane_mesh("split plane", 20.0, 450), replace(camera, view_from_world=view)
+
+
+def ball() -> tuple[Mesh, Camera]:
+    """Bumps right before the camera, and farther ones."""
+    eye = (0.7, -1.5, 0.5)
+    return bumpy("split ball", 400), scenes.camera(eye, (0, 0, 0.2), (SIZE, SIZE), 60, near=0.01)
+
+
+def two_materials() -> tuple[Mesh, Camera]:
+    mesh, camera = plane()
+    material = (np.arange(len(mesh.triangles)) // 37 % 2).astype(np.uint16)
+    return replace(mesh, key="striped plane", material=material, materials=(0, 1)), camera
+
+
+def shuffled() -> tuple[Mesh, Camera]:
+    """Triangles in no order: parts are made of those that lie together."""
+    mesh, camera = plane()
+    order = np.random.default_rng(0).permutation(len(mesh.triangles))
+    normal = mesh.corner_normal
+    assert normal is not None
+    return replace(mesh, key="shuffled plane", triangles=mesh.triangles[order], corner_normal=normal[order],
+                   uv={}, active_uv=None), camera  # fmt: skip
+
+
+SHAPES = {f.__name__: cache(f) for f in (plane, ball, two_materials, shuffled)}
+
+
+def scene(name: str, primitive: str = "AUTO") -> Scene:
+    mesh, camera = SHAPES[name]()
+    light = scenes.sun(2.5, camera.view_from_world[:3, :3].T @ (0.45, -0.5, -1.0))
+    table = scenes.materials(2, base_color=[[0.55, 0.42, 0.30], [0.2, 0.4, 0.5]])
+    return scenes.scene(
+        (scenes.mesh(mesh, primitive), scenes.moved()), lights=[light], world=World(np.full(3, 0.35)), table=table
+    )
+
+
+def prepared(name: str):
+    return prepare(scene(name), SHAPES[name]()[1], SETTINGS, 1, Store(), costs=COSTS)
+
+
+@cache
+def picture(name: str, primitive: str, samples: int) -> np.ndarray:
+    renderer = scenes.opengl()
+    before, renderer.costs = renderer.costs, COSTS
+    try:
+        request = Request(SHAPES[name]()[1], SETTINGS, frozenset({"combined", "depth"}), samples)
+        pixels = renderer.render(scene(name, primitive), request).pixels
+    finally:
+        renderer.costs = before
+    return np.concatenate([levels(pixels["combined"]), pixels["depth"]], axis=2)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_mesh_that_reaches_from_near_to_far_is_split(name):
+    found = prepared(name)
+    parts = -(-len(SHAPES[name]()[0].triangles) // PART)
+    assert found.polygons.tolist() == [0]
+    assert 0.02 * parts < len(found.parts[0]) < 0.98 * parts
+    assert 1000 < found.cut.splats < found.total
+
+
+@pytest.mark.parametrize("samples", [1, 16])
+@pytest.mark.parametrize("name", SHAPES)
+def test_where_points_and_triangles_meet_no_seam_is_seen(name, samples):
+    mixed, truth = picture(name, "AUTO", samples), picture(name, "POLYGONS", samples)
+    inside = eroded(truth[..., 3] < 1e9)
+    difference = np.abs(mixed - truth)[..., :3].max(axis=2)[inside]
+    # Where a splat's depth is rounded otherwise than a triangle's, it is one.
+    apart = np.abs(mixed[..., 3] / truth[..., 3] - 1)[inside]
+    points, polygons = apart > 1e-6, apart <= 1e-6
+    assert np.count_nonzero(points) > 200
+    assert np.count_nonzero(polygons) > 1000
+    assert np.percentile(difference[polygons], 99) < 1  # of 255
+    if name != "two_materials":  # whose stripes are thinner than a pixel where they are points
+        assert difference.max() < 4  # measured 3.2, on the ball's limb
+
+
+def test_nothing_is_drawn_of_parts_that_are_out_of_view():
+    found = prepared("plane")
+    # Much of the plane lies beside the picture.
+    assert len(found.parts[0]) * PART + found.cut.splats < 0.75 * len(SHAPES["plane"]()[0].triangles)
+
+
+def test_the_same_figures_give_the_same_picture():
+    first = picture("ball", "AUTO", 1)
+    picture.cache_clear()
+    assert np.array_equal(first, picture("ball", "AUTO", 1))
+
+
+def test_few_triangles_are_not_worth_the_passes_over_all_pixels():
+    case = scenes.Case(scene("ball"), replace(SHAPES["ball"]()[1], region=None), SETTINGS)
+    found = prepare(case.scene, case.camera, SETTINGS, 1, Store(), costs=replace(COSTS, pixel=1e6))
+    assert found.cut.splats == 0
+    assert found.polygons.tolist() == [0]
+
+
+def test_points_beside_a_cloud_need_no_passes_of_their_own():
+    mesh, camera = SHAPES["ball"]()
+    beside = scenes.points("beside", scenes.sphere_cloud(100))
+    both = scenes.scene((scenes.mesh(mesh), scenes.moved()), (beside, scenes.moved((3, 0, 0))))
+    found = prepare(both, camera, SETTINGS, 1, Store(), costs=replace(COSTS, pixel=1e6))
+    assert found.cut.splats > 1000
+
+
+def test_a_device_can_be_calibrated():
+    costs = calibrate(scenes.opengl())
+    assert costs.valid()
+    assert costs.triangle > 1  # nanoseconds: no device that runs this test draws a billion a second
