@@ -8,8 +8,9 @@ distance: a cell then holds the mean optical depth over its directions. Levels o
 splat touch four cells at most; a look-up sums the levels and interpolates between four cells of each.
 
 Three kinds of matter are kept apart. VOLUME and SHELL sum optical depth, T = exp(-sum tau) (Beer's law). OPAQUE sums
-the fraction of the cell that is covered (a ray that hits has optical depth 100, others none), T = max(0, 1 - sum f):
-the samples of one surface tile it, and shadows have smooth edges. SHELL and OPAQUE entries lie where the splat's
+the fraction f of the cell that is covered while entries follow one another closely: the samples of one surface tile it,
+and shadows have smooth edges. Surfaces that lie apart hide each other by chance, T = product of max(0, 1 - sum f), as
+leaves do; the table keeps -ln T. SHELL and OPAQUE entries lie where the splat's
 *plane* meets the middle of the cell, and a look-up with a normal compares them with its own plane there, so that
 a surface does not shade itself, however it is inclined.
 """
@@ -24,7 +25,18 @@ import numpy as np
 from .kernel import SUPPORT
 from .scene import Light
 from .shadow_casters import CHUNK, KINDS, OPAQUE_DEPTH, Casters, casters, typical
-from .shadow_cells import Frame, Grid, cell_grids, directions, fit_frame, lit_part, plane_distance, slopes
+from .shadow_cells import (
+    FINER,
+    FINEST,
+    Frame,
+    Grid,
+    cell_grids,
+    directions,
+    fit_frame,
+    lit_part,
+    plane_distance,
+    slopes,
+)
 from .shadow_table import TEXEL, WORD, Emitter, Level, ShadowTable, emitter_of, isosurface
 from .vectors import cross
 
@@ -32,10 +44,15 @@ __all__ = ["Casters", "ShadowTable", "build", "casters", "isosurface"]
 
 WIDEST = 10.0  # radians: standard deviation of a splat that surrounds the lamp
 SPAN = 2.0  # ratio of distances that share a level
+WIDER = 1.001  # cells of surfaces: rounding moves no sample into wider ones
 WHOLE = 4.0  # ratio of all distances of a batch up to which they share one
 WHOLE_SURFACE = 64.0  # and of samples of a surface, which would let light through where levels meet
 RIM = {"VOLUME": np.sqrt(SUPPORT) / 2, "SHELL": 1.0, "OPAQUE": 1.0}  # half extent in a cell, in half-axes: see _split
 SMOKE = 1.005 * 2 * RIM["VOLUME"]  # cells of smoke per radius of its splats: just wide enough for them
+FITTED = 1.25  # typical radii: a surface's cells are as wide as its widest sample, up to this one
+MOST_ROWS = 8192  # of cells that are finer than the frame's
+SLAB, CLOSE, APART = 1.0, 0.05, 2.0  # cells: distances that tell surfaces from each other, see _hidden
+HIDDEN = 40.0  # optical depth of a cell that a surface covers: 1 - exp(-40) is 1
 LEAST_SHARE = 1 / 256  # of a row or column: below it, the nearer one takes all
 GROUPS = 18  # bits: cells are counted by groups, at most so many
 DEALT = 1 << 17  # entries that are dealt out to runs together, and
@@ -84,16 +101,35 @@ class _Rows:
 
 
 def _coarser(frame: Frame, kind: str, batches: Sequence[Casters]) -> float:
-    """By how much the finest cells of a kind are wider than the frame's, from 1 to 2.
+    """By how much the finest cells of a kind are wider than the frame's, up to 2.
 
-    A level of smoke's cells is then SMOKE radii of most of its splats wide: wider cells would blur it more.
+    A level of smoke's cells is then SMOKE radii of most of its splats wide, and one of surfaces as wide as nearly all
+    samples: wider cells would blur them more. Where samples of a surface are smaller than the frame's cells, as leaves
+    are, finer cells cost nothing but their masks. Shells would show their samples.
     """
     found = [batch for batch in batches if batch.kind == kind]
-    if kind != "VOLUME" or not found:
+    if kind == "SHELL" or not found:
         return 1.0
-    batch = max(found, key=len)
-    ratio = SMOKE * float(np.median(batch.reach())) / _spans(frame, batch).farthest / frame.step
-    return ratio / 2 ** np.floor(np.log2(ratio)) if ratio > 1 else 1.0
+    widths = []
+    for batch in found:
+        spans, reach = _spans(frame, batch), batch.reach()
+        width = (
+            SMOKE * float(np.median(reach))
+            if kind == "VOLUME"
+            else WIDER * 2 * RIM[kind] * min(float(reach.max()), FITTED * spans.least)
+        )
+        widths.append(max(width / spans.farthest / frame.step, 1e-30))
+    octaves = np.log2(widths)
+    most = octaves[max(range(len(found)), key=lambda k: len(found[k]))]
+    finer = np.clip(np.floor(octaves.min()), -_finer(frame), 0) if kind == "OPAQUE" else 0.0
+    part = most % 1 if kind == "OPAQUE" or most > 0 else 0.0
+    return float(2 ** (part + finer))
+
+
+def _finer(frame: Frame) -> int:
+    """Octaves by which cells may be finer than the frame's."""
+    room = np.log2(MOST_ROWS / frame.rows)
+    return int(np.clip(room if frame.parallel else min(room, np.log2(frame.step / FINEST)), 0, FINER))
 
 
 @dataclass(frozen=True)
@@ -298,8 +334,7 @@ def _levels(rows: _Rows, blocks: Sequence[_Block], wide: bool) -> Iterator[Level
 
     Arrays of all entries are made for the levels alone: large ones take the system longer than small ones.
     """
-    opaque = 0 if wide else int(rows.cell_base[rows.levels])
-    runs = [_summed(key, part, opaque) for key, part in _sorted_runs(blocks)]
+    runs = [_summed(rows, key, part, wide) for key, part in _sorted_runs(blocks)]
     if not runs:
         return
     occupied, counts = _joined([run[:2] for run in runs])
@@ -364,18 +399,21 @@ def _sorted_runs(blocks: Sequence[_Block]) -> Iterator[tuple[np.ndarray, np.ndar
         yield key[index], depth[index]
 
 
-def _summed(key: np.ndarray, depth: np.ndarray, opaque: int) -> tuple[np.ndarray, ...]:
+def _summed(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> tuple[np.ndarray, ...]:
     """Of sorted entries: occupied cells (O,) int32 and how many entries each holds (O,), distances (E,) float32 and
-    sums over each cell up to there (E, C) float32.
-
-    Cells below `opaque` hold covered fractions, of which nothing counts behind 1.
-    """
+    optical depths of each cell up to there (E, C) float32. Opaque entries come as covered fractions."""
     depth = depth.astype(np.float64)
     cell = (key >> np.uint64(32)).astype(np.int32)
-    total = _sums_within(cell, depth)
+    opaque = int(np.searchsorted(cell, rows.cell_base[rows.levels]))
+    total = _sums_within(cell[opaque:], depth[opaque:])
+    if opaque:
+        total = np.concatenate([_hidden(rows, key[:opaque], cell[:opaque], depth[:opaque]), total])
     # What lies behind no light at all is not needed, but where light comes from the side.
-    before = total - depth if depth.ndim == 1 else (total - depth).min(axis=1)
-    lit = before < np.where(cell < opaque, 1, OPAQUE_DEPTH)
+    least = total if total.ndim == 1 else total.min(axis=1)
+    lit = np.append(True, (least[:-1] < OPAQUE_DEPTH) | (cell[1:] != cell[:-1]))
+    lit[:opaque] = True
+    if not wide:
+        lit[1:opaque] = (least[: opaque - 1] < HIDDEN) | (cell[1:opaque] != cell[: opaque - 1]) if opaque else True
     # Of one distance, the last holds the sum.
     key, total = key[lit], total[lit]
     last = np.append(key[1:] != key[:-1], True)
@@ -384,6 +422,25 @@ def _summed(key: np.ndarray, depth: np.ndarray, opaque: int) -> tuple[np.ndarray
     cell = (key >> np.uint64(32)).astype(np.int32)
     starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
     return cell[starts], np.diff(np.append(starts, len(cell))), distance, total.reshape(len(key), -1)
+
+
+def _hidden(rows: _Rows, key: np.ndarray, cell: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """(E, ...) -ln of what surfaces leave of their cells' light, up to and with each entry that covers a `share`.
+
+    A surface ends at a gap, a wide one, or a narrow one where the next slab of distances begins: leaves fill all
+    distances, while samples of one surface have nearly the same in a cell, as the distance is their plane's.
+    """
+    at = (key & np.uint64(0xFFFFFFFF)).astype(np.uint32).view(np.float32)
+    width = rows.step[np.searchsorted(rows.cell_base[: rows.levels], cell, side="right") - 1]
+    width = np.maximum(width if rows.frame.parallel else width * at, np.float32(1e-30))
+    slab, gap = np.floor(at / (SLAB * width)), np.diff(at)
+    apart = (gap > APART * width[1:]) | (gap > CLOSE * width[1:]) & (slab[1:] != slab[:-1])
+    begins = np.append(True, (cell[1:] != cell[:-1]) | apart)
+    surface = np.cumsum(begins) - 1
+    own = -np.log(np.maximum(1 - _sums_within(surface, share), np.exp(-HIDDEN)))
+    last = np.flatnonzero(np.append(begins[1:], True))
+    before = _sums_within(cell[last], own[last]) - own[last]
+    return own + before[surface]
 
 
 def _sums_within(group: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from .shadow_casters import CHUNK, Casters
 STEEPEST = 0.1  # cosine: surfaces closer to edge-on are treated as this one
 NARROW = 0.8  # radians: casters within this angle about one direction get a grid about it, without poles
 FINEST = 1e-6  # radians: a cell that float32 still resolves
+FINER = 2  # octaves by which the finest cells may be narrower than the frame's
 COARSEST = 0.5  # radians: the widest cell of a grid without poles
 
 
@@ -75,9 +76,10 @@ class Grid:
 
 
 def cell_grids(frame: Frame, coarser: float) -> list[Grid]:
-    """Finest first, of `coarser` times the frame's step, each of twice the step of the one before."""
+    """Finest first, of `coarser` times the frame's step, each of twice the step of the one before; as many for all
+    `coarser` from 2^-FINER to 2."""
     grids = []
-    for level in range(frame.rows.bit_length()):
+    for level in range(frame.rows.bit_length() + FINER):
         if frame.full:
             rows = max(1, int(frame.rows / coarser) >> level)
             step, low, count = np.pi / rows, -np.pi / 2, rows + 1
@@ -86,7 +88,7 @@ def cell_grids(frame: Frame, coarser: float) -> list[Grid]:
             density, column0 = columns / (2 * np.pi), np.zeros(count, np.int64)
         else:
             step = frame.step * coarser * 2**level
-            if level and not frame.parallel and frame.step * 2**level > COARSEST:
+            if level and not frame.parallel and frame.step * 2.0 ** (level - FINER) > COARSEST:
                 break
             low = frame.low[0] - step
             latitude = low + step * np.arange(int(np.ceil((frame.high[0] - frame.low[0]) / step)) + 3)
@@ -105,20 +107,34 @@ def fit_frame(light: Light, batches: Sequence[Casters], resolution: int) -> Fram
     low, high = np.min([b.box[0] for b in batches], axis=0), np.max([b.box[1] for b in batches], axis=0)
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3)
     if light.kind == "SUN":
-        rotation = _rotation(light.direction)[[1, 2, 0]]
-        local = (corners - corners.mean(axis=0)) @ rotation.T
-        side = np.ptp(local[:, :2], axis=0)
+        turn = rotation(light.direction)[[1, 2, 0]]
+        local = (corners - corners.mean(axis=0)) @ turn.T
+        ends = _across(batches, corners.mean(axis=0), turn[:2])
+        side = ends[1] - ends[0]
         # The distance of what lies flat across the light is resolved too.
         least = max(side.max() * 1e-6, np.abs(corners).max() * 1e-12, 1e-30)
         half = np.maximum(side / 2, least)
-        origin = corners.mean(axis=0) + rotation[2] * local[:, 2].min()
-        return Frame(True, rotation, origin, False, -half[::-1], half[::-1], rows)
+        origin = corners.mean(axis=0) + np.append(ends.mean(axis=0), local[:, 2].min()) @ turn
+        return Frame(True, turn, origin, False, -half[::-1], half[::-1], rows)
     direction, angle = _cone(light, corners.mean(axis=0), batches)
     if angle > NARROW:
         # The poles lie across the lamp's own direction: a spot or area light has nothing there but at its rim.
-        return Frame(False, _rotation(light.direction), light.position, True, np.zeros(2), np.zeros(2), rows)
+        return Frame(False, rotation(light.direction), light.position, True, np.zeros(2), np.zeros(2), rows)
     angle = max(angle, FINEST * rows / 2)
-    return Frame(False, _rotation(direction), light.position, False, np.full(2, -angle), np.full(2, angle), rows)
+    return Frame(False, rotation(direction), light.position, False, np.full(2, -angle), np.full(2, angle), rows)
+
+
+def _across(batches: Sequence[Casters], middle: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """(2, K) float64: how far the splats reach along unit vectors (K, 3), down and up from `middle`."""
+    ends = np.array([np.full(len(axes), np.inf), np.full(len(axes), -np.inf)])
+    for batch in batches:
+        offset = axes @ (batch.origin - middle)
+        for start in range(0, len(batch), CHUNK):
+            along = axes.astype(np.float32) @ batch.position[start : start + CHUNK].T
+            reach = float(batch.take(slice(start, start + CHUNK)).reach().max())
+            ends[0] = np.minimum(ends[0], along.min(axis=1) + offset - reach)
+            ends[1] = np.maximum(ends[1], along.max(axis=1) + offset + reach)
+    return ends
 
 
 def _cone(light: Light, middle: np.ndarray, batches: Sequence[Casters]) -> tuple[np.ndarray, float]:
@@ -144,7 +160,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
 
 
-def _rotation(direction: np.ndarray) -> np.ndarray:
+def rotation(direction: np.ndarray) -> np.ndarray:
     """(3, 3) float64 rotation whose first row is `direction`."""
     first = _unit(np.asarray(direction, float))
     if not first.any():

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from . import sampling
+from .apart import LOOSE, leafy
 from .appearance import passing, point_cloud
 from .cloud import PointCloud, finite
 from .scene import MaterialTable, Mesh
@@ -14,7 +15,7 @@ from .shadow_casters import typical
 from .vectors import blocks, cross, dot
 
 MANY = 1 << 17  # triangles: of fewer, samples cost little
-DENSE = 1.22  # spacings: longest edge of triangles whose vertices' disks, edge / sqrt(3), are at most spacing / sqrt(2)
+DENSE = 3.0  # spacings: longest edge of triangles whose vertices serve, though finer samples would be somewhat sharper
 PLACES = 4096  # that stand for a mesh
 # Additive recurrence in two dimensions (Roberts 2018).
 PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
@@ -70,12 +71,36 @@ def places(mesh: Mesh, outline: Outline) -> np.ndarray:
     return corners[:, 0] + np.einsum("nk,nkc->nc", weights, corners[:, 1:] - corners[:, :1])
 
 
+def leaves(mesh: Mesh, outline: Outline) -> bool:
+    """Whether a mesh is of leaves or blades: of triangles with open edges."""
+    count = np.count_nonzero(outline.valid)
+    return bool(len(mesh.position) >= LOOSE * count) and leafy(mesh.position, mesh.triangles[outline.valid])
+
+
+def _fitted(cloud: PointCloud, samples: sampling.Samples, area: np.ndarray) -> PointCloud:
+    """The disks of each triangle with its `area` (T,) in all.
+
+    They would else reach over the edges of leaves, which close no surface, and hide more than the leaves do.
+    """
+    radii = cloud.radii
+    if radii is None or samples.ellipse is None or cloud.opacity is not None:
+        return cloud
+    own = np.pi * radii[:, 0].astype(np.float64) * radii[:, min(1, radii.shape[1] - 1)]
+    share = np.minimum(area / np.maximum(np.bincount(samples.triangle, own, len(area)), 1e-300), 1)
+    return replace(cloud, radii=radii * np.sqrt(share[samples.triangle])[:, None].astype(np.float32))
+
+
 def sampled(mesh: Mesh, outline: Outline, spacing: float, table: MaterialTable) -> list[PointCloud]:
     """The splats of a mesh for tables that tell `spacing` (object units) apart.
 
     Where triangles are many and small, their vertices are taken: half as many splats, no wider than samples may be.
     """
     valid = outline.valid
+    if leaves(mesh, outline):
+        # As fine as most of them: they are seen one by one where tables tell them apart, for half as many samples more.
+        finest = max(float(np.median(outline.longest[valid])), np.sqrt(2 * outline.size / np.count_nonzero(valid)))
+        spacing = sampling.limit_spacing(mesh, min(spacing, finest), ok=valid)
+        return [_splats(mesh, "AREA", valid, spacing, table, outline.area)]
     dense = valid & (outline.longest <= DENSE * spacing)
     # A vertex of a translucent mesh stands for all the triangles around it.
     if np.count_nonzero(dense) < MANY or (passing(mesh, table) is not None and not dense[valid].all()):
@@ -93,8 +118,11 @@ def sampled(mesh: Mesh, outline: Outline, spacing: float, table: MaterialTable) 
     return [_splats(mesh, "AREA", valid, sampling.limit_spacing(mesh, spacing, ok=valid), table)]
 
 
-def _splats(mesh: Mesh, method: str, rows: np.ndarray, spacing: float, table: MaterialTable) -> PointCloud:
-    """Those of some triangles (T,) bool."""
+def _splats(
+    mesh: Mesh, method: str, rows: np.ndarray, spacing: float, table: MaterialTable, area: np.ndarray | None = None
+) -> PointCloud:
+    """Those of some triangles (T,) bool. `area`: of all triangles (T,), which are leaves."""
     samples = sampling.sample(mesh, spacing, method, rows)
     evaluated = sampling.evaluate(mesh, samples, sampling.centre(mesh), rows)
-    return finite(point_cloud(mesh, samples, evaluated, table))[0]
+    cloud = point_cloud(mesh, samples, evaluated, table)
+    return finite(cloud if area is None else _fitted(cloud, samples, area))[0]

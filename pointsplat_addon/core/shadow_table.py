@@ -41,7 +41,7 @@ class Level:
     mask: np.ndarray  # (W, 3) int32: WORD cells each, lowest bit first
     links: np.ndarray  # (O + 1,) int32
     distance: np.ndarray  # (E,) float32, ascending within a cell
-    total: np.ndarray  # (E, 1 or 3) float32: optical depth (OPAQUE: covered fraction) up to and with the entry
+    total: np.ndarray  # (E, 1 or 3) float32: optical depth up to and with the entry
 
     @property
     def nbytes(self) -> int:
@@ -255,7 +255,7 @@ class ShadowTable:
         Segments of the ray are looked up in the cells of their middles. They are given by the square roots of parts of
         the spread, so that shadows sharpen towards what casts them.
         """
-        covered, depth = np.zeros((len(receiver), 1)), np.zeros((len(receiver), 3 if self.colored else 1))
+        left, depth = np.ones((len(receiver), 1)), np.zeros((len(receiver), 3 if self.colored else 1))
         offset = receiver.offset(self.emitter, lamp)
         for start, end in segments:
             far = receiver.along(max(start, 0.0) ** 2 * spread)
@@ -264,6 +264,8 @@ class ShadowTable:
                 near = behind = np.full(len(receiver), -np.inf)
             middle = max((start + end) / 2, 0.0) ** 2 if jitter is not None else 0.0
             latitude, longitude = receiver.tap(offset, middle * spread)
+            # Samples of one surface may lie in several levels, but not side by side along the ray.
+            covered = np.zeros_like(left)
             for level in self.levels:
                 until = behind if level.kind == "OPAQUE" else near
                 found = _look_up(level, receiver, latitude, longitude, until, far, jitter)
@@ -271,7 +273,8 @@ class ShadowTable:
                     covered += found[:, :1]
                 else:
                     depth += found
-        return np.maximum(1 - covered, 0) * np.exp(-depth)
+            left *= np.maximum(1 - covered, 0)
+        return left * np.exp(-depth)
 
 
 def isosurface(table: ShadowTable, depth: float) -> np.ndarray:
@@ -402,7 +405,7 @@ def _look_up(
         if jitter is not None:
             until = near - OVERLAP_CELLS * width if level.kind == "OPAQUE" else near
             found -= _up_to(level, first, end, np.minimum(until, limit), width / 2)
-        result += share[:, None] * (np.minimum(found, 1) if level.kind == "OPAQUE" else found)
+        result += share[:, None] * (-np.expm1(-found) if level.kind == "OPAQUE" else found)
     return result
 
 

@@ -17,13 +17,15 @@ from ..core.cloud import PointCloud, finite
 from ..core.cut import largest_singular_value
 from ..core.lighting import in_rows
 from ..core.scene import Geometry, Light, Mesh, Scene, Settings
+from ..core.shadow_cells import NARROW, rotation
 from ..core.shadow_samples import Outline, outline, places, sampled
 from .prepare import Store, given
 from .shadow_pages import PackedTables, pack
 
-MOST_SAMPLES = 1 << 20  # of all meshes together; where more would be needed, all are sampled more coarsely
+MOST_SAMPLES = 1 << 20  # of all meshes together; where more would be needed, the largest are sampled more coarsely
+WITHIN = 1.2  # cells: the spacing of samples whose disks fit into cells once it is rounded to an octave
 NEAREST = 0.05  # of the scene's radius: lamps that are nearer to a surface do not ask for finer samples
-FEW_INSTANCES = 64  # of one mesh: so many are asked where they are nearest to a lamp
+FEW_INSTANCES = 64  # of one mesh, and meshes: so many are asked where they are nearest to a lamp
 LARGEST_PICTURE = 16384  # rows of a texture
 FARTHEST = 1e18  # units from the origin: squares of distances are to fit float32
 ENDS = (np.min, np.inf), (np.max, -np.inf)
@@ -168,45 +170,81 @@ def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
 def _spacings(casters: list[_Caster], lights: tuple[Light, ...], resolution: int, store: Store) -> list[float]:
     """How far apart the samples of each mesh may lie, in object units: cells of the table that tells most apart. 0 for
     clouds, which have their points."""
-    centre = np.concatenate([c.centre for c in casters])
-    radius = np.concatenate([c.radius for c in casters])
+    meshes = [caster.geometry.mesh is not None for caster in casters]
+    if not any(meshes):
+        return [0.0] * len(casters)
+    balls = [_balls(caster, store, len(casters)) for caster in casters]
+    centre, radius = (np.concatenate(parts) for parts in zip(*balls, strict=True))
     low, high = (centre - radius[:, None]).min(axis=0), (centre + radius[:, None]).max(axis=0)
-    middle, reach = (low + high) / 2, max(float(np.linalg.norm(high - low) / 2), 1e-30)
-    found, samples = [], 0.0
-    for caster in casters:
-        mesh = caster.geometry.mesh
-        if mesh is None:
-            found.append(0.0)
-            continue
-        found_there = _outline(caster.geometry, mesh, store)
-        cell = min(
-            _cell(light, caster, found_there, middle, reach, resolution, store) for light in lights if light.shadow
-        )
-        scale = float(largest_singular_value(caster.matrices[:, :3, :3]).max())
-        spacing = cell / scale if scale > 0 else np.inf
-        found.append(spacing)
-        samples += len(caster.matrices) * found_there.size / spacing**2
-    coarser = max(np.sqrt(samples / MOST_SAMPLES), 1.0)
-    # To the nearest octave.
-    return [sampling.quantise_spacing(np.sqrt(2) * coarser * s) if 0 < s < np.inf else 0.0 for s in found]
+    reach = max(float(np.linalg.norm(high - low) / 2), 1e-30)
+    cell = np.full(len(casters), np.inf)
+    for light in lights:
+        if light.shadow:
+            step = _step(light, centre, radius, (low + high) / 2, resolution)
+            near = [
+                1.0 if light.kind == "SUN" else max(float((_away(light, c) - r).min()), NEAREST * reach)
+                for c, r in balls
+            ]
+            cell = np.minimum(cell, step * np.array(near))
+    scale = np.array([largest_singular_value(c.matrices[:, :3, :3]).max() for c in casters])
+    area = np.array([_area(caster, store) for caster in casters])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spacing = WITHIN * cell / scale
+        samples = area / spacing**2
+    some = np.array(meshes) & (spacing > 0) & np.isfinite(spacing) & (samples > 0)
+    if not some.any():
+        return [0.0] * len(casters)
+    many = samples[some] / _share(samples[some], MOST_SAMPLES)
+    # Down to an octave; where there are too many, to the nearest.
+    spacing[some] *= np.where(many > 1, np.sqrt(2 * many), 1)
+    return [sampling.quantise_spacing(s) if ok else 0.0 for s, ok in zip(spacing.tolist(), some, strict=True)]
 
 
-def _cell(
-    light: Light, caster: _Caster, shape: Outline, middle: np.ndarray, reach: float, resolution: int, store: Store
-) -> float:
-    """World units that a cell of a lamp's table spans where a caster, a mesh of this shape, is nearest to the lamp."""
-    if light.kind == "SUN":
-        return 2 * reach / resolution
-    away = float(np.linalg.norm(light.position - middle))
-    angle = 2 * np.arcsin(reach / away) if away > 1.4 * reach else np.pi
+def _balls(caster: _Caster, store: Store, casters: int) -> tuple[np.ndarray, np.ndarray]:
+    """Centres (K, 3) and radii (K,), in the world, of balls that hold one of so many casters: of a mesh with few
+    instances, places all over it."""
     mesh = caster.geometry.mesh
-    if mesh is None or len(caster.matrices) > FEW_INSTANCES:
-        near = np.linalg.norm(caster.centre - light.position, axis=1) - caster.radius
-    else:
-        found = store.lookup(("shadow places", caster.geometry.key), lambda: places(mesh, shape))
-        world = np.einsum("iab,nb->ina", caster.matrices[:, :3, :3], found) + caster.matrices[:, None, :3, 3]
-        near = np.linalg.norm(world - light.position, axis=-1)
-    return float(angle / resolution * max(near.min(), NEAREST * reach))
+    if mesh is None or max(len(caster.matrices), casters) > FEW_INSTANCES:
+        return caster.centre, caster.radius
+    shape = _outline(caster.geometry, mesh, store)
+    found = store.lookup(("shadow places", caster.geometry.key), lambda: places(mesh, shape))
+    world = (
+        np.einsum("iab,nb->ina", caster.matrices[:, :3, :3], found[:: len(caster.matrices)])
+        + caster.matrices[:, None, :3, 3]
+    )
+    return world.reshape(-1, 3), np.zeros(world.size // 3)
+
+
+def _area(caster: _Caster, store: Store) -> float:
+    """Units^2 of the object, of all instances."""
+    mesh = caster.geometry.mesh
+    return 0.0 if mesh is None else len(caster.matrices) * _outline(caster.geometry, mesh, store).size
+
+
+def _away(light: Light, points: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points - light.position, axis=1)
+
+
+def _step(light: Light, centre: np.ndarray, radius: np.ndarray, middle: np.ndarray, resolution: int) -> float:
+    """Side of the finest cells of a lamp's table over balls about `middle`: radians, of suns units; see fit_frame."""
+    if light.kind == "SUN":
+        along, half = (centre - middle) @ rotation(light.direction)[1:].T, radius[:, None]
+        return float(((along + half).max(axis=0) - (along - half).min(axis=0)).max()) / resolution
+    axis, seen, away = middle - light.position, centre - light.position, np.maximum(_away(light, centre), 1e-30)
+    cosine = seen @ axis / (away * max(float(np.linalg.norm(axis)), 1e-30))
+    angle = np.arccos(np.clip(cosine, -1, 1)) + np.arcsin(np.clip(radius / away, 0, 1))
+    widest = float(angle.max())
+    return (2 * widest if widest <= NARROW else np.pi) / resolution
+
+
+def _share(samples: np.ndarray, most: float) -> float:
+    """How many each of meshes that ask for `samples` (M,) may have, so that all have `most`: small ones what they ask
+    for, large ones equally many."""
+    ascending = np.sort(samples)
+    others = len(samples) - np.arange(len(samples))
+    each = (most - (np.cumsum(ascending) - ascending)) / others
+    fits = np.flatnonzero(ascending > each)
+    return float(each[fits[0]]) if len(fits) else float(ascending[-1])
 
 
 def _batches(

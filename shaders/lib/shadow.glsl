@@ -194,7 +194,7 @@ PsDepth ps_shadow_look_up(PsShadowLevel level, PsReceiver p, PsTap tap)
       for (int end = tap.near > 0.0 ? 2 : 1; end > 0; end--) {
         found = ps_shadow_up_to(level, range, min(end == 2 ? until : tap.far, limit), 0.5 * width) - found;
       }
-      result += share * (level.kind == PS_OPAQUE ? min(found, PsDepth(1.0)) : found);
+      result += share * (level.kind == PS_OPAQUE ? 1.0 - exp(-found) : found);
     }
   }
   return result;
@@ -321,10 +321,11 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
     tap.jitter = vec2(ps_shadow_sequence(index, 0.6844301295853426), ps_shadow_sequence(index, 0.6031687406857283));
     tap.jitter -= 0.5;
 
-    float covered = 0.0;
+    float left = 1.0;
     PsDepth depth = PsDepth(0.0);
     // Behind what is covered there is no light.
-    for (int j = 0; j < segments && covered < 1.0; j++) {
+    for (int j = 0; j < segments && left > 0.0; j++) {
+      float covered = 0.0;
       // Square roots of parts of the spread.
       float start = wide ? (float(j) + cut - 1.0) / float(segments - 1) : 0.0;
       float end = start + 1.0 / float(max(segments - 1, 1));
@@ -350,8 +351,9 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
 #endif
         depth += level.kind == PS_OPAQUE ? PsDepth(0.0) : found;
       }
+      left *= max(1.0 - covered, 0.0);
     }
-    sum += vec3(max(1.0 - covered, 0.0) * exp(-depth));
+    sum += vec3(left * exp(-depth));
   }
   return sum / float(max(taps, 1));
 }

@@ -79,7 +79,7 @@ def test_many_small_triangles_cast_from_their_vertices():
     # As fine as samples at the spacing are promised to be.
     assert radii(cloud).max() <= spacing / np.sqrt(2)
     # Where tables tell more apart than vertices do, there are samples.
-    (fine,) = sampled(mesh, shape(mesh), spacing / 2, TABLE)
+    (fine,) = sampled(mesh, shape(mesh), spacing / 4, TABLE)
     assert np.median(radii(fine)[:, 0]) < np.median(radii(cloud))
 
 
@@ -115,3 +115,16 @@ def test_vertices_of_edged_meshes_do_not_widen_shadows():
     spacing = float(found.longest.max()) / 1.2
     clouds = sampled(mesh, found, spacing, TABLE)
     assert sum(len(c) for c in clouds) > 1.9 * len(mesh.position)
+
+
+def test_disks_of_leaves_have_the_leaves_area():
+    """Triangles that share no edge, and 0.01 to 0.05 long."""
+    rng = np.random.default_rng(0)
+    side = rng.uniform(0.01, 0.05, (2000, 1, 1))
+    corners = rng.uniform(-1, 1, (2000, 1, 3)) + side * rng.normal(size=(2000, 3, 3))
+    mesh = Mesh("leaves", "leaves", corners.reshape(-1, 3).astype(np.float32), np.arange(6000).reshape(-1, 3))
+    (cloud,) = sampled(mesh, shape(mesh), 1.0, TABLE)
+    area = float((np.pi * radii(cloud).prod(axis=1, dtype=np.float64)).sum())
+    assert area == pytest.approx(shape(mesh).size, rel=1e-4)  # measured 1 - 5e-8
+    # However coarse the table, most leaves are told apart.
+    assert np.median(radii(cloud)[:, 0]) < np.median(shape(mesh).longest)
