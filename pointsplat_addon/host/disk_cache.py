@@ -10,7 +10,7 @@ from ..core.cloud import PointCloud
 from ..core.hierarchy import LEAF_SIZE, Hierarchy, build
 from ..formats import hierarchy_cache
 from ..render.prepare import STORE
-from . import preferences
+from . import device_costs, preferences
 
 LOG = logging.getLogger(__name__)
 WORTH_KEEPING = 200_000  # points; smaller hierarchies are built about as fast as they are read
@@ -19,6 +19,7 @@ MOST_BYTES = 8 << 30  # in the folder; the files that were used longest ago go f
 
 def refresh() -> None:
     """Follow the preferences. Called on Blender's main thread before anything is drawn."""
+    device_costs.read()
     folder = preferences.cache_folder()
     STORE.build = build if folder is None else partial(build_or_read, folder)
 

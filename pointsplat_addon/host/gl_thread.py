@@ -13,6 +13,7 @@ from concurrent.futures import Future
 from typing import Any, TypeVar
 
 from ..render.frame import Renderer
+from . import device_costs
 
 T = TypeVar("T")
 
@@ -64,6 +65,7 @@ def _work(jobs: queue.SimpleQueue) -> None:
             if renderer is None:
                 device = _make_device()
                 renderer = Renderer(device)
+                device_costs.apply(renderer)
             future.set_result(job(renderer))
         except BaseException as error:
             future.set_exception(error)

@@ -9,9 +9,11 @@ from typing import TypeVar
 
 import bpy
 
+from ..core.cost import DEFAULT
 from ..devices.blender_gpu import BlenderDevice
 from ..render.device import Device
 from ..render.frame import Renderer
+from . import device_costs
 
 T = TypeVar("T")
 
@@ -28,6 +30,7 @@ class MainGPU:
         if self._renderer is None:
             self._device = BlenderDevice()
             self._renderer = Renderer(self._device)
+            self._renderer.costs = device_costs.KNOWN.get(self._device.limits.renderer, DEFAULT)
         return self._renderer
 
     def release(self) -> None:

@@ -7,7 +7,8 @@ from bpy.props import FloatProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from ..formats import dense, hierarchy_cache, vdb
-from . import caches, preferences
+from ..render.device import DeviceError
+from . import caches, device_costs, gl_thread, main_gpu, preferences
 from .convert.volume import load_openvdb
 
 OPTICAL_DEPTH = 10.0  # across an imported volume where the ramp's alpha is one: the inside shows, and is not flat
@@ -24,6 +25,25 @@ class POINTSPLAT_OT_clear_cache(bpy.types.Operator):
         freed = hierarchy_cache.trim(folder, 0) if folder else 0
         caches.release()
         self.report({"INFO"}, f"PointSplat's cache is cleared, {freed / 1e6:.1f} MB deleted")
+        return {"FINISHED"}
+
+
+class POINTSPLAT_OT_calibrate(bpy.types.Operator):
+    """Measure how fast the device draws points and triangles; which parts of meshes are points follows from it"""
+
+    bl_idname = "pointsplat.calibrate"
+    bl_label = "Calibrate"
+
+    def execute(self, _context):
+        own = gl_thread.available()
+        job = gl_thread.THREAD.submit(device_costs.measure) if own else main_gpu.run(device_costs.measure, False)
+        try:
+            costs = job.result()
+        except (DeviceError, ImportError) as error:
+            self.report({"ERROR"}, f"The device cannot be calibrated: {error}")
+            return {"CANCELLED"}
+        device_costs.write()
+        self.report({"INFO"}, f"A point takes {costs.point:.0f} ns, a triangle {costs.triangle:.0f} ns")
         return {"FINISHED"}
 
 
@@ -124,7 +144,7 @@ def import_menu(menu, _context):
     menu.layout.operator(POINTSPLAT_OT_import_volume.bl_idname, text="Volume for PointSplat (.npy, .nii)")
 
 
-CLASSES = (POINTSPLAT_OT_clear_cache, POINTSPLAT_OT_transfer_ramp, POINTSPLAT_OT_import_volume)
+CLASSES = (POINTSPLAT_OT_clear_cache, POINTSPLAT_OT_calibrate, POINTSPLAT_OT_transfer_ramp, POINTSPLAT_OT_import_volume)
 
 
 def register() -> None:

@@ -22,6 +22,13 @@ class PointSplatPreferences(bpy.types.AddonPreferences):
         default="",
     )
 
+    device_costs: StringProperty(
+        name="Device Costs",
+        description="What drawing costs on each device, as measured: which parts of a mesh are points follows from it",
+        default="",
+        options={"HIDDEN"},
+    )
+
     def draw(self, _context):
         layout = self.layout
         layout.use_property_split = True
@@ -29,6 +36,7 @@ class PointSplatPreferences(bpy.types.AddonPreferences):
         layout.operator("pointsplat.clear_cache")
         box = layout.column(heading="Final Renders")
         box.label(text=device_text(), icon="INFO")
+        layout.operator("pointsplat.calibrate")
 
 
 def device_text() -> str:
@@ -51,6 +59,20 @@ def cache_folder() -> Path | None:
     addon = bpy.context.preferences.addons.get(ROOT)
     chosen = addon.preferences.cache_folder if addon and addon.preferences else ""
     return Path(bpy.path.abspath(chosen)) if chosen else own_folder()
+
+
+def device_costs() -> str:
+    """What `device_costs.write` kept; empty: nothing yet."""
+    addon = bpy.context.preferences.addons.get(ROOT)
+    return addon.preferences.device_costs if addon and addon.preferences else ""
+
+
+def keep_device_costs(text: str) -> None:
+    """Blender saves it with the other preferences."""
+    addon = bpy.context.preferences.addons.get(ROOT)
+    if addon and addon.preferences and addon.preferences.device_costs != text:
+        addon.preferences.device_costs = text
+        bpy.context.preferences.is_dirty = True
 
 
 CLASSES = (PointSplatPreferences,)
