@@ -4,8 +4,8 @@
 
 A camera approaches a body on a grey world by a fixed share of its distance from frame to frame. For each pair of frames
 and each pixel, the greatest change of a channel, as a display shows it (8 bits), less the same change of the polygons;
-the 99th percentile over the pixels of the body tells what pops. Polygons with another set of samples are the floor: what edges
-alone change by being quantised.
+the 99th percentile over the pixels of the body tells what pops. Polygons with another set of samples are the floor:
+what edges alone change by being quantised.
 """
 
 from __future__ import annotations
@@ -119,13 +119,12 @@ def main() -> None:
         scene, cameras = dolly(name, options.start, options.stop, options.step, options.size, primitive)
         renderer = scenes.opengl()
         sys.stdout.write(
-            f"{name}: frame, excess at 99 % and 99.9 %, at 99 % of the picture, own change, reference's, what is drawn\n"
+            f"{name}: frame, excess at 99 %, 99.9 %, 99 % of the picture, own change, reference's, what is drawn\n"
         )
         for c in changes(renderer, scene, cameras, settings, options.samples, options.floor):
             mark = " !" if c.excess > 2 else ""
-            sys.stdout.write(
-                f"{c.frame:4} {c.excess:6.2f} {c.worst:6.2f} {c.whole:6.2f} {c.own:6.2f} {c.reference:6.2f}  {c.drawn}{mark}\n"
-            )
+            figures = " ".join(f"{v:6.2f}" for v in (c.excess, c.worst, c.whole, c.own, c.reference))
+            sys.stdout.write(f"{c.frame:4} {figures}  {c.drawn}{mark}\n")
             sys.stdout.flush()
 
 

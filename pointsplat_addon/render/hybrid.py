@@ -53,6 +53,17 @@ class Divided:
             self._samples[spacing] = found
         return self._samples[spacing]
 
+    def whole(self, needed: float, slack: float) -> float:
+        """About how many samples the mesh has where all of it is points that are dense enough for `needed`: vertices
+        where they are at most `slack` times as far apart, else the octave of spacing."""
+        m = self.measures
+        if sampling.choose(self.mesh, max(slack * needed, self.octave(needed)), self.ok, m) == "VERTICES":
+            return float(m.vertices)
+        return float(self.samples(self.octave(needed)).sum())
+
+    def octave(self, spacing: float) -> float:
+        return min(sampling.quantise_spacing(spacing), self.coarsest)
+
     def worth(self, costs: Costs, spacing: float, most: int) -> np.ndarray:
         """(B,) bool: parts of which some view draws points at this spacing; none where these would be more than
         `most` samples."""
@@ -125,30 +136,40 @@ class Shown:
 
     spacing: float  # of its points
     choice: Choice
+    whole: bool  # all of it is points, out of view or not: as dense as its nearest part needs
 
     def as_polygons(self) -> Shown:
         """The same with polygons for all that is in view."""
         c = self.choice
         every = replace(c, points=np.zeros_like(c.points), polygons=c.points | c.polygons, cost=c.triangles_cost)
-        return replace(self, choice=every)
+        return replace(self, choice=every, whole=False)
 
 
 def show(
-    divided: Divided, costs: Costs, view_from_object: np.ndarray, camera: Camera, tolerance: float, exact: float,
+    divided: Divided,
+    costs: Costs,
+    view_from_object: np.ndarray,
+    camera: Camera,
+    tolerance: float,
+    slack: float,
     most: int,
-) -> Shown | None:  # fmt: skip
+) -> Shown | None:
     """The cheapest way to draw an instance (4, 4); None: nothing of it is in view.
 
-    `exact`: no part needs a finer spacing. `most`: samples that the mesh may have.
+    `slack`: see Divided.whole. `most`: samples that the mesh may have.
     """
     needed = part_spacings(divided.parts, view_from_object, camera, tolerance)
     visible = np.isfinite(needed)
     if not visible.any():
         return None
-    needed = np.maximum(needed, exact)
+    finest = float(needed.min())
     octaves = np.ldexp(0.5, np.frexp(needed[visible])[1])  # as quantise_spacing has it
     spacing = np.unique(np.minimum(octaves, divided.coarsest))
     worth = np.array([divided.worth(costs, s, most) for s in spacing.tolist()])
     samples = np.array([divided.samples(s) for s in spacing.tolist()])
     choice = choose(costs, needed, spacing, np.where(worth, samples, np.inf), divided.parts.counts, divided.area)
-    return Shown(float(spacing[choice.octave]), choice)
+    every = divided.whole(finest, slack)
+    if every <= most and every * costs.point <= choice.cost:
+        choice = replace(choice, points=visible, polygons=np.zeros_like(visible), cost=every * costs.point)
+        return Shown(divided.octave(finest), choice, whole=True)
+    return Shown(float(spacing[choice.octave]), choice, whole=False)

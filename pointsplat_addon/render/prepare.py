@@ -218,7 +218,12 @@ class _View:
                 continue
             self.check()
             if row in divided:
-                found, with_polygons = self._by_parts(geometry, where, divided[row])
+                shown = divided[row]
+                found, with_polygons = self._by_parts(geometry, where, shown)
+                whole = np.flatnonzero([s is not None and s.whole for s in shown])
+                if len(whole):
+                    every = self._all_points(geometry, view_from_object[where[whole]])
+                    found += [(points, whole[some]) for points, some in every]
                 polygons.append(with_polygons)
             else:
                 found = self._points(geometry, view_from_object[where])
@@ -313,8 +318,9 @@ class _View:
 
     def _shown(self, geometry: Geometry, mesh: Mesh, views: np.ndarray) -> list[Shown | None]:
         divided, tolerance = self._division(geometry, mesh), self.settings.tolerance
-        exact, most = self._needed(geometry, mesh, divided.ok, views), most_samples(tolerance)
-        return [show(divided, self.costs, view, self.camera, tolerance, exact, most) for view in views]
+        most = most_samples(tolerance)
+        slack = 1.0 if digest(mesh, self.scene.materials) else VERTEX_PIXELS
+        return [show(divided, self.costs, view, self.camera, tolerance, slack, most) for view in views]
 
     def _by_parts(
         self, geometry: Geometry, where: np.ndarray, shown: list[Shown | None]
@@ -327,7 +333,7 @@ class _View:
         with_polygons = []
         by_spacing: dict[float, list[int]] = {}
         for i, one in enumerate(shown):
-            if one is None:
+            if one is None or one.whole:
                 continue
             if one.choice.polygons.any():
                 with_polygons.append(i)
@@ -392,6 +398,20 @@ class _View:
                 leaves = self.store.lookup(("leafy", geometry.key), lambda: leafy(mesh.position, mesh.triangles[ok]))
                 if leaves:
                     return None
+        return self._dense(geometry, mesh, needed, view_from_object)
+
+    def _all_points(self, geometry: Geometry, view_from_object: np.ndarray) -> list[tuple[PointSet, np.ndarray]]:
+        """The same for a mesh that is points whatever its parts are."""
+        mesh = geometry.mesh
+        assert mesh is not None
+        needed = self._needed(geometry, mesh, self._valid(geometry, mesh), view_from_object)
+        return self._dense(geometry, mesh, needed, view_from_object)
+
+    def _dense(
+        self, geometry: Geometry, mesh: Mesh, needed: float, view_from_object: np.ndarray
+    ) -> list[tuple[PointSet, np.ndarray]]:
+        """Points as dense as `needed`; of instances that allow it, octaves less."""
+        ok = self._valid(geometry, mesh)
         if len(view_from_object) >= MANY_INSTANCES:
             needed = min(needed, self._coarsest(geometry, mesh, ok))
         octave = self._octaves(geometry, mesh, ok, needed, view_from_object)
