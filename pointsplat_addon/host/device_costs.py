@@ -44,6 +44,7 @@ def apply(renderer: Renderer) -> None:
     if name not in KNOWN and not bpy.app.background:
         try:
             measure(renderer)
+            bpy.app.timers.register(write)  # preferences belong to the main thread
         except DeviceError as error:
             LOG.warning("The device cannot be calibrated: %s", error)
     renderer.costs = KNOWN.get(name, DEFAULT)
