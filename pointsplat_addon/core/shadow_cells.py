@@ -15,6 +15,10 @@ STEEPEST = 0.1  # cosine: surfaces closer to edge-on are treated as this one
 NARROW = 0.8  # radians: casters within this angle about one direction get a grid about it, without poles
 FINEST = 1e-6  # radians: a cell that float32 still resolves
 FINER = 2  # octaves by which the finest cells may be narrower than the frame's
+# The grid of a sun is turned about its direction where volumes cast: cells that run along a lattice of voxels, under a
+# sun along one of its axes, would all hold the same share of them. By so many radians, no multiple of which is a right
+# angle or a simple slope.
+TILT = 0.3
 COARSEST = 0.5  # radians: the widest cell of a grid without poles
 
 
@@ -108,6 +112,9 @@ def fit_frame(light: Light, batches: Sequence[Casters], resolution: int) -> Fram
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3)
     if light.kind == "SUN":
         turn = rotation(light.direction)[[1, 2, 0]]
+        if any(batch.kind == "VOLUME" for batch in batches):
+            cosine, sine = np.cos(TILT), np.sin(TILT)
+            turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]]) @ turn
         local = (corners - corners.mean(axis=0)) @ turn.T
         ends = _across(batches, corners.mean(axis=0), turn[:2])
         side = ends[1] - ends[0]
