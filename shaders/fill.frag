@@ -27,9 +27,9 @@ bool ps_surrounded(vec4 a, vec4 b, vec4 c, vec4 d, vec2 toward)
          all(lessThanEqual(begin, vec4(front)));
 }
 
-// Along how many axes, x and y, nearer splats hold the pixels on both sides of this one and lie nearer to each other than
-// to what is seen between them: on steep surfaces the splats that won their pixels do not touch each other any more.
-int ps_between(ivec2 pixel, float own_front)
+// Whether nearer splats hold the pixels on all four sides of this one, and those that face each other lie nearer to each
+// other than to what is seen between them: on steep surfaces the splats that won their pixels do not touch any more.
+bool ps_enclosed(ivec2 pixel, float own_front)
 {
   ivec2 last = textureSize(ps_front, 0) - 1;
   vec4 near = vec4(texelFetch(ps_front, ivec2(max(pixel.x - 1, 0), pixel.y), 0).x,
@@ -37,8 +37,8 @@ int ps_between(ivec2 pixel, float own_front)
                    texelFetch(ps_front, ivec2(min(pixel.x + 1, last.x), pixel.y), 0).x,
                    texelFetch(ps_front, ivec2(pixel.x, min(pixel.y + 1, last.y)), 0).x);
   vec2 farther = max(near.xy, near.zw), nearer = min(near.xy, near.zw);
-  bvec2 linked = lessThan(2.0 * farther - nearer, vec2(own_front - frame.lens.x));
-  return int(nearer.x > 0.0 && linked.x) + int(nearer.y > 0.0 && linked.y);
+  return all(greaterThan(nearer, vec2(0.0))) &&
+         all(lessThan(2.0 * farther - nearer, vec2(own_front - frame.lens.x)));
 }
 #endif
 
@@ -70,8 +70,7 @@ void main()
 #ifdef PS_FINEST
   // Where it does so on all four sides, it goes on however thin its splats are.
   bool inside = ps_surrounded(place[0], place[1], place[2], place[3], vec2(toward));
-  int between = ps_between(pixel, own_front);
-  float slack = between == 2 ? 1.0 : inside || between == 1 ? 0.25 : 0.0;
+  float slack = ps_enclosed(pixel, own_front) ? 1.0 : inside ? 0.25 : 0.0;
 #else
   float slack = side * side * 0.125;
 #endif

@@ -31,7 +31,7 @@ void main()
   // How far the splat extends in depth, and its neighbours on the same surface lie apart.
   vec3 depth_row = transpose(linear)[2];
   float along = dot(depth_row, n);
-  float steep = ball ? 1.0 : min(length(normal.xy) / max(abs(normal.z), 1e-3), 2.0);
+  float steep = ball ? 1.0 : min(length(normal.xy) / max(abs(normal.z), 1e-3), 1.0);
   float reach = extent.x * sqrt(max(dot(depth_row, depth_row) - along * along, 0.0)) + steep * ps_pixel_size(pixel.z);
   // Whether the splat holds the pixel's centre was found out when it was projected, in full precision.
   bool covers = found == id;

@@ -26,7 +26,7 @@ class Surfels:
         self.device, self.plan, self.variant = device, plan, variant
         self.buffer = GBuffer(device, variant, size, depth=plan.options.depth)
         self.pyramid = None
-        if plan.points:
+        if plan.points and plan.ewa is None:
             self.resolve_program = programs(variant, plan.options).resolve
             self.pyramid = Pyramid(device, variant, self.buffer, count)
 
@@ -100,10 +100,8 @@ class EwaSurfels(Surfels):
     """A G-buffer of one variant, closed by blending splats as Gaussians."""
 
     def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> None:
+        super().__init__(device, plan, variant, size, count)
         assert plan.ewa is not None
-        self.device, self.plan, self.variant = device, plan, variant
-        self.buffer = GBuffer(device, variant, size, depth=plan.options.depth)
-        self.pyramid = None
         self.ewa = ewa_pass.Ewa(device, variant, plan.options, plan.ewa, size)
 
     def draw(

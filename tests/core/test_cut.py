@@ -304,4 +304,4 @@ def test_largest_singular_value() -> None:
     expected = np.linalg.svd(a, compute_uv=False)[:, 0]
     ratio = c.largest_singular_value(a) / expected
     assert ratio.min() >= 1
-    assert ratio.max() <= 1 + 3e-7  # measured 1 + 1e-7, the margin
+    assert ratio.max() <= 1 + 1e-8  # measured 1 + 7e-9, the margin

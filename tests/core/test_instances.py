@@ -198,7 +198,7 @@ def test_singular_values_and_finite_matrices() -> None:
     exact = np.linalg.norm(matrix, 2, axis=(1, 2))
     found = c.largest_singular_value(matrix)
     assert (found >= exact).all()
-    assert (found <= exact * (1 + 2e-7)).all()  # 1e-7 is added on purpose
+    assert (found <= exact * (1 + 1e-8)).all()  # measured 7e-9, which is added on purpose
     odd = np.zeros((4, 4, 4))
     odd[1, 2, 2], odd[2, 0, 3], odd[3] = np.nan, -np.inf, 1e308
     np.testing.assert_array_equal(c.all_finite(odd), [True, False, False, True])

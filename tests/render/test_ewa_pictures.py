@@ -20,6 +20,7 @@ EWA = Settings(technique="EWA", use_shadows=False)
 ONLY_COMBINED = frozenset({"combined"})
 PROGRAMS = {"splats", "visibility", "blend", "normalise"}
 IMAGE_SPACE = {"project", "identify", "resolve", "pull", "push"}
+NORMALS = (0, -1, 0), (0.5, -1, 0.3), (0, -1, 3), (0.2, 1, 0.1)  # of lone splats
 
 
 def splats(key: str, position, normal, radii, color=None, axis=None) -> scenes.Geometry:
@@ -53,19 +54,33 @@ def axes(case: Case) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return cloud.position @ turn[:3, :3].T + turn[:3, 3], a, b
 
 
-def closed_form(case: Case, samples: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Of the splats of the only cloud: their weights (H, W, N), and whether they hold the pixels' centres."""
+def on_screen(case: Case) -> tuple[np.ndarray, ...]:
+    """Of the only cloud's splats: centres and half-axes (N, 3) in view space, centres (N, 2) in pixels; all pixels'
+    centres (H * W, 2)."""
     fx, fy, cx, cy = case.camera.pixel_from_view()
     centre, a, b = axes(case)
-    perspective = case.camera.perspective
-    depth = -centre[:, 2:] if perspective else 1.0
-    on_screen = centre[:, :2] / depth * (fx, fy) + (cx, cy)
+    depth = np.negative(centre[:, 2:]) if case.camera.perspective else 1.0
     width, height = case.camera.resolution
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    moments = ewa.covariance(centre, a, b, (fx, fy), perspective)
-    pixels = np.stack([x.ravel(), y.ravel()], 1)
-    found = ewa.weights(pixels, on_screen, moments, ewa.low_pass(samples))
-    offset = pixels[:, None] - on_screen
+    return centre, a, b, centre[:, :2] / depth * (fx, fy) + (cx, cy), np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+def lone(key: str, normal, radii, parallel: float | None, settings=EWA) -> tuple[Case, np.ndarray]:
+    """One splat and its colour."""
+    axis = np.cross(normal, (0, 0.3, 1))
+    axis /= np.linalg.norm(axis)
+    color = np.array([0.9, 0.5, 0.2])
+    thing = splats(f"{key} {normal} {radii}", (0.013, 0.02, -0.017), normal, radii, color, axis)
+    return dark(thing, camera=scenes.camera(parallel=parallel), settings=settings), color
+
+
+def closed_form(case: Case, samples: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Of the splats of the only cloud: their weights (H, W, N), and whether they hold the pixels' centres."""
+    width, height = case.camera.resolution
+    centre, a, b, middle, pixels = on_screen(case)
+    moments = ewa.covariance(centre, a, b, case.camera.pixel_from_view()[:2], case.camera.perspective)
+    found = ewa.weights(pixels, middle, moments, ewa.low_pass(samples))
+    offset = pixels[:, None] - middle
     within = np.einsum("pni,nij,pnj->pn", offset, np.linalg.inv(moments), offset) <= 4
     return found.reshape(height, width, -1), within.reshape(height, width, -1)
 
@@ -78,15 +93,11 @@ def picture(case: Case, samples: int = 1, passes=ONLY_COMBINED) -> np.ndarray:
 
 
 @pytest.mark.parametrize("parallel", [None, 4.0])
-@pytest.mark.parametrize("normal", [(0, -1, 0), (0.5, -1, 0.3), (0, -1, 3), (0.2, 1, 0.1)])
+@pytest.mark.parametrize("normal", NORMALS)
 @pytest.mark.parametrize("radii", [[0.05], [0.09], [0.13, 0.06]])
 def test_one_splat_is_its_closed_form_gaussian(parallel, normal, radii):
     """As wide as no pixel is surrounded by others that it holds: those within a surface count as whole."""
-    axis = np.cross(normal, (0, 0.3, 1))
-    axis /= np.linalg.norm(axis)
-    color = (0.9, 0.5, 0.2)
-    thing = splats(f"lone {normal} {radii}", (0.013, 0.02, -0.017), normal, radii, color, axis)
-    case = dark(thing, camera=scenes.camera(parallel=parallel))
+    case, color = lone("lone", normal, radii, parallel)
     weight, within = closed_form(case)
     expected = ewa.coverage(weight[..., 0], within[..., 0])
     found = picture(case)

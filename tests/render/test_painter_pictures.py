@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core import order, painter, reference
+from pointsplat_addon.core import ewa, order, painter, reference
 from pointsplat_addon.core.scene import Light, Settings, World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.frame import Renderer, Request
@@ -14,7 +14,15 @@ from scripts import painter_error
 from scripts.compare import compare, eroded
 from tests.render import scenes, test_quality
 from tests.render.scenes import CASES, Case, render
-from tests.render.test_ewa_pictures import EXTREMES, axes, dark, shape_picture, splats
+from tests.render.test_ewa_pictures import (
+    EXTREMES,
+    NORMALS,
+    dark,
+    lone,
+    on_screen,
+    shape_picture,
+    splats,
+)
 
 PAINTER = Settings(technique="PAINTER", use_shadows=False)
 ONLY_COMBINED = frozenset({"combined"})
@@ -36,23 +44,15 @@ def picture(case: Case, samples: int = 1) -> np.ndarray:
 
 def closed_form(case: Case) -> np.ndarray:
     """(H, W, N) how much of each splat of the only cloud is seen, from one sample."""
-    fx, fy, cx, cy = case.camera.pixel_from_view()
-    centre, a, b = axes(case)
-    depth = np.negative(centre[:, 2:])
-    project = np.array([[fx, fy]]) / (depth if case.camera.perspective else 1.0)
-    slope = centre[:, :2] / depth if case.camera.perspective else np.zeros((len(centre), 2))
-    p, q = (project * (axis[:, :2] + slope * axis[:, 2:]) for axis in (a, b))
-    moments = p[:, :, None] * p[:, None] + q[:, :, None] * q[:, None]
     width, height = case.camera.resolution
-    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    centre, a, b, middle, pixels = on_screen(case)
+    moments = 4 * ewa.covariance(centre, a, b, case.camera.pixel_from_view()[:2], case.camera.perspective)
     cloud = case.scene.geometries[0].cloud
     assert cloud is not None
     assert cloud.radii is not None
-    back_to_front = order.back_to_front(depth[:, 0], order.OPAQUE_SLICES * float(cloud.radii.min())).index
+    back_to_front = order.back_to_front(-centre[:, 2], order.OPAQUE_SLICES * float(cloud.radii.min())).index
     found = np.zeros((width * height, len(centre)))
-    on_screen = (project * centre[:, :2] + (cx, cy))[back_to_front]
-    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
-    found[:, back_to_front] = painter.weights(pixels, on_screen, moments[back_to_front])
+    found[:, back_to_front] = painter.weights(pixels, middle[back_to_front], moments[back_to_front])
     return found.reshape(height, width, -1)
 
 
@@ -60,14 +60,10 @@ def closed_form(case: Case) -> np.ndarray:
 
 
 @pytest.mark.parametrize("parallel", [None, 4.0])
-@pytest.mark.parametrize("normal", [(0, -1, 0), (0.5, -1, 0.3), (0, -1, 3), (0.2, 1, 0.1)])
+@pytest.mark.parametrize("normal", NORMALS)
 @pytest.mark.parametrize("radii", [[0.02], [0.3], [0.13, 0.06]])
 def test_one_splat_is_its_closed_form(parallel, normal, radii):
-    axis = np.cross(normal, (0, 0.3, 1))
-    axis /= np.linalg.norm(axis)
-    color = (0.9, 0.5, 0.2)
-    thing = splats(f"painted {normal} {radii}", (0.013, 0.02, -0.017), normal, radii, color, axis)
-    case = painted(thing, scenes.camera(parallel=parallel))
+    case, color = lone("painted", normal, radii, parallel, PAINTER)
     expected = closed_form(case)[..., 0]
     found = picture(case)
     assert 0.01 < expected.max() <= 1

@@ -7,6 +7,7 @@ import pytest
 
 from pointsplat_addon.core import sampling
 from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.cost import DEFAULT
 from pointsplat_addon.core.scene import Geometry, Settings, Transfer, Volume
 from pointsplat_addon.render.parts import parted
 from pointsplat_addon.render.prepare import Store, prepare
@@ -14,8 +15,8 @@ from tests.render import scenes
 from tests.render.scenes import CASES, Case
 
 
-def prepared(case, store=None, samples=1):
-    return prepare(case.scene, case.camera, case.settings, samples, Store() if store is None else store)
+def prepared(case, store=None, samples=1, costs=DEFAULT):
+    return prepare(case.scene, case.camera, case.settings, samples, Store() if store is None else store, costs=costs)
 
 
 def at_distance(case, distance):
@@ -34,6 +35,12 @@ def test_auto_draws_large_triangles_as_polygons_and_small_ones_as_points():
     fine = scenes.sphere_mesh("auto sphere", 200)
     assert len(prepared(of(fine)).polygons) == 0
     assert prepared(of(fine)).cut.splats > 0
+
+
+def test_auto_draws_the_same_triangles_as_polygons_near_and_as_points_far_where_triangles_are_dear():
+    dear, cube = replace(DEFAULT, triangle=1e5), scenes.cube_mesh("dear cube")
+    assert len(prepared(of(cube), costs=dear).polygons) == 1
+    assert len(prepared(of(cube, distance=2000), costs=dear).polygons) == 0
 
 
 @pytest.mark.parametrize(("primitive", "polygons"), [("POINTS", 0), ("POLYGONS", 1)])

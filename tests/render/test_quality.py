@@ -101,7 +101,7 @@ def test_points_cover_the_polygons_silhouette_and_no_more(name, samples):
 def test_twice_the_tolerance_lets_nothing_through(name, samples):
     for view in figures(name, 2.0, samples):
         assert view["holes"] == 0
-        assert view["iou"] > 0.985  # measured 0.9894
+        assert view["iou"] > 0.985  # measured 0.9900
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -110,8 +110,8 @@ def test_points_look_like_polygons_the_more_the_lower_the_tolerance(name):
         np.array([[view[key] for view in figures(name, tolerance)] for tolerance in (2.0, 1.0, 0.5)]).mean(axis=1)
         for key in ("psnr", "interior_psnr")
     )
-    assert min(view["psnr"] for view in figures(name, 1.0)) > 32  # decibels, measured 33.4
+    assert min(view["psnr"] for view in figures(name, 1.0)) > 32  # decibels, measured 34.3
     assert interior[1] - interior[0] > 3  # measured 6.9
     assert interior[2] - interior[1] > 3  # measured 4.7
     # Silhouettes have a floor that no tolerance lowers: splats seen edge-on are drawn a fraction of a pixel wide.
-    assert whole[2] - whole[0] > 2  # measured 2.8
+    assert whole[2] - whole[0] > 3  # measured 4.0

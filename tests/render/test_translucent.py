@@ -80,17 +80,18 @@ def test_a_slab_lets_as_much_light_through_as_beers_law_says(cells, angle):
         assert -np.log(mean) == pytest.approx(depth, rel=5e-3)
 
 
-@pytest.mark.parametrize(("parallel", "bias"), [(2.0, 0.0), (None, 0.022)])
-def test_smoke_begins_at_the_near_plane_wherever_that_cuts_it(parallel, bias):
-    """An eye that flies through voxels sees them thin evenly. In perspective, splats at its nose are 2 % too thick:
-    their pictures are Gaussians only from afar."""
-    cloud, edge = voxels(4.0, 2.0, 10, 1.5), 0.2
+@pytest.mark.parametrize(("parallel", "worst"), [(2.0, 6e-3), (None, 0.03)])
+def test_smoke_begins_at_the_near_plane_wherever_that_cuts_it(parallel, worst):
+    """An eye that flies through voxels sees them thin evenly. In perspective, splats at its nose are too thick: their
+    pictures are Gaussians only from afar."""
+    cloud, edge, ratio = voxels(4.0, 2.0, 10, 1.5), 0.2, []
     for place in np.arange(9) / 8:
         y = -0.3 + edge * place
         eye = camera((0, y, 0), (0, 5, 0), resolution=(16, 12), field_of_view=10, near=0.07, parallel=parallel)
         mean = picture(alone(cloud, "flown through"), eye, 4)[..., 0].mean()
-        # Measured 0.0035; 0.1 where each splat is left out as a whole.
-        assert -np.log(mean) == pytest.approx((1 + bias) * 1.5 * (1 - y - 0.07), rel=6e-3)
+        ratio.append(-np.log(mean) / (1.5 * (1 - y - 0.07)))
+    assert np.ptp(ratio) < 0.01  # measured 0.006 and 0.008; 0.1 and more where each splat is left out as a whole
+    assert np.abs(np.array(ratio) - 1).max() < worst  # measured 0.0035 and 0.026
 
 
 def test_halving_the_spacing_changes_no_radiance():
@@ -547,5 +548,5 @@ def test_cards_let_as_much_light_through_as_coarse_nodes_of_them(alpha):
     assert every == count
     assert fine < count / 4
     assert coarse < count / 30
-    assert seen[fine] == pytest.approx(seen[every], abs=0.015)  # measured 0.012
-    assert seen[coarse] == pytest.approx(seen[every], abs=0.015)  # measured 0.011
+    assert seen[fine] == pytest.approx(seen[every], abs=0.005)  # measured 0.003
+    assert seen[coarse] == pytest.approx(seen[every], abs=0.005)  # measured 0.003

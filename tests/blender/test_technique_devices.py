@@ -1,4 +1,4 @@
-"""The painter's is the same picture on Blender's gpu and on moderngl."""
+"""Each technique is the same picture on Blender's gpu and on moderngl."""
 
 from dataclasses import replace
 
@@ -14,13 +14,16 @@ from tests.render.scenes import CASES  # noqa: E402
 AGREE = 2 / 255
 
 
+@pytest.mark.parametrize("technique", ["EWA", "PAINTER"])
 @pytest.mark.parametrize("name", CASES)
-def test_blenders_gpu_and_moderngl_agree_on_the_painter(blender, opengl, name):  # noqa: F811 - fixtures
+def test_blenders_gpu_and_moderngl_agree(blender, opengl, name, technique):  # noqa: F811 - fixtures
     case = CASES[name]()
-    case = replace(case, settings=replace(case.settings, technique="PAINTER"))
+    case = replace(case, settings=replace(case.settings, technique=technique))
     here, there = opengl(case, True), pictures(blender, case)
     found = differences(here, there)
     assert found["edges"] <= EDGES  # measured 0, where both run on one driver
     for key in COLORS:
         assert found[key] <= AGREE, key  # measured 0, where both run on one driver
     assert np.abs(here["combined"] - there["combined"]).max() <= AGREE  # edges are soft; measured 0
+    assert found["depth"] <= 1e-5
+    assert found["position"] <= 1e-5
