@@ -27,9 +27,10 @@ bool ps_surrounded(vec4 a, vec4 b, vec4 c, vec4 d, vec2 toward)
          all(lessThanEqual(begin, vec4(front)));
 }
 
-// Whether nearer splats hold the pixels on all four sides of this one, and those that face each other lie nearer to each
-// other than to what is seen between them: on steep surfaces the splats that won their pixels do not touch any more.
-bool ps_enclosed(ivec2 pixel, float own_front)
+// How far nearer splats enclose this pixel, where two that face each other are nearer to each other than to what is seen
+// between them. 2: they hold all four sides. 1: three sides of a pixel that shows something; against nothing, notches of
+// an outline stay open. 0: they do not. On steep surfaces the splats that won their pixels do not touch any more.
+int ps_enclosed(ivec2 pixel, float own_front)
 {
   ivec2 last = textureSize(ps_front, 0) - 1;
   vec4 near = vec4(texelFetch(ps_front, ivec2(max(pixel.x - 1, 0), pixel.y), 0).x,
@@ -37,8 +38,11 @@ bool ps_enclosed(ivec2 pixel, float own_front)
                    texelFetch(ps_front, ivec2(min(pixel.x + 1, last.x), pixel.y), 0).x,
                    texelFetch(ps_front, ivec2(pixel.x, min(pixel.y + 1, last.y)), 0).x);
   vec2 farther = max(near.xy, near.zw), nearer = min(near.xy, near.zw);
-  return all(greaterThan(nearer, vec2(0.0))) &&
-         all(lessThan(2.0 * farther - nearer, vec2(own_front - frame.lens.x)));
+  float own = own_front - frame.lens.x;
+  bvec2 linked = lessThan(2.0 * farther - nearer, vec2(own));
+  bool between = (nearer.x > 0.0 && linked.x) || (nearer.y > 0.0 && linked.y);
+  float sides = dot(vec4(greaterThan(near, vec4(0.0))) * vec4(lessThan(near, vec4(own))), vec4(1.0));
+  return !between ? 0 : sides > 3.5 ? 2 : sides > 2.5 && own_front < 1e37 ? 1 : 0;
 }
 #endif
 
@@ -70,7 +74,8 @@ void main()
 #ifdef PS_FINEST
   // Where it does so on all four sides, it goes on however thin its splats are.
   bool inside = ps_surrounded(place[0], place[1], place[2], place[3], vec2(toward));
-  float slack = ps_enclosed(pixel, own_front) ? 1.0 : inside ? 0.25 : 0.0;
+  int enclosed = ps_enclosed(pixel, own_front);
+  float slack = enclosed == 2 ? 1.0 : inside || enclosed == 1 ? 0.25 : 0.0;
 #else
   float slack = side * side * 0.125;
 #endif

@@ -40,4 +40,4 @@ def test_one_sample_shows_hardly_a_speck(eye):
     camera = scenes.camera(eye=eye, resolution=(400, 400))
     depth = scenes.render(Case(scene, camera), DEPTH).pixels["depth"][..., 0]
     assert (depth < 100).sum() > 60000
-    assert specks(depth) <= 2  # measured 1 in each; 50 where only what splats touch counts as hidden
+    assert specks(depth) <= 2  # measured 1; 50 where only what splats touch counts as hidden
