@@ -697,15 +697,16 @@ def _extent(points: PointSet, store: Store) -> tuple[np.ndarray, float, float]:
     def look() -> tuple[np.ndarray, float, float]:
         low, high = sampling.bounding_box(cloud.position)
         middle, squared = (low + high) / 2, []
+        side = max(float((high - low).max()), np.finfo(np.float32).tiny)  # squares of 1e30 are no float32
 
         def measure(block: slice) -> None:
-            offset = cloud.position[block].T - middle.astype(np.float32)[:, None]
+            offset = (cloud.position[block].T - middle.astype(np.float32)[:, None]) * np.float32(1 / side)
             squared.append(float(dot(offset, offset).max()))
 
         each_block(len(cloud), measure)
         radius = 0.0 if cloud.radii is None else float(cloud.radii[:, 0].max(initial=0.0))
         # Rounding of the middle and of float32 sums is far below a millionth of what is measured.
-        reach = np.sqrt(max(squared)) + 2.0**-23 * np.abs(middle).max()
+        reach = side * np.sqrt(max(squared)) + 2.0**-23 * np.abs(middle).max()
         return cloud.origin + middle, float(reach) * (1 + 1e-6), radius
 
     return store.lookup(("extent", *points.key), look)
