@@ -127,7 +127,7 @@ def plot(left: dict[str, list[float]], right: dict[str, list[float]], path: str)
         for name, errors in curves.items():
             axis.loglog(RESOLUTIONS, errors, "--" if "dust" in name else "-", marker="o", markersize=3, label=name)
         axis.set(title=title, xlabel="cells per half turn, or across what casts")
-        axis.set(xticks=RESOLUTIONS, xticklabels=RESOLUTIONS)
+        axis.set(xticks=RESOLUTIONS, xticklabels=[str(r) for r in RESOLUTIONS])
         axis.minorticks_off()
         axis.grid(alpha=0.3)
         axis.legend(fontsize=7, loc=(0.22, 0.69) if axis is axes[0] else "upper right")
