@@ -68,7 +68,7 @@ def exact_depth(light: Light, points: np.ndarray) -> np.ndarray:
         begin = (light.position * way).sum(axis=1)
     end = (points * way).sum(axis=1)
     aside = (points**2).sum(axis=1) - end**2
-    erf = np.vectorize(math.erf)
+    erf = np.vectorize(math.erf, otypes=[float])
     scale = DEVIATION * math.sqrt(2)
     along = PEAK * scale * math.sqrt(math.pi) / 2 * (erf(end / scale) - erf(begin / scale))
     return along * np.exp(-aside / (2 * DEVIATION**2))
@@ -87,7 +87,7 @@ def edge_error(light: Light, resolution: int, spacing: float) -> float:
     """Mean error of T within NEAR of the shadow of the edge x = 0 of a plane of 1 by 2 in z = 0."""
     x, y = (np.arange(round(1 / spacing)) + 0.5) * spacing, (np.arange(round(2 / spacing)) + 0.5) * spacing - 1
     position = np.stack(np.meshgrid(x, y, [0.0]), axis=-1).reshape(-1, 3).astype(np.float32)
-    normal = np.broadcast_to(np.float32([0, 0, 1]), position.shape).copy()
+    normal = np.broadcast_to(-DOWN.astype(np.float32), position.shape).copy()
     radii = np.full((len(position), 1), spacing * math.sqrt(2 / math.pi), np.float32)
     plane = PointCloud(position, normal=normal, radii=radii)
     table = shadow.build(light, [shadow.casters(plane, np.eye(4))], resolution)
