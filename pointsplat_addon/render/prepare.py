@@ -20,7 +20,7 @@ from ..core.apart import apart, leafy
 from ..core.appearance import digest, passing, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
 from ..core.cost import DEFAULT, Costs
-from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_value, select
+from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_value, select, staggered
 from ..core.hierarchy import Hierarchy, build, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
@@ -231,7 +231,8 @@ class _View:
                 near = self._near(geometry, view_from_object[where])
                 polygons.append(where[near])
                 where = where[~near]
-                found = self._points(geometry, view_from_object[where]) if len(where) else []
+                # What is not near is small enough to be points, each instance by itself.
+                found = self._points(geometry, view_from_object[where], all_far=True) if len(where) else []
                 if found is None:
                     polygons.append(where)
                     continue
@@ -374,9 +375,11 @@ class _View:
         family = ("family by part", same, look, spacing)
         return PointSet(key, store.lookup(key, make), family=family), sampled
 
-    def _points(self, geometry: Geometry, view_from_object: np.ndarray) -> list[tuple[PointSet, np.ndarray]] | None:
+    def _points(
+        self, geometry: Geometry, view_from_object: np.ndarray, all_far: bool = False
+    ) -> list[tuple[PointSet, np.ndarray]] | None:
         """The points of a geometry at the density that this view needs, for all or for some of its instances; None
-        where polygons are drawn."""
+        where polygons are drawn. `all_far`: triangles are known to be small."""
         if geometry.cloud is not None:
             return [(self._given_points(geometry, geometry.cloud), np.arange(len(view_from_object)))]
         mesh = geometry.mesh
@@ -392,7 +395,7 @@ class _View:
             return []
         if geometry.primitive == "AUTO":
             edge = self.store.lookup(("edge", geometry.key), lambda: _typical_edge(mesh, ok))
-            if edge * self.settings.tolerance > POLYGON_PIXELS * needed:
+            if not all_far and edge * self.settings.tolerance > POLYGON_PIXELS * needed:
                 return None
             if len(view_from_object) * len(mesh.triangles) <= MOST_LEAVES:
                 leaves = self.store.lookup(("leafy", geometry.key), lambda: leafy(mesh.position, mesh.triangles[ok]))
@@ -579,7 +582,7 @@ class _View:
                 gone = where[~visible(views, middle, far + radius, camera)]
                 set_of_instance[gone] = own[gone] = -1
                 continue
-            choice = choose(levels, views, where, camera, tolerance)
+            choice = choose(levels, views, where, camera, tolerance, band=staggered(tolerance))
             own[where[choice.level != OWN]] = -1
             set_of_instance[where[choice.level == NONE]] = -1
             every = where[choice.level == ALL]
@@ -612,7 +615,9 @@ class _View:
         scene = self.scene
         cull = np.array([bool(scene.materials.cull[_rows(g)].all()) for g in scene.geometries], bool)
         cull = cull[scene.instances.geometry]
-        return select(trees, set_of_instance, view_from_object, self.camera, self.settings.tolerance, cull=cull)
+        tolerance = self.settings.tolerance
+        band = staggered(tolerance)
+        return select(trees, set_of_instance, view_from_object, self.camera, tolerance, cull, band=band)
 
     def _wide(self, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:
         """(I,) bool: instances whose typical splat is a ball that is wide on the screen."""
@@ -741,13 +746,14 @@ def _largest(
     camera: Camera,
     store: Store,
 ) -> float:
-    """No point is wider than this radius in pixels: each instance's largest one at its nearest depth."""
+    """No visible point is wider than this radius in pixels: each instance's largest one at its nearest depth. Instances
+    out of view do not count: those beside the eye would ask for a pyramid that closes gaps between bodies."""
     largest = 0.0
     focal = max(abs(f) for f in camera.pixel_from_view()[:2])
     for row, points in point_sets.items():
         matrix = view_from_object[set_of_instance == row]
-        matrix = matrix[all_finite(matrix)]
         middle, reach, radius = _extent(points, store)
+        matrix = matrix[visible(matrix, middle, reach + radius, camera)]
         scale = largest_singular_value(matrix[:, :3, :3])
         depth = 1.0
         if camera.perspective:
