@@ -23,7 +23,7 @@ bool ps_back_seen(vec4 nearest)
 }
 
 // The least variance that an ellipse keeps across, in pixels^2: disks seen edge-on stay invertible.
-#define PS_EWA_LEAST 4e-4
+#define PS_EWA_LEAST 2e-5
 
 // The kernel's middle, for the determinants of the covariance with and without the low-pass: the pixels that the splat
 // stands for, 4 pi share sqrt(of), over the integral of what the cut leaves of the Gaussian, 2 pi kept sqrt(with).
