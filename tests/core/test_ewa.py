@@ -43,8 +43,8 @@ def test_kernels_of_disks_around_the_cells_of_a_lattice_sum_to_one(v, ripple):
     moments = np.tile(np.eye(2) / 8, (len(centre), 1, 1))  # r^2 / 4 of a disk around a unit square
     places = np.random.default_rng(0).uniform(10, 14, (4000, 2))
     total = WITHIN * weights(places, centre, moments, v).sum(axis=1)
-    assert np.abs(total - 1).max() < ripple  # measured 0.0407, 0.0742, 0.1136
-    assert abs(total.mean() - 1) < 5e-3  # measured 0.0013
+    assert np.abs(total - 1).max() < ripple  # measured 0.0407, 0.0742, 0.1136, 0.2940
+    assert abs(total.mean() - 1) < 5e-3  # measured 0.0040
 
 
 def test_the_low_pass_falls_with_the_samples_and_never_vanishes():
