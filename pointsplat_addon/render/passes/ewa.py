@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.ewa import CUTOFF, low_pass
+from ...core.ewa import CUTOFF, centres_decide, low_pass
 from ...core.scene import Camera
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
@@ -49,6 +49,7 @@ class EwaOptions:
     """What a view's splats need beyond PointOptions."""
 
     low_pass: float  # pixels^2: core.ewa.low_pass
+    hard: bool  # core.ewa.centres_decide
     balls: bool = False  # some have no normal
     large: bool = False  # some may be wide, or near
 
@@ -63,7 +64,8 @@ def options(camera: Camera, largest: float, balls: bool, samples: int) -> EwaOpt
     depth that it extends over, at most the radius squared over the focal length in pixels."""
     focal = min(abs(f) for f in camera.pixel_from_view()[:2])
     affine = math.sqrt(AFFINE_ERROR * focal) if camera.perspective else math.inf
-    return EwaOptions(low_pass(samples), balls, large=not largest <= min(WIDEST_POINT, affine))
+    wide = not largest <= min(WIDEST_POINT, affine)
+    return EwaOptions(low_pass(samples), centres_decide(samples), balls, wide)
 
 
 @dataclass(frozen=True)
@@ -90,11 +92,12 @@ def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaProg
         outputs=tuple(("vec4", f"out_{name}") for name in ("place", "shape", "front", *blended)),
         defines=(*named, *flagged, *defines),
     )  # fmt: skip
+    hard = (("PS_HARD", "1"),) if ewa.hard else ()
     normalise = Interface(
         "normalise", fragment="ewa_normalise.frag", block=FRAME,
         samplers=tuple(("FLOAT_2D", name) for name in ("ps_nearest", *(f"ps_sum_{n}" for n in ("place", *blended)))),
         outputs=variant.front_outputs, depth=points.depth,
-        defines=(*variant.front_defines, *((("PS_DEPTH", "1"),) if points.depth else ())),
+        defines=(*variant.front_defines, *((("PS_DEPTH", "1"),) if points.depth else ()), *hard),
     )  # fmt: skip
     kinds = (False, True) if ewa.large else (False,)
     return EwaPrograms(
@@ -121,6 +124,7 @@ def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool,
         samplers.append(("FLOAT_2D", "ps_nearest"))
         defines += [("PS_BLEND", "1"), *((name, "1") for name in variant.defines if name != "PS_OWNER")]
         defines += [("PS_BALLS", "1")] if ewa.balls and variant.normal else []
+        defines += [("PS_HARD", "1")] if ewa.hard else []
         outputs = tuple(("vec4", f"out_{name}") for name in ("place", *blended))
     else:
         outputs = (("vec4", "out_nearest"),)
@@ -207,6 +211,7 @@ class Ewa:
         """Project the splats of a view."""
         self._forget()
         self.draws = draws
+        record["lens"][0, 3] = self.options.low_pass
         for draw in draws:
             splats = Splats(self.device, self.programs.splats, draw)
             self._splats.append(splats)
