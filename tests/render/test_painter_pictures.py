@@ -10,7 +10,7 @@ from pointsplat_addon.core.scene import Light, Settings, World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.frame import Renderer, Request
 from pointsplat_addon.render.prepare import STORE
-from scripts import painter_error
+from scripts import technique_error
 from scripts.compare import compare, eroded
 from tests.render import scenes, test_quality
 from tests.render.scenes import CASES, Case, render
@@ -229,11 +229,13 @@ def test_silhouettes_are_those_of_the_polygons_and_surfaces_are_closed(name, sam
 def test_on_a_textured_plane_it_is_nearer_to_the_polygons_than_disks_and_farther_than_ewa():
     """At equal numbers of points, four pixels each, with one sample a pixel."""
     renderer = scenes.opengl()
-    truth, _ = painter_error.picture(renderer, "POLYGONS", "facing", "IMAGE_SPACE", 1.0, 16)
+    plane = technique_error.plane(technique_error.VIEWS["plane, facing"])
+    STORE.clear()
+    truth, _, _ = technique_error.picture(renderer, plane, "POLYGONS", "IMAGE_SPACE", 1.0, 16)
     found = {}
     for technique in ("EWA", "PAINTER", "disks"):
-        drawn, points = painter_error.picture(renderer, "POINTS", "facing", technique, 4.0, 1)
-        found[technique] = painter_error.errors(drawn, truth, points)
+        drawn, points, _ = technique_error.picture(renderer, plane, "POINTS", technique, 4.0, 1)
+        found[technique] = technique_error.errors(drawn, truth, points)
     assert len({of.points for of in found.values()}) == 1
     assert found["EWA"].rmse < 0.9 * found["PAINTER"].rmse  # measured 28.4 and 33.7
     assert found["PAINTER"].rmse < 0.98 * found["disks"].rmse  # measured 33.7 and 35.2
