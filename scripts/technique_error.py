@@ -22,8 +22,7 @@ from unittest import mock
 import numpy as np
 from PIL import Image
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from pointsplat_addon.core import expressions as ex
 from pointsplat_addon.core import painter
@@ -36,6 +35,7 @@ from pointsplat_addon.render.prepare import STORE, prepare
 from scripts.compare import displayed, eroded
 from tests.render import scenes
 
+ROOT = Path(__file__).resolve().parent.parent
 TOLERANCES = (0.5, 1.0, 2.0, 4.0, 8.0)  # pixels
 TECHNIQUES = ("IMAGE_SPACE", "EWA", "PAINTER")
 SAMPLES = (16, 1)
@@ -47,14 +47,15 @@ SIZE = 256  # pixels
 RULED = (2, 3, 5, 10, 20, 30, 50)  # of the plot's axis
 TRUTH = 64  # samples of the polygons
 SHOWN = 1.0, 16  # tolerance and samples of the pictures
+BORDER = 6  # rows about what is shown
 GAIN = 3.0  # of their differences
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Of one picture. RMSE in steps of 8 bits of sRGB, of all and of what lies within the silhouette; alpha over that of
-    the polygons; share of what lies behind that is seen within, in the mean and in the worst pixel, in the same steps;
-    seconds of processor time, the choice of points left out."""
+    """Of one picture. RMSE in steps of 8 bits of sRGB, of all and of what lies within the silhouette; alpha over that
+    of the polygons; share of what lies behind that is seen within, in the mean and in the worst pixel, in the same
+    steps; seconds of processor time, the choice of points left out."""
 
     points: int
     rmse: float
@@ -210,7 +211,7 @@ def rows(name: str, curves: Curves, techniques: tuple[str, ...]) -> list[str]:
         picked = [TOLERANCES.index(tolerance) for tolerance in (0.5, 1.0, 4.0)]
         for technique in techniques:
             curve = curves.of(technique, samples)
-            cells = [f"{e.rmse:.1f} ({e.interior:.1f})" if math.isfinite(e.interior) else f"{e.rmse:.1f}" for e in curve]
+            cells = [f"{e.rmse:.1f} ({e.interior:.1f})".replace(" (nan)", "") for e in curve]
             alpha = ", ".join(f"{curve[i].alpha:.3f}" for i in picked)
             spent = ", ".join(f"{curve[i].seconds / base[i].seconds:.1f}" for i in picked)
             lines.append(f"| {name}, {samples} | {technique} | {' | '.join(cells)} | {alpha} | {spent} |")
@@ -260,11 +261,14 @@ def plot(found: dict[str, Curves], path: str) -> None:
 
 
 def sheet(found: dict[str, Curves]) -> np.ndarray:
-    """Polygons and each technique; below, how far these differ from polygons, times GAIN."""
+    """Polygons and each technique; below, how far these differ from polygons, times GAIN. Rows with nothing are left
+    out."""
     lines = []
     for curves in found.values():
-        truth = displayed(curves.pictures["polygons"])
-        drawn = [displayed(curves.pictures[technique]) for technique in TECHNIQUES]
+        rows = np.flatnonzero(curves.pictures["polygons"][..., 3].any(axis=1))
+        rows = slice(max(rows[0] - BORDER, 0), rows[-1] + BORDER + 1)
+        truth = displayed(curves.pictures["polygons"][rows])
+        drawn = [displayed(curves.pictures[technique][rows]) for technique in TECHNIQUES]
         differences = [np.clip(GAIN * np.abs(picture - truth), 0, 1) for picture in drawn]
         lines.append(np.concatenate([truth, *drawn], axis=1)[::-1])
         lines.append(np.concatenate([np.zeros_like(truth), *differences], axis=1)[::-1])
