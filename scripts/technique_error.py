@@ -296,7 +296,7 @@ def main() -> None:
     if arguments.plot:
         plot(found, arguments.plot)
     if arguments.pictures:
-        Image.fromarray(sheet(found)).save(arguments.pictures, quality=80)
+        Image.fromarray(sheet(found)).save(arguments.pictures, quality=72)
 
 
 if __name__ == "__main__":
