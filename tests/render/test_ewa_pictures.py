@@ -12,7 +12,7 @@ from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.frame import Renderer
 from pointsplat_addon.render.outputs import BACKGROUND_DEPTH
 from pointsplat_addon.render.prepare import STORE
-from scripts import painter_error
+from scripts import technique_error
 from scripts.compare import compare
 from tests.render import scenes, test_quality
 from tests.render.scenes import ALL_PASSES, CASES, Case, render
@@ -352,17 +352,15 @@ def test_many_samples_are_nearer_to_the_polygons_than_those_of_any_other_techniq
         assert found["EWA"]["interior_psnr"] > found[other]["interior_psnr"]
 
 
-@pytest.mark.parametrize("view", painter_error.VIEWS)
+@pytest.mark.parametrize("view", technique_error.VIEWS)
 def test_a_textured_plane_errs_less_than_by_painting(view):
     """At equal numbers of points."""
-    renderer = scenes.opengl()
-    truth, _ = painter_error.picture(renderer, "POLYGONS", view, "IMAGE_SPACE", 1.0, 64)
-    found = [
-        painter_error.errors(pixels, truth, count)
-        for pixels, count in (
-            painter_error.picture(renderer, "POINTS", view, technique, 2.0, 16) for technique in ("EWA", "PAINTER")
-        )
-    ]
+    renderer, plane = scenes.opengl(), technique_error.plane(technique_error.VIEWS[view])
+    truth, _, _ = technique_error.picture(renderer, plane, "POLYGONS", "IMAGE_SPACE", 1.0, 64)
+    found = []
+    for technique in ("EWA", "PAINTER"):
+        drawn, points, _ = technique_error.picture(renderer, plane, "POINTS", technique, 2.0, 16)
+        found.append(technique_error.errors(drawn, truth, points))
     assert found[0].points == found[1].points
     assert found[0].rmse < 0.95 * found[1].rmse  # measured 0.77, 0.69
 
