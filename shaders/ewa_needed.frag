@@ -1,23 +1,24 @@
-// Whether a projected splat is needed, for what `visibility` found of some of them: PS_EWA_HIDDEN, where it lies behind
-// that; PS_EWA_COVERED, where it may be blended, but its ellipse is covered by a surface that it belongs to or lies behind;
-// else PS_EWA_NEEDED. Nine places of it are looked at: its middle, and eight near the kernel's end. Layout: render/passes/ewa_cover.py.
+// Whether a projected splat is needed, for what `visibility` found of some of them: PS_EWA_HIDDEN, where all of it lies
+// behind that; PS_EWA_COVERED, where it may be blended, but its ellipse is covered by a surface that it belongs to or lies
+// behind, at its middle and at eight places near the kernel's end; else PS_EWA_NEEDED. Layout: render/passes/ewa_cover.py.
 
 #include "lib/ewa.glsl"
 
 #define PS_EWA_HIDDEN 0.0
 #define PS_EWA_COVERED 1.0
 #define PS_EWA_NEEDED 2.0
+#define PS_OPEN 3e38
 
-// Whether nothing is open in the windows that hold all within `side` pixels of `middle`.
-bool ps_closed(vec2 middle, vec2 side)
+// The farthest depth of what is nearest within `side` pixels of `middle`, or PS_OPEN.
+float ps_farthest(vec2 middle, vec2 side)
 {
   ivec2 last = ivec2(frame.size.xy) - 1;
   ivec2 low = clamp(ivec2(floor(middle - side)), ivec2(0), last) >> frame.page.y;
   ivec2 high = clamp(ivec2(floor(middle + side)), ivec2(0), last) >> frame.page.y;
   ivec2 other = max(low, high - frame.page.x + 1);
-  float open = texelFetch(ps_open, low, 0).x + texelFetch(ps_open, other, 0).x +
-               texelFetch(ps_open, ivec2(low.x, other.y), 0).x + texelFetch(ps_open, ivec2(other.x, low.y), 0).x;
-  return open == 0.0 && all(lessThan(high - low, ivec2(2 * frame.page.x)));
+  float one = max(texelFetch(ps_open, low, 0).x, texelFetch(ps_open, other, 0).x);
+  float two = max(texelFetch(ps_open, ivec2(low.x, other.y), 0).x, texelFetch(ps_open, ivec2(other.x, low.y), 0).x);
+  return all(lessThan(high - low, ivec2(2 * frame.page.x))) ? max(one, two) : PS_OPEN;
 }
 
 void main()
@@ -34,7 +35,7 @@ void main()
   axis = apart > 1e-9 * mean ? normalize(axis) : vec2(1.0, 0.0);
   vec2 across = vec2(-axis.y, axis.x), variance = max(vec2(mean + apart, mean - apart), 0.0);
   vec2 rim = 2.1 * sqrt(variance + low_pass) + margin;
-  bool hidden = true, covered = true;
+  bool covered = true;
   for (int i = 0; i < 9; i++) {
     vec2 sides = vec2(i % 3, i / 3) - 1.0;
     sides *= (abs(sides.x) + abs(sides.y) > 1.5 ? 0.70710678 : 1.0) * rim;
@@ -42,14 +43,16 @@ void main()
     vec2 seen = texelFetch(ps_nearest, pixel, 0).xy;
     float depth = place.z + dot(front.xy, vec2(pixel) + 0.5 - middle);
     bool open = !(seen.x > 0.0);
-    hidden = hidden && !open && depth - front.w > seen.y;
     covered = covered && !open && depth - frame.lens.x + tolerance >= seen.x;
   }
-  bool closed = ps_closed(middle, PS_EWA_CUTOFF_SIGMA * sqrt(c.xz + low_pass) + margin);
+  vec2 side = PS_EWA_CUTOFF_SIGMA * sqrt(c.xz + low_pass) + margin;
+  float farthest = ps_farthest(middle, side);
+  bool closed = farthest < PS_OPEN;
+  // All of it, wherever something nearer ends within its reach.
+  bool hidden = place.z - dot(abs(front.xy), side) - front.w > farthest;
 #ifdef PS_THIN
   covered = covered && (back || closed);
 #else
-  hidden = hidden && closed;
   covered = covered && closed;
 #endif
   out_needed = hidden ? PS_EWA_HIDDEN : covered ? PS_EWA_COVERED : PS_EWA_NEEDED;

@@ -66,19 +66,19 @@ def drawn(monkeypatch):
     return counts
 
 
-SCENES = {  # the things; the share of all splats that is blended at most, and drawn for visibility; colours differ by
-    "closed": ((ball(0.014),), 0.66, 0.66, 1e-6),  # measured 0.63, 0.63 and 0
-    "with a hole": ((ball(0.014, hole=0.3),), 0.68, 0.68, 1e-6),  # measured 0.65, 0.65 and 0
-    "wide": ((ball(0.055),), 0.63, 0.42, 1e-3),  # measured 0.60, 0.39 and 4.9e-4, one step of half floats
-    "wide, with a hole": ((ball(0.055, hole=0.3),), 0.65, 0.46, 5e-3),  # measured 0.62, 0.43; 3.4e-3 beside the hole
-    "wide, behind wires": ((ball(0.055), wires()), 0.63, 0.43, 1e-3),  # measured 0.61, 0.41 and 4.9e-4
+SCENES = {  # the things; the share of all splats that is blended at most, and drawn for visibility
+    "closed": ((ball(0.014),), 0.66, 0.66),  # measured 0.63, 0.63
+    "with a hole": ((ball(0.014, hole=0.3),), 0.68, 0.68),  # measured 0.65, 0.65
+    "wide": ((ball(0.055),), 0.71, 0.59),  # measured 0.69, 0.57; with one sample 0.42
+    "wide, with a hole": ((ball(0.055, hole=0.3),), 0.74, 0.61),  # measured 0.71, 0.59
+    "wide, behind wires": ((ball(0.055), wires()), 0.72, 0.6),  # measured 0.69, 0.58
 }
 
 
 @pytest.mark.parametrize("samples", [1, 4])
 @pytest.mark.parametrize("name", SCENES)
 def test_pictures_are_the_same_with_fewer_splats(name, samples, drawn, monkeypatch):
-    things, blended, seen, worst = SCENES[name]
+    things, blended, seen = SCENES[name]
     total = sum(len(part[0]) for part in things)
     thing = case(f"left out {name}", *things)
     found = picture(thing, samples)
@@ -89,9 +89,7 @@ def test_pictures_are_the_same_with_fewer_splats(name, samples, drawn, monkeypat
     assert "blended" not in drawn
     assert drawn["first"] + drawn["then"] == total
     assert (whole[..., 3] == 1).sum() > 30_000
-    difference = np.abs(found - whole)
-    assert difference.max() <= worst
-    assert (difference > 1e-3).sum() <= 60  # measured 15 of 360,000 numbers
+    assert np.abs(found - whole).max() < 1e-6  # measured 0
 
 
 def picture(case: Case, samples: int) -> np.ndarray:

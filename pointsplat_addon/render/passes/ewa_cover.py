@@ -1,11 +1,11 @@
 """Which splats a view by EWA needs, found once for all its samples, before most of them are drawn.
 
 Some of them are drawn for visibility first: those that face the eye, and of these only as many as cover the picture
-LAYERS times. `needed` compares every splat with what was seen then: those that lie behind it are neither drawn nor
-blended, and those that are covered by a surface that they belong to or lie behind are blended alone. Neither is said of
-splats that have anything open around them (`open`, of windows as wide as kernels): edges are those of all splats. Where
-they are thinned this holds of those that face the eye: so many overlap there that what shows of a back is looked at by
-some of them.
+LAYERS times. `needed` compares every splat with what was seen then. Those of which all lies behind the farthest of what
+is nearest within their reach (`open`, maxima over windows as wide as kernels) are neither drawn nor blended; those that
+are covered by a surface that they belong to or lie behind are blended alone. Neither is said of splats that have
+anything open around them: edges are those of all splats. Where they are thinned this holds of those that face the eye:
+so many overlap there that what shows of a back is looked at by some of them.
 """
 
 from __future__ import annotations
