@@ -12,10 +12,11 @@ from typing import ClassVar
 import numpy as np
 
 from .cloud import PointCloud
+from .lines import Lines
 
 TECHNIQUES = ("AUTO", "IMAGE_SPACE", "EWA", "PAINTER")
 DEVICES = ("AUTO", "BLENDER_GPU", "OPENGL")
-PRIMITIVES = ("AUTO", "POINTS", "POLYGONS")
+PRIMITIVES = ("AUTO", "POINTS", "POLYGONS", "LINES")
 
 
 @dataclass(frozen=True)
@@ -112,13 +113,14 @@ class Medium:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """What an instance refers to: a mesh (points or polygons), a cloud or a volume (both points)."""
+    """What an instance refers to: a mesh (points or polygons), a cloud or a volume (both points), or strands."""
 
     key: str  # content key
     name: str
     mesh: Mesh | None = None
     cloud: PointCloud | None = None
     volume: Volume | None = None
+    lines: Lines | None = None
     primitive: str = "AUTO"  # one of PRIMITIVES
     spacing: float = 0.0  # distance between samples in object units; 0 chooses
     lattice: str = ""  # clouds of equal keys and attributes have the same points and half-axes; "": no other does
