@@ -24,7 +24,8 @@ class Curves:
     """C curves of P control points, one curve after another, none of them empty.
 
     What is None is not needed by the kinds in use. Knots follow Blender's modes: 0 uniform, 1 endpoint, 2 Bezier,
-    3 both; orders and numbers of points that fit no knots make the curve a polyline of its control points, as in Blender.
+    3 both. Orders and numbers of points that fit no knots make a curve the polyline of its control points, as in
+    Blender.
     """
 
     position: np.ndarray  # (P, 3)
@@ -206,8 +207,10 @@ def _steps(curves: Curves, owner: np.ndarray, inside: np.ndarray, following: np.
     every = np.arange(len(owner))
     a, b, c, d = _neighbours(every, curves.start, owner, inside, following, curves.cyclic)
     p = np.asarray(curves.position, np.float64)
-    first = np.linalg.norm(2 * p[a] - 5 * p[b] + 4 * p[c] - p[d], axis=1)
-    second = np.linalg.norm(-p[a] + 4 * p[b] - 5 * p[c] + 2 * p[d], axis=1)
+    chord = _unit(p[c] - p[b])
+    # Only what leads away from the chord; along it points merely lie unevenly
+    bends = (2 * p[a] - 5 * p[b] + 4 * p[c] - p[d], -p[a] + 4 * p[b] - 5 * p[c] + 2 * p[d])
+    first, second = (np.linalg.norm(v - np.einsum("ij,ij->i", v, chord)[:, None] * chord, axis=1) for v in bends)
     radius = np.zeros(len(p)) if curves.radius is None else np.maximum(curves.radius[b], curves.radius[c])
     bend, allowed = np.maximum(first, second) / 8, CHORD * radius
     with np.errstate(all="ignore"):
@@ -286,7 +289,7 @@ class _Spans:
         return found
 
     def _basis(self, degree: int, owner: np.ndarray, span: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The basis functions that do not vanish in a span (Piegl and Tiller 1997, algorithm A2.2), and their points."""
+        """The basis functions that do not vanish in a span and their points (Piegl and Tiller 1997, algorithm A2.2)."""
         basis = np.zeros((len(u), degree + 1))
         basis[:, 0] = 1
         left = [u - self.knots[span + 1 - j] for j in range(1, degree + 1)]
@@ -367,9 +370,8 @@ def tangents(position: np.ndarray, start: np.ndarray, cyclic: np.ndarray) -> np.
     behind[following[moved]] = ahead[moved]
     # A place that coincides with one neighbour takes the other's direction
     missing = ~ahead.any(axis=1)
-    both = _unit(
-        _unit(np.where(missing[:, None], behind, ahead)) + np.where(behind.any(axis=1)[:, None], behind, ahead)
-    )
+    alone = ~behind.any(axis=1)
+    both = _unit(np.where(missing[:, None], behind, ahead) + np.where(alone[:, None], ahead, behind))
     valid = both.any(axis=1)
     known = np.maximum.accumulate(np.where(valid, every, -1))
     known = np.where(known < first, -1, known)
@@ -418,8 +420,8 @@ def _minimum_twist(
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(n, 4) unit quaternions, real part first, that turn unit vectors a into b the shortest way; opposite ones are left
-    alone, since a normal fits both."""
+    """(n, 4) unit quaternions, real part first, that turn unit vectors a into b the shortest way; opposite ones are
+    left alone, since a normal fits both."""
     real = 1 + np.einsum("ij,ij->i", a, b)
     quaternion = np.column_stack([real, np.cross(a, b)])
     quaternion[real < 1e-12] = [1, 0, 0, 0]

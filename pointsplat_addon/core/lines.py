@@ -119,9 +119,9 @@ def _tell(messages: list[str], number: int, what: str, one: str, many: str) -> N
 
 
 def simplified(lines: Lines, tolerance: float) -> Lines:
-    """The strands with every second, fourth, eighth ... of their points, each as few as `tolerance` (object units) lets:
-    no dropped point lies farther than that from the line that takes its place, no edge of the strand either, and colours
-    differ by COLOR_STEP at most. Radii grow as lengths shrink, so that each strand covers the area that it did.
+    """The strands with every second, fourth, eighth ... of their points, each as few as `tolerance` (object units)
+    lets: no dropped point lies farther than that from the line that takes its place, no edge of the strand either, and
+    colours differ by COLOR_STEP at most. Radii grow as lengths shrink, so that each strand covers the area that it did.
 
     Ends stay. Strands of equal numbers of points keep the same ones at equal levels. Raises ValueError where the
     tolerance is not positive.
@@ -176,8 +176,9 @@ def _farthest(lines: Lines, rows: np.ndarray, before: np.ndarray, after: np.ndar
 
 
 def thinned(lines: Lines, share: float) -> Lines:
-    """About `share` (in (0, 1]) of the strands, evenly chosen, widened to cover the area that all did; those of a smaller
-    share are among those of a larger one. At least one stays. Raises ValueError where the share is not in (0, 1]."""
+    """About `share` (in (0, 1]) of the strands, evenly chosen, widened to cover the area that all did; those of a
+    smaller share are among those of a larger one. At least one stays. Raises ValueError where the share is not in
+    (0, 1]."""
     if not 0 < share <= 1:
         raise ValueError(f"share is {share}, expected more than 0 and at most 1")
     lot = np.arange(len(lines)) * GOLDEN % 1

@@ -1,7 +1,7 @@
 """Hair and curves to strands: Curves objects, hair of particle systems, and curve objects with a round bevel.
 
-What Blender holds is read as it is (`Strands`), and becomes `core.lines.Lines` by its materials: evaluated, cleaned, with
-the colours of its points where they vary.
+What Blender holds is read as it is (`Strands`), and becomes `core.lines.Lines` by its materials: evaluated, cleaned,
+with the colours of its points where they vary.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ DEFAULT_RADIUS = 0.005  # Cycles', for curves without a radius attribute
 DEFAULT_RESOLUTION = 12  # Blender's, for curves without one
 SURFACE_UV = "surface_uv_coordinate"  # where hair is attached
 CUSTOM_KNOTS = 4  # a mode whose knots Python cannot read
+VECTOR = 2  # a type of handles
 SQUARE = 1  # bevel resolutions up to this one have corners that show
 OF_POINTS = ("position", "radius", "handle_left", "handle_right", "vector_left", "vector_right", "weight")
 OF_CURVES = ("kind", "cyclic", "resolution", "order", "knots")
@@ -89,10 +90,10 @@ def convert(strands: Strands, name: str, materials: tuple[CloudMaterial, ...], l
 
 def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ribbons: bool) -> Strands | None:
     """An evaluated Curves object, in object space; None where it is empty. ribbons: with normals."""
-    start = arrays.read(data.curve_offset_data, "value", 1, np.int32).astype(np.int64)
-    count, total, asked = len(start) - 1, len(data.points), wanted(materials)
-    if count < 1 or total == 0:
+    count, total, asked = len(data.curves), len(data.points), wanted(materials)
+    if count == 0 or total == 0:
         return None
+    start = arrays.read(data.curve_offset_data, "value", 1, np.int32).astype(np.int64)
 
     def number(name: str, default: int) -> np.ndarray:
         found = _read(data, name)
@@ -113,7 +114,8 @@ def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ri
         radius,
         _read(data, "handle_left"),
         _read(data, "handle_right"),
-        *(None if t is None else t == 2 for t in types),
+        None if types[0] is None else types[0] == VECTOR,
+        None if types[1] is None else types[1] == VECTOR,
         number("nurbs_order", 4),
         np.where(knots == CUSTOM_KNOTS, 0, knots),
         _read(data, "nurbs_weight"),
@@ -266,7 +268,7 @@ def _points(spline: bpy.types.Spline) -> tuple[np.ndarray, ...]:
 def _bezier(spline: bpy.types.Spline) -> tuple[np.ndarray, ...]:
     points = spline.bezier_points
     co, left, right = (arrays.read(points, name, 3, np.float32) for name in ("co", "handle_left", "handle_right"))
-    types = [arrays.read(points, f"handle_{side}_type", 1, np.int32) == 2 for side in ("left", "right")]
+    types = [arrays.read(points, f"handle_{side}_type", 1, np.int32) == VECTOR for side in ("left", "right")]
     radius = arrays.read(points, "radius", 1, np.float32)
     return co, radius, np.ones(len(co), np.float32), left, right, np.stack(types, axis=1)
 

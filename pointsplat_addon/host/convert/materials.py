@@ -334,18 +334,17 @@ def _principled_hair(node: Reader) -> Surface:
         value, use["Melanin Redness"], use["Tint"], use["Random Color"], random if varied else ZERO, radial, kind
     )
     numbers = {name: _number(node, name) for name in ("Coat", "IOR", "Offset", "R lobe", "TT lobe", "TRT lobe")}
-    lobes = (numbers["R lobe"], numbers["TT lobe"], numbers["TRT lobe"]) if huang else (1.0, 1.0, 1.0)
+    lobes = tuple(max(numbers[f"{name} lobe"], 0.0) if huang else 1.0 for name in ("R", "TT", "TRT"))
     fibre = ex.constant(radial)
     node.walker.hair = Hair(
         radial=0.3 if fibre is None else float(np.clip(fibre[0], 0, 1)),
         coat=0.0 if huang else min(max(numbers["Coat"], 0.0), 1.0),
         ior=max(numbers["IOR"], 1.0),
         tilt=numbers["Offset"],
-        lobes=tuple(max(v, 0.0) for v in lobes),
+        lobes=lobes,
     )
-    return Surface(
-        base_color=color, roughness=roughness, ior=ex.Constant((numbers["IOR"],)), specular=ex.Constant((0.5,))
-    )
+    ior, specular = ex.Constant((numbers["IOR"],)), ex.Constant((0.5,))
+    return Surface(base_color=color, roughness=roughness, ior=ior, specular=specular)
 
 
 def _number(node: Reader, identifier: str) -> float:

@@ -31,7 +31,7 @@ class Hair:
     coat: float = 0.0
     ior: float = 1.55
     tilt: float = 0.0349066
-    lobes: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    lobes: tuple[float, ...] = (1.0, 1.0, 1.0)
 
 
 class Walker:
