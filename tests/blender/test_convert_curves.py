@@ -40,8 +40,9 @@ def linked(name, data):
 def hair(sizes, position, name="Hair", **attributes):
     """A Curves object. Attributes: name to (type, domain, key, values)."""
     data = bpy.data.hair_curves.new(name)
-    data.add_curves(list(sizes))
-    data.position_data.foreach_set("vector", np.asarray(position, np.float32).ravel())
+    if sizes:  # none at all crash Blender 4.5
+        data.add_curves(list(sizes))
+        data.position_data.foreach_set("vector", np.asarray(position, np.float32).ravel())
     for attribute, (kind, domain, key, values) in attributes.items():
         made = data.attributes.new(attribute, kind, domain)
         made.data.foreach_set(key, np.asarray(values).ravel())
@@ -219,13 +220,13 @@ def test_what_a_tube_does_not_fit_stays_a_mesh():
 def test_splines_keep_their_materials_and_radii():
     ob = spline_object("BEZIER", 4, cyclic=False)
     ob.data.bevel_depth = 0.5
+    for name in ("Red", "Blue"):
+        ob.data.materials.append(bpy.data.materials.new(name))
     second = ob.data.splines.new("POLY")
     second.points.add(1)
     second.points[0].co, second.points[1].co = (5, 0, 0, 1), (5, 0, 1, 1)
     second.points[0].radius, second.points[1].radius = 1, 3
     second.material_index = 1
-    for name in ("Red", "Blue"):
-        ob.data.materials.append(bpy.data.materials.new(name))
     scene = sync()
     lines = scene.geometries[0].lines
     assert [scene.materials.names[row] for row in lines.material] == ["Red", "Blue"]
@@ -326,9 +327,9 @@ def test_ribbons_are_asked_for_and_change_the_geometry():
     ob.pointsplat.ribbons = True
     flat = sync(synchronizer).geometries[0]
     assert flat.key != round_one.key
-    along = np.diff(flat.lines.position, axis=0)
+    along = core.tangents(flat.lines.position, flat.lines.start, np.array([False]))
     assert np.abs(np.linalg.norm(flat.lines.normal, axis=1) - 1).max() < 1e-6
-    assert np.abs(np.einsum("ij,ij->i", along, flat.lines.normal[1:])).max() < 0.05 * np.abs(along).max()
+    assert np.abs(np.einsum("ij,ij->i", along, flat.lines.normal)).max() < 1e-5  # measured below 1e-6
 
 
 # Particle systems
@@ -455,9 +456,10 @@ def test_melanin_varies_from_strand_to_strand_as_in_cycles():
 
 def test_colours_of_random_strands_are_cycles_pixels():
     """Emission by Curves Info, seen by Cycles along parallel rays."""
-    count = 12
-    position = np.stack([np.repeat(np.arange(count), 3), np.zeros(3 * count), np.tile([0.0, 1, 2], count)], axis=1)
-    ob = hair([3] * count, position, radius=("FLOAT", "POINT", "value", np.full(3 * count, 0.4, np.float32)))
+    count, keys = 12, 11
+    z = np.tile(np.linspace(0, 2, keys), count)
+    position = np.stack([np.repeat(np.arange(count), keys), np.zeros(len(z)), z], axis=1)
+    ob = hair([keys] * count, position, radius=("FLOAT", "POINT", "value", np.full(len(z), 0.4, np.float32)))
     material = new_material("Random")
     info = node(material.node_tree, "ShaderNodeHairInfo")
     color = node(material.node_tree, "ShaderNodeCombineColor",
@@ -486,4 +488,5 @@ def test_colours_of_random_strands_are_cycles_pixels():
     np.testing.assert_allclose(seen[16, :, 0], strand[:, 0, 0], atol=1e-4)  # measured 1e-6
     height = (np.arange(32) + 0.5) / 16
     expected = np.interp(height, lines.position.reshape(count, -1, 3)[0, :, 2], strand[0, :, 1])
-    np.testing.assert_allclose(seen[2:-2, 0, 1], expected[2:-2], atol=0.02)
+    # In the first and last segments Cycles' splines do not have constant speed
+    np.testing.assert_allclose(seen[4:-4, 0, 1], expected[4:-4], atol=2e-3)
