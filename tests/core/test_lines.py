@@ -46,7 +46,7 @@ def test_a_nurbs_circle_is_a_circle():
     made = curve(points, core.NURBS, order=np.array([3]), knots=np.array([3]), weight=weight, resolution=50)
     found = core.evaluate(made)
     assert len(found) == 3 * 50 + 1
-    assert np.abs(np.linalg.norm(found.position, axis=1) - 1).max() < 1e-14  # measured 4.4e-16
+    assert np.abs(np.linalg.norm(found.position, axis=1) - 1).max() < 1e-14  # measured 2.2e-16
 
 
 def test_a_bezier_quarter_is_its_polynomial_and_vectors_are_straight():
@@ -105,7 +105,7 @@ def test_steps_follow_the_bend_and_the_radius():
     assert np.diff(found.start)[0] > 2 * 16
     fine = core.evaluate(curve(bent, core.CATMULL_ROM, resolution=200)).position
     line = found.position[: found.start[1]]
-    assert distance(fine, line) < core.CHORD * 1e-3  # measured 2.1e-4
+    assert distance(fine, line) < core.CHORD * 1e-3  # 2.5e-4; measured 2.3e-4
 
 
 def distance(points, line):
@@ -127,13 +127,13 @@ def test_normals_do_not_twist_along_a_helix_and_close_on_a_loop():
         v = expected[-1]
         axis = np.cross(a, b)
         expected.append(v + np.cross(axis, v) + np.cross(axis, np.cross(axis, v)) / (1 + a @ b))
-    np.testing.assert_allclose(normal, expected, atol=1e-12)  # measured 1e-14
+    np.testing.assert_allclose(normal, expected, atol=1e-12)  # measured 3e-15
     t = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     knot = np.stack([np.sin(t) + 2 * np.sin(2 * t), np.cos(t) - 2 * np.cos(2 * t), -np.sin(3 * t)], axis=1)
     closed = core.evaluate(curve(knot, core.POLY, cyclic=True))
     normal = core.normals(closed, np.array([True]), np.array([core.MINIMUM_TWIST]))
     np.testing.assert_array_equal(normal[0], normal[-1])
-    assert np.einsum("ij,ij->i", normal[1:], normal[:-1]).min() > 0.7  # measured 0.75; a jump of half a turn is -1
+    assert np.einsum("ij,ij->i", normal[1:], normal[:-1]).min() > 0.9  # measured 0.958; a jump of half a turn is -1
 
 
 # Bad input
@@ -179,7 +179,7 @@ def test_a_strand_of_a_million_points_is_evaluated_cleaned_and_simplified():
     found = core.evaluate(curve(position, core.POLY))
     assert len(found) == n
     normal = core.normals(found, np.array([False]), np.array([core.MINIMUM_TWIST]))
-    assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-12
+    assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-12  # measured 4.4e-16
     lines, messages = cleaned(strands(found.position))
     assert messages == []
     assert lines is not None
@@ -200,7 +200,7 @@ def test_simplified_strands_stay_within_the_tolerance_and_keep_their_area(tolera
         new = few.position[few.start[s] : few.start[s + 1]].astype(float)
         assert distance(old, new) <= tolerance
         np.testing.assert_array_equal(old[[0, -1]], new[[0, -1]])
-    np.testing.assert_allclose(areas(few), areas(lines), rtol=1e-6)
+    np.testing.assert_allclose(areas(few), areas(lines), rtol=1e-6)  # measured 4.2e-8
     assert len(few.position) < len(lines.position) / 2
     count = np.diff(few.start)
     assert count[0] == count[3]
@@ -259,7 +259,7 @@ def test_colour_and_absorption_are_each_others_inverse():
     color = np.random.default_rng(1).uniform(1e-5, 1, (100, 3))
     radial = np.random.default_rng(2).random((100, 1))
     back = pigment.color_from_absorption(pigment.absorption_from_color(color, radial), radial)
-    np.testing.assert_allclose(back, color, rtol=1e-12)
+    np.testing.assert_allclose(back, color, rtol=1e-12)  # measured 7e-16
 
 
 def test_random_numbers_of_strands_are_jenkins():
@@ -279,5 +279,5 @@ def test_random_numbers_of_strands_are_jenkins():
         return ((c ^ b) - rot(b, 24) & mask) / 0xFFFFFFFF
 
     found = pigment.random_of_strands(200, 5)
-    np.testing.assert_allclose(found, [expected(i) for i in range(5, 205)], atol=1e-7)
+    np.testing.assert_allclose(found, [expected(i) for i in range(5, 205)], atol=1e-7)  # measured 2.9e-8
     assert len(np.unique(found)) == 200
