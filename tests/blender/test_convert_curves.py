@@ -184,7 +184,7 @@ def test_a_round_bevel_is_a_tube_along_blenders_points(settings, cyclic):
     else:
         assert len(found) == len(expected)
         assert np.abs(found - expected).max() < 1e-6  # measured 1.8e-7
-    assert 0.004 < lines.radius.min()
+    assert lines.radius.min() > 0.004
     assert lines.radius.max() < 0.021
 
 
@@ -358,7 +358,7 @@ def test_particle_hair_has_cycles_shape_in_the_objects_space():
     assert np.abs(root[:, :2]).max() <= 1 + 1e-5
     np.testing.assert_allclose(lines.radius[lines.start[:-1]], 0.01, rtol=1e-6)
     np.testing.assert_allclose(lines.radius[lines.start[1:] - 1], 0.0025, rtol=1e-6)
-    row = [i for i, g in enumerate(scene.geometries) if g.lines][0]
+    row = next(i for i, g in enumerate(scene.geometries) if g.lines)
     drawn = np.flatnonzero(scene.instances.geometry == row)
     np.testing.assert_allclose(scene.instances.world_from_object[drawn[0]], np.array(ob.matrix_world), atol=1e-6)
     # Along the world's way the strands are as Blender's
@@ -444,7 +444,7 @@ def test_melanin_varies_from_strand_to_strand_as_in_cycles():
             parametrization="MELANIN",
             Melanin=0.5,
             **{"Melanin Redness": 0.0, "Random Color": 0.8, "Random Roughness": 0.5},
-        )  # fmt: skip
+        )
     )
     lines = sync().geometries[0].lines
     off = 2 * (pigment.random_of_strands(50).astype(float) - 0.5)
@@ -490,3 +490,43 @@ def test_colours_of_random_strands_are_cycles_pixels():
     expected = np.interp(height, lines.position.reshape(count, -1, 3)[0, :, 2], strand[0, :, 1])
     # In the first and last segments Cycles' splines do not have constant speed
     np.testing.assert_allclose(seen[4:-4, 0, 1], expected[4:-4], atol=5e-4)  # measured 4.1e-5
+
+
+# Mesh to Strands
+
+
+def test_branches_and_leaves_become_strands_and_the_rest_stays():
+    bpy.ops.mesh.primitive_cylinder_add(vertices=6, end_fill_type="NOTHING", location=(1, 2, 3))
+    ob = bpy.context.object
+    for settings in ({"location": (4, 2, 3)}, {"location": (1, 6, 3)}):
+        (bpy.ops.mesh.primitive_plane_add if settings["location"][0] == 4 else bpy.ops.mesh.primitive_cube_add)(
+            **settings
+        )
+    for other in bpy.context.scene.objects:
+        other.select_set(True)
+    bpy.context.view_layer.objects.active = ob
+    bpy.ops.object.join()
+    material = bpy.data.materials.new("Bark")
+    ob.data.materials.append(material)
+    assert bpy.ops.pointsplat.mesh_to_strands() == {"FINISHED"}
+    assert len(ob.data.polygons) == 6  # the cube
+    scene = sync()
+    assert scene.warnings == ()
+    tubes, ribbons = ([g.lines for g in scene.geometries if g.lines and (g.lines.normal is None) == t] for t in (1, 0))
+    assert len(tubes) == len(ribbons) == 1
+    assert len(tubes[0]) == len(ribbons[0]) == 1
+    np.testing.assert_allclose(np.abs(tubes[0].position), [[0, 0, 1]] * 2, atol=1e-6)
+    np.testing.assert_allclose(tubes[0].radius, 6 * np.sin(np.pi / 6) / np.pi, rtol=1e-6)
+    np.testing.assert_allclose(ribbons[0].radius, 1, rtol=1e-6)
+    np.testing.assert_allclose(np.abs(ribbons[0].normal), [[0, 0, 1]] * 2, atol=1e-6)
+    np.testing.assert_allclose(ribbons[0].position.mean(axis=0), [3, 0, 0], atol=1e-6)
+    assert [scene.materials.names[row] for row in (*tubes[0].materials, *ribbons[0].materials)] == ["Bark", "Bark"]
+    world = scene.instances.world_from_object
+    np.testing.assert_allclose(world[:, :3, 3], [[1, 2, 3]] * 3, atol=1e-6)
+
+
+def test_a_mesh_without_branches_is_left_alone():
+    bpy.ops.mesh.primitive_cube_add()
+    assert bpy.ops.pointsplat.mesh_to_strands() == {"CANCELLED"}
+    assert len(bpy.context.object.data.polygons) == 6
+    assert len(bpy.context.scene.objects) == 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -38,7 +40,7 @@ def helix(n=1000, turns=3.0):
 
 
 def test_a_nurbs_circle_is_a_circle():
-    """Seven points of order 3 with Bezier knots and weights 1 and 1/2 on a triangle around it (Piegl and Tiller 7.5)."""
+    """Seven points of order 3 with Bezier knots, weights 1 and 1/2, on a triangle around it (Piegl and Tiller 7.5)."""
     root = np.sqrt(3)
     corner = np.array([[0, -1], [root, -1], [root / 2, 0.5], [0, 2], [-root / 2, 0.5], [-root, -1], [0, -1]])
     points = np.column_stack([corner, np.zeros(7)])
@@ -51,7 +53,7 @@ def test_a_nurbs_circle_is_a_circle():
 
 def test_a_bezier_quarter_is_its_polynomial_and_vectors_are_straight():
     points = np.array([[0.0, 0, 0], [1, 1, 0], [2, 1, 0]])
-    left, right = points - [0.5, 0, 0], points + [0.5, 0, 0]
+    left, right = moved(points, -0.5), moved(points, 0.5)
     straight = np.array([False, True, True])
     made = curve(points, core.BEZIER, handle_left=left, handle_right=right, vector_left=straight,
                  vector_right=straight, resolution=4)  # fmt: skip
@@ -108,6 +110,10 @@ def test_steps_follow_the_bend_and_the_radius():
     assert distance(fine, line) < core.CHORD * 1e-3  # 2.5e-4; measured 2.3e-4
 
 
+def moved(points, x):
+    return np.asarray(points) + np.array([x, 0, 0])
+
+
 def distance(points, line):
     """The largest distance of points from a polyline, by brute force."""
     a, b = line[:-1], line[1:]
@@ -123,7 +129,7 @@ def test_normals_do_not_twist_along_a_helix_and_close_on_a_loop():
     assert np.abs(np.einsum("ij,ij->i", normal, tangent)).max() < 1e-12  # measured 2e-15
     # A sequential transport, one step after another
     expected = [normal[0]]
-    for a, b in zip(tangent[:-1], tangent[1:], strict=True):
+    for a, b in itertools.pairwise(tangent):
         v = expected[-1]
         axis = np.cross(a, b)
         expected.append(v + np.cross(axis, v) + np.cross(axis, np.cross(axis, v)) / (1 + a @ b))
@@ -193,7 +199,7 @@ def test_a_strand_of_a_million_points_is_evaluated_cleaned_and_simplified():
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-2, 0.1])
 def test_simplified_strands_stay_within_the_tolerance_and_keep_their_area(tolerance):
-    lines = strands(helix(), helix(770) + [3, 0, 0], [[9, 0, 0], [9, 0, 1]], helix() + [5, 0, 0])
+    lines = strands(helix(), moved(helix(770), 3), [[9, 0, 0], [9, 0, 1]], moved(helix(), 5))
     few = simplified(lines, tolerance)
     for s in range(4):
         old = lines.position[lines.start[s] : lines.start[s + 1]].astype(float)
