@@ -22,7 +22,7 @@ def strand_attribute(name: str) -> str:
     return f"strand:{name}"
 
 
-def roughness_scale(radial: np.ndarray) -> np.ndarray:
+def roughness_scale(radial: np.ndarray | float) -> np.ndarray:
     """The polynomial of equation 9 in the radial roughness (...)."""
     x = np.asarray(radial, np.float64)
     return ((((0.245 * x + 5.574) * x - 10.73) * x + 2.532) * x - 0.215) * x + 5.969

@@ -1,4 +1,4 @@
-"""Meshes of leaves and branches as ribbons and tubes, where they have that structure (Marroquim et al. 2008, section 5).
+"""Meshes of leaves and branches as ribbons and tubes where they have that structure (Marroquim et al. 2008, section 5).
 
 A part is what edges hold together. A tube is a part made of rings of vertices, open at both ends or with a tip, or any
 sleeve between two open rims whose sections are round enough. A ribbon is one of two to four triangles in a row. What
@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 MOST_RINGS = 4096
-UNEVEN = 0.35  # by which a ring's vertices may differ in their distances from its middle, over their mean
-FLAT = 0.05  # a section of a sleeve whose variances across and along are in a smaller ratio than this is none of a tube
-AREA = 0.2  # by which the area of a ribbon or of a sleeve may differ from its triangles'
+FLAT = 0.02  # a section whose variances across and along are in a smaller ratio is none of a tube
+AREA = 0.2  # by which a ribbon's area may differ from its triangles'
+SLEEVE_AREA = 0.4  # the same for tubes, before they are widened to it
+EXACT = 0.05  # and up to which they are as they are
 NUDGE = 1e-6  # of a section's distance from the next, so that no cut goes through a vertex
 
 
@@ -130,18 +131,55 @@ def _tubes(
     beside = np.where(first | last, 1, 2) * closing
     fits &= np.bincount(part, minlength=count) == np.bincount(strand, beside, count)
 
-    middle = np.stack([np.bincount(ring, position[vertex, k], start[-1]) for k in range(3)], axis=1)
-    middle /= np.maximum(size, 1)[:, None]
-    away = np.linalg.norm(position[vertex] - middle[ring], axis=1)
-    mean = np.bincount(ring, away, start[-1]) / np.maximum(size, 1)
-    off = np.bincount(ring, np.abs(away - mean[ring]), start[-1]) / np.maximum(size, 1)
-    fits &= np.bincount(strand[off > UNEVEN * mean], minlength=count) == 0
-    # The mean width of a convex outline is its length over pi (Cauchy)
-    length = np.linalg.norm(position[inner[:, 0]] - position[inner[:, 1]], axis=1)
-    around = np.bincount(start[owner[inner[:, 0]]] + level[inner[:, 0]], length, start[-1])
-    kept = np.flatnonzero(fits[strand])
-    chosen = np.flatnonzero(fits)
-    return middle[kept], around[kept] / (2 * np.pi), np.zeros((len(kept), 3)), rings[chosen], chosen
+    tips = vertex[fits[owner[vertex]]]
+    tips = tips[size[start[owner[tips]] + level[tips]] == 1]
+    section = start[owner[inner[:, 0]]] + level[inner[:, 0]]
+    at = start[owner[tips]] + level[tips]
+    return _round(position, triangles, part, start, position[inner], section, fits, position[tips], at)
+
+
+def _round(
+    position: np.ndarray,
+    triangles: np.ndarray,
+    part: np.ndarray,
+    start: np.ndarray,
+    ends: np.ndarray,
+    section: np.ndarray,
+    fits: np.ndarray,
+    tips: np.ndarray,
+    at: np.ndarray,
+) -> Strands:
+    """The tubes among parts that `fits` (C,), from the edges (n, 2, 3) of their sections; `section` (n,) numbers those
+    from start (C + 1,) on. Tips (m, 3) are sections `at` (m,) of one vertex."""
+    count, total = len(fits), int(start[-1])
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    around = np.bincount(section, length, total)
+    middle = ends.mean(axis=1)
+    center = np.stack([np.bincount(section, length * middle[:, k], total) for k in range(3)], axis=1)
+    center /= np.maximum(around, 1e-300)[:, None]
+    center[at] = tips
+    away = ends - center[section][:, None]
+    spread = [
+        np.bincount(section, length * (away[..., j] * away[..., k]).sum(axis=1), total) for j, k in np.ndindex(3, 3)
+    ]
+    _, short, long = np.sqrt(np.maximum(np.linalg.eigvalsh(np.stack(spread, axis=1).reshape(-1, 3, 3)), 0)).T
+    # The mean width of a convex outline is its length over pi (Cauchy). A slanted cut is longer than a straight one,
+    # but not across
+    radius = around / (2 * np.pi) * (2 * short / np.maximum(long + short, 1e-300))
+    point = np.zeros(total, bool)
+    point[at] = True
+    bad = ~point & ((short**2 < FLAT * long**2) | (around <= 0))
+    strand = np.repeat(np.arange(count), np.diff(start))
+    fits = fits & (np.bincount(strand[bad], minlength=count) == 0)
+    step = np.linalg.norm(np.diff(center, axis=0), axis=1) * (radius[1:] + radius[:-1])
+    inside = strand[1:] == strand[:-1]
+    covered = np.pi * np.bincount(strand[1:][inside], step[inside], count)
+    area = np.bincount(part, _area(position[triangles]), count)
+    fits &= np.abs(covered - area) <= SLEEVE_AREA * area
+    off = np.abs(covered - area) > EXACT * area
+    radius = radius * np.where(off & fits, area / np.where(covered > 0, covered, 1), 1)[strand]
+    kept, chosen = np.flatnonzero(fits[strand]), np.flatnonzero(fits)
+    return center[kept], radius[kept], np.zeros((len(kept), 3)), np.diff(start)[chosen], chosen
 
 
 def _levels(edges: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -230,31 +268,8 @@ def _sleeves(
     at = np.where(last, start[owner[own[:, 0]] + 1] - 1, start[owner[own[:, 0]]])
     section = np.concatenate([start[part[rows[which]]] + 1 + cut, at])
     ends = np.concatenate([ends, position[own]])
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    around = np.bincount(section, length, start[-1])
-    middle = ends.mean(axis=1)
-    center = np.stack([np.bincount(section, length * middle[:, k], start[-1]) for k in range(3)], axis=1)
-    center /= np.maximum(around, 1e-300)[:, None]
-    away = ends - center[section][:, None]
-    spread = np.stack(
-        [
-            np.bincount(section, length * (away[..., j] * away[..., k]).sum(axis=1), start[-1])
-            for j, k in np.ndindex(3, 3)
-        ],
-        axis=1,
-    )
-    widths = np.linalg.eigvalsh(spread.reshape(-1, 3, 3))
-    flat = widths[:, 1] < FLAT * widths[:, 2]
-    strand = np.repeat(np.arange(count), np.diff(start))
-    radius = around / (2 * np.pi)
-    fits &= np.bincount(strand[flat | (around <= 0)], minlength=count) == 0
-    step = np.linalg.norm(np.diff(center, axis=0), axis=1) * (radius[1:] + radius[:-1])
-    inside = strand[1:] == strand[:-1]
-    covered = np.pi * np.bincount(strand[1:][inside], step[inside], count)
-    area = np.bincount(part, _area(position[triangles]), count)
-    fits &= np.abs(covered - area) <= AREA * area
-    kept, chosen = np.flatnonzero(fits[strand]), np.flatnonzero(fits)
-    return center[kept], radius[kept], np.zeros((len(kept), 3)), np.diff(start)[chosen], chosen
+    none = np.zeros(0, np.int64)
+    return _round(position, triangles, part, start, ends, section, fits, np.zeros((0, 3)), none)
 
 
 def _connected(edges: np.ndarray, vertices: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def curve(points, kind, *, cyclic=False, resolution=12, **more):
     )
 
 
-def strands(*parts, radius=0.01, **more):
+def strands(*parts, radius: Any = 0.01, **more):
     position = np.concatenate([np.asarray(p, np.float32).reshape(-1, 3) for p in parts])
     start = np.concatenate([[0], np.cumsum([len(p) for p in parts])])
     width = np.full(len(position), radius, np.float32) if np.isscalar(radius) else np.asarray(radius, np.float32)
