@@ -169,6 +169,8 @@ def test_what_cannot_be_drawn_is_left_out_and_counted():
     assert found is not None
     np.testing.assert_array_equal(found.start, [0, 3, 5, 7])
     np.testing.assert_array_equal(found.position[3:], [[2, 0, 0], [2, 0, 2], [5, 0, 0], [5, 0, 1]])
+    assert found.material is not None
+    assert found.uv is not None
     np.testing.assert_array_equal(found.material, [0, 2, 5])
     np.testing.assert_array_equal(found.uv, [[0, 1], [4, 5], [10, 11]])
 
