@@ -73,18 +73,47 @@ void main()
 #else
   int end = corner == 1 || corner == 2 || corner == 4 ? 1 : 0;
 #endif
+  v_along = float(end);
+#if defined(PS_RIBBON) && !defined(PS_THIN)
+  mat3 linear = ps_linear(instance);
+  vec3 p[2], sides[2];
+  for (int i = 0; i < 2; i++) {
+    vec4 point = texelFetch(ps_point, texel[i], 0);
+    p[i] = ps_view_from_point(instance, point.xyz);
+    sides[i] = linear * texelFetch(ps_side, texel[i], 0).xyz * point.w;
+  }
+  float right = corner == 2 || corner == 4 || corner == 5 ? 1.0 : -1.0;
+  v_position = p[end] + right * sides[end];
+  // Where a ribbon turns its other side to the eye, its edges cross: there are two triangles with one tip in common, for
+  // two that make a quad would hide that it is edge on between them. Sides are seen with the axis: their sense is that of
+  // the plane through the eye and the axis.
+  vec3 plane = cross(p[1] - p[0], ps_is_perspective() ? p[0] : vec3(0.0, 0.0, -1.0));
+  float seen = dot(sides[0], plane), other = dot(sides[1], plane);
+  if (seen * other < 0.0) {
+    v_along = corner == 2 || corner == 4 ? seen / (seen - other) : v_along;
+    if (corner == 2 || corner == 4) {
+      v_position = mix(p[0], p[1], v_along);
+    } else if (corner < 3) {
+      v_along = 0.0;
+      v_position = p[0] + (corner == 0 ? -1.0 : 1.0) * sides[0];
+    } else {
+      v_along = 1.0;
+      v_position = p[1] + (corner == 3 ? -1.0 : 1.0) * sides[1];
+    }
+  }
+#else
   vec4 point = texelFetch(ps_point, texel[end], 0);
   v_position = ps_view_from_point(instance, point.xyz);
-  v_along = float(end);
-#ifdef PS_RIBBON
-  // Normal and tangent make the plane of a ribbon; the matrix turns both, so that sheared ones stay in theirs.
-  mat3 linear = ps_linear(instance);
-  vec3 side = texelFetch(ps_side, texel[end], 0).xyz;
-#ifndef PS_THIN
-  v_position += linear * side * (point.w * (corner == 2 || corner == 4 || corner == 5 ? 1.0 : -1.0));
 #endif
+#ifdef PS_RIBBON
 #ifdef PS_NORMAL
-  v_normal = cross(linear * texelFetch(ps_tangent, texel[end], 0).xyz, linear * side);
+  // Normal and tangent make the plane of a ribbon; the matrix turns both, so that sheared ones stay in theirs.
+#ifdef PS_THIN
+  mat3 linear = ps_linear(instance);
+#endif
+  vec3 side = mix(texelFetch(ps_side, texel[0], 0).xyz, texelFetch(ps_side, texel[1], 0).xyz, v_along);
+  vec3 along = mix(texelFetch(ps_tangent, texel[0], 0).xyz, texelFetch(ps_tangent, texel[1], 0).xyz, v_along);
+  v_normal = cross(linear * along, linear * side);
   float normal_size = length(v_normal);
   v_normal = normal_size > 0.0 ? v_normal / normal_size : vec3(0.0, 0.0, 1.0);
 #endif

@@ -36,8 +36,10 @@ class Fibre:
     color: np.ndarray  # (N, 3): of a mass of such hair; `absorption` says what it is of one
     roughness: np.ndarray  # (N,) longitudinal
     radial: np.ndarray  # (N,) azimuthal roughness
-    eta: np.ndarray  # (N,) index of refraction
-    tilt: np.ndarray  # (N,) radians by which scales lean towards the root
+    eta: np.ndarray | float  # (N,) index of refraction
+    tilt: np.ndarray | float  # (N,) radians by which scales lean towards the root
+    coat: np.ndarray | float = 0.0  # (N,) by how much smoother R is
+    lobes: np.ndarray | None = None  # (N, 3) factors of R, TT and TRT; None: 1
 
 
 def absorption(color: np.ndarray, radial: np.ndarray) -> np.ndarray:
@@ -77,7 +79,17 @@ def energies(fibre: Fibre, sine: np.ndarray) -> np.ndarray:
                 again * passed * reflected / np.maximum(1 - passed * reflected, 1e-6),
             ]
         )  # fmt: skip
+    if fibre.lobes is not None:
+        total[:3] *= np.clip(np.moveaxis(np.asarray(fibre.lobes), -1, 0), 0, 1)[..., None]
     return total
+
+
+def texel(used: np.ndarray, radial: np.ndarray, coat: np.ndarray, tilt: np.ndarray, lobes: np.ndarray) -> np.ndarray:
+    """(M, 4) float32, the fourth texel of the material table: 1 and the coat, 0: no hair; azimuthal roughness; tilt;
+    lobes, in 8 bits each."""
+    steps = np.rint(np.clip(lobes, 0, 1) * 255)
+    columns = (1 + np.clip(coat, 0, 1), radial, tilt, steps @ [1.0, 256.0, 65536.0])
+    return (np.stack(columns, axis=1) * used[:, None]).astype(np.float32)
 
 
 def variance(roughness: np.ndarray) -> np.ndarray:
@@ -94,10 +106,19 @@ def scale(radial: np.ndarray) -> np.ndarray:
 
 def longitudinal(theta: np.ndarray, other: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """(N,) d'Eon et al. 2011, equation 7; its integral times the cosine of theta is 1 for every other angle."""
+    # Tilted past the tangent.
+    other = _folded(other)
     a = np.cos(theta) * np.cos(other) / variance
     # i0(a) exp(-a), of large a too.
-    scaled = np.where(a < 500, np.i0(np.minimum(a, 500)) * np.exp(-np.minimum(a, 500)), 1 / np.sqrt(2 * np.pi * a + 1e-30))
+    scaled = np.where(
+        a < 500, np.i0(np.minimum(a, 500)) * np.exp(-np.minimum(a, 500)), 1 / np.sqrt(2 * np.pi * a + 1e-30)
+    )
     return scaled * np.exp(-2 * np.sin((theta + other) / 2) ** 2 / variance) / (variance * -np.expm1(-2 / variance))
+
+
+def _folded(theta: np.ndarray) -> np.ndarray:
+    """The angle in [-pi / 2, pi / 2] of the same sine."""
+    return np.copysign(np.pi / 2 - np.abs(np.pi / 2 - np.abs(theta)), theta)
 
 
 def logistic(x: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -110,7 +131,9 @@ def _wrapped(phi: np.ndarray) -> np.ndarray:
     return (phi + np.pi) % (2 * np.pi) - np.pi
 
 
-def _angles(tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _angles(
+    tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """theta of the direction and of the eye, and phi between them, |phi| <= pi."""
     sine, sine_eye = (np.clip(np.einsum("nc,nc->n", v, tangent), -1, 1) for v in (direction, to_eye))
     across, seen = direction - sine[:, None] * tangent, to_eye - sine_eye[:, None] * tangent
@@ -124,7 +147,8 @@ def scattered(tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray, fi
     energy = energies(fibre, np.sin(eye))
     wide, azimuth = variance(fibre.roughness), scale(fibre.radial)
     tilt = np.asarray(fibre.tilt, float)
-    reflected = longitudinal(theta, eye - 2 * tilt, wide) * np.cos(phi / 2) / 4
+    smooth = variance(np.asarray(fibre.roughness) * (1 - np.asarray(fibre.coat)))
+    reflected = longitudinal(theta, eye - 2 * tilt, smooth) * np.cos(phi / 2) / 4
     tt = longitudinal(theta, eye + tilt, wide / 4) * logistic(np.pi - np.abs(phi), np.hypot(azimuth, TT_SPREAD))
     inner = longitudinal(theta, eye + 4 * tilt, wide * 4)
     trt = inner * logistic(phi, np.hypot(azimuth, TRT_SPREAD))

@@ -154,7 +154,9 @@ def clean(lines: Lines) -> Strands:
     detail = _detail(np.concatenate(values, axis=1) if values else None, levels, len(start) - 1)
     radius = np.maximum(np.asarray(lines.radius, np.float32)[kept], 0)
     dropped = int(count - np.count_nonzero(good))
-    return Strands(np.asarray(lines.origin, float), kept, p, radius, start, tangent, side, rows, levels, detail, dropped)
+    return Strands(
+        np.asarray(lines.origin, float), kept, p, radius, start, tangent, side, rows, levels, detail, dropped
+    )
 
 
 def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -327,9 +329,7 @@ def lengths_scale(view_from_object: np.ndarray) -> np.ndarray:
         return np.nan_to_num(np.cbrt(np.abs(np.linalg.det(view_from_object[:, :3, :3]))), posinf=0.0)
 
 
-def _coarsest(
-    strands: Strands, q: np.ndarray, beside: np.ndarray, length: np.ndarray, allowed: float
-) -> np.ndarray:
+def _coarsest(strands: Strands, q: np.ndarray, beside: np.ndarray, length: np.ndarray, allowed: float) -> np.ndarray:
     """(S,) int32: the level that each strand is drawn at, with an outline that is off by at most `allowed` pixels.
     q: (P, 2) pixels; beside: (P, 1 | 2) pixels from there to the outline."""
     count = len(strands.start) - 1
@@ -358,7 +358,7 @@ def _coarsest(
     return level
 
 
-def joined(parts: list[Segments]) -> Segments:
+def together(parts: list[Segments]) -> Segments:
     """The segments of several instances as one list."""
     if len(parts) == 1:
         return parts[0]

@@ -190,7 +190,10 @@ class Frame:
         self.adaptive: Adaptive | None = None
         plan = self.plan
         self.everywhere = why_everywhere(
-            request.settings, request.samples, plan.translucent is not None, self._wants_identities,
+            request.settings,
+            request.samples,
+            plan.translucent is not None,
+            self._wants_identities,
             any(len(s.thin) for s in self.prepared.lines.values()),
         )
         drawn = plan.points or plan.polygons or plan.spheres or plan.lines or plan.translucent is not None

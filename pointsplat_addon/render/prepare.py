@@ -24,9 +24,9 @@ from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_
 from ..core.hierarchy import Hierarchy, build, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
-from ..core.strands import MOST_POINTS, Segments, clean, joined
-from ..core.strands import select as select_segments
 from ..core.spacing import EXACT_INSTANCES, PART, make_parts, required_spacing
+from ..core.strands import MOST_POINTS, Segments, clean, together
+from ..core.strands import select as select_segments
 from ..core.vectors import dot, each_block
 from .hybrid import Divided, PartSamples, Shown, sample_parts, show
 
@@ -293,7 +293,7 @@ class _View:
             parts = [select_segments(strands, view_from_object[i], i, self.camera, tolerance) for i in where.tolist()]
             parts = [part for part in parts if len(part)]
             if parts:
-                found[row] = joined(parts)
+                found[row] = together(parts)
         return found
 
     def _divided(self, view_from_object: np.ndarray, usable: np.ndarray) -> dict[int, list[Shown | None]]:

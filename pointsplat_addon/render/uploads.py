@@ -12,8 +12,8 @@ from ..core import order, sampling
 from ..core.appearance import digest
 from ..core.environment import build_atlas
 from ..core.lighting import light_texture
-from ..core.octree import ranges
 from ..core.lines import Lines
+from ..core.octree import ranges
 from ..core.scene import Camera, Geometry, Mesh, Scene
 from ..core.spacing import Parts, make_parts
 from ..core.strands import clean, lengths_scale

@@ -1,5 +1,6 @@
 // Light on strands that are seen as a whole, across all their width. Reference, sources and words: core/hair.py.
-// The entry is ps_shade_strand. Of the material table's fourth texel: x 1: hair; y azimuthal roughness; z tilt.
+// The entry is ps_shade_strand. Of the material table's fourth texel: x 1 and the coat: hair; y azimuthal
+// roughness; z tilt; w factors of R, TT and TRT, 8 bits each.
 
 #define PS_TT_SPREAD 0.36
 #define PS_TRT_SPREAD 0.14
@@ -19,6 +20,7 @@ struct PsStrand {
   vec3 again;  // TRT
   vec3 rest;  // further bounces; of a cylinder its diffuse colour
   float variance;
+  float smoothest;  // variance of R
   float spread;  // squared scale of the azimuthal logistic; less than 0: a cylinder of another material
   float tilt;
 };
@@ -46,6 +48,8 @@ float ps_scaled_i0(float x)
 
 float ps_longitudinal(float theta, float other, float variance)
 {
+  // Tilted past the tangent: the angle of the same sine.
+  other = (other < 0.0 ? -1.0 : 1.0) * (0.5 * PS_PI - abs(0.5 * PS_PI - abs(other)));
   float off = sin(0.5 * (theta + other));
   float a = max(cos(theta) * cos(other), 0.0) / variance;
   return ps_scaled_i0(a) * exp(-2.0 * off * off / variance) / (variance * (1.0 - exp(-2.0 / variance)));
@@ -64,6 +68,13 @@ vec3 ps_absorption(vec3 color, float b)
   return root * root;
 }
 
+float ps_lobe_variance(float roughness)
+{
+  float b = max(roughness, PS_LEAST_ROUGHNESS);
+  float root = 0.726 * b + 0.812 * b * b + 3.7 * ps_power(b, 20);
+  return root * root;
+}
+
 // asin, exact near +-1, where some drivers' is not.
 float ps_latitude(float sine)
 {
@@ -79,7 +90,7 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
   strand.across = to_eye - sine * tangent;
   strand.theta = atan(sine, cosine);
   bool hair = fibre.x > 0.5;
-  float roughness = clamp(surface.roughness, hair ? PS_LEAST_ROUGHNESS : 0.0, 1.0);
+  float roughness = clamp(surface.roughness, 0.0, 1.0);
   float radial = max(fibre.y, PS_LEAST_ROUGHNESS);
   vec3 sigma = ps_absorption(surface.base, fibre.y);
   float eta = surface.eta;
@@ -101,19 +112,23 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
     float x = 1.0 - facing, x2 = x * x;
     grazing += weight * x2 * x2 * x;
   }
-  float b = roughness;
-  float root = 0.726 * b + 0.812 * b * b + 3.7 * ps_power(b, 20);
+  float coat = fibre.x - 1.0;
+  float variance = ps_lobe_variance(surface.roughness), smoothest = ps_lobe_variance(surface.roughness * (1.0 - coat));
   float scale = sqrt(PS_PI / 8.0) * (0.265 * radial + 1.194 * radial * radial + 5.372 * ps_power(radial, 22));
   // Of any other material.
   float metallic = clamp(surface.metallic, 0.0, 1.0);
   vec3 f0 = clamp(surface.base, 0.0, 1.0);
   vec3 diffuse = (1.0 - metallic) * (1.0 - reflected) * max(surface.base, 0.0);
   vec3 mirrored = (1.0 - metallic) * reflected + metallic * (f0 + (1.0 - f0) * grazing);
-  strand.reflected = hair ? reflected : mirrored;
-  strand.through = hair ? through : vec3(0.0);
-  strand.again = hair ? again : vec3(0.0);
+  int coded = int(fibre.w);
+  vec3 lobes = vec3(coded & 255, (coded >> 8) & 255, coded >> 16) / 255.0;
+  strand.reflected = hair ? lobes.x * reflected : mirrored;
+  strand.through = hair ? lobes.y * through : vec3(0.0);
+  strand.again = hair ? lobes.z * again : vec3(0.0);
   strand.rest = hair ? rest : diffuse;
-  strand.variance = hair ? root * root : max(2.0 * ps_power(roughness, 4), PS_LEAST_VARIANCE);
+  float other = max(2.0 * ps_power(roughness, 4), PS_LEAST_VARIANCE);
+  strand.variance = hair ? variance : other;
+  strand.smoothest = hair ? smoothest : other;
   strand.spread = hair ? scale * scale : -1.0;
   strand.tilt = hair ? fibre.z : 0.0;
   return strand;
@@ -127,7 +142,7 @@ void ps_scattered(PsStrand strand, vec3 direction, out vec3 reflected, out vec3 
   float theta = ps_latitude(sine);
   float phi = abs(atan(dot(cross(strand.across, across), strand.tangent), dot(strand.across, across)));
   float eye = strand.theta, tilt = strand.tilt, v = strand.variance;
-  reflected = strand.reflected * (ps_longitudinal(theta, eye - 2.0 * tilt, v) * 0.25 * cos(0.5 * phi));
+  reflected = strand.reflected * (ps_longitudinal(theta, eye - 2.0 * tilt, strand.smoothest) * 0.25 * cos(0.5 * phi));
   if (strand.spread < 0.0) {
     rest = strand.rest * (cos(theta) * ((PS_PI - phi) * cos(phi) + sin(phi)) / (4.0 * PS_PI));
     return;

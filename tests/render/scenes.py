@@ -198,7 +198,7 @@ def materials(count: int = 1, **columns) -> MaterialTable:
     )
 
 
-FIELDS = ("names", "graphs", "anisotropy", "translucent", "media")
+FIELDS = ("names", "graphs", "anisotropy", "translucent", "media", "hair")
 
 
 def moved(offset: Vector = (0, 0, 0), scale: float | Vector = 1.0) -> np.ndarray:

@@ -29,9 +29,7 @@ TEXELS = 2  # of a segment
 class LinePage:
     """The control points of one geometry on the device."""
 
-    def __init__(
-        self, device: Device, lines: Lines, strands: Strands, variant: Variant, table: MaterialTable
-    ) -> None:
+    def __init__(self, device: Device, lines: Lines, strands: Strands, variant: Variant, table: MaterialTable) -> None:
         self._device, self.textures = device, {}
         self.ribbon = strands.side is not None
         self._upload("point", "RGBA32F", 4, np.column_stack([strands.position, strands.radius]))

@@ -1,7 +1,7 @@
 """Deferred shading into accumulators, the passes that are not averaged, and what shading reads.
 
 Material table, four texels a row: base colour, alpha; emission, anisotropy; culls, roughness, metallic, index of
-refraction that stands for IOR and specular level; unused.
+refraction that stands for IOR and specular level; what hair is besides (core.hair.texel).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.hair import texel
 from ...core.lighting import relative_index
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
@@ -136,6 +137,9 @@ def material_rows(table: MaterialTable) -> np.ndarray:
     rows[:, 1, :3] = table.emission
     if table.anisotropy is not None:
         rows[:, 1, 3] = np.clip(table.anisotropy, -LEAST_SPREAD, LEAST_SPREAD)
+    if table.hair is not None:
+        of = table.hair
+        rows[:, 3] = texel(of.used, of.radial, of.coat, of.tilt, of.lobes)
     rows[:, 2] = np.stack(
         [table.cull, table.roughness, table.metallic, relative_index(table.ior, table.specular)], axis=1
     )
