@@ -1,15 +1,15 @@
-"""Light on strands that are seen as a whole, across all their width, in float64: the reference for shaders/lib/hair.glsl.
+"""Light on strands that are seen as a whole, across all their width, in float64: reference for shaders/lib/hair.glsl.
 
-Hair is the model of Chiang et al. 2016 from afar: reflection R, transmission TT, internal reflection TRT and all further
-bounces, each a longitudinal lobe (d'Eon et al. 2011) times an azimuthal one, of energies that are means over the width.
-Together they scatter no more than they receive, exactly: of a strand that absorbs nothing, all. Light that many strands
+Hair is the model of Chiang et al. 2016 from afar: reflection R, transmission TT, internal reflection TRT and all
+further bounces, each a longitudinal lobe (d'Eon et al. 2011) times an azimuthal one, of energies that are means over
+the width. Together they scatter no more than they receive, exactly: of a strand that absorbs nothing, all. Light that many strands
 scatter is not followed from one to the next.
 
 Any other material is a cylinder of it: Lambert's law in closed form (Kajiya and Kay 1989, with the part of the cylinder
 that is both lit and seen), and R in place of its GGX lobe.
 
-All vectors are unit and point away from the strand. An angle theta is one to the plane across the tangent, phi one about
-it. What is scattered is per unit of irradiance on a plane that faces the light.
+All vectors are unit and point away from the strand. An angle theta is one to the plane across the tangent, phi one
+about it. What is scattered is per unit of irradiance on a plane that faces the light.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def _angles(
 
 
 def scattered(tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray, fibre: Fibre) -> np.ndarray:
-    """(2, N, 3) radiance towards the eye of hair in light from one direction: what its surface reflects, and the rest."""
+    """(2, N, 3) radiance towards the eye of hair in light from one direction: what is reflected, and the rest."""
     theta, eye, phi = _angles(tangent, direction, to_eye)
     energy = energies(fibre, np.sin(eye))
     wide, azimuth = variance(fibre.roughness), scale(fibre.radial)
@@ -157,7 +157,7 @@ def scattered(tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray, fi
 
 
 def cylinder_cosine(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
-    """(N,) the mean cosine, over the width that is seen, of a cylinder in light from theta, phi off the eye's azimuth."""
+    """(N,) the mean cosine, over the width that is seen, of a cylinder; the light's azimuth is phi off the eye's."""
     p = np.abs(phi)
     return np.cos(theta) * ((np.pi - p) * np.cos(p) + np.sin(p)) / 4
 
@@ -165,7 +165,7 @@ def cylinder_cosine(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
 def cylinder_reflectance(
     sine: np.ndarray, base: np.ndarray, metallic: np.ndarray, eta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 3) what a cylinder's surface reflects of uniform light, seen at these sines of theta, and its diffuse colour."""
+    """(N, 3) what a cylinder's surface reflects of uniform light, seen at sines of theta, and its diffuse colour."""
     cosine = np.sqrt(np.maximum(1 - sine**2, 0))
     dielectric, grazing = np.zeros(len(sine)), np.zeros(len(sine))
     for h, weight in zip(PLACES, WEIGHTS, strict=True):

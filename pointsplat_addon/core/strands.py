@@ -2,8 +2,8 @@
 
 A segment that is wider than the raster's line is drawn with its exact outline. A thinner one is a line of one pixel, in
 the share of a picture's samples that is its own width over the line's (`Segments.share`): the mean over samples has its
-area, and no sample draws what is not needed for that. Where all that inner points of a strand change is below a fraction
-of a pixel they are left out by powers of two, and what is drawn keeps the area of what it stands for.
+area, and no sample draws what is not needed for that. Where all that inner points of a strand change is below a
+fraction of a pixel they are left out by powers of two, and what is drawn keeps the area of what it stands for.
 """
 
 from __future__ import annotations

@@ -211,10 +211,10 @@ def test_turns_spread_every_strand_over_the_samples():
 
 def test_what_is_no_strand_is_left_out_and_the_rest_is_drawn():
     good = bow()
-    bad = good + [0, 0, 0.4]
+    bad = good + np.array([0, 0, 0.4])
     bad[2] = np.nan
     same = np.tile([[0.5, 0, 0.5]], (4, 1))
-    points = [good, np.array([[0, 0, 0.9]]), bad, same, good + [0, 0, -0.4]]
+    points = [good, np.array([[0, 0, 0.9]]), bad, same, good - np.array([0, 0, 0.4])]
     radius = np.concatenate([np.full(5, 0.05), [0.2], np.full(5, 0.05), np.full(4, 0.2), np.zeros(5)])
     lines = made("bad", points, radius)
     result = render(case(lines, scenes.camera()), COMBINED)

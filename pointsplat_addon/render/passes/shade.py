@@ -54,10 +54,11 @@ def shade_program(
     lines: bool = False,
 ) -> Interface:
     """`lighting`, `materials`: the PS_ names of what shines and of what surfaces do with it. Wide lamps are looked at
-    from as many points as the `samples` of a picture leave over from LAMP_POINTS. `coverage`: edges are soft. `lines`: there are
-    strands."""
+    from as many points as the `samples` of a picture leave over from LAMP_POINTS. `coverage`: edges are soft.
+    `lines`: there are strands."""
     read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
-    names = (*variant.defines, *materials, *_averaged_defines(passes), *(("PS_COVERAGE",) if coverage else ()), *(("PS_LINES",) if lines and variant.normal else ()))  # fmt: skip
+    flags = {"PS_COVERAGE": coverage, "PS_LINES": lines and variant.normal}
+    names = (*variant.defines, *materials, *_averaged_defines(passes), *(name for name, on in flags.items() if on))
     points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
