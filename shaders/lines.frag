@@ -102,24 +102,22 @@ void main()
   }
   PsSurfel s = ps_empty();
   s.place = vec4(d, 0.0, 0.0, PS_POLYGON);
-  s.shape.w = ps_instance_row(instance, 3).x > 0.5 ? -1.0 - v_segment.w : v_segment.w;
+  s.shape.w = v_segment.w;
 #ifdef PS_NORMAL
-#ifdef PS_RIBBON
+#ifndef PS_TUBE
   s.normal.xyz = normalize(v_normal);
+#ifndef PS_RIBBON
+  s.place.y = PS_STRAND;
+#endif
 #else
   mat3 linear = ps_linear(instance);
   vec3 tangent = normalize(linear * mix(texelFetch(ps_tangent, from, 0).xyz, texelFetch(ps_tangent, to, 0).xyz, along));
-#ifdef PS_TUBE
   float width = 2.0 * mix(v_from.w, v_to.w, along) / ps_pixel_size(d);
-  bool fibre = width < PS_FIBRE_PIXELS || texelFetch(ps_materials, ivec2(3, int(v_segment.w)), 0).x > 0.5;
+  bool fibre = width < PS_FIBRE_PIXELS || texelFetch(ps_materials, ivec2(3, int(v_segment.w < -0.5 ? -1.0 - v_segment.w : v_segment.w)), 0).x > 0.5;
   // Round along the strand as well: across its own tangent, not the segment's.
   vec3 outward = along > 0.0 && along < 1.0 ? hit.normal - dot(hit.normal, tangent) * tangent : hit.normal;
   s.normal.xyz = fibre ? tangent : normalize(outward);
   s.place.y = fibre ? PS_STRAND : 0.0;
-#else
-  s.normal.xyz = tangent;
-  s.place.y = PS_STRAND;
-#endif
 #endif
 #endif
 #ifdef PS_COLOR

@@ -1,6 +1,7 @@
 // Segments of strands from pages of control points. Layout: render/passes/lines.py.
 // PS_THIN: raster lines, one pixel wide. PS_TUBE: rectangles around the pictures of what two balls and all between them
-// fill. Else: ribbons, two triangles each.
+// fill. Else two triangles each: PS_RIBBON, or strips that face the eye in place of tubes that are too narrow to be seen
+// round.
 
 #include "lib/instance.glsl"
 
@@ -48,7 +49,7 @@ void main()
   vec4 near_a = ps_is_perspective() ? ps_before_eye(a, b) : a, near_b = ps_is_perspective() ? ps_before_eye(b, a) : b;
   // What balls at the near plane are cut to may reach farther than at either end.
   bool cut = ps_is_perspective() && min(-a.z - a.w, -b.z - b.w) < frame.lens.x;
-  float around = max(ps_ball_reach(near_a), ps_ball_reach(near_b)) * (cut ? 1.5 : 1.0) + 1.0;
+  float around = max(ps_ball_reach(near_a), ps_ball_reach(near_b)) * (cut ? 1.5 : 1.0) + 0.01;
   float low = frame.lens.x;
   vec2 p = ps_pixel_from_view(vec3(near_a.xy, ps_is_perspective() ? min(near_a.z, -low) : near_a.z)).xy;
   vec2 q = ps_pixel_from_view(vec3(near_b.xy, ps_is_perspective() ? min(near_b.z, -low) : near_b.z)).xy;
@@ -74,13 +75,19 @@ void main()
   int end = corner == 1 || corner == 2 || corner == 4 ? 1 : 0;
 #endif
   v_along = float(end);
-#if defined(PS_RIBBON) && !defined(PS_THIN)
+#ifndef PS_THIN
   mat3 linear = ps_linear(instance);
   vec3 p[2], sides[2];
   for (int i = 0; i < 2; i++) {
     vec4 point = texelFetch(ps_point, texel[i], 0);
     p[i] = ps_view_from_point(instance, point.xyz);
+#ifdef PS_RIBBON
     sides[i] = linear * texelFetch(ps_side, texel[i], 0).xyz * point.w;
+#else
+    vec3 toward = ps_is_perspective() ? p[i] : vec3(0.0, 0.0, -1.0);
+    sides[i] = cross(linear * texelFetch(ps_tangent, texel[i], 0).xyz, toward);
+    sides[i] *= ps_instance_row(instance, 3).y * point.w / max(length(sides[i]), 1e-30);
+#endif
   }
   float right = corner == 2 || corner == 4 || corner == 5 ? 1.0 : -1.0;
   v_position = p[end] + right * sides[end];
@@ -105,18 +112,18 @@ void main()
   vec4 point = texelFetch(ps_point, texel[end], 0);
   v_position = ps_view_from_point(instance, point.xyz);
 #endif
-#ifdef PS_RIBBON
 #ifdef PS_NORMAL
-  // Normal and tangent make the plane of a ribbon; the matrix turns both, so that sheared ones stay in theirs.
+  vec3 tangent = mix(texelFetch(ps_tangent, texel[0], 0).xyz, texelFetch(ps_tangent, texel[1], 0).xyz, v_along);
 #ifdef PS_THIN
   mat3 linear = ps_linear(instance);
 #endif
+  v_normal = linear * tangent;
+#ifdef PS_RIBBON
+  // Normal and tangent make the plane of a ribbon; the matrix turns both, so that sheared ones stay in theirs.
   vec3 side = mix(texelFetch(ps_side, texel[0], 0).xyz, texelFetch(ps_side, texel[1], 0).xyz, v_along);
-  vec3 along = mix(texelFetch(ps_tangent, texel[0], 0).xyz, texelFetch(ps_tangent, texel[1], 0).xyz, v_along);
-  v_normal = cross(linear * along, linear * side);
-  float normal_size = length(v_normal);
-  v_normal = normal_size > 0.0 ? v_normal / normal_size : vec3(0.0, 0.0, 1.0);
+  v_normal = cross(v_normal, linear * side);
 #endif
+  v_normal /= max(length(v_normal), 1e-30);
 #endif
 #ifdef PS_THIN
   vec4 share = texelFetch(ps_segments, at + ivec2(1, 0), 0);

@@ -2,8 +2,8 @@
 
 Hair is the model of Chiang et al. 2016 from afar: reflection R, transmission TT, internal reflection TRT and all
 further bounces, each a longitudinal lobe (d'Eon et al. 2011) times an azimuthal one, of energies that are means over
-the width. Together they scatter no more than they receive, exactly: of a strand that absorbs nothing, all. Light that many strands
-scatter is not followed from one to the next.
+the width. Together they scatter no more than they receive, exactly: of a strand that absorbs nothing, all. Light that
+many strands scatter is not followed from one to the next.
 
 Any other material is a cylinder of it: Lambert's law in closed form (Kajiya and Kay 1989, with the part of the cylinder
 that is both lit and seen), and R in place of its GGX lobe.

@@ -22,6 +22,7 @@ MOST_POINTS = 1 << 24  # of one geometry: float32 counts no farther
 ERROR = 0.25  # of the tolerance: how far an outline may move where inner points are left out
 SEEN_CHANGE = 1 / 64  # of colours and of surface values between the points that are kept
 SHORT = 1.0  # pixels: below it no change along a segment is seen
+ROUND = 2.0  # widths of the raster's line: below it a segment has one shade across
 THIN = 1.0  # widths of the raster's line: below it a segment is one
 NARROW = 1e-3  # pixels: shorter segments have no direction on the screen
 
@@ -91,8 +92,14 @@ class Segments:
 
     @cached_property
     def wide(self) -> np.ndarray:
-        """(K,) int64: segments that are drawn with their outlines, in every sample."""
-        return np.flatnonzero(self.share.max(axis=1) >= THIN)
+        """(K,) int64: segments that are drawn with their outlines in every sample, and may be seen to be round."""
+        return np.flatnonzero(self.share.max(axis=1) >= ROUND)
+
+    @cached_property
+    def narrow(self) -> np.ndarray:
+        """(K,) int64: segments that are drawn with their outlines in every sample, and are too narrow for more."""
+        most = self.share.max(axis=1)
+        return np.flatnonzero((most >= THIN) & (most < ROUND))
 
     @cached_property
     def thin(self) -> np.ndarray:

@@ -228,7 +228,7 @@ class Uploads:
                 return line_pass.LinePage(self.device, lines, strands, variant, scene.materials)
 
             page = self.kept.keep(key, make)
-            self.lines.append(self._own(line_pass.LineDraw(self.device, page, segments)))
+            self.lines.append(self._own(line_pass.LineDraw(self.device, page, segments, scene.instances.holdout)))
         rows = instance_rows(prepared.view_from_object, origin, scene.instances.holdout)
         rows[3::4, 1] = lengths_scale(prepared.view_from_object)
         size, data = paged(rows, 4)

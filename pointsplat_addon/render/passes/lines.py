@@ -5,9 +5,10 @@ A page holds the points of one geometry, texture by texture, one texel a point:
   tangent   unit, along the strand
   side      unit, across a ribbon
   color, surface, emission   as in pages of splats, where the scene has them
-Segments of a view, two texels each: first point, last point, instance, material; share of the raster line's width at
-both ends, phase. Lists hold the texel of each segment that is drawn. Wide segments have one for all samples. Thin ones
-are raster lines of one pixel and have one for each sample: core/strands.py says which.
+Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); share of the raster line's width at
+both ends, phase. Lists hold the texel of each segment that is drawn. Thin ones are raster lines of one pixel and have a
+list for each sample: core/strands.py says which. The others have one for all samples: tubes that may be seen to be round
+are met by the pixels' rays; narrower ones are strips that face the eye, of a sixth of the cost; ribbons are strips too.
 """
 
 from __future__ import annotations
@@ -58,15 +59,21 @@ class LinePage:
 class LineDraw:
     """What one view draws of one geometry."""
 
-    def __init__(self, device: Device, page: LinePage, segments: Segments) -> None:
+    def __init__(self, device: Device, page: LinePage, segments: Segments, holdout: np.ndarray | None = None) -> None:
+        """holdout: (I,) bool, of all instances."""
         self.device, self.page, self.segments = device, page, segments
         rows = np.zeros((len(segments), TEXELS, 4), np.float32)
         rows[:, 0, :2] = segments.ends
         rows[:, 0, 2], rows[:, 0, 3] = segments.instance, segments.material
+        if holdout is not None:
+            cut = holdout[segments.instance]
+            rows[cut, 0, 3] = -1 - segments.material[cut]
         rows[:, 1, :2], rows[:, 1, 2] = segments.share, segments.phase
         size, data = paged(rows.reshape(-1, 4), 4)
         self.texture = device.texture(size, "RGBA32F", data)
-        self.wide = self._listed(segments.wide)
+        ribbon = page.ribbon
+        self.wide = None if ribbon else self._listed(segments.wide)
+        self.narrow = self._listed(np.concatenate([segments.narrow, segments.wide]) if ribbon else segments.narrow)
         self.thin: tuple[Texture, int] | None = None
         self.turn = -1.0  # of the sample that thin ones are listed for
         self.drawn = 0  # segments of all samples
@@ -83,7 +90,12 @@ class LineDraw:
         if turn != self.turn:
             self._forget()
             self.thin, self.turn = self._listed(self.segments.drawn(turn)), turn
-        self.drawn += sum(listed[1] for listed in (self.wide, self.thin) if listed is not None)
+        self.drawn += sum(count for _, count in self.lists().values())
+
+    def lists(self) -> dict[str, tuple[Texture, int]]:
+        """Texture and length of the list of each kind that there is."""
+        named = {"TUBE": self.wide, "STRIP": self.narrow, "THIN": self.thin}
+        return {kind: listed for kind, listed in named.items() if listed is not None}
 
     def _forget(self) -> None:
         if self.thin is not None:
@@ -92,17 +104,17 @@ class LineDraw:
 
     def release(self) -> None:
         self._forget()
-        if self.wide is not None:
-            self.wide[0].release()
+        for texture, _ in self.lists().values():
+            texture.release()
         self.texture.release()
 
 
-def program(variant: Variant, ribbon: bool, thin: bool) -> Interface:
-    """The program for one variant of the G-buffer."""
+def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
+    """The program for one variant of the G-buffer and one kind of segments: THIN, STRIP or TUBE."""
+    thin, tube = kind == "THIN", kind == "TUBE"
     fetched = ["ps_list", "ps_segments", "ps_point", "ps_instances"]
     fetched += ["ps_tangent"] if variant.normal else []
     fetched += ["ps_side"] if ribbon else []
-    tube = not ribbon and not thin
     fetched += ["ps_materials"] if tube and variant.normal else []
     named = {"color": variant.color, "surface": variant.surface, "emission": variant.emission}
     fetched += [f"ps_{name}" for name, on in named.items() if on]
@@ -111,7 +123,7 @@ def program(variant: Variant, ribbon: bool, thin: bool) -> Interface:
         varyings += [("flat", "vec4", "v_from"), ("flat", "vec4", "v_to")]
     else:
         varyings += [("smooth", "vec3", "v_position"), ("smooth", "float", "v_along")]
-        varyings += [("smooth", "vec3", "v_normal")] if ribbon and variant.normal else []
+        varyings += [("smooth", "vec3", "v_normal")] if variant.normal else []
         varyings += [("smooth", "vec2", "v_share")] if thin else []
     kinds = {"PS_THIN": thin, "PS_RIBBON": ribbon, "PS_TUBE": tube}
     return Interface(
@@ -133,15 +145,14 @@ def draw(
     """All strands of one sample into the G-buffer."""
     for part in draws:
         record["lens"][0, 3] = part.turn
-        for listed, thin in ((part.wide, False), (part.thin, True)):
-            if listed is None:
-                continue
+        for kind, listed in part.lists().items():
+            thin = kind == "THIN"
             texture, total = listed
             textures = {**shared, **part.page.textures, "ps_segments": part.texture, "ps_list": texture}
             for first in range(0, total, CHUNK):
                 record["page"][0, 0] = first
                 device.draw(
-                    program(variant, part.page.ribbon, thin), out.target, uniforms=record, textures=textures,
+                    program(variant, part.page.ribbon, kind), out.target, uniforms=record, textures=textures,
                     vertices=min(CHUNK, total - first) * (2 if thin else 6),
                     primitive="LINES" if thin else "TRIANGLES", depth_test=True,
                 )  # fmt: skip
