@@ -29,8 +29,8 @@ TIMES = 3
 
 
 def groom(strands: int, key: str, radius: float = 5e-4) -> Geometry:
-    """A ball of hair that grows outward and curls: `strands` of POINTS points, about a unit in radius; with a head of 20
-    cm, hair is 0.07 mm thick at its root."""
+    """A ball of hair that grows outward and curls: `strands` of POINTS points, about a unit in radius. Where that is 10
+    cm, hair is a tenth of a millimetre thick at its root."""
     rng = np.random.default_rng(0)
     root = 0.7 * scenes.sphere_points(strands)
     outward = root / np.linalg.norm(root, axis=1, keepdims=True)

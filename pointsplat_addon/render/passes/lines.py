@@ -5,10 +5,10 @@ A page holds the points of one geometry, texture by texture, one texel a point:
   tangent   unit, along the strand
   side      unit, across a ribbon
   color, surface, emission   as in pages of splats, where the scene has them
-Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); share of the raster line's width at
-both ends, phase. Lists hold the texel of each segment that is drawn. Thin ones are raster lines of one pixel and have a
-list for each sample: core/strands.py says which. The others have one for all samples: tubes that may be seen to be round
-are met by the pixels' rays; narrower ones are strips that face the eye, of a sixth of the cost; ribbons are strips too.
+Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); share of the
+raster line's width at both ends, phase. Lists hold the texel of each segment that is drawn. Thin ones are raster lines
+of one pixel and have a list for each sample: core/strands.py says which. The others have one for all samples: tubes
+that may be seen to be round are met by the pixels' rays; narrower ones are strips that face the eye, as ribbons are.
 """
 
 from __future__ import annotations
