@@ -246,86 +246,21 @@ def select(strands: Strands, view_from_object: np.ndarray, instance: int, camera
 
     Widths of tubes scale with the cube root of the instance's volume; ribbons are scaled as surfaces are.
     """
-    linear, count = view_from_object[:3, :3], len(strands.start) - 1
-    with np.errstate(all="ignore"):
-        shift = (linear @ strands.origin + view_from_object[:3, 3]).astype(np.float32)
-        p = strands.position @ linear.T.astype(np.float32) + shift
-        scale = np.float32(lengths_scale(view_from_object[None])[0])
-        fx, fy, cx, cy = camera.pixel_from_view()
-        depth = -p[:, 2]
-        near = max(camera.near, 1e-6) if camera.perspective else 1.0
-        inverse = 1 / np.maximum(depth, np.float32(near)) if camera.perspective else np.ones_like(depth)
-        q = np.stack([p[:, 0] * (inverse * fx) + cx, p[:, 1] * (inverse * fy) + cy], axis=1).astype(np.float32)
-        across = None
-        if strands.side is None:
-            width = (2 * np.sqrt(abs(fx * fy)) * scale) * strands.radius * inverse
-        else:
-            side = (strands.side * strands.radius[:, None]) @ linear.T.astype(np.float32)
-            # How the picture of a ribbon's edge lies beside that of its middle.
-            across = np.stack(
-                [fx * inverse * (side[:, 0] + p[:, 0] * side[:, 2] * inverse * camera.perspective),
-                 fy * inverse * (side[:, 1] + p[:, 1] * side[:, 2] * inverse * camera.perspective)], axis=1,
-            ).astype(np.float32)  # fmt: skip
-            width = 2 * np.sqrt(np.einsum("nc,nc->n", across, across))
-
-    # Area in pixels up to each point, and how far each strand's points may be thinned out.
-    step = np.diff(q, axis=0)
-    length = np.sqrt(np.einsum("nc,nc->n", step, step))
-    if across is None:
-        area = length * (0.5 * (width[1:] + width[:-1]))
-    else:
-        area = np.abs(across[:-1, 0] * step[:, 1] - across[:-1, 1] * step[:, 0])
-        area += np.abs(across[1:, 0] * step[:, 1] - across[1:, 1] * step[:, 0])
-    area[strands.start[1:-1] - 1] = 0  # between strands
-    summed = np.concatenate([[0.0], np.cumsum(area, dtype=np.float64)])
-    level = _coarsest(strands, q, 0.5 * width[:, None] if across is None else across, length, ERROR * tolerance)
-
-    # Points that stay, and the segments between them.
-    local = strands.local
-    kept = local & ((np.int32(1) << level) - 1)[strands.strand] == 0
+    picture = _projected(strands, view_from_object, camera)
+    level = _coarsest(strands, picture, ERROR * tolerance)
+    kept = strands.local & ((np.int32(1) << level) - 1)[strands.strand] == 0
     kept[strands.start[1:] - 1] = True
     index = np.flatnonzero(kept)
     first, last = index[:-1], index[1:]
     whole = strands.strand[first] == strands.strand[last]
     first, last = first[whole], last[whole]
-
-    margin = 0.5 * np.maximum(width[first], width[last]) + 2
-    a, b = q[first], q[last]
-    # Coordinate by coordinate: along a short axis NumPy takes many times as long.
-    seen = np.ones(len(first), bool)
-    for x, y, most in zip(a.T, b.T, camera.window[2:], strict=True):
-        seen &= (np.minimum(x, y) < most + margin) & (np.maximum(x, y) > -margin)
-    nearest, farthest = np.minimum(depth[first], depth[last]), np.maximum(depth[first], depth[last])
-    crossing = nearest < camera.near  # what is behind the eye has no picture
-    reach = np.maximum(strands.radius[first], strands.radius[last]) * scale
-    seen |= crossing
-    seen &= (farthest + reach > camera.near) & (nearest - reach < camera.far)
-    first, last, a, b = first[seen], last[seen], a[seen], b[seen]
-
-    # Width over that of a raster line, which is one pixel along the nearer axis.
-    chord = b - a
-    size = np.sqrt(np.einsum("nc,nc->n", chord, chord))
-    line = np.where(size > NARROW, np.maximum(*np.abs(chord.T)) / np.maximum(size, NARROW), 1)
-    if across is None:
-        wide = np.stack([width[first], width[last]], axis=1)
-    else:
-        unit = chord / np.maximum(size, NARROW)[:, None]
-        wide = 2 * np.stack(
-            [np.abs(across[i, 0] * unit[:, 1] - across[i, 1] * unit[:, 0]) for i in (first, last)], axis=1
-        )
-    covers = (summed[last] - summed[first]).astype(np.float32)
-    straight = 0.5 * (wide[:, 0] + wide[:, 1]) * size
-    level_of = level[strands.strand[first]] > 0
-    if level_of.any():
-        alike = level_of & (straight > 0.25 * covers)
-        wide[alike] *= (covers[alike] / straight[alike])[:, None]
-        other = level_of & ~alike
-        wide[other] = (covers[other] / np.maximum(size[other], NARROW))[:, None]
-    share = np.nan_to_num(wide / line[:, None], posinf=1e30).astype(np.float32)
+    seen = _seen(picture, first, last, camera)
+    first, last = first[seen], last[seen]
+    share = _shares(picture, first, last, level[strands.strand[first]] > 0)
     visible = (share[:, 0] > 0) | (share[:, 1] > 0)
     first, last, share = first[visible], last[visible], share[visible]
     strand = strands.strand[first]
-    phase = ((strand.astype(np.float64) + float(instance) * count) * GOLDEN) % 1
+    phase = ((strand.astype(np.float64) + float(instance) * (len(strands.start) - 1)) * GOLDEN) % 1
     return Segments(
         np.stack([first, last], axis=1).astype(np.int32),
         np.full(len(first), instance, np.int32),
@@ -336,15 +271,101 @@ def select(strands: Strands, view_from_object: np.ndarray, instance: int, camera
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """Points of strands as one view sees them."""
+
+    place: np.ndarray  # (P, 2) float32, pixels; of what lies before the near plane as if it lay in it
+    depth: np.ndarray  # (P,) float32
+    reach: np.ndarray  # (P,) float32: radius in view space
+    width: np.ndarray  # (P,) float32, pixels
+    across: np.ndarray | None  # (P, 2) float32, pixels: from a ribbon's middle to its edge; None: tubes
+    length: np.ndarray  # (P - 1,) float32: pixels from each point to the next
+    area: np.ndarray  # (P,) float64: pixels^2 from the first point to each
+
+
+def _projected(strands: Strands, view_from_object: np.ndarray, camera: Camera) -> _Picture:
+    linear = view_from_object[:3, :3]
+    with np.errstate(all="ignore"):
+        shift = (linear @ strands.origin + view_from_object[:3, 3]).astype(np.float32)
+        p = strands.position @ linear.T.astype(np.float32) + shift
+        scale = np.float32(lengths_scale(view_from_object[None])[0])
+        fx, fy, cx, cy = camera.pixel_from_view()
+        depth = -p[:, 2]
+        inverse = np.ones_like(depth)
+        if camera.perspective:
+            inverse = 1 / np.maximum(depth, np.float32(max(camera.near, 1e-6)))
+        q = np.stack([p[:, 0] * (inverse * fx) + cx, p[:, 1] * (inverse * fy) + cy], axis=1).astype(np.float32)
+        reach, across = strands.radius * scale, None
+        if strands.side is None:
+            width = (2 * np.float32(np.sqrt(abs(fx * fy)))) * reach * inverse
+        else:
+            side = (strands.side * strands.radius[:, None]) @ linear.T.astype(np.float32)
+            reach = np.sqrt(np.einsum("nc,nc->n", side, side))
+            # How the picture of a ribbon's edge lies beside that of its middle.
+            nearer = side[:, 2] * inverse if camera.perspective else np.zeros_like(depth)
+            columns = [f * inverse * (side[:, i] + p[:, i] * nearer) for i, f in enumerate((fx, fy))]
+            across = np.stack(columns, axis=1).astype(np.float32)
+            width = 2 * np.sqrt(np.einsum("nc,nc->n", across, across))
+        step = np.diff(q, axis=0)
+        length = np.sqrt(np.einsum("nc,nc->n", step, step))
+        if across is None:
+            area = length * (0.5 * (width[1:] + width[:-1]))
+        else:
+            x, y = step.T
+            area = np.abs(across[:-1, 0] * y - across[:-1, 1] * x) + np.abs(across[1:, 0] * y - across[1:, 1] * x)
+    area[strands.start[1:-1] - 1] = 0  # between strands
+    summed = np.concatenate([[0.0], np.cumsum(area, dtype=np.float64)])
+    return _Picture(q, depth, reach, width, across, length, summed)
+
+
+def _seen(picture: _Picture, first: np.ndarray, last: np.ndarray, camera: Camera) -> np.ndarray:
+    """(K,) bool: segments from `first` to `last` that may be in the picture."""
+    margin = 0.5 * np.maximum(picture.width[first], picture.width[last]) + 2
+    seen = np.ones(len(first), bool)
+    # Coordinate by coordinate: along a short axis NumPy takes many times as long.
+    for place, most in zip(picture.place.T, camera.window[2:], strict=True):
+        x, y = place[first], place[last]
+        seen &= (np.minimum(x, y) < most + margin) & (np.maximum(x, y) > -margin)
+    a, b = picture.depth[first], picture.depth[last]
+    nearest, farthest = np.minimum(a, b), np.maximum(a, b)
+    seen |= nearest < camera.near  # what is behind the eye has no picture
+    reach = np.maximum(picture.reach[first], picture.reach[last])
+    return seen & (farthest + reach > camera.near) & (nearest - reach < camera.far)
+
+
+def _shares(picture: _Picture, first: np.ndarray, last: np.ndarray, thinned: np.ndarray) -> np.ndarray:
+    """(K, 2) float32: widths at the ends of segments over that of the raster's line, which is one pixel along the
+    nearer axis. Segments that stand for several (`thinned`) have the area of these."""
+    chord = picture.place[last] - picture.place[first]
+    size = np.sqrt(np.einsum("nc,nc->n", chord, chord))
+    line = np.where(size > NARROW, np.maximum(*np.abs(chord.T)) / np.maximum(size, NARROW), 1)
+    across = picture.across
+    if across is None:
+        wide = np.stack([picture.width[first], picture.width[last]], axis=1)
+    else:
+        x, y = (chord / np.maximum(size, NARROW)[:, None]).T
+        wide = 2 * np.stack([np.abs(across[i, 0] * y - across[i, 1] * x) for i in (first, last)], axis=1)
+    if thinned.any():
+        covers = (picture.area[last] - picture.area[first]).astype(np.float32)
+        straight = 0.5 * (wide[:, 0] + wide[:, 1]) * size
+        alike = thinned & (straight > 0.25 * covers)
+        wide[alike] *= (covers[alike] / straight[alike])[:, None]
+        other = thinned & ~alike
+        wide[other] = (covers[other] / np.maximum(size[other], NARROW))[:, None]
+    return np.nan_to_num(wide / line[:, None], posinf=1e30).astype(np.float32)
+
+
 def lengths_scale(view_from_object: np.ndarray) -> np.ndarray:
     """(I,) float64: by how much matrices (I, 4, 4) scale the radii of tubes; 0 where they are not finite."""
     with np.errstate(all="ignore"):
         return np.nan_to_num(np.cbrt(np.abs(np.linalg.det(view_from_object[:, :3, :3]))), posinf=0.0)
 
 
-def _coarsest(strands: Strands, q: np.ndarray, beside: np.ndarray, length: np.ndarray, allowed: float) -> np.ndarray:
-    """(S,) int32: the level that each strand is drawn at, with an outline that is off by at most `allowed` pixels.
-    q: (P, 2) pixels; beside: (P, 1 | 2) pixels from there to the outline."""
+def _coarsest(strands: Strands, picture: _Picture, allowed: float) -> np.ndarray:
+    """(S,) int32: the level that each strand is drawn at, with outlines that are off by at most `allowed` pixels."""
+    q, length = picture.place, picture.length
+    beside = 0.5 * picture.width[:, None] if picture.across is None else picture.across
     count = len(strands.start) - 1
     level, off = np.zeros(count, np.int32), np.zeros(count, np.float32)
     total = np.add.reduceat(np.append(length, np.float32(0)), strands.start[:-1]) if count else off
