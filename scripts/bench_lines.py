@@ -76,7 +76,7 @@ def run(quick: bool = False) -> list[dict]:
     hair = groom(STRANDS // part, "groom")
     cloud = ball(CLOUD // part)
     rows = []
-    for technique, samples, target in (("IMAGE_SPACE", 1, 2.0), ("IMAGE_SPACE", 16, 2.0), ("EWA", 16, "")):
+    for technique, samples, target in (("IMAGE_SPACE", 1, "<= 2"), ("IMAGE_SPACE", 16, "<= 2"), ("EWA", 16, "")):
         for name, distance in (("filling the picture", 2.2 / ON_SCREEN), ("an eighth of its width", 17.6 / ON_SCREEN)):
             camera = scenes.camera((0, -distance, 0.3), resolution=(size, size), field_of_view=53.13)
             settings = Settings(technique=technique, use_shadows=False, use_adaptive_sampling=False)

@@ -2,8 +2,10 @@
 
 Hair is the model of Chiang et al. 2016 from afar: reflection R, transmission TT, internal reflection TRT and all
 further bounces, each a longitudinal lobe (d'Eon et al. 2011) times an azimuthal one, of energies that are means over
-the width. Together they scatter no more than they receive, exactly: of a strand that absorbs nothing, all. Light that
-many strands scatter is not followed from one to the next.
+the width. Light that strands scatter is not followed from one to the next. Instead the share MASS of what passes
+through a strand is taken to meet others, and to come back diffuse, as much as the whole then has the colour that a mass
+of such hair is to have: one strand of brown hair hardly has a colour. Together they scatter no more than they receive:
+of a strand that absorbs nothing, all.
 
 Any other material is a cylinder of it: Lambert's law in closed form (Kajiya and Kay 1989, with the part of the cylinder
 that is both lit and seen), and R in place of its GGX lobe.
@@ -26,6 +28,7 @@ WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
 TT_SPREAD, TRT_SPREAD = 0.36, 0.14  # scales of logistics with the deviation of phi over the width, at an index of 1.55
 LEAST_ROUGHNESS = 0.08  # float32 holds no narrower lobe
 LEAST_VARIANCE = 1e-3
+MASS = 0.75  # of what passes through a strand: what meets others
 DARKEST = 1e-6  # of colours: float16 holds it
 
 
@@ -58,7 +61,7 @@ def _inverted(radial: np.ndarray) -> np.ndarray:
 
 
 def energies(fibre: Fibre, sine: np.ndarray) -> np.ndarray:
-    """(4, N, 3) what R, TT, TRT and the rest scatter of uniform light, seen at (N,) sines of theta."""
+    """(5, N, 3) what R, TT, TRT, the rest and other strands scatter of uniform light, seen at (N,) sines of theta."""
     sine = np.asarray(sine, float)
     cosine = np.sqrt(np.maximum(1 - sine**2, 0))
     eta = np.broadcast_to(np.asarray(fibre.eta, float), sine.shape)
@@ -81,7 +84,10 @@ def energies(fibre: Fibre, sine: np.ndarray) -> np.ndarray:
         )  # fmt: skip
     if fibre.lobes is not None:
         total[:3] *= np.clip(np.moveaxis(np.asarray(fibre.lobes), -1, 0), 0, 1)[..., None]
-    return total
+    color = np.clip(np.broadcast_to(np.asarray(fibre.color, float), total.shape[1:]), 0, 1)
+    back = MASS * np.clip(color - total[0] - total[2] - total[3], 0, total[1])
+    total[1] *= 1 - MASS
+    return np.concatenate([total, back[None]])
 
 
 def texel(used: np.ndarray, radial: np.ndarray, coat: np.ndarray, tilt: np.ndarray, lobes: np.ndarray) -> np.ndarray:
@@ -153,6 +159,7 @@ def scattered(tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray, fi
     inner = longitudinal(theta, eye + 4 * tilt, wide * 4)
     trt = inner * logistic(phi, np.hypot(azimuth, TRT_SPREAD))
     rest = tt[:, None] * energy[1] + trt[:, None] * energy[2] + inner[:, None] / (2 * np.pi) * energy[3]
+    rest += (cylinder_cosine(theta, phi) / np.pi)[:, None] * energy[4]
     return np.stack([reflected[:, None] * energy[0], rest])
 
 

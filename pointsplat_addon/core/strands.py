@@ -216,8 +216,8 @@ def _levels(start: np.ndarray) -> tuple[Level, ...]:
         high = np.minimum(middle + step, start[strand + 1] - 1)
         some = np.flatnonzero(inner)
         first = (np.cumsum(inner) - inner)[some]
-        columns = (a.astype(np.int32) for a in (middle, middle - step, high))
-        found.append(Level(*columns, first, some.astype(np.int32)))
+        middle, low, high = (a.astype(np.int32) for a in (middle, middle - step, high))
+        found.append(Level(middle, low, high, first, some.astype(np.int32)))
         step *= 2
     return tuple(level for level in found if len(level.middle))
 
@@ -396,5 +396,8 @@ def together(parts: list[Segments]) -> Segments:
     """The segments of several instances as one list."""
     if len(parts) == 1:
         return parts[0]
-    names = ("ends", "instance", "material", "phase", "share")
-    return Segments(*(np.concatenate([getattr(p, n) for p in parts]) for n in names), sum(p.strands for p in parts))
+    ends, instance, material, phase, share = (
+        np.concatenate(arrays)
+        for arrays in zip(*((p.ends, p.instance, p.material, p.phase, p.share) for p in parts), strict=True)
+    )
+    return Segments(ends, instance, material, phase, share, sum(p.strands for p in parts))

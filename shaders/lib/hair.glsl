@@ -6,6 +6,7 @@
 #define PS_TRT_SPREAD 0.14
 #define PS_LEAST_ROUGHNESS 0.08
 #define PS_LEAST_VARIANCE 1e-3
+#define PS_MASS 0.75  // of what passes through a strand: what meets others
 #define PS_DARKEST 1e-6
 
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
@@ -18,7 +19,8 @@ struct PsStrand {
   vec3 reflected;  // energies: R, or the surface of a cylinder
   vec3 through;  // TT
   vec3 again;  // TRT
-  vec3 rest;  // further bounces; of a cylinder its diffuse colour
+  vec3 rest;  // further bounces
+  vec3 diffuse;  // by other strands; of a cylinder by itself
   float variance;
   float smoothest;  // variance of R
   float spread;  // squared scale of the azimuthal logistic; less than 0: a cylinder of another material
@@ -123,9 +125,13 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
   int coded = int(fibre.w);
   vec3 lobes = vec3(coded & 255, (coded >> 8) & 255, coded >> 16) / 255.0;
   strand.reflected = hair ? lobes.x * reflected : mirrored;
-  strand.through = hair ? lobes.y * through : vec3(0.0);
-  strand.again = hair ? lobes.z * again : vec3(0.0);
-  strand.rest = hair ? rest : diffuse;
+  through *= lobes.y;
+  again *= lobes.z;
+  vec3 back = PS_MASS * clamp(clamp(surface.base, 0.0, 1.0) - lobes.x * reflected - again - rest, vec3(0.0), through);
+  strand.through = hair ? (1.0 - PS_MASS) * through : vec3(0.0);
+  strand.again = hair ? again : vec3(0.0);
+  strand.rest = hair ? rest : vec3(0.0);
+  strand.diffuse = hair ? back : diffuse;
   float other = max(2.0 * ps_power(roughness, 4), PS_LEAST_VARIANCE);
   strand.variance = hair ? variance : other;
   strand.smoothest = hair ? smoothest : other;
@@ -143,15 +149,15 @@ void ps_scattered(PsStrand strand, vec3 direction, out vec3 reflected, out vec3 
   float phi = abs(atan(dot(cross(strand.across, across), strand.tangent), dot(strand.across, across)));
   float eye = strand.theta, tilt = strand.tilt, v = strand.variance;
   reflected = strand.reflected * (ps_longitudinal(theta, eye - 2.0 * tilt, strand.smoothest) * 0.25 * cos(0.5 * phi));
+  rest = strand.diffuse * (cos(theta) * ((PS_PI - phi) * cos(phi) + sin(phi)) / (4.0 * PS_PI));
   if (strand.spread < 0.0) {
-    rest = strand.rest * (cos(theta) * ((PS_PI - phi) * cos(phi) + sin(phi)) / (4.0 * PS_PI));
     return;
   }
   float inner = ps_longitudinal(theta, eye + 4.0 * tilt, 4.0 * v);
   float tt = ps_longitudinal(theta, eye + tilt, 0.25 * v) *
              ps_logistic(PS_PI - phi, sqrt(strand.spread + PS_TT_SPREAD * PS_TT_SPREAD));
   float trt = inner * ps_logistic(phi, sqrt(strand.spread + PS_TRT_SPREAD * PS_TRT_SPREAD));
-  rest = strand.through * tt + strand.again * trt + strand.rest * (inner / (2.0 * PS_PI));
+  rest += strand.through * tt + strand.again * trt + strand.rest * (inner / (2.0 * PS_PI));
 }
 
 // The mean radiance of the world around a direction in view space.
@@ -183,7 +189,7 @@ vec3 ps_shade_strand(vec3 position, vec3 tangent, vec3 to_eye, PsSurface surface
   }
 #endif
   vec3 facing = normalize(strand.across + 1e-9 * to_eye);
-  result += ps_world_around(facing) * (strand.reflected + strand.again + strand.rest) +
+  result += ps_world_around(facing) * (strand.reflected + strand.again + strand.rest + strand.diffuse) +
             ps_world_around(-facing) * strand.through;
 #endif
   return result;

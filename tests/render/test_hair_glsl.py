@@ -44,7 +44,7 @@ def on_device(inputs: dict, used: bool, world: np.ndarray | None = None) -> np.n
         rows[5] = hair.texel(np.ones(COUNT, bool), inputs["radial"], inputs["coat"], inputs["tilt"], inputs["lobes"])
     textures = {"rows": device.texture((COUNT, 6), "RGBA32F", rows)}
     data = lighting.light_texture([], World(np.zeros(3) if world is None else world), np.eye(4))
-    textures["ps_lights"] = device.texture(data.shape[1::-1], "RGBA32F", data)
+    textures["ps_lights"] = device.texture((data.shape[1], data.shape[0]), "RGBA32F", data)
     interface = Interface("hair test", fragment=FRAGMENT, samplers=tuple(("FLOAT_2D", name) for name in textures),
                           outputs=(("vec4", "color"),))  # fmt: skip
     interface = interface.with_defines("PS_HAS_WORLD", "PS_HAS_METAL", *(["FURNACE"] if world is not None else []))
@@ -134,7 +134,7 @@ def test_light_from_behind_shines_through_and_dark_hair_keeps_only_its_gloss():
     eye, tangent = np.array([[1.0, 0, 0]]), np.array([[0.0, 0, 1]])
     blond, black = (Fibre(np.full((1, 3), c), np.array([0.3]), np.array([0.3]), 1.55, 0.0) for c in (0.8, 1e-4))
     behind, before = (hair.scattered(tangent, np.array([[x, 0.05, 0]]), eye, blond)[1].max() for x in (-1.0, 1.0))
-    assert behind > 3 * before
+    assert behind > 2 * before
     reflected, rest = hair.scattered(tangent, eye, eye, black)
     assert rest.max() < 0.05 * reflected.max()
 
@@ -147,3 +147,11 @@ def test_the_diffuse_part_of_a_cylinder_is_the_mean_of_lamberts_over_its_width()
         mean = np.maximum(normal @ direction, 0).mean()
         theta, _, phi = hair._angles(np.array([[0.0, 0, 1]]), direction[None], np.array([[1.0, 0, 0]]))
         assert abs(hair.cylinder_cosine(theta, phi)[0] - mean) < 1e-4  # measured 3e-6
+
+
+def test_hair_in_light_from_all_around_has_nearly_the_colour_of_its_mass():
+    """Brown hair is brown, though a single strand hardly absorbs."""
+    color = np.array([[0.45, 0.22, 0.08]])
+    brown = Fibre(color, np.array([0.3]), np.array([0.3]), 1.55, 0.0)
+    total = hair.energies(brown, np.array([0.2])).sum(axis=0)
+    assert total[0, 0] > 1.4 * total[0, 1] > 1.4 * 1.4 * total[0, 2]  # measured 1.50, 1.53
