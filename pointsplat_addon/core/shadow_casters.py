@@ -166,7 +166,7 @@ class Pieces:
         off = (2 * number + 1) / across[which] - 1
         position = self.position[which] + off[:, None].astype(np.float32) * side[which]
         # What is wide is closed, as a surface: there balls cover the cells that they stand for.
-        wide = np.clip(8 / 3 * self.radius / np.float32(self.step) - 1 / 3, 0, 1)
+        wide = np.clip(self.radius / np.float32(self.step) - 0.5, 0, 1)
         tile = (2 * self.radius / across) ** 2 + self.length**2
         squared = (area / (np.pi * across)) * (1 - wide) + np.where(shown > 0, 0.25 * tile, 0) * wide
         radius = np.sqrt(squared[which]).astype(np.float32)

@@ -17,6 +17,7 @@ from .lines import Lines
 from .scene import Camera
 
 GOLDEN = (5**0.5 - 1) / 2
+BLOCK = 64  # strands that follow one another, of which each sample shows its share
 FARTHEST = 1e18  # units from the origin: squares of distances are to fit float32
 MOST_POINTS = 1 << 24  # of one geometry: float32 counts no farther
 ERROR = 0.25  # of the tolerance: how far an outline may move where inner points are left out
@@ -24,6 +25,7 @@ SEEN_CHANGE = 1 / 64  # of colours and of surface values between the points that
 SHORT = 1.0  # pixels: below it no change along a segment is seen
 ROUND = 2.0  # widths of the raster's line: below it a segment has one shade across
 THIN = 1.0  # widths of the raster's line: below it a segment is one
+BELOW_ONE = 1 - 2.0**-24  # the largest float32
 FEW = 0.02  # of the strands: what they alone would save costs more to find
 NARROW = 1e-3  # pixels: shorter segments have no direction on the screen
 
@@ -54,6 +56,18 @@ class Strands:
         arrays += [] if self.side is None else [self.side]
         arrays += [a for level in self.levels for a in (level.middle, level.low, level.high, level.first, level.strand)]
         return sum(a.nbytes for a in arrays)
+
+    @cached_property
+    def phase(self) -> np.ndarray:
+        """(S,) float64 in [0, 1): evenly spread over each BLOCK of strands, and without order within it. A sequence
+        with one, as multiples of the golden ratio, may be that in which the strands were laid out: then those that a
+        sample shows would lie side by side."""
+        count = len(self.start) - 1
+        block = np.arange(count) // BLOCK
+        lot, off = np.random.default_rng(count).random((2, count))
+        rank = np.empty(count)
+        rank[np.lexsort((lot, block))] = np.arange(count) - BLOCK * block
+        return (rank + off) / np.minimum(BLOCK, count - BLOCK * block)
 
     @cached_property
     def strand(self) -> np.ndarray:
@@ -260,12 +274,12 @@ def select(strands: Strands, view_from_object: np.ndarray, instance: int, camera
     visible = (share[:, 0] > 0) | (share[:, 1] > 0)
     first, last, share = first[visible], last[visible], share[visible]
     strand = strands.strand[first]
-    phase = ((strand.astype(np.float64) + float(instance) * (len(strands.start) - 1)) * GOLDEN) % 1
+    phase = (strands.phase[strand] + instance * GOLDEN) % 1
     return Segments(
         np.stack([first, last], axis=1).astype(np.int32),
         np.full(len(first), instance, np.int32),
         strands.material[strand].astype(np.int32),
-        phase.astype(np.float32),
+        np.minimum(phase, BELOW_ONE).astype(np.float32),
         share,
         int(np.count_nonzero(np.diff(strand)) + 1) if len(strand) else 0,
     )
