@@ -25,6 +25,8 @@ from ..core.hierarchy import Hierarchy, build, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
 from ..core.spacing import EXACT_INSTANCES, PART, make_parts, required_spacing
+from ..core.strands import MOST_POINTS, Segments, clean, together
+from ..core.strands import select as select_segments
 from ..core.vectors import dot, each_block
 from .hybrid import Divided, PartSamples, Shown, sample_parts, show
 
@@ -82,6 +84,7 @@ class Prepared(Layer):
     warnings: tuple[str, ...] = ()
     # By instance: the parts (core/spacing.py) that are drawn as polygons, rising; absent: all.
     parts: dict[int, np.ndarray] = field(default_factory=dict)
+    lines: dict[int, Segments] = field(default_factory=dict)  # segments of strands, by geometry row
 
 
 @dataclass
@@ -212,9 +215,10 @@ class _View:
         opaque, translucent, spheres = (({}, np.full(len(instances), -1)) for _ in range(3))
         polygons: list[np.ndarray] = []
         divided = self._divided(view_from_object, usable)
+        lines = self._lines(view_from_object, usable)
         for row, geometry in enumerate(scene.geometries):
             where = np.flatnonzero(usable & (instances.geometry == row))
-            if len(where) == 0:
+            if len(where) == 0 or geometry.lines is not None:
                 continue
             self.check()
             if row in divided:
@@ -267,7 +271,31 @@ class _View:
             total,
             tuple(dict.fromkeys(self.warnings)),
             self.parts,
+            lines,
         )
+
+    def _lines(self, view_from_object: np.ndarray, usable: np.ndarray) -> dict[int, Segments]:
+        """The segments of strands that this view draws, by geometry row."""
+        found: dict[int, Segments] = {}
+        for row, geometry in enumerate(self.scene.geometries):
+            lines = geometry.lines
+            where = np.flatnonzero(usable & (self.scene.instances.geometry == row))
+            if lines is None or len(where) == 0:
+                continue
+            self.check()
+            strands = self.store.lookup(("strands", geometry.key), lambda lines=lines: clean(lines))
+            if strands.dropped:
+                self.warnings.append(f"{geometry.name}: {strands.dropped} points that are not finite were left out")
+            if len(lines.position) > MOST_POINTS:
+                self.warnings.append(f"{geometry.name}: strands beyond {MOST_POINTS} points were left out")
+            if len(strands) == 0:
+                continue
+            tolerance = self.settings.tolerance
+            parts = [select_segments(strands, view_from_object[i], i, self.camera, tolerance) for i in where.tolist()]
+            parts = [part for part in parts if len(part)]
+            if parts:
+                found[row] = together(parts)
+        return found
 
     def _divided(self, view_from_object: np.ndarray, usable: np.ndarray) -> dict[int, list[Shown | None]]:
         """Meshes that are chosen for part by part, by row, with each usable instance's choice. Where points would save
@@ -277,7 +305,7 @@ class _View:
         for row, geometry in enumerate(scene.geometries):
             views = view_from_object[usable & (scene.instances.geometry == row)]
             mesh = geometry.mesh
-            if len(views) == 0 or (mesh is not None and len(mesh.triangles) == 0):
+            if len(views) == 0 or geometry.lines is not None or (mesh is not None and len(mesh.triangles) == 0):
                 continue
             if mesh is None or not self._choosable(geometry, mesh, len(views)):
                 others |= geometry.primitive != "POLYGONS" and not lets_through(geometry, scene.materials)
