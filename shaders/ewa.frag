@@ -79,7 +79,7 @@ void main()
   out_emission = w * v_emission;
 #endif
 #else
-  if (!(q <= 4.0 && depth > frame.lens.x && depth < frame.lens.y)) {
+  if (!(q <= v_conic.w && depth > frame.lens.x && depth < frame.lens.y)) {
     discard;
   }
   // Ellipses that are seen nearly edge-on reach beyond the edge of a closed surface: their backs are not meant.

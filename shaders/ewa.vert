@@ -34,7 +34,7 @@ void main()
     return;
   }
 #else
-  float side = 2.0 * sqrt(max(c.x, c.z));
+  float side = sqrt(v_conic.w * max(c.x, c.z));
 #endif
   gl_PointSize = max(2.0 * side, 1.0);
   gl_Position = vec4(v_place.xy / vec2(frame.size.xy) * 2.0 - 1.0, 0.0, 1.0);

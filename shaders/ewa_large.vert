@@ -53,7 +53,7 @@ void main()
 #ifdef PS_BLEND
   float rim = 0.5 * PS_EWA_CUTOFF_SIGMA, margin = PS_EWA_CUTOFF_SIGMA * sqrt(frame.lens.w) + 1.0;
 #else
-  float rim = 1.0, margin = 1.0;
+  float rim = 0.5 * sqrt(v_conic.w), margin = 1.0;
 #endif
   mat3 spread = rim * rim * (outerProduct(a, a) + outerProduct(b, b));
   vec2 x = ps_reach(p, spread, 0) * frame.focal.x + frame.focal.z;

@@ -34,7 +34,7 @@ void main()
   vec2 axis = c.x > c.z ? vec2(c.x - mean + apart, c.y) : vec2(c.y, c.z - mean + apart);
   axis = apart > 1e-9 * mean ? normalize(axis) : vec2(1.0, 0.0);
   vec2 across = vec2(-axis.y, axis.x), variance = max(vec2(mean + apart, mean - apart), 0.0);
-  vec2 rim = 2.1 * sqrt(variance + low_pass) + margin;
+  vec2 rim = 1.05 * sqrt(ps_ewa_rim(front.z)) * sqrt(variance + low_pass) + margin;
   bool covered = true;
   for (int i = 0; i < 9; i++) {
     vec2 sides = vec2(i % 3, i / 3) - 1.0;
@@ -45,7 +45,7 @@ void main()
     bool open = !(seen.x > 0.0);
     covered = covered && !open && depth - frame.lens.x + tolerance >= seen.x;
   }
-  vec2 side = PS_EWA_CUTOFF_SIGMA * sqrt(c.xz + low_pass) + margin;
+  vec2 side = max(PS_EWA_CUTOFF_SIGMA, sqrt(ps_ewa_rim(front.z))) * sqrt(c.xz + low_pass) + margin;
   float farthest = ps_farthest(middle, side);
   bool closed = farthest < PS_OPEN;
   // All of it, wherever something nearer ends within its reach.

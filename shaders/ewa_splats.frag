@@ -59,7 +59,7 @@ void main()
           wide >= 0.0 && (large || wide <= PS_WIDEST);  // neither where something is not a number
 
   PsSurfel s = ps_empty();
-  s.shape.w = extent.w;
+  s.shape.w = floor(extent.w);
 #ifdef PS_NORMAL
   s.normal.xyz = turned ? -normal : normal;
 #ifdef PS_SHADING_NORMAL
@@ -73,7 +73,9 @@ void main()
   float kind = float(element.z) * 2.0 + (large ? 2.0 : 1.0);
   out_place = vec4(pixel.xy - frame.focal.zw, d, drawn ? (turned ? -kind : kind) : 0.0);
   out_shape = vec4(covariance, s.shape.w);
-  out_front = vec4(gradient, extent.y < 0.0 ? 1.0 : PS_EWA_SHARE, same);  // alone, a splat stands for all of its ellipse
+  // Alone, a splat stands for all of its ellipse.
+  float share = fract(extent.w) > 0.0 && !ball ? PS_EWA_NODE_SHARE : PS_EWA_SHARE;
+  out_front = vec4(gradient, extent.y < 0.0 ? 1.0 : share, same);
 #ifdef PS_NORMAL
   out_normal = s.normal;
 #endif

@@ -43,7 +43,7 @@ void main()
     s.place = vec4(pixel.z, 0.0, 0.0, PS_POLYGON);
   }
 #endif
-  s.shape = vec4(ps_cholesky(covariance), extent.w);
+  s.shape = vec4(ps_cholesky(covariance), floor(extent.w));
 #ifdef PS_NORMAL
   s.normal.xyz = normal;
 #ifdef PS_SHADING_NORMAL

@@ -27,6 +27,7 @@ from .plan import make_plan
 from .prepare import STORE, prepare, triangles_of
 from .shadows import Shadows, cast
 from .targets import Pool, Targets
+from .technique import NO_BLENDING, choose, reconsidered
 from .tiles import EVERYWHERE, Adaptive, why_everywhere
 from .uploads import Kept, Uploads
 
@@ -163,17 +164,25 @@ class Frame:
         self.device = renderer.device
         self.done = 0
         self.clock = Clock(self.device, cancelled)
+        float_blend = self.device.limits.float_blend
+        technique = choose(request.settings, scene, request.samples, request.interactive, float_blend)
+        if technique.because == NO_BLENDING and request.settings.technique != "AUTO":
+            self._warnings += (f"{request.settings.technique} needs blending of floats, which this GPU lacks: points are "
+                               "drawn in image space",)  # fmt: skip
+        settings = replace(request.settings, technique=technique.name)
         self.prepared = prepare(
             scene,
             request.camera,
-            request.settings,
+            settings,
             request.samples,
             interactive=request.interactive,
             check=self.clock.check,
             costs=renderer.costs,
         )
+        self.technique = reconsidered(technique, self.prepared)
         self.shadows, unshadowed = self._shadows()
-        blended, paints = self._blended(), self._paints()
+        blended = (request.camera, request.samples) if self.technique.name == "EWA" else None
+        paints = self.technique.name == "PAINTER" and self.prepared.cut.splats > 0
         if paints:
             others = shade_pass.averaged(request.passes) or shade_pass.data(request.passes)
             self.prepared = painted(self.prepared, keep=presented or bool(others))
@@ -204,26 +213,6 @@ class Frame:
             except Exception:
                 self.release()
                 raise
-
-    def _blended(self) -> tuple[Camera, int] | None:
-        """What EWA needs to know, where it draws the points."""
-        request = self.request
-        if request.settings.technique != "EWA":
-            return None
-        if not self.device.limits.float_blend:
-            self._warnings += ("EWA needs blending of floats, which this GPU lacks: points are drawn in image space",)
-            return None
-        return request.camera, request.samples
-
-    def _paints(self) -> bool:
-        """Whether opaque points are painted."""
-        if self.request.settings.technique != "PAINTER" or not self.prepared.cut.splats:
-            return False
-        if not self.device.limits.float_blend:
-            self._warnings += ("The painter needs blending of floats, which this GPU lacks: points are drawn in image "
-                               "space",)  # fmt: skip
-            return False
-        return True
 
     def _shadows(self) -> tuple[Shadows | None, str]:
         prepared = self.prepared
@@ -543,6 +532,7 @@ class Frame:
             "passes": [{"name": name, "ms": round(ms, 3)} for name, ms in self.clock.spent.items()],
             "skipped": [{"name": name, "because": why} for name, why in self._skipped()],
             "points": {"total": prepared.total, "cut": cut, "drawn": cut * self.done},
+            "technique": {"name": self.technique.name, "because": self.technique.because},
             "triangles": triangles,
             "lines": self._lines_drawn(),
             "bytes": {"cpu": STORE.nbytes, "gpu": self.device.bytes_allocated()},

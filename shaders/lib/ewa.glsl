@@ -9,6 +9,15 @@
 // higher ones, so that no surface lets through what is behind; beside it, they are taken as they are.
 #define PS_EWA_SHARE 0.45015816  // the mean of the two, sqrt(2) / pi
 #define PS_EWA_WITHIN 1.4142136
+// A node stands for nearly all of its ellipse, 3 / pi for a square: its moments are those of what it holds, and reach less
+// far than the corners of that. Its rim, where it hides what is behind it, goes around them.
+#define PS_EWA_NODE_SHARE 0.95492966
+
+// Squared Mahalanobis distance of the rim of a splat that stands for this share of its ellipse; 1: it stands alone.
+float ps_ewa_rim(float share)
+{
+  return share == PS_EWA_NODE_SHARE ? 6.0 : 4.0;
+}
 
 // Closed surfaces end with their front and their back at the same edge, where only the front is to be seen: what shows its
 // back weighs less by this factor, where nothing or a front is nearest.

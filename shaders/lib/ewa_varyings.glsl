@@ -21,7 +21,11 @@ vec3 ps_splat(ivec2 at, vec4 place)
   float with = c.x * c.z - c.y * c.y;
   v_place = vec4(place.xy + frame.focal.zw, place.z, sign(place.w));
   v_front = texelFetch(ps_splat_front, at, 0);
+#ifdef PS_BLEND
   v_conic = vec4(vec3(c.z, -c.y, c.x) / with, ps_ewa_peak(v_front.z, of, with));
+#else
+  v_conic = vec4(vec3(c.z, -c.y, c.x) / with, ps_ewa_rim(v_front.z));
+#endif
   v_material = vec4(shape.w, float((int(abs(place.w)) - 1) >> 1), sqrt(c.xz));
 #ifdef PS_BLEND
 #ifdef PS_NORMAL

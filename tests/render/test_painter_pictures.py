@@ -21,6 +21,7 @@ from tests.render.test_ewa_pictures import (
     NORMALS,
     dark,
     lone,
+    of_nodes,
     on_screen,
     shape_picture,
     splats,
@@ -245,19 +246,8 @@ def test_on_a_textured_plane_it_is_nearer_to_the_polygons_than_disks_and_farther
 
 @pytest.mark.parametrize("tolerance", [2.0, 4.0])
 def test_nodes_of_an_octree_close_what_their_points_close(tolerance):
-    cloud = scenes.sphere_cloud(200000, color=(scenes.sphere_points(200000) * 0.4 + 0.5).astype(np.float32))
-    scene = scenes.scene((scenes.points("painted nodes", cloud), scenes.moved()), transparent=True)
-    camera, found = scenes.camera(resolution=(96, 96)), []
-    for t in (0.05, tolerance):
-        STORE.clear()
-        request = Request(camera, replace(PAINTER, tolerance=t), ONLY_COMBINED, 16)
-        found.append(scenes.opengl().render(scene, request))
-    fine, coarse = found
-    assert fine.report["points"]["cut"] == 200000
-    assert coarse.report["points"]["cut"] < 0.6 * 200000
-    figures = compare(coarse.pixels["combined"], fine.pixels["combined"])
-    inside = eroded(fine.pixels["combined"][..., 3] > 0.9999)
-    assert 255 * (1 - coarse.pixels["combined"][..., 3][inside]).max() < 1  # measured 0.014; 38 without NODE_REACH
+    figures, leaks = of_nodes(PAINTER, tolerance)
+    assert leaks < 1  # measured 0.014; 38 without NODE_REACH
     assert figures["interior_psnr"] > 45  # measured 48.8; 35 without
     assert abs(figures["thickening"] - 1) < 0.001  # measured 0.0002
 

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.ewa import CUTOFF, centres_decide, low_pass
+from ...core.ewa import centres_decide, low_pass
 from ...core.scene import Camera
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
@@ -40,6 +40,7 @@ from .points import PageDraw, PointOptions, attributes
 
 WIDEST_POINT = 32.0  # pixels of radius up to which shaders/ewa_splats.frag calls splats small
 AFFINE_ERROR = 0.1  # pixels, as there
+NODE_RIM = 6.0  # squared Mahalanobis distance, beyond CUTOFF: shaders/lib/ewa.glsl
 JITTER = 1.0  # pixels that samples shift the picture by at most
 CHUNK = 1 << 20  # splats of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
 ATTRIBUTES = ("normal", "color", "emission")  # of the G-buffer, that are blended
@@ -57,7 +58,7 @@ class EwaOptions:
     def reach(self, largest: float) -> float:
         """Pixels from the centre to the end of the kernel of splats that are drawn as points, of at most the radius
         `largest`; wider ones are drawn wherever their centres are."""
-        return math.sqrt(CUTOFF * (min(largest, WIDEST_POINT) ** 2 / 4 + self.low_pass))
+        return math.sqrt(NODE_RIM * (min(largest, WIDEST_POINT) ** 2 / 4 + self.low_pass))
 
 
 def options(camera: Camera, largest: float, balls: bool, samples: int) -> EwaOptions:

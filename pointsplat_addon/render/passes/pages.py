@@ -13,6 +13,7 @@ from ..device import Device, Texture
 from ..packing import NO_NORMAL, PAGE_WIDTH, octahedral
 from ..prepare import PointSet
 
+NODE = 0.25  # tells nodes from points beside a material row, which is whole
 SMALLEST_NORMAL = 1e-6  # of shading: what is shorter has no direction
 Write = Callable[[np.ndarray, slice], None]  # an attribute of the splats in a slice, into an array (n, channels)
 
@@ -75,9 +76,10 @@ def place(cloud: PointCloud) -> Write:
     return write
 
 
-def extent(cloud: PointCloud, always_axis: bool = False) -> Write:
+def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = None) -> Write:
     """(N, 4): half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too. The minor
-    half-axis of splats that stand apart is negative."""
+    half-axis of splats that stand apart is negative. `points`: what follows after so many are nodes, whose material row
+    has NODE added."""
 
     def write(out: np.ndarray, block: slice) -> None:
         out[:, :2] = 0
@@ -92,6 +94,8 @@ def extent(cloud: PointCloud, always_axis: bool = False) -> Write:
         elif always_axis and cloud.normal is not None:
             out[:, 2] = octahedral(basis(cloud.normal[block].T.astype(np.float64))[0].T)
         out[:, 3] = 0 if cloud.material is None else cloud.material[block]
+        if points is not None:
+            out[max(points - block.start, 0) :, 3] += NODE
 
     return write
 

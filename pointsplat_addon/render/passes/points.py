@@ -53,7 +53,9 @@ class Page(SplatPage):
         super().__init__(device, sets)
         clouds = self.clouds
         self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
-        self.upload("extent", "RGBA32F", 4, [extent(c) for c in clouds])
+        self.upload("extent", "RGBA32F", 4, [
+            extent(c, points=len(points.cloud)) for c, points in zip(clouds, sets, strict=True)
+        ])  # fmt: skip
         if variant.color:
             self.upload("color", "RGBA16F", 4, [filled(c, "color", table.base_color) for c in clouds])
         if variant.surface:
