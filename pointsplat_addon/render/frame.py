@@ -27,7 +27,7 @@ from .plan import make_plan
 from .prepare import STORE, prepare, triangles_of
 from .shadows import Shadows, cast
 from .targets import Pool, Targets
-from .technique import NO_BLENDING, choose, reconsidered
+from .technique import NAMES, NO_BLENDING, choose, reconsidered
 from .tiles import EVERYWHERE, Adaptive, why_everywhere
 from .uploads import Kept, Uploads
 
@@ -166,9 +166,9 @@ class Frame:
         self.clock = Clock(self.device, cancelled)
         float_blend = self.device.limits.float_blend
         technique = choose(request.settings, scene, request.samples, request.interactive, float_blend)
-        if technique.because == NO_BLENDING and request.settings.technique != "AUTO":
-            self._warnings += (f"{request.settings.technique} needs blending of floats, which this GPU lacks: points are "
-                               "drawn in image space",)  # fmt: skip
+        if technique.because == NO_BLENDING and request.settings.technique in NAMES:
+            self._warnings += (f"{NAMES[request.settings.technique]} needs blending of floats, which this GPU lacks: "
+                               "points are drawn in image space",)  # fmt: skip
         settings = replace(request.settings, technique=technique.name)
         self.prepared = prepare(
             scene,

@@ -19,6 +19,7 @@ class Technique(NamedTuple):
     because: str
 
 
+NAMES = {"EWA": "EWA", "PAINTER": "The painter"}  # those that need float_blend
 ASKED = "the settings say so"
 NO_BLENDING = "this GPU cannot blend floats"
 STANDS_APART = Technique("IMAGE_SPACE", "points that stand apart let light pass")
@@ -40,7 +41,7 @@ def choose(settings: Settings, scene: Scene, samples: int, interactive: bool, fl
         found = Technique("EWA", "colours vary from point to point")
     else:
         found = Technique("IMAGE_SPACE", "no point has a colour of its own")
-    return found if found.name == "IMAGE_SPACE" or float_blend else Technique("IMAGE_SPACE", NO_BLENDING)
+    return found if found.name not in NAMES or float_blend else Technique("IMAGE_SPACE", NO_BLENDING)
 
 
 def reconsidered(found: Technique, prepared: Prepared) -> Technique:
