@@ -12,7 +12,7 @@ from . import engine
 Item = tuple[str, str, str]
 
 TECHNIQUE_ITEMS: dict[str, Item] = {
-    "AUTO": ("AUTO", "Automatic", "Choose the technique by what is in the scene"),
+    "AUTO": ("AUTO", "Automatic", "EWA for final renders of points that have colours of their own, else image space"),
     "IMAGE_SPACE": (
         "IMAGE_SPACE",
         "Image Space",
