@@ -34,14 +34,17 @@ def start_gpu() -> None:
         def render(self, depsgraph):
             pass
 
-    render = bpy.context.scene.render
-    engine, size = render.engine, (render.resolution_x, render.resolution_y)
+    # A scene of its own: other tests may have left one without a camera.
+    scene = bpy.data.scenes.new("starter")
+    scene.camera = bpy.data.objects.new("starter", bpy.data.cameras.new("starter"))
+    scene.collection.objects.link(scene.camera)
     bpy.utils.register_class(Starter)
     try:
-        render.engine, render.resolution_x, render.resolution_y = Starter.bl_idname, 8, 8
-        bpy.ops.render.render()
+        scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = Starter.bl_idname, 8, 8
+        bpy.ops.render.render(scene=scene.name)
     finally:
-        render.engine, (render.resolution_x, render.resolution_y) = engine, size
+        bpy.data.cameras.remove(scene.camera.data)
+        bpy.data.scenes.remove(scene)
         bpy.utils.unregister_class(Starter)
 
 

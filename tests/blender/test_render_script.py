@@ -9,7 +9,9 @@ import pytest
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
-REPORT_KEYS = {"device", "seconds", "passes", "skipped", "points", "triangles", "bytes", "warnings"}
+REPORT_KEYS = {
+    "device", "seconds", "passes", "skipped", "points", "technique", "triangles", "lines", "bytes", "warnings",
+}  # fmt: skip
 
 MAKE_FILES = """
 import os, sys
