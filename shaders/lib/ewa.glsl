@@ -6,9 +6,14 @@
 #define PS_EWA_KEPT 0.91791500  // 1 - exp(-c) with c = PS_EWA_CUTOFF / 2: what the cut leaves of a Gaussian's mass
 // Of its ellipse's area a splat stands for the cell that the ellipse goes around: between 1 / pi, half a rectangle, and
 // 2 / pi, a rectangle (core/sampling.py). Where an ellipse holds the pixel's centre, the lower sums count as much as the
-// higher ones, so that no surface lets through what is behind; beside it, they are taken as they are.
+// higher ones, so that no surface lets through what is behind; beside it, they are taken as they are, or, with many samples
+// (PS_HARD), not at all: the sums within make up for that, too.
 #define PS_EWA_SHARE 0.45015816  // the mean of the two, sqrt(2) / pi
+#ifdef PS_HARD
+#define PS_EWA_WITHIN 1.8
+#else
 #define PS_EWA_WITHIN 1.4142136
+#endif
 // A node stands for nearly all of its ellipse, 3 / pi for a square: its moments are those of what it holds, and reach less
 // far than the corners of that. Its rim, where it hides what is behind it, goes around them.
 #define PS_EWA_NODE_SHARE 0.95492966
