@@ -20,7 +20,7 @@ import numpy as np
 
 from .cloud import PointCloud
 from .cut import Cut, Lens, against_frustum, all_finite, largest_singular_value, lens_of
-from .hierarchy import Hierarchy, splats
+from .hierarchy import Hierarchy, side_of, splat_weight, splats, sum_up
 from .octree import ranges, starts
 from .scene import Camera
 
@@ -32,6 +32,7 @@ DEEPEST = 0.3  # reach over depth: of nearer instances a cut of their own leaves
 SMALL = 64  # levels on which nodes are as large as that part of the body close no surface in the picture
 THIN = 0.25  # of the tolerance: where the coarsest nodes are smaller than that, instances are thinned
 FADE = 0.5  # share of the instances that stay which are not at their full size
+FACETS = 4  # sides of a node beside its main one, of which it shows one that faces the viewer
 # Instead of a level: a cut of its own; all points; nothing, since it is out of view or thinned away.
 OWN, ALL, NONE = -1, -2, -3
 
@@ -89,9 +90,34 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
         # Small bodies are what stands apart: surfaces that are closed in the picture would join neighbours.
         small = np.repeat(hierarchy.sphere[0] < SMALL * np.array(limits), count)
         cloud = replace(cloud, apart=small if cloud.apart is None else small | cloud.apart)
+        if cloud.axis is not None:
+            cloud = replace(cloud, facets=_facets(hierarchy, np.concatenate(rows)))
     center = hierarchy.cloud.origin + hierarchy.center[0]
     reach, short = float(hierarchy.sphere[0]), len(hierarchy.cloud) > WHOLE * MOST
     return Levels(cloud, starts(count), count, np.array(nodes), np.array(limits), center, reach, short)
+
+
+def _facets(hierarchy: Hierarchy, rows: np.ndarray) -> np.ndarray:
+    """PointCloud.facets (R, FACETS, 3) for rows of `splats`: of each node, but for the side that most of it is turned
+    to, the share that the points of a side have in its area, times their mean normal."""
+    cloud, tree = hierarchy.cloud, hierarchy.tree
+    normal = cloud.normal if cloud.shading_normal is None else cloud.shading_normal
+    assert normal is not None
+    side = side_of(normal)
+
+    def columns(which: slice) -> np.ndarray:
+        weighted = splat_weight(cloud, which) * normal[which].T
+        return np.concatenate([np.where(side[which] == k, weighted, 0.0) for k in range(6)])
+
+    sums = sum_up(tree, len(cloud), columns)
+    of = rows >= len(cloud)
+    vector = sums[:, rows[of] - len(cloud)].T.reshape(-1, 6, 3)
+    weight = np.sqrt((vector * vector).sum(axis=2))
+    order = np.argsort(-weight, axis=1)[:, 1 : 1 + FACETS, None]
+    facets = np.zeros((len(rows), FACETS, 3), np.int8)
+    share = np.take_along_axis(vector, order, axis=1) / np.maximum(weight.sum(axis=1), 1e-300)[:, None, None]
+    facets[of] = np.rint(127 * share)
+    return facets
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,6 +105,7 @@ def make_plan(
     one = not holdout and len(np.unique(shown)) == 1
     options = PointOptions(
         shading_normal=any(c.shading_normal is not None for c in clouds),
+        facets=any(c.facets is not None for c in clouds),
         cull=points and bool(scene.materials.cull.any()),
         holdout=holdout,
         ellipses=any(p.hierarchy is not None or p.cloud.axis is not None for p in sets),
