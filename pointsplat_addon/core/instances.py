@@ -20,7 +20,7 @@ import numpy as np
 
 from .cloud import PointCloud
 from .cut import Cut, Lens, against_frustum, all_finite, largest_singular_value, lens_of
-from .hierarchy import Hierarchy, side_of, splat_weight, splats, sum_up
+from .hierarchy import Hierarchy, frames, side_of, splat_weight, splats, sum_up
 from .octree import ranges, starts
 from .scene import Camera
 
@@ -33,6 +33,17 @@ SMALL = 64  # levels on which nodes are as large as that part of the body close 
 THIN = 0.25  # of the tolerance: where the coarsest nodes are smaller than that, instances are thinned
 FADE = 0.5  # share of the instances that stay which are not at their full size
 FACETS = 4  # sides of a node beside its main one, of which it shows one that faces the viewer
+MEASURED = 512  # splats: of levels of at most so many the area is measured
+OUTLINE_CELLS = 64  # of the grid that measures the area of what they stand for
+RAYS = 28  # along each side of the grid that measures theirs
+# Planes to look at a body in: along the axes, where buildings have their outlines, and between them.
+DIRECTIONS = [
+    (np.array(u, float) / np.linalg.norm(u), np.array(v, float) / np.linalg.norm(v))
+    for u, v in (
+        ((1, 0, 0), (0, 1, 0)), ((1, 0, 0), (0, 0, 1)), ((0, 1, 0), (0, 0, 1)), ((1, -1, 0), (1, 1, -2)),
+        ((1, 1, 0), (-1, 1, 2)), ((1, 1, 0), (1, -1, 2)), ((1, -1, 0), (1, 1, 2)),
+    )
+]  # fmt: skip
 # Instead of a level: a cut of its own; all points; nothing, since it is out of view or thinned away.
 OWN, ALL, NONE = -1, -2, -3
 
@@ -90,11 +101,61 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
         # Small bodies are what stands apart: surfaces that are closed in the picture would join neighbours.
         small = np.repeat(hierarchy.sphere[0] < SMALL * np.array(limits), count)
         cloud = replace(cloud, apart=small if cloud.apart is None else small | cloud.apart)
-        if cloud.axis is not None:
-            cloud = replace(cloud, facets=_facets(hierarchy, np.concatenate(rows)))
+        cloud = replace(cloud, facets=_facets(hierarchy, np.concatenate(rows)), radii=_true_to_size(hierarchy.cloud, cloud, count))
     center = hierarchy.cloud.origin + hierarchy.center[0]
     reach, short = float(hierarchy.sphere[0]), len(hierarchy.cloud) > WHOLE * MOST
     return Levels(cloud, starts(count), count, np.array(nodes), np.array(limits), center, reach, short)
+
+
+def _true_to_size(points: PointCloud, cloud: PointCloud, count: np.ndarray) -> np.ndarray:
+    """Half-axes of the levels' splats (N, 2 or 3), by which coarse levels cover as much of the picture as the points do
+    that they stand for, in the mean over DIRECTIONS. Ellipses of walls reach beyond the edges where these meet."""
+    assert cloud.radii is not None
+    covered = sum(_silhouette(points, *frame) for frame in DIRECTIONS)
+    factor = np.ones(len(count))
+    last = np.cumsum(count)
+    for level in np.flatnonzero(count <= MEASURED):
+        body = cloud.take(slice(last[level] - count[level], last[level]))
+        for _ in range(2):
+            found = sum(_covered(body, *frame) for frame in DIRECTIONS)
+            factor[level] *= (step := float(np.clip(np.sqrt(covered / max(found, 1e-300)), 0.8, 1.25)))
+            assert body.radii is not None
+            body = replace(body, radii=body.radii * np.float32(step))
+    finer = count > MEASURED
+    known = factor[~finer]
+    factor[finer] = 1 + (known[-1] - 1) * MEASURED / count[finer] if len(known) else 1.0
+    return cloud.radii * np.repeat(factor, count)[:, None].astype(np.float32)
+
+
+def _silhouette(cloud: PointCloud, u: np.ndarray, v: np.ndarray) -> float:
+    """The area of the shadow of dense points on the plane of unit vectors u, v (3,): that of the cells of a grid that
+    hold some, of which those at the outline count half."""
+    x, y = cloud.position @ u.astype(np.float32), cloud.position @ v.astype(np.float32)
+    cell = max(float(np.ptp(x)), float(np.ptp(y))) / OUTLINE_CELLS * (1 + 1e-5)
+    if cell <= 0:
+        return 0.0
+    grid = np.zeros((OUTLINE_CELLS + 2, OUTLINE_CELLS + 2), bool)
+    grid[((x - x.min()) / cell).astype(int) + 1, ((y - y.min()) / cell).astype(int) + 1] = True
+    inner = grid[1:-1, 1:-1] & grid[2:, 1:-1] & grid[:-2, 1:-1] & grid[1:-1, 2:] & grid[1:-1, :-2]
+    return cell**2 * (int(grid.sum()) + int(inner.sum())) / 2
+
+
+def _covered(cloud: PointCloud, u: np.ndarray, v: np.ndarray) -> float:
+    """The area of the union of the splats' ellipses on the plane of unit vectors u, v (3,)."""
+    normal, major, radii = frames(cloud, slice(None))
+    plane = np.stack([u, v])
+    a = plane @ major * radii[0]
+    b = plane @ np.cross(normal, major, axis=0) * radii[1]
+    center = plane @ cloud.position.T.astype(np.float64)
+    reach = np.hypot(a, b)
+    low, high = (center - reach).min(axis=1), (center + reach).max(axis=1)
+    grid = (np.arange(RAYS) + 0.5) / RAYS
+    det = a[0] * b[1] - a[1] * b[0]
+    det = np.where(np.abs(det) < 1e-30, 1e-30, det)
+    x, y = (low[:, None] + grid * (high - low)[:, None])[:, None, :] - center[:, :, None]  # (n, RAYS) each
+    p = ((b[1][:, None] * x)[:, :, None] - (b[0][:, None] * y)[:, None, :]) / det[:, None, None]
+    q = ((a[0][:, None] * y)[:, None, :] - (a[1][:, None] * x)[:, :, None]) / det[:, None, None]
+    return float(((p * p + q * q) <= 1).any(axis=0).mean() * np.prod(high - low))
 
 
 def _facets(hierarchy: Hierarchy, rows: np.ndarray) -> np.ndarray:
