@@ -97,8 +97,9 @@ class Hierarchy:
         return self.cloud.nbytes + sum(a.nbytes for a in held if isinstance(a, np.ndarray))
 
 
-def build(cloud: PointCloud, leaf_size: int = LEAF_SIZE) -> Hierarchy:
-    """The point-octree of a cloud, with leaves of at most `leaf_size` points where points are distinct.
+def build(cloud: PointCloud, leaf_size: int = LEAF_SIZE, sided: bool = False) -> Hierarchy:
+    """The point-octree of a cloud, with leaves of at most `leaf_size` points where points are distinct. `sided`: no
+    node but the root holds parts of a surface that are turned to different sides (Pajarola 2003 splits by normals).
 
     Raises ValueError for a NaN or infinity in any attribute, negative radii, leaf_size < 1, or 2^31 points or more.
     """
@@ -107,7 +108,7 @@ def build(cloud: PointCloud, leaf_size: int = LEAF_SIZE) -> Hierarchy:
     if len(cloud) >= 2**31:
         raise ValueError(f"{len(cloud)} points do not fit 32-bit links")
     check(cloud)
-    order, tree = partition(cloud.position, leaf_size, _sides(cloud))
+    order, tree = partition(cloud.position, leaf_size, _sides(cloud) if sided else None)
     return _evaluate(_gather(cloud, order), order, tree)
 
 

@@ -25,7 +25,7 @@ from .octree import ranges, starts
 from .scene import Camera
 
 STEPS = 4  # levels to each octave of size: a fifth more splats than the tolerance asks for, in the mean
-COARSEST = 8  # splats of the coarsest level: one flat splat alone is no body, seen from its side it vanishes
+COARSEST = 32  # splats of the coarsest level: so many have the colour of a body from all sides, within a few percent
 WHOLE = 3  # times the splats of a cut: drawing so many costs less than finding the cut
 MOST = 1 << 18  # splats of the finest level: instances that need more are wide on the screen, and so are few
 DEEPEST = 0.3  # reach over depth: of nearer instances a cut of their own leaves out more than it costs to find
@@ -33,15 +33,16 @@ SMALL = 64  # levels on which nodes are as large as that part of the body close 
 THIN = 0.25  # of the tolerance: where the coarsest nodes are smaller than that, instances are thinned
 FADE = 0.5  # share of the instances that stay which are not at their full size
 FACETS = 4  # sides of a node beside its main one, of which it shows one that faces the viewer
-MEASURED = 512  # splats: of levels of at most so many the area is measured
+MEASURED = 256  # splats: of levels of at most so many the area is measured
 OUTLINE_CELLS = 64  # of the grid that measures the area of what they stand for
-RAYS = 28  # along each side of the grid that measures theirs
+RAYS = 20  # along each side of the grid that measures theirs
+ROUNDS = 2  # of measuring it
 # Planes to look at a body in: along the axes, where buildings have their outlines, and between them.
 DIRECTIONS = [
     (np.array(u, float) / np.linalg.norm(u), np.array(v, float) / np.linalg.norm(v))
     for u, v in (
         ((1, 0, 0), (0, 1, 0)), ((1, 0, 0), (0, 0, 1)), ((0, 1, 0), (0, 0, 1)), ((1, -1, 0), (1, 1, -2)),
-        ((1, 1, 0), (-1, 1, 2)), ((1, 1, 0), (1, -1, 2)), ((1, -1, 0), (1, 1, 2)),
+        ((1, 1, 0), (-1, 1, 2)),
     )
 ]  # fmt: skip
 # Instead of a level: a cut of its own; all points; nothing, since it is out of view or thinned away.
@@ -53,6 +54,7 @@ class Levels:
     """Cuts of one hierarchy for K sizes of nodes, coarsest first."""
 
     cloud: PointCloud  # splats of all levels, one level after the other
+    drawn: PointCloud  # the same, true to size
     first: np.ndarray  # (K,) int64: where each begins
     count: np.ndarray  # (K,) int64
     nodes: np.ndarray  # (K,) int64: how many of these splats stand for several points
@@ -63,11 +65,14 @@ class Levels:
 
     @property
     def nbytes(self) -> int:
-        return self.cloud.nbytes
+        given = self.cloud.arrays()
+        return self.cloud.nbytes + sum(
+            array.nbytes for name, array in self.drawn.arrays().items() if array is not given.get(name)
+        )
 
 
 def make_levels(hierarchy: Hierarchy) -> Levels | None:
-    """Levels of at least COARSEST splats, and at most MOST or half as many as there are points; None: there is none."""
+    """Levels of at least COARSEST splats, and at most MOST or a third as many as there are points; None: there is none."""
     tree, size = hierarchy.tree, hierarchy.size.astype(np.float64)
     # A node is drawn at sizes from its own up to the least one among its ancestors.
     above = np.full(len(tree), np.inf)
@@ -81,7 +86,7 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
     own = np.where(single, -np.inf, size)
     leaf = tree.child_count == 0
     found: list[tuple[float, np.ndarray, int]] = []
-    limit, most = float(size[0]) if len(size) else 0.0, min(MOST, len(hierarchy.cloud) // 2)
+    limit, most = float(size[0]) if len(size) else 0.0, min(MOST, len(hierarchy.cloud) // 3)
     while limit > 0.0:
         node = np.flatnonzero((own <= limit) & (above > limit) & ~single)
         bare = np.flatnonzero(leaf & (above > limit) & ((own > limit) | single))
@@ -96,71 +101,71 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
         return None
     limits, rows, nodes = zip(*found, strict=True)
     count = np.array([len(r) for r in rows])
-    cloud = splats(hierarchy).take(np.concatenate(rows))
+    cloud = drawn = splats(hierarchy).take(np.concatenate(rows))
     if cloud.normal is not None and cloud.radii is not None and cloud.opacity is None and cloud.extinction is None:
         # Small bodies are what stands apart: surfaces that are closed in the picture would join neighbours.
         small = np.repeat(hierarchy.sphere[0] < SMALL * np.array(limits), count)
         cloud = replace(cloud, apart=small if cloud.apart is None else small | cloud.apart)
-        cloud = replace(cloud, facets=_facets(hierarchy, np.concatenate(rows)), radii=_true_to_size(hierarchy.cloud, cloud, count))
+        facets = _facets(hierarchy, np.concatenate(rows))
+        drawn = replace(cloud, radii=_true_to_size(hierarchy.cloud, cloud, count), facets=facets)
     center = hierarchy.cloud.origin + hierarchy.center[0]
     reach, short = float(hierarchy.sphere[0]), len(hierarchy.cloud) > WHOLE * MOST
-    return Levels(cloud, starts(count), count, np.array(nodes), np.array(limits), center, reach, short)
+    return Levels(cloud, drawn, starts(count), count, np.array(nodes), np.array(limits), center, reach, short)
 
 
 def _true_to_size(points: PointCloud, cloud: PointCloud, count: np.ndarray) -> np.ndarray:
-    """Half-axes of the levels' splats (N, 2 or 3), by which coarse levels cover as much of the picture as the points do
-    that they stand for, in the mean over DIRECTIONS. Ellipses of walls reach beyond the edges where these meet."""
+    """Half-axes of the levels' splats (N, 2 or 3), by which coarse levels cover as much of the picture as the points
+    that they stand for, in the mean over DIRECTIONS: ellipses of walls reach beyond the edges where these meet."""
     assert cloud.radii is not None
-    covered = sum(_silhouette(points, *frame) for frame in DIRECTIONS)
-    factor = np.ones(len(count))
-    last = np.cumsum(count)
-    for level in np.flatnonzero(count <= MEASURED):
-        body = cloud.take(slice(last[level] - count[level], last[level]))
-        for _ in range(2):
-            found = sum(_covered(body, *frame) for frame in DIRECTIONS)
-            factor[level] *= (step := float(np.clip(np.sqrt(covered / max(found, 1e-300)), 0.8, 1.25)))
-            assert body.radii is not None
-            body = replace(body, radii=body.radii * np.float32(step))
+    covered = sum(_silhouette(points, *plane) for plane in DIRECTIONS)
+    factor, last = np.ones(len(count)), np.cumsum(count)
+    coarse = np.flatnonzero(count <= MEASURED)
+    for level in coarse:
+        normal, axis, radii = frames(cloud, slice(last[level] - count[level], last[level]))
+        at = cloud.position[last[level] - count[level] : last[level]].T.astype(np.float64)
+        ends = np.stack([axis * radii[0], np.cross(normal, axis, axis=0) * radii[1]])
+        for _ in range(ROUNDS):
+            found = sum(_shadow(at, factor[level] * ends, *plane) for plane in DIRECTIONS)
+            factor[level] *= np.clip(np.sqrt(covered / max(found, 1e-300)), 0.8, 1.25)
     finer = count > MEASURED
-    known = factor[~finer]
-    factor[finer] = 1 + (known[-1] - 1) * MEASURED / count[finer] if len(known) else 1.0
+    factor[finer] = 1 + (factor[coarse[-1]] - 1) * MEASURED / count[finer] if len(coarse) else 1.0
     return cloud.radii * np.repeat(factor, count)[:, None].astype(np.float32)
 
 
 def _silhouette(cloud: PointCloud, u: np.ndarray, v: np.ndarray) -> float:
     """The area of the shadow of dense points on the plane of unit vectors u, v (3,): that of the cells of a grid that
-    hold some, of which those at the outline count half."""
-    x, y = cloud.position @ u.astype(np.float32), cloud.position @ v.astype(np.float32)
-    cell = max(float(np.ptp(x)), float(np.ptp(y))) / OUTLINE_CELLS * (1 + 1e-5)
-    if cell <= 0:
-        return 0.0
+    hold some, of which those at the outline count half. Cells are as wide as most splats."""
+    assert cloud.radii is not None
+    x, y = (cloud.position @ a.astype(np.float32) for a in (u, v))
+    wide = 2 * float(np.quantile(cloud.radii[:: max(1, len(cloud) // 4096), 0], 0.9))
+    cell = max(max(float(np.ptp(x)), float(np.ptp(y))) / OUTLINE_CELLS * (1 + 1e-5), wide, 1e-30)
     grid = np.zeros((OUTLINE_CELLS + 2, OUTLINE_CELLS + 2), bool)
     grid[((x - x.min()) / cell).astype(int) + 1, ((y - y.min()) / cell).astype(int) + 1] = True
     inner = grid[1:-1, 1:-1] & grid[2:, 1:-1] & grid[:-2, 1:-1] & grid[1:-1, 2:] & grid[1:-1, :-2]
     return cell**2 * (int(grid.sum()) + int(inner.sum())) / 2
 
 
-def _covered(cloud: PointCloud, u: np.ndarray, v: np.ndarray) -> float:
-    """The area of the union of the splats' ellipses on the plane of unit vectors u, v (3,)."""
-    normal, major, radii = frames(cloud, slice(None))
+def _shadow(at: np.ndarray, ends: np.ndarray, u: np.ndarray, v: np.ndarray) -> float:
+    """The area that ellipses about `at` (3, n), whose half-axes are `ends` (2, 3, n), cover of that plane together."""
     plane = np.stack([u, v])
-    a = plane @ major * radii[0]
-    b = plane @ np.cross(normal, major, axis=0) * radii[1]
-    center = plane @ cloud.position.T.astype(np.float64)
+    middle, (a, b) = plane @ at, plane @ ends
     reach = np.hypot(a, b)
-    low, high = (center - reach).min(axis=1), (center + reach).max(axis=1)
-    grid = (np.arange(RAYS) + 0.5) / RAYS
+    low, high = (middle - reach).min(axis=1), (middle + reach).max(axis=1)
+    step = (high - low) / RAYS
+    x, y = (low + step * (np.arange(RAYS)[:, None] + 0.5)).T[:, None] - middle[:, :, None]  # (n, RAYS) each
+    # Coordinates along the half-axes, in units of these, are linear in x and y.
     det = a[0] * b[1] - a[1] * b[0]
-    det = np.where(np.abs(det) < 1e-30, 1e-30, det)
-    x, y = (low[:, None] + grid * (high - low)[:, None])[:, None, :] - center[:, :, None]  # (n, RAYS) each
-    p = ((b[1][:, None] * x)[:, :, None] - (b[0][:, None] * y)[:, None, :]) / det[:, None, None]
-    q = ((a[0][:, None] * y)[:, None, :] - (a[1][:, None] * x)[:, :, None]) / det[:, None, None]
-    return float(((p * p + q * q) <= 1).any(axis=0).mean() * np.prod(high - low))
+    inverse = (1 / np.where(np.abs(det) < 1e-30, 1e-30, det))[:, None]
+    p = ((inverse * b[1][:, None] * x)[:, :, None] - (inverse * b[0][:, None] * y)[:, None]).astype(np.float32)
+    q = ((inverse * a[0][:, None] * y)[:, None] - (inverse * a[1][:, None] * x)[:, :, None]).astype(np.float32)
+    with np.errstate(over="ignore"):
+        inside = p * p + q * q <= 1
+    return float(np.prod(step)) * np.count_nonzero(inside.any(axis=0))
 
 
-def _facets(hierarchy: Hierarchy, rows: np.ndarray) -> np.ndarray:
+def _facets(hierarchy: Hierarchy, rows: np.ndarray) -> np.ndarray | None:
     """PointCloud.facets (R, FACETS, 3) for rows of `splats`: of each node, but for the side that most of it is turned
-    to, the share that the points of a side have in its area, times their mean normal."""
+    to, the share that the points of a side have in its area, times their mean normal. None: all nodes have one side."""
     cloud, tree = hierarchy.cloud, hierarchy.tree
     normal = cloud.normal if cloud.shading_normal is None else cloud.shading_normal
     assert normal is not None
@@ -178,7 +183,7 @@ def _facets(hierarchy: Hierarchy, rows: np.ndarray) -> np.ndarray:
     facets = np.zeros((len(rows), FACETS, 3), np.int8)
     share = np.take_along_axis(vector, order, axis=1) / np.maximum(weight.sum(axis=1), 1e-300)[:, None, None]
     facets[of] = np.rint(127 * share)
-    return facets
+    return facets if facets.any() else None
 
 
 @dataclass(frozen=True, eq=False)
