@@ -38,6 +38,7 @@ OPAQUE = 100.0  # optical depth of an opaque splat
 WIDER = 1.15
 SIDE_CELLS = 32  # across: what is rougher than one of them has one side
 ROUGH = 0.4  # length of the mean normal in a cell above which it has one
+SMOOTH, MOSTLY = 0.9, 0.9  # above which length a cell is smooth, and of which share of the area a body is
 # Directions of sides: along the axes, as walls are, and not where walls at 45 degrees between them would fall apart.
 TURN = np.linalg.qr(np.array([[1, 0.13, 0.09], [-0.13, 1, 0.17], [-0.09, -0.17, 1]]))[0].astype(np.float32)
 CELL = 4.5 / np.pi  # surface of a cube over that of the ellipsoid that has its moments
@@ -108,13 +109,13 @@ def build(cloud: PointCloud, leaf_size: int = LEAF_SIZE, sided: bool = False) ->
     if len(cloud) >= 2**31:
         raise ValueError(f"{len(cloud)} points do not fit 32-bit links")
     check(cloud)
-    order, tree = partition(cloud.position, leaf_size, _sides(cloud) if sided else None)
+    order, tree = partition(cloud.position, leaf_size, sides(cloud) if sided else None)
     return _evaluate(_gather(cloud, order), order, tree)
 
 
-def _sides(cloud: PointCloud) -> np.ndarray | None:
+def sides(cloud: PointCloud) -> np.ndarray | None:
     """(N,) uint8: to which of six sides the surface is turned at each point, None where light passes through it or
-    splats stand apart. Nodes of one side have neither the colour nor the normal of what lies behind a thin wall, or
+    splats stand apart or the surface is smooth nearly everywhere. Nodes of one side have neither the colour nor the normal of what lies behind a thin wall, or
     around an edge.
 
     What is turned elsewhere than the surface around it in the mean, and not back to back with it, as the reveals of
@@ -134,6 +135,8 @@ def _sides(cloud: PointCloud) -> np.ndarray | None:
     mean /= np.maximum(np.bincount(cell, weight), 1e-300)[:, None]
     around = mean.astype(np.float32)[cell]
     length = np.sqrt((around * around).sum(axis=1))
+    if weight[length > SMOOTH].sum() > MOSTLY * weight.sum():
+        return None
     across = np.abs((n * around).sum(axis=1)) < 0.5 * length
     return side_of(np.where((across & (length > ROUGH))[:, None], around, n))
 

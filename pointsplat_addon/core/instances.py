@@ -20,12 +20,13 @@ import numpy as np
 
 from .cloud import PointCloud
 from .cut import Cut, Lens, against_frustum, all_finite, largest_singular_value, lens_of
-from .hierarchy import Hierarchy, frames, side_of, splat_weight, splats, sum_up
+from .hierarchy import Hierarchy, frames, side_of, sides, splat_weight, splats, sum_up
 from .octree import ranges, starts
 from .scene import Camera
 
 STEPS = 4  # levels to each octave of size: a fifth more splats than the tolerance asks for, in the mean
-COARSEST = 32  # splats of the coarsest level: so many have the colour of a body from all sides, within a few percent
+COARSEST = 8  # splats of the coarsest level: one flat splat alone is no body, seen from its side it vanishes
+COARSEST_ROUGH = 32  # the same of bodies with edges: so many have about its colour from all sides
 WHOLE = 3  # times the splats of a cut: drawing so many costs less than finding the cut
 MOST = 1 << 18  # splats of the finest level: instances that need more are wide on the screen, and so are few
 DEEPEST = 0.3  # reach over depth: of nearer instances a cut of their own leaves out more than it costs to find
@@ -85,6 +86,7 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
     single = tree.point_count == 1
     own = np.where(single, -np.inf, size)
     leaf = tree.child_count == 0
+    rough = sides(hierarchy.cloud) is not None
     found: list[tuple[float, np.ndarray, int]] = []
     limit, most = float(size[0]) if len(size) else 0.0, min(MOST, len(hierarchy.cloud) // 3)
     while limit > 0.0:
@@ -94,7 +96,7 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
         total = len(node) + len(points)
         if total > most or len(node) == 0:
             break
-        if total >= COARSEST:
+        if total >= (COARSEST_ROUGH if rough else COARSEST):
             found.append((limit, np.concatenate([points, len(hierarchy.cloud) + node]), len(node)))
         limit *= 2 ** (-1 / STEPS)
     if not found:
@@ -106,8 +108,10 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
         # Small bodies are what stands apart: surfaces that are closed in the picture would join neighbours.
         small = np.repeat(hierarchy.sphere[0] < SMALL * np.array(limits), count)
         cloud = replace(cloud, apart=small if cloud.apart is None else small | cloud.apart)
-        facets = _facets(hierarchy, np.concatenate(rows))
-        drawn = replace(cloud, radii=_true_to_size(hierarchy.cloud, cloud, count), facets=facets)
+        drawn = cloud
+        if rough:
+            radii, facets = _true_to_size(hierarchy.cloud, cloud, count), _facets(hierarchy, np.concatenate(rows))
+            drawn = replace(cloud, radii=radii, facets=facets)
     center = hierarchy.cloud.origin + hierarchy.center[0]
     reach, short = float(hierarchy.sphere[0]), len(hierarchy.cloud) > WHOLE * MOST
     return Levels(cloud, drawn, starts(count), count, np.array(nodes), np.array(limits), center, reach, short)
@@ -139,9 +143,11 @@ def _silhouette(cloud: PointCloud, u: np.ndarray, v: np.ndarray) -> float:
     x, y = (cloud.position @ a.astype(np.float32) for a in (u, v))
     wide = 2 * float(np.quantile(cloud.radii[:: max(1, len(cloud) // 4096), 0], 0.9))
     cell = max(max(float(np.ptp(x)), float(np.ptp(y))) / OUTLINE_CELLS * (1 + 1e-5), wide, 1e-30)
-    grid = np.zeros((OUTLINE_CELLS + 2, OUTLINE_CELLS + 2), bool)
-    grid[((x - x.min()) / cell).astype(int) + 1, ((y - y.min()) / cell).astype(int) + 1] = True
-    inner = grid[1:-1, 1:-1] & grid[2:, 1:-1] & grid[:-2, 1:-1] & grid[1:-1, 2:] & grid[1:-1, :-2]
+    grid = np.zeros((OUTLINE_CELLS + 3, OUTLINE_CELLS + 3), bool)
+    # Edges along the grid's lines, as buildings have them, cut cells in half.
+    grid[((x - x.min()) / cell + 0.5).astype(int) + 1, ((y - y.min()) / cell + 0.5).astype(int) + 1] = True
+    rows = grid[:-2] & grid[1:-1] & grid[2:]
+    inner = rows[:, :-2] & rows[:, 1:-1] & rows[:, 2:]
     return cell**2 * (int(grid.sum()) + int(inner.sum())) / 2
 
 

@@ -13,10 +13,10 @@ from ..core.scene import Camera, Geometry, Instances, Mesh, Scene, Settings, Wor
 from .frame import Frame, Renderer, Request
 
 SIZE = 256  # pixels
-FEW, MANY = 1 << 10, 1 << 16  # splats and triangles: what a scene of many takes longer is their own cost
+FEW, MANY = 1 << 10, 1 << 15  # splats and triangles: what a scene of many takes longer is their own cost
 INSTANCES = 64
 FILLED = 4  # layers of triangles that fill the picture
-TURNS = 6  # of which the fastest counts: nothing makes a device faster than it is
+TURNS = 5  # of which the fastest counts: nothing makes a device faster than it is
 LEAST = 1e-3  # nanoseconds: differences below the clock's resolution are no cost of nothing
 
 

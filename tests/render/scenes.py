@@ -26,6 +26,7 @@ from pointsplat_addon.core.scene import (
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.frame import Renderer, Request, Result
 from pointsplat_addon.render.outputs import PASSES
+from scripts.tower import COLORS, tower
 
 ALL_PASSES = frozenset(p.key for p in PASSES)
 RESOLUTION = (48, 40)
@@ -633,6 +634,26 @@ def foliage() -> Case:
     return Case(scene(*things), camera((0, -5, 0)))
 
 
+def many_towers() -> Case:
+    """Instances that share levels, some of them thinned away, of a body with edges, and a few near ones."""
+    position, triangles, kind = tower(((4, 6), (3, 6), (2, 5)), 4000)
+    block = flat_mesh("tower of a field", position, triangles, material=kind, materials=(0, 1, 2, 3))
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(-2, 2, 8), np.concatenate([[-2.0], np.geomspace(2, 900, 23)])))
+    things = [(mesh(block, "POINTS"), moved((a * max(b / 8, 1), b, 0))) for a, b in zip(x, y, strict=True)]
+    table = materials(4, base_color=np.array(COLORS, np.float32))
+    return Case(scene(*things, table=table), camera((0.3, -12, 4), (0, 4, 0), far=5000.0))
+
+
+def split_mesh() -> Case:
+    """A mesh whose near parts are triangles and whose far ones points."""
+    eye, target = (0.0, -19.5, 1.2), (0.0, -10.0, 0.0)
+    ground = plane_mesh("split ground", 20.0, 450)
+    turned = moved()
+    turned[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    ground = replace(ground, uv={}, active_uv=None)
+    return Case(scene((mesh(ground), turned)), camera(eye, target, (128, 128), field_of_view=50, near=0.05))
+
+
 CASES: dict[str, Callable[[], Case]] = {
     function.__name__: cache(function)
     for function in (
@@ -664,5 +685,7 @@ CASES: dict[str, Callable[[], Case]] = {
         panes,
         in_smoke,
         foliage,
+        many_towers,
+        split_mesh,
     )
 }
