@@ -114,9 +114,9 @@ def build(cloud: PointCloud, leaf_size: int = LEAF_SIZE, sided: bool = False) ->
 
 
 def sides(cloud: PointCloud) -> np.ndarray | None:
-    """(N,) uint8: to which of six sides the surface is turned at each point, None where light passes through it or
-    splats stand apart or the surface is smooth nearly everywhere. Nodes of one side have neither the colour nor the normal of what lies behind a thin wall, or
-    around an edge.
+    """(N,) uint8: to which of six sides the surface is turned at each point. None where light passes through it, splats
+    stand apart, or the surface is smooth nearly everywhere. Nodes of one side have neither the colour nor the normal
+    of what lies behind a thin wall, or around an edge.
 
     What is turned elsewhere than the surface around it in the mean, and not back to back with it, as the reveals of
     windows are, counts to that.

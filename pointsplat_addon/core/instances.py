@@ -73,7 +73,7 @@ class Levels:
 
 
 def make_levels(hierarchy: Hierarchy) -> Levels | None:
-    """Levels of at least COARSEST splats, and at most MOST or a third as many as there are points; None: there is none."""
+    """Levels of at least COARSEST splats, and at most MOST or a third of the points; None: there is none."""
     tree, size = hierarchy.tree, hierarchy.size.astype(np.float64)
     # A node is drawn at sizes from its own up to the least one among its ancestors.
     above = np.full(len(tree), np.inf)

@@ -635,11 +635,12 @@ def foliage() -> Case:
 
 
 def many_towers() -> Case:
-    """Instances that share levels, some of them thinned away, of a body with edges, and a few near ones."""
+    """Instances that share levels, some of them thinned away, of a body with edges."""
     position, triangles, kind = tower(((4, 6), (3, 6), (2, 5)), 4000)
     block = flat_mesh("tower of a field", position, triangles, material=kind, materials=(0, 1, 2, 3))
-    x, y = (a.ravel() for a in np.meshgrid(np.linspace(-2, 2, 8), np.concatenate([[-2.0], np.geomspace(2, 900, 23)])))
-    things = [(mesh(block, "POINTS"), moved((a * max(b / 8, 1), b, 0))) for a, b in zip(x, y, strict=True)]
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(-2, 2, 16), np.geomspace(3, 2500, 40)))
+    of = mesh(block, "POINTS")
+    things = [(of, moved((a * max(b / 8, 1), b, 0))) for a, b in zip(x, y, strict=True)]
     table = materials(4, base_color=np.array(COLORS, np.float32))
     return Case(scene(*things, table=table), camera((0.3, -12, 4), (0, 4, 0), far=5000.0))
 

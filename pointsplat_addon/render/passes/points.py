@@ -119,8 +119,12 @@ def attributes(
     if variant.normal:
         kinds = {"ps_shading_normal": options.shading_normal, "ps_facets": options.facets}
         samplers += [("FLOAT_2D", name) for name, on in kinds.items() if on]
-    named = {"PS_SHADING_NORMAL": options.shading_normal, "PS_FACETS": options.facets,
-        "PS_HOLDOUT": options.holdout, "PS_ONE_INSTANCE": options.one_instance}
+    named = {
+        "PS_SHADING_NORMAL": options.shading_normal,
+        "PS_FACETS": options.facets,
+        "PS_HOLDOUT": options.holdout,
+        "PS_ONE_INSTANCE": options.one_instance,
+    }
     return tuple(samplers), tuple((name, "1") for name, on in named.items() if on)
 
 
