@@ -32,8 +32,8 @@ GAIN = 8.0  # of the difference pictures
 # ---------------------------------------------------------------------------- Blender
 
 
-def load(path: Path, texture: Path | None) -> bpy.types.Object:
-    """The model, joined, centred, one unit in radius, smooth, with one Principled material."""
+def read(path: Path) -> bpy.types.Object:
+    """The model with its own materials: joined, centred, one unit in radius."""
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder, path.stem) if path.suffix == ".gz" else path
         if plain != path:
@@ -54,10 +54,16 @@ def load(path: Path, texture: Path | None) -> bpy.types.Object:
     middle = (position.min(0) + position.max(0)) / 2
     position = (position - middle) / np.linalg.norm(position - middle, axis=1).max()
     mesh.vertices.foreach_set("co", np.ascontiguousarray(position, np.float32).reshape(-1))
-    mesh.shade_smooth()
     mesh.update()
-    mesh.materials.clear()
-    mesh.materials.append(material(texture))
+    return model
+
+
+def load(path: Path, texture: Path | None) -> bpy.types.Object:
+    """The model, joined, centred, one unit in radius, smooth, with one Principled material."""
+    model = read(path)
+    model.data.shade_smooth()
+    model.data.materials.clear()
+    model.data.materials.append(material(texture))
     return model
 
 

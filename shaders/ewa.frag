@@ -47,9 +47,18 @@ void main()
     discard;
   }
   vec4 nearest = texelFetch(ps_nearest, ivec2(gl_FragCoord.xy), 0);
-  if (nearest.x > 0.0 && depth - v_front.w > nearest.y) {
+  // The range of the flatter of both: steep planes reach far in front of what lies beside them, and behind.
+  float behind = depth - frame.lens.x - nearest.x, same = 2.0 * min(v_front.w, nearest.y - frame.lens.x - nearest.x);
+#ifdef PS_HARD
+  // What lies in front, yet is not the nearest, lies beside the sample.
+  if (nearest.x == 0.0 || abs(behind) > same) {
     discard;
   }
+#else
+  if (nearest.x > 0.0 && behind > same) {
+    discard;
+  }
+#endif
   float w = peak * exp(-0.5 * q);
   bool back = v_place.w < 0.0;
   w *= back && !ps_back_seen(nearest) ? PS_EWA_BACK : 1.0;

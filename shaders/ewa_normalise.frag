@@ -1,6 +1,6 @@
 // Sums over their weights: the surface of each pixel into the G-buffer. Where no ellipse holds the pixel's centre, but
 // kernels reach it, what they show lies beside: it counts as far as they cover the pixel (lib/coverage.glsl), and hides
-// no polygon.
+// no polygon. PS_HARD: samples are many, and it shows nothing.
 
 #include "lib/camera.glsl"
 #include "lib/ewa.glsl"
@@ -28,7 +28,12 @@ void main()
   vec4 sum = texelFetch(ps_sum_place, pixel, 0);
   vec4 nearest = texelFetch(ps_nearest, pixel, 0);
   bool covers = nearest.x > 0.0;
-  if (!(sum.w > 0.0)) {
+#ifdef PS_HARD
+  bool shows = covers;
+#else
+  bool shows = true;
+#endif
+  if (!shows || !(sum.w > 0.0)) {
     discard;
   }
   float scale = 1.0 / sum.w;

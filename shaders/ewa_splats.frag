@@ -49,8 +49,8 @@ void main()
     float steep = length(gradient);
     gradient *= steep > steepest ? steepest / steep : 1.0;
   }
-  // Depths within which neighbours on one surface differ, since surfaces bend, and pixels are as wide as they are.
-  float same = ball ? 0.45 * across : 0.2 * across + 0.25 * reach + 0.25 * length(gradient);
+  // Depths within which neighbours on one surface differ, since surfaces bend, and the low-pass is as wide as it is.
+  float same = ball ? 0.45 * across : 0.05 * across + 0.06 * reach + 0.25 * sqrt(frame.lens.w) * length(gradient);
 
   vec3 pixel = ps_pixel_from_view(p);
   vec3 covariance = ps_moments(element.z, p, head.w, extent);

@@ -39,13 +39,5 @@ void main()
 #ifdef PS_CORNER_EMISSION
   v_emission = texelFetch(ps_corner_emission, texel, 0).rgb;
 #endif
-  // Rasterised with the picture's own projection; depth is linear, and written by the fragment shader.
-  vec2 offset = 2.0 * frame.focal.zw / vec2(frame.size.xy) - 1.0;
-  vec2 scale = 2.0 * frame.focal.xy / vec2(frame.size.xy);
-  float w = ps_is_perspective() ? -v_position.z : 1.0;
-  float near = frame.lens.x, far = frame.lens.y;
-  // Clips at the near and far plane: z / w in [-1, 1] between them.
-  float z = ps_is_perspective() ? (w * (far + near) - 2.0 * far * near) / (far - near)
-                                : (-2.0 * v_position.z - far - near) / (far - near);
-  gl_Position = vec4(scale * v_position.xy + offset * w, z, w);
+  gl_Position = ps_clip_from_view(v_position);
 }

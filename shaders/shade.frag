@@ -8,6 +8,9 @@
 #include "lib/geometry.glsl"
 #include "lib/finite.glsl"
 #include "lib/coverage.glsl"
+#ifdef PS_LINES
+#include "lib/hair.glsl"
+#endif
 
 void main()
 {
@@ -27,6 +30,12 @@ void main()
   vec3 position = ps_view_from_pixel(gl_FragCoord.xy, place.x);
 #endif
   vec3 to_eye = -ps_ray(gl_FragCoord.xy);
+#ifdef PS_LINES
+  bool strand = ps_is_strand(place);
+  vec3 tangent = normal;
+  vec3 outward = to_eye - dot(to_eye, tangent) * tangent;
+  normal = strand ? normalize(dot(outward, outward) > 1e-12 ? outward : to_eye) : normal;
+#endif
   bool holdout = shape.w < -0.5;
   int material = int((holdout ? -1.0 - shape.w : shape.w) + 0.5);
 
@@ -42,7 +51,19 @@ void main()
 #ifdef PS_EMISSION
   surface.emission = texelFetch(ps_emission, pixel, 0).rgb;
 #endif
+#ifdef PS_LINES
+  // Loops of one turn or none, since some devices run both sides of every branch.
+  vec3 radiance = vec3(0.0);
+  for (int i = 0; i < (strand ? 0 : 1); i++) {
+    radiance = ps_shade(position, normal, to_eye, surface, frame.page.w);
+  }
+  for (int i = 0; i < (strand ? 1 : 0); i++) {
+    vec4 fibre = texelFetch(ps_materials, ivec2(3, material), 0);
+    radiance = ps_shade_strand(position, tangent, to_eye, surface, fibre, frame.page.w);
+  }
+#else
   vec3 radiance = ps_shade(position, normal, to_eye, surface, frame.page.w);
+#endif
   out_combined = holdout ? vec4(0.0) : covered * vec4(ps_finite(radiance), 1.0);
 
 #ifdef PS_OUT_NORMAL

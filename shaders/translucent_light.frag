@@ -3,7 +3,7 @@
 // PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
-// drawn where they show their backs. PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
+// drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/camera.glsl"
 #include "lib/kernel.glsl"
@@ -14,6 +14,7 @@
 
 #define PS_LOW_PASS 0.04  // pixels^2: splats smaller than a pixel are not missed between the pixels' centres
 #define PS_PARTICLE 1.0  // kinds of media: what is strewn, and what fills a lattice evenly
+#define PS_GAMMA 0.90640248  // core/painter.py
 #define PS_VIEW 1.3  // of the picture's half width: beyond it the perspective is taken as at its rim
 #define PS_FAINT 1e-7  // optical depth of what only emits
 #define PS_FAINT_TINT 1e-4  // least extinction of a channel over that of the strongest
@@ -221,6 +222,16 @@ void main()
     facing = dot(facing, facing) > 0.5 ? facing : to_eye;
     source += ps_shade(place, facing, to_eye, surface, frame.page.w);
   }
+
+#ifdef PS_FUZZY_APART
+  // What stands apart hides as much as if it were not widened: core/painter.py, `thinned`.
+  if (fuzzy && extent.y < 0.0) {
+    float deepest = peak * PS_PEAK, most = 1.0 - PS_GAMMA * pow(deepest, -0.25);
+    float g2 = PS_GAMMA * PS_GAMMA, whole = PS_GAMMA / (1.0 - most * kept);
+    float thin = whole * whole * whole * whole - g2 * g2 * pow(max(1.0 - kept, 0.0), (5.0 / (g2 * g2) - 4.0) * most);
+    kept = max(thin, 0.0) / deepest;
+  }
+#endif
 
   out_place = seen ? vec4(centre, d, peak * kept * PS_PEAK) : vec4(0.0);
   out_shape = seen ? vec4(wide, 0.0) : vec4(1.0, 0.0, 1.0, 0.0);

@@ -22,6 +22,7 @@ KEPT = 1 - np.exp(-CUTOFF / 2)
 # 2 / pi, a rectangle (core/sampling.py); the mean of the two.
 SHARE = np.sqrt(2) / np.pi
 WITHIN = np.sqrt(2)  # where an ellipse holds the pixel's centre the lower sums count as much as the higher ones
+CENTRES = 4  # samples of a pixel from which on what no ellipse holds shows nothing
 LEAST_LOW_PASS = 4e-4  # pixels^2, which keeps covariances invertible
 
 
@@ -30,11 +31,19 @@ def low_pass(samples: int) -> float:
 
     With one sample a pixel, all that a picture cannot show must be taken out before: the unit Gaussian of Zwicker et
     al. leaves exp(-2 pi^2 v) = 3e-9 of a pattern as fine as the pixels, which would else show as a constant, and 0.7 %
-    at half that frequency. N samples a pixel are sqrt(N) times as dense along each axis, and a kernel of v / N has the
-    same relation to their grid; what lies between their grid's frequencies and the pixels' is taken out by the filter
-    that the samples are distributed by, when they are averaged (render/filtering.py).
+    at half that frequency. N samples a pixel are sqrt(N) times as dense along each axis, for which 1 / N would be as
+    much. They are no grid, though: what they alias is spread, and the filter that they are distributed by takes out
+    most of it when they are averaged (render/filtering.py). N^-1.5 blurs less than that costs.
     """
-    return max(1.0 / samples, LEAST_LOW_PASS)
+    return max(samples**-1.5, LEAST_LOW_PASS)
+
+
+def centres_decide(samples: int) -> bool:
+    """Whether samples are so many that the mean of those that an ellipse holds is an edge without steps.
+
+    What lies beside a sample is then left out: surfaces end where they end, and those in front do not bleed.
+    """
+    return samples >= CENTRES
 
 
 def covariance(

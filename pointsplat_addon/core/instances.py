@@ -23,6 +23,7 @@ from .cut import Cut, Lens, against_frustum, all_finite, largest_singular_value,
 from .hierarchy import Hierarchy, frames, side_of, sides, splat_weight, splats, sum_up
 from .octree import ranges, starts
 from .scene import Camera
+from .vectors import number
 
 STEPS = 4  # levels to each octave of size: a fifth more splats than the tolerance asks for, in the mean
 COARSEST = 8  # splats of the coarsest level: one flat splat alone is no body, seen from its side it vanishes
@@ -201,13 +202,20 @@ class Choice:
 
 
 def choose(
-    levels: Levels, view_from_object: np.ndarray, row: np.ndarray, camera: Camera, tolerance: float, margin: float = 1.0
+    levels: Levels,
+    view_from_object: np.ndarray,
+    row: np.ndarray,
+    camera: Camera,
+    tolerance: float,
+    margin: float = 1.0,
+    band: float = 0.0,
 ) -> Choice:
     """The level for each instance of one geometry, `view_from_object` (I, 4, 4) float64.
 
     No node of it spans more than `tolerance` pixels anywhere on the instance, as `cut.select` has it. Instances that
     lie outside the camera's window, widened by `margin` pixels, or whose matrix is not finite or zero, draw nothing.
-    `row` (I,) are the numbers by which instances are told apart when they are thinned.
+    `row` (I,) are the numbers by which instances are told apart when they are thinned, and by which each keeps a share
+    of the `band` of octaves that levels are finer than asked for (`cut.staggered`).
     """
     lens = lens_of(camera, tolerance, margin)
     seen, position, scale = _balls(lens, view_from_object, levels.center, levels.reach)
@@ -225,7 +233,7 @@ def choose(
     with np.errstate(all="ignore"):
         finer = np.log2(levels.size[0] * scale / allowed)  # octaves
     finer = np.nan_to_num(np.where(seen, finer, 0.0), nan=0.0, posinf=1e3, neginf=-1e3)
-    level = np.searchsorted(-np.log2(levels.size / levels.size[0]), finer - 1e-9)
+    level = np.searchsorted(-np.log2(levels.size / levels.size[0]), finer + band * number(row) - 1e-9)
     # Beyond the finest level a cut of its own would hardly leave out any points, unless the levels end at MOST.
     level[level >= len(levels.size)] = OWN if levels.cut_short else ALL
     level[deep] = OWN
@@ -255,12 +263,6 @@ def _balls(
     position = (linear.reshape(-1, 3) @ center).reshape(-1, 3).T + view_from_object[:, :3, 3].T
     gone, _ = against_frustum(lens, position, reach * scale, np.zeros(len(scale), bool))
     return good & ~gone & (scale > 0), position, scale
-
-
-def number(row: np.ndarray) -> np.ndarray:
-    """(I,) float64 in [0, 1), the same for the same integer: multiples of the golden ratio, modulo 1. Of any run of
-    integers, as of the instances that stand in one place, those below a bound are as many as they should be."""
-    return (np.asarray(row).astype(np.uint32) * np.uint32(0x9E3779B9)) / 2.0**32
 
 
 def area_factor(share: np.ndarray, at: np.ndarray) -> np.ndarray:

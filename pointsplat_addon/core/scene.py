@@ -12,10 +12,11 @@ from typing import ClassVar
 import numpy as np
 
 from .cloud import PointCloud
+from .lines import Lines
 
 TECHNIQUES = ("AUTO", "IMAGE_SPACE", "EWA", "PAINTER")
 DEVICES = ("AUTO", "BLENDER_GPU", "OPENGL")
-PRIMITIVES = ("AUTO", "POINTS", "POLYGONS")
+PRIMITIVES = ("AUTO", "POINTS", "POLYGONS", "LINES")
 
 
 @dataclass(frozen=True)
@@ -112,13 +113,14 @@ class Medium:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """What an instance refers to: a mesh (points or polygons), a cloud or a volume (both points)."""
+    """What an instance refers to: a mesh (points or polygons), a cloud or a volume (both points), or strands."""
 
     key: str  # content key
     name: str
     mesh: Mesh | None = None
     cloud: PointCloud | None = None
     volume: Volume | None = None
+    lines: Lines | None = None
     primitive: str = "AUTO"  # one of PRIMITIVES
     spacing: float = 0.0  # distance between samples in object units; 0 chooses
     lattice: str = ""  # clouds of equal keys and attributes have the same points and half-axes; "": no other does
@@ -143,6 +145,23 @@ class Instances:
 
 
 @dataclass(frozen=True, eq=False)
+class HairTable:
+    """The Principled Hair values of each row of a MaterialTable; rows that are not hair hold Blender's defaults.
+
+    The longitudinal roughness is the table's `roughness` and the colour that a head of such hair has its `base_color`;
+    `core.pigment` turns that colour, or a point's own, and the radial roughness into absorption.
+    """
+
+    used: np.ndarray  # (M,) bool: this row is hair
+    absorption: np.ndarray  # (M, 3) float32 per fibre radius, of the constant colour
+    radial: np.ndarray  # (M,) float32, azimuthal roughness in [0, 1]; Huang's model: the longitudinal one
+    coat: np.ndarray  # (M,) float32 in [0, 1]: how much smoother the first reflection is
+    ior: np.ndarray  # (M,) float32
+    tilt: np.ndarray  # (M,) float32, radians: of the cuticle's scales, Blender's Offset
+    lobes: np.ndarray  # (M, 3) float32: factors of reflection, transmission and second reflection; 1 in Chiang's model
+
+
+@dataclass(frozen=True, eq=False)
 class MaterialTable:
     """Constants for each material (row 0 is the default material). Attributes on points override them."""
 
@@ -164,6 +183,7 @@ class MaterialTable:
     translucent: np.ndarray | None = None
     media: tuple[Medium | None, ...] = ()  # what fills volumes of each material
     graphs: tuple[object | None, ...] = ()  # core.materials.Graph for materials whose inputs vary, else None
+    hair: HairTable | None = None  # what strands of the materials are besides; None: none of them is hair
 
     def __len__(self) -> int:
         return len(self.roughness)

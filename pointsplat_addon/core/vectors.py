@@ -54,3 +54,9 @@ def clip(start: np.ndarray, stop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     t = np.divide(start, span, out=np.zeros_like(span), where=span != 0)
     enter = np.where(start < 0, np.where(stop < 0, 2.0, t), 0.0).max(axis=0)
     return enter, np.where(stop < 0, t, 1.0).min(axis=0)
+
+
+def number(row: np.ndarray) -> np.ndarray:
+    """(I,) float64 in [0, 1), the same for the same integer: multiples of the golden ratio, modulo 1. Of any run of
+    integers, as of the instances that stand in one place, those below a bound are as many as they should be."""
+    return (np.asarray(row).astype(np.uint32) * np.uint32(0x9E3779B9)) / 2.0**32

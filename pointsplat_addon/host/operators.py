@@ -2,13 +2,19 @@
 
 from pathlib import Path
 
+import bmesh
 import bpy
+import numpy as np
 from bpy.props import FloatProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
+from ..core.curves import FREE
+from ..core.strands_from_mesh import Found, find
 from ..formats import dense, hierarchy_cache, vdb
 from ..render.device import DeviceError
 from . import caches, device_costs, gl_thread, main_gpu, preferences
+from .convert import arrays
+from .convert.curves import SURFACE_UV
 from .convert.volume import load_openvdb
 
 OPTICAL_DEPTH = 10.0  # across an imported volume where the ramp's alpha is one: the inside shows, and is not flat
@@ -119,6 +125,90 @@ class POINTSPLAT_OT_import_volume(bpy.types.Operator, ImportHelper):
         return {"FINISHED"}
 
 
+class POINTSPLAT_OT_mesh_to_strands(bpy.types.Operator):
+    """Turn branches and leaves of the mesh into strands: rings of vertices become tubes, and two to four triangles in a
+    row ribbons. What has no such structure stays in the mesh"""
+
+    bl_idname = "pointsplat.mesh_to_strands"
+    bl_label = "Mesh to Strands"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and context.object.type == "MESH" and context.object.mode == "OBJECT"
+
+    def execute(self, context):
+        ob = context.object
+        if ob.data.users > 1:
+            ob.data = ob.data.copy()
+        mesh = ob.data
+        mesh.calc_loop_triangles()
+        triangles = arrays.read(mesh.loop_triangles, "vertices", 3, np.int32)
+        polygon = arrays.read(mesh.loop_triangles, "polygon_index", 1, np.int32)
+        position = arrays.read(mesh.vertices, "co", 3, np.float32)
+        found = find(position, triangles)
+        if len(found) == 0:
+            self.report({"WARNING"}, f"{ob.name}: none of {found.parts} parts is a branch or a leaf")
+            return {"CANCELLED"}
+        slot = arrays.read(mesh.polygons, "material_index", 1, np.int32)[polygon[found.triangle]]
+        uv = None
+        if mesh.uv_layers.active:
+            corners = arrays.read(mesh.loop_triangles, "loops", 3, np.int32)[found.triangle]
+            uv = arrays.read(mesh.uv_layers.active.uv, "vector", 2, np.float32)[corners].mean(axis=1)
+        for ribbon, kind in ((False, "Tubes"), (True, "Ribbons")):
+            for material in np.unique(slot[found.ribbon == ribbon]):
+                part = np.flatnonzero((found.ribbon == ribbon) & (slot == material))
+                data = _curves(f"{ob.name} {kind}", found, part, uv)
+                if len(ob.material_slots):
+                    data.materials.append(ob.material_slots[min(material, len(ob.material_slots) - 1)].material)
+                made = bpy.data.objects.new(data.name, data)
+                ob.users_collection[0].objects.link(made)
+                made.parent, made.pointsplat.ribbons = ob, ribbon
+        _keep_polygons(mesh, np.unique(polygon[found.left]))
+        ribbons = int(found.ribbon.sum())
+        self.report(
+            {"INFO"},
+            f"{ob.name}: {len(found) - ribbons} tubes, {ribbons} ribbons, "
+            f"{found.parts - len(found)} of {found.parts} parts stay polygons",
+        )
+        return {"FINISHED"}
+
+
+def _curves(name: str, found: Found, part: np.ndarray, uv: np.ndarray | None) -> bpy.types.Curves:
+    """Some of the strands as Blender's curves."""
+    count = np.diff(found.start)[part]
+    first = np.cumsum(count) - count
+    points = np.arange(count.sum()) + np.repeat(found.start[part] - first, count)
+    data = bpy.data.hair_curves.new(name)
+    data.add_curves(count.tolist())
+    data.set_types(type="POLY")
+    data.position_data.foreach_set("vector", found.position[points].astype(np.float32).ravel())
+
+    def attribute(label: str, kind: str, domain: str, key: str, values: np.ndarray) -> None:
+        made = data.attributes.get(label) or data.attributes.new(label, kind, domain)
+        made.data.foreach_set(key, values.ravel())
+
+    attribute("radius", "FLOAT", "POINT", "value", found.radius[points].astype(np.float32))
+    if uv is not None:
+        attribute(SURFACE_UV, "FLOAT2", "CURVE", "vector", uv[part].astype(np.float32))
+    if found.ribbon[part[0]]:
+        attribute("normal_mode", "INT8", "CURVE", "value", np.full(len(part), FREE, np.int32))
+        attribute("custom_normal", "FLOAT_VECTOR", "POINT", "vector", found.normal[points].astype(np.float32))
+    return data
+
+
+def _keep_polygons(mesh: bpy.types.Mesh, kept: np.ndarray) -> None:
+    edited = bmesh.new()
+    edited.from_mesh(mesh)
+    stays = np.zeros(len(edited.faces), bool)
+    stays[kept] = True
+    faces = [face for face, stay in zip(edited.faces, stays.tolist(), strict=True) if not stay]
+    bmesh.ops.delete(edited, geom=faces, context="FACES")
+    edited.to_mesh(mesh)
+    edited.free()
+    mesh.update()
+
+
 def _stem(path: Path) -> str:
     name = path.name
     return name[: -len(".nii.gz")] if name.lower().endswith(".nii.gz") else path.stem
@@ -144,12 +234,24 @@ def import_menu(menu, _context):
     menu.layout.operator(POINTSPLAT_OT_import_volume.bl_idname, text="Volume for PointSplat (.npy, .nii)")
 
 
-CLASSES = (POINTSPLAT_OT_clear_cache, POINTSPLAT_OT_calibrate, POINTSPLAT_OT_transfer_ramp, POINTSPLAT_OT_import_volume)
+def convert_menu(menu, _context):
+    menu.layout.operator(POINTSPLAT_OT_mesh_to_strands.bl_idname)
+
+
+CLASSES = (
+    POINTSPLAT_OT_clear_cache,
+    POINTSPLAT_OT_calibrate,
+    POINTSPLAT_OT_transfer_ramp,
+    POINTSPLAT_OT_import_volume,
+    POINTSPLAT_OT_mesh_to_strands,
+)
 
 
 def register() -> None:
     bpy.types.TOPBAR_MT_file_import.append(import_menu)
+    bpy.types.VIEW3D_MT_object_convert.append(convert_menu)
 
 
 def unregister() -> None:
+    bpy.types.VIEW3D_MT_object_convert.remove(convert_menu)
     bpy.types.TOPBAR_MT_file_import.remove(import_menu)

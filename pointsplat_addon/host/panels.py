@@ -9,7 +9,7 @@ import bpy
 from ..render.outputs import PASSES
 
 ENGINE = "POINTSPLAT"
-DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT", "POINTCLOUD", "VOLUME"}  # objects that become points or polygons
+DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT", "POINTCLOUD", "VOLUME", "CURVES"}  # objects that are drawn
 FILLED = {"POINTCLOUD", "VOLUME"}  # whose points may be Gaussians of a medium
 
 # Blender's panels for any engine that show what PointSplat does not have.
@@ -140,6 +140,10 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
         if ob.type == "VOLUME":
             layout.prop(ob.pointsplat, "spacing")
             layout.prop(ob.pointsplat, "extinction")
+            self._visibility(ob, layout)
+            return
+        if ob.type == "CURVES":
+            layout.prop(ob.pointsplat, "ribbons")
             self._visibility(ob, layout)
             return
         layout.prop(ob.pointsplat, "primitive")

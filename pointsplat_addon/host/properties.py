@@ -45,7 +45,8 @@ DEVICE_ITEMS: dict[str, Item] = {
 PRIMITIVE_ITEMS: dict[str, Item] = {
     "AUTO": ("AUTO", "Automatic", "Polygons where triangles are large in the picture, points where they are small"),
     "POINTS": ("POINTS", "Points", "Sample the surface with points"),
-    "POLYGONS": ("POLYGONS", "Polygons", "Draw the triangles themselves"),
+    "POLYGONS": ("POLYGONS", "Polygons", "Draw the triangles themselves; curves with a bevel become meshes"),
+    "LINES": ("LINES", "Lines", "Draw curves with a round bevel as tubes along their points; the rest as by Automatic"),
 }
 
 # Name and tooltip of each field of Settings
@@ -139,6 +140,13 @@ class PointSplatObject(bpy.types.PropertyGroup):
         min=0.0,
         soft_max=100.0,
         precision=3,
+        update=changed,
+    )
+    ribbons: BoolProperty(
+        name="Ribbons",
+        description="Strands are flat and lie across the normals of their curves, with their tilt; "
+        "otherwise they are round",
+        default=False,
         update=changed,
     )
     use_transfer: BoolProperty(

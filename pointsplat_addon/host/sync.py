@@ -14,6 +14,7 @@ import numpy as np
 from ..core import scene as core
 from ..core.cryptomatte import cryptomatte_hash
 from ..core.materials import MaterialGraph, needs
+from .convert import curves
 from .convert.lights import convert_lights
 from .convert.materials import convert_materials
 from .convert.mesh import read_mesh
@@ -73,6 +74,7 @@ class Known(NamedTuple):
     generated: bool  # made by an instancer, whose changes do not name it
     voxels: Voxels | None = None
     warnings: tuple[str, ...] = ()
+    lines: curves.Converted | None = None
 
 
 class Synchronizer:
@@ -81,7 +83,8 @@ class Synchronizer:
     def __init__(self, cache: Cache = CACHE) -> None:
         self.cache = cache
         self._known: dict[tuple, Known] = {}
-        self._held: tuple[Voxels | None, ...] = ()  # so that another transfer function finds them
+        # So that another transfer function finds voxels, and strands that are looked at again are not evaluated again
+        self._held: tuple[Voxels | curves.Converted | None, ...] = ()
         self._materials: core.MaterialTable | None = None
         self._material_warnings: tuple[str, ...] = ()
         self._used: tuple[int, ...] = ()  # rows of the materials in use
@@ -156,7 +159,7 @@ class Synchronizer:
         names = [
             source.name
             for source in sources
-            if isinstance(source.data, bpy.types.Mesh) and not source.particles and not source.smoke
+            if isinstance(source.data, bpy.types.Mesh) and not source.particles and not source.smoke and not source.hair
             if any(table.media[row] for m in source.materials if (row := self.cache.row(m)) < len(table.media))
         ]
         return {"volumes within meshes": names} if names else {}
@@ -204,21 +207,28 @@ class Synchronizer:
                 key = (*key, source.particles.key)
             if source.particles or isinstance(source.data, bpy.types.PointCloud):
                 key = (*key, cloud_material(table, rows[0]).key)
+            if source.strands:
+                looks = tuple((cloud_material(table, row).key, *table.base_color[row].tolist()) for row in rows)
+                # Evaluated curve data have no session_uid
+                names = source.data.original.session_uid, source.owner, source.hair and source.hair.modifier.name
+                key = (*key, *names, looks, source.ribbons)
             keys.append(key)
             last = known.get(key) or self._known.get(key)
-            voxels, warnings = (last.voxels, last.warnings) if last else (None, ())
+            voxels, warnings, lines = (last.voxels, last.warnings, last.lines) if last else (None, (), None)
             if last and not source.editing:
                 geometry = last.geometry
             elif source.smoke or isinstance(source.data, bpy.types.Volume):
                 geometry, voxels, warnings = self._read_volume(source, rows[0], table)
+            elif source.strands:
+                geometry, lines, warnings = self._read_lines(source, rows, table)
             else:
                 geometry = self._read(source, rows, table)
             owners = {source.owner, source.data.original.session_uid, source.data.session_uid}
             owners |= last.owners if last else set()
             generated = source.generated or bool(last and last.generated)
-            known[key] = Known(geometry, frozenset(owners), generated, voxels, warnings)
+            known[key] = Known(geometry, frozenset(owners), generated, voxels, warnings, lines)
         self._known = known
-        self._held = tuple(entry.voxels for entry in known.values())
+        self._held = tuple(entry.voxels or entry.lines for entry in known.values())
         return [known[key].geometry for key in keys]
 
     def _read(self, source: Source, rows: tuple[int, ...], table: core.MaterialTable) -> core.Geometry | None:
@@ -245,6 +255,27 @@ class Synchronizer:
 
         key = f"{key} {primitive} {spacing:g} {extinction:g}"
         return self.cache.lookup(key, build)
+
+    def _read_lines(
+        self, source: Source, rows: tuple[int, ...], table: core.MaterialTable
+    ) -> tuple[core.Geometry | None, curves.Converted | None, tuple[str, ...]]:
+        """The geometry of strands, what keeps them, and what is wrong with them."""
+        materials = tuple(cloud_material(table, row) for row in rows)
+        if source.hair:
+            strands = curves.read_hair(source.hair, materials)
+        elif isinstance(source.data, bpy.types.Curve):
+            strands = curves.read_tubes(source.data)
+        else:
+            strands = curves.read_curves(source.data, materials, source.ribbons)  # pyright: ignore[reportArgumentType]
+        if strands is None:
+            return None, None, ()
+        found = curves.convert(strands, source.name, materials, self.cache.lookup)
+        warnings = tuple(f"{source.name}: {message}" for message in found.messages)
+        if found.lines is None:
+            return None, found, warnings
+        key = f"{found.lines.key} lines"
+        made = core.Geometry(key, source.name, lines=found.lines, primitive="LINES")
+        return self.cache.lookup(key, lambda: made), found, warnings
 
     def _read_volume(
         self, source: Source, row: int, table: core.MaterialTable

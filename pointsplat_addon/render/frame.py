@@ -12,6 +12,7 @@ import numpy as np
 
 from ..core.cost import DEFAULT
 from ..core.scene import Camera, Scene, Settings
+from ..core.strands import turns
 from ..shading.interface import Interface
 from .device import Device, Target, Texture
 from .filtering import cryptomatte, offsets
@@ -181,6 +182,7 @@ class Frame:
         )
         # Everything is drawn for `view`, of which the camera's window is a part.
         self.view, self.corner = _widened(request.camera, self.plan.reach(self.prepared.largest))
+        self._turns = turns(request.samples)
         self._owned: list[Any] = []
         self._lent: tuple[tuple, Targets] | None = None
         self._identities: list[np.ndarray] = []
@@ -188,9 +190,13 @@ class Frame:
         self.adaptive: Adaptive | None = None
         plan = self.plan
         self.everywhere = why_everywhere(
-            request.settings, request.samples, plan.translucent is not None, self._wants_identities
+            request.settings,
+            request.samples,
+            plan.translucent is not None,
+            self._wants_identities,
+            any(len(s.thin) for s in self.prepared.lines.values()),
         )
-        drawn = plan.points or plan.polygons or plan.spheres or plan.translucent is not None
+        drawn = plan.points or plan.polygons or plan.spheres or plan.lines or plan.translucent is not None
         self._trivial = not drawn and scene.world.image is None
         if not self._trivial:
             try:
@@ -222,7 +228,7 @@ class Frame:
     def _shadows(self) -> tuple[Shadows | None, str]:
         prepared = self.prepared
         layers = (prepared, prepared.translucent, prepared.spheres)
-        if not any(layer.cut.splats for layer in layers) and len(prepared.polygons) == 0:
+        if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.lines):
             return None, "nothing is drawn"
         before = time.perf_counter()
         found = cast(self.scene, self.request.settings, STORE, self.clock.check)
@@ -250,12 +256,12 @@ class Frame:
         self.averages: tuple[Interface, ...] = ()
         if plan.painter and plan.points and shade_pass.averaged(passes):
             self.averages = (
-                shade_pass.shade_program(plan.data_variant, (), plan.materials, passes),
+                shade_pass.shade_program(plan.data_variant, (), plan.materials, passes, lines=plan.lines),
                 shade_pass.background_program((), True, passes),
             )
             passes = frozenset({"combined"})
         self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes, self.request.samples,
-                                                plan.ewa is not None)  # fmt: skip
+                                                plan.ewa is not None, plan.lines)  # fmt: skip
         self.background = shade_pass.background_program(
             plan.lighting, self.scene.transparent, passes, plan.ewa is not None
         )
@@ -282,6 +288,8 @@ class Frame:
             region = self.adaptive.gathered if self.adaptive else EVERYWHERE
             projection, uploads = self.targets.projection, self.uploads
             first = self.done == 0
+            for lines in uploads.lines:
+                lines.list_thin(float(self._turns[self.done]))
             beside = first or self._wants_identities or bool(self.averages)
             if projection is not None and (beside or not self.plan.painter):
                 self.clock.run("project", lambda: projection.run(uploads.draws, record.copy(), uploads.shared))
@@ -536,9 +544,16 @@ class Frame:
             "skipped": [{"name": name, "because": why} for name, why in self._skipped()],
             "points": {"total": prepared.total, "cut": cut, "drawn": cut * self.done},
             "triangles": triangles,
+            "lines": self._lines_drawn(),
             "bytes": {"cpu": STORE.nbytes, "gpu": self.device.bytes_allocated()},
             "warnings": [*self._warnings, *prepared.warnings, *(self.shadows.warnings if self.shadows else ())],
         }
+
+    def _lines_drawn(self) -> dict[str, int]:
+        """Strands and segments that the view shows, and segments that all samples drew."""
+        segments = self.prepared.lines.values()
+        drawn = 0 if self._trivial else sum(lines.drawn for lines in self.uploads.lines)
+        return {"strands": sum(s.strands for s in segments), "segments": sum(map(len, segments)), "drawn": drawn}
 
     def _skipped(self) -> list[tuple[str, str]]:
         """Passes that did not run, and why."""

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.appearance import graphs_of
+from ..core.cloud import PointCloud
 from ..core.lighting import light_names
+from ..core.lines import Lines
 from ..core.materials import MaterialGraph
 from ..core.scene import Camera, Scene
 from .passes import ewa
@@ -29,6 +31,7 @@ class Plan:
     points: bool
     polygons: bool
     spheres: bool  # wide balls
+    lines: bool  # strands
     variant: Variant  # of the G-buffer that is shaded
     data_variant: Variant  # of the one that the passes which are not averaged read
     options: PointOptions
@@ -68,8 +71,9 @@ def make_plan(
     this camera and number of samples. `painter`: opaque points are painted (render/painter.py)."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
+    lines = len(prepared.lines) > 0
     behind = [p.cloud for p in prepared.translucent.point_sets.values()]
-    solid = polygons or spheres or (points and not painter)
+    solid = polygons or spheres or lines or (points and not painter)
     held = np.zeros(len(scene.instances), bool) if scene.instances.holdout is None else scene.instances.holdout
     holdout = bool(held.any())
     cut = bool(held[prepared.translucent.set_of_instance >= 0].any())
@@ -78,7 +82,8 @@ def make_plan(
     graphs = _graphs(scene, prepared)
     channels = {name for graph in graphs for name in graph.channels}
     sets = [*prepared.point_sets.values(), *prepared.spheres.point_sets.values()]
-    clouds = [p.cloud for p in sets]
+    clouds: list[PointCloud | Lines] = [p.cloud for p in sets]
+    clouds += [found for row in prepared.lines if (found := scene.geometries[row].lines) is not None]
     surface = any(c.surface is not None for c in clouds) or (polygons and bool(channels & {"roughness", "metallic"}))
     varies = surface or (translucent is not None and translucent.surface)
     materials = _materials(scene, varies)
@@ -104,14 +109,14 @@ def make_plan(
     shown = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])
     one = not holdout and len(np.unique(shown)) == 1
     options = PointOptions(
-        shading_normal=any(c.shading_normal is not None for c in clouds),
-        facets=any(c.facets is not None for c in clouds),
+        shading_normal=any(p.cloud.shading_normal is not None for p in sets),
+        facets=any(p.cloud.facets is not None for p in sets),
         cull=points and bool(scene.materials.cull.any()),
         holdout=holdout,
         ellipses=any(p.hierarchy is not None or p.cloud.axis is not None for p in sets),
         one_instance=one,
-        apart=any(c.apart is not None for c in clouds),
-        depth=polygons or spheres,
+        apart=any(p.cloud.apart is not None for p in sets),
+        depth=polygons or spheres or lines,
     )
     skipped = []
     image_space, by_ewa = ("project", "resolve", "pull", "push"), ("splats", "visibility", "blend", "normalise")
@@ -128,6 +133,8 @@ def make_plan(
         skipped.append(("polygons", "nothing is drawn as polygons"))
     if not spheres:
         skipped.append(("spheres", "no ball without a normal is wide"))
+    if not lines:
+        skipped.append(("lines", "nothing is drawn as lines"))
     if not data(passes):
         skipped.append(("data", "no pass asks for position, index or motion"))
     if scene.transparent and "mist" not in passes:
@@ -137,7 +144,7 @@ def make_plan(
     if shadows is None:
         skipped.append(("shadows", unshadowed))
     return Plan(
-        points, polygons, spheres, variant, data_variant, options, lighting, materials,
+        points, polygons, spheres, lines, variant, data_variant, options, lighting, materials,
         background=not scene.transparent or "mist" in passes, data=drawn and bool(data(passes)),
         translucent=translucent,
         coarse=interactive and translucent is not None

@@ -20,11 +20,13 @@ from ..core.apart import apart, leafy
 from ..core.appearance import digest, passing, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
 from ..core.cost import DEFAULT, Costs
-from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_value, select
+from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_value, select, staggered
 from ..core.hierarchy import Hierarchy, build, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
 from ..core.spacing import EXACT_INSTANCES, PART, make_parts, required_spacing
+from ..core.strands import MOST_POINTS, Segments, clean, together
+from ..core.strands import select as select_segments
 from ..core.vectors import dot, each_block
 from .hybrid import Divided, PartSamples, Shown, sample_parts, show
 
@@ -82,6 +84,7 @@ class Prepared(Layer):
     warnings: tuple[str, ...] = ()
     # By instance: the parts (core/spacing.py) that are drawn as polygons, rising; absent: all.
     parts: dict[int, np.ndarray] = field(default_factory=dict)
+    lines: dict[int, Segments] = field(default_factory=dict)  # segments of strands, by geometry row
 
 
 @dataclass
@@ -212,9 +215,10 @@ class _View:
         opaque, translucent, spheres = (({}, np.full(len(instances), -1)) for _ in range(3))
         polygons: list[np.ndarray] = []
         divided = self._divided(view_from_object, usable)
+        lines = self._lines(view_from_object, usable)
         for row, geometry in enumerate(scene.geometries):
             where = np.flatnonzero(usable & (instances.geometry == row))
-            if len(where) == 0:
+            if len(where) == 0 or geometry.lines is not None:
                 continue
             self.check()
             if row in divided:
@@ -231,7 +235,8 @@ class _View:
                 near = self._near(geometry, view_from_object[where])
                 polygons.append(where[near])
                 where = where[~near]
-                found = self._points(geometry, view_from_object[where]) if len(where) else []
+                # What is not near is small enough to be points, each instance by itself.
+                found = self._points(geometry, view_from_object[where], all_far=True) if len(where) else []
                 if found is None:
                     polygons.append(where)
                     continue
@@ -266,7 +271,31 @@ class _View:
             total,
             tuple(dict.fromkeys(self.warnings)),
             self.parts,
+            lines,
         )
+
+    def _lines(self, view_from_object: np.ndarray, usable: np.ndarray) -> dict[int, Segments]:
+        """The segments of strands that this view draws, by geometry row."""
+        found: dict[int, Segments] = {}
+        for row, geometry in enumerate(self.scene.geometries):
+            lines = geometry.lines
+            where = np.flatnonzero(usable & (self.scene.instances.geometry == row))
+            if lines is None or len(where) == 0:
+                continue
+            self.check()
+            strands = self.store.lookup(("strands", geometry.key), lambda lines=lines: clean(lines))
+            if strands.dropped:
+                self.warnings.append(f"{geometry.name}: {strands.dropped} points that are not finite were left out")
+            if len(lines.position) > MOST_POINTS:
+                self.warnings.append(f"{geometry.name}: strands beyond {MOST_POINTS} points were left out")
+            if len(strands) == 0:
+                continue
+            tolerance = self.settings.tolerance
+            parts = [select_segments(strands, view_from_object[i], i, self.camera, tolerance) for i in where.tolist()]
+            parts = [part for part in parts if len(part)]
+            if parts:
+                found[row] = together(parts)
+        return found
 
     def _divided(self, view_from_object: np.ndarray, usable: np.ndarray) -> dict[int, list[Shown | None]]:
         """Meshes that are chosen for part by part, by row, with each usable instance's choice. Where points would save
@@ -276,7 +305,7 @@ class _View:
         for row, geometry in enumerate(scene.geometries):
             views = view_from_object[usable & (scene.instances.geometry == row)]
             mesh = geometry.mesh
-            if len(views) == 0 or (mesh is not None and len(mesh.triangles) == 0):
+            if len(views) == 0 or geometry.lines is not None or (mesh is not None and len(mesh.triangles) == 0):
                 continue
             if mesh is None or not self._choosable(geometry, mesh, len(views)):
                 others |= geometry.primitive != "POLYGONS" and not lets_through(geometry, scene.materials)
@@ -374,9 +403,11 @@ class _View:
         family = ("family by part", same, look, spacing)
         return PointSet(key, store.lookup(key, make), family=family), sampled
 
-    def _points(self, geometry: Geometry, view_from_object: np.ndarray) -> list[tuple[PointSet, np.ndarray]] | None:
+    def _points(
+        self, geometry: Geometry, view_from_object: np.ndarray, all_far: bool = False
+    ) -> list[tuple[PointSet, np.ndarray]] | None:
         """The points of a geometry at the density that this view needs, for all or for some of its instances; None
-        where polygons are drawn."""
+        where polygons are drawn. `all_far`: triangles are known to be small."""
         if geometry.cloud is not None:
             return [(self._given_points(geometry, geometry.cloud), np.arange(len(view_from_object)))]
         mesh = geometry.mesh
@@ -392,7 +423,7 @@ class _View:
             return []
         if geometry.primitive == "AUTO":
             edge = self.store.lookup(("edge", geometry.key), lambda: _typical_edge(mesh, ok))
-            if edge * self.settings.tolerance > POLYGON_PIXELS * needed:
+            if not all_far and edge * self.settings.tolerance > POLYGON_PIXELS * needed:
                 return None
             if len(view_from_object) * len(mesh.triangles) <= MOST_LEAVES:
                 leaves = self.store.lookup(("leafy", geometry.key), lambda: leafy(mesh.position, mesh.triangles[ok]))
@@ -581,7 +612,7 @@ class _View:
                 gone = where[~visible(views, middle, far + radius, camera)]
                 set_of_instance[gone] = own[gone] = -1
                 continue
-            choice = choose(levels, views, where, camera, tolerance)
+            choice = choose(levels, views, where, camera, tolerance, band=staggered(tolerance))
             own[where[choice.level != OWN]] = -1
             set_of_instance[where[choice.level == NONE]] = -1
             every = where[choice.level == ALL]
@@ -614,7 +645,9 @@ class _View:
         scene = self.scene
         cull = np.array([bool(scene.materials.cull[_rows(g)].all()) for g in scene.geometries], bool)
         cull = cull[scene.instances.geometry]
-        return select(trees, set_of_instance, view_from_object, self.camera, self.settings.tolerance, cull=cull)
+        tolerance = self.settings.tolerance
+        band = staggered(tolerance)
+        return select(trees, set_of_instance, view_from_object, self.camera, tolerance, cull, band=band)
 
     def _wide(self, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:
         """(I,) bool: instances whose typical splat is a ball that is wide on the screen."""
@@ -700,15 +733,16 @@ def _extent(points: PointSet, store: Store) -> tuple[np.ndarray, float, float]:
     def look() -> tuple[np.ndarray, float, float]:
         low, high = sampling.bounding_box(cloud.position)
         middle, squared = (low + high) / 2, []
+        side = max(float((high - low).max()), np.finfo(np.float32).tiny)  # squares of 1e30 are no float32
 
         def measure(block: slice) -> None:
-            offset = cloud.position[block].T - middle.astype(np.float32)[:, None]
+            offset = (cloud.position[block].T - middle.astype(np.float32)[:, None]) * np.float32(1 / side)
             squared.append(float(dot(offset, offset).max()))
 
         each_block(len(cloud), measure)
         radius = 0.0 if cloud.radii is None else float(cloud.radii[:, 0].max(initial=0.0))
         # Rounding of the middle and of float32 sums is far below a millionth of what is measured.
-        reach = np.sqrt(max(squared)) + 2.0**-23 * np.abs(middle).max()
+        reach = side * np.sqrt(max(squared)) + 2.0**-23 * np.abs(middle).max()
         return cloud.origin + middle, float(reach) * (1 + 1e-6), radius
 
     return store.lookup(("extent", *points.key), look)
@@ -743,13 +777,14 @@ def _largest(
     camera: Camera,
     store: Store,
 ) -> float:
-    """No point is wider than this radius in pixels: each instance's largest one at its nearest depth."""
+    """No visible point is wider than this radius in pixels: each instance's largest one at its nearest depth. Instances
+    out of view do not count: those beside the eye would ask for a pyramid that closes gaps between bodies."""
     largest = 0.0
     focal = max(abs(f) for f in camera.pixel_from_view()[:2])
     for row, points in point_sets.items():
         matrix = view_from_object[set_of_instance == row]
-        matrix = matrix[all_finite(matrix)]
         middle, reach, radius = _extent(points, store)
+        matrix = matrix[visible(matrix, middle, reach + radius, camera)]
         scale = largest_singular_value(matrix[:, :3, :3])
         depth = 1.0
         if camera.perspective:

@@ -17,8 +17,10 @@ from ..core.cloud import PointCloud, finite
 from ..core.cut import largest_singular_value
 from ..core.lighting import in_rows
 from ..core.scene import Geometry, Light, Mesh, Scene, Settings
+from ..core.shadow_casters import Pieces, pieces
 from ..core.shadow_cells import NARROW, rotation
 from ..core.shadow_samples import Outline, outline, places, sampled
+from ..core.strands import Strands, clean
 from .prepare import Store, given
 from .shadow_pages import PackedTables, pack
 
@@ -94,6 +96,7 @@ def cast(
 
     def make() -> Shadows:
         batches: list[shadow.Casters] = []
+        strands: list[Pieces] = []
         warnings: list[str] = []
         tables: list[shadow.ShadowTable | None] = []
         for light, key in zip(lights, keys, strict=True):
@@ -103,10 +106,12 @@ def cast(
                 continue
 
             def build(light: Light = light) -> shadow.ShadowTable | None:
-                if not batches:
+                if not batches and not strands:
                     batches.extend(_batches(scene, casters, spacing, store, check))
+                    strands.extend(_pieces(casters, spacing, store))
                 try:
-                    return shadow.build(light, batches, settings.shadow_resolution)
+                    every = [*batches, *(one.toward(light) for one in strands)]
+                    return shadow.build(light, every, settings.shadow_resolution)
                 except ValueError as error:
                     warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")
                     return None
@@ -160,6 +165,9 @@ def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
     elif cloud is not None and len(cloud):
         position, origin = _reached(finite(cloud)[0]).position, cloud.origin
         low, high = (np.array([f(column, initial=start) for column in position.T], float) for f, start in ENDS)
+    elif geometry.lines is not None and len(strands := _strands(geometry, store)):
+        origin, widest = strands.origin, float(strands.radius.max())
+        low, high = strands.position.min(axis=0) - widest, strands.position.max(axis=0) + widest
     else:
         return np.zeros(3), -1.0
     if not (low <= high).all():
@@ -167,11 +175,27 @@ def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
     return origin + (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 
 
+def _strands(geometry: Geometry, store: Store) -> Strands:
+    lines = geometry.lines
+    assert lines is not None
+    return store.lookup(("strands", geometry.key), lambda: clean(lines))
+
+
+def _pieces(casters: list[_Caster], spacing: list[float], store: Store) -> list[Pieces]:
+    """Strands of everything that casts, in world space."""
+    return [
+        pieces(_strands(caster.geometry, store), matrix, length)
+        for caster, length in zip(casters, spacing, strict=True)
+        if caster.geometry.lines is not None and length > 0
+        for matrix in caster.matrices
+    ]
+
+
 def _spacings(casters: list[_Caster], lights: tuple[Light, ...], resolution: int, store: Store) -> list[float]:
     """How far apart the samples of each mesh may lie, in object units: cells of the table that tells most apart. 0 for
-    clouds, which have their points."""
+    clouds, which have their points. Of strands how long their pieces are."""
     meshes = [caster.geometry.mesh is not None for caster in casters]
-    if not any(meshes):
+    if not any(mesh or caster.geometry.lines is not None for mesh, caster in zip(meshes, casters, strict=True)):
         return [0.0] * len(casters)
     balls = [_balls(caster, store, len(casters)) for caster in casters]
     centre, radius = (np.concatenate(parts) for parts in zip(*balls, strict=True))
@@ -192,12 +216,26 @@ def _spacings(casters: list[_Caster], lights: tuple[Light, ...], resolution: int
         spacing = WITHIN * cell / scale
         samples = area / spacing**2
     some = np.array(meshes) & (spacing > 0) & np.isfinite(spacing) & (samples > 0)
+    lengths = [_length(caster, store) for caster in casters]
+    strands = [max(s, sum(lengths) / MOST_SAMPLES) if one > 0 else 0.0 for s, one in zip(spacing, lengths, strict=True)]
     if not some.any():
-        return [0.0] * len(casters)
+        return strands
     many = samples[some] / _share(samples[some], MOST_SAMPLES)
     # Down to an octave; where there are too many, to the nearest.
     spacing[some] *= np.where(many > 1, np.sqrt(2 * many), 1)
-    return [sampling.quantise_spacing(s) if ok else 0.0 for s, ok in zip(spacing.tolist(), some, strict=True)]
+    return [
+        sampling.quantise_spacing(s) if ok else other
+        for s, ok, other in zip(spacing.tolist(), some, strands, strict=True)
+    ]
+
+
+def _length(caster: _Caster, store: Store) -> float:
+    """Of all strands of all instances, in units of the object."""
+    if caster.geometry.lines is None:
+        return 0.0
+    strands = _strands(caster.geometry, store)
+    step = np.linalg.norm(np.diff(strands.position, axis=0), axis=1)
+    return len(caster.matrices) * float(step.sum() - step[strands.start[1:-1] - 1].sum())
 
 
 def _balls(caster: _Caster, store: Store, casters: int) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from .device import Device
 from .passes import ewa as ewa_pass
+from .passes import lines as line_pass
 from .passes import polygons as polygon_pass
 from .passes import spheres as sphere_pass
 from .passes.common import GBuffer, Variant
@@ -69,6 +70,14 @@ class Surfels:
             run("polygons", lambda: self._draw_polygons(uploads, record.copy()))
         if self.plan.spheres:
             run("spheres", lambda: self._draw_spheres(uploads, record.copy()))
+
+        if self.plan.lines:
+            run("lines", lambda: self._draw_lines(uploads, record.copy()))
+
+    def _draw_lines(self, uploads: Uploads, record: np.ndarray) -> None:
+        assert uploads.line_instances is not None
+        shared = {**uploads.shared, "ps_instances": uploads.line_instances}
+        line_pass.draw(self.device, self.variant, uploads.lines, record, shared, self.buffer)
 
     def _draw_spheres(self, uploads: Uploads, record: np.ndarray) -> None:
         program = sphere_pass.program(self.variant, self.plan.options)

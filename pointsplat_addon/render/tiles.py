@@ -33,7 +33,7 @@ CONVERGE = Interface(
 )  # fmt: skip
 
 
-def why_everywhere(settings: Settings, samples: int, translucent: bool, identities: bool) -> str:
+def why_everywhere(settings: Settings, samples: int, translucent: bool, identities: bool, thin: bool) -> str:
     """Why every pixel gets all samples; empty where some may not."""
     if not settings.use_adaptive_sampling:
         return "adaptive sampling is switched off"
@@ -41,6 +41,8 @@ def why_everywhere(settings: Settings, samples: int, translucent: bool, identiti
         return f"fewer than {LEAST_SAMPLES} samples"
     if translucent:
         return "translucent splats cover the picture in each sample"
+    if thin:
+        return "strands thinner than a pixel are drawn in a share of all samples"
     return "Cryptomatte counts all samples" if identities else ""
 
 

@@ -12,11 +12,14 @@ from ..core import order, sampling
 from ..core.appearance import digest
 from ..core.environment import build_atlas
 from ..core.lighting import light_texture
+from ..core.lines import Lines
 from ..core.octree import ranges
-from ..core.scene import Camera, Mesh, Scene
+from ..core.scene import Camera, Geometry, Mesh, Scene
 from ..core.spacing import Parts, make_parts
+from ..core.strands import clean, lengths_scale
 from .device import Device, Target, Texture
 from .packing import PAGE_WIDTH, paged
+from .passes import lines as line_pass
 from .passes import polygons as polygon_pass
 from .passes import shade as shade_pass
 from .passes import translucent as translucent_pass
@@ -83,6 +86,8 @@ class Uploads:
         self.meshes: dict[int, polygon_pass.PolygonMesh] = {}
         # Of each group, by instance, where it draws only some parts.
         self.part_lists: dict[int, list[polygon_pass.PartList | None]] = {}
+        self.lines: list[line_pass.LineDraw] = []
+        self.line_instances: Texture | None = None
         self.splats: dict[str, Texture] = {}  # translucent ones, and their draw list
         self.listed = 0  # how many
         self.reach_lights = 0  # of so many lights the share that reaches each of them may be kept
@@ -138,6 +143,8 @@ class Uploads:
             self.balls = self._point_draws(self.prepared.spheres, one)
         if plan.polygons:
             self.meshes = self._polygon_meshes()
+        if plan.lines:
+            self._lines()
         if plan.translucent is not None:
             self._draw_list()
         if motion:
@@ -203,6 +210,29 @@ class Uploads:
         key = ("page", tuple(p.key for p in sets), plan.variant, plan.options.shading_normal, filled)
         self.used.add(key)
         return self.kept.keep(key, lambda: Page(self.device, sets, plan.variant, plan.options, table))
+
+    def _lines(self) -> None:
+        """Pages of control points, and the segments that this view draws of them."""
+        scene, prepared, variant = self.scene, self.prepared, self.plan.variant
+        origin = np.zeros((len(scene.instances), 3))
+        for row, segments in prepared.lines.items():
+            geometry = scene.geometries[row]
+            lines = geometry.lines
+            assert lines is not None
+            origin[scene.instances.geometry == row] = lines.origin
+            key = ("lines", geometry.key, variant, _fill_key(scene))
+            self.used.add(key)
+
+            def make(lines: Lines = lines, geometry: Geometry = geometry) -> line_pass.LinePage:
+                strands = STORE.lookup(("strands", geometry.key), lambda: clean(lines))
+                return line_pass.LinePage(self.device, lines, strands, variant, scene.materials)
+
+            page = self.kept.keep(key, make)
+            self.lines.append(self._own(line_pass.LineDraw(self.device, page, segments, scene.instances.holdout)))
+        rows = instance_rows(prepared.view_from_object, origin, scene.instances.holdout)
+        rows[3::4, 1] = lengths_scale(prepared.view_from_object)
+        size, data = paged(rows, 4)
+        self.line_instances = self._own(self.device.texture(size, "RGBA32F", data))
 
     def _draw_list(self) -> None:
         """Translucent splats, and the order in which this view draws them."""

@@ -45,3 +45,16 @@ float ps_buffer_depth(float d)
 {
   return clamp((d - frame.lens.x) / (frame.lens.y - frame.lens.x), 0.0, 1.0);
 }
+
+// Rasterised with the picture's own projection; depth is linear, and written by the fragment shader.
+vec4 ps_clip_from_view(vec3 p)
+{
+  vec2 offset = 2.0 * frame.focal.zw / vec2(frame.size.xy) - 1.0;
+  vec2 scale = 2.0 * frame.focal.xy / vec2(frame.size.xy);
+  float w = ps_is_perspective() ? -p.z : 1.0;
+  float near = frame.lens.x, far = frame.lens.y;
+  // Clips at the near and far plane: z / w in [-1, 1] between them.
+  float z = ps_is_perspective() ? (w * (far + near) - 2.0 * far * near) / (far - near)
+                                : (-2.0 * p.z - far - near) / (far - near);
+  return vec4(scale * p.xy + offset * w, z, w);
+}

@@ -22,8 +22,10 @@ bool ps_back_seen(vec4 nearest)
   return nearest.x > 0.0 && (int(nearest.w) & 1) == 1;
 }
 
-// The least variance that an ellipse keeps across, in pixels^2: disks seen edge-on stay invertible.
-#define PS_EWA_LEAST 4e-4
+// The least variance that an ellipse keeps across, in pixels^2, and in shares of the mean variance, which float32 needs:
+// disks seen edge-on stay invertible, and hardly wider than they are.
+#define PS_EWA_LEAST 2e-5
+#define PS_EWA_THINNEST 3e-6
 
 // The kernel's middle, for the determinants of the covariance with and without the low-pass: the pixels that the splat
 // stands for, 4 pi share sqrt(of), over the integral of what the cut leaves of the Gaussian, 2 pi kept sqrt(with).

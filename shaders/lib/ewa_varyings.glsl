@@ -16,7 +16,7 @@ vec3 ps_splat(ivec2 at, vec4 place)
   c.xz += frame.lens.w;
 #else
   float middle = 0.5 * (c.x + c.z), least = middle - length(vec2(0.5 * (c.x - c.z), c.y));
-  c.xz += max(PS_EWA_LEAST - least, 0.0);
+  c.xz += max(max(PS_EWA_LEAST, PS_EWA_THINNEST * middle) - least, 0.0);
 #endif
   float with = c.x * c.z - c.y * c.y;
   v_place = vec4(place.xy + frame.focal.zw, place.z, sign(place.w));

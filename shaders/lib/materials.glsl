@@ -9,7 +9,7 @@ PsSurface ps_material(int row)
 #else
   vec3 emission = vec3(0.0);
 #endif
-#ifdef PS_ONE_SURFACE
+#if defined(PS_ONE_SURFACE) && !defined(PS_LINES)
   vec4 rest = vec4(0.0);
 #else
   vec4 rest = texelFetch(ps_materials, ivec2(2, row), 0);

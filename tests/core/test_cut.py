@@ -156,6 +156,36 @@ def test_drawn_nodes_project_within_the_tolerance(built: h.Hierarchy, camera: st
                 assert np.linalg.norm(q - q[0], axis=1).max() <= tolerance
 
 
+@pytest.mark.parametrize("camera", ["perspective", "parallel"])
+def test_nodes_of_one_level_change_over_a_band(camera: str) -> None:
+    """Of a square that faces the camera: as drawn, or up to `band` octaves finer, each node at its own size."""
+    grid = (np.stack(np.meshgrid(*[np.arange(128)] * 2), axis=-1).reshape(-1, 2) + 0.5) / 64 - 1
+    position = np.column_stack([grid, np.zeros(len(grid))]).astype(np.float32)
+    normal = np.tile(np.array([0, 0, 1], np.float32), (len(grid), 1))
+    square = h.build(PointCloud(position, normal=normal, radii=np.full((len(grid), 1), 0.011, np.float32)))
+    forest, place, lens = c.forest({0: square}), shift(0, 0, -20)[None], CAMERAS[camera]
+
+    def drawn(band: float) -> np.ndarray:
+        tolerances = 4.0 * 2 ** np.linspace(0, 1, 41)
+        return np.array([c.select(forest, np.zeros(1, int), place, lens, t, band=band).splats for t in tolerances])
+
+    alike, spread = drawn(0.0), drawn(0.25)
+    # Ten steps span the band: 0.11 of the nodes at the most are replaced in one, else all of them.
+    assert (-np.diff(spread)).max() < 0.2 * (alike.max() - alike.min())
+    assert (-np.diff(alike)).max() > 0.8 * (alike.max() - alike.min())
+    assert (spread >= alike).all()
+    assert (spread[10:] <= alike[:-10]).all()
+    assert (np.diff(spread) <= 0).all()
+
+
+def test_what_is_no_wider_than_a_pixel_changes_at_once() -> None:
+    assert c.staggered(0.5) == c.staggered(1.0) == 0
+    assert c.staggered(2.0) == c.staggered(64.0) == c.BAND
+    # Whatever the band is, a larger tolerance asks for no finer nodes.
+    limits = np.array([t * 2.0 ** -c.staggered(t) for t in np.linspace(0.5, 4, 50)])
+    assert (np.diff(limits) > 0).all()
+
+
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_larger_tolerance_never_refines(built: h.Hierarchy, camera: str) -> None:
     forest, view = c.forest({0: built}), PLACES["in front"][None]

@@ -10,6 +10,7 @@ import numpy as np
 
 from pointsplat_addon.core import expressions as ex
 from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.lines import Lines
 from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import (
     Camera,
@@ -199,7 +200,7 @@ def materials(count: int = 1, **columns) -> MaterialTable:
     )
 
 
-FIELDS = ("names", "graphs", "anisotropy", "translucent", "media")
+FIELDS = ("names", "graphs", "anisotropy", "translucent", "media", "hair")
 
 
 def moved(offset: Vector = (0, 0, 0), scale: float | Vector = 1.0) -> np.ndarray:
@@ -626,6 +627,36 @@ def leaves(count: int, depth: float) -> PointCloud:
     return PointCloud(p.astype(np.float32), normal=normal.astype(np.float32), radii=radii)
 
 
+def strand_lines(key: str, strands: Sequence[np.ndarray], radius: float | np.ndarray, **more) -> Geometry:
+    """Strands (n, 3) with a radius for all or one for each of their points."""
+    position = np.concatenate(strands).astype(np.float32)
+    start = np.concatenate([[0], np.cumsum([len(strand) for strand in strands])])
+    radii = np.broadcast_to(np.asarray(radius, np.float32), len(position)).copy()
+    return Geometry(key, key, lines=Lines(key, key, position, start, radii, **more), primitive="LINES")
+
+
+def strands() -> Case:
+    """A coloured tube about a cube, a twisted ribbon, hair thinner than a pixel, and what is no strand, in shadows."""
+    turn = np.linspace(0, 3 * np.pi, 24)
+    spring = np.stack([0.8 * np.cos(turn), 0.8 * np.sin(turn), 0.15 * turn - 0.7], axis=1)
+    u = np.linspace(-1.3, 1.3, 30)
+    normal = np.stack([0 * u, np.cos(3 * u), np.sin(3 * u)], axis=1).astype(np.float32)
+    rng = np.random.default_rng(4)
+    roots = rng.uniform(-1, 1, (400, 1, 3)) * [1.2, 0.3, 0.05] + [0, 0, -1.0]
+    hair = roots + np.linspace(0, 0.5, 6)[:, None] * [0.1, 0, 1] + rng.normal(0, 0.01, (400, 6, 3))
+    lost = np.array([[0, np.nan, 0], [1, 0, 1.0], [1, 0, 1.0], [0.5, 0, 1.0]])
+    return Case(
+        scene(
+            (mesh(cube_mesh("cube in a spring", 0.4), "POLYGONS"), moved()),
+            (strand_lines("spring", [spring, lost], 0.08, color=rng.random((28, 3), np.float32)), moved()),
+            (strand_lines("ribbon", [np.stack([u, 0 * u, 0 * u + 1.1], axis=1)], 0.12, normal=normal), moved()),
+            (strand_lines("hair", list(hair), 0.004), moved((0, -0.8, 0), (1, 1, 0.8))),
+        ),
+        camera((0.6, -4, 0.8)),
+        Settings(shadow_resolution=64),
+    )
+
+
 def foliage() -> Case:
     """A crown of small leaves before a ball, and a few wide ones."""
     crown, wide = points("crown", leaves(3000, 0.7)), points("wide leaves", leaves(60, 0.4))
@@ -688,5 +719,6 @@ CASES: dict[str, Callable[[], Case]] = {
         foliage,
         many_towers,
         split_mesh,
+        strands,
     )
 }

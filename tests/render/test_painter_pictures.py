@@ -10,9 +10,11 @@ from pointsplat_addon.core.scene import Light, Settings, World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.frame import Renderer, Request
 from pointsplat_addon.render.prepare import STORE
-from scripts import painter_error
+from scripts import technique_error
 from scripts.compare import compare, eroded
-from tests.render import scenes, test_quality
+from scripts.transitions import levels
+from tests.core.test_optics import mean_transmittance
+from tests.render import scenes, test_foliage, test_hybrid, test_quality
 from tests.render.scenes import CASES, Case, render
 from tests.render.test_ewa_pictures import (
     EXTREMES,
@@ -229,14 +231,69 @@ def test_silhouettes_are_those_of_the_polygons_and_surfaces_are_closed(name, sam
 def test_on_a_textured_plane_it_is_nearer_to_the_polygons_than_disks_and_farther_than_ewa():
     """At equal numbers of points, four pixels each, with one sample a pixel."""
     renderer = scenes.opengl()
-    truth, _ = painter_error.picture(renderer, "POLYGONS", "facing", "IMAGE_SPACE", 1.0, 16)
+    plane = technique_error.plane(technique_error.VIEWS["plane, facing"])
+    STORE.clear()
+    truth, _, _ = technique_error.picture(renderer, plane, "POLYGONS", "IMAGE_SPACE", 1.0, 16)
     found = {}
     for technique in ("EWA", "PAINTER", "disks"):
-        drawn, points = painter_error.picture(renderer, "POINTS", "facing", technique, 4.0, 1)
-        found[technique] = painter_error.errors(drawn, truth, points)
+        drawn, points, _ = technique_error.picture(renderer, plane, "POINTS", technique, 4.0, 1)
+        found[technique] = technique_error.errors(drawn, truth, points)
     assert len({of.points for of in found.values()}) == 1
     assert found["EWA"].rmse < 0.9 * found["PAINTER"].rmse  # measured 28.4 and 33.7
     assert found["PAINTER"].rmse < 0.98 * found["disks"].rmse  # measured 33.7 and 35.2
+
+
+@pytest.mark.parametrize("tolerance", [2.0, 4.0])
+def test_nodes_of_an_octree_close_what_their_points_close(tolerance):
+    cloud = scenes.sphere_cloud(200000, color=(scenes.sphere_points(200000) * 0.4 + 0.5).astype(np.float32))
+    scene = scenes.scene((scenes.points("painted nodes", cloud), scenes.moved()), transparent=True)
+    camera, found = scenes.camera(resolution=(96, 96)), []
+    for t in (0.05, tolerance):
+        STORE.clear()
+        request = Request(camera, replace(PAINTER, tolerance=t), ONLY_COMBINED, 16)
+        found.append(scenes.opengl().render(scene, request))
+    fine, coarse = found
+    assert fine.report["points"]["cut"] == 200000
+    assert coarse.report["points"]["cut"] < 0.6 * 200000
+    figures = compare(coarse.pixels["combined"], fine.pixels["combined"])
+    inside = eroded(fine.pixels["combined"][..., 3] > 0.9999)
+    assert 255 * (1 - coarse.pixels["combined"][..., 3][inside]).max() < 1  # measured 0.014; 38 without NODE_REACH
+    assert figures["interior_psnr"] > 45  # measured 48.8; 35 without
+    assert abs(figures["thickening"] - 1) < 0.001  # measured 0.0002
+
+
+@pytest.mark.parametrize("tolerance", [1.0, 4.0])
+@pytest.mark.parametrize(("name", "samples"), [("plane", 1), ("plane", 16), ("shuffled", 1), ("bumps", 16)])
+def test_where_splats_and_triangles_of_a_split_mesh_meet_no_seam_is_seen(name, samples, tolerance):
+    """The painter draws the points of some parts over the triangles of the others, and each hides what lies behind."""
+    renderer, found = scenes.opengl(), []
+    before, renderer.costs = renderer.costs, test_hybrid.COSTS
+    try:
+        for primitive, technique in (("POLYGONS", "IMAGE_SPACE"), ("AUTO", "PAINTER")):
+            settings = replace(test_hybrid.SETTINGS, technique=technique, tolerance=tolerance)
+            request = Request(test_hybrid.SHAPES[name]()[1], settings, frozenset({"combined", "depth"}), samples)
+            found.append(renderer.render(test_hybrid.scene(name, primitive), request))
+    finally:
+        renderer.costs = before
+    truth, drawn = (levels(result.pixels["combined"]) for result in found)
+    assert found[1].report["points"]["cut"] > 10000
+    assert found[1].report["triangles"] > 5000
+    assert found[1].pixels["combined"][..., 3].min() == 1.0
+    inside = eroded(found[0].pixels["depth"][..., 0] < 1e9)
+    # Measured 0.15 on planes; on hills 3.9 at tolerance 1 and 3.9 at 4, all at the edges of distant ones.
+    assert np.abs(drawn - truth)[inside].max() < (5 if name == "bumps" else 0.3)
+
+
+def test_a_crown_of_leaves_lets_as_much_light_through_as_it_should():
+    """From leaves of pixels to a tenth of one, and at one sample as at many: what is widened hides no more."""
+    exact = mean_transmittance(scenes.leaves(20000, 0.5), 1.15, (0.0, 1.0, 0.0), pixels=768, hard=True)
+    seen = test_foliage.crown(20000, 0.5)
+    for diameter, samples in ((320, 1), (80, 1), (20, 1), (80, 16), (10, 96)):
+        size = round(1.15 * diameter) + 8
+        eye = scenes.camera((0, -5, 0), resolution=(size, size), parallel=2 * size / diameter)
+        alpha = picture(Case(seen, eye, PAINTER), samples)[..., 3]
+        found = 1 - alpha.sum() * (2 / diameter) ** 2 / 2.3**2
+        assert found == pytest.approx(exact, abs=0.01)  # measured 0.0086; 0.35 without `thinned`
 
 
 def test_backs_that_are_culled_are_not_painted():

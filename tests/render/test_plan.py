@@ -257,3 +257,45 @@ def test_a_large_static_cloud_is_uploaded_once():
     first = device.uploaded_bytes
     renderer.render(case.scene, case.request(ONLY_COMBINED))
     assert device.uploaded_bytes - first < first / 20  # measured 1/44: one block of 64 splats is 16 bytes, a splat 32
+
+
+@pytest.mark.parametrize("technique", ["IMAGE_SPACE", "EWA", "PAINTER"])
+def test_a_scene_without_strands_compiles_nothing_for_them(technique):
+    for name in ("sphere", "mixed", "smoke"):
+        case = CASES[name]()
+        device, result = record(replace(case, settings=replace(case.settings, technique=technique)), ALL_PASSES)
+        assert "lines" not in device.names
+        assert not {"PS_LINES", "PS_THIN", "PS_TUBE", "PS_RIBBON"} & defines(device)
+        assert skipped(result)["lines"] == "nothing is drawn as lines"
+        assert result.report["lines"] == {"strands": 0, "segments": 0, "drawn": 0}
+
+
+@pytest.mark.parametrize("technique", ["IMAGE_SPACE", "EWA", "PAINTER"])
+def test_strands_alone_need_neither_points_nor_a_pyramid(technique):
+    case = scenes.strands()
+    only = [
+        (g, m) for g, m in zip(case.scene.geometries, case.scene.instances.world_from_object, strict=True) if g.lines
+    ]
+    alone = replace(case, scene=scenes.scene(*only), settings=replace(case.settings, technique=technique))
+    device, result = record(alone, samples=8)
+    assert not POINT_PROGRAMS & set(device.names)
+    assert "polygons" not in device.names
+    assert not {"ps_coarse_place", "ps_ids"} & samplers(device)
+    assert "lines" not in skipped(result)
+    assert skipped(result)["project"] == "nothing is drawn as points"
+    assert skipped(result)["adapt"] == "strands thinner than a pixel are drawn in a share of all samples"
+    # A spring, a ribbon and hair, of which no sample draws every one.
+    drawn = {(call.interface.vertex, call.primitive) for call in device.calls if call.interface.name == "lines"}
+    assert drawn == {("lines.vert", "TRIANGLES"), ("lines.vert", "LINES")}
+    report = result.report["lines"]
+    assert report["strands"] == 403
+    assert 0 < report["drawn"] < 8 * report["segments"]
+
+
+def test_wide_strands_leave_out_what_thin_ones_need():
+    turn = np.linspace(0, 6, 20)
+    tube = scenes.strand_lines("wide only", [np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=1)], 0.2)
+    device, result = record(Case(scenes.scene((tube, scenes.moved())), scenes.camera()), samples=8)
+    assert "PS_THIN" not in defines(device)
+    assert "adapt" not in skipped(result)
+    assert all(call.primitive == "TRIANGLES" for call in device.calls if call.interface.name == "lines")

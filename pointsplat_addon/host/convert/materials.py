@@ -17,9 +17,10 @@ import numpy as np
 from ...core import expressions as ex
 from ...core.cryptomatte import cryptomatte_hash
 from ...core.materials import CHANNELS, MaterialGraph, is_mask
-from ...core.scene import MaterialTable, Medium, default_materials
+from ...core.pigment import Pigment, absorption_from_color
+from ...core.scene import HairTable, MaterialTable, Medium, default_materials
 from .media import medium_of
-from .nodes import Path, Reader, UnsupportedNodeError, Walker, default, resolve
+from .nodes import Hair, Path, Reader, UnsupportedNodeError, Walker, default, of_strand, resolve
 
 BLACK = ex.Constant((0.0, 0.0, 0.0))
 ZERO, ONE = ex.Constant((0.0,)), ex.Constant((1.0,))
@@ -62,13 +63,14 @@ class Row:
     hash: int
     translucent: bool = False
     medium: Medium | None = None
+    hair: Hair | None = None
     warnings: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
         varying = "" if self.graph is None else self.graph.digest
         volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
-        shown = sorted(self.constants.items()), varying, self.cull, self.translucent, volume
+        shown = sorted(self.constants.items()), varying, self.cull, self.translucent, volume, self.hair
         text = repr((*shown, self.pass_index, self.name))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -96,8 +98,19 @@ def convert_materials(materials: Iterable[bpy.types.Material | None]) -> tuple[M
         translucent=_column(bool, [row.translucent for row in rows]),
         media=tuple(row.medium for row in rows),
         graphs=tuple(row.graph for row in rows),
+        hair=_hair_table(rows),
     )
     return converted, [warning for row in rows for warning in row.warnings]
+
+
+def _hair_table(rows: list[Row]) -> HairTable | None:
+    if not any(row.hair for row in rows):
+        return None
+    every = [row.hair or Hair() for row in rows]
+    columns = {name: np.array([getattr(h, name) for h in every], np.float32) for name in vars(Hair())}
+    color = np.array([row.constants["base_color"] for row in rows])
+    absorption = absorption_from_color(color, columns["radial"][:, None]).astype(np.float32)
+    return HairTable(used=np.array([row.hair is not None for row in rows]), absorption=absorption, **columns)
 
 
 def _column(dtype: type, values: list) -> np.ndarray | None:
@@ -138,6 +151,7 @@ def convert_material(material: bpy.types.Material) -> Row:
         hash=cryptomatte_hash(material.name),
         translucent=_is_translucent(surface.alpha, material),
         medium=None if output is None else medium_of(walker, output.inputs["Volume"]),
+        hair=walker.hair,
         warnings=tuple(walker.warnings),
     )
 
@@ -173,6 +187,7 @@ def _surface_of(material: bpy.types.Material, output: bpy.types.Node | None, wal
         return _shader(walker, output.inputs["Surface"], ())
     except UnsupportedNodeError as reason:
         # Whatever was wrong deeper in the tree no longer matters
+        walker.hair = None
         walker.warnings[:] = [f'Material "{material.name}": {reason}; its viewport colour is shown']
         return _viewport_surface(material)
 
@@ -294,6 +309,55 @@ def _translucent(node: Reader) -> Surface:
     return _diffuse(node)
 
 
+def _principled_hair(node: Reader) -> Surface:
+    """Hair whose colour is that of its absorption; on other surfaces that colour is all there is."""
+    if node.walker.hair is not None:
+        node.warn("is one of several for hair in its material; one of them gives the roughness and the like")
+    huang = getattr(node.node, "model", "CHIANG") == "HUANG"
+    if huang:
+        node.warn("uses Huang's model, which is shown as a round fibre")
+    random = node["Random"] if node.linked("Random") else of_strand("random")
+    amount = ex.Clamp(node["Random Roughness"], ZERO, ONE)
+    roughness = node["Roughness"]
+    if not _is_constant(amount, 0):
+        off = ex.Math(_product(ex.Constant((2.0,)), random), ONE, ZERO, "SUBTRACT")
+        roughness = _product(roughness, ex.Math(ONE, _product(off, amount), ZERO, "ADD"))
+    radial = _constant_input(node, "Roughness" if huang else "Radial Roughness")
+    names = {"COLOR": "Color", "MELANIN": "Melanin", "ABSORPTION": "Absorption Coefficient"}
+    kind = node.node.parametrization
+    melanin = kind == "MELANIN"
+    # Only melanin is random: what is not read must not make the colour vary
+    use = {name: node[name] if melanin else ZERO for name in ("Melanin Redness", "Tint", "Random Color")}
+    varied = melanin and not _is_constant(use["Random Color"], 0)
+    value = node[names[kind]]
+    color = Pigment(
+        value, use["Melanin Redness"], use["Tint"], use["Random Color"], random if varied else ZERO, radial, kind
+    )
+    numbers = {name: _number(node, name) for name in ("Coat", "IOR", "Offset", "R lobe", "TT lobe", "TRT lobe")}
+    lobes = tuple(max(numbers[f"{name} lobe"], 0.0) if huang else 1.0 for name in ("R", "TT", "TRT"))
+    fibre = ex.constant(radial)
+    node.walker.hair = Hair(
+        radial=0.3 if fibre is None else float(np.clip(fibre[0], 0, 1)),
+        coat=0.0 if huang else min(max(numbers["Coat"], 0.0), 1.0),
+        ior=max(numbers["IOR"], 1.0),
+        tilt=numbers["Offset"],
+        lobes=lobes,
+    )
+    ior, specular = ex.Constant((numbers["IOR"],)), ex.Constant((0.5,))
+    return Surface(base_color=color, roughness=roughness, ior=ior, specular=specular)
+
+
+def _number(node: Reader, identifier: str) -> float:
+    """An input that is a constant."""
+    value = ex.constant(_constant_input(node, identifier))
+    return 0.0 if value is None else float(np.nan_to_num(value[0]))
+
+
+def _hair(node: Reader) -> Surface:
+    node.warn("is drawn like a diffuse surface of its colour")
+    return Surface(base_color=node["Color"])
+
+
 def _mix_shader(node: Reader) -> Surface:
     a, b = (_shader(node.walker, node.socket(name), node.path) for name in ("Shader", "Shader_001"))
     return _mixed(a, b, ex.Clamp(node["Fac"], ZERO, ONE))
@@ -350,6 +414,8 @@ SHADERS: dict[str, Callable[[Reader], Surface]] = {
     "ShaderNodeBsdfGlass": _glass,
     "ShaderNodeBsdfRefraction": _glass,
     "ShaderNodeBsdfTranslucent": _translucent,
+    "ShaderNodeBsdfHairPrincipled": _principled_hair,
+    "ShaderNodeBsdfHair": _hair,
     "ShaderNodeMixShader": _mix_shader,
     "ShaderNodeAddShader": _add_shader,
 }

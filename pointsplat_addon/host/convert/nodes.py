@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
 from ...core import expressions as ex
+from ...core.pigment import strand_attribute
 from .images import convert_image
 
 Path = tuple[bpy.types.Node, ...]  # the group nodes that lead to a tree, outermost first
@@ -21,12 +23,24 @@ class UnsupportedNodeError(Exception):
     """A node, or a setting of it, that cannot be evaluated per sample; the text completes "node X ..."."""
 
 
+@dataclass(frozen=True)
+class Hair:
+    """Constants of a Principled Hair BSDF, as in core.scene.HairTable."""
+
+    radial: float = 0.3
+    coat: float = 0.0
+    ior: float = 1.55
+    tilt: float = 0.0349066
+    lobes: tuple[float, ...] = (1.0, 1.0, 1.0)
+
+
 class Walker:
     """Reads the inputs of one material's nodes as expressions; what it cannot read becomes a warning."""
 
     def __init__(self, material_name: str) -> None:
         self.material_name = material_name
         self.warnings: list[str] = []
+        self.hair: Hair | None = None  # set by a shader for strands
         self._warned: set[int] = set()
         self._known: dict[tuple, Outputs | None] = {}
 
@@ -196,6 +210,16 @@ def _image(node: Reader) -> Outputs:
 def _volume_info(node: Reader) -> Outputs:
     color: Outputs = {"Color": ex.Color(ex.Attribute("color"))}
     return color | {name: ex.Component(ex.Attribute(name.lower()), 4) for name in ("Density", "Flame", "Temperature")}
+
+
+def of_strand(name: str) -> ex.Expression:
+    """What strands tell of themselves (host.convert.curves); 0 on everything else."""
+    return ex.Component(ex.Attribute(strand_attribute(name)), 4)
+
+
+def _hair_info(node: Reader) -> Outputs:
+    names = ("Is Strand", "Intercept", "Length", "Thickness", "Random")
+    return {name: of_strand(name.lower().replace(" ", "_")) for name in names}
 
 
 def _light_path(node: Reader) -> Outputs:
@@ -372,6 +396,7 @@ NODES: dict[str, Callable[[Reader], Outputs]] = {
     "ShaderNodeTexCoord": _coordinates,
     "ShaderNodeTexImage": _image,
     "ShaderNodeVolumeInfo": _volume_info,
+    "ShaderNodeHairInfo": _hair_info,
     "ShaderNodeLightPath": _light_path,
     "ShaderNodeValue": _value,
     "ShaderNodeRGB": _rgb,

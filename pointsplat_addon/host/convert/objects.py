@@ -9,14 +9,15 @@ import bpy
 import numpy as np
 
 from ...core.scene import Transfer
+from .curves import Hair, hair_systems, is_tube
 from .particles import read_particles
 from .pointcloud import Points
 from .volume import Voxels, convert_transfer, read_domain
 
-GEOMETRY = ("MESH", "POINTCLOUD", "VOLUME")
-# Blender lists the surfaces of CURVE, SURFACE, FONT and META objects as instances of type MESH.
+GEOMETRY = ("MESH", "POINTCLOUD", "VOLUME", "CURVES")
+# Blender lists the surfaces of CURVE, SURFACE, FONT and META objects as instances of type MESH. Tubes along curves are
+# made of the curves, and then those surfaces are left out.
 UNSUPPORTED = {
-    "CURVES": "hair curves",
     "GREASEPENCIL": "Grease Pencil",
     "GPENCIL": "Grease Pencil",
 }
@@ -28,7 +29,7 @@ class Source:
 
     name: str
     owner: int  # session_uid of the original object
-    data: bpy.types.Mesh | bpy.types.PointCloud | bpy.types.Volume
+    data: bpy.types.Mesh | bpy.types.PointCloud | bpy.types.Volume | bpy.types.Curves | bpy.types.Curve
     materials: tuple[bpy.types.Material | None, ...]  # one for each slot, at least one
     primitive: str
     spacing: float
@@ -41,6 +42,13 @@ class Source:
     transfer: Transfer | None = None  # of volumes
     smoke: Voxels | None = None  # instead of the data: what a fluid domain holds
     particles: Points | None = None  # instead of the data, in world space
+    hair: Hair | None = None  # instead of the data, in the object's space
+    ribbons: bool = False  # strands have normals
+
+    @property
+    def strands(self) -> bool:
+        """Whether it becomes lines."""
+        return self.hair is not None or isinstance(self.data, bpy.types.Curves | bpy.types.Curve)
 
 
 @dataclass(eq=False)
@@ -65,17 +73,23 @@ def collect(
     free: list[int] = []  # of rows: those in world space
     identity: list[tuple] = []
     unsupported: dict[str, list[str]] = {}
+    tubes: set[int] = set()  # session_uids of curve objects that are drawn as such
     count = 0
     for row, instance in enumerate(depsgraph.object_instances):
         count = row + 1
         # The instance and, where it is generated, its object live only until the next step.
         ob = instance.object
-        if ob.type not in GEOMETRY:
+        uid, tube = ob.original.session_uid, ob.type == "CURVE" and is_tube(ob)
+        if tube:
+            tubes.add(uid)
+        elif ob.type == "MESH" and uid in tubes:
+            continue
+        if ob.type not in GEOMETRY and not tube:
             if ob.type in UNSUPPORTED and instance.show_self:
                 unsupported.setdefault(UNSUPPORTED[ob.type], []).append(ob.name)
             continue
         parent = instance.parent if instance.is_instance else ob
-        key = ob.original.session_uid, ob.data.session_uid, parent.original.session_uid, instance.is_instance
+        key = uid, ob.data.session_uid, parent.original.session_uid, instance.is_instance
         found = known.get(key)
         if found is None:
             first = len(sources)
@@ -109,7 +123,7 @@ def _source(ob: bpy.types.Object, override: bpy.types.Material | None, visible: 
         owner=ob.original.session_uid,
         data=ob.data,  # pyright: ignore[reportArgumentType]
         materials=materials or (override,),
-        primitive=ob.pointsplat.primitive,
+        primitive="AUTO" if ob.pointsplat.primitive == "LINES" else ob.pointsplat.primitive,
         spacing=ob.pointsplat.spacing,
         extinction=ob.pointsplat.extinction,
         pass_index=ob.pass_index,
@@ -119,13 +133,20 @@ def _source(ob: bpy.types.Object, override: bpy.types.Material | None, visible: 
         editing=ob if ob.type == "MESH" and ob.data.is_editmode else None,
         transfer=convert_transfer(ob) if ob.type == "VOLUME" else None,
         smoke=read_domain(ob) if ob.type == "MESH" else None,
+        ribbons=ob.type == "CURVES" and ob.pointsplat.ribbons,
     )
 
 
 def _particles(emitter: Source, ob: bpy.types.Object, override: bpy.types.Material | None, final: bool) -> list[Source]:
-    return [
+    found = [
         replace(emitter, materials=(override or material,), editing=None, particles=points)
         for points, material in read_particles(ob, final)
+    ]
+    # Without any slot there is no material, whatever the settings say
+    slots = emitter.materials
+    return found + [
+        replace(emitter, materials=(slots[max(hair.material, 0)],), editing=None, smoke=None, hair=hair)
+        for hair in hair_systems(ob, final)
     ]
 
 

@@ -43,6 +43,7 @@ class CloudMaterial:
     translucent: bool = False
     medium: Medium | None = None  # of a material without a surface
     extinction: float = 0.0  # the object's own, per object unit; 0 takes the material's
+    base_color: tuple[float, ...] = (0.8, 0.8, 0.8)  # of strands, which may have several materials
 
     @property
     def key(self) -> str:
@@ -66,6 +67,7 @@ def cloud_material(table: MaterialTable, row: int, extinction: float = 0.0) -> C
         table.translucent is not None and bool(table.translucent[row]),
         table.media[row] if row < len(table.media) and alpha == 0 and not varies else None,
         extinction,
+        tuple(table.base_color[row].tolist()),
     )
 
 
@@ -127,11 +129,11 @@ def _build(points: Points, material: CloudMaterial) -> PointCloud:
     facing = varying.get("normal", normal)
     cloud = PointCloud(
         position=points.position,
-        normal=None if facing is None or normal is None else _unit(facing),
+        normal=None if facing is None or normal is None else unit(facing),
         radii=points.radius[:, None],
-        color=_contiguous(varying.get("base_color")),
-        surface=_surface(varying, material, count),
-        emission=_contiguous(varying.get("emission")),
+        color=contiguous(varying.get("base_color")),
+        surface=surface_of(varying, material, count),
+        emission=contiguous(varying.get("emission")),
         material=np.full(count, material.row, np.uint16) if material.row else None,
         kernel=points.kernel,
     )
@@ -250,7 +252,7 @@ def _evaluate(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np.ndarra
     )
 
 
-def _surface(varying: dict[str, np.ndarray], material: CloudMaterial, count: int) -> np.ndarray | None:
+def surface_of(varying: dict[str, np.ndarray], material: CloudMaterial, count: int) -> np.ndarray | None:
     if "roughness" not in varying and "metallic" not in varying:
         return None
     surface = np.empty((count, 2), np.float32)
@@ -259,11 +261,11 @@ def _surface(varying: dict[str, np.ndarray], material: CloudMaterial, count: int
     return surface
 
 
-def _contiguous(array: np.ndarray | None) -> np.ndarray | None:
+def contiguous(array: np.ndarray | None) -> np.ndarray | None:
     return None if array is None else np.ascontiguousarray(array, np.float32)
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
+def unit(vectors: np.ndarray) -> np.ndarray:
     """Normalised rows; a zero vector becomes +Z."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.where(length > 0, vectors / np.where(length > 0, length, 1), [0, 0, 1]).astype(np.float32)

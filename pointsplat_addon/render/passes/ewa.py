@@ -28,12 +28,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.ewa import CUTOFF, low_pass
+from ...core.ewa import CUTOFF, centres_decide, low_pass
 from ...core.scene import Camera
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
 from ..packing import PAGE_WIDTH, paged
 from ..tiles import TILE, Region
+from . import ewa_cover
 from .common import FRAME, GBuffer, Variant
 from .points import PageDraw, PointOptions, attributes
 
@@ -49,6 +50,7 @@ class EwaOptions:
     """What a view's splats need beyond PointOptions."""
 
     low_pass: float  # pixels^2: core.ewa.low_pass
+    hard: bool  # core.ewa.centres_decide
     balls: bool = False  # some have no normal
     large: bool = False  # some may be wide, or near
 
@@ -63,7 +65,8 @@ def options(camera: Camera, largest: float, balls: bool, samples: int) -> EwaOpt
     depth that it extends over, at most the radius squared over the focal length in pixels."""
     focal = min(abs(f) for f in camera.pixel_from_view()[:2])
     affine = math.sqrt(AFFINE_ERROR * focal) if camera.perspective else math.inf
-    return EwaOptions(low_pass(samples), balls, large=not largest <= min(WIDEST_POINT, affine))
+    wide = not largest <= min(WIDEST_POINT, affine)
+    return EwaOptions(low_pass(samples), centres_decide(samples), balls, wide)
 
 
 @dataclass(frozen=True)
@@ -89,11 +92,12 @@ def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaProg
         outputs=tuple(("vec4", f"out_{name}") for name in ("place", "shape", "front", *blended)),
         defines=(*named, *flagged, *defines),
     )  # fmt: skip
+    hard = (("PS_HARD", "1"),) if ewa.hard else ()
     normalise = Interface(
         "normalise", fragment="ewa_normalise.frag", block=FRAME,
         samplers=tuple(("FLOAT_2D", name) for name in ("ps_nearest", *(f"ps_sum_{n}" for n in ("place", *blended)))),
         outputs=variant.front_outputs, depth=points.depth,
-        defines=(*variant.front_defines, *((("PS_DEPTH", "1"),) if points.depth else ())),
+        defines=(*variant.front_defines, *((("PS_DEPTH", "1"),) if points.depth else ()), *hard),
     )  # fmt: skip
     kinds = (False, True) if ewa.large else (False,)
     return EwaPrograms(
@@ -120,6 +124,7 @@ def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool,
         samplers.append(("FLOAT_2D", "ps_nearest"))
         defines += [("PS_BLEND", "1"), *((name, "1") for name in variant.defines if name != "PS_OWNER")]
         defines += [("PS_BALLS", "1")] if ewa.balls and variant.normal else []
+        defines += [("PS_HARD", "1")] if ewa.hard else []
         outputs = tuple(("vec4", f"out_{name}") for name in ("place", *blended))
     else:
         outputs = (("vec4", "out_nearest"),)
@@ -151,35 +156,67 @@ class Splats:
             for _, name in program.outputs
         }
         self.target: Target = device.target(list(self.textures.values()))
-        self.lists: list[tuple[Texture, int]] = []  # of small splats and of large ones: their texels, how many
-        self._small = self._tile = np.empty(0, np.int64)  # elements, and the tiles that they lie in
+        # Elements, by list: small splats that visibility draws "first" and "then"; those that are "blended", where that
+        # is not all of them; "large" ones for both.
+        self.found: dict[str, np.ndarray] = {}
+        self.lists: dict[str, tuple[Texture, int]] = {}  # their texels, and how many
+        self._corner = np.zeros(2, np.float32)  # of the picture from the principal point, in pixels
 
-    def list_drawn(self, device: Device, record: np.ndarray, margin: float) -> None:
-        """Lists of the small splats and of the large ones, without those that lie `margin` pixels outside the picture:
-        vertices cost more than looking once which of them are needed."""
-        place = device.read(self.textures["ps_splat_place"]).reshape(-1, 4)
-        kind = np.abs(place[:, 3]).astype(np.int64)
-        on_screen = place[:, :2] + record["focal"][0, 2:]
-        near = ((on_screen > -margin) & (on_screen < record["size"][0, :2] + margin)).all(axis=1)
-        self._small = np.flatnonzero((kind & 1 == 1) & near)
-        last = (record["size"][0, :2] - 1) // TILE
-        column, row = np.clip(on_screen[self._small] // TILE, 0, last).astype(np.int64).T
-        self._tile = row * (last[0] + 1) + column
-        large = np.flatnonzero((kind > 0) & (kind & 1 == 0))
-        self.lists = [_listed(device, index) for index in (self._small, large)]
+    def find(self, device: Device, record: np.ndarray, margin: float) -> None:
+        """Find the splats that are drawn: not the small ones that lie `margin` pixels outside the picture, since
+        vertices cost more than looking once which of them are needed. Those that show their backs come second."""
+        x, y, _, kind = device.read(self.textures["ps_splat_place"]).reshape(-1, 4).T
+        self._corner = -record["focal"][0, 2:]
+        odd = np.abs(kind).astype(np.int32) & 1 == 1
+        small, turned = odd.copy(), kind < 0
+        for at, low, size in zip((x, y), self._corner, record["size"][0, :2], strict=True):
+            small &= (at > low - margin) & (at < low + size + margin)
+        first, then = np.flatnonzero(small & ~turned), np.flatnonzero(small & turned)
+        self.found = {"first": first, "then": then, "large": np.flatnonzero(~odd & (kind != 0))}
 
-    def list_within(self, device: Device, tiles: np.ndarray | None) -> None:
-        """List only small splats whose middles lie in the tiles (rows, columns) bool; None: all."""
-        self.lists[0][0].release()
-        self.lists[0] = _listed(device, self._small if tiles is None else self._small[tiles.reshape(-1)[self._tile]])
+    def keep(self, first: np.ndarray, needed: np.ndarray) -> None:
+        """Of what was found, visibility drew `first`; `needed`, of each element: what shaders/ewa_needed.frag says."""
+        small = np.concatenate([self.found["first"], self.found["then"]])
+        drawn = np.zeros(len(needed), bool)
+        drawn[first] = True
+        then = small[(needed[small] > ewa_cover.COVERED) & ~drawn[small]]
+        first = first[needed[first] > ewa_cover.HIDDEN]
+        self.found |= {"first": first, "then": then, "blended": small[needed[small] > ewa_cover.HIDDEN]}
+
+    def list_first(self, device: Device, index: np.ndarray) -> None:
+        """List these elements as those that visibility draws first."""
+        if "first" in self.lists:
+            self.lists.pop("first")[0].release()
+        self.lists["first"] = listed(device, index)
+
+    def list_found(self, device: Device, tiles: np.ndarray | None = None) -> None:
+        """List what was found; of small splats only those whose middles lie in the tiles (rows, columns) bool."""
+        self._release_lists()
+        within = None if tiles is None else self._within(device, tiles)
+        for name, index in self.found.items():
+            shown = index if within is None or name == "large" else index[within[index]]
+            self.lists[name] = listed(device, shown)
+
+    def _within(self, device: Device, tiles: np.ndarray) -> np.ndarray:
+        middle = device.read(self.textures["ps_splat_place"]).reshape(-1, 4)[:, :2] - self._corner
+        rows, columns = tiles.shape
+        column, row = np.clip(middle / TILE, 0, (columns - 1, rows - 1)).astype(np.int32).T
+        return tiles[row, column]
+
+    def _release_lists(self) -> None:
+        for texture, _ in self.lists.values():
+            texture.release()
+        self.lists.clear()
 
     def release(self) -> None:
+        self._release_lists()
         self.target.release()
-        for texture in (*self.textures.values(), *(listed for listed, _ in self.lists)):
+        for texture in self.textures.values():
             texture.release()
 
 
-def _listed(device: Device, index: np.ndarray) -> tuple[Texture, int]:
+def listed(device: Device, index: np.ndarray) -> tuple[Texture, int]:
+    """The texels of elements (N,), and how many they are."""
     size, data = paged(np.stack([index % PAGE_WIDTH, index // PAGE_WIDTH], axis=1), 2)
     return device.texture(size, "RG32F", data), len(index)
 
@@ -190,7 +227,7 @@ class Ewa:
     def __init__(
         self, device: Device, variant: Variant, points: PointOptions, ewa: EwaOptions, size: tuple[int, int]
     ) -> None:
-        self.device, self.options = device, ewa
+        self.device, self.options, self.size = device, ewa, size
         self.programs = programs(variant, points, ewa)
         self.nearest = device.texture(size, "RGBA32F")
         self.nearest_target: Target = device.target([self.nearest], depth=True)
@@ -201,17 +238,53 @@ class Ewa:
         self._splats: list[Splats] = []
         self.draws: list[PageDraw] | None = None  # of which the splats are projected
         self._mask: Texture | None = None  # of the region that they are listed for
+        self._left = False  # some are left out
+        self._begun = False  # visibility has drawn what comes first
 
     def project(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
-        """Project the splats of a view."""
+        """Project the splats of a view and list those that are drawn; `record`: of the sample that is drawn next."""
         self._forget()
         self.draws = draws
+        record["lens"][0, 3] = self.options.low_pass
         for draw in draws:
             splats = Splats(self.device, self.programs.splats, draw)
             self._splats.append(splats)
             textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks}
             self.device.draw(self.programs.splats, splats.target, uniforms=draw.fill(record), textures=textures)
-            splats.list_drawn(self.device, record, self.options.reach(WIDEST_POINT) + JITTER)
+            splats.find(self.device, record, self.options.reach(WIDEST_POINT) + JITTER)
+        self._leave_out(record, shared)
+        for splats in self._splats:
+            splats.list_found(self.device)
+
+    def _leave_out(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
+        """Of many splats, leave out those that passes/ewa_cover.py finds not needed."""
+        device = self.device
+        facing, turned = (sum(len(splats.found[name]) for splats in self._splats) for name in ("first", "then"))
+        if facing == 0 or facing + turned < ewa_cover.LEAST_SPLATS:
+            return
+        record["lens"][0, 3] = self.options.low_pass
+        for splats in self._splats:
+            splats.list_first(device, splats.found["first"])
+        pages = [({**splats.textures, "ps_list": texture}, total)
+                 for splats in self._splats for texture, total in (splats.lists["first"],) if total]  # fmt: skip
+        sizes = ewa_cover.measure(device, pages, record)
+        if not sizes.pays(facing, turned):
+            return
+        drawn = [ewa_cover.thinned(splats.found["first"], sizes.share) for splats in self._splats]
+        if sizes.thin:
+            for splats, index in zip(self._splats, drawn, strict=True):
+                splats.list_first(device, index)
+        device.clear(self.nearest_target)
+        self._see(("first",), record, shared)
+        if ewa_cover.closed(device, self.nearest, sizes) < ewa_cover.ENOUGH:
+            self._begun = not sizes.thin
+            return
+        margin = 0.0 if self.options.low_pass == 1 else JITTER
+        cover = ewa_cover.Cover(device, self.nearest, sizes, margin, record)
+        for splats, index in zip(self._splats, drawn, strict=True):
+            splats.keep(index, cover.needed(splats.textures, record))
+        cover.release()
+        self._begun = self._left = True
 
     def narrow(self, region: Region) -> None:
         """List the splats for what `region` shows; it names tiles as far around as kernels reach."""
@@ -220,17 +293,25 @@ class Ewa:
         self._mask = region.mask
         tiles = None if region.mask is None else self.device.read(region.mask)[..., 0] != 0
         for splats in self._splats:
-            splats.list_within(self.device, tiles)
+            splats.list_found(self.device, tiles)
 
     def see(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
         """The nearest surface under each pixel's centre."""
-        self.device.clear(self.nearest_target)
-        self._draw(self.programs.visibility, self.nearest_target, record, shared, depth_test=True)
+        if not self._begun:
+            self.device.clear(self.nearest_target)
+            self._see(("first",), record, shared)
+        self._begun = False
+        self._see(("then", "large"), record, shared)
+
+    def _see(self, names: tuple[str, ...], record: np.ndarray, shared: dict[str, Texture]) -> None:
+        self._draw(self.programs.visibility, names, self.nearest_target, record, shared, depth_test=True)
 
     def blend(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
         """Attributes of that surface's splats times their kernels."""
         self.device.clear(self.sum_target)
-        self._draw(self.programs.blend, self.sum_target, record, {**shared, "ps_nearest": self.nearest}, blend=True)
+        textures = {**shared, "ps_nearest": self.nearest}
+        names = ("blended",) if self._left else ("first", "then")
+        self._draw(self.programs.blend, (*names, "large"), self.sum_target, record, textures, blend=True)
 
     def normalise(self, record: np.ndarray, out: GBuffer, region: Region) -> None:
         """Sums over weights, into the G-buffer; pixels that nothing reaches stay as they are."""
@@ -241,24 +322,29 @@ class Ewa:
     def _draw(
         self,
         kinds: tuple[Interface, ...],
+        names: tuple[str, ...],
         target: Target,
         record: np.ndarray,
         shared: dict[str, Texture],
         depth_test: bool = False,
         blend: bool = False,
     ) -> None:
+        """Draw lists of splats; `kinds`: programs of small ones and, where there are any, of large ones."""
         record["lens"][0, 3] = self.options.low_pass
         for splats in self._splats:
             draw = splats.draw
             textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks, **splats.textures}
             draw.fill(record)
-            for program, (listed, total), large in zip(kinds, splats.lists, (False, True), strict=False):
-                textures["ps_list"] = listed
+            for name in names:
+                large = name == "large"
+                if name not in splats.lists or large >= len(kinds):
+                    continue
+                textures["ps_list"], total = splats.lists[name]
                 for first in range(0, max(total, 1), CHUNK):
                     record["page"][0, 0] = first
                     count = min(CHUNK, total - first)
                     self.device.draw(
-                        program, target, uniforms=record, textures=textures, vertices=count * (6 if large else 1),
+                        kinds[large], target, uniforms=record, textures=textures, vertices=count * (6 if large else 1),
                         primitive="TRIANGLES" if large else "POINTS", depth_test=depth_test, blend=blend,
                     )  # fmt: skip
 
@@ -267,6 +353,7 @@ class Ewa:
             splats.release()
         self._splats.clear()
         self.draws = self._mask = None
+        self._begun = self._left = False
 
     def release(self) -> None:
         self._forget()

@@ -1,7 +1,7 @@
 """Deferred shading into accumulators, the passes that are not averaged, and what shading reads.
 
 Material table, four texels a row: base colour, alpha; emission, anisotropy; culls, roughness, metallic, index of
-refraction that stands for IOR and specular level; unused.
+refraction that stands for IOR and specular level; what hair is besides (core.hair.texel).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.hair import texel
 from ...core.lighting import relative_index
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
@@ -50,11 +51,14 @@ def shade_program(
     passes: frozenset[str],
     samples: int = 1,
     coverage: bool = False,
+    lines: bool = False,
 ) -> Interface:
     """`lighting`, `materials`: the PS_ names of what shines and of what surfaces do with it. Wide lamps are looked at
-    from as many points as the `samples` of a picture leave over from LAMP_POINTS. `coverage`: edges are soft."""
+    from as many points as the `samples` of a picture leave over from LAMP_POINTS. `coverage`: edges are soft.
+    `lines`: there are strands."""
     read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
-    names = (*variant.defines, *materials, *_averaged_defines(passes), *(("PS_COVERAGE",) if coverage else ()))
+    flags = {"PS_COVERAGE": coverage, "PS_LINES": lines and variant.normal}
+    names = (*variant.defines, *materials, *_averaged_defines(passes), *(name for name, on in flags.items() if on))
     points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
@@ -134,6 +138,9 @@ def material_rows(table: MaterialTable) -> np.ndarray:
     rows[:, 1, :3] = table.emission
     if table.anisotropy is not None:
         rows[:, 1, 3] = np.clip(table.anisotropy, -LEAST_SPREAD, LEAST_SPREAD)
+    if table.hair is not None:
+        of = table.hair
+        rows[:, 3] = texel(of.used, of.radial, of.coat, of.tilt, of.lobes)
     rows[:, 2] = np.stack(
         [table.cull, table.roughness, table.metallic, relative_index(table.ior, table.specular)], axis=1
     )

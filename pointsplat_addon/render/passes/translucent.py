@@ -25,7 +25,7 @@ What lighting leaves of each splat of the list, one texel each:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,6 +64,7 @@ class TranslucentOptions:
     opaque: bool = False  # something opaque may hide them
     fuzzy: bool = False  # some are opaque: core/painter.py
     cull: bool = False  # and some of these are not drawn where they show their backs
+    apart: bool = False  # and some of these stand apart: core/apart.py
 
     @property
     def attributes(self) -> tuple[tuple[str, bool], ...]:
@@ -88,6 +89,7 @@ def options(clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdou
         opaque=opaque,
         fuzzy=fuzzy,
         cull=fuzzy and bool(table.cull.any()),
+        apart=any(is_fuzzy(c) and c.apart is not None for c in clouds),
     )
 
 
@@ -101,7 +103,7 @@ class TranslucentPage(SplatPage):
 
     def __init__(self, device: Device, sets: list[PointSet], options: TranslucentOptions, table: MaterialTable) -> None:
         super().__init__(device, sets)
-        clouds = self.clouds
+        self.clouds = clouds = [_reaching(c, len(points.cloud)) for c, points in zip(self.clouds, sets, strict=True)]
         self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
         self.upload("extent", "RGBA32F", 4, [extent(c, always_axis=True) for c in clouds])
         self.upload("optics", "RGBA32F", 4, [
@@ -122,6 +124,17 @@ class TranslucentPage(SplatPage):
         if options.shading_normal:
             self.upload("shading_normal", "R32F", 1, [shading_normal(c) for c in clouds])
         self.clouds = []
+
+
+def _reaching(cloud: PointCloud, points: int) -> PointCloud:
+    """A page's splats of one set. Nodes of opaque surfaces, which follow after the points, reach the corners of what
+    they stand for, as points do."""
+    if not is_fuzzy(cloud) or len(cloud) == points or cloud.radii is None:
+        return cloud
+    radii = cloud.radii.copy()
+    closed = True if cloud.apart is None else ~cloud.apart[points:, None]
+    np.multiply(radii[points:], np.float32(painter.NODE_REACH), out=radii[points:], where=closed)
+    return replace(cloud, radii=radii)
 
 
 def _optics(cloud: PointCloud, lattice: bool) -> np.ndarray:
@@ -183,6 +196,7 @@ def light_program(
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
     named = {"PS_MEDIA": options.media, "PS_SHELLS": options.shells, "PS_AMONG_OPAQUE": options.opaque}
     named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
+    named["PS_FUZZY_APART"] = options.apart
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
     outputs = ["place", "shape", "source", *(["front"] if options.opaque else []), *(["tint"] if options.tint else [])]
     return Interface(

@@ -1,0 +1,199 @@
+"""Light on strands that are seen as a whole, across all their width, in float64: reference for shaders/lib/hair.glsl.
+
+Hair is the model of Chiang et al. 2016 from afar: reflection R, transmission TT, internal reflection TRT and all
+further bounces, each a longitudinal lobe (d'Eon et al. 2011) times an azimuthal one, of energies that are means over
+the width. Light that strands scatter is not followed from one to the next. Instead the share MASS of what passes
+through a strand is taken to meet others, and to come back diffuse, as much as the whole then has the colour that a mass
+of such hair is to have: one strand of brown hair hardly has a colour. Together they scatter no more than they receive:
+of a strand that absorbs nothing, all.
+
+Any other material is a cylinder of it: Lambert's law in closed form (Kajiya and Kay 1989, with the part of the cylinder
+that is both lit and seen), and R in place of its GGX lobe.
+
+All vectors are unit and point away from the strand. An angle theta is one to the plane across the tangent, phi one
+about it. What is scattered is per unit of irradiance on a plane that faces the light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .lighting import fresnel_dielectric
+
+# Offsets from the middle of a strand, of its radius, that stand for its width (Gauss and Legendre on [0, 1]).
+PLACES = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))
+WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
+TT_SPREAD, TRT_SPREAD = 0.36, 0.14  # scales of logistics with the deviation of phi over the width, at an index of 1.55
+LEAST_ROUGHNESS = 0.08  # float32 holds no narrower lobe
+LEAST_VARIANCE = 1e-3
+MASS = 0.75  # of what passes through a strand: what meets others
+DARKEST = 1e-6  # of colours: float16 holds it
+
+
+@dataclass(frozen=True, eq=False)
+class Fibre:
+    """Hair of N strands; every array may also be a scalar that is broadcast."""
+
+    color: np.ndarray  # (N, 3): of a mass of such hair; `absorption` says what it is of one
+    roughness: np.ndarray  # (N,) longitudinal
+    radial: np.ndarray  # (N,) azimuthal roughness
+    eta: np.ndarray | float  # (N,) index of refraction
+    tilt: np.ndarray | float  # (N,) radians by which scales lean towards the root
+    coat: np.ndarray | float = 0.0  # (N,) by how much smoother R is
+    lobes: np.ndarray | None = None  # (N, 3) factors of R, TT and TRT; None: 1
+
+
+def absorption(color: np.ndarray, radial: np.ndarray) -> np.ndarray:
+    """(N, 3) absorption per radius of hair that looks like `color` in a mass (Chiang et al. 2016, equation 9)."""
+    return (np.log(np.clip(color, DARKEST, 1.0)) / _inverted(radial)[..., None]) ** 2
+
+
+def color_of(absorption: np.ndarray, radial: np.ndarray) -> np.ndarray:
+    """(N, 3) the colour of which `absorption` is that."""
+    return np.exp(np.sqrt(np.maximum(absorption, 0)) * -_inverted(radial)[..., None])
+
+
+def _inverted(radial: np.ndarray) -> np.ndarray:
+    b = np.asarray(radial, float)
+    return 5.969 + b * (-0.215 + b * (2.532 + b * (-10.73 + b * (5.574 + b * 0.245))))
+
+
+def energies(fibre: Fibre, sine: np.ndarray) -> np.ndarray:
+    """(5, N, 3) what R, TT, TRT, the rest and other strands scatter of uniform light, seen at (N,) sines of theta."""
+    sine = np.asarray(sine, float)
+    cosine = np.sqrt(np.maximum(1 - sine**2, 0))
+    eta = np.broadcast_to(np.asarray(fibre.eta, float), sine.shape)
+    sigma = absorption(np.asarray(fibre.color, float), fibre.radial)
+    # Bravais: rays across the tangent are bent as by another index.
+    bent = np.sqrt(np.maximum(eta**2 - sine**2, 1e-9)) / np.maximum(cosine, 1e-4)
+    inside = np.sqrt(np.maximum(1 - (sine / eta) ** 2, 1e-9))
+    total = np.zeros((4, len(sine), 3))
+    for h, weight in zip(PLACES, WEIGHTS, strict=True):
+        reflected = fresnel_dielectric(cosine * np.sqrt(1 - h * h), eta)[:, None]
+        path = 2 * np.sqrt(np.maximum(1 - (h / bent) ** 2, 0)) / inside
+        passed = np.exp(-sigma * path[:, None])
+        through = (1 - reflected) ** 2 * passed
+        again = through * passed * reflected
+        total += weight * np.stack(
+            [
+                np.broadcast_to(reflected, through.shape), through, again,
+                again * passed * reflected / np.maximum(1 - passed * reflected, 1e-6),
+            ]
+        )  # fmt: skip
+    if fibre.lobes is not None:
+        total[:3] *= np.clip(np.moveaxis(np.asarray(fibre.lobes), -1, 0), 0, 1)[..., None]
+    color = np.clip(np.broadcast_to(np.asarray(fibre.color, float), total.shape[1:]), 0, 1)
+    back = MASS * np.clip(color - total[0] - total[2] - total[3], 0, total[1])
+    total[1] *= 1 - MASS
+    return np.concatenate([total, back[None]])
+
+
+def texel(used: np.ndarray, radial: np.ndarray, coat: np.ndarray, tilt: np.ndarray, lobes: np.ndarray) -> np.ndarray:
+    """(M, 4) float32, the fourth texel of the material table: 1 and the coat, 0: no hair; azimuthal roughness; tilt;
+    lobes, in 8 bits each."""
+    steps = np.rint(np.clip(lobes, 0, 1) * 255)
+    columns = (1 + np.clip(coat, 0, 1), radial, tilt, steps @ [1.0, 256.0, 65536.0])
+    return (np.stack(columns, axis=1) * used[:, None]).astype(np.float32)
+
+
+def variance(roughness: np.ndarray) -> np.ndarray:
+    """Of the longitudinal lobe of R (Chiang et al. 2016, equation 7)."""
+    b = np.maximum(roughness, LEAST_ROUGHNESS)
+    return (0.726 * b + 0.812 * b**2 + 3.7 * b**20) ** 2
+
+
+def scale(radial: np.ndarray) -> np.ndarray:
+    """Of the azimuthal logistic (Chiang et al. 2016, equation 8)."""
+    b = np.maximum(radial, LEAST_ROUGHNESS)
+    return np.sqrt(np.pi / 8) * (0.265 * b + 1.194 * b**2 + 5.372 * b**22)
+
+
+def longitudinal(theta: np.ndarray, other: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """(N,) d'Eon et al. 2011, equation 7; its integral times the cosine of theta is 1 for every other angle."""
+    # Tilted past the tangent.
+    other = _folded(other)
+    a = np.cos(theta) * np.cos(other) / variance
+    # i0(a) exp(-a), of large a too.
+    scaled = np.where(
+        a < 500, np.i0(np.minimum(a, 500)) * np.exp(-np.minimum(a, 500)), 1 / np.sqrt(2 * np.pi * a + 1e-30)
+    )
+    return scaled * np.exp(-2 * np.sin((theta + other) / 2) ** 2 / variance) / (variance * -np.expm1(-2 / variance))
+
+
+def _folded(theta: np.ndarray) -> np.ndarray:
+    """The angle in [-pi / 2, pi / 2] of the same sine."""
+    return np.copysign(np.pi / 2 - np.abs(np.pi / 2 - np.abs(theta)), theta)
+
+
+def logistic(x: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """(N,) the logistic about 0 on [-pi, pi], of integral 1."""
+    e = np.exp(-np.abs(x) / scale)
+    return e / (scale * (1 + e) ** 2) / np.tanh(np.pi / (2 * scale))
+
+
+def _wrapped(phi: np.ndarray) -> np.ndarray:
+    return (phi + np.pi) % (2 * np.pi) - np.pi
+
+
+def _angles(
+    tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """theta of the direction and of the eye, and phi between them, |phi| <= pi."""
+    sine, sine_eye = (np.clip(np.einsum("nc,nc->n", v, tangent), -1, 1) for v in (direction, to_eye))
+    across, seen = direction - sine[:, None] * tangent, to_eye - sine_eye[:, None] * tangent
+    sideways = np.einsum("nc,nc->n", np.cross(seen, across), tangent)
+    return np.arcsin(sine), np.arcsin(sine_eye), np.arctan2(sideways, np.einsum("nc,nc->n", seen, across))
+
+
+def scattered(tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray, fibre: Fibre) -> np.ndarray:
+    """(2, N, 3) radiance towards the eye of hair in light from one direction: what is reflected, and the rest."""
+    theta, eye, phi = _angles(tangent, direction, to_eye)
+    energy = energies(fibre, np.sin(eye))
+    wide, azimuth = variance(fibre.roughness), scale(fibre.radial)
+    tilt = np.asarray(fibre.tilt, float)
+    smooth = variance(np.asarray(fibre.roughness) * (1 - np.asarray(fibre.coat)))
+    reflected = longitudinal(theta, eye - 2 * tilt, smooth) * np.cos(phi / 2) / 4
+    tt = longitudinal(theta, eye + tilt, wide / 4) * logistic(np.pi - np.abs(phi), np.hypot(azimuth, TT_SPREAD))
+    inner = longitudinal(theta, eye + 4 * tilt, wide * 4)
+    trt = inner * logistic(phi, np.hypot(azimuth, TRT_SPREAD))
+    rest = tt[:, None] * energy[1] + trt[:, None] * energy[2] + inner[:, None] / (2 * np.pi) * energy[3]
+    rest += (cylinder_cosine(theta, phi) / np.pi)[:, None] * energy[4]
+    return np.stack([reflected[:, None] * energy[0], rest])
+
+
+def cylinder_cosine(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """(N,) the mean cosine, over the width that is seen, of a cylinder; the light's azimuth is phi off the eye's."""
+    p = np.abs(phi)
+    return np.cos(theta) * ((np.pi - p) * np.cos(p) + np.sin(p)) / 4
+
+
+def cylinder_reflectance(
+    sine: np.ndarray, base: np.ndarray, metallic: np.ndarray, eta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) what a cylinder's surface reflects of uniform light, seen at sines of theta, and its diffuse colour."""
+    cosine = np.sqrt(np.maximum(1 - sine**2, 0))
+    dielectric, grazing = np.zeros(len(sine)), np.zeros(len(sine))
+    for h, weight in zip(PLACES, WEIGHTS, strict=True):
+        facing = cosine * np.sqrt(1 - h * h)
+        dielectric += weight * fresnel_dielectric(facing, eta)
+        grazing += weight * (1 - facing) ** 5
+    metallic, f0 = np.clip(metallic, 0, 1)[:, None], np.clip(base, 0, 1)
+    surface = (1 - metallic) * dielectric[:, None] + metallic * (f0 + (1 - f0) * grazing[:, None])
+    return surface, (1 - metallic) * (1 - dielectric[:, None]) * np.maximum(base, 0)
+
+
+def cylinder(
+    tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray,
+    base: np.ndarray, roughness: np.ndarray, metallic: np.ndarray, eta: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """(2, N, 3) radiance towards the eye of a cylinder of a Principled surface: what it reflects, and what is diffuse.
+
+    The lobe's deviation is that of GGX half vectors whose slopes have it, alpha / sqrt(2).
+    """
+    theta, eye, phi = _angles(tangent, direction, to_eye)
+    surface, diffuse = cylinder_reflectance(np.sin(eye), base, metallic, eta)
+    wide = np.maximum(2 * np.clip(roughness, 0, 1) ** 4, LEAST_VARIANCE)
+    reflected = longitudinal(theta, eye, wide) * np.cos(phi / 2) / 4
+    return np.stack([reflected[:, None] * surface, (cylinder_cosine(theta, phi) / np.pi)[:, None] * diffuse])

@@ -1,0 +1,417 @@
+"""Which segments of strands a view draws, and how much of a pixel's width each of them covers.
+
+A segment that is wider than the raster's line is drawn with its exact outline. A thinner one is a line of one pixel, in
+the share of a picture's samples that is its own width over the line's (`Segments.share`): the mean over samples has its
+area, and no sample draws what is not needed for that. Where all that inner points of a strand change is below a
+fraction of a pixel they are left out by powers of two, and what is drawn keeps the area of what it stands for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .lines import Lines
+from .scene import Camera
+
+GOLDEN = (5**0.5 - 1) / 2
+BLOCK = 64  # strands that follow one another, of which each sample shows its share
+FARTHEST = 1e18  # units from the origin: squares of distances are to fit float32
+MOST_POINTS = 1 << 24  # of one geometry: float32 counts no farther
+ERROR = 0.25  # of the tolerance: how far an outline may move where inner points are left out
+SEEN_CHANGE = 1 / 64  # of colours and of surface values between the points that are kept
+SHORT = 1.0  # pixels: below it no change along a segment is seen
+ROUND = 2.0  # widths of the raster's line: below it a segment has one shade across
+THIN = 1.0  # widths of the raster's line: below it a segment is one
+BELOW_ONE = 1 - 2.0**-24  # the largest float32
+FEW = 0.02  # of the strands: what they alone would save costs more to find
+NARROW = 1e-3  # pixels: shorter segments have no direction on the screen
+
+
+@dataclass(frozen=True, eq=False)
+class Strands:
+    """The points of strands that can be drawn: finite ones, no two in one place, at least two to a strand."""
+
+    origin: np.ndarray  # (3,) float64
+    source: np.ndarray  # (P,) int64: rows of the `Lines` that they come from
+    position: np.ndarray  # (P, 3) float32
+    radius: np.ndarray  # (P,) float32, at least 0
+    start: np.ndarray  # (S + 1,) int64
+    tangent: np.ndarray  # (P, 3) float32, unit
+    side: np.ndarray | None  # (P, 3) float32, unit: across a ribbon; None: tubes
+    material: np.ndarray  # (S,) int64
+    levels: tuple[Level, ...]
+    detail: np.ndarray  # (S,) int8: up to this level, attributes change too little to be seen
+    dropped: int  # points that are not finite
+
+    def __len__(self) -> int:
+        """How many points."""
+        return len(self.position)
+
+    @property
+    def nbytes(self) -> int:
+        arrays = [self.source, self.position, self.radius, self.start, self.tangent, self.material, self.detail]
+        arrays += [] if self.side is None else [self.side]
+        arrays += [a for level in self.levels for a in (level.middle, level.low, level.high, level.first, level.strand)]
+        return sum(a.nbytes for a in arrays)
+
+    @cached_property
+    def phase(self) -> np.ndarray:
+        """(S,) float64 in [0, 1): evenly spread over each BLOCK of strands, and without order within it. A sequence
+        with one, as multiples of the golden ratio, may be that in which the strands were laid out: then those that a
+        sample shows would lie side by side."""
+        count = len(self.start) - 1
+        block = np.arange(count) // BLOCK
+        lot, off = np.random.default_rng(count).random((2, count))
+        rank = np.empty(count)
+        rank[np.lexsort((lot, block))] = np.arange(count) - BLOCK * block
+        return (rank + off) / np.minimum(BLOCK, count - BLOCK * block)
+
+    @cached_property
+    def strand(self) -> np.ndarray:
+        """(P,) int32: which strand each point belongs to."""
+        return np.repeat(np.arange(len(self.start) - 1, dtype=np.int32), np.diff(self.start))
+
+    @cached_property
+    def local(self) -> np.ndarray:
+        """(P,) int32: the how manieth of its strand each point is."""
+        return (np.arange(len(self)) - self.start[self.strand]).astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """The points that one halving leaves out, each between two that stay."""
+
+    middle: np.ndarray  # (N,) int32
+    low: np.ndarray  # (N,) int32
+    high: np.ndarray  # (N,) int32
+    first: np.ndarray  # (R,) int64: rows where another strand begins
+    strand: np.ndarray  # (R,) int32: which
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """What one view draws of the strands of one geometry."""
+
+    ends: np.ndarray  # (K, 2) int32: points of `Strands`
+    instance: np.ndarray  # (K,) int32: rows of Scene.instances
+    material: np.ndarray  # (K,) int32
+    phase: np.ndarray  # (K,) float32 in [0, 1): evenly spread over strands
+    share: np.ndarray  # (K, 2) float32: of the raster line's width, at both ends
+    strands: int  # that have a segment in the list
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+    @cached_property
+    def most(self) -> np.ndarray:
+        """(K,) float32: the greater share of the two ends."""
+        return np.maximum(self.share[:, 0], self.share[:, 1])  # several times as fast as along the short axis
+
+    @cached_property
+    def wide(self) -> np.ndarray:
+        """(K,) int64: segments that are drawn with their outlines in every sample, and may be seen to be round."""
+        return np.flatnonzero(self.most >= ROUND)
+
+    @cached_property
+    def narrow(self) -> np.ndarray:
+        """(K,) int64: segments that are drawn with their outlines in every sample, and are too narrow for more."""
+        return np.flatnonzero((self.most >= THIN) & (self.most < ROUND))
+
+    @cached_property
+    def thin(self) -> np.ndarray:
+        """(K,) int64: segments that are lines of one pixel in some samples."""
+        return np.flatnonzero((self.most < THIN) & (self.most > 0))
+
+    def drawn(self, turn: float) -> np.ndarray:
+        """(N,) int64: the thin ones of a sample, whose `turn` is one of `turns`."""
+        index = self.thin
+        if len(index) == 0:
+            return index
+        phase = (self.phase[index] + np.float32(turn)) % np.float32(1)
+        return index[phase < self.most[index]]
+
+
+def turns(count: int) -> np.ndarray:
+    """(count,) float64: k / count in an order in which any first ones lie evenly. With frac(phase + turn) < a, a strand
+    of share a is drawn in floor or ceil(a count) samples of all, and so in the first half of them."""
+    index, inverse = np.arange(count), np.zeros(count)
+    base = 0.5
+    while index.any():
+        inverse += base * (index & 1)
+        index >>= 1
+        base /= 2
+    turn = np.empty(count)
+    turn[:] = np.argsort(np.argsort(inverse)) / count
+    return turn
+
+
+def clean(lines: Lines) -> Strands:
+    """The strands without points that are not finite, which break a strand in two, and without repeated ones."""
+    position = np.asarray(lines.position, np.float32).reshape(-1, 3)[:MOST_POINTS]
+    count = len(position)
+    start = np.minimum(np.asarray(lines.start, np.int64), count)
+    with np.errstate(invalid="ignore"):
+        good = (np.abs(position) < FARTHEST).all(axis=1) & (np.abs(lines.radius[:count]) < FARTHEST)
+    owner = np.full(count, -1, np.int64)
+    owner[start[0] : start[-1]] = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    good &= owner >= 0
+    begins = np.ones(count, bool)
+    begins[1:] = (owner[1:] != owner[:-1]) | ~good[:-1]
+    repeated = np.zeros(count, bool)
+    repeated[1:] = (position[1:] == position[:-1]).all(axis=1) & ~begins[1:]
+    kept = np.flatnonzero(good & ~repeated)
+    run = np.cumsum(begins)[kept]
+    length = np.bincount(run) if len(run) else np.zeros(1, np.int64)
+    kept = kept[length[run] > 1]
+    length = length[length > 1]
+    start = np.concatenate([[0], np.cumsum(length)]).astype(np.int64)
+
+    p = position[kept]
+    tangent = _tangents(p, start)
+    side = None if lines.normal is None else _sides(np.asarray(lines.normal, np.float32)[kept], tangent)
+    owner = owner[kept[start[:-1]]]
+    rows = np.full(len(owner), lines.materials[0]) if lines.material is None else lines.material[owner].astype(np.int64)
+    levels = _levels(start)
+    values = [a[kept] for a in (lines.color, lines.surface, lines.emission) if a is not None]
+    detail = _detail(np.concatenate(values, axis=1) if values else None, levels, len(start) - 1)
+    radius = np.maximum(np.asarray(lines.radius, np.float32)[kept], 0)
+    dropped = int(count - np.count_nonzero(good))
+    return Strands(
+        np.asarray(lines.origin, float), kept, p, radius, start, tangent, side, rows, levels, detail, dropped
+    )
+
+
+def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """(P, 3) float32 unit, by the neighbours of each point."""
+    before, after = np.arange(len(p)) - 1, np.arange(len(p)) + 1
+    before[start[:-1]], after[start[1:] - 1] = start[:-1], start[1:] - 1
+    # Of the directions to both neighbours, so that long and short segments count alike.
+    back, on = p - p[before], p[after] - p
+    for d in (back, on):
+        d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), np.float32(1e-37))
+    both = back + on
+    size = np.linalg.norm(both, axis=1, keepdims=True)
+    turned = size[:, 0] < 1e-3  # the strand goes back where it came from
+    both[turned], size[turned] = on[turned], 1
+    # Closed strands go on.
+    ends = start[:-1], start[1:] - 1
+    closed = np.flatnonzero((p[ends[0]] == p[ends[1]]).all(axis=1)) if len(start) > 1 else np.empty(0, int)
+    result = both / np.maximum(size, np.float32(1e-37))
+    if len(closed):
+        a, b = ends[0][closed], ends[1][closed]
+        joint = result[a] + result[b]
+        long = np.linalg.norm(joint, axis=1, keepdims=True)
+        good = long[:, 0] > 1e-3
+        result[a[good]] = result[b[good]] = joint[good] / long[good]
+    return result
+
+
+def _sides(normal: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """(P, 3) float32 unit, perpendicular to tangents and normals; any, where these are no directions."""
+    side = np.cross(np.nan_to_num(normal, posinf=0.0, neginf=0.0), tangent)
+    size = np.linalg.norm(side, axis=1, keepdims=True)
+    other = np.cross(np.eye(3, dtype=np.float32)[np.abs(tangent).argmin(axis=1)], tangent)
+    other /= np.maximum(np.linalg.norm(other, axis=1, keepdims=True), np.float32(1e-37))
+    return np.where(size > 1e-6, side / np.maximum(size, np.float32(1e-37)), other).astype(np.float32)
+
+
+def _levels(start: np.ndarray) -> tuple[Level, ...]:
+    """Level k leaves out points whose number in their strand is an odd multiple of 2^k; ends stay."""
+    longest = int(np.diff(start).max(initial=0))
+    found, step = [], 1
+    while 2 * step <= longest:
+        inner = np.maximum((np.diff(start) - 2) // step + 1, 0) // 2  # odd multiples of `step` before the last point
+        strand = np.repeat(np.arange(len(inner), dtype=np.int32), inner)
+        number = np.arange(len(strand)) - np.repeat(np.cumsum(inner) - inner, inner)
+        middle = start[strand] + step * (2 * number + 1)
+        high = np.minimum(middle + step, start[strand + 1] - 1)
+        some = np.flatnonzero(inner)
+        first = (np.cumsum(inner) - inner)[some]
+        middle, low, high = (a.astype(np.int32) for a in (middle, middle - step, high))
+        found.append(Level(middle, low, high, first, some.astype(np.int32)))
+        step *= 2
+    return tuple(level for level in found if len(level.middle))
+
+
+def _detail(values: np.ndarray | None, levels: tuple[Level, ...], strands: int) -> np.ndarray:
+    """(S,) int8: the level up to which values (P, C) are linear enough."""
+    if values is None:
+        return np.full(strands, 127, np.int8)
+    values = np.nan_to_num(values)
+    largest = np.maximum(np.abs(values).max(axis=0, initial=0), 1)
+    off, result = np.zeros(strands), np.zeros(strands, np.int8)
+    fine = np.ones(strands, bool)
+    for number, level in enumerate(levels, 1):
+        span = (level.high - level.low)[:, None]
+        part = (level.middle - level.low)[:, None] / span
+        between = values[level.low] * (1 - part) + values[level.high] * part
+        error = (np.abs(values[level.middle] - between) / largest).max(axis=1)
+        off[level.strand] += np.maximum.reduceat(error, level.first)
+        fine &= off <= SEEN_CHANGE
+        result[fine] = number
+    return result
+
+
+def select(strands: Strands, view_from_object: np.ndarray, instance: int, camera: Camera, tolerance: float) -> Segments:
+    """The segments of one instance (its row in Scene.instances) that `camera` may see; (4, 4) float64 matrix.
+
+    Widths of tubes scale with the cube root of the instance's volume; ribbons are scaled as surfaces are.
+    """
+    picture = _projected(strands, view_from_object, camera)
+    level = _coarsest(strands, picture, ERROR * tolerance)
+    kept = strands.local & ((np.int32(1) << level) - 1)[strands.strand] == 0
+    kept[strands.start[1:] - 1] = True
+    index = np.flatnonzero(kept)
+    first, last = index[:-1], index[1:]
+    whole = strands.strand[first] == strands.strand[last]
+    first, last = first[whole], last[whole]
+    seen = _seen(picture, first, last, camera)
+    first, last = first[seen], last[seen]
+    share = _shares(picture, first, last, level[strands.strand[first]] > 0)
+    visible = (share[:, 0] > 0) | (share[:, 1] > 0)
+    first, last, share = first[visible], last[visible], share[visible]
+    strand = strands.strand[first]
+    phase = (strands.phase[strand] + instance * GOLDEN) % 1
+    return Segments(
+        np.stack([first, last], axis=1).astype(np.int32),
+        np.full(len(first), instance, np.int32),
+        strands.material[strand].astype(np.int32),
+        np.minimum(phase, BELOW_ONE).astype(np.float32),
+        share,
+        int(np.count_nonzero(np.diff(strand)) + 1) if len(strand) else 0,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """Points of strands as one view sees them."""
+
+    place: np.ndarray  # (P, 2) float32, pixels; of what lies before the near plane as if it lay in it
+    depth: np.ndarray  # (P,) float32
+    reach: np.ndarray  # (P,) float32: radius in view space
+    width: np.ndarray  # (P,) float32, pixels
+    across: np.ndarray | None  # (P, 2) float32, pixels: from a ribbon's middle to its edge; None: tubes
+    length: np.ndarray  # (P - 1,) float32: pixels from each point to the next
+    area: np.ndarray  # (P,) float64: pixels^2 from the first point to each
+
+
+def _projected(strands: Strands, view_from_object: np.ndarray, camera: Camera) -> _Picture:
+    linear = view_from_object[:3, :3]
+    with np.errstate(all="ignore"):
+        shift = (linear @ strands.origin + view_from_object[:3, 3]).astype(np.float32)
+        p = strands.position @ linear.T.astype(np.float32) + shift
+        scale = np.float32(lengths_scale(view_from_object[None])[0])
+        fx, fy, cx, cy = camera.pixel_from_view()
+        depth = -p[:, 2]
+        inverse = np.ones_like(depth)
+        if camera.perspective:
+            inverse = 1 / np.maximum(depth, np.float32(max(camera.near, 1e-6)))
+        q = np.stack([p[:, 0] * (inverse * fx) + cx, p[:, 1] * (inverse * fy) + cy], axis=1).astype(np.float32)
+        reach, across = strands.radius * scale, None
+        if strands.side is None:
+            width = (2 * np.float32(np.sqrt(abs(fx * fy)))) * reach * inverse
+        else:
+            side = (strands.side * strands.radius[:, None]) @ linear.T.astype(np.float32)
+            reach = np.sqrt(np.einsum("nc,nc->n", side, side))
+            # How the picture of a ribbon's edge lies beside that of its middle.
+            nearer = side[:, 2] * inverse if camera.perspective else np.zeros_like(depth)
+            columns = [f * inverse * (side[:, i] + p[:, i] * nearer) for i, f in enumerate((fx, fy))]
+            across = np.stack(columns, axis=1).astype(np.float32)
+            width = 2 * np.sqrt(np.einsum("nc,nc->n", across, across))
+        step = np.diff(q, axis=0)
+        length = np.sqrt(np.einsum("nc,nc->n", step, step))
+        if across is None:
+            area = length * (0.5 * (width[1:] + width[:-1]))
+        else:
+            x, y = step.T
+            area = np.abs(across[:-1, 0] * y - across[:-1, 1] * x) + np.abs(across[1:, 0] * y - across[1:, 1] * x)
+    area[strands.start[1:-1] - 1] = 0  # between strands
+    summed = np.concatenate([[0.0], np.cumsum(area, dtype=np.float64)])
+    return _Picture(q, depth, reach, width, across, length, summed)
+
+
+def _seen(picture: _Picture, first: np.ndarray, last: np.ndarray, camera: Camera) -> np.ndarray:
+    """(K,) bool: segments from `first` to `last` that may be in the picture."""
+    margin = 0.5 * np.maximum(picture.width[first], picture.width[last]) + 2
+    seen = np.ones(len(first), bool)
+    # Coordinate by coordinate: along a short axis NumPy takes many times as long.
+    for place, most in zip(picture.place.T, camera.window[2:], strict=True):
+        x, y = place[first], place[last]
+        seen &= (np.minimum(x, y) < most + margin) & (np.maximum(x, y) > -margin)
+    a, b = picture.depth[first], picture.depth[last]
+    nearest, farthest = np.minimum(a, b), np.maximum(a, b)
+    seen |= nearest < camera.near  # what is behind the eye has no picture
+    reach = np.maximum(picture.reach[first], picture.reach[last])
+    return seen & (farthest + reach > camera.near) & (nearest - reach < camera.far)
+
+
+def _shares(picture: _Picture, first: np.ndarray, last: np.ndarray, thinned: np.ndarray) -> np.ndarray:
+    """(K, 2) float32: widths at the ends of segments over that of the raster's line, which is one pixel along the
+    nearer axis. Segments that stand for several (`thinned`) have the area of these."""
+    chord = picture.place[last] - picture.place[first]
+    size = np.sqrt(np.einsum("nc,nc->n", chord, chord))
+    line = np.where(size > NARROW, np.maximum(*np.abs(chord.T)) / np.maximum(size, NARROW), 1)
+    across = picture.across
+    if across is None:
+        wide = np.stack([picture.width[first], picture.width[last]], axis=1)
+    else:
+        x, y = (chord / np.maximum(size, NARROW)[:, None]).T
+        wide = 2 * np.stack([np.abs(across[i, 0] * y - across[i, 1] * x) for i in (first, last)], axis=1)
+    if thinned.any():
+        covers = (picture.area[last] - picture.area[first]).astype(np.float32)
+        straight = 0.5 * (wide[:, 0] + wide[:, 1]) * size
+        alike = thinned & (straight > 0.25 * covers)
+        wide[alike] *= (covers[alike] / straight[alike])[:, None]
+        other = thinned & ~alike
+        wide[other] = (covers[other] / np.maximum(size[other], NARROW))[:, None]
+    return np.nan_to_num(wide / line[:, None], posinf=1e30).astype(np.float32)
+
+
+def lengths_scale(view_from_object: np.ndarray) -> np.ndarray:
+    """(I,) float64: by how much matrices (I, 4, 4) scale the radii of tubes; 0 where they are not finite."""
+    with np.errstate(all="ignore"):
+        return np.nan_to_num(np.cbrt(np.abs(np.linalg.det(view_from_object[:, :3, :3]))), posinf=0.0)
+
+
+def _coarsest(strands: Strands, picture: _Picture, allowed: float) -> np.ndarray:
+    """(S,) int32: the level that each strand is drawn at, with outlines that are off by at most `allowed` pixels."""
+    q, length = picture.place, picture.length
+    beside = 0.5 * picture.width[:, None] if picture.across is None else picture.across
+    count = len(strands.start) - 1
+    level, off = np.zeros(count, np.int32), np.zeros(count, np.float32)
+    total = np.add.reduceat(np.append(length, np.float32(0)), strands.start[:-1]) if count else off
+    total -= np.append(length, np.float32(0))[strands.start[1:] - 1] if count else 0
+    # Segments of the next level are half as many.
+    short = np.floor(np.log2(np.maximum(SHORT * np.diff(strands.start) / np.maximum(total, 1e-20), 1)))
+    most = np.maximum(strands.detail, np.minimum(short, 126))
+    fine = np.ones(count, bool)
+    for number, part in enumerate(strands.levels, 1):
+        a, b, m = q[part.low], q[part.high], q[part.middle]
+        chord, to = b - a, m - a
+        squared = np.maximum(np.einsum("nc,nc->n", chord, chord), np.float32(1e-12))
+        t = np.clip(np.einsum("nc,nc->n", chord, to) / squared, 0, 1)[:, None]
+        away = to - t * chord
+        error = np.sqrt(np.einsum("nc,nc->n", away, away))
+        edge = beside[part.middle] - (beside[part.low] * (1 - t) + beside[part.high] * t)
+        error += np.sqrt(np.einsum("nc,nc->n", edge, edge))
+        off[part.strand] += np.maximum.reduceat(error, part.first)
+        fine &= (off <= allowed) & (most >= number)
+        if np.count_nonzero(fine) <= FEW * count:
+            break
+        # A strand that has nothing left to leave out is no coarser.
+        level[part.strand[fine[part.strand]]] = number
+    return level
+
+
+def together(parts: list[Segments]) -> Segments:
+    """The segments of several instances as one list."""
+    if len(parts) == 1:
+        return parts[0]
+    ends, instance, material, phase, share = (
+        np.concatenate(arrays)
+        for arrays in zip(*((p.ends, p.instance, p.material, p.phase, p.share) for p in parts), strict=True)
+    )
+    return Segments(ends, instance, material, phase, share, sum(p.strands for p in parts))

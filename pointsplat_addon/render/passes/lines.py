@@ -1,0 +1,158 @@
+"""Strands: control points in textures, segments of them into the G-buffer as polygons are (Marroquim et al. 2008, 4).
+
+A page holds the points of one geometry, texture by texture, one texel a point:
+  point     xyz relative to the geometry's origin; radius
+  tangent   unit, along the strand
+  side      unit, across a ribbon
+  color, surface, emission   as in pages of splats, where the scene has them
+Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); share of the
+raster line's width at both ends, phase. Lists hold the texel of each segment that is drawn. Thin ones are raster lines
+of one pixel and have a list for each sample: core/strands.py says which. The others have one for all samples: tubes
+that may be seen to be round are met by the pixels' rays; narrower ones are strips that face the eye, as ribbons are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.lines import Lines
+from ...core.scene import MaterialTable
+from ...core.strands import Segments, Strands
+from ...shading.interface import Interface
+from ..device import Device, Texture
+from ..packing import PAGE_WIDTH, paged
+from .common import FRAME, GBuffer, Variant
+
+CHUNK = 1 << 20  # segments of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
+TEXELS = 2  # of a segment
+
+
+class LinePage:
+    """The control points of one geometry on the device."""
+
+    def __init__(self, device: Device, lines: Lines, strands: Strands, variant: Variant, table: MaterialTable) -> None:
+        self._device, self.textures = device, {}
+        self.ribbon = strands.side is not None
+        self._upload("point", "RGBA32F", 4, np.column_stack([strands.position, strands.radius]))
+        self._upload("tangent", "RGBA32F", 4, strands.tangent)
+        if strands.side is not None:
+            self._upload("side", "RGBA32F", 4, strands.side)
+        rows = strands.material[strands.strand]
+        surface = np.stack([table.roughness, table.metallic], axis=1)
+        for name, format, channels, on, given, constant in (
+            ("color", "RGBA16F", 4, variant.color, lines.color, table.base_color),
+            ("surface", "RG32F", 2, variant.surface, lines.surface, surface),
+            ("emission", "RGBA16F", 4, variant.emission, lines.emission, table.emission),
+        ):
+            if on:
+                self._upload(name, format, channels, constant[rows] if given is None else given[strands.source])
+
+    def _upload(self, name: str, format: str, channels: int, values: np.ndarray) -> None:
+        size, data = paged(values, channels)
+        self.textures[f"ps_{name}"] = self._device.texture(size, format, data)
+
+    def release(self) -> None:
+        for texture in self.textures.values():
+            texture.release()
+
+
+class LineDraw:
+    """What one view draws of one geometry."""
+
+    def __init__(self, device: Device, page: LinePage, segments: Segments, holdout: np.ndarray | None = None) -> None:
+        """holdout: (I,) bool, of all instances."""
+        self.device, self.page, self.segments = device, page, segments
+        rows = np.zeros((len(segments), TEXELS, 4), np.float32)
+        rows[:, 0, :2] = segments.ends
+        rows[:, 0, 2], rows[:, 0, 3] = segments.instance, segments.material
+        if holdout is not None:
+            cut = holdout[segments.instance]
+            rows[cut, 0, 3] = -1 - segments.material[cut]
+        rows[:, 1, :2], rows[:, 1, 2] = segments.share, segments.phase
+        size, data = paged(rows.reshape(-1, 4), 4)
+        self.texture = device.texture(size, "RGBA32F", data)
+        ribbon = page.ribbon
+        self.wide = None if ribbon else self._listed(segments.wide)
+        self.narrow = self._listed(np.concatenate([segments.narrow, segments.wide]) if ribbon else segments.narrow)
+        self.thin: tuple[Texture, int] | None = None
+        self.turn = -1.0  # of the sample that thin ones are listed for
+        self.drawn = 0  # segments of all samples
+
+    def _listed(self, index: np.ndarray) -> tuple[Texture, int] | None:
+        if len(index) == 0:
+            return None
+        texel = TEXELS * index
+        size, data = paged(np.stack([texel % PAGE_WIDTH, texel // PAGE_WIDTH], axis=1), 2)
+        return self.device.texture(size, "RG32F", data), len(index)
+
+    def list_thin(self, turn: float) -> None:
+        """List the thin segments of the sample with this turn."""
+        if turn != self.turn:
+            self._forget()
+            self.thin, self.turn = self._listed(self.segments.drawn(turn)), turn
+        self.drawn += sum(count for _, count in self.lists().values())
+
+    def lists(self) -> dict[str, tuple[Texture, int]]:
+        """Texture and length of the list of each kind that there is."""
+        named = {"TUBE": self.wide, "STRIP": self.narrow, "THIN": self.thin}
+        return {kind: listed for kind, listed in named.items() if listed is not None}
+
+    def _forget(self) -> None:
+        if self.thin is not None:
+            self.thin[0].release()
+        self.thin = None
+
+    def release(self) -> None:
+        self._forget()
+        for texture, _ in self.lists().values():
+            texture.release()
+        self.texture.release()
+
+
+def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
+    """The program for one variant of the G-buffer and one kind of segments: THIN, STRIP or TUBE."""
+    thin, tube = kind == "THIN", kind == "TUBE"
+    fetched = ["ps_list", "ps_segments", "ps_point", "ps_instances"]
+    fetched += ["ps_tangent"] if variant.normal else []
+    fetched += ["ps_side"] if ribbon else []
+    fetched += ["ps_materials"] if tube and variant.normal else []
+    named = {"color": variant.color, "surface": variant.surface, "emission": variant.emission}
+    fetched += [f"ps_{name}" for name, on in named.items() if on]
+    varyings = [("flat", "vec4", "v_segment")]
+    if tube:
+        varyings += [("flat", "vec4", "v_from"), ("flat", "vec4", "v_to")]
+    else:
+        varyings += [("smooth", "vec3", "v_position"), ("smooth", "float", "v_along")]
+        varyings += [("smooth", "vec3", "v_normal")] if variant.normal else []
+        varyings += [("smooth", "vec2", "v_share")] if thin else []
+    kinds = {"PS_THIN": thin, "PS_RIBBON": ribbon, "PS_TUBE": tube}
+    return Interface(
+        "lines", vertex="lines.vert", fragment="lines.frag", block=FRAME,
+        samplers=tuple(("FLOAT_2D", name) for name in fetched),
+        varyings=tuple(varyings), outputs=variant.front_outputs, depth=True,
+        defines=(*variant.front_defines, *((name, "1") for name, on in kinds.items() if on)),
+    )  # fmt: skip
+
+
+def draw(
+    device: Device,
+    variant: Variant,
+    draws: list[LineDraw],
+    record: np.ndarray,
+    shared: dict[str, Texture],
+    out: GBuffer,
+) -> None:
+    """All strands of one sample into the G-buffer."""
+    for part in draws:
+        record["lens"][0, 3] = part.turn
+        for kind, listed in part.lists().items():
+            thin = kind == "THIN"
+            texture, total = listed
+            textures = {**shared, **part.page.textures, "ps_segments": part.texture, "ps_list": texture}
+            for first in range(0, total, CHUNK):
+                record["page"][0, 0] = first
+                device.draw(
+                    program(variant, part.page.ribbon, kind), out.target, uniforms=record, textures=textures,
+                    vertices=min(CHUNK, total - first) * (2 if thin else 6),
+                    primitive="LINES" if thin else "TRIANGLES", depth_test=True,
+                )  # fmt: skip

@@ -1,0 +1,18 @@
+"""What EWA leaves out is the same on Blender's gpu and on moderngl."""
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+gpu = pytest.importorskip("gpu")
+
+from tests.blender.test_devices_agree import blender, opengl, pictures  # noqa: E402, F401
+from tests.render.test_ewa_cover import SCENES, case  # noqa: E402
+
+
+@pytest.mark.parametrize("name", ["with a hole", "wide, behind wires"])
+def test_blenders_gpu_and_moderngl_leave_out_the_same(blender, opengl, name):  # noqa: F811 - fixtures
+    things = SCENES[name][0]
+    thing = case(f"left out {name}", *things)
+    here, there = opengl(thing, True), pictures(blender, thing)
+    assert np.abs(here["combined"] - there["combined"]).max() <= 2 / 255  # measured 0, where both run on one driver

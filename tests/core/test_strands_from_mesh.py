@@ -1,0 +1,128 @@
+"""Branches and leaves of meshes as tubes and ribbons."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.strands_from_mesh import find, parts_of
+
+
+def branch(sides, rings, *, tip=False, bend=0.0):
+    """Vertices and triangles of a tapering tube along z, and its rings' middles."""
+    angle = np.arange(sides) * 2 * np.pi / sides
+    at = np.arange(rings)
+    radius = 0.1 - 0.05 * at / rings
+    middle = np.stack([bend * at**2, 0 * at, 0.3 * at], axis=1)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    vertices = (middle[:, None] + radius[:, None, None] * circle).reshape(-1, 3)
+    low = (at[:-1, None] * sides + np.arange(sides)).ravel()
+    after = (at[:-1, None] * sides + (np.arange(sides) + 1) % sides).ravel()
+    faces = np.concatenate([
+        np.stack([low, after, after + sides], axis=1),
+        np.stack([low, after + sides, low + sides], axis=1),
+    ])  # fmt: skip
+    if tip:
+        middle = np.concatenate([middle, middle[-1:] + np.array([0, 0, 0.3])])
+        vertices = np.concatenate([vertices, middle[-1:]])
+        ring = (rings - 1) * sides + np.arange(sides)
+        faces = np.concatenate([faces, np.stack([ring, np.roll(ring, -1), np.full(sides, len(vertices) - 1)], axis=1)])
+    return vertices, faces, middle
+
+
+def joined(*parts):
+    vertices = np.concatenate([p[0] for p in parts])
+    first = np.cumsum([0, *[len(p[0]) for p in parts[:-1]]])
+    return vertices, np.concatenate([p[1] + f for p, f in zip(parts, first, strict=True)])
+
+
+QUAD = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 1, 0], [0, 1, 0]], float), np.array([[0, 1, 2], [0, 2, 3]])
+CUBE = (
+    np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float),
+    np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+              [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("sides", [3, 6, 11])
+@pytest.mark.parametrize("tip", [False, True])
+def test_rings_become_a_tube_through_their_middles(sides, tip):
+    vertices, faces, middle = branch(sides, 7, tip=tip, bend=0.01)
+    found = find(vertices, faces)
+    assert len(found) == found.parts == 1
+    assert not found.left.any()
+    assert not found.ribbon.any()
+    order = slice(None) if np.allclose(found.position[0], middle[0]) else slice(None, None, -1)
+    np.testing.assert_allclose(found.position[order], middle, atol=1e-12)
+    # A polygon's mean width over a circle's: its length over that of a circle
+    expected = (0.1 - 0.05 * np.arange(7) / 7) * sides * np.sin(np.pi / sides) / np.pi
+    np.testing.assert_allclose(found.radius[order][:7], expected, rtol=1e-12)
+    assert not tip or found.radius[order][7] == 0
+
+
+def test_leaves_of_two_to_four_triangles_become_ribbons_of_their_area():
+    four = np.concatenate([QUAD[0], [[0.1, 2, 0.1], [0, 2, 0.1]]])
+    kite = np.concatenate([QUAD[0], [[0.05, 1.5, 0]]])
+    parts = QUAD, (four, np.array([[0, 1, 2], [0, 2, 3], [3, 2, 4], [3, 4, 5]])), (kite, np.array(
+        [[0, 1, 2], [0, 2, 3], [3, 2, 4]]))  # fmt: skip
+    found = find(*joined(*parts))
+    assert found.ribbon.tolist() == [True] * 3
+    assert not found.left.any()
+    points = [found.position[a:b] for a, b in zip(found.start[:-1], found.start[1:], strict=True)]
+    assert sorted(len(p) for p in points) == [2, 3, 3]
+    for p in points:
+        np.testing.assert_allclose(p[:, 0], 0.05, atol=1e-15)
+    area = sum(
+        (np.linalg.norm(np.diff(p, axis=0), axis=1) * (r[1:] + r[:-1])).sum()
+        for p, r in zip(points, np.split(found.radius, found.start[1:-1]), strict=True)
+    )
+    assert area == pytest.approx(0.1 + 0.1 + 0.1 * np.hypot(1, 0.1) + 0.125, rel=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1, atol=1e-12)
+
+
+def test_what_has_no_structure_stays_and_is_counted():
+    single = np.eye(3), np.array([[0, 1, 2]])
+    found = find(*joined(CUBE, QUAD, single, branch(5, 4)[:2]))
+    assert found.parts == 4
+    assert len(found) == 2
+    assert found.left.sum() == 12 + 1
+    assert found.left[:12].all()
+
+
+def split_edge(vertices, faces, a, b):
+    """The mesh with a vertex in the middle of an edge."""
+    new = len(vertices)
+    vertices = np.concatenate([vertices, vertices[[a, b]].mean(axis=0, keepdims=True)])
+    on = (faces == a).any(axis=1) & (faces == b).any(axis=1)
+    halves = [np.where(faces[on] == end, new, faces[on]) for end in (a, b)]
+    return vertices, np.concatenate([faces[~on], *halves])
+
+
+def test_a_sleeve_whose_vertices_make_no_rings_is_cut_across():
+    vertices, faces, middle = branch(8, 6)
+    for a, b in ((8, 16), (18, 26), (12, 20)):
+        vertices, faces = split_edge(vertices, faces, a, b)
+    found = find(vertices, faces)
+    assert len(found) == 1
+    assert not found.left.any()
+    ends = found.position[[0, -1]]
+    np.testing.assert_allclose(ends[np.argsort(ends[:, 2])], middle[[0, -1]], atol=1e-12)
+    assert np.abs(found.position[:, :2]).max() < 1e-12  # measured 4e-18
+    expected = np.interp(found.position[:, 2], middle[:, 2], 0.1 - 0.05 * np.arange(6) / 6)
+    expected *= 8 * np.sin(np.pi / 8) / np.pi
+    assert np.abs(found.radius / expected - 1).max() < 1e-6  # measured 1.7e-8
+    # Pressed flat it is no tube
+    assert len(find(vertices * np.array([1, 0.01, 1]), faces)) == 0
+
+
+def test_parts_are_found_in_any_order_of_triangles():
+    random = np.random.default_rng(0)
+    chains = [np.stack([np.arange(n - 2), np.arange(1, n - 1), np.arange(2, n)], axis=1) for n in (3, 500, 40)]
+    first = np.cumsum([0, 3, 500])
+    triangles = np.concatenate([c + f for c, f in zip(chains, first, strict=True)])
+    shuffled = random.permutation(543)
+    triangles = shuffled[triangles][random.permutation(len(triangles))]
+    label = parts_of(triangles, 543)
+    groups = [np.unique(label[shuffled[f : f + n]]) for f, n in zip(first, (3, 500, 40), strict=True)]
+    assert [len(g) for g in groups] == [1, 1, 1]
+    assert len(np.unique(label)) == 3
