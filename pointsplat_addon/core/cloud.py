@@ -54,8 +54,8 @@ class PointCloud:
         None  # (N,) uint8, row of core.kernel.PROFILES: shape of splats that light passes through
     )
     apart: np.ndarray | None = None  # (N,) bool: an opaque splat that closes no surface with its neighbours (leaves)
-    # (N, 4, 3) int8, 127 times normals of which a splat shows one that faces the viewer, where it stands for a rough
-    # surface; zeros: its own.
+    # (N, 4, 3) int8, 127 times normals of which a splat shows one that faces the viewer, where it stands for a surface
+    # that is turned to several sides: as long as the shares that these have in its area. Zeros: its own.
     facets: np.ndarray | None = None
 
     def __post_init__(self) -> None:

@@ -36,11 +36,6 @@ OPAQUE = 100.0  # optical depth of an opaque splat
 # standard deviation of 0.29 of the cell leaves ripples of 28 %, one of 0.33 of 12 %), and outlines grow no more than
 # the thickness at which they are seen shrinks.
 WIDER = 1.15
-SIDE_CELLS = 32  # across: what is rougher than one of them has one side
-ROUGH = 0.4  # length of the mean normal in a cell above which it has one
-SMOOTH, MOSTLY = 0.9, 0.9  # above which length a cell is smooth, and of which share of the area a body is
-# Directions of sides: along the axes, as walls are, and not where walls at 45 degrees between them would fall apart.
-TURN = np.linalg.qr(np.array([[1, 0.13, 0.09], [-0.13, 1, 0.17], [-0.09, -0.17, 1]]))[0].astype(np.float32)
 CELL = 4.5 / np.pi  # surface of a cube over that of the ellipsoid that has its moments
 AVERAGED = ("color", "opacity", "surface", "emission", "shading_normal", "extinction", "value")
 
@@ -98,9 +93,8 @@ class Hierarchy:
         return self.cloud.nbytes + sum(a.nbytes for a in held if isinstance(a, np.ndarray))
 
 
-def build(cloud: PointCloud, leaf_size: int = LEAF_SIZE, sided: bool = False) -> Hierarchy:
-    """The point-octree of a cloud, with leaves of at most `leaf_size` points where points are distinct. `sided`: no
-    node but the root holds parts of a surface that are turned to different sides (Pajarola 2003 splits by normals).
+def build(cloud: PointCloud, leaf_size: int = LEAF_SIZE) -> Hierarchy:
+    """The point-octree of a cloud, with leaves of at most `leaf_size` points where points are distinct.
 
     Raises ValueError for a NaN or infinity in any attribute, negative radii, leaf_size < 1, or 2^31 points or more.
     """
@@ -109,43 +103,8 @@ def build(cloud: PointCloud, leaf_size: int = LEAF_SIZE, sided: bool = False) ->
     if len(cloud) >= 2**31:
         raise ValueError(f"{len(cloud)} points do not fit 32-bit links")
     check(cloud)
-    order, tree = partition(cloud.position, leaf_size, sides(cloud) if sided else None)
+    order, tree = partition(cloud.position, leaf_size)
     return _evaluate(_gather(cloud, order), order, tree)
-
-
-def sides(cloud: PointCloud) -> np.ndarray | None:
-    """(N,) uint8: to which of six sides the surface is turned at each point. None where light passes through it, splats
-    stand apart, or the surface is smooth nearly everywhere. Nodes of one side have neither the colour nor the normal
-    of what lies behind a thin wall, or around an edge.
-
-    What is turned elsewhere than the surface around it in the mean, and not back to back with it, as the reveals of
-    windows are, counts to that.
-    """
-    if cloud.normal is None or cloud.opacity is not None or cloud.extinction is not None or cloud.apart is not None:
-        return None
-    n = cloud.normal
-    if len(n) == 0:
-        return None
-    low, high = cloud.position.min(axis=0), cloud.position.max(axis=0)
-    side = max(float((high - low).max()), 1e-30)
-    x, y, z = ((cloud.position[:, i] - low[i]) * np.float32((SIDE_CELLS - 0.01) / side) for i in range(3))
-    cell = (x.astype(np.int32) * SIDE_CELLS + y.astype(np.int32)) * SIDE_CELLS + z.astype(np.int32)
-    weight = splat_weight(cloud, slice(None))
-    mean = np.stack([np.bincount(cell, weight * n[:, i]) for i in range(3)], axis=1)
-    mean /= np.maximum(np.bincount(cell, weight), 1e-300)[:, None]
-    around = mean.astype(np.float32)[cell]
-    length = np.sqrt((around * around).sum(axis=1))
-    if weight[length > SMOOTH].sum() > MOSTLY * weight.sum():
-        return None
-    across = np.abs((n * around).sum(axis=1)) < 0.5 * length
-    return side_of(np.where((across & (length > ROUGH))[:, None], around, n))
-
-
-def side_of(normal: np.ndarray) -> np.ndarray:
-    """(N,) uint8: which of six sides directions (N, 3) belong to."""
-    n = normal @ TURN
-    face = np.abs(n).argmax(axis=1)
-    return (2 * face + (n[np.arange(len(n)), face] < 0)).astype(np.uint8)
 
 
 def refit(hierarchy: Hierarchy, cloud: PointCloud, in_tree_order: bool = False) -> Hierarchy:

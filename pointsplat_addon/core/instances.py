@@ -20,33 +20,29 @@ import numpy as np
 
 from .cloud import PointCloud
 from .cut import Cut, Lens, against_frustum, all_finite, largest_singular_value, lens_of
-from .hierarchy import Hierarchy, frames, side_of, sides, splat_weight, splats, sum_up
+from .hierarchy import Hierarchy, frames, splat_weight, splats, sum_up
 from .octree import ranges, starts
 from .scene import Camera
 from .vectors import number
 
 STEPS = 4  # levels to each octave of size: a fifth more splats than the tolerance asks for, in the mean
 COARSEST = 8  # splats of the coarsest level: one flat splat alone is no body, seen from its side it vanishes
-COARSEST_ROUGH = 32  # the same of bodies with edges: so many have about its colour from all sides
 WHOLE = 3  # times the splats of a cut: drawing so many costs less than finding the cut
 MOST = 1 << 18  # splats of the finest level: instances that need more are wide on the screen, and so are few
 DEEPEST = 0.3  # reach over depth: of nearer instances a cut of their own leaves out more than it costs to find
 SMALL = 64  # levels on which nodes are as large as that part of the body close no surface in the picture
 THIN = 0.25  # of the tolerance: where the coarsest nodes are smaller than that, instances are thinned
 FADE = 0.5  # share of the instances that stay which are not at their full size
-FACETS = 4  # sides of a node beside its main one, of which it shows one that faces the viewer
+FACETS = 4  # sides of a node, the largest, of which it shows one that faces the viewer
 MEASURED = 256  # splats: of levels of at most so many the area is measured
 OUTLINE_CELLS = 64  # of the grid that measures the area of what they stand for
 RAYS = 20  # along each side of the grid that measures theirs
-ROUNDS = 2  # of measuring it
-# Planes to look at a body in: along the axes, where buildings have their outlines, and between them.
-DIRECTIONS = [
-    (np.array(u, float) / np.linalg.norm(u), np.array(v, float) / np.linalg.norm(v))
-    for u, v in (
-        ((1, 0, 0), (0, 1, 0)), ((1, 0, 0), (0, 0, 1)), ((0, 1, 0), (0, 0, 1)), ((1, -1, 0), (1, 1, -2)),
-        ((1, 1, 0), (-1, 1, 2)),
-    )
-]  # fmt: skip
+VIEWS = 6  # from which it is measured
+ROUNDS = 6  # of measuring it
+LARGEST = 1.25  # times its size a splat is drawn at most
+# Axes about which sides of a surface are told apart: nearly those of the body, as walls are, and not where walls at 45
+# degrees between them would fall apart.
+TURN = np.linalg.qr(np.array([[1, 0.13, 0.09], [-0.13, 1, 0.17], [-0.09, -0.17, 1]]))[0].astype(np.float32)
 # Instead of a level: a cut of its own; all points; nothing, since it is out of view or thinned away.
 OWN, ALL, NONE = -1, -2, -3
 
@@ -74,7 +70,7 @@ class Levels:
 
 
 def make_levels(hierarchy: Hierarchy) -> Levels | None:
-    """Levels of at least COARSEST splats, and at most MOST or a third of the points; None: there is none."""
+    """Levels of at least COARSEST splats, and at most MOST or half as many as there are points; None: there is none."""
     tree, size = hierarchy.tree, hierarchy.size.astype(np.float64)
     # A node is drawn at sizes from its own up to the least one among its ancestors.
     above = np.full(len(tree), np.inf)
@@ -87,9 +83,8 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
     single = tree.point_count == 1
     own = np.where(single, -np.inf, size)
     leaf = tree.child_count == 0
-    rough = sides(hierarchy.cloud) is not None
     found: list[tuple[float, np.ndarray, int]] = []
-    limit, most = float(size[0]) if len(size) else 0.0, min(MOST, len(hierarchy.cloud) // 3)
+    limit, most = float(size[0]) if len(size) else 0.0, min(MOST, len(hierarchy.cloud) // 2)
     while limit > 0.0:
         node = np.flatnonzero((own <= limit) & (above > limit) & ~single)
         bare = np.flatnonzero(leaf & (above > limit) & ((own > limit) | single))
@@ -97,7 +92,7 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
         total = len(node) + len(points)
         if total > most or len(node) == 0:
             break
-        if total >= (COARSEST_ROUGH if rough else COARSEST):
+        if total >= COARSEST:
             found.append((limit, np.concatenate([points, len(hierarchy.cloud) + node]), len(node)))
         limit *= 2 ** (-1 / STEPS)
     if not found:
@@ -110,7 +105,7 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
         small = np.repeat(hierarchy.sphere[0] < SMALL * np.array(limits), count)
         cloud = replace(cloud, apart=small if cloud.apart is None else small | cloud.apart)
         drawn = cloud
-        if rough:
+        if hierarchy.cloud.apart is None:
             radii, facets = _true_to_size(hierarchy.cloud, cloud, count), _facets(hierarchy, np.concatenate(rows))
             drawn = replace(cloud, radii=radii, facets=facets)
     center = hierarchy.cloud.origin + hierarchy.center[0]
@@ -118,11 +113,21 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
     return Levels(cloud, drawn, starts(count), count, np.array(nodes), np.array(limits), center, reach, short)
 
 
+def _planes() -> list[np.ndarray]:
+    """Unit vectors (2, 3) of planes to look at a body in, whose normals lie evenly on half a sphere."""
+    k = np.arange(VIEWS)
+    z, turn = (k + 0.5) / VIEWS, k * np.pi * (3 - np.sqrt(5))
+    across = np.stack([-np.sin(turn), np.cos(turn), 0 * z], axis=1)
+    normal = np.stack([np.cos(turn) * np.sqrt(1 - z * z), np.sin(turn) * np.sqrt(1 - z * z), z], axis=1)
+    return list(np.stack([across, np.cross(normal, across)], axis=1))
+
+
 def _true_to_size(points: PointCloud, cloud: PointCloud, count: np.ndarray) -> np.ndarray:
     """Half-axes of the levels' splats (N, 2 or 3), by which coarse levels cover as much of the picture as the points
-    that they stand for, in the mean over DIRECTIONS: ellipses of walls reach beyond the edges where these meet."""
+    that they stand for, in the mean over views: flat splats for what bends leave gaps at the outline. None is made smaller."""
     assert cloud.radii is not None
-    covered = sum(_silhouette(points, *plane) for plane in DIRECTIONS)
+    planes = _planes()
+    covered = sum(_silhouette(points, plane) for plane in planes)
     factor, last = np.ones(len(count)), np.cumsum(count)
     coarse = np.flatnonzero(count <= MEASURED)
     for level in coarse:
@@ -130,18 +135,18 @@ def _true_to_size(points: PointCloud, cloud: PointCloud, count: np.ndarray) -> n
         at = cloud.position[last[level] - count[level] : last[level]].T.astype(np.float64)
         ends = np.stack([axis * radii[0], np.cross(normal, axis, axis=0) * radii[1]])
         for _ in range(ROUNDS):
-            found = sum(_shadow(at, factor[level] * ends, *plane) for plane in DIRECTIONS)
-            factor[level] *= np.clip(np.sqrt(covered / max(found, 1e-300)), 0.8, 1.25)
+            found = sum(_shadow(at, factor[level] * ends, plane) for plane in planes)
+            factor[level] = np.clip(factor[level] * np.sqrt(covered / max(found, 1e-300)), 1.0, LARGEST)
     finer = count > MEASURED
     factor[finer] = 1 + (factor[coarse[-1]] - 1) * MEASURED / count[finer] if len(coarse) else 1.0
     return cloud.radii * np.repeat(factor, count)[:, None].astype(np.float32)
 
 
-def _silhouette(cloud: PointCloud, u: np.ndarray, v: np.ndarray) -> float:
-    """The area of the shadow of dense points on the plane of unit vectors u, v (3,): that of the cells of a grid that
+def _silhouette(cloud: PointCloud, plane: np.ndarray) -> float:
+    """The area of the shadow of dense points on a plane of two unit vectors (2, 3): that of the cells of a grid that
     hold some, of which those at the outline count half. Cells are as wide as most splats."""
     assert cloud.radii is not None
-    x, y = (cloud.position @ a.astype(np.float32) for a in (u, v))
+    x, y = (cloud.position @ a.astype(np.float32) for a in plane)
     wide = 2 * float(np.quantile(cloud.radii[:: max(1, len(cloud) // 4096), 0], 0.9))
     cell = max(max(float(np.ptp(x)), float(np.ptp(y))) / OUTLINE_CELLS * (1 + 1e-5), wide, 1e-30)
     grid = np.zeros((OUTLINE_CELLS + 3, OUTLINE_CELLS + 3), bool)
@@ -152,9 +157,8 @@ def _silhouette(cloud: PointCloud, u: np.ndarray, v: np.ndarray) -> float:
     return cell**2 * (int(grid.sum()) + int(inner.sum())) / 2
 
 
-def _shadow(at: np.ndarray, ends: np.ndarray, u: np.ndarray, v: np.ndarray) -> float:
+def _shadow(at: np.ndarray, ends: np.ndarray, plane: np.ndarray) -> float:
     """The area that ellipses about `at` (3, n), whose half-axes are `ends` (2, 3, n), cover of that plane together."""
-    plane = np.stack([u, v])
     middle, (a, b) = plane @ at, plane @ ends
     reach = np.hypot(a, b)
     low, high = (middle - reach).min(axis=1), (middle + reach).max(axis=1)
@@ -171,12 +175,15 @@ def _shadow(at: np.ndarray, ends: np.ndarray, u: np.ndarray, v: np.ndarray) -> f
 
 
 def _facets(hierarchy: Hierarchy, rows: np.ndarray) -> np.ndarray | None:
-    """PointCloud.facets (R, FACETS, 3) for rows of `splats`: of each node, but for the side that most of it is turned
-    to, the share that the points of a side have in its area, times their mean normal. None: all nodes have one side."""
+    """PointCloud.facets (R, FACETS, 3) for rows of `splats`: of each node, of the sides that most of it is turned to, the share
+    that the points of a side have in its area, times their mean normal. None: all nodes have one side."""
     cloud, tree = hierarchy.cloud, hierarchy.tree
     normal = cloud.normal if cloud.shading_normal is None else cloud.shading_normal
     assert normal is not None
-    side = side_of(normal)
+    # To which of six sides each is turned.
+    turned = normal @ TURN
+    face = np.abs(turned).argmax(axis=1)
+    side = 2 * face + (turned[np.arange(len(face)), face] < 0)
 
     def columns(which: slice) -> np.ndarray:
         weighted = splat_weight(cloud, which) * normal[which].T
@@ -186,11 +193,11 @@ def _facets(hierarchy: Hierarchy, rows: np.ndarray) -> np.ndarray | None:
     of = rows >= len(cloud)
     vector = sums[:, rows[of] - len(cloud)].T.reshape(-1, 6, 3)
     weight = np.sqrt((vector * vector).sum(axis=2))
-    order = np.argsort(-weight, axis=1)[:, 1 : 1 + FACETS, None]
+    order = np.argsort(-weight, axis=1)[:, :FACETS, None]
     facets = np.zeros((len(rows), FACETS, 3), np.int8)
     share = np.take_along_axis(vector, order, axis=1) / np.maximum(weight.sum(axis=1), 1e-300)[:, None, None]
     facets[of] = np.rint(127 * share)
-    return facets if facets.any() else None
+    return facets if facets[:, 1:].any() else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,9 +79,8 @@ class _Root:
         return int(self.piece.count[self.at])
 
 
-def partition(position: np.ndarray, leaf_size: int, kind: np.ndarray | None = None) -> tuple[np.ndarray, Tree]:
-    """Split points (N, 3) at their mean, eight octants at a time; the tree order (N,) int32 and the links. Points of
-    different `kind` (N,) uint8 share no node but the root.
+def partition(position: np.ndarray, leaf_size: int) -> tuple[np.ndarray, Tree]:
+    """Split points (N, 3) at their mean, eight octants at a time; the tree order (N,) int32 and the links.
 
     Nodes of more than BLOCK points are split one by one, in passes over memory. Below, neighbouring subtrees are
     finished together, all nodes of a level at once, with working arrays that stay in the processor's cache.
@@ -93,13 +92,7 @@ def partition(position: np.ndarray, leaf_size: int, kind: np.ndarray | None = No
     coordinates = [position[:, i].copy() for i in range(3)]
     top = _piece(np.zeros(1, np.int64), np.array([n]))
     levels = [[top]]
-    roots = [_Root(top, 0, 0)]
-    count = np.bincount(np.zeros(0, np.uint8) if kind is None else kind)
-    if kind is not None and n > leaf_size and np.count_nonzero(count) > 1:
-        order = kind.argsort(kind="stable").astype(np.int32)
-        coordinates = [x[order] for x in coordinates]
-        roots = _children(roots[0], count[count > 0], levels)
-    roots = _descend_large(coordinates, order, roots, levels, leaf_size)
+    roots = _descend_large(coordinates, order, _Root(top, 0, 0), levels, leaf_size)
     for group in _neighbours(roots):
         _descend_block(coordinates, order, group, levels, leaf_size)
     return order, _join(levels)
@@ -116,10 +109,10 @@ def _add(levels: list[list[_Piece]], depth: int, piece: _Piece) -> None:
 
 
 def _descend_large(
-    coordinates: list[np.ndarray], order: np.ndarray, roots: list[_Root], levels: list[list[_Piece]], leaf_size: int
+    coordinates: list[np.ndarray], order: np.ndarray, root: _Root, levels: list[list[_Piece]], leaf_size: int
 ) -> list[_Root]:
     """Split until no node has more than BLOCK points; what is to be split further, in tree order."""
-    waiting, done = roots[::-1], []
+    waiting, done = [root], []
     while waiting:
         root = waiting.pop()
         if root.count <= leaf_size or root.depth == MAX_DEPTH:
@@ -130,16 +123,11 @@ def _descend_large(
         size = _regroup(coordinates, order, slice(root.first, root.first + root.count))
         size = size[size > 0]
         if len(size) > 1:
-            waiting += reversed(_children(root, size, levels))
+            root.piece.child_count[root.at] = len(size)
+            piece = _piece(root.first + starts(size), size)
+            _add(levels, root.depth + 1, piece)
+            waiting += [_Root(piece, i, root.depth + 1) for i in reversed(range(len(size)))]
     return done
-
-
-def _children(root: _Root, size: np.ndarray, levels: list[list[_Piece]]) -> list[_Root]:
-    """A node's children of so many points each, in tree order."""
-    root.piece.child_count[root.at] = len(size)
-    piece = _piece(root.first + starts(size), size)
-    _add(levels, root.depth + 1, piece)
-    return [_Root(piece, i, root.depth + 1) for i in range(len(size))]
 
 
 def _regroup(coordinates: list[np.ndarray], order: np.ndarray, node: slice) -> np.ndarray:

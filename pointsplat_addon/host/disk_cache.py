@@ -24,18 +24,18 @@ def refresh() -> None:
     STORE.build = build if folder is None else partial(build_or_read, folder)
 
 
-def build_or_read(folder: Path, cloud: PointCloud, sided: bool = False) -> Hierarchy:
+def build_or_read(folder: Path, cloud: PointCloud) -> Hierarchy:
     """The hierarchy of `cloud`, from the folder where it is there; a folder that fails only costs time."""
     if len(cloud) < WORTH_KEEPING:
-        return build(cloud, sided=sided)
-    key = hierarchy_cache.content_key(cloud, LEAF_SIZE) + (" sided" if sided else "")
+        return build(cloud)
+    key = hierarchy_cache.content_key(cloud, LEAF_SIZE)
     try:
         found = hierarchy_cache.read(folder, key)
         if found is not None:
             return found
     except (OSError, hierarchy_cache.CacheError) as error:
         LOG.warning("A cached point hierarchy cannot be used: %s", error)
-    built = build(cloud, sided=sided)
+    built = build(cloud)
     try:
         hierarchy_cache.write(folder, key, built)
         hierarchy_cache.trim(folder, MOST_BYTES)

@@ -93,7 +93,7 @@ class Store:
 
     limit: int = 4 << 30  # bytes
     nbytes: int = 0
-    build: Callable[..., Hierarchy] = build  # (cloud, sided) or one that knows hierarchies from before
+    build: Callable[[PointCloud], Hierarchy] = build  # or one that knows hierarchies from before
     _items: OrderedDict[tuple, tuple[Any, int]] = field(default_factory=OrderedDict)
     _spacing: dict[tuple, float] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)
@@ -552,17 +552,15 @@ class _View:
     def _with_hierarchy(self, points: PointSet, view_from_object: np.ndarray) -> PointSet:
         """The point-octree is built only where it can leave out most points, often enough to pay for itself."""
         plain, points, store = points, self._filled(points), self.store
-        # Cuts that instances share are fit to stand for whole bodies.
-        sided = len(view_from_object) >= MANY_INSTANCES
-        key = ("hierarchy", sided, *points.key)
+        key = ("hierarchy", *points.key)
         if key not in store:
             if not self._pays(plain, view_from_object):
                 return plain
             bare = len(plain.cloud) * len(view_from_object)
-            if self.interactive and (points.family, sided) not in store and bare <= MOST_BARE:
-                store.later(key, lambda: _hierarchy(points, store, sided))
+            if self.interactive and points.family not in store and bare <= MOST_BARE:
+                store.later(key, lambda: _hierarchy(points, store))
                 return plain
-        return replace(points, key=key, hierarchy=store.lookup(key, lambda: _hierarchy(points, store, sided)))
+        return replace(points, key=key, hierarchy=store.lookup(key, lambda: _hierarchy(points, store)))
 
     def _filled(self, points: PointSet) -> PointSet:
         """The points with the constants of their materials as attributes, where these differ: nodes hold the means."""
@@ -700,16 +698,15 @@ def given(cloud: PointCloud) -> tuple[PointCloud, int]:
     return cloud if strewn is None else replace(cloud, apart=strewn), dropped
 
 
-def _hierarchy(points: PointSet, store: Store, sided: bool) -> Hierarchy:
+def _hierarchy(points: PointSet, store: Store) -> Hierarchy:
     """The octree that another pose or colouring of the same points has, refitted; else a new one."""
     if not points.family:
-        return store.build(points.cloud, sided=sided)
-    family = (points.family, sided)
-    known, source = store.lookup(family, lambda: (store.build(points.cloud, sided=sided), points.cloud))
+        return store.build(points.cloud)
+    known, source = store.lookup(points.family, lambda: (store.build(points.cloud), points.cloud))
     if source is points.cloud:
         return known
     if len(source) != len(points.cloud):
-        return store.build(points.cloud, sided=sided)
+        return store.build(points.cloud)
     return (recolor if points.family[0] == "lattice" else refit)(known, points.cloud)
 
 
