@@ -9,6 +9,7 @@ its processor time is what drawing cost, whatever else the machine does. The fig
 from __future__ import annotations
 
 import argparse
+import statistics
 import sys
 import time
 from collections.abc import Callable
@@ -138,7 +139,7 @@ def as_kind(of: Scene, kind: str) -> Scene:
 
 
 def seconds(renderer: Renderer, of: Scene, view: Camera, turns: int) -> tuple[dict[str, float], dict[str, str]]:
-    """Least processor seconds of a picture of each kind, preparing included, and what it draws."""
+    """Median processor seconds of a picture of each kind, preparing included, and what it draws."""
     request = Request(view, SETTINGS, frozenset({"combined"}), SAMPLES)
     scenes = {kind: as_kind(of, kind) for kind in KINDS}
     spent: dict[str, list[float]] = {kind: [] for kind in KINDS}
@@ -150,7 +151,7 @@ def seconds(renderer: Renderer, of: Scene, view: Camera, turns: int) -> tuple[di
             if turn > 0:  # the first compiles, samples and uploads
                 spent[kind].append(time.process_time() - start)
             drawn[kind] = f"{report['points']['cut']:,} + {report['triangles']:,}"
-    return {kind: min(times) for kind, times in spent.items()}, drawn
+    return {kind: statistics.median(times) for kind, times in spent.items()}, drawn
 
 
 def run(quick: bool = False) -> tuple[list[dict], dict]:
@@ -162,7 +163,7 @@ def run(quick: bool = False) -> tuple[list[dict], dict]:
         costs = renderer.costs = calibrate(renderer, time.process_time)
         for name, (make, view) in cases(quick).items():
             STORE.clear()
-            found, drawn = seconds(renderer, make(), view, 5 if quick else 9)
+            found, drawn = seconds(renderer, make(), view, 3 if quick else 5)
             by_points, by_triangles = (found["AUTO"] / found[kind] for kind in ("POINTS", "POLYGONS"))
             table.append([name, *(drawn[kind] for kind in KINDS), f"{by_points:.2f}", f"{by_triangles:.2f}"])
             note = f"points {by_points:.2f}, triangles {by_triangles:.2f}"

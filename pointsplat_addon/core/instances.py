@@ -124,7 +124,7 @@ def _planes() -> list[np.ndarray]:
 
 def _true_to_size(points: PointCloud, cloud: PointCloud, count: np.ndarray) -> np.ndarray:
     """Half-axes of the levels' splats (N, 2 or 3), by which coarse levels cover as much of the picture as the points
-    that they stand for, in the mean over views: flat splats for what bends leave gaps at the outline. None is made smaller."""
+    that they stand for, in the mean over views: flat splats for what bends leave gaps at the outline. None shrinks."""
     assert cloud.radii is not None
     planes = _planes()
     covered = sum(_silhouette(points, plane) for plane in planes)
@@ -175,8 +175,8 @@ def _shadow(at: np.ndarray, ends: np.ndarray, plane: np.ndarray) -> float:
 
 
 def _facets(hierarchy: Hierarchy, rows: np.ndarray) -> np.ndarray | None:
-    """PointCloud.facets (R, FACETS, 3) for rows of `splats`: of each node, of the sides that most of it is turned to, the share
-    that the points of a side have in its area, times their mean normal. None: all nodes have one side."""
+    """PointCloud.facets (R, FACETS, 3) for rows of `splats`: of the sides that most of a node is turned to, the share that
+    the points of a side have in its area, times their mean normal. None: all nodes have one side."""
     cloud, tree = hierarchy.cloud, hierarchy.tree
     normal = cloud.normal if cloud.shading_normal is None else cloud.shading_normal
     assert normal is not None
