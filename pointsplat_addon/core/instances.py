@@ -175,8 +175,8 @@ def _shadow(at: np.ndarray, ends: np.ndarray, plane: np.ndarray) -> float:
 
 
 def _facets(hierarchy: Hierarchy, rows: np.ndarray) -> np.ndarray | None:
-    """PointCloud.facets (R, FACETS, 3) for rows of `splats`: of the sides that most of a node is turned to, the share that
-    the points of a side have in its area, times their mean normal. None: all nodes have one side."""
+    """PointCloud.facets (R, FACETS, 3) for rows of `splats`: of the sides that most of a node is turned to, the share
+    that the points of a side have in its area, times their mean normal. None: all nodes have one side."""
     cloud, tree = hierarchy.cloud, hierarchy.tree
     normal = cloud.normal if cloud.shading_normal is None else cloud.shading_normal
     assert normal is not None

@@ -219,10 +219,8 @@ def test_singular_values_and_finite_matrices() -> None:
 def test_nodes_know_how_much_of_them_is_turned_where() -> None:
     """Opposite walls that share a node are kept apart there, and so are those that meet at a corner."""
     wall = box(20_000, (1.0, 0.01, 1.0))
-    walls = PointCloud(
-        np.concatenate([wall.position + np.float32([0, y, 0]) for y in (-1, 1)]),
-        normal=np.concatenate([wall.normal] * 2), radii=np.concatenate([wall.radii] * 2),
-    )  # fmt: skip
+    walls = wall.take(np.tile(np.arange(len(wall)), 2))
+    walls.position[:, 1] += np.repeat(np.array([-1, 1], np.float32), len(wall))
     for cloud, sides in ((walls, 2), (box(20_000, (1.0, 1.0, 1.0)), 3)):
         made = many.make_levels(h.build(cloud))
         assert made is not None
