@@ -1,6 +1,6 @@
 """Grids of one tower of 350,000 triangles, 10x10 to 200x200 instances (Coconu and Hege 2002, table 4), at 500x400.
 
-python scripts/bench_instances.py [--quick] [--no-vtk] [--pictures FOLDER]
+python scripts/bench_instances.py [--quick] [--alone] [--pictures FOLDER]
 
 The whole grid fills the picture (`above`), or the camera stands at its edge (`edge`). The camera turns about the grid
 from frame to frame.
@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
@@ -174,15 +176,35 @@ def vtk_seconds(side: int, frames: int) -> list[float]:
     return seconds[1:]  # the first frame compiles and uploads
 
 
-def vtk_worker(pipe: Connection, side: int, frames: int) -> None:
-    pipe.send(vtk_seconds(side, frames))
+def eevee_seconds(side: int, frames: int) -> list[float]:
+    """Frames of one sample of Blender's EEVEE, of objects that share a mesh."""
+    import bpy
+    import demo_towers
+
+    demo_towers.build(side)
+    of = bpy.context.scene
+    of.render.engine = "BLENDER_EEVEE_NEXT" if bpy.app.version < (5, 0, 0) else "BLENDER_EEVEE"
+    of.eevee.taa_render_samples = 1
+    of.eevee.use_shadows = False
+    of.render.use_persistent_data = True
+    seconds = []
+    for _ in range(frames + 1):
+        start = time.perf_counter()
+        bpy.ops.render.render()
+        seconds.append(time.perf_counter() - start)
+    return seconds[1:]  # the first frame compiles
 
 
-def theirs(side: int, frames: int) -> list[float]:
-    """VTK's frames, in a process of its own; empty where it cannot draw."""
+def worker(pipe: Connection, measure: Callable[[int, int], list[float]], side: int, frames: int) -> None:
+    pipe.send(measure(side, frames))
+    os._exit(0)  # Blender as a module may hang on the way out
+
+
+def theirs(measure: Callable[[int, int], list[float]], side: int, frames: int) -> list[float]:
+    """Another renderer's frames, in a process of its own; empty where it cannot draw."""
     context = multiprocessing.get_context("spawn")
     mine, other = context.Pipe()
-    process = context.Process(target=vtk_worker, args=(other, side, frames), daemon=True)
+    process = context.Process(target=worker, args=(other, measure, side, frames), daemon=True)
     process.start()
     other.close()
     try:
@@ -201,7 +223,7 @@ def save(path: Path, image: np.ndarray) -> None:
     Image.fromarray((255 * levels + 0.5).astype(np.uint8)).save(path)
 
 
-def run(quick: bool = False, vtk: bool = True, pictures: Path | None = None) -> tuple[list[dict], dict]:
+def run(quick: bool = False, others: bool = True, pictures: Path | None = None) -> tuple[list[dict], dict]:
     """(rows of name, value, unit, target and note; tables of text by title)."""
     sides, frames = ((10, 20, 40) if quick else (10, 50, 100, 200)), 3
     ours, rows, seconds = Ours(), [], {}
@@ -232,11 +254,13 @@ def run(quick: bool = False, vtk: bool = True, pictures: Path | None = None) -> 
             growth = seconds[view, sides[-1]] / seconds[view, sides[1]]
             rows.append(row(f"towers, {view}, {sides[-1]}x{sides[-1]} / {sides[1]}x{sides[1]}", growth, "x", "4",
                             f"{(sides[-1] / sides[1]) ** 2:.0f} times the triangles"))  # fmt: skip
-        against = theirs(sides[0], frames) if vtk and find_spec("vtk") else []
-        ratio = seconds["above", sides[-1]] / np.median(against) if against else None
-        note = f"{1e3 * np.median(against):.0f} ms" if against else "VTK could not draw here"
-        name = f"towers, {sides[-1]}x{sides[-1]} / VTK's glyphs, {sides[0]}x{sides[0]}"
-        rows.append(row(name, ratio, "x", "1", note))
+        for who, module, measure in (("VTK's glyphs", "vtk", vtk_seconds), ("Blender's EEVEE", "bpy", eevee_seconds)):
+            there = others and find_spec(module) is not None
+            against = theirs(measure, sides[0], 1 if module == "bpy" else frames) if there else []
+            ratio = seconds["above", sides[-1]] / np.median(against) if against else None
+            missing = "could not draw here" if there else "was left out" if not others else f"{module} is missing"
+            note = f"{1e3 * np.median(against):.0f} ms" if against else f"{who} {missing}"
+            rows.append(row(f"towers, {sides[-1]}x{sides[-1]} / {who}, {sides[0]}x{sides[0]}", ratio, "x", "1", note))
         return rows, {"Grids of a tower of 350,000 triangles (500x400)": table}
     finally:
         ours.renderer.release()
@@ -246,10 +270,10 @@ def run(quick: bool = False, vtk: bool = True, pictures: Path | None = None) -> 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="smaller grids")
-    parser.add_argument("--no-vtk", action="store_true", help="PointSplat alone")
+    parser.add_argument("--alone", action="store_true", help="neither VTK nor EEVEE")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="save one of each grid, of 16 samples")
     options = parser.parse_args()
-    rows, tables = run(options.quick, not options.no_vtk, options.pictures)
+    rows, tables = run(options.quick, not options.alone, options.pictures)
     for r in rows:
         value = "-" if r["value"] is None else f"{r['value']:.2f}"
         sys.stdout.write(f"{r['name']:60} {value:>8} {r['unit']:4} {r['target']:8} {r['note']}\n")

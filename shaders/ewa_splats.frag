@@ -3,6 +3,9 @@
 #include "lib/footprint.glsl"
 #include "lib/surfel.glsl"
 #include "lib/attributes.glsl"
+#ifdef PS_NORMAL
+#include "lib/lit_normal.glsl"
+#endif
 #include "lib/ewa.glsl"
 
 #define PS_STEEPEST 50.0  // pixels of depth that a plane may fall within one pixel; beyond, it is seen edge-on
@@ -62,12 +65,7 @@ void main()
   s.shape.w = floor(extent.w);
 #ifdef PS_NORMAL
   s.normal.xyz = turned ? -normal : normal;
-#ifdef PS_SHADING_NORMAL
-  float code = texelFetch(ps_shading_normal, element.xy, 0).x;
-  if (code >= 0.0) {
-    s.normal.xyz = ps_view_normal(linear, ps_unpack_normal(code)) * (turned ? -1.0 : 1.0);
-  }
-#endif
+  s.normal.xyz = ps_lit_normal(s.normal.xyz, element, linear, toward, turned);
 #endif
   s = ps_attributed(s, element);
   float kind = float(element.z) * 2.0 + (large ? 2.0 : 1.0);

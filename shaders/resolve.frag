@@ -4,6 +4,9 @@
 #include "lib/surfel.glsl"
 #include "lib/store.glsl"
 #include "lib/attributes.glsl"
+#ifdef PS_NORMAL
+#include "lib/lit_normal.glsl"
+#endif
 
 void main()
 {
@@ -46,12 +49,7 @@ void main()
   s.shape = vec4(ps_cholesky(covariance), floor(extent.w));
 #ifdef PS_NORMAL
   s.normal.xyz = normal;
-#ifdef PS_SHADING_NORMAL
-  float code = texelFetch(ps_shading_normal, element.xy, 0).x;
-  if (code >= 0.0) {
-    s.normal.xyz = ps_view_normal(linear, ps_unpack_normal(code)) * (turned ? -1.0 : 1.0);
-  }
-#endif
+  s.normal.xyz = ps_lit_normal(s.normal.xyz, element, linear, ps_is_perspective() ? p : vec3(0.0, 0.0, -1.0), turned);
 #endif
   s = ps_attributed(s, element);
   ps_store_front(s, covers);

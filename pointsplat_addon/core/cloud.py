@@ -22,6 +22,7 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     "value": ((), np.float32),
     "kernel": ((), np.uint8),
     "apart": ((), np.bool_),
+    "facets": (None, np.int8),
 }
 
 SCATTERED = 1 << 16  # points: fewer stay in the caches, whatever their order
@@ -53,6 +54,9 @@ class PointCloud:
         None  # (N,) uint8, row of core.kernel.PROFILES: shape of splats that light passes through
     )
     apart: np.ndarray | None = None  # (N,) bool: an opaque splat that closes no surface with its neighbours (leaves)
+    # (N, 4, 3) int8, 127 times normals of which a splat shows one that faces the viewer, where it stands for a surface
+    # that is turned to several sides: as long as the shares that these have in its area. Zeros: its own.
+    facets: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Raise ValueError where an attribute's length, shape or dtype does not fit."""

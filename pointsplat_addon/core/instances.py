@@ -20,7 +20,7 @@ import numpy as np
 
 from .cloud import PointCloud
 from .cut import Cut, Lens, against_frustum, all_finite, largest_singular_value, lens_of
-from .hierarchy import Hierarchy, splats
+from .hierarchy import Hierarchy, frames, splat_weight, splats, sum_up
 from .octree import ranges, starts
 from .scene import Camera
 from .vectors import number
@@ -33,6 +33,16 @@ DEEPEST = 0.3  # reach over depth: of nearer instances a cut of their own leaves
 SMALL = 64  # levels on which nodes are as large as that part of the body close no surface in the picture
 THIN = 0.25  # of the tolerance: where the coarsest nodes are smaller than that, instances are thinned
 FADE = 0.5  # share of the instances that stay which are not at their full size
+FACETS = 4  # sides of a node, the largest, of which it shows one that faces the viewer
+MEASURED = 256  # splats: of levels of at most so many the area is measured
+OUTLINE_CELLS = 64  # of the grid that measures the area of what they stand for
+RAYS = 20  # along each side of the grid that measures theirs
+VIEWS = 6  # from which it is measured
+ROUNDS = 6  # of measuring it
+LARGEST = 1.25  # times its size a splat is drawn at most
+# Axes about which sides of a surface are told apart: nearly those of the body, as walls are, and not where walls at 45
+# degrees between them would fall apart.
+TURN = np.linalg.qr(np.array([[1, 0.13, 0.09], [-0.13, 1, 0.17], [-0.09, -0.17, 1]]))[0].astype(np.float32)
 # Instead of a level: a cut of its own; all points; nothing, since it is out of view or thinned away.
 OWN, ALL, NONE = -1, -2, -3
 
@@ -42,6 +52,7 @@ class Levels:
     """Cuts of one hierarchy for K sizes of nodes, coarsest first."""
 
     cloud: PointCloud  # splats of all levels, one level after the other
+    drawn: PointCloud  # the same, true to size
     first: np.ndarray  # (K,) int64: where each begins
     count: np.ndarray  # (K,) int64
     nodes: np.ndarray  # (K,) int64: how many of these splats stand for several points
@@ -52,7 +63,10 @@ class Levels:
 
     @property
     def nbytes(self) -> int:
-        return self.cloud.nbytes
+        given = self.cloud.arrays()
+        return self.cloud.nbytes + sum(
+            array.nbytes for name, array in self.drawn.arrays().items() if array is not given.get(name)
+        )
 
 
 def make_levels(hierarchy: Hierarchy) -> Levels | None:
@@ -85,14 +99,105 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
         return None
     limits, rows, nodes = zip(*found, strict=True)
     count = np.array([len(r) for r in rows])
-    cloud = splats(hierarchy).take(np.concatenate(rows))
+    cloud = drawn = splats(hierarchy).take(np.concatenate(rows))
     if cloud.normal is not None and cloud.radii is not None and cloud.opacity is None and cloud.extinction is None:
         # Small bodies are what stands apart: surfaces that are closed in the picture would join neighbours.
         small = np.repeat(hierarchy.sphere[0] < SMALL * np.array(limits), count)
         cloud = replace(cloud, apart=small if cloud.apart is None else small | cloud.apart)
+        drawn = cloud
+        if hierarchy.cloud.apart is None:
+            radii, facets = _true_to_size(hierarchy.cloud, cloud, count), _facets(hierarchy, np.concatenate(rows))
+            drawn = replace(cloud, radii=radii, facets=facets)
     center = hierarchy.cloud.origin + hierarchy.center[0]
     reach, short = float(hierarchy.sphere[0]), len(hierarchy.cloud) > WHOLE * MOST
-    return Levels(cloud, starts(count), count, np.array(nodes), np.array(limits), center, reach, short)
+    return Levels(cloud, drawn, starts(count), count, np.array(nodes), np.array(limits), center, reach, short)
+
+
+def _planes() -> list[np.ndarray]:
+    """Unit vectors (2, 3) of planes to look at a body in, whose normals lie evenly on half a sphere."""
+    k = np.arange(VIEWS)
+    z, turn = (k + 0.5) / VIEWS, k * np.pi * (3 - np.sqrt(5))
+    across = np.stack([-np.sin(turn), np.cos(turn), 0 * z], axis=1)
+    normal = np.stack([np.cos(turn) * np.sqrt(1 - z * z), np.sin(turn) * np.sqrt(1 - z * z), z], axis=1)
+    return list(np.stack([across, np.cross(normal, across)], axis=1))
+
+
+def _true_to_size(points: PointCloud, cloud: PointCloud, count: np.ndarray) -> np.ndarray:
+    """Half-axes of the levels' splats (N, 2 or 3), by which coarse levels cover as much of the picture as the points
+    that they stand for, in the mean over views: flat splats for what bends leave gaps at the outline. None shrinks."""
+    assert cloud.radii is not None
+    planes = _planes()
+    covered = sum(_silhouette(points, plane) for plane in planes)
+    factor, last = np.ones(len(count)), np.cumsum(count)
+    coarse = np.flatnonzero(count <= MEASURED)
+    for level in coarse:
+        normal, axis, radii = frames(cloud, slice(last[level] - count[level], last[level]))
+        at = cloud.position[last[level] - count[level] : last[level]].T.astype(np.float64)
+        ends = np.stack([axis * radii[0], np.cross(normal, axis, axis=0) * radii[1]])
+        for _ in range(ROUNDS):
+            found = sum(_shadow(at, factor[level] * ends, plane) for plane in planes)
+            factor[level] = np.clip(factor[level] * np.sqrt(covered / max(found, 1e-300)), 1.0, LARGEST)
+    finer = count > MEASURED
+    factor[finer] = 1 + (factor[coarse[-1]] - 1) * MEASURED / count[finer] if len(coarse) else 1.0
+    return cloud.radii * np.repeat(factor, count)[:, None].astype(np.float32)
+
+
+def _silhouette(cloud: PointCloud, plane: np.ndarray) -> float:
+    """The area of the shadow of dense points on a plane of two unit vectors (2, 3): that of the cells of a grid that
+    hold some, of which those at the outline count half. Cells are as wide as most splats."""
+    assert cloud.radii is not None
+    x, y = (cloud.position @ a.astype(np.float32) for a in plane)
+    wide = 2 * float(np.quantile(cloud.radii[:: max(1, len(cloud) // 4096), 0], 0.9))
+    cell = max(max(float(np.ptp(x)), float(np.ptp(y))) / OUTLINE_CELLS * (1 + 1e-5), wide, 1e-30)
+    grid = np.zeros((OUTLINE_CELLS + 3, OUTLINE_CELLS + 3), bool)
+    # Edges along the grid's lines, as buildings have them, cut cells in half.
+    grid[((x - x.min()) / cell + 0.5).astype(int) + 1, ((y - y.min()) / cell + 0.5).astype(int) + 1] = True
+    rows = grid[:-2] & grid[1:-1] & grid[2:]
+    inner = rows[:, :-2] & rows[:, 1:-1] & rows[:, 2:]
+    return cell**2 * (int(grid.sum()) + int(inner.sum())) / 2
+
+
+def _shadow(at: np.ndarray, ends: np.ndarray, plane: np.ndarray) -> float:
+    """The area that ellipses about `at` (3, n), whose half-axes are `ends` (2, 3, n), cover of that plane together."""
+    middle, (a, b) = plane @ at, plane @ ends
+    reach = np.hypot(a, b)
+    low, high = (middle - reach).min(axis=1), (middle + reach).max(axis=1)
+    step = (high - low) / RAYS
+    x, y = (low + step * (np.arange(RAYS)[:, None] + 0.5)).T[:, None] - middle[:, :, None]  # (n, RAYS) each
+    # Coordinates along the half-axes, in units of these, are linear in x and y.
+    det = a[0] * b[1] - a[1] * b[0]
+    inverse = (1 / np.where(np.abs(det) < 1e-30, 1e-30, det))[:, None]
+    p = ((inverse * b[1][:, None] * x)[:, :, None] - (inverse * b[0][:, None] * y)[:, None]).astype(np.float32)
+    q = ((inverse * a[0][:, None] * y)[:, None] - (inverse * a[1][:, None] * x)[:, :, None]).astype(np.float32)
+    with np.errstate(over="ignore"):
+        inside = p * p + q * q <= 1
+    return float(np.prod(step)) * np.count_nonzero(inside.any(axis=0))
+
+
+def _facets(hierarchy: Hierarchy, rows: np.ndarray) -> np.ndarray | None:
+    """PointCloud.facets (R, FACETS, 3) for rows of `splats`: of the sides that most of a node is turned to, the share
+    that the points of a side have in its area, times their mean normal. None: all nodes have one side."""
+    cloud, tree = hierarchy.cloud, hierarchy.tree
+    normal = cloud.normal if cloud.shading_normal is None else cloud.shading_normal
+    assert normal is not None
+    # To which of six sides each is turned.
+    turned = normal @ TURN
+    face = np.abs(turned).argmax(axis=1)
+    side = 2 * face + (turned[np.arange(len(face)), face] < 0)
+
+    def columns(which: slice) -> np.ndarray:
+        weighted = splat_weight(cloud, which) * normal[which].T
+        return np.concatenate([np.where(side[which] == k, weighted, 0.0) for k in range(6)])
+
+    sums = sum_up(tree, len(cloud), columns)
+    of = rows >= len(cloud)
+    vector = sums[:, rows[of] - len(cloud)].T.reshape(-1, 6, 3)
+    weight = np.sqrt((vector * vector).sum(axis=2))
+    order = np.argsort(-weight, axis=1)[:, :FACETS, None]
+    facets = np.zeros((len(rows), FACETS, 3), np.int8)
+    share = np.take_along_axis(vector, order, axis=1) / np.maximum(weight.sum(axis=1), 1e-300)[:, None, None]
+    facets[of] = np.rint(127 * share)
+    return facets if facets[:, 1:].any() else None
 
 
 @dataclass(frozen=True, eq=False)

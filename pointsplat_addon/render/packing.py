@@ -11,6 +11,8 @@ from ..core.vectors import each_block
 
 PAGE_WIDTH = 4096
 OCT_STEPS = 4095
+FACET_STEPS = 511  # of normals in 18 bits
+FACET_SHARE = 512.0 * 512.0  # above these: a share in 63rds
 NO_NORMAL = -1.0  # code of a splat without a normal: a ball
 
 
@@ -28,8 +30,8 @@ def pack_normal(normal: np.ndarray) -> np.ndarray:
     return code
 
 
-def octahedral(normal: np.ndarray) -> np.ndarray:
-    """The same for as many as fit the cache."""
+def octahedral(normal: np.ndarray, steps: int = OCT_STEPS) -> np.ndarray:
+    """The same for as many as fit the cache, in `steps` each way."""
     # One after another, coordinates are read much faster than as rows of a transposed array.
     x, y, z = (np.array(column, np.float32) for column in normal.T)
     size = np.abs(x) + np.abs(y) + np.abs(z)
@@ -41,7 +43,7 @@ def octahedral(normal: np.ndarray) -> np.ndarray:
     if down.any():
         folded_x, folded_y = np.copysign(1 - np.abs(y), x), np.copysign(1 - np.abs(x), y)
         x, y = np.where(down, folded_x, x), np.where(down, folded_y, y)
-    return np.rint((y * 0.5 + 0.5) * OCT_STEPS) * 4096 + np.rint((x * 0.5 + 0.5) * OCT_STEPS)
+    return np.rint((y * 0.5 + 0.5) * steps) * (steps + 1) + np.rint((x * 0.5 + 0.5) * steps)
 
 
 def unpack_normal(code: np.ndarray) -> np.ndarray:

@@ -110,6 +110,7 @@ def make_plan(
     one = not holdout and len(np.unique(shown)) == 1
     options = PointOptions(
         shading_normal=any(p.cloud.shading_normal is not None for p in sets),
+        facets=any(p.cloud.facets is not None for p in sets),
         cull=points and bool(scene.materials.cull.any()),
         holdout=holdout,
         ellipses=any(p.hierarchy is not None or p.cloud.axis is not None for p in sets),

@@ -618,7 +618,7 @@ class _View:
             some = np.flatnonzero(choice.level >= 0)
             if len(some):
                 at = len(self.scene.geometries) + max(sets) + 1
-                sets[at] = PointSet(("levels", *points.key), levels.cloud)
+                sets[at] = PointSet(("levels", *points.key), levels.drawn)
                 set_of_instance[where[some]] = at
                 view_from_object[where[some]] = enlarged(views[some], levels.center, choice.scale[some])
                 shared.append(cut_of(levels, where[some], choice.level[some]))

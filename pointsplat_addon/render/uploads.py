@@ -207,7 +207,7 @@ class Uploads:
         plan, table = self.plan, self.scene.materials
         sets = list({points.key: points for points in group.values()}.values())
         filled = _fill_key(self.scene) if plan.variant.color or plan.variant.emission else b""
-        key = ("page", tuple(p.key for p in sets), plan.variant, plan.options.shading_normal, filled)  # fmt: skip
+        key = ("page", tuple(p.key for p in sets), plan.variant, plan.options.shading_normal, filled)
         self.used.add(key)
         return self.kept.keep(key, lambda: Page(self.device, sets, plan.variant, plan.options, table))
 

@@ -19,6 +19,17 @@ def ball(n: int = 6000) -> PointCloud:
     return PointCloud(p, origin=np.array([0.5, -2.0, 1.0]), normal=p, radii=np.full((n, 1), 0.02, np.float32))
 
 
+def box(n: int, half: tuple[float, float, float]) -> PointCloud:
+    """Points spread evenly over the six sides of a box, with normals outwards."""
+    rng = np.random.default_rng(6)
+    area = np.prod(half) / np.array(half)
+    face, sign = rng.choice(3, n, p=area / area.sum()), rng.choice([-1.0, 1.0], n)
+    p, normal = rng.uniform(-1, 1, (n, 3)), np.zeros((n, 3), np.float32)
+    p[np.arange(n), face] = normal[np.arange(n), face] = sign
+    radii = np.full((n, 1), np.sqrt(8 * area.sum() / n / np.pi), np.float32)
+    return PointCloud((p * half).astype(np.float32), normal=normal, radii=radii)
+
+
 def lens(perspective: bool = True, size: tuple[int, int] = (640, 480), region: tuple | None = None) -> Camera:
     near, far = 0.1, 1e5
     clip = np.diag([1.5, 2.0, -2 / far, 1.0])
@@ -203,3 +214,87 @@ def test_singular_values_and_finite_matrices() -> None:
     odd[1, 2, 2], odd[2, 0, 3], odd[3] = np.nan, -np.inf, 1e308
     np.testing.assert_array_equal(c.all_finite(odd), [True, False, False, True])
     assert c.all_finite(np.zeros((0, 4, 4))).shape == (0,)
+
+
+def test_nodes_know_how_much_of_them_is_turned_where() -> None:
+    """Opposite walls that share a node are kept apart there, and so are those that meet at a corner."""
+    wall = box(20_000, (1.0, 0.01, 1.0))
+    walls = wall.take(np.tile(np.arange(len(wall)), 2))
+    walls.position[:, 1] += np.repeat(np.array([-1, 1], np.float32), len(wall))
+    for cloud, sides in ((walls, 2), (box(20_000, (1.0, 1.0, 1.0)), 3)):
+        made = many.make_levels(h.build(cloud))
+        assert made is not None
+        assert made.drawn.facets is not None
+        facets = made.drawn.facets[: made.count[0]].astype(float) / 127
+        share = np.linalg.norm(facets, axis=2)
+        assert (np.count_nonzero(share > 0.2, axis=1) == sides).all()  # measured: 0.47 and more, 0.32 and more
+        # Each is along an axis, as the sides are.
+        largest = facets[share > 0.2]
+        assert (np.abs(largest).max(axis=1) == np.linalg.norm(largest, axis=1)).all()
+        np.testing.assert_allclose(share.sum(axis=1), 1, atol=0.02)  # measured 0.016: steps of 1/127
+        if sides == 2:  # the mean of their normals is none
+            assert np.linalg.norm(facets.sum(axis=1), axis=1).max() < 0.1  # measured 0.03
+
+
+def test_what_is_turned_to_one_side_has_no_facets() -> None:
+    flat = box(4000, (1.0, 1.0, 1e-3))
+    assert flat.normal is not None
+    made = many.make_levels(h.build(flat.take(np.flatnonzero(flat.normal[:, 2] > 0))))
+    assert made is not None
+    assert made.drawn.facets is None
+
+
+def test_silhouettes_of_points_and_of_ellipses_have_their_area() -> None:
+    """A ball's shadow is a disk; that of a box has half of what its sides have together."""
+    off = []
+    shapes = [(ball(60_000), lambda normal: np.pi)]
+    for half in ((1.0, 1.0, 1.0), (0.3, 0.3, 1.5)):
+        sides = 4 * np.prod(half) / np.array(half)
+        shapes.append((box(60_000, half), lambda normal, sides=sides: float(np.abs(normal) @ sides)))
+    for cloud, area in shapes:
+        for plane in many._planes():
+            np.testing.assert_allclose(plane @ plane.T, np.eye(2), atol=1e-12)
+            found = many._silhouette(cloud, plane)
+            off.append(found / area(np.cross(*plane)) - 1)
+    assert np.abs(off).max() < 0.04  # measured 0.030
+    one = np.zeros((3, 1))
+    ends = np.array([[0.5, 0, 0], [0, 2.0, 0]])[:, :, None]
+    plane = np.eye(3)[:2]
+    np.testing.assert_allclose(many._shadow(one, ends, plane), np.pi, rtol=0.02)
+    apart = np.array([[0.0, 0, 0], [0, 0, 5]]).T  # one behind the other: the same shadow
+    np.testing.assert_allclose(many._shadow(apart, np.repeat(ends, 2, axis=2), plane), np.pi, rtol=0.02)
+
+
+def test_coarse_levels_are_drawn_as_large_as_what_they_stand_for() -> None:
+    cloud = box(60_000, (0.3, 0.3, 1.5))
+    made = many.make_levels(h.build(cloud))
+    assert made is not None
+    assert made.cloud.radii is not None
+    assert made.drawn.radii is not None
+    planes = many._planes()
+    covered = sum(many._silhouette(cloud, plane) for plane in planes)
+    worst = {}
+    for name, splats in (("given", made.cloud), ("drawn", made.drawn)):
+        ratio = []
+        for first, count in zip(made.first, made.count, strict=True):
+            if count > many.MEASURED:
+                break
+            level = slice(first, first + count)
+            normal, axis, radii = h.frames(splats, level)
+            ends = np.stack([axis * radii[0], np.cross(normal, axis, axis=0) * radii[1]])
+            at = splats.position[level].T.astype(np.float64)
+            ratio.append(sum(many._shadow(at, ends, plane) for plane in planes) / covered)
+        worst[name] = np.abs(np.array(ratio) - 1).max()
+    assert worst["given"] > 0.1  # measured 0.14
+    assert worst["drawn"] < 0.01  # measured 0.0024
+    grown = made.drawn.radii / made.cloud.radii
+    assert (grown >= 1).all()
+    assert (grown <= many.LARGEST * (1 + 1e-6)).all()
+
+
+def test_levels_together_are_a_few_times_the_finest(levels: many.Levels) -> None:
+    """A quarter of an octave apart, levels of a surface shrink by 2^-0.5: together they are 3.4 times the finest."""
+    finest = levels.drawn.take(slice(levels.first[-1], levels.first[-1] + levels.count[-1]))
+    assert levels.nbytes < 5 * finest.nbytes  # measured 4.64: coarse levels of few splats are alike
+    # What facets and sizes add to position, normal, axis and half-axes: measured 1.44 times.
+    assert levels.nbytes < 1.5 * levels.cloud.nbytes

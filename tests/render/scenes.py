@@ -27,6 +27,7 @@ from pointsplat_addon.core.scene import (
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.frame import Renderer, Request, Result
 from pointsplat_addon.render.outputs import PASSES
+from scripts.tower import COLORS, tower
 
 ALL_PASSES = frozenset(p.key for p in PASSES)
 RESOLUTION = (48, 40)
@@ -664,6 +665,32 @@ def foliage() -> Case:
     return Case(scene(*things), camera((0, -5, 0)))
 
 
+def small_tower(key: str) -> Mesh:
+    """A tower of 4,000 triangles in four materials."""
+    position, triangles, kind = tower(((4, 6), (3, 6), (2, 5)), 4000)
+    return flat_mesh(key, position, triangles, material=kind, materials=(0, 1, 2, 3))
+
+
+def many_towers() -> Case:
+    """Instances that share levels, some of them thinned away, of a body with edges."""
+    block = small_tower("tower of a field")
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(-2, 2, 16), np.geomspace(3, 2500, 40)))
+    of = mesh(block, "POINTS")
+    things = [(of, moved((a * max(b / 8, 1), b, 0))) for a, b in zip(x, y, strict=True)]
+    table = materials(4, base_color=np.array(COLORS, np.float32))
+    return Case(scene(*things, table=table), camera((0.3, -12, 4), (0, 4, 0), far=5000.0))
+
+
+def split_mesh() -> Case:
+    """A mesh whose near parts are triangles and whose far ones points."""
+    eye, target = (0.0, -19.5, 1.2), (0.0, -10.0, 0.0)
+    ground = plane_mesh("split ground", 20.0, 450)
+    turned = moved()
+    turned[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    ground = replace(ground, uv={}, active_uv=None)
+    return Case(scene((mesh(ground), turned)), camera(eye, target, (128, 128), field_of_view=50, near=0.05))
+
+
 CASES: dict[str, Callable[[], Case]] = {
     function.__name__: cache(function)
     for function in (
@@ -695,6 +722,8 @@ CASES: dict[str, Callable[[], Case]] = {
         panes,
         in_smoke,
         foliage,
+        many_towers,
+        split_mesh,
         strands,
     )
 }

@@ -83,14 +83,13 @@ class EwaPrograms:
 def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaPrograms:
     """The programs of one variant."""
     named = tuple((name, "1") for name in variant.defines if name != "PS_OWNER")
-    flags = {"PS_SHADING_NORMAL": points.shading_normal, "PS_CULL": points.cull, "PS_ELLIPSES": points.ellipses}
+    flags = {"PS_CULL": points.cull, "PS_ELLIPSES": points.ellipses}
     flagged = tuple((name, "1") for name, on in flags.items() if on)
     samplers, defines = attributes(variant, points)
-    extra = (("FLOAT_2D", "ps_shading_normal"),) if points.shading_normal and variant.normal else ()
     cull = (("FLOAT_2D", "ps_materials"),) if points.cull else ()
     blended = _blended(variant)
     splats = Interface(
-        "splats", fragment="ewa_splats.frag", block=FRAME, samplers=(*samplers, *extra, *cull),
+        "splats", fragment="ewa_splats.frag", block=FRAME, samplers=(*samplers, *cull),
         outputs=tuple(("vec4", f"out_{name}") for name in ("place", "shape", "front", *blended)),
         defines=(*named, *flagged, *defines),
     )  # fmt: skip

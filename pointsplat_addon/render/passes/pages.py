@@ -10,7 +10,7 @@ from ...core.cloud import PointCloud
 from ...core.hierarchy import basis, splats
 from ...core.vectors import each_block
 from ..device import Device, Texture
-from ..packing import NO_NORMAL, PAGE_WIDTH, octahedral
+from ..packing import FACET_SHARE, FACET_STEPS, NO_NORMAL, PAGE_WIDTH, octahedral
 from ..prepare import PointSet
 
 NODE = 0.25  # tells nodes from points beside a material row, which is whole
@@ -121,5 +121,21 @@ def shading_normal(cloud: PointCloud) -> Write:
             x, y, z = own[block].T
             out[:, 0] = octahedral(own[block])
             out[np.abs(x) + np.abs(y) + np.abs(z) < SMALLEST_NORMAL, 0] = NO_NORMAL
+
+    return write
+
+
+def facets(cloud: PointCloud) -> Write:
+    """(N, 4): packed normal in 18 bits, and above it the share of the area in 6; 0 where there is no facet."""
+    own = cloud.facets
+
+    def write(out: np.ndarray, block: slice) -> None:
+        if own is None:
+            out[:] = 0
+            return
+        for i in range(own.shape[1]):
+            facet = own[block, i].astype(np.float32)
+            share = np.minimum(np.rint(np.sqrt((facet * facet).sum(axis=1)) * (63 / 127)), 63)
+            out[:, i] = share * FACET_SHARE + octahedral(facet, FACET_STEPS)
 
     return write

@@ -23,7 +23,7 @@ from ..packing import PAGE_WIDTH, paged
 from ..prepare import Layer, PointSet
 from ..tiles import TILE_DEFINE, Region
 from .common import FRAME, GBuffer, Variant
-from .pages import SplatPage, extent, filled, place, shading_normal
+from .pages import SplatPage, extent, facets, filled, place, shading_normal
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
 DRAWN_LIMIT = 2**31 - 2**20  # indices of drawn splats are 32-bit
@@ -36,6 +36,7 @@ class PointOptions:
     """Shader variants of the point passes."""
 
     shading_normal: bool = False
+    facets: bool = False  # some splats have several normals
     cull: bool = False
     holdout: bool = False
     ellipses: bool = False  # some splats are not round
@@ -63,6 +64,8 @@ class Page(SplatPage):
             self.upload("surface", "RG32F", 2, [filled(c, "surface", constants) for c in clouds])
         if variant.emission:
             self.upload("emission", "RGBA16F", 4, [filled(c, "emission", table.emission) for c in clouds])
+        if options.facets:
+            self.upload("facets", "RGBA32F", 4, [facets(c) for c in clouds])
         if options.shading_normal:
             self.upload("shading_normal", "R32F", 1, [shading_normal(c) for c in clouds])
         self.clouds = []
@@ -115,7 +118,15 @@ def attributes(
         samplers.append(("FLOAT_2D", "ps_instances"))
     has = {"ps_color": variant.color, "ps_surface": variant.surface, "ps_emission": variant.emission}
     samplers += [("FLOAT_2D", name) for name, on in has.items() if on]
-    named = {"PS_HOLDOUT": options.holdout, "PS_ONE_INSTANCE": options.one_instance}
+    if variant.normal:
+        kinds = {"ps_shading_normal": options.shading_normal, "ps_facets": options.facets}
+        samplers += [("FLOAT_2D", name) for name, on in kinds.items() if on]
+    named = {
+        "PS_SHADING_NORMAL": options.shading_normal,
+        "PS_FACETS": options.facets,
+        "PS_HOLDOUT": options.holdout,
+        "PS_ONE_INSTANCE": options.one_instance,
+    }
     return tuple(samplers), tuple((name, "1") for name, on in named.items() if on)
 
 
@@ -182,10 +193,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         defines=defines,
     )
     samplers, named = attributes(variant, options)
-    if options.shading_normal and variant.normal:
-        samplers = (*samplers, ("FLOAT_2D", "ps_shading_normal"))
     flags = {
-        "PS_SHADING_NORMAL": options.shading_normal,
         "PS_DEPTH": options.depth,
         "PS_ELLIPSES": options.ellipses,
         "PS_APART": options.apart,
