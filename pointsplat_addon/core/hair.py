@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .lighting import fresnel_dielectric
+from .pigment import absorption_from_color
 
 # Offsets from the middle of a strand, of its radius, that stand for its width (Gauss and Legendre on [0, 1]).
 PLACES = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))
@@ -29,14 +30,13 @@ TT_SPREAD, TRT_SPREAD = 0.36, 0.14  # scales of logistics with the deviation of 
 LEAST_ROUGHNESS = 0.08  # float32 holds no narrower lobe
 LEAST_VARIANCE = 1e-3
 MASS = 0.75  # of what passes through a strand: what meets others
-DARKEST = 1e-6  # of colours: float16 holds it
 
 
 @dataclass(frozen=True, eq=False)
 class Fibre:
     """Hair of N strands; every array may also be a scalar that is broadcast."""
 
-    color: np.ndarray  # (N, 3): of a mass of such hair; `absorption` says what it is of one
+    color: np.ndarray  # (N, 3): of a mass of such hair; core.pigment says what one absorbs
     roughness: np.ndarray  # (N,) longitudinal
     radial: np.ndarray  # (N,) azimuthal roughness
     eta: np.ndarray | float  # (N,) index of refraction
@@ -45,27 +45,12 @@ class Fibre:
     lobes: np.ndarray | None = None  # (N, 3) factors of R, TT and TRT; None: 1
 
 
-def absorption(color: np.ndarray, radial: np.ndarray) -> np.ndarray:
-    """(N, 3) absorption per radius of hair that looks like `color` in a mass (Chiang et al. 2016, equation 9)."""
-    return (np.log(np.clip(color, DARKEST, 1.0)) / _inverted(radial)[..., None]) ** 2
-
-
-def color_of(absorption: np.ndarray, radial: np.ndarray) -> np.ndarray:
-    """(N, 3) the colour of which `absorption` is that."""
-    return np.exp(np.sqrt(np.maximum(absorption, 0)) * -_inverted(radial)[..., None])
-
-
-def _inverted(radial: np.ndarray) -> np.ndarray:
-    b = np.asarray(radial, float)
-    return 5.969 + b * (-0.215 + b * (2.532 + b * (-10.73 + b * (5.574 + b * 0.245))))
-
-
 def energies(fibre: Fibre, sine: np.ndarray) -> np.ndarray:
     """(5, N, 3) what R, TT, TRT, the rest and other strands scatter of uniform light, seen at (N,) sines of theta."""
     sine = np.asarray(sine, float)
     cosine = np.sqrt(np.maximum(1 - sine**2, 0))
     eta = np.broadcast_to(np.asarray(fibre.eta, float), sine.shape)
-    sigma = absorption(np.asarray(fibre.color, float), fibre.radial)
+    sigma = absorption_from_color(np.asarray(fibre.color, float), np.asarray(fibre.radial)[..., None])
     # Bravais: rays across the tangent are bent as by another index.
     bent = np.sqrt(np.maximum(eta**2 - sine**2, 1e-9)) / np.maximum(cosine, 1e-4)
     inside = np.sqrt(np.maximum(1 - (sine / eta) ** 2, 1e-9))

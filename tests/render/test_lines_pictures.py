@@ -218,9 +218,13 @@ def test_what_is_no_strand_is_left_out_and_the_rest_is_drawn():
     radius = np.concatenate([np.full(5, 0.05), [0.2], np.full(5, 0.05), np.full(4, 0.2), np.zeros(5)])
     lines = made("bad", points, radius)
     result = render(case(lines, scenes.camera()), COMBINED)
-    assert result.report["warnings"] == ["bad: 1 points that are not finite were left out"]
+    assert result.report["warnings"] == [
+        "bad: 1 point is not finite and is left out",
+        "bad: 2 strands have less than two places and are left out",
+        "bad: 1 strand has no radius and is left out",
+    ]
     strands = clean(lines)
-    assert list(np.diff(strands.start)) == [5, 2, 2, 5]
+    assert list(np.diff(strands.start)) == [5, 2, 2]
     left = made("good", [good, bad[:2], bad[3:]], 0.05)
     assert np.array_equal(result.pixels["combined"][..., 3], alpha(case(left, scenes.camera())))
     rest = replace(lines, key="bad radius", radius=np.where(np.arange(20) == 1, np.nan, radius).astype(np.float32))
