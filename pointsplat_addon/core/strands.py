@@ -76,6 +76,23 @@ class Strands:
         return np.repeat(np.arange(len(self.start) - 1, dtype=np.int32), np.diff(self.start))
 
     @cached_property
+    def reached(self) -> np.ndarray:
+        """(P,) float64: lengths from the first point of all to each, in object space, without what is between strands."""
+        step = np.linalg.norm(np.diff(self.position, axis=0, prepend=self.position[:1]), axis=1).astype(np.float64)
+        step[self.start[:-1]] = 0
+        return np.cumsum(step)
+
+    def ends_near(self, ends: np.ndarray) -> np.ndarray:
+        """(K, 2) int64: of segments (K, 2), the first and the last point of the strand where balls along the segment may
+        reach beyond it, else -1. Closed strands have no ends."""
+        strand = self.strand[ends[:, 0]]
+        outer = np.stack([self.start[strand], self.start[strand + 1] - 1], axis=1)
+        closed = (self.position[outer[:, 0]] == self.position[outer[:, 1]]).all(axis=1)
+        reach = np.maximum(*self.radius[ends.T])[:, None]
+        near = (np.abs(self.reached[ends] - self.reached[outer]) <= reach) & (reach > 0) & ~closed[:, None]
+        return np.where(near, outer, -1)
+
+    @cached_property
     def local(self) -> np.ndarray:
         """(P,) int32: the how manieth of its strand each point is."""
         return (np.arange(len(self)) - self.start[self.strand]).astype(np.int32)

@@ -18,7 +18,8 @@ PARTS = 400  # places along a segment that the reference looks at
 
 
 def covered(lines: Lines, camera) -> np.ndarray:
-    """(H, W) bool: pixels whose centre's ray meets a ball somewhere along a segment, before the eye."""
+    """(H, W) bool: pixels whose centre's ray meets a ball somewhere along a segment, before the eye and between the planes
+    in which the strand ends."""
     fx, fy, cx, cy = camera.pixel_from_view()
     width, height = camera.resolution
     x, y = np.meshgrid((np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy)
@@ -27,16 +28,26 @@ def covered(lines: Lines, camera) -> np.ndarray:
     ray = np.stack([x, y, -np.ones_like(x)], -1) if camera.perspective else np.broadcast_to([0.0, 0, -1], (*x.shape, 3))
     ray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
     t = np.linspace(0, 1, PARTS)
+    foot = np.zeros(3) if camera.perspective else np.stack([x, y, np.zeros_like(x)], -1)
     for a, b in zip(lines.start[:-1], lines.start[1:], strict=True):
+        least, most = np.full((height, width), -np.inf), np.full((height, width), np.inf)
+        for end, other in ((view[a], view[a + 1]), (view[b - 1], view[b - 2])):
+            through, at = ray @ (other - end), (end - foot) @ (other - end)
+            with np.errstate(divide="ignore"):
+                least, most = (
+                    np.where(through > 0, np.maximum(least, at / through), least),
+                    np.where(through < 0, np.minimum(most, at / through), most),
+                )
         for i in range(a, b - 1):
             radius = lines.radius[i] * (1 - t) + lines.radius[i + 1] * t
             for place, r in zip(view[i] * (1 - t[:, None]) + view[i + 1] * t[:, None], radius, strict=True):
-                to = place if camera.perspective else place - np.stack([x, y, np.zeros_like(x)], -1)
+                to = place - foot
                 along = (ray * to).sum(-1)
                 outside = (to * to).sum(-1) - along**2 - r * r
-                end = along + np.sqrt(np.maximum(-outside, 0))
+                half = np.sqrt(np.maximum(-outside, 0))
+                end = np.minimum(along + half, most)
                 depth = -(ray[..., 2] * end)
-                found |= (outside < 0) & (depth > camera.near)
+                found |= (outside < 0) & (end > np.maximum(along - half, least)) & (depth > camera.near)
     return found
 
 
@@ -102,7 +113,7 @@ def test_the_eye_within_a_tube_sees_nothing_else():
 
 
 def test_a_huge_radius_fills_the_picture():
-    lines = made("huge", [np.array([[0, 1e4, 0], [1e4, 1e4, 0]])], 9.9e3)
+    lines = made("huge", [np.array([[-1e4, 1e4, 0], [1e4, 1e4, 0]])], 9.9e3)
     camera = scenes.camera((0, -4, 0), far=1e6)
     assert alpha(case(lines, camera)).min() == 1.0
 
