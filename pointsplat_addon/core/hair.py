@@ -3,9 +3,10 @@
 Hair is the model of Chiang et al. 2016 from afar: reflection R, transmission TT, internal reflection TRT and all
 further bounces, each a longitudinal lobe (d'Eon et al. 2011) times an azimuthal one, of energies that are means over
 the width. Light that strands scatter is not followed from one to the next. Instead each time that light is scattered
-the share `escape` of it leaves the mass of hair, and the rest meets others, everywhere alike: of uniform light on hair that
-scatters the share E comes back E escape / (1 - E (1 - escape)), what meets others as a diffuse part. With LEAST_ESCAPE that is
-the colour which Chiang's parametrisation gives a mass of such hair; a single strand has 1. What absorbs nothing scatters all.
+the share `escape` of it leaves the mass of hair, and the rest meets others, everywhere alike: of uniform light on hair
+that scatters the share E comes back E escape / (1 - E (1 - escape)), and what meets others is a diffuse part. With
+LEAST_ESCAPE that is about the colour which Chiang's parametrisation gives a mass of such hair; a single strand has an
+escape of 1. What absorbs nothing scatters all.
 
 Any other material is a cylinder of it: Lambert's law in closed form (Kajiya and Kay 1989, with the part of the cylinder
 that is both lit and seen), and R in place of its GGX lobe.
@@ -92,8 +93,8 @@ def in_uniform_light(fibre: Fibre, sine: np.ndarray) -> np.ndarray:
 
 
 def crossed(lines: Lines) -> float:
-    """How many strands a line through the middle of them meets, about: their area, which is pi / 4 of width times length
-    from all sides together, over that of the ellipsoid in the box around them."""
+    """How many strands a line through all of them meets, about: their area, which is pi / 4 of width times length as
+    the mean of all sides, over that of the ellipsoid in the box around them."""
     with np.errstate(all="ignore"):
         p = lines.position.astype(np.float64)
         length = np.linalg.norm(np.diff(p, axis=0), axis=1)
@@ -113,8 +114,8 @@ def escape(crossed: np.ndarray) -> np.ndarray:
 def texel(
     used: np.ndarray, radial: np.ndarray, coat: np.ndarray, tilt: np.ndarray, lobes: np.ndarray, escape: np.ndarray
 ) -> np.ndarray:
-    """(M, 4) float32, the fourth texel of the material table: 1 and the escape, 0: no hair; the coat, in 8 bits, and the
-    azimuthal roughness as a fraction; tilt; lobes, in 8 bits each."""
+    """(M, 4) float32, the fourth texel of the material table: 1 and the escape, 0: no hair; the coat, in 8 bits, and
+    the azimuthal roughness as a fraction; tilt; lobes, in 8 bits each."""
     steps = np.rint(np.clip(lobes, 0, 1) * 255)
     both = np.rint(np.clip(coat, 0, 1) * 255) + np.clip(radial, 0, BELOW_ONE)
     columns = (1 + np.clip(escape, 0, 1), both, tilt, steps @ [1.0, 256.0, 65536.0])

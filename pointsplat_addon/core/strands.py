@@ -77,14 +77,14 @@ class Strands:
 
     @cached_property
     def reached(self) -> np.ndarray:
-        """(P,) float64: lengths from the first point of all to each, in object space, without what is between strands."""
+        """(P,) float64: object units along strands from the first point of all, without what is between strands."""
         step = np.linalg.norm(np.diff(self.position, axis=0, prepend=self.position[:1]), axis=1).astype(np.float64)
         step[self.start[:-1]] = 0
         return np.cumsum(step)
 
     def ends_near(self, ends: np.ndarray) -> np.ndarray:
-        """(K, 2) int64: of segments (K, 2), the first and the last point of the strand where balls along the segment may
-        reach beyond it, else -1. Closed strands have no ends."""
+        """(K, 2) int64: of segments (K, 2), the first and the last point of the strand where balls along the segment
+        may reach beyond it, else -1. Closed strands have no ends."""
         strand = self.strand[ends[:, 0]]
         outer = np.stack([self.start[strand], self.start[strand + 1] - 1], axis=1)
         closed = (self.position[outer[:, 0]] == self.position[outer[:, 1]]).all(axis=1)

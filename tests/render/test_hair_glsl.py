@@ -31,7 +31,8 @@ def inputs() -> dict:
         "base": rng.uniform(0.02, 0.95, (COUNT, 3)), "roughness": rng.uniform(0.1, 0.9, COUNT),
         "metallic": rng.choice([0, 0.4, 1], COUNT), "eta": rng.choice([1.33, 1.55, 1.8], COUNT),
         "radial": rng.uniform(0.1, 0.9, COUNT), "tilt": rng.uniform(-0.1, 0.1, COUNT),
-        "coat": rng.choice([0.0, 0.6], COUNT), "escape": rng.uniform(0.03, 0.99, COUNT), "lobes": rng.choice([1.0, 0.6], (COUNT, 3)),
+        "coat": rng.choice([0.0, 0.6], COUNT), "escape": rng.uniform(0.03, 0.99, COUNT),
+        "lobes": rng.choice([1.0, 0.6], (COUNT, 3)),
     }  # fmt: skip
 
 

@@ -18,8 +18,8 @@ PARTS = 400  # places along a segment that the reference looks at
 
 
 def covered(lines: Lines, camera) -> np.ndarray:
-    """(H, W) bool: pixels whose centre's ray meets a ball somewhere along a segment, before the eye and between the planes
-    in which the strand ends."""
+    """(H, W) bool: pixels whose centre's ray meets a ball somewhere along a segment, before the eye and between the
+    planes in which the strand ends."""
     fx, fy, cx, cy = camera.pixel_from_view()
     width, height = camera.resolution
     x, y = np.meshgrid((np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy)
