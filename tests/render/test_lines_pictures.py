@@ -323,3 +323,14 @@ def test_strands_that_a_sample_shows_lie_all_over_however_they_were_laid_out():
     sector = np.floor((np.arctan2(root[:, 1], root[:, 0]) / (2 * np.pi) % 1) * 8).astype(int)
     shares = np.bincount(sector[shown], minlength=8) / np.bincount(sector)
     assert np.abs(shares - 0.1).max() < 0.05  # of 500 each; measured 0.028
+
+
+def test_strands_that_come_to_a_picture_are_drawn_and_those_that_go_are_not():
+    """Targets are lent from one frame to the next: not to one with strands from one without."""
+    lines = made("come and go", [bow()], 0.1)
+    camera = replace(EYES["before"], resolution=(52, 44))
+    cube = scenes.mesh(scenes.cube_mesh("beside strands", 0.5), "POLYGONS"), scenes.moved((0, 0, 1))
+    alone = Case(scenes.scene(cube, transparent=True), camera, PLAIN)
+    both = Case(scenes.scene(cube, (geometry(lines), scenes.moved()), transparent=True), camera, PLAIN)
+    first, second, third, fourth = (alpha(c).sum() for c in (alone, both, alone, both))
+    assert first == third < second == fourth
