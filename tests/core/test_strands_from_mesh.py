@@ -129,7 +129,7 @@ def test_parts_are_found_in_any_order_of_triangles():
 
 
 def star(lobes, sides=1):
-    """A flat leaf of lobes about its middle, which a slanted axis turns out of every plane; of two sides: one each way."""
+    """A flat leaf of lobes about its middle, in a slanted plane; of two sides: one each way."""
     angle = np.arange(2 * lobes) * np.pi / lobes
     rim = np.where(np.arange(2 * lobes) % 2, 0.55, 1.0) * (1 + 0.6 * np.cos(angle) ** 2)
     flat = np.stack([rim * np.cos(angle), rim * np.sin(angle), 0 * angle], axis=1)
