@@ -26,6 +26,19 @@ vec4 ps_before_eye(vec4 a, vec4 b)
 }
 #endif
 
+#ifdef PS_TUBE
+// The plane in which a strand ends: what is kept has dot(plane.xyz, p) + plane.w >= 0.
+vec4 ps_end_plane(int instance, float point, float sense)
+{
+  if (point < 0.0) {
+    return vec4(0.0, 0.0, 0.0, 1.0);
+  }
+  ivec2 at = ps_texel(int(point));
+  vec3 inward = sense * normalize(ps_linear(instance) * texelFetch(ps_tangent, at, 0).xyz);
+  return vec4(inward, -dot(inward, ps_view_from_point(instance, texelFetch(ps_point, at, 0).xyz)));
+}
+#endif
+
 void main()
 {
 #ifdef PS_THIN
@@ -46,6 +59,9 @@ void main()
   vec4 b = vec4(ps_view_from_point(instance, to.xyz), scale * to.w);
   v_from = a;
   v_to = b;
+  vec4 ends = texelFetch(ps_segments, at + ivec2(1, 0), 0);
+  v_begin = ps_end_plane(instance, ends.x, 1.0);
+  v_end = ps_end_plane(instance, ends.y, -1.0);
   vec4 near_a = ps_is_perspective() ? ps_before_eye(a, b) : a, near_b = ps_is_perspective() ? ps_before_eye(b, a) : b;
   // What balls at the near plane are cut to may reach farther than at either end.
   bool cut = ps_is_perspective() && min(-a.z - a.w, -b.z - b.w) < frame.lens.x;

@@ -16,6 +16,7 @@ MINIMUM_TWIST, Z_UP, FREE = range(3)  # and for normals
 AUTO = 0  # as a resolution of Catmull-Rom curves: as many steps as the radius asks for
 MOST_STEPS = 12  # that AUTO takes in a segment, Blender's default resolution
 CHORD = 0.25  # how far AUTO lets a chord lie from its curve, in radii
+SAG = 0.01  # the same in lengths of the segment: what is thick has no corners either
 UPRIGHT = 1e-4  # tangents whose |x| + |y| is below this are vertical (Blender's number)
 
 
@@ -203,16 +204,19 @@ def _neighbours(
 
 
 def _steps(curves: Curves, owner: np.ndarray, inside: np.ndarray, following: np.ndarray) -> np.ndarray:
-    """(P,) steps of each segment whose chords lie within CHORD radii of the curve: |p''| / 8 n^2 at most."""
+    """(P,) steps of each segment whose chords lie within CHORD radii of the curve, and within SAG of its length: they
+    are off by |p''| / 8 n^2 at most."""
     every = np.arange(len(owner))
     a, b, c, d = _neighbours(every, curves.start, owner, inside, following, curves.cyclic)
     p = np.asarray(curves.position, np.float64)
-    chord = _unit(p[c] - p[b])
+    across = p[c] - p[b]
+    chord = _unit(across)
     # Only what leads away from the chord; along it points merely lie unevenly
     bends = (2 * p[a] - 5 * p[b] + 4 * p[c] - p[d], -p[a] + 4 * p[b] - 5 * p[c] + 2 * p[d])
     first, second = (np.linalg.norm(v - np.einsum("ij,ij->i", v, chord)[:, None] * chord, axis=1) for v in bends)
     radius = np.zeros(len(p)) if curves.radius is None else np.maximum(curves.radius[b], curves.radius[c])
-    bend, allowed = np.maximum(first, second) / 8, CHORD * radius
+    bend = np.maximum(first, second) / 8
+    allowed = np.minimum(CHORD * radius, SAG * np.linalg.norm(across, axis=1))
     with np.errstate(all="ignore"):
         found = np.ceil(np.sqrt(bend / allowed) - 1e-6)
     return np.clip(np.nan_to_num(found, nan=1, posinf=MOST_STEPS), 1, MOST_STEPS).astype(np.int64)

@@ -2,10 +2,11 @@
 
 Hair is the model of Chiang et al. 2016 from afar: reflection R, transmission TT, internal reflection TRT and all
 further bounces, each a longitudinal lobe (d'Eon et al. 2011) times an azimuthal one, of energies that are means over
-the width. Light that strands scatter is not followed from one to the next. Instead the share MASS of what passes
-through a strand is taken to meet others, and to come back diffuse, as much as the whole then has the colour that a mass
-of such hair is to have: one strand of brown hair hardly has a colour. Together they scatter no more than they receive:
-of a strand that absorbs nothing, all.
+the width. Light that strands scatter is not followed from one to the next. Instead each time that light is scattered
+the share `escape` of it leaves the mass of hair, and the rest meets others, everywhere alike: of uniform light on hair
+that scatters the share E comes back E escape / (1 - E (1 - escape)), and what meets others is a diffuse part. With
+LEAST_ESCAPE that is about the colour which Chiang's parametrisation gives a mass of such hair; a single strand has an
+escape of 1. What absorbs nothing scatters all.
 
 Any other material is a cylinder of it: Lambert's law in closed form (Kajiya and Kay 1989, with the part of the cylinder
 that is both lit and seen), and R in place of its GGX lobe.
@@ -16,11 +17,13 @@ about it. What is scattered is per unit of irradiance on a plane that faces the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .lighting import fresnel_dielectric
+from .lines import Lines
+from .pigment import absorption_from_color
 
 # Offsets from the middle of a strand, of its radius, that stand for its width (Gauss and Legendre on [0, 1]).
 PLACES = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))
@@ -28,36 +31,24 @@ WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
 TT_SPREAD, TRT_SPREAD = 0.36, 0.14  # scales of logistics with the deviation of phi over the width, at an index of 1.55
 LEAST_ROUGHNESS = 0.08  # float32 holds no narrower lobe
 LEAST_VARIANCE = 1e-3
-MASS = 0.75  # of what passes through a strand: what meets others
-DARKEST = 1e-6  # of colours: float16 holds it
+# Of an endless mass. By Chiang et al. (2016, equation 9) a colour of (0.45, 0.2, 0.08) is that of strands which scatter
+# (0.97, 0.87, 0.71): escapes of 0.029, 0.038 and 0.035.
+LEAST_ESCAPE = 0.03
+BELOW_ONE = 0.999
 
 
 @dataclass(frozen=True, eq=False)
 class Fibre:
     """Hair of N strands; every array may also be a scalar that is broadcast."""
 
-    color: np.ndarray  # (N, 3): of a mass of such hair; `absorption` says what it is of one
+    color: np.ndarray  # (N, 3): of a mass of such hair; core.pigment says what one absorbs
     roughness: np.ndarray  # (N,) longitudinal
     radial: np.ndarray  # (N,) azimuthal roughness
     eta: np.ndarray | float  # (N,) index of refraction
     tilt: np.ndarray | float  # (N,) radians by which scales lean towards the root
     coat: np.ndarray | float = 0.0  # (N,) by how much smoother R is
     lobes: np.ndarray | None = None  # (N, 3) factors of R, TT and TRT; None: 1
-
-
-def absorption(color: np.ndarray, radial: np.ndarray) -> np.ndarray:
-    """(N, 3) absorption per radius of hair that looks like `color` in a mass (Chiang et al. 2016, equation 9)."""
-    return (np.log(np.clip(color, DARKEST, 1.0)) / _inverted(radial)[..., None]) ** 2
-
-
-def color_of(absorption: np.ndarray, radial: np.ndarray) -> np.ndarray:
-    """(N, 3) the colour of which `absorption` is that."""
-    return np.exp(np.sqrt(np.maximum(absorption, 0)) * -_inverted(radial)[..., None])
-
-
-def _inverted(radial: np.ndarray) -> np.ndarray:
-    b = np.asarray(radial, float)
-    return 5.969 + b * (-0.215 + b * (2.532 + b * (-10.73 + b * (5.574 + b * 0.245))))
+    escape: np.ndarray | float = 1.0  # (N,) share of scattered light that meets no other strand
 
 
 def energies(fibre: Fibre, sine: np.ndarray) -> np.ndarray:
@@ -65,7 +56,7 @@ def energies(fibre: Fibre, sine: np.ndarray) -> np.ndarray:
     sine = np.asarray(sine, float)
     cosine = np.sqrt(np.maximum(1 - sine**2, 0))
     eta = np.broadcast_to(np.asarray(fibre.eta, float), sine.shape)
-    sigma = absorption(np.asarray(fibre.color, float), fibre.radial)
+    sigma = absorption_from_color(np.asarray(fibre.color, float), np.asarray(fibre.radial)[..., None])
     # Bravais: rays across the tangent are bent as by another index.
     bent = np.sqrt(np.maximum(eta**2 - sine**2, 1e-9)) / np.maximum(cosine, 1e-4)
     inside = np.sqrt(np.maximum(1 - (sine / eta) ** 2, 1e-9))
@@ -84,17 +75,50 @@ def energies(fibre: Fibre, sine: np.ndarray) -> np.ndarray:
         )  # fmt: skip
     if fibre.lobes is not None:
         total[:3] *= np.clip(np.moveaxis(np.asarray(fibre.lobes), -1, 0), 0, 1)[..., None]
-    color = np.clip(np.broadcast_to(np.asarray(fibre.color, float), total.shape[1:]), 0, 1)
-    back = MASS * np.clip(color - total[0] - total[2] - total[3], 0, total[1])
-    total[1] *= 1 - MASS
+    escape = np.broadcast_to(np.asarray(fibre.escape, float), sine.shape)[:, None]
+    whole = _left(total.sum(axis=0), escape)
+    back = np.clip(whole - total[0] - total[2] - total[3] - escape * total[1], 0, (1 - escape) * total[1])
+    total[1] *= escape
     return np.concatenate([total, back[None]])
 
 
-def texel(used: np.ndarray, radial: np.ndarray, coat: np.ndarray, tilt: np.ndarray, lobes: np.ndarray) -> np.ndarray:
-    """(M, 4) float32, the fourth texel of the material table: 1 and the coat, 0: no hair; azimuthal roughness; tilt;
-    lobes, in 8 bits each."""
+def _left(every: np.ndarray, escape: np.ndarray) -> np.ndarray:
+    return every * escape / np.maximum(1 - every * (1 - escape), 1e-6)
+
+
+def in_uniform_light(fibre: Fibre, sine: np.ndarray) -> np.ndarray:
+    """(N, 3) radiance of hair in light of radiance 1 from all around, which others hold off."""
+    alone = energies(replace(fibre, escape=1.0), sine).sum(axis=0)
+    return _left(alone, np.broadcast_to(np.asarray(fibre.escape, float), alone.shape[:1])[:, None])
+
+
+def crossed(lines: Lines) -> float:
+    """How many strands a line through all of them meets, about: their area, which is pi / 4 of width times length as
+    the mean of all sides, over that of the ellipsoid in the box around them."""
+    with np.errstate(all="ignore"):
+        p = lines.position.astype(np.float64)
+        length = np.linalg.norm(np.diff(p, axis=0), axis=1)
+        length[lines.start[1:-1] - 1] = 0
+        width = lines.radius[1:].astype(np.float64) + lines.radius[:-1]
+        area = np.pi / 4 * np.nansum(length * width)
+        x, y, z = np.nanmax(p, axis=0, initial=-np.inf) - np.nanmin(p, axis=0, initial=np.inf)
+        found = area / (np.pi / 12 * (x * y + y * z + z * x))
+    return float(found) if np.isfinite(found) and found > 0 else 0.0
+
+
+def escape(crossed: np.ndarray) -> np.ndarray:
+    """Of strands among which a line meets that many."""
+    return np.maximum(1 / (1 + crossed), LEAST_ESCAPE)
+
+
+def texel(
+    used: np.ndarray, radial: np.ndarray, coat: np.ndarray, tilt: np.ndarray, lobes: np.ndarray, escape: np.ndarray
+) -> np.ndarray:
+    """(M, 4) float32, the fourth texel of the material table: 1 and the escape, 0: no hair; the coat, in 8 bits, and
+    the azimuthal roughness as a fraction; tilt; lobes, in 8 bits each."""
     steps = np.rint(np.clip(lobes, 0, 1) * 255)
-    columns = (1 + np.clip(coat, 0, 1), radial, tilt, steps @ [1.0, 256.0, 65536.0])
+    both = np.rint(np.clip(coat, 0, 1) * 255) + np.clip(radial, 0, BELOW_ONE)
+    columns = (1 + np.clip(escape, 0, 1), both, tilt, steps @ [1.0, 256.0, 65536.0])
     return (np.stack(columns, axis=1) * used[:, None]).astype(np.float32)
 
 

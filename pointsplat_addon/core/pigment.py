@@ -14,7 +14,7 @@ from .expressions import Expression, SampleInputs
 
 EUMELANIN = (0.506, 0.841, 1.653)  # absorption of a concentration of 1, per fibre radius
 PHEOMELANIN = (0.343, 0.733, 1.924)
-LEAST = 1e-6  # colours below this are black, and their absorption is finite
+LEAST = 1e-6  # colours below this are black, and their absorption is finite; float16 holds it
 
 
 def strand_attribute(name: str) -> str:

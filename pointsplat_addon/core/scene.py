@@ -148,15 +148,13 @@ class Instances:
 class HairTable:
     """The Principled Hair values of each row of a MaterialTable; rows that are not hair hold Blender's defaults.
 
-    The longitudinal roughness is the table's `roughness` and the colour that a head of such hair has its `base_color`;
-    `core.pigment` turns that colour, or a point's own, and the radial roughness into absorption.
+    The table's `ior` and `roughness` (the longitudinal one) are hair's too, and its `base_color` is the colour that a
+    head of such hair has; `core.pigment` turns that, or a point's own, and the radial roughness into absorption.
     """
 
     used: np.ndarray  # (M,) bool: this row is hair
-    absorption: np.ndarray  # (M, 3) float32 per fibre radius, of the constant colour
     radial: np.ndarray  # (M,) float32, azimuthal roughness in [0, 1]; Huang's model: the longitudinal one
     coat: np.ndarray  # (M,) float32 in [0, 1]: how much smoother the first reflection is
-    ior: np.ndarray  # (M,) float32
     tilt: np.ndarray  # (M,) float32, radians: of the cuticle's scales, Blender's Offset
     lobes: np.ndarray  # (M, 3) float32: factors of reflection, transmission and second reflection; 1 in Chiang's model
 

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .lines import Lines
+from .lines import Lines, owners
 from .scene import Camera
 
 GOLDEN = (5**0.5 - 1) / 2
@@ -32,7 +32,8 @@ NARROW = 1e-3  # pixels: shorter segments have no direction on the screen
 
 @dataclass(frozen=True, eq=False)
 class Strands:
-    """The points of strands that can be drawn: finite ones, no two in one place, at least two to a strand."""
+    """The points of strands that can be drawn: finite ones, no two in one place, at least two to a strand, which has a
+    radius."""
 
     origin: np.ndarray  # (3,) float64
     source: np.ndarray  # (P,) int64: rows of the `Lines` that they come from
@@ -44,7 +45,7 @@ class Strands:
     material: np.ndarray  # (S,) int64
     levels: tuple[Level, ...]
     detail: np.ndarray  # (S,) int8: up to this level, attributes change too little to be seen
-    dropped: int  # points that are not finite
+    messages: tuple[str, ...]  # what was left out, counted
 
     def __len__(self) -> int:
         """How many points."""
@@ -73,6 +74,23 @@ class Strands:
     def strand(self) -> np.ndarray:
         """(P,) int32: which strand each point belongs to."""
         return np.repeat(np.arange(len(self.start) - 1, dtype=np.int32), np.diff(self.start))
+
+    @cached_property
+    def reached(self) -> np.ndarray:
+        """(P,) float64: object units along strands from the first point of all, without what is between strands."""
+        step = np.linalg.norm(np.diff(self.position, axis=0, prepend=self.position[:1]), axis=1).astype(np.float64)
+        step[self.start[:-1]] = 0
+        return np.cumsum(step)
+
+    def ends_near(self, ends: np.ndarray) -> np.ndarray:
+        """(K, 2) int64: of segments (K, 2), the first and the last point of the strand where balls along the segment
+        may reach beyond it, else -1. Closed strands have no ends."""
+        strand = self.strand[ends[:, 0]]
+        outer = np.stack([self.start[strand], self.start[strand + 1] - 1], axis=1)
+        closed = (self.position[outer[:, 0]] == self.position[outer[:, 1]]).all(axis=1)
+        reach = np.maximum(*self.radius[ends.T])[:, None]
+        near = (np.abs(self.reached[ends] - self.reached[outer]) <= reach) & (reach > 0) & ~closed[:, None]
+        return np.where(near, outer, -1)
 
     @cached_property
     def local(self) -> np.ndarray:
@@ -149,25 +167,32 @@ def turns(count: int) -> np.ndarray:
 
 
 def clean(lines: Lines) -> Strands:
-    """The strands without points that are not finite, which break a strand in two, and without repeated ones."""
+    """The strands that can be drawn. Points that are not finite, or have such a value, break a strand in two; points in
+    the place of the one before, strands of one place and strands without a radius are left out."""
     position = np.asarray(lines.position, np.float32).reshape(-1, 3)[:MOST_POINTS]
     count = len(position)
-    start = np.minimum(np.asarray(lines.start, np.int64), count)
+    whole = np.asarray(lines.start, np.int64)
+    owner = owners(whole)[:count]
+    values = [a[:count] for a in (lines.color, lines.surface, lines.emission) if a is not None]
     with np.errstate(invalid="ignore"):
         good = (np.abs(position) < FARTHEST).all(axis=1) & (np.abs(lines.radius[:count]) < FARTHEST)
-    owner = np.full(count, -1, np.int64)
-    owner[start[0] : start[-1]] = np.repeat(np.arange(len(start) - 1), np.diff(start))
-    good &= owner >= 0
+    for value in values:
+        good &= np.isfinite(value).all(axis=1)
     begins = np.ones(count, bool)
     begins[1:] = (owner[1:] != owner[:-1]) | ~good[:-1]
     repeated = np.zeros(count, bool)
     repeated[1:] = (position[1:] == position[:-1]).all(axis=1) & ~begins[1:]
     kept = np.flatnonzero(good & ~repeated)
+    radius = np.maximum(np.asarray(lines.radius, np.float32)[kept], 0)
     run = np.cumsum(begins)[kept]
-    length = np.bincount(run) if len(run) else np.zeros(1, np.int64)
-    kept = kept[length[run] > 1]
-    length = length[length > 1]
-    start = np.concatenate([[0], np.cumsum(length)]).astype(np.int64)
+    number = np.bincount(run)
+    several, wide = number > 1, np.bincount(run, radius) > 0
+    strand = np.zeros((2, len(whole) - 1), bool)  # of those that were given: with two places, and to be drawn
+    for found, runs in zip(strand, (several, several & wide), strict=True):
+        found[owner[kept[runs[run]]]] = True
+    drawn = (several & wide)[run]
+    kept, radius = kept[drawn], radius[drawn]
+    start = np.concatenate([[0], np.cumsum(number[several & wide])]).astype(np.int64)
 
     p = position[kept]
     tangent = _tangents(p, start)
@@ -175,13 +200,24 @@ def clean(lines: Lines) -> Strands:
     owner = owner[kept[start[:-1]]]
     rows = np.full(len(owner), lines.materials[0]) if lines.material is None else lines.material[owner].astype(np.int64)
     levels = _levels(start)
-    values = [a[kept] for a in (lines.color, lines.surface, lines.emission) if a is not None]
-    detail = _detail(np.concatenate(values, axis=1) if values else None, levels, len(start) - 1)
-    radius = np.maximum(np.asarray(lines.radius, np.float32)[kept], 0)
-    dropped = int(count - np.count_nonzero(good))
+    varying = np.concatenate([a[kept] for a in values], axis=1) if values else None
+    detail = _detail(varying, levels, len(start) - 1)
+    messages = [
+        *_counted(int(np.count_nonzero(~good)), "point", "is not finite", "are not finite"),
+        *_counted(int((~strand[0]).sum()), "strand", "has less than two places", "have less than two places"),
+        *_counted(int((strand[0] & ~strand[1]).sum()), "strand", "has no radius", "have no radius"),
+    ]
+    if len(lines.position) > MOST_POINTS:
+        messages.append(f"strands beyond {MOST_POINTS} points are left out")
     return Strands(
-        np.asarray(lines.origin, float), kept, p, radius, start, tangent, side, rows, levels, detail, dropped
+        np.asarray(lines.origin, float), kept, p, radius, start, tangent, side, rows, levels, detail, tuple(messages)
     )
+
+
+def _counted(number: int, what: str, one: str, many: str) -> list[str]:
+    if number == 0:
+        return []
+    return [f"1 {what} {one} and is left out" if number == 1 else f"{number} {what}s {many} and are left out"]
 
 
 def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -240,7 +276,6 @@ def _detail(values: np.ndarray | None, levels: tuple[Level, ...], strands: int) 
     """(S,) int8: the level up to which values (P, C) are linear enough."""
     if values is None:
         return np.full(strands, 127, np.int8)
-    values = np.nan_to_num(values)
     largest = np.maximum(np.abs(values).max(axis=0, initial=0), 1)
     off, result = np.zeros(strands), np.zeros(strands, np.int8)
     fine = np.ones(strands, bool)

@@ -1,8 +1,8 @@
 """Meshes of leaves and branches as ribbons and tubes where they have that structure (Marroquim et al. 2008, section 5).
 
 A part is what edges hold together. A tube is a part made of rings of vertices, open at both ends or with a tip, or any
-sleeve between two open rims whose sections are round enough. A ribbon is one of two to four triangles in a row. What
-fits none of these stays polygons.
+sleeve between two open rims whose sections are round enough. A ribbon is one of two to four triangles in a row, or a
+flat one of some more, by its widths across its longest axis. What fits none of these stays polygons.
 """
 
 from __future__ import annotations
@@ -16,6 +16,11 @@ FLAT = 0.02  # a section whose variances across and along are in a smaller ratio
 AREA = 0.2  # by which a ribbon's area may differ from its triangles'
 SLEEVE_AREA = 0.4  # the same for tubes, before they are widened to it
 EXACT = 0.05  # and up to which they are as they are
+LEAF = 128  # triangles that a leaf has at most
+LEAF_POINTS = 7  # of its ribbon
+CURLED = 0.1  # a leaf's variance across its plane over that of its narrower axis, at most
+FILLED = 0.5  # of a leaf's breadth, what lies between its lobes taken off, at least
+BEYOND = 0.04  # of its length: how far from its ends a leaf is measured for them
 NUDGE = 1e-6  # of a section's distance from the next, so that no cut goes through a vertex
 
 
@@ -59,7 +64,9 @@ def find(position: np.ndarray, triangles: np.ndarray) -> Found:
     other[tubes[4]] = False
     sleeves = _sleeves(position, triangles, label, names, part, other)
     ribbons = _ribbons(position, triangles, part, len(names))
-    both = [tubes, sleeves, ribbons]
+    other[np.concatenate([sleeves[4], ribbons[4]])] = False
+    leaves = _leaves(position, triangles, part, other)
+    both = [tubes, sleeves, ribbons, leaves]
     count = np.concatenate([b[3] for b in both]).astype(np.int64)
     chosen = np.concatenate([b[4] for b in both])
     first = np.full(len(names), len(triangles))
@@ -71,7 +78,7 @@ def find(position: np.ndarray, triangles: np.ndarray) -> Found:
         np.concatenate([b[1] for b in both]),
         np.concatenate([b[2] for b in both]),
         np.concatenate([[0], np.cumsum(count)]).astype(np.int64),
-        np.repeat([False, False, True], [len(b[3]) for b in both]),
+        np.repeat([False, False, True, True], [len(b[3]) for b in both]),
         first[chosen],
         left[part],
         len(names),
@@ -298,6 +305,86 @@ def _ribbons(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, coun
     if not found:
         return _none()
     return tuple(np.concatenate(column) for column in zip(*found, strict=True))  # pyright: ignore[reportReturnType]
+
+
+def _leaves(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, other: np.ndarray) -> Strands:
+    """Ribbons of flat parts among `other` (B,): at each of LEAF_POINTS places along the longest axis as wide as what a
+    plane across it cuts, through the middle of that, and widened to the part's area. Of parts with two sides, as thin
+    closed ones have, one counts."""
+    count = len(other)
+    many = np.bincount(part, minlength=count)
+    fits = other & (many > 4) & (many <= LEAF)
+    chosen = np.flatnonzero(fits)
+    if len(chosen) == 0:
+        return _none()
+    row = np.full(count, -1)
+    row[chosen] = np.arange(len(chosen))
+    rows = np.flatnonzero(fits[part])
+    own, corner = row[part[rows]], position[triangles[rows]]
+
+    def total(values: np.ndarray) -> np.ndarray:
+        columns = values.reshape(len(own), -1).T
+        return np.stack([np.bincount(own, c, len(chosen)) for c in columns], axis=1).reshape(-1, *values.shape[1:])
+
+    area = _area(corner)
+    whole = np.maximum(total(area), 1e-300)
+    middle = total(area[:, None] * corner.mean(axis=1)) / whole[:, None]
+    off = corner - middle[own][:, None]
+    # Of a triangle's second moments, from its corners and their mean
+    spread = np.einsum("tki,tkj->tij", off, off) + 9 * np.einsum("ti,tj->tij", off.mean(axis=1), off.mean(axis=1))
+    variance, axes = np.linalg.eigh(total(area[:, None, None] * spread) / (12 * whole[:, None, None]))
+    facing = _crossed(corner)
+    sense = np.einsum("ti,ti->t", facing, axes[own, :, 0])
+    sides = np.stack([np.bincount(own, np.maximum(s * sense, 0) / 2, len(chosen)) for s in (1, -1)])
+    upper = sides[0] >= sides[1]
+    used = (sense > 0) == upper[own]
+    whole, hidden = sides.max(axis=0), sides.min(axis=0)
+    two_sided = hidden > AREA * whole
+    flat = variance[:, 0] <= np.where(two_sided, FLAT, CURLED) * variance[:, 1]
+    flat &= (variance[:, 1] > 0) & (~two_sided | (whole - hidden <= AREA * whole))
+    # The area along the plane falls short of that of what is curled
+    whole = np.bincount(own, area * used, len(chosen))
+    along, beside = axes[:, :, 2], axes[:, :, 1]
+    height = np.einsum("tki,ti->tk", off, along[own])
+    sideways = np.einsum("tki,ti->tk", off, beside[own])
+    low, high = np.full(len(chosen), np.inf), np.full(len(chosen), -np.inf)
+    np.minimum.at(low, own, height.min(axis=1))
+    np.maximum.at(high, own, height.max(axis=1))
+
+    points, radius, normal = (np.zeros((len(chosen), LEAF_POINTS, *more)) for more in ((3,), (), (3,)))
+    filled = np.zeros((2, len(chosen)))
+    for k, place in enumerate(np.linspace(0, 1, LEAF_POINTS)):
+        measured = np.clip(place, BEYOND, 1 - BEYOND) + NUDGE
+        above = height - (low + measured * (high - low))[own][:, None]
+        ahead = np.roll(above, -1, axis=1)
+        crosses = (above < 0) != (ahead < 0)
+        t = np.where(crosses, above / np.where(crosses, above - ahead, 1), 0)
+        two = np.argsort(~crosses, axis=1, kind="stable")[:, :2]
+        cut = crosses.any(axis=1) & used
+        point, side = (
+            np.take_along_axis(v + t.reshape(*t.shape, *[1] * (v.ndim - 2)) * (np.roll(v, -1, axis=1) - v),
+                               two.reshape(*two.shape, *[1] * (v.ndim - 2)), axis=1)
+            for v in (corner, sideways)
+        )  # fmt: skip
+        length = np.linalg.norm(point[:, 0] - point[:, 1], axis=1) * cut
+        width = total(length)
+        weight = (length / np.maximum(width[own], 1e-300))[:, None]
+        points[:, k] = total(weight * point.mean(axis=1))
+        normal[:, k] = total(weight * facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300))
+        radius[:, k] = width / 2
+        # To the very ends, along the axis
+        if measured - NUDGE != place:
+            points[:, k] += (place - measured + NUDGE) * (high - low)[:, None] * along
+        least, most = np.full(len(chosen), np.inf), np.full(len(chosen), -np.inf)
+        np.minimum.at(least, own[cut], side.min(axis=1)[cut])
+        np.maximum.at(most, own[cut], side.max(axis=1)[cut])
+        filled += np.stack([width, np.where(width > 0, most - least, 0)])
+    covered = (np.linalg.norm(np.diff(points, axis=1), axis=2) * (radius[:, 1:] + radius[:, :-1])).sum(axis=1)
+    flat &= (np.abs(covered - whole) <= AREA * whole) & (filled[0] >= FILLED * filled[1]) & (radius > 0).any(axis=1)
+    radius *= (whole / np.maximum(covered, 1e-300))[:, None]
+    normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-300)
+    return (points[flat].reshape(-1, 3), radius[flat].ravel(), normal[flat].reshape(-1, 3),
+            np.full(int(flat.sum()), LEAF_POINTS), chosen[flat])  # fmt: skip
 
 
 def _in_a_row(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,7 @@ from ..core.hierarchy import Hierarchy, build, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
 from ..core.spacing import EXACT_INSTANCES, PART, make_parts, required_spacing
-from ..core.strands import MOST_POINTS, Segments, clean, together
+from ..core.strands import Segments, clean, together
 from ..core.strands import select as select_segments
 from ..core.vectors import dot, each_block
 from .hybrid import Divided, PartSamples, Shown, sample_parts, show
@@ -284,10 +284,7 @@ class _View:
                 continue
             self.check()
             strands = self.store.lookup(("strands", geometry.key), lambda lines=lines: clean(lines))
-            if strands.dropped:
-                self.warnings.append(f"{geometry.name}: {strands.dropped} points that are not finite were left out")
-            if len(lines.position) > MOST_POINTS:
-                self.warnings.append(f"{geometry.name}: strands beyond {MOST_POINTS} points were left out")
+            self.warnings += [f"{geometry.name}: {message}" for message in strands.messages]
             if len(strands) == 0:
                 continue
             tolerance = self.settings.tolerance

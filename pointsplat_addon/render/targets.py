@@ -89,7 +89,7 @@ class Pool:
 
     def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
         """Targets for a plan, and the key to give them back with."""
-        key = (size, count, plan.points, plan.ewa, plan.polygons, plan.variant, plan.options,
+        key = (size, count, plan.points, plan.ewa, plan.polygons, plan.spheres, plan.lines, plan.variant, plan.options,
                plan.painter and plan.data_variant,
                shade_pass.averaged(passes),
                None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core import order, sampling
+from ..core import hair, order, sampling
 from ..core.appearance import digest
 from ..core.environment import build_atlas
 from ..core.lighting import light_texture
@@ -125,7 +125,7 @@ class Uploads:
 
     def _upload(self, motion: bool, shadows: Shadows | None) -> None:
         scene, plan, device = self.scene, self.plan, self.device
-        table = shade_pass.material_rows(scene.materials)
+        table = shade_pass.material_rows(scene.materials, self._escape())
         self.materials = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
         self.shared: dict[str, Texture] = {"ps_materials": self.materials}
         if plan.lighting:
@@ -210,6 +210,17 @@ class Uploads:
         key = ("page", tuple(p.key for p in sets), plan.variant, plan.options.shading_normal, filled)
         self.used.add(key)
         return self.kept.keep(key, lambda: Page(self.device, sets, plan.variant, plan.options, table))
+
+    def _escape(self) -> np.ndarray:
+        """(M,) how much light leaves the hair of each material; of the strands that have most of it, in view or not."""
+        scene = self.scene
+        most = np.zeros(len(scene.materials))
+        for geometry in scene.geometries:
+            if geometry.lines is not None and scene.materials.hair is not None:
+                lines, rows = geometry.lines, list(geometry.lines.materials)
+                number = STORE.lookup(("crossed", geometry.key), lambda lines=lines: hair.crossed(lines))
+                most[rows] = np.maximum(most[rows], number)
+        return hair.escape(most)
 
     def _lines(self) -> None:
         """Pages of control points, and the segments that this view draws of them."""

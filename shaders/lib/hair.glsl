@@ -1,12 +1,11 @@
 // Light on strands that are seen as a whole, across all their width. Reference, sources and words: core/hair.py.
-// The entry is ps_shade_strand. Of the material table's fourth texel: x 1 and the coat: hair; y azimuthal
-// roughness; z tilt; w factors of R, TT and TRT, 8 bits each.
+// The entry is ps_shade_strand. Of the material table's fourth texel: x 1 and the escape: hair; y the coat, 8 bits,
+// and azimuthal roughness as a fraction; z tilt; w factors of R, TT and TRT, 8 bits each.
 
 #define PS_TT_SPREAD 0.36
 #define PS_TRT_SPREAD 0.14
 #define PS_LEAST_ROUGHNESS 0.08
 #define PS_LEAST_VARIANCE 1e-3
-#define PS_MASS 0.75  // of what passes through a strand: what meets others
 #define PS_DARKEST 1e-6
 
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
@@ -21,6 +20,7 @@ struct PsStrand {
   vec3 again;  // TRT
   vec3 rest;  // further bounces
   vec3 diffuse;  // by other strands; of a cylinder by itself
+  vec3 before, behind;  // of the light of the world in front of the strand and behind it
   float variance;
   float smoothest;  // variance of R
   float spread;  // squared scale of the azimuthal logistic; less than 0: a cylinder of another material
@@ -93,8 +93,8 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
   strand.theta = atan(sine, cosine);
   bool hair = fibre.x > 0.5;
   float roughness = clamp(surface.roughness, 0.0, 1.0);
-  float radial = max(fibre.y, PS_LEAST_ROUGHNESS);
-  vec3 sigma = ps_absorption(surface.base, fibre.y);
+  float radial = max(fract(fibre.y), PS_LEAST_ROUGHNESS);
+  vec3 sigma = ps_absorption(surface.base, fract(fibre.y));
   float eta = surface.eta;
   float bent = sqrt(max(eta * eta - sine * sine, 1e-9)) / max(cosine, 1e-4);
   float inside = sqrt(max(1.0 - sine * sine / (eta * eta), 1e-9));
@@ -114,7 +114,7 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
     float x = 1.0 - facing, x2 = x * x;
     grazing += weight * x2 * x2 * x;
   }
-  float coat = fibre.x - 1.0;
+  float coat = floor(fibre.y) / 255.0, escape = fibre.x - 1.0;
   float variance = ps_lobe_variance(surface.roughness), smoothest = ps_lobe_variance(surface.roughness * (1.0 - coat));
   float scale = sqrt(PS_PI / 8.0) * (0.265 * radial + 1.194 * radial * radial + 5.372 * ps_power(radial, 22));
   // Of any other material.
@@ -127,11 +127,16 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
   strand.reflected = hair ? lobes.x * reflected : mirrored;
   through *= lobes.y;
   again *= lobes.z;
-  vec3 back = PS_MASS * clamp(clamp(surface.base, 0.0, 1.0) - lobes.x * reflected - again - rest, vec3(0.0), through);
-  strand.through = hair ? (1.0 - PS_MASS) * through : vec3(0.0);
+  vec3 every = lobes.x * reflected + through + again + rest;
+  vec3 whole = every * escape / max(1.0 - every * (1.0 - escape), 1e-6);
+  vec3 back = clamp(whole - every + (1.0 - escape) * through, vec3(0.0), (1.0 - escape) * through);
+  strand.through = hair ? escape * through : vec3(0.0);
   strand.again = hair ? again : vec3(0.0);
   strand.rest = hair ? rest : vec3(0.0);
   strand.diffuse = hair ? back : diffuse;
+  vec3 held = whole / max(every, 1e-6);  // other strands hold off the world
+  strand.behind = hair ? held * escape * through : vec3(0.0);
+  strand.before = hair ? whole - strand.behind : mirrored + diffuse;
   float other = max(2.0 * ps_power(roughness, 4), PS_LEAST_VARIANCE);
   strand.variance = hair ? variance : other;
   strand.smoothest = hair ? smoothest : other;
@@ -189,8 +194,7 @@ vec3 ps_shade_strand(vec3 position, vec3 tangent, vec3 to_eye, PsSurface surface
   }
 #endif
   vec3 facing = normalize(strand.across + 1e-9 * to_eye);
-  result += ps_world_around(facing) * (strand.reflected + strand.again + strand.rest + strand.diffuse) +
-            ps_world_around(-facing) * strand.through;
+  result += ps_world_around(facing) * strand.before + ps_world_around(-facing) * strand.behind;
 #endif
   return result;
 }

@@ -112,7 +112,7 @@ def test_a_sleeve_whose_vertices_make_no_rings_is_cut_across():
     expected *= 8 * np.sin(np.pi / 8) / np.pi
     assert np.abs(found.radius / expected - 1).max() < 1e-6  # measured 1.7e-8
     # Pressed flat it is no tube
-    assert len(find(vertices * np.array([1, 0.01, 1]), faces)) == 0
+    assert find(vertices * np.array([1, 0.01, 1]), faces).ribbon.tolist() == [True]
 
 
 def test_parts_are_found_in_any_order_of_triangles():
@@ -126,3 +126,48 @@ def test_parts_are_found_in_any_order_of_triangles():
     groups = [np.unique(label[shuffled[f : f + n]]) for f, n in zip(first, (3, 500, 40), strict=True)]
     assert [len(g) for g in groups] == [1, 1, 1]
     assert len(np.unique(label)) == 3
+
+
+def star(lobes, sides=1):
+    """A flat leaf of lobes about its middle, in a slanted plane; of two sides: one each way."""
+    angle = np.arange(2 * lobes) * np.pi / lobes
+    rim = np.where(np.arange(2 * lobes) % 2, 0.55, 1.0) * (1 + 0.6 * np.cos(angle) ** 2)
+    flat = np.stack([rim * np.cos(angle), rim * np.sin(angle), 0 * angle], axis=1)
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    vertices = np.concatenate([np.zeros((1, 3)), flat]) @ turn + 3.0
+    one = np.arange(2 * lobes)
+    faces = np.stack([0 * one, 1 + one, 1 + (one + 1) % (2 * lobes)], axis=1)
+    return vertices, np.concatenate([faces, faces[:, ::-1]][:sides])
+
+
+@pytest.mark.parametrize("sides", [1, 2])
+def test_a_flat_leaf_of_many_triangles_becomes_a_ribbon_of_its_area(sides):
+    vertices, faces = star(7, sides)
+    found = find(vertices, faces)
+    assert found.ribbon.tolist() == [True]
+    assert not found.left.any()
+    corner = vertices[faces[: len(faces) // sides]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(normal, axis=1).sum() / 2
+    length = np.linalg.norm(np.diff(found.position, axis=0), axis=1)
+    assert (length * (found.radius[1:] + found.radius[:-1])).sum() == pytest.approx(area, rel=1e-12)
+    # In its plane, from end to end
+    plane = normal[0] / np.linalg.norm(normal[0])
+    assert np.abs((found.position - vertices[0]) @ plane).max() < 1e-12  # measured 1e-15
+    assert np.abs(np.abs(found.normal @ plane) - 1).max() < 1e-12
+    assert length.sum() > 0.9 * np.ptp(vertices, axis=0).max()
+
+
+def test_what_is_thick_or_full_of_gaps_is_no_leaf():
+    vertices, faces = star(7)
+    thick = np.concatenate([vertices, vertices + 0.8 * np.cross(vertices[1] - vertices[0], vertices[3] - vertices[0])])
+    rim = 1 + np.arange(14)
+    after = 1 + (np.arange(14) + 1) % 14
+    wall = np.concatenate([np.stack([rim, after, rim + 15], axis=1), np.stack([after, after + 15, rim + 15], axis=1)])
+    assert find(thick, np.concatenate([faces, faces[:, ::-1] + 15, wall])).left.all()
+    # A ring, most of whose breadth is empty
+    angle = np.arange(24) * 2 * np.pi / 24
+    inner, outer = (r * np.stack([2 * np.cos(angle), np.sin(angle), 0 * angle], axis=1) for r in (0.9, 1.0))
+    low, following = np.arange(24), (np.arange(24) + 1) % 24
+    band = [np.stack([low, following, low + 24], axis=1), np.stack([following, following + 24, low + 24], axis=1)]
+    assert find(np.concatenate([inner, outer]), np.concatenate(band)).left.all()

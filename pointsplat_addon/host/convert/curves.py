@@ -1,7 +1,7 @@
 """Hair and curves to strands: Curves objects, hair of particle systems, and curve objects with a round bevel.
 
-What Blender holds is read as it is (`Strands`), and becomes `core.lines.Lines` by its materials: evaluated, cleaned,
-with the colours of its points where they vary.
+What Blender holds is read as it is (`Strands`), and becomes `core.lines.Lines` by its materials: evaluated, with
+the colours of its points where they vary.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from ...core import curves as core
-from ...core.lines import Lines, cleaned, owners
+from ...core.lines import Lines, owners
 from ...core.materials import Needs, SampleInputs, evaluate_samples, needs
 from ...core.pigment import random_of_strands, strand_attribute
 from ...core.textures import linear_from_srgb
@@ -434,8 +434,7 @@ def _build(key: str, strands: Strands, name: str, materials: tuple[CloudMaterial
         material=rows.astype(np.uint16) if len(np.unique(rows)) > 1 else None,
         materials=tuple(np.unique(rows).tolist()),
     )
-    lines, found = cleaned(_shaded(lines, strands, evaluated, slot, materials))
-    return Converted(lines, (*strands.messages, *found))
+    return Converted(_shaded(lines, strands, evaluated, slot, materials), strands.messages)
 
 
 def _shaded(

@@ -17,7 +17,7 @@ import numpy as np
 from ...core import expressions as ex
 from ...core.cryptomatte import cryptomatte_hash
 from ...core.materials import CHANNELS, MaterialGraph, is_mask
-from ...core.pigment import Pigment, absorption_from_color
+from ...core.pigment import Pigment
 from ...core.scene import HairTable, MaterialTable, Medium, default_materials
 from .media import medium_of
 from .nodes import Hair, Path, Reader, UnsupportedNodeError, Walker, default, of_strand, resolve
@@ -108,9 +108,7 @@ def _hair_table(rows: list[Row]) -> HairTable | None:
         return None
     every = [row.hair or Hair() for row in rows]
     columns = {name: np.array([getattr(h, name) for h in every], np.float32) for name in vars(Hair())}
-    color = np.array([row.constants["base_color"] for row in rows])
-    absorption = absorption_from_color(color, columns["radial"][:, None]).astype(np.float32)
-    return HairTable(used=np.array([row.hair is not None for row in rows]), absorption=absorption, **columns)
+    return HairTable(used=np.array([row.hair is not None for row in rows]), **columns)
 
 
 def _column(dtype: type, values: list) -> np.ndarray | None:
@@ -339,7 +337,6 @@ def _principled_hair(node: Reader) -> Surface:
     node.walker.hair = Hair(
         radial=0.3 if fibre is None else float(np.clip(fibre[0], 0, 1)),
         coat=0.0 if huang else min(max(numbers["Coat"], 0.0), 1.0),
-        ior=max(numbers["IOR"], 1.0),
         tilt=numbers["Offset"],
         lobes=lobes,
     )

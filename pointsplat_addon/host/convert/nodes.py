@@ -29,7 +29,6 @@ class Hair:
 
     radial: float = 0.3
     coat: float = 0.0
-    ior: float = 1.55
     tilt: float = 0.0349066
     lobes: tuple[float, ...] = (1.0, 1.0, 1.0)
 

@@ -5,8 +5,9 @@ A page holds the points of one geometry, texture by texture, one texel a point:
   tangent   unit, along the strand
   side      unit, across a ribbon
   color, surface, emission   as in pages of splats, where the scene has them
-Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); share of the
-raster line's width at both ends, phase. Lists hold the texel of each segment that is drawn. Thin ones are raster lines
+Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of thin ones share
+of the raster line's width at both ends, phase; of wide ones the points where the strand ends, as far as they are near,
+or -1: tubes end there in a plane. Lists hold the texel of each segment that is drawn. Thin ones are raster lines
 of one pixel and have a list for each sample: core/strands.py says which. The others have one for all samples: tubes
 that may be seen to be round are met by the pixels' rays; narrower ones are strips that face the eye, as ribbons are.
 """
@@ -31,7 +32,7 @@ class LinePage:
     """The control points of one geometry on the device."""
 
     def __init__(self, device: Device, lines: Lines, strands: Strands, variant: Variant, table: MaterialTable) -> None:
-        self._device, self.textures = device, {}
+        self._device, self.strands, self.textures = device, strands, {}
         self.ribbon = strands.side is not None
         self._upload("point", "RGBA32F", 4, np.column_stack([strands.position, strands.radius]))
         self._upload("tangent", "RGBA32F", 4, strands.tangent)
@@ -69,6 +70,8 @@ class LineDraw:
             cut = holdout[segments.instance]
             rows[cut, 0, 3] = -1 - segments.material[cut]
         rows[:, 1, :2], rows[:, 1, 2] = segments.share, segments.phase
+        wide = segments.wide
+        rows[wide, 1, :2] = page.strands.ends_near(segments.ends[wide])
         size, data = paged(rows.reshape(-1, 4), 4)
         self.texture = device.texture(size, "RGBA32F", data)
         ribbon = page.ribbon
@@ -113,14 +116,14 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
     """The program for one variant of the G-buffer and one kind of segments: THIN, STRIP or TUBE."""
     thin, tube = kind == "THIN", kind == "TUBE"
     fetched = ["ps_list", "ps_segments", "ps_point", "ps_instances"]
-    fetched += ["ps_tangent"] if variant.normal else []
+    fetched += ["ps_tangent"] if variant.normal or tube else []
     fetched += ["ps_side"] if ribbon else []
     fetched += ["ps_materials"] if tube and variant.normal else []
     named = {"color": variant.color, "surface": variant.surface, "emission": variant.emission}
     fetched += [f"ps_{name}" for name, on in named.items() if on]
     varyings = [("flat", "vec4", "v_segment")]
     if tube:
-        varyings += [("flat", "vec4", "v_from"), ("flat", "vec4", "v_to")]
+        varyings += [("flat", "vec4", name) for name in ("v_from", "v_to", "v_begin", "v_end")]
     else:
         varyings += [("smooth", "vec3", "v_position"), ("smooth", "float", "v_along")]
         varyings += [("smooth", "vec3", "v_normal")] if variant.normal else []

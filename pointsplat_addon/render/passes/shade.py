@@ -131,8 +131,8 @@ PRESENT_ADAPTIVE = replace(
 )  # pixels differ in how many samples they have: render/tiles.py
 
 
-def material_rows(table: MaterialTable) -> np.ndarray:
-    """(M, 4, 4) float32, one row of texels a material."""
+def material_rows(table: MaterialTable, escape: np.ndarray) -> np.ndarray:
+    """(M, 4, 4) float32, one row of texels a material; escape: (M,), of hair."""
     rows = np.zeros((len(table), 4, 4), np.float32)
     rows[:, 0, :3], rows[:, 0, 3] = table.base_color, table.alpha
     rows[:, 1, :3] = table.emission
@@ -140,7 +140,7 @@ def material_rows(table: MaterialTable) -> np.ndarray:
         rows[:, 1, 3] = np.clip(table.anisotropy, -LEAST_SPREAD, LEAST_SPREAD)
     if table.hair is not None:
         of = table.hair
-        rows[:, 3] = texel(of.used, of.radial, of.coat, of.tilt, of.lobes)
+        rows[:, 3] = texel(of.used, of.radial, of.coat, of.tilt, of.lobes, escape)
     rows[:, 2] = np.stack(
         [table.cull, table.roughness, table.metallic, relative_index(table.ior, table.specular)], axis=1
     )
