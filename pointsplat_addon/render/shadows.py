@@ -15,15 +15,18 @@ from ..core import sampling, shadow
 from ..core.appearance import digest
 from ..core.cloud import PointCloud, finite
 from ..core.cut import largest_singular_value
+from ..core.hierarchy import build
+from ..core.instances import make_levels
 from ..core.lighting import in_rows
 from ..core.scene import Geometry, Light, Mesh, Scene, Settings
 from ..core.shadow_casters import Pieces, pieces
 from ..core.shadow_cells import NARROW, rotation
 from ..core.shadow_samples import Outline, outline, places, sampled
 from ..core.strands import Strands, clean
-from .prepare import Store, given
+from .prepare import MANY_INSTANCES, Store, given
 from .shadow_pages import PackedTables, pack
 
+MOST_TOGETHER = 1 << 22  # points of many instances of one mesh: where they have more, nodes stand for them
 MOST_SAMPLES = 1 << 20  # of all meshes together; where more would be needed, the largest are sampled more coarsely
 WITHIN = 1.2  # cells: the spacing of samples whose disks fit into cells once it is rounded to an octave
 NEAREST = 0.05  # of the scene's radius: lamps that are nearer to a surface do not ask for finer samples
@@ -299,8 +302,55 @@ def _batches(
             clouds = [_reached(cloud)]
         if mesh is not None and length > 0:
             clouds = _sampled(scene, caster.geometry, mesh, length, store)
-        found += [shadow.casters(cloud, matrix) for cloud in clouds if len(cloud) for matrix in caster.matrices]
+        for cloud in clouds:
+            if len(cloud) * len(caster.matrices) > MOST_TOGETHER and _shareable(cloud, caster):
+                key = ("shadow nodes", caster.geometry.key, _look(scene, caster.geometry), length, len(caster.matrices))
+                coarse = store.lookup(key, lambda cloud=cloud, caster=caster: _coarsened(cloud, len(caster.matrices)))
+                found.append(shadow.casters(_repeated(coarse, caster.matrices), np.eye(4)))
+            elif len(cloud):
+                found += [shadow.casters(cloud, matrix) for matrix in caster.matrices]
     return found
+
+
+def _shareable(cloud: PointCloud, caster: _Caster) -> bool:
+    """Whether nodes of an opaque surface can stand for its many instances."""
+    surface = cloud.opacity is None and cloud.extinction is None and cloud.normal is not None
+    return surface and cloud.radii is not None and len(caster.matrices) >= MANY_INSTANCES
+
+
+def _coarsened(cloud: PointCloud, instances: int) -> PointCloud:
+    """The finest level of nodes that so many instances may have, together MOST_SAMPLES; without levels the points."""
+    levels = make_levels(build(cloud))
+    if levels is None:
+        return cloud
+    fits = np.flatnonzero(levels.count * instances <= MOST_SAMPLES)
+    level = int(fits[-1]) if len(fits) else 0
+    first = int(levels.first[level])
+    return levels.cloud.take(np.arange(first, first + int(levels.count[level])))
+
+
+def _repeated(cloud: PointCloud, matrices: np.ndarray) -> PointCloud:
+    """The splats of all instances (I, 4, 4) in the world, true to size where scales are alike in all directions."""
+    assert cloud.normal is not None
+    assert cloud.radii is not None
+    middle = matrices[:, :3, 3].mean(axis=0)
+    linear = matrices[:, :3, :3]
+    scale = np.abs(np.linalg.det(linear)) ** (1 / 3)
+    offset = matrices[:, :3, 3] + linear @ cloud.origin - middle
+
+    def turned(vectors: np.ndarray, by: np.ndarray) -> np.ndarray:
+        found = np.einsum("iab,nb->ina", by.astype(np.float32), vectors).reshape(-1, 3)
+        return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), np.finfo(np.float32).tiny)
+
+    position = np.einsum("iab,nb->ina", linear, cloud.position) + offset[:, None]
+    normal = np.cross(np.roll(linear, -1, axis=1), np.roll(linear, -2, axis=1))  # cofactors
+    return PointCloud(
+        position.reshape(-1, 3).astype(np.float32),
+        origin=middle,
+        normal=turned(cloud.normal, normal),
+        axis=None if cloud.axis is None else turned(cloud.axis, linear),
+        radii=(scale[:, None, None] * cloud.radii).reshape(-1, cloud.radii.shape[1]).astype(np.float32),
+    )
 
 
 def _reached(cloud: PointCloud) -> PointCloud:
