@@ -6,6 +6,7 @@ a test that fails half-way may leave one behind.
 
 import os
 import sys
+from collections.abc import Iterator
 
 import pytest
 
@@ -27,3 +28,17 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
+
+
+@pytest.fixture
+def empty_file() -> Iterator[None]:
+    """An empty file in which the extension is registered."""
+    import bpy
+
+    import pointsplat_addon
+
+    pointsplat_addon.register()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    pointsplat_addon.register()
+    yield
+    pointsplat_addon.unregister()

@@ -9,19 +9,11 @@ import numpy as np
 import pytest
 from nodes import new_material, node
 
-import pointsplat_addon
 from pointsplat_addon.core import curves as core
 from pointsplat_addon.core import pigment
 from pointsplat_addon.core.strands import clean
 
-
-@pytest.fixture(autouse=True)
-def empty_file():
-    pointsplat_addon.register()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    pointsplat_addon.register()
-    yield
-    pointsplat_addon.unregister()
+pytestmark = pytest.mark.usefixtures("empty_file")
 
 
 def sync(synchronizer=None) -> Any:

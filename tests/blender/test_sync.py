@@ -8,17 +8,9 @@ import bpy
 import numpy as np
 import pytest
 
-import pointsplat_addon
 from pointsplat_addon.core.cryptomatte import cryptomatte_hash
 
-
-@pytest.fixture(autouse=True)
-def empty_file():
-    pointsplat_addon.register()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    pointsplat_addon.register()
-    yield
-    pointsplat_addon.unregister()
+pytestmark = pytest.mark.usefixtures("empty_file")
 
 
 def sync(synchronizer=None, **options) -> Any:

@@ -11,7 +11,6 @@ bpy = pytest.importorskip("bpy")
 
 from nodes import new_material, node  # noqa: E402
 
-import pointsplat_addon  # noqa: E402
 from pointsplat_addon.core.kernel import PEAK  # noqa: E402
 from pointsplat_addon.core.materials import SampleInputs, evaluate_samples  # noqa: E402
 from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key  # noqa: E402
@@ -19,13 +18,7 @@ from pointsplat_addon.host.convert.materials import convert_material, convert_ma
 FRESNEL = 0.04  # of glass with an index of refraction of 1.5, at normal incidence
 
 
-@pytest.fixture(autouse=True)
-def empty_file():
-    pointsplat_addon.register()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    pointsplat_addon.register()
-    yield
-    pointsplat_addon.unregister()
+pytestmark = pytest.mark.usefixtures("empty_file")
 
 
 def linked(build, socket="Surface", name="Material", **properties):

@@ -9,17 +9,9 @@ import bpy
 import numpy as np
 import pytest
 
-import pointsplat_addon
 from pointsplat_addon.formats import vdb
 
-
-@pytest.fixture(autouse=True)
-def empty_file():
-    pointsplat_addon.register()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    pointsplat_addon.register()
-    yield
-    pointsplat_addon.unregister()
+pytestmark = pytest.mark.usefixtures("empty_file")
 
 
 @pytest.fixture
