@@ -15,6 +15,7 @@ from .cloud import PointCloud
 from .lines import Lines
 
 TECHNIQUES = ("AUTO", "IMAGE_SPACE", "EWA", "PAINTER")
+DOF_METHODS = ("SPLAT", "LENS_SAMPLES")
 DEVICES = ("AUTO", "BLENDER_GPU", "OPENGL")
 PRIMITIVES = ("AUTO", "POINTS", "POLYGONS", "LINES")
 
@@ -31,6 +32,7 @@ class Settings:
     adaptive_threshold: float = 1 / 64  # over the root of the brightness: what a display of 8 bits just shows
     use_shadows: bool = True  # lights cast shadows, through translucent matter too
     shadow_resolution: int = 1024  # cells of a light's shadow table per half turn
+    dof_method: str = "SPLAT"  # one of DOF_METHODS
     device: str = "AUTO"  # one of DEVICES
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
@@ -241,6 +243,17 @@ class World:
     world_rotation: np.ndarray = field(default_factory=lambda: np.eye(3))  # (3, 3) image_from_world
 
 
+@dataclass(frozen=True)
+class Aperture:
+    """The opening of a thin lens, in the plane through the eye that the camera looks along the normal of."""
+
+    radius: float  # world units, along the picture's y
+    focus: float  # world units > 0, along the direction of view: what lies there is sharp
+    blades: int = 0  # sides of a regular polygon; below three: a disk
+    rotation: float = 0.0  # radians, of the polygon
+    ratio: float = 1.0  # height over width
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A pinhole or parallel camera. View space looks along -Z, +Y up. Pixels count from the bottom left."""
@@ -253,6 +266,7 @@ class Camera:
     far: float = 1000.0
     previous_view_from_world: np.ndarray | None = None  # a frame before; only for the Vector pass
     previous_clip_from_view: np.ndarray | None = None
+    aperture: Aperture | None = None  # None: everything is sharp
 
     @property
     def perspective(self) -> bool:

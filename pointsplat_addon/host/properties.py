@@ -6,7 +6,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..core.scene import DEVICES, PRIMITIVES, TECHNIQUES, Settings
+from ..core.scene import DEVICES, DOF_METHODS, PRIMITIVES, TECHNIQUES, Settings
 from . import engine
 
 Item = tuple[str, str, str]
@@ -42,6 +42,19 @@ DEVICE_ITEMS: dict[str, Item] = {
         "Draw final renders on an OpenGL context of its own, so that the window stays alive",
     ),
 }
+DOF_ITEMS: dict[str, Item] = {
+    "SPLAT": (
+        "SPLAT",
+        "Splat",
+        "Blur each splat by its circle of confusion: what is blurred more takes fewer splats. "
+        "The shape of the aperture is taken for a disk",
+    ),
+    "LENS_SAMPLES": (
+        "LENS_SAMPLES",
+        "Lens Samples",
+        "Draw each sample through another place on the aperture: exact with many samples, blades and ratio included",
+    ),
+}
 PRIMITIVE_ITEMS: dict[str, Item] = {
     "AUTO": ("AUTO", "Automatic", "Polygons where triangles are large in the picture, points where they are small"),
     "POINTS": ("POINTS", "Points", "Sample the surface with points"),
@@ -72,9 +85,14 @@ LABELS: dict[str, tuple[str, str]] = {
         "Resolution",
         "Number of cells in half a turn around each lamp that hold what its light crosses; more cells, sharper shadows",
     ),
+    "dof_method": ("Depth of Field", "How cameras with depth of field blur what is out of focus"),
     "device": ("Device", "What draws the pictures"),
 }
-ITEMS = {"technique": [TECHNIQUE_ITEMS[n] for n in TECHNIQUES], "device": [DEVICE_ITEMS[n] for n in DEVICES]}
+ITEMS = {
+    "technique": [TECHNIQUE_ITEMS[n] for n in TECHNIQUES],
+    "dof_method": [DOF_ITEMS[n] for n in DOF_METHODS],
+    "device": [DEVICE_ITEMS[n] for n in DEVICES],
+}
 
 
 def changed(_properties: Any, _context: bpy.types.Context) -> None:
