@@ -24,8 +24,9 @@ from .passes import translucent as translucent_pass
 from .passes.common import frame_record
 from .passes.pyramid import levels
 from .plan import make_plan
-from .prepare import STORE, prepare, triangles_of
+from .prepare import prepare, triangles_of
 from .shadows import Shadows, cast
+from .store import STORE
 from .targets import Pool, Targets
 from .technique import NAMES, NO_BLENDING, choose, reconsidered
 from .tiles import EVERYWHERE, Adaptive, why_everywhere

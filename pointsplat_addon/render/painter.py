@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.cut import Cut
-from .prepare import Layer, Prepared
+from .prepare import Prepared
+from .store import Layer
 
 
 def painted(prepared: Prepared, keep: bool) -> Prepared:

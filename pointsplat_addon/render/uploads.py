@@ -25,8 +25,9 @@ from .passes import shade as shade_pass
 from .passes import translucent as translucent_pass
 from .passes.points import Page, PageDraw, blocks, instance_rows, with_origin
 from .plan import Plan
-from .prepare import STORE, Layer, PointSet, Prepared
+from .prepare import Prepared
 from .shadows import Shadows
+from .store import STORE, Layer, PointSet
 
 OWN_PAGE = 4 << 20  # splats: larger sets get a page of their own, so that small changes upload little
 DEVICE_LIMIT = 4 << 30  # bytes of geometry that stay on the device after their frame

@@ -36,7 +36,7 @@ from ...core.scene import MaterialTable
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
 from ..packing import PAGE_WIDTH
-from ..prepare import PointSet
+from ..store import PointSet
 from .common import FRAME
 from .pages import SplatPage, extent, filled, place, shading_normal
 from .shade import MOST_LAMP_POINTS, lighting_defines, lighting_samplers
