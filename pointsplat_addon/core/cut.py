@@ -132,7 +132,7 @@ def select(
     octaves less, a share that each node keeps (`staggered`). `cull` (I,) bool allows to leave out what faces away.
     Whatever reaches into the camera's window, widened by `margin` pixels, is kept. Instances whose transform is not
     finite, or zero, have no splats. `blur`: nodes may be as large as their disks of confusion allow (core/defocus.py);
-    `wanted`: of that, ALL, only what may be out of focus (BLURRED), or only what may be in it, of the usual size (SHARP).
+    `wanted`: ALL, only what may be out of focus (BLURRED), or only what may be in it, in usual nodes (SHARP).
     """
     geometry = np.asarray(geometry, np.int64)
     known = (geometry >= 0) & (geometry < len(forest.root))

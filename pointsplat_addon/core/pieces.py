@@ -87,7 +87,8 @@ def _halved(
     def cut_at(values: np.ndarray) -> np.ndarray:
         middle = (values[n, b] + values[n, c]) / 2
         return np.concatenate([
-            np.stack([values[n, a], values[n, b], middle], axis=1), np.stack([values[n, a], middle, values[n, c]], axis=1)
+            np.stack([values[n, a], values[n, b], middle], axis=1),
+            np.stack([values[n, a], middle, values[n, c]], axis=1),
         ])  # fmt: skip
 
     return cut_at(corners), cut_at(weights), np.tile(owner, 2)

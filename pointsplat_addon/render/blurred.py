@@ -105,7 +105,7 @@ class Focus:
             found = self.store.lookup(known, lambda: forest(trees))
             own = np.where(np.isin(self.set_of_instance, list(trees)), self.set_of_instance, -1)
             cuts.append(
-                select(found, own, self.view_from_object, self.camera, self.tolerance, blur=self.blur, blurred=True)
+                select(found, own, self.view_from_object, self.camera, self.tolerance, blur=self.blur, wanted="BLURRED")
             )
         return Blurred(self.sets, self.set_of_instance, joined(cuts), self.shares)
 

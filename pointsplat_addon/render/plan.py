@@ -44,6 +44,7 @@ class Plan:
     skipped: tuple[tuple[str, str], ...]  # (pass, because)
     ewa: ewa.EwaOptions | None = None  # points are drawn by EWA; None: in image space
     painter: bool = False  # opaque points are painted: what the G-buffer holds of them is for other passes alone
+    defocus: bool = False  # what is translucent is drawn along with what is out of focus: passes/defocus.py
 
     @property
     def shaded(self) -> Plan:
@@ -66,18 +67,21 @@ def make_plan(
     interactive: bool = False,
     blended: tuple[Camera, int] | None = None,
     painter: bool = False,
+    in_focus: str = "",
 ) -> Plan:
     """The plan for one view of a scene. `unshadowed`: why there are no shadows. `blended`: points are drawn by EWA, for
-    this camera and number of samples. `painter`: opaque points are painted (render/painter.py)."""
+    this camera and number of samples. `painter`: opaque points are painted (render/painter.py). `in_focus`: why nothing is
+    out of focus; prepared.blurred is None."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
     lines = len(prepared.lines) > 0
     behind = [p.cloud for p in prepared.translucent.point_sets.values()]
+    defocus = prepared.blurred is not None
     solid = polygons or spheres or lines or (points and not painter)
     held = np.zeros(len(scene.instances), bool) if scene.instances.holdout is None else scene.instances.holdout
     holdout = bool(held.any())
     cut = bool(held[prepared.translucent.set_of_instance >= 0].any())
-    translucent = translucent_options(behind, scene.materials, solid, cut) if behind else None
+    translucent = translucent_options(behind, scene.materials, solid, cut, defocus) if behind else None
     drawn = solid or translucent is not None
     graphs = _graphs(scene, prepared)
     channels = {name for graph in graphs for name in graph.channels}
@@ -139,21 +143,25 @@ def make_plan(
         skipped.append(("data", "no pass asks for position, index or motion"))
     if scene.transparent and "mist" not in passes:
         skipped.append(("background", "the film is transparent"))
+    if not defocus:
+        skipped.append(("defocus", in_focus or "the camera has no depth of field"))
+    elif translucent is not None:
+        skipped += [(name, "the pass defocus draws what is translucent") for name in ("order", "translucent", "add")]
     if translucent is None:
         skipped += [(name, "nothing is translucent") for name in ("order", "light", "translucent", "add")]
     if shadows is None:
         skipped.append(("shadows", unshadowed))
     return Plan(
         points, polygons, spheres, lines, variant, data_variant, options, lighting, materials,
-        background=not scene.transparent or "mist" in passes, data=drawn and bool(data(passes)),
+        background=(not scene.transparent or "mist" in passes) and not defocus, data=drawn and bool(data(passes)),
         translucent=translucent,
-        coarse=interactive and translucent is not None
+        coarse=interactive and translucent is not None and not defocus
         and not (translucent.tint or translucent.holdout or translucent.fuzzy),
         skipped=tuple(skipped),
         ewa=None if blended is None or not points else ewa.options(
             blended[0], prepared.largest, any(p.cloud.normal is None for p in prepared.point_sets.values()), blended[1]
         ),
-        painter=painter,
+        painter=painter, defocus=defocus,
     )  # fmt: skip
 
 

@@ -63,6 +63,8 @@ class Prepared(Layer):
     parts: dict[int, np.ndarray] = field(default_factory=dict)
     lines: dict[int, Segments] = field(default_factory=dict)  # segments of strands, by geometry row
     blurred: Blurred | None = None  # what is out of focus; all else then holds what is not
+    # Where `translucent` holds what is out of focus, too, of its sets what of its ellipse each splat covers.
+    shares: dict[int, np.ndarray | float] = field(default_factory=dict)
 
 
 def prepare(
@@ -156,7 +158,8 @@ class _View:
         if self.focus is not None:
             drawn = self._focused(self.focus, opaque, spheres, drawn)
         largest = _largest(opaque[1], opaque[0], view_from_object, camera, self.store)
-        layer, behind = (self._layer(sets, which, view_from_object) for sets, which in (opaque, translucent))
+        layer = self._layer(*opaque, view_from_object, "SHARP")
+        behind = self._layer(*translucent, view_from_object, "ALL")
         largest = max(largest, self.settings.tolerance if layer.cut.nodes else 0.0)
         balls = Layer(*spheres, fully(_counts(spheres[0]), spheres[1]))
         return Prepared(
@@ -172,7 +175,7 @@ class _View:
             tuple(dict.fromkeys(self.warnings)),
             self.parts,
             lines,
-            self.focus.layer() if self.focus is not None and self.focus.sets else None,
+            self.focus.layer() if self.focus is not None and (self.focus.sets or len(behind.cut.count)) else None,
         )
 
     def _focused(
@@ -544,10 +547,11 @@ class _View:
         return replace(points, key=key, cloud=made, family=(*points.family, held) if points.family else ())
 
     def _layer(
-        self, point_sets: dict[int, PointSet], set_of_instance: np.ndarray, view_from_object: np.ndarray
+        self, point_sets: dict[int, PointSet], set_of_instance: np.ndarray, view_from_object: np.ndarray, wanted: str
     ) -> Layer:
         """Some point sets and their cut. Where instances of one are many, they share cuts, which are sets of their own;
-        those out of view are left out, and the matrices of those that stand for others are enlarged in place."""
+        those out of view are left out, and the matrices of those that stand for others are enlarged in place. `wanted`:
+        see core.cut.select."""
         tolerance, camera = self.settings.tolerance, self.camera
         sets, shared = dict(point_sets), []
         own = set_of_instance.copy()
@@ -582,7 +586,7 @@ class _View:
             if not (set_of_instance == key).any():
                 del sets[key]
         rest = {key: points for key, points in point_sets.items() if (own == key).any()}
-        return Layer(sets, set_of_instance, joined([self._cut(rest, own, view_from_object), *shared]))
+        return Layer(sets, set_of_instance, joined([self._cut(rest, own, view_from_object, wanted), *shared]))
 
     def _levels(self, points: PointSet) -> Levels | None:
         hierarchy = points.hierarchy
@@ -590,7 +594,9 @@ class _View:
             return None
         return self.store.lookup(("levels of", *points.key), lambda: make_levels(hierarchy))
 
-    def _cut(self, point_sets: dict[int, PointSet], set_of_instance: np.ndarray, view_from_object: np.ndarray) -> Cut:
+    def _cut(
+        self, point_sets: dict[int, PointSet], set_of_instance: np.ndarray, view_from_object: np.ndarray, wanted: str
+    ) -> Cut:
         if not any(points.hierarchy for points in point_sets.values()):
             return fully(_counts(point_sets), set_of_instance)
         key = ("forest", *((row, points.key) for row, points in point_sets.items()))
@@ -603,7 +609,9 @@ class _View:
         tolerance = self.settings.tolerance
         band = staggered(tolerance)
         blur = self.focus.blur if self.focus else None
-        return select(trees, set_of_instance, view_from_object, self.camera, tolerance, cull, band=band, blur=blur)
+        return select(
+            trees, set_of_instance, view_from_object, self.camera, tolerance, cull, band=band, blur=blur, wanted=wanted
+        )
 
     def _wide(self, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:
         """(I,) bool: instances whose typical splat is a ball that is wide on the screen."""

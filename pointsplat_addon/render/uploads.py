@@ -254,22 +254,37 @@ class Uploads:
         sets = list({points.key: points for points in layer.point_sets.values()}.values())
         key = ("translucent", tuple(p.key for p in sets), options, _fill_key(scene))
         self.used.add(key)
-        page = self.kept.keep(key, lambda: translucent_pass.TranslucentPage(device, sets, options, scene.materials))
+        shares = {layer.point_sets[row].key: share for row, share in self.prepared.shares.items()}
+
+        def make() -> translucent_pass.TranslucentPage:
+            return translucent_pass.TranslucentPage(device, sets, options, scene.materials, shares)
+
+        page = self.kept.keep(key, make)
         matrices, view = scene.instances.world_from_object, self.camera.view_from_world
         self.used.add(("order",))
-        sorted_list: DrawList = self.kept.keep(("order",), DrawList)
-        sorted_list.update(
-            device, page, layer, matrices, view, (key, layer.set_of_instance.tobytes(), matrices.tobytes())
-        )
+        if self.plan.defocus:
+            texture, self.listed = self._unsorted(page, layer)
+        else:
+            sorted_list: DrawList = self.kept.keep(("order",), DrawList)
+            sorted_list.update(
+                device, page, layer, matrices, view, (key, layer.set_of_instance.tobytes(), matrices.tobytes())
+            )
+            texture, self.listed = sorted_list.texture, sorted_list.count
         origin = np.zeros((len(matrices), 3))
         for row, points in layer.point_sets.items():
             origin[layer.set_of_instance == row] = points.cloud.origin
         size, data = paged(instance_rows(self.prepared.view_from_object, origin, scene.instances.holdout), 4)
         instances = self._own(device.texture(size, "RGBA32F", data))
-        assert sorted_list.texture is not None
-        self._remember(page, key, layer, matrices)
-        self.splats = {**page.textures, "ps_order": sorted_list.texture, "ps_instances": instances}
-        self.listed = sorted_list.count
+        assert texture is not None
+        if not self.plan.defocus:
+            self._remember(page, key, layer, matrices)
+        self.splats = {**page.textures, "ps_order": texture, "ps_instances": instances}
+
+    def _unsorted(self, page: translucent_pass.TranslucentPage, layer: Layer) -> tuple[Texture, int]:
+        """The splats of a cut as they come, and how many."""
+        texel, instance = listed(page, layer)
+        size, data = paged(translucent_pass.draw_list(texel, instance), 2)
+        return self._own(self.device.texture(size, "RG32F", data)), len(texel)
 
     def _remember(
         self, page: translucent_pass.TranslucentPage, key: tuple, layer: Layer, world_from_object: np.ndarray
@@ -378,12 +393,7 @@ class DrawList:
         entries = {row: points.hierarchy or points.cloud for row, points in layer.point_sets.items()}
         self._order = order.sort(layer.cut, entries, layer.set_of_instance, world_from_object, view_from_world)
         self._key, self.sorts = key, self.sorts + 1
-        first = np.zeros(max(layer.point_sets) + 1, np.int64)
-        for row, points in layer.point_sets.items():
-            first[row] = page.first[points.key]
-        cut = layer.cut
-        texel = ranges(first[layer.set_of_instance[cut.instance]] + cut.first, cut.count)
-        instance = np.repeat(cut.instance, cut.count)
+        texel, instance = listed(page, layer)
         index = self._order.index
         self.count = len(index)
         size, data = paged(translucent_pass.draw_list(texel[index], instance[index]), 2)
@@ -394,6 +404,16 @@ class DrawList:
         if self.texture is not None:
             self.texture.release()
         self.texture = None
+
+
+def listed(page: translucent_pass.TranslucentPage, layer: Layer) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) int64: where in its page each splat of a layer's cut is, and of which instance it is one."""
+    first = np.zeros(max(layer.point_sets) + 1, np.int64)
+    for row, points in layer.point_sets.items():
+        first[row] = page.first[points.key]
+    cut = layer.cut
+    texel = ranges(first[layer.set_of_instance[cut.instance]] + cut.first, cut.count)
+    return texel, np.repeat(cut.instance, cut.count)
 
 
 @dataclass(frozen=True)

@@ -52,18 +52,20 @@ def shade_program(
     samples: int = 1,
     coverage: bool = False,
     lines: bool = False,
+    focus: bool = False,
 ) -> Interface:
     """`lighting`, `materials`: the PS_ names of what shines and of what surfaces do with it. Wide lamps are looked at
     from as many points as the `samples` of a picture leave over from LAMP_POINTS. `coverage`: edges are soft.
-    `lines`: there are strands."""
+    `lines`: there are strands. `focus`: only what is in focus, with its depth."""
     read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
-    flags = {"PS_COVERAGE": coverage, "PS_LINES": lines and variant.normal}
+    flags = {"PS_COVERAGE": coverage, "PS_LINES": lines and variant.normal, "PS_FOCUS": focus}
     names = (*variant.defines, *materials, *_averaged_defines(passes), *(name for name, on in flags.items() if on))
     points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
     return Interface(
-        "shade", fragment="shade.frag", block=FRAME, outputs=_averaged_outputs(passes),
+        "shade", fragment="shade.frag", block=FRAME,
+        outputs=(*_averaged_outputs(passes), *((("vec4", "out_focus"),) if focus else ())),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
         defines=(*lighting_defines(lighting), *taps, *((name, "1") for name in names)),
     )  # fmt: skip
