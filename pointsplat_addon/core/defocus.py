@@ -28,13 +28,16 @@ import numpy as np
 from .kernel import POWER
 from .scene import Camera
 
-IN_FOCUS, BLURRED = 0.5, 1.0  # pixels of radius: what a pixel's own filter hides; twice that
+IN_FOCUS, BLURRED = (
+    0.3,
+    0.6,
+)  # pixels of radius: less than a pixel's own filter blurs by half as much variance; twice that
 PIXEL = (
     0.11  # pixels^2 of variance of the filter that samples are distributed by (render/filtering.py), along each axis
 )
 # Diameter of the largest node that is drawn, over the radius of its disk of confusion. A square has 0.41 of its
 # diameter as standard deviation along each axis ... docs/depth_of_field.md has the errors of others.
-NODE = 0.7
+NODE = 1.4
 # Sums of kernels over a surface are uneven by some percent. What they cover is the sum s + EVEN s^4, at most 1: what is
 # almost whole lets nothing through, and edges keep their slope.
 EVEN = 0.12

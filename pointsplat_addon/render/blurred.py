@@ -7,18 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core import ewa, pieces, sampling
+from ..core import pieces, sampling
 from ..core.appearance import digest, point_cloud
 from ..core.cloud import PointCloud, finite
+from ..core.covers import shares
 from ..core.cut import forest, fully, largest_singular_value, select
 from ..core.defocus import BLURRED, IN_FOCUS, Blur
-from ..core.hierarchy import sum_up
 from ..core.instances import joined
 from ..core.scene import Camera, Geometry, Mesh, Scene
 from .store import Layer, PointSet, Store
-
-# A node covers no more than this of its ellipse, whatever lies in it: a square of its moments.
-NODE_SHARE = 3 / np.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +56,9 @@ class Focus:
     def add_points(self, instance: np.ndarray, points: PointSet, areas: Callable[[], np.ndarray] | None) -> None:
         """Points and their nodes. `areas`: (N,) what each point stands for; None: it is not known."""
         key = self._add(instance, points)
-        made = self.store.lookup(("shares", areas is not None, *points.key), lambda: _shares(points, areas))
+        made = self.store.lookup(
+            ("shares", areas is not None, *points.key), lambda: shares(points.hierarchy or points.cloud, areas)
+        )
         self.shares[key] = made
 
     def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh, ok: np.ndarray) -> None:
@@ -108,29 +107,3 @@ class Focus:
                 select(found, own, self.view_from_object, self.camera, self.tolerance, blur=self.blur, wanted="BLURRED")
             )
         return Blurred(self.sets, self.set_of_instance, joined(cuts), self.shares)
-
-
-def _shares(points: PointSet, areas: Callable[[], np.ndarray] | None) -> np.ndarray | float:
-    """What of its ellipse each splat of a set covers. Points of unknown area stand for the cell that their ellipse goes
-    around; what stands apart covers all of itself; nodes what their points cover, as far as they lie side by side."""
-    cloud, tree = points.cloud, points.hierarchy
-    if cloud.radii is None:
-        return 1.0
-    radii = cloud.radii[:, : min(cloud.radii.shape[1], 2)].astype(np.float64)
-    ellipse = np.pi * radii[:, 0] * radii[:, -1]
-    area = ellipse * ewa.SHARE if areas is None else areas()
-    if tree is not None:
-        area = area[tree.order]
-        ellipse = ellipse[tree.order]
-    strewn = (tree.cloud if tree is not None else cloud).apart
-    if strewn is not None:
-        area = np.where(strewn, ellipse, area)
-    share = area / np.maximum(ellipse, 1e-300)
-    if tree is not None:
-        below = sum_up(tree.tree, len(cloud), lambda which: area[None, which])[0]
-        whole = np.pi * np.prod(tree.radii[:, :2].astype(np.float64), axis=1)
-        nodes = np.minimum(below / np.maximum(whole, 1e-300), NODE_SHARE)
-        if tree.apart is not None:
-            nodes = np.where(tree.apart, 1.0, nodes)
-        share = np.concatenate([share, nodes])
-    return share.astype(np.float32)

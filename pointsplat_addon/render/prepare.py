@@ -194,8 +194,9 @@ class _View:
                 middle, far, radius = _extent(points, self.store)
                 inside, outside = focus.reaches(where, middle, far + radius)
                 if outside.any():
-                    sets[key] = points = self._with_nodes(points)
-                    focus.add_points(where[outside], points, self._areas(geometries[geometry_of[where[0]]], points))
+                    areas = self._areas(geometries[geometry_of[where[0]]], points)
+                    sets[key] = points = self._with_nodes(points, always=areas is None)
+                    focus.add_points(where[outside], points, areas)
                 set_of_instance[where[~inside]] = -1
                 if not inside.any():
                     del sets[key]
@@ -212,9 +213,9 @@ class _View:
             kept.append(where[inside])
         return np.concatenate([np.empty(0, np.int64), *kept])
 
-    def _with_nodes(self, points: PointSet) -> PointSet:
-        """Points with a hierarchy, where they are so many that blurred ones are worth leaving out."""
-        if points.hierarchy is not None or len(points.cloud) < FEW_POINTS or points.cloud.normal is None:
+    def _with_nodes(self, points: PointSet, always: bool) -> PointSet:
+        """Points with a hierarchy, where they are so many that blurred ones are worth leaving out, or `always`."""
+        if points.hierarchy is not None or (len(points.cloud) < FEW_POINTS and not always):
             return points
         points, store = self._filled(points), self.store
         key = ("hierarchy", *points.key)

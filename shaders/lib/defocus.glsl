@@ -1,8 +1,8 @@
 // Disks of confusion, and the kernel of splats that are out of focus. Reference: core/defocus.py.
 // frame.focus: scale, 1 / distance of focus, unused, width of the aperture over its height.
 
-#define PS_IN_FOCUS 0.5  // pixels of radius
-#define PS_BLURRED 1.0
+#define PS_IN_FOCUS 0.3  // pixels of radius
+#define PS_BLURRED 0.6
 #define PS_NEAREST 1e-9  // of the distance of focus
 #define PS_DEFOCUS_PIXEL 0.11  // pixels^2 of variance
 #define PS_DEFOCUS_MOST 4.0  // exponent of what is hardly blurred: core/kernel.py
