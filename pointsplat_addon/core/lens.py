@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from .scene import Aperture, Camera
+from .scene import Aperture, Camera, Settings
 
 # The third and fourth constant of the rank-one sequence in four dimensions (Roberts 2018): 1 / p^3 and 1 / p^4 with
 # p^5 = p + 1. Those in two dimensions, which the places in a pixel are made with, fill the four with them evenly.
@@ -78,6 +78,12 @@ def _polygon(disk: np.ndarray, sides: int, rotation: float) -> np.ndarray:
     return np.stack([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y], axis=1)
 
 
+def sampled(camera: Camera, settings: Settings) -> bool:
+    """Whether the samples of a picture are drawn through places on the lens."""
+    aperture = camera.aperture
+    return aperture is not None and aperture.radius > 0.0 and settings.dof_method == "LENS_SAMPLES"
+
+
 def through(camera: Camera, point: np.ndarray) -> Camera:
     """The camera as it is seen from `point` (2,) of the aperture, in world units: sharp everywhere.
 
@@ -121,19 +127,18 @@ def _towards(slope: np.ndarray) -> np.ndarray:
     ])  # fmt: skip
 
 
-def widened(camera: Camera) -> Camera:
-    """The camera with a larger picture, of which the old one is the middle: it shows all that any place on the aperture
-    does. Pixels keep their size.
+def widened(camera: Camera, nearest: float, farthest: float) -> Camera:
+    """The camera with a larger picture, of which the old one is the middle: of what lies between these depths it shows
+    all that any place on the aperture does. Pixels keep their size.
 
-    Bounded by the picture's larger side: what lies so near that its circle of confusion is wider is shown where the
-    middle of the aperture sees it, and that much about.
+    Bounded by the picture's larger side: where circles of confusion are wider, what lies farther outside is missing.
     """
     aperture = camera.aperture
     if aperture is None:
         return camera
     side = max(camera.resolution)
     fx, fy = np.abs(camera.pixel_from_view()[:2])
-    blur = confusion(camera, np.array([camera.near, camera.far])) * max(1 / aperture.ratio, fy / fx)
+    blur = confusion(camera, np.array([nearest, farthest])) * max(1 / aperture.ratio, fy / fx)
     margin = int(np.ceil(min(np.nan_to_num(blur, nan=0.0, posinf=side).max(), side)))
     size = np.array(camera.resolution)
     larger = size + 2 * margin

@@ -23,6 +23,7 @@ from ..core.cost import DEFAULT, Costs
 from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_value, select, staggered
 from ..core.hierarchy import Hierarchy, build, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
+from ..core.lens import sampled
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
 from ..core.spacing import EXACT_INSTANCES, PART, make_parts, required_spacing
 from ..core.strands import Segments, clean, together
@@ -639,7 +640,8 @@ class _View:
         )
         scene = self.scene
         cull = np.array([bool(scene.materials.cull[_rows(g)].all()) for g in scene.geometries], bool)
-        cull = cull[scene.instances.geometry]
+        # What turns its back to the middle of the lens may face its rim.
+        cull = cull[scene.instances.geometry] & (not sampled(self.camera, self.settings))
         tolerance = self.settings.tolerance
         band = staggered(tolerance)
         return select(trees, set_of_instance, view_from_object, self.camera, tolerance, cull, band=band)
