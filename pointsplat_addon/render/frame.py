@@ -12,11 +12,13 @@ import numpy as np
 
 from ..core.cost import DEFAULT
 from ..core.defocus import BLURRED, blur_of
+from ..core.lens import sampled
 from ..core.scene import Camera, Scene, Settings, World
 from ..core.strands import turns
 from ..shading.interface import Interface
 from .device import Device, Target, Texture
 from .filtering import cryptomatte, offsets
+from .lens import LensSamples, prepared_for
 from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
 from .painter import defocused, painted
 from .parts import parted
@@ -173,9 +175,10 @@ class Frame:
             self._warnings += (f"{NAMES[request.settings.technique]} needs blending of floats, which this GPU lacks: "
                                "points are drawn in image space",)  # fmt: skip
         settings = replace(request.settings, technique=technique.name)
+        through_lens = sampled(request.camera, settings) and request.samples > 1
         self.prepared = prepare(
             scene,
-            request.camera,
+            prepared_for(scene, request.camera) if through_lens else request.camera,
             settings,
             request.samples,
             interactive=request.interactive,
@@ -192,7 +195,7 @@ class Frame:
         if paints:
             others = shade_pass.averaged(request.passes) or shade_pass.data(request.passes)
             self.prepared = painted(self.prepared, keep=presented or bool(others))
-        in_focus = "" if blur_of(request.camera) is None else "nothing is out of focus"
+        in_focus = "" if blur_of(request.camera) is None or through_lens else "nothing is out of focus"
         self.plan = make_plan(
             scene,
             self.prepared,
@@ -208,6 +211,7 @@ class Frame:
         self.view, self.corner = _widened(request.camera, self.plan.reach(self.prepared.largest))
         self._turns = turns(request.samples)
         self._owned: list[Any] = []
+        self.lens = self._own(LensSamples(self.device, self.view, request.samples)) if through_lens else None
         self._lent: tuple[tuple, Targets] | None = None
         self._identities: list[np.ndarray] = []
         self._data: dict[str, np.ndarray] = {}
@@ -219,6 +223,7 @@ class Frame:
             plan.translucent is not None and not plan.defocus,
             self._wants_identities,
             any(len(s.thin) for s in self.prepared.lines.values()),
+            through_lens,
         )
         drawn = plan.points or plan.polygons or plan.spheres or plan.lines or plan.translucent is not None
         self._trivial = not drawn and scene.world.image is None
@@ -294,6 +299,8 @@ class Frame:
         if self.complete:
             return False
         if not self._trivial:
+            if self.lens is not None:
+                self.view = self.lens.view(self.done, self.uploads)
             device, record = self.device, self._record(self.done)
             if self.plan.defocus:
                 record["lens"][0, :2] = self.in_focus
@@ -309,6 +316,8 @@ class Frame:
             self.targets.surfels.draw(uploads, shown, record, self.clock.run, region)
             if beside and self.targets.data_surfels is not self.targets.surfels:
                 self.targets.data_surfels.draw(uploads, projection, record, self.clock.run)
+            if self.lens is not None and first and self.presented:
+                self.lens.keep(self.targets.data_surfels.buffer.textures["place"], record)
             if self.plan.data and (first or self._wants_identities):
                 self.clock.run("data", lambda: self._draw_data(record))
                 self._read_data(first)
@@ -393,12 +402,12 @@ class Frame:
                 program, target, uniforms=record, textures=textures, blend=mode == "blend", over=mode == "over"
             )
 
-        # The same for all samples, but for the shadows of wide lamps, which splats blur among each other.
+        # The same for all samples, but for the shadows of wide lamps, which splats blur among each other, and the lens.
         relit = max(self.request.samples // RELIT, 1) if self.shadows is not None and self.shadows.wide else 0
-        if first or (relit and self.done % relit == 0):
+        if first or (relit and self.done % relit == 0) or self.lens is not None:
             centred = self._record(0)
             centred["focal"][0] = self.view.pixel_from_view()
-            centred["size"][0, 2] = self.done // max(relit, 1)
+            centred["size"][0, 2] = self.done // relit if relit else 0
             textures = {**self.uploads.splats, **self.uploads.shading}
             if self.uploads.reach_lights:
                 textures |= self.uploads.reach(int(centred["size"][0, 2]), centred, run)
@@ -420,8 +429,8 @@ class Frame:
         run("add", lambda: draw(self.add_program, targets.combined_target, layer, "blend"))
 
     def _defocused(self, scene: Scene, presented: bool) -> Request:
-        """What is out of focus goes to the pass of its own name. Passes that know no blur are another picture's, without
-        light; returns what is left for this one."""
+        """What is out of focus goes to the pass of its own name. Passes that know no blur are another picture's,
+        without light; returns what is left for this one."""
         request = self.request
         self.prepared = defocused(self.prepared)
         if self.technique.name == "PAINTER":
@@ -531,6 +540,8 @@ class Frame:
         elif self.adaptive is not None and self.adaptive.place is not None:
             program = shade_pass.PRESENT_ADAPTIVE
             textures |= {"ps_counts": self.adaptive.known, "ps_place": self.adaptive.place}
+        if self.lens is not None and self.lens.place is not None:
+            textures["ps_place"] = self.lens.place
         self.device.draw(program, None, uniforms=record, textures=textures)
 
     def _present_constant(self) -> None:

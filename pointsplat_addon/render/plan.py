@@ -70,8 +70,8 @@ def make_plan(
     in_focus: str = "",
 ) -> Plan:
     """The plan for one view of a scene. `unshadowed`: why there are no shadows. `blended`: points are drawn by EWA, for
-    this camera and number of samples. `painter`: opaque points are painted (render/painter.py). `in_focus`: why nothing is
-    out of focus; prepared.blurred is None."""
+    this camera and number of samples. `painter`: opaque points are painted (render/painter.py). `in_focus`: why
+    nothing is out of focus; prepared.blurred is None."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
     lines = len(prepared.lines) > 0

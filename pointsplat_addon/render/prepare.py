@@ -20,6 +20,7 @@ from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_
 from ..core.defocus import blur_of
 from ..core.hierarchy import Hierarchy, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
+from ..core.lens import sampled
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
 from ..core.spacing import EXACT_INSTANCES, PART, make_parts, required_spacing
 from ..core.strands import Segments, clean, together
@@ -606,7 +607,8 @@ class _View:
         )
         scene = self.scene
         cull = np.array([bool(scene.materials.cull[_rows(g)].all()) for g in scene.geometries], bool)
-        cull = cull[scene.instances.geometry]
+        # What turns its back to the middle of the lens may face its rim.
+        cull = cull[scene.instances.geometry] & (not sampled(self.camera, self.settings))
         tolerance = self.settings.tolerance
         band = staggered(tolerance)
         blur = self.focus.blur if self.focus else None
