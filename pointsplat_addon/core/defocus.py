@@ -30,12 +30,8 @@ from .scene import Camera
 
 # Pixels of radius: a disk that adds a fifth of the variance that a pixel's own filter has; one that adds 0.8 of it.
 IN_FOCUS, BLURRED = 0.3, 0.6
-    0.3,
-    0.6,
-)  # pixels of radius: less than a pixel's own filter blurs by half as much variance; twice that
-PIXEL = (
-    0.11  # pixels^2 of variance of the filter that samples are distributed by (render/filtering.py), along each axis
-)
+# Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/filtering.py).
+PIXEL = 0.11
 # Diameter of the largest node that is drawn, over the radius of its disk of confusion. A square has 0.41 of its
 # diameter as standard deviation along each axis ... docs/depth_of_field.md has the errors of others.
 NODE = 1.4
