@@ -4,7 +4,7 @@
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
 // drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
-// render/passes/defocus.py. PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
+// render/passes/defocus.py, PS_LINES: with pieces of strands. PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/camera.glsl"
 #include "lib/kernel.glsl"
@@ -14,6 +14,9 @@
 #include "lib/finite.glsl"
 #ifdef PS_DEFOCUS
 #include "lib/defocus.glsl"
+#endif
+#ifdef PS_LINES
+#include "lib/hair.glsl"
 #endif
 
 #define PS_LOW_PASS 0.04  // pixels^2: splats smaller than a pixel are not missed between the pixels' centres
@@ -236,7 +239,18 @@ void main()
   surface.emission = medium ? vec3(0.0) : emission;
   if (lit_as_surface) {
     facing = dot(facing, facing) > 0.5 ? facing : to_eye;
+#ifdef PS_LINES
+    bool strand = fuzzy && optics.w > 0.5;
+    for (int i = 0; i < (strand ? 1 : 0); i++) {
+      source += ps_shade_strand(place, normalize(a), to_eye, surface, texelFetch(ps_materials, ivec2(3, material), 0),
+                                frame.page.w);
+    }
+    for (int i = 0; i < (strand ? 0 : 1); i++) {
+      source += ps_shade(place, facing, to_eye, surface, frame.page.w);
+    }
+#else
     source += ps_shade(place, facing, to_eye, surface, frame.page.w);
+#endif
   }
 
 #ifdef PS_FUZZY_APART
@@ -265,6 +279,7 @@ void main()
     float area = 12.566371 * sqrt(max(own.x * own.z - own.y * own.y, 0.0)) * texelFetch(ps_share, at, 0).x;
     weight = area * ps_defocus_peak(k, det) * (1.0 - ps_sharp(confusion));
     kind = !ball && dot(normal, ps_is_perspective() ? p : vec3(0.0, 0.0, -1.0)) > 0.0 ? PS_DEFOCUS_BACK : 0.0;
+    kind = extent.y < 0.0 || optics.w > 0.5 ? PS_DEFOCUS_APART : kind;
   } else {
     weight = 12.566371 * sqrt(max(own.x * own.z - own.y * own.y, 0.0)) * 0.5 * peak * ps_defocus_peak(k, det);
   }

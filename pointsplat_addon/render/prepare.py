@@ -257,6 +257,9 @@ class _View:
             parts = [part for part in parts if len(part)]
             if parts:
                 found[row] = together(parts)
+                if self.focus is not None:
+                    found[row] = self.focus.add_lines(geometry, lines, strands, found[row])
+                    found = {row: segments for row, segments in found.items() if len(segments)}
         return found
 
     def _divided(self, view_from_object: np.ndarray, usable: np.ndarray) -> dict[int, list[Shown | None]]:
