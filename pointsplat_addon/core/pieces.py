@@ -31,7 +31,7 @@ def cut(
     weights = np.broadcast_to(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (len(rows), 3, 2))
     owner, done = np.asarray(rows, np.int64), []
     focal = np.abs(camera.pixel_from_view()[:2])
-    near = max(camera.near, 0.0)
+    near = camera.nearest
     total = 0
     while len(owner):
         depth = -corners[:, :, 2]
@@ -44,7 +44,7 @@ def cut(
         # What reaches before the near plane has no size in the picture: it is cut by its size in space.
         before = depth.min(axis=1) <= near
         space = np.linalg.norm(corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]], axis=2)
-        edges[before] = space[before] * (focal.max() / max(near, 1e-9))
+        edges[before] = space[before] * (focal.max() / (near if camera.perspective else 1.0))
         fine = edges.max(axis=1) <= np.maximum(NODE * least, tolerance)
         total += len(owner)
         fine |= total > MOST
@@ -66,15 +66,12 @@ def _seen(corners: np.ndarray, camera: Camera, blur: Blur) -> np.ndarray:
     _, _, width, height = camera.window
     w = np.maximum(depth, 0.0) if camera.perspective else np.ones_like(depth)
     # Of depths at and behind the eye the disk's radius times the depth is what counts: it stays finite.
-    reach = (
-        blur.radius(np.maximum(depth, max(camera.near, 1e-9)))
-        * (np.maximum(depth, max(camera.near, 1e-9)) if camera.perspective else 1.0)
-        + BLURRED * w
-    )
+    seen = np.maximum(depth, camera.nearest)
+    reach = blur.radius(seen) * (seen if camera.perspective else 1.0) + BLURRED * w
     x, y = fx * corners[:, :, 0] + cx * w, fy * corners[:, :, 1] + cy * w
     inside = (x + reach > 0).any(axis=1) & (x - reach < width * w).any(axis=1)
     inside &= (y + reach > 0).any(axis=1) & (y - reach < height * w).any(axis=1)
-    return inside & (depth > max(camera.near, 0.0)).any(axis=1) & (depth < camera.far).any(axis=1)
+    return inside & (depth > camera.nearest).any(axis=1) & (depth < camera.far).any(axis=1)
 
 
 def _halved(

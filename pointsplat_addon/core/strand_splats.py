@@ -10,7 +10,6 @@ from .lines import Lines
 from .scene import Camera
 from .strands import Strands, lengths_scale
 
-NEAREST = 1e-9  # depth
 MOST_ACROSS = 16  # strips of a wide tube
 MOST = 1 << 21  # pieces of one instance: beyond it they stay as long as they are
 SHARE = 3 / np.pi  # of the ellipse with its moments, that a rectangle covers
@@ -37,7 +36,7 @@ def splats(
     place = strands.position.astype(np.float64) + strands.origin
     low, high = _depths(strands, ends, matrix, camera)
     least, most = blur.bounds(low, high)
-    keep = (most > IN_FOCUS) & (high > max(camera.near, NEAREST))
+    keep = (most > IN_FOCUS) & (high > camera.nearest)
     ends, least, low = ends[keep], least[keep], low[keep]
     per_pixel = (low if camera.perspective else 1.0) / max(abs(f) for f in camera.pixel_from_view()[:2])
     largest = np.maximum(NODE * least, tolerance) * per_pixel  # view space
@@ -105,7 +104,7 @@ def sharp_ends(
 def _depths(strands: Strands, ends: np.ndarray, matrix: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """(K,) each: of the nearer and of the farther end."""
     depth = -((strands.position.astype(np.float64) + strands.origin) @ matrix[2, :3] + matrix[2, 3])
-    a, b = np.maximum(depth, max(camera.near, NEAREST))[ends].T
+    a, b = np.maximum(depth, camera.nearest)[ends].T
     return np.minimum(a, b), np.maximum(a, b)
 
 

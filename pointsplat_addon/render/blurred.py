@@ -52,7 +52,7 @@ class Focus:
         matrix = self.view_from_object[instance]
         depth = -(matrix[:, 2, :3] @ middle + matrix[:, 2, 3])
         reach = radius * largest_singular_value(matrix[:, :3, :3])
-        near = max(self.camera.near, 0.0)
+        near = self.camera.nearest
         least, most = self.blur.bounds(np.maximum(depth - reach, near), np.maximum(depth + reach, near))
         return least < BLURRED, most > IN_FOCUS
 
