@@ -401,6 +401,8 @@ class _View:
         mesh = geometry.mesh
         assert mesh is not None
         needed = self._needed(geometry, mesh, self._valid(geometry, mesh), view_from_object)
+        if not np.isfinite(needed):  # boxes around parts reach into the picture, and no triangle does
+            return []
         return self._dense(geometry, mesh, needed, view_from_object)
 
     def _dense(
