@@ -126,9 +126,9 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
 
     From the front, opaque splats of one surface add what they cover of the lens, up to all of it. What lies behind them
     by more than their reach is another surface, which sees what they leave open as if the two knew nothing of each
-    other: one behind the other, they cover 1 - (1 - a)(1 - b) (section 5.4). So do splats that belong to no surface. Backs cover no more than what fronts of
-    the same surface leave: closed bodies end with both at the same edge. Translucent splats take their share of what is
-    open (Beer's law).
+    other: one behind the other, they cover 1 - (1 - a)(1 - b) (section 5.4). So do splats that belong to no surface.
+    Backs cover no more than what fronts of the same surface leave: closed bodies end with both at the same edge.
+    Translucent splats take their share of what is open (Beer's law).
     """
     amount = splats.weight * drawn_kernel(pixels, splats)
     surface = ~(splats.translucent | splats.apart)

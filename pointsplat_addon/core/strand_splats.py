@@ -24,9 +24,9 @@ def splats(
     tolerance: float,
     blur: Blur,
 ) -> PointCloud:
-    """Of segments `ends` (K, 2) of one instance with the transform (4, 4), those that may be out of focus. `kernel` says
-    what is shaded as a whole strand, whose tangents are the major axes (1), and what as a surface (0): ribbons, and tubes
-    that are wider than their pieces may be, in strips along them.
+    """Of segments `ends` (K, 2) of one instance with the transform (4, 4), those that may be out of focus. `kernel`
+    says what is shaded as a whole strand, whose tangents are the major axes (1), and what as a surface (0): ribbons, and
+    tubes that are wider than their pieces may be, in strips along them.
 
     Pieces are at most `tolerance` pixels long, or NODE times the radius of their disks of confusion.
     """
@@ -79,7 +79,7 @@ def splats(
     half[whole & turned, 0] = half[whole & turned, 1]
     major[whole] = unit[strip][whole]
     rows = strands.source[np.stack([first, second], axis=1)][strip]
-    cloud = PointCloud(
+    return PointCloud(
         (middle - strands.origin).astype(np.float32),
         strands.origin,
         normal=np.ascontiguousarray(normal, np.float32),
@@ -91,7 +91,6 @@ def splats(
         emission=_mixed(lines.emission, rows, part[strip]),
         kernel=whole.astype(np.uint8) if whole.any() else None,
     )
-    return cloud
 
 
 def sharp_ends(

@@ -64,6 +64,19 @@ class Focus:
         )
         self.shares[key] = made
 
+    def add_balls(self, instance: np.ndarray, points: PointSet) -> None:
+        """Balls that are drawn one by one."""
+        for i in instance.tolist():
+            matrix, camera = self.view_from_object[i], self.camera
+            key = ("pieces", *points.key, matrix.tobytes(), camera.clip_from_view.tobytes(), self.blur, self.tolerance)
+
+            def make(matrix: np.ndarray = matrix) -> PointCloud:
+                return pieces.balls(points.cloud, matrix, self.camera, self.tolerance, self.blur)
+
+            cut = PointSet(key, self.store.lookup(key, make))
+            if len(cut):
+                self.shares[self._add(np.array([i]), cut)] = float(pieces.DISK_SHARE)
+
     def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh, ok: np.ndarray) -> None:
         """Triangles, cut for this view."""
         rows = np.flatnonzero(ok)

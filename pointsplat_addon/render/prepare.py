@@ -194,7 +194,9 @@ class _View:
                 where = np.flatnonzero(set_of_instance == key)
                 middle, far, radius = _extent(points, self.store)
                 inside, outside = focus.reaches(where, middle, far + radius)
-                if outside.any():
+                if outside.any() and sets is spheres[0]:
+                    focus.add_balls(where[outside], points)
+                elif outside.any():
                     areas = self._areas(geometries[geometry_of[where[0]]], points)
                     sets[key] = points = self._with_nodes(points, always=areas is None)
                     focus.add_points(where[outside], points, areas)
