@@ -25,8 +25,8 @@ def splats(
     blur: Blur,
 ) -> PointCloud:
     """Of segments `ends` (K, 2) of one instance with the transform (4, 4), those that may be out of focus. `kernel`
-    says what is shaded as a whole strand, whose tangents are the major axes (1), and what as a surface (0): ribbons, and
-    tubes that are wider than their pieces may be, in strips along them.
+    says what is shaded as a whole strand, whose tangents are the major axes (1), and what as a surface (0): ribbons,
+    and tubes that are wider than their pieces may be, in strips along them.
 
     Pieces are at most `tolerance` pixels long, or NODE times the radius of their disks of confusion.
     """
