@@ -52,9 +52,9 @@ void ps_cover(inout PsSeen seen, vec4 color, float amount, bool back, float dept
 
 void ps_pass(inout PsSeen seen, vec4 color, vec3 passes)
 {
-  float open = 1.0 - min(max(seen.front, seen.back), 1.0);
-  vec3 share = open * seen.left * seen.passing * (1.0 - passes);
-  seen.color += vec4(share, share.y) * color;
+  vec4 share = vec4(seen.passing * (1.0 - passes), seen.passing.y * (1.0 - passes.y)) * color;
+  seen.color += vec4(seen.left, seen.left.y) * share;
+  seen.here -= min(max(seen.front, seen.back), 1.0) * share;
   seen.passing *= passes;
 }
 

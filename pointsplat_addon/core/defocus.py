@@ -153,7 +153,9 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     closed = np.cumprod(np.where(ends & (number > 0), 1 - covers, 1.0), axis=1)
     left = open_ * np.concatenate([np.ones((len(pixels), 1)), closed[:, :-1]], axis=1)
     of_surface = (sums - was) * last / np.maximum(total, 1e-300)
-    share = left * np.where(there, of_surface, np.where(surface, 0.0, (1 - sums) * (1 - passes)))
+    share = left * np.where(
+        there, of_surface, np.where(surface, 0.0, (1 - sums * last / np.maximum(total, 1e-300)) * (1 - passes))
+    )
     return np.concatenate([share @ splats.color, share.sum(axis=1, keepdims=True)], axis=1)
 
 

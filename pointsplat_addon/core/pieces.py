@@ -68,8 +68,8 @@ def cut(
 
 def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, tolerance: float, blur: Blur) -> PointCloud:
     """The sides of balls that face the eye, as disks of equal areas in the picture, of which each covers DISK_SHARE:
-    balls of an instance with the transform (4, 4) that may be out of focus, in as many as their sizes in the picture ask
-    for, at least LEAST_FACETS."""
+    balls of an instance with the transform (4, 4) that may be out of focus, in as many as their sizes in the picture
+    ask for, at least LEAST_FACETS."""
     matrix = np.asarray(view_from_object, np.float64)
     assert cloud.radii is not None
     radius = cloud.radii[:, 0].astype(np.float64)

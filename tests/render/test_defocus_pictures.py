@@ -1,0 +1,276 @@
+"""Pictures of what is out of focus, against the float64 reference and against samples through the lens."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core import defocus
+from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.scene import Aperture, Scene, Settings, World
+from pointsplat_addon.devices.null import NullDevice
+from pointsplat_addon.render.frame import Frame, Renderer, Request, Result
+from pointsplat_addon.render.lens import LensSamples
+from tests.render import scenes
+from tests.render.scenes import ALL_PASSES, CASES, Case, camera, materials, mesh, moved, plane_mesh, points
+
+COMBINED = frozenset({"combined"})
+SPLAT, LENS = Settings(use_shadows=False), Settings(use_shadows=False, dof_method="LENS_SAMPLES")
+BLACK = World(np.zeros(3))
+
+
+def drawn(case: Case, aperture: Aperture | None, samples: int = 16, passes=COMBINED, **settings) -> Result:
+    given = replace(case.settings, use_adaptive_sampling=False, **settings)
+    request = Request(replace(case.camera, aperture=aperture), given, passes, samples)
+    return scenes.opengl().render(case.scene, request)
+
+
+def glowing(key: str, position, radius: float, color=(1.0, 1.0, 1.0)):
+    """Disks that face the camera of `camera()` and glow."""
+    position = np.atleast_2d(np.asarray(position, np.float32))
+    rows = np.ones((len(position), 1), np.float32)
+    return points(key, PointCloud(
+        position, normal=rows * np.array([[0, -1, 0]], np.float32), radii=rows * np.float32(radius),
+        color=np.zeros((len(position), 3), np.float32), emission=rows * np.array([color], np.float32),
+    ))  # fmt: skip
+
+
+def dark(*things, **more) -> Scene:
+    return scenes.scene(*things, lights=(), world=BLACK, **more)
+
+
+# The shader and its reference
+
+
+@pytest.mark.parametrize("name", ["sphere", "smoke", "tinted_smoke", "panes", "foliage", "strands", "parallel"])
+def test_the_shader_is_the_reference(name, monkeypatch):
+    """Everything that the pass `light` left, composited in float64; without what is in focus."""
+    kept = {}
+    defocused = Frame._defocus
+
+    def keep(frame: Frame) -> None:
+        defocused(frame)
+        assert frame.lit is not None
+        for key, texture in frame.lit.textures.items():
+            kept[key] = frame.device.read(texture).reshape(-1, 4)[: frame.lit.count].astype(float)
+        kept["focal"] = frame._record(0)["focal"][0].astype(float)
+        kept["corner"] = frame.corner
+
+    monkeypatch.setattr(Frame, "_defocus", keep)
+    case = CASES[name]()
+    scene = replace(case.scene, transparent=True)
+    found = drawn(replace(case, scene=scene), Aperture(0.1, 1.5), 1).pixels["combined"].astype(float)
+
+    place, shape, source = kept["ps_place"], kept["ps_shape"], kept["ps_source"]
+    order = np.argsort(place[:, 2], kind="stable")
+    order = order[place[order, 3] > 0]
+    place, shape, source = place[order], shape[order], source[order]
+    kind, k = (shape[:, 3] // 8).astype(int), shape[:, 3] % 8
+    conic = np.stack([shape[:, 0], shape[:, 1], shape[:, 1], shape[:, 2]], axis=1).reshape(-1, 2, 2)
+    covariance = np.linalg.inv(conic)
+    peak = defocus.kernel(np.zeros(len(k)), k, np.linalg.det(covariance))
+    splats = defocus.Splats(
+        place[:, :2], place[:, 2], covariance, k, place[:, 3] / peak, source[:, :3], source[:, 3],
+        back=kind % 2 == 1, translucent=kind // 2 % 2 == 1, apart=kind // 8 % 2 == 1,
+    )  # fmt: skip
+    height, width, _ = found.shape
+    y, x = np.mgrid[:height, :width]
+    pixels = np.stack([x.ravel(), y.ravel()], axis=1) + 0.5 + kept["corner"] - kept["focal"][2:]
+    channels = []
+    for channel in range(3):
+        seen = splats
+        if "ps_tint" in kept:
+            tint = kept["ps_tint"][order, channel]
+            seen = replace(splats, weight=np.where(splats.translucent, splats.weight * tint, splats.weight))
+        channels.append(defocus.composite(pixels, seen).reshape(height, width, 4))
+    expected = np.stack([channels[0][..., 0], channels[1][..., 1], channels[2][..., 2], channels[1][..., 3]], axis=-1)
+    scale = max(float(source[:, :3].max()), 1.0)
+    # The shader stops where less than a thousandth of the light from behind is left.
+    assert np.abs(found - expected).max() < 2.5e-3 * scale  # measured 1.1e-3
+    assert np.sqrt(((found - expected) ** 2).mean()) < 5e-4 * scale  # measured 2e-4
+    assert found[..., 3].max() > 0.3
+
+
+# Optics
+
+
+@pytest.mark.parametrize(("focus", "radius"), [(2.0, 0.2), (3.0, 0.4), (8.0, 0.3), (5.0, 1.0)])
+@pytest.mark.parametrize("parallel", [None, 4.0])
+def test_a_splats_energy_is_kept_and_half_of_it_lies_within_its_share_of_the_disk(focus, radius, parallel):
+    """Křivánek's radius of half the energy is that of Cycles' disk, C / sqrt 2."""
+    seen = camera(resolution=(128, 128), parallel=parallel)
+    case = Case(dark((glowing("one glowing disk", [0, 0, 0], 0.02), moved())), seen, SPLAT)
+    aperture = Aperture(radius, focus)
+    found = drawn(case, aperture).pixels["combined"][..., 0].astype(float)
+    blur = defocus.blur_of(replace(seen, aperture=aperture))
+    assert blur is not None
+    disk = float(blur.radius(np.array(4.0)))
+    assert disk > 3
+    area = np.pi * (0.02 * seen.pixel_from_view()[0] / (4.0 if parallel is None else 1.0)) ** 2
+    # A disk alone covers the cell that it goes around.
+    assert abs(found.sum() / area / 0.45 - 1) < 0.01  # measured 0.004
+    y, x = np.mgrid[:128, :128] + 0.5 - 64
+    r = np.hypot(x, y)
+    order = np.argsort(r, axis=None)
+    half = np.interp(found.sum() / 2, np.cumsum(found.ravel()[order]), r.ravel()[order])
+    assert abs(half / (disk / np.sqrt(2)) - 1) < 0.03  # measured 0.013
+
+
+def test_what_is_in_focus_is_as_sharp_as_without_a_lens():
+    """A pattern in the plane of focus before and behind what is blurred."""
+    board = replace(plane_mesh("board in focus", 1.0, 16), material=np.arange(512, dtype=np.uint16) // 2 % 2,
+                    materials=(0, 1))  # fmt: skip
+    table = materials(2, base_color=[[0.9, 0.9, 0.9], [0.1, 0.1, 0.1]])
+    for primitive in ("POLYGONS", "POINTS"):
+        of = replace(board, key=f"board in focus {primitive}")
+        case = Case(scenes.scene((mesh(of, primitive), moved()), table=table), camera(resolution=(96, 96)), SPLAT)
+        sharp, seen = drawn(case, None), drawn(case, Aperture(0.3, 4.0))
+        assert {"name": "defocus", "because": "nothing is out of focus"} in seen.report["skipped"]
+        np.testing.assert_array_equal(seen.pixels["combined"], sharp.pixels["combined"])
+        far = glowing(f"far behind {primitive}", [[0.0, 3.0, 0.0]], 0.5)
+        case = replace(case, scene=scenes.scene((mesh(of, primitive), moved()), (far, moved()), table=table))
+        sharp, seen = drawn(case, None), drawn(case, Aperture(0.3, 4.0))
+        inner = (slice(24, 72), slice(24, 72))
+        error = np.abs(seen.pixels["combined"][inner] - sharp.pixels["combined"][inner]).max()
+        assert error <= 2 / 255  # measured 1e-7
+
+
+@pytest.mark.parametrize("primitive", ["POLYGONS", "POINTS"])
+def test_nothing_leaks_through_what_is_sharp_and_sharp_things_do_not_leak(primitive):
+    """A white card in focus before a black wall that is not, and a black card before a white wall: three pixels within
+    the card's outline the picture is that of many samples through the lens."""
+    table = materials(2, base_color=[[0.9, 0.9, 0.9], [0.02, 0.02, 0.02]], roughness=np.ones(2), specular=np.zeros(2))
+    for near, far in ((0, 1), (1, 0)):
+        card, wall = (
+            replace(plane_mesh(f"{what} {row} {primitive}", size, 32), material=None, materials=(row,))
+            for what, row, size in (("card", near, 0.6), ("wall", far, 6.0))
+        )
+        scene = scenes.scene(
+            (mesh(card, primitive), moved()), (mesh(wall, primitive), moved((0, 4, 0))), table=table, lights=[scenes.sun()],
+        )  # fmt: skip
+        case = Case(scene, camera(resolution=(96, 96)), SPLAT)
+        aperture = Aperture(0.3, 4.0)
+        pixels = case.camera.pixel_from_view()[0] / 4.0
+        low, high = (int(np.ceil(48 - 0.6 * pixels)) + 3, int(48 + 0.6 * pixels) - 3)
+        inner = (slice(low, high), slice(low, high))
+        splat = drawn(case, aperture).pixels["combined"]
+        lens = drawn(case, aperture, 256, dof_method="LENS_SAMPLES").pixels["combined"]
+        assert np.abs(splat[inner] - lens[inner]).max() <= 2 / 255  # measured 0.0009
+        # And all around it, where the wall is blurred, hidden parts of it show.
+        error = np.abs(splat - lens)
+        assert error[: low - 6].max() < 0.05  # measured 0.03
+
+
+# Against samples through the lens
+
+
+@pytest.mark.parametrize("name", [
+    "cube", "sphere", "mixed", "textured", "instances", "balls", "environment", "lights", "parallel", "culled", "smoke",
+    "panes", "foliage", "split_mesh", "strands",
+])  # fmt: skip
+def test_pictures_are_nearer_to_many_samples_through_the_lens_than_few_are(name):
+    case = CASES[name]()
+    size = case.camera.resolution
+    if size == scenes.RESOLUTION:
+        case = replace(case, camera=replace(case.camera, resolution=(2 * size[0], 2 * size[1])))
+    aperture = Aperture(0.5, 2.5)
+    splat, few, many, sharp = (
+        drawn(case, aperture, 16).pixels["combined"],
+        drawn(case, aperture, 6, dof_method="LENS_SAMPLES").pixels["combined"],
+        drawn(case, aperture, 256, dof_method="LENS_SAMPLES").pixels["combined"],
+        drawn(case, None, 16).pixels["combined"],
+    )  # fmt: skip
+
+    def error(picture: np.ndarray) -> float:
+        return float(np.sqrt(((picture - many)[..., :3] ** 2).mean()))
+
+    print(name, error(splat), error(few), error(sharp))
+    assert error(splat) < error(few)
+    assert error(splat) < 0.6 * error(sharp)
+    np.testing.assert_allclose(splat.mean(axis=(0, 1)), many.mean(axis=(0, 1)), atol=0.02)
+
+
+# What a scene does not need
+
+
+@pytest.mark.parametrize("name", ["mixed", "smoke", "strands"])
+def test_without_depth_of_field_nothing_of_it_is_compiled_or_computed(name):
+    def recorded(aperture: Aperture | None) -> NullDevice:
+        device = NullDevice()
+        case = CASES[name]()
+        request = Request(replace(case.camera, aperture=aperture), case.settings, COMBINED, 4)
+        Renderer(device).render(case.scene, request)
+        return device
+
+    plain, narrow, wide = (recorded(a) for a in (None, Aperture(0.0, 4.0), Aperture(0.3, 2.0)))
+    assert plain.names == narrow.names
+    assert plain.interfaces == narrow.interfaces
+    assert plain.uploaded_bytes == narrow.uploaded_bytes
+    defines = {name for interface in plain.interfaces for name, _ in interface.defines}
+    assert not defines & {"PS_DEFOCUS", "PS_FOCUS"}
+    assert "defocus" in wide.names
+    assert "defocus" not in plain.names
+
+
+def test_lens_samples_take_no_pass_of_splats(monkeypatch):
+    seen = drawn(CASES["mixed"](), Aperture(0.3, 2.0), 4, dof_method="LENS_SAMPLES")
+    assert "defocus" in {entry["name"] for entry in seen.report["skipped"]}
+    assert LensSamples is not None
+
+
+# All else
+
+
+@pytest.mark.parametrize("name", ["mixed", "smoke", "strands", "holdout", "moving", "panes"])
+def test_other_passes_are_those_of_a_camera_without_a_lens(name):
+    case = CASES[name]()
+    passes = ALL_PASSES - {"combined"}
+    blurred, sharp = (drawn(case, a, 5, passes | COMBINED).pixels for a in (Aperture(0.3, 2.0), None))
+    assert blurred.keys() == sharp.keys()
+    for key in sharp:
+        if key != "combined":
+            np.testing.assert_array_equal(blurred[key], sharp[key])
+
+
+@pytest.mark.parametrize("name", ["mixed", "smoke", "split_mesh"])
+def test_a_border_shows_the_pixels_of_the_whole_picture(name):
+    case = CASES[name]()
+    width, height = case.camera.resolution
+    region = (width // 4, height // 3, width // 2, height // 2)
+    whole = drawn(case, Aperture(0.3, 2.0)).pixels["combined"]
+    part = drawn(replace(case, camera=replace(case.camera, region=region)), Aperture(0.3, 2.0)).pixels["combined"]
+    x, y, w, h = region
+    assert np.abs(part - whole[y : y + h, x : x + w]).max() < 0.02  # measured 0.005: what lies in focus is AUTO's
+
+
+@pytest.mark.parametrize("aperture", [
+    Aperture(0.15, 1e-9), Aperture(0.15, 1e30), Aperture(1e6, 4.0), Aperture(1e-9, 4.0), Aperture(0.3, 4.0, 5, 1.0, 1e-3),
+    Aperture(30.0, 0.05),
+])  # fmt: skip
+@pytest.mark.parametrize("name", ["mixed", "parallel", "smoke", "not_finite", "inside", "strands", "holdout"])
+def test_extreme_lenses_have_finite_pictures(name, aperture):
+    pixels = drawn(CASES[name](), aperture, 4).pixels["combined"]
+    assert np.isfinite(pixels).all()
+    assert pixels[..., 3].max() <= 1 + 1e-5
+
+
+def test_alpha_is_one_where_a_world_is_behind_and_never_more():
+    for name in ("mixed", "smoke", "panes", "strands"):
+        case = CASES[name]()
+        alpha = drawn(case, Aperture(0.3, 2.0), 4).pixels["combined"][..., 3]
+        np.testing.assert_allclose(alpha, 1, atol=1e-5)
+
+
+def test_a_picture_that_is_shown_between_samples_ends_as_the_finished_one():
+    case = CASES["mixed"]()
+    request = Request(replace(case.camera, aperture=Aperture(0.3, 2.0)), case.settings, COMBINED, 8, interactive=True)
+    renderer = scenes.opengl()
+    frame = renderer.start(case.scene, request)
+    try:
+        while frame.sample():
+            pass
+        shown = frame.pixels()["combined"]
+    finally:
+        frame.release()
+    whole = renderer.render(case.scene, request).pixels["combined"]
+    np.testing.assert_allclose(shown, whole, atol=1e-6)
