@@ -25,6 +25,8 @@ SEEN_CHANGE = 1 / 64  # of colours and of surface values between the points that
 SHORT = 1.0  # pixels: below it no change along a segment is seen
 ROUND = 2.0  # widths of the raster's line: below it a segment has one shade across
 THIN = 1.0  # widths of the raster's line: below it a segment is one
+SMALL = 16.0  # pixels: strands that are no longer are not seen to be broken
+SLIGHT = 0.25  # widths of the raster's line: from here on they are drawn with their outlines
 BELOW_ONE = 1 - 2.0**-24  # the largest float32
 FEW = 0.02  # of the strands: what they alone would save costs more to find
 NARROW = 1e-3  # pixels: shorter segments have no direction on the screen
@@ -91,6 +93,13 @@ class Strands:
         reach = np.maximum(*self.radius[ends.T])[:, None]
         near = (np.abs(self.reached[ends] - self.reached[outer]) <= reach) & (reach > 0) & ~closed[:, None]
         return np.where(near, outer, -1)
+
+    def total(self, length: np.ndarray) -> np.ndarray:
+        """(S,) float32: sums over strands of what lies between each point and the next (P - 1,) float32."""
+        if len(self.start) < 2:
+            return np.zeros(0, np.float32)
+        length = np.append(length, np.float32(0))
+        return np.add.reduceat(length, self.start[:-1]) - length[self.start[1:] - 1]
 
     @cached_property
     def local(self) -> np.ndarray:
@@ -306,6 +315,8 @@ def select(strands: Strands, view_from_object: np.ndarray, instance: int, camera
     seen = _seen(picture, first, last, camera)
     first, last = first[seen], last[seen]
     share = _shares(picture, first, last, level[strands.strand[first]] > 0)
+    exact = (strands.total(picture.length) <= SMALL) & (level == 0)
+    share[exact[strands.strand[first]] & (np.maximum(*share.T) >= SLIGHT)] = THIN
     visible = (share[:, 0] > 0) | (share[:, 1] > 0)
     first, last, share = first[visible], last[visible], share[visible]
     strand = strands.strand[first]
@@ -417,8 +428,7 @@ def _coarsest(strands: Strands, picture: _Picture, allowed: float) -> np.ndarray
     beside = 0.5 * picture.width[:, None] if picture.across is None else picture.across
     count = len(strands.start) - 1
     level, off = np.zeros(count, np.int32), np.zeros(count, np.float32)
-    total = np.add.reduceat(np.append(length, np.float32(0)), strands.start[:-1]) if count else off
-    total -= np.append(length, np.float32(0))[strands.start[1:] - 1] if count else 0
+    total = strands.total(length)
     # Segments of the next level are half as many.
     short = np.floor(np.log2(np.maximum(SHORT * np.diff(strands.start) / np.maximum(total, 1e-20), 1)))
     most = np.maximum(strands.detail, np.minimum(short, 126))

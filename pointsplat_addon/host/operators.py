@@ -169,7 +169,7 @@ class POINTSPLAT_OT_mesh_to_strands(bpy.types.Operator):
         self.report(
             {"INFO"},
             f"{ob.name}: {len(found) - ribbons} tubes, {ribbons} ribbons, "
-            f"{found.parts - len(found)} of {found.parts} parts stay polygons",
+            f"{found.stay} of {found.parts} parts stay polygons",
         )
         return {"FINISHED"}
 
