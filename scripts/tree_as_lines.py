@@ -21,17 +21,17 @@ from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from pointsplat_addon.core.lines import Lines
 from pointsplat_addon.core.scene import Camera, Geometry, Scene, Settings
-from pointsplat_addon.core.strands_from_mesh import Found, find
+from pointsplat_addon.core.strands_from_mesh import Found, find, parts_of
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.frame import Renderer, Request
 from scripts.compare import displayed, psnr
 from tests.render import scenes
 
+ROOT = Path(__file__).resolve().parent.parent
 TREE = ROOT / "assets" / "japanese_maple" / "japaneseMaple.obj.gz"
 COLORS = [[0.22, 0.15, 0.1], [0.45, 0.08, 0.05]]  # of the trunk, and of the twigs with their leaves
 LEAVES = (2.4, 4.3, 8.0)  # pixels
@@ -129,8 +129,6 @@ def vertices(tree: Tree, found: Found) -> tuple[int, int]:
 
 def leaf_length(tree: Tree) -> float:
     """The longest distance of two corners of the median leaf: the parts with the commonest number of triangles."""
-    from pointsplat_addon.core.strands_from_mesh import parts_of
-
     _, part, count = np.unique(
         parts_of(tree.triangles, len(tree.position))[tree.triangles[:, 0]], return_inverse=True, return_counts=True
     )
@@ -193,8 +191,9 @@ def strip(truth: np.ndarray, picture: np.ndarray) -> np.ndarray:
     return np.round(255 * both[::-1]).astype(np.uint8)
 
 
-def timed(renderer: Renderer, tree: Tree, found: Found, samples: int) -> tuple[float, float]:
-    """Seconds of processor time of MANY trees as polygons and as lines, in turns, the view turned each time."""
+def timed(renderer: Renderer, tree: Tree, found: Found, samples: int, away: float = 1.0) -> tuple[float, float]:
+    """Seconds of processor time of MANY trees as polygons and as lines, in turns, the eye moved each time; they fill
+    the picture, or 1 / `away` of its width."""
     width = float(np.ptp(tree.position, axis=0).max())
     matrices = []
     for k in range(MANY):
@@ -206,8 +205,10 @@ def timed(renderer: Renderer, tree: Tree, found: Found, samples: int) -> tuple[f
     both = [placed(geometries, matrices) for geometries in pair(tree, found)]
     spent = np.zeros((TIMES + 1, 2))
     for turn in range(TIMES + 1):
-        eye = width * np.array([0.02 * turn, -3.6, 0.7])
-        camera = scenes.camera(eye, resolution=(FIELD, FIELD), field_of_view=45, near=0.01 * width, far=20 * width)
+        eye = width * away * np.array([0.02 * turn, -3.6, 0.7])
+        camera = scenes.camera(
+            eye, resolution=(FIELD, FIELD), field_of_view=45, near=0.01 * width, far=20 * away * width
+        )
         settings = Settings(use_shadows=False, use_adaptive_sampling=False)
         for k, scene in enumerate(both):
             before = time.process_time()
@@ -228,9 +229,11 @@ def main() -> None:
     print(f"{ours} of {all_of_it} vertices, {ours / all_of_it:.1%}; {len(found)} strands of {found.parts} parts")
     renderer = Renderer(OpenGLDevice())
     if options.time:
-        for samples in (1, 8):
-            polygons, lines = timed(renderer, tree, found, samples)
-            print(f"{samples} samples: {polygons:.2f} s, as lines {lines:.2f} s, {polygons / lines:.2f} times as fast")
+        for away in (1.0, 4.0):
+            for samples in (1, 8):
+                polygons, lines = timed(renderer, tree, found, samples, away)
+                both = f"{polygons:.2f} s, as lines {lines:.2f} s, {polygons / lines:.2f} times as fast"
+                print(f"{1 / away:.2f} of the picture's width, {samples} samples: {both}")
         return
     for leaf in LEAVES:
         for shadows in (False, True):

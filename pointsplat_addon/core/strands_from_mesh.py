@@ -1,8 +1,9 @@
 """Meshes of leaves and branches as ribbons and tubes where they have that structure (Marroquim et al. 2008, section 5).
 
-A part is what edges hold together. A tube is a part made of rings of vertices, open at both ends or with a tip, or any
-sleeve between two open rims whose sections are round enough. A ribbon is one of two to four triangles in a row, or a
-flat one of some more, by its widths across its longest axis. What fits none of these stays polygons.
+A part is what edges hold together. A tube is a part made of rings of vertices, open, closed or with a tip at its ends,
+or any sleeve between two open rims whose sections are round enough. A ribbon is one of two to four triangles in a row,
+or a flat one of some more, by its widths across its longest axis. Flat parts with lobes about a hub are several
+ribbons. What fits none of these stays polygons.
 """
 
 from __future__ import annotations
@@ -111,7 +112,7 @@ def _edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _caps(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, count: int) -> np.ndarray:
     """(T,) bool: triangles that close a tube: walls within it, and of long closed parts what lies in the planes of the
     two triangles that are farthest along the longest axis. Where the part is no tube this means nothing."""
-    edges, number, row = _edges(triangles)
+    _, number, row = _edges(triangles)
     walls = (number[row] > 2).all(axis=1)
     closed = np.ones(count, bool)
     closed[part[(number[row] == 1).any(axis=1)]] = False
@@ -367,8 +368,7 @@ class _Flat:
     corner: np.ndarray  # (T, 3, 3) float64
     height: np.ndarray  # (T, 3) float64: of corners along the longest axis, from the part's middle
     sideways: np.ndarray  # (T, 3) float64: along the second one
-    along: np.ndarray  # (C, 3) float64, unit: the longest axis
-    beside: np.ndarray  # (C, 3) float64, unit
+    axes: np.ndarray  # (C, 3, 3) float64, orthonormal: the longest axis, the next, and what is across both
     middle: np.ndarray  # (C, 3) float64
     area: np.ndarray  # (C,) float64, of the projection along the third axis
     facing: np.ndarray  # (T, 3) float64, unit normals
@@ -378,14 +378,14 @@ class _Flat:
         """(C, ...) sums over each part of what its triangles (T, ...) have."""
         return _sums(self.own, values, len(self.part))
 
-
     def only(self, rows: np.ndarray) -> _Flat:
         """Those parts that `rows` (C,) bool chooses."""
         new, kept = np.cumsum(rows) - 1, rows[self.own]
-        of_triangles = (a[kept] for a in (self.vertex, self.corner, self.height, self.sideways))
-        of_parts = (a[rows] for a in (self.along, self.beside, self.middle, self.area))
-        return _Flat(self.part[rows], new[self.own[kept]], *of_triangles, *of_parts, self.facing[kept],
-                     self.vertices[rows])  # fmt: skip
+        return _Flat(
+            self.part[rows], new[self.own[kept]], self.vertex[kept], self.corner[kept], self.height[kept],
+            self.sideways[kept], self.axes[rows], self.middle[rows], self.area[rows], self.facing[kept],
+            self.vertices[rows],
+        )  # fmt: skip
 
 
 def _sums(own: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
@@ -430,132 +430,168 @@ def _flat(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, other: 
     new[kept] = np.arange(len(kept))
     vertex = triangles[rows]
     rows = np.flatnonzero(counts & thin[own])
-    along, beside = axes[:, :, 2], axes[:, :, 1]
+    axes = np.stack([axes[:, :, 2], axes[:, :, 1], np.cross(axes[:, :, 2], axes[:, :, 1])], axis=1)
+    height, sideways = (np.einsum("tki,ti->tk", off[rows], axes[own[rows], k]) for k in (0, 1))
     length = np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
     # The area along the plane falls short of that of what is curled
     whole = np.bincount(own[rows], area[rows], len(chosen))
     return _Flat(
         chosen[kept], new[own[rows]], vertex[rows], corner[rows],
-        np.einsum("tki,ti->tk", off[rows], along[own[rows]]), np.einsum("tki,ti->tk", off[rows], beside[own[rows]]),
-        along[kept], beside[kept], middle[kept], whole[kept], (facing / length)[rows],
-        vertices[kept],
+        height, sideways, axes[kept], middle[kept], whole[kept], (facing / length)[rows], vertices[kept],
     )  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """N places all over flat parts. Coordinates are along the parts' two axes and across them, from the hubs."""
+
+    own: np.ndarray  # (N,) int64: rows of parts
+    place: np.ndarray  # (N, 3) float64
+    area: np.ndarray  # (N,) float64: each one's share
+    facing: np.ndarray  # (N, 3) float64, unit normals
+
+    def at(self, rows: np.ndarray) -> _Places:
+        return _Places(self.own[rows], self.place[rows], self.area[rows], self.facing[rows])
+
+
 def _lobes(flat: _Flat) -> Strands:
-    """Ribbons of two points for parts whose lobes stand out from a hub: for each lobe a triangle from where it is
-    widest to its tip, of its area and beside the middle of that, and one rectangle for all between lobes, of its area
-    and its variance along its longer axis. They are taken where they need fewer points than the part has vertices."""
+    """Ribbons of two points for parts whose lobes stand out from a hub: one for each lobe, and one for all between
+    them. They are taken where they need fewer points than the part has vertices."""
     if len(flat.part) == 0:
         return _none()
-    plane = np.stack([flat.height, flat.sideways], axis=2)
-    hub = _hubs(flat, plane)
-    outline = _outlines(flat.own, plane - hub[flat.own][:, None], len(flat.part))
-    lobe, tip, number = _sectors(outline)
+    hub = _hubs(flat)
+    outline = _outlines(flat, hub)
+    lobe, number = _sectors(outline)
     fits = (number > 2) & (2 * number + 2 < flat.vertices)
     fits &= np.abs((outline**2).sum(axis=1) * np.pi / DIRECTIONS - flat.area) <= AREA * flat.area
     if not fits.any():
         return _none()
-    flat, hub, outline, lobe, tip, number = (flat.only(fits), *(a[fits] for a in (hub, outline, lobe, tip, number)))
-
-    # Places all over the triangles: coordinates along the two axes and across them, from the hub
-    weights, count = _places(PLACES), len(flat.part)
-    own = np.repeat(flat.own, len(weights))
-    across = np.cross(flat.along, flat.beside)
-    level = np.einsum("tki,ti->tk", flat.corner - flat.middle[flat.own][:, None], across[flat.own])
-    corner = np.stack([flat.height, flat.sideways, level], axis=2)
-    corner[..., :2] -= hub[flat.own][:, None]
-    place = np.einsum("pk,tki->tpi", weights, corner).reshape(-1, 3)
-    area = np.repeat(_area(flat.corner) / len(weights), len(weights))
-    facing = np.repeat(flat.facing, len(weights), axis=0)
-
-    # A lobe is widest where most of its area lies
-    turn = np.floor(np.arctan2(place[:, 1], place[:, 0]) * DIRECTIONS / (2 * np.pi)).astype(np.int64) % DIRECTIONS
-    most = tip.shape[1]
-    groups = count * most
-    group = own * most + lobe[own, turn]
-    angle = (tip.ravel() + 0.5) * 2 * np.pi / DIRECTIONS
-    ahead = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    reach = np.take_along_axis(outline, tip, axis=1).ravel()
-    s = np.einsum("ni,ni->n", place[:, :2], ahead[group])
-    y = ahead[group, 0] * place[:, 1] - ahead[group, 1] * place[:, 0]
-    step = (STEPS * s / reach[group]).astype(np.int64)
-    inner = (step >= 0) & (step < STEPS - 1)
-    profile = np.bincount((group * STEPS + step)[inner], area[inner], groups * STEPS).reshape(-1, STEPS)
-    base = profile.argmax(axis=1) * reach / STEPS
-    beyond = s >= base[group]
-
-    # From there to the tips
-    lobes = np.arange(most) < number[:, None]
-    of = group[beyond]
-    total = np.maximum(np.bincount(of, area[beyond], groups), 1e-300)
-    rise, slope = _line(of, s[beyond], place[beyond, 2], area[beyond], groups)
-    aside = 1.5 * np.bincount(of, (area * y)[beyond], groups) / total
-    normal = _sums(of, area[beyond, None] * facing[beyond], groups)
-    ends = np.zeros((groups, 2, 3))
-    ends[:, 0, :2] = base[:, None] * ahead + aside[:, None] * np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    ends[:, 1, :2] = reach[:, None] * ahead
-    ends[:, :, 2] = rise[:, None] + slope[:, None] * np.stack([base, reach], axis=1)
-    radius = np.stack([total / (reach - base), np.zeros(groups)], axis=1)
-
-    # What is left
-    of, rest, share = own[~beyond], place[~beyond], area[~beyond]
-    whole = np.maximum(np.bincount(of, share, count), 1e-300)
-    middle = _sums(of, share[:, None] * rest, count) / whole[:, None]
-    off = (rest - middle[of])[:, :2]
-    variance, axes = np.linalg.eigh(
-        _sums(of, share[:, None, None] * off[:, :, None] * off[:, None], count) / whole[:, None, None]
-    )
-    half = np.sqrt(3 * np.maximum(variance[:, 1], 1e-300))
-    on = np.einsum("ni,ni->n", off, axes[of, :, 1])
-    rise, slope = _line(of, on, rest[:, 2], share, count)
-    sense = np.array([-1.0, 1.0])
-    between = np.zeros((count, 1, 2, 3))
-    between[:, 0, :, :2] = middle[:, None, :2] + (half[:, None] * sense)[..., None] * axes[:, None, :, 1]
-    between[:, 0, :, 2] = rise[:, None] + (half * slope)[:, None] * sense
-    radii = np.repeat(whole / (4 * half), 2).reshape(count, 1, 2)
-    normals = _sums(of, share[:, None] * facing[~beyond], count)[:, None]
+    flat, hub, lobe, number = (flat.only(fits), *(a[fits] for a in (hub, lobe, number)))
+    count, most = len(number), int(number.max())
+    places = _spread(flat, hub)
+    ends, radius, normal, beyond = _tips(places, _farthest(flat, hub, lobe, most), lobe)
+    middle = _between(places.at(~beyond), count)
 
     # Lobe by lobe, what lies between them last
-    kept = np.concatenate([lobes, np.ones((count, 1), bool)], axis=1)
-    points = np.concatenate([ends.reshape(count, most, 2, 3), between], axis=1)[kept]
-    radius = np.concatenate([radius.reshape(count, most, 2), radii], axis=1)[kept]
-    normal = np.concatenate([normal.reshape(count, most, 3), normals], axis=1)[kept]
+    kept = np.arange(most + 1) < number[:, None]
+    kept[:, most] = True
+    points, radius, normal = (
+        np.concatenate([a.reshape(count, most, *a.shape[1:]), b[:, None]], axis=1)[kept]
+        for a, b in zip((ends, radius, normal), middle, strict=True)
+    )
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    row = np.repeat(np.arange(count), kept.sum(axis=1))
+    row = np.repeat(np.arange(count), number + 1)
     points[..., :2] += hub[row][:, None]
-    frame = np.stack([flat.along, flat.beside, across], axis=1)
-    points = flat.middle[row][:, None] + np.einsum("nki,nij->nkj", points, frame[row])
-    return (points.reshape(-1, 3), radius.ravel(), np.repeat(normal, 2, axis=0), np.full(len(row), 2),
-            flat.part[row])  # fmt: skip
+    points = flat.middle[row][:, None] + np.einsum("nki,nij->nkj", points, flat.axes[row])
+    return points.reshape(-1, 3), radius.ravel(), np.repeat(normal, 2, axis=0), np.full(len(row), 2), flat.part[row]
 
 
-def _hubs(flat: _Flat, plane: np.ndarray) -> np.ndarray:
-    """(C, 2) the corners among those of triangles (T, 3, 2) at which most of each part's meet."""
+def _spread(flat: _Flat, hub: np.ndarray) -> _Places:
+    weights = _barycentric(PLACES)
+    corner = np.einsum("tki,tji->tkj", flat.corner - flat.middle[flat.own][:, None], flat.axes[flat.own])
+    corner[..., :2] -= hub[flat.own][:, None]
+    return _Places(
+        np.repeat(flat.own, len(weights)),
+        np.einsum("pk,tki->tpi", weights, corner).reshape(-1, 3),
+        np.repeat(_area(flat.corner) / len(weights), len(weights)),
+        np.repeat(flat.facing, len(weights), axis=0),
+    )
+
+
+def _direction(place: np.ndarray) -> np.ndarray:
+    """(...) int64: which direction places (..., 2) lie in."""
+    turn = np.arctan2(place[..., 1], place[..., 0]) * DIRECTIONS / (2 * np.pi)
+    return np.floor(turn).astype(np.int64) % DIRECTIONS
+
+
+def _farthest(flat: _Flat, hub: np.ndarray, lobe: np.ndarray, most: int) -> np.ndarray:
+    """(C most, 2) from the hub, the corner of each lobe that is farthest from it; (1, 0) of lobes that are none."""
+    own = np.repeat(flat.own, 3)
+    corner = np.stack([flat.height.ravel(), flat.sideways.ravel()], axis=1) - hub[own]
+    group = own * most + lobe[own, _direction(corner)]
+    order = np.lexsort((-np.einsum("ni,ni->n", corner, corner), group))
+    first = order[np.concatenate([[True], np.diff(group[order]) > 0])]
+    tip = np.tile([1.0, 0.0], (len(hub) * most, 1))
+    tip[group[first]] = corner[first]
+    return tip
+
+
+def _tips(places: _Places, tip: np.ndarray, lobe: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of L lobes of each of C parts a triangle from where it is widest, which is where most of its area lies, to its
+    tip (C L, 2): of the area that lies beyond, and beside the middle of that. Points (C L, 2, 3), half widths (C L, 2),
+    normals (C L, 3) of any length, and which places (N,) bool lie beyond."""
+    lobes = len(tip)
+    group = places.own * (lobes // len(lobe)) + lobe[places.own, _direction(places.place)]
+    reach = np.linalg.norm(tip, axis=1)
+    ahead = tip / reach[:, None]
+    aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    along = np.einsum("ni,ni->n", places.place[:, :2], ahead[group])
+    step = np.floor(STEPS * along / reach[group]).astype(np.int64)
+    inner = (step >= 0) & (step < STEPS - 1)
+    profile = np.bincount((group * STEPS + step)[inner], places.area[inner], lobes * STEPS).reshape(-1, STEPS)
+    base = profile.argmax(axis=1) * reach / STEPS
+    beyond = along >= base[group]
+
+    own, along, there = group[beyond], along[beyond], places.at(beyond)
+    total = np.bincount(own, there.area, lobes)
+    rise, slope = _line(own, along, there.place[:, 2], there.area, lobes)
+    off = np.einsum("ni,ni->n", there.place[:, :2], aside[own])
+    # The middle of a triangle lies a third of the way from its base to its tip
+    off = 1.5 * np.bincount(own, there.area * off, lobes) / np.maximum(total, 1e-300)
+    ends = np.zeros((lobes, 2, 3))
+    ends[:, 0, :2] = base[:, None] * ahead + off[:, None] * aside
+    ends[:, 1, :2] = tip
+    ends[:, :, 2] = rise[:, None] + slope[:, None] * np.stack([base, reach], axis=1)
+    radius = np.stack([total / (reach - base), np.zeros(lobes)], axis=1)
+    return ends, radius, _sums(own, there.area[:, None] * there.facing, lobes), beyond
+
+
+def _between(places: _Places, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each part's places a rectangle of their area, and of their variance along their longer axis: points
+    (C, 2, 3), half widths (C, 2) and normals (C, 3) of any length."""
+    own, area = places.own, places.area
+    whole = np.maximum(np.bincount(own, area, count), 1e-300)
+    middle = _sums(own, area[:, None] * places.place, count) / whole[:, None]
+    off = (places.place - middle[own])[:, :2]
+    moments = _sums(own, area[:, None, None] * off[:, :, None] * off[:, None], count) / whole[:, None, None]
+    variance, axes = np.linalg.eigh(moments)
+    half = np.sqrt(3 * np.maximum(variance[:, 1], 1e-300))
+    rise, slope = _line(own, np.einsum("ni,ni->n", off, axes[own, :, 1]), places.place[:, 2], area, count)
+    to = half[:, None] * np.array([-1.0, 1.0])
+    flat = middle[:, None, :2] + to[..., None] * axes[:, None, :, 1]
+    ends = np.concatenate([flat, (rise[:, None] + slope[:, None] * to)[..., None]], axis=2)
+    radius = np.repeat((whole / (4 * half))[:, None], 2, axis=1)
+    return ends, radius, _sums(own, area[:, None] * places.facing, count)
+
+
+def _hubs(flat: _Flat) -> np.ndarray:
+    """(C, 2) where each part has the vertex at which most of its triangles meet, along its two axes."""
     _, index, many = np.unique(flat.vertex, return_index=True, return_counts=True)
     part = flat.own[index // 3]
     order = np.lexsort((-many, part))
     first = np.concatenate([[True], np.diff(part[order]) > 0])
-    return plane.reshape(-1, 2)[index[order[first]]]
+    return np.stack([flat.height.ravel(), flat.sideways.ravel()], axis=1)[index[order[first]]]
 
 
-def _outlines(own: np.ndarray, plane: np.ndarray, count: int) -> np.ndarray:
-    """(count, DIRECTIONS) how far each part's triangles (T, 3, 2) reach from the origin; 0 where none is."""
-    found = np.zeros((DIRECTIONS, count))
-    following = np.roll(plane, -1, axis=1)
+def _outlines(flat: _Flat, hub: np.ndarray) -> np.ndarray:
+    """(C, DIRECTIONS) how far the parts reach from their hubs (C, 2) that way; 0 where nothing is."""
+    found = np.zeros((DIRECTIONS, len(hub)))
+    place = np.stack([flat.height, flat.sideways], axis=2) - hub[flat.own][:, None]
+    following = np.roll(place, -1, axis=1)
     for k, angle in enumerate((np.arange(DIRECTIONS) + 0.5) * 2 * np.pi / DIRECTIONS):
         c, s = np.cos(angle), np.sin(angle)
-        a, b = (c * p[..., 1] - s * p[..., 0] for p in (plane, following))
+        a, b = (c * p[..., 1] - s * p[..., 0] for p in (place, following))
         crosses = (a < 0) != (b < 0)
         t = np.where(crosses, a / np.where(crosses, a - b, 1), 0)
-        point = plane + t[..., None] * (following - plane)
-        np.maximum.at(found[k], own, ((c * point[..., 0] + s * point[..., 1]) * crosses).max(axis=1))
+        reached = c * place[..., 0] + s * place[..., 1]
+        reached += t * (c * following[..., 0] + s * following[..., 1] - reached)
+        np.maximum.at(found[k], flat.own, (reached * crosses).max(axis=1))
     return found.T.copy()
 
 
-def _sectors(outline: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _sectors(outline: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The lobes of outlines (C, DIRECTIONS), at the distance at which most stand apart: which one each direction
-    belongs to (C, DIRECTIONS), the direction of each one's tip (C, L), and how many there are (C,)."""
+    belongs to (C, DIRECTIONS), and how many there are (C,)."""
     levels = LEVELS[:, None, None] * outline.max(axis=1)[:, None]
     above = outline > levels
     begins = above & ~np.roll(above, 1, axis=2)
@@ -571,13 +607,10 @@ def _sectors(outline: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     after = np.minimum.accumulate(np.where(there, index, 4 * DIRECTIONS)[:, ::-1], axis=1)[:, ::-1]
     middle = slice(DIRECTIONS, 2 * DIRECTIONS)
     nearer = np.where(index - before <= after - index, before, after)[:, middle] % DIRECTIONS
-    lobe = np.take_along_axis(run, nearer, axis=1)
-    most = max(int(number.max(initial=0)), 1)
-    tip = np.where(lobe[:, None] == np.arange(most)[:, None], outline[:, None], -1).argmax(axis=2)
-    return lobe, tip, number
+    return np.take_along_axis(run, nearer, axis=1), number
 
 
-def _places(steps: int) -> np.ndarray:
+def _barycentric(steps: int) -> np.ndarray:
     """(steps^2, 3) barycentric coordinates of the middles of as many equal parts of a triangle."""
     i, j, upper = np.meshgrid(np.arange(steps), np.arange(steps), (0, 1), indexing="ij")
     inside = i + j + upper < steps
@@ -589,9 +622,7 @@ def _line(
     own: np.ndarray, x: np.ndarray, y: np.ndarray, weight: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """(count,) heights at 0 and slopes of the lines that are nearest to places (N,) of each row by least squares."""
-    w, wx, wy, wxx, wxy = (
-        np.bincount(own, weight * v, count) for v in (np.ones_like(x), x, y, x * x, x * y)
-    )
+    w, wx, wy, wxx, wxy = (np.bincount(own, weight * v, count) for v in (np.ones_like(x), x, y, x * x, x * y))
     w = np.maximum(w, 1e-300)
     variance = wxx / w - (wx / w) ** 2
     slope = np.where(variance > 0, (wxy / w - wx * wy / w**2) / np.where(variance > 0, variance, 1), 0.0)
@@ -619,7 +650,7 @@ def _blades(flat: _Flat, taken: np.ndarray) -> Strands:
         crosses = (above < 0) != (ahead < 0)
         t = np.where(crosses, above / np.where(crosses, above - ahead, 1), 0)
         two = np.argsort(~crosses, axis=1, kind="stable")[:, :2]
-        cut = crosses.any(axis=1) 
+        cut = crosses.any(axis=1)
         point, side = (
             np.take_along_axis(v + t.reshape(*t.shape, *[1] * (v.ndim - 2)) * (np.roll(v, -1, axis=1) - v),
                                two.reshape(*two.shape, *[1] * (v.ndim - 2)), axis=1)
@@ -633,7 +664,7 @@ def _blades(flat: _Flat, taken: np.ndarray) -> Strands:
         radius[:, k] = width / 2
         # To the very ends, along the axis
         if measured - NUDGE != place:
-            points[:, k] += (place - measured + NUDGE) * (high - low)[:, None] * flat.along
+            points[:, k] += (place - measured + NUDGE) * (high - low)[:, None] * flat.axes[:, 0]
         least, most = np.full(count, np.inf), np.full(count, -np.inf)
         np.minimum.at(least, own[cut], side.min(axis=1)[cut])
         np.maximum.at(most, own[cut], side.max(axis=1)[cut])
