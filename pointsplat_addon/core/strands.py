@@ -2,8 +2,9 @@
 
 A segment that is wider than the raster's line is drawn with its exact outline. A thinner one is a line of one pixel, in
 the share of a picture's samples that is its own width over the line's (`Segments.share`): the mean over samples has its
-area, and no sample draws what is not needed for that. Where all that inner points of a strand change is below a
-fraction of a pixel they are left out by powers of two, and what is drawn keeps the area of what it stands for.
+area, and no sample draws what is not needed for that. Short strands are not seen to be broken, and have their outlines
+although they are thinner. Where all that inner points of a strand change is below a fraction of a pixel they are left
+out by powers of two, and what is drawn keeps the area of what it stands for.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ ROUND = 2.0  # widths of the raster's line: below it a segment has one shade acr
 THIN = 1.0  # widths of the raster's line: below it a segment is one
 SMALL = 16.0  # pixels: strands that are no longer are not seen to be broken
 SLIGHT = 0.25  # widths of the raster's line: from here on they are drawn with their outlines
+SCARCE = 0.1  # pixels: below this width, drawing a few strands in each sample saves more than choosing them takes
 FEW_POINTS = 3  # of a strand in the mean: there is little that could be left out
 MARGIN = 2.0  # pixels beyond the picture that lines of one pixel may come from
 BELOW_ONE = 1 - 2.0**-24  # the largest float32
@@ -419,7 +421,7 @@ def _outlined(strands: Strands, scale: _Scale) -> bool:
     bounds = strands.bounds
     few = len(strands) <= FEW_POINTS * (len(strands.start) - 1)
     flat = strands.side is not None or bounds.widest * scale.most < ROUND
-    return few and flat and bounds.longest * scale.most <= SMALL and bounds.typical * scale.fewest >= SLIGHT
+    return few and flat and bounds.longest * scale.most <= SMALL and bounds.typical * scale.fewest >= SCARCE
 
 
 def _all_of(strands: Strands, instance: int) -> Segments:

@@ -85,7 +85,7 @@ def test_short_strands_of_few_points_are_drawn_whole():
     assert (found.instance == 5).all()
     np.testing.assert_array_equal(found.ends, np.arange(600).reshape(-1, 2))
     # Not where they are thinner, longer, or of many points
-    for other in (tuft(2, 0.05, 0.001, True), tuft(2, 0.5, 0.004, True), tuft(9, 0.05, 0.004, True)):
+    for other in (tuft(2, 0.05, 0.0005, True), tuft(2, 0.5, 0.004, True), tuft(9, 0.05, 0.004, True)):
         scale = core._scale(other.bounds, view, CAMERA)
         assert scale is not None
         assert not core._outlined(other, scale)
