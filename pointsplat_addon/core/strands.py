@@ -2,8 +2,9 @@
 
 A segment that is wider than the raster's line is drawn with its exact outline. A thinner one is a line of one pixel, in
 the share of a picture's samples that is its own width over the line's (`Segments.share`): the mean over samples has its
-area, and no sample draws what is not needed for that. Where all that inner points of a strand change is below a
-fraction of a pixel they are left out by powers of two, and what is drawn keeps the area of what it stands for.
+area, and no sample draws what is not needed for that. Short strands are not seen to be broken, and have their outlines
+although they are thinner. Where all that inner points of a strand change is below a fraction of a pixel they are left
+out by powers of two, and what is drawn keeps the area of what it stands for.
 """
 
 from __future__ import annotations
@@ -25,6 +26,11 @@ SEEN_CHANGE = 1 / 64  # of colours and of surface values between the points that
 SHORT = 1.0  # pixels: below it no change along a segment is seen
 ROUND = 2.0  # widths of the raster's line: below it a segment has one shade across
 THIN = 1.0  # widths of the raster's line: below it a segment is one
+SMALL = 16.0  # pixels: strands that are no longer are not seen to be broken
+SLIGHT = 0.25  # widths of the raster's line: from here on they are drawn with their outlines
+SCARCE = 0.1  # pixels: below this width, drawing a few strands in each sample saves more than choosing them takes
+FEW_POINTS = 3  # of a strand in the mean: there is little that could be left out
+MARGIN = 2.0  # pixels beyond the picture that lines of one pixel may come from
 BELOW_ONE = 1 - 2.0**-24  # the largest float32
 FEW = 0.02  # of the strands: what they alone would save costs more to find
 NARROW = 1e-3  # pixels: shorter segments have no direction on the screen
@@ -92,10 +98,49 @@ class Strands:
         near = (np.abs(self.reached[ends] - self.reached[outer]) <= reach) & (reach > 0) & ~closed[:, None]
         return np.where(near, outer, -1)
 
+    def total(self, length: np.ndarray) -> np.ndarray:
+        """(S,) float32: sums over strands of what lies between each point and the next (P - 1,) float32."""
+        if len(self.start) < 2:
+            return np.zeros(0, np.float32)
+        length = np.append(length, np.float32(0))
+        return np.add.reduceat(length, self.start[:-1]) - length[self.start[1:] - 1]
+
+    @cached_property
+    def every(self) -> np.ndarray:
+        """(K, 2) int32: all segments, none left out."""
+        first = np.delete(np.arange(len(self), dtype=np.int32), self.start[1:] - 1)
+        return np.stack([first, first + 1], axis=1)
+
+    @cached_property
+    def bounds(self) -> Bounds:
+        low, high = self.position.min(axis=0), self.position.max(axis=0)
+        middle = 0.5 * (low + high)
+        away = np.linalg.norm(self.position - middle, axis=1) + self.radius
+        step = np.linalg.norm(np.diff(self.position, axis=0), axis=1)
+        widest = np.maximum.reduceat(self.radius, self.start[:-1])
+        return Bounds(
+            self.origin + middle,
+            float(away.max()),
+            float(self.total(step).max()),
+            float(2 * widest.max()),
+            float(2 * np.median(widest)),
+        )
+
     @cached_property
     def local(self) -> np.ndarray:
         """(P,) int32: the how manieth of its strand each point is."""
         return (np.arange(len(self)) - self.start[self.strand]).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Of all strands of one geometry, in its units."""
+
+    middle: np.ndarray  # (3,) float64, of a ball that holds them
+    radius: float  # of that ball
+    longest: float
+    widest: float
+    typical: float  # half of the strands are wider somewhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,20 +345,32 @@ def select(strands: Strands, view_from_object: np.ndarray, instance: int, camera
 
     Widths of tubes scale with the cube root of the instance's volume; ribbons are scaled as surfaces are.
     """
+    scale = _scale(strands.bounds, view_from_object, camera) if len(strands) else None
+    if scale is None:
+        return _none()
+    if _outlined(strands, scale):
+        return _all_of(strands, instance)
     picture = _projected(strands, view_from_object, camera)
-    level = _coarsest(strands, picture, ERROR * tolerance)
-    kept = strands.local & ((np.int32(1) << level) - 1)[strands.strand] == 0
-    kept[strands.start[1:] - 1] = True
-    index = np.flatnonzero(kept)
-    first, last = index[:-1], index[1:]
-    whole = strands.strand[first] == strands.strand[last]
-    first, last = first[whole], last[whole]
-    seen = _seen(picture, first, last, camera)
-    first, last = first[seen], last[seen]
-    share = _shares(picture, first, last, level[strands.strand[first]] > 0)
-    visible = (share[:, 0] > 0) | (share[:, 1] > 0)
-    first, last, share = first[visible], last[visible], share[visible]
+    first, last = strands.every.T
+    level = np.zeros(len(strands.start) - 1, np.int32)
+    if strands.levels:
+        level = _coarsest(strands, picture, ERROR * tolerance)
+        kept = strands.local & ((np.int32(1) << level) - 1)[strands.strand] == 0
+        kept[strands.start[1:] - 1] = True
+        index = np.flatnonzero(kept)
+        first, last = index[:-1], index[1:]
+        whole = strands.strand[first] == strands.strand[last]
+        first, last = first[whole], last[whole]
+    if not scale.inside:
+        seen = _seen(picture, first, last, camera)
+        first, last = first[seen], last[seen]
     strand = strands.strand[first]
+    share = _shares(strands, picture, first, last, level[strand] > 0)
+    exact = (strands.total(picture.length) <= SMALL) & (level == 0)
+    most = np.maximum(*share.T)
+    share[exact[strand] & (most >= SLIGHT) & (most < THIN)] = THIN
+    visible = (share[:, 0] > 0) | (share[:, 1] > 0)
+    first, last, share, strand = first[visible], last[visible], share[visible], strand[visible]
     phase = (strands.phase[strand] + instance * GOLDEN) % 1
     return Segments(
         np.stack([first, last], axis=1).astype(np.int32),
@@ -323,6 +380,71 @@ def select(strands: Strands, view_from_object: np.ndarray, instance: int, camera
         share,
         int(np.count_nonzero(np.diff(strand)) + 1) if len(strand) else 0,
     )
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """How large a view shows one instance."""
+
+    fewest: float  # pixels of a unit that faces the eye; 0 where that is not known
+    most: float  # infinite where something may reach the near plane
+    inside: bool  # all of it lies in the picture
+
+
+def _scale(bounds: Bounds, view_from_object: np.ndarray, camera: Camera) -> _Scale | None:
+    """None where the ball lies outside the picture."""
+    linear = view_from_object[:3, :3]
+    x, y, z = linear @ bounds.middle + view_from_object[:3, 3]
+    if not (np.isfinite(linear).all() and np.isfinite([x, y, z]).all()):
+        return _Scale(0.0, np.inf, False)
+    scales = np.linalg.svd(linear, compute_uv=False)
+    # Radii of tubes are scaled by the mean of the three, which is no more.
+    reach = bounds.radius * float(scales[0])
+    nearest, farthest = -z - reach, -z + reach
+    if farthest <= camera.near or nearest >= camera.far:
+        return None
+    if camera.perspective and nearest <= camera.near:
+        return _Scale(0.0, np.inf, False)
+    fx, fy, cx, cy = camera.pixel_from_view()
+    depths = (nearest, farthest) if camera.perspective else (1.0, 1.0)
+    inside = nearest > camera.near and farthest < camera.far
+    for middle, f, c, most in ((x, fx, cx, camera.window[2]), (y, fy, cy, camera.window[3])):
+        sides = [f * (middle + side) / depth + c for side in (-reach, reach) for depth in depths]
+        if min(sides) > most + MARGIN or max(sides) < -MARGIN:
+            return None
+        inside &= min(sides) >= 0 and max(sides) <= most
+    f = float(np.sqrt(abs(fx * fy)))
+    # Away from the middle of the picture perspective stretches what leads away from the eye.
+    slope = (np.array([x, y]) + reach * np.sign([x, y])) / nearest if camera.perspective else np.zeros(2)
+    stretched = float(np.sqrt(1 + slope @ slope))
+    return _Scale(f * float(scales[2]) / depths[1], stretched * f * float(scales[0]) / depths[0], bool(inside))
+
+
+def _outlined(strands: Strands, scale: _Scale) -> bool:
+    """Whether all of a geometry may be drawn with its outlines without a look at each segment: strands of few points
+    that are short in the picture and mostly not too thin."""
+    bounds = strands.bounds
+    few = len(strands) <= FEW_POINTS * (len(strands.start) - 1)
+    flat = strands.side is not None or bounds.widest * scale.most < ROUND
+    return few and flat and bounds.longest * scale.most <= SMALL and bounds.typical * scale.fewest >= SCARCE
+
+
+def _all_of(strands: Strands, instance: int) -> Segments:
+    ends = strands.every
+    count = len(ends)
+    return Segments(
+        ends,
+        np.full(count, instance, np.int32),
+        strands.material[strands.strand[ends[:, 0]]].astype(np.int32),
+        np.zeros(count, np.float32),
+        np.full((count, 2), THIN, np.float32),
+        len(strands.start) - 1,
+    )
+
+
+def _none() -> Segments:
+    none = np.zeros(0, np.int32)
+    return Segments(np.zeros((0, 2), np.int32), none, none, np.zeros(0, np.float32), np.zeros((0, 2), np.float32), 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,7 +457,6 @@ class _Picture:
     width: np.ndarray  # (P,) float32, pixels
     across: np.ndarray | None  # (P, 2) float32, pixels: from a ribbon's middle to its edge; None: tubes
     length: np.ndarray  # (P - 1,) float32: pixels from each point to the next
-    area: np.ndarray  # (P,) float64: pixels^2 from the first point to each
 
 
 def _projected(strands: Strands, view_from_object: np.ndarray, camera: Camera) -> _Picture:
@@ -363,14 +484,19 @@ def _projected(strands: Strands, view_from_object: np.ndarray, camera: Camera) -
             width = 2 * np.sqrt(np.einsum("nc,nc->n", across, across))
         step = np.diff(q, axis=0)
         length = np.sqrt(np.einsum("nc,nc->n", step, step))
-        if across is None:
-            area = length * (0.5 * (width[1:] + width[:-1]))
-        else:
-            x, y = step.T
-            area = np.abs(across[:-1, 0] * y - across[:-1, 1] * x) + np.abs(across[1:, 0] * y - across[1:, 1] * x)
+    return _Picture(q, depth, reach, width, across, length)
+
+
+def _areas(strands: Strands, picture: _Picture) -> np.ndarray:
+    """(P,) float64: pixels^2 from the first point to each."""
+    width, across = picture.width, picture.across
+    if across is None:
+        area = picture.length * (0.5 * (width[1:] + width[:-1]))
+    else:
+        x, y = np.diff(picture.place, axis=0).T
+        area = np.abs(across[:-1, 0] * y - across[:-1, 1] * x) + np.abs(across[1:, 0] * y - across[1:, 1] * x)
     area[strands.start[1:-1] - 1] = 0  # between strands
-    summed = np.concatenate([[0.0], np.cumsum(area, dtype=np.float64)])
-    return _Picture(q, depth, reach, width, across, length, summed)
+    return np.concatenate([[0.0], np.cumsum(area, dtype=np.float64)])
 
 
 def _seen(picture: _Picture, first: np.ndarray, last: np.ndarray, camera: Camera) -> np.ndarray:
@@ -388,7 +514,9 @@ def _seen(picture: _Picture, first: np.ndarray, last: np.ndarray, camera: Camera
     return seen & (farthest + reach > camera.near) & (nearest - reach < camera.far)
 
 
-def _shares(picture: _Picture, first: np.ndarray, last: np.ndarray, thinned: np.ndarray) -> np.ndarray:
+def _shares(
+    strands: Strands, picture: _Picture, first: np.ndarray, last: np.ndarray, thinned: np.ndarray
+) -> np.ndarray:
     """(K, 2) float32: widths at the ends of segments over that of the raster's line, which is one pixel along the
     nearer axis. Segments that stand for several (`thinned`) have the area of these."""
     chord = picture.place[last] - picture.place[first]
@@ -401,7 +529,8 @@ def _shares(picture: _Picture, first: np.ndarray, last: np.ndarray, thinned: np.
         x, y = (chord / np.maximum(size, NARROW)[:, None]).T
         wide = 2 * np.stack([np.abs(across[i, 0] * y - across[i, 1] * x) for i in (first, last)], axis=1)
     if thinned.any():
-        covers = (picture.area[last] - picture.area[first]).astype(np.float32)
+        area = _areas(strands, picture)
+        covers = (area[last] - area[first]).astype(np.float32)
         straight = 0.5 * (wide[:, 0] + wide[:, 1]) * size
         alike = thinned & (straight > 0.25 * covers)
         wide[alike] *= (covers[alike] / straight[alike])[:, None]
@@ -422,8 +551,7 @@ def _coarsest(strands: Strands, picture: _Picture, allowed: float) -> np.ndarray
     beside = 0.5 * picture.width[:, None] if picture.across is None else picture.across
     count = len(strands.start) - 1
     level, off = np.zeros(count, np.int32), np.zeros(count, np.float32)
-    total = np.add.reduceat(np.append(length, np.float32(0)), strands.start[:-1]) if count else off
-    total -= np.append(length, np.float32(0))[strands.start[1:] - 1] if count else 0
+    total = strands.total(length)
     # Segments of the next level are half as many.
     short = np.floor(np.log2(np.maximum(SHORT * np.diff(strands.start) / np.maximum(total, 1e-20), 1)))
     most = np.maximum(strands.detail, np.minimum(short, 126))

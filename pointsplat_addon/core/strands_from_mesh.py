@@ -1,8 +1,9 @@
 """Meshes of leaves and branches as ribbons and tubes where they have that structure (Marroquim et al. 2008, section 5).
 
-A part is what edges hold together. A tube is a part made of rings of vertices, open at both ends or with a tip, or any
-sleeve between two open rims whose sections are round enough. A ribbon is one of two to four triangles in a row, or a
-flat one of some more, by its widths across its longest axis. What fits none of these stays polygons.
+A part is what edges hold together. A tube is a part made of rings of vertices, open, closed or with a tip at its ends,
+or any sleeve between two open rims whose sections are round enough. A ribbon is one of two to four triangles in a row,
+or a flat one of some more, by its widths across its longest axis. Flat parts with lobes about a hub are several
+ribbons. What fits none of these stays polygons.
 """
 
 from __future__ import annotations
@@ -16,11 +17,19 @@ FLAT = 0.02  # a section whose variances across and along are in a smaller ratio
 AREA = 0.2  # by which a ribbon's area may differ from its triangles'
 SLEEVE_AREA = 0.4  # the same for tubes, before they are widened to it
 EXACT = 0.05  # and up to which they are as they are
+ROUND = 0.06  # of a section's radius: how far its corners are from it in the mean; hexagons 0.05, squares 0.11
+THICK = 1 / 1000  # of the mesh's longest side: sleeves of greater radii are tubes only where they are round
 LEAF = 128  # triangles that a leaf has at most
 LEAF_POINTS = 7  # of its ribbon
 CURLED = 0.1  # a leaf's variance across its plane over that of its narrower axis, at most
 FILLED = 0.5  # of a leaf's breadth, what lies between its lobes taken off, at least
 BEYOND = 0.04  # of its length: how far from its ends a leaf is measured for them
+LONG = 2.0  # closed tubes' deviation along their axis over that across it, at least
+LEVEL = 1e-3  # of a tube's length: how far its end may be from a plane
+DIRECTIONS = 128  # about a hub, in which lobes are looked for
+LEVELS = np.linspace(0.3, 0.8, 11)  # of the farthest tip: distances at which lobes may stand apart
+STEPS = 16  # along a lobe, to find where it is widest
+PLACES = 4  # along an edge of a triangle whose area is shared out
 NUDGE = 1e-6  # of a section's distance from the next, so that no cut goes through a vertex
 
 
@@ -36,6 +45,7 @@ class Found:
     triangle: np.ndarray  # (S,) int64: one of the strand's triangles, for its material and place
     left: np.ndarray  # (T,) bool: triangles that stay
     parts: int  # of the mesh
+    stay: int  # parts that remain polygons
 
     def __len__(self) -> int:
         return len(self.start) - 1
@@ -59,14 +69,17 @@ def find(position: np.ndarray, triangles: np.ndarray) -> Found:
     position, triangles = np.asarray(position, np.float64), np.asarray(triangles, np.int64)
     label = parts_of(triangles, len(position))
     names, part = np.unique(label[triangles[:, 0]], return_inverse=True)
-    tubes = _tubes(position, triangles, label, names, part)
+    open_ = ~_caps(position, triangles, part, len(names))
+    tubes = _tubes(position, triangles[open_], label, names, part[open_])
     other = np.ones(len(names), bool)
     other[tubes[4]] = False
     sleeves = _sleeves(position, triangles, label, names, part, other)
     ribbons = _ribbons(position, triangles, part, len(names))
     other[np.concatenate([sleeves[4], ribbons[4]])] = False
-    leaves = _leaves(position, triangles, part, other)
-    both = [tubes, sleeves, ribbons, leaves]
+    flat = _flat(position, triangles, part, other)
+    lobes = _lobes(flat)
+    blades = _blades(flat, lobes[4])
+    both = [tubes, sleeves, ribbons, lobes, blades]
     count = np.concatenate([b[3] for b in both]).astype(np.int64)
     chosen = np.concatenate([b[4] for b in both])
     first = np.full(len(names), len(triangles))
@@ -78,10 +91,11 @@ def find(position: np.ndarray, triangles: np.ndarray) -> Found:
         np.concatenate([b[1] for b in both]),
         np.concatenate([b[2] for b in both]),
         np.concatenate([[0], np.cumsum(count)]).astype(np.int64),
-        np.repeat([False, False, True, True], [len(b[3]) for b in both]),
+        np.repeat([False, False, True, True, True], [len(b[3]) for b in both]),
         first[chosen],
         left[part],
         len(names),
+        int(left.sum()),
     )
 
 
@@ -93,6 +107,34 @@ def _edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, row, number = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
     return edges, number, row.reshape(-1, 3)
+
+
+def _caps(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, count: int) -> np.ndarray:
+    """(T,) bool: triangles that close a tube: walls within it, and of long closed parts what lies in the planes of the
+    two triangles that are farthest along the longest axis. Where the part is no tube this means nothing."""
+    _, number, row = _edges(triangles)
+    walls = (number[row] > 2).all(axis=1)
+    closed = np.ones(count, bool)
+    closed[part[(number[row] == 1).any(axis=1)]] = False
+    corner = position[triangles]
+    many = np.bincount(part, minlength=count)
+    middle = np.stack([np.bincount(part, c, count) for c in corner.mean(axis=1).T], axis=1) / many[:, None]
+    off = corner - middle[part][:, None]
+    spread = np.einsum("tki,tkj->tij", off, off).reshape(-1, 9)
+    spread = np.stack([np.bincount(part, c, count) for c in spread.T], axis=1).reshape(-1, 3, 3)
+    extent, axes = np.linalg.eigh(spread)
+    closed &= extent[:, 2] >= LONG**2 * extent[:, 1]
+    along = axes[:, :, 2]
+    height = np.einsum("tki,ti->tk", off, along[part]).mean(axis=1)
+    order = np.lexsort((height, part))
+    ends = np.cumsum(many)
+    caps = np.zeros(len(triangles), bool)
+    for last in (order[ends - many], order[ends - 1]):
+        facing = _crossed(corner[last])
+        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
+        away = np.einsum("tki,ti->tk", corner - corner[last, 0][part][:, None], facing[part])
+        caps |= (np.abs(away) <= LEVEL * np.sqrt(spread.trace(axis1=1, axis2=2) / many)[part][:, None]).all(axis=1)
+    return walls | (caps & closed[part])
 
 
 def _tubes(
@@ -155,9 +197,11 @@ def _round(
     fits: np.ndarray,
     tips: np.ndarray,
     at: np.ndarray,
+    thick: float = np.inf,
 ) -> Strands:
     """The tubes among parts that `fits` (C,), from the edges (n, 2, 3) of their sections; `section` (n,) numbers those
-    from start (C + 1,) on. Tips (m, 3) are sections `at` (m,) of one vertex."""
+    from start (C + 1,) on. Tips (m, 3) are sections `at` (m,) of one vertex. Those with mean radii beyond `thick` must
+    be ROUND."""
     count, total = len(fits), int(start[-1])
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     around = np.bincount(section, length, total)
@@ -178,6 +222,12 @@ def _round(
     bad = ~point & ((short**2 < FLAT * long**2) | (around <= 0))
     strand = np.repeat(np.arange(count), np.diff(start))
     fits = fits & (np.bincount(strand[bad], minlength=count) == 0)
+    if np.isfinite(thick):
+        off = np.abs(np.linalg.norm(away, axis=2).mean(axis=1) - radius[section])
+        of = strand[section]
+        outline, uneven = np.bincount(of, length, count), np.bincount(of, length * off, count)
+        mean = np.bincount(strand, radius, count) / np.maximum(np.diff(start), 1)
+        fits &= (mean <= thick) | (uneven <= ROUND * mean * outline)
     step = np.linalg.norm(np.diff(center, axis=0), axis=1) * (radius[1:] + radius[:-1])
     inside = strand[1:] == strand[:-1]
     covered = np.pi * np.bincount(strand[1:][inside], step[inside], count)
@@ -276,7 +326,8 @@ def _sleeves(
     section = np.concatenate([start[part[rows[which]]] + 1 + cut, at])
     ends = np.concatenate([ends, position[own]])
     none = np.zeros(0, np.int64)
-    return _round(position, triangles, part, start, ends, section, fits, np.zeros((0, 3)), none)
+    thick = THICK * np.ptp(position, axis=0).max()
+    return _round(position, triangles, part, start, ends, section, fits, np.zeros((0, 3)), none, thick)
 
 
 def _connected(edges: np.ndarray, vertices: int) -> np.ndarray:
@@ -307,52 +358,291 @@ def _ribbons(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, coun
     return tuple(np.concatenate(column) for column in zip(*found, strict=True))  # pyright: ignore[reportReturnType]
 
 
-def _leaves(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, other: np.ndarray) -> Strands:
-    """Ribbons of flat parts among `other` (B,): at each of LEAF_POINTS places along the longest axis as wide as what a
-    plane across it cuts, through the middle of that, and widened to the part's area. Of parts with two sides, as thin
-    closed ones have, one counts."""
+@dataclass(frozen=True, eq=False)
+class _Flat:
+    """Flat parts, C of them, and the T triangles of the side of each that counts."""
+
+    part: np.ndarray  # (C,) int64: the mesh's
+    own: np.ndarray  # (T,) int64: rows of parts
+    vertex: np.ndarray  # (T, 3) int64
+    corner: np.ndarray  # (T, 3, 3) float64
+    height: np.ndarray  # (T, 3) float64: of corners along the longest axis, from the part's middle
+    sideways: np.ndarray  # (T, 3) float64: along the second one
+    axes: np.ndarray  # (C, 3, 3) float64, orthonormal: the longest axis, the next, and what is across both
+    middle: np.ndarray  # (C, 3) float64
+    area: np.ndarray  # (C,) float64, of the projection along the third axis
+    facing: np.ndarray  # (T, 3) float64, unit normals
+    vertices: np.ndarray  # (C,) int64: how many the part has, those of the other side as well
+
+    def total(self, values: np.ndarray) -> np.ndarray:
+        """(C, ...) sums over each part of what its triangles (T, ...) have."""
+        return _sums(self.own, values, len(self.part))
+
+    def only(self, rows: np.ndarray) -> _Flat:
+        """Those parts that `rows` (C,) bool chooses."""
+        new, kept = np.cumsum(rows) - 1, rows[self.own]
+        return _Flat(
+            self.part[rows], new[self.own[kept]], self.vertex[kept], self.corner[kept], self.height[kept],
+            self.sideways[kept], self.axes[rows], self.middle[rows], self.area[rows], self.facing[kept],
+            self.vertices[rows],
+        )  # fmt: skip
+
+
+def _sums(own: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    columns = values.reshape(len(own), int(np.prod(values.shape[1:]))).T
+    return np.stack([np.bincount(own, c, count) for c in columns], axis=1).reshape(-1, *values.shape[1:])
+
+
+def _flat(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, other: np.ndarray) -> _Flat:
+    """Parts of 5 to LEAF triangles among `other` (B,) that are thin. Of parts with two sides, as thin closed ones have,
+    one counts."""
     count = len(other)
     many = np.bincount(part, minlength=count)
-    fits = other & (many > 4) & (many <= LEAF)
-    chosen = np.flatnonzero(fits)
-    if len(chosen) == 0:
-        return _none()
+    chosen = np.flatnonzero(other & (many > 4) & (many <= LEAF))
     row = np.full(count, -1)
     row[chosen] = np.arange(len(chosen))
-    rows = np.flatnonzero(fits[part])
+    rows = np.flatnonzero(row[part] >= 0)
+    part_of = np.zeros(len(position), np.int64)
+    part_of[triangles] = part[:, None]
     own, corner = row[part[rows]], position[triangles[rows]]
-
-    def total(values: np.ndarray) -> np.ndarray:
-        columns = values.reshape(len(own), -1).T
-        return np.stack([np.bincount(own, c, len(chosen)) for c in columns], axis=1).reshape(-1, *values.shape[1:])
+    vertices = np.bincount(row[part_of[np.unique(triangles[rows])]], minlength=len(chosen))
 
     area = _area(corner)
-    whole = np.maximum(total(area), 1e-300)
-    middle = total(area[:, None] * corner.mean(axis=1)) / whole[:, None]
+    whole = np.maximum(_sums(own, area, len(chosen)), 1e-300)
+    middle = _sums(own, area[:, None] * corner.mean(axis=1), len(chosen)) / whole[:, None]
     off = corner - middle[own][:, None]
     # Of a triangle's second moments, from its corners and their mean
     spread = np.einsum("tki,tkj->tij", off, off) + 9 * np.einsum("ti,tj->tij", off.mean(axis=1), off.mean(axis=1))
-    variance, axes = np.linalg.eigh(total(area[:, None, None] * spread) / (12 * whole[:, None, None]))
+    spread = _sums(own, area[:, None, None] * spread, len(chosen))
+    variance, axes = np.linalg.eigh(spread / (12 * whole[:, None, None]))
     facing = _crossed(corner)
     sense = np.einsum("ti,ti->t", facing, axes[own, :, 0])
     sides = np.stack([np.bincount(own, np.maximum(s * sense, 0) / 2, len(chosen)) for s in (1, -1)])
     upper = sides[0] >= sides[1]
-    used = (sense > 0) == upper[own]
+    counts = (sense > 0) == upper[own]
     whole, hidden = sides.max(axis=0), sides.min(axis=0)
     two_sided = hidden > AREA * whole
-    flat = variance[:, 0] <= np.where(two_sided, FLAT, CURLED) * variance[:, 1]
-    flat &= (variance[:, 1] > 0) & (~two_sided | (whole - hidden <= AREA * whole))
+    thin = variance[:, 0] <= np.where(two_sided, FLAT, CURLED) * variance[:, 1]
+    thin &= (variance[:, 1] > 0) & (~two_sided | (whole - hidden <= AREA * whole))
+    # What is kept, renumbered
+    kept = np.flatnonzero(thin)
+    new = np.full(len(chosen), -1)
+    new[kept] = np.arange(len(kept))
+    vertex = triangles[rows]
+    rows = np.flatnonzero(counts & thin[own])
+    axes = np.stack([axes[:, :, 2], axes[:, :, 1], np.cross(axes[:, :, 2], axes[:, :, 1])], axis=1)
+    height, sideways = (np.einsum("tki,ti->tk", off[rows], axes[own[rows], k]) for k in (0, 1))
+    length = np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
     # The area along the plane falls short of that of what is curled
-    whole = np.bincount(own, area * used, len(chosen))
-    along, beside = axes[:, :, 2], axes[:, :, 1]
-    height = np.einsum("tki,ti->tk", off, along[own])
-    sideways = np.einsum("tki,ti->tk", off, beside[own])
-    low, high = np.full(len(chosen), np.inf), np.full(len(chosen), -np.inf)
+    whole = np.bincount(own[rows], area[rows], len(chosen))
+    return _Flat(
+        chosen[kept], new[own[rows]], vertex[rows], corner[rows],
+        height, sideways, axes[kept], middle[kept], whole[kept], (facing / length)[rows], vertices[kept],
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """N places all over flat parts. Coordinates are along the parts' two axes and across them, from the hubs."""
+
+    own: np.ndarray  # (N,) int64: rows of parts
+    place: np.ndarray  # (N, 3) float64
+    area: np.ndarray  # (N,) float64: each one's share
+    facing: np.ndarray  # (N, 3) float64, unit normals
+
+    def at(self, rows: np.ndarray) -> _Places:
+        return _Places(self.own[rows], self.place[rows], self.area[rows], self.facing[rows])
+
+
+def _lobes(flat: _Flat) -> Strands:
+    """Ribbons of two points for parts whose lobes stand out from a hub: one for each lobe, and one for all between
+    them. They are taken where they need fewer points than the part has vertices."""
+    if len(flat.part) == 0:
+        return _none()
+    hub = _hubs(flat)
+    outline = _outlines(flat, hub)
+    lobe, number = _sectors(outline)
+    fits = (number > 2) & (2 * number + 2 < flat.vertices)
+    fits &= np.abs((outline**2).sum(axis=1) * np.pi / DIRECTIONS - flat.area) <= AREA * flat.area
+    if not fits.any():
+        return _none()
+    flat, hub, lobe, number = (flat.only(fits), *(a[fits] for a in (hub, lobe, number)))
+    count, most = len(number), int(number.max())
+    places = _spread(flat, hub)
+    ends, radius, normal, beyond = _tips(places, _farthest(flat, hub, lobe, most), lobe)
+    middle = _between(places.at(~beyond), count)
+
+    # Lobe by lobe, what lies between them last
+    kept = np.arange(most + 1) < number[:, None]
+    kept[:, most] = True
+    points, radius, normal = (
+        np.concatenate([a.reshape(count, most, *a.shape[1:]), b[:, None]], axis=1)[kept]
+        for a, b in zip((ends, radius, normal), middle, strict=True)
+    )
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    row = np.repeat(np.arange(count), number + 1)
+    points[..., :2] += hub[row][:, None]
+    points = flat.middle[row][:, None] + np.einsum("nki,nij->nkj", points, flat.axes[row])
+    return points.reshape(-1, 3), radius.ravel(), np.repeat(normal, 2, axis=0), np.full(len(row), 2), flat.part[row]
+
+
+def _spread(flat: _Flat, hub: np.ndarray) -> _Places:
+    weights = _barycentric(PLACES)
+    corner = np.einsum("tki,tji->tkj", flat.corner - flat.middle[flat.own][:, None], flat.axes[flat.own])
+    corner[..., :2] -= hub[flat.own][:, None]
+    return _Places(
+        np.repeat(flat.own, len(weights)),
+        np.einsum("pk,tki->tpi", weights, corner).reshape(-1, 3),
+        np.repeat(_area(flat.corner) / len(weights), len(weights)),
+        np.repeat(flat.facing, len(weights), axis=0),
+    )
+
+
+def _direction(place: np.ndarray) -> np.ndarray:
+    """(...) int64: which direction places (..., 2) lie in."""
+    turn = np.arctan2(place[..., 1], place[..., 0]) * DIRECTIONS / (2 * np.pi)
+    return np.floor(turn).astype(np.int64) % DIRECTIONS
+
+
+def _farthest(flat: _Flat, hub: np.ndarray, lobe: np.ndarray, most: int) -> np.ndarray:
+    """(C most, 2) from the hub, the corner of each lobe that is farthest from it; (1, 0) of lobes that are none."""
+    own = np.repeat(flat.own, 3)
+    corner = np.stack([flat.height.ravel(), flat.sideways.ravel()], axis=1) - hub[own]
+    group = own * most + lobe[own, _direction(corner)]
+    order = np.lexsort((-np.einsum("ni,ni->n", corner, corner), group))
+    first = order[np.concatenate([[True], np.diff(group[order]) > 0])]
+    tip = np.tile([1.0, 0.0], (len(hub) * most, 1))
+    tip[group[first]] = corner[first]
+    return tip
+
+
+def _tips(places: _Places, tip: np.ndarray, lobe: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of L lobes of each of C parts a triangle from where it is widest, which is where most of its area lies, to its
+    tip (C L, 2): of the area that lies beyond, and beside the middle of that. Points (C L, 2, 3), half widths (C L, 2),
+    normals (C L, 3) of any length, and which places (N,) bool lie beyond."""
+    lobes = len(tip)
+    group = places.own * (lobes // len(lobe)) + lobe[places.own, _direction(places.place)]
+    reach = np.linalg.norm(tip, axis=1)
+    ahead = tip / reach[:, None]
+    aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    along = np.einsum("ni,ni->n", places.place[:, :2], ahead[group])
+    step = np.floor(STEPS * along / reach[group]).astype(np.int64)
+    inner = (step >= 0) & (step < STEPS - 1)
+    profile = np.bincount((group * STEPS + step)[inner], places.area[inner], lobes * STEPS).reshape(-1, STEPS)
+    base = profile.argmax(axis=1) * reach / STEPS
+    beyond = along >= base[group]
+
+    own, along, there = group[beyond], along[beyond], places.at(beyond)
+    total = np.bincount(own, there.area, lobes)
+    rise, slope = _line(own, along, there.place[:, 2], there.area, lobes)
+    off = np.einsum("ni,ni->n", there.place[:, :2], aside[own])
+    # The middle of a triangle lies a third of the way from its base to its tip
+    off = 1.5 * np.bincount(own, there.area * off, lobes) / np.maximum(total, 1e-300)
+    ends = np.zeros((lobes, 2, 3))
+    ends[:, 0, :2] = base[:, None] * ahead + off[:, None] * aside
+    ends[:, 1, :2] = tip
+    ends[:, :, 2] = rise[:, None] + slope[:, None] * np.stack([base, reach], axis=1)
+    radius = np.stack([total / (reach - base), np.zeros(lobes)], axis=1)
+    return ends, radius, _sums(own, there.area[:, None] * there.facing, lobes), beyond
+
+
+def _between(places: _Places, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each part's places a rectangle of their area, and of their variance along their longer axis: points
+    (C, 2, 3), half widths (C, 2) and normals (C, 3) of any length."""
+    own, area = places.own, places.area
+    whole = np.maximum(np.bincount(own, area, count), 1e-300)
+    middle = _sums(own, area[:, None] * places.place, count) / whole[:, None]
+    off = (places.place - middle[own])[:, :2]
+    moments = _sums(own, area[:, None, None] * off[:, :, None] * off[:, None], count) / whole[:, None, None]
+    variance, axes = np.linalg.eigh(moments)
+    half = np.sqrt(3 * np.maximum(variance[:, 1], 1e-300))
+    rise, slope = _line(own, np.einsum("ni,ni->n", off, axes[own, :, 1]), places.place[:, 2], area, count)
+    to = half[:, None] * np.array([-1.0, 1.0])
+    flat = middle[:, None, :2] + to[..., None] * axes[:, None, :, 1]
+    ends = np.concatenate([flat, (rise[:, None] + slope[:, None] * to)[..., None]], axis=2)
+    radius = np.repeat((whole / (4 * half))[:, None], 2, axis=1)
+    return ends, radius, _sums(own, area[:, None] * places.facing, count)
+
+
+def _hubs(flat: _Flat) -> np.ndarray:
+    """(C, 2) where each part has the vertex at which most of its triangles meet, along its two axes."""
+    _, index, many = np.unique(flat.vertex, return_index=True, return_counts=True)
+    part = flat.own[index // 3]
+    order = np.lexsort((-many, part))
+    first = np.concatenate([[True], np.diff(part[order]) > 0])
+    return np.stack([flat.height.ravel(), flat.sideways.ravel()], axis=1)[index[order[first]]]
+
+
+def _outlines(flat: _Flat, hub: np.ndarray) -> np.ndarray:
+    """(C, DIRECTIONS) how far the parts reach from their hubs (C, 2) that way; 0 where nothing is."""
+    found = np.zeros((DIRECTIONS, len(hub)))
+    place = np.stack([flat.height, flat.sideways], axis=2) - hub[flat.own][:, None]
+    following = np.roll(place, -1, axis=1)
+    for k, angle in enumerate((np.arange(DIRECTIONS) + 0.5) * 2 * np.pi / DIRECTIONS):
+        c, s = np.cos(angle), np.sin(angle)
+        a, b = (c * p[..., 1] - s * p[..., 0] for p in (place, following))
+        crosses = (a < 0) != (b < 0)
+        t = np.where(crosses, a / np.where(crosses, a - b, 1), 0)
+        reached = c * place[..., 0] + s * place[..., 1]
+        reached += t * (c * following[..., 0] + s * following[..., 1] - reached)
+        np.maximum.at(found[k], flat.own, (reached * crosses).max(axis=1))
+    return found.T.copy()
+
+
+def _sectors(outline: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The lobes of outlines (C, DIRECTIONS), at the distance at which most stand apart: which one each direction
+    belongs to (C, DIRECTIONS), and how many there are (C,)."""
+    levels = LEVELS[:, None, None] * outline.max(axis=1)[:, None]
+    above = outline > levels
+    begins = above & ~np.roll(above, 1, axis=2)
+    best = begins.sum(axis=2).argmax(axis=0)
+    row = np.arange(len(outline))
+    above, begins = above[best, row], begins[best, row]
+    number = begins.sum(axis=1)
+    run = (np.cumsum(begins, axis=1) - 1) % np.maximum(number, 1)[:, None]
+    # Directions between two lobes belong to the nearer one
+    index = np.arange(3 * DIRECTIONS)
+    there = np.tile(above, 3)
+    before = np.maximum.accumulate(np.where(there, index, -DIRECTIONS), axis=1)
+    after = np.minimum.accumulate(np.where(there, index, 4 * DIRECTIONS)[:, ::-1], axis=1)[:, ::-1]
+    middle = slice(DIRECTIONS, 2 * DIRECTIONS)
+    nearer = np.where(index - before <= after - index, before, after)[:, middle] % DIRECTIONS
+    return np.take_along_axis(run, nearer, axis=1), number
+
+
+def _barycentric(steps: int) -> np.ndarray:
+    """(steps^2, 3) barycentric coordinates of the middles of as many equal parts of a triangle."""
+    i, j, upper = np.meshgrid(np.arange(steps), np.arange(steps), (0, 1), indexing="ij")
+    inside = i + j + upper < steps
+    a, b = ((k[inside] + (1 + upper[inside]) / 3) / steps for k in (i, j))
+    return np.stack([a, b, 1 - a - b], axis=1)
+
+
+def _line(
+    own: np.ndarray, x: np.ndarray, y: np.ndarray, weight: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(count,) heights at 0 and slopes of the lines that are nearest to places (N,) of each row by least squares."""
+    w, wx, wy, wxx, wxy = (np.bincount(own, weight * v, count) for v in (np.ones_like(x), x, y, x * x, x * y))
+    w = np.maximum(w, 1e-300)
+    variance = wxx / w - (wx / w) ** 2
+    slope = np.where(variance > 0, (wxy / w - wx * wy / w**2) / np.where(variance > 0, variance, 1), 0.0)
+    return wy / w - slope * wx / w, slope
+
+
+def _blades(flat: _Flat, taken: np.ndarray) -> Strands:
+    """Ribbons of flat parts that are not `taken`: at each of LEAF_POINTS places along the longest axis as wide as what
+    a plane across it cuts, through the middle of that, and widened to the part's area."""
+    flat = flat.only(~np.isin(flat.part, taken))
+    count = len(flat.part)
+    if count == 0:
+        return _none()
+    own, corner, height, sideways = flat.own, flat.corner, flat.height, flat.sideways
+    low, high = np.full(count, np.inf), np.full(count, -np.inf)
     np.minimum.at(low, own, height.min(axis=1))
     np.maximum.at(high, own, height.max(axis=1))
 
-    points, radius, normal = (np.zeros((len(chosen), LEAF_POINTS, *more)) for more in ((3,), (), (3,)))
-    filled = np.zeros((2, len(chosen)))
+    points, radius, normal = (np.zeros((count, LEAF_POINTS, *more)) for more in ((3,), (), (3,)))
+    filled = np.zeros((2, count))
     for k, place in enumerate(np.linspace(0, 1, LEAF_POINTS)):
         measured = np.clip(place, BEYOND, 1 - BEYOND) + NUDGE
         above = height - (low + measured * (high - low))[own][:, None]
@@ -360,31 +650,32 @@ def _leaves(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, other
         crosses = (above < 0) != (ahead < 0)
         t = np.where(crosses, above / np.where(crosses, above - ahead, 1), 0)
         two = np.argsort(~crosses, axis=1, kind="stable")[:, :2]
-        cut = crosses.any(axis=1) & used
+        cut = crosses.any(axis=1)
         point, side = (
             np.take_along_axis(v + t.reshape(*t.shape, *[1] * (v.ndim - 2)) * (np.roll(v, -1, axis=1) - v),
                                two.reshape(*two.shape, *[1] * (v.ndim - 2)), axis=1)
             for v in (corner, sideways)
         )  # fmt: skip
         length = np.linalg.norm(point[:, 0] - point[:, 1], axis=1) * cut
-        width = total(length)
+        width = flat.total(length)
         weight = (length / np.maximum(width[own], 1e-300))[:, None]
-        points[:, k] = total(weight * point.mean(axis=1))
-        normal[:, k] = total(weight * facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300))
+        points[:, k] = flat.total(weight * point.mean(axis=1))
+        normal[:, k] = flat.total(weight * flat.facing)
         radius[:, k] = width / 2
         # To the very ends, along the axis
         if measured - NUDGE != place:
-            points[:, k] += (place - measured + NUDGE) * (high - low)[:, None] * along
-        least, most = np.full(len(chosen), np.inf), np.full(len(chosen), -np.inf)
+            points[:, k] += (place - measured + NUDGE) * (high - low)[:, None] * flat.axes[:, 0]
+        least, most = np.full(count, np.inf), np.full(count, -np.inf)
         np.minimum.at(least, own[cut], side.min(axis=1)[cut])
         np.maximum.at(most, own[cut], side.max(axis=1)[cut])
         filled += np.stack([width, np.where(width > 0, most - least, 0)])
     covered = (np.linalg.norm(np.diff(points, axis=1), axis=2) * (radius[:, 1:] + radius[:, :-1])).sum(axis=1)
-    flat &= (np.abs(covered - whole) <= AREA * whole) & (filled[0] >= FILLED * filled[1]) & (radius > 0).any(axis=1)
+    whole = flat.area
+    fits = (np.abs(covered - whole) <= AREA * whole) & (filled[0] >= FILLED * filled[1]) & (radius > 0).any(axis=1)
     radius *= (whole / np.maximum(covered, 1e-300))[:, None]
     normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-300)
-    return (points[flat].reshape(-1, 3), radius[flat].ravel(), normal[flat].reshape(-1, 3),
-            np.full(int(flat.sum()), LEAF_POINTS), chosen[flat])  # fmt: skip
+    return (points[fits].reshape(-1, 3), radius[fits].ravel(), normal[fits].reshape(-1, 3),
+            np.full(int(fits.sum()), LEAF_POINTS), flat.part[fits])  # fmt: skip
 
 
 def _in_a_row(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -126,8 +126,8 @@ class POINTSPLAT_OT_import_volume(bpy.types.Operator, ImportHelper):
 
 
 class POINTSPLAT_OT_mesh_to_strands(bpy.types.Operator):
-    """Turn branches and leaves of the mesh into strands: rings of vertices become tubes, and two to four triangles in a
-    row ribbons. What has no such structure stays in the mesh"""
+    """Turn branches and leaves of the mesh into strands: rings of vertices become tubes, and rows of triangles and flat
+    parts ribbons. What has no such structure stays in the mesh"""
 
     bl_idname = "pointsplat.mesh_to_strands"
     bl_label = "Mesh to Strands"
@@ -169,7 +169,7 @@ class POINTSPLAT_OT_mesh_to_strands(bpy.types.Operator):
         self.report(
             {"INFO"},
             f"{ob.name}: {len(found) - ribbons} tubes, {ribbons} ribbons, "
-            f"{found.parts - len(found)} of {found.parts} parts stay polygons",
+            f"{found.stay} of {found.parts} parts stay polygons",
         )
         return {"FINISHED"}
 

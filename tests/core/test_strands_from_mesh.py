@@ -98,10 +98,17 @@ def split_edge(vertices, faces, a, b):
     return vertices, np.concatenate([faces[~on], *halves])
 
 
+def sleeve(sides):
+    """A tube whose vertices make no rings, and its rings' middles without some of them."""
+    vertices, faces, middle = branch(sides, 6)
+    for ring, side in ((1, 0), (2, 2), (1, sides - 1)):
+        at = ring * sides + side
+        vertices, faces = split_edge(vertices, faces, at, at + sides)
+    return vertices, faces, middle
+
+
 def test_a_sleeve_whose_vertices_make_no_rings_is_cut_across():
-    vertices, faces, middle = branch(8, 6)
-    for a, b in ((8, 16), (18, 26), (12, 20)):
-        vertices, faces = split_edge(vertices, faces, a, b)
+    vertices, faces, middle = sleeve(8)
     found = find(vertices, faces)
     assert len(found) == 1
     assert not found.left.any()
@@ -113,6 +120,28 @@ def test_a_sleeve_whose_vertices_make_no_rings_is_cut_across():
     assert np.abs(found.radius / expected - 1).max() < 1e-6  # measured 1.7e-8
     # Pressed flat it is no tube
     assert find(vertices * np.array([1, 0.01, 1]), faces).ribbon.tolist() == [True]
+
+
+def test_a_sleeve_with_angular_sections_is_a_tube_only_where_it_is_thin_beside_the_mesh():
+    vertices, faces, _ = sleeve(3)
+    alone = find(vertices, faces)
+    assert alone.left.all()
+    assert alone.stay == 1
+    far = QUAD[0] + np.array([200.0, 0, 0]), QUAD[1]  # the tube's radius is 0.06
+    assert find(*joined((vertices, faces), far)).ribbon.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("sides", [3, 4, 7])
+def test_a_tube_that_is_closed_at_its_ends_and_within_is_the_same_tube(sides):
+    vertices, faces, middle = branch(sides, 5)
+    fan = np.stack([np.zeros(sides - 2, int), np.arange(1, sides - 1), np.arange(2, sides)], axis=1)
+    walls = [fan + sides * ring for ring in ((0, 2, 4) if sides == 3 else (0, 4))]
+    found, open_ = find(vertices, np.concatenate([faces, *walls])), find(vertices, faces)
+    assert len(found) == 1
+    assert not found.left.any()
+    np.testing.assert_allclose(found.radius, open_.radius, rtol=1e-12)
+    order = slice(None) if np.allclose(found.position[0], middle[0]) else slice(None, None, -1)
+    np.testing.assert_allclose(found.position[order], middle, atol=1e-12)
 
 
 def test_parts_are_found_in_any_order_of_triangles():
@@ -156,6 +185,45 @@ def test_a_flat_leaf_of_many_triangles_becomes_a_ribbon_of_its_area(sides):
     assert np.abs((found.position - vertices[0]) @ plane).max() < 1e-12  # measured 1e-15
     assert np.abs(np.abs(found.normal @ plane) - 1).max() < 1e-12
     assert length.sum() > 0.9 * np.ptp(vertices, axis=0).max()
+
+
+def finer(vertices, faces):
+    """Each triangle in four."""
+    pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, row = np.unique(pairs, axis=0, return_inverse=True)
+    a, b, c = (len(vertices) + row.reshape(-1, 3)).T
+    faces = np.concatenate([
+        np.stack(corners, axis=1)
+        for corners in ((faces[:, 0], a, c), (a, faces[:, 1], b), (c, b, faces[:, 2]), (a, b, c))
+    ])  # fmt: skip
+    return np.concatenate([vertices, vertices[edges].mean(axis=1)]), faces
+
+
+@pytest.mark.parametrize("lobes", [3, 5, 7])
+@pytest.mark.parametrize("sides", [1, 2])
+def test_a_leaf_with_lobes_becomes_a_ribbon_for_each_and_one_between_them(lobes, sides):
+    flat = finer(*star(lobes))
+    vertices, faces = flat[0], np.concatenate([flat[1], flat[1][:, ::-1]][:sides])
+    found = find(vertices, faces)
+    assert found.ribbon.tolist() == [True] * (lobes + 1)
+    assert (np.diff(found.start) == 2).all()
+    assert not found.left.any()
+    assert found.stay == 0
+    points, radius = found.position.reshape(-1, 2, 3), found.radius.reshape(-1, 2)
+    # All its area, in its plane
+    corner = vertices[flat[1]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    covered = np.linalg.norm(points[:, 1] - points[:, 0], axis=1) * radius.sum(axis=1)
+    # Triangles lean a little where their base is not square to their axis
+    assert covered.sum() == pytest.approx(np.linalg.norm(normal, axis=1).sum() / 2, rel=0.015)  # measured 0.9 %
+    plane = normal[0] / np.linalg.norm(normal[0])
+    assert np.abs((found.position - vertices[0]) @ plane).max() < 1e-12  # measured 2e-15
+    assert np.abs(np.abs(found.normal @ plane) - 1).max() < 1e-12
+    # As pointed as the leaf, at its tips
+    assert (radius[:-1, 1] == 0).all()
+    tips = vertices[1 : 1 + 2 * lobes : 2]
+    away = np.linalg.norm(points[:-1, 1][:, None] - tips, axis=2).min(axis=0)
+    assert away.max() < 1e-12  # measured 1e-15
 
 
 def test_what_is_thick_or_full_of_gaps_is_no_leaf():
