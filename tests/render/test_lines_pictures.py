@@ -295,6 +295,21 @@ def test_cut_out_strands_leave_holes_in_alpha():
     assert np.array_equal(pixels[..., 3] == 0, alpha(case(lines, scenes.camera())) == 1)
 
 
+@pytest.mark.parametrize("radius", [0.005, 0.03, 0.2])
+@pytest.mark.parametrize("flat", [False, True])
+def test_what_no_light_falls_on_is_black_and_covers_the_same(radius, flat):
+    """Without light no normals are drawn: thinner than a raster line, up to two of them, and wider."""
+    lines = made(f"dark {radius} {flat}", [bow()], radius)
+    if flat:
+        lines = replace(lines, normal=np.tile(np.array([[0, -1, 0]], np.float32), (5, 1)))
+    lit = case(lines, scenes.camera())
+    dark = case(lines, scenes.camera(), lights=(), world=World())
+    seen = render(dark, COMBINED, 8).pixels["combined"]
+    assert seen[..., 3].sum() > 0
+    assert np.array_equal(seen[..., 3], alpha(lit, 8))
+    assert not seen[..., :3].any()
+
+
 @pytest.mark.parametrize("width", [0.004, 0.02])
 def test_strands_take_as_much_light_from_a_plane_as_they_cover(width):
     """A fifth of the light, however fine they are; the eye is between them and the plane."""

@@ -380,9 +380,7 @@ def _radius(settings: bpy.types.ParticleSettings, along: np.ndarray) -> np.ndarr
     return radius
 
 
-def _emitter(
-    hair: Hair, shown: list[int], asked: Needs
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def _emitter(hair: Hair, shown: list[int], asked: Needs) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """UV maps and colours of the emitter's surface where strands of these numbers grow, those that materials read:
     (S, 2) and (S, 4)."""
     mesh, system = hair.ob.data, hair.system
