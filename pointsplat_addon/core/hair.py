@@ -164,7 +164,7 @@ def logistic(x: np.ndarray, scale: np.ndarray) -> np.ndarray:
 
 
 def wrapped_normal(x: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """(N,) the normal distribution around the circle, at x in [0, pi] from its middle, of integral 1 over both sides."""
+    """(N,) the normal distribution around the circle, at x in [0, pi] off its middle; both sides add up to 1."""
     return (np.exp(-x * x / (2 * variance)) + np.exp(-((2 * np.pi - x) ** 2) / (2 * variance))) / np.sqrt(
         2 * np.pi * variance
     )

@@ -27,7 +27,7 @@ from mathutils import Euler, Quaternion
 
 ROOT = Path(__file__).resolve().parents[2]
 EXTENSION = "bl_ext.user_default.pointsplat"
-LIMIT = 240  # seconds until a hang is taken for one
+LIMIT = 400  # seconds until a hang is taken for one
 
 problems = []
 events = {"complete": 0, "cancel": 0}
@@ -309,8 +309,9 @@ def grow():
     plane = bpy.data.objects["Plane"]
     plane.modifiers.new("Fur", "PARTICLE_SYSTEM")
     fur = plane.particle_systems[0].settings
-    fur.type, fur.count, fur.hair_length, fur.radius_scale = "HAIR", 800, 0.8, 0.03
-    fur.child_type, fur.child_percent, fur.kink, fur.kink_amplitude = "INTERPOLATED", 4, "CURL", 0.05
+    fur.type, fur.count, fur.hair_length, fur.radius_scale = "HAIR", 200, 0.8, 0.05
+    fur.child_type, fur.child_percent, fur.rendered_child_count = "INTERPOLATED", 4, 4
+    fur.kink, fur.kink_amplitude = "CURL", 0.05
     tuft = bpy.data.hair_curves.new("Tuft")
     tuft.add_curves([6] * 60)
     places = []
