@@ -344,7 +344,7 @@ def strands(folder):
     bpy.ops.ed.undo_push(message="strands")
     yield 4.0
     grown = shoot(folder, "grown")
-    check(difference(bald, grown) > 0.01, "hair and curves are seen in the viewport")
+    check(difference(bald, grown) > 0.003, "hair and curves are seen in the viewport")
     turned = space.region_3d.view_rotation.copy()
     space.region_3d.view_rotation = Euler((math.radians(75), 0, math.radians(200))).to_quaternion()
     area.tag_redraw()
