@@ -65,7 +65,7 @@ def fibre_of(inputs: dict) -> Fibre:
 def agree(got: np.ndarray, want: np.ndarray, bound: float) -> None:
     assert np.isfinite(got).all()
     assert want.mean() > 0.005
-    # Measured 2.0e-4 for hair, 2.2e-4 for cylinders.
+    # Measured 2.5e-4 for hair, 1.7e-4 for cylinders.
     error = np.abs(got - want) / (np.abs(want) + 0.1 * want.mean())
     assert error.max() < bound, f"worst {error.max():.2g}"
 
