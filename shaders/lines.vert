@@ -94,6 +94,7 @@ void main()
 #ifndef PS_THIN
   mat3 linear = ps_linear(instance);
   vec3 p[2], sides[2];
+  float radius[2];
   for (int i = 0; i < 2; i++) {
     vec4 point = texelFetch(ps_point, texel[i], 0);
     p[i] = ps_view_from_point(instance, point.xyz);
@@ -102,9 +103,25 @@ void main()
 #else
     vec3 toward = ps_is_perspective() ? p[i] : vec3(0.0, 0.0, -1.0);
     sides[i] = cross(linear * texelFetch(ps_tangent, texel[i], 0).xyz, toward);
-    sides[i] *= ps_instance_row(instance, 3).y * point.w / max(length(sides[i]), 1e-30);
+    radius[i] = ps_instance_row(instance, 3).y * point.w;
+    sides[i] *= radius[i] / max(length(sides[i]), 1e-30);
 #endif
   }
+#ifndef PS_RIBBON
+  // A segment that stands for several has their area: their share of the raster's line, which is what they are drawn
+  // with where they are thinner. Where it hardly has a length that may be any width.
+  float near = ps_is_perspective() ? frame.lens.x : -1e30;
+  if (-p[0].z > near && -p[1].z > near) {
+    vec4 share = texelFetch(ps_segments, at + ivec2(1, 0), 0);
+    vec2 chord = abs(ps_pixel_from_view(p[1]).xy - ps_pixel_from_view(p[0]).xy);
+    float line = max(chord.x, chord.y) / max(length(chord), 1e-6);
+    for (int i = 0; i < 2; i++) {
+      float width = 2.0 * radius[i] * sqrt(abs(frame.focal.x * frame.focal.y)) / (ps_is_perspective() ? -p[i].z : 1.0);
+      float wanted = (i == 0 ? share.x : share.y) * line;
+      sides[i] *= width > 1e-6 ? clamp(wanted / width, 0.5, 2.0) : 1.0;
+    }
+  }
+#endif
   float right = corner == 2 || corner == 4 || corner == 5 ? 1.0 : -1.0;
   v_position = p[end] + right * sides[end];
   // Where a ribbon turns its other side to the eye, its edges cross: there are two triangles with one tip in common, for

@@ -11,6 +11,9 @@ escape of 1. What absorbs nothing scatters all.
 Any other material is a cylinder of it: Lambert's law in closed form (Kajiya and Kay 1989, with the part of the cylinder
 that is both lit and seen), and R in place of its GGX lobe.
 
+A light of which a strand sees more than a point is its middle, with lobes that are wider by its `spread`: the variance
+of its directions along each axis, in radians^2, which is a quarter of the squared angular radius of a round one.
+
 All vectors are unit and point away from the strand. An angle theta is one to the plane across the tangent, phi one
 about it. What is scattered is per unit of irradiance on a plane that faces the light.
 """
@@ -28,7 +31,10 @@ from .pigment import absorption_from_color
 # Offsets from the middle of a strand, of its radius, that stand for its width (Gauss and Legendre on [0, 1]).
 PLACES = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))
 WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
-TT_SPREAD, TRT_SPREAD = 0.36, 0.14  # scales of logistics with the deviation of phi over the width, at an index of 1.55
+# The deviation of phi over the width, at an index of 1.55: variance of TT, and the scale of a logistic for TRT. What
+# passes once ends at 100 degrees from straight on, which a normal distribution is nearer to than a logistic.
+TT_VARIANCE, TRT_SPREAD = 0.29, 0.14
+WIDEST = 3.24  # variance of a normal distribution that is wrapped once around the circle
 LEAST_ROUGHNESS = 0.08  # float32 holds no narrower lobe
 LEAST_VARIANCE = 1e-3
 # Of an endless mass. By Chiang et al. (2016, equation 9) a colour of (0.45, 0.2, 0.08) is that of strands which scatter
@@ -45,7 +51,7 @@ class Fibre:
     roughness: np.ndarray  # (N,) longitudinal
     radial: np.ndarray  # (N,) azimuthal roughness
     eta: np.ndarray | float  # (N,) index of refraction
-    tilt: np.ndarray | float  # (N,) radians by which scales lean towards the root
+    tilt: np.ndarray | float  # (N,) radians by which scales lean, with Cycles' sign
     coat: np.ndarray | float = 0.0  # (N,) by how much smoother R is
     lobes: np.ndarray | None = None  # (N, 3) factors of R, TT and TRT; None: 1
     escape: np.ndarray | float = 1.0  # (N,) share of scattered light that meets no other strand
@@ -157,6 +163,13 @@ def logistic(x: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return e / (scale * (1 + e) ** 2) / np.tanh(np.pi / (2 * scale))
 
 
+def wrapped_normal(x: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """(N,) the normal distribution around the circle, at x in [0, pi] off its middle; both sides add up to 1."""
+    return (np.exp(-x * x / (2 * variance)) + np.exp(-((2 * np.pi - x) ** 2) / (2 * variance))) / np.sqrt(
+        2 * np.pi * variance
+    )
+
+
 def _wrapped(phi: np.ndarray) -> np.ndarray:
     return (phi + np.pi) % (2 * np.pi) - np.pi
 
@@ -171,26 +184,40 @@ def _angles(
     return np.arcsin(sine), np.arcsin(sine_eye), np.arctan2(sideways, np.einsum("nc,nc->n", seen, across))
 
 
-def scattered(tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray, fibre: Fibre) -> np.ndarray:
-    """(2, N, 3) radiance towards the eye of hair in light from one direction: what is reflected, and the rest."""
+def scattered(
+    tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray, fibre: Fibre, spread: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """(2, N, 3) radiance towards the eye of hair in light around one direction: what is reflected, and the rest."""
     theta, eye, phi = _angles(tangent, direction, to_eye)
     energy = energies(fibre, np.sin(eye))
-    wide, azimuth = variance(fibre.roughness), scale(fibre.radial)
+    wide = variance(fibre.roughness)
+    # Of logistics; their variance is pi^2 / 3 of the squared scale.
+    azimuth = np.sqrt(scale(fibre.radial) ** 2 + 3 / np.pi**2 * about(theta, spread)[1])
+    straight = np.minimum(np.pi**2 / 3 * azimuth**2 + TT_VARIANCE, WIDEST)
     tilt = np.asarray(fibre.tilt, float)
     smooth = variance(np.asarray(fibre.roughness) * (1 - np.asarray(fibre.coat)))
-    reflected = longitudinal(theta, eye - 2 * tilt, smooth) * np.cos(phi / 2) / 4
-    tt = longitudinal(theta, eye + tilt, wide / 4) * logistic(np.pi - np.abs(phi), np.hypot(azimuth, TT_SPREAD))
-    inner = longitudinal(theta, eye + 4 * tilt, wide * 4)
+    reflected = longitudinal(theta, eye + 2 * tilt, smooth + spread) * np.cos(phi / 2) / 4
+    tt = longitudinal(theta, eye - tilt, wide / 4 + spread) * wrapped_normal(np.pi - np.abs(phi), straight)
+    inner = longitudinal(theta, eye - 4 * tilt, wide * 4 + spread)
     trt = inner * logistic(phi, np.hypot(azimuth, TRT_SPREAD))
     rest = tt[:, None] * energy[1] + trt[:, None] * energy[2] + inner[:, None] / (2 * np.pi) * energy[3]
-    rest += (cylinder_cosine(theta, phi) / np.pi)[:, None] * energy[4]
+    rest += (cylinder_cosine(theta, phi, spread) / np.pi)[:, None] * energy[4]
     return np.stack([reflected[:, None] * energy[0], rest])
 
 
-def cylinder_cosine(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
+def about(theta: np.ndarray, spread: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) of directions around one at theta: the mean squared cosine of their theta, and the variance of their phi."""
+    square = np.cos(theta) ** 2 * (1 - 2 * np.asarray(spread)) + spread
+    return square, spread / np.maximum(square, 1e-6)
+
+
+def cylinder_cosine(theta: np.ndarray, phi: np.ndarray, spread: np.ndarray | float = 0.0) -> np.ndarray:
     """(N,) the mean cosine, over the width that is seen, of a cylinder; the light's azimuth is phi off the eye's."""
     p = np.abs(phi)
-    return np.cos(theta) * ((np.pi - p) * np.cos(p) + np.sin(p)) / 4
+    square, off = about(theta, spread)
+    # What varies with phi fades, its mean stays.
+    lit = 4 / np.pi + ((np.pi - p) * np.cos(p) + np.sin(p) - 4 / np.pi) * np.exp(-off / 2)
+    return np.sqrt(np.maximum(square, 0)) * lit / 4
 
 
 def cylinder_reflectance(
@@ -211,6 +238,7 @@ def cylinder_reflectance(
 def cylinder(
     tangent: np.ndarray, direction: np.ndarray, to_eye: np.ndarray,
     base: np.ndarray, roughness: np.ndarray, metallic: np.ndarray, eta: np.ndarray,
+    spread: np.ndarray | float = 0.0,
 ) -> np.ndarray:  # fmt: skip
     """(2, N, 3) radiance towards the eye of a cylinder of a Principled surface: what it reflects, and what is diffuse.
 
@@ -219,5 +247,5 @@ def cylinder(
     theta, eye, phi = _angles(tangent, direction, to_eye)
     surface, diffuse = cylinder_reflectance(np.sin(eye), base, metallic, eta)
     wide = np.maximum(2 * np.clip(roughness, 0, 1) ** 4, LEAST_VARIANCE)
-    reflected = longitudinal(theta, eye, wide) * np.cos(phi / 2) / 4
-    return np.stack([reflected[:, None] * surface, (cylinder_cosine(theta, phi) / np.pi)[:, None] * diffuse])
+    reflected = longitudinal(theta, eye, wide + spread) * np.cos(phi / 2) / 4
+    return np.stack([reflected[:, None] * surface, (cylinder_cosine(theta, phi, spread) / np.pi)[:, None] * diffuse])

@@ -33,6 +33,7 @@ FEW_POINTS = 3  # of a strand in the mean: there is little that could be left ou
 MARGIN = 2.0  # pixels beyond the picture that lines of one pixel may come from
 BELOW_ONE = 1 - 2.0**-24  # the largest float32
 FEW = 0.02  # of the strands: what they alone would save costs more to find
+LEAST_ALONG = 0.5  # cosine between a strand's end and the way to where it is a radius away
 NARROW = 1e-3  # pixels: shorter segments have no direction on the screen
 
 
@@ -245,7 +246,7 @@ def clean(lines: Lines) -> Strands:
     start = np.concatenate([[0], np.cumsum(number[several & wide])]).astype(np.int64)
 
     p = position[kept]
-    tangent = _tangents(p, start)
+    tangent = _outward(_tangents(p, start), p, radius, start)
     side = None if lines.normal is None else _sides(np.asarray(lines.normal, np.float32)[kept], tangent)
     owner = owner[kept[start[:-1]]]
     rows = np.full(len(owner), lines.materials[0]) if lines.material is None else lines.material[owner].astype(np.int64)
@@ -293,6 +294,27 @@ def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
         good = long[:, 0] > 1e-3
         result[a[good]] = result[b[good]] = joint[good] / long[good]
     return result
+
+
+def _outward(tangent: np.ndarray, p: np.ndarray, radius: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """(P, 3) float32 unit: tangents, those at the ends turned to where the strand is a radius away where they lead
+    elsewhere. Splines go back and forth about control points that coincide, and strands end in planes across their
+    tangents, which would then cut off the strand instead of its end."""
+    if len(start) < 2:
+        return tangent
+    first, last = start[:-1], start[1:] - 1
+    number, owner = np.arange(len(p)), owners(start)
+    away, nearest = [], (np.minimum, np.maximum)
+    for end, other, near in zip((first, last), (last, first), nearest, strict=True):
+        off = p - p[end][owner]
+        outside = np.einsum("nc,nc->n", off, off) > (radius[end] ** 2)[owner]
+        found = near.reduceat(np.where(outside, number, other[owner]), first)
+        away.append(p[found] - p[end])
+    for end, way in zip((first, last), (away[0], -away[1]), strict=True):
+        size = np.linalg.norm(way, axis=1)
+        astray = np.flatnonzero(np.einsum("nc,nc->n", way, tangent[end]) < LEAST_ALONG * size)
+        tangent[end[astray]] = way[astray] / size[astray, None]
+    return tangent
 
 
 def _sides(normal: np.ndarray, tangent: np.ndarray) -> np.ndarray:

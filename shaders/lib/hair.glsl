@@ -2,7 +2,8 @@
 // The entry is ps_shade_strand. Of the material table's fourth texel: x 1 and the escape: hair; y the coat, 8 bits,
 // and azimuthal roughness as a fraction; z tilt; w factors of R, TT and TRT, 8 bits each.
 
-#define PS_TT_SPREAD 0.36
+#define PS_TT_VARIANCE 0.29
+#define PS_WIDEST 3.24
 #define PS_TRT_SPREAD 0.14
 #define PS_LEAST_ROUGHNESS 0.08
 #define PS_LEAST_VARIANCE 1e-3
@@ -61,6 +62,12 @@ float ps_logistic(float x, float scale)
 {
   float e = exp(-abs(x) / scale), tail = exp(-PS_PI / scale);
   return e * (1.0 + tail) / (scale * (1.0 + e) * (1.0 + e) * (1.0 - tail));
+}
+
+float ps_wrapped_normal(float x, float variance)
+{
+  float other = 2.0 * PS_PI - x;
+  return (exp(-0.5 * x * x / variance) + exp(-0.5 * other * other / variance)) * inversesqrt(2.0 * PS_PI * variance);
 }
 
 vec3 ps_absorption(vec3 color, float b)
@@ -145,23 +152,28 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
   return strand;
 }
 
-// Radiance per irradiance on a plane that faces the light: by the surface, and all else.
-void ps_scattered(PsStrand strand, vec3 direction, out vec3 reflected, out vec3 rest)
+// Radiance per irradiance on a plane that faces the light: by the surface, and all else. spread: variance of the light's
+// directions along each axis.
+void ps_scattered(PsStrand strand, vec3 direction, float spread, out vec3 reflected, out vec3 rest)
 {
   float sine = clamp(dot(direction, strand.tangent), -1.0, 1.0);
   vec3 across = direction - sine * strand.tangent;
   float theta = ps_latitude(sine);
   float phi = abs(atan(dot(cross(strand.across, across), strand.tangent), dot(strand.across, across)));
   float eye = strand.theta, tilt = strand.tilt, v = strand.variance;
-  reflected = strand.reflected * (ps_longitudinal(theta, eye - 2.0 * tilt, strand.smoothest) * 0.25 * cos(0.5 * phi));
-  rest = strand.diffuse * (cos(theta) * ((PS_PI - phi) * cos(phi) + sin(phi)) / (4.0 * PS_PI));
+  reflected = strand.reflected *
+              (ps_longitudinal(theta, eye + 2.0 * tilt, strand.smoothest + spread) * 0.25 * cos(0.5 * phi));
+  float square = (1.0 - sine * sine) * (1.0 - 2.0 * spread) + spread, off = spread / max(square, 1e-6);
+  float lit = 4.0 / PS_PI + ((PS_PI - phi) * cos(phi) + sin(phi) - 4.0 / PS_PI) * exp(-0.5 * off);
+  rest = strand.diffuse * (sqrt(max(square, 0.0)) * lit / (4.0 * PS_PI));
   if (strand.spread < 0.0) {
     return;
   }
-  float inner = ps_longitudinal(theta, eye + 4.0 * tilt, 4.0 * v);
-  float tt = ps_longitudinal(theta, eye + tilt, 0.25 * v) *
-             ps_logistic(PS_PI - phi, sqrt(strand.spread + PS_TT_SPREAD * PS_TT_SPREAD));
-  float trt = inner * ps_logistic(phi, sqrt(strand.spread + PS_TRT_SPREAD * PS_TRT_SPREAD));
+  float inner = ps_longitudinal(theta, eye - 4.0 * tilt, 4.0 * v + spread);
+  float azimuth = strand.spread + 3.0 / (PS_PI * PS_PI) * off;
+  float straight = min(PS_PI * PS_PI / 3.0 * azimuth + PS_TT_VARIANCE, PS_WIDEST);
+  float tt = ps_longitudinal(theta, eye - tilt, 0.25 * v + spread) * ps_wrapped_normal(PS_PI - phi, straight);
+  float trt = inner * ps_logistic(phi, sqrt(azimuth + PS_TRT_SPREAD * PS_TRT_SPREAD));
   rest += strand.through * tt + strand.again * trt + strand.rest * (inner / (2.0 * PS_PI));
 }
 
@@ -175,6 +187,27 @@ vec3 ps_world_around(vec3 direction)
 #endif
 }
 
+#ifdef PS_HAS_LIGHTS
+
+// Variance of the directions along each axis from which light `index` shines on a point in view space.
+float ps_light_spread(int index, ivec4 ends, vec3 position)
+{
+  float spread = 0.0;
+#ifdef PS_HAS_WIDE_LIGHTS
+  vec3 offset = ps_light(index, 1).xyz - position;
+  float size = ps_light(index, 2).w, d2 = dot(offset, offset), r2 = size * size;
+  spread = 0.25 * (index < ends.x ? size : r2 / max(size < 0.0 ? max(d2, r2) : d2 + r2, 1e-20));
+#endif
+#ifdef PS_HAS_AREA_LIGHTS
+  if (index >= ends.z) {
+    PsArea area = ps_area(index, ps_light(index, 1).xyz - position);
+    spread = ps_rectangle_solid_angle(area) * (index < ends.w ? 0.25 / PS_PI : 0.0625);
+  }
+#endif
+  return min(spread, 0.5);
+}
+
+#endif
 #endif
 
 // Radiance towards the eye of a strand, in view space; vectors are unit.
@@ -188,7 +221,7 @@ vec3 ps_shade_strand(vec3 position, vec3 tangent, vec3 to_eye, PsSurface surface
   for (int i = 0; i < light_count; i++) {
     vec3 to_light, reflected, rest;
     vec3 irradiance = ps_ball_irradiance(i, ends, position, to_light);
-    ps_scattered(strand, to_light, reflected, rest);
+    ps_scattered(strand, to_light, ps_light_spread(i, ends, position), reflected, rest);
     float diffuse = ps_light(i, 0).w, specular = ps_light(i, 1).w;
     result += ps_reaching(i, irradiance, position, vec3(0.0)) * (specular * reflected + diffuse * rest);
   }

@@ -178,6 +178,16 @@ def test_what_cannot_be_drawn_is_left_out_and_counted():
     np.testing.assert_array_equal(found.source, [0, 1, 2, 13, 15])
 
 
+def test_a_wiggle_shorter_than_the_radius_does_not_turn_the_end_of_a_strand():
+    straight = np.array([[0.0, 0, z] for z in (0, -0.01, 0.02, 0.5, 1, 1.5, 1.48, 1.51, 1.5)], np.float32)
+    bent = np.array([[1.0, 0, 0], [1, 0.05, 0.05], [1, 0.3, 0.1], [1, 0.6, 0.1]], np.float32)
+    lines = Lines("ends", "ends", np.concatenate([straight, bent]), np.array([0, 9, 13]), np.full(13, 0.1, np.float32))
+    tangent = clean(lines).tangent
+    np.testing.assert_array_equal(tangent[[0, 8]], [[0, 0, 1]] * 2)
+    # Where the strand leads on it keeps its own direction
+    np.testing.assert_allclose(tangent[9], [0, 0.5**0.5, 0.5**0.5], atol=1e-6)
+
+
 def test_nothing_sound_is_nothing_and_what_is_sound_stays_as_it_is():
     assert len(clean(strands([[1, 0, 0]]))) == 0
     assert len(clean(strands([[1, 0, 0], [1, 0, np.nan]]))) == 0

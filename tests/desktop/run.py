@@ -27,7 +27,7 @@ from mathutils import Euler, Quaternion
 
 ROOT = Path(__file__).resolve().parents[2]
 EXTENSION = "bl_ext.user_default.pointsplat"
-LIMIT = 240  # seconds until a hang is taken for one
+LIMIT = 400  # seconds until a hang is taken for one
 
 problems = []
 events = {"complete": 0, "cancel": 0}
@@ -217,7 +217,7 @@ def views(folder):
     yield 0.5
 
 
-def final_render(folder):
+def final_render(folder, name="f12"):
     ticks = [time.monotonic()]
 
     def count():
@@ -233,7 +233,7 @@ def final_render(folder):
     check(events["complete"] == done + 1, "F12 completes")
     pause = max(b - a for a, b in zip(ticks, [*ticks[1:], time.monotonic()], strict=True))
     say(f"figure: the window waits at most {pause:.2f} s for F12")
-    bpy.data.images["Render Result"].save_render(str(folder / "f12.png"))
+    bpy.data.images["Render Result"].save_render(str(folder / f"{name}.png"))
 
 
 def cancelled_render():
@@ -304,6 +304,74 @@ def save_and_load(folder, before):
     check(difference(before, shoot(folder, "loaded")) < 0.02, "after loading the viewport is as before")
 
 
+def grow():
+    """Fur on the plane, a tuft of curves, a bevelled curve, and a mesh that can become a strand."""
+    plane = bpy.data.objects["Plane"]
+    plane.modifiers.new("Fur", "PARTICLE_SYSTEM")
+    fur = plane.particle_systems[0].settings
+    fur.type, fur.count, fur.hair_length, fur.radius_scale = "HAIR", 200, 0.8, 0.05
+    fur.child_type, fur.child_percent, fur.rendered_child_count = "INTERPOLATED", 4, 4
+    fur.kink, fur.kink_amplitude = "CURL", 0.05
+    tuft = bpy.data.hair_curves.new("Tuft")
+    tuft.add_curves([6] * 60)
+    places = []
+    for i in range(60):
+        turn, out = 2.4 * i, 0.05 * math.sqrt(i)
+        for k in range(6):
+            far = out * (1 + 0.3 * k * k / 5)
+            places += [far * math.cos(turn), far * math.sin(turn), 0.4 * k]
+    tuft.position_data.foreach_set("vector", places)
+    bpy.context.collection.objects.link(bpy.data.objects.new("Tuft", tuft))
+    bpy.data.objects["Tuft"].location = (-2.5, -1.5, -1)
+    pipe = bpy.data.curves.new("Pipe", "CURVE")
+    pipe.dimensions, pipe.bevel_depth = "3D", 0.15
+    spline = pipe.splines.new("BEZIER")
+    spline.bezier_points.add(2)
+    for point, at in zip(spline.bezier_points, ((-3, 2, -1), (-1.5, 2.5, 1.5), (0.5, 2.5, -1)), strict=True):
+        point.co, point.handle_left_type, point.handle_right_type = at, "AUTO", "AUTO"
+    bpy.context.collection.objects.link(bpy.data.objects.new("Pipe", pipe))
+    bpy.ops.mesh.primitive_cylinder_add(
+        vertices=12, radius=0.3, depth=3, end_fill_type="NOTHING", location=(1, -3, 0.5)
+    )
+    bpy.context.object.name = "Trunk"
+
+
+def strands(folder):
+    window, area, region, space = viewport()
+    bald = shoot(folder, "bald")
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        grow()
+    bpy.ops.ed.undo_push(message="strands")
+    yield 4.0
+    grown = shoot(folder, "grown")
+    check(difference(bald, grown) > 0.003, "hair and curves are seen in the viewport")
+    turned = space.region_3d.view_rotation.copy()
+    space.region_3d.view_rotation = Euler((math.radians(75), 0, math.radians(200))).to_quaternion()
+    area.tag_redraw()
+    yield 4.0
+    check(difference(grown, shoot(folder, "grown_behind")) > 0.01, "hair and curves turn with the view")
+    space.region_3d.view_rotation = turned
+    yield from final_render(folder, "f12_strands")
+    yield 2.0
+    trunk = bpy.data.objects["Trunk"]
+    with bpy.context.temp_override(
+        window=window, area=area, region=region, object=trunk, active_object=trunk, selected_objects=[trunk],
+        selected_editable_objects=[trunk],
+    ):  # fmt: skip
+        bpy.ops.pointsplat.mesh_to_strands("EXEC_DEFAULT", True)
+    made = [o.name for o in bpy.data.objects if o.type == "CURVES" and o.name != "Tuft"]
+    check(len(made) == 1, f"a cylinder becomes a strand ({made})")
+    yield 3.0
+    # A round tube in place of twelve flat sides
+    check(difference(grown, shoot(folder, "converted")) < 0.02, "the strand is where the cylinder was")
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.ed.undo()
+    check(not [o.name for o in bpy.data.objects if o.type == "CURVES" and o.name != "Tuft"], "undo takes it back")
+    check(len(bpy.data.objects["Trunk"].data.polygons) == 12, "and the cylinder is whole again")
+    yield 3.0
+    check(difference(grown, shoot(folder, "unconverted")) < 0.01, "after undo the viewport is as before")
+
+
 def orbit_file(folder, path):
     """A file as its camera sees it, then from all around, in motion and at rest."""
     bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
@@ -364,6 +432,7 @@ def story(args):
     yield from off_and_on(args.output, args.zip, before)
     yield from undo(args.output, before)
     yield from save_and_load(args.output, before)
+    yield from strands(args.output)
 
 
 def quit_blender():

@@ -1,4 +1,5 @@
-// Scatters one row of inputs: texel columns of `rows` are tangent, direction to the light, direction to the eye, and the
+// Scatters one row of inputs: texel columns of `rows` are tangent, direction to the light and its spread, direction to
+// the eye, and the
 // material; what the surface reflects on the lower row, the rest above. FURNACE: radiance in a uniform world.
 #include "lib/lights.glsl"
 #include "lib/hair.glsl"
@@ -13,7 +14,8 @@ void main() {
   color = vec4(ps_shade_strand(vec3(0.0), tangent, to_eye, surface, fibre, 0), 1.0);
 #else
   vec3 reflected, inner;
-  ps_scattered(ps_strand(surface, fibre, tangent, to_eye), texelFetch(rows, ivec2(x, 1), 0).xyz, reflected, inner);
+  vec4 direction = texelFetch(rows, ivec2(x, 1), 0);
+  ps_scattered(ps_strand(surface, fibre, tangent, to_eye), direction.xyz, direction.w, reflected, inner);
   color = vec4(gl_FragCoord.y < 1.0 ? reflected : inner, 1.0);
 #endif
 }

@@ -199,6 +199,25 @@ def test_what_is_left_out_of_distant_strands_is_held_by_the_rest():
     assert abs(got / (len(points) * length * 0.06) - 1) < 0.02  # measured 0.0010
 
 
+@pytest.mark.parametrize("pixels", [0.5, 0.75, 0.95])
+def test_closed_tips_keep_their_area_where_points_are_left_out(pixels):
+    """The last of eight segments narrows to nothing; from here every second point or more is left out."""
+    camera = scenes.camera((0, -5, 0), parallel=4, resolution=(96, 96))
+    u, radius = np.linspace(-0.4, 0.4, 9), np.full(9, pixels / 2 * 4 / 96)
+    radius[-1] = 0
+    turn = np.linspace(0, 2 * np.pi, 20, endpoint=False) + 0.1
+    points = [
+        np.stack([u * np.cos(a) + 1.5 * np.cos(5 * a) * 0.9, 0 * u, u * np.sin(a) + 1.4 * np.sin(a)], axis=1)
+        for a in turn
+    ]
+    lines = made(f"tips {pixels}", points, np.tile(radius, 20))
+    result = render(case(lines, camera), COMBINED, 256)
+    assert result.report["lines"]["segments"] <= 20 * 4
+    exact = 20 * pixels * (0.8 * 96 / 4) * (1 - 1 / 16)
+    found = result.pixels["combined"][..., 3].sum() / exact - 1
+    assert abs(found) < 0.03  # measured 0.0154, and 0.08 where strips of a pixel had the width of their ends
+
+
 def test_a_tapering_strand_covers_less_and_less():
     lines = made("taper", [np.array([[-1 + PIXEL, 0, z], [1 - PIXEL, 0, z]]) for z in np.arange(-40, 40) * 1.5 * PIXEL],
                  np.tile([0.4 * PIXEL, 0], 80))  # fmt: skip
@@ -293,6 +312,21 @@ def test_cut_out_strands_leave_holes_in_alpha():
     held = scenes.scene((geometry(lines), scenes.moved()), holdout=[True])
     pixels = render(Case(held, scenes.camera(), PLAIN), COMBINED).pixels["combined"]
     assert np.array_equal(pixels[..., 3] == 0, alpha(case(lines, scenes.camera())) == 1)
+
+
+@pytest.mark.parametrize("radius", [0.005, 0.03, 0.2])
+@pytest.mark.parametrize("flat", [False, True])
+def test_what_no_light_falls_on_is_black_and_covers_the_same(radius, flat):
+    """Without light no normals are drawn: thinner than a raster line, up to two of them, and wider."""
+    lines = made(f"dark {radius} {flat}", [bow()], radius)
+    if flat:
+        lines = replace(lines, normal=np.tile(np.array([[0, -1, 0]], np.float32), (5, 1)))
+    lit = case(lines, scenes.camera())
+    dark = case(lines, scenes.camera(), lights=(), world=World())
+    seen = render(dark, COMBINED, 8).pixels["combined"]
+    assert seen[..., 3].sum() > 0
+    assert np.array_equal(seen[..., 3], alpha(lit, 8))
+    assert not seen[..., :3].any()
 
 
 @pytest.mark.parametrize("width", [0.004, 0.02])

@@ -49,13 +49,14 @@ class Strands:
     of_strand: frozenset[str] = frozenset()  # the names of those that are one for each strand
     uv: dict[str, np.ndarray] = field(default_factory=dict)  # name to (S, 2) float32, the active one first
     first: int = 0  # strands before these that count for random numbers
+    space: np.ndarray | None = None  # (2, 3) float64: corners of the box of Generated; None: that of the strands
     messages: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
         named = [part for group in (self.colors, self.uv) for item in group.items() for part in item]
         held = (getattr(self.curves, f) for f in core.Curves.__dataclass_fields__)
-        own = self.slot, self.normal_mode, self.tilt, self.normal, self.first
+        own = self.slot, self.normal_mode, self.tilt, self.normal, self.first, self.space
         return arrays.digest("strands", *held, self.radius, *own, *named)
 
 
@@ -321,16 +322,20 @@ def hair_systems(ob: bpy.types.Object, final: bool) -> Iterator[Hair]:
 
 def read_hair(hair: Hair, materials: tuple[CloudMaterial, ...]) -> Strands | None:
     """The strands of a particle system in its object's space, as Cycles reads them; None where there are none."""
-    system, settings, shown = hair.system, hair.system.settings, hair.shown
+    system, settings, shown = hair.system, hair.system.settings, np.array(hair.shown)
     steps = (1 << (settings.render_step if hair.final else settings.display_step)) + 1
     steps += settings.kink_extra_steps if settings.kink == "SPIRAL" else 0
     if len(shown) == 0:
         return None
     # One call for each point: Blender has no other way
-    calls = (system.co_hair(hair.ob, particle_no=i, step=k) for i in shown for k in range(steps))
+    calls = (system.co_hair(hair.ob, particle_no=i, step=k) for i in hair.shown for k in range(steps))
     world = np.fromiter(itertools.chain.from_iterable(calls), np.float64, len(shown) * steps * 3)
-    world = world.reshape(len(shown), steps, 3)
-    position = _to_object(hair.ob, _without_gaps(world))
+    position = _to_object(hair.ob, _without_gaps(world.reshape(len(shown), steps, 3)))
+    # The viewport hides a share of the parents: they have no path
+    grown = (position != position[:, :1]).any(axis=(1, 2))
+    if not grown.any():
+        return None
+    position, shown = position[grown], shown[grown]
     length = np.cumsum(np.linalg.norm(np.diff(position, axis=1, prepend=position[:, :1]), axis=2), axis=1)
     whole = length[:, -1:]
     radius = _radius(settings, np.divide(length, whole, out=np.zeros_like(length), where=whole > 0))
@@ -343,9 +348,10 @@ def read_hair(hair: Hair, materials: tuple[CloudMaterial, ...]) -> Strands | Non
         np.full(count, core.AUTO),
         radius.ravel().astype(np.float32),
     )
-    uv, colors = _emitter(hair, wanted(materials))
+    uv, colors = _emitter(hair, shown.tolist(), wanted(materials))
+    middle, half = (np.array(v, np.float64) for v in (hair.ob.data.texspace_location, hair.ob.data.texspace_size))
     return Strands(curves, radius.ravel().astype(np.float32), colors=colors, of_strand=frozenset(colors), uv=uv,
-                   first=hair.first)  # fmt: skip
+                   first=hair.first, space=np.stack([middle - half, middle + half]))  # fmt: skip
 
 
 def _without_gaps(world: np.ndarray) -> np.ndarray:
@@ -374,9 +380,10 @@ def _radius(settings: bpy.types.ParticleSettings, along: np.ndarray) -> np.ndarr
     return radius
 
 
-def _emitter(hair: Hair, asked: Needs) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """UV maps and colours of the emitter's surface where strands grow, those that materials read: (S, 2) and (S, 4)."""
-    mesh, system, shown = hair.ob.data, hair.system, hair.shown
+def _emitter(hair: Hair, shown: list[int], asked: Needs) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """UV maps and colours of the emitter's surface where strands of these numbers grow, those that materials read:
+    (S, 2) and (S, 4)."""
+    mesh, system = hair.ob.data, hair.system
     parents = system.particles
     uv, colors = {}, {}
     layers = sorted(enumerate(mesh.uv_layers), key=lambda item: not item[1].active_render)
@@ -493,12 +500,16 @@ def _inputs(lines: Lines, strands: Strands, evaluated: core.Evaluated, asked: Ne
             colors[strand_attribute(name)] = np.column_stack([value, value, value, np.ones_like(value)])
     generated = None
     if asked.generated:
-        # As in Cycles: where a strand begins, in the bounds of all
-        low, high = lines.position.min(axis=0), lines.position.max(axis=0)
+        # As in Cycles: where a strand begins, in the emitter's texture space or the bounds of all
+        low, high = strands.space if strands.space is not None else _bounds(lines.position)
         root = lines.position[lines.start[:-1]][strand]
         generated = (root - low) / np.where(high > low, high - low, 1)
     normal = None if lines.normal is None else unit(lines.normal)
     return SampleInputs(uv, next(iter(uv), None), colors, active, lines.position, generated, normal)
+
+
+def _bounds(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return position.min(axis=0), position.max(axis=0)
 
 
 def _own(lines: Lines, first: int) -> dict[str, Callable[[], np.ndarray]]:

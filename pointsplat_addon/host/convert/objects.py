@@ -97,8 +97,10 @@ def collect(
             if visible.drawn and (view3d is None or ob.visible_in_viewport_get(view3d)):
                 source = _source(ob, view_layer.material_override, visible, instance.is_instance)
                 sources += [source] if instance.show_self else []
-                if len(ob.particle_systems) and instance.show_particles and not instance.is_instance:
-                    sources += _particles(source, ob, view_layer.material_override, depsgraph.mode == "RENDER")
+                if len(ob.particle_systems) and instance.show_particles:
+                    # Hair is read when the step is over
+                    emitter = ob.original.evaluated_get(depsgraph) if instance.is_instance else ob
+                    sources += _particles(source, emitter, view_layer.material_override, depsgraph.mode == "RENDER")
             found = known[key] = range(first, len(sources))
         for source in found:
             if sources[source].particles:
@@ -138,9 +140,10 @@ def _source(ob: bpy.types.Object, override: bpy.types.Material | None, visible: 
 
 
 def _particles(emitter: Source, ob: bpy.types.Object, override: bpy.types.Material | None, final: bool) -> list[Source]:
+    # Particles are in world space, where instances have none of their own
     found = [
         replace(emitter, materials=(override or material,), editing=None, particles=points)
-        for points, material in read_particles(ob, final)
+        for points, material in ([] if emitter.generated else read_particles(ob, final))
     ]
     # Without any slot there is no material, whatever the settings say
     slots = emitter.materials

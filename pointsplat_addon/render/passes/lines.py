@@ -116,7 +116,8 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
     """The program for one variant of the G-buffer and one kind of segments: THIN, STRIP or TUBE."""
     thin, tube = kind == "THIN", kind == "TUBE"
     fetched = ["ps_list", "ps_segments", "ps_point", "ps_instances"]
-    fetched += ["ps_tangent"] if variant.normal or tube else []
+    strip = kind == "STRIP" and not ribbon  # faces the eye, across its tangent
+    fetched += ["ps_tangent"] if variant.normal or tube or strip else []
     fetched += ["ps_side"] if ribbon else []
     fetched += ["ps_materials"] if tube and variant.normal else []
     named = {"color": variant.color, "surface": variant.surface, "emission": variant.emission}
