@@ -3,7 +3,7 @@
 // PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
-// drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
+// drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/camera.glsl"
 #include "lib/kernel.glsl"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -93,6 +94,7 @@ class Uploads:
         self.reach_lights = 0  # of so many lights the share that reaches each of them may be kept
         self.reach_instances = np.empty(0, np.int64)
         self.reach_key: tuple = ()
+        self.spent: dict[str, float] = {}  # milliseconds by pass, of those that the processor does
         try:
             self._upload(motion, shadows)
         except Exception:
@@ -104,7 +106,7 @@ class Uploads:
         """Textures that shading reads, by sampler name."""
         tables, records = self.shadows
         return shade_pass.textures(
-            materials=self.materials, lights=self.lights, environment=self.environment,
+            materials=self.shared.get("ps_materials"), lights=self.lights, environment=self.environment,
             shadow_tables=tables, shadow_lights=records,
         )  # fmt: skip
 
@@ -126,8 +128,9 @@ class Uploads:
     def _upload(self, motion: bool, shadows: Shadows | None) -> None:
         scene, plan, device = self.scene, self.plan, self.device
         table = shade_pass.material_rows(scene.materials, self._escape())
-        self.materials = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
-        self.shared: dict[str, Texture] = {"ps_materials": self.materials}
+        self.shared: dict[str, Texture] = {}
+        if plan.solid or plan.translucent is not None:
+            self.shared["ps_materials"] = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
         if plan.lighting:
             roughness, eta = table[0, 2, 1], table[0, 2, 3]
             lights = light_texture(scene.lights, scene.world, self.camera.view_from_world, roughness, eta)
@@ -257,9 +260,12 @@ class Uploads:
         matrices, view = scene.instances.world_from_object, self.camera.view_from_world
         self.used.add(("order",))
         sorted_list: DrawList = self.kept.keep(("order",), DrawList)
+        before, sorts = time.perf_counter(), sorted_list.sorts
         sorted_list.update(
             device, page, layer, matrices, view, (key, layer.set_of_instance.tobytes(), matrices.tobytes())
         )
+        if sorted_list.sorts > sorts:
+            self.spent["order"] = 1000 * (time.perf_counter() - before)
         origin = np.zeros((len(matrices), 3))
         for row, points in layer.point_sets.items():
             origin[layer.set_of_instance == row] = points.cloud.origin
