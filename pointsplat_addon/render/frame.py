@@ -15,7 +15,9 @@ from ..core.scene import Camera, Scene, Settings
 from ..core.strands import turns
 from ..shading.interface import Interface
 from .device import Device, Target, Texture
+from .faint import without_faint
 from .filtering import cryptomatte, offsets
+from .in_view import in_view
 from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
 from .painter import painted
 from .parts import parted
@@ -181,6 +183,9 @@ class Frame:
             check=self.clock.check,
             costs=renderer.costs,
         )
+        self.prepared, unseen = in_view(scene, self.prepared, request.camera)
+        scene, reflects, self._faint = without_faint(scene, self.prepared, request.camera.view_from_world)
+        self.scene = scene
         self.technique = reconsidered(technique, self.prepared)
         self.shadows, unshadowed = self._shadows()
         blended = (request.camera, request.samples) if self.technique.name == "EWA" else None
@@ -189,8 +194,9 @@ class Frame:
             others = shade_pass.averaged(request.passes) or shade_pass.data(request.passes)
             self.prepared = painted(self.prepared, keep=presented or bool(others))
         self.plan = make_plan(
-            scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive, blended, paints
-        )
+            scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive, blended, paints,
+            reflects, unseen,
+        )  # fmt: skip
         # Everything is drawn for `view`, of which the camera's window is a part.
         self.view, self.corner = _widened(request.camera, self.plan.reach(self.prepared.largest))
         self._turns = turns(request.samples)
@@ -257,7 +263,7 @@ class Frame:
         self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes, self.request.samples,
                                                 plan.ewa is not None, plan.lines)  # fmt: skip
         self.background = shade_pass.background_program(
-            plan.lighting, self.scene.transparent, passes, plan.ewa is not None, everywhere=not plan.shaded.solid
+            plan.world, self.scene.transparent, passes, plan.ewa is not None, everywhere=not plan.shaded.solid
         )
         self.lit: translucent_pass.LitSplats | None = None
         if plan.translucent is not None:
@@ -551,7 +557,7 @@ class Frame:
 
     def _skipped(self) -> list[tuple[str, str]]:
         """Passes that did not run, and why."""
-        found = [entry for entry in self.plan.skipped if entry[0] not in self.clock.spent]
+        found = [entry for entry in (*self.plan.skipped, *self._faint) if entry[0] not in self.clock.spent]
         known = {name for name, _ in found} | self.clock.spent.keys()
         late = dict(LATE)
         if self._trivial:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -36,7 +38,7 @@ class Plan:
     variant: Variant  # of the G-buffer that is shaded
     data_variant: Variant  # of the one that the passes which are not averaged read
     options: PointOptions
-    lighting: tuple[str, ...]  # PS_ names of what shines
+    lighting: tuple[str, ...]  # PS_ names of what shines on what is drawn
     materials: tuple[str, ...]  # and of what surfaces do with it
     background: bool  # pixels that show nothing hold something
     data: bool
@@ -44,6 +46,7 @@ class Plan:
     coarse: bool  # the first sample's translucent layer has fewer pixels: views that move show it at once
     skipped: tuple[tuple[str, str], ...] = ()  # (pass, because)
     ewa: ewa.EwaOptions | None = None  # points are drawn by EWA; None: in image space
+    world: tuple[str, ...] = ()  # and of what is behind it
     painter: bool = False  # opaque points are painted: what the G-buffer holds of them is for other passes alone
 
     @property
@@ -72,9 +75,12 @@ def make_plan(
     interactive: bool = False,
     blended: tuple[Camera, int] | None = None,
     painter: bool = False,
+    reflects: bool = True,
+    unseen: Mapping[str, str] = MappingProxyType({}),
 ) -> Plan:
     """The plan for one view of a scene. `unshadowed`: why there are no shadows. `blended`: points are drawn by EWA, for
-    this camera and number of samples. `painter`: opaque points are painted (render/painter.py)."""
+    this camera and number of samples. `painter`: opaque points are painted (render/painter.py). `reflects`: something
+    that is drawn reflects light. `unseen`: kinds of things that are left out, and why (render/in_view.py)."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
     lines = len(prepared.lines) > 0
@@ -94,7 +100,8 @@ def make_plan(
     materials = _materials(scene, varies)
     smoothest = 0.0 if varies else float(scene.materials.roughness.min())
     shining = light_names(scene.lights, smoothest) if drawn else ()
-    lighting = (*(() if scene.transparent and not drawn else _world(scene)), *shining)
+    world = _world(scene)
+    lighting = (*world, *shining) if drawn and reflects else ()
     if shadows is not None:
         packed = shadows.packed
         named = {"PS_SHADOW_COLORED": packed.colored, "PS_SHADOW_SOLID": packed.solid, "PS_SHADOW_SUNS": packed.suns,
@@ -137,11 +144,12 @@ def make_plan(
         ewa=None if blended is None or not points else ewa.options(
             blended[0], prepared.largest, any(p.cloud.normal is None for p in prepared.point_sets.values()), blended[1]
         ),
+        world=() if scene.transparent else world,
         painter=painter,
     )  # fmt: skip
     asked = {"data": bool(data(passes)), "averaged": bool(averaged(passes))}
     unshadowed = "" if shadows is not None else unshadowed or "nothing casts shadows"
-    return replace(plan, skipped=tuple(reasons(plan, asked, unshadowed).items()))
+    return replace(plan, skipped=tuple(reasons(plan, asked, unshadowed, unseen).items()))
 
 
 def _graphs(scene: Scene, prepared: Prepared) -> list[MaterialGraph]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -44,15 +45,18 @@ LATE = {
 UNKNOWN = "no sample came so far"
 
 
-def reasons(plan: Plan, asked: dict[str, bool], unshadowed: str) -> dict[str, str]:
-    """Why each pass that a plan leaves out is not needed, by its name. `asked`: whether a pass of "data" is asked for,
-    and one that is "averaged" beside Combined. `unshadowed`: why no lamp has a table of shadows; empty where one has."""
+def reasons(plan: Plan, asked: Mapping[str, bool], unshadowed: str, unseen: Mapping[str, str]) -> dict[str, str]:
+    """Why each pass that a plan leaves out is not needed, by its name.
+
+    `asked`: whether a pass of "data" is asked for, and one that is "averaged" beside Combined. `unshadowed`: why no
+    lamp has a table of shadows; empty where one has. `unseen`: why kinds of things are left out (render/in_view.py).
+    """
     found = {"shadows": unshadowed} if unshadowed else {}
-    found |= _of_points(plan)
+    found |= _of_points(plan, unseen.get("points", "nothing is drawn as points"))
     if not plan.polygons:
-        found["polygons"] = "nothing is drawn as polygons"
+        found["polygons"] = unseen.get("polygons", "nothing is drawn as polygons")
     if not plan.spheres:
-        found["spheres"] = "no ball without a normal is wide"
+        found["spheres"] = unseen.get("spheres", "no ball without a normal is wide")
     if not plan.lines:
         found["lines"] = "nothing is drawn as lines"
     if not plan.data:
@@ -63,12 +67,12 @@ def reasons(plan: Plan, asked: dict[str, bool], unshadowed: str) -> dict[str, st
         found["shade"] = "points are painted" if plan.painter else "nothing opaque is drawn"
     if not plan.background:
         found["background"] = "the film is transparent"
-    return found | _of_translucent(plan, not unshadowed)
+    return found | _of_translucent(plan, not unshadowed, unseen.get("translucent", "nothing is translucent"))
 
 
-def _of_points(plan: Plan) -> dict[str, str]:
+def _of_points(plan: Plan, none: str) -> dict[str, str]:
     if not plan.points:
-        why = "points are painted" if plan.painter else "nothing is drawn as points"
+        why = "points are painted" if plan.painter else none
         return dict.fromkeys((*IMAGE_SPACE, *BY_EWA), why)
     if plan.painter:
         return dict.fromkeys(BY_EWA, "points are painted")
@@ -77,9 +81,9 @@ def _of_points(plan: Plan) -> dict[str, str]:
     return dict.fromkeys(IMAGE_SPACE, "points are drawn by EWA")
 
 
-def _of_translucent(plan: Plan, shadowed: bool) -> dict[str, str]:
+def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
     if plan.translucent is None:
-        return dict.fromkeys(TRANSLUCENT, "nothing is translucent")
+        return dict.fromkeys(TRANSLUCENT, none)
     found = {}
     if not shadowed:
         found["reach"] = "no lamp casts shadows on it"

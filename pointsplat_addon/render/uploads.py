@@ -131,12 +131,12 @@ class Uploads:
         self.shared: dict[str, Texture] = {}
         if plan.solid or plan.translucent is not None:
             self.shared["ps_materials"] = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
-        if plan.lighting:
+        if plan.lighting or plan.world:
             roughness, eta = table[0, 2, 1], table[0, 2, 3]
             lights = light_texture(scene.lights, scene.world, self.camera.view_from_world, roughness, eta)
             size = (lights.shape[1], lights.shape[0])
             self.lights = self._own(device.texture(size, "RGBA32F", lights.reshape(-1)))
-        if "PS_HAS_ENVIRONMENT" in plan.lighting and scene.world.image is not None:
+        if "PS_HAS_ENVIRONMENT" in (*plan.lighting, *plan.world) and scene.world.image is not None:
             self.environment = self._environment(scene.world.image)
         if shadows is not None:
             self._upload_shadows(shadows)

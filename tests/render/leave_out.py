@@ -7,8 +7,10 @@ Every row is drawn on the device that only records (devices/null.py).
 
 from __future__ import annotations
 
+import argparse
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -180,6 +182,11 @@ def _hair() -> Case:
     return _lit(case, materials=replace(table, hair=fibre))
 
 
+def _small_balls() -> Case:
+    cloud = PointCloud(scenes.sphere_points().astype(np.float32), radii=np.full((400, 1), 0.02, np.float32))
+    return _of(cloud, "leave out: small balls")
+
+
 def _lamp(case: Case, radius: float) -> Case:
     lamp = Light("POINT", np.full(3, 20.0), np.array([1.0, -3, 2]), np.array([0.0, 0, -1]), radius)
     return _by(_lit(case, lights=(lamp,)), use_shadows=True, shadow_resolution=64)
@@ -188,6 +195,27 @@ def _lamp(case: Case, radius: float) -> Case:
 def _normals() -> Case:
     """Points that are shaded by normals other than their own, once lit and once not."""
     return _of(scenes.sphere_cloud(shading_normal=scenes.sphere_points().astype(np.float32)), "leave out: bent")
+
+
+def _aside(case: Case) -> Case:
+    """The same from where nothing of it is in view."""
+    return replace(case, camera=scenes.camera((0, -8, 0), (0, -16, 0)))
+
+
+def _lamps(*lamps: Light) -> Case:
+    """Points beneath a sun and further lamps, all with shadows."""
+    return _by(_lit(scenes.plain_sphere(), lights=(scenes.sun(), *lamps)), use_shadows=True, shadow_resolution=64)
+
+
+def _far_lamp() -> Light:
+    return Light("POINT", np.full(3, 20.0), np.array([0.0, -3e4, 0]), np.array([0.0, 1, 0]), 0.3)
+
+
+def _clear_smoke() -> Case:
+    """Smoke without density before a sphere."""
+    clear, ball = scenes.smoke_cloud(8, 0.0), scenes.points("leave out: behind", scenes.sphere_cloud())
+    return Case(scenes.scene((scenes.points("leave out: clear", clear), scenes.moved((0, -2, 0))),
+                             (ball, scenes.moved())), scenes.camera((0, -6, 0)))  # fmt: skip
 
 
 def _dark(case: Case) -> Case:
@@ -222,9 +250,9 @@ ROWS: dict[str, Row] = {
     "points, shadows of a sun": Row(lambda: _by(scenes.plain_sphere(), use_shadows=True, shadow_resolution=64)),
     "points, shadows of a wide lamp": Row(lambda: _lamp(scenes.plain_sphere(), 0.3)),
     "points that only glow": Row(_glow),
-    "points, backs culled": Row(scenes.culled),
+    "points and polygons, backs culled": Row(scenes.culled),
     "leaves": Row(scenes.foliage),
-    "small balls": Row(scenes.balls),
+    "small balls": Row(_small_balls),
     "wide balls": Row(scenes.wide_balls),
     "many instances": Row(_many),
     "many instances that share levels": Row(scenes.many_towers),
@@ -250,7 +278,7 @@ ROWS: dict[str, Row] = {
     "smoke that is held out": Row(_held_smoke),
     "tube": Row(_tube),
     "ribbon": Row(_ribbon),
-    "hair": Row(_hair, samples=8),
+    "hair, shadows": Row(_hair, samples=8),
     "strands and a cube, shadows": Row(scenes.strands, samples=4),
     "EWA": Row(lambda: _by(scenes.sphere(), technique="EWA")),
     "EWA, adaptive": Row(lambda: _by(scenes.sphere(), technique="EWA"), samples=16),
@@ -270,6 +298,18 @@ ROWS: dict[str, Row] = {
     "points, Cryptomatte": Row(scenes.plain_sphere, COMBINED | {"crypto_object"}, samples=4),
     "points and polygons, motion": Row(scenes.moving, COMBINED | {"vector"}),
     "smoke, depth and motion": Row(scenes.in_smoke, COMBINED | {"depth", "vector"}),
+    "a lamp that is off": Row(lambda: _lamps(replace(_far_lamp(), color=np.zeros(3)))),
+    "a lamp too far to matter": Row(lambda: _lamps(_far_lamp())),
+    "a world too dark to matter": Row(lambda: _lit(scenes.plain_sphere(), world=World(np.full(3, 1e-5)))),
+    "a black environment picture": Row(
+        lambda: _lit(scenes.plain_sphere(), world=World(np.zeros(3), np.zeros((4, 8, 3), np.float32)))
+    ),
+    "an emission too weak to matter": Row(
+        lambda: _lit(scenes.plain_sphere(), materials=scenes.materials(emission=np.full((1, 3), 1e-4)))
+    ),
+    "points and polygons out of view": Row(lambda: _aside(scenes.mixed())),
+    "smoke out of view": Row(lambda: _aside(_two_smokes())),
+    "smoke without density": Row(_clear_smoke),
     "nothing, every pass": Row(scenes.empty, scenes.ALL_PASSES),
     "points and polygons, every pass": Row(scenes.mixed, scenes.ALL_PASSES),
 }  # fmt: skip
@@ -373,3 +413,86 @@ def written(device: NullDevice) -> set[int]:
     """Ids of the textures that shaders write."""
     ids = {id(image) for call in device.calls for image in call.images.values()}
     return ids | {id(texture) for call in device.calls if call.target for texture in call.target.colors}
+
+
+# docs/leave_out.md
+
+
+DOCS = Path(__file__).resolve().parent.parent.parent / "docs" / "leave_out.md"
+BEGIN, END = "<!-- tables: tests/render/leave_out.py -->", "<!-- end of tables -->"
+
+
+def _plain(name: str) -> str:
+    return re.sub("^(ps|out|PS)_", "", name).replace("_", " ")
+
+
+def _counted(names: list[str]) -> str:
+    return ", ".join(name if n == 1 else f"{n} × {name}" for name, n in sorted(Counter(names).items()))
+
+
+def drawn_textures(device: NullDevice) -> str:
+    """Formats and numbers of the textures that shaders write, by what they hold."""
+    names: dict[int, str] = {}
+    for call in device.calls:
+        if call.target is not None:
+            for (_, output), texture in zip(call.interface.outputs, call.target.colors, strict=True):
+                names.setdefault(id(texture), _plain(output))
+        for image, texture in call.images.items():
+            names.setdefault(id(texture), _plain(image))
+    drawn = [f"{names[id(t)]} {t.format}" for t in device.textures if id(t) in names]
+    return _counted([*drawn, *(["depth buffer"] * sum(target.depth for target in device.targets))])
+
+
+def uploaded_textures(device: NullDevice) -> str:
+    """Formats and numbers of the textures that are sent, by the names by which shaders read them."""
+    names: dict[int, str] = {}
+    for call in device.calls:
+        for _, sampler in call.interface.samplers:
+            names.setdefault(id(call.textures[sampler]), _plain(sampler))
+    return _counted([f"{names[id(t)]} {t.format}" for t in device.textures if t.uploaded and id(t) in names])
+
+
+def programs(device: NullDevice) -> str:
+    """The programs that are compiled, with their variants."""
+    said = []
+    for interface in device.interfaces:
+        kept = [f"{_plain(name).lower()}{'' if value == '1' else ' ' + value}" for name, value in interface.defines]
+        said.append(f"{interface.name} ({', '.join(kept)})" if kept else interface.name)
+    return "; ".join(said)
+
+
+def tables() -> str:
+    """All rows, as Markdown."""
+    kinds = {
+        "Passes": ("passes that run", lambda found: ", ".join(found.ran)),
+        "Textures that are drawn into": ("textures", lambda found: drawn_textures(found.device)),
+        "Tables and attributes that are sent": ("textures", lambda found: uploaded_textures(found.device)),
+        "Programs": (
+            "programs, and how they are told apart",
+            lambda found: f"{len(found.device.interfaces)}: {programs(found.device)}",
+        ),
+    }
+    text = [BEGIN, ""]
+    for title, (head, of) in kinds.items():
+        text += [f"## {title}", "", f"| scene | {head} |", "|---|---|"]
+        text += [f"| {name} | {of(found(name))} |".replace("  |", " |") for name in ROWS]
+        text.append("")
+    return "\n".join([*text, END])
+
+
+def with_tables(text: str) -> str:
+    """The page with its tables as they are now."""
+    return text[: text.index(BEGIN)] + tables() + text[text.index(END) + len(END) :]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write-docs", action="store_true", help="replace the tables in docs/leave_out.md")
+    if parser.parse_args().write_docs:
+        DOCS.write_text(with_tables(DOCS.read_text(encoding="utf-8")), encoding="utf-8")
+    else:
+        sys.stdout.write(tables() + "\n")
+
+
+if __name__ == "__main__":
+    main()

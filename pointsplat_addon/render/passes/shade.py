@@ -69,17 +69,15 @@ def shade_program(
 
 
 def background_program(
-    lighting: tuple[str, ...],
+    world: tuple[str, ...],
     transparent: bool,
     passes: frozenset[str],
     coverage: bool = False,
     everywhere: bool = False,
     combined: bool = True,
 ) -> Interface:
-    """The world behind everything, of which `lighting` says what it is. `coverage`: edges let some of it through.
+    """The world behind everything, of which `world` says what it is. `coverage`: edges let some of it through.
     `everywhere`: nothing is before it. `combined`: the picture, not only passes beside it."""
-    shown = () if transparent else ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT")
-    world = tuple(name for name in lighting if name in shown)
     named = {"PS_BACKGROUND": not transparent, "PS_COVERAGE": coverage, "PS_EVERYWHERE": everywhere,
              "PS_BESIDE": not combined}  # fmt: skip
     names = (*world, *_averaged_defines(passes), *(name for name, on in named.items() if on))
