@@ -64,7 +64,8 @@ def without_faint(
         notes.append(("world", "it adds less than 1/1024 of white"))
     lights = tuple(scene.lights)
     if lights:
-        ball = drawn_ball(scene, prepared, store)
+        near = any(light.kind != "SUN" and np.any(light.color) for light in lights)
+        ball = drawn_ball(scene, prepared, store) if near else (np.zeros(3), np.inf)
         added = np.array([bounds.of(light, _irradiance(light, ball, view_from_world)) for light in lights])
         order = np.argsort(added, kind="stable")
         left_out = np.zeros(len(lights), bool)
