@@ -11,12 +11,19 @@
 #ifdef PS_LINES
 #include "lib/hair.glsl"
 #endif
+#ifdef PS_FOCUS
+#include "lib/defocus.glsl"
+#endif
 
 void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   vec4 place = texelFetch(ps_place, pixel, 0);
   float covered = ps_coverage(pixel, place);
+#ifdef PS_FOCUS
+  // The rest is left to defocus.frag.
+  covered *= ps_sharp(ps_confusion(place.x));
+#endif
   if (covered == 0.0) {
     discard;
   }
@@ -64,6 +71,9 @@ void main()
   }
 #else
   vec3 radiance = ps_shade(position, normal, to_eye, surface, frame.page.w);
+#endif
+#ifdef PS_FOCUS
+  out_focus = covered * vec4(place.x, 1.0, 0.0, 0.0);
 #endif
   out_combined = holdout ? vec4(0.0) : covered * vec4(ps_finite(radiance), 1.0);
 #endif

@@ -3,7 +3,8 @@
 // PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
-// drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something opaque may stand among them.
+// drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
+// render/passes/defocus.py. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/camera.glsl"
 #include "lib/kernel.glsl"
@@ -11,6 +12,9 @@
 #include "lib/lights.glsl"
 #include "lib/materials.glsl"
 #include "lib/finite.glsl"
+#ifdef PS_DEFOCUS
+#include "lib/defocus.glsl"
+#endif
 
 #define PS_LOW_PASS 0.04  // pixels^2: splats smaller than a pixel are not missed between the pixels' centres
 #define PS_PARTICLE 1.0  // kinds of media: what is strewn, and what fills a lattice evenly
@@ -120,7 +124,11 @@ void main()
   vec3 c = ball ? linear[2] * extent.x : linear * n * optics.y;
 #ifdef PS_FUZZY
   bool fuzzy = optics.z < -0.5;
+#ifdef PS_DEFOCUS
+  float narrow_rim = 1.0;
+#else
   float narrow_rim = fuzzy ? PS_FUZZY : 1.0;
+#endif
   a *= narrow_rim;
   b *= narrow_rim;
   c *= narrow_rim;
@@ -154,7 +162,15 @@ void main()
   // What is widened hides more, the deeper it is: only particles are, which would flicker. Voxels and samples of surfaces
   // add up evenly, and what they let through is right in the mean of all samples; wide needles must keep an inverse.
   float low_pass = optics.z == PS_PARTICLE ? PS_LOW_PASS : max(PS_LOW_PASS * frame.mist.w, 1e-4 * (own.x + own.z));
+#ifdef PS_DEFOCUS
+  // A sample stands for a pixel, and each splat for all that the lens makes of it.
+  float confusion = ps_confusion(d);
+  low_pass = max(PS_DEFOCUS_PIXEL, low_pass);
+  vec3 disk = 0.25 * confusion * confusion * vec3(frame.focus.w * frame.focus.w, 0.0, 1.0);
+  vec3 wide = own + vec3(low_pass, 0.0, low_pass) + disk;
+#else
   vec3 wide = own + vec3(low_pass, 0.0, low_pass);
+#endif
   float det = wide.x * wide.z - wide.y * wide.y;
   float kept = sqrt(max(own.x * own.z - own.y * own.y, 0.0) / det);
 
@@ -233,18 +249,46 @@ void main()
   }
 #endif
 
+#ifdef PS_DEFOCUS
+  float share = (disk.x + disk.z) / (wide.x + wide.z), k = ps_defocus_exponent(share);
+  // How far before and behind its middle what it shows in a pixel may lie: as far as the plane does that it lies in, and
+  // its neighbours, within the disk.
+  deep = -0.5 * vec3(a.z, b.z, c.z);
+  vec2 together = deep.x * ua + deep.y * ub + deep.z * uc;
+  vec3 sharp = own + vec3(low_pass, 0.0, low_pass);
+  vec2 slope_in = vec2(sharp.z * together.x - sharp.y * together.y, sharp.x * together.y - sharp.y * together.x) /
+                  (sharp.x * sharp.z - sharp.y * sharp.y);
+  float reach = length(slope_in) * sqrt(2.0 * (k + 2.0) * max(wide.x, wide.z)) + 2.0 * length(deep);
+  float weight = peak * kept * PS_PEAK, kind = PS_DEFOCUS_TRANSLUCENT;
+#ifdef PS_FUZZY
+  if (fuzzy) {
+    float area = 12.566371 * sqrt(max(own.x * own.z - own.y * own.y, 0.0)) * texelFetch(ps_share, at, 0).x;
+    weight = area * ps_defocus_peak(k, det) * (1.0 - ps_sharp(confusion));
+    kind = !ball && dot(normal, ps_is_perspective() ? p : vec3(0.0, 0.0, -1.0)) > 0.0 ? PS_DEFOCUS_BACK : 0.0;
+  } else {
+    weight = 12.566371 * sqrt(max(own.x * own.z - own.y * own.y, 0.0)) * 0.5 * peak * ps_defocus_peak(k, det);
+  }
+#else
+  weight = 12.566371 * sqrt(max(own.x * own.z - own.y * own.y, 0.0)) * 0.5 * peak * ps_defocus_peak(k, det);
+#endif
+  out_place = seen ? vec4(centre, d, weight) : vec4(0.0);
+  out_shape = seen ? vec4(vec3(wide.z, -wide.y, wide.x) / det, k + kind) : vec4(1.0, 0.0, 1.0, 0.0);
+  out_source = vec4(ps_finite(source), reach);
+#else
   out_place = seen ? vec4(centre, d, peak * kept * PS_PEAK) : vec4(0.0);
   out_shape = seen ? vec4(wide, 0.0) : vec4(1.0, 0.0, 1.0, 0.0);
   out_source = vec4(ps_finite(source), 0.0);
-#ifdef PS_KERNELS
+#if defined(PS_KERNELS) && !defined(PS_DEFOCUS)
   out_source.w = optics.w;
 #endif
-#ifdef PS_HOLDOUT
+#if defined(PS_HOLDOUT) && defined(PS_DEFOCUS)
+  out_shape.w += ps_instance_row(instance, 3).x > 0.5 ? PS_DEFOCUS_HOLDOUT : 0.0;
+#elif defined(PS_HOLDOUT)
   if (ps_instance_row(instance, 3).x > 0.5) {
     out_source = vec4(0.0, 0.0, 0.0, -1.0 - out_source.w);
   }
 #endif
-#ifdef PS_AMONG_OPAQUE
+#if defined(PS_AMONG_OPAQUE) && !defined(PS_DEFOCUS)
   // Regression of depth on the place in the picture, and what it leaves of the variance.
   deep = -0.5 * vec3(a.z, b.z, c.z);
   vec2 together = deep.x * ua + deep.y * ub + deep.z * uc;
@@ -254,6 +298,7 @@ void main()
 #endif
 #ifdef PS_TINT
   out_tint = vec4(tint, 0.0);
+#endif
 #endif
 #endif
 }

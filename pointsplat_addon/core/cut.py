@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .cloud import PointCloud
+from .defocus import BLURRED, IN_FOCUS, NODE, Blur
 from .hierarchy import Hierarchy
 from .octree import ranges
 from .scene import Camera
@@ -121,6 +122,8 @@ def select(
     cull: np.ndarray | None = None,
     margin: float = 1.0,
     band: float = 0.0,
+    blur: Blur | None = None,
+    wanted: str = "ALL",
 ) -> Cut:
     """The cut of one view.
 
@@ -128,7 +131,8 @@ def select(
     (I, 4, 4) float64. A node is drawn where its projected diameter is at most `tolerance` pixels, or up to `band`
     octaves less, a share that each node keeps (`staggered`). `cull` (I,) bool allows to leave out what faces away.
     Whatever reaches into the camera's window, widened by `margin` pixels, is kept. Instances whose transform is not
-    finite, or zero, have no splats.
+    finite, or zero, have no splats. `blur`: nodes may be as large as their disks of confusion allow (core/defocus.py);
+    `wanted`: ALL, only what may be out of focus (BLURRED), or only what may be in it, in usual nodes (SHARP).
     """
     geometry = np.asarray(geometry, np.int64)
     known = (geometry >= 0) & (geometry < len(forest.root))
@@ -144,7 +148,7 @@ def select(
     found.add_points(bare, np.zeros(len(bare), np.int64), forest.points[place[bare]])
     instance, node = instance[root >= 0], root[root >= 0]
     inside = np.zeros(len(node), bool)
-    lens = replace(lens_of(camera, tolerance, margin), band=band)
+    lens = replace(lens_of(camera, tolerance, margin), band=band, blur=blur, wanted=wanted)
     while len(node):
         pieces = [
             _step(forest, views, lens, instance[i : i + CHUNK], node[i : i + CHUNK], inside[i : i + CHUNK], found)
@@ -162,7 +166,16 @@ class Lens:
     perspective: bool
     near: float
     limit: float  # tolerance over twice the focal length: projected half size over distance
+    tolerance: float
     band: float = 0.0  # octaves by which nodes' limits lie below that, each by its own share of them
+    blur: Blur | None = None
+    wanted: str = "ALL"  # where there is a blur: ALL, BLURRED or SHARP
+
+    def disk(self, depth: np.ndarray) -> np.ndarray:
+        """World units: radius of the disks of confusion at these depths."""
+        assert self.blur is not None
+        per_pixel = 2 * self.limit / self.tolerance
+        return self.blur.radius(depth) * per_pixel * (np.abs(depth) if self.perspective else 1.0)
 
 
 @dataclass(frozen=True)
@@ -192,7 +205,7 @@ def lens_of(camera: Camera, tolerance: float, margin: float) -> Lens:
     # A far plane at infinity has no direction and excludes nothing.
     planes = np.where(length > 1e-12, planes / np.maximum(length, 1e-300), [0.0, 0.0, 0.0, np.inf])
     fx, fy, _, _ = camera.pixel_from_view()
-    return Lens(planes, camera.perspective, max(camera.near, 0.0), tolerance / (2 * max(abs(fx), abs(fy))))
+    return Lens(planes, camera.perspective, max(camera.near, 0.0), tolerance / (2 * max(abs(fx), abs(fy))), tolerance)
 
 
 def staggered(tolerance: float) -> float:
@@ -311,8 +324,13 @@ def _step(
     reach = sphere * view.scale
 
     # What is out of view or faces away is left out; `safe` are nodes of which no part can be.
-    gone, inside = against_frustum(lens, position, reach, inside)
+    away, least, most = _confusion(lens, position, reach)
+    gone, inside = against_frustum(lens, position, reach + away, inside)
     safe = inside
+    if lens.blur is not None:
+        outside = {"BLURRED": most <= IN_FOCUS, "SHARP": least >= BLURRED}.get(lens.wanted)
+        if outside is not None:
+            gone, safe = gone | outside, inside & (most < BLURRED)
     if view.culls.any():
         away, toward = _against_cone(forest, view, lens, node, center, sphere)
         gone, safe = gone | away, inside & toward
@@ -363,6 +381,24 @@ def against_frustum(
     return gone, inside
 
 
+def _confusion(
+    lens: Lens, position: np.ndarray, reach: np.ndarray
+) -> tuple[np.ndarray | float, np.ndarray, np.ndarray]:
+    """How far balls reach beyond themselves where they are blurred, in world units, and the least and the greatest
+    radius in pixels of their disks of confusion."""
+    if lens.blur is None:
+        return 0.0, np.empty(0), np.empty(0)
+    near, far = _depths(lens, position, reach)
+    least, most = lens.blur.bounds(near, far)
+    return np.maximum(lens.disk(near), lens.disk(far)) if lens.wanted != "SHARP" else 0.0, least, most
+
+
+def _depths(lens: Lens, position: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of balls, as far as they may be seen."""
+    depth = -position[2]
+    return np.maximum(depth - reach, lens.near), np.maximum(depth + reach, lens.near)
+
+
 def _against_cone(
     forest: Forest, view: _Views, lens: Lens, node: np.ndarray, center: np.ndarray, sphere: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -401,7 +437,13 @@ def _projected(
     Nodes that reach before the near plane have no size there, and are refined.
     """
     smallest = forest.smallest.take(node) * scale
-    limit = lens.limit * 2.0 ** (-lens.band * forest.lot.take(node)) if lens.band > 0 else lens.limit
+    limit = lens.limit
+    if lens.blur is not None and lens.wanted != "SHARP":
+        # Nodes of all sizes may be drawn, where the blur allows it.
+        smallest = np.zeros(len(node))
+        least, _ = lens.blur.bounds(*_depths(lens, position, size))
+        limit = limit * np.maximum(NODE * least / lens.tolerance, 1.0)
+    limit = limit * 2.0 ** (-lens.band * forest.lot.take(node)) if lens.band > 0 else limit
     if not lens.perspective:
         return size <= limit, smallest > lens.limit
     z = -position[2]

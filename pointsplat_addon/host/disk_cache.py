@@ -9,7 +9,7 @@ from pathlib import Path
 from ..core.cloud import PointCloud
 from ..core.hierarchy import LEAF_SIZE, Hierarchy, build
 from ..formats import hierarchy_cache
-from ..render.prepare import STORE
+from ..render.store import STORE
 from . import device_costs, preferences
 
 LOG = logging.getLogger(__name__)

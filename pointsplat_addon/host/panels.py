@@ -17,6 +17,8 @@ EXCLUDED = {"RENDER_PT_stereoscopy", "RENDER_PT_output_views", "MATERIAL_PT_free
 EXCLUDED_PREFIXES = ("RENDER_PT_freestyle", "VIEWLAYER_PT_freestyle", "RENDER_PT_gpencil", "RENDER_PT_grease_pencil")
 # Panels of EEVEE and Cycles that show what PointSplat does have; their names are alike in all versions.
 INCLUDED = {
+    "DATA_PT_camera_dof",
+    "DATA_PT_camera_dof_aperture",
     "DATA_PT_EEVEE_light",
     "EEVEE_MATERIAL_PT_context_material",
     "EEVEE_MATERIAL_PT_surface",
@@ -80,6 +82,20 @@ class POINTSPLAT_RENDER_PT_shadows(_Panel, bpy.types.Panel):
         settings, layout = context.scene.pointsplat, self.split_layout()
         layout.active = settings.use_shadows
         layout.prop(settings, "shadow_resolution")
+
+
+class POINTSPLAT_RENDER_PT_depth_of_field(_Panel, bpy.types.Panel):
+    bl_label = "Depth of Field"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        camera, layout = context.scene.camera, self.split_layout()
+        data = camera.data if camera is not None and camera.type == "CAMERA" else None
+        if data is not None:
+            layout.prop(data.dof, "use_dof", text="Camera")
+        row = layout.row()
+        row.active = data is not None and data.dof.use_dof
+        row.prop(context.scene.pointsplat, "dof_method", text="Method")
 
 
 class POINTSPLAT_RENDER_PT_film(_Panel, bpy.types.Panel):
@@ -193,6 +209,7 @@ CLASSES = (
     POINTSPLAT_RENDER_PT_sampling,
     POINTSPLAT_RENDER_PT_points,
     POINTSPLAT_RENDER_PT_shadows,
+    POINTSPLAT_RENDER_PT_depth_of_field,
     POINTSPLAT_RENDER_PT_film,
     POINTSPLAT_RENDER_PT_performance,
     POINTSPLAT_VIEWLAYER_PT_passes,

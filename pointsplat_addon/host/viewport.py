@@ -86,7 +86,9 @@ class Viewport:
     def _frame_for(self, scene: core.Scene, camera: core.Camera, settings: core.Settings) -> Frame:
         """The frame that accumulates this view: coarse after a change, fine once nothing has moved for a while."""
         now = time.perf_counter()
-        look = (camera.view_from_world.tobytes(), camera.clip_from_view.tobytes(), camera.window, settings)
+        look = (
+            camera.view_from_world.tobytes(), camera.clip_from_view.tobytes(), camera.window, camera.aperture, settings
+        )  # fmt: skip
         if self._frame is None or look != self._look:
             # The first picture and changes of the scene alone are drawn as they should be.
             self._coarse = self._look is not None and look != self._look

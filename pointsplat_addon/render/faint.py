@@ -24,7 +24,8 @@ from ..core.appearance import graphs_of
 from ..core.lighting import MIN_ALPHA, light_irradiance, most_scattered, relative_index
 from ..core.scene import Light, Scene, World
 from .in_view import drawn_ball
-from .prepare import STORE, Layer, PointSet, Prepared, Store
+from .prepare import Prepared
+from .store import STORE, Layer, PointSet, Store
 
 MEASURABLE = 1 / 1024  # of white
 LIGHTS, WORLD, EMISSION = MEASURABLE / 2, MEASURABLE / 4, MEASURABLE / 4  # what of it each may take

@@ -11,27 +11,32 @@ from typing import Any
 import numpy as np
 
 from ..core.cost import DEFAULT
-from ..core.scene import Camera, Scene, Settings
+from ..core.defocus import BLURRED, blur_of
+from ..core.lens import sampled
+from ..core.scene import Camera, Scene, Settings, World
 from ..core.strands import turns
 from ..shading.interface import Interface
 from .device import Device, Target, Texture
 from .faint import without_faint
 from .filtering import cryptomatte, offsets
 from .in_view import in_view
+from .lens import LensSamples, prepared_for
 from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
-from .painter import painted
+from .painter import defocused, painted
 from .parts import parted
+from .passes import defocus as defocus_pass
 from .passes import shade as shade_pass
 from .passes import translucent as translucent_pass
 from .passes.common import frame_record
 from .passes.pyramid import levels
 from .plan import make_plan
-from .prepare import STORE, prepare, triangles_of
+from .prepare import prepare, triangles_of
 from .shadows import Shadows, cast
 from .skipped import LATE, PASSES, UNKNOWN
+from .store import STORE
 from .surfels import Surfels
 from .targets import Pool, Targets
-from .technique import NAMES, NO_BLENDING, choose, reconsidered
+from .technique import NAMES, NO_BLENDING, Technique, choose, reconsidered
 from .tiles import EVERYWHERE, Adaptive, why_everywhere
 from .uploads import Kept, Uploads
 
@@ -174,33 +179,39 @@ class Frame:
             self._warnings += (f"{NAMES[request.settings.technique]} needs blending of floats, which this GPU lacks: "
                                "points are drawn in image space",)  # fmt: skip
         settings = replace(request.settings, technique=technique.name)
+        through_lens = sampled(request.camera, settings) and request.samples > 1
         self.prepared = prepare(
             scene,
-            request.camera,
+            prepared_for(scene, request.camera) if through_lens else request.camera,
             settings,
             request.samples,
             interactive=request.interactive,
             check=self.clock.check,
             costs=renderer.costs,
         )
+        self.technique = reconsidered(technique, self.prepared)
+        self.beside: Frame | None = None
+        if self.prepared.blurred is not None:
+            self.request = request = self._defocused(scene, presented)
         self.prepared, unseen = in_view(scene, self.prepared, request.camera)
         scene, reflects, self._faint = without_faint(scene, self.prepared, request.camera.view_from_world)
         self.scene = scene
-        self.technique = reconsidered(technique, self.prepared)
         self.shadows, unshadowed = self._shadows()
         blended = (request.camera, request.samples) if self.technique.name == "EWA" else None
         paints = self.technique.name == "PAINTER" and self.prepared.cut.splats > 0
         if paints:
             others = shade_pass.averaged(request.passes) or shade_pass.data(request.passes)
             self.prepared = painted(self.prepared, keep=presented or bool(others))
+        in_focus = "" if blur_of(request.camera) is None or through_lens else "nothing is out of focus"
         self.plan = make_plan(
             scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive, blended, paints,
-            reflects, unseen,
+            reflects, unseen, in_focus,
         )  # fmt: skip
         # Everything is drawn for `view`, of which the camera's window is a part.
         self.view, self.corner = _widened(request.camera, self.plan.reach(self.prepared.largest))
         self._turns = turns(request.samples)
         self._owned: list[Any] = []
+        self.lens = self._own(LensSamples(self.device, self.view, request.samples)) if through_lens else None
         self._lent: tuple[tuple, Targets] | None = None
         self._identities: list[np.ndarray] = []
         self._data: dict[str, np.ndarray] = {}
@@ -209,9 +220,10 @@ class Frame:
         self.everywhere = why_everywhere(
             request.settings,
             request.samples,
-            plan.translucent is not None,
+            plan.translucent is not None and not plan.defocus,
             self._wants_identities,
             any(len(s.thin) for s in self.prepared.lines.values()),
+            through_lens,
         )
         drawn = plan.points or plan.polygons or plan.spheres or plan.lines or plan.translucent is not None
         self._trivial = not drawn and (scene.world.image is None or scene.transparent)
@@ -249,7 +261,8 @@ class Frame:
         if not self.everywhere:
             # Two pixels of the coarsest level on either side.
             threshold = self.request.settings.adaptive_threshold
-            place = self.targets.surfels.buffer.textures["place"] if self.presented and self.targets.surfels else None
+            shown = self.presented and not plan.defocus and self.targets.surfels is not None
+            place = _bound(self.targets.surfels).get("ps_place") if shown else None
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, 2 << count, place))
         self.averages: tuple[Interface, ...] = ()
         if plan.painter and plan.points and shade_pass.averaged(passes):
@@ -261,12 +274,17 @@ class Frame:
             )
             passes = frozenset({"combined"})
         self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes, self.request.samples,
-                                                plan.ewa is not None, plan.lines)  # fmt: skip
+                                                plan.ewa is not None, plan.lines, plan.defocus)  # fmt: skip
         self.background = shade_pass.background_program(
             plan.world, self.scene.transparent, passes, plan.ewa is not None, everywhere=not plan.shaded.solid
         )
         self.lit: translucent_pass.LitSplats | None = None
-        if plan.translucent is not None:
+        self.tiles: defocus_pass.Defocus | None = None
+        if plan.translucent is not None and plan.defocus:
+            program = translucent_pass.light_program(plan.translucent, plan.lighting, plan.materials)
+            listed = self.uploads.listed
+            self.lit = self._own(translucent_pass.LitSplats(device, plan.translucent, program, listed))
+        elif plan.translucent is not None:
             program = translucent_pass.light_program(
                 plan.translucent, plan.lighting, plan.materials, self.uploads.reach_lights
             )
@@ -284,7 +302,11 @@ class Frame:
         if self.complete:
             return False
         if not self._trivial:
+            if self.lens is not None:
+                self.view = self.lens.view(self.done, self.uploads)
             device, record = self.device, self._record(self.done)
+            if self.plan.defocus:
+                record["lens"][0, :2] = self.in_focus
             region = self.adaptive.gathered if self.adaptive else EVERYWHERE
             projection, uploads = self.targets.projection, self.uploads
             first = self.done == 0
@@ -299,23 +321,29 @@ class Frame:
                 surfels.draw(uploads, shown, record, self.clock.run, region)
             if beside and data_surfels is not None and data_surfels is not surfels:
                 data_surfels.draw(uploads, projection, record, self.clock.run)
+            if self.lens is not None and first and self.presented and data_surfels is not None:
+                self.lens.keep(data_surfels.buffer.textures["place"], record)
             if self.plan.data and (first or self._wants_identities):
                 self.clock.run("data", lambda: self._draw_data(record))
                 self._read_data(first)
             if self.averages:
                 self.clock.run("averages", lambda: self._average(record))
-            if self.lit is not None:
+            if self.lit is not None and not self.plan.defocus:
                 device.clear(self.targets.layer_target)
             if surfels is not None:
                 self.clock.run("shade", lambda: self._shade(record))
             if self.plan.background:
                 self.clock.run("background", lambda: self._draw_background(record))
-            if self.lit is not None:
+            if self.lit is not None and not self.plan.defocus:
                 self._draw_translucent(self.lit, record.copy(), first)
+            if self.beside is not None:
+                self.beside.sample()
         self.done += 1
         if self.adaptive is not None and self.done < self.request.samples:
             adaptive = self.adaptive
             self.clock.run("adapt", lambda: self._adapt(adaptive))
+        if self.plan.defocus and (self.complete or (self.presented and self.done & (self.done - 1) == 0)):
+            self._defocus()
         return not self.complete
 
     def _adapt(self, adaptive: Adaptive) -> None:
@@ -332,7 +360,7 @@ class Frame:
     @property
     def color(self) -> Texture:
         """Sum of the samples so far, premultiplied, scene-linear; `present` averages."""
-        return self.targets.sums[0]
+        return self.targets.seen if self.plan.defocus else self.targets.sums[0]
 
     def _record(self, index: int) -> np.ndarray:
         camera, mist = self.view, self.scene.mist
@@ -340,6 +368,11 @@ class Frame:
         record = frame_record(camera, (float(x), float(y)))
         record["mist"][0] = mist.start, 1 / max(mist.depth, 1e-6), shade_pass.MIST_EXPONENT[mist.falloff], 0.0
         record["page"][0, 3] = len(self.scene.lights)
+        if self.plan.defocus:
+            blur, aperture = blur_of(camera), camera.aperture
+            assert blur is not None
+            assert aperture is not None
+            record["focus"][0] = blur.scale, 1 / blur.focus, 0.0, 1 / aperture.ratio
         return record
 
     def _shade(self, record: np.ndarray) -> None:
@@ -372,12 +405,12 @@ class Frame:
                 program, target, uniforms=record, textures=textures, blend=mode == "blend", over=mode == "over"
             )
 
-        # The same for all samples, but for the shadows of wide lamps, which splats blur among each other.
+        # The same for all samples, but for the shadows of wide lamps, which splats blur among each other, and the lens.
         relit = max(self.request.samples // RELIT, 1) if self.shadows is not None and self.shadows.wide else 0
-        if first or (relit and self.done % relit == 0):
+        if first or (relit and self.done % relit == 0) or self.lens is not None:
             centred = self._record(0)
             centred["focal"][0] = self.view.pixel_from_view()
-            centred["size"][0, 2] = self.done // max(relit, 1)
+            centred["size"][0, 2] = self.done // relit if relit else 0
             textures = {**self.uploads.splats, **self.uploads.shading}
             if self.uploads.reach_lights:
                 textures |= self.uploads.reach(int(centred["size"][0, 2]), centred, run)
@@ -397,6 +430,64 @@ class Frame:
             run("translucent", lambda: lit.draw(targets.layer_target, record.copy(), targets.depth))
         layer = {"ps_layer": targets.layer, **({} if targets.cut is None else {"ps_cut": targets.cut})}
         run("add", lambda: draw(self.add_program, targets.combined_target, layer, "blend"))
+
+    def _defocused(self, scene: Scene, presented: bool) -> Request:
+        """What is out of focus goes to the pass of its own name. Passes that know no blur are another picture's,
+        without light; returns what is left for this one."""
+        request = self.request
+        self.prepared = defocused(self.prepared)
+        if self.technique.name == "PAINTER":
+            self.technique = Technique("IMAGE_SPACE", "the pass defocus paints")
+        others = request.passes - {"combined"}
+        if presented or shade_pass.averaged(others) or shade_pass.data(others) or others & set(CRYPTO):
+            samples = request.samples if shade_pass.averaged(others) or others & set(CRYPTO) else 1
+            settings = replace(request.settings, use_shadows=False, use_adaptive_sampling=False)
+            camera = replace(request.camera, aperture=None)
+            unlit = replace(scene, lights=(), world=World(), transparent=True)
+            beside = replace(request, camera=camera, settings=settings, passes=others, samples=samples)
+            self.beside = Frame(self.renderer, unlit, beside, self.clock.cancelled, presented)
+            self.beside.clock.slow = False
+        return replace(request, passes=frozenset({"combined"}))
+
+    @property
+    def in_focus(self) -> tuple[float, float]:
+        """Depths between which something may be."""
+        blur = blur_of(self.view)
+        assert blur is not None
+        near, far = blur.depths(BLURRED)
+        return max(self.view.near, near), min(self.view.far, far)
+
+    def _defocus(self) -> None:
+        """The picture from what is in focus, so far, and all that is not."""
+        plan, targets, run = self.plan, self.targets, self.clock.run
+        assert plan.translucent is not None
+        record = self._record(0)
+        record["focal"][0] = self.view.pixel_from_view()
+        record["mist"][0, 3] = 1 / self.done
+        lit = self.lit
+        if self.tiles is None:
+            assert lit is not None
+            run("light", lambda: lit.light(record.copy(), {**self.uploads.splats, **self.uploads.shading}))
+            run("tiles", lambda: self._list_tiles(lit, record))
+        tiles = self.tiles
+        assert lit is not None
+        assert tiles is not None
+        adaptive = self.adaptive
+        program = defocus_pass.defocus_program(
+            plan.world, self.scene.transparent, plan.translucent.tint, plan.translucent.holdout,
+            adaptive is not None, tiles.tile,
+        )  # fmt: skip
+        textures = {**self.uploads.shading, "ps_focused": targets.sums[0], "ps_focus": targets.focus}
+        if adaptive is not None:
+            textures["ps_counts"] = adaptive.known
+        run("defocus", lambda: tiles.draw(program, targets.seen_target, record, lit.textures, textures))
+
+    def _list_tiles(self, lit: translucent_pass.LitSplats, record: np.ndarray) -> None:
+        place, shape = (
+            self.device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_place", "ps_shape")
+        )
+        lists = defocus_pass.tile_lists(place, shape, record["focal"][0].astype(np.float64), self.view.window[2:])
+        self.tiles = self._own(defocus_pass.Defocus(self.device, lists))
 
     def _draw_data(self, record: np.ndarray) -> None:
         camera = self.view
@@ -443,12 +534,19 @@ class Frame:
         record["mist"][0, 3] = 1 / max(self.done, 1)
         record["previous"][0] = m[2, 2], m[2, 3], m[3, 2], m[3, 3]
         place = _bound(self.targets.data_surfels).get("ps_place")
-        textures = {"ps_combined": self.targets.sums[0]}
-        if self.adaptive is not None:
-            textures["ps_counts"], place = self.adaptive.known, self.adaptive.place
+        if self.beside is not None and not self.beside._trivial:
+            place = _bound(self.beside.targets.data_surfels).get("ps_place")
+        textures = {"ps_combined": self.color}
+        adaptive = None if self.plan.defocus else self.adaptive
+        if self.plan.defocus:
+            record["mist"][0, 3] = 1.0
+        elif adaptive is not None:
+            textures["ps_counts"], place = adaptive.known, adaptive.place
+        if self.lens is not None and self.lens.place is not None:
+            place = self.lens.place
         if place is not None:
             textures["ps_place"] = place
-        program = shade_pass.present_program(place is not None, self.adaptive is not None)
+        program = shade_pass.present_program(place is not None, adaptive is not None)
         self.device.draw(program, None, uniforms=record, textures=textures)
 
     def _present_constant(self) -> None:
@@ -474,10 +572,11 @@ class Frame:
         if self._trivial:
             return self._empty_pixels(wanted, width, height)
         out: dict[str, np.ndarray] = {}
-        names = ("combined", *shade_pass.averaged(self.request.passes))
+        names = ("combined", *(() if self.plan.defocus else shade_pass.averaged(self.request.passes)))
         samples = max(self.done, 1) if self.adaptive is None else self._window(self.adaptive.samples(self.done))
-        for name, texture in zip(names, self.targets.sums, strict=True):
-            mean = self._cropped(texture) / samples
+        sums = [self.color] if self.plan.defocus else self.targets.sums
+        for name, texture in zip(names, sums, strict=True):
+            mean = self._cropped(texture) / (1 if self.plan.defocus else samples)
             out[name] = np.ascontiguousarray(mean[..., : BY_KEY[name].channels])
         data = self._data
         if "position" in data:
@@ -497,7 +596,10 @@ class Frame:
                     out |= self._cryptomatte(key, column, table)
         found = {key: array for key, array in out.items() if key in wanted or key.startswith(CRYPTO)}
         missing = frozenset(key for key in wanted if not {key, f"{key}00"} & found.keys())
-        return found | self._empty_pixels(missing, width, height)
+        found |= self._empty_pixels(missing, width, height)
+        if self.beside is not None:
+            found |= {name: array for name, array in self.beside.pixels().items() if name != "combined"}
+        return found
 
     def _cryptomatte(self, key: str, column: int, table: np.ndarray | None) -> dict[str, np.ndarray]:
         known = np.zeros(len(self.scene.instances), np.uint32) if table is None else table.astype(np.uint32)
@@ -578,6 +680,8 @@ class Frame:
         for item in self._owned:
             item.release()
         self._owned.clear()
+        if self.beside is not None:
+            self.beside.release()
         if self._lent is not None:
             self.renderer.pool.give_back(*self._lent)
         self._lent = None

@@ -11,7 +11,8 @@ from ..core import sampling
 from ..core.cut import Cut, all_finite, largest_singular_value
 from ..core.instances import visible
 from ..core.scene import Camera, Scene
-from .prepare import STORE, Layer, PointSet, Prepared, Store, mesh_ball, set_ball
+from .prepare import Prepared, mesh_ball, set_ball
+from .store import STORE, Layer, PointSet, Store
 
 MARGIN = 8.0  # pixels: kernels end this far outside of what they cover, at most
 OUT_OF_VIEW, CLEAR = "nothing of it is in view", "nothing of it hides or emits light"
@@ -22,9 +23,11 @@ def in_view(scene: Scene, prepared: Prepared, camera: Camera, store: Store = STO
     """The same without layers that cannot be seen, and why by their names: points, translucent, spheres, polygons.
 
     A layer goes or stays as a whole: were its sets to come and go by themselves, pages would be uploaded again whenever
-    one does. Lenses blur what is beside the picture into it: with one, only what is clear goes.
+    one does. Lenses blur what is beside the picture into it: with one, only what is clear goes, or nothing.
     """
     gone: dict[str, str] = {}
+    if prepared.blurred is not None:
+        return prepared, gone
     sharp = camera.aperture is None
     for name, layer in (("points", prepared), ("translucent", prepared.translucent), ("spheres", prepared.spheres)):
         if layer.cut.splats == 0:

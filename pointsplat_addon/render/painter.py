@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.cut import Cut
-from .prepare import Layer, Prepared
+from .prepare import Prepared
+from .store import Layer
 
 
 def painted(prepared: Prepared, keep: bool) -> Prepared:
@@ -40,3 +41,11 @@ def _joined(cuts: list[Cut]) -> Cut:
     order = np.argsort(instance, kind="stable")
     nodes, points, culled = (sum(getattr(cut, name) for cut in cuts) for name in ("nodes", "points", "culled"))
     return Cut(instance[order], first[order], count[order], nodes, points, culled)
+
+
+def defocused(prepared: Prepared) -> Prepared:
+    """The same with what is out of focus among what is translucent."""
+    blurred = prepared.blurred
+    assert blurred is not None
+    both = _together(blurred, prepared.translucent) if len(prepared.translucent.cut.count) else blurred
+    return replace(prepared, translucent=both, shares=blurred.shares)

@@ -12,7 +12,7 @@ from ..core import volumes
 from ..core.appearance import digest, passing, split_translucent
 from ..core.cloud import PointCloud
 from ..core.scene import Geometry, Instances, MaterialTable, Scene, Volume
-from .prepare import STORE, Store
+from .store import STORE, Store
 
 
 def parted(scene: Scene, store: Store = STORE) -> tuple[Scene, tuple[str, ...]]:

@@ -48,6 +48,7 @@ class Plan:
     ewa: ewa.EwaOptions | None = None  # points are drawn by EWA; None: in image space
     world: tuple[str, ...] = ()  # and of what is behind it
     painter: bool = False  # opaque points are painted: what the G-buffer holds of them is for other passes alone
+    defocus: bool = False  # what is translucent is drawn along with what is out of focus: passes/defocus.py
 
     @property
     def solid(self) -> bool:
@@ -77,18 +78,21 @@ def make_plan(
     painter: bool = False,
     reflects: bool = True,
     unseen: Mapping[str, str] = MappingProxyType({}),
+    in_focus: str = "",
 ) -> Plan:
     """The plan for one view of a scene. `unshadowed`: why there are no shadows. `blended`: points are drawn by EWA, for
     this camera and number of samples. `painter`: opaque points are painted (render/painter.py). `reflects`: something
-    that is drawn reflects light. `unseen`: kinds of things that are left out, and why (render/in_view.py)."""
+    that is drawn reflects light. `unseen`: kinds of things that are left out, and why (render/in_view.py). `in_focus`:
+    why nothing is out of focus; prepared.blurred is None."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
     lines = len(prepared.lines) > 0
     behind = [p.cloud for p in prepared.translucent.point_sets.values()]
+    defocus = prepared.blurred is not None
     solid = polygons or spheres or lines or (points and not painter)
     held = np.zeros(len(scene.instances), bool) if scene.instances.holdout is None else scene.instances.holdout
     cut = bool(held[prepared.translucent.set_of_instance >= 0].any())
-    translucent = translucent_options(behind, scene.materials, solid, cut) if behind else None
+    translucent = translucent_options(behind, scene.materials, solid, cut, defocus) if behind else None
     drawn = solid or translucent is not None
     graphs = _graphs(scene, prepared)
     channels = {name for graph in graphs for name in graph.channels}
@@ -137,19 +141,20 @@ def make_plan(
     )
     plan = Plan(
         points, polygons, spheres, lines, variant, data_variant, options, lighting, materials,
-        background=not scene.transparent or "mist" in passes, data=(solid or points) and bool(data(passes)),
+        background=(not scene.transparent or "mist" in passes) and not defocus,
+        data=(solid or points) and bool(data(passes)),
         translucent=translucent,
-        coarse=interactive and translucent is not None
+        coarse=interactive and translucent is not None and not defocus
         and not (translucent.tint or translucent.holdout or translucent.fuzzy),
         ewa=None if blended is None or not points else ewa.options(
             blended[0], prepared.largest, any(p.cloud.normal is None for p in prepared.point_sets.values()), blended[1]
         ),
         world=() if scene.transparent else world,
-        painter=painter,
+        painter=painter, defocus=defocus,
     )  # fmt: skip
     asked = {"data": bool(data(passes)), "averaged": bool(averaged(passes))}
     unshadowed = "" if shadows is not None else unshadowed or "nothing casts shadows"
-    return replace(plan, skipped=tuple(reasons(plan, asked, unshadowed, unseen).items()))
+    return replace(plan, skipped=tuple(reasons(plan, asked, unshadowed, unseen, in_focus).items()))
 
 
 def _graphs(scene: Scene, prepared: Prepared) -> list[MaterialGraph]:

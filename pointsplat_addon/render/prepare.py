@@ -6,12 +6,8 @@ all views and frames share. Only the cut depends on the view.
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -21,14 +17,18 @@ from ..core.appearance import digest, passing, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
 from ..core.cost import DEFAULT, Costs
 from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_value, select, staggered
-from ..core.hierarchy import Hierarchy, build, recolor, refit
+from ..core.defocus import blur_of
+from ..core.hierarchy import Hierarchy, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
+from ..core.lens import sampled
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
 from ..core.spacing import EXACT_INSTANCES, PART, make_parts, required_spacing
 from ..core.strands import Segments, clean, together
 from ..core.strands import select as select_segments
 from ..core.vectors import dot, each_block
+from .blurred import Blurred, Focus
 from .hybrid import Divided, PartSamples, Shown, sample_parts, show
+from .store import STORE, Layer, PointSet, Store
 
 # Of meshes whose instances are many, AUTO draws polygons where the typical triangle's edge spans more pixels than this.
 POLYGON_PIXELS = 4.0
@@ -41,34 +41,12 @@ SMALL_SHARED = 0.5
 EXACT_TRIANGLES = 4 << 20  # of all instances: so many are asked one by one what they need
 WIDE_BALL = 2.0  # pixels of radius: means of wider balls that overlap would show
 MANY_TRIANGLES = 1 << 14  # of one mesh: fewer are all looked at in no time
+FEW_POINTS = 1 << 12  # blurred points without nodes cost less than nodes do
 MANY_INSTANCES = 16  # of one hierarchy: so many share cuts
 SHARED_CELLS = 128  # samples across a geometry whose instances are many: outlines grow by half a percent
 MOST_BARE = 1 << 24  # splats of all instances together: what draws more waits for its hierarchy
 COARSEST_OCTAVE = 6  # beyond it, the few samples that are left cost less than another cloud
 VERTEX_PIXELS = 2.0  # vertices are samples enough where no edge spans more; with pictures on them, one sample a pixel
-
-
-@dataclass(frozen=True, eq=False)
-class PointSet:
-    """Splats of one geometry: all points, or points and nodes."""
-
-    key: tuple
-    cloud: PointCloud
-    hierarchy: Hierarchy | None = None
-    family: tuple = ()  # what other poses of the same samples share
-
-    def __len__(self) -> int:
-        return len(self.cloud) + (len(self.hierarchy) if self.hierarchy else 0)
-
-
-@dataclass(frozen=True, eq=False)
-class Layer:
-    """Points that one view draws together."""
-
-    # By geometry row; coarser ones of the same geometry, for instances farther away, follow after all rows.
-    point_sets: dict[int, PointSet]
-    set_of_instance: np.ndarray  # (I,) int: key of point_sets; -1: not drawn as points
-    cut: Cut
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,92 +63,9 @@ class Prepared(Layer):
     # By instance: the parts (core/spacing.py) that are drawn as polygons, rising; absent: all.
     parts: dict[int, np.ndarray] = field(default_factory=dict)
     lines: dict[int, Segments] = field(default_factory=dict)  # segments of strands, by geometry row
-
-
-@dataclass
-class Store:
-    """Clouds and hierarchies by content, least recently used first; shared by threads."""
-
-    limit: int = 4 << 30  # bytes
-    nbytes: int = 0
-    build: Callable[[PointCloud], Hierarchy] = build  # or one that knows hierarchies from before
-    _items: OrderedDict[tuple, tuple[Any, int]] = field(default_factory=OrderedDict)
-    _spacing: dict[tuple, float] = field(default_factory=dict)
-    _lock: threading.RLock = field(default_factory=threading.RLock)
-    _worker: ThreadPoolExecutor | None = None
-    _pending: dict[tuple, Future] = field(default_factory=dict)
-
-    def __contains__(self, key: tuple) -> bool:
-        with self._lock:
-            return key in self._items
-
-    def lookup(self, key: tuple, make: Callable[[], Any]) -> Any:
-        """What is kept under `key`, made first where there is nothing. Two threads may make it; the first one stays."""
-        with self._lock:
-            if key in self._items:
-                self._items.move_to_end(key)
-                return self._items[key][0]
-        item = make()
-        with self._lock:
-            if key not in self._items:
-                self._items[key] = item, _nbytes(item)
-                self.nbytes += self._items[key][1]
-                self._trim()
-            return self._items[key][0] if key in self._items else item
-
-    def later(self, key: tuple, make: Callable[[], Any]) -> None:
-        """Have `make` run on a thread of the store's own, once; `key` is there when it has."""
-        with self._lock:
-            if key in self._items or key in self._pending:
-                return
-            self._worker = self._worker or ThreadPoolExecutor(1, thread_name_prefix="PointSplat builds")
-            self._pending[key] = self._worker.submit(self._build, key, make)
-
-    def _build(self, key: tuple, make: Callable[[], Any]) -> None:
-        try:
-            self.lookup(key, make)
-        finally:
-            with self._lock:
-                self._pending.pop(key, None)
-
-    @property
-    def building(self) -> bool:
-        with self._lock:
-            return bool(self._pending)
-
-    def finest(self, key: tuple, spacing: float) -> float:
-        """The finer of `spacing` and what was asked for `key` before: samples are only ever refined."""
-        with self._lock:
-            self._spacing[key] = min(spacing, self._spacing.get(key, np.inf))
-            return self._spacing[key]
-
-    def clear(self) -> None:
-        """Forget everything; what is being built is finished first."""
-        with self._lock:
-            worker, self._worker = self._worker, None
-        if worker is not None:
-            worker.shutdown(wait=True, cancel_futures=True)
-        with self._lock:
-            self._items.clear()
-            self._spacing.clear()
-            self._pending.clear()
-            self.nbytes = 0
-
-    def _trim(self) -> None:
-        while self.nbytes > self.limit and len(self._items) > 1:
-            _, (_, size) = self._items.popitem(last=False)
-            self.nbytes -= size
-
-
-def _nbytes(item: Any) -> int:
-    """Bytes of the arrays that an item, or the items of a tuple, hold."""
-    if isinstance(item, tuple):
-        return sum(_nbytes(part) for part in item)
-    size = getattr(item, "nbytes", 0)
-    return int(size) if isinstance(size, int | np.integer) else 0
-
-
-STORE = Store()
+    blurred: Blurred | None = None  # what is out of focus; all else then holds what is not
+    # Where `translucent` holds what is out of focus, too, of its sets what of its ellipse each splat covers.
+    shares: dict[int, np.ndarray | float] = field(default_factory=dict)
 
 
 def prepare(
@@ -206,15 +101,20 @@ class _View:
     warnings: list[str] = field(default_factory=list)
     ranges: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)  # of points, by instance
     parts: dict[int, np.ndarray] = field(default_factory=dict)  # that are polygons, by instance
+    focus: Focus | None = None  # something may be out of it
 
     def prepared(self) -> Prepared:
         scene, camera, instances = self.scene, self.camera, self.scene.instances
         with np.errstate(all="ignore"):
             view_from_object = camera.view_from_world @ instances.world_from_object
         usable = all_finite(view_from_object)
+        blur = blur_of(camera) if self.settings.dof_method == "SPLAT" else None
+        if blur is not None:
+            self.focus = Focus(scene, camera, blur, self.settings.tolerance, self.store, view_from_object)
         opaque, translucent, spheres = (({}, np.full(len(instances), -1)) for _ in range(3))
         polygons: list[np.ndarray] = []
-        divided = self._divided(view_from_object, usable)
+        # Parts of meshes are all points or all polygons where either may be out of focus.
+        divided = {} if self.focus else self._divided(view_from_object, usable)
         lines = self._lines(view_from_object, usable)
         for row, geometry in enumerate(scene.geometries):
             where = np.flatnonzero(usable & (instances.geometry == row))
@@ -255,8 +155,12 @@ class _View:
                     point_sets[key] = points if split else self._with_hierarchy(points, view_from_object[where[some]])
                     set_of_instance[where[some]] = key
         total = sum(int(_counts(sets)[which].sum()) for sets, which in (opaque, translucent, spheres))
+        drawn = np.concatenate(polygons) if polygons else np.empty(0, np.int64)
+        if self.focus is not None:
+            drawn = self._focused(self.focus, opaque, spheres, drawn)
         largest = _largest(opaque[1], opaque[0], view_from_object, camera, self.store)
-        layer, behind = (self._layer(sets, which, view_from_object) for sets, which in (opaque, translucent))
+        layer = self._layer(*opaque, view_from_object, "SHARP")
+        behind = self._layer(*translucent, view_from_object, "ALL")
         largest = max(largest, self.settings.tolerance if layer.cut.nodes else 0.0)
         balls = Layer(*spheres, fully(_counts(spheres[0]), spheres[1]))
         return Prepared(
@@ -265,14 +169,75 @@ class _View:
             layer.cut,
             behind,
             balls,
-            np.concatenate(polygons) if polygons else np.empty(0, np.int64),
+            drawn,
             view_from_object,
             largest,
             total,
             tuple(dict.fromkeys(self.warnings)),
             self.parts,
             lines,
+            self.focus.layer() if self.focus is not None and (self.focus.sets or len(behind.cut.count)) else None,
         )
+
+    def _focused(
+        self,
+        focus: Focus,
+        opaque: tuple[dict[int, PointSet], np.ndarray],
+        spheres: tuple[dict[int, PointSet], np.ndarray],
+        polygons: np.ndarray,
+    ) -> np.ndarray:
+        """Gives `focus` what may be out of focus of all that is opaque, and takes out of the others what is so as a
+        whole. Returns the polygons (P,) that are left."""
+        geometries, geometry_of = self.scene.geometries, self.scene.instances.geometry
+        for sets, set_of_instance in (opaque, spheres):
+            for key, points in list(sets.items()):
+                where = np.flatnonzero(set_of_instance == key)
+                middle, far, radius = _extent(points, self.store)
+                inside, outside = focus.reaches(where, middle, far + radius)
+                if outside.any():
+                    areas = self._areas(geometries[geometry_of[where[0]]], points)
+                    sets[key] = points = self._with_nodes(points, always=areas is None)
+                    focus.add_points(where[outside], points, areas)
+                set_of_instance[where[~inside]] = -1
+                if not inside.any():
+                    del sets[key]
+        kept = []
+        for row in np.unique(geometry_of[polygons]).tolist():
+            geometry, where = geometries[row], polygons[geometry_of[polygons] == row]
+            mesh = geometry.mesh
+            assert mesh is not None
+            ok = self._valid(geometry, mesh)
+            middle, radius = self.store.lookup(("bounds", geometry.key), lambda mesh=mesh, ok=ok: _bounds(mesh, ok))
+            inside, outside = focus.reaches(where, middle, radius)
+            self.check()
+            focus.add_mesh(where[outside], geometry, mesh, ok)
+            kept.append(where[inside])
+        return np.concatenate([np.empty(0, np.int64), *kept])
+
+    def _with_nodes(self, points: PointSet, always: bool) -> PointSet:
+        """Points with a hierarchy, where they are so many that blurred ones are worth leaving out, or `always`."""
+        if points.hierarchy is not None or (len(points.cloud) < FEW_POINTS and not always):
+            return points
+        points, store = self._filled(points), self.store
+        key = ("hierarchy", *points.key)
+        return replace(points, key=key, hierarchy=store.lookup(key, lambda: _hierarchy(points, store)))
+
+    def _areas(self, geometry: Geometry, points: PointSet) -> Callable[[], np.ndarray] | None:
+        """What each sample of a mesh stands for, in object units squared; None: it is not known."""
+        mesh, key = geometry.mesh, points.key
+        while key and key[0] in ("hierarchy", "filled"):
+            key = key[1:-1] if key[0] == "filled" else key[1:]
+        if mesh is None or not key or key[0] != "samples":
+            return None
+        _, _, _, method, spacing = key
+        shape = (mesh.topology or geometry.key, geometry.name)
+        if ("places", shape, method, spacing) not in self.store:
+            return None
+        samples, _ = self.store.lookup(("places", shape, method, spacing), lambda: None)
+        if len(samples) != len(points.cloud):
+            return None
+        ok = self._valid(geometry, mesh)
+        return lambda: sampling.areas(mesh, samples, ok)
 
     def _lines(self, view_from_object: np.ndarray, usable: np.ndarray) -> dict[int, Segments]:
         """The segments of strands that this view draws, by geometry row."""
@@ -584,10 +549,11 @@ class _View:
         return replace(points, key=key, cloud=made, family=(*points.family, held) if points.family else ())
 
     def _layer(
-        self, point_sets: dict[int, PointSet], set_of_instance: np.ndarray, view_from_object: np.ndarray
+        self, point_sets: dict[int, PointSet], set_of_instance: np.ndarray, view_from_object: np.ndarray, wanted: str
     ) -> Layer:
         """Some point sets and their cut. Where instances of one are many, they share cuts, which are sets of their own;
-        those out of view are left out, and the matrices of those that stand for others are enlarged in place."""
+        those out of view are left out, and the matrices of those that stand for others are enlarged in place. `wanted`:
+        see core.cut.select."""
         tolerance, camera = self.settings.tolerance, self.camera
         sets, shared = dict(point_sets), []
         own = set_of_instance.copy()
@@ -599,7 +565,7 @@ class _View:
                 shared.append(Cut(at, first, count, points=int(count.sum())))
         for key, points in point_sets.items():
             where = np.flatnonzero(set_of_instance == key)
-            if len(where) < MANY_INSTANCES:
+            if len(where) < MANY_INSTANCES or self.focus:
                 continue
             views, levels = view_from_object[where], self._levels(points)
             if levels is None:
@@ -622,7 +588,7 @@ class _View:
             if not (set_of_instance == key).any():
                 del sets[key]
         rest = {key: points for key, points in point_sets.items() if (own == key).any()}
-        return Layer(sets, set_of_instance, joined([self._cut(rest, own, view_from_object), *shared]))
+        return Layer(sets, set_of_instance, joined([self._cut(rest, own, view_from_object, wanted), *shared]))
 
     def _levels(self, points: PointSet) -> Levels | None:
         hierarchy = points.hierarchy
@@ -630,7 +596,9 @@ class _View:
             return None
         return self.store.lookup(("levels of", *points.key), lambda: make_levels(hierarchy))
 
-    def _cut(self, point_sets: dict[int, PointSet], set_of_instance: np.ndarray, view_from_object: np.ndarray) -> Cut:
+    def _cut(
+        self, point_sets: dict[int, PointSet], set_of_instance: np.ndarray, view_from_object: np.ndarray, wanted: str
+    ) -> Cut:
         if not any(points.hierarchy for points in point_sets.values()):
             return fully(_counts(point_sets), set_of_instance)
         key = ("forest", *((row, points.key) for row, points in point_sets.items()))
@@ -639,10 +607,14 @@ class _View:
         )
         scene = self.scene
         cull = np.array([bool(scene.materials.cull[_rows(g)].all()) for g in scene.geometries], bool)
-        cull = cull[scene.instances.geometry]
+        # What turns its back to the middle of the lens may face its rim.
+        cull = cull[scene.instances.geometry] & (not sampled(self.camera, self.settings))
         tolerance = self.settings.tolerance
         band = staggered(tolerance)
-        return select(trees, set_of_instance, view_from_object, self.camera, tolerance, cull, band=band)
+        blur = self.focus.blur if self.focus else None
+        return select(
+            trees, set_of_instance, view_from_object, self.camera, tolerance, cull, band=band, blur=blur, wanted=wanted
+        )
 
     def _wide(self, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:
         """(I,) bool: instances whose typical splat is a ball that is wide on the screen."""

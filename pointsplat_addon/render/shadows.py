@@ -23,8 +23,9 @@ from ..core.shadow_casters import Pieces, pieces
 from ..core.shadow_cells import NARROW, rotation
 from ..core.shadow_samples import Outline, outline, places, sampled
 from ..core.strands import Strands, clean
-from .prepare import MANY_INSTANCES, Store, given
+from .prepare import MANY_INSTANCES, given
 from .shadow_pages import PackedTables, pack
+from .store import Store
 
 MOST_TOGETHER = 1 << 22  # points of many instances of one mesh: where they have more, nodes stand for them
 MOST_SAMPLES = 1 << 20  # of all meshes together; where more would be needed, the largest are sampled more coarsely

@@ -29,6 +29,8 @@ PASSES: dict[str, str] = {
     "background": "the world where nothing else is",
     "reach": "how much of each lamp's light reaches translucent splats, for all views",
     "light": "translucent splats lit, once for a view",
+    "tiles": "splats out of focus listed by the tiles that they blur into, on the processor",
+    "defocus": "what is out of focus, gathered by each pixel over what is in focus",
     "opaque depth": "what hides translucent splats",
     "translucent": "splats blended back to front",
     "enlarge": "a coarse translucent picture to the size of the fine one",
@@ -45,11 +47,14 @@ LATE = {
 UNKNOWN = "no sample came so far"
 
 
-def reasons(plan: Plan, asked: Mapping[str, bool], unshadowed: str, unseen: Mapping[str, str]) -> dict[str, str]:
+def reasons(
+    plan: Plan, asked: Mapping[str, bool], unshadowed: str, unseen: Mapping[str, str], in_focus: str
+) -> dict[str, str]:
     """Why each pass that a plan leaves out is not needed, by its name.
 
     `asked`: whether a pass of "data" is asked for, and one that is "averaged" beside Combined. `unshadowed`: why no
     lamp has a table of shadows; empty where one has. `unseen`: why kinds of things are left out (render/in_view.py).
+    `in_focus`: why nothing is out of focus, beyond that the camera has no lens.
     """
     found = {"shadows": unshadowed} if unshadowed else {}
     found |= _of_points(plan, unseen.get("points", "nothing is drawn as points"))
@@ -66,7 +71,9 @@ def reasons(plan: Plan, asked: Mapping[str, bool], unshadowed: str, unseen: Mapp
     if not plan.shaded.solid:
         found["shade"] = "points are painted" if plan.painter else "nothing opaque is drawn"
     if not plan.background:
-        found["background"] = "the film is transparent"
+        found["background"] = "the pass defocus draws the world" if plan.defocus else "the film is transparent"
+    if not plan.defocus:
+        found |= dict.fromkeys(("tiles", "defocus"), in_focus or "the camera has no depth of field")
     return found | _of_translucent(plan, not unshadowed, unseen.get("translucent", "nothing is translucent"))
 
 
@@ -84,6 +91,9 @@ def _of_points(plan: Plan, none: str) -> dict[str, str]:
 def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
     if plan.translucent is None:
         return dict.fromkeys(TRANSLUCENT, none)
+    if plan.defocus:
+        drawn = (name for name in TRANSLUCENT if name != "light")
+        return dict.fromkeys(drawn, "the pass defocus draws what is translucent")
     found = {}
     if not shadowed:
         found["reach"] = "no lamp casts shadows on it"

@@ -40,6 +40,12 @@ class Targets:
         self.sum_target: Target = self._own(device.target(self.sums))
         # What is translucent lies over the finished picture of each sample, which is then added to the sums.
         self.shade_target: Target = self.sum_target
+        if plan.defocus:
+            # What is in focus has its depth beside it, and the picture is made of it and of all else at the end.
+            self.focus: Texture = self._own(device.texture(size, "RGBA32F"))
+            self.sum_target = self.shade_target = self._own(device.target([*self.sums, self.focus]))
+            self.seen: Texture = self._own(device.texture(size, "RGBA32F"))
+            self.seen_target: Target = self._own(device.target([self.seen]))
         if plan.painter and plan.points:
             # Passes that are not painted have a G-buffer of their own.
             self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
@@ -47,7 +53,7 @@ class Targets:
                 self.averages_target: Target = self._own(device.target(self.sums[1:]))
         self.layer: Texture | None = None
         self.depth: Texture | None = None
-        if plan.translucent is not None:
+        if plan.translucent is not None and not plan.defocus:
             self.layer = layer = self._own(device.texture(size, "RGBA32F"))
             # The share of a pixel's alpha that holdouts take away.
             self.cut: Texture | None = self._own(device.texture(size, "RGBA32F")) if plan.translucent.holdout else None
@@ -91,7 +97,7 @@ class Pool:
     def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
         """Targets for a plan, and the key to give them back with."""
         key = (size, count, plan.points, plan.ewa, plan.polygons, plan.spheres, plan.lines, plan.variant, plan.options,
-               plan.painter and plan.data_variant,
+               plan.painter and plan.data_variant, plan.defocus,
                shade_pass.averaged(passes),
                None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),
                (plan.data_variant, shade_pass.data(passes)) if plan.data else None)  # fmt: skip

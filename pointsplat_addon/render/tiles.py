@@ -33,7 +33,9 @@ CONVERGE = Interface(
 )  # fmt: skip
 
 
-def why_everywhere(settings: Settings, samples: int, translucent: bool, identities: bool, thin: bool) -> str:
+def why_everywhere(
+    settings: Settings, samples: int, translucent: bool, identities: bool, thin: bool, lens: bool = False
+) -> str:
     """Why every pixel gets all samples; empty where some may not."""
     if not settings.use_adaptive_sampling:
         return "adaptive sampling is switched off"
@@ -43,6 +45,8 @@ def why_everywhere(settings: Settings, samples: int, translucent: bool, identiti
         return "translucent splats cover the picture in each sample"
     if thin:
         return "strands thinner than a pixel are drawn in a share of all samples"
+    if lens:
+        return "samples through other places on the lens show what the first ones do not"
     return "Cryptomatte counts all samples" if identities else ""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,9 @@ from .passes import shade as shade_pass
 from .passes import translucent as translucent_pass
 from .passes.points import Page, PageDraw, blocks, instance_rows, with_origin
 from .plan import Plan
-from .prepare import STORE, Layer, PointSet, Prepared
+from .prepare import Prepared
 from .shadows import Shadows
+from .store import STORE, Layer, PointSet
 
 OWN_PAGE = 4 << 20  # splats: larger sets get a page of their own, so that small changes upload little
 DEVICE_LIMIT = 4 << 30  # bytes of geometry that stay on the device after their frame
@@ -78,6 +79,10 @@ class Uploads:
         self.scene, self.camera, self.prepared, self.plan = scene, camera, prepared, plan
         self.used: set[tuple] = set()
         self._owned: list[Any] = []
+        self._of_view: list[Texture] = []
+        self._packed = None if shadows is None else shadows.packed
+        self._one: dict[str, Any] = {}  # the only instance of points, as uniforms
+        self.shared: dict[str, Texture] = {}
         self.lights: Texture | None = None
         self.environment: Texture | None = None
         self.previous: Texture | None = None
@@ -116,10 +121,31 @@ class Uploads:
             self.draws = draws
             self._owned.extend(draw.blocks for draw in draws)
 
+    def move(self, view_from_middle: np.ndarray, camera: Camera) -> None:
+        """Make anew what depends on the view alone, for a camera that is prepared for too. `view_from_middle` (4, 4):
+        its view space from that of the camera that all was uploaded for."""
+        self._release_view()
+        self.camera = camera
+        self.prepared = replace(self.prepared, view_from_object=view_from_middle @ self._middle)
+        self._upload_view()
+        self.draws = [*self.draws]  # who keeps what it projected of them sees that they are others
+
     def release(self) -> None:
+        self._release_view()
         for item in self._owned:
             item.release()
         self._owned.clear()
+
+    def _release_view(self) -> None:
+        for texture in self._of_view:
+            texture.release()
+        self._of_view.clear()
+
+    def _for_view(self, rows: np.ndarray) -> Texture:
+        """(H, W, 4) or (N, 4) float32 as a texture that is released with the view."""
+        size, data = ((rows.shape[1], rows.shape[0]), rows.reshape(-1)) if rows.ndim == 3 else paged(rows, 4)
+        self._of_view.append(self.device.texture(size, "RGBA32F", data))
+        return self._of_view[-1]
 
     def _own(self, item: Any) -> Any:
         self._owned.append(item)
@@ -128,31 +154,52 @@ class Uploads:
     def _upload(self, motion: bool, shadows: Shadows | None) -> None:
         scene, plan, device = self.scene, self.plan, self.device
         table = shade_pass.material_rows(scene.materials, self._escape())
-        self.shared: dict[str, Texture] = {}
         if plan.solid or plan.translucent is not None:
             self.shared["ps_materials"] = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
-        if plan.lighting or plan.world:
-            roughness, eta = table[0, 2, 1], table[0, 2, 3]
-            lights = light_texture(scene.lights, scene.world, self.camera.view_from_world, roughness, eta)
-            size = (lights.shape[1], lights.shape[0])
-            self.lights = self._own(device.texture(size, "RGBA32F", lights.reshape(-1)))
+        self._surface = float(table[0, 2, 1]), float(table[0, 2, 3])
+        self._middle = self.prepared.view_from_object
         if "PS_HAS_ENVIRONMENT" in (*plan.lighting, *plan.world) and scene.world.image is not None:
             self.environment = self._environment(scene.world.image)
         if shadows is not None:
             self._upload_shadows(shadows)
         if plan.points or plan.spheres:
-            one = self._transforms()
-            self.draws = self._point_draws(self.prepared, one)
-            self.balls = self._point_draws(self.prepared.spheres, one)
+            self.draws = self._point_draws(self.prepared, self._one)
+            self.balls = self._point_draws(self.prepared.spheres, self._one)
         if plan.polygons:
             self.meshes = self._polygon_meshes()
         if plan.lines:
             self._lines()
         if plan.translucent is not None:
             self._draw_list()
+        self._upload_view()
         if motion:
             self.previous = self._own(self._motion())
         self.kept.forget(self.used)
+
+    def _upload_view(self) -> None:
+        """Small tables that hold the view."""
+        scene, plan, prepared = self.scene, self.plan, self.prepared
+        if plan.lighting or plan.world:
+            self.lights = self._for_view(
+                light_texture(scene.lights, scene.world, self.camera.view_from_world, *self._surface)
+            )
+        if self._packed is not None:
+            records = self._packed.records(self.camera.view_from_world).astype(np.float32)
+            self.shadows = self.shadows[0], self._for_view(records)
+        if plan.points or plan.spheres:
+            self._transforms()
+        if plan.lines:
+            origin = np.zeros((len(scene.instances), 3))
+            for row in prepared.lines:
+                origin[scene.instances.geometry == row] = _lines_of(scene, row).origin
+            rows = instance_rows(prepared.view_from_object, origin, scene.instances.holdout)
+            rows[3::4, 1] = lengths_scale(prepared.view_from_object)
+            self.line_instances = self._for_view(rows)
+        if plan.translucent is not None:
+            origin = _origins(prepared.translucent)
+            self.splats["ps_instances"] = self._for_view(
+                instance_rows(prepared.view_from_object, origin, scene.instances.holdout)
+            )
 
     def _upload_shadows(self, shadows: Shadows) -> None:
         data, device = shadows.packed.data, self.device
@@ -163,9 +210,7 @@ class Uploads:
         self._shadow_key = shadows.key
         key = ("shadows", shadows.key)
         self.used.add(key)
-        records = shadows.packed.records(self.camera.view_from_world).astype(np.float32)
-        size = (records.shape[1], records.shape[0])
-        self.shadows = self.kept.keep(key, make), self._own(device.texture(size, "RGBA32F", records.reshape(-1)))
+        self.shadows = self.kept.keep(key, make), None
 
     def _environment(self, image: np.ndarray) -> Texture:
         def make() -> Texture:
@@ -178,19 +223,17 @@ class Uploads:
         self.used.add(key)
         return self.kept.keep(key, make)
 
-    def _transforms(self) -> dict[str, Any]:
+    def _transforms(self) -> None:
         """The only instance of points as uniforms, or a texture for all and no uniforms."""
         prepared, instances = self.prepared, self.scene.instances
-        origin = np.zeros((len(instances), 3))
-        for layer in (prepared, prepared.spheres):
-            for row, points in layer.point_sets.items():
-                origin[layer.set_of_instance == row] = points.cloud.origin
+        origin = _origins(prepared, prepared.spheres)
         if self.plan.options.one_instance:
             one = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])[:1]
-            return {"view_from_object": with_origin(prepared.view_from_object[one], origin[one])[0].T.reshape(-1)}
-        size, data = paged(instance_rows(prepared.view_from_object, origin, instances.holdout), 4)
-        self.shared["ps_instances"] = self._own(self.device.texture(size, "RGBA32F", data))
-        return {}
+            matrix = with_origin(prepared.view_from_object[one], origin[one])[0]
+            self._one["view_from_object"] = matrix.T.reshape(-1)
+            return
+        rows = instance_rows(prepared.view_from_object, origin, instances.holdout)
+        self.shared["ps_instances"] = self._for_view(rows)
 
     def _point_draws(self, layer: Layer, uniforms: dict[str, Any]) -> list[PageDraw]:
         draws, index = [], 0
@@ -228,12 +271,8 @@ class Uploads:
     def _lines(self) -> None:
         """Pages of control points, and the segments that this view draws of them."""
         scene, prepared, variant = self.scene, self.prepared, self.plan.variant
-        origin = np.zeros((len(scene.instances), 3))
         for row, segments in prepared.lines.items():
-            geometry = scene.geometries[row]
-            lines = geometry.lines
-            assert lines is not None
-            origin[scene.instances.geometry == row] = lines.origin
+            geometry, lines = scene.geometries[row], _lines_of(scene, row)
             key = ("lines", geometry.key, variant, _fill_key(scene))
             self.used.add(key)
 
@@ -243,10 +282,6 @@ class Uploads:
 
             page = self.kept.keep(key, make)
             self.lines.append(self._own(line_pass.LineDraw(self.device, page, segments, scene.instances.holdout)))
-        rows = instance_rows(prepared.view_from_object, origin, scene.instances.holdout)
-        rows[3::4, 1] = lengths_scale(prepared.view_from_object)
-        size, data = paged(rows, 4)
-        self.line_instances = self._own(self.device.texture(size, "RGBA32F", data))
 
     def _draw_list(self) -> None:
         """Translucent splats, and the order in which this view draws them."""
@@ -256,25 +291,34 @@ class Uploads:
         sets = list({points.key: points for points in layer.point_sets.values()}.values())
         key = ("translucent", tuple(p.key for p in sets), options, _fill_key(scene))
         self.used.add(key)
-        page = self.kept.keep(key, lambda: translucent_pass.TranslucentPage(device, sets, options, scene.materials))
+        shares = {layer.point_sets[row].key: share for row, share in self.prepared.shares.items()}
+
+        def make() -> translucent_pass.TranslucentPage:
+            return translucent_pass.TranslucentPage(device, sets, options, scene.materials, shares)
+
+        page = self.kept.keep(key, make)
         matrices, view = scene.instances.world_from_object, self.camera.view_from_world
         self.used.add(("order",))
-        sorted_list: DrawList = self.kept.keep(("order",), DrawList)
-        before, sorts = time.perf_counter(), sorted_list.sorts
-        sorted_list.update(
-            device, page, layer, matrices, view, (key, layer.set_of_instance.tobytes(), matrices.tobytes())
-        )
-        if sorted_list.sorts > sorts:
-            self.spent["order"] = 1000 * (time.perf_counter() - before)
-        origin = np.zeros((len(matrices), 3))
-        for row, points in layer.point_sets.items():
-            origin[layer.set_of_instance == row] = points.cloud.origin
-        size, data = paged(instance_rows(self.prepared.view_from_object, origin, scene.instances.holdout), 4)
-        instances = self._own(device.texture(size, "RGBA32F", data))
-        assert sorted_list.texture is not None
-        self._remember(page, key, layer, matrices)
-        self.splats = {**page.textures, "ps_order": sorted_list.texture, "ps_instances": instances}
-        self.listed = sorted_list.count
+        if self.plan.defocus:
+            texture, self.listed = self._unsorted(page, layer)
+        else:
+            sorted_list: DrawList = self.kept.keep(("order",), DrawList)
+            before, sorts = time.perf_counter(), sorted_list.sorts
+            sorted_list.update(
+                device, page, layer, matrices, view, (key, layer.set_of_instance.tobytes(), matrices.tobytes())
+            )
+            if sorted_list.sorts > sorts:
+                self.spent["order"] = 1000 * (time.perf_counter() - before)
+            texture, self.listed = sorted_list.texture, sorted_list.count
+            self._remember(page, key, layer, matrices)
+        assert texture is not None
+        self.splats = {**page.textures, "ps_order": texture}
+
+    def _unsorted(self, page: translucent_pass.TranslucentPage, layer: Layer) -> tuple[Texture, int]:
+        """The splats of a cut as they come, and how many."""
+        texel, instance = listed(page, layer)
+        size, data = paged(translucent_pass.draw_list(texel, instance), 2)
+        return self._own(self.device.texture(size, "RG32F", data)), len(texel)
 
     def _remember(
         self, page: translucent_pass.TranslucentPage, key: tuple, layer: Layer, world_from_object: np.ndarray
@@ -383,12 +427,7 @@ class DrawList:
         entries = {row: points.hierarchy or points.cloud for row, points in layer.point_sets.items()}
         self._order = order.sort(layer.cut, entries, layer.set_of_instance, world_from_object, view_from_world)
         self._key, self.sorts = key, self.sorts + 1
-        first = np.zeros(max(layer.point_sets) + 1, np.int64)
-        for row, points in layer.point_sets.items():
-            first[row] = page.first[points.key]
-        cut = layer.cut
-        texel = ranges(first[layer.set_of_instance[cut.instance]] + cut.first, cut.count)
-        instance = np.repeat(cut.instance, cut.count)
+        texel, instance = listed(page, layer)
         index = self._order.index
         self.count = len(index)
         size, data = paged(translucent_pass.draw_list(texel[index], instance[index]), 2)
@@ -399,6 +438,16 @@ class DrawList:
         if self.texture is not None:
             self.texture.release()
         self.texture = None
+
+
+def listed(page: translucent_pass.TranslucentPage, layer: Layer) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) int64: where in its page each splat of a layer's cut is, and of which instance it is one."""
+    first = np.zeros(max(layer.point_sets) + 1, np.int64)
+    for row, points in layer.point_sets.items():
+        first[row] = page.first[points.key]
+    cut = layer.cut
+    texel = ranges(first[layer.set_of_instance[cut.instance]] + cut.first, cut.count)
+    return texel, np.repeat(cut.instance, cut.count)
 
 
 @dataclass(frozen=True)
@@ -412,6 +461,21 @@ class Same:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Same) and other.array is self.array
+
+
+def _lines_of(scene: Scene, row: int) -> Lines:
+    lines = scene.geometries[row].lines
+    assert lines is not None
+    return lines
+
+
+def _origins(*layers: Layer) -> np.ndarray:
+    """(I, 3) float64: of the clouds that instances show."""
+    origin = np.zeros((len(layers[0].set_of_instance), 3))
+    for layer in layers:
+        for row, points in layer.point_sets.items():
+            origin[layer.set_of_instance == row] = points.cloud.origin
+    return origin
 
 
 def _fill_key(scene: Scene) -> bytes:

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 from pointsplat_addon.core import expressions as ex
 from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.materials import MaterialGraph
-from pointsplat_addon.core.scene import HairTable, Light, World
+from pointsplat_addon.core.scene import Aperture, HairTable, Light, World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame import Renderer, Request
 from pointsplat_addon.shading import sources
@@ -211,6 +211,11 @@ def _far_lamp() -> Light:
     return Light("POINT", np.full(3, 20.0), np.array([0.0, -3e4, 0]), np.array([0.0, 1, 0]), 0.3)
 
 
+def _through_a_lens(method: str) -> Case:
+    case = scenes.mixed()
+    return _by(replace(case, camera=replace(case.camera, aperture=Aperture(0.3, 3.0))), dof_method=method)
+
+
 def _clear_smoke() -> Case:
     """Smoke without density before a sphere."""
     clear, ball = scenes.smoke_cloud(8, 0.0), scenes.points("leave out: behind", scenes.sphere_cloud())
@@ -310,6 +315,9 @@ ROWS: dict[str, Row] = {
     "points and polygons out of view": Row(lambda: _aside(scenes.mixed())),
     "smoke out of view": Row(lambda: _aside(_two_smokes())),
     "smoke without density": Row(_clear_smoke),
+    "points and polygons, out of focus": Row(lambda: _through_a_lens("SPLAT"), samples=4),
+    "points and polygons, out of focus, depth": Row(lambda: _through_a_lens("SPLAT"), COMBINED | {"depth"}, samples=4),
+    "points and polygons, samples of the lens": Row(lambda: _through_a_lens("LENS_SAMPLES"), samples=4),
     "nothing, every pass": Row(scenes.empty, scenes.ALL_PASSES),
     "points and polygons, every pass": Row(scenes.mixed, scenes.ALL_PASSES),
 }  # fmt: skip

@@ -204,7 +204,9 @@ def test_with_an_aperture_nothing_is_out_of_view():
     case = scenes.mixed()
     away = scenes.camera((0, -8, 0), (0, -16, 0))
     prepared = prepare(case.scene, away, case.settings, 1)
-    assert in_view(case.scene, prepared, away)[1] == dict.fromkeys(("points", "polygons"), OUT_OF_VIEW)
+    left, gone = in_view(case.scene, prepared, away)
+    assert gone["polygons"] == OUT_OF_VIEW
+    assert left.cut.splats == len(left.polygons) == 0
     assert in_view(case.scene, prepared, replace(away, aperture=Aperture(0.1, 4.0)))[1] == {}
 
 

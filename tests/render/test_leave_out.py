@@ -94,6 +94,9 @@ EXPECTED = {
     "points and polygons out of view": "",
     "smoke out of view": "",
     "smoke without density": IMAGE + SEEN,
+    "points and polygons, out of focus": "polygons shade light tiles defocus " + IMAGE,
+    "points and polygons, out of focus, depth": "polygons shade light tiles defocus " + IMAGE,
+    "points and polygons, samples of the lens": "polygons " + IMAGE + SEEN,
     "nothing, every pass": "",
     "points and polygons, every pass": "polygons data " + IMAGE + SEEN,
 }

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 
-from ...core.scene import Camera
+from ...core.scene import Aperture, Camera
+
+LEAST_FOCUS = 1e-5  # world units: a distance of zero is taken for it, and everything is far out of focus
+LEAST_STOP = 1e-5  # Cycles': what the F-stop is divided by
 
 
 def render_camera(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> tuple[Camera, list[str]]:
@@ -19,8 +24,13 @@ def render_camera(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph
 
 
 def viewport_camera(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> Camera:
-    """The camera of the viewport that is being drawn, with its border."""
-    return from_view(context.region, context.region_data, context.space_data, depsgraph.scene)
+    """The camera of the viewport that is being drawn, with its border and, in camera view, its lens."""
+    rv3d, space = context.region_data, context.space_data
+    camera = from_view(context.region, rv3d, space, depsgraph.scene)
+    obj = _looked_through(rv3d, space, depsgraph.scene)
+    if obj is None or obj.type != "CAMERA":
+        return camera
+    return replace(camera, aperture=aperture_of(obj.evaluated_get(depsgraph), camera.view_from_world, depsgraph))
 
 
 def from_camera_object(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, width: int, height: int) -> Camera:
@@ -38,16 +48,53 @@ def from_view(
     """The camera of a viewport, with its border. In camera view the border is the scene's."""
     clip_from_view = np.array(rv3d.window_matrix, float)
     near, far = clip_range(clip_from_view)
-    obj = space.camera if space.use_local_camera else scene.camera
-    in_camera = rv3d.view_perspective == "CAMERA" and obj is not None
+    obj = _looked_through(rv3d, space, scene)
     return Camera(
         view_from_world=np.array(rv3d.view_matrix, float),
         clip_from_view=clip_from_view,
         resolution=(region.width, region.height),
-        region=_view_border(region, rv3d, space, scene, obj if in_camera else None),
+        region=_view_border(region, rv3d, space, scene, obj),
         near=near,
         far=far,
     )
+
+
+def _looked_through(
+    rv3d: bpy.types.RegionView3D, space: bpy.types.SpaceView3D, scene: bpy.types.Scene
+) -> bpy.types.Object | None:
+    """The camera of a viewport in camera view."""
+    obj = space.camera if space.use_local_camera else scene.camera
+    return obj if rv3d.view_perspective == "CAMERA" else None
+
+
+def aperture_of(obj: bpy.types.Object, view_from_world: np.ndarray, depsgraph: bpy.types.Depsgraph) -> Aperture | None:
+    """The lens of an evaluated camera object as Cycles has it: as wide as the focal length, in thousandths of a
+    Blender unit whatever the scene's unit is, over the F-stop; of orthographic ones as one Blender unit. None: it has
+    no depth of field."""
+    data = obj.data
+    if data.type not in {"PERSP", "ORTHO"} or not data.dof.use_dof:
+        return None
+    dof = data.dof
+    width = data.lens / 1000 if data.type == "PERSP" else 1.0
+    return Aperture(
+        radius=width / (2 * max(dof.aperture_fstop, LEAST_STOP)),
+        focus=max(_focus(dof, view_from_world, depsgraph), LEAST_FOCUS),
+        blades=dof.aperture_blades if dof.aperture_blades >= 3 else 0,
+        rotation=dof.aperture_rotation,
+        ratio=max(dof.aperture_ratio, 0.01),
+    )
+
+
+def _focus(dof: bpy.types.CameraDOFSettings, view_from_world: np.ndarray, depsgraph: bpy.types.Depsgraph) -> float:
+    """Distance along the view to the plane of focus. An object behind the camera counts as if it were as far before it,
+    as in Cycles."""
+    if dof.focus_object is None:
+        return dof.focus_distance
+    target = dof.focus_object.evaluated_get(depsgraph)
+    place = target.matrix_world
+    if target.pose is not None and dof.focus_subtarget in target.pose.bones:
+        place = place @ target.pose.bones[dof.focus_subtarget].matrix
+    return abs(float(view_from_world[2, :3] @ np.array(place.translation) + view_from_world[2, 3]))
 
 
 def clip_range(clip_from_view: np.ndarray) -> tuple[float, float]:
@@ -78,6 +125,7 @@ def _from_object(
         region=_render_border(render, width, height),
         near=obj.data.clip_start,
         far=obj.data.clip_end,
+        aperture=aperture_of(obj, view_from_world, depsgraph),
     )
 
 

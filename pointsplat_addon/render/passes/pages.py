@@ -11,7 +11,7 @@ from ...core.hierarchy import basis, splats
 from ...core.vectors import each_block
 from ..device import Device, Texture
 from ..packing import FACET_SHARE, FACET_STEPS, NO_NORMAL, PAGE_WIDTH, octahedral
-from ..prepare import PointSet
+from ..store import PointSet
 
 NODE = 0.25  # tells nodes from points beside a material row, which is whole
 SMALLEST_NORMAL = 1e-6  # of shading: what is shorter has no direction

@@ -20,7 +20,7 @@ from ...core.scene import MaterialTable
 from ...shading.interface import Interface
 from ..device import EMPTY, Device, Target, Texture
 from ..packing import PAGE_WIDTH, paged
-from ..prepare import Layer, PointSet
+from ..store import Layer, PointSet
 from ..tiles import TILE_DEFINE, Region
 from .common import FRAME, GBuffer, Variant
 from .pages import SplatPage, extent, facets, filled, place, shading_normal

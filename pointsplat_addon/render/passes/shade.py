@@ -50,19 +50,23 @@ def shade_program(
     samples: int = 1,
     coverage: bool = False,
     lines: bool = False,
+    focus: bool = False,
     combined: bool = True,
 ) -> Interface:
     """`lighting`, `materials`: the PS_ names of what shines and of what surfaces do with it. Wide lamps are looked at
     from as many points as the `samples` of a picture leave over from LAMP_POINTS. `coverage`: edges are soft.
-    `lines`: there are strands. `combined`: the picture, not only passes beside it."""
+    `lines`: there are strands. `focus`: only what is in focus, with its depth. `combined`: the picture, not only passes
+    beside it."""
     read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
-    flags = {"PS_COVERAGE": coverage, "PS_LINES": lines and variant.normal, "PS_BESIDE": not combined}
+    flags = {"PS_COVERAGE": coverage, "PS_LINES": lines and variant.normal, "PS_FOCUS": focus,
+             "PS_BESIDE": not combined}  # fmt: skip
     names = (*variant.defines, *materials, *_averaged_defines(passes), *(name for name, on in flags.items() if on))
     points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
     return Interface(
-        "shade", fragment="shade.frag", block=FRAME, outputs=_averaged_outputs(passes, combined),
+        "shade", fragment="shade.frag", block=FRAME,
+        outputs=(*_averaged_outputs(passes, combined), *((("vec4", "out_focus"),) if focus else ())),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
         defines=(*lighting_defines(lighting), *taps, *((name, "1") for name in names)),
     )  # fmt: skip

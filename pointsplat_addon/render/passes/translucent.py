@@ -36,7 +36,7 @@ from ...core.scene import MaterialTable
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
 from ..packing import PAGE_WIDTH
-from ..prepare import PointSet
+from ..store import PointSet
 from .common import FRAME
 from .pages import SplatPage, extent, filled, place, shading_normal
 from .shade import MOST_LAMP_POINTS, lighting_defines, lighting_samplers
@@ -64,6 +64,7 @@ class TranslucentOptions:
     fuzzy: bool = False  # some are opaque: core/painter.py
     cull: bool = False  # and some of these are not drawn where they show their backs
     apart: bool = False  # and some of these stand apart: core/apart.py
+    defocus: bool = False  # for the pass of what is out of focus: passes/defocus.py
 
     @property
     def attributes(self) -> tuple[tuple[str, bool], ...]:
@@ -71,8 +72,11 @@ class TranslucentOptions:
         return tuple((name, getattr(self, name)) for name in names)
 
 
-def options(clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdout: bool = False) -> TranslucentOptions:
-    """What these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of them cuts a hole."""
+def options(
+    clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdout: bool = False, defocus: bool = False
+) -> TranslucentOptions:
+    """What these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of them cuts a hole.
+    `defocus`: for what is out of focus."""
     fuzzy = any(is_fuzzy(c) for c in clouds)
     return TranslucentOptions(
         media=any(c.extinction is not None for c in clouds),
@@ -82,12 +86,13 @@ def options(clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdou
         or (any(c.extinction is None for c in clouds) and bool((table.emission > 0).any())),
         tint=any(c.extinction is not None and c.extinction.ndim == 2 for c in clouds),
         shading_normal=any(c.shading_normal is not None for c in clouds),
-        kernels=any(c.kernel is not None for c in clouds),
+        kernels=not defocus and any(c.kernel is not None for c in clouds),
         holdout=holdout,
         opaque=opaque,
         fuzzy=fuzzy,
         cull=fuzzy and bool(table.cull.any()),
-        apart=any(is_fuzzy(c) and c.apart is not None for c in clouds),
+        apart=not defocus and any(is_fuzzy(c) and c.apart is not None for c in clouds),
+        defocus=defocus,
     )
 
 
@@ -99,9 +104,25 @@ def is_fuzzy(cloud: PointCloud) -> bool:
 class TranslucentPage(SplatPage):
     """Translucent splats on the device."""
 
-    def __init__(self, device: Device, sets: list[PointSet], options: TranslucentOptions, table: MaterialTable) -> None:
+    def __init__(
+        self,
+        device: Device,
+        sets: list[PointSet],
+        options: TranslucentOptions,
+        table: MaterialTable,
+        shares: Mapping[tuple, np.ndarray | float] | None = None,
+    ) -> None:
+        """`shares`: by key, what of its ellipse each opaque splat covers; with `options.defocus`."""
         super().__init__(device, sets)
-        self.clouds = clouds = [_reaching(c, len(points.cloud)) for c, points in zip(self.clouds, sets, strict=True)]
+        clouds = self.clouds
+        if not options.defocus:
+            clouds = [_reaching(c, len(points.cloud)) for c, points in zip(clouds, sets, strict=True)]
+        self.clouds = clouds
+        if options.defocus and options.fuzzy:
+            held = [(shares or {}).get(points.key, 1.0) for points in sets]
+            self.upload("share", "R32F", 1, [
+                np.broadcast_to(np.float32(share), len(cloud)) for share, cloud in zip(held, clouds, strict=True)
+            ])  # fmt: skip
         self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
         self.upload("extent", "RGBA32F", 4, [extent(c, always_axis=True) for c in clouds])
         self.upload("optics", "RGBA32F", 4, [
@@ -191,12 +212,19 @@ def light_program(
         known = ("PS_REACHED", str(reached)), *((("PS_REACHED_COLORED", "1"),) if colored else ())
     read = ("order", "instances", "place", "extent", "optics", "materials")
     read += tuple(name for name, on in options.attributes if on)
+    read += ("share",) if options.defocus and options.fuzzy else ()
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
-    named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.opaque}
+    named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.opaque and not options.defocus}
     named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
-    named["PS_FUZZY_APART"] = options.apart
+    named |= {"PS_FUZZY_APART": options.apart, "PS_DEFOCUS": options.defocus}
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
-    outputs = ["place", "shape", "source", *(["front"] if options.opaque else []), *(["tint"] if options.tint else [])]
+    outputs = [
+        "place",
+        "shape",
+        "source",
+        *(["front"] if options.opaque and not options.defocus else []),
+        *(["tint"] if options.tint else []),
+    ]
     return Interface(
         "light", fragment="translucent_light.frag", block=FRAME,
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
@@ -333,7 +361,7 @@ class LitSplats:
         if options.kernels:
             kernels, steps = PROFILES.shape
             self._profiles["ps_profiles"] = device.texture((steps, kernels), "R32F", PROFILES.reshape(-1))
-        channels = CHANNELS if options.tint else ("",)
+        channels = () if options.defocus else CHANNELS if options.tint else ("",)
         self.draws = [(draw_program(options, channel), channel or "RGBA") for channel in channels]
 
     def light(self, record: np.ndarray, textures: Mapping[str, Texture]) -> None:

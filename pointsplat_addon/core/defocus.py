@@ -1,0 +1,157 @@
+"""Depth of field by splat convolution (Křivánek 2003, chapter 5), in float64: what shaders/defocus.frag is measured
+against, and which nodes its cut needs.
+
+A point at depth d is seen as the disk of confusion, whose radius in pixels is (equations 6 to 8)
+
+    C(d) = f r |1/d - 1/D|,                 of parallel cameras    C(d) = f r |1 - d/D|,
+
+f: pixels per unit at depth 1, r: radius of the aperture, D: distance of the plane of focus. A splat is that disk
+convolved with its own footprint. Křivánek takes a Gaussian for both, of as much variance as holds half its energy in
+the same radius; it reaches 1.8 times as far as the disk does, and no highlight is a disk. Here
+
+    K(q) = (k + 1) / (pi S sqrt(det M)) (1 - q / S)^k,    S = 2 (k + 2),    q = v^T M^-1 v,
+
+whose integral is one and whose covariance is M = J V J^T + p I + C^2/4 I for every k: the splat's own, the pixel's and
+the disk's. k = 0 is the disk itself. k is chosen such that the fourth moment, too, is that of the convolution: with b
+the disk's share of the variance, k = 3 (1 - b^2) / b^2, at most that of core/kernel.py, which stands for a Gaussian.
+
+What is blurred by less than IN_FOCUS pixels is drawn as without depth of field, what is blurred by more than BLURRED
+by such splats, and between the two a part by each: `sharp`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .kernel import POWER
+from .scene import Camera
+
+# Pixels of radius: a disk that adds a fifth of the variance that a pixel's own filter has; one that adds 0.8 of it.
+IN_FOCUS, BLURRED = 0.3, 0.6
+# Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/filtering.py).
+PIXEL = 0.11
+# Diameter of the largest node that is drawn, over the radius of its disk of confusion. A square has 0.41 of its
+# diameter as standard deviation along each axis ... docs/depth_of_field.md has the errors of others.
+NODE = 1.4
+# Sums of kernels over a surface are uneven by some percent. What they cover is the sum s + EVEN s^4, at most 1: what is
+# almost whole lets nothing through, and edges keep their slope.
+EVEN = 0.12
+NEAREST = 1e-9  # depth, over the distance of focus, nearer than which the disk does not grow any more
+
+
+@dataclass(frozen=True)
+class Blur:
+    """How a camera's lens blurs."""
+
+    scale: float  # pixels: f r / D, the radius of the disk of what is infinitely far (parallel: at twice D)
+    focus: float  # D, world units
+    perspective: bool
+
+    def position(self, depth: np.ndarray) -> np.ndarray:
+        """Signed: how far beyond the plane of focus depths are, in units in which the disk's radius is `scale` times
+        that. Rises with depth; depths behind the eye are taken for the nearest."""
+        with np.errstate(all="ignore"):
+            relative = np.asarray(depth, np.float64) / self.focus
+            return 1 - 1 / np.maximum(relative, NEAREST) if self.perspective else relative - 1
+
+    def radius(self, depth: np.ndarray) -> np.ndarray:
+        """Pixels, of the disks of confusion at these depths."""
+        return self.scale * np.abs(self.position(depth))
+
+    def depths(self, radius: float) -> tuple[float, float]:
+        """The nearest and the farthest depth at which disks of confusion have no more than this radius in pixels."""
+        away = radius / self.scale
+        if not self.perspective:
+            return self.focus * (1 - away), self.focus * (1 + away)
+        return self.focus / (1 + away), self.focus / (1 - away) if away < 1 else np.inf
+
+    def bounds(self, near: np.ndarray, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The least and the greatest radius in pixels between two depths, near <= far."""
+        low, high = self.position(near), self.position(far)
+        return self.scale * np.maximum(np.maximum(low, -high), 0), self.scale * np.maximum(-low, high)
+
+
+def blur_of(camera: Camera) -> Blur | None:
+    """None: nothing is blurred."""
+    aperture = camera.aperture
+    if aperture is None or not aperture.radius > 0 or not aperture.focus > 0:
+        return None
+    focal = max(abs(f) for f in camera.pixel_from_view()[:2])
+    scale = focal * aperture.radius / (aperture.focus if camera.perspective else 1.0)
+    return Blur(scale, aperture.focus, camera.perspective) if 0 < scale < np.inf else None
+
+
+def sharp(radius: np.ndarray) -> np.ndarray:
+    """How much of what has disks of this radius is drawn as if it were in focus, in [0, 1]."""
+    t = np.clip((radius - IN_FOCUS) / (BLURRED - IN_FOCUS), 0, 1)
+    return 1 - t * t * (3 - 2 * t)
+
+
+def exponent(radius: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """k for disks of confusion of a `radius`, and the variance along an axis, pixels^2, of what else is in a splat."""
+    disk = np.asarray(radius, np.float64) ** 2 / 4
+    share = disk / (disk + variance)
+    return np.minimum(3 * (1 - share**2) / np.maximum(share**2, 1e-6), float(POWER))
+
+
+def kernel(q: np.ndarray, k: np.ndarray, determinant: np.ndarray) -> np.ndarray:
+    """K at squared Mahalanobis distances q, per pixel^2, for covariances of this determinant."""
+    support = 2 * (k + 2)
+    inside = np.maximum(1 - q / support, 0)
+    peak = (k + 1) / (np.pi * support * np.sqrt(determinant))
+    return np.where(q < support, peak * np.where(inside > 0, inside, 1.0) ** k, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """N splats of one picture, by depth, the nearest first."""
+
+    centre: np.ndarray  # (N, 2) pixels
+    depth: np.ndarray  # (N,)
+    covariance: np.ndarray  # (N, 2, 2) pixels^2: M
+    exponent: np.ndarray  # (N,): k
+    weight: np.ndarray  # (N,) pixels^2: the area that opaque ones cover, the integral of the others' optical depth
+    color: np.ndarray  # (N, 3)
+    reach: np.ndarray  # (N,) how far before and behind its depth an opaque one's surface may lie in its kernel
+    back: np.ndarray  # (N,) bool: shows its back
+    translucent: np.ndarray  # (N,) bool
+
+
+def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
+    """(P, 4) premultiplied colour and alpha at places (P, 2) in pixels.
+
+    From the front, opaque splats of one surface add what they cover of the lens, up to all of it. What lies behind them
+    by more than their reach is another surface, which sees what they leave open as if the two knew nothing of each
+    other: one behind the other, they cover 1 - (1 - a)(1 - b) (section 5.4). Backs cover no more than what fronts of
+    the same surface leave: closed bodies end with both at the same edge. Translucent splats take their share of what is
+    open (Beer's law).
+    """
+    offset = pixels[:, None] - splats.centre
+    q = np.einsum("pni,nij,pnj->pn", offset, np.linalg.inv(splats.covariance), offset)
+    amount = splats.weight * kernel(q, splats.exponent, np.linalg.det(splats.covariance))
+    opaque = ~splats.translucent
+    there = (amount > 0) & opaque
+    # A surface goes on while the next splat's near end lies before the farthest end so far.
+    end = np.where(there, splats.depth + splats.reach, -np.inf)
+    farthest = np.maximum.accumulate(end, axis=1)
+    before = np.concatenate([np.full((len(pixels), 1), -np.inf), farthest[:, :-1]], axis=1)
+    begins = there & (splats.depth - splats.reach > before)
+    front, back = (_within(np.where(there & side, amount, 0.0), begins) for side in (~splats.back, splats.back))
+    sum_ = np.maximum(front, back)
+    covered = np.minimum(sum_ + EVEN * sum_**4, 1)
+    was = np.where(begins, 0.0, np.concatenate([np.zeros((len(pixels), 1)), covered[:, :-1]], axis=1))
+    # What of the light from behind passes each splat; a surface that covers all lets nothing through.
+    passes = np.divide(1 - covered, 1 - was, out=np.zeros_like(was), where=was < 1)
+    passes = np.where(opaque, np.where(there, passes, 1.0), np.exp(-amount))
+    left = np.cumprod(np.concatenate([np.ones((len(pixels), 1)), passes], axis=1), axis=1)
+    share = left[:, :-1] - left[:, 1:]
+    return np.concatenate([share @ splats.color, share.sum(axis=1, keepdims=True)], axis=1)
+
+
+def _within(values: np.ndarray, begins: np.ndarray) -> np.ndarray:
+    """Sums (P, N) along rows that start anew where `begins`."""
+    total = np.cumsum(values, axis=1)
+    first = np.maximum.accumulate(np.where(begins, np.arange(values.shape[1]), 0), axis=1)
+    return total - np.take_along_axis(total - values, first, axis=1)

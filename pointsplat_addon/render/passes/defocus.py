@@ -1,0 +1,116 @@
+"""What is out of focus, and what is translucent before and behind it: each pixel goes through the splats of its tile
+from the front (core/defocus.py), once for all samples of the picture.
+
+The pass `light` (passes/translucent.py) leaves of each splat, one texel each:
+  place   centre in pixels from the principal point, depth, kernel's middle: share of the lens; optical depth
+  shape   inverse of the covariance (xx, xy, yy); exponent of the kernel, plus what kind it is (lib/defocus.glsl)
+  source  radiance, reach in depth
+  tint    as in passes/translucent.py
+Tiles hold the column and the row at which their entries begin in the list, and their number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.octree import ranges, starts
+from ...shading.interface import Interface
+from ..device import Device, Target, Texture
+from ..packing import PAGE_WIDTH, paged
+from ..tiles import TILE_DEFINE
+from .common import FRAME
+from .shade import lighting_defines, lighting_samplers
+
+TILE = 8  # pixels on a side of tiles
+MOST_ENTRIES = 1 << 24  # of all tiles: beyond it they are made larger
+
+
+def defocus_program(
+    lighting: tuple[str, ...], transparent: bool, tint: bool, holdout: bool, adaptive: bool, tile: int
+) -> Interface:
+    """`lighting`: of which what the world is is used. `adaptive`: pixels differ in how many samples they have."""
+    world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT"))
+    named = {"PS_BACKGROUND": not transparent, "PS_TINT": tint, "PS_HOLDOUT": holdout, "PS_ADAPTIVE": adaptive}
+    read = ["splat_place", "shape", "source", "list", "tiles", "focused", "focus"]
+    read += ["tint"] * tint + ["counts"] * adaptive
+    return Interface(
+        "defocus", fragment="defocus.frag", block=FRAME, outputs=(("vec4", "out_combined"),),
+        samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(world)),
+        defines=(*lighting_defines(world), ("PS_TILE_SIZE", str(tile)), *((TILE_DEFINE,) if adaptive else ()),
+                 *((name, "1") for name, on in named.items() if on)),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class TileLists:
+    """Which splats each tile of a picture shows, the nearest first."""
+
+    tile: int  # pixels on a side
+    tiles: np.ndarray  # (rows, columns, 2) int64: first entry and number of entries
+    entries: np.ndarray  # (E,) int64, rows of the splats
+
+
+def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tuple[int, int]) -> TileLists:
+    """Of splats (N, 4) each, as the pass `light` left them; focal: fx, fy, cx, cy; size: of the picture in pixels."""
+    seen = np.flatnonzero((place[:, 3] > 0) & np.isfinite(place).all(axis=1) & np.isfinite(shape).all(axis=1))
+    seen = seen[np.argsort(place[seen, 2], kind="stable")]
+    centre = place[seen, :2].astype(np.float64) + focal[2:]
+    xx, xy, yy, code = shape[seen].astype(np.float64).T
+    support = 2 * (code % 8 + 2)
+    determinant = np.maximum(xx * yy - xy * xy, 1e-300)
+    # A pixel's half more: the rim is that soft.
+    half = np.sqrt(support * np.stack([yy, xx]) / determinant).T + 1.0
+    low, high = np.maximum(centre - half, 0), np.minimum(centre + half, np.array(size, float))
+    inside = (low < high).all(axis=1)
+    seen, low, high = seen[inside], low[inside], high[inside]
+    tile = TILE
+    while True:
+        first = (low // tile).astype(np.int64)
+        span = np.ceil(high / tile).astype(np.int64) - first
+        count = span.prod(axis=1)
+        if count.sum() <= MOST_ENTRIES or tile >= max(size):
+            break
+        tile *= 2
+    columns, rows = (-(-side // tile) for side in size)
+    owner = np.repeat(np.arange(len(seen)), count)
+    number = ranges(np.zeros(len(seen), np.int64), count)
+    x, y = first[owner, 0] + number % span[owner, 0], first[owner, 1] + number // span[owner, 0]
+    where = y * columns + x
+    order = np.argsort(where.astype(np.uint16 if columns * rows <= 1 << 16 else np.uint32), kind="stable")
+    amount = np.bincount(where, minlength=columns * rows)
+    tiles = np.stack([starts(amount), amount], axis=1).reshape(rows, columns, 2)
+    return TileLists(tile, tiles, seen[owner[order]])
+
+
+class Defocus:
+    """The tiles of one view on the device."""
+
+    def __init__(self, device: Device, lists: TileLists) -> None:
+        self.device, self.tile = device, lists.tile
+        size, data = paged(lists.entries[:, None].astype(np.float32), 1)
+        self.list = device.texture(size, "R32F", data)
+        rows, columns, _ = lists.tiles.shape
+        texels = np.zeros((rows, columns, 4), np.float32)
+        texels[..., 0] = lists.tiles[..., 0] % PAGE_WIDTH
+        texels[..., 1] = lists.tiles[..., 0] // PAGE_WIDTH
+        texels[..., 2] = lists.tiles[..., 1]
+        self.tiles = device.texture((columns, rows), "RGBA32F", texels.reshape(-1))
+
+    def draw(
+        self,
+        program: Interface,
+        target: Target,
+        record: np.ndarray,
+        lit: dict[str, Texture],
+        textures: dict[str, Texture],
+    ) -> None:
+        """`lit`: what `light` left; `textures`: the picture of what is in focus, and the world's."""
+        read = {"ps_splat_place": lit["ps_place"], **{k: v for k, v in lit.items() if k != "ps_place"}, **textures}
+        read |= {"ps_list": self.list, "ps_tiles": self.tiles}
+        self.device.draw(program, target, uniforms=record, textures=read)
+
+    def release(self) -> None:
+        self.list.release()
+        self.tiles.release()
