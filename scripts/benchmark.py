@@ -111,7 +111,7 @@ def markdown(lines: list[list[str]]) -> str:
 
 def document(part: str, rows: list[dict], tables: Tables, quick: bool, load: str) -> str:
     """One part as Markdown."""
-    text = [f"### {part.capitalize()}", f"{machine()}; {load} at the start."]
+    text = [f"### {part.replace('_', ' ').capitalize()}", f"{machine()}; {load} at the start."]
     if quick:
         text.append("A `--quick` run: a tenth of the sizes, of no use for judging targets.")
     lines = [["what", "measured", "target", "met", "how"]]
