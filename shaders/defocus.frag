@@ -110,10 +110,12 @@ void main()
       float amount = place.w * pow(max(1.0 - share, 0.002), k) * rim;
       vec4 source = texelFetch(ps_source, at, 0), color = vec4(source.rgb, 1.0);
 #ifdef PS_HOLDOUT
-      color *= kind >= 4 ? 0.0 : 1.0;
+      color *= (kind & 4) != 0 ? 0.0 : 1.0;
 #endif
-      if ((kind & 2) == 0) {
+      if ((kind & 10) == 0) {
         ps_cover(seen, color, amount, (kind & 1) != 0, place.z, source.w);
+      } else if ((kind & 8) != 0) {
+        ps_pass(seen, color, vec3(1.0 - min(amount, 1.0)));
       } else {
 #ifdef PS_TINT
         ps_pass(seen, color, exp(-amount * texelFetch(ps_tint, at, 0).rgb));

@@ -4,7 +4,8 @@
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
 // drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
-// render/passes/defocus.py. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something opaque may stand among them.
+// render/passes/defocus.py, PS_LINES: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
+// opaque may stand among them.
 
 #include "lib/camera.glsl"
 #include "lib/kernel.glsl"
@@ -14,6 +15,9 @@
 #include "lib/finite.glsl"
 #ifdef PS_DEFOCUS
 #include "lib/defocus.glsl"
+#endif
+#ifdef PS_LINES
+#include "lib/hair.glsl"
 #endif
 
 #define PS_LOW_PASS 0.04  // pixels^2: splats smaller than a pixel are not missed between the pixels' centres
@@ -236,7 +240,18 @@ void main()
   surface.emission = medium ? vec3(0.0) : emission;
   if (lit_as_surface) {
     facing = dot(facing, facing) > 0.5 ? facing : to_eye;
+#ifdef PS_LINES
+    bool strand = fuzzy && optics.w > 0.5;
+    for (int i = 0; i < (strand ? 1 : 0); i++) {
+      source += ps_shade_strand(place, normalize(a), to_eye, surface, texelFetch(ps_materials, ivec2(3, material), 0),
+                                frame.page.w);
+    }
+    for (int i = 0; i < (strand ? 0 : 1); i++) {
+      source += ps_shade(place, facing, to_eye, surface, frame.page.w);
+    }
+#else
     source += ps_shade(place, facing, to_eye, surface, frame.page.w);
+#endif
   }
 
 #ifdef PS_FUZZY_APART
@@ -249,56 +264,59 @@ void main()
   }
 #endif
 
+#if defined(PS_AMONG_OPAQUE) || defined(PS_DEFOCUS)
+  // Regression of depth on the place in the picture.
 #ifdef PS_DEFOCUS
-  float share = (disk.x + disk.z) / (wide.x + wide.z), k = ps_defocus_exponent(share);
-  // How far before and behind its middle what it shows in a pixel may lie: as far as the plane does that it lies in, and
-  // its neighbours, within the disk.
+  vec3 seen_as = wide - disk;
+#else
+  vec3 seen_as = wide;
+#endif
   deep = -0.5 * vec3(a.z, b.z, c.z);
   vec2 together = deep.x * ua + deep.y * ub + deep.z * uc;
-  vec3 sharp = own + vec3(low_pass, 0.0, low_pass);
-  vec2 slope_in = vec2(sharp.z * together.x - sharp.y * together.y, sharp.x * together.y - sharp.y * together.x) /
-                  (sharp.x * sharp.z - sharp.y * sharp.y);
-  float reach = length(slope_in) * sqrt(2.0 * (k + 2.0) * max(wide.x, wide.z)) + 2.0 * length(deep);
-  float weight = peak * kept * PS_PEAK, kind = PS_DEFOCUS_TRANSLUCENT;
+  vec2 gradient = vec2(seen_as.z * together.x - seen_as.y * together.y,
+                       seen_as.x * together.y - seen_as.y * together.x) /
+                  (seen_as.x * seen_as.z - seen_as.y * seen_as.y);
+#endif
+#ifdef PS_DEFOCUS
+  float k = ps_defocus_exponent((disk.x + disk.z) / (wide.x + wide.z));
+  float covers = 12.566371 * sqrt(max(own.x * own.z - own.y * own.y, 0.0));
+  float amount = 0.5 * peak * covers, kind = PS_DEFOCUS_TRANSLUCENT;
 #ifdef PS_FUZZY
   if (fuzzy) {
-    float area = 12.566371 * sqrt(max(own.x * own.z - own.y * own.y, 0.0)) * texelFetch(ps_share, at, 0).x;
-    weight = area * ps_defocus_peak(k, det) * (1.0 - ps_sharp(confusion));
-    kind = !ball && dot(normal, ps_is_perspective() ? p : vec3(0.0, 0.0, -1.0)) > 0.0 ? PS_DEFOCUS_BACK : 0.0;
-  } else {
-    weight = 12.566371 * sqrt(max(own.x * own.z - own.y * own.y, 0.0)) * 0.5 * peak * ps_defocus_peak(k, det);
+    amount = covers * texelFetch(ps_share, at, 0).x * (1.0 - ps_sharp(confusion));
+    bool turned = !ball && dot(normal, ps_is_perspective() ? p : vec3(0.0, 0.0, -1.0)) > 0.0;
+    kind = extent.y < 0.0 || optics.w > 0.5 ? PS_DEFOCUS_APART : turned ? PS_DEFOCUS_BACK : 0.0;
   }
-#else
-  weight = 12.566371 * sqrt(max(own.x * own.z - own.y * own.y, 0.0)) * 0.5 * peak * ps_defocus_peak(k, det);
 #endif
-  out_place = seen ? vec4(centre, d, weight) : vec4(0.0);
+#ifdef PS_HOLDOUT
+  kind += ps_instance_row(instance, 3).x > 0.5 ? PS_DEFOCUS_HOLDOUT : 0.0;
+#endif
+  // How far before and behind its middle the surface may lie that it shows in a pixel: as far as its plane reaches, and
+  // its neighbours do, within the disk.
+  float reach = length(gradient) * sqrt(2.0 * (k + 2.0) * max(wide.x, wide.z)) + 2.0 * length(deep);
+  out_place = seen ? vec4(centre, d, amount * ps_defocus_peak(k, det)) : vec4(0.0);
   out_shape = seen ? vec4(vec3(wide.z, -wide.y, wide.x) / det, k + kind) : vec4(1.0, 0.0, 1.0, 0.0);
   out_source = vec4(ps_finite(source), reach);
 #else
   out_place = seen ? vec4(centre, d, peak * kept * PS_PEAK) : vec4(0.0);
   out_shape = seen ? vec4(wide, 0.0) : vec4(1.0, 0.0, 1.0, 0.0);
   out_source = vec4(ps_finite(source), 0.0);
-#if defined(PS_KERNELS) && !defined(PS_DEFOCUS)
+#ifdef PS_KERNELS
   out_source.w = optics.w;
 #endif
-#if defined(PS_HOLDOUT) && defined(PS_DEFOCUS)
-  out_shape.w += ps_instance_row(instance, 3).x > 0.5 ? PS_DEFOCUS_HOLDOUT : 0.0;
-#elif defined(PS_HOLDOUT)
+#ifdef PS_HOLDOUT
   if (ps_instance_row(instance, 3).x > 0.5) {
     out_source = vec4(0.0, 0.0, 0.0, -1.0 - out_source.w);
   }
 #endif
-#if defined(PS_AMONG_OPAQUE) && !defined(PS_DEFOCUS)
-  // Regression of depth on the place in the picture, and what it leaves of the variance.
-  deep = -0.5 * vec3(a.z, b.z, c.z);
-  vec2 together = deep.x * ua + deep.y * ub + deep.z * uc;
-  vec2 gradient = vec2(wide.z * together.x - wide.y * together.y, wide.x * together.y - wide.y * together.x) / det;
+#ifdef PS_AMONG_OPAQUE
+  // And what it leaves of the variance.
   float variance = max(dot(deep, deep) - dot(gradient, together), 1e-10 * d * d);
   out_front = vec4(sqrt(variance), gradient, 0.0);
 #endif
+#endif
 #ifdef PS_TINT
   out_tint = vec4(tint, 0.0);
-#endif
 #endif
 #endif
 }

@@ -396,6 +396,8 @@ def _confusion(
 def _depths(lens: Lens, position: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of balls, as far as they may be seen."""
     depth = -position[2]
+    if not lens.perspective:
+        return depth - reach, depth + reach
     return np.maximum(depth - reach, lens.near), np.maximum(depth + reach, lens.near)
 
 

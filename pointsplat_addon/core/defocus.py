@@ -38,6 +38,7 @@ NODE = 1.4
 # Sums of kernels over a surface are uneven by some percent. What they cover is the sum s + EVEN s^4, at most 1: what is
 # almost whole lets nothing through, and edges keep their slope.
 EVEN = 0.12
+RIM = 0.002  # of 1 - q / S: where the rim is drawn softer than it is
 NEAREST = 1e-9  # depth, over the distance of focus, nearer than which the disk does not grow any more
 
 
@@ -117,6 +118,7 @@ class Splats:
     reach: np.ndarray  # (N,) how far before and behind its depth an opaque one's surface may lie in its kernel
     back: np.ndarray  # (N,) bool: shows its back
     translucent: np.ndarray  # (N,) bool
+    apart: np.ndarray  # (N,) bool: opaque, but of no surface
 
 
 def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
@@ -124,30 +126,54 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
 
     From the front, opaque splats of one surface add what they cover of the lens, up to all of it. What lies behind them
     by more than their reach is another surface, which sees what they leave open as if the two knew nothing of each
-    other: one behind the other, they cover 1 - (1 - a)(1 - b) (section 5.4). Backs cover no more than what fronts of
-    the same surface leave: closed bodies end with both at the same edge. Translucent splats take their share of what is
-    open (Beer's law).
+    other: one behind the other, they cover 1 - (1 - a)(1 - b) (section 5.4). So do splats that belong to no surface.
+    Backs cover no more than what fronts of the same surface leave: closed bodies end with both at the same edge.
+    Translucent splats take their share of what is open (Beer's law).
     """
-    offset = pixels[:, None] - splats.centre
-    q = np.einsum("pni,nij,pnj->pn", offset, np.linalg.inv(splats.covariance), offset)
-    amount = splats.weight * kernel(q, splats.exponent, np.linalg.det(splats.covariance))
-    opaque = ~splats.translucent
-    there = (amount > 0) & opaque
+    amount = splats.weight * drawn_kernel(pixels, splats)
+    surface = ~(splats.translucent | splats.apart)
+    there = (amount > 0) & surface
     # A surface goes on while the next splat's near end lies before the farthest end so far.
-    end = np.where(there, splats.depth + splats.reach, -np.inf)
-    farthest = np.maximum.accumulate(end, axis=1)
+    farthest = np.maximum.accumulate(np.where(there, splats.depth + splats.reach, -np.inf), axis=1)
     before = np.concatenate([np.full((len(pixels), 1), -np.inf), farthest[:, :-1]], axis=1)
     begins = there & (splats.depth - splats.reach > before)
+    number = np.cumsum(begins, axis=1)  # of the surface that is being gathered; 0: none yet
+
     front, back = (_within(np.where(there & side, amount, 0.0), begins) for side in (~splats.back, splats.back))
-    sum_ = np.maximum(front, back)
-    covered = np.minimum(sum_ + EVEN * sum_**4, 1)
-    was = np.where(begins, 0.0, np.concatenate([np.zeros((len(pixels), 1)), covered[:, :-1]], axis=1))
-    # What of the light from behind passes each splat; a surface that covers all lets nothing through.
-    passes = np.divide(1 - covered, 1 - was, out=np.zeros_like(was), where=was < 1)
-    passes = np.where(opaque, np.where(there, passes, 1.0), np.exp(-amount))
-    left = np.cumprod(np.concatenate([np.ones((len(pixels), 1)), passes], axis=1), axis=1)
-    share = left[:, :-1] - left[:, 1:]
+    sums = np.minimum(np.maximum(front, back), 1)
+    was = np.where(begins, 0.0, np.concatenate([np.zeros((len(pixels), 1)), sums[:, :-1]], axis=1))
+    # What a surface as a whole covers, for its sum so far; at its end, and for what lies within it.
+    covers = np.minimum(sums + EVEN * sums**4, 1)
+    ends = np.concatenate([begins[:, 1:], np.ones((len(pixels), 1), bool)], axis=1)
+    last = _last(np.where(ends, covers, 0.0), ends)
+    total = _last(np.where(ends, sums, 0.0), ends)
+    passes = np.where(splats.translucent, np.exp(-amount), 1 - np.minimum(amount, 1))
+    passes = np.where(surface, 1.0, passes)
+    open_ = np.cumprod(np.concatenate([np.ones((len(pixels), 1)), passes], axis=1), axis=1)[:, :-1]
+    closed = np.cumprod(np.where(ends & (number > 0), 1 - covers, 1.0), axis=1)
+    left = open_ * np.concatenate([np.ones((len(pixels), 1)), closed[:, :-1]], axis=1)
+    of_surface = (sums - was) * last / np.maximum(total, 1e-300)
+    share = left * np.where(there, of_surface, np.where(surface, 0.0, (1 - sums) * (1 - passes)))
     return np.concatenate([share @ splats.color, share.sum(axis=1, keepdims=True)], axis=1)
+
+
+def drawn_kernel(pixels: np.ndarray, splats: Splats) -> np.ndarray:
+    """(P, N) per pixel^2: `kernel`, with a rim as soft as a pixel is wide."""
+    offset = pixels[:, None] - splats.centre
+    q = np.einsum("pni,nij,pnj->pn", offset, np.linalg.inv(splats.covariance), offset)
+    k = splats.exponent
+    share = np.maximum(q / (2 * (k + 2)), 1e-12)
+    rim = np.clip(np.linalg.norm(offset, axis=-1) * (1 / np.sqrt(share) - 1) + 0.5, 0, 1)
+    peak = kernel(np.zeros(len(k)), k, np.linalg.det(splats.covariance))
+    return peak * np.maximum(1 - share, RIM) ** k * rim
+
+
+def _last(values: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """(P, N): at each place of a row, the value at the next end."""
+    count = values.shape[1]
+    at = np.where(ends, np.arange(count), count - 1)[:, ::-1]
+    following = np.minimum.accumulate(at, axis=1)[:, ::-1]
+    return np.take_along_axis(values, following, axis=1)
 
 
 def _within(values: np.ndarray, begins: np.ndarray) -> np.ndarray:

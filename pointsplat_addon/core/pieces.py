@@ -1,4 +1,4 @@
-"""Triangles cut into pieces that are as small as a blurred picture needs, and no smaller: one splat each.
+"""Triangles and balls in pieces that are as small as a blurred picture needs, and no smaller: one splat each.
 
 Samples of a whole mesh are as dense everywhere as its nearest part needs. Of what is out of focus that would be many
 times too many, and a floor of two triangles that comes near the eye has parts of every blur.
@@ -8,11 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from .cloud import PointCloud
+from .cut import largest_singular_value
 from .defocus import BLURRED, IN_FOCUS, NODE, Blur
+from .hierarchy import basis
 from .sampling import _STEINER, Samples
 from .scene import Camera, Mesh
 
 MOST = 1 << 21  # pieces of one mesh: beyond it they stay as large as they are
+LEAST_FACETS = 4  # of a ball
+STEEPEST = 0.97  # of a ball's squared radius: facets nearer to its rim would be seen edge-on
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+DISK_SHARE = 3 / np.pi  # of the disk that stands for a cell with the same moments, that the cell covers
 # Of the ellipse with a triangle's own moments the triangle covers so much: sqrt(108) / 4 pi.
 SHARE = np.sqrt(108) / (4 * np.pi)
 
@@ -31,7 +38,7 @@ def cut(
     weights = np.broadcast_to(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (len(rows), 3, 2))
     owner, done = np.asarray(rows, np.int64), []
     focal = np.abs(camera.pixel_from_view()[:2])
-    near = max(camera.near, 0.0)
+    near = camera.nearest
     total = 0
     while len(owner):
         depth = -corners[:, :, 2]
@@ -44,7 +51,7 @@ def cut(
         # What reaches before the near plane has no size in the picture: it is cut by its size in space.
         before = depth.min(axis=1) <= near
         space = np.linalg.norm(corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]], axis=2)
-        edges[before] = space[before] * (focal.max() / max(near, 1e-9))
+        edges[before] = space[before] * (focal.max() / (near if camera.perspective else 1.0))
         fine = edges.max(axis=1) <= np.maximum(NODE * least, tolerance)
         total += len(owner)
         fine |= total > MOST
@@ -59,6 +66,48 @@ def cut(
     return Samples("GRID", owner[order].astype(np.int32), weights.mean(axis=1).astype(np.float32), ellipse.astype("f4"))
 
 
+def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, tolerance: float, blur: Blur) -> PointCloud:
+    """The sides of balls that face the eye, as disks of equal areas in the picture, of which each covers DISK_SHARE:
+    balls of an instance with the transform (4, 4) that may be out of focus, in as many as their own sizes in the picture
+    ask for, at least LEAST_FACETS."""
+    matrix = np.asarray(view_from_object, np.float64)
+    assert cloud.radii is not None
+    radius = cloud.radii[:, 0].astype(np.float64)
+    place = cloud.position.astype(np.float64) + cloud.origin
+    depth = -(place @ matrix[2, :3] + matrix[2, 3])
+    scale = float(largest_singular_value(matrix[None, :3, :3])[0])
+    low, high = (np.maximum(depth + side * radius * scale, camera.nearest) for side in (-1, 1))
+    least, most = blur.bounds(low, high)
+    rows = np.flatnonzero((most > IN_FOCUS) & (high > camera.nearest))
+    pixels = radius * scale * max(abs(f) for f in camera.pixel_from_view()[:2]) / (low if camera.perspective else 1.0)
+    pixels = np.minimum(pixels, max(camera.resolution))  # of what is wider, a part is seen
+    count = np.pi * (pixels / np.maximum(NODE * least, tolerance))[rows] ** 2
+    count = np.clip(np.ceil(np.minimum(count, MOST / max(len(rows), 1))), LEAST_FACETS, None).astype(np.int64)
+    of = np.repeat(rows, count)
+    number = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
+    # Spirals fill a disk evenly; their places on the ball are right above.
+    share = np.minimum((number + 0.5) / np.repeat(count, count), STEEPEST)
+    angle = number * GOLDEN_ANGLE
+    inverse = np.linalg.inv(matrix[:3, :3])
+    toward = -(inverse @ matrix[:3, 3]) - place[of] if camera.perspective else np.tile(inverse[:, 2], (len(of), 1))
+    toward = (toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-300)).T
+    first, second = basis(toward)
+    out = np.cos(angle) * first + np.sin(angle) * second
+    rising, flat = np.sqrt(1 - share), np.sqrt(share)
+    normal = flat * out + rising * toward
+    half = radius[of] / np.sqrt(np.repeat(count, count) * DISK_SHARE)
+    given = {name: array[of] for name, array in cloud.arrays().items() if name not in ("position", "radii")}
+    return PointCloud(
+        (place[of] - cloud.origin + radius[of, None] * normal.T).astype(np.float32),
+        cloud.origin,
+        **given | {
+            "normal": np.ascontiguousarray(normal.T, np.float32),
+            "axis": np.ascontiguousarray((rising * out - flat * toward).T, np.float32),
+            "radii": np.stack([half / rising, half], axis=1).astype(np.float32),
+        },
+    )  # fmt: skip
+
+
 def _seen(corners: np.ndarray, camera: Camera, blur: Blur) -> np.ndarray:
     """(n,) bool: triangles (n, 3, 3) in view space of which a corner, blurred, may lie on each side of the window."""
     depth = -corners[:, :, 2]
@@ -66,15 +115,12 @@ def _seen(corners: np.ndarray, camera: Camera, blur: Blur) -> np.ndarray:
     _, _, width, height = camera.window
     w = np.maximum(depth, 0.0) if camera.perspective else np.ones_like(depth)
     # Of depths at and behind the eye the disk's radius times the depth is what counts: it stays finite.
-    reach = (
-        blur.radius(np.maximum(depth, max(camera.near, 1e-9)))
-        * (np.maximum(depth, max(camera.near, 1e-9)) if camera.perspective else 1.0)
-        + BLURRED * w
-    )
+    seen = np.maximum(depth, camera.nearest)
+    reach = blur.radius(seen) * (seen if camera.perspective else 1.0) + BLURRED * w
     x, y = fx * corners[:, :, 0] + cx * w, fy * corners[:, :, 1] + cy * w
     inside = (x + reach > 0).any(axis=1) & (x - reach < width * w).any(axis=1)
     inside &= (y + reach > 0).any(axis=1) & (y - reach < height * w).any(axis=1)
-    return inside & (depth > max(camera.near, 0.0)).any(axis=1) & (depth < camera.far).any(axis=1)
+    return inside & (depth > camera.nearest).any(axis=1) & (depth < camera.far).any(axis=1)
 
 
 def _halved(

@@ -273,6 +273,11 @@ class Camera:
         return bool(self.clip_from_view[3, 2] != 0.0)
 
     @property
+    def nearest(self) -> float:
+        """The least depth that is seen: in a parallel view it may lie behind the camera."""
+        return max(self.near, 1e-9) if self.perspective else self.near
+
+    @property
     def window(self) -> tuple[int, int, int, int]:
         return self.region or (0, 0, *self.resolution)
 

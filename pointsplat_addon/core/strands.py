@@ -8,7 +8,7 @@ fraction of a pixel they are left out by powers of two, and what is drawn keeps 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -122,6 +122,11 @@ class Segments:
 
     def __len__(self) -> int:
         return len(self.ends)
+
+    def take(self, index: np.ndarray) -> Segments:
+        """Some of them."""
+        named = {name: getattr(self, name)[index] for name in ("ends", "instance", "material", "phase", "share")}
+        return replace(self, **named)
 
     @cached_property
     def most(self) -> np.ndarray:

@@ -14,7 +14,10 @@ from ..core.covers import shares
 from ..core.cut import forest, fully, largest_singular_value, select
 from ..core.defocus import BLURRED, IN_FOCUS, Blur
 from ..core.instances import joined
+from ..core.lines import Lines
 from ..core.scene import Camera, Geometry, Mesh, Scene
+from ..core.strand_splats import SHARE, sharp_ends, splats
+from ..core.strands import Segments, Strands
 from .store import Layer, PointSet, Store
 
 
@@ -49,7 +52,7 @@ class Focus:
         matrix = self.view_from_object[instance]
         depth = -(matrix[:, 2, :3] @ middle + matrix[:, 2, 3])
         reach = radius * largest_singular_value(matrix[:, :3, :3])
-        near = max(self.camera.near, 0.0)
+        near = self.camera.nearest
         least, most = self.blur.bounds(np.maximum(depth - reach, near), np.maximum(depth + reach, near))
         return least < BLURRED, most > IN_FOCUS
 
@@ -60,6 +63,19 @@ class Focus:
             ("shares", areas is not None, *points.key), lambda: shares(points.hierarchy or points.cloud, areas)
         )
         self.shares[key] = made
+
+    def add_balls(self, instance: np.ndarray, points: PointSet) -> None:
+        """Balls that are drawn one by one."""
+        for i in instance.tolist():
+            matrix, camera = self.view_from_object[i], self.camera
+            key = ("pieces", *points.key, matrix.tobytes(), camera.clip_from_view.tobytes(), self.blur, self.tolerance)
+
+            def make(matrix: np.ndarray = matrix) -> PointCloud:
+                return pieces.balls(points.cloud, matrix, self.camera, self.tolerance, self.blur)
+
+            cut = PointSet(key, self.store.lookup(key, make))
+            if len(cut):
+                self.shares[self._add(np.array([i]), cut)] = float(pieces.DISK_SHARE)
 
     def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh, ok: np.ndarray) -> None:
         """Triangles, cut for this view."""
@@ -84,6 +100,30 @@ class Focus:
             points = PointSet(key, self.store.lookup(key, make))
             if len(points):
                 self.shares[self._add(np.array([i]), points)] = float(pieces.SHARE)
+
+    def add_lines(self, geometry: Geometry, lines: Lines, strands: Strands, segments: Segments) -> Segments:
+        """What of the segments of a view may be out of focus; returns those that may be in it."""
+        kept = np.zeros(len(segments), bool)
+        for i in np.unique(segments.instance).tolist():
+            mine = np.flatnonzero(segments.instance == i)
+            ends, matrix = segments.ends[mine], self.view_from_object[i]
+            kept[mine] = sharp_ends(strands, ends, matrix, self.camera, self.blur)
+            seen = (
+                matrix.tobytes(),
+                self.camera.clip_from_view.tobytes(),
+                self.camera.window,
+                self.blur,
+                self.tolerance,
+            )
+            key = ("pieces", geometry.key, *seen)
+
+            def make(ends: np.ndarray = ends, matrix: np.ndarray = matrix) -> PointCloud:
+                return splats(strands, lines, ends, matrix, self.camera, self.tolerance, self.blur)
+
+            points = PointSet(key, self.store.lookup(key, make))
+            if len(points):
+                self.shares[self._add(np.array([i]), points)] = float(SHARE)
+        return segments if kept.all() else segments.take(np.flatnonzero(kept))
 
     def _add(self, instance: np.ndarray, points: PointSet) -> int:
         key = len(self.sets)

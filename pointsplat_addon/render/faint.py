@@ -96,7 +96,9 @@ def reflection(scene: Scene, prepared: Prepared, store: Store = STORE) -> Reflec
     metal = smooth or bool((table.metallic[known] > 0).any())
     shines = metal or bool((relative_index(table.ior[known], table.specular[known]) != 1).any())
     alpha = MIN_ALPHA if smooth else max(float(table.roughness[known].min(initial=1.0)) ** 2, MIN_ALPHA)
-    strands = len(prepared.lines) > 0  # whose lobes (core/hair.py) have no bound here
+    # The lobes of strands (core/hair.py) have no bound here, nor have their pieces that are out of focus.
+    blurred = prepared.blurred is not None and any(geometry.lines is not None for geometry in scene.geometries)
+    strands = len(prepared.lines) > 0 or blurred
     lobe = np.inf if strands else most_scattered() / (np.pi * alpha**3) if shines else 0.0
     media = any(points.cloud.extinction is not None for points in _sets(prepared))
     g = 0.0 if table.anisotropy is None else min(float(np.abs(table.anisotropy[known]).max(initial=0.0)), 0.99)

@@ -194,7 +194,9 @@ class _View:
                 where = np.flatnonzero(set_of_instance == key)
                 middle, far, radius = _extent(points, self.store)
                 inside, outside = focus.reaches(where, middle, far + radius)
-                if outside.any():
+                if outside.any() and sets is spheres[0]:
+                    focus.add_balls(where[outside], points)
+                elif outside.any():
                     areas = self._areas(geometries[geometry_of[where[0]]], points)
                     sets[key] = points = self._with_nodes(points, always=areas is None)
                     focus.add_points(where[outside], points, areas)
@@ -257,6 +259,9 @@ class _View:
             parts = [part for part in parts if len(part)]
             if parts:
                 found[row] = together(parts)
+                if self.focus is not None:
+                    found[row] = self.focus.add_lines(geometry, lines, strands, found[row])
+                    found = {row: segments for row, segments in found.items() if len(segments)}
         return found
 
     def _divided(self, view_from_object: np.ndarray, usable: np.ndarray) -> dict[int, list[Shown | None]]:
@@ -398,6 +403,8 @@ class _View:
         mesh = geometry.mesh
         assert mesh is not None
         needed = self._needed(geometry, mesh, self._valid(geometry, mesh), view_from_object)
+        if not np.isfinite(needed):  # boxes around parts reach into the picture, and no triangle does
+            return []
         return self._dense(geometry, mesh, needed, view_from_object)
 
     def _dense(

@@ -6,10 +6,12 @@
 #define PS_NEAREST 1e-9  // of the distance of focus
 #define PS_DEFOCUS_PIXEL 0.11  // pixels^2 of variance
 #define PS_DEFOCUS_MOST 4.0  // exponent of what is hardly blurred: core/kernel.py
-// Added to the exponent: what shows its back, what is translucent, what only hides.
+// Added to the exponent: what shows its back, what is translucent, what only hides, what
+// belongs to no surface: leaves and hair.
 #define PS_DEFOCUS_BACK 8.0
 #define PS_DEFOCUS_TRANSLUCENT 16.0
 #define PS_DEFOCUS_HOLDOUT 32.0
+#define PS_DEFOCUS_APART 64.0
 
 // Radius in pixels, along the picture's y, of the disk of confusion at depth d.
 float ps_confusion(float d)

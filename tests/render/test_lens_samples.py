@@ -129,3 +129,18 @@ def test_what_only_the_rim_of_the_lens_sees_is_prepared():
     narrow, wide = (prepare(case.scene, c, LENS, 4) for c in (corner, prepared_for(case.scene, corner)))
     assert wide.cut.splats > narrow.cut.splats
     assert prepared_for(case.scene, replace(corner, aperture=None)).window == corner.window
+
+
+def test_a_viewport_keeps_the_depths_that_the_middle_of_the_lens_sees():
+    """What Blender draws over the picture is hidden by them; later samples see things elsewhere."""
+    for aperture, kept in ((PENTAGON, 1), (None, 0)):
+        case, device = with_aperture("mixed", aperture), NullDevice()
+        settings = replace(LENS, use_adaptive_sampling=False)
+        picture = Renderer(device).start(case.scene, Request(case.camera, settings, COMBINED, 3, interactive=True))
+        while picture.sample():
+            pass
+        picture.present()
+        assert device.names.count("keep") == kept
+        place = device.calls[-1].textures["ps_place"]
+        assert (place is picture.targets.data_surfels.buffer.textures["place"]) == (aperture is None)
+        picture.release()

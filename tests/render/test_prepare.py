@@ -233,3 +233,15 @@ def test_another_transfer_function_keeps_the_tree_and_the_kernels():
     assert first.extinction is not None
     assert second.extinction is not None
     assert not np.array_equal(second.extinction, first.extinction)
+
+
+def test_a_mesh_whose_box_alone_reaches_into_the_picture_is_not_drawn():
+    """A sphere beside the frustum, turned so that a corner of its box lies within."""
+    mesh, turn = scenes.sphere_mesh("sphere beside the picture", 24), np.eye(4)
+    turn[:3, :3] = [[np.sqrt(0.5), 0, -np.sqrt(0.5)], [0, 1, 0], [np.sqrt(0.5), 0, np.sqrt(0.5)]]
+    beside = scenes.moved((12.0 * np.tan(np.radians(20)) + 1.15, 8.0, 0)) @ turn
+    shown = scenes.points("sphere in the picture", scenes.sphere_cloud())
+    case = Case(scenes.scene((scenes.mesh(mesh), beside), (shown, scenes.moved())), scenes.camera())
+    found = prepared(case)
+    assert set(found.cut.instance) == {1}
+    assert len(found.polygons) == 0

@@ -23,7 +23,7 @@ from ..tiles import TILE_DEFINE
 from .common import FRAME
 from .shade import lighting_defines, lighting_samplers
 
-TILE = 8  # pixels on a side of tiles
+TILE = 4  # pixels on a side of tiles
 MOST_ENTRIES = 1 << 24  # of all tiles: beyond it they are made larger
 
 
@@ -64,7 +64,7 @@ def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tu
     half = np.sqrt(support * np.stack([yy, xx]) / determinant).T + 1.0
     low, high = np.maximum(centre - half, 0), np.minimum(centre + half, np.array(size, float))
     inside = (low < high).all(axis=1)
-    seen, low, high = seen[inside], low[inside], high[inside]
+    seen, low, high, centre, reach = seen[inside], low[inside], high[inside], centre[inside], half[inside].max(axis=1)
     tile = TILE
     while True:
         first = (low // tile).astype(np.int64)
@@ -78,6 +78,11 @@ def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tu
     number = ranges(np.zeros(len(seen), np.int64), count)
     x, y = first[owner, 0] + number % span[owner, 0], first[owner, 1] + number // span[owner, 0]
     where = y * columns + x
+    # Of the rectangles around ellipses the corners lie outside.
+    near_x = np.clip(centre[owner, 0], x * tile, (x + 1) * tile) - centre[owner, 0]
+    near_y = np.clip(centre[owner, 1], y * tile, (y + 1) * tile) - centre[owner, 1]
+    touched = near_x**2 + near_y**2 <= reach[owner] ** 2
+    where, owner = where[touched], owner[touched]
     order = np.argsort(where.astype(np.uint16 if columns * rows <= 1 << 16 else np.uint32), kind="stable")
     amount = np.bincount(where, minlength=columns * rows)
     tiles = np.stack([starts(amount), amount], axis=1).reshape(rows, columns, 2)

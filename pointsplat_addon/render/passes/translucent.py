@@ -65,6 +65,7 @@ class TranslucentOptions:
     cull: bool = False  # and some of these are not drawn where they show their backs
     apart: bool = False  # and some of these stand apart: core/apart.py
     defocus: bool = False  # for the pass of what is out of focus: passes/defocus.py
+    strands: bool = False  # some of these splats are pieces of strands: core/strand_splats.py
 
     @property
     def attributes(self) -> tuple[tuple[str, bool], ...]:
@@ -93,6 +94,7 @@ def options(
         cull=fuzzy and bool(table.cull.any()),
         apart=not defocus and any(is_fuzzy(c) and c.apart is not None for c in clouds),
         defocus=defocus,
+        strands=defocus and any(is_fuzzy(c) and c.kernel is not None for c in clouds),
     )
 
 
@@ -216,7 +218,7 @@ def light_program(
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
     named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.opaque and not options.defocus}
     named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
-    named |= {"PS_FUZZY_APART": options.apart, "PS_DEFOCUS": options.defocus}
+    named |= {"PS_FUZZY_APART": options.apart, "PS_DEFOCUS": options.defocus, "PS_LINES": options.strands}
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
     outputs = [
         "place",

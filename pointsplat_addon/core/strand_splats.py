@@ -1,0 +1,123 @@
+"""Strands that are out of focus, as splats: each piece of one a flat ellipse that faces the eye (core/defocus.py)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .cloud import PointCloud
+from .defocus import BLURRED, IN_FOCUS, NODE, Blur
+from .lines import Lines
+from .scene import Camera
+from .strands import Strands, lengths_scale
+
+MOST_ACROSS = 16  # strips of a wide tube
+MOST = 1 << 21  # pieces of one instance: beyond it they stay as long as they are
+SHARE = 3 / np.pi  # of the ellipse with its moments, that a rectangle covers
+
+
+def splats(
+    strands: Strands,
+    lines: Lines,
+    ends: np.ndarray,
+    view_from_object: np.ndarray,
+    camera: Camera,
+    tolerance: float,
+    blur: Blur,
+) -> PointCloud:
+    """Of segments `ends` (K, 2) of one instance with the transform (4, 4), those that may be out of focus. `kernel`
+    says what is shaded as a whole strand, whose tangents are the major axes (1), and what as a surface (0): ribbons, and
+    tubes that are wider than their pieces may be, in strips along them.
+
+    Pieces are at most `tolerance` pixels long, or NODE times the radius of their disks of confusion.
+    """
+    matrix = np.asarray(view_from_object, np.float64)
+    linear = matrix[:3, :3]
+    scale = float(lengths_scale(matrix[None])[0])
+    place = strands.position.astype(np.float64) + strands.origin
+    low, high = _depths(strands, ends, matrix, camera)
+    least, most = blur.bounds(low, high)
+    keep = (most > IN_FOCUS) & (high > camera.nearest)
+    ends, least, low = ends[keep], least[keep], low[keep]
+    per_pixel = (low if camera.perspective else 1.0) / max(abs(f) for f in camera.pixel_from_view()[:2])
+    largest = np.maximum(NODE * least, tolerance) * per_pixel  # view space
+    along = (place[ends[:, 1]] - place[ends[:, 0]]) @ linear.T
+    count = np.ceil(np.linalg.norm(along, axis=1) / largest)
+    count = np.maximum(np.minimum(count, MOST / max(len(ends), 1)), 1).astype(np.int64)
+    of, number = _numbered(count)
+    part = ((number + 0.5) / count[of])[:, None]
+    first, second = ends[of].T
+    middle = place[first] * (1 - part) + place[second] * part
+    axis = (place[second] - place[first]) / count[of][:, None]
+    radius = (strands.radius[first] * (1 - part[:, 0]) + strands.radius[second] * part[:, 0]).astype(np.float64)
+
+    # Towards the eye, in object space, across the strand.
+    inverse = np.linalg.inv(linear) if abs(np.linalg.det(linear)) > 1e-300 else np.eye(3)
+    toward = -(inverse @ matrix[:3, 3]) - middle if camera.perspective else np.broadcast_to(inverse[:, 2], middle.shape)
+    length = np.linalg.norm(axis, axis=1)
+    unit = axis / np.maximum(length, 1e-300)[:, None]
+    if strands.side is None:
+        facing = _normalised(toward - (toward * unit).sum(axis=1, keepdims=True) * unit)
+        side = np.cross(facing, unit)
+        across = np.clip(np.ceil(2 * radius * scale / largest[of]), 1, MOST_ACROSS).astype(np.int64)
+    else:
+        side = _normalised(strands.side[first] * (1 - part) + strands.side[second] * part)
+        side = _normalised(side - (side * unit).sum(axis=1, keepdims=True) * unit)
+        facing = np.cross(unit, side)
+        across = np.ones(len(of), np.int64)
+    strip, which = _numbered(across)
+    shift = ((2 * which + 1) / across[strip] - 1)[:, None]
+    round_ = strands.side is None
+    normal = facing[strip] * np.sqrt(1 - shift**2) + side[strip] * shift if round_ else facing[strip]
+    middle = middle[strip] + radius[strip, None] * (normal if round_ else 0.0) * (across[strip] > 1)[:, None]
+    half = np.stack([length[strip] / np.sqrt(3), 2 * radius[strip] / (across[strip] * np.sqrt(3))], axis=1)
+    # The wider of both half-axes comes first.
+    turned = half[:, 1] > half[:, 0]
+    major = np.where(turned[:, None], np.cross(normal, unit[strip]), unit[strip])
+    whole = across[strip] == 1
+    whole &= round_
+    # What is shaded as a whole keeps its tangent, however short it is.
+    half[whole & turned, 0] = half[whole & turned, 1]
+    major[whole] = unit[strip][whole]
+    rows = strands.source[np.stack([first, second], axis=1)][strip]
+    return PointCloud(
+        (middle - strands.origin).astype(np.float32),
+        strands.origin,
+        normal=np.ascontiguousarray(normal, np.float32),
+        axis=np.ascontiguousarray(major, np.float32),
+        radii=-np.sort(-half, axis=1).astype(np.float32),
+        material=strands.material[strands.strand[first]][strip].astype(np.uint16),
+        color=_mixed(lines.color, rows, part[strip]),
+        surface=_mixed(lines.surface, rows, part[strip]),
+        emission=_mixed(lines.emission, rows, part[strip]),
+        kernel=whole.astype(np.uint8) if whole.any() else None,
+    )
+
+
+def sharp_ends(
+    strands: Strands, ends: np.ndarray, view_from_object: np.ndarray, camera: Camera, blur: Blur
+) -> np.ndarray:
+    """(K,) bool: which segments may be in focus somewhere."""
+    return blur.bounds(*_depths(strands, ends, np.asarray(view_from_object, np.float64), camera))[0] < BLURRED
+
+
+def _depths(strands: Strands, ends: np.ndarray, matrix: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) each: of the nearer and of the farther end."""
+    depth = -((strands.position.astype(np.float64) + strands.origin) @ matrix[2, :3] + matrix[2, 3])
+    a, b = np.maximum(depth, camera.nearest)[ends].T
+    return np.minimum(a, b), np.maximum(a, b)
+
+
+def _mixed(values: np.ndarray | None, rows: np.ndarray, part: np.ndarray) -> np.ndarray | None:
+    if values is None:
+        return None
+    return (values[rows[:, 0]] * (1 - part) + values[rows[:, 1]] * part).astype(np.float32)
+
+
+def _normalised(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+
+
+def _numbered(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(E,) int64 each: rows of `count`, each as often as it says, and a number from 0 on within each."""
+    which = np.repeat(np.arange(len(count)), count)
+    return which, np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
