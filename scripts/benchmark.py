@@ -2,9 +2,9 @@
 
     python scripts/benchmark.py [--quick] [--only PART ...] [--json FILE] [--write-docs]
 
-Parts: hierarchy, sampling, order, shadow, frame, instances, hybrid, translucent, lines, blender. What a part compares
-with (SciPy, VTK, the bpy package) must be installed in the running interpreter; where it is missing, its rows have no
-value.
+Parts: hierarchy, sampling, order, shadow, frame, instances, hybrid, translucent, lines, leave_out, blender. What a part
+compares with (SciPy, VTK, the bpy package) must be installed in the running interpreter; where it is missing, its rows
+have no value.
 `--only frame` and `--only translucent` need NumPy and moderngl alone, and so run on a machine with a real GPU and no
 Blender.
 --write-docs replaces the figures of this interpreter's Blender in docs/benchmarks.md.
@@ -49,6 +49,7 @@ PARTS = {
     "hybrid": with_tables("bench_hybrid"),
     "translucent": plain("bench_translucent"),
     "lines": plain("bench_lines"),
+    "leave_out": with_tables("bench_leave_out"),
     "blender": with_tables("bench_blender"),
 }
 
@@ -110,7 +111,7 @@ def markdown(lines: list[list[str]]) -> str:
 
 def document(part: str, rows: list[dict], tables: Tables, quick: bool, load: str) -> str:
     """One part as Markdown."""
-    text = [f"### {part.capitalize()}", f"{machine()}; {load} at the start."]
+    text = [f"### {part.replace('_', ' ').capitalize()}", f"{machine()}; {load} at the start."]
     if quick:
         text.append("A `--quick` run: a tenth of the sizes, of no use for judging targets.")
     lines = [["what", "measured", "target", "met", "how"]]

@@ -20,23 +20,21 @@ void main()
 #ifdef PS_OUT_POSITION
   out_position = there ? vec4((frame.world_from_view * vec4(position, 1.0)).xyz, -position.z) : vec4(0.0, 0.0, 0.0, 1e10);
 #endif
-#ifdef PS_OUT_INDEX
-  float instance = -1.0;
 #ifdef PS_OWNER
-  if (there) {
-    instance = float(texelFetch(ps_owner, pixel, 0).x);
-  }
+  int owner = there ? int(texelFetch(ps_owner, pixel, 0).x) : -1;
+#else
+  const int owner = -1;
 #endif
-  out_index = vec4(instance, there ? (shape.w < -0.5 ? -1.0 - shape.w : shape.w) : -1.0, 0.0, 0.0);
+#ifdef PS_OUT_INDEX
+  out_index = vec4(owner, there ? (shape.w < -0.5 ? -1.0 - shape.w : shape.w) : -1.0, 0.0, 0.0);
 #endif
 #ifdef PS_OUT_VECTOR
   out_vector = vec4(0.0);
   if (there) {
-    int instance = int(texelFetch(ps_owner, pixel, 0).x);
     vec4 q = vec4(position, 1.0);
     vec4 rows[4];
     for (int i = 0; i < 4; i++) {
-      int t = instance * 4 + i;
+      int t = owner * 4 + i;
       rows[i] = texelFetch(ps_previous, ivec2(t & 4095, t >> 12), 0);
     }
     vec4 clip = vec4(dot(rows[0], q), dot(rows[1], q), dot(rows[2], q), dot(rows[3], q));

@@ -38,7 +38,7 @@ void main()
     discard;
   }
 #endif
-#ifdef PS_CORNER_COLOR
+#ifdef PS_CORNER_ALPHA
   if (v_color.a < 0.5) {
     discard;
   }
@@ -69,9 +69,9 @@ void main()
 #endif
 #endif
 #ifdef PS_SURFACE
-#if defined(PS_BAKED_COLOR)
+#if defined(PS_BAKED_SURFACE)
   vec2 surface = ps_repeat(ps_baked_surface, v_uv).xy;
-#elif defined(PS_CORNER_COLOR)
+#elif defined(PS_CORNER_SURFACE)
   vec2 surface = v_surface;
 #else
   vec2 surface = texelFetch(ps_materials, ivec2(2, frame.page.y), 0).yz;

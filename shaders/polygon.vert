@@ -26,14 +26,18 @@ void main()
 #endif
   vec4 corner = texelFetch(ps_corner, texel, 0);
   v_position = (frame.view_from_object * vec4(corner.xyz, 1.0)).xyz;
+#ifdef PS_NORMAL
   v_normal = ps_turn(ps_unpack_normal(corner.w));
   float size = length(v_normal);
   v_normal = size > 0.0 ? v_normal / size : vec3(0.0, 0.0, 1.0);
+#endif
 #ifdef PS_UV
   v_uv = texelFetch(ps_corner_uv, texel, 0).xy;
 #endif
 #ifdef PS_CORNER_COLOR
   v_color = texelFetch(ps_corner_color, texel, 0);
+#endif
+#ifdef PS_CORNER_SURFACE
   v_surface = texelFetch(ps_corner_surface, texel, 0).xy;
 #endif
 #ifdef PS_CORNER_EMISSION

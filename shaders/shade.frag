@@ -1,5 +1,5 @@
 // Deferred shading: the G-buffer to scene-linear radiance, premultiplied, added to what earlier samples left. Pixels
-// that show nothing are left to background.frag.
+// that show nothing are left to background.frag. PS_BESIDE: only passes beside Combined are drawn.
 
 #include "lib/camera.glsl"
 #include "lib/place.glsl"
@@ -58,6 +58,7 @@ void main()
 #ifdef PS_EMISSION
   surface.emission = texelFetch(ps_emission, pixel, 0).rgb;
 #endif
+#ifndef PS_BESIDE
 #ifdef PS_LINES
   // Loops of one turn or none, since some devices run both sides of every branch.
   vec3 radiance = vec3(0.0);
@@ -75,6 +76,7 @@ void main()
   out_focus = covered * vec4(place.x, 1.0, 0.0, 0.0);
 #endif
   out_combined = holdout ? vec4(0.0) : covered * vec4(ps_finite(radiance), 1.0);
+#endif
 
 #ifdef PS_OUT_NORMAL
   vec3 facing = dot(normal, to_eye) < 0.0 ? -normal : normal;

@@ -4,7 +4,8 @@
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
 // drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
-// render/passes/defocus.py, PS_LINES: with pieces of strands. PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
+// render/passes/defocus.py, PS_LINES: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
+// opaque may stand among them.
 
 #include "lib/camera.glsl"
 #include "lib/kernel.glsl"

@@ -128,6 +128,27 @@ def reflectance_table() -> np.ndarray:
     return table
 
 
+@cache
+def most_scattered() -> float:
+    """Bound of multiple over single scattering (Kulla and Conty 2017) of any material: that of a perfect mirror."""
+    return float(1 / reflectance_table()[..., 0].min())
+
+
+def light_irradiance(light: Light, distance: float) -> float:
+    """Bound of the irradiance, W/m2 in the strongest channel, on surfaces no nearer to the lamp's centre than this."""
+    strength = float(np.abs(light.color).max())
+    if strength == 0.0 or light.kind == "SUN":
+        return strength
+    if light.kind != "AREA":
+        squared = distance**2 + light.radius**2 if light.soft else max(distance, light.radius) ** 2
+        return strength / squared if squared > 0 else np.inf
+    u, v = (float(np.linalg.norm(axis)) for axis in _axes(light))
+    away = max(distance - u - v, 0.0)
+    seen = min(np.pi, 4 * u * v / away**2) if away > 0 else np.pi
+    half = light.spread / 2
+    return strength * seen * (float(np.tan(half) / _beam_mean(half)) if _is_narrowed(light) else 1.0)
+
+
 def relative_index(ior: np.ndarray, specular: np.ndarray) -> np.ndarray:
     """Index of refraction (N,) that stands for Blender's IOR and specular level, which scales F0."""
     f0 = ((ior - 1) / (ior + 1)) ** 2 * (2 * np.maximum(specular, 0))

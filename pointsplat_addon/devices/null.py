@@ -65,6 +65,7 @@ class NullDevice:
         self.textures: list[NullTexture] = []  # all that were ever made
         self.targets: list[NullTarget] = []
         self.interfaces: list[Interface] = []  # what would have been compiled, in order of first use
+        self.seen: set[int] = set()  # ids of textures that the host has read
         self.alive: set[NullTexture | NullTarget] = set()
         self.peak_bytes = 0
 
@@ -149,6 +150,7 @@ class NullDevice:
         )
 
     def read(self, texture: Texture) -> np.ndarray:
+        self.seen.add(id(texture))
         width, height = texture.size
         if texture.format == "R32UI":
             return np.zeros((height, width), np.uint32)

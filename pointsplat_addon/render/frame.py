@@ -17,7 +17,9 @@ from ..core.scene import Camera, Scene, Settings, World
 from ..core.strands import turns
 from ..shading.interface import Interface
 from .device import Device, Target, Texture
+from .faint import without_faint
 from .filtering import cryptomatte, offsets
+from .in_view import in_view
 from .lens import LensSamples, prepared_for
 from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
 from .painter import defocused, painted
@@ -30,7 +32,9 @@ from .passes.pyramid import levels
 from .plan import make_plan
 from .prepare import prepare, triangles_of
 from .shadows import Shadows, cast
+from .skipped import LATE, PASSES, UNKNOWN
 from .store import STORE
+from .surfels import Surfels
 from .targets import Pool, Targets
 from .technique import NAMES, NO_BLENDING, Technique, choose, reconsidered
 from .tiles import EVERYWHERE, Adaptive, why_everywhere
@@ -189,6 +193,9 @@ class Frame:
         self.beside: Frame | None = None
         if self.prepared.blurred is not None:
             self.request = request = self._defocused(scene, presented)
+        self.prepared, unseen = in_view(scene, self.prepared, request.camera)
+        scene, reflects, self._faint = without_faint(scene, self.prepared, request.camera.view_from_world)
+        self.scene = scene
         self.shadows, unshadowed = self._shadows()
         blended = (request.camera, request.samples) if self.technique.name == "EWA" else None
         paints = self.technique.name == "PAINTER" and self.prepared.cut.splats > 0
@@ -197,16 +204,9 @@ class Frame:
             self.prepared = painted(self.prepared, keep=presented or bool(others))
         in_focus = "" if blur_of(request.camera) is None or through_lens else "nothing is out of focus"
         self.plan = make_plan(
-            scene,
-            self.prepared,
-            request.passes,
-            self.shadows,
-            unshadowed,
-            request.interactive,
-            blended,
-            paints,
-            in_focus,
-        )
+            scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive, blended, paints,
+            reflects, unseen, in_focus,
+        )  # fmt: skip
         # Everything is drawn for `view`, of which the camera's window is a part.
         self.view, self.corner = _widened(request.camera, self.plan.reach(self.prepared.largest))
         self._turns = turns(request.samples)
@@ -226,7 +226,7 @@ class Frame:
             through_lens,
         )
         drawn = plan.points or plan.polygons or plan.spheres or plan.lines or plan.translucent is not None
-        self._trivial = not drawn and scene.world.image is None
+        self._trivial = not drawn and (scene.world.image is None or scene.transparent)
         if not self._trivial:
             try:
                 self._allocate()
@@ -249,10 +249,11 @@ class Frame:
 
     def _allocate(self) -> None:
         device, plan, passes = self.device, self.plan, self.request.passes
-        motion = "vector" in shade_pass.data(passes)
+        motion = plan.data and "vector" in shade_pass.data(passes)
         self.uploads = self._own(
             Uploads(self.renderer.kept, self.scene, self.view, self.prepared, plan, motion, self.shadows)
         )
+        self.clock.spent |= self.uploads.spent
         size, count = self.view.window[2:], levels(self.prepared.largest, self.view.resolution)
         self._lent = self.renderer.pool.borrow(plan, passes, size, count)
         self.targets = self._lent[1]
@@ -260,20 +261,22 @@ class Frame:
         if not self.everywhere:
             # Two pixels of the coarsest level on either side.
             threshold = self.request.settings.adaptive_threshold
-            shown = self.presented and not plan.defocus
-            place = self.targets.surfels.buffer.textures["place"] if shown else None
+            shown = self.presented and not plan.defocus and self.targets.surfels is not None
+            place = _bound(self.targets.surfels).get("ps_place") if shown else None
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, 2 << count, place))
         self.averages: tuple[Interface, ...] = ()
         if plan.painter and plan.points and shade_pass.averaged(passes):
             self.averages = (
-                shade_pass.shade_program(plan.data_variant, (), plan.materials, passes, lines=plan.lines),
-                shade_pass.background_program((), True, passes),
+                shade_pass.shade_program(
+                    plan.data_variant, (), plan.materials, passes, lines=plan.lines, combined=False
+                ),
+                shade_pass.background_program((), True, passes, combined=False),
             )
             passes = frozenset({"combined"})
         self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes, self.request.samples,
                                                 plan.ewa is not None, plan.lines, plan.defocus)  # fmt: skip
         self.background = shade_pass.background_program(
-            plan.lighting, self.scene.transparent, passes, plan.ewa is not None
+            plan.world, self.scene.transparent, passes, plan.ewa is not None, everywhere=not plan.shaded.solid
         )
         self.lit: translucent_pass.LitSplats | None = None
         self.tiles: defocus_pass.Defocus | None = None
@@ -313,11 +316,13 @@ class Frame:
             if projection is not None and (beside or not self.plan.painter):
                 self.clock.run("project", lambda: projection.run(uploads.draws, record.copy(), uploads.shared))
             shown = None if self.plan.painter else projection
-            self.targets.surfels.draw(uploads, shown, record, self.clock.run, region)
-            if beside and self.targets.data_surfels is not self.targets.surfels:
-                self.targets.data_surfels.draw(uploads, projection, record, self.clock.run)
-            if self.lens is not None and first and self.presented:
-                self.lens.keep(self.targets.data_surfels.buffer.textures["place"], record)
+            surfels, data_surfels = self.targets.surfels, self.targets.data_surfels
+            if surfels is not None:
+                surfels.draw(uploads, shown, record, self.clock.run, region)
+            if beside and data_surfels is not None and data_surfels is not surfels:
+                data_surfels.draw(uploads, projection, record, self.clock.run)
+            if self.lens is not None and first and self.presented and data_surfels is not None:
+                self.lens.keep(data_surfels.buffer.textures["place"], record)
             if self.plan.data and (first or self._wants_identities):
                 self.clock.run("data", lambda: self._draw_data(record))
                 self._read_data(first)
@@ -325,7 +330,8 @@ class Frame:
                 self.clock.run("averages", lambda: self._average(record))
             if self.lit is not None and not self.plan.defocus:
                 device.clear(self.targets.layer_target)
-            self.clock.run("shade", lambda: self._shade(record))
+            if surfels is not None:
+                self.clock.run("shade", lambda: self._shade(record))
             if self.plan.background:
                 self.clock.run("background", lambda: self._draw_background(record))
             if self.lit is not None and not self.plan.defocus:
@@ -372,21 +378,18 @@ class Frame:
     def _shade(self, record: np.ndarray) -> None:
         record = record.copy()
         record["size"][0, 2] = self.done
-        textures = self.targets.surfels.buffer.bound()
-        textures |= self.uploads.shading
-        self._add(self.shade, record, textures)
+        self._add(self.shade, record, _bound(self.targets.surfels) | self.uploads.shading)
 
     def _average(self, record: np.ndarray) -> None:
         """Passes of what is painted that are averaged: of its G-buffer, without light."""
-        textures = self.targets.data_surfels.buffer.bound() | self.uploads.shading
+        textures = _bound(self.targets.data_surfels) | self.uploads.shading
         for program in self.averages:
             self.device.draw(
                 program, self.targets.averages_target, uniforms=record.copy(), textures=textures, blend=True
             )
 
     def _draw_background(self, record: np.ndarray) -> None:
-        textures = self.targets.surfels.buffer.bound() | self.uploads.shading
-        self._add(self.background, record.copy(), textures)
+        self._add(self.background, record.copy(), _bound(self.targets.surfels) | self.uploads.shading)
 
     def _add(self, program: Interface, record: np.ndarray, textures: dict[str, Texture]) -> None:
         region = self.adaptive.shown if self.adaptive else EVERYWHERE
@@ -413,7 +416,7 @@ class Frame:
                 textures |= self.uploads.reach(int(centred["size"][0, 2]), centred, run)
             run("light", lambda: lit.light(centred, textures))
         if targets.depth is not None:
-            surfels = targets.surfels.buffer.bound()
+            surfels = _bound(targets.surfels)
             run("opaque depth", lambda: draw(self.depth_program, targets.depth_target, surfels))
         if self.plan.coarse and first:
             self.device.clear(targets.coarse_target)
@@ -471,7 +474,7 @@ class Frame:
         assert tiles is not None
         adaptive = self.adaptive
         program = defocus_pass.defocus_program(
-            plan.lighting, self.scene.transparent, plan.translucent.tint, plan.translucent.holdout,
+            plan.world, self.scene.transparent, plan.translucent.tint, plan.translucent.holdout,
             adaptive is not None, tiles.tile,
         )  # fmt: skip
         textures = {**self.uploads.shading, "ps_focused": targets.sums[0], "ps_focus": targets.focus}
@@ -491,7 +494,7 @@ class Frame:
         record = record.copy()
         x0, y0, _, _ = camera.window
         record["previous"][0] = *camera.resolution, x0, y0
-        textures = self.targets.data_surfels.buffer.bound()
+        textures = _bound(self.targets.data_surfels)
         if self.uploads.previous is not None:
             textures["ps_previous"] = self.uploads.previous
         program = shade_pass.data_program(self.plan.data_variant, self.request.passes)
@@ -530,33 +533,32 @@ class Frame:
         record["page"][0, :2] = self.corner
         record["mist"][0, 3] = 1 / max(self.done, 1)
         record["previous"][0] = m[2, 2], m[2, 3], m[3, 2], m[3, 3]
-        place = self.targets.data_surfels.buffer.textures["place"]
+        place = _bound(self.targets.data_surfels).get("ps_place")
         if self.beside is not None and not self.beside._trivial:
-            place = self.beside.targets.data_surfels.buffer.textures["place"]
-        textures = {"ps_combined": self.color, "ps_place": place}
-        program = shade_pass.PRESENT
+            place = _bound(self.beside.targets.data_surfels).get("ps_place")
+        textures = {"ps_combined": self.color}
+        adaptive = None if self.plan.defocus else self.adaptive
         if self.plan.defocus:
             record["mist"][0, 3] = 1.0
-        elif self.adaptive is not None and self.adaptive.place is not None:
-            program = shade_pass.PRESENT_ADAPTIVE
-            textures |= {"ps_counts": self.adaptive.known, "ps_place": self.adaptive.place}
+        elif adaptive is not None:
+            textures["ps_counts"], place = adaptive.known, adaptive.place
         if self.lens is not None and self.lens.place is not None:
-            textures["ps_place"] = self.lens.place
+            place = self.lens.place
+        if place is not None:
+            textures["ps_place"] = place
+        program = shade_pass.present_program(place is not None, adaptive is not None)
         self.device.draw(program, None, uniforms=record, textures=textures)
 
     def _present_constant(self) -> None:
         """A world of one colour needs no picture: one texel does."""
         color = self._constant()
         texel = self.device.texture((1, 1), "RGBA32F", color.astype(np.float32))
-        nothing = self.device.texture((1, 1), "RGBA32F", np.zeros(4, np.float32))
         record = self._record(0)
         record["mist"][0, 3] = 1.0
         record["size"][0, :2] = 1, 1
-        self.device.draw(
-            shade_pass.PRESENT, None, uniforms=record, textures={"ps_combined": texel, "ps_place": nothing}
-        )
+        program = shade_pass.present_program(False)
+        self.device.draw(program, None, uniforms=record, textures={"ps_combined": texel})
         texel.release()
-        nothing.release()
 
     # Results
 
@@ -657,12 +659,17 @@ class Frame:
 
     def _skipped(self) -> list[tuple[str, str]]:
         """Passes that did not run, and why."""
-        found = list(self.plan.skipped)
+        found = [entry for entry in (*self.plan.skipped, *self._faint) if entry[0] not in self.clock.spent]
+        known = {name for name, _ in found} | self.clock.spent.keys()
+        late = dict(LATE)
         if self._trivial:
-            return found
+            late = {"background": "one colour fills the picture", "adapt": "one colour fills the picture"}
+        elif self.plan.translucent is not None and not self.uploads.reach_lights:
+            late["reach"] = "several of its instances share splats, or lamps are too many"
         if self.everywhere:
-            found.append(("adapt", self.everywhere))
-        elif self.adaptive is not None:
+            late["adapt"] = self.everywhere
+        found += [(name, late.get(name, UNKNOWN)) for name in PASSES if name not in known]
+        if not self._trivial and not self.everywhere and self.adaptive is not None:
             mean = float(self._window(self.adaptive.samples(self.done)).mean())
             if mean < self.request.samples:
                 found.append(("samples", f"pixels have {mean:.1f} of {self.request.samples}: the others would agree"))
@@ -682,6 +689,11 @@ class Frame:
     def _own(self, item: Any) -> Any:
         self._owned.append(item)
         return item
+
+
+def _bound(surfels: Surfels | None) -> dict[str, Texture]:
+    """Textures of a G-buffer by sampler name; none where there is no G-buffer."""
+    return {} if surfels is None else surfels.buffer.bound()
 
 
 def _widened(camera: Camera, radius: float) -> tuple[Camera, tuple[int, int]]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -15,11 +17,12 @@ from ..core.scene import Camera, Scene
 from .passes import ewa
 from .passes.common import Variant
 from .passes.points import PointOptions
-from .passes.shade import NEED_OWNER, data
+from .passes.shade import NEED_OWNER, averaged, data
 from .passes.translucent import TranslucentOptions
 from .passes.translucent import options as translucent_options
 from .prepare import Prepared
 from .shadows import Shadows
+from .skipped import reasons
 
 EXACT_HALF = 2048  # integers below it are exact as half floats
 
@@ -35,16 +38,22 @@ class Plan:
     variant: Variant  # of the G-buffer that is shaded
     data_variant: Variant  # of the one that the passes which are not averaged read
     options: PointOptions
-    lighting: tuple[str, ...]  # PS_ names of what shines
+    lighting: tuple[str, ...]  # PS_ names of what shines on what is drawn
     materials: tuple[str, ...]  # and of what surfaces do with it
     background: bool  # pixels that show nothing hold something
     data: bool
     translucent: TranslucentOptions | None  # None: nothing is
     coarse: bool  # the first sample's translucent layer has fewer pixels: views that move show it at once
-    skipped: tuple[tuple[str, str], ...]  # (pass, because)
+    skipped: tuple[tuple[str, str], ...] = ()  # (pass, because)
     ewa: ewa.EwaOptions | None = None  # points are drawn by EWA; None: in image space
+    world: tuple[str, ...] = ()  # and of what is behind it
     painter: bool = False  # opaque points are painted: what the G-buffer holds of them is for other passes alone
     defocus: bool = False  # what is translucent is drawn along with what is out of focus: passes/defocus.py
+
+    @property
+    def solid(self) -> bool:
+        """Something is in the G-buffer."""
+        return self.points or self.polygons or self.spheres or self.lines
 
     @property
     def shaded(self) -> Plan:
@@ -67,11 +76,14 @@ def make_plan(
     interactive: bool = False,
     blended: tuple[Camera, int] | None = None,
     painter: bool = False,
+    reflects: bool = True,
+    unseen: Mapping[str, str] = MappingProxyType({}),
     in_focus: str = "",
 ) -> Plan:
     """The plan for one view of a scene. `unshadowed`: why there are no shadows. `blended`: points are drawn by EWA, for
-    this camera and number of samples. `painter`: opaque points are painted (render/painter.py). `in_focus`: why
-    nothing is out of focus; prepared.blurred is None."""
+    this camera and number of samples. `painter`: opaque points are painted (render/painter.py). `reflects`: something
+    that is drawn reflects light. `unseen`: kinds of things that are left out, and why (render/in_view.py). `in_focus`:
+    why nothing is out of focus; prepared.blurred is None."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
     lines = len(prepared.lines) > 0
@@ -79,7 +91,6 @@ def make_plan(
     defocus = prepared.blurred is not None
     solid = polygons or spheres or lines or (points and not painter)
     held = np.zeros(len(scene.instances), bool) if scene.instances.holdout is None else scene.instances.holdout
-    holdout = bool(held.any())
     cut = bool(held[prepared.translucent.set_of_instance >= 0].any())
     translucent = translucent_options(behind, scene.materials, solid, cut, defocus) if behind else None
     drawn = solid or translucent is not None
@@ -93,7 +104,8 @@ def make_plan(
     materials = _materials(scene, varies)
     smoothest = 0.0 if varies else float(scene.materials.roughness.min())
     shining = light_names(scene.lights, smoothest) if drawn else ()
-    lighting = (*(() if scene.transparent and not drawn else _world(scene)), *shining)
+    world = _world(scene)
+    lighting = (*world, *shining) if drawn and reflects else ()
     if shadows is not None:
         packed = shadows.packed
         named = {"PS_SHADOW_COLORED": packed.colored, "PS_SHADOW_SOLID": packed.solid, "PS_SHADOW_SUNS": packed.suns,
@@ -105,16 +117,21 @@ def make_plan(
     emission = any(c.emission is not None for c in clouds) or (polygons and "emission" in channels)
     wide = len(scene.materials) >= EXACT_HALF
     lit = bool(lighting) or surface or "normal" in passes
-    variant = Variant(lit, color, surface, emission, wide=wide)
+    pulled = points and blended is None
+    variant = Variant(lit, color, surface, emission, wide=wide, front=pulled and not painter)
     owner = bool(passes & set(NEED_OWNER))
     data_variant = (
-        replace(variant, normal=True, emission=False, owner=owner) if painter else Variant(owner=owner, wide=wide)
+        replace(variant, normal=True, emission=False, owner=owner, front=pulled)
+        if painter
+        else Variant(owner=owner, wide=wide, front=pulled)
     )
+    turned = lit or painter or bool(data(passes))
     shown = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])
+    holdout = bool(held[shown].any())
     one = not holdout and len(np.unique(shown)) == 1
     options = PointOptions(
-        shading_normal=any(p.cloud.shading_normal is not None for p in sets),
-        facets=any(p.cloud.facets is not None for p in sets),
+        shading_normal=turned and any(p.cloud.shading_normal is not None for p in sets),
+        facets=turned and any(p.cloud.facets is not None for p in sets),
         cull=points and bool(scene.materials.cull.any()),
         holdout=holdout,
         ellipses=any(p.hierarchy is not None or p.cloud.axis is not None for p in sets),
@@ -122,47 +139,22 @@ def make_plan(
         apart=any(p.cloud.apart is not None for p in sets),
         depth=polygons or spheres or lines,
     )
-    skipped = []
-    image_space, by_ewa = ("project", "resolve", "pull", "push"), ("splats", "visibility", "blend", "normalise")
-    if not points:
-        why = "points are painted" if painter else "nothing is drawn as points"
-        skipped += [(name, why) for name in (*image_space, *by_ewa)]
-    elif painter:
-        skipped += [(name, "points are painted") for name in by_ewa]
-    elif blended is None:
-        skipped += [(name, "points are drawn in image space") for name in by_ewa]
-    else:
-        skipped += [(name, "points are drawn by EWA") for name in image_space]
-    if not polygons:
-        skipped.append(("polygons", "nothing is drawn as polygons"))
-    if not spheres:
-        skipped.append(("spheres", "no ball without a normal is wide"))
-    if not lines:
-        skipped.append(("lines", "nothing is drawn as lines"))
-    if not data(passes):
-        skipped.append(("data", "no pass asks for position, index or motion"))
-    if scene.transparent and "mist" not in passes:
-        skipped.append(("background", "the film is transparent"))
-    if not defocus:
-        skipped.append(("defocus", in_focus or "the camera has no depth of field"))
-    elif translucent is not None:
-        skipped += [(name, "the pass defocus draws what is translucent") for name in ("order", "translucent", "add")]
-    if translucent is None:
-        skipped += [(name, "nothing is translucent") for name in ("order", "light", "translucent", "add")]
-    if shadows is None:
-        skipped.append(("shadows", unshadowed))
-    return Plan(
+    plan = Plan(
         points, polygons, spheres, lines, variant, data_variant, options, lighting, materials,
-        background=(not scene.transparent or "mist" in passes) and not defocus, data=drawn and bool(data(passes)),
+        background=(not scene.transparent or "mist" in passes) and not defocus,
+        data=(solid or points) and bool(data(passes)),
         translucent=translucent,
         coarse=interactive and translucent is not None and not defocus
         and not (translucent.tint or translucent.holdout or translucent.fuzzy),
-        skipped=tuple(skipped),
         ewa=None if blended is None or not points else ewa.options(
             blended[0], prepared.largest, any(p.cloud.normal is None for p in prepared.point_sets.values()), blended[1]
         ),
+        world=() if scene.transparent else world,
         painter=painter, defocus=defocus,
     )  # fmt: skip
+    asked = {"data": bool(data(passes)), "averaged": bool(averaged(passes))}
+    unshadowed = "" if shadows is not None else unshadowed or "nothing casts shadows"
+    return replace(plan, skipped=tuple(reasons(plan, asked, unshadowed, unseen, in_focus).items()))
 
 
 def _graphs(scene: Scene, prepared: Prepared) -> list[MaterialGraph]:

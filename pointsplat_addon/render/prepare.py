@@ -721,6 +721,18 @@ def _extent(points: PointSet, store: Store) -> tuple[np.ndarray, float, float]:
     return store.lookup(("extent", *points.key), look)
 
 
+def set_ball(points: PointSet, store: Store = STORE) -> tuple[np.ndarray, float, float]:
+    """Centre (3,) in object space, greatest distance of a point of the set from it, greatest radius of a splat."""
+    return _extent(points, store)
+
+
+def mesh_ball(mesh: Mesh, ok: np.ndarray, store: Store = STORE) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius in object space of a ball that holds the triangles `ok` (T,) of a mesh."""
+    if not ok.any():
+        return np.zeros(3), 0.0
+    return store.lookup(("bounds", mesh.key), lambda: _bounds(mesh, ok))
+
+
 def _typical_radius(cloud: PointCloud) -> float:
     if cloud.radii is None or len(cloud) == 0:
         return 0.0

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .device import Device
+from .device import Device, Texture
 from .passes import ewa as ewa_pass
 from .passes import lines as line_pass
 from .passes import polygons as polygon_pass
@@ -42,21 +42,23 @@ class Surfels:
         """One sample: points resolved, polygons rasterised, holes filled. `run` times each pass; outside `region`
         nothing of it will be looked at."""
 
-        def resolve_points() -> None:
+        def resolve_points(ids: Texture) -> None:
             self.buffer.clear()
-            if projection is not None:
-                resolve(
-                    self.device,
-                    self.resolve_program,
-                    projection.ids,
-                    uploads.draws,
-                    record.copy(),
-                    uploads.shared,
-                    self.buffer,
-                    region,
-                )
+            resolve(
+                self.device,
+                self.resolve_program,
+                ids,
+                uploads.draws,
+                record.copy(),
+                uploads.shared,
+                self.buffer,
+                region,
+            )
 
-        run("resolve", resolve_points)
+        if projection is None:
+            self.buffer.clear()
+        else:
+            run("resolve", lambda: resolve_points(projection.ids))
         self._draw_solids(uploads, record, run)
         if self.pyramid is not None:
             pyramid = self.pyramid

@@ -30,7 +30,9 @@ class Targets:
         self.projection: Projection | None = None
         if plan.points and plan.ewa is None:
             self.projection = self._own(Projection(device, plan.options, size))
-        self.surfels: Surfels = self._own(make_surfels(device, plan.shaded, plan.variant, size, count))
+        self.surfels: Surfels | None = None
+        if plan.shaded.solid:
+            self.surfels = self._own(make_surfels(device, plan.shaded, plan.variant, size, count))
         self.data_surfels = self.surfels
         self.sums: list[Texture] = [
             self._own(device.texture(size, "RGBA32F")) for _ in range(1 + len(shade_pass.averaged(passes)))
@@ -45,11 +47,10 @@ class Targets:
             self.seen: Texture = self._own(device.texture(size, "RGBA32F"))
             self.seen_target: Target = self._own(device.target([self.seen]))
         if plan.painter and plan.points:
-            # Passes that are not painted have a G-buffer of their own, and a picture that nobody sees.
+            # Passes that are not painted have a G-buffer of their own.
             self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
             if len(self.sums) > 1:
-                unseen = self._own(device.texture(size, "RGBA32F"))
-                self.averages_target: Target = self._own(device.target([unseen, *self.sums[1:]]))
+                self.averages_target: Target = self._own(device.target(self.sums[1:]))
         self.layer: Texture | None = None
         self.depth: Texture | None = None
         if plan.translucent is not None and not plan.defocus:

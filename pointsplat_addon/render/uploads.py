@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -98,6 +99,7 @@ class Uploads:
         self.reach_lights = 0  # of so many lights the share that reaches each of them may be kept
         self.reach_instances = np.empty(0, np.int64)
         self.reach_key: tuple = ()
+        self.spent: dict[str, float] = {}  # milliseconds by pass, of those that the processor does
         try:
             self._upload(motion, shadows)
         except Exception:
@@ -109,7 +111,7 @@ class Uploads:
         """Textures that shading reads, by sampler name."""
         tables, records = self.shadows
         return shade_pass.textures(
-            materials=self.materials, lights=self.lights, environment=self.environment,
+            materials=self.shared.get("ps_materials"), lights=self.lights, environment=self.environment,
             shadow_tables=tables, shadow_lights=records,
         )  # fmt: skip
 
@@ -152,11 +154,11 @@ class Uploads:
     def _upload(self, motion: bool, shadows: Shadows | None) -> None:
         scene, plan, device = self.scene, self.plan, self.device
         table = shade_pass.material_rows(scene.materials, self._escape())
-        self.materials = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
-        self.shared["ps_materials"] = self.materials
+        if plan.solid or plan.translucent is not None:
+            self.shared["ps_materials"] = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
         self._surface = float(table[0, 2, 1]), float(table[0, 2, 3])
         self._middle = self.prepared.view_from_object
-        if "PS_HAS_ENVIRONMENT" in plan.lighting and scene.world.image is not None:
+        if "PS_HAS_ENVIRONMENT" in (*plan.lighting, *plan.world) and scene.world.image is not None:
             self.environment = self._environment(scene.world.image)
         if shadows is not None:
             self._upload_shadows(shadows)
@@ -177,7 +179,7 @@ class Uploads:
     def _upload_view(self) -> None:
         """Small tables that hold the view."""
         scene, plan, prepared = self.scene, self.plan, self.prepared
-        if plan.lighting:
+        if plan.lighting or plan.world:
             self.lights = self._for_view(
                 light_texture(scene.lights, scene.world, self.camera.view_from_world, *self._surface)
             )
@@ -301,9 +303,12 @@ class Uploads:
             texture, self.listed = self._unsorted(page, layer)
         else:
             sorted_list: DrawList = self.kept.keep(("order",), DrawList)
+            before, sorts = time.perf_counter(), sorted_list.sorts
             sorted_list.update(
                 device, page, layer, matrices, view, (key, layer.set_of_instance.tobytes(), matrices.tobytes())
             )
+            if sorted_list.sorts > sorts:
+                self.spent["order"] = 1000 * (time.perf_counter() - before)
             texture, self.listed = sorted_list.texture, sorted_list.count
             self._remember(page, key, layer, matrices)
         assert texture is not None

@@ -20,12 +20,12 @@ void ps_store(PsSurfel s)
 #endif
 }
 
-#ifdef PS_FRONT
 // Beyond the near plane, so that 0, to which textures are cleared, means that nothing covers the pixel.
 void ps_store_front(PsSurfel s, bool covers)
 {
   ps_store(s);
+#ifdef PS_FRONT
   float front = (s.place.w > 0.0 ? s.place.x - s.place.w : s.place.x) - frame.lens.x;
   out_front = covers ? max(front, 1e-30) : 0.0;
-}
 #endif
+}

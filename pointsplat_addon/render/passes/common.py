@@ -38,6 +38,7 @@ class Variant:
     emission: bool = False
     owner: bool = False  # a pass asks which instance a pixel shows
     wide: bool = False  # more materials than half floats count
+    front: bool = True  # a pyramid asks for the depth of the near end
 
     @property
     def defines(self) -> tuple[str, ...]:
@@ -70,11 +71,11 @@ class Variant:
     @property
     def front_outputs(self) -> tuple[tuple[str, str], ...]:
         """With the depth of the near end, for the passes that write a level anew."""
-        return (*self.outputs(), ("float", "out_front"))
+        return (*self.outputs(), *((("float", "out_front"),) if self.front else ()))
 
     @property
     def front_defines(self) -> tuple[tuple[str, str], ...]:
-        return tuple((name, "1") for name in (*self.defines, "PS_FRONT"))
+        return tuple((name, "1") for name in (*self.defines, *(("PS_FRONT",) if self.front else ())))
 
     def samplers(self, prefix: str = "ps_", only: tuple[str, ...] = ()) -> tuple[tuple[str, str], ...]:
         kinds = {"vec4": "FLOAT_2D", "uint": "UINT_2D"}
@@ -85,33 +86,35 @@ class GBuffer:
     """One level of surfels.
 
     `target` takes them together with `front`, the depth of their near end; `fill_target` takes them alone, so that the
-    pass that fills holes can read `front` while it writes the rest.
+    pass that fills holes can read `front` while it writes the rest. Without a pyramid there is neither.
     """
 
     def __init__(self, device: Device, variant: Variant, size: tuple[int, int], depth: bool = False) -> None:
         self.size = size
         self.textures: dict[str, Texture] = {name: device.texture(size, format) for name, format, _ in variant.channels}
-        self.front = device.texture(size, "R32F")
-        self.target: Target = device.target([*self.textures.values(), self.front], depth=depth)
-        self.fill_target: Target = device.target(list(self.textures.values()))
-        # Where these two are zero nothing else is read.
-        self.mark_target: Target = device.target([self.textures["place"], self.front])
-        self._device, self._depth = device, depth
+        near_ends = [device.texture(size, "R32F")] if variant.front else []
+        self.target: Target = device.target([*self.textures.values(), *near_ends], depth=depth)
+        # Where place and front are zero nothing else is read.
+        self._cleared = self.target if depth else device.target([self.textures["place"], *near_ends])
+        self._owned: list[Target | Texture] = [self.target, *self.textures.values(), *near_ends]
+        self._owned += [] if depth else [self._cleared]
+        if variant.front:
+            self.front = near_ends[0]
+            self.fill_target: Target = device.target(list(self.textures.values()))
+            self._owned.append(self.fill_target)
+        self._device = device
 
     def clear(self) -> None:
         """Nothing anywhere."""
-        self._device.clear(self.target if self._depth else self.mark_target)
+        self._device.clear(self._cleared)
 
     def bound(self, prefix: str = "ps_") -> dict[str, Texture]:
         """Textures by sampler name."""
         return {prefix + name: texture for name, texture in self.textures.items()}
 
     def release(self) -> None:
-        self.target.release()
-        self.fill_target.release()
-        self.mark_target.release()
-        for texture in (*self.textures.values(), self.front):
-            texture.release()
+        for item in self._owned:
+            item.release()
 
 
 def frame_record(camera: Camera, offset: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:

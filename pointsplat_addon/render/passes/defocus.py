@@ -38,7 +38,7 @@ def defocus_program(
     return Interface(
         "defocus", fragment="defocus.frag", block=FRAME, outputs=(("vec4", "out_combined"),),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(world)),
-        defines=(*lighting_defines(world), ("PS_TILE_SIZE", str(tile)), TILE_DEFINE,
+        defines=(*lighting_defines(world), ("PS_TILE_SIZE", str(tile)), *((TILE_DEFINE,) if adaptive else ()),
                  *((name, "1") for name, on in named.items() if on)),
     )  # fmt: skip
 

@@ -122,8 +122,8 @@ def attributes(
         kinds = {"ps_shading_normal": options.shading_normal, "ps_facets": options.facets}
         samplers += [("FLOAT_2D", name) for name, on in kinds.items() if on]
     named = {
-        "PS_SHADING_NORMAL": options.shading_normal,
-        "PS_FACETS": options.facets,
+        "PS_SHADING_NORMAL": options.shading_normal and variant.normal,
+        "PS_FACETS": options.facets and variant.normal,
         "PS_HOLDOUT": options.holdout,
         "PS_ONE_INSTANCE": options.one_instance,
     }

@@ -15,6 +15,12 @@ from ..packing import PAGE_WIDTH, pack_normal, paged
 from .common import FRAME, GBuffer, Variant
 
 LARGEST_PICTURE = 4096  # texels along a side of a baked picture
+# What may vary from corner to corner: texture, and GLSL type and name between the stages.
+CORNERS = {
+    "ps_corner_color": ("vec4", "v_color"),
+    "ps_corner_surface": ("vec2", "v_surface"),
+    "ps_corner_emission": ("vec3", "v_emission"),
+}
 
 
 @dataclass
@@ -78,17 +84,20 @@ class PolygonMesh:
         graphs = graphs_of(mesh, table)
         pictures = {row: baked(mesh, table, row, LARGEST_PICTURE) for row in graphs}
         flat = {row: graph for row, graph in graphs.items() if pictures[row] is None}
+        alpha_names: list[str] = []
         if flat:
             look = at_corners(mesh, table, flat, rows)
             alpha = np.ones(len(rows) * 3, np.float32) if look.alpha is None else look.alpha
             color = np.repeat(table.base_color[rows], 3, axis=0) if look.color is None else look.color
-            surface = np.repeat(np.stack([table.roughness[rows], table.metallic[rows]], 1), 3, axis=0)
-            surface = surface if look.surface is None else look.surface
-            upload("ps_corner_color", "RGBA16F", 4, np.column_stack([color, alpha])[corners])
-            upload("ps_corner_surface", "RG32F", 2, surface[corners])
-            if variant.emission:
-                emission = np.repeat(table.emission[rows], 3, axis=0) if look.emission is None else look.emission
-                upload("ps_corner_emission", "RGBA16F", 4, emission[corners])
+            if not (look.alpha is None and look.color is None):
+                upload("ps_corner_color", "RGBA16F", 4, np.column_stack([color, alpha])[corners])
+            if look.surface is not None:
+                upload("ps_corner_surface", "RG32F", 2, look.surface[corners])
+            if variant.emission and look.emission is not None:
+                upload("ps_corner_emission", "RGBA16F", 4, look.emission[corners])
+            if look.alpha is not None:
+                alpha_names.append("PS_CORNER_ALPHA")
+        at_each_corner = (*(name.upper() for name in CORNERS if name in self.textures), *alpha_names)
         uv = np.zeros((len(corners), 2), np.float32)
         starts = np.searchsorted(rows[order], list(mesh.materials))
         ends = np.searchsorted(rows[order], list(mesh.materials), side="right")
@@ -103,7 +112,7 @@ class PolygonMesh:
                 uv[start:end] = uv_of(mesh, graphs[row])[corners[start:end]]
                 defines, textures = self._pictures(device, picture, table, row, variant)
             elif row in flat:
-                defines = ("PS_CORNER_COLOR", *(("PS_CORNER_EMISSION",) if variant.emission else ()))
+                defines = at_each_corner
             begins = None
             if parts is not None:
                 part = by_material[start // 3 : end // 3] // PART
@@ -116,7 +125,7 @@ class PolygonMesh:
     def _pictures(
         self, device: Device, picture: dict[str, np.ndarray], table: MaterialTable, row: int, variant: Variant
     ) -> tuple[tuple[str, ...], dict[str, Texture]]:
-        """Baked channels as textures; constants of the table where a channel does not vary."""
+        """Channels that vary, baked as textures; those that share a texture with one that does hold constants."""
         height, width = next(iter(picture.values())).shape[:2]
         names, textures = ["PS_UV"], {}
 
@@ -125,15 +134,17 @@ class PolygonMesh:
             textures[name] = device.texture((width, height), format, np.concatenate(columns, axis=2).reshape(-1))
             self.textures[f"{row} {name}"] = textures[name]
 
-        if variant.color:
+        if picture.keys() & {"base_color", "alpha"}:
             color = picture.get("base_color")
             color = np.broadcast_to(table.base_color[row], (height, width, 3)) if color is None else color
             add("ps_baked_color", "RGBA16F", [color[..., i : i + 1] for i in range(3)] + [picture.get("alpha", 1.0)])
-            roughness, metallic = table.roughness[row], table.metallic[row]
-            add("ps_baked_surface", "RG32F", [picture.get("roughness", roughness), picture.get("metallic", metallic)])
             names.append("PS_BAKED_COLOR")
             if "alpha" in picture:
                 names.append("PS_BAKED_ALPHA")
+        if picture.keys() & {"roughness", "metallic"}:
+            roughness, metallic = table.roughness[row], table.metallic[row]
+            add("ps_baked_surface", "RG32F", [picture.get("roughness", roughness), picture.get("metallic", metallic)])
+            names.append("PS_BAKED_SURFACE")
         if variant.emission and "emission" in picture:
             add("ps_baked_emission", "RGBA16F", [*(picture["emission"][..., i : i + 1] for i in range(3)), 0.0])
             names.append("PS_BAKED_EMISSION")
@@ -152,21 +163,37 @@ def _origin(mesh: Mesh, ok: np.ndarray) -> np.ndarray:
     return ((used.min(axis=0) + used.max(axis=0)) / 2).astype(np.float64) if len(used) else np.zeros(3)
 
 
+def _needed(variant: Variant, group: Group) -> tuple[str, ...]:
+    """Defines of a group's shader in a G-buffer of this variant."""
+    held = {"PS_BAKED_NORMAL": variant.normal}
+    for kind, on in (("COLOR", variant.color), ("SURFACE", variant.surface), ("EMISSION", variant.emission)):
+        held |= {f"PS_BAKED_{kind}": on, f"PS_CORNER_{kind}": on}
+    # Alpha is a colour's.
+    held["PS_BAKED_COLOR"] |= "PS_BAKED_ALPHA" in group.defines
+    held["PS_CORNER_COLOR"] |= "PS_CORNER_ALPHA" in group.defines
+    names = [name for name in group.defines if held.get(name, True)]
+    pictures = any(name.startswith("PS_BAKED") for name in names)
+    return tuple(name for name in names if name != "PS_UV" or pictures)
+
+
 def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
     """The program that draws a group, or some of its parts."""
-    names = group.defines
-    samplers = [("FLOAT_2D", "ps_corner"), ("FLOAT_2D", "ps_materials")]
-    varyings = [("smooth", "vec3", "v_position"), ("smooth", "vec3", "v_normal")]
+    names = _needed(variant, group)
+    samplers = [("FLOAT_2D", "ps_corner")]
+    varyings = [("smooth", "vec3", "v_position")]
+    if variant.normal:
+        varyings.append(("smooth", "vec3", "v_normal"))
     if "PS_UV" in names:
         samplers.append(("FLOAT_2D", "ps_corner_uv"))
         varyings.append(("smooth", "vec2", "v_uv"))
-    if "PS_CORNER_COLOR" in names:
-        samplers += [("FLOAT_2D", "ps_corner_color"), ("FLOAT_2D", "ps_corner_surface")]
-        varyings += [("smooth", "vec4", "v_color"), ("smooth", "vec2", "v_surface")]
-    if "PS_CORNER_EMISSION" in names:
-        samplers.append(("FLOAT_2D", "ps_corner_emission"))
-        varyings.append(("smooth", "vec3", "v_emission"))
-    samplers += [("FLOAT_2D", name) for name in group.textures]
+    for sampler, (glsl, varying) in CORNERS.items():
+        if sampler.upper() in names:
+            samplers.append(("FLOAT_2D", sampler))
+            varyings.append(("smooth", glsl, varying))
+    samplers += [("FLOAT_2D", name) for name in group.textures if name.upper() in names]
+    kinds = {"COLOR": variant.color, "SURFACE": variant.surface, "EMISSION": variant.emission}
+    if any(on and not {f"PS_BAKED_{kind}", f"PS_CORNER_{kind}"} & set(names) for kind, on in kinds.items()):
+        samplers.append(("FLOAT_2D", "ps_materials"))
     if parted:
         samplers.append(("FLOAT_2D", "ps_parts"))
     more = ((("PS_CULL", "1"),) if group.cull else ()) + ((("PS_PARTS", str(3 * PART)),) if parted else ())

@@ -30,12 +30,12 @@ class Pyramid:
         self.levels = [base, *(GBuffer(device, variant, (width, height)) for width, height in sides)]
         self.pull_program = Interface(
             "pull", fragment="pull.frag", block=FRAME, samplers=variant.samplers(), outputs=variant.front_outputs,
-            defines=variant.front_defines,
+            defines=tuple(entry for entry in variant.front_defines if entry[0] != "PS_SURFACE"),
         )  # fmt: skip
         self.fill_program = Interface(
             "push", fragment="fill.frag", block=FRAME, outputs=variant.outputs(),
             samplers=(("FLOAT_2D", "ps_front"), *variant.samplers("ps_coarse_")),
-            defines=tuple((name, "1") for name in variant.defines),
+            defines=tuple((name, "1") for name in variant.defines if name != "PS_SURFACE"),
         )  # fmt: skip
         self.finest_program = self.fill_program.with_defines("PS_FINEST")
 

@@ -6,8 +6,6 @@ refraction that stands for IOR and specular level; what hair is besides (core.ha
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ...core.hair import texel
@@ -53,41 +51,51 @@ def shade_program(
     coverage: bool = False,
     lines: bool = False,
     focus: bool = False,
+    combined: bool = True,
 ) -> Interface:
     """`lighting`, `materials`: the PS_ names of what shines and of what surfaces do with it. Wide lamps are looked at
     from as many points as the `samples` of a picture leave over from LAMP_POINTS. `coverage`: edges are soft.
-    `lines`: there are strands. `focus`: only what is in focus, with its depth."""
+    `lines`: there are strands. `focus`: only what is in focus, with its depth. `combined`: the picture, not only passes
+    beside it."""
     read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
-    flags = {"PS_COVERAGE": coverage, "PS_LINES": lines and variant.normal, "PS_FOCUS": focus}
+    flags = {"PS_COVERAGE": coverage, "PS_LINES": lines and variant.normal, "PS_FOCUS": focus,
+             "PS_BESIDE": not combined}  # fmt: skip
     names = (*variant.defines, *materials, *_averaged_defines(passes), *(name for name, on in flags.items() if on))
     points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
     return Interface(
         "shade", fragment="shade.frag", block=FRAME,
-        outputs=(*_averaged_outputs(passes), *((("vec4", "out_focus"),) if focus else ())),
+        outputs=(*_averaged_outputs(passes, combined), *((("vec4", "out_focus"),) if focus else ())),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
         defines=(*lighting_defines(lighting), *taps, *((name, "1") for name in names)),
     )  # fmt: skip
 
 
 def background_program(
-    lighting: tuple[str, ...], transparent: bool, passes: frozenset[str], coverage: bool = False
+    world: tuple[str, ...],
+    transparent: bool,
+    passes: frozenset[str],
+    coverage: bool = False,
+    everywhere: bool = False,
+    combined: bool = True,
 ) -> Interface:
-    """The world behind everything, of which `lighting` says what it is. `coverage`: edges let some of it through."""
-    world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT"))
-    named = {"PS_BACKGROUND": not transparent, "PS_COVERAGE": coverage}
+    """The world behind everything, of which `world` says what it is. `coverage`: edges let some of it through.
+    `everywhere`: nothing is before it. `combined`: the picture, not only passes beside it."""
+    named = {"PS_BACKGROUND": not transparent, "PS_COVERAGE": coverage, "PS_EVERYWHERE": everywhere,
+             "PS_BESIDE": not combined}  # fmt: skip
     names = (*world, *_averaged_defines(passes), *(name for name, on in named.items() if on))
-    read = ("ps_place", "ps_shape") if coverage else ("ps_place",)
+    read = () if everywhere else ("ps_place", "ps_shape") if coverage else ("ps_place",)
     return Interface(
-        "background", fragment="background.frag", block=FRAME, outputs=_averaged_outputs(passes),
+        "background", fragment="background.frag", block=FRAME, outputs=_averaged_outputs(passes, combined),
         samplers=(*(("FLOAT_2D", name) for name in read), *lighting_samplers(world)),
         defines=tuple((name, "1") for name in names),
     )  # fmt: skip
 
 
-def _averaged_outputs(passes: frozenset[str]) -> tuple[tuple[str, str], ...]:
-    return (("vec4", "out_combined"), *(("vec4", AVERAGED[key][1]) for key in averaged(passes)))
+def _averaged_outputs(passes: frozenset[str], combined: bool) -> tuple[tuple[str, str], ...]:
+    first = (("vec4", "out_combined"),) if combined else ()
+    return (*first, *(("vec4", AVERAGED[key][1]) for key in averaged(passes)))
 
 
 def _averaged_defines(passes: frozenset[str]) -> tuple[str, ...]:
@@ -123,14 +131,16 @@ def data_program(variant: Variant, passes: frozenset[str]) -> Interface:
     )  # fmt: skip
 
 
-PRESENT = Interface(
-    "present", vertex="present.vert", fragment="present.frag", block=FRAME,
-    samplers=(("FLOAT_2D", "ps_combined"), ("FLOAT_2D", "ps_place")),
-    varyings=(("smooth", "vec2", "v_place"),), outputs=(("vec4", "out_color"),), depth=True,
-)  # fmt: skip
-PRESENT_ADAPTIVE = replace(
-    PRESENT, samplers=(*PRESENT.samplers, ("FLOAT_2D", "ps_counts")), defines=(TILE_DEFINE,)
-)  # pixels differ in how many samples they have: render/tiles.py
+def present_program(surface: bool, adaptive: bool = False) -> Interface:
+    """The finished picture into the viewport. `surface`: something has a depth. `adaptive`: pixels differ in how many
+    samples they have (render/tiles.py)."""
+    named = {"ps_place": surface, "ps_counts": adaptive}
+    return Interface(
+        "present", vertex="present.vert", fragment="present.frag", block=FRAME,
+        samplers=(("FLOAT_2D", "ps_combined"), *(("FLOAT_2D", name) for name, on in named.items() if on)),
+        varyings=(("smooth", "vec2", "v_place"),), outputs=(("vec4", "out_color"),), depth=True,
+        defines=((("PS_SURFACES", "1"),) if surface else ()) + ((TILE_DEFINE,) if adaptive else ()),
+    )  # fmt: skip
 
 
 def material_rows(table: MaterialTable, escape: np.ndarray) -> np.ndarray:

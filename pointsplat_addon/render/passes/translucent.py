@@ -53,7 +53,6 @@ class TranslucentOptions:
     """What translucent splats have beyond geometry and optical depth."""
 
     media: bool = False  # some fill a volume
-    shells: bool = False  # some cover a surface
     color: bool = False
     surface: bool = False
     emission: bool = False
@@ -82,7 +81,6 @@ def options(
     fuzzy = any(is_fuzzy(c) for c in clouds)
     return TranslucentOptions(
         media=any(c.extinction is not None for c in clouds),
-        shells=any(c.extinction is None for c in clouds),
         color=any(c.color is not None for c in clouds),
         surface=any(c.surface is not None for c in clouds),
         emission=any(c.emission is not None for c in clouds)
@@ -218,7 +216,7 @@ def light_program(
     read += tuple(name for name, on in options.attributes if on)
     read += ("share",) if options.defocus and options.fuzzy else ()
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
-    named = {"PS_MEDIA": options.media, "PS_SHELLS": options.shells, "PS_AMONG_OPAQUE": options.opaque}
+    named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.opaque and not options.defocus}
     named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
     named |= {"PS_FUZZY_APART": options.apart, "PS_DEFOCUS": options.defocus, "PS_LINES": options.strands}
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
@@ -233,7 +231,7 @@ def light_program(
         "light", fragment="translucent_light.frag", block=FRAME,
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_{name}") for name in outputs),
-        defines=(*lighting_defines(lighting), *known, *_fuzzy_defines(options),
+        defines=(*lighting_defines(lighting), *known, *_fuzzy_defines(options, lighting),
                  *((name, "1") for name in (*materials, *(name for name, on in named.items() if on)))),
     )  # fmt: skip
 
@@ -243,7 +241,7 @@ def reach_program(options: TranslucentOptions, lighting: tuple[str, ...], lights
     colored = "PS_SHADOW_COLORED" in lighting
     read = ("order", "instances", "place", "extent", "optics", "materials")
     read += ("shading_normal",) if options.shading_normal else ()
-    defines = (*_fuzzy_defines(options), *((("PS_SHADING_NORMAL", "1"),) if options.shading_normal else ()))
+    defines = (*_fuzzy_defines(options, lighting), *((("PS_SHADING_NORMAL", "1"),) if options.shading_normal else ()))
     return Interface(
         "reach", fragment="translucent_light.frag", block=FRAME,
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
@@ -252,13 +250,13 @@ def reach_program(options: TranslucentOptions, lighting: tuple[str, ...], lights
     )  # fmt: skip
 
 
-def _fuzzy_defines(options: TranslucentOptions) -> tuple[tuple[str, str], ...]:
+def _fuzzy_defines(options: TranslucentOptions, lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """One point of each wide lamp a sample is enough for splats that overlap, and blur what they receive; opaque ones
     do not."""
-    if not options.fuzzy:
-        return (("PS_SHADOW_TAPS", "1"),)
+    points = MOST_LAMP_POINTS if options.fuzzy else 1
+    taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOWS" in lighting else ()
     narrow = float(np.sqrt(4 * painter.SUPPORT / SUPPORT))
-    return (("PS_SHADOW_TAPS", str(MOST_LAMP_POINTS)), ("PS_FUZZY", repr(narrow)))
+    return (*taps, *((("PS_FUZZY", repr(narrow)),) if options.fuzzy else ()))
 
 
 def _reach_textures(lights: int, colored: bool) -> int:
