@@ -7,6 +7,7 @@
 #include "lib/finite.glsl"
 
 #define PS_FAR 1e30
+#define PS_BACK_BESIDE 0.8  // of what backs cover where fronts of the same surface are
 #define PS_EVEN 0.12  // added to a sum of 1
 #define PS_OPEN 0.001  // of the light from behind: less is not seen
 
@@ -44,6 +45,7 @@ void ps_cover(inout PsSeen seen, vec4 color, float amount, bool back, float dept
   }
   seen.end = max(seen.end, depth + reach);
   float was = min(max(seen.front, seen.back), 1.0);
+  amount *= back && seen.front > 0.0 ? PS_BACK_BESIDE : 1.0;
   seen.front += back ? 0.0 : amount;
   seen.back += back ? amount : 0.0;
   float added = min(max(seen.front, seen.back), 1.0) - was;

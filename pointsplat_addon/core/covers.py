@@ -59,10 +59,12 @@ def _densities(hierarchy: Hierarchy) -> np.ndarray:
     tree, cloud = hierarchy.tree, hierarchy.cloud
     count = tree.point_count.astype(np.float64)
     assert cloud.radii is not None
-    own = sum_up(tree, len(cloud), lambda which: 0.25 * _product(cloud.radii[which])[None])[0] / count  # type: ignore[index]
-    # Moments of the points' places alone, and of the cells around them, whose area is what is asked for.
+    squared = _product(cloud.radii)
+    own = sum_up(tree, len(cloud), lambda which: 0.25 * squared[None, which])[0] / count
+    # Moments of the points' places alone, and of the cells around them, whose area is what is asked for: at first that
+    # of the points themselves, which single ones keep.
     places = np.maximum(0.25 * hierarchy.radii[:, :2].T.astype(np.float64) ** 2 - own, 0)
-    each = 12 * np.sqrt(places.prod(axis=0)) / count
+    each = 4 * np.pi * SHARE * own
     for _ in range(STEPS):
         each = 12 * np.sqrt((places + each / 12).prod(axis=0)) / count
     return np.repeat(*_of_leaves(tree, each))

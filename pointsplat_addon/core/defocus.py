@@ -38,6 +38,8 @@ NODE = 1.4
 # Sums of kernels over a surface are uneven by some percent. What they cover is the sum s + EVEN s^4, at most 1: what is
 # almost whole lets nothing through, and edges keep their slope.
 EVEN = 0.12
+# Of what backs cover where fronts of the same surface are: sums are uneven, and closed bodies end with fronts alone.
+BESIDE = 0.8
 RIM = 0.002  # of 1 - q / S: where the rim is drawn softer than it is
 NEAREST = 1e-9  # depth, over the distance of focus, nearer than which the disk does not grow any more
 
@@ -127,7 +129,7 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     From the front, opaque splats of one surface add what they cover of the lens, up to all of it. What lies behind them
     by more than their reach is another surface, which sees what they leave open as if the two knew nothing of each
     other: one behind the other, they cover 1 - (1 - a)(1 - b) (section 5.4). So do splats that belong to no surface.
-    Backs cover no more than what fronts of the same surface leave: closed bodies end with both at the same edge.
+    Backs show where they cover more than fronts of the same surface do: closed bodies end with both at the same edge.
     Translucent splats take their share of what is open (Beer's law).
     """
     amount = splats.weight * drawn_kernel(pixels, splats)
@@ -139,7 +141,8 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     begins = there & (splats.depth - splats.reach > before)
     number = np.cumsum(begins, axis=1)  # of the surface that is being gathered; 0: none yet
 
-    front, back = (_within(np.where(there & side, amount, 0.0), begins) for side in (~splats.back, splats.back))
+    front = _within(np.where(there & ~splats.back, amount, 0.0), begins)
+    back = _within(np.where(there & splats.back, np.where(front > 0, BESIDE, 1.0) * amount, 0.0), begins)
     sums = np.minimum(np.maximum(front, back), 1)
     was = np.where(begins, 0.0, np.concatenate([np.zeros((len(pixels), 1)), sums[:, :-1]], axis=1))
     # What a surface as a whole covers, for its sum so far; at its end, and for what lies within it.
@@ -152,10 +155,9 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     open_ = np.cumprod(np.concatenate([np.ones((len(pixels), 1)), passes], axis=1), axis=1)[:, :-1]
     closed = np.cumprod(np.where(ends & (number > 0), 1 - covers, 1.0), axis=1)
     left = open_ * np.concatenate([np.ones((len(pixels), 1)), closed[:, :-1]], axis=1)
-    of_surface = (sums - was) * last / np.maximum(total, 1e-300)
-    share = left * np.where(
-        there, of_surface, np.where(surface, 0.0, (1 - sums * last / np.maximum(total, 1e-300)) * (1 - passes))
-    )
+    whole = last / np.maximum(total, 1e-300)
+    behind = np.where(surface, 0.0, (1 - sums * whole) * (1 - passes))
+    share = left * np.where(there, (sums - was) * whole, behind)
     return np.concatenate([share @ splats.color, share.sum(axis=1, keepdims=True)], axis=1)
 
 
