@@ -6,6 +6,7 @@
 // drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_MEDIA, PS_SHELLS: kinds of splats that are there. PS_AMONG_OPAQUE: something opaque may stand among them.
 
 #include "lib/camera.glsl"
+#include "lib/direction.glsl"
 #include "lib/kernel.glsl"
 #include "lib/pack.glsl"
 #include "lib/lights.glsl"
@@ -40,8 +41,7 @@ vec2 ps_slope(vec3 p)
 vec3 ps_cofactor(mat3 m, vec3 n)
 {
   vec3 v = cross(m[1], m[2]) * n.x + cross(m[2], m[0]) * n.y + cross(m[0], m[1]) * n.z;
-  float size = length(v);
-  return size > 0.0 ? v / size : vec3(0.0);
+  return ps_direction(v, vec3(0.0));
 }
 
 void main()

@@ -28,6 +28,7 @@ THIN = 1.0  # widths of the raster's line: below it a segment is one
 BELOW_ONE = 1 - 2.0**-24  # the largest float32
 FEW = 0.02  # of the strands: what they alone would save costs more to find
 NARROW = 1e-3  # pixels: shorter segments have no direction on the screen
+NEAREST = 1e-12  # units from the eye: what is as near as that is drawn as if it lay there, and squares of pixels fit float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +344,7 @@ def _projected(strands: Strands, view_from_object: np.ndarray, camera: Camera) -
         depth = -p[:, 2]
         inverse = np.ones_like(depth)
         if camera.perspective:
-            inverse = 1 / np.maximum(depth, np.float32(max(camera.near, 1e-6)))
+            inverse = 1 / np.maximum(depth, np.float32(max(camera.near, NEAREST)))
         q = np.stack([p[:, 0] * (inverse * fx) + cx, p[:, 1] * (inverse * fy) + cy], axis=1).astype(np.float32)
         reach, across = strands.radius * scale, None
         if strands.side is None:

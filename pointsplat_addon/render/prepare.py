@@ -25,7 +25,7 @@ from ..core.hierarchy import Hierarchy, build, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
 from ..core.spacing import EXACT_INSTANCES, PART, make_parts, required_spacing
-from ..core.strands import Segments, clean, together
+from ..core.strands import NEAREST, Segments, clean, together
 from ..core.strands import select as select_segments
 from ..core.vectors import dot, each_block
 from .hybrid import Divided, PartSamples, Shown, sample_parts, show
@@ -782,6 +782,6 @@ def _largest(
         scale = largest_singular_value(matrix[:, :3, :3])
         depth = 1.0
         if camera.perspective:
-            depth = np.maximum(-(matrix[:, 2, :3] @ middle + matrix[:, 2, 3]) - reach * scale, max(camera.near, 1e-6))
+            depth = np.maximum(-(matrix[:, 2, :3] @ middle + matrix[:, 2, 3]) - reach * scale, max(camera.near, NEAREST))
         largest = max(largest, float((radius * scale * focal / depth).max(initial=0.0)))
     return largest
