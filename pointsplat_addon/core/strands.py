@@ -13,12 +13,12 @@ from functools import cached_property
 
 import numpy as np
 
+from .cloud import FARTHEST
 from .lines import Lines, owners
 from .scene import Camera
 
 GOLDEN = (5**0.5 - 1) / 2
 BLOCK = 64  # strands that follow one another, of which each sample shows its share
-FARTHEST = 1e18  # units from the origin: squares of distances are to fit float32
 MOST_POINTS = 1 << 24  # of one geometry: float32 counts no farther
 ERROR = 0.25  # of the tolerance: how far an outline may move where inner points are left out
 SEEN_CHANGE = 1 / 64  # of colours and of surface values between the points that are kept
@@ -28,7 +28,7 @@ THIN = 1.0  # widths of the raster's line: below it a segment is one
 BELOW_ONE = 1 - 2.0**-24  # the largest float32
 FEW = 0.02  # of the strands: what they alone would save costs more to find
 NARROW = 1e-3  # pixels: shorter segments have no direction on the screen
-NEAREST = 1e-12  # units from the eye: what is as near as that is drawn as if it lay there, and squares of pixels fit float32
+NEAREST = 1e-12  # units from the eye: what is nearer is drawn as if there, for squares of pixels to fit float32
 
 
 @dataclass(frozen=True, eq=False)

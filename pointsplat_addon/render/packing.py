@@ -34,8 +34,11 @@ def octahedral(normal: np.ndarray, steps: int = OCT_STEPS) -> np.ndarray:
     """The same for as many as fit the cache, in `steps` each way."""
     # One after another, coordinates are read much faster than as rows of a transposed array.
     x, y, z = (np.array(column, np.float32) for column in normal.T)
-    size = np.abs(x) + np.abs(y) + np.abs(z)
-    size[size == 0] = 1
+    with np.errstate(over="ignore"):
+        size = np.abs(x) + np.abs(y) + np.abs(z)
+    odd = ~((size > 0) & (size < np.inf))
+    if odd.any():  # nor have infinite vectors a direction
+        x[odd], y[odd], z[odd], size[odd] = 0, 0, 1, 1
     x /= size
     y /= size
     # The lower half is folded outwards.

@@ -782,6 +782,8 @@ def _largest(
         scale = largest_singular_value(matrix[:, :3, :3])
         depth = 1.0
         if camera.perspective:
-            depth = np.maximum(-(matrix[:, 2, :3] @ middle + matrix[:, 2, 3]) - reach * scale, max(camera.near, NEAREST))
+            depth = np.maximum(
+                -(matrix[:, 2, :3] @ middle + matrix[:, 2, 3]) - reach * scale, max(camera.near, NEAREST)
+            )
         largest = max(largest, float((radius * scale * focal / depth).max(initial=0.0)))
     return largest
