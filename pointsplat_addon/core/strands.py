@@ -248,7 +248,8 @@ def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 def _sides(normal: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """(P, 3) float32 unit, perpendicular to tangents and normals; any, where these are no directions."""
-    side = np.cross(np.nan_to_num(normal, posinf=0.0, neginf=0.0), tangent)
+    with np.errstate(invalid="ignore"):
+        side = np.cross(np.where(np.abs(normal) < FARTHEST, normal, np.float32(0)), tangent)
     size = np.linalg.norm(side, axis=1, keepdims=True)
     other = np.cross(np.eye(3, dtype=np.float32)[np.abs(tangent).argmin(axis=1)], tangent)
     other /= np.maximum(np.linalg.norm(other, axis=1, keepdims=True), np.float32(1e-37))

@@ -1,6 +1,6 @@
 """Stiff and extreme cases: what each has to hold, and what was measured.
 
-`pytest tests/extreme --stability docs/stability.md` writes the table of cases, bounds and worst errors into that file,
+`pytest tests/extreme --stability=docs/stability.md` writes the table of cases, bounds and worst errors into that file,
 between the markers that it has for it.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def within(request: pytest.FixtureRequest) -> Within:
     """`within(case, what holds, measured, bound)`: fails where the measured error is beyond its bound, and keeps the
     worst of all that were measured for a case."""
 
-    def check(case: str, holds: str, measured: float | np.ndarray, bound: float) -> None:
+    def check(case: str, holds: str, measured: Any, bound: float) -> None:
         worst = float(np.max(measured))
         assert worst <= bound, f"{case}: {holds}: {worst:g} is beyond {bound:g}"
         key = (request.path.name, case, holds)

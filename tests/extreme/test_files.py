@@ -1,7 +1,8 @@
 """Files from anywhere: truncated, with flipped bits, and with headers that claim what is not there.
 
-A reader gives what the file holds or an error that it is said to raise; it takes no longer, and no more memory, than the
-bytes that are there account for. `tests/core/test_hierarchy_cache.py` and `tests/core/test_dense.py` have the named cases.
+A reader gives what the file holds or an error that it is said to raise; it takes no longer, and no more memory, than
+the bytes that are there account for. `tests/core/test_hierarchy_cache.py` and `tests/core/test_dense.py` have the named
+cases.
 """
 
 from __future__ import annotations
@@ -153,7 +154,11 @@ def test_an_archive_of_nothing_but_zeros_takes_no_more_than_its_header_claims(tm
 def forged(header: bytes, records: bytes) -> bytes:
     """A file whose checksum is right."""
     digest = hierarchy_cache._digest([header, records])
-    return hierarchy_cache.FIXED.pack(hierarchy_cache.MAGIC, hierarchy_cache.VERSION, len(header), digest) + header + records
+    return (
+        hierarchy_cache.FIXED.pack(hierarchy_cache.MAGIC, hierarchy_cache.VERSION, len(header), digest)
+        + header
+        + records
+    )
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +215,9 @@ def test_forged_records_do_no_harm(cached, data):
     read_cached(path, forged(json.dumps(header).encode(), bytes(changed)))
 
 
-@pytest.mark.parametrize("header", [b"[" * 60000, b'{"a":' * 10000, b"1" * 60000, b"[]", b"null", b"\xff\xfe", b"", b'"points"'])
+@pytest.mark.parametrize(
+    "header", [b"[" * 60000, b'{"a":' * 10000, b"1" * 60000, b"[]", b"null", b"\xff\xfe", b"", b'"points"']
+)
 def test_headers_that_are_no_header(cached, header):
     path, _, records = cached
     read_cached(path, forged(header, records))
@@ -229,7 +236,9 @@ def test_long_fuzzing(tmp_path_factory, suffix, data):
         if what == "bit" and content:
             content[at] ^= 1 << data.draw(st.integers(0, 7))
         elif what == "bytes":
-            content[at : at + 4] = data.draw(st.sampled_from([b"\xff" * 4, b"\0" * 4, b"\x7f\xff\xff\xff", b"\0\0\x80\x7f"]))
+            content[at : at + 4] = data.draw(
+                st.sampled_from([b"\xff" * 4, b"\0" * 4, b"\x7f\xff\xff\xff", b"\0\0\x80\x7f"])
+            )
         elif what == "cut":
             del content[at : at + data.draw(st.integers(1, 64))]
         else:

@@ -30,8 +30,8 @@ def test_the_inverse_square_law_from_1e_9_to_1e9(within):
     for distance in DISTANCES:
         light = Light("POINT", np.full(3, 7.0), np.array([0, 0, distance]), np.array([0.0, 0, -1]))
         found = lighting.shade(np.zeros((1, 3)), up, up, plain(), [light])[0, 0]
-        within("a lamp at 1e-9 to 1e9 from a surface", "relative error in float64", abs(found / (7 / np.pi / distance**2) - 1),
-               1e-12)  # fmt: skip
+        error = abs(found / (7 / np.pi / distance**2) - 1)
+        within("a lamp at 1e-9 to 1e9 from a surface", "relative error in float64", error, 1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -48,7 +48,7 @@ def test_lamps_at_any_distance_shade_as_the_reference(kind, distance, within):
     found, exact = picture(case), reference.picture(made, eye).combined
     assert exact[..., :3].max() > 0.05
     error = np.abs(found - exact)[..., :3].max() / exact[..., :3].max()
-    within("lamps at 1e-9 to 1e9, whose pictures are as large", "error over the brightest", error, 2e-3)
+    within("lamps at 1e-9 to 1e9, whose pictures are as large", "error over the brightest", error, 5e-4)
 
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
@@ -61,23 +61,30 @@ def test_a_lamp_at_1e9_is_a_sun(technique, within):
         picture(Case(scene(wall, lights=[light]), camera(), Settings(shadow_resolution=256)), technique)
         for light in (point, sun)
     ]
-    within("a lamp at 1e9 against a sun", "mean difference", np.abs(pictures[0] - pictures[1]).mean(), 2e-3)
+    within("a lamp at 1e9 against a sun", "mean difference", np.abs(pictures[0] - pictures[1]).mean(), 1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("height", [1e-9, 1e-6, 1e-3, 0.0, -1e-9])
 @pytest.mark.parametrize("size", [0.0, 1e-9, 0.1])
 def test_a_lamp_upon_a_surface_lights_no_more_than_it_sends(kind, height, size, within):
-    """1e-9 before a wall of 2 units: what is reflected over the wall is no more than the lamp's flux into a half space
-    (pi I for the wall's cosines, of 2 pi), as far as pixels can tell; a pixel that holds the lamp may miss it."""
+    """1e-9 before a white wall of 2 units, which sends back no more than half of the lamp's flux, 2 pi of its 4 pi I:
+    its mean radiance, times its 4 units^2 and pi, is at most that. But for the pixels about the lamp, whose middles
+    stand for light that rises without end."""
     if kind == "AREA" and size == 0:
         pytest.skip("an area without size shines nowhere, and the host converts none")
     light = replace(lamp(kind, (0.0, -height, 0.0), 1.0, size), direction=np.array([0.0, 1, 0]))
     wall = mesh(plane_mesh("under a lamp", 1.0), "POLYGONS"), moved()
     made = scene(wall, lights=[light], world=World(), table=materials(**MATTE))
     found = picture(Case(made, camera(resolution=(32, 32), parallel=2.0, far=10), Settings(shadow_resolution=64)))
-    flux = np.median(found[..., 0])
-    within("a lamp within 1e-3 of a wall", "median of its light over all of its light", flux, 1.0)
+    assert np.count_nonzero(found[..., 0]) > 0 or height < 0 or kind == "AREA"
+    mean = np.sort(found[..., 0].ravel())[:-4].mean()
+    within(
+        "a lamp within 1e-3 of a wall",
+        "what is sent back over half of what is sent",
+        mean * 4 * np.pi / (2 * np.pi),
+        1.0,
+    )
 
 
 @given(
@@ -93,7 +100,9 @@ def test_any_lamp_leaves_a_finite_picture(kind, place, exponent, strength, soft)
     wall = mesh(plane_mesh("under any lamp", 1.0, 2), "POLYGONS"), moved()
     away = Light("SUN", np.ones(3), np.zeros(3), np.array([0.0, 1, 0]))
     found, alone = (
-        picture(Case(scene(wall, lights=lights, world=World()), camera(resolution=(8, 6)), Settings(shadow_resolution=64)))
+        picture(
+            Case(scene(wall, lights=lights, world=World()), camera(resolution=(8, 6)), Settings(shadow_resolution=64))
+        )
         for lights in ([light, away], [away])
     )
     assert (found >= alone - 1e-3).all()

@@ -55,13 +55,13 @@ def test_needles_of_aspect_1e8_side_by_side_leave_no_gap(technique, within):
 @pytest.mark.parametrize("technique", TECHNIQUES)
 @pytest.mark.parametrize("primitive", ["POINTS", "POLYGONS", "AUTO"])
 def test_one_needle_of_aspect_1e8_covers_next_to_nothing(technique, primitive, within):
-    """2 units by 2e-8, across 24 pixels: what shows of it is no more than one of the lines that a sample may hit."""
+    """2 units by 2e-8, across 22 pixels of 0.06 units: what shows of it is its area, and no line."""
     position = np.array([[-1, 0, 0], [1, 0, 1e-8], [1, 0, -1e-8]], np.float32)
     needle = mesh(flat_mesh(f"needle {primitive}", position, np.array([[0, 1, 2]])), primitive), moved()
     case = Case(scene(needle, transparent=True), camera((0, -4, 0.013), (0, 0, 0.013), resolution=FEW), PLAIN)
     every_pass(case, technique)
     found = picture(case, technique, 16)[..., 3].sum()
-    within("a needle of aspect 1e8", "pixels that it covers of the 22 that it crosses", found, 22.0)
+    within("a needle of aspect 1e8", "pixels that it covers, of 22 that it crosses", found, 0.01)
 
 
 @given(aspect=st.floats(0, 8), size=st.floats(-6, 6), turn=st.floats(0, 6.3), place=st.floats(-1e3, 1e3))
@@ -86,7 +86,7 @@ def test_splats_of_any_needle_keep_to_it(aspect, size, turn, place, within):
     low, high = corner.min(axis=0), corner.max(axis=0)
     outside = np.maximum(np.maximum(low - away, away - high), 0).max()
     within("any needle of aspect up to 1e8", "samples beyond its box, over its length", outside / long, 1e-4)
-    within("any needle of aspect up to 1e8", "radius over the spacing", found.radii.max() / (long / 50), 2.0)
+    within("any needle of aspect up to 1e8", "radius over the spacing", found.radii.max() / (long / 50), 1.0)
 
 
 # Clouds without extent in some direction
@@ -127,12 +127,14 @@ def test_hierarchies_of_clouds_of_any_rank(rank, count, exponent, seed, normals,
     assert (built.radii >= 0).all()
     case = "hierarchies of rank 0 to 3, extents 1e-9 to 1e9"
     lengths = np.linalg.norm(built.normal, axis=1)
-    within(case, "length of a normal beside 0 and 1", np.minimum(np.abs(lengths - 1), lengths).max(), 1e-5)
+    within(case, "length of a normal beside 0 and 1", np.minimum(np.abs(lengths - 1), lengths).max(), 1e-6)
     exact = position.astype(np.float64).mean(axis=0)
-    within(case, "error of the root's centre over the extent", np.abs(built.center[0] - exact).max() / size, 1e-5)
+    within(case, "error of the root's centre over the extent", np.abs(built.center[0] - exact).max() / size, 1e-7)
     away = np.linalg.norm(position - built.center[0].astype(np.float64), axis=1)
     reach = 0 if radii is None else float(radii[0, 0])
-    within(case, "points beyond the root's sphere, over the extent", ((away + reach) - built.sphere[0]).max() / size, 1e-5)
+    within(
+        case, "points beyond the root's sphere, over the extent", ((away + reach) - built.sphere[0]).max() / size, 1e-5
+    )
 
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
@@ -147,7 +149,8 @@ def test_splats_without_area_leave_the_rest(technique, radii, within):
     row = points(f"flat {radii}", PointCloud(position, normal=normal, axis=axis, radii=size)), moved()
     wall = points("behind flat ones", plane_cloud(24, 1.5)), moved((0, 0.5, 0))
     found, bare = (
-        every_pass(Case(scene(*things), camera(resolution=FEW), SHADOWED), technique, 2) for things in ((row, wall), (wall,))
+        every_pass(Case(scene(*things), camera(resolution=FEW), SHADOWED), technique, 2)
+        for things in ((row, wall), (wall,))
     )
     apart = np.abs(found["combined"] - bare["combined"]).max(axis=2)
     elsewhere = np.concatenate([apart[:8], apart[17:]])
@@ -196,8 +199,8 @@ def test_transformed_polygons_against_the_reference(name, within):
 @pytest.mark.parametrize("technique", TECHNIQUES)
 @pytest.mark.parametrize("name", TRANSFORMS)
 def test_transformed_points_are_those_of_transformed_positions(name, technique, within):
-    """Balls of a millionth, under a camera of that scale, and points whose positions were turned beforehand, whose disks
-    stay round where shear makes ellipses."""
+    """Balls of a millionth, under a camera of that scale, and points whose positions were turned beforehand: the disks
+    of these stay round where shear makes ellipses."""
     matrix = TRANSFORMS[name]
     size = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
     cloud = replace(sphere_cloud(600), radii=np.full((600, 1), 0.12, np.float32))
@@ -212,4 +215,4 @@ def test_transformed_points_are_those_of_transformed_positions(name, technique, 
     small = replace(eye, view_from_world=view, near=eye.near * size, far=eye.far * size)
     one = picture(Case(scene((points("transformed points", cloud), matrix)), small, PLAIN), technique, 4)
     other = picture(Case(scene((points(f"turned before {name}", ahead), moved())), eye, PLAIN), technique, 4)
-    within("points under transforms of 1e-6, mirrors and shear", "mean difference", np.abs(one - other).mean(), 0.03)
+    within("points under transforms of 1e-6, mirrors and shear", "mean difference", np.abs(one - other).mean(), 0.02)

@@ -39,7 +39,9 @@ def silent():
         yield
 
 
-def assert_rest_is_right(within, what: str, *things: tuple[Geometry, np.ndarray], technique="IMAGE_SPACE", **more) -> None:
+def assert_rest_is_right(
+    within, what: str, *things: tuple[Geometry, np.ndarray], technique="IMAGE_SPACE", **more
+) -> None:
     found = every_pass(Case(scene(GOOD, *things, **more), EYE, PLAIN), technique)
     bare = every_pass(Case(scene(GOOD, **more), EYE, PLAIN), technique)
     # Splats that are wider than those of the rest give its holes a coarser level to be filled from.
@@ -86,7 +88,9 @@ def test_any_values_in_any_attributes(data, within):
         chosen[name] = values
     matrix = AT.copy()
     if data.draw(st.booleans()):
-        matrix[data.draw(st.integers(0, 2)), data.draw(st.integers(0, 2))] = data.draw(st.floats() | st.sampled_from(ODD))
+        matrix[data.draw(st.integers(0, 2)), data.draw(st.integers(0, 2))] = data.draw(
+            st.floats() | st.sampled_from(ODD)
+        )
     odd = replace(cloud, **chosen)
     key = f"any {hash(tuple(array.tobytes() for array in odd.arrays().values()))}"
     every_pass(Case(scene(GOOD, (points(key, odd), matrix)), EYE, PLAIN))
@@ -133,8 +137,8 @@ def lit(lights, table=None, world=None) -> Case:
     return Case(scene(GOOD, thing, lights=lights, table=table, world=world), EYE, SHADOWED)
 
 
-LIGHT_FIELDS = ("color", "position", "direction", "radius", "spot_cos", "spot_blend", "axis_u", "axis_v", "spread", "diffuse",
-                "specular")  # fmt: skip
+LIGHT_FIELDS = ("color", "position", "direction", "radius", "spot_cos", "spot_blend", "axis_u", "axis_v", "spread",
+                "diffuse", "specular")  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", ["POINT", "SUN", "SPOT", "AREA"])
@@ -159,8 +163,8 @@ def test_materials_that_are_no_numbers_leave_the_others(name, odd, within):
     values = getattr(table, name).copy()
     values[1] = odd
     of = replace(scenes.plane_mesh("of an odd material", 0.8, 4), materials=(1,))
-    things = ((mesh(of, "POLYGONS"), AT), (points("of it too", replace(plane_cloud(8, 0.4), material=np.ones(64, np.uint16))),
-                                           moved((0.9, -0.5, 0))))  # fmt: skip
+    cloud = replace(plane_cloud(8, 0.4), material=np.ones(64, np.uint16))
+    things = ((mesh(of, "POLYGONS"), AT), (points("of it too", cloud), moved((0.9, -0.5, 0))))
     assert_rest_is_right(within, "materials", *things, table=replace(table, **{name: values}))
 
 
