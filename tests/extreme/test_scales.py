@@ -1,8 +1,7 @@
 """Nothing depends on how large the world is, nor on where it lies: pictures at one scale and place against others.
 
 Lengths times a power of two change no digit of a float32, so that the least difference is a threshold in units of
-length or a product that left the range of float32: no case has one. Smoke that casts a shadow is compared at such scales
-only, since the cells of its shadows are rounded to powers of two.
+length or a product that left float32's range: no case has one.
 """
 
 from __future__ import annotations
