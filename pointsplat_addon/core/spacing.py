@@ -255,7 +255,10 @@ def _nearest(points: np.ndarray, perspective: bool) -> float:
     if not perspective:
         return math.inf if absent.all() else 1.0
     depth = -points[:, 2]
-    cosine = depth / np.sqrt(dot(points.swapaxes(0, 1), points.swapaxes(0, 1)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        distance = np.sqrt(dot(points.swapaxes(0, 1), points.swapaxes(0, 1)))
+    absent |= ~(distance > 0)  # by rounding, of what is far too large
+    cosine = np.divide(depth, distance, out=np.ones_like(depth), where=~absent)
     return float((np.where(absent, np.inf, depth).min(axis=0) * np.where(absent, 1.0, cosine).min(axis=0)).min())
 
 

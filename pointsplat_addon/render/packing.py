@@ -66,8 +66,9 @@ def paged(values: np.ndarray, channels: int) -> tuple[tuple[int, int], np.ndarra
     """
     height = max(1, -(-len(values) // PAGE_WIDTH))
     flat = values.reshape(len(values), values[:1].size if len(values) else channels)
-    if flat.shape[1] == channels and len(values) == height * PAGE_WIDTH:
-        return (PAGE_WIDTH, height), np.ascontiguousarray(flat, np.float32).reshape(-1)
-    data = np.zeros((height * PAGE_WIDTH, channels), np.float32)
-    data[: len(values), : flat.shape[1]] = flat
+    with np.errstate(over="ignore"):  # of instances that float32 has no place for, which are not drawn
+        if flat.shape[1] == channels and len(values) == height * PAGE_WIDTH:
+            return (PAGE_WIDTH, height), np.ascontiguousarray(flat, np.float32).reshape(-1)
+        data = np.zeros((height * PAGE_WIDTH, channels), np.float32)
+        data[: len(values), : flat.shape[1]] = flat
     return (PAGE_WIDTH, height), data.reshape(-1)

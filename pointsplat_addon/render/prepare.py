@@ -211,7 +211,7 @@ class _View:
         scene, camera, instances = self.scene, self.camera, self.scene.instances
         with np.errstate(all="ignore"):
             view_from_object = camera.view_from_world @ instances.world_from_object
-        usable = all_finite(view_from_object)
+            usable = all_finite(view_from_object.astype(np.float32))  # as the device has them
         opaque, translucent, spheres = (({}, np.full(len(instances), -1)) for _ in range(3))
         polygons: list[np.ndarray] = []
         divided = self._divided(view_from_object, usable)

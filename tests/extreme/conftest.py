@@ -53,10 +53,18 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 
 def write_table(path: Path) -> None:
-    """Replace what stands between the markers of a file."""
+    """Replace what stands between the markers of a file; rows of files that did not run stay, and so do those that only
+    --long measures."""
     before, rest = path.read_text().split(BEGIN)
-    after = rest.split(END)[1]
-    lines = ["| case | what holds | bound | worst measured | only in --long | test |", "|---|---|---|---|---|---|"]
-    for (file, case, holds), (bound, worst, mark) in sorted(ROWS.items()):
-        lines.append(f"| {case} | {holds} | {bound:.2g} | {worst:.2g} | {mark} | {file} |")
-    path.write_text(before + BEGIN + "\n" + "\n".join(lines) + "\n" + END + after)
+    table, after = rest.split(END)
+    found = {file for file, _, _ in ROWS}
+    rows: dict[tuple[str, str, str], str] = {}
+    for line in table.strip().splitlines()[2:]:
+        case, holds, _, _, mark, file = (cell.strip() for cell in line.strip("| ").split(" | "))
+        if file not in found or mark == "yes":
+            rows[file, case, holds] = line
+    for (file, case, holds), (bound, worst, mark) in ROWS.items():
+        # Measured -0.0 is 0.
+        rows[file, case, holds] = f"| {case} | {holds} | {bound:.2g} | {worst + 0.0:.2g} | {mark or 'no'} | {file} |"
+    lines = ["| case | what holds | bound | worst measured | only with --long | test |", "|---|---|---|---|---|---|"]
+    path.write_text("\n".join([before + BEGIN, *lines, *(rows[key] for key in sorted(rows)), END + after]))

@@ -76,6 +76,18 @@ def test_attributes_of_points(name, odd, technique, within):
     assert_rest_is_right(within, "attributes of points", (points(f"odd {name} {odd}", cloud), AT), technique=technique)
 
 
+@pytest.mark.parametrize("place", [1e19, 1e30, 3.5e38, 1e300])
+@pytest.mark.parametrize("primitive", ["POINTS", "POLYGONS"])
+def test_transforms_that_float32_cannot_hold(place, primitive, within):
+    for matrix in (moved((place, 0, 0)), moved((0, -place, 0)), moved(scale=place)):
+        matrix[:3, :3] += AT[:3, :3]
+        of = mesh(scenes.plane_mesh(f"lost {place} {primitive}", 0.8, 4), primitive)
+        every_pass(Case(scene(GOOD, (of, matrix)), EYE, PLAIN))
+    assert_rest_is_right(
+        within, "transforms", (mesh(scenes.plane_mesh("lost", 0.8, 4), primitive), moved((place, 0, 0)))
+    )
+
+
 @given(data=st.data())
 def test_any_values_in_any_attributes(data, within):
     """Of several attributes and points at once, and with transforms that are odd themselves."""
