@@ -27,6 +27,7 @@ import sys
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 BLENDER_FOR_PYTHON = {"3.11": "4.5 LTS", "3.13": "5.2 LTS"}
 PASSED, NO_TESTS = 0, 5  # pytest's exit codes
+LIMIT, LONG_LIMIT = 1800, 4 * 3600  # seconds that a process of tests may take
 
 # What bpy links to, and what it and moderngl open at run time, with the Debian package of each.
 LIBRARIES = {
@@ -261,7 +262,8 @@ def lint(args, rest):
 def test_groups(arguments):
     """Split pytest's arguments into options and groups of paths, each group for one process.
 
-    What needs no Blender shares a process. Every file that loads bpy has its own: Blender's state cannot be reset.
+    What needs no Blender shares a process. Every file that loads bpy has its own: Blender's state cannot be reset. So
+    have the extreme cases, which measure the memory of theirs.
     """
     is_path = [os.path.exists(os.path.join(ROOT, a.split("::")[0])) and not a.startswith("-") for a in arguments]
     options = [a for a, path in zip(arguments, is_path) if not path]  # noqa: B905 (Python 3.8 has no strict)
@@ -269,9 +271,11 @@ def test_groups(arguments):
     plain, groups = [], []
     for path in paths:
         name = os.path.relpath(os.path.join(ROOT, path), ROOT)
-        folders = ["core", "render", "blender"] if name == "tests" else []
+        folders = ["core", "render", "extreme", "blender"] if name == "tests" else []
         for part in [os.path.join(name, folder) for folder in folders] or [name]:
-            if not part.startswith(os.path.join("tests", "blender")):
+            if part.startswith(os.path.join("tests", "extreme")):
+                groups.append([part])
+            elif not part.startswith(os.path.join("tests", "blender")):
                 plain.append(part)
             elif os.path.isdir(os.path.join(ROOT, part)):
                 groups += [[f] for f in sorted(glob.glob(os.path.join(part, "**", "test_*.py"), recursive=True))]
@@ -301,11 +305,13 @@ def test(args, rest):
     options, groups = test_groups(rest)
     if not args.long and "-m" not in options:
         options = ["-m", "not long"] + options
+        say("tests that take minutes are deselected: --long runs them too")
+    limit = args.limit or (LONG_LIMIT if args.long else LIMIT)
     failed, ran = [], False
     for python in pythons:
         for paths in groups:
             say("%s: %s" % (os.path.relpath(python, ROOT), " ".join(paths)))
-            code = run_tests(python, options, paths, args.limit)
+            code = run_tests(python, options, paths, limit)
             ran = ran or code == PASSED
             # A file whose tests are all deselected is no failure, as long as some other ran.
             if code not in (PASSED, NO_TESTS):
@@ -337,7 +343,7 @@ def main():
     parser.add_argument("verb", choices=sorted(VERBS), help="what to do; further arguments are handed on")
     parser.add_argument("--python", choices=sorted(BLENDER_FOR_PYTHON) + ["all"], help="default: the first there is")
     parser.add_argument("--long", action="store_true", help="test: also the tests that take minutes")
-    parser.add_argument("--limit", type=int, default=1800, help="test: seconds until a test process is killed")
+    parser.add_argument("--limit", type=int, help="test: seconds until a test process is killed")
     args, rest = parser.parse_known_args()
     try:
         return VERBS[args.verb](args, rest)

@@ -39,14 +39,17 @@ void main()
   vec4 head = texelFetch(ps_place, element.xy, 0);
   vec3 p = ps_view_from_point(element.z, head.xyz), a, b;
   ps_half_axes(element, p, head.w, a, b);
-  vec3 plane = cross(a, b);
+  // Twice, since squares of areas are no floats where lengths are below 1e-9.
+  float longer = max(length(a), length(b));
+  vec3 plane = cross(a / longer, b / longer);
   float area = length(plane);
   if (!(area > 0.0)) {
     return;
   }
   plane /= area;
+  area *= longer;
   // Of a point h of the plane, u . (h - p) and v . (h - p) are coordinates in which the rim is the unit circle.
-  vec3 u = cross(b, plane) / area, v = cross(plane, a) / area;
+  vec3 u = cross(b / longer, plane) / area, v = cross(plane, a / longer) / area;
   v_u = vec4(u, dot(u, p));
   v_v = vec4(v, dot(v, p));
   v_plane = vec4(plane, dot(plane, p));

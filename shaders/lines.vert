@@ -129,7 +129,7 @@ void main()
   // the plane through the eye and the axis.
   vec3 plane = cross(p[1] - p[0], ps_is_perspective() ? p[0] : vec3(0.0, 0.0, -1.0));
   float seen = dot(sides[0], plane), other = dot(sides[1], plane);
-  if (seen * other < 0.0) {
+  if (sign(seen) * sign(other) < 0.0) {
     v_along = corner == 2 || corner == 4 ? seen / (seen - other) : v_along;
     if (corner == 2 || corner == 4) {
       v_position = mix(p[0], p[1], v_along);
@@ -156,7 +156,7 @@ void main()
   vec3 side = mix(texelFetch(ps_side, texel[0], 0).xyz, texelFetch(ps_side, texel[1], 0).xyz, v_along);
   v_normal = cross(v_normal, linear * side);
 #endif
-  v_normal /= max(length(v_normal), 1e-30);
+  v_normal = ps_direction(v_normal, vec3(0.0));
 #endif
 #ifdef PS_THIN
   vec4 share = texelFetch(ps_segments, at + ivec2(1, 0), 0);

@@ -2,6 +2,7 @@
 // `ps_parts` lists, each up to PS_PARTS corners.
 
 #include "lib/camera.glsl"
+#include "lib/direction.glsl"
 #include "lib/pack.glsl"
 
 ivec2 ps_texel(int index)
@@ -27,9 +28,7 @@ void main()
   vec4 corner = texelFetch(ps_corner, texel, 0);
   v_position = (frame.view_from_object * vec4(corner.xyz, 1.0)).xyz;
 #ifdef PS_NORMAL
-  v_normal = ps_turn(ps_unpack_normal(corner.w));
-  float size = length(v_normal);
-  v_normal = size > 0.0 ? v_normal / size : vec3(0.0, 0.0, 1.0);
+  v_normal = ps_direction(ps_turn(ps_unpack_normal(corner.w)), vec3(0.0, 0.0, 1.0));
 #endif
 #ifdef PS_UV
   v_uv = texelFetch(ps_corner_uv, texel, 0).xy;

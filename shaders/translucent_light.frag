@@ -8,6 +8,7 @@
 // opaque may stand among them.
 
 #include "lib/camera.glsl"
+#include "lib/direction.glsl"
 #include "lib/kernel.glsl"
 #include "lib/pack.glsl"
 #include "lib/lights.glsl"
@@ -48,8 +49,7 @@ vec2 ps_slope(vec3 p)
 vec3 ps_cofactor(mat3 m, vec3 n)
 {
   vec3 v = cross(m[1], m[2]) * n.x + cross(m[2], m[0]) * n.y + cross(m[0], m[1]) * n.z;
-  float size = length(v);
-  return size > 0.0 ? v / size : vec3(0.0);
+  return ps_direction(v, vec3(0.0));
 }
 
 void main()

@@ -25,6 +25,8 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     "facets": (None, np.int8),
 }
 
+FARTHEST = 1e18  # of lengths: their squares fit float32
+LENGTHS = ("position", "normal", "axis", "radii", "shading_normal")
 SCATTERED = 1 << 16  # points: fewer stay in the caches, whatever their order
 
 
@@ -94,12 +96,16 @@ class PointCloud:
 
 
 def finite(cloud: PointCloud) -> tuple[PointCloud, int]:
-    """The cloud without points that hold a NaN or an infinity in any attribute, and how many were dropped."""
+    """The cloud without points that hold a NaN or an infinity in any attribute, or a length beyond FARTHEST, and how
+    many were dropped."""
     good = np.ones(len(cloud), bool)
-    for array in cloud.arrays().values():
-        # Row by row only where there is something to find: that takes many times as long.
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
-            good &= np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
+    for name, array in cloud.arrays().items():
+        if array.dtype.kind != "f" or array.size == 0:
+            continue
+        most = FARTHEST if name in LENGTHS else np.finfo(np.float32).max
+        # Row by row only where there is something to find: that takes many times as long. NaN compares as false.
+        if not (array.min() >= -most and array.max() <= most):
+            good &= (np.abs(array) <= most).all(axis=tuple(range(1, array.ndim)))
     dropped = len(cloud) - int(np.count_nonzero(good))
     return (cloud if dropped == 0 else cloud.take(good)), dropped
 

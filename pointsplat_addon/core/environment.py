@@ -55,8 +55,9 @@ def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 def build_atlas(image: np.ndarray) -> np.ndarray:
     """The atlas of an equirectangular (H, W, 3 or more) radiance picture; NaN counts as 0, infinities as the float32
-    limit's root, so that sums stay finite."""
+    limit's root, so that sums stay finite, as does what is larger."""
     image = np.nan_to_num(np.asarray(image[..., :3], np.float32), nan=0.0, posinf=1e18, neginf=0.0)
+    image = np.clip(image, -1e18, 1e18, out=image)
     width = next((w for w in WIDTHS if w >= image.shape[1]), WIDTHS[-1])
     mips = _mips(_resample(image, width, width // 2))
     sharp = mips[0]

@@ -332,7 +332,7 @@ def _round_light(
         strength = np.ones(len(position))
     else:
         offset = light.position - position
-        d2 = np.maximum((offset**2).sum(1), 1e-20)
+        d2 = np.maximum((offset**2).sum(1), 1e-24)
         to_light = offset / np.sqrt(d2)[:, None]
         # A facing disk is seen as a cone, as a sphere is, only under a smaller angle.
         reach2 = d2 + light.radius**2 if light.soft else np.maximum(d2, light.radius**2)

@@ -649,7 +649,8 @@ def _per_triangle(
         of_corner = (mesh.vertex_normal.take(vertex, axis=0) for vertex in vertices.T)
     for values, out in zip(of_corner, normals, strict=True):
         _to_rows(values, out)
-    normals[1:] -= normals[0]
+    with np.errstate(invalid="ignore"):  # what is no number is left out where it is used
+        normals[1:] -= normals[0]
     return flat, metric, normals.reshape(9, -1)
 
 
@@ -838,7 +839,8 @@ def interpolate(mesh: Mesh, samples: Samples, per_corner: np.ndarray) -> np.ndar
     for block in _blocks(len(samples)):
         a, b, c = per_corner.take(samples.triangle[block], axis=0).transpose(1, 2, 0)
         weights = samples.barycentric[block].T
-        result[block] = (a + weights[0] * (b - a) + weights[1] * (c - a)).T
+        with np.errstate(invalid="ignore"):
+            result[block] = (a + weights[0] * (b - a) + weights[1] * (c - a)).T
     return result
 
 
@@ -853,7 +855,8 @@ def along_half_axes(samples: Samples, per_corner: np.ndarray) -> np.ndarray:
                 result[k, block] = 0.5 * ((b - a) if k == 0 else (c - a))
             else:
                 weights = samples.ellipse[block, k]
-                result[k, block] = weights[:, :1] * (b - a) + weights[:, 1:] * (c - a)
+                with np.errstate(invalid="ignore"):
+                    result[k, block] = weights[:, :1] * (b - a) + weights[:, 1:] * (c - a)
     return result
 
 

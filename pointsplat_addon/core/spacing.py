@@ -206,7 +206,8 @@ def _box_spacing(low: np.ndarray, high: np.ndarray, view_from_object: np.ndarray
     if not camera.perspective:
         return np.where(outside, np.inf, 1 / _focal(camera))
     rim = _frustum_edges(camera)[0]
-    cosine = (-rim[:, 2] / np.linalg.norm(rim, axis=1)).min()
+    with np.errstate(invalid="ignore"):
+        cosine = (-rim[:, 2] / np.linalg.norm(rim, axis=1)).min()
     # A cone around the axis is convex: one that holds the corners holds the box.
     nearest = -view[..., 2, :].max(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -220,9 +221,10 @@ def _view_spacing(position: np.ndarray, triangles: np.ndarray, view_from_object:
 
     position (3, V) float64, triangles (3, M), view_from_object (4, 4).
     """
-    view = view_from_object[:3, :3] @ position + view_from_object[:3, 3:]
-    planes = _frustum_planes(camera)
-    outside = planes[:, :3] @ view + planes[:, 3:] < 0
+    with np.errstate(invalid="ignore"):  # positions that no sound triangle has
+        view = view_from_object[:3, :3] @ position + view_from_object[:3, 3:]
+        planes = _frustum_planes(camera)
+        outside = planes[:, :3] @ view + planes[:, 3:] < 0
     # One bit for each plane (Cohen and Sutherland): a triangle is whole, cut, or on the far side of some plane.
     a, b, c = np.packbits(outside, axis=0)[0].take(triangles)
     whole = (a | b | c) == 0
@@ -253,7 +255,10 @@ def _nearest(points: np.ndarray, perspective: bool) -> float:
     if not perspective:
         return math.inf if absent.all() else 1.0
     depth = -points[:, 2]
-    cosine = depth / np.sqrt(dot(points.swapaxes(0, 1), points.swapaxes(0, 1)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        distance = np.sqrt(dot(points.swapaxes(0, 1), points.swapaxes(0, 1)))
+    absent |= ~(distance > 0)  # by rounding, of what is far too large
+    cosine = np.divide(depth, distance, out=np.ones_like(depth), where=~absent)
     return float((np.where(absent, np.inf, depth).min(axis=0) * np.where(absent, 1.0, cosine).min(axis=0)).min())
 
 

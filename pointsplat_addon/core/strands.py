@@ -14,12 +14,12 @@ from functools import cached_property
 
 import numpy as np
 
+from .cloud import FARTHEST
 from .lines import Lines, owners
 from .scene import Camera
 
 GOLDEN = (5**0.5 - 1) / 2
 BLOCK = 64  # strands that follow one another, of which each sample shows its share
-FARTHEST = 1e18  # units from the origin: squares of distances are to fit float32
 MOST_POINTS = 1 << 24  # of one geometry: float32 counts no farther
 ERROR = 0.25  # of the tolerance: how far an outline may move where inner points are left out
 SEEN_CHANGE = 1 / 64  # of colours and of surface values between the points that are kept
@@ -35,6 +35,7 @@ BELOW_ONE = 1 - 2.0**-24  # the largest float32
 FEW = 0.02  # of the strands: what they alone would save costs more to find
 LEAST_ALONG = 0.5  # cosine between a strand's end and the way to where it is a radius away
 NARROW = 1e-3  # pixels: shorter segments have no direction on the screen
+NEAREST = 1e-12  # units from the eye: what is nearer is drawn as if there, for squares of pixels to fit float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,7 +320,8 @@ def _outward(tangent: np.ndarray, p: np.ndarray, radius: np.ndarray, start: np.n
 
 def _sides(normal: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """(P, 3) float32 unit, perpendicular to tangents and normals; any, where these are no directions."""
-    side = np.cross(np.nan_to_num(normal, posinf=0.0, neginf=0.0), tangent)
+    with np.errstate(invalid="ignore"):
+        side = np.cross(np.where(np.abs(normal) < FARTHEST, normal, np.float32(0)), tangent)
     size = np.linalg.norm(side, axis=1, keepdims=True)
     other = np.cross(np.eye(3, dtype=np.float32)[np.abs(tangent).argmin(axis=1)], tangent)
     other /= np.maximum(np.linalg.norm(other, axis=1, keepdims=True), np.float32(1e-37))
@@ -491,7 +493,7 @@ def _projected(strands: Strands, view_from_object: np.ndarray, camera: Camera) -
         depth = -p[:, 2]
         inverse = np.ones_like(depth)
         if camera.perspective:
-            inverse = 1 / np.maximum(depth, np.float32(max(camera.near, 1e-6)))
+            inverse = 1 / np.maximum(depth, np.float32(max(camera.near, NEAREST)))
         q = np.stack([p[:, 0] * (inverse * fx) + cx, p[:, 1] * (inverse * fy) + cy], axis=1).astype(np.float32)
         reach, across = strands.radius * scale, None
         if strands.side is None:

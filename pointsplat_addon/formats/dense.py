@@ -1,16 +1,26 @@
-"""Dense arrays of voxels: NumPy's `.npy` and NIfTI-1's `.nii` and `.nii.gz`, as scanners' pictures come."""
+"""Dense arrays of voxels: NumPy's `.npy` and NIfTI-1's `.nii` and `.nii.gz`, as scanners' pictures come.
+
+No memory is taken for what a header claims before that is compared with the bytes that are there.
+"""
 
 from __future__ import annotations
 
 import gzip
+import os
+import struct
+import tokenize
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 SUFFIXES = (".npy", ".nii", ".nii.gz")
 HEADER = 348  # bytes
+MAGIC = b"\x93NUMPY"
+LONGEST_HEADER = 10_000  # bytes of NumPy's; it reads no longer ones
+DEFLATE = 1032  # bytes at most that one of a compressed file stands for (RFC 1951: 258 bytes of 2 bits)
 DATATYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
 METRES = {1: 1.0, 2: 1e-3, 3: 1e-6}  # by NIfTI's code of the unit of length
 
@@ -41,14 +51,40 @@ def read(path: Path) -> Dense:
     """
     name = path.name.lower()
     if name.endswith(".npy"):
-        return Dense(_real(np.load(path, allow_pickle=False), path.name), np.eye(4))
-    if name.endswith((".nii", ".nii.gz")):
+        return Dense(_real(_npy(path), path.name), np.eye(4))
+    if name.endswith(".nii"):
+        with path.open("rb") as file:
+            return _nifti(file, _size(file), path.name)
+    if name.endswith(".nii.gz"):
         try:
-            data = path.read_bytes()
-            return _nifti(gzip.decompress(data) if name.endswith(".gz") else data, path.name)
+            with path.open("rb") as file, gzip.open(file) as unpacked:
+                return _nifti(unpacked, DEFLATE * _size(file), path.name)  # pyright: ignore[reportArgumentType]
         except (EOFError, zlib.error) as error:
             raise OSError(f"{path.name} is damaged: {error}") from error
     raise ValueError(f"{path.name} is none of {', '.join(SUFFIXES)}")
+
+
+def _size(file: BinaryIO) -> int:
+    return os.fstat(file.fileno()).st_size
+
+
+def _npy(path: Path) -> np.ndarray:
+    """The array of NumPy's format, mapped: only what is in the file can be. Raises ValueError for anything else."""
+    with path.open("rb") as file:
+        start, size = file.read(12), _size(file)
+    wide = start[6:7] != b"\x01"
+    if len(start) < 12 or not start.startswith(MAGIC):
+        raise ValueError(f"{path.name} is no NumPy array")
+    length = struct.unpack_from("<I" if wide else "<H", start, 8)[0]
+    if length > min(size, LONGEST_HEADER):
+        raise ValueError(f"{path.name} ends before its header, or that is too long")
+    try:
+        with np.errstate(over="ignore"):
+            return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+    # What Python's parser raises for a header that is no dictionary, and NumPy for shapes that are none.
+    except (ValueError, TypeError, EOFError, SyntaxError, tokenize.TokenError, ArithmeticError, RecursionError,
+            MemoryError) as error:  # fmt: skip
+        raise ValueError(f"{path.name} is no array of numbers, or ends before its last one: {error}") from error
 
 
 def _real(array: np.ndarray, name: str) -> np.ndarray:
@@ -60,8 +96,12 @@ def _real(array: np.ndarray, name: str) -> np.ndarray:
         return array.astype(np.float32)
 
 
-def _nifti(data: bytes, name: str) -> Dense:
-    """NIfTI-1 (Cox et al. 2004, nifti1.h): a header of 348 bytes in either byte order, then voxels, x fastest."""
+def _nifti(file: BinaryIO, most: int, name: str) -> Dense:
+    """NIfTI-1 (Cox et al. 2004, nifti1.h): a header of 348 bytes in either byte order, then voxels, x fastest.
+
+    `most`: more bytes cannot be in the file.
+    """
+    data = file.read(HEADER)
     if len(data) < HEADER:
         raise ValueError(f"{name} is too short for NIfTI")
     order = "<" if data[:4] == b"\x5c\x01\0\0" else ">"
@@ -74,13 +114,19 @@ def _nifti(data: bytes, name: str) -> Dense:
     if not 3 <= header["dim"][0] <= 7 or min(shape) < 1:
         raise ValueError(f"{name} has the shape {shape}, expected three dimensions")
     dtype = np.dtype(order + DATATYPES[int(header["datatype"])])
-    offset, count = int(header["vox_offset"]), int(np.prod(shape, dtype=np.int64))
-    if offset < HEADER or len(data) < offset + count * dtype.itemsize:
+    place, count = float(header["vox_offset"]), int(np.prod(shape, dtype=np.int64))
+    if not HEADER <= place <= most or most < place + count * dtype.itemsize:
         raise ValueError(f"{name} ends before its last voxel")
-    value = np.frombuffer(data, dtype, count, offset).reshape(shape, order="F")
+    file.read(int(place) - HEADER)
+    data = file.read(count * dtype.itemsize)
+    file.read(1)  # where an archive ends here, its checksum is looked at
+    if len(data) < count * dtype.itemsize:
+        raise ValueError(f"{name} ends before its last voxel")
+    value = np.frombuffer(data, dtype, count).reshape(shape, order="F")
     slope, inter = float(header["slope"]), float(header["inter"])
     if slope != 0 and np.isfinite([slope, inter]).all():
-        value = value * slope + inter
+        with np.errstate(over="ignore", invalid="ignore"):
+            value = value * slope + inter
     matrix = _affine(header)
     matrix[:3] *= METRES.get(int(header["units"]) & 7, 1e-3)
     return Dense(_real(value, name), matrix)
@@ -89,14 +135,14 @@ def _nifti(data: bytes, name: str) -> Dense:
 def _affine(header: np.void) -> np.ndarray:
     """(4, 4) float64 from indices to the header's unit: method 3 (sform), else 2 (qform), else 1 (pixdim)."""
     matrix, size = np.eye(4), np.abs(header["pixdim"][1:4].astype(np.float64))
-    size[~(size > 0)] = 1
+    size[~((size > 0) & np.isfinite(size))] = 1
     if header["sform"] > 0:
         matrix[:3] = header["srow"]
         if np.isfinite(matrix).all() and np.linalg.matrix_rank(matrix) == 4:
             return matrix
         matrix = np.eye(4)
-    if header["qform"] > 0:
-        b, c, d = header["quatern"].astype(np.float64)
+    b, c, d = header["quatern"].astype(np.float64)
+    if header["qform"] > 0 and np.isfinite([b, c, d, *header["qoffset"]]).all():
         a = np.sqrt(max(0.0, 1 - b * b - c * c - d * d))
         # The quaternion's matrix is 1 - 2 |v|^2 + 2 v v^T + 2 a [v]x.
         v = np.array([b, c, d])

@@ -83,7 +83,7 @@ def read(folder: Path | str, key: str) -> Hierarchy | None:
         return None
     try:
         return unpack(_parse(memoryview(content)))
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise CacheError(f"{path}: {error}") from error
 
 
@@ -119,7 +119,8 @@ def _header(packed: Packed) -> bytes:
 
 
 def _parse(content: memoryview) -> Packed:
-    """Raises ValueError, KeyError or TypeError for anything that `write` would not have written."""
+    """Raises ValueError, KeyError, TypeError, OverflowError or RecursionError for anything that `write` would not have
+    written."""
     if len(content) < FIXED.size:
         raise ValueError("truncated")
     magic, version, length, digest = FIXED.unpack_from(content)

@@ -32,7 +32,7 @@ def parsed(text: str) -> dict[str, Costs]:
     """Figures by device; what is no such table, or no positive number, is left out."""
     try:
         found = {str(name): Costs(**{k: float(v) for k, v in row.items()}) for name, row in json.loads(text).items()}
-    except (ValueError, TypeError, AttributeError):
+    except (ValueError, TypeError, AttributeError, OverflowError, RecursionError):
         return {}
     return {name: costs for name, costs in found.items() if costs.valid()}
 

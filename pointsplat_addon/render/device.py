@@ -189,9 +189,15 @@ def check_call(
 
 
 def half(data: np.ndarray) -> np.ndarray:
-    """`data` as float16, to the nearest; what is too large becomes infinite, as on every GPU."""
+    """`data` as float16, to the nearest; what is too large, infinities too, becomes the largest number there is, and
+    what is no number 0: light that is too bright for a texture stays bright, where infinities would be drawn black."""
     with np.errstate(over="ignore"):
-        return np.ascontiguousarray(data, np.float16)
+        found = np.ascontiguousarray(data, np.float16)
+    bits = found.view(np.uint16)
+    if ((bits & 0x7C00) == 0x7C00).any():
+        bits[(bits & 0x7FFF) == 0x7C00] -= 1  # of either sign
+        bits[(bits & 0x7FFF) > 0x7C00] = 0
+    return found
 
 
 def layout_groups(groups: int) -> tuple[int, int]:

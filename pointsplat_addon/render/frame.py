@@ -208,7 +208,8 @@ class Frame:
             reflects, unseen, in_focus,
         )  # fmt: skip
         # Everything is drawn for `view`, of which the camera's window is a part.
-        self.view, self.corner = _widened(request.camera, self.plan.reach(self.prepared.largest))
+        most = self.device.limits.texture_size
+        self.view, self.corner = _widened(request.camera, self.plan.reach(self.prepared.largest), most)
         self._turns = turns(request.samples)
         self._owned: list[Any] = []
         self.lens = self._own(LensSamples(self.device, self.view, request.samples)) if through_lens else None
@@ -696,18 +697,20 @@ def _bound(surfels: Surfels | None) -> dict[str, Texture]:
     return {} if surfels is None else surfels.buffer.bound()
 
 
-def _widened(camera: Camera, radius: float) -> tuple[Camera, tuple[int, int]]:
+def _widened(camera: Camera, radius: float, most: int) -> tuple[Camera, tuple[int, int]]:
     """The camera with a window that also holds the centres of splats which reach into its own, and where in it that
     lies. A border shows the pixels of the full frame: it is widened by what the pyramid gathers from, and its corner
-    keeps its place in there."""
+    keeps its place in there. Where more than `most` pixels would come of it, which no texture holds, it is widened by
+    what is left."""
     if radius <= 0.0:
         return camera, (0, 0)
     margin = min(math.ceil(radius), MOST_MARGIN)
     step = 1 << levels(radius, camera.resolution)
     corner, lows, sizes = camera.window[:2], [], []
     for at, size, full in zip(corner, camera.window[2:], camera.resolution, strict=True):
-        low = max((at - 2 * step + margin) // step * step - margin, -margin)
-        high = max(min(at + size + 2 * step, full + margin), at + size)
+        spare = max(most - size, 0)
+        low = max((at - 2 * step + margin) // step * step - margin, -margin, at - spare // 2)
+        high = max(min(at + size + 2 * step, full + margin, min(low, at) + most), at + size)
         lows.append(min(low, at))
         sizes.append(high - lows[-1])
     region = (lows[0], lows[1], sizes[0], sizes[1])

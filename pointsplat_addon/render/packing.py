@@ -34,8 +34,11 @@ def octahedral(normal: np.ndarray, steps: int = OCT_STEPS) -> np.ndarray:
     """The same for as many as fit the cache, in `steps` each way."""
     # One after another, coordinates are read much faster than as rows of a transposed array.
     x, y, z = (np.array(column, np.float32) for column in normal.T)
-    size = np.abs(x) + np.abs(y) + np.abs(z)
-    size[size == 0] = 1
+    with np.errstate(over="ignore"):
+        size = np.abs(x) + np.abs(y) + np.abs(z)
+    odd = ~((size > 0) & (size < np.inf))
+    if odd.any():  # nor have infinite vectors a direction
+        x[odd], y[odd], z[odd], size[odd] = 0, 0, 1, 1
     x /= size
     y /= size
     # The lower half is folded outwards.
@@ -63,8 +66,9 @@ def paged(values: np.ndarray, channels: int) -> tuple[tuple[int, int], np.ndarra
     """
     height = max(1, -(-len(values) // PAGE_WIDTH))
     flat = values.reshape(len(values), values[:1].size if len(values) else channels)
-    if flat.shape[1] == channels and len(values) == height * PAGE_WIDTH:
-        return (PAGE_WIDTH, height), np.ascontiguousarray(flat, np.float32).reshape(-1)
-    data = np.zeros((height * PAGE_WIDTH, channels), np.float32)
-    data[: len(values), : flat.shape[1]] = flat
+    with np.errstate(over="ignore"):  # of instances that float32 has no place for, which are not drawn
+        if flat.shape[1] == channels and len(values) == height * PAGE_WIDTH:
+            return (PAGE_WIDTH, height), np.ascontiguousarray(flat, np.float32).reshape(-1)
+        data = np.zeros((height * PAGE_WIDTH, channels), np.float32)
+        data[: len(values), : flat.shape[1]] = flat
     return (PAGE_WIDTH, height), data.reshape(-1)

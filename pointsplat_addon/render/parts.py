@@ -12,16 +12,18 @@ from ..core import volumes
 from ..core.appearance import digest, passing, split_translucent
 from ..core.cloud import PointCloud
 from ..core.scene import Geometry, Instances, MaterialTable, Scene, Volume
+from ..core.sound import sound
 from .store import STORE, Store
 
 
 def parted(scene: Scene, store: Store = STORE) -> tuple[Scene, tuple[str, ...]]:
-    """The scene in parts, and warnings; the scene itself where nothing has to change.
+    """The scene in parts and without what cannot be drawn, and warnings; the scene itself where nothing has to change.
 
     Instances keep their rows. A translucent part beside an opaque one is a further geometry with instances of its own,
     which follow after all others.
     """
-    warnings: list[str] = []
+    scene, wrong = sound(scene)
+    warnings = list(wrong)
     geometries: list[Geometry] = []
     extra: list[tuple[int, Geometry]] = []
     for row, geometry in enumerate(scene.geometries):
@@ -29,7 +31,7 @@ def parted(scene: Scene, store: Store = STORE) -> tuple[Scene, tuple[str, ...]]:
         geometries.append(first)
         extra += [(row, part) for part in more]
     if not extra and all(a is b for a, b in zip(geometries, scene.geometries, strict=True)):
-        return scene, ()
+        return scene, tuple(warnings)
     instances = scene.instances
     if extra:
         again = [np.flatnonzero(instances.geometry == row) for row, _ in extra]

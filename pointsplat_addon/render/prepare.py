@@ -23,7 +23,7 @@ from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, j
 from ..core.lens import sampled
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh, Scene, Settings
 from ..core.spacing import EXACT_INSTANCES, PART, make_parts, required_spacing
-from ..core.strands import Segments, clean, together
+from ..core.strands import NEAREST, Segments, clean, together
 from ..core.strands import select as select_segments
 from ..core.vectors import dot, each_block
 from .blurred import Blurred, Focus
@@ -109,7 +109,7 @@ class _View:
         scene, camera, instances = self.scene, self.camera, self.scene.instances
         with np.errstate(all="ignore"):
             view_from_object = camera.view_from_world @ instances.world_from_object
-        usable = all_finite(view_from_object)
+            usable = all_finite(view_from_object.astype(np.float32))  # as the device has them
         blur = blur_of(camera) if self.settings.dof_method == "SPLAT" else None
         if blur is not None:
             self.focus = Focus(scene, camera, blur, self.settings.tolerance, self.store, view_from_object)
@@ -788,6 +788,8 @@ def _largest(
         scale = largest_singular_value(matrix[:, :3, :3])
         depth = 1.0
         if camera.perspective:
-            depth = np.maximum(-(matrix[:, 2, :3] @ middle + matrix[:, 2, 3]) - reach * scale, max(camera.near, 1e-6))
+            depth = np.maximum(
+                -(matrix[:, 2, :3] @ middle + matrix[:, 2, 3]) - reach * scale, max(camera.near, NEAREST)
+            )
         largest = max(largest, float((radius * scale * focal / depth).max(initial=0.0)))
     return largest

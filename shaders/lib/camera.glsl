@@ -53,8 +53,9 @@ vec4 ps_clip_from_view(vec3 p)
   vec2 scale = 2.0 * frame.focal.xy / vec2(frame.size.xy);
   float w = ps_is_perspective() ? -p.z : 1.0;
   float near = frame.lens.x, far = frame.lens.y;
-  // Clips at the near and far plane: z / w in [-1, 1] between them.
-  float z = ps_is_perspective() ? (w * (far + near) - 2.0 * far * near) / (far - near)
+  // Clips at the near and far plane: z / w in [-1, 1] between them, and not above 1 by rounding, where near is nothing
+  // beside w.
+  float z = ps_is_perspective() ? w - 2.0 * near * ((far - w) / (far - near))
                                 : (-2.0 * p.z - far - near) / (far - near);
   return vec4(scale * p.xy + offset * w, z, w);
 }

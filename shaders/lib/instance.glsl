@@ -2,6 +2,7 @@
 // rows for each, and a fourth: holdout, scale of lengths (only of strands). Layout: render/passes/points.py.
 
 #include "lib/camera.glsl"
+#include "lib/direction.glsl"
 
 #define PS_PAGE_SHIFT 12
 #define PS_PAGE_MASK 4095
@@ -49,6 +50,5 @@ mat3 ps_linear(int instance)
 vec3 ps_view_normal(mat3 linear, vec3 n)
 {
   vec3 v = cross(linear[1], linear[2]) * n.x + cross(linear[2], linear[0]) * n.y + cross(linear[0], linear[1]) * n.z;
-  float size = length(v);
-  return size > 0.0 ? v / size : vec3(0.0, 0.0, 1.0);
+  return ps_direction(v, vec3(0.0, 0.0, 1.0));
 }

@@ -180,7 +180,7 @@ vec3 ps_sun(int index, PsLobes lobes)
 // surface, which is seen as a cone, as a sphere is, only under a smaller angle.
 PsReceived ps_lamp(PsLobes lobes, vec3 offset, float radius)
 {
-  float d2 = max(dot(offset, offset), 1e-20);
+  float d2 = max(dot(offset, offset), 1e-24);
   vec3 to_light = offset * inversesqrt(d2);
 #ifdef PS_HAS_WIDE_LIGHTS
   float r2 = radius * radius;
@@ -227,7 +227,7 @@ float ps_cone(PsCone cone, vec3 ray)
 vec2 ps_cone_means(PsCone cone, vec3 ray, float radius, vec3 normal)
 {
   // Aligned with the cone, so that the camera's turning changes nothing.
-  vec3 to_light = -ray * inversesqrt(max(dot(ray, ray), 1e-20));
+  vec3 to_light = -ray * inversesqrt(max(dot(ray, ray), 1e-24));
   bool aside = abs(dot(to_light, cone.direction)) < 0.999;
   vec3 u = normalize(cross(aside ? cone.direction : cone.axis_u.xyz, to_light));
   vec3 v = cross(to_light, u);
@@ -270,6 +270,8 @@ vec3 ps_spot(int index, vec3 position, PsLobes lobes)
 
 #ifdef PS_HAS_AREA_LIGHTS
 
+// Lengths in units of the largest of them: what an area sends depends on angles alone, and the fourth powers of
+// lengths below 1e-9 or above 1e9 are no floats.
 struct PsArea {
   vec3 offset;  // from the surface to the middle
   vec3 direction;
@@ -288,7 +290,10 @@ PsArea ps_area(int index, vec3 offset)
 #else
   float limit = 0.0;
 #endif
-  return PsArea(offset, direction.xyz, axis_u.xyz, axis_v.xyz, vec2(axis_u.w, axis_v.w), limit, direction.w);
+  vec3 apart = abs(offset);
+  float unit = 1.0 / max(max(max(apart.x, apart.y), apart.z), max(axis_u.w, axis_v.w));
+  return PsArea(offset * unit, direction.xyz, axis_u.xyz * unit, axis_v.xyz * unit,
+                vec2(axis_u.w, axis_v.w) * unit, limit, direction.w);
 }
 
 // Twice what the edge from a to b adds to Lambert's formula: the angle between them times the component along the
@@ -568,7 +573,7 @@ vec3 ps_ball_irradiance(int index, ivec4 ends, vec3 position, out vec3 to_light)
     return color.rgb;
   }
   vec3 offset = place.xyz - position;
-  float d2 = max(dot(offset, offset), 1e-20);
+  float d2 = max(dot(offset, offset), 1e-24);
   to_light = offset * inversesqrt(d2);
   float share = 1.0 / (direction.w > 0.0 ? d2 + direction.w * direction.w : max(d2, direction.w * direction.w));
 #ifdef PS_HAS_SPOTS

@@ -9,6 +9,10 @@ vec2 ps_reach(vec3 p, mat3 shape, int axis)
     float half_width = sqrt(shape[axis][axis]);
     return vec2(p[axis] - half_width, p[axis] + half_width);
   }
+  // In units of the depth, for fourth powers of lengths are no floats from 1e-9 and 1e9 on.
+  float unit = 1.0 / max(abs(p.z), sqrt(shape[2][2]));
+  p *= unit;
+  shape *= unit * unit;
   float a = p.z * p.z - shape[2][2];
   float b = p[axis] * p.z - shape[axis][2];
   float c = p[axis] * p[axis] - shape[axis][axis];

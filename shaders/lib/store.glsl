@@ -2,6 +2,8 @@
 
 #include "lib/surfel.glsl"
 
+#define PS_BRIGHTEST 65504.0  // what a texture of half floats holds; an infinity would be drawn black
+
 void ps_store(PsSurfel s)
 {
   out_place = s.place;
@@ -10,10 +12,10 @@ void ps_store(PsSurfel s)
   out_normal = s.normal;
 #endif
 #ifdef PS_COLOR
-  out_color = s.color;
+  out_color = clamp(s.color, -PS_BRIGHTEST, PS_BRIGHTEST);
 #endif
 #ifdef PS_EMISSION
-  out_emission = s.emission;
+  out_emission = clamp(s.emission, -PS_BRIGHTEST, PS_BRIGHTEST);
 #endif
 #ifdef PS_OWNER
   out_owner = s.owner;

@@ -70,8 +70,9 @@ def test_each_file_that_loads_bpy_has_a_process_of_its_own(dev: ModuleType, monk
     options, groups = dev.test_groups(["-k", "word", "--tb=short"])
     assert options == ["-k", "word", "--tb=short"]
     assert groups[0] == [os.path.join("tests", "core"), os.path.join("tests", "render")]
+    assert groups[1] == [os.path.join("tests", "extreme")]
     files = sorted(str(p.relative_to(ROOT)) for p in (ROOT / "tests" / "blender").rglob("test_*.py"))
-    assert groups[1:] == [[file] for file in files]
+    assert groups[2:] == [[file] for file in files]
 
 
 def test_named_paths_replace_the_whole_suite(dev: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:

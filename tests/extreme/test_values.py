@@ -1,0 +1,219 @@
+"""Denormals, NaN, infinities and numbers that float32 cannot square, in every attribute of all that is drawn.
+
+Everything stays finite, nothing is darker than black or more than opaque, and what is wrong in one thing stays in it:
+the rest of the picture is as without that thing. Media: tests/render/test_translucent_extremes.py.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pointsplat_addon.core import expressions as ex
+from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.materials import MaterialGraph
+from pointsplat_addon.core.scene import Geometry, Settings, World
+from pointsplat_addon.render.device import half
+from tests.extreme.extremes import FEW, SHADOWED, TECHNIQUES, every_pass, lamp, picture
+from tests.render import scenes
+from tests.render.scenes import Case, camera, materials, mesh, moved, plane_cloud, points, scene, sphere_cloud
+
+ODD = (np.nan, np.inf, -np.inf, 1e-42, -1e30, 3e38)
+PLAIN = Settings(use_shadows=False)
+EYE = camera((0, -4, 0.5), resolution=(48, 32))
+GOOD = (points("good ball", sphere_cloud(600)), moved((-0.9, 0, 0), 0.6))
+AT = moved((0.9, 0, 0), 0.6)
+LEFT = slice(0, 18)  # columns that show the good ball and nothing else
+
+
+@pytest.fixture(autouse=True)
+def silent():
+    """NumPy has nothing to warn of: what is odd is found before it is reckoned with."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        yield
+
+
+def assert_rest_is_right(
+    within, what: str, *things: tuple[Geometry, np.ndarray], technique="IMAGE_SPACE", **more
+) -> None:
+    found = every_pass(Case(scene(GOOD, *things, **more), EYE, PLAIN), technique)
+    bare = every_pass(Case(scene(GOOD, **more), EYE, PLAIN), technique)
+    # Splats that are wider than those of the rest give its holes a coarser level to be filled from.
+    for name, bound in (("combined", 5e-3), ("normal", 2e-2)):
+        apart = np.abs(found[name] - bare[name])[:, LEFT]
+        within(f"odd values in {what}", f"mean difference of the rest of the picture, {name}", apart.mean(), bound)
+
+
+CLOUD = {
+    "normal": plane_cloud(12, 0.8).normal,
+    "axis": np.tile(np.array([1, 0, 0], np.float32), (144, 1)),
+    "radii": np.full((144, 2), 0.1, np.float32),
+    "color": np.full((144, 3), 0.5, np.float32),
+    "surface": np.full((144, 2), 0.5, np.float32),
+    "emission": np.full((144, 3), 0.1, np.float32),
+    "shading_normal": plane_cloud(12, 0.8).normal,
+    "value": np.ones(144, np.float32),
+}
+
+
+def whole_cloud() -> PointCloud:
+    return replace(plane_cloud(12, 0.8), **CLOUD)
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("name", ["position", *CLOUD])
+def test_attributes_of_points(name, odd, technique, within):
+    values = whole_cloud().arrays()[name].copy()
+    values[::3] = odd
+    cloud = replace(whole_cloud(), **{name: values})
+    assert_rest_is_right(within, "attributes of points", (points(f"odd {name} {odd}", cloud), AT), technique=technique)
+
+
+@pytest.mark.parametrize("place", [1e19, 1e30, 3.5e38, 1e300])
+@pytest.mark.parametrize("primitive", ["POINTS", "POLYGONS"])
+def test_transforms_that_float32_cannot_hold(place, primitive, within):
+    for matrix in (moved((place, 0, 0)), moved((0, -place, 0)), moved(scale=place)):
+        matrix[:3, :3] += AT[:3, :3]
+        of = mesh(scenes.plane_mesh(f"lost {place} {primitive}", 0.8, 4), primitive)
+        every_pass(Case(scene(GOOD, (of, matrix)), EYE, PLAIN))
+    assert_rest_is_right(
+        within, "transforms", (mesh(scenes.plane_mesh("lost", 0.8, 4), primitive), moved((place, 0, 0)))
+    )
+
+
+@given(data=st.data())
+def test_any_values_in_any_attributes(data, within):
+    """Of several attributes and points at once, and with transforms that are odd themselves."""
+    cloud, chosen = whole_cloud(), {}
+    number = st.floats(width=32, allow_subnormal=True) | st.sampled_from(ODD)
+    for name in data.draw(st.lists(st.sampled_from(["position", *CLOUD]), min_size=1, max_size=4, unique=True)):
+        values = cloud.arrays()[name].copy()
+        rows = data.draw(st.lists(st.integers(0, 143), min_size=1, max_size=8))
+        values[rows] = np.float32(data.draw(number))
+        chosen[name] = values
+    matrix = AT.copy()
+    if data.draw(st.booleans()):
+        matrix[data.draw(st.integers(0, 2)), data.draw(st.integers(0, 2))] = data.draw(
+            st.floats() | st.sampled_from(ODD)
+        )
+    odd = replace(cloud, **chosen)
+    key = f"any {hash(tuple(array.tobytes() for array in odd.arrays().values()))}"
+    every_pass(Case(scene(GOOD, (points(key, odd), matrix)), EYE, PLAIN))
+
+
+PICTURE = materials(graphs=(MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), scenes.picture()))),))
+
+
+@pytest.mark.parametrize("primitive", ["POINTS", "POLYGONS"])
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("name", ["position", "corner_normal", "uv"])
+def test_attributes_of_meshes(name, odd, primitive, within):
+    of = scenes.plane_mesh(f"odd mesh {name} {odd} {primitive}", 0.8, 6)
+    values = (of.uv["UV"] if name == "uv" else getattr(of, name)).copy()
+    values[5::7] = odd
+    changed = replace(of, **{name: {"UV": values} if name == "uv" else values})
+    table = PICTURE if name == "uv" else None
+    assert_rest_is_right(within, "attributes of meshes", (mesh(changed, primitive), AT), table=table)
+
+
+@pytest.mark.parametrize("ribbon", [False, True])
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("name", ["position", "radius", "normal", "color", "surface", "emission"])
+def test_attributes_of_strands(name, odd, ribbon, within):
+    u = np.linspace(-1, 1, 9)
+    strands = [np.stack([u, 0 * u, 0 * u + z], axis=1) for z in (-0.5, 0, 0.5)]
+    shape = {"position": (27, 3), "radius": (27,), "surface": (27, 2)}.get(name, (27, 3))
+    given = {} if name in ("position", "radius") else {name: np.full(shape, 0.5, np.float32)}
+    if ribbon:
+        given.setdefault("normal", np.tile(np.array([0, -1, 0], np.float32), (27, 1)))
+    thing = scenes.strand_lines(f"odd strands {name} {odd} {ribbon}", strands, 0.05, **given)
+    assert thing.lines is not None
+    values = getattr(thing.lines, name).copy()
+    values[4:20:5] = odd
+    changed = replace(thing, lines=replace(thing.lines, **{name: values}))
+    assert_rest_is_right(within, "attributes of strands", (changed, AT))
+
+
+# Lamps, materials, worlds
+
+
+def lit(lights, table=None, world=None) -> Case:
+    thing = (mesh(scenes.plane_mesh("lit by odd lamps", 0.8, 4), "POLYGONS"), moved((0.8, 0, 0)))
+    return Case(scene(GOOD, thing, lights=lights, table=table, world=world), EYE, SHADOWED)
+
+
+LIGHT_FIELDS = ("color", "position", "direction", "radius", "spot_cos", "spot_blend", "axis_u", "axis_v", "spread",
+                "diffuse", "specular")  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["POINT", "SUN", "SPOT", "AREA"])
+@pytest.mark.parametrize("name", LIGHT_FIELDS)
+def test_a_lamp_that_is_no_number_puts_out_no_other(kind, name):
+    light = lamp(kind, (-2, -3, 2), 30)
+    if getattr(light, name) is None:
+        return
+    alone = picture(lit([scenes.sun()]))
+    for odd in (np.nan, np.inf, -np.inf, 3e38):
+        value = np.full(3, odd) if isinstance(getattr(light, name), np.ndarray) else odd
+        case = lit([replace(light, name="odd one", **{name: value}), scenes.sun()])
+        np.testing.assert_array_equal(picture(case), alone)
+        told = scenes.render(case).report["warnings"]
+        assert any('"odd one"' in text for text in told)
+
+
+@pytest.mark.parametrize("odd", [*ODD, -1.0, 0.0])
+@pytest.mark.parametrize("name", ["base_color", "roughness", "metallic", "ior", "specular", "emission", "alpha"])
+def test_materials_that_are_no_numbers_leave_the_others(name, odd, within):
+    table = materials(2)
+    values = getattr(table, name).copy()
+    values[1] = odd
+    of = replace(scenes.plane_mesh("of an odd material", 0.8, 4), materials=(1,))
+    cloud = replace(plane_cloud(8, 0.4), material=np.ones(64, np.uint16))
+    things = ((mesh(of, "POLYGONS"), AT), (points("of it too", cloud), moved((0.9, -0.5, 0))))
+    assert_rest_is_right(within, "materials", *things, table=replace(table, **{name: values}))
+
+
+@pytest.mark.parametrize("odd", [*ODD, -1.0])
+@pytest.mark.parametrize("picture_of_it", [False, True])
+def test_worlds_that_are_no_numbers(odd, picture_of_it):
+    world = World(np.full(3, odd))
+    if picture_of_it:
+        image = np.full((8, 16, 3), 0.5, np.float32)
+        image[3, 4] = odd
+        world = World(np.zeros(3), image)
+    every_pass(lit([scenes.sun()], world=world))
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("strength", [1e4, 1e6, 1e30])
+@pytest.mark.parametrize("primitive", ["POINTS", "POLYGONS"])
+def test_what_shines_brighter_than_half_floats_is_white_and_not_black(strength, primitive, technique):
+    table = materials(emission=np.full((1, 3), strength))
+    thing = mesh(scenes.plane_mesh("too bright", 1.5, 4), primitive), moved()
+    found = picture(Case(scene(thing, table=table), camera(resolution=FEW), PLAIN), technique)
+    assert found[12, 16, :3].min() >= min(strength, 65504) * 0.9
+
+
+def test_half_floats_hold_the_nearest_of_what_they_can():
+    given_values = np.array([0, 1, -65504, 65519, 7e4, -1e30, np.inf, -np.inf, np.nan, 1e-8], np.float32)
+    expected = [0, 1, -65504, 65504, 65504, -65504, 65504, -65504, 0, 0]
+    np.testing.assert_array_equal(half(given_values), expected)
+
+
+def test_nothing_that_is_sound_is_changed():
+    """Neither scenes, nor clouds, that have nothing odd in them are copied."""
+    from pointsplat_addon.core.cloud import finite
+    from pointsplat_addon.core.sound import sound
+
+    case = scenes.lights()
+    assert sound(case.scene) == (case.scene, ())
+    cloud = whole_cloud()
+    assert finite(cloud)[0] is cloud
+    assert {f.name for f in fields(cloud)} >= set(CLOUD)
