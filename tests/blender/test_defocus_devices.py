@@ -1,0 +1,21 @@
+"""What is out of focus is the same picture on Blender's gpu and on moderngl."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+gpu = pytest.importorskip("gpu")
+
+from pointsplat_addon.core.scene import Aperture  # noqa: E402
+from tests.blender.test_devices_agree import blender, opengl, pictures  # noqa: E402, F401
+from tests.render.scenes import CASES  # noqa: E402
+
+
+@pytest.mark.parametrize("name", ["mixed", "parallel", "strands", "smoke", "tinted_smoke", "environment", "holdout"])
+def test_blenders_gpu_and_moderngl_agree_on_splats_out_of_focus(blender, opengl, name):  # noqa: F811 - fixtures
+    case = CASES[name]()
+    case = replace(case, camera=replace(case.camera, aperture=Aperture(0.3, 2.5)))
+    here, there = opengl(case, True), pictures(blender, case)
+    assert np.abs(here["combined"] - there["combined"]).max() <= 2 / 255  # measured 0, where both run on one driver
