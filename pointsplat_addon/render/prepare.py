@@ -41,7 +41,6 @@ SMALL_SHARED = 0.5
 EXACT_TRIANGLES = 4 << 20  # of all instances: so many are asked one by one what they need
 WIDE_BALL = 2.0  # pixels of radius: means of wider balls that overlap would show
 MANY_TRIANGLES = 1 << 14  # of one mesh: fewer are all looked at in no time
-NO_NODES = 1e-9  # pixels: a tolerance that no node meets
 FEW_POINTS = 1 << 12  # blurred points without nodes cost less than nodes do
 MANY_INSTANCES = 16  # of one hierarchy: so many share cuts
 SHARED_CELLS = 128  # samples across a geometry whose instances are many: outlines grow by half a percent
@@ -103,7 +102,6 @@ class _View:
     ranges: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)  # of points, by instance
     parts: dict[int, np.ndarray] = field(default_factory=dict)  # that are polygons, by instance
     focus: Focus | None = None  # something may be out of it
-    bare: set[int] = field(default_factory=set)  # keys of opaque sets that have nodes for what is out of focus alone
 
     def prepared(self) -> Prepared:
         scene, camera, instances = self.scene, self.camera, self.scene.instances
@@ -205,10 +203,7 @@ class _View:
                     focus.add_balls(where[outside], points)
                 elif outside.any():
                     areas = self._areas(geometries[geometry_of[where[0]]], points)
-                    points = self._with_nodes(points, always=areas is None)
-                    if sets[key].hierarchy is None and points.hierarchy is not None:
-                        self.bare.add(key)
-                    sets[key] = points
+                    sets[key] = points = self._with_nodes(points, always=areas is None)
                     focus.add_points(where[outside], points, areas)
                 set_of_instance[where[~inside]] = -1
                 if not inside.any():
@@ -629,14 +624,9 @@ class _View:
         tolerance = self.settings.tolerance
         band = staggered(tolerance)
         blur = self.focus.blur if self.focus else None
-        # Sets that have nodes for what is blurred alone show their points in focus, as without depth of field.
-        bare = np.isin(set_of_instance, list(self.bare)) if wanted == "SHARP" else np.zeros(len(set_of_instance), bool)
-        cuts = [
-            select(trees, np.where(of, set_of_instance, -1), view_from_object, self.camera, finest, cull, band=wide,
-                   blur=blur, wanted=wanted)
-            for of, finest, wide in ((~bare, tolerance, band), (bare, NO_NODES, 0.0)) if of.any()
-        ]  # fmt: skip
-        return joined(cuts)
+        return select(
+            trees, set_of_instance, view_from_object, self.camera, tolerance, cull, band=band, blur=blur, wanted=wanted
+        )
 
     def _wide(self, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:
         """(I,) bool: instances whose typical splat is a ball that is wide on the screen."""
