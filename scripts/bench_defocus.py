@@ -1,6 +1,6 @@
 """What depth of field costs: SPLAT from a pinhole to a wide lens, and against samples through the lens at equal error.
 
-python scripts/bench_defocus.py [--quick] [--scan FILE.ply[.gz]] [--strip FILE.jpg]
+python scripts/bench_defocus.py [--quick] [--scan FILE.ply[.gz]]
 
 A plane of 262,144 points, and a scan: the vertices of FILE, with their triangles; without it a bumpy ball of as many
 points. Times are of the processor, all threads, within one run.
@@ -31,8 +31,9 @@ from tests.render import scenes
 
 SIDE = 512  # points of the plane, along each side
 SIZE = 512  # pixels
-APERTURES = (0.0, 0.01, 0.03, 0.1, 0.2)  # radius of the lens, of a focal distance of 3.5
-FOCUS, SAMPLES, TIMES = 3.5, 16, 3
+APERTURES = (0.0, 0.01, 0.03, 0.1, 0.2)  # radius of the lens
+ON_PLANE, BEFORE = 3.5, 2.0  # distance of focus: in the middle of the plane, and before all of the scan
+SAMPLES, TIMES = 16, 3
 REFERENCE = 1024  # samples through the lens
 NUMBERS = (8, 16, 32, 64, 128, 256)  # of samples through the lens, among which the one of equal error lies
 EYE, TARGET = (0.0, -3.2, 1.6), (0.0, -0.2, 0.0)
@@ -77,9 +78,9 @@ def scan(path: Path) -> Mesh:
     return Mesh(key, key, vertices.astype(np.float32), faces)
 
 
-def camera(size: int, radius: float) -> Camera:
+def camera(size: int, radius: float, focus: float) -> Camera:
     of = scenes.camera(EYE, TARGET, (size, size), field_of_view=58.0)
-    return replace(of, aperture=Aperture(radius, FOCUS) if radius > 0 else None)
+    return replace(of, aperture=Aperture(radius, focus) if radius > 0 else None)
 
 
 def cpu(renderer: Renderer, scene: Scene, request: Request, times: int = TIMES) -> float:
@@ -93,12 +94,12 @@ def cpu(renderer: Renderer, scene: Scene, request: Request, times: int = TIMES) 
     return float(np.median(found))
 
 
-def growth(renderer: Renderer, name: str, scene: Scene, size: int) -> list[dict]:
+def growth(renderer: Renderer, name: str, scene: Scene, focus: float, size: int) -> list[dict]:
     """Time over that without a lens, and the same where nodes may not be larger than a pixel."""
     rows = []
     settings = Settings(use_shadows=False)
     passes = frozenset({"combined"})
-    requests = {a: Request(camera(size, a), settings, passes, SAMPLES) for a in APERTURES}
+    requests = {a: Request(camera(size, a, focus), settings, passes, SAMPLES) for a in APERTURES}
     none = cpu(renderer, scene, requests[0.0])
     for radius in APERTURES[1:]:
         spent = cpu(renderer, scene, requests[radius])
@@ -113,7 +114,7 @@ def growth(renderer: Renderer, name: str, scene: Scene, size: int) -> list[dict]
     return rows
 
 
-def against_samples(renderer: Renderer, name: str, scene: Scene, size: int, reference: int) -> list[dict]:
+def against_samples(renderer: Renderer, name: str, scene: Scene, focus: float, size: int, reference: int) -> list[dict]:
     """Time of as many samples through the lens as have the error of SPLAT, over SPLAT's."""
     rows = []
     passes = frozenset({"combined"})
@@ -121,19 +122,19 @@ def against_samples(renderer: Renderer, name: str, scene: Scene, size: int, refe
     lens = replace(splat, dof_method="LENS_SAMPLES")
 
     def picture(radius: float, settings: Settings, samples: int) -> np.ndarray:
-        request = Request(camera(size, radius), settings, passes, samples)
+        request = Request(camera(size, radius, focus), settings, passes, samples)
         return renderer.render(scene, request).pixels["combined"][..., :3]
 
     for radius in APERTURES[2:]:
         exact = picture(radius, lens, reference)
         errors = [float(np.sqrt(((picture(radius, lens, n) - exact) ** 2).mean())) for n in NUMBERS]
-        times = [cpu(renderer, scene, Request(camera(size, radius), lens, passes, n), 1) for n in NUMBERS]
+        times = [cpu(renderer, scene, Request(camera(size, radius, focus), lens, passes, n), 1) for n in NUMBERS]
         best, note = 0.0, ""
         for samples in (1, 4, SAMPLES, 64):
             error = float(np.sqrt(((picture(radius, splat, samples) - exact) ** 2).mean()))
-            spent = cpu(renderer, scene, Request(camera(size, radius), splat, passes, samples), 1)
+            spent = cpu(renderer, scene, Request(camera(size, radius, focus), splat, passes, samples), 1)
             # More than the largest number count as that.
-            equal = float(np.exp(np.interp(-np.log(error), -np.log(errors), np.log(times))))
+            equal = float(np.exp(np.interp(-np.log(error), -np.log(np.maximum(errors, 1e-9)), np.log(times))))
             if equal / spent > best:
                 best, note = (
                     equal / spent,
@@ -144,24 +145,25 @@ def against_samples(renderer: Renderer, name: str, scene: Scene, size: int, refe
     return rows
 
 
-def things(quick: bool, path: Path | None) -> dict[str, Scene]:
+def things(quick: bool, path: Path | None) -> dict[str, tuple[Scene, float]]:
+    """Scenes and their distances of focus."""
     side = SIDE // 4 if quick else SIDE
     of = scenes.points(f"plane of {side * side} points", plane(side))
     body = scenes.mesh(scan(path), "POINTS") if path else scenes.points("bumpy ball", bumpy(side * side))
     lights = (scenes.sun(2.5, (0.4, 0.5, -0.8)),)
-    lift = scenes.moved() if path else scenes.moved((0, 0, 0.6), 0.6)
+    lift = scenes.moved((0, 0, -1.0), 1.8) if path else scenes.moved((0, 0, 0.1), 1.2)
     return {
-        of.name: scenes.scene((of, scenes.moved()), lights=()),
-        path.stem.split(".")[0] if path else "bumpy ball": scenes.scene((body, lift), lights=lights),
+        of.name: (scenes.scene((of, scenes.moved()), lights=()), ON_PLANE),
+        path.stem.split(".")[0] if path else "bumpy ball": (scenes.scene((body, lift), lights=lights), BEFORE),
     }
 
 
 def run(quick: bool = False, path: Path | None = None) -> list[dict]:
     """Rows of the benchmark's table."""
     renderer, rows = Renderer(OpenGLDevice()), []
-    for name, scene in things(quick, path).items():
-        rows += growth(renderer, name, scene, SIZE // (4 if quick else 1))
-        rows += against_samples(renderer, name, scene, SIZE // (4 if quick else 2), 64 if quick else REFERENCE)
+    for name, (scene, focus) in things(quick, path).items():
+        rows += growth(renderer, name, scene, focus, SIZE // (4 if quick else 1))
+        rows += against_samples(renderer, name, scene, focus, SIZE // (4 if quick else 2), 64 if quick else REFERENCE)
     renderer.release()
     return rows
 
