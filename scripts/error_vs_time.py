@@ -487,7 +487,8 @@ def work(what: str, name: str, arguments: argparse.Namespace) -> None:
     truth = folder / "truth.npy"
     if what == "ours":
         renderer = Renderer(ProcessorDevice())
-        found, rows = ours(renderer, name, subject(name, SIZE, arguments.data, folder))
+        drawn = subject(name, SIZE, arguments.data, folder)
+        found, rows = ours(renderer, name, drawn, tuple(arguments.tolerances), tuple(arguments.samples))
         np.save(truth, found)
         if KINDS[name].build is None:
             rows += counted(renderer, COUNTS, SIZE)
@@ -503,7 +504,8 @@ def in_processes(names: list[str], arguments: argparse.Namespace) -> list[Row]:
         with tempfile.TemporaryDirectory() as folder:
             for what in ("ours", "theirs", *(("eevee",) if KINDS[name].build and arguments.eevee else ())):
                 command = [sys.executable, __file__, "--worker", what, name, "--worker-folder", folder]
-                command += ["--data", str(arguments.data)]
+                command += ["--data", str(arguments.data), "--tolerances", *map(str, arguments.tolerances)]
+                command += ["--samples", *map(str, arguments.samples)]
                 start = time.perf_counter()
                 try:
                     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, cwd=ROOT)
@@ -548,6 +550,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("POINTSPLAT_DATA", "")), help="real meshes")
     parser.add_argument("--only", nargs="+", choices=KINDS, help="names of scenes")
+    parser.add_argument("--tolerances", type=float, nargs="+", default=TOLERANCES, help="in pixels, coarse ones first")
+    parser.add_argument("--samples", type=int, nargs="+", default=SAMPLES, help="of PointSplat, few first")
     parser.add_argument("--quick", action="store_true", help="does it run at all?")
     parser.add_argument("--no-eevee", dest="eevee", action="store_false", help="which takes long without a GPU")
     parser.add_argument("--docs", type=Path, default=ROOT / "docs", help="where the page is that is written to")
@@ -557,7 +561,8 @@ def main() -> None:
     parser.add_argument("--worker-folder", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.worker:
-        work(*arguments.worker, arguments)
+        what, name = arguments.worker
+        work(what, name, arguments)
         return
     if arguments.quick:
         save(quick(), arguments.rows)
