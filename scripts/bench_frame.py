@@ -154,12 +154,13 @@ class Ours:
 # ---------------------------------------------------------------------------- VTK
 
 
-def vtk_worker(pipe: Connection, count: int, size: int) -> None:
-    """Answers (splat, radius in pixels, angle) with the seconds of a frame and the name of VTK's renderer."""
+def vtk_worker(pipe: Connection, cloud: tuple[np.ndarray, np.ndarray] | int, size: int) -> None:
+    """Answers (splat, radius in pixels, angle) with the seconds of a frame, those of the processor in all threads, and
+    the name of VTK's renderer. Draws positions and colours (N, 3), or a sphere of so many points."""
     import vtk
     from vtk.util.numpy_support import numpy_to_vtk
 
-    position, color = sphere(count)
+    position, color = sphere(cloud) if isinstance(cloud, int) else cloud
     points, data = vtk.vtkPoints(), vtk.vtkPolyData()
     points.SetData(numpy_to_vtk(position, deep=1))
     data.SetPoints(points)
@@ -203,13 +204,13 @@ def vtk_worker(pipe: Connection, count: int, size: int) -> None:
             windows[key] = make(*key)
         window, view = windows[key]
         view.SetPosition(DISTANCE * np.sin(angle), 0, DISTANCE * np.cos(angle))
-        start = time.perf_counter()
+        start, busy = time.perf_counter(), time.process_time()
         window.Render()
         window.WaitForCompletion()
-        seconds = time.perf_counter() - start
+        seconds, processor = time.perf_counter() - start, time.process_time() - busy
         if picture:
             save_vtk(window, picture)
-        pipe.send((seconds, window.GetClassName()))
+        pipe.send((seconds, processor, window.GetClassName()))
 
 
 def save_vtk(window, path: str) -> None:
@@ -225,17 +226,21 @@ def save_vtk(window, path: str) -> None:
 class Theirs:
     """VTK in its own process."""
 
-    def __init__(self, count: int, size: int) -> None:
+    def __init__(self, cloud: tuple[np.ndarray, np.ndarray] | int, size: int) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, other = context.Pipe()
-        self._process = context.Process(target=vtk_worker, args=(other, count, size), daemon=True)
+        self._process = context.Process(target=vtk_worker, args=(other, cloud, size), daemon=True)
         self._process.start()
         other.close()
 
     def frame(self, splat: str, pixels: float, angle: float, picture: str = "") -> float:
         """Seconds of one frame. EOFError: VTK could not draw."""
+        return self.times(splat, pixels, angle, picture)[0]
+
+    def times(self, splat: str, pixels: float, angle: float, picture: str = "") -> tuple[float, float]:
+        """Seconds of one frame by the clock, and of the processor. EOFError: VTK could not draw."""
         self._pipe.send((splat, pixels, angle, picture))
-        return self._pipe.recv()[0]
+        return self._pipe.recv()[:2]
 
     def close(self) -> None:
         if self._process.is_alive():
