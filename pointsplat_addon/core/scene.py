@@ -36,7 +36,7 @@ class Settings:
     dof_method: str = "SPLAT"  # one of DOF_METHODS
     budget: str = "NONE"  # one of BUDGETS
     time_budget: float = 100.0  # milliseconds that a picture may take
-    error_budget: float = 0.01  # root mean square error that a picture may have, scene-linear
+    error_budget: float = 1 / 128  # root mean square error that a picture may have, scene-linear
     device: str = "AUTO"  # one of DEVICES
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {

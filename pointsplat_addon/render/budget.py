@@ -32,7 +32,7 @@ MIDDLE_OF = 3  # latest pictures of which the middle one says how slow the devic
 PRIOR_SHARE, PRIOR_WEIGHT = 0.5, 0.05  # share of the time that splats take, before it was seen to change with them
 MOST_STEP = 16.0  # by which the splats of one picture differ from those of the one before
 CLOSE = 0.06  # of the budget: what is predicted that near is left as it is, so that cuts do not flicker
-STRETCH = 1.5  # times the tolerance: how much coarser a cut may get for the sake of one more sample
+STRETCH = 2.0  # times the tolerance: how much coarser a cut may get for the sake of one more sample
 SCENES = 16  # that a device remembers
 EARLY = 5  # samples by which two cuts are compared: with fewer, edges that are not averaged differ more than the cuts
 MOST_OF_ALL = 0.6  # of all samples, of which the mean is compared with that of all
@@ -141,7 +141,7 @@ class Pacers:
 class Errors:
     """How far the mean of all samples lies from that of very many, by how far it moved since half of them.
 
-    Where samples have the variance v, the mean of n of them and that of the first m differ by v (1 / m - 1 / n), and the
+    Where samples have the variance v, the mean of n and that of the first m of them differ by v (1 / m - 1 / n), and the
     former lies v / n from the limit: that is m / (n - m) of the difference. Samples that are spread evenly do better
     (EVENLY), but on edges, which are what is left, not by much.
     """
