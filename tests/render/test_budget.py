@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene import Settings
+from pointsplat_addon.core.scene import Scene, Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render import budget
 from pointsplat_addon.render.budget import MOST_SAMPLES, Moving, Pacer, Refining
-from pointsplat_addon.render.frame import Renderer
+from pointsplat_addon.render.frame import Renderer, Request
 from pointsplat_addon.render.store import STORE
 from tests.render import scenes
 from tests.render.scenes import CASES
@@ -78,7 +78,7 @@ class Ticking:
         return len(self.device.calls) / 1000
 
 
-def asked(name: str, samples: int = 8, **settings):
+def asked(name: str, samples: int = 8, **settings) -> tuple[Scene, Request]:
     case = CASES[name]()
     return case.scene, replace(case.request(COMBINED, samples), settings=replace(case.settings, **settings))
 
@@ -160,8 +160,8 @@ def test_what_is_exact_takes_no_more_samples():
 def test_without_a_budget_nothing_changes():
     """Neither picture nor passes, whatever the budgets are."""
     calls, pictures = [], []
-    for settings in ({}, {"time_budget": 1.0, "error_budget": 1.0}):
-        scene, request = asked("mixed", budget="NONE", **settings)
+    for limit in (1.0, 0.5):
+        scene, request = asked("mixed", budget="NONE", time_budget=limit, error_budget=limit)
         device = NullDevice()
         report = Renderer(device).render(scene, request).report
         assert "estimate" not in report
