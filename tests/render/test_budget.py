@@ -125,7 +125,7 @@ def test_a_viewport_that_stands_still_ends_below_its_error():
     frame.release()
 
 
-# Beside those below: "empty" and "unlit" are exact, "not_finite" is of no size. "split_mesh" is in docs/budgets.md.
+# "empty", "unlit" and "in_smoke" have no error to compare; "not_finite" is of no size; the last two take too long.
 EXACT_OR_LARGE = {"empty", "unlit", "in_smoke", "not_finite", "split_mesh", "many_towers"}
 SHOWN = tuple(name for name in CASES if name not in EXACT_OR_LARGE)
 
