@@ -16,6 +16,7 @@ from .lines import Lines
 
 TECHNIQUES = ("AUTO", "IMAGE_SPACE", "EWA", "PAINTER")
 DOF_METHODS = ("SPLAT", "LENS_SAMPLES")
+BUDGETS = ("NONE", "TIME", "ERROR")
 DEVICES = ("AUTO", "BLENDER_GPU", "OPENGL")
 PRIMITIVES = ("AUTO", "POINTS", "POLYGONS", "LINES")
 
@@ -33,6 +34,9 @@ class Settings:
     use_shadows: bool = True  # lights cast shadows, through translucent matter too
     shadow_resolution: int = 1024  # cells of a light's shadow table per half turn
     dof_method: str = "SPLAT"  # one of DOF_METHODS
+    budget: str = "NONE"  # one of BUDGETS
+    time_budget: float = 100.0  # milliseconds that a picture may take
+    error_budget: float = 1 / 128  # root mean square error that a picture may have, scene-linear
     device: str = "AUTO"  # one of DEVICES
 
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
@@ -41,6 +45,8 @@ class Settings:
         "viewport_samples": (1, 1024),
         "adaptive_threshold": (0.0, 1.0),
         "shadow_resolution": (16, 16384),
+        "time_budget": (1.0, 3_600_000.0),
+        "error_budget": (0.0001, 1.0),
     }
 
 

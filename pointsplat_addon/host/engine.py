@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
 
 import bpy
 import gpu
 
 from ..render.device import DeviceError
-from . import final, gl_thread
+from . import final, gl_thread, last
 from .viewport import Viewport
 
 LOG = logging.getLogger(__name__)
 
-last_report: dict[str, Any] = {}  # of the last final render
+last_report = last.REPORT
 
 
 class PointSplatEngine(bpy.types.RenderEngine):

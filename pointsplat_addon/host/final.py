@@ -17,7 +17,7 @@ from ..core.cryptomatte import murmur3
 from ..render.device import DeviceError
 from ..render.frame import Renderer, Request, Result
 from ..render.outputs import BY_KEY, CRYPTO, PASSES
-from . import disk_cache, gl_thread, main_gpu
+from . import disk_cache, gl_thread, last, main_gpu
 from .convert.camera import render_camera
 from .convert.objects import collect
 from .sync import Synchronizer
@@ -60,7 +60,7 @@ class FinalRender:
         scene = self.synchronizer.scene(depsgraph, previous=transforms)
         settings = depsgraph.scene_eval.pointsplat.settings()
         if engine.is_preview:
-            settings = replace(settings, samples=min(settings.samples, PREVIEW_SAMPLES))
+            settings = replace(settings, samples=min(settings.samples, PREVIEW_SAMPLES), budget="NONE")
         else:
             FinalRender.last_scene = scene
         levels = depsgraph.view_layer_eval.pass_cryptomatte_depth
@@ -188,7 +188,7 @@ def _write(
     finally:
         engine.end_result(opened)
     whole = engine.get_result()
-    for field, value in _manifest(layer, scene, result).items():
+    for field, value in (_manifest(layer, scene, result) | last.stamps(result.report)).items():
         whole.stamp_data_add_field(field, value)
 
 

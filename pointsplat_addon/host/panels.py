@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import bpy
 
 from ..render.outputs import PASSES
+from . import last
 
 ENGINE = "POINTSPLAT"
 DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT", "POINTCLOUD", "VOLUME", "CURVES"}  # objects that are drawn
@@ -55,12 +56,26 @@ class POINTSPLAT_RENDER_PT_sampling(_Panel, bpy.types.Panel):
         settings, layout = context.scene.pointsplat, self.split_layout()
         column = layout.column(align=True)
         column.prop(settings, "viewport_samples", text="Viewport Samples")
-        column.prop(settings, "samples", text="Render Samples")
+        render = column.row()
+        render.active = settings.budget == "NONE"
+        render.prop(settings, "samples", text="Render Samples")
         row = layout.column(heading="Adaptive").row(align=True)
         row.prop(settings, "use_adaptive_sampling", text="")
         threshold = row.row()
         threshold.active = settings.use_adaptive_sampling
         threshold.prop(settings, "adaptive_threshold", text="")
+
+
+class POINTSPLAT_RENDER_PT_budget(_Panel, bpy.types.Panel):
+    bl_label = "Budget"
+
+    def draw(self, context):
+        settings, layout = context.scene.pointsplat, self.split_layout()
+        layout.prop(settings, "budget")
+        if settings.budget == "TIME":
+            layout.prop(settings, "time_budget", text="Milliseconds")
+        elif settings.budget == "ERROR":
+            layout.prop(settings, "error_budget")
 
 
 class POINTSPLAT_RENDER_PT_points(_Panel, bpy.types.Panel):
@@ -115,6 +130,26 @@ class POINTSPLAT_RENDER_PT_performance(_Panel, bpy.types.Panel):
         layout.prop(context.scene.pointsplat, "device")
         layout.prop(context.scene.render, "use_persistent_data", text="Persistent Data")
         layout.operator("pointsplat.clear_cache")
+
+
+class POINTSPLAT_RENDER_PT_last_render(_Panel, bpy.types.Panel):
+    bl_label = "Last Render"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and bool(last.REPORT)
+
+    def draw(self, context):
+        layout = self.layout
+        for label, value in last.lines(last.REPORT):
+            row = layout.split(factor=0.4)
+            row.label(text=label)
+            row.label(text=value)
+        for name, milliseconds, share in last.bars(last.REPORT):
+            row = layout.split(factor=0.4)
+            row.label(text=name)
+            row.progress(factor=share, text=f"{milliseconds:.1f} ms")
 
 
 class POINTSPLAT_VIEWLAYER_PT_passes(_Panel, bpy.types.Panel):
@@ -207,11 +242,13 @@ class POINTSPLAT_OBJECT_PT_transfer(_Panel, bpy.types.Panel):
 
 CLASSES = (
     POINTSPLAT_RENDER_PT_sampling,
+    POINTSPLAT_RENDER_PT_budget,
     POINTSPLAT_RENDER_PT_points,
     POINTSPLAT_RENDER_PT_shadows,
     POINTSPLAT_RENDER_PT_depth_of_field,
     POINTSPLAT_RENDER_PT_film,
     POINTSPLAT_RENDER_PT_performance,
+    POINTSPLAT_RENDER_PT_last_render,
     POINTSPLAT_VIEWLAYER_PT_passes,
     POINTSPLAT_DATA_PT_light_shadow,
     POINTSPLAT_OBJECT_PT_pointsplat,

@@ -6,7 +6,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..core.scene import DEVICES, DOF_METHODS, PRIMITIVES, TECHNIQUES, Settings
+from ..core.scene import BUDGETS, DEVICES, DOF_METHODS, PRIMITIVES, TECHNIQUES, Settings
 from . import engine
 
 Item = tuple[str, str, str]
@@ -28,6 +28,15 @@ TECHNIQUE_ITEMS: dict[str, Item] = {
         "Painter",
         "Paint points as fuzzy ellipses from back to front: they mix with smoke and glass point by point",
     ),
+}
+BUDGET_ITEMS: dict[str, Item] = {
+    "NONE": ("NONE", "None", "Samples and tolerance are what the settings say"),
+    "TIME": (
+        "TIME",
+        "Time",
+        "As many samples and as fine a cut, up to the tolerance, as the time allows, by what pictures took before",
+    ),
+    "ERROR": ("ERROR", "Error", "Samples, and a finer tolerance where they do not suffice, until the error is small"),
 }
 DEVICE_ITEMS: dict[str, Item] = {
     "AUTO": ("AUTO", "Automatic", "An OpenGL context of its own for final renders, Blender's in the viewport"),
@@ -86,11 +95,23 @@ LABELS: dict[str, tuple[str, str]] = {
         "Number of cells in half a turn around each lamp that hold what its light crosses; more cells, sharper shadows",
     ),
     "dof_method": ("Depth of Field", "How cameras with depth of field blur what is out of focus"),
+    "budget": ("Budget", "What decides how many samples are drawn and how coarse the points may be"),
+    "time_budget": (
+        "Time",
+        "Milliseconds that a final render may take once the scene is converted, and a picture of the viewport while "
+        "it moves",
+    ),
+    "error_budget": (
+        "Error",
+        "Root mean square error that a picture may have against very many samples at a quarter of the tolerance, "
+        "in scene-linear values",
+    ),
     "device": ("Device", "What draws the pictures"),
 }
 ITEMS = {
     "technique": [TECHNIQUE_ITEMS[n] for n in TECHNIQUES],
     "dof_method": [DOF_ITEMS[n] for n in DOF_METHODS],
+    "budget": [BUDGET_ITEMS[n] for n in BUDGETS],
     "device": [DEVICE_ITEMS[n] for n in DEVICES],
 }
 
@@ -115,6 +136,8 @@ def _property(name: str, default: Any) -> Any:
         return IntProperty(min=int(low), max=int(high), **common)
     if name == "tolerance":
         return FloatProperty(min=low, max=high, soft_max=16.0, subtype="PIXEL", precision=2, **common)
+    if name == "time_budget":
+        return FloatProperty(min=low, max=high, soft_max=10_000.0, precision=1, **common)
     return FloatProperty(min=low, max=high, precision=4, **common)
 
 

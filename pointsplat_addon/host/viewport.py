@@ -11,6 +11,7 @@ from typing import ClassVar
 import bpy
 
 from ..core import scene as core
+from ..render.budget import Moving, Refining
 from ..render.device import DeviceError
 from ..render.frame import Frame, Request
 from ..shading.sources import ShaderError
@@ -35,6 +36,7 @@ class Viewport:
         self._scene: core.Scene | None = None
         self._frame: Frame | None = None
         self._look: tuple | None = None  # what the frame depends on besides the scene
+        self._keeper: Moving | Refining | None = None  # of the frame's budget
         self._coarse = False
         self._changed_at = float("-inf")
         self._error = ""
@@ -77,7 +79,7 @@ class Viewport:
         if self._scene is None or min(camera.window[2:]) <= 0:
             return
         frame = self._frame_for(self._scene, camera, settings)
-        more = frame.sample()
+        more = frame.sample() if self._keeper is None else self._keeper.sample(frame)
         _present(frame, camera)
         engine.update_stats("", "")
         if more or self._coarse:
@@ -98,12 +100,19 @@ class Viewport:
         else:
             return self._frame
         self._drop()
-        samples = settings.viewport_samples
-        if self._coarse:
-            samples = 1
-            settings = replace(settings, tolerance=settings.tolerance * NAVIGATION_TOLERANCE)
-        request = Request(camera, settings, frozenset({"combined"}), samples, interactive=True)
-        self._frame = MAIN_GPU.renderer().start(scene, request)
+        request = Request(camera, settings, frozenset({"combined"}), settings.viewport_samples, interactive=True)
+        renderer = MAIN_GPU.renderer()
+        self._keeper = None
+        if self._coarse and settings.budget == "TIME":
+            self._keeper = Moving(renderer, scene, request)
+        elif self._coarse:
+            coarse = replace(settings, tolerance=settings.tolerance * NAVIGATION_TOLERANCE)
+            request = replace(request, settings=coarse, samples=1)
+        elif settings.budget == "ERROR":
+            self._keeper = Refining(request)
+        if self._keeper is not None:
+            request = self._keeper.request
+        self._frame = renderer.start(scene, request)
         return self._frame
 
     def _drop(self) -> None:

@@ -16,6 +16,7 @@ from ..core.lens import sampled
 from ..core.scene import Camera, Scene, Settings, World
 from ..core.strands import turns
 from ..shading.interface import Interface
+from . import budget
 from .device import Device, Target, Texture
 from .faint import without_faint
 from .filtering import cryptomatte, offsets
@@ -112,6 +113,7 @@ class Renderer:
         self.kept = Kept(device)
         self.pool = Pool(device)
         self.costs = DEFAULT  # of this device
+        self.pacers = budget.Pacers()  # of the scenes that a budget of time was kept for
 
     def render(
         self,
@@ -121,19 +123,36 @@ class Renderer:
         progress: Callable[[float, str], None] = lambda fraction, text: None,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> Result:
-        """All samples of a picture. DeviceError, ShaderError: the device cannot draw it."""
+        """All samples of a picture, or what its budget allows. DeviceError, ShaderError: the device cannot draw it."""
+        if request.settings.budget != "NONE":
+            return budget.kept(self, scene, request, progress, cancelled)
+        return self.draw(scene, request, progress, cancelled)
+
+    def draw(
+        self,
+        scene: Scene,
+        request: Request,
+        progress: Callable[[float, str], None],
+        cancelled: Callable[[], bool],
+        watch: budget.Watch | None = None,
+    ) -> Result:
+        """Samples of a picture until there are enough, or `watch` says so."""
         started = time.perf_counter()
         progress(0.0, "Preparing points")
         try:
             frame = Frame(self, scene, request, cancelled)
         except Cancelled:
             return Result({}, {}, cancelled=True)
+        if watch is not None:
+            watch.ready(frame)
         try:
             while not frame.complete:
                 before = time.perf_counter()
                 frame.sample()
                 frame.clock.settle()
                 frame.clock.slow = time.perf_counter() - before > SLOW_SECONDS
+                if watch is not None and watch.enough(frame):
+                    frame.end()
                 progress(frame.done / request.samples, f"Sample {frame.done}/{request.samples}")
                 if not frame.complete:
                     frame.clock.check()
@@ -168,10 +187,12 @@ class Frame:
     ) -> None:
         """`presented`: between samples too."""
         self.renderer, self.request, self.presented = renderer, request, presented
+        self.whole = scene  # as it was given
         scene, self._warnings = parted(scene)
         self.scene = scene
         self.device = renderer.device
         self.done = 0
+        self._ended = False
         self.clock = Clock(self.device, cancelled)
         float_blend = self.device.limits.float_blend
         technique = choose(request.settings, scene, request.samples, request.interactive, float_blend)
@@ -353,10 +374,48 @@ class Frame:
         if adaptive.check(self.done, record) and projection is not None and not adaptive.finished:
             uploads.narrow(projection.within(uploads.draws, record, uploads.shared, adaptive.gathered))
 
+    def end(self) -> None:
+        """There are enough samples."""
+        if not self.complete and self.plan.defocus and not self.presented:
+            self._defocus()
+        self._ended = True
+
+    def other(self, request: Request, samples: int) -> np.ndarray | None:
+        """The mean (H, W, 4) of so many samples of the same scene by another request; None where it draws the same."""
+        frame = Frame(self.renderer, self.whole, request, self.clock.cancelled)
+        try:
+            if (frame.splats, frame.triangles) == (self.splats, self.triangles):
+                return None
+            while frame.done < samples and frame.sample():
+                frame.clock.settle()
+                frame.clock.check()
+            return frame.mean()
+        finally:
+            frame.release()
+
+    @property
+    def splats(self) -> int:
+        """In the cut, of all kinds."""
+        prepared = self.prepared
+        layers = (*(() if self.plan.painter else (prepared,)), prepared.translucent, prepared.spheres)
+        return sum(layer.cut.splats for layer in layers)
+
+    @property
+    def triangles(self) -> int:
+        """That are drawn."""
+        prepared, geometries = self.prepared, self.scene.geometries
+        return sum(
+            triangles_of(mesh, prepared.parts.get(instance))
+            for instance in prepared.polygons.tolist()
+            if (mesh := geometries[int(self.scene.instances.geometry[instance])].mesh) is not None
+        )
+
     @property
     def complete(self) -> bool:
         """No sample is missing."""
-        return self.done >= self.request.samples or (self.adaptive is not None and self.adaptive.finished)
+        return (
+            self._ended or self.done >= self.request.samples or (self.adaptive is not None and self.adaptive.finished)
+        )
 
     @property
     def color(self) -> Texture:
@@ -566,6 +625,17 @@ class Frame:
     def _constant(self) -> np.ndarray:
         return np.zeros(4) if self.scene.transparent else np.append(np.asarray(self.scene.world.color), 1.0)
 
+    def mean(self) -> np.ndarray:
+        """(H, W, 4) float32: the picture so far; without what is out of focus, where a pass of its own draws that."""
+        if self._trivial:
+            _, _, width, height = self.request.camera.window
+            return self._empty_pixels(frozenset({"combined"}), width, height)["combined"]
+        return self._cropped(self.targets.sums[0]) / self.counts()
+
+    def counts(self) -> np.ndarray | int:
+        """(H, W, 1) float32, or one for all pixels: how many samples each of them has."""
+        return max(self.done, 1) if self.adaptive is None else self._window(self.adaptive.samples(self.done))
+
     def pixels(self) -> dict[str, np.ndarray]:
         """Every requested pass."""
         _, _, width, height = self.request.camera.window
@@ -574,7 +644,7 @@ class Frame:
             return self._empty_pixels(wanted, width, height)
         out: dict[str, np.ndarray] = {}
         names = ("combined", *(() if self.plan.defocus else shade_pass.averaged(self.request.passes)))
-        samples = max(self.done, 1) if self.adaptive is None else self._window(self.adaptive.samples(self.done))
+        samples = self.counts()
         sums = [self.color] if self.plan.defocus else self.targets.sums
         for name, texture in zip(names, sums, strict=True):
             mean = self._cropped(texture) / (1 if self.plan.defocus else samples)
@@ -630,15 +700,7 @@ class Frame:
     def report(self, seconds: float) -> dict[str, Any]:
         """What was done, as scripts/render.py writes it."""
         self.clock.settle()
-        prepared = self.prepared
-        layers = (*(() if self.plan.painter else (prepared,)), prepared.translucent, prepared.spheres)
-        cut = sum(layer.cut.splats for layer in layers)
-        geometries, polygons = self.scene.geometries, self.prepared.polygons
-        triangles = sum(
-            triangles_of(mesh, prepared.parts.get(instance))
-            for instance in polygons.tolist()
-            if (mesh := geometries[int(self.scene.instances.geometry[instance])].mesh) is not None
-        )
+        prepared, cut = self.prepared, self.splats
         return {
             "device": f"{self.device.name}: {self.device.limits.renderer}",
             "seconds": seconds,
@@ -646,7 +708,7 @@ class Frame:
             "skipped": [{"name": name, "because": why} for name, why in self._skipped()],
             "points": {"total": prepared.total, "cut": cut, "drawn": cut * self.done},
             "technique": {"name": self.technique.name, "because": self.technique.because},
-            "triangles": triangles,
+            "triangles": self.triangles,
             "lines": self._lines_drawn(),
             "bytes": {"cpu": STORE.nbytes, "gpu": self.device.bytes_allocated()},
             "warnings": [*self._warnings, *prepared.warnings, *(self.shadows.warnings if self.shadows else ())],
@@ -670,7 +732,9 @@ class Frame:
         if self.everywhere:
             late["adapt"] = self.everywhere
         found += [(name, late.get(name, UNKNOWN)) for name in PASSES if name not in known]
-        if not self._trivial and not self.everywhere and self.adaptive is not None:
+        if self._ended:
+            found.append(("samples", f"the budget asks for no more than {self.done}"))
+        elif not self._trivial and not self.everywhere and self.adaptive is not None:
             mean = float(self._window(self.adaptive.samples(self.done)).mean())
             if mean < self.request.samples:
                 found.append(("samples", f"pixels have {mean:.1f} of {self.request.samples}: the others would agree"))

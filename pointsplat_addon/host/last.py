@@ -1,0 +1,44 @@
+"""The report of the last final render, and how it is told: in its panel and in the picture's metadata."""
+
+from __future__ import annotations
+
+from typing import Any
+
+REPORT: dict[str, Any] = {}  # of the last final render; empty before the first
+MOST_BARS = 8  # of passes, the longest ones
+
+
+def lines(report: dict[str, Any]) -> list[tuple[str, str]]:
+    """Label and value of what a picture took and is; nothing of an empty report."""
+    if "technique" not in report:
+        return []
+    points = report["points"]
+    found = [
+        ("Time", f"{report['seconds']:.3f} s"),
+        ("Points", f"{points['cut']:,} of {points['total']:,}"),
+        ("Technique", f"{report['technique']['name']}: {report['technique']['because']}"),
+    ]
+    if "estimate" in report:
+        found.append(("Estimated Error", error(report["estimate"])))
+    return found
+
+
+def error(estimate: dict[str, float | None]) -> str:
+    """The root mean square error of a report's estimate."""
+    rmse = estimate["rmse"]
+    return "unknown: one sample" if rmse is None else f"{rmse:.2g}"
+
+
+def bars(report: dict[str, Any]) -> list[tuple[str, float, float]]:
+    """Name, milliseconds and share of the longest of up to MOST_BARS passes, the longest first."""
+    found = sorted(((p["name"], p["ms"]) for p in report.get("passes", ())), key=lambda item: -item[1])[:MOST_BARS]
+    longest = max((ms for _, ms in found), default=0.0)
+    return [(name, ms, ms / longest) for name, ms in found if longest > 0]
+
+
+def stamps(report: dict[str, Any]) -> dict[str, str]:
+    """The picture's metadata by field."""
+    found = {"pointsplat/seconds": f"{report['seconds']:.3f}"}
+    if "estimate" in report:
+        found["pointsplat/error"] = error(report["estimate"])
+    return found

@@ -1,0 +1,384 @@
+"""What a picture may cost: a time to keep, or an error to stay below (docs/budgets.md).
+
+TIME chooses how many samples a picture gets, and how coarse its cut is, from what earlier pictures of the scene took:
+t(n, s) = p(s) + n q(s), with p what comes once and q what each sample takes, both linear in the splats s of the cut.
+ERROR measures how far the mean of all samples still moves, and how far another cut lies from this one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.scene import Scene, Settings
+
+if TYPE_CHECKING:
+    from .device import Device
+    from .frame import Frame, Renderer, Request, Result
+
+Progress = Callable[[float, str], None]
+Clock = Callable[[], float]  # seconds
+
+MOST_SAMPLES = 257  # of a picture with a budget: what more of them change cannot be seen
+COARSEST = 16.0  # times the tolerance that the settings ask for: TIME goes no further
+FINEST = 0.25  # times it: what ERROR ends at
+REMEMBERED = 8  # pictures from which a line is fitted
+MIDDLE_OF = 3  # latest pictures of which the middle one says how slow the device is now
+PRIOR_SHARE, PRIOR_WEIGHT = 0.5, 0.05  # share of the time that splats take, before it was seen to change with them
+MOST_STEP = 16.0  # by which the splats of one picture differ from those of the one before
+CLOSE = 0.06  # of the budget: what is predicted that near is left as it is, so that cuts do not flicker
+STRETCH = 2.0  # times the tolerance: how much coarser a cut may get for the sake of one more sample
+SCENES = 16  # that a device remembers
+EARLY = 5  # samples by which two cuts are compared: with fewer, edges that are not averaged differ more than the cuts
+MOST_OF_ALL = 0.6  # of all samples, of which the mean is compared with that of all
+RATIOS = (2.0, 4.0)  # of a tolerance to the finer one that it is compared with
+LEFT = {2.0: 1.2}  # distance from the finest cut over that from the one of half the tolerance
+EVENLY = 0.75  # of the error of independent samples: these are spread evenly
+CUT_PART = 0.9  # of the error budget that the cut may take, before a finer one is drawn
+TILES_PART = 0.25  # of the error budget: difference at which tiles end
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How a picture is drawn."""
+
+    tolerance: float  # pixels
+    samples: int
+
+
+class Line:
+    """Milliseconds over splats, from the latest pictures: m ((1 - r) + r s / s0), with r in [0, 1]."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)
+        self._first = True
+
+    def add(self, splats: float, ms: float) -> None:
+        if self._first and len(self._seen) == 1:
+            # The first picture compiled shaders and filled caches.
+            self._seen.clear()
+            self._first = False
+        self._seen.append((max(splats, 1.0), max(ms, 1e-6)))
+
+    def fitted(self) -> tuple[float, float]:
+        """(constant, slope): ms, and ms per splat. (0, 0) where nothing was measured."""
+        if not self._seen:
+            return 0.0, 0.0
+        splats, ms = np.array(self._seen, float).T
+        middle = np.exp(np.log(splats).mean())
+        x, y = splats / middle - 1, ms / np.median(ms) - 1
+        # Regression towards the prior: where splats hardly changed, noise says nothing of what they cost.
+        share = np.clip((x @ y + PRIOR_WEIGHT * PRIOR_SHARE) / (x @ x + PRIOR_WEIGHT), 0.0, 1.0)
+        level = float(np.median((ms / (1 + share * x))[-MIDDLE_OF:]))
+        return level * (1 - share), level * share / middle
+
+
+@dataclass
+class Pacer:
+    """Chooses for one scene, at one size, on one device, so that pictures take a given time."""
+
+    once: Line = field(default_factory=Line)  # what a picture takes before its first sample
+    each: Line = field(default_factory=Line)  # what a sample takes
+    _last: tuple[float, float] | None = None  # tolerance and splats of the latest picture
+
+    def measured(self, tolerance: float, splats: int, once: float, each: float) -> None:
+        """A picture took `once` ms before its first sample, and `each` ms for one sample in the mean."""
+        self._last = tolerance, max(float(splats), 1.0)
+        self.once.add(splats, once)
+        self.each.add(splats, each)
+
+    def choose(self, budget: float, tolerance: float, most: int = MOST_SAMPLES) -> Choice:
+        """For `budget` ms; no finer than `tolerance` pixels, no more than `most` samples.
+
+        As many samples as fit at that tolerance; one more where a cut that is up to STRETCH coarser makes room for it.
+        Where not even one fits, the tolerance at which it does: splats go with the inverse square of it.
+        """
+        if self._last is None:
+            return Choice(tolerance, most)
+        last, splats = self._last
+        (p0, p1), (q0, q1) = self.once.fitted(), self.each.fitted()
+        here = splats * (last / tolerance) ** 2
+        count = int(np.clip((budget - p0 - p1 * here) / max(q0 + q1 * here, 1e-9), 0, most))
+        if count < most:
+            samples, coarsest = count + 1, STRETCH if count else COARSEST
+            room = (budget - p0 - samples * q0) / max(p1 + samples * q1, 1e-12)
+            wanted = np.clip(room, splats / MOST_STEP, splats * MOST_STEP)
+            at = max(last * float(np.sqrt(splats / wanted)), tolerance)
+            if at <= coarsest * tolerance or not count:
+                return Choice(self._steady(min(at, COARSEST * tolerance), budget, samples), samples)
+        return Choice(max(tolerance, last / MOST_STEP**0.5), count)
+
+    def _steady(self, tolerance: float, budget: float, samples: int) -> float:
+        """The latest tolerance where that is predicted to do as well."""
+        assert self._last is not None
+        last, splats = self._last
+        (p0, p1), (q0, q1) = self.once.fitted(), self.each.fitted()
+        predicted = p0 + p1 * splats + samples * (q0 + q1 * splats)
+        return last if abs(predicted - budget) < CLOSE * budget else tolerance
+
+
+class Pacers:
+    """A pacer for each of the scenes that a device has drawn lately."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[tuple, Pacer] = OrderedDict()
+
+    def of(self, scene: Scene, request: Request) -> Pacer:
+        """Of a scene with the same objects, at the same size and by the same technique: what moves keeps its own."""
+        names = frozenset(geometry.name for geometry in scene.geometries)
+        key = (names, request.camera.window[2:], request.settings.technique, request.interactive)
+        self._known[key] = pacer = self._known.pop(key, None) or Pacer()
+        while len(self._known) > SCENES:
+            self._known.popitem(last=False)
+        return pacer
+
+
+class Errors:
+    """How far the mean of all samples lies from that of very many, by how far it moved since half of them.
+
+    Where samples have the variance v, the means of all n and of the first m differ by v (1 / m - 1 / n), and the
+    former lies v / n from the limit: that is m / (n - m) of the difference. Samples that are spread evenly do better
+    (EVENLY), but on edges, which are what is left, not by much.
+    """
+
+    def __init__(self) -> None:
+        self._means: list[tuple[int, np.ndarray]] = []  # of the last three checkpoints
+        self._squares: np.ndarray | None = None  # (H, W) float64: error of each pixel, squared
+        self._counted: np.ndarray | int = 0
+
+    def look(self, frame: Frame) -> bool:
+        """After a sample; True where there is a new estimate."""
+        n = frame.done
+        checkpoint = n == 1 or (n > 2 and not (n - 1) & (n - 2))  # 1, 3, 5, 9, 17 ...
+        if not checkpoint and not frame.complete:
+            return False
+        mean = frame.mean()
+        earlier = [(m, picture) for m, picture in self._means if m <= MOST_OF_ALL * n]
+        if earlier:
+            m, before = earlier[-1]
+            counts = frame.counts()
+            fresh = np.broadcast_to(np.asarray(counts) > self._counted, (*mean.shape[:2], 1))[..., 0]
+            squares = ((mean - before)[..., :3].astype(np.float64) ** 2).mean(axis=-1) * (m / (n - m))
+            self._squares = squares if self._squares is None else np.where(fresh, squares, self._squares)
+            self._counted = counts
+        if checkpoint:
+            self._means = [*self._means[-2:], (n, mean)]
+        return bool(earlier)
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square over pixels and colours, scene-linear; infinite where nothing is known yet."""
+        return float("inf") if self._squares is None else EVENLY * float(np.sqrt(np.nan_to_num(self._squares).mean()))
+
+
+class Watch:
+    """Asked after each sample of a picture whether there are enough."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.errors, self._clock = Errors(), clock
+        self._began = self._ready = clock()
+        self.prepared = 0.0  # ms before the first sample
+        self.each = 0.0  # ms of a sample, in the mean
+        self.splats = 0
+        self.done = 0
+        self._measure = True
+
+    def ready(self, frame: Frame) -> None:
+        """The picture is prepared."""
+        self._ready = self._clock()
+        self.prepared = 1000 * (self._ready - self._began)
+        self.splats = frame.splats
+
+    def enough(self, frame: Frame) -> bool:
+        """Whether the picture needs no more samples."""
+        if self._measure:
+            self.errors.look(frame)
+        self.done = frame.done
+        self.each = 1000 * (self._clock() - self._ready) / frame.done
+        return self.stops()
+
+    def stops(self) -> bool:
+        raise NotImplementedError
+
+
+class InTime(Watch):
+    """Until the next sample would end later than it may, by more than half of it."""
+
+    def __init__(self, milliseconds: float, clock: Clock, measure: bool = True) -> None:
+        """`measure`: the error too, which takes reading the picture back."""
+        super().__init__(clock)
+        self._milliseconds, self._measure = milliseconds, measure
+
+    def stops(self) -> bool:
+        return self.prepared + self.each * (self.done + 0.5) > self._milliseconds
+
+
+class BelowError(Watch):
+    """Until the error is small enough, or the cut proves too coarse for that: then after EARLY samples."""
+
+    def __init__(self, limit: float, finer: Callable[[Frame], tuple[float, np.ndarray]], clock: Clock) -> None:
+        """`finer`: by how much the tolerance of another cut is finer, and its mean of EARLY samples; 1: none is."""
+        super().__init__(clock)
+        self._limit, self._finer = limit, finer
+        self.cut_error = 0.0
+        self.too_coarse = False
+
+    def enough(self, frame: Frame) -> bool:
+        if frame.done == EARLY:
+            ratio, mean = self._finer(frame)
+            self.cut_error = LEFT.get(ratio, 1.0) * distance(mean, frame.mean())
+            self.too_coarse = ratio > 1 and self.cut_error > CUT_PART * self._limit
+        return super().enough(frame)
+
+    def stops(self) -> bool:
+        return self.too_coarse or (self.done >= EARLY and self.rmse <= self._limit)
+
+    @property
+    def rmse(self) -> float:
+        return float(np.hypot(self.errors.rmse, self.cut_error))
+
+
+def distance(a: np.ndarray, b: np.ndarray) -> float:
+    """Root mean square difference of two pictures (H, W, 3 or more) over pixels and colours."""
+    return float(np.sqrt(np.nan_to_num((a - b)[..., :3].astype(np.float64) ** 2).mean()))
+
+
+def kept(
+    renderer: Renderer,
+    scene: Scene,
+    request: Request,
+    progress: Progress,
+    cancelled: Callable[[], bool],
+    clock: Clock = time.perf_counter,
+) -> Result:
+    """A picture within its budget. Its report tells the "estimate": the error "rmse" and the "seconds" that it took."""
+    began = clock()
+    keep = in_time if request.settings.budget == "TIME" else below_error
+    result, rmse = keep(renderer, scene, request, progress, cancelled, clock)
+    if not result.report:
+        return result
+    seconds = clock() - began
+    estimate = {"rmse": rmse if np.isfinite(rmse) else None, "seconds": seconds}
+    return replace(result, report={**result.report, "seconds": seconds, "estimate": estimate})
+
+
+def in_time(
+    renderer: Renderer,
+    scene: Scene,
+    request: Request,
+    progress: Progress,
+    cancelled: Callable[[], bool],
+    clock: Clock,
+) -> tuple[Result, float]:
+    """A picture that takes as long as it may, and its error by samples; that of its cut would take more time."""
+    settings, pacer = request.settings, renderer.pacers.of(scene, request)
+    choice = pacer.choose(settings.time_budget, settings.tolerance)
+    watch = InTime(settings.time_budget, clock)
+    result = renderer.draw(scene, _chosen(request, choice, MOST_SAMPLES), progress, cancelled, watch)
+    if watch.done:
+        pacer.measured(choice.tolerance, watch.splats, watch.prepared, watch.each)
+    return result, watch.errors.rmse
+
+
+def _chosen(request: Request, choice: Choice, most: int) -> Request:
+    """With room for half as many samples more, where a picture turns out faster than those before: InTime ends it."""
+    settings = replace(request.settings, tolerance=choice.tolerance)
+    return replace(request, settings=settings, samples=min(choice.samples + -(-choice.samples // 2), most))
+
+
+def below_error(
+    renderer: Renderer,
+    scene: Scene,
+    request: Request,
+    progress: Progress,
+    cancelled: Callable[[], bool],
+    clock: Clock,
+) -> tuple[Result, float]:
+    """A picture whose error is at most what it may be, as far as MOST_SAMPLES and FINEST reach, and that error.
+
+    After EARLY samples as many of a finer cut tell what the tolerance does. Where that is too much, the finer one is
+    drawn instead; what it was sampled with is kept.
+    """
+    settings = request.settings
+    tolerance = settings.tolerance
+
+    def at(value: float) -> Request:
+        asked = replace(settings, tolerance=value, adaptive_threshold=_threshold(settings))
+        return replace(request, settings=asked, samples=MOST_SAMPLES)
+
+    def finer(frame: Frame) -> tuple[float, np.ndarray]:
+        """Finer samples of a mesh that are there already serve coarser cuts too: the first cut that differs."""
+        for ratio in RATIOS:
+            value = tolerance / ratio
+            if value < FINEST * settings.tolerance * 0.999:
+                break
+            if (mean := frame.other(replace(at(value), passes=frozenset({"combined"})), EARLY)) is not None:
+                return ratio, mean
+        return 1.0, frame.mean()
+
+    while True:
+        watch = BelowError(settings.error_budget, finer, clock)
+        result = renderer.draw(scene, at(tolerance), progress, cancelled, watch)
+        if not watch.too_coarse or result.cancelled:
+            return result, watch.rmse
+        tolerance /= 2
+
+
+def _threshold(settings: Settings) -> float:
+    """Of adaptive sampling: tiles must not end before their error is well below the budget."""
+    return min(settings.adaptive_threshold, TILES_PART * settings.error_budget)
+
+
+class Moving:
+    """The pictures of a viewport while its view moves, each as good as there is time for."""
+
+    def __init__(self, renderer: Renderer, scene: Scene, request: Request, clock: Clock = time.perf_counter) -> None:
+        """`request` has the tolerance and the samples of a picture that stands still."""
+        settings = request.settings
+        self._pacer, self._device = renderer.pacers.of(scene, request), renderer.device
+        choice = self._pacer.choose(settings.time_budget, settings.tolerance, request.samples)
+        self.request = _chosen(request, choice, request.samples)
+        self._watch = InTime(settings.time_budget, clock, measure=False)
+
+    def sample(self, frame: Frame) -> bool:
+        """Draw all samples at once; False: there are no more."""
+        watch = self._watch
+        watch.ready(frame)
+        while not frame.complete:
+            frame.sample()
+            _wait(self._device)
+            if watch.enough(frame):
+                frame.end()
+        self._pacer.measured(self.request.settings.tolerance, watch.splats, watch.prepared, watch.each)
+        return False
+
+
+class Refining:
+    """A picture of a viewport that stands still, until its error by samples is small enough; its cut is what it is."""
+
+    def __init__(self, request: Request, clock: Clock = time.perf_counter) -> None:
+        settings = request.settings
+        asked = replace(settings, adaptive_threshold=_threshold(settings))
+        self.request = replace(request, settings=asked, samples=MOST_SAMPLES)
+        self._watch = BelowError(settings.error_budget, lambda frame: (1.0, frame.mean()), clock)
+
+    def sample(self, frame: Frame) -> bool:
+        """Draw one sample; False when there were enough."""
+        if frame.complete:
+            return False
+        frame.sample()
+        if self._watch.enough(frame):
+            frame.end()
+        return not frame.complete
+
+
+def _wait(device: Device) -> None:
+    """Until the device has done what it was told: reading waits for that on every device."""
+    texel = device.texture((1, 1), "R32F", np.zeros(1, np.float32))
+    device.read(texel)
+    texel.release()
