@@ -53,6 +53,12 @@ def camera_of(scene):
     return cameras.from_camera_object(scene.camera, bpy.context.evaluated_depsgraph_get(), WIDTH, HEIGHT)
 
 
+def aperture_of(scene):
+    found = camera_of(scene).aperture
+    assert found is not None
+    return found
+
+
 def both(scene, folder):
     """(H, W) by Cycles and by PointSplat."""
     found = []
@@ -144,15 +150,15 @@ def test_an_edge_out_of_focus_is_blurred_as_by_cycles(scene, tmp_path, kind, dep
 def test_the_lens_of_a_camera(scene):
     data = scene.camera.data
     data.dof.aperture_fstop, data.dof.aperture_rotation = 2.0, 0.5
-    found = camera_of(scene).aperture
+    found = aperture_of(scene)
     assert (found.blades, found.rotation, found.ratio) == (0, 0.5, 1.0)
     assert (found.radius, found.focus) == pytest.approx((0.035 / 4, FOCUS))
     data.dof.aperture_blades = 7
-    assert camera_of(scene).aperture.blades == 7
+    assert aperture_of(scene).blades == 7
     scene.unit_settings.scale_length = 0.01
-    assert camera_of(scene).aperture.radius == pytest.approx(0.035 / 4)
+    assert aperture_of(scene).radius == pytest.approx(0.035 / 4)
     data.type = "ORTHO"
-    assert camera_of(scene).aperture.radius == pytest.approx(1 / 4)
+    assert aperture_of(scene).radius == pytest.approx(1 / 4)
     data.dof.use_dof = False
     assert camera_of(scene).aperture is None
     data.dof.use_dof, data.type = True, "PANO"
@@ -165,7 +171,7 @@ def test_focus_on_an_object_is_its_distance_along_the_view_before_or_behind(scen
     scene.collection.objects.link(target)
     target.location = place(scene, 1.0, 0.5, depth).translation
     scene.camera.data.dof.focus_object = target
-    assert camera_of(scene).aperture.focus == pytest.approx(4.0, abs=1e-5)
+    assert aperture_of(scene).focus == pytest.approx(4.0, abs=1e-5)
 
 
 def test_focus_on_a_bone(scene):
@@ -180,11 +186,11 @@ def test_focus_on_a_bone(scene):
     bpy.ops.object.mode_set(mode="OBJECT")
     dof = scene.camera.data.dof
     dof.focus_object = rig
-    assert camera_of(scene).aperture.focus == pytest.approx(3.0, abs=1e-5)
+    assert aperture_of(scene).focus == pytest.approx(3.0, abs=1e-5)
     dof.focus_subtarget = "far"
-    assert camera_of(scene).aperture.focus == pytest.approx(7.0, abs=1e-5)
+    assert aperture_of(scene).focus == pytest.approx(7.0, abs=1e-5)
     dof.focus_subtarget = "no such bone"
-    assert camera_of(scene).aperture.focus == pytest.approx(3.0, abs=1e-5)
+    assert aperture_of(scene).focus == pytest.approx(3.0, abs=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
@@ -193,7 +199,7 @@ def test_extreme_lenses_are_drawn(scene, tmp_path, kind, stop, distance):
     data = scene.camera.data
     data.type, data.dof.aperture_fstop, data.dof.focus_distance = kind, stop, distance
     emitter(scene, 0.0, 0.0, 5.0, pixels=9.0)
-    found = camera_of(scene).aperture
+    found = aperture_of(scene)
     assert 0 < found.radius < np.inf
     assert 0 < found.focus < np.inf
     scene.render.engine, scene.pointsplat.samples = "POINTSPLAT", 8

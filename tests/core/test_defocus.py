@@ -76,7 +76,7 @@ def test_kernels_weigh_one_and_have_the_variance_of_their_covariance(k):
     covariance = np.array([[2.0, 0.6], [0.6, 1.0]])
     inverse = np.linalg.inv(covariance)
     q = inverse[0, 0] * xx**2 + 2 * inverse[0, 1] * xx * yy + inverse[1, 1] * yy**2
-    values = defocus.kernel(q, np.float64(k), np.linalg.det(covariance)) * 0.02**2
+    values = defocus.kernel(q, np.array(k), np.array(np.linalg.det(covariance))) * 0.02**2
     assert abs(values.sum() - 1) < 1e-3  # measured 1.6e-4, k = 0: the rim's pixels
     found = [(values * a).sum() for a in (xx**2, xx * yy, yy**2)]
     np.testing.assert_allclose(found, [2.0, 0.6, 1.0], atol=5e-3)  # measured 2.3e-3, k = 0: the rim's pixels
@@ -95,7 +95,8 @@ def test_kernels_are_nearer_to_the_convolved_disk_than_gaussians_are(radius, var
     disk = (r < radius) / np.sum(r < radius) / step**2
     exact = np.fft.ifft2(np.fft.fft2(disk) * low_pass).real
     total = radius**2 / 4 + variance
-    ours = defocus.kernel(r**2 / total, defocus.exponent(np.float64(radius), variance), total**2)
+    k = defocus.exponent(np.array(float(radius)), np.array(variance))
+    ours = defocus.kernel(r**2 / total, k, np.array(total**2))
     wide = radius**2 / (2 * np.log(4)) + variance
     gauss = np.exp(-0.5 * r**2 / wide) / (2 * np.pi * wide)
     error, of_gauss = (np.abs(values - exact).sum() * step**2 for values in (ours, gauss))
@@ -240,6 +241,7 @@ def test_pieces_of_triangles_have_their_area_and_moments():
     matrix = seen.view_from_world
     samples = pieces.cut(mesh, np.arange(len(mesh.triangles)), matrix, seen, 1.0, blur(seen))
     found = sampling.evaluate(mesh, samples)
+    assert found.axis is not None
     area = np.pi * found.radii.prod(axis=1).astype(float) * pieces.SHARE
     assert len(samples) > 100
     assert abs(area.sum() / 4 - 1) < 5e-5  # measured 1.2e-5: half-axes are rounded outwards
@@ -311,7 +313,7 @@ def test_points_of_a_plane_cover_their_cells_whatever_their_radii_are(wide):
     cloud = grid(64)
     assert cloud.radii is not None
     tree = build(replace(cloud, radii=cloud.radii * np.float32(wide)))
-    share = covers.shares(tree)
+    share = np.asarray(covers.shares(tree))
     assert tree.cloud.radii is not None
     area = np.pi * tree.cloud.radii[:, 0].astype(float) ** 2 * share[: len(cloud)]
     assert abs(area.sum() / 16 - 1) < 0.03  # measured 0.011 and 0.018
@@ -325,7 +327,7 @@ def test_samples_of_a_mesh_cover_what_they_stand_for():
     found = sampling.evaluate(mesh, samples, ok=ok)
     cloud = PointCloud(found.position, found.origin, normal=found.plane, axis=found.axis, radii=found.radii)
     tree = build(cloud)
-    share = covers.shares(tree, lambda: sampling.areas(mesh, samples, ok))
+    share = np.asarray(covers.shares(tree, lambda: sampling.areas(mesh, samples, ok)))
     assert tree.cloud.radii is not None
     area = np.pi * tree.cloud.radii.astype(float).prod(axis=1) * share[: len(cloud)]
     whole = sampling.measure(mesh, ok).area

@@ -141,6 +141,7 @@ def test_a_viewport_keeps_the_depths_that_the_middle_of_the_lens_sees():
             pass
         picture.present()
         assert device.names.count("keep") == kept
-        place = device.calls[-1].textures["ps_place"]
-        assert (place is picture.targets.data_surfels.buffer.textures["place"]) == (aperture is None)
+        place, data = device.calls[-1].textures["ps_place"], picture.targets.data_surfels
+        assert data is not None
+        assert (place is data.buffer.textures["place"]) == (aperture is None)
         picture.release()

@@ -341,7 +341,9 @@ def test_a_viewport_knows_how_far_what_is_painted_is():
     frame.sample()
     assert device.names.count("project") == 1
     frame.present()
-    assert device.calls[-1].textures["ps_place"] is frame.targets.data_surfels.buffer.textures["place"]
+    data = frame.targets.data_surfels
+    assert data is not None
+    assert device.calls[-1].textures["ps_place"] is data.buffer.textures["place"]
     frame.release()
 
 
