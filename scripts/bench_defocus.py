@@ -48,7 +48,7 @@ def plane(side: int) -> PointCloud:
     color = np.where(light[:, None] > 0, [0.8, 0.75, 0.6], [0.1, 0.15, 0.3]) * shade[:, None]
     return PointCloud(
         np.stack([x, y, 0 * x], axis=1).astype(np.float32),
-        normal=np.tile(np.float32([0, 0, 1]), (len(x), 1)),
+        normal=np.tile(np.array([0, 0, 1], np.float32), (len(x), 1)),
         radii=np.full((len(x), 1), 2 / side * np.sqrt(2), np.float32),
         color=np.clip(color, 0, 1).astype(np.float32),
     )
