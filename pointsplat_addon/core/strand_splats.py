@@ -10,6 +10,7 @@ from .lines import Lines
 from .scene import Camera
 from .strands import Strands, lengths_scale
 
+MOST_BENT = 0.5  # cosine of half the sharpest bend that is closed
 MOST_ACROSS = 16  # strips of a wide tube
 MOST = 1 << 21  # pieces of one instance: beyond it they stay as long as they are
 SHARE = 3 / np.pi  # of the ellipse with its moments, that a rectangle covers
@@ -64,6 +65,11 @@ def splats(
         side = _normalised(side - (side * unit).sum(axis=1, keepdims=True) * unit)
         facing = np.cross(unit, side)
         across = np.ones(len(of), np.int64)
+    if strands.side is None:
+        before, after = _wedges(strands, first, second, unit, number, count[of])
+        reach = np.where(across > 1, radius, 0.0)
+        middle = middle + unit * (reach * (after - before) / 2)[:, None]
+        length = length + reach * (before + after)
     strip, which = _numbered(across)
     shift = ((2 * which + 1) / across[strip] - 1)[:, None]
     round_ = strands.side is None
@@ -91,6 +97,19 @@ def splats(
         emission=_mixed(lines.emission, rows, part[strip]),
         kernel=whole.astype(np.uint8) if whole.any() else None,
     )
+
+
+def _wedges(
+    strands: Strands, first: np.ndarray, second: np.ndarray, unit: np.ndarray, number: np.ndarray, count: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) each: how far, in radii, a segment's first and last piece reach beyond it, so that no wedge is open on the
+    outer side of a bend: the tangent of half the bend's angle, which the strand's tangent at the joint tells."""
+
+    def bend(point: np.ndarray) -> np.ndarray:
+        cosine = np.clip((strands.tangent[point] * unit).sum(axis=1), MOST_BENT, 1)
+        return np.sqrt(1 - cosine**2) / cosine
+
+    return np.where(number == 0, bend(first), 0.0), np.where(number == count - 1, bend(second), 0.0)
 
 
 def sharp_ends(
