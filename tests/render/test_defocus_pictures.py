@@ -138,7 +138,8 @@ def chequered_board(primitive: str) -> Geometry:
     position = np.stack([x, rng.normal(0, 1e-4, count), y], axis=1).astype(np.float32)
     light = (np.floor(8 * x) + np.floor(8 * y)) % 2
     return points("points in focus", PointCloud(
-        position, normal=np.tile(np.array([0, -1, 0], np.float32), (count, 1)), radii=np.full((count, 1), 0.011, np.float32),
+        position, normal=np.tile(np.array([0, -1, 0], np.float32), (count, 1)),
+        radii=np.full((count, 1), 0.011, np.float32),
         color=np.repeat(0.1 + 0.8 * light[:, None], 3, axis=1).astype(np.float32),
     ))  # fmt: skip
 
