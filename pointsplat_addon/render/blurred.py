@@ -67,15 +67,13 @@ class Focus:
     def add_balls(self, instance: np.ndarray, points: PointSet) -> None:
         """Balls that are drawn one by one."""
         for i in instance.tolist():
-            matrix, camera = self.view_from_object[i], self.camera
-            key = ("pieces", *points.key, matrix.tobytes(), camera.clip_from_view.tobytes(), self.blur, self.tolerance)
+            matrix = self.view_from_object[i]
+            key = (*points.key, *self._seen(matrix))
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 return pieces.balls(points.cloud, matrix, self.camera, self.tolerance, self.blur)
 
-            cut = PointSet(key, self.store.lookup(key, make))
-            if len(cut):
-                self.shares[self._add(np.array([i]), cut)] = float(pieces.DISK_SHARE)
+            self._add_pieces(i, key, make, pieces.DISK_SHARE)
 
     def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh, ok: np.ndarray) -> None:
         """Triangles, cut for this view."""
@@ -84,22 +82,13 @@ class Focus:
         look = digest(mesh, table)
         for i in instance.tolist():
             matrix = self.view_from_object[i]
-            seen = (
-                matrix.tobytes(),
-                self.camera.clip_from_view.tobytes(),
-                self.camera.window,
-                self.blur,
-                self.tolerance,
-            )
-            key = ("pieces", geometry.key, look, *seen)
+            key = (geometry.key, look, *self._seen(matrix))
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 samples = pieces.cut(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
                 return finite(point_cloud(mesh, samples, sampling.evaluate(mesh, samples, origin, ok), table))[0]
 
-            points = PointSet(key, self.store.lookup(key, make))
-            if len(points):
-                self.shares[self._add(np.array([i]), points)] = float(pieces.SHARE)
+            self._add_pieces(i, key, make, pieces.SHARE)
 
     def add_lines(self, geometry: Geometry, lines: Lines, strands: Strands, segments: Segments) -> Segments:
         """What of the segments of a view may be out of focus; returns those that may be in it."""
@@ -108,22 +97,25 @@ class Focus:
             mine = np.flatnonzero(segments.instance == i)
             ends, matrix = segments.ends[mine], self.view_from_object[i]
             kept[mine] = sharp_ends(strands, ends, matrix, self.camera, self.blur)
-            seen = (
-                matrix.tobytes(),
-                self.camera.clip_from_view.tobytes(),
-                self.camera.window,
-                self.blur,
-                self.tolerance,
-            )
-            key = ("pieces", geometry.key, *seen)
+            key = (geometry.key, *self._seen(matrix))
 
             def make(ends: np.ndarray = ends, matrix: np.ndarray = matrix) -> PointCloud:
                 return splats(strands, lines, ends, matrix, self.camera, self.tolerance, self.blur)
 
-            points = PointSet(key, self.store.lookup(key, make))
-            if len(points):
-                self.shares[self._add(np.array([i]), points)] = float(SHARE)
+            self._add_pieces(i, key, make, SHARE)
         return segments if kept.all() else segments.take(np.flatnonzero(kept))
+
+    def _seen(self, matrix: np.ndarray) -> tuple:
+        """What pieces of an instance with this transform depend on, of the view."""
+        camera = self.camera
+        return matrix.tobytes(), camera.clip_from_view.tobytes(), camera.window, self.blur, self.tolerance
+
+    def _add_pieces(self, instance: int, key: tuple, make: Callable[[], PointCloud], share: float) -> None:
+        """Splats that were made for this view, each of which covers this share of its ellipse."""
+        key = ("pieces", *key)
+        points = PointSet(key, self.store.lookup(key, make))
+        if len(points):
+            self.shares[self._add(np.array([instance]), points)] = float(share)
 
     def _add(self, instance: np.ndarray, points: PointSet) -> int:
         key = len(self.sets)
