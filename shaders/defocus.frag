@@ -108,8 +108,8 @@ void main()
     float share = q / (2.0 * (k + 2.0));
     // A pixel is as wide as the rim.
     float rim = clamp(length(v) * (inversesqrt(max(share, 1e-12)) - 1.0) + 0.5, 0.0, 1.0);
-    if (rim > 0.0) {
-      float amount = place.w * pow(max(1.0 - share, 0.002), k) * rim;
+    float amount = place.w * pow(max(1.0 - share, 0.002), k) * rim;
+    if (amount > PS_DEFOCUS_FAINT * min(place.w, 1.0)) {
       vec4 source = texelFetch(ps_source, at, 0), color = vec4(source.rgb, 1.0);
 #ifdef PS_HOLDOUT
       color *= (kind & 4) != 0 ? 0.0 : 1.0;

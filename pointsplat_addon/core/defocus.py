@@ -32,14 +32,15 @@ from .scene import Camera
 IN_FOCUS, BLURRED = 0.3, 0.6
 # Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/filtering.py).
 PIXEL = 0.11
-# Diameter of the largest node that is drawn, over the radius of its disk of confusion. A square has 0.41 of its
-# diameter as standard deviation along each axis ... docs/depth_of_field.md has the errors of others.
+# Diameter of the largest node that is drawn, over the radius of its disk of confusion together with the tolerance
+# (`widest`). docs/depth_of_field.md has the errors of others.
 NODE = 1.4
 # Sums of kernels over a surface are uneven by some percent. What they cover is the sum s + EVEN s^4, at most 1: what is
 # almost whole lets nothing through, and edges keep their slope.
 EVEN = 0.12
 # Of what backs cover where fronts of the same surface are: sums are uneven, and closed bodies end with fronts alone.
 BESIDE = 0.8
+FAINT = 1e-3  # of a kernel's middle, and of the lens: where splats end
 RIM = 0.002  # of 1 - q / S: where the rim is drawn softer than it is
 NEAREST = 1e-9  # depth, over the distance of focus, nearer than which the disk does not grow any more
 
@@ -84,6 +85,12 @@ def blur_of(camera: Camera) -> Blur | None:
     focal = max(abs(f) for f in camera.pixel_from_view()[:2])
     scale = focal * aperture.radius / (aperture.focus if camera.perspective else 1.0)
     return Blur(scale, aperture.focus, camera.perspective) if 0 < scale < np.inf else None
+
+
+def widest(radius: np.ndarray, tolerance: float) -> np.ndarray:
+    """Pixels: the diameter of the largest piece or node that is drawn as one splat, for the radius in pixels of the
+    smallest disk of confusion within it. A disk of a pixel hides as much as a tolerance of one does."""
+    return NODE * np.hypot(radius, tolerance)
 
 
 def sharp(radius: np.ndarray) -> np.ndarray:
@@ -132,7 +139,9 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     Backs show where they cover more than fronts of the same surface do: closed bodies end with both at the same edge.
     Translucent splats take their share of what is open (Beer's law).
     """
+    middle = splats.weight * kernel(np.zeros(len(splats.weight)), splats.exponent, np.linalg.det(splats.covariance))
     amount = splats.weight * drawn_kernel(pixels, splats)
+    amount = np.where(amount > FAINT * np.minimum(middle, 1), amount, 0.0)
     surface = ~(splats.translucent | splats.apart)
     there = (amount > 0) & surface
     # A surface goes on while the next splat's near end lies before the farthest end so far.

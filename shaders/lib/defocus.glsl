@@ -4,6 +4,7 @@
 #define PS_IN_FOCUS 0.3  // pixels of radius
 #define PS_BLURRED 0.6
 #define PS_NEAREST 1e-9  // of the distance of focus
+#define PS_DEFOCUS_FAINT 1e-3  // of a kernel's middle, and of the lens: where splats end
 #define PS_DEFOCUS_PIXEL 0.11  // pixels^2 of variance
 #define PS_DEFOCUS_MOST 4.0  // exponent of what is hardly blurred: core/kernel.py
 // Added to the exponent: what shows its back, what is translucent, what only hides, what

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.defocus import FAINT, RIM
 from ...core.octree import ranges, starts
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
@@ -56,33 +57,43 @@ def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tu
     """Of splats (N, 4) each, as the pass `light` left them; focal: fx, fy, cx, cy; size: of the picture in pixels."""
     seen = np.flatnonzero((place[:, 3] > 0) & np.isfinite(place).all(axis=1) & np.isfinite(shape).all(axis=1))
     seen = seen[np.argsort(place[seen, 2], kind="stable")]
-    centre = place[seen, :2].astype(np.float64) + focal[2:]
-    xx, xy, yy, code = shape[seen].astype(np.float64).T
-    support = 2 * (code % 8 + 2)
-    determinant = np.maximum(xx * yy - xy * xy, 1e-300)
-    # A pixel's half more: the rim is that soft.
-    half = np.sqrt(support * np.stack([yy, xx]) / determinant).T + 1.0
-    low, high = np.maximum(centre - half, 0), np.minimum(centre + half, np.array(size, float))
-    inside = (low < high).all(axis=1)
-    seen, low, high, centre, reach = seen[inside], low[inside], high[inside], centre[inside], half[inside].max(axis=1)
+    centre = place[seen, :2] + focal[2:].astype(np.float32)
+    xx, xy, yy, code = shape[seen].T
+    k = code % 8
+    # Where splats end. The rims of disks are as soft as a pixel is wide.
+    faint = FAINT / np.maximum(place[seen, 3], 1)
+    support = 2 * (k + 2) * (1 - faint ** (1 / np.maximum(k, 1e-3)))
+    determinant = np.maximum(xx * yy - xy * xy, np.finfo(np.float32).tiny)
+    rim = np.where(RIM**k > faint, np.float32(0.5), np.float32(0.0))
+    half = (np.sqrt(support * np.stack([yy, xx]) / determinant) + rim).T
+    longest = 0.5 * (xx + yy) + np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    reach = np.sqrt(support * longest / determinant) + rim
+    last = np.array(size, np.float32) - 0.5
+    low, high = np.maximum(centre - half, 0.5), np.minimum(centre + half, last)
+    inside = (low <= high).all(axis=1)
+    seen, low, high, centre, reach = (a[inside] for a in (seen, low, high, centre, reach))
     tile = TILE
     while True:
-        first = (low // tile).astype(np.int64)
-        span = np.ceil(high / tile).astype(np.int64) - first
-        count = span.prod(axis=1)
+        # Tiles between whose first and last pixels' middles the splat lies.
+        first = np.ceil((low + 0.5) / tile).astype(np.int32) - 1
+        span = np.floor((high - 0.5) / tile).astype(np.int32) - first + 1
+        count = span.prod(axis=1, dtype=np.int64)
         if count.sum() <= MOST_ENTRIES or tile >= max(size):
             break
         tile *= 2
     columns, rows = (-(-side // tile) for side in size)
-    owner = np.repeat(np.arange(len(seen)), count)
-    number = ranges(np.zeros(len(seen), np.int64), count)
-    x, y = first[owner, 0] + number % span[owner, 0], first[owner, 1] + number // span[owner, 0]
-    where = y * columns + x
+    owner = np.repeat(np.arange(len(seen), dtype=np.int32), count)
+    number = ranges(np.zeros(len(seen), np.int64), count).astype(np.int32)
+    row, wide = np.divmod(number, span[owner, 0])
+    x, y = first[owner, 0] + wide, first[owner, 1] + row
     # Of the rectangles around ellipses the corners lie outside.
-    near_x = np.clip(centre[owner, 0], x * tile, (x + 1) * tile) - centre[owner, 0]
-    near_y = np.clip(centre[owner, 1], y * tile, (y + 1) * tile) - centre[owner, 1]
+    nearest = np.float32(tile - 0.5)
+    near_x = centre[owner, 0] - x * np.float32(tile)
+    near_y = centre[owner, 1] - y * np.float32(tile)
+    near_x -= np.clip(near_x, 0.5, nearest)
+    near_y -= np.clip(near_y, 0.5, nearest)
     touched = near_x**2 + near_y**2 <= reach[owner] ** 2
-    where, owner = where[touched], owner[touched]
+    where, owner = (y * columns + x)[touched], owner[touched]
     order = np.argsort(where.astype(np.uint16 if columns * rows <= 1 << 16 else np.uint32), kind="stable")
     amount = np.bincount(where, minlength=columns * rows)
     tiles = np.stack([starts(amount), amount], axis=1).reshape(rows, columns, 2)
