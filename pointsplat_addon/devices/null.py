@@ -55,6 +55,9 @@ class NullTimer:
     def milliseconds(self) -> float:
         return 0.0
 
+    def release(self) -> None:
+        pass
+
 
 class NullDevice:
     name = "null"

@@ -53,7 +53,11 @@ class Timer(Protocol):
     """Timers do not nest."""
 
     def milliseconds(self) -> float:
-        """Time the device spent between start and stop; waits for it where it must."""
+        """Time the device spent between start and stop; waits for it where it must. DeviceError: released unread."""
+        ...
+
+    def release(self) -> None:
+        """Not asked for any more: the device takes back what it measures with. Waits for nothing; once is enough."""
         ...
 
 

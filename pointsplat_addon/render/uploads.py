@@ -349,8 +349,10 @@ class Uploads:
             every = record.copy()
             every["page"][0, 1] = count
             textures = {**self.splats, **self.shading, "ps_order": order}
-            run("reach", lambda: device.draw(program, target, uniforms=every, textures=textures))
-            order.release()
+            try:
+                run("reach", lambda: device.draw(program, target, uniforms=every, textures=textures))
+            finally:
+                order.release()
 
         self.used.add(("reach",))
         kept: translucent_pass.Reach = self.kept.keep(("reach",), lambda: translucent_pass.Reach(device))

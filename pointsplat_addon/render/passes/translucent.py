@@ -284,16 +284,23 @@ class Reach:
                 name.replace("out_", "ps_"): self.device.texture(size, "RGBA16F") for _, name in program.outputs
             }
             target = self.device.target(list(textures.values()))
+            try:
+                light(target)
+            except Exception:
+                _release(target, *textures.values())
+                raise
             self._kept[tap] = target, textures
-            light(target)
         return self._kept[tap][1]
 
     def release(self) -> None:
         for target, textures in self._kept.values():
-            target.release()
-            for texture in textures.values():
-                texture.release()
+            _release(target, *textures.values())
         self._kept.clear()
+
+
+def _release(*things: Target | Texture) -> None:
+    for thing in things:
+        thing.release()
 
 
 def draw_program(options: TranslucentOptions, channel: str) -> Interface:
