@@ -20,8 +20,8 @@ from tests.render import scenes
 from tests.render.scenes import ALL_PASSES, camera, cube_mesh, mesh, moved, points, scene, smoke_cloud, sphere_cloud
 
 KEPT = 8 << 20  # bytes that the stores may keep, so that they are full, and let go, long before the end
-# Frames, after which the scene and its views come again, as new objects: by then all shaders are compiled, by PointSplat
-# and by the driver, which keeps its own for each state that it meets, and the stores are full.
+# Frames, after which the scene and its views come again, as new objects: by then the stores are full and all shaders
+# compiled, by PointSplat and by the driver, which keeps its own for each state that it meets.
 PERIOD = 180
 SIZES = ((40, 30), (24, 32), (33, 17))
 

@@ -34,7 +34,7 @@ from ...core.cloud import PointCloud
 from ...core.kernel import PEAK, PROFILES, SUPPORT
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
-from ..device import Device, Target, Texture
+from ..device import Device, Target, Texture, undone, whole
 from ..packing import PAGE_WIDTH
 from ..store import PointSet
 from .common import FRAME
@@ -280,27 +280,21 @@ class Reach:
             self.release()
             self._key = key
         if tap not in self._kept:
-            textures = {
-                name.replace("out_", "ps_"): self.device.texture(size, "RGBA16F") for _, name in program.outputs
-            }
-            target = self.device.target(list(textures.values()))
-            try:
+            with undone(self.device):
+                textures = {
+                    name.replace("out_", "ps_"): self.device.texture(size, "RGBA16F") for _, name in program.outputs
+                }
+                target = self.device.target(list(textures.values()))
                 light(target)
-            except Exception:
-                _release(target, *textures.values())
-                raise
             self._kept[tap] = target, textures
         return self._kept[tap][1]
 
     def release(self) -> None:
         for target, textures in self._kept.values():
-            _release(target, *textures.values())
+            target.release()
+            for texture in textures.values():
+                texture.release()
         self._kept.clear()
-
-
-def _release(*things: Target | Texture) -> None:
-    for thing in things:
-        thing.release()
 
 
 def draw_program(options: TranslucentOptions, channel: str) -> Interface:
@@ -355,6 +349,7 @@ def add_program(options: TranslucentOptions) -> Interface:
 class LitSplats:
     """The draw list of one view after lighting, and the draws that read it."""
 
+    @whole
     def __init__(
         self, device: Device, options: TranslucentOptions, program: Interface, count: int, samples: int = 1
     ) -> None:
