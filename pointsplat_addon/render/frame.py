@@ -15,6 +15,7 @@ from ..core.cost import DEFAULT
 from ..core.defocus import BLURRED, blur_of
 from ..core.lens import sampled
 from ..core.scene import Camera, Scene, Settings, World
+from ..core.sound import sound_camera
 from ..core.strands import turns
 from ..shading.interface import Interface
 from . import budget
@@ -195,9 +196,12 @@ class Frame:
         presented: bool = False,
     ) -> None:
         """`presented`: between samples too."""
-        self.renderer, self.request, self.presented = renderer, request, presented
+        self.renderer, self.presented = renderer, presented
         self.whole = scene  # as it was given
         scene, self._warnings = parted(scene)
+        eye, unseen_lens = sound_camera(request.camera)
+        self._warnings += unseen_lens
+        self.request = request = request if eye is request.camera else replace(request, camera=eye)
         self.scene = scene
         self.device = renderer.device
         self.done = 0
@@ -692,8 +696,8 @@ class Frame:
 
     def _cryptomatte(self, key: str, column: int, table: np.ndarray | None) -> dict[str, np.ndarray]:
         known = np.zeros(len(self.scene.instances), np.uint32) if table is None else table.astype(np.uint32)
-        padded = np.append(known, np.uint32(0))  # -1 looks up the last: no identity
-        hashes = padded[np.stack([ids[..., column] for ids in self._identities])]
+        padded = np.append(known, np.uint32(0))  # -1, and what is no row, look up the last: no identity
+        hashes = padded[np.minimum(np.stack([ids[..., column] for ids in self._identities]), len(known))]
         pictures = cryptomatte(hashes, self.request.crypto_levels)
         return {f"{key}{i:02d}": picture for i, picture in enumerate(pictures)}
 
@@ -801,7 +805,8 @@ def _widened(camera: Camera, radius: float, most: int) -> tuple[Camera, tuple[in
 
 
 def _looked_up(table: np.ndarray | None, index: np.ndarray) -> np.ndarray:
-    """(H, W, 1) float32: table[index], 0 where the index is negative or there is no table."""
+    """(H, W, 1) float32: table[index], 0 where the index is negative or no row of the table."""
     if table is None or len(table) == 0:
         return np.zeros((*index.shape, 1), np.float32)
-    return np.where(index >= 0, table[np.maximum(index, 0)], 0).astype(np.float32)[..., None]
+    there = (index >= 0) & (index < len(table))
+    return np.where(there, table[np.where(there, index, 0)], 0).astype(np.float32)[..., None]

@@ -47,14 +47,14 @@ def test_neither_reads_what_the_other_released(monkeypatch, look, other, limit):
     with anything that is released."""
     monkeypatch.setattr(uploads, "DEVICE_LIMIT", limit)
     renderer = Renderer(NullDevice())
-    for key in ("together", "apart"):
+    for key in ("together", "elsewhere"):
         frames = begun(renderer, look, -1, "together"), begun(renderer, other, 1, key)
         drawn(*frames)
     assert len(renderer.kept._items) > 0
     drawn(begun(renderer, "IMAGE_SPACE", 0, "alone"))
     if limit == 1:
         # Pages of what is drawn no more have gone.
-        assert not [key for key in renderer.kept._items if "apart" in str(key)]
+        assert not [key for key in renderer.kept._items if "elsewhere" in str(key)]
     renderer.release()
     assert renderer.device.bytes_allocated() == 0
 

@@ -192,7 +192,8 @@ def _strength(extinction: np.ndarray) -> np.ndarray:
 def _tint(cloud: PointCloud) -> np.ndarray:
     if cloud.extinction is None or cloud.extinction.ndim == 1:
         return np.ones((len(cloud), 3), np.float32)
-    return cloud.extinction / np.maximum(_strength(cloud.extinction), np.finfo(np.float32).tiny)[:, None]
+    positive = np.maximum(cloud.extinction, 0)
+    return positive / np.maximum(_strength(positive), np.finfo(np.float32).tiny)[:, None]
 
 
 def draw_list(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
