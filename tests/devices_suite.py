@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pointsplat_addon.render.device import EMPTY, Device
+from pointsplat_addon.render.device import EMPTY, Device, Timer
 from pointsplat_addon.shading.interface import Block, Interface
 
 Pixels = dict[str, np.ndarray]
@@ -492,6 +492,30 @@ def timers(device: Device) -> Pixels:
         first = timer.milliseconds()
         assert first >= 0.0
         assert timer.milliseconds() == first
+    return {}
+
+
+@case
+def timers_that_nobody_reads(device: Device) -> Pixels:
+    """A timer that is released before it is read gives back what it measured with, and the next ones measure."""
+    image = device.texture((64, 64), "RGBA32F")
+    target = device.target([image])
+    solid = Interface("solid", fragment=path("solid.frag"), block=SOLID, outputs=(("vec4", "color"),))
+
+    def timed() -> Timer:
+        timer = device.start_timer()
+        device.draw(solid, target, uniforms=SOLID.record(color=(1, 0, 0, 1)))
+        device.stop_timer(timer)
+        return timer
+
+    timed().milliseconds()
+    free = len(getattr(device, "free_queries", ()))
+    for _ in range(20):
+        timer = timed()
+        timer.release()
+        timer.release()
+    assert len(getattr(device, "free_queries", ())) == free
+    assert timed().milliseconds() >= 0.0
     return {}
 
 

@@ -607,7 +607,8 @@ def _evaluate_ellipses(mesh: Mesh, samples: Samples, ellipse: np.ndarray, origin
         radii[block, 1] = np.maximum(minor, _MIN_ASPECT * length) + rounding
         if normals is not None:
             smooth = normals.take(own, axis=1, mode="clip")
-            mixed = smooth[:3] + _along((smooth[3:6], smooth[6:]), weights)
+            with np.errstate(invalid="ignore"):  # as where they were taken
+                mixed = smooth[:3] + _along((smooth[3:6], smooth[6:]), weights)
             _to_columns(_unit(mixed, np.sqrt(_dot(mixed, mixed)), face), normal[block])
 
     each_block(count, fill)

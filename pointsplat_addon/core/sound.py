@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from .cloud import FARTHEST
-from .scene import Light, MaterialTable, Scene, default_materials
+from .scene import Camera, Instances, Light, MaterialTable, Scene, World, default_materials
 
 BRIGHTEST = 65504.0  # of half floats
 # Of a table's columns: the range. What is no number becomes the default material's value.
@@ -27,6 +27,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "anisotropy": (-1, 1),
 }
 HAIR_RANGES = {"radial": (0, 1), "coat": (0, 1), "tilt": (-np.pi, np.pi), "lobes": (0, BRIGHTEST)}
+# Lenses without a size blur nothing, and focus is as good as at infinity where it is farther than all else.
+LENS_RANGES = {"radius": (-np.inf, FARTHEST), "focus": (1e-30, np.inf), "ratio": (1e-9, 1e9), "rotation": (-1e6, 1e6)}
 LIGHT_FIELDS = ("position", "direction", "radius", "spot_cos", "spot_blend", "axis_u", "axis_v", "spread", "diffuse",
                 "specular")  # fmt: skip
 STRONGEST = 1e30  # of a lamp's colour; float32 holds it with the factors of a lamp's formula
@@ -37,11 +39,46 @@ def sound(scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     warnings: list[str] = []
     lights = tuple(light for light in scene.lights if _shines(light, warnings))
     materials = _in_range(scene.materials, warnings)
-    color = np.nan_to_num(scene.world.color, nan=0.0, posinf=FARTHEST, neginf=0.0)
-    world = scene.world if np.array_equal(color, scene.world.color) else replace(scene.world, color=color)
-    if len(lights) == len(scene.lights) and materials is scene.materials and world is scene.world:
+    world, instances = _around(scene.world), _known_before(scene.instances)
+    same = materials is scene.materials and world is scene.world and instances is scene.instances
+    if len(lights) == len(scene.lights) and same:
         return scene, ()
-    return replace(scene, lights=lights, materials=materials, world=world), tuple(warnings)
+    changed = replace(scene, lights=lights, materials=materials, world=world, instances=instances)
+    return changed, tuple(warnings)
+
+
+def sound_camera(camera: Camera) -> tuple[Camera, tuple[str, ...]]:
+    """The same for a camera: without a lens that is none, and without a place before that is none."""
+    changed: dict[str, Any] = {}
+    warnings: tuple[str, ...] = ()
+    lens = camera.aperture
+    if lens is not None:
+        wrong = [name for name, (low, high) in LENS_RANGES.items() if not _within(getattr(lens, name), low, high)]
+        if wrong:
+            changed["aperture"] = None
+            warnings = (f"Camera: its lens's {' and '.join(wrong)} cannot be drawn, so nothing is out of focus",)
+    before = "previous_view_from_world", "previous_clip_from_view"
+    given = [matrix for name in before if (matrix := getattr(camera, name)) is not None]
+    if not all(_within(matrix, -FARTHEST, FARTHEST) for matrix in given):
+        changed |= dict.fromkeys(before)
+    return (replace(camera, **changed) if changed else camera), warnings
+
+
+def _around(world: World) -> World:
+    color = np.nan_to_num(world.color, nan=0.0, posinf=FARTHEST, neginf=0.0)
+    if not np.array_equal(color, world.color):
+        world = replace(world, color=color)
+    turned = _within(world.world_rotation, -1.01, 1.01)  # float32's rounding, and no more
+    return world if turned else replace(world, world_rotation=np.eye(3))
+
+
+def _known_before(instances: Instances) -> Instances:
+    """What was nowhere a frame before has not moved."""
+    before = instances.previous
+    if before is None or _within(before, -FARTHEST, FARTHEST):
+        return instances
+    good = (np.abs(before) <= FARTHEST).all(axis=(1, 2), keepdims=True)
+    return replace(instances, previous=np.where(good, before, instances.world_from_object))
 
 
 def _shines(light: Light, warnings: list[str]) -> bool:

@@ -98,6 +98,9 @@ class BlenderTimer:
     def milliseconds(self) -> float:
         return 1000.0 * ((self._end or time.perf_counter()) - self._start)
 
+    def release(self) -> None:
+        pass
+
 
 class BlenderDevice:
     name = "blender_gpu"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -54,6 +55,9 @@ class NullTarget:
 class NullTimer:
     def milliseconds(self) -> float:
         return 0.0
+
+    def release(self) -> None:
+        pass
 
 
 class NullDevice:
@@ -116,6 +120,7 @@ class NullDevice:
         cull: bool = False,
     ) -> None:
         checks.check_call(interface, target, uniforms, textures or {}, {}, blend or over)
+        self._check_alive(interface, [*(textures or {}).values(), *([] if target is None else [target])])
         self._use(interface, interface.vertex, interface.fragment)
         flags = {"blend": blend, "over": over, "depth_test": depth_test, "cull": cull}
         self.calls.append(
@@ -143,6 +148,7 @@ class NullDevice:
         if not self.limits.image_atomics:
             raise DeviceError(f"{interface.name}: this device has no compute shaders")
         checks.check_call(interface, None, uniforms, textures or {}, images or {})
+        self._check_alive(interface, [*(textures or {}).values(), *(images or {}).values()])
         self._use(interface, interface.compute)
         record = None if uniforms is None else uniforms.copy()
         self.calls.append(
@@ -171,6 +177,10 @@ class NullDevice:
     def _add(self, thing: NullTexture | NullTarget) -> None:
         self.alive.add(thing)
         self.peak_bytes = max(self.peak_bytes, self.bytes_allocated())
+
+    def _check_alive(self, interface: Interface, things: list[Any]) -> None:
+        if not self.alive.issuperset(things):
+            raise DeviceError(f"{interface.name}: what it reads or writes was released before")
 
     def _use(self, interface: Interface, *files: str) -> None:
         if interface in self.interfaces:

@@ -7,6 +7,7 @@ place of Blender's.
 from __future__ import annotations
 
 import ctypes
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -71,19 +72,30 @@ class OpenGLTimer:
     """Time on the GPU itself, by a query."""
 
     def __init__(self, device: OpenGLDevice, query: moderngl.Query):
-        self._device, self._query, self._elapsed = device, query, -1.0
+        self._device, self._elapsed = device, -1.0
+        self._query: moderngl.Query | None = query  # None: the device has it back
 
     def start(self) -> None:
-        self._query.__enter__()
+        if self._query is not None:
+            self._query.__enter__()
 
     def stop(self) -> None:
-        self._query.__exit__(None, None, None)  # pyright: ignore[reportArgumentType] - as `with` does
+        if self._query is not None:
+            self._query.__exit__(None, None, None)  # pyright: ignore[reportArgumentType] - as `with` does
 
     def milliseconds(self) -> float:
-        if self._elapsed < 0.0:
+        if self._query is not None:
             self._elapsed = self._query.elapsed / 1e6
-            self._device.free_queries.append(self._query)
+            self.release()
+        if self._elapsed < 0.0:
+            raise DeviceError("this timer was released before it was read")
         return self._elapsed
+
+    def release(self) -> None:
+        # A query can begin anew whether or not it was read or has ended.
+        if self._query is not None:
+            self._device.free_queries.append(self._query)
+        self._query = None
 
 
 class OpenGLDevice:
@@ -98,7 +110,8 @@ class OpenGLDevice:
         )
         self.version = COMPUTE_VERSION if self.context.version_code >= COMPUTE_VERSION else OLDEST_VERSION
         self.alive: set[OpenGLTexture | OpenGLTarget] = set()
-        self.free_queries: list[moderngl.Query] = []  # moderngl cannot release a query, so each is used again
+        # moderngl cannot release a query, so each is used again: the one that ended first.
+        self.free_queries: deque[moderngl.Query] = deque()
         self._timing: OpenGLTimer | None = None
         self._programs: dict[Interface, tuple[moderngl.Program | moderngl.ComputeShader, object]] = {}
         self._blocks: dict[int, moderngl.Buffer] = {}
@@ -202,7 +215,7 @@ class OpenGLDevice:
     def start_timer(self) -> OpenGLTimer:
         if self._timing:
             raise DeviceError("a timer is running already")
-        query = self.free_queries.pop() if self.free_queries else self.context.query(time=True)
+        query = self.free_queries.popleft() if self.free_queries else self.context.query(time=True)
         self._timing = OpenGLTimer(self, query)
         self._timing.start()
         return self._timing

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
@@ -53,7 +55,11 @@ class Timer(Protocol):
     """Timers do not nest."""
 
     def milliseconds(self) -> float:
-        """Time the device spent between start and stop; waits for it where it must."""
+        """Time the device spent between start and stop; waits for it where it must. DeviceError: released unread."""
+        ...
+
+    def release(self) -> None:
+        """Not asked for any more: the device takes back what it measures with. Waits for nothing; once is enough."""
         ...
 
 
@@ -62,6 +68,11 @@ class Device(Protocol):
 
     name: str
     limits: Limits
+
+    @property
+    def alive(self) -> Set[Texture | Target]:
+        """All textures and targets that are not released."""
+        ...
 
     def texture(self, size: tuple[int, int], format: str, data: np.ndarray | None = None) -> Texture:
         """A texture; `data` is float32 of size H*W*channels, bottom row first (never given for R32UI).
@@ -134,6 +145,33 @@ class Device(Protocol):
     def release(self) -> None:
         """Free everything; the device is unusable afterwards."""
         ...
+
+
+P = ParamSpec("P")
+S = TypeVar("S")
+
+
+@contextlib.contextmanager
+def undone(device: Device) -> Iterator[None]:
+    """Where what it encloses fails, all that this had put on the device is released: nobody else knows of it yet."""
+    before = set(device.alive)
+    try:
+        yield
+    except Exception:
+        for thing in set(device.alive) - before:
+            thing.release()
+        raise
+
+
+def whole(init: Callable[Concatenate[S, Device, P], None]) -> Callable[Concatenate[S, Device, P], None]:
+    """A constructor (self, device, ...) that leaves nothing on the device where it fails, as where memory is full."""
+
+    @functools.wraps(init)
+    def made(self: S, device: Device, *args: P.args, **named: P.kwargs) -> None:
+        with undone(device):
+            init(self, device, *args, **named)
+
+    return made
 
 
 def check_texture(size: tuple[int, int], format: str, data: np.ndarray | None, limits: Limits) -> None:

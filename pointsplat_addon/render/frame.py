@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,10 +15,11 @@ from ..core.cost import DEFAULT
 from ..core.defocus import BLURRED, blur_of
 from ..core.lens import sampled
 from ..core.scene import Camera, Scene, Settings, World
+from ..core.sound import sound_camera
 from ..core.strands import turns
 from ..shading.interface import Interface
 from . import budget
-from .device import Device, Target, Texture
+from .device import Device, Target, Texture, Timer
 from .faint import without_faint
 from .filtering import cryptomatte, offsets
 from .in_view import in_view
@@ -71,27 +73,28 @@ class Cancelled(Exception):  # noqa: N818 - not an error
 
 
 SLOW_SECONDS = 0.2  # a sample that takes longer is asked after each of its passes whether it is still wanted
+MOST_OPEN = 64  # timers that wait to be read, of the last samples: a viewport may draw thousands, and read none
 
 
 @dataclass
 class Clock:
-    """Time by pass; each reading waits for the device."""
+    """Time by pass; each reading waits for the device. Whoever has one releases it: timers are the device's."""
 
     device: Device
     cancelled: Callable[[], bool] = lambda: False
     slow: bool = True
     spent: dict[str, float] = field(default_factory=dict)
-    _open: list[tuple[str, Any]] = field(default_factory=list)
+    _open: deque[tuple[str, Timer]] = field(default_factory=deque)
 
     def run(self, name: str, work: Callable[[], None]) -> None:
         timer = self.device.start_timer()
+        self._open.append((name, timer))
         try:
             work()
         finally:  # a shader that fails must not leave the device timing
             self.device.stop_timer(timer)
-        self._open.append((name, timer))
+        self.settle(0 if self.slow else MOST_OPEN)
         if self.slow:
-            self.settle()
             self.check()
 
     def check(self) -> None:
@@ -99,9 +102,16 @@ class Clock:
         if self.cancelled():
             raise Cancelled
 
-    def settle(self) -> None:
-        for name, timer in self._open:
+    def settle(self, left: int = 0) -> None:
+        """Read all timers but the last `left`."""
+        while len(self._open) > left:
+            name, timer = self._open.popleft()
             self.spent[name] = self.spent.get(name, 0.0) + timer.milliseconds()
+
+    def release(self) -> None:
+        """Time is not asked for any more."""
+        for _, timer in self._open:
+            timer.release()
         self._open.clear()
 
 
@@ -186,9 +196,12 @@ class Frame:
         presented: bool = False,
     ) -> None:
         """`presented`: between samples too."""
-        self.renderer, self.request, self.presented = renderer, request, presented
+        self.renderer, self.presented = renderer, presented
         self.whole = scene  # as it was given
         scene, self._warnings = parted(scene)
+        eye, unseen_lens = sound_camera(request.camera)
+        self._warnings += unseen_lens
+        self.request = request = request if eye is request.camera else replace(request, camera=eye)
         self.scene = scene
         self.device = renderer.device
         self.done = 0
@@ -212,8 +225,9 @@ class Frame:
         )
         self.technique = reconsidered(technique, self.prepared)
         self.beside: Frame | None = None
-        if self.prepared.blurred is not None:
-            self.request = request = self._defocused(scene, presented)
+        blurred, parts, asked = self.prepared.blurred is not None, scene, request
+        if blurred:
+            self.request = request = self._defocused()
         self.prepared, unseen = in_view(scene, self.prepared, request.camera)
         scene, reflects, self._faint = without_faint(scene, self.prepared, request.camera.view_from_world)
         self.scene = scene
@@ -249,12 +263,15 @@ class Frame:
         )
         drawn = plan.points or plan.polygons or plan.spheres or plan.lines or plan.translucent is not None
         self._trivial = not drawn and (scene.world.image is None or scene.transparent)
-        if not self._trivial:
-            try:
+        try:
+            # Both are on the device, and what comes before can still be cancelled.
+            if blurred:
+                self.beside = self._others(parts, asked)
+            if not self._trivial:
                 self._allocate()
-            except Exception:
-                self.release()
-                raise
+        except Exception:
+            self.release()
+            raise
 
     def _shadows(self) -> tuple[Shadows | None, str]:
         prepared = self.prepared
@@ -491,23 +508,28 @@ class Frame:
         layer = {"ps_layer": targets.layer, **({} if targets.cut is None else {"ps_cut": targets.cut})}
         run("add", lambda: draw(self.add_program, targets.combined_target, layer, "blend"))
 
-    def _defocused(self, scene: Scene, presented: bool) -> Request:
-        """What is out of focus goes to the pass of its own name. Passes that know no blur are another picture's,
-        without light; returns what is left for this one."""
-        request = self.request
+    def _defocused(self) -> Request:
+        """What is out of focus goes to the pass of its own name. Passes that know no blur are another picture's;
+        returns what is left for this one."""
         self.prepared = defocused(self.prepared)
         if self.technique.name == "PAINTER":
             self.technique = Technique("IMAGE_SPACE", "the pass defocus paints")
-        others = request.passes - {"combined"}
-        if presented or shade_pass.averaged(others) or shade_pass.data(others) or others & set(CRYPTO):
-            samples = request.samples if shade_pass.averaged(others) or others & set(CRYPTO) else 1
-            settings = replace(request.settings, use_shadows=False, use_adaptive_sampling=False)
-            camera = replace(request.camera, aperture=None)
-            unlit = replace(scene, lights=(), world=World(), transparent=True)
-            beside = replace(request, camera=camera, settings=settings, passes=others, samples=samples)
-            self.beside = Frame(self.renderer, unlit, beside, self.clock.cancelled, presented)
-            self.beside.clock.slow = False
-        return replace(request, passes=frozenset({"combined"}))
+        return replace(self.request, passes=frozenset({"combined"}))
+
+    def _others(self, scene: Scene, asked: Request) -> Frame | None:
+        """The picture of the passes that know no blur, without light; None where none of them is asked for."""
+        others = asked.passes - {"combined"}
+        averaged = shade_pass.averaged(others) or others & set(CRYPTO)
+        if not (self.presented or averaged or shade_pass.data(others)):
+            return None
+        settings = replace(asked.settings, use_shadows=False, use_adaptive_sampling=False)
+        camera = replace(asked.camera, aperture=None)
+        unlit = replace(scene, lights=(), world=World(), transparent=True)
+        samples = asked.samples if averaged else 1
+        beside = replace(asked, camera=camera, settings=settings, passes=others, samples=samples)
+        frame = Frame(self.renderer, unlit, beside, self.clock.cancelled, self.presented)
+        frame.clock.slow = False
+        return frame
 
     @property
     def in_focus(self) -> tuple[float, float]:
@@ -674,8 +696,8 @@ class Frame:
 
     def _cryptomatte(self, key: str, column: int, table: np.ndarray | None) -> dict[str, np.ndarray]:
         known = np.zeros(len(self.scene.instances), np.uint32) if table is None else table.astype(np.uint32)
-        padded = np.append(known, np.uint32(0))  # -1 looks up the last: no identity
-        hashes = padded[np.stack([ids[..., column] for ids in self._identities])]
+        padded = np.append(known, np.uint32(0))  # -1, and what is no row, look up the last: no identity
+        hashes = padded[np.minimum(np.stack([ids[..., column] for ids in self._identities]), len(known))]
         pictures = cryptomatte(hashes, self.request.crypto_levels)
         return {f"{key}{i:02d}": picture for i, picture in enumerate(pictures)}
 
@@ -742,6 +764,7 @@ class Frame:
 
     def release(self) -> None:
         """Free what only this picture needed."""
+        self.clock.release()
         for item in self._owned:
             item.release()
         self._owned.clear()
@@ -782,7 +805,8 @@ def _widened(camera: Camera, radius: float, most: int) -> tuple[Camera, tuple[in
 
 
 def _looked_up(table: np.ndarray | None, index: np.ndarray) -> np.ndarray:
-    """(H, W, 1) float32: table[index], 0 where the index is negative or there is no table."""
+    """(H, W, 1) float32: table[index], 0 where the index is negative or no row of the table."""
     if table is None or len(table) == 0:
         return np.zeros((*index.shape, 1), np.float32)
-    return np.where(index >= 0, table[np.maximum(index, 0)], 0).astype(np.float32)[..., None]
+    there = (index >= 0) & (index < len(table))
+    return np.where(there, table[np.where(there, index, 0)], 0).astype(np.float32)[..., None]

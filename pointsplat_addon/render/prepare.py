@@ -543,6 +543,7 @@ class _View:
         if material is None:
             return points
         rows = store.lookup(("rows", *points.key), lambda: np.unique(material))
+        rows = np.minimum(rows, len(table) - 1)  # what names no row has the last one's values
         constants = {
             "color": table.base_color,
             "surface": np.stack([table.roughness, table.metallic], axis=1),
@@ -557,7 +558,10 @@ class _View:
             return points
         held = tuple((name, values[rows].tobytes()) for name, values in differ.items())
         key = ("filled", *points.key, held)
-        made = store.lookup(key, lambda: replace(cloud, **{n: v.take(material, axis=0) for n, v in differ.items()}))
+        made = store.lookup(
+            key,
+            lambda: replace(cloud, **{n: v.take(material, axis=0, mode="clip") for n, v in differ.items()}),
+        )
         return replace(points, key=key, cloud=made, family=(*points.family, held) if points.family else ())
 
     def _layer(

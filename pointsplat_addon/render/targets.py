@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .device import Device, Target, Texture
+from .device import Device, Target, Texture, whole
 from .passes import shade as shade_pass
 from .passes.points import Projection
 from .passes.translucent import COARSE
@@ -15,15 +15,12 @@ from .surfels import Surfels, make_surfels
 class Targets:
     """Everything that one sample writes, and the sums over samples."""
 
+    @whole
     def __init__(self, device: Device, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
         """`count`: levels of the pyramid above the G-buffer."""
         self._owned: list[Any] = []
         self._device = device
-        try:
-            self._allocate(plan, passes, size, count)
-        except Exception:
-            self.release()
-            raise
+        self._allocate(plan, passes, size, count)
 
     def _allocate(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
         device = self._device

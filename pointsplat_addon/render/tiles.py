@@ -15,7 +15,7 @@ import numpy as np
 
 from ..core.scene import Settings
 from ..shading.interface import Interface
-from .device import Device, Target, Texture
+from .device import Device, Target, Texture, whole
 from .passes.common import FRAME
 
 TILE = 16  # pixels on a side
@@ -95,6 +95,7 @@ EVERYWHERE = Region()
 class Adaptive:
     """Which tiles of one picture still take samples, and how many each of them got."""
 
+    @whole
     def __init__(
         self, device: Device, sums: Texture, threshold: float, gather: int, place: Texture | None = None
     ) -> None:

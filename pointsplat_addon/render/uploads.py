@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..core.octree import ranges
 from ..core.scene import Camera, Geometry, Mesh, Scene
 from ..core.spacing import Parts, make_parts
 from ..core.strands import clean, lengths_scale
-from .device import Device, Target, Texture
+from .device import Device, Target, Texture, undone
 from .packing import PAGE_WIDTH, paged
 from .passes import lines as line_pass
 from .passes import polygons as polygon_pass
@@ -35,21 +36,39 @@ DEVICE_LIMIT = 4 << 30  # bytes of geometry that stay on the device after their 
 
 
 class Kept:
-    """What stays on the device for the next frame, by content."""
+    """What stays on the device for the next frame, by content. Several frames may be in the making: two viewports, or a
+    picture and what it is compared with."""
 
     def __init__(self, device: Device) -> None:
         self.device = device
         self._items: dict[tuple, Any] = {}
+        self._used: list[set[tuple]] = []  # by each frame in the making
+
+    def begin(self) -> set[tuple]:
+        """For the keys of what one frame uses, which stays until its `end`."""
+        self._used.append(set())
+        return self._used[-1]
+
+    def end(self, used: set[tuple]) -> None:
+        """A frame is over; once is enough."""
+        self._used = [other for other in self._used if other is not used]
+
+    def own(self, name: str) -> tuple:
+        """The key of an item that changes with the view: of several, the first that no other frame uses."""
+        taken = set().union(*self._used)
+        return next(key for key in ((name, number) for number in count()) if key not in taken)
 
     def keep(self, key: tuple, make: Callable[[], Any]) -> Any:
         """What `make` puts on the device, made once for `key`."""
         if key not in self._items:
-            self._items[key] = make()
+            with undone(self.device):
+                self._items[key] = make()
         self._items[key] = self._items.pop(key)
         return self._items[key]
 
-    def forget(self, used: set[tuple]) -> None:
-        """Free what is not in use, longest unused first, until the rest fits."""
+    def forget(self) -> None:
+        """Free what no frame uses, longest unused first, until the rest fits."""
+        used = set().union(*self._used)
         for key in list(self._items):
             if self.device.bytes_allocated() <= DEVICE_LIMIT:
                 return
@@ -77,7 +96,8 @@ class Uploads:
     ) -> None:
         self.kept, self.device = kept, kept.device
         self.scene, self.camera, self.prepared, self.plan = scene, camera, prepared, plan
-        self.used: set[tuple] = set()
+        self.used = kept.begin()
+        self._order_key, self._reach_key = kept.own("order"), kept.own("reach")
         self._owned: list[Any] = []
         self._of_view: list[Texture] = []
         self._packed = None if shadows is None else shadows.packed
@@ -131,6 +151,7 @@ class Uploads:
         self.draws = [*self.draws]  # who keeps what it projected of them sees that they are others
 
     def release(self) -> None:
+        self.kept.end(self.used)
         self._release_view()
         for item in self._owned:
             item.release()
@@ -174,7 +195,7 @@ class Uploads:
         self._upload_view()
         if motion:
             self.previous = self._own(self._motion())
-        self.kept.forget(self.used)
+        self.kept.forget()
 
     def _upload_view(self) -> None:
         """Small tables that hold the view."""
@@ -298,11 +319,11 @@ class Uploads:
 
         page = self.kept.keep(key, make)
         matrices, view = scene.instances.world_from_object, self.camera.view_from_world
-        self.used.add(("order",))
+        self.used.add(self._order_key)
         if self.plan.defocus:
             texture, self.listed = self._unsorted(page, layer)
         else:
-            sorted_list: DrawList = self.kept.keep(("order",), DrawList)
+            sorted_list: DrawList = self.kept.keep(self._order_key, DrawList)
             before, sorts = time.perf_counter(), sorted_list.sorts
             sorted_list.update(
                 device, page, layer, matrices, view, (key, layer.set_of_instance.tobytes(), matrices.tobytes())
@@ -349,11 +370,13 @@ class Uploads:
             every = record.copy()
             every["page"][0, 1] = count
             textures = {**self.splats, **self.shading, "ps_order": order}
-            run("reach", lambda: device.draw(program, target, uniforms=every, textures=textures))
-            order.release()
+            try:
+                run("reach", lambda: device.draw(program, target, uniforms=every, textures=textures))
+            finally:
+                order.release()
 
-        self.used.add(("reach",))
-        kept: translucent_pass.Reach = self.kept.keep(("reach",), lambda: translucent_pass.Reach(device))
+        self.used.add(self._reach_key)
+        kept: translucent_pass.Reach = self.kept.keep(self._reach_key, lambda: translucent_pass.Reach(device))
         return kept.textures(self.reach_key, tap, program, self.splats["ps_place"].size, light)
 
     def _polygon_meshes(self) -> dict[int, polygon_pass.PolygonMesh]:

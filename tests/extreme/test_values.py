@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from pointsplat_addon.core import expressions as ex
 from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.materials import MaterialGraph
-from pointsplat_addon.core.scene import Geometry, Settings, World
+from pointsplat_addon.core.scene import Aperture, Geometry, Settings, World
 from pointsplat_addon.render.device import half
 from tests.extreme.extremes import FEW, SHADOWED, TECHNIQUES, every_pass, lamp, picture
 from tests.render import scenes
@@ -108,14 +108,45 @@ def test_any_values_in_any_attributes(data, within):
     every_pass(Case(scene(GOOD, (points(key, odd), matrix)), EYE, PLAIN))
 
 
+TRANSLUCENT = {
+    "opacity": np.full(144, 0.5, np.float32),
+    "extinction": np.full(144, 0.5, np.float32),
+    "extinction of each channel": np.full((144, 3), 0.5, np.float32),
+}
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("odd", [*ODD, -1.0])
+@pytest.mark.parametrize("name", TRANSLUCENT)
+def test_attributes_of_translucent_points(name, odd, technique, within):
+    values = TRANSLUCENT[name].copy()
+    values[::3] = odd
+    cloud = replace(plane_cloud(12, 0.8), **{name.split()[0]: values})
+    thing = points(f"odd {name} {odd}", cloud), AT
+    assert_rest_is_right(within, "attributes of translucent points", thing, technique=technique)
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("name", ["material", "kernel"])
+def test_points_of_rows_that_no_table_has(name, technique, within):
+    last = {"material": np.uint16(65535), "kernel": np.uint8(255)}[name]
+    values = np.zeros(144, last.dtype)
+    values[::3] = last
+    thing = points(f"beyond {name}", replace(plane_cloud(12, 0.8), **{name: values})), AT
+    assert_rest_is_right(within, "rows of points that no table has", thing, technique=technique)
+
+
 PICTURE = materials(graphs=(MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), scenes.picture()))),))
 
 
 @pytest.mark.parametrize("primitive", ["POINTS", "POLYGONS"])
 @pytest.mark.parametrize("odd", ODD)
-@pytest.mark.parametrize("name", ["position", "corner_normal", "uv"])
+@pytest.mark.parametrize("name", ["position", "corner_normal", "vertex_normal", "uv"])
 def test_attributes_of_meshes(name, odd, primitive, within):
     of = scenes.plane_mesh(f"odd mesh {name} {odd} {primitive}", 0.8, 6)
+    if name == "vertex_normal":
+        up = np.tile(np.array([0, -1, 0], np.float32), (len(of.position), 1))
+        of = replace(of, vertex_normal=up, corner_normal=None)
     values = (of.uv["UV"] if name == "uv" else getattr(of, name)).copy()
     values[5::7] = odd
     changed = replace(of, **{name: {"UV": values} if name == "uv" else values})
@@ -139,6 +170,65 @@ def test_attributes_of_strands(name, odd, ribbon, within):
     values[4:20:5] = odd
     changed = replace(thing, lines=replace(thing.lines, **{name: values}))
     assert_rest_is_right(within, "attributes of strands", (changed, AT))
+
+
+# What was a frame before, lenses, mist
+
+
+@pytest.mark.parametrize("odd", [*ODD[:3], -1e30, 3e38])
+def test_what_was_nowhere_a_frame_before_has_not_moved(odd):
+    made = scene(GOOD, (points("came from nowhere", whole_cloud()), AT))
+    still = made.instances.world_from_object
+    before = still.copy()
+    before[1, 0, 0] = odd
+    view = EYE.view_from_world.copy()
+    view[0, 3] = odd
+    alone = every_pass(Case(replace(made, instances=replace(made.instances, previous=still)), EYE, PLAIN))["vector"]
+    for instances, eye in (
+        (replace(made.instances, previous=before), EYE),
+        (made.instances, replace(EYE, previous_view_from_world=view)),
+    ):
+        found = every_pass(Case(replace(made, instances=instances), eye, PLAIN))["vector"]
+        np.testing.assert_array_equal(found, alone)
+
+
+@pytest.mark.parametrize("method", ["SPLAT", "LENS_SAMPLES"])
+@pytest.mark.parametrize(
+    "odd",
+    [{name: value} for name in ("radius", "focus", "ratio", "rotation") for value in (np.nan, np.inf, -np.inf)]
+    + [{"focus": 0.0}, {"focus": -1.0}, {"ratio": 0.0}, {"ratio": -1.0}, {"radius": 3e38}],
+)
+def test_a_lens_that_is_none_leaves_all_in_focus(odd, method):
+    eye = replace(EYE, aperture=Aperture(**{"radius": 0.2, "focus": 3.0, "blades": 5, **odd}))
+    case = Case(scene(GOOD), eye, replace(PLAIN, dof_method=method))
+    if odd == {"focus": np.inf}:  # which is a lens
+        every_pass(case, samples=3)
+        return
+    found, sharp = (picture(replace(case, camera=camera), samples=3) for camera in (eye, EYE))
+    np.testing.assert_array_equal(found, sharp)
+    told = scenes.render(case, samples=3).report["warnings"]
+    assert any("lens" in text for text in told) == (odd != {"radius": -np.inf})
+
+
+@pytest.mark.parametrize("method", ["SPLAT", "LENS_SAMPLES"])
+@pytest.mark.parametrize("radius", [0.0, 1e-12, 1e-9, 1e3, 1e9])
+@pytest.mark.parametrize("focus", [1e-9, 4.0, 1e9, 1e30])
+def test_lenses_of_any_size_and_focus(radius, focus, method, within):
+    """Without a size, as a pinhole, and at the other end still as bright as something between all that is seen."""
+    eye = replace(EYE, aperture=Aperture(radius, focus))
+    case = Case(scene(GOOD), eye, replace(PLAIN, dof_method=method))
+    found, sharp = (picture(replace(case, camera=camera), samples=3) for camera in (eye, EYE))
+    if max(radius, radius / focus) < 1e-8:
+        within("lenses of 0 to 1e-9", "difference of a pixel from a pinhole's", np.abs(found - sharp).max(), 1e-5)
+    beyond = max(found.max() - sharp.max(), sharp.min() - found.min())
+    within("lenses of 0 to 1e9, in focus at 1e-9 to 1e30", "beyond what is seen in focus", beyond, 1e-3)
+
+
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("name", ["start", "depth"])
+def test_mist_that_is_no_number(name, odd):
+    made = scene(GOOD)
+    every_pass(Case(replace(made, mist=replace(made.mist, **{name: odd})), EYE, PLAIN))
 
 
 # Lamps, materials, worlds
@@ -188,6 +278,8 @@ def test_worlds_that_are_no_numbers(odd, picture_of_it):
         image = np.full((8, 16, 3), 0.5, np.float32)
         image[3, 4] = odd
         world = World(np.zeros(3), image)
+        turned = replace(world, image=np.full((8, 16, 3), 0.5, np.float32), world_rotation=np.full((3, 3), odd))
+        every_pass(lit([scenes.sun()], world=turned))
     every_pass(lit([scenes.sun()], world=world))
 
 

@@ -139,6 +139,28 @@ def test_the_longest_pictures(technique, size):
     assert (found["depth"] < BACKGROUND_DEPTH).mean() > 0.05
 
 
+@pytest.mark.parametrize("size", [(16384, 1), (1, 16384)])
+def test_the_longest_pictures_against_the_reference(size, within):
+    """As wide as a texture may be, in 64 units of which a bent wall fills half."""
+    long = 0 if size[0] > 1 else 2
+    corner = np.zeros((6, 3), np.float32)
+    corner[:, long] = np.repeat([-16, 0, 16], 2)
+    corner[:, 2 - long] = np.tile([-1, 1], 3)
+    corner[2:4, 1] = 3
+    wall = scenes.flat_mesh(f"longest wall {size}", corner, np.array([[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]]))
+    made = scene((mesh(wall, "POLYGONS"), moved()))
+    eye = camera((0, -40, 0), (0, 0, 0), resolution=size, parallel=64.0, far=100)
+    case = Case(made, eye, Settings(use_shadows=False))
+    found, exact = every_pass(case), reference.picture(made, eye)
+    there = exact.depth < BACKGROUND_DEPTH
+    assert there.sum() == 8192
+    missed = np.mean((found["depth"][..., 0] < BACKGROUND_DEPTH) != there)
+    within("pictures of 16384 x 1", "share of pixels missed", missed, 1e-3)
+    error = np.abs(found["depth"][..., 0] / exact.depth - 1)[there].max()
+    within("pictures of 16384 x 1", "relative error of the depth", error, 1e-5)
+    within("pictures of 16384 x 1", "difference of a pixel", np.abs(found["combined"] - exact.combined).max(), 1e-3)
+
+
 # Counts
 
 
@@ -155,7 +177,7 @@ def row_of(count: int) -> PointCloud:
     return PointCloud(position, normal=normal, radii=radii, color=color)
 
 
-def assert_counted(count: int, technique: str) -> None:
+def assert_counted(count: int, technique: str, within) -> None:
     """The last point of all is where it should be, in its own colour."""
     made = scene((points(f"row of {count}", row_of(count)), moved()), lights=(), world=World(np.ones(3)))
     case = Case(made, camera(resolution=(24, 24), parallel=2.4), Settings(use_shadows=False, tolerance=0.05))
@@ -163,20 +185,22 @@ def assert_counted(count: int, technique: str) -> None:
     red = found[19, 12]
     assert red[0] > 3 * red[1]
     if count > 100:
+        uneven = np.ptp(found[12, 6:18, :3], axis=0).max()
+        within(f"rows of up to {'2^16 + 1' if count < 1 << 20 else '2^24 + 1'} disks", "unevenness", uneven, 0.02)
         assert np.ptp(found[12, 6:18, :3], axis=1).max() < 0.02
         assert found[12, 6:18, 0].max() < 0.8
 
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
 @pytest.mark.parametrize("count", [1, 2, 4095, 4096, 4097, 65535, 65536, 65537])
-def test_counts_about_powers_of_two(technique, count):
-    assert_counted(count, technique)
+def test_counts_about_powers_of_two(technique, count, within):
+    assert_counted(count, technique, within)
 
 
 @pytest.mark.long
-def test_one_more_point_than_float32_counts():
+def test_one_more_point_than_float32_counts(within):
     """2^24 + 1: the last index is no float32."""
-    assert_counted((1 << 24) + 1, "IMAGE_SPACE")
+    assert_counted((1 << 24) + 1, "IMAGE_SPACE", within)
 
 
 NOTHING = {

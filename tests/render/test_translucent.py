@@ -500,7 +500,7 @@ def test_splats_are_sorted_again_only_for_other_directions():
         ((3, -3, 0), (0, 0, 0)),
     ):
         renderer.render(made, Request(camera(eye, target), Settings(), COMBINED, 1))
-        sorts.append(renderer.kept.keep(("order",), lambda: None).sorts)
+        sorts.append(renderer.kept.keep(("order", 0), lambda: None).sorts)
     assert sorts == [1, 1, 1, 2]
 
 

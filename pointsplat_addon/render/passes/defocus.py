@@ -18,7 +18,7 @@ import numpy as np
 from ...core.defocus import FAINT, RIM
 from ...core.octree import ranges, starts
 from ...shading.interface import Interface
-from ..device import Device, Target, Texture
+from ..device import Device, Target, Texture, whole
 from ..packing import PAGE_WIDTH, paged
 from ..tiles import TILE_DEFINE
 from .common import FRAME
@@ -103,6 +103,7 @@ def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tu
 class Defocus:
     """The tiles of one view on the device."""
 
+    @whole
     def __init__(self, device: Device, lists: TileLists) -> None:
         self.device, self.tile = device, lists.tile
         size, data = paged(lists.entries[:, None].astype(np.float32), 1)

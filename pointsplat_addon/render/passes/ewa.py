@@ -31,7 +31,7 @@ import numpy as np
 from ...core.ewa import centres_decide, low_pass
 from ...core.scene import Camera
 from ...shading.interface import Interface
-from ..device import Device, Target, Texture
+from ..device import Device, Target, Texture, whole
 from ..packing import PAGE_WIDTH, paged
 from ..tiles import TILE, Region
 from . import ewa_cover
@@ -147,6 +147,7 @@ def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool,
 class Splats:
     """The projected splats of one page of one view."""
 
+    @whole
     def __init__(self, device: Device, program: Interface, draw: PageDraw) -> None:
         """DeviceError: more splats than a texture holds."""
         self.draw = draw

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...shading.interface import Interface
-from ..device import Device, Target, Texture
+from ..device import Device, Target, Texture, whole
 from ..tiles import TILE
 from .common import FRAME
 
@@ -125,6 +125,7 @@ def thinned(index: np.ndarray, share: float) -> np.ndarray:
 class Cover:
     """What visibility found of the splats that are drawn first."""
 
+    @whole
     def __init__(self, device: Device, nearest: Texture, sizes: Sizes, margin: float, record: np.ndarray) -> None:
         """`nearest`: passes/ewa.py; `margin`: pixels that samples may move the picture by."""
         self._device, self._nearest, self._margin, self._thin = device, nearest, margin, sizes.thin

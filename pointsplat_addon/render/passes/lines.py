@@ -20,7 +20,7 @@ from ...core.lines import Lines
 from ...core.scene import MaterialTable
 from ...core.strands import Segments, Strands
 from ...shading.interface import Interface
-from ..device import Device, Texture
+from ..device import Device, Texture, whole
 from ..packing import PAGE_WIDTH, paged
 from .common import FRAME, GBuffer, Variant
 
@@ -60,6 +60,7 @@ class LinePage:
 class LineDraw:
     """What one view draws of one geometry."""
 
+    @whole
     def __init__(self, device: Device, page: LinePage, segments: Segments, holdout: np.ndarray | None = None) -> None:
         """holdout: (I,) bool, of all instances."""
         self.device, self.page, self.segments = device, page, segments

@@ -34,7 +34,7 @@ from ...core.cloud import PointCloud
 from ...core.kernel import PEAK, PROFILES, SUPPORT
 from ...core.scene import MaterialTable
 from ...shading.interface import Interface
-from ..device import Device, Target, Texture
+from ..device import Device, Target, Texture, undone, whole
 from ..packing import PAGE_WIDTH
 from ..store import PointSet
 from .common import FRAME
@@ -192,7 +192,8 @@ def _strength(extinction: np.ndarray) -> np.ndarray:
 def _tint(cloud: PointCloud) -> np.ndarray:
     if cloud.extinction is None or cloud.extinction.ndim == 1:
         return np.ones((len(cloud), 3), np.float32)
-    return cloud.extinction / np.maximum(_strength(cloud.extinction), np.finfo(np.float32).tiny)[:, None]
+    positive = np.maximum(cloud.extinction, 0)
+    return positive / np.maximum(_strength(positive), np.finfo(np.float32).tiny)[:, None]
 
 
 def draw_list(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
@@ -280,12 +281,13 @@ class Reach:
             self.release()
             self._key = key
         if tap not in self._kept:
-            textures = {
-                name.replace("out_", "ps_"): self.device.texture(size, "RGBA16F") for _, name in program.outputs
-            }
-            target = self.device.target(list(textures.values()))
+            with undone(self.device):
+                textures = {
+                    name.replace("out_", "ps_"): self.device.texture(size, "RGBA16F") for _, name in program.outputs
+                }
+                target = self.device.target(list(textures.values()))
+                light(target)
             self._kept[tap] = target, textures
-            light(target)
         return self._kept[tap][1]
 
     def release(self) -> None:
@@ -348,6 +350,7 @@ def add_program(options: TranslucentOptions) -> Interface:
 class LitSplats:
     """The draw list of one view after lighting, and the draws that read it."""
 
+    @whole
     def __init__(
         self, device: Device, options: TranslucentOptions, program: Interface, count: int, samples: int = 1
     ) -> None:
