@@ -186,16 +186,17 @@ def corner_normals(mesh: Mesh) -> np.ndarray:
     return np.repeat(normal / np.maximum(length, 1e-30), 3, axis=0).astype(np.float32)
 
 
-def baked(mesh: Mesh, table: MaterialTable, row: int, largest: int) -> dict[str, np.ndarray] | None:
-    """Pictures (H, W, C) of a material's varying channels over the UV square, sides at most `largest`; None where its
-    graph needs more than one UV map or does not repeat."""
-    graph = table.graphs[row]
-    if not isinstance(graph, MaterialGraph):
-        return None
+def pictured(mesh: Mesh, graph: MaterialGraph) -> bool:
+    """Whether pictures over the UV square show all of a graph on a mesh: not where it needs more than one UV map or
+    does not repeat."""
     name = _uv_name(mesh, graph)
     inside = name in mesh.uv and bool((mesh.uv[name] >= 0).all() and (mesh.uv[name] <= 1).all())
-    if not bakeable(graph, unit_square=inside, active_uv=mesh.active_uv):
-        return None
+    return bakeable(graph, unit_square=inside, active_uv=mesh.active_uv)
+
+
+def baked(graph: MaterialGraph, largest: int) -> dict[str, np.ndarray]:
+    """Pictures (H, W, C) float32 of a graph's varying channels over the UV square, sides at most `largest`: the same
+    for all meshes."""
     return bake(graph, suggested_resolution(graph, largest))
 
 
