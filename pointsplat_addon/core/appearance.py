@@ -50,6 +50,20 @@ def digest(mesh: Mesh, table: MaterialTable) -> str:
     return "|".join(parts)
 
 
+def hiding(table: MaterialTable) -> MaterialTable:
+    """What of the materials decides how much light they let through: their alphas, and graphs of nothing else. All
+    other constants are 0, so that digests of shadows' samples do not tell them apart."""
+    graphs = [graph.alpha if isinstance(graph, MaterialGraph) else None for graph in table.graphs]
+    return replace(
+        table,
+        graphs=tuple(None if alpha is None else MaterialGraph(alpha=alpha) for alpha in graphs),
+        base_color=np.zeros_like(table.base_color),
+        roughness=np.zeros_like(table.roughness),
+        metallic=np.zeros_like(table.metallic),
+        emission=np.zeros_like(table.emission),
+    )
+
+
 def passing(mesh: Mesh, table: MaterialTable) -> np.ndarray | None:
     """(M,) bool, MaterialTable.translucent; None where none of the mesh's materials is."""
     if table.translucent is None or not table.translucent[list(mesh.materials)].any():

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core import sampling, shadow
-from ..core.appearance import digest
+from ..core.appearance import digest, hiding
 from ..core.cloud import PointCloud, finite
 from ..core.cut import largest_singular_value
 from ..core.hierarchy import build
@@ -138,7 +138,7 @@ def _key(light: Light) -> tuple:
 
 def _look(scene: Scene, geometry: Geometry) -> str:
     """What of the materials decides which light a geometry lets through."""
-    return "" if geometry.mesh is None else digest(geometry.mesh, scene.materials)
+    return "" if geometry.mesh is None else digest(geometry.mesh, hiding(scene.materials))
 
 
 def _casters(scene: Scene, store: Store) -> list[_Caster]:
@@ -365,4 +365,4 @@ def _sampled(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store
     """The points of a mesh that is drawn as polygons, or more densely than shadows need."""
     key = ("shadow samples", geometry.key, _look(scene, geometry), spacing)
     shape = _outline(geometry, mesh, store)
-    return store.lookup(key, lambda: tuple(sampled(mesh, shape, spacing, scene.materials)))
+    return store.lookup(key, lambda: tuple(sampled(mesh, shape, spacing, hiding(scene.materials))))

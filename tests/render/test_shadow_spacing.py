@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene import Settings
+from pointsplat_addon.core import expressions as ex
+from pointsplat_addon.core.materials import MaterialGraph
+from pointsplat_addon.core.scene import MaterialTable, Settings
 from pointsplat_addon.render import shadows
 from pointsplat_addon.render.frame import Renderer
 from pointsplat_addon.render.prepare import STORE
-from pointsplat_addon.render.shadows import _share
+from pointsplat_addon.render.shadows import Shadows, _share
+from pointsplat_addon.render.store import Store
 from tests.render import scenes
 from tests.render.scenes import Case
 
@@ -43,3 +46,24 @@ def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
     difference = found[0] - found[1]
     assert abs(difference.mean()) < 1e-3  # measured 3.3e-4
     assert np.sqrt((difference**2).mean()) < 5e-3  # measured 2.8e-3, at the rims of shadows
+
+
+def test_shadows_are_those_of_alphas_whatever_the_colours():
+    store, plane = Store(), (scenes.mesh(scenes.plane_mesh("coloured caster", cells=4)), scenes.moved())
+
+    def tables(table: MaterialTable) -> Shadows:
+        scene = scenes.scene(plane, lights=[scenes.sun()], table=table)
+        found, _ = shadows.cast(scene, Settings(shadow_resolution=64), store)
+        assert found is not None
+        return found
+
+    def of(**graphs: ex.Expression) -> MaterialTable:
+        return scenes.materials(graphs=(MaterialGraph(**graphs),))
+
+    texture = ex.ImageTexture(ex.UV(), scenes.picture())
+    plain, red = tables(scenes.materials()), tables(scenes.materials(base_color=np.array([[1, 0, 0]], np.float32)))
+    coloured = tables(of(base_color=ex.Color(texture), roughness=ex.Component(texture, 0)))
+    assert red is plain
+    assert coloured is plain
+    half = tables(of(base_color=ex.Color(texture), alpha=ex.Component(texture, 0)))  # cut out where u < 1/2
+    assert half.entries < plain.entries
