@@ -3,11 +3,12 @@
     python scripts/error_vs_time.py [--data DIR] [--only NAME ...] [--quick] [--docs docs] [--rows FILE.json]
     python scripts/error_vs_time.py --from docs/error_vs_time.json
 
-DIR (or the folder that POINTSPLAT_DATA names) holds japaneseMaple/ and pedestrianRailing1/: without it scenes of these
-are left out. DOCS receives error_vs_time.json and images/error_vs_time.png, and the tables in error_vs_time.md are
-replaced. `--from` makes tables and plots anew from rows. `--quick` draws small pictures of one scene and writes
-nothing but the rows that `--rows` names. Needs bpy for all scenes but one, matplotlib for plots, and takes FLIP where
-the package flip-evaluator is there (requirements/benchmark.txt).
+DIR (or the folder that POINTSPLAT_DATA names) holds japaneseMaple/, pedestrianRailing1/, dragon_vrip_res2.ply.gz and
+../volume/gaffer_smoke.vdb: scenes of what is missing are left out; what DOCS has of scenes that are not drawn stays.
+DOCS receives error_vs_time.json and, in images/, error_vs_time.png, error_vs_time_brief.png and cost_over_points.png;
+the tables in error_vs_time.md are replaced. `--from` makes tables and plots anew from rows. `--quick` draws small
+pictures of one scene and writes nothing but the rows that `--rows` names. Needs bpy for all scenes but one, matplotlib
+for plots, and takes FLIP where the package flip-evaluator is there (requirements/benchmark.txt).
 
 Every scene is drawn in a process of its own, as are the other programs. Times are those of the processor in all
 threads, from Blender's data to the finished picture, shaders compiled before: converting the scene, sampling, shadow
@@ -43,7 +44,7 @@ from pointsplat_addon.render.filtering import FILTER_WIDTH, offsets
 from pointsplat_addon.render.frame import Frame, Renderer, Request
 from pointsplat_addon.render.prepare import STORE
 from scripts import bench_frame
-from scripts.error_curves import Row, errors, plot, written
+from scripts.error_curves import Row, errors, plot, plot_brief, plot_counts, written
 from scripts.vtk_volume import VolumeView
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -185,14 +186,21 @@ def plume(size: int, data: Path, folder: Path) -> None:
     media, volumes = importlib.import_module("compare_media"), importlib.import_module("volume_objects")
     scene = media.studio(PLUME)
     media.sky(scene, 1.0)
-    look = volumes.medium("Smoke", EXTINCTION, (0.0, 0.0, 0.0))
-    item = volumes.volume_object("Smoke", (data / PLUME_FILE).resolve(), look)
+    item = volumes.volume_object("Smoke", (data / PLUME_FILE).resolve(), volumes.medium("Smoke", 1.0, (0.0, 0.0, 0.0)))
     values, object_from_index = plume_voxels(item)
-    world = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])  # its y points up
-    world[:3, :3] *= 2 / (np.linalg.norm(object_from_index[:3, 1]) * values.shape[1])
-    world[:3, 3] = -(world @ object_from_index @ [*(np.array(values.shape) / 2 - 0.5), 1])[:3]
+    # Its y points up; the picture shows where most of it is.
+    heights = values.sum(axis=(0, 2), dtype=float)
+    ends = np.searchsorted(np.cumsum(heights) / heights.sum(), (0.02, 0.98))
+    middle = (np.array(values.shape) - 1) / 2
+    middle[1] = ends.mean()
+    scale = 2 / float(np.linalg.norm(object_from_index[:3, 1]) * (ends[1] - ends[0]))
+    world = np.array([[scale, 0, 0, 0], [0, 0, -scale, 0], [0, scale, 0, 0], [0, 0, 0, 1.0]])
+    world[:3, 3] = -(world @ object_from_index @ [*middle, 1])[:3]
     item.matrix_world = [list(row) for row in world]
-    media.look(scene.camera, (1.8, -3.6, 0.6), (0.0, 0.0, 0.0))
+    # A volume's density is that of its own units, whatever its scale.
+    volume = item.data.materials[0].node_tree.nodes["Principled Volume"]
+    volume.inputs["Density"].default_value = EXTINCTION * scale
+    media.look(scene.camera, (1.8, -3.6, 0.2), (0.0, 0.0, -0.35))
     scene.camera.data.angle = np.radians(34)
 
 
@@ -678,7 +686,10 @@ def main() -> None:
     page = arguments.docs / "error_vs_time.md"
     page.write_text(written(page.read_text(encoding="utf-8"), rows), encoding="utf-8")
     if find_spec("matplotlib"):
-        plot(rows, arguments.docs / "images" / "error_vs_time.png")
+        images = arguments.docs / "images"
+        plot(rows, images / "error_vs_time.png")
+        plot_brief(rows, images / "error_vs_time_brief.png")
+        plot_counts(rows, images / "cost_over_points.png")
     else:
         sys.stderr.write(f"no plot without matplotlib: --from {arguments.rows} where it is installed\n")
 
