@@ -31,6 +31,7 @@ COLORS = {
 }
 MARKS = {"tolerance": "o", "shadows": "s", "defaults": "D", "lens": "^", "other": "x", "count": "."}
 SERIES = {"lens": ", samples through the lens", "shadows": ", other shadow resolutions"}  # said in the legend
+BRIEF = "Spot", "maple, shadows", "smoke, shadows"  # scenes of the plot that is seen first
 BEGIN, END = "<!-- figures -->\n", "<!-- end of figures -->\n"
 
 
@@ -193,19 +194,66 @@ def plot(rows: list[Row], path: Path) -> None:
         draw_counts(axes.flat[len(names)], [row for row in rows if row["series"] == "count"])
     for axis in list(axes.flat)[panels:]:
         axis.set_axis_off()
-    seen = {label: handle for axis in axes.flat for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
-            if " ~ " not in label}  # fmt: skip
+    seen = labels(axes)
     figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=2 * across, fontsize=8)
     figure.savefig(path, dpi=100)
 
 
-def draw_scene(axis: Any, title: str, rows: list[Row]) -> None:
-    ours = [row for row in rows if row["program"] == "PointSplat"]
+def plot_brief(rows: list[Row], path: Path) -> None:
+    """What matters most, for a narrow page: of a few scenes the front of PointSplat's pictures, its defaults, and the
+    other programs."""
+    from matplotlib import pyplot
+
+    names = [name for name in BRIEF if any(row["scene"] == name for row in rows)]
+    if not names:
+        return
+    with pyplot.rc_context({"font.size": 12}):
+        figure, axes = pyplot.subplots(1, len(names), figsize=(3.6 * len(names), 4.2), squeeze=False,
+                                       layout="constrained")  # fmt: skip
+        for axis, name in zip(axes.flat, names, strict=True):
+            found = [r for r in rows if r["scene"] == name and r["series"] != "count"]
+            draw_front(axis, [row for row in found if row["program"] == "PointSplat"])
+            for label, curve in series([r for r in found if r["series"] in ("defaults", "other")]).items():
+                draw_curve(axis, label, "defaults" if label == "AUTO" else "other", curve)
+            axis.set(title=name, xlabel="processor time (s)", xscale="log", yscale="log")
+            axis.grid(alpha=0.3, linewidth=0.5)
+        axes[0, 0].set_ylabel("RMSE, scene-linear")
+        seen = labels(axes)
+        figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=len(seen))
+        figure.savefig(path, dpi=90)
+        pyplot.close(figure)
+
+
+def plot_counts(rows: list[Row], path: Path) -> None:
+    """Cost over the number of points, with fitted exponents."""
+    from matplotlib import pyplot
+
+    counted = [row for row in rows if row["series"] == "count"]
+    if not counted:
+        return
+    figure, axis = pyplot.subplots(figsize=(5.6, 4.2), layout="constrained")
+    draw_counts(axis, counted)
+    figure.savefig(path, dpi=100)
+    pyplot.close(figure)
+
+
+def labels(axes: np.ndarray) -> dict[str, Any]:
+    """Handles of a legend for all of some axes, by label; fitted exponents have one of their own."""
+    pairs = [pair for axis in axes.flat for pair in zip(*axis.get_legend_handles_labels(), strict=True)]
+    return {label: handle for handle, label in pairs if " ~ " not in label}
+
+
+def draw_front(axis: Any, ours: list[Row]) -> None:
+    """The Pareto front of PointSplat's pictures."""
     seconds, error = np.array([r["seconds"] for r in ours]), np.array([r["rmse"] for r in ours])
     front = pareto(seconds, error)
     order = np.flatnonzero(front)[np.argsort(seconds[front])]
     axis.step(seconds[order], error[order], where="post", color="0.6", linewidth=4, alpha=0.6, zorder=1,
               label="Pareto front of PointSplat")  # fmt: skip
+
+
+def draw_scene(axis: Any, title: str, rows: list[Row]) -> None:
+    draw_front(axis, [row for row in rows if row["program"] == "PointSplat"])
     for name, curve in series(rows).items():
         for kind in dict.fromkeys(row["series"] for row in curve):
             draw_curve(axis, name, kind, [row for row in curve if row["series"] == kind])

@@ -3,11 +3,12 @@
     python scripts/error_vs_time.py [--data DIR] [--only NAME ...] [--quick] [--docs docs] [--rows FILE.json]
     python scripts/error_vs_time.py --from docs/error_vs_time.json
 
-DIR (or the folder that POINTSPLAT_DATA names) holds japaneseMaple/ and pedestrianRailing1/: without it scenes of these
-are left out. DOCS receives error_vs_time.json and images/error_vs_time.png, and the tables in error_vs_time.md are
-replaced. `--from` makes tables and plots anew from rows. `--quick` draws small pictures of one scene and writes
-nothing but the rows that `--rows` names. Needs bpy for all scenes but one, matplotlib for plots, and takes FLIP where
-the package flip-evaluator is there (requirements/benchmark.txt).
+DIR (or the folder that POINTSPLAT_DATA names) holds japaneseMaple/, pedestrianRailing1/, dragon_vrip_res2.ply.gz and
+../volume/gaffer_smoke.vdb: scenes of what is missing are left out; what DOCS has of scenes that are not drawn stays.
+DOCS receives error_vs_time.json and, in images/, error_vs_time.png, error_vs_time_brief.png and cost_over_points.png;
+the tables in error_vs_time.md are replaced. `--from` makes tables and plots anew from rows. `--quick` draws small
+pictures of one scene and writes nothing but the rows that `--rows` names. Needs bpy for all scenes but one, matplotlib
+for plots, and takes FLIP where the package flip-evaluator is there (requirements/benchmark.txt).
 
 Every scene is drawn in a process of its own, as are the other programs. Times are those of the processor in all
 threads, from Blender's data to the finished picture, shaders compiled before: converting the scene, sampling, shadow
@@ -28,6 +29,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -42,7 +44,8 @@ from pointsplat_addon.render.filtering import FILTER_WIDTH, offsets
 from pointsplat_addon.render.frame import Frame, Renderer, Request
 from pointsplat_addon.render.prepare import STORE
 from scripts import bench_frame
-from scripts.error_curves import Row, errors, plot, written
+from scripts.error_curves import Row, errors, plot, plot_brief, plot_counts, written
+from scripts.vtk_volume import VolumeView
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = 256  # pixels
@@ -59,6 +62,9 @@ CYCLES_LIMIT = 512  # samples, with other random numbers: what Cycles comes to
 COUNTS = (10_000, 30_000, 100_000, 300_000, 1_000_000)  # points of the sphere
 CLOUD = 200_000  # points of the sphere whose error is told over time
 SMOKE = 96, 48  # pixels and voxels of the ball of smoke
+PLUME = 96  # pixels of the plume of smoke
+PLUME_FILE = "../volume/gaffer_smoke.vdb"  # of DIR
+EXTINCTION = 3.0  # of its smoke where the density is 1, per unit: it is two units high
 LIMIT = 1200  # seconds for one process
 
 
@@ -144,15 +150,19 @@ def maple(size: int, data: Path, folder: Path) -> None:
     model(data / "japaneseMaple/japaneseMaple.obj", size, shadows=True)
 
 
+def dragon(size: int, data: Path, folder: Path) -> None:
+    model(data / "dragon_vrip_res2.ply.gz", size, smooth=True)
+
+
 def railing(size: int, data: Path, folder: Path) -> None:
     model(data / "pedestrianRailing1/pedestrianRailing1.obj", size)
 
 
-def model(path: Path, size: int, picture: Path | None = None, shadows: bool = False) -> None:
-    """A file before a camera, lit by one sun."""
+def model(path: Path, size: int, picture: Path | None = None, shadows: bool = False, smooth: bool = False) -> None:
+    """A file before a camera, lit by one sun. With a picture, or smooth, it has a material of its own."""
     gallery = importlib.import_module("gallery")
     scene = gallery.studio(size)
-    _ = gallery.read(path) if picture is None else gallery.load(path, picture)
+    _ = gallery.load(path, picture) if picture is not None or smooth else gallery.read(path)
     direction = np.array([0.5, -1.0, 0.45])
     gallery.look_from(scene, direction / np.linalg.norm(direction))
     sun = scene.objects["Sun"].data
@@ -171,27 +181,98 @@ def smoke(size: int, data: Path, folder: Path) -> None:
     media.volumes_last(media.sphere_scene(folder, "absorbing", "outside", SMOKE[0], SMOKE[1]))
 
 
+def plume(size: int, data: Path, folder: Path) -> None:
+    """Smoke of a file, which absorbs, before a sky of radiance 1."""
+    media, volumes = importlib.import_module("compare_media"), importlib.import_module("volume_objects")
+    scene = media.studio(PLUME)
+    media.sky(scene, 1.0)
+    item = volumes.volume_object("Smoke", (data / PLUME_FILE).resolve(), volumes.medium("Smoke", 1.0, (0.0, 0.0, 0.0)))
+    values, object_from_index = plume_voxels(item)
+    # Its y points up; the picture shows where most of it is.
+    heights = values.sum(axis=(0, 2), dtype=float)
+    ends = np.searchsorted(np.cumsum(heights) / heights.sum(), (0.02, 0.98))
+    middle = (np.array(values.shape) - 1) / 2
+    middle[1] = ends.mean()
+    scale = 2 / float(np.linalg.norm(object_from_index[:3, 1]) * (ends[1] - ends[0]))
+    world = np.array([[scale, 0, 0, 0], [0, 0, -scale, 0], [0, scale, 0, 0], [0, 0, 0, 1.0]])
+    world[:3, 3] = -(world @ object_from_index @ [*middle, 1])[:3]
+    item.matrix_world = [list(row) for row in world]
+    # A volume's density is that of its own units, whatever its scale.
+    volume = item.data.materials[0].node_tree.nodes["Principled Volume"]
+    volume.inputs["Density"].default_value = EXTINCTION * scale
+    media.look(scene.camera, (1.8, -3.6, 0.2), (0.0, 0.0, -0.35))
+    scene.camera.data.angle = np.radians(34)
+
+
+def plume_voxels(item: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Densities (X, Y, Z) float32 of a volume object's file, and its (4, 4) object_from_index of them."""
+    vdb = importlib.import_module("volume_objects").openvdb()
+    grid = vdb.read(item.data.filepath, "density")
+    low, high = (np.array(corner) for corner in grid.evalActiveVoxelBoundingBox())
+    values = np.empty(high - low + 1, np.float32)
+    grid.copyToArray(values, ijk=tuple(int(i) for i in low))
+    matrix = np.eye(4)
+    matrix[:3, 3] = grid.transform.indexToWorld(tuple(float(i) for i in low))
+    for axis in range(3):
+        beside = low + np.eye(3, dtype=int)[axis]
+        matrix[:3, axis] = np.array(grid.transform.indexToWorld(tuple(float(i) for i in beside))) - matrix[:3, 3]
+    return values, matrix
+
+
+def plume_field() -> tuple[np.ndarray, np.ndarray]:
+    """Densities and (4, 4) world_from_index of the plume in the open scene."""
+    import bpy
+
+    item = next(o for o in bpy.context.scene.objects if o.type == "VOLUME")
+    values, object_from_index = plume_voxels(item)
+    return values, np.array(item.matrix_world) @ object_from_index
+
+
+def plume_truth() -> np.ndarray:
+    """What the voxels let through, trilinear, along rays that are spread as the pixel's filter: by the midpoints of
+    steps of less than a voxel."""
+    import bpy
+
+    from pointsplat_addon.core import media_reference as reference
+
+    values, world_from_index = plume_field()
+    field = reference.voxels(values, world_from_index, EXTINCTION)
+    count = 2
+    origins, directions = filtered_rays(bpy.context.scene, count)
+    near, far = field.interval(origins, directions)
+    steps = 2 * max(values.shape)  # rays cross it sideways
+    part = (np.arange(steps) + 0.5) / steps
+    through = np.ones(len(origins))
+    for some in np.array_split(np.flatnonzero(far > near), 256):
+        along = near[some, None] + (far - near)[some, None] * part
+        places = origins[some, None] + along[..., None] * directions[some, None]
+        extinction = field.extinction(places.reshape(-1, 3))[:, 0].reshape(along.shape)
+        through[some] = np.exp(-extinction.mean(axis=1) * (far - near)[some])
+    picture = through.reshape(PLUME, PLUME, count**2).mean(axis=2)
+    return np.repeat(picture[..., None], 3, axis=2)
+
+
+def filtered_rays(scene: Any, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and unit directions (H * W * samples^2, 3) of a scene's rays, spread as the pixel's filter."""
+    even = importlib.import_module("compare_media").rays
+    forward = np.array(scene.camera.matrix_world)[:3, 2]
+    origins, direction = even(scene, 1)
+    side = scene.render.resolution_x
+    grid = direction.reshape(side, side, 3) / -(direction @ forward).reshape(side, side, 1)
+    right, up = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
+    spread = offsets(samples**2)
+    rays = grid[:, :, None] + spread[:, :1] * right + spread[:, 1:] * up
+    rays = rays.reshape(-1, 3) / np.linalg.norm(rays.reshape(-1, 3), axis=1, keepdims=True)
+    return np.broadcast_to(origins[0], rays.shape), rays
+
+
 def smoke_truth() -> np.ndarray:
     """Marched in float64, along rays that are spread as the pixel's filter."""
     import bpy
 
     media = importlib.import_module("compare_media")
-    even, count = media.rays, 4
-
-    def filtered(scene: object, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """Rays at the centres of pixels, each of which is then spread."""
-        origins, direction = even(scene, 1)
-        side = scene.render.resolution_x  # pyright: ignore[reportAttributeAccessIssue]
-        grid = direction.reshape(side, side, 3) / -(direction @ forward).reshape(side, side, 1)
-        right, up = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
-        spread = offsets(samples**2)
-        rays = grid[:, :, None] + spread[:, :1] * right + spread[:, 1:] * up
-        rays = rays.reshape(-1, 3) / np.linalg.norm(rays.reshape(-1, 3), axis=1, keepdims=True)
-        return np.broadcast_to(origins[0], rays.shape), rays
-
-    forward = np.array(bpy.context.scene.camera.matrix_world)[:3, 2]
-    with mock.patch.object(media, "rays", filtered):
-        return media.sphere_truth(bpy.context.scene, "absorbing", count)
+    with mock.patch.object(media, "rays", filtered_rays):
+        return media.sphere_truth(bpy.context.scene, "absorbing", 4)
 
 
 @dataclass(frozen=True)
@@ -199,7 +280,7 @@ class Kind:
     """Of scenes: who builds it in Blender (None: a sphere of points), and what there is to choose about it."""
 
     build: Callable[[int, Path, Path], None] | None
-    needs: str = ""  # folder of DIR
+    needs: str = ""  # of DIR
     shadows: bool = False
     lens: bool = False
     truth: Callable[[], np.ndarray] | None = None
@@ -208,9 +289,11 @@ class Kind:
 KINDS = {
     "Spot": Kind(spot),
     "maple, shadows": Kind(maple, "japaneseMaple", shadows=True),
+    "dragon": Kind(dragon, "dragon_vrip_res2.ply.gz"),
     "railing": Kind(railing, "pedestrianRailing1"),
     "balls, depth of field": Kind(balls, lens=True),
     "smoke, shadows": Kind(smoke, shadows=True, truth=smoke_truth),
+    "plume of voxels": Kind(plume, PLUME_FILE, truth=plume_truth),
     "sphere of points": Kind(None),
 }
 
@@ -271,7 +354,9 @@ def pictures(
     STORE.clear()
     start = time.process_time()
     request = Request(camera, settings, frozenset({"combined"}), samples[-1])
-    frame = Frame(renderer, scene, request, presented=lens)
+    # What the processor does is else timed by the wall's clock, which other work on the machine disturbs.
+    with mock.patch.object(time, "perf_counter", time.process_time):
+        frame = Frame(renderer, scene, request, presented=lens)
     allocated = time.process_time() - start
     seconds, reading = allocated, 0.0
     try:
@@ -342,8 +427,10 @@ def ours(
             continue
         counts = (settings.samples,) if series == "defaults" else samples
         scene = subject.drawn_as(primitive)
-        # Compiles shaders, which software renderers do anew for other sizes of textures
-        _ = list(pictures(renderer, scene, subject.camera, settings, (min(2, counts[-1]),), subject.lens))
+        # Compiles shaders, which software renderers do anew for other sizes of textures; those of tiles that get no
+        # more samples are first used after five
+        few = 6 if settings.use_adaptive_sampling else 2
+        _ = list(pictures(renderer, scene, subject.camera, settings, (min(few, counts[-1]),), subject.lens))
         for pixels, row in pictures(renderer, scene, subject.camera, settings, counts, subject.lens):
             if series == "tolerance" and row["samples"] == 1 and row["seconds"] > LONGEST:
                 too_long.add(settings.technique)
@@ -471,13 +558,31 @@ def vtk(name: str, truth: np.ndarray, folder: Path, counts: tuple[int, ...], siz
     return rows
 
 
+def vtk_volume(name: str, truth: np.ndarray, camera: Camera) -> list[Row]:
+    """The plume, with so many more pixels averaged. Nothing where VTK is missing."""
+    if not find_spec("vtk"):
+        return []
+    values, world_from_index = plume_field()
+    rows = []
+    for fine in (1, 2, 4):
+        focal = float(camera.clip_from_view[1, 1])
+        view = VolumeView(values, world_from_index, EXTINCTION, camera.view_from_world, focal, PLUME * fine)
+        view.frame()  # what is made once
+        pixels, seconds = view.frame()
+        view.close()
+        pixels = pixels.reshape(PLUME, fine, PLUME, fine, 3).mean(axis=(1, 3))
+        rows.append(other(name, "VTK", fine**2, seconds, **errors(pixels, truth)))
+    return rows
+
+
 def theirs(name: str, truth: np.ndarray, size: int, data: Path, folder: Path, with_eevee: bool) -> list[Row]:
     if KINDS[name].build is None:
         return vtk(name, truth, folder, tuple(sorted({*COUNTS, CLOUD})), size)
-    subject(name, size, data, folder)
+    seen = subject(name, size, data, folder)
     if with_eevee:
         return eevee(name, truth, folder)
-    return cycles(name, truth, folder, CYCLES, CYCLES_LIMIT)
+    voxels = vtk_volume(name, truth, seen.camera) if KINDS[name].build is plume else []
+    return voxels + cycles(name, truth, folder, CYCLES, CYCLES_LIMIT)
 
 
 # ---------------------------------------------------------------------------- processes
@@ -500,10 +605,11 @@ def work(what: str, name: str, arguments: argparse.Namespace) -> None:
 
 
 def in_processes(names: list[str], arguments: argparse.Namespace) -> list[Row]:
-    """Rows of scenes; what fails is told and left out."""
-    rows: list[Row] = []
+    """Rows of scenes, in place of those that are known of them; what fails is told and left out."""
+    rows: list[Row] = json.loads(arguments.rows.read_text(encoding="utf-8")) if arguments.rows.exists() else []
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
+            rows = [row for row in rows if row["scene"] not in (name, *(("counts",) if not KINDS[name].build else ()))]
             for what in ("ours", "theirs", *(("eevee",) if KINDS[name].build and arguments.eevee else ())):
                 command = [sys.executable, __file__, "--worker", what, name, "--worker-folder", folder]
                 command += ["--data", str(arguments.data), "--tolerances", *map(str, arguments.tolerances)]
@@ -518,6 +624,8 @@ def in_processes(names: list[str], arguments: argparse.Namespace) -> list[Row]:
                 rows += json.loads(result.read_text(encoding="utf-8")) if result.exists() else []
                 said = "; ".join(told) if told else f"{time.perf_counter() - start:.0f} s"
                 sys.stderr.write(f"{name}, {what}: {said}\n")
+        order = ("counts", *KINDS)
+        rows.sort(key=lambda row: order.index(row["scene"]))
         save(rows, arguments.rows)
     return rows
 
@@ -573,12 +681,15 @@ def main() -> None:
     if arguments.known:
         rows = json.loads(arguments.known.read_text(encoding="utf-8"))
     else:
-        there = [name for name, kind in KINDS.items() if not kind.needs or (arguments.data / kind.needs).is_dir()]
+        there = [name for name, kind in KINDS.items() if not kind.needs or (arguments.data / kind.needs).exists()]
         rows = in_processes([name for name in there if not arguments.only or name in arguments.only], arguments)
     page = arguments.docs / "error_vs_time.md"
     page.write_text(written(page.read_text(encoding="utf-8"), rows), encoding="utf-8")
     if find_spec("matplotlib"):
-        plot(rows, arguments.docs / "images" / "error_vs_time.png")
+        images = arguments.docs / "images"
+        plot(rows, images / "error_vs_time.png")
+        plot_brief(rows, images / "error_vs_time_brief.png")
+        plot_counts(rows, images / "cost_over_points.png")
     else:
         sys.stderr.write(f"no plot without matplotlib: --from {arguments.rows} where it is installed\n")
 

@@ -50,6 +50,20 @@ def digest(mesh: Mesh, table: MaterialTable) -> str:
     return "|".join(parts)
 
 
+def hiding(table: MaterialTable) -> MaterialTable:
+    """What of the materials decides how much light they let through: their alphas, and graphs of nothing else. All
+    other constants are 0, so that digests of shadows' samples do not tell them apart."""
+    graphs = [graph.alpha if isinstance(graph, MaterialGraph) else None for graph in table.graphs]
+    return replace(
+        table,
+        graphs=tuple(None if alpha is None else MaterialGraph(alpha=alpha) for alpha in graphs),
+        base_color=np.zeros_like(table.base_color),
+        roughness=np.zeros_like(table.roughness),
+        metallic=np.zeros_like(table.metallic),
+        emission=np.zeros_like(table.emission),
+    )
+
+
 def passing(mesh: Mesh, table: MaterialTable) -> np.ndarray | None:
     """(M,) bool, MaterialTable.translucent; None where none of the mesh's materials is."""
     if table.translucent is None or not table.translucent[list(mesh.materials)].any():
@@ -186,16 +200,17 @@ def corner_normals(mesh: Mesh) -> np.ndarray:
     return np.repeat(normal / np.maximum(length, 1e-30), 3, axis=0).astype(np.float32)
 
 
-def baked(mesh: Mesh, table: MaterialTable, row: int, largest: int) -> dict[str, np.ndarray] | None:
-    """Pictures (H, W, C) of a material's varying channels over the UV square, sides at most `largest`; None where its
-    graph needs more than one UV map or does not repeat."""
-    graph = table.graphs[row]
-    if not isinstance(graph, MaterialGraph):
-        return None
+def pictured(mesh: Mesh, graph: MaterialGraph) -> bool:
+    """Whether pictures over the UV square show all of a graph on a mesh: not where it needs more than one UV map or
+    does not repeat."""
     name = _uv_name(mesh, graph)
     inside = name in mesh.uv and bool((mesh.uv[name] >= 0).all() and (mesh.uv[name] <= 1).all())
-    if not bakeable(graph, unit_square=inside, active_uv=mesh.active_uv):
-        return None
+    return bakeable(graph, unit_square=inside, active_uv=mesh.active_uv)
+
+
+def baked(graph: MaterialGraph, largest: int) -> dict[str, np.ndarray]:
+    """Pictures (H, W, C) float32 of a graph's varying channels over the UV square, sides at most `largest`: the same
+    for all meshes."""
     return bake(graph, suggested_resolution(graph, largest))
 
 

@@ -36,6 +36,10 @@ class SampleInputs:
     count: int | None = None  # N; None: the length of any array given
     # The same at the ends of two conjugate half-diameters of each sample's splat: how wide pictures are to be filtered
     aside: tuple[SampleInputs, SampleInputs] | None = None
+    # Where every UV map holds the centres of the texels of a picture of this (width, height), row by row, from the
+    # texel `first` on: pictures of that size are then read and not interpolated
+    grid: tuple[int, int] | None = None
+    first: int = 0
 
     ARRAYS = ("position", "generated", "normal", "tangent", "bitangent_sign")
 
@@ -49,7 +53,7 @@ class SampleInputs:
         raise ValueError("SampleInputs needs `count` where it holds no array")
 
     def take(self, part: slice) -> SampleInputs:
-        """The samples of a slice, as views."""
+        """The samples of a slice of step 1, as views."""
         single = {n: getattr(self, n)[part] for n in self.ARRAYS if getattr(self, n) is not None}
         return replace(
             self,
@@ -57,6 +61,7 @@ class SampleInputs:
             colors={name: array[part] for name, array in self.colors.items()},
             count=len(range(*part.indices(len(self)))),
             aside=None if self.aside is None else (self.aside[0].take(part), self.aside[1].take(part)),
+            first=self.first + part.indices(len(self))[0],
             **single,
         )
 
@@ -125,8 +130,12 @@ class Expression:
         """Whether the value may differ from sample to sample."""
         return any(a.varies for a in self.arguments)
 
+    def read(self, inputs: SampleInputs) -> tuple[Expression, ...]:
+        """The arguments whose values `compute` takes at these samples."""
+        return self.arguments
+
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
-        """The value (N | 1, C) from the samples and the arguments' values."""
+        """The value (N | 1, C) from the samples and the values of what it reads."""
         raise NotImplementedError
 
 
@@ -165,7 +174,7 @@ def _evaluate(node: Expression, inputs: SampleInputs, known: dict[int, np.ndarra
     """Depth first; shared branches are computed once."""
     value = known.get(id(node))
     if value is None:
-        values = [_evaluate(a, inputs, known) for a in node.arguments]
+        values = [_evaluate(a, inputs, known) for a in node.read(inputs)]
         with np.errstate(all="ignore"):
             value = node.compute(inputs, *values).astype(np.float32, copy=False)
         known[id(node)] = value
@@ -251,6 +260,8 @@ def _three(array: np.ndarray | None, count: int) -> np.ndarray:
 
 # Pictures
 
+_FROM_BYTES = linear_from_srgb(np.arange(256, dtype=np.uint8) / np.float32(255))
+
 
 @dataclass(frozen=True, eq=False)
 class ImageTexture(Expression):
@@ -265,7 +276,13 @@ class ImageTexture(Expression):
     extension: str = "REPEAT"  # REPEAT, EXTEND, CLIP (transparent black), MIRROR
     straight: bool = False
 
+    def read(self, inputs: SampleInputs) -> tuple[Expression, ...]:
+        at_texels = inputs.grid == self.image.size and isinstance(self.uv, UV) and self.interpolation != "Cubic"
+        return () if at_texels else self.arguments
+
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        if not values:
+            return self._texels(slice(inputs.first, inputs.first + len(inputs)))
         uv, footprint = values[0], self._footprint(inputs, values[0])
         if footprint is None:
             return self._decoded(look_up(self.image.texels, uv, self.interpolation, self.extension))
@@ -294,6 +311,17 @@ class ImageTexture(Expression):
             return self._decoded(values).reshape(texels.shape)
 
         return Pyramid(rows, self.image.size)
+
+    def _texels(self, part: slice) -> np.ndarray:
+        """Colours (N, 4) of the picture's own texels, row by row."""
+        texels = self.image.texels.reshape(-1, 4)[part]
+        if texels.dtype != np.uint8:
+            return self._decoded(texels.copy())
+        if not self.image.srgb or (self.straight and self.image.associated):
+            return self._decoded(texels / np.float32(255))
+        color = _FROM_BYTES.take(texels)
+        color[:, 3] = texels[:, 3] / np.float32(255)
+        return color
 
     def _decoded(self, color: np.ndarray) -> np.ndarray:
         """Scene-linear colours from stored ones, in place."""

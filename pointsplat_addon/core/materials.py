@@ -131,7 +131,9 @@ def evaluate_samples(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np
     out = {}
     for name, output in graph.channels.items():
         components, top = CHANNELS[name]
-        value = np.nan_to_num(evaluate(output, inputs), copy=False, posinf=0.0, neginf=0.0)
+        value = evaluate(output, inputs)
+        if not np.isfinite(value).all():
+            value = np.nan_to_num(value, copy=False, posinf=0.0, neginf=0.0)
         if name == "normal":
             value = normalize(value)
             flat = ~value.any(axis=1)
@@ -149,14 +151,17 @@ def bake(graph: MaterialGraph, resolution: tuple[int, int]) -> dict[str, np.ndar
     Meaningful for graphs that are `bakeable`.
     """
     width, height = resolution
-    u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
-    uv = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float32)
+    uv = np.empty((height, width, 2), np.float32)
+    uv[..., 0] = (np.arange(width) + 0.5) / width
+    uv[..., 1] = ((np.arange(height) + 0.5) / height)[:, None]
+    uv = uv.reshape(-1, 2)
     axes = np.eye(3, dtype=np.float32)
     inputs = SampleInputs(
         uv={name or "": uv for name in needs(graph).uv},
         active_uv="",
         normal=np.broadcast_to(axes[2], (len(uv), 3)),
         tangent=np.broadcast_to(axes[0], (len(uv), 3)),
+        grid=resolution,
     )
     return {name: a.reshape(height, width, -1) for name, a in evaluate_samples(graph, inputs).items()}
 

@@ -77,17 +77,17 @@ def leaves(mesh: Mesh, outline: Outline) -> bool:
     return bool(len(mesh.position) >= LOOSE * count) and leafy(mesh.position, mesh.triangles[outline.valid])
 
 
-def _fitted(cloud: PointCloud, samples: sampling.Samples, area: np.ndarray) -> PointCloud:
+def _fitted(evaluated: sampling.Evaluated, samples: sampling.Samples, area: np.ndarray) -> sampling.Evaluated:
     """The disks of each triangle with its `area` (T,) in all.
 
     They would else reach over the edges of leaves, which close no surface, and hide more than the leaves do.
     """
-    radii = cloud.radii
-    if radii is None or samples.ellipse is None or cloud.opacity is not None:
-        return cloud
+    radii = evaluated.radii
+    if samples.ellipse is None:
+        return evaluated
     own = np.pi * radii[:, 0].astype(np.float64) * radii[:, min(1, radii.shape[1] - 1)]
     share = np.minimum(area / np.maximum(np.bincount(samples.triangle, own, len(area)), 1e-300), 1)
-    return replace(cloud, radii=radii * np.sqrt(share[samples.triangle])[:, None].astype(np.float32))
+    return replace(evaluated, radii=radii * np.sqrt(share[samples.triangle])[:, None].astype(np.float32))
 
 
 def sampled(mesh: Mesh, outline: Outline, spacing: float, table: MaterialTable) -> list[PointCloud]:
@@ -124,5 +124,6 @@ def _splats(
     """Those of some triangles (T,) bool. `area`: of all triangles (T,), which are leaves."""
     samples = sampling.sample(mesh, spacing, method, rows)
     evaluated = sampling.evaluate(mesh, samples, sampling.centre(mesh), rows)
-    cloud = point_cloud(mesh, samples, evaluated, table)
-    return finite(cloud if area is None else _fitted(cloud, samples, area))[0]
+    if area is not None and passing(mesh, table) is None:
+        evaluated = _fitted(evaluated, samples, area)  # before what is cut out is gone
+    return finite(point_cloud(mesh, samples, evaluated, table))[0]

@@ -232,7 +232,7 @@ def half(data: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore"):
         found = np.ascontiguousarray(data, np.float16)
     bits = found.view(np.uint16)
-    if ((bits & 0x7C00) == 0x7C00).any():
+    if (bits & 0x7FFF).max(initial=0) >= 0x7C00:
         bits[(bits & 0x7FFF) == 0x7C00] -= 1  # of either sign
         bits[(bits & 0x7FFF) > 0x7C00] = 0
     return found

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core import sampling, shadow
-from ..core.appearance import digest
+from ..core.appearance import digest, hiding
 from ..core.cloud import PointCloud, finite
 from ..core.cut import largest_singular_value
 from ..core.hierarchy import build
@@ -21,6 +21,7 @@ from ..core.lighting import in_rows
 from ..core.scene import Geometry, Light, Mesh, Scene, Settings
 from ..core.shadow_casters import Pieces, pieces
 from ..core.shadow_cells import NARROW, rotation
+from ..core.shadow_floor import FLAT, lowest, lowest_corner, plane_of, shines_from
 from ..core.shadow_samples import Outline, outline, places, sampled
 from ..core.strands import Strands, clean
 from .prepare import MANY_INSTANCES, given
@@ -31,6 +32,8 @@ MOST_TOGETHER = 1 << 22  # points of many instances of one mesh: where they have
 MOST_SAMPLES = 1 << 20  # of all meshes together; where more would be needed, the largest are sampled more coarsely
 WITHIN = 1.2  # cells: the spacing of samples whose disks fit into cells once it is rounded to an octave
 NEAREST = 0.05  # of the scene's radius: lamps that are nearer to a surface do not ask for finer samples
+FEW_FLOORS = 16  # instances of one flat mesh that may all be floors
+MOST_HEIGHTS = 1 << 22  # vertices of all instances that are asked whether they lie above a floor
 FEW_INSTANCES = 64  # of one mesh, and meshes: so many are asked where they are nearest to a lamp
 LARGEST_PICTURE = 16384  # rows of a texture
 FARTHEST = 1e18  # units from the origin: squares of distances are to fit float32
@@ -89,6 +92,9 @@ def cast(
     casters = _casters(scene, store)
     if not casters:
         return None, "nothing casts shadows"
+    casters = _without_floors(scene, casters, store)
+    if not casters:
+        return None, "there is nothing in the shadow of anything"
     spacing = _spacings(casters, scene.lights, settings.shadow_resolution, store)
     look = tuple(
         (c.geometry.key, _look(scene, c.geometry), c.matrices.tobytes(), s)
@@ -138,7 +144,7 @@ def _key(light: Light) -> tuple:
 
 def _look(scene: Scene, geometry: Geometry) -> str:
     """What of the materials decides which light a geometry lets through."""
-    return "" if geometry.mesh is None else digest(geometry.mesh, scene.materials)
+    return "" if geometry.mesh is None else digest(geometry.mesh, hiding(scene.materials))
 
 
 def _casters(scene: Scene, store: Store) -> list[_Caster]:
@@ -153,6 +159,88 @@ def _casters(scene: Scene, store: Store) -> list[_Caster]:
         centre = matrices[:, :3, :3] @ bounds[0] + matrices[:, :3, 3]
         found.append(_Caster(geometry, matrices, centre, bounds[1] * largest_singular_value(matrices[:, :3, :3])))
     return found
+
+
+def _without_floors(scene: Scene, casters: list[_Caster], store: Store) -> list[_Caster]:
+    """The casters but for those behind which, seen from all lamps, there is nothing: a floor under all that stands on
+    it would take as many samples as the tables have cells."""
+    instances = scene.instances
+    every = (*(g.key for g in scene.geometries), *(_key(light) for light in scene.lights if light.shadow))
+    held = instances.world_from_object.tobytes() + instances.geometry.tobytes()
+    key = ("floors", every, tuple(c.geometry.key for c in casters), hashlib.blake2b(held, digest_size=16).digest())
+
+    def look() -> tuple[bool, ...]:
+        return tuple(_is_floor(scene, caster, store) for caster in casters)
+
+    return [caster for caster, floor in zip(casters, store.lookup(key, look), strict=True) if not floor]
+
+
+def _is_floor(scene: Scene, caster: _Caster, store: Store) -> bool:
+    mesh = caster.geometry.mesh
+    if mesh is None or len(caster.matrices) > FEW_FLOORS:
+        return False
+    found = store.lookup(
+        ("plane", caster.geometry.key), lambda: (plane_of(mesh, _outline(caster.geometry, mesh, store)),)
+    )[0]
+    if found is None:
+        return False
+    point, normal = found
+    return all(_nothing_behind(scene, point, normal, matrix, store) for matrix in caster.matrices)
+
+
+def _nothing_behind(scene: Scene, point: np.ndarray, normal: np.ndarray, matrix: np.ndarray, store: Store) -> bool:
+    """Whether a plane in object space, of an instance (4, 4), has all lamps and all geometry on one side."""
+    linear = matrix[:3, :3]
+    cofactors = np.cross(np.roll(linear, -1, axis=0), np.roll(linear, -2, axis=0))
+    point, normal = linear @ point + matrix[:3, 3], cofactors @ normal
+    length = np.linalg.norm(normal)
+    if not 0 < length < np.inf:
+        return False
+    normal = normal / length
+    lights = [light for light in scene.lights if light.shadow]
+    if not all(shines_from(light, point, normal) for light in lights):
+        normal = -normal
+        if not all(shines_from(light, point, normal) for light in lights):
+            return False
+    for row, geometry in enumerate(scene.geometries):
+        matrices = scene.instances.world_from_object[scene.instances.geometry == row]
+        if len(matrices) and not _above(geometry, matrices, point, normal, store):
+            return False
+    return True
+
+
+def _above(geometry: Geometry, matrices: np.ndarray, point: np.ndarray, normal: np.ndarray, store: Store) -> bool:
+    """Whether all instances (I, 4, 4) lie above a plane, or on it."""
+    low, high = store.lookup(("box", geometry.key), lambda: _box(geometry, store))
+    if not (low <= high).all():
+        return True
+    with np.errstate(all="ignore"):
+        reach = np.abs(matrices[:, :3, 3]).max() + np.abs(matrices[:, :3, :3]).max() * np.abs([low, high]).max()
+        slack = FLAT * (reach + np.abs(point).max())
+    if lowest_corner(low, high, matrices, point, normal) >= -slack:
+        return True
+    mesh = geometry.mesh
+    if mesh is None or len(matrices) * len(mesh.position) > MOST_HEIGHTS:
+        return False
+    return lowest(mesh.position[mesh.triangles.reshape(-1)], matrices, point, normal) >= -slack
+
+
+def _box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (3,) float64 of what holds a geometry with its splats, in object space; low above high: it is empty."""
+    mesh, cloud = geometry.mesh, geometry.cloud
+    if mesh is not None and len(mesh.triangles):
+        found = _outline(geometry, mesh, store)
+        return found.low, found.high
+    if cloud is not None and len(cloud):
+        cloud = finite(cloud)[0]
+        widest = 0.0 if cloud.radii is None else float(cloud.radii.max(initial=0.0))
+        low, high = (np.array([f(column, initial=start) for column in cloud.position.T], float) for f, start in ENDS)
+        return cloud.origin + low - widest, cloud.origin + high + widest
+    if geometry.lines is not None and len(strands := _strands(geometry, store)):
+        widest = float(strands.radius.max())
+        low, high = strands.position.min(axis=0) - widest, strands.position.max(axis=0) + widest
+        return strands.origin + low, strands.origin + high
+    return np.full(3, np.inf), np.full(3, -np.inf)
 
 
 def _outline(geometry: Geometry, mesh: Mesh, store: Store) -> Outline:
@@ -365,4 +453,4 @@ def _sampled(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store
     """The points of a mesh that is drawn as polygons, or more densely than shadows need."""
     key = ("shadow samples", geometry.key, _look(scene, geometry), spacing)
     shape = _outline(geometry, mesh, store)
-    return store.lookup(key, lambda: tuple(sampled(mesh, shape, spacing, scene.materials)))
+    return store.lookup(key, lambda: tuple(sampled(mesh, shape, spacing, hiding(scene.materials))))

@@ -15,6 +15,7 @@ from ..core.appearance import digest
 from ..core.environment import build_atlas
 from ..core.lighting import light_texture
 from ..core.lines import Lines
+from ..core.materials import MaterialGraph
 from ..core.octree import ranges
 from ..core.scene import Camera, Geometry, Mesh, Scene
 from ..core.spacing import Parts, make_parts
@@ -397,10 +398,19 @@ class Uploads:
                 return polygon_pass.PolygonMesh(self.device, mesh, ok, scene.materials, plan.variant, parts)
 
             meshes[row] = self.kept.keep(key, make)
+            meshes[row].hang(self._pictures)
         for instance, parts in self.prepared.parts.items():
             groups = meshes[int(scene.instances.geometry[instance])].groups
             self.part_lists[instance] = [self._part_list(group.rows(parts)) for group in groups]
         return meshes
+
+    def _pictures(self, graph: MaterialGraph, row: int) -> polygon_pass.Pictures:
+        """Of a graph, over constants of the material table's row."""
+        table, emission = self.scene.materials, self.plan.variant.emission
+        constants = (table.base_color[row].tobytes(), float(table.roughness[row]), float(table.metallic[row]))
+        key = ("pictures", graph.digest, *constants, emission)
+        self.used.add(key)
+        return self.kept.keep(key, lambda: polygon_pass.Pictures(self.device, graph, table, row, emission))
 
     def _part_list(self, rows: np.ndarray) -> polygon_pass.PartList | None:
         if len(rows) == 0:

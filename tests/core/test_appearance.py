@@ -14,6 +14,7 @@ from pointsplat_addon.core.appearance import (
     ball_extinction,
     corner_normals,
     digest,
+    pictured,
     point_cloud,
     split_translucent,
     uv_of,
@@ -108,10 +109,7 @@ def test_corners_agree_with_samples_there():
 
 
 def test_a_baked_picture_holds_the_graph_at_the_texels_centres():
-    mesh = square()
-    pictures = baked(mesh, table(MaterialGraph(base_color=ramp())), 0, 64)
-    assert pictures is not None
-    color = pictures["base_color"]
+    color = baked(MaterialGraph(base_color=ramp()), 64)["base_color"]
     height, width = color.shape[:2]
     assert max(height, width) <= 64
     np.testing.assert_allclose(color[0, :, 0], (np.arange(width) + 0.5) / width, atol=1e-6)  # measured 3e-8
@@ -121,10 +119,9 @@ def test_a_baked_picture_holds_the_graph_at_the_texels_centres():
 def test_what_does_not_repeat_is_not_baked_where_uvs_leave_the_square():
     mesh = square()
     outside = replace(mesh, uv={"UV": mesh.uv["UV"] * 2})
-    materials = table(MaterialGraph(base_color=ramp()))
-    assert baked(mesh, materials, 0, 64) is not None
-    assert baked(outside, materials, 0, 64) is None
-    assert baked(mesh, table(), 0, 64) is None
+    graph = MaterialGraph(base_color=ramp())
+    assert pictured(mesh, graph)
+    assert not pictured(outside, graph)
 
 
 def test_a_missing_uv_map_reads_as_zero():

@@ -73,4 +73,10 @@ def test_a_plot_is_written_for_every_kind_of_row(tmp_path: Path):
             row("b", "PointSplat", 1.0, 0.1, series="defaults", technique="AUTO")]  # fmt: skip
     count = [row("counts", "VTK", n / 1e4, None, series="count", points=n) for n in (100, 10_000)]
     curves.plot(rows + count, tmp_path / "plot.png")
-    assert (tmp_path / "plot.png").read_bytes()[:4] == b"\x89PNG"
+    curves.plot_counts(rows + count, tmp_path / "counts.png")
+    named = [{**r, "scene": curves.BRIEF[0]} for r in rows]
+    curves.plot_brief(named, tmp_path / "brief.png")
+    for name in ("plot", "counts", "brief"):
+        assert (tmp_path / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
+    curves.plot_brief(rows, tmp_path / "no scene.png")
+    assert not (tmp_path / "no scene.png").exists()

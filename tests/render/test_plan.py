@@ -56,6 +56,24 @@ def test_a_cube_allocates_no_point_buffers_and_compiles_no_point_program():
     assert "polygons" not in skipped(result)
 
 
+def test_pictures_are_baked_once_for_all_meshes_and_poses_that_show_them():
+    device, table = NullDevice(), scenes.textured().scene.materials
+    renderer = Renderer(device)
+    for pose in range(2):
+        planes = (
+            (scenes.mesh(scenes.plane_mesh(f"shared pictures {x} {pose}"), "POLYGONS"), scenes.moved((x, 0, 0)))
+            for x in (-1.1, 1.1)
+        )
+        case = scenes.Case(scenes.scene(*planes, table=table), scenes.camera((0.5, -5, 1)))
+        renderer.render(case.scene, case.request(ONLY_COMBINED, 1))
+    drawn = [call.textures for call in device.calls if call.interface.name == "polygons"]
+    assert len(drawn) == 4
+    assert len({textures["ps_baked_color"] for textures in drawn}) == 1
+    assert len({textures["ps_corner"] for textures in drawn}) == 4
+    renderer.release()
+    assert not device.alive
+
+
 def test_a_cloud_compiles_no_polygon_program_and_has_no_depth_buffer():
     device, result = record(scenes.plain_sphere())
     assert "polygons" not in device.names

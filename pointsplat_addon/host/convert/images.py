@@ -126,8 +126,9 @@ def _read(image: bpy.types.Image, key: str) -> Image:
     associated = not data and image.alpha_mode not in ("CHANNEL_PACKED", "NONE")
     if image.is_float:
         return Image(texels, associated=associated, key=key, name=image.name)
-    texels = np.rint(texels * 255).astype(np.uint8)
-    if associated:
+    texels *= 255
+    texels = np.rint(texels, out=texels).astype(np.uint8)
+    if associated and texels[..., 3].min() < 255:
         # Blender holds bytes with straight alpha; Cycles multiplies them while encoded, rounding down
         texels[..., :3] = texels[..., :3].astype(np.uint16) * texels[..., 3:] // 255
     srgb = not data and SUPPORTED_ENCODINGS.get(image.colorspace_settings.name, True)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...core.appearance import at_corners, baked, corner_normals, graphs_of, uv_of
+from ...core.appearance import at_corners, baked, corner_normals, graphs_of, pictured, uv_of
+from ...core.materials import MaterialGraph
 from ...core.scene import MaterialTable, Mesh
 from ...core.spacing import PART, Parts
 from ...shading.interface import Interface
@@ -32,7 +34,8 @@ class Group:
     count: int  # corners
     cull: bool
     defines: tuple[str, ...]
-    textures: dict[str, Texture]
+    graph: MaterialGraph | None = None  # whose pictures it shows
+    textures: dict[str, Texture] = field(default_factory=dict)  # these pictures
     start: np.ndarray | None = None  # (B + 1,) int64: the first corner of each part of the mesh
 
     def rows(self, parts: np.ndarray) -> np.ndarray:
@@ -51,8 +54,60 @@ class PartList:
     count: int
 
 
+def _baked_names(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
+    """Defines of shaders that read the pictures of a graph."""
+    on = graph.channels.keys()
+    names = {
+        "PS_UV": True,
+        "PS_BAKED_COLOR": bool(on & {"base_color", "alpha"}),
+        "PS_BAKED_ALPHA": "alpha" in on,
+        "PS_BAKED_SURFACE": bool(on & {"roughness", "metallic"}),
+        "PS_BAKED_EMISSION": emission and "emission" in on,
+        "PS_BAKED_NORMAL": "normal" in on,
+    }
+    return tuple(name for name, there in names.items() if there)
+
+
+class Pictures:
+    """What varies of a material over the UV square, baked as textures by sampler name. They belong to no mesh: meshes
+    share them, and may move without another. Channels that share a texture with one that varies hold constants."""
+
+    def __init__(self, device: Device, graph: MaterialGraph, table: MaterialTable, row: int, emission: bool) -> None:
+        picture = baked(graph, LARGEST_PICTURE)
+        height, width = next(iter(picture.values())).shape[:2]
+        names = _baked_names(graph, emission)
+        self.textures: dict[str, Texture] = {}
+
+        def add(name: str, format: str, *channels: str) -> None:
+            """Channels side by side; a name that is none is that of zeros."""
+            values = [picture[c] if c in picture else constants.get(c, np.zeros(1)) for c in channels]
+            ends = np.cumsum([value.shape[-1] for value in values])
+            data = np.empty((height, width, ends[-1]), np.float32)
+            for end, value in zip(ends, values, strict=True):
+                data[..., end - value.shape[-1] : end] = value
+            self.textures[name] = device.texture((width, height), format, data.reshape(-1))
+
+        constants = {"base_color": table.base_color[row], "alpha": np.ones(1), "roughness": table.roughness[[row]],
+                     "metallic": table.metallic[[row]]}  # fmt: skip
+        if "PS_BAKED_COLOR" in names:
+            add("ps_baked_color", "RGBA16F", "base_color", "alpha")
+        if "PS_BAKED_SURFACE" in names:
+            add("ps_baked_surface", "RG32F", "roughness", "metallic")
+        if "PS_BAKED_EMISSION" in names:
+            add("ps_baked_emission", "RGBA16F", "emission", "")
+        if "PS_BAKED_NORMAL" in names:
+            add("ps_baked_normal", "RGBA16F", "normal", "")
+
+    def release(self) -> None:
+        for texture in self.textures.values():
+            texture.release()
+
+
 class PolygonMesh:
-    """One mesh on the device, its valid triangles sorted by material, and within one by parts where there are any."""
+    """One mesh on the device, its valid triangles sorted by material, and within one by parts where there are any.
+
+    `hang` gives it the pictures that it shows, before it is drawn.
+    """
 
     def __init__(
         self,
@@ -82,8 +137,8 @@ class PolygonMesh:
 
         upload("ps_corner", "RGBA32F", 4, place)
         graphs = graphs_of(mesh, table)
-        pictures = {row: baked(mesh, table, row, LARGEST_PICTURE) for row in graphs}
-        flat = {row: graph for row, graph in graphs.items() if pictures[row] is None}
+        shown = {row: graph for row, graph in graphs.items() if pictured(mesh, graph)}
+        flat = {row: graph for row, graph in graphs.items() if row not in shown}
         alpha_names: list[str] = []
         if flat:
             look = at_corners(mesh, table, flat, rows)
@@ -105,12 +160,11 @@ class PolygonMesh:
         for row, start, end in zip(mesh.materials, 3 * starts, 3 * ends, strict=True):
             if end == start:
                 continue
-            picture = pictures.get(row)
             defines: tuple[str, ...] = ()
-            textures: dict[str, Texture] = {}
-            if picture is not None:
-                uv[start:end] = uv_of(mesh, graphs[row])[corners[start:end]]
-                defines, textures = self._pictures(device, picture, table, row, variant)
+            graph = shown.get(row)
+            if graph is not None:
+                uv[start:end] = uv_of(mesh, graph)[corners[start:end]]
+                defines = _baked_names(graph, variant.emission)
             elif row in flat:
                 defines = at_each_corner
             begins = None
@@ -118,40 +172,15 @@ class PolygonMesh:
                 part = by_material[start // 3 : end // 3] // PART
                 begins = start + 3 * np.searchsorted(part, np.arange(len(parts) + 1))
             cull = bool(table.cull[row])
-            self.groups.append(Group(row, int(start), int(end - start), cull, defines, textures, begins))
-        if any(picture is not None for picture in pictures.values()):
+            self.groups.append(Group(row, int(start), int(end - start), cull, defines, graph, start=begins))
+        if shown:
             upload("ps_corner_uv", "RG32F", 2, uv)
 
-    def _pictures(
-        self, device: Device, picture: dict[str, np.ndarray], table: MaterialTable, row: int, variant: Variant
-    ) -> tuple[tuple[str, ...], dict[str, Texture]]:
-        """Channels that vary, baked as textures; those that share a texture with one that does hold constants."""
-        height, width = next(iter(picture.values())).shape[:2]
-        names, textures = ["PS_UV"], {}
-
-        def add(name: str, format: str, values: list) -> None:
-            columns = [np.broadcast_to(np.asarray(v, np.float32), (height, width, 1)) for v in values]
-            textures[name] = device.texture((width, height), format, np.concatenate(columns, axis=2).reshape(-1))
-            self.textures[f"{row} {name}"] = textures[name]
-
-        if picture.keys() & {"base_color", "alpha"}:
-            color = picture.get("base_color")
-            color = np.broadcast_to(table.base_color[row], (height, width, 3)) if color is None else color
-            add("ps_baked_color", "RGBA16F", [color[..., i : i + 1] for i in range(3)] + [picture.get("alpha", 1.0)])
-            names.append("PS_BAKED_COLOR")
-            if "alpha" in picture:
-                names.append("PS_BAKED_ALPHA")
-        if picture.keys() & {"roughness", "metallic"}:
-            roughness, metallic = table.roughness[row], table.metallic[row]
-            add("ps_baked_surface", "RG32F", [picture.get("roughness", roughness), picture.get("metallic", metallic)])
-            names.append("PS_BAKED_SURFACE")
-        if variant.emission and "emission" in picture:
-            add("ps_baked_emission", "RGBA16F", [*(picture["emission"][..., i : i + 1] for i in range(3)), 0.0])
-            names.append("PS_BAKED_EMISSION")
-        if "normal" in picture:
-            add("ps_baked_normal", "RGBA16F", [*(picture["normal"][..., i : i + 1] for i in range(3)), 0.0])
-            names.append("PS_BAKED_NORMAL")
-        return tuple(names), textures
+    def hang(self, pictures: Callable[[MaterialGraph, int], Pictures]) -> None:
+        """Give each group that shows pictures those of its graph and row of the material table."""
+        for group in self.groups:
+            if group.graph is not None:
+                group.textures = pictures(group.graph, group.material).textures
 
     def release(self) -> None:
         for texture in self.textures.values():
