@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.backdrop import grid_of, why_sharp
 from ..core.cost import DEFAULT
 from ..core.defocus import BLURRED, blur_of
 from ..core.lens import sampled
@@ -25,6 +26,7 @@ from .lens import LensSamples, prepared_for
 from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
 from .painter import defocused, painted
 from .parts import parted
+from .passes import backdrop as backdrop_pass
 from .passes import defocus as defocus_pass
 from .passes import shade as shade_pass
 from .passes import translucent as translucent_pass
@@ -224,9 +226,10 @@ class Frame:
             others = shade_pass.averaged(request.passes) or shade_pass.data(request.passes)
             self.prepared = painted(self.prepared, keep=presented or bool(others))
         in_focus = "" if blur_of(request.camera) is None or through_lens else "nothing is out of focus"
+        sharp_world = "each sample sees it through a place on the lens" if through_lens else ""
         self.plan = make_plan(
             scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive, blended, paints,
-            reflects, unseen, in_focus,
+            reflects, unseen, in_focus, sharp_world or why_sharp(scene, request.camera),
         )  # fmt: skip
         # Everything is drawn for `view`, of which the camera's window is a part.
         most = self.device.limits.texture_size
@@ -276,6 +279,10 @@ class Frame:
             Uploads(self.renderer.kept, self.scene, self.view, self.prepared, plan, motion, self.shadows)
         )
         self.clock.spent |= self.uploads.spent
+        self.backdrop: backdrop_pass.Backdrop | None = None
+        if plan.backdrop:
+            grid = grid_of(self.view, device.limits.texture_size)
+            self.backdrop = self._own(backdrop_pass.Backdrop(device, grid))
         size, count = self.view.window[2:], levels(self.prepared.largest, self.view.resolution)
         self._lent = self.renderer.pool.borrow(plan, passes, size, count)
         self.targets = self._lent[1]
@@ -298,7 +305,7 @@ class Frame:
         self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes, self.request.samples,
                                                 plan.ewa is not None, plan.lines, plan.defocus)  # fmt: skip
         self.background = shade_pass.background_program(
-            plan.world, self.scene.transparent, passes, plan.ewa is not None, everywhere=not plan.shaded.solid
+            plan.behind, self.scene.transparent, passes, plan.ewa is not None, everywhere=not plan.shaded.solid
         )
         self.lit: translucent_pass.LitSplats | None = None
         self.tiles: defocus_pass.Defocus | None = None
@@ -332,6 +339,8 @@ class Frame:
             region = self.adaptive.gathered if self.adaptive else EVERYWHERE
             projection, uploads = self.targets.projection, self.uploads
             first = self.done == 0
+            if first and self.backdrop is not None:
+                self.clock.run("backdrop", self._draw_backdrop)
             for lines in uploads.lines:
                 lines.list_thin(float(self._turns[self.done]))
             beside = first or self._wants_identities or bool(self.averages)
@@ -428,6 +437,8 @@ class Frame:
         record = frame_record(camera, (float(x), float(y)))
         record["mist"][0] = mist.start, 1 / max(mist.depth, 1e-6), shade_pass.MIST_EXPONENT[mist.falloff], 0.0
         record["page"][0, 3] = len(self.scene.lights)
+        if self.backdrop is not None:
+            record["previous"][0, :2] = self.backdrop.texels
         if self.plan.defocus:
             blur, aperture = blur_of(camera), camera.aperture
             assert blur is not None
@@ -448,8 +459,22 @@ class Frame:
                 program, self.targets.averages_target, uniforms=record.copy(), textures=textures, blend=True
             )
 
+    def _draw_backdrop(self) -> None:
+        backdrop, uploads = self.backdrop, self.uploads
+        assert backdrop is not None
+        assert uploads.levels is not None
+        record = self._record(0)
+        record["focal"][0] = self.view.pixel_from_view()
+        backdrop.draw(record, {**uploads.shading, "ps_levels": uploads.levels})
+
+    @property
+    def _behind(self) -> dict[str, Texture]:
+        """The world out of focus, by sampler name."""
+        return {} if self.backdrop is None else {"ps_backdrop": self.backdrop.texture}
+
     def _draw_background(self, record: np.ndarray) -> None:
-        self._add(self.background, record.copy(), _bound(self.targets.surfels) | self.uploads.shading)
+        textures = _bound(self.targets.surfels) | self.uploads.shading | self._behind
+        self._add(self.background, record.copy(), textures)
 
     def _add(self, program: Interface, record: np.ndarray, textures: dict[str, Texture]) -> None:
         region = self.adaptive.shown if self.adaptive else EVERYWHERE
@@ -534,10 +559,10 @@ class Frame:
         assert tiles is not None
         adaptive = self.adaptive
         program = defocus_pass.defocus_program(
-            plan.world, self.scene.transparent, plan.translucent.tint, plan.translucent.holdout,
+            plan.behind, self.scene.transparent, plan.translucent.tint, plan.translucent.holdout,
             adaptive is not None, tiles.tile,
         )  # fmt: skip
-        textures = {**self.uploads.shading, "ps_focused": targets.sums[0], "ps_focus": targets.focus}
+        textures = {**self.uploads.shading, **self._behind, "ps_focused": targets.sums[0], "ps_focus": targets.focus}
         if adaptive is not None:
             textures["ps_counts"] = adaptive.known
         run("defocus", lambda: tiles.draw(program, targets.seen_target, record, lit.textures, textures))

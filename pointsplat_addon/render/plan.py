@@ -48,6 +48,7 @@ class Plan:
     ewa: ewa.EwaOptions | None = None  # points are drawn by EWA; None: in image space
     world: tuple[str, ...] = ()  # and of what is behind it
     painter: bool = False  # opaque points are painted: what the G-buffer holds of them is for other passes alone
+    backdrop: bool = False  # a picture of the world is out of focus: passes/backdrop.py
     defocus: bool = False  # what is translucent is drawn along with what is out of focus: passes/defocus.py
 
     @property
@@ -59,6 +60,11 @@ class Plan:
     def shaded(self) -> Plan:
         """The plan of the G-buffer that is shaded."""
         return replace(self, points=False) if self.painter else self
+
+    @property
+    def behind(self) -> tuple[str, ...]:
+        """PS_ names of what is behind everything, for those who draw it."""
+        return ("PS_BACKDROP",) if self.backdrop else self.world
 
     def reach(self, largest: float) -> float:
         """Pixels that splats of at most the radius `largest` reach beyond their centres."""
@@ -79,11 +85,12 @@ def make_plan(
     reflects: bool = True,
     unseen: Mapping[str, str] = MappingProxyType({}),
     in_focus: str = "",
+    sharp_world: str = "the camera has no depth of field",
 ) -> Plan:
     """The plan for one view of a scene. `unshadowed`: why there are no shadows. `blended`: points are drawn by EWA, for
     this camera and number of samples. `painter`: opaque points are painted (render/painter.py). `reflects`: something
     that is drawn reflects light. `unseen`: kinds of things that are left out, and why (render/in_view.py). `in_focus`:
-    why nothing is out of focus; prepared.blurred is None."""
+    why nothing is out of focus; prepared.blurred is None. `sharp_world`: why the world is not blurred, or nothing."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
     lines = len(prepared.lines) > 0
@@ -150,11 +157,11 @@ def make_plan(
             blended[0], prepared.largest, any(p.cloud.normal is None for p in prepared.point_sets.values()), blended[1]
         ),
         world=() if scene.transparent else world,
-        painter=painter, defocus=defocus,
+        painter=painter, defocus=defocus, backdrop=not sharp_world,
     )  # fmt: skip
     asked = {"data": bool(data(passes)), "averaged": bool(averaged(passes))}
     unshadowed = "" if shadows is not None else unshadowed or "nothing casts shadows"
-    return replace(plan, skipped=tuple(reasons(plan, asked, unshadowed, unseen, in_focus).items()))
+    return replace(plan, skipped=tuple(reasons(plan, asked, unshadowed, unseen, in_focus, sharp_world).items()))
 
 
 def _graphs(scene: Scene, prepared: Prepared) -> list[MaterialGraph]:

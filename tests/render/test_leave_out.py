@@ -97,6 +97,8 @@ EXPECTED = {
     "points and polygons, out of focus": "polygons shade light tiles defocus " + IMAGE,
     "points and polygons, out of focus, depth": "polygons shade light tiles defocus " + IMAGE,
     "points and polygons, samples of the lens": "polygons " + IMAGE + SEEN,
+    "environment picture, out of focus": "backdrop background",
+    "points in focus in an environment picture": "backdrop " + IMAGE + SEEN,
     "nothing, every pass": "",
     "points and polygons, every pass": "polygons data " + IMAGE + SEEN,
 }
@@ -224,6 +226,7 @@ def test_what_differs_between_scenes_is_what_the_feature_needs():
         ("points, unlit", "points, shading normals", {("resolve", "ps_shading_normal")}, "PS_SHADING_NORMAL"),
         ("points", "many instances", {("project", "ps_instances")}, None),
         ("points", "points, indices", {("data", "ps_owner")}, "PS_OWNER"),
+        ("environment picture", "environment picture, out of focus", {("background", "ps_backdrop")}, "PS_BACKDROP"),
         ("pane", "panes and a cube", {("translucent", "ps_depth")}, "PS_AMONG_OPAQUE"),
         ("smoke", "coloured smoke, shadows", {("translucent", "ps_tint")}, "PS_TINT"),
         ("smoke", "smoke that is held out", {("add", "ps_cut")}, "PS_HOLDOUT"),

@@ -31,8 +31,13 @@ def defocus_program(
     lighting: tuple[str, ...], transparent: bool, tint: bool, holdout: bool, adaptive: bool, tile: int
 ) -> Interface:
     """`lighting`: of which what the world is is used. `adaptive`: pixels differ in how many samples they have."""
-    world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT"))
-    named = {"PS_BACKGROUND": not transparent, "PS_TINT": tint, "PS_HOLDOUT": holdout, "PS_ADAPTIVE": adaptive}
+    world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT", "PS_BACKDROP"))
+    named = {
+        "PS_BACKGROUND": not transparent and "PS_BACKDROP" not in world,
+        "PS_TINT": tint,
+        "PS_HOLDOUT": holdout,
+        "PS_ADAPTIVE": adaptive,
+    }
     read = ["splat_place", "shape", "source", "list", "tiles", "focused", "focus"]
     read += ["tint"] * tint + ["counts"] * adaptive
     return Interface(
