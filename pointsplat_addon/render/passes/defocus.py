@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.octree import ranges, starts
+from ...core.octree import starts
 from ...shading.interface import Interface
 from ..device import Device, Target, Texture
 from ..packing import PAGE_WIDTH, paged
@@ -59,39 +59,48 @@ class TileLists:
 
 def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tuple[int, int]) -> TileLists:
     """Of splats (N, 4) each, as the pass `light` left them; focal: fx, fy, cx, cy; size: of the picture in pixels."""
-    seen = np.flatnonzero((place[:, 3] > 0) & np.isfinite(place).all(axis=1) & np.isfinite(shape).all(axis=1))
-    seen = seen[np.argsort(place[seen, 2], kind="stable")]
-    centre = place[seen, :2].astype(np.float64) + focal[2:]
-    xx, xy, yy, code = shape[seen].astype(np.float64).T
-    support = 2 * (code % 8 + 2)
-    determinant = np.maximum(xx * yy - xy * xy, 1e-300)
+    # Columns one by one: reducing rows of four takes several times as long.
+    x, y, depth, peak = np.ascontiguousarray(place.T)
+    xx, xy, yy, code = np.ascontiguousarray(shape.T)
+    with np.errstate(all="ignore"):
+        seen = np.flatnonzero((peak > 0) & np.isfinite(x + y + depth + peak) & np.isfinite(xx + xy + yy + code))
+    cx, cy = (values[seen] + middle for values, middle in zip((x, y), focal[2:].astype(np.float64), strict=True))
+    xx, xy, yy = (values[seen].astype(np.float64) for values in (xx, xy, yy))
     # A pixel's half more: the rim is that soft.
-    half = np.sqrt(support * np.stack([yy, xx]) / determinant).T + 1.0
-    low, high = np.maximum(centre - half, 0), np.minimum(centre + half, np.array(size, float))
-    inside = (low < high).all(axis=1)
-    seen, low, high, centre, reach = seen[inside], low[inside], high[inside], centre[inside], half[inside].max(axis=1)
+    scale = np.sqrt(2 * (code[seen] % 8 + 2) / np.maximum(xx * yy - xy * xy, 1e-300))
+    wide, tall = scale * np.sqrt(yy) + 1.0, scale * np.sqrt(xx) + 1.0
+    low_x, high_x = np.maximum(cx - wide, 0), np.minimum(cx + wide, size[0])
+    low_y, high_y = np.maximum(cy - tall, 0), np.minimum(cy + tall, size[1])
+    inside = np.flatnonzero((low_x < high_x) & (low_y < high_y))
+    inside = inside[np.argsort(depth[seen[inside]], kind="stable")]
+    seen, low_y, high_y = seen[inside], low_y[inside], high_y[inside]
+    low_x, high_x, cx, cy = (np.float32(values[inside]) for values in (low_x, high_x, cx, cy))
+    square = np.float32(np.maximum(wide, tall)[inside]) ** 2
+
     tile = TILE
     while True:
-        first = (low // tile).astype(np.int64)
-        span = np.ceil(high / tile).astype(np.int64) - first
-        count = span.prod(axis=1)
-        if count.sum() <= MOST_ENTRIES or tile >= max(size):
+        first = (low_y // tile).astype(np.int32)
+        count = np.ceil(high_y / tile).astype(np.int32) - first
+        across = np.ceil(high_x / tile) - low_x // tile
+        if float((count * across).sum(dtype=np.float64)) <= MOST_ENTRIES or tile >= max(size):
             break
         tile *= 2
     columns, rows = (-(-side // tile) for side in size)
-    owner = np.repeat(np.arange(len(seen)), count)
-    number = ranges(np.zeros(len(seen), np.int64), count)
-    x, y = first[owner, 0] + number % span[owner, 0], first[owner, 1] + number // span[owner, 0]
-    where = y * columns + x
-    # Of the rectangles around ellipses the corners lie outside.
-    near_x = np.clip(centre[owner, 0], x * tile, (x + 1) * tile) - centre[owner, 0]
-    near_y = np.clip(centre[owner, 1], y * tile, (y + 1) * tile) - centre[owner, 1]
-    touched = near_x**2 + near_y**2 <= reach[owner] ** 2
-    where, owner = where[touched], owner[touched]
-    order = np.argsort(where.astype(np.uint16 if columns * rows <= 1 << 16 else np.uint32), kind="stable")
+    # Rows of tiles, and of each the tiles that a circle around the ellipse meets.
+    owner = np.repeat(np.arange(len(seen), dtype=np.int32), count)
+    row = np.arange(len(owner), dtype=np.int32) + np.repeat(first - starts(count).astype(np.int32), count)
+    middle = cy[owner]
+    gap = np.clip(middle, row * np.float32(tile), (row + 1) * np.float32(tile)) - middle
+    chord, middle = np.sqrt(np.maximum(square[owner] - gap * gap, 0)), cx[owner]
+    left = (np.maximum(low_x[owner], middle - chord) // tile).astype(np.int32)
+    right = np.ceil(np.minimum(high_x[owner], middle + chord) / tile).astype(np.int32)
+    width = np.maximum(right - left, 0)
+    where = np.repeat(row * columns + left - starts(width).astype(np.int32), width)
+    where += np.arange(len(where), dtype=np.int32)
+    order = np.argsort(where.astype(np.uint16) if columns * rows <= 1 << 16 else where, kind="stable")
     amount = np.bincount(where, minlength=columns * rows)
     tiles = np.stack([starts(amount), amount], axis=1).reshape(rows, columns, 2)
-    return TileLists(tile, tiles, seen[owner[order]])
+    return TileLists(tile, tiles, seen[np.repeat(owner, width)[order]])
 
 
 class Defocus:
