@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -186,8 +186,9 @@ class Frame:
         request: Request,
         cancelled: Callable[[], bool] = lambda: False,
         presented: bool = False,
+        picture: bool = True,
     ) -> None:
-        """`presented`: between samples too."""
+        """`presented`: between samples too. `picture`: with Combined, not passes beside it alone."""
         self.renderer, self.request, self.presented = renderer, request, presented
         self.whole = scene  # as it was given
         scene, self._warnings = parted(scene)
@@ -229,7 +230,7 @@ class Frame:
         sharp_world = "each sample sees it through a place on the lens" if through_lens else ""
         self.plan = make_plan(
             scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive, blended, paints,
-            reflects, unseen, in_focus, sharp_world or why_sharp(scene, request.camera),
+            reflects, unseen, in_focus, sharp_world or why_sharp(scene, request.camera), picture,
         )  # fmt: skip
         # Everything is drawn for `view`, of which the camera's window is a part.
         most = self.device.limits.texture_size
@@ -286,7 +287,8 @@ class Frame:
         size, count = self.view.window[2:], levels(self.prepared.largest, self.view.resolution)
         self._lent = self.renderer.pool.borrow(plan, passes, size, count)
         self.targets = self._lent[1]
-        device.clear(self.targets.sum_target)
+        if self.targets.sums:
+            device.clear(self.targets.sum_target)
         if not self.everywhere:
             # Two pixels of the coarsest level on either side.
             threshold = self.request.settings.adaptive_threshold
@@ -302,11 +304,14 @@ class Frame:
                 shade_pass.background_program((), True, passes, combined=False),
             )
             passes = frozenset({"combined"})
-        self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes, self.request.samples,
-                                                plan.ewa is not None, plan.lines, plan.defocus)  # fmt: skip
+        self.shade = shade_pass.shade_program(
+            plan.variant, plan.lighting, plan.materials, passes, self.request.samples, plan.ewa is not None,
+            plan.lines, plan.defocus, plan.picture,
+        )  # fmt: skip
         self.background = shade_pass.background_program(
-            plan.behind, self.scene.transparent, passes, plan.ewa is not None, everywhere=not plan.shaded.solid
-        )
+            plan.behind, self.scene.transparent, passes, plan.ewa is not None, everywhere=not plan.shaded.solid,
+            combined=plan.picture,
+        )  # fmt: skip
         self.lit: translucent_pass.LitSplats | None = None
         self.tiles: defocus_pass.Defocus | None = None
         if plan.translucent is not None and plan.defocus:
@@ -361,9 +366,9 @@ class Frame:
                 self.clock.run("averages", lambda: self._average(record))
             if self.lit is not None and not self.plan.defocus:
                 device.clear(self.targets.layer_target)
-            if surfels is not None:
+            if surfels is not None and self.plan.shades:
                 self.clock.run("shade", lambda: self._shade(record))
-            if self.plan.background:
+            if self.plan.background and self.plan.shades:
                 self.clock.run("background", lambda: self._draw_background(record))
             if self.lit is not None and not self.plan.defocus:
                 self._draw_translucent(self.lit, record.copy(), first)
@@ -530,7 +535,7 @@ class Frame:
             camera = replace(request.camera, aperture=None)
             unlit = replace(scene, lights=(), world=World(), transparent=True)
             beside = replace(request, camera=camera, settings=settings, passes=others, samples=samples)
-            self.beside = Frame(self.renderer, unlit, beside, self.clock.cancelled, presented)
+            self.beside = Frame(self.renderer, unlit, beside, self.clock.cancelled, presented, picture=False)
             self.beside.clock.slow = False
         return replace(request, passes=frozenset({"combined"}))
 
@@ -664,11 +669,12 @@ class Frame:
     def pixels(self) -> dict[str, np.ndarray]:
         """Every requested pass."""
         _, _, width, height = self.request.camera.window
-        wanted = self.request.passes | {"combined"}
+        wanted = self.request.passes | (frozenset({"combined"}) if self.plan.picture else frozenset())
         if self._trivial:
             return self._empty_pixels(wanted, width, height)
         out: dict[str, np.ndarray] = {}
-        names = ("combined", *(() if self.plan.defocus else shade_pass.averaged(self.request.passes)))
+        first = ("combined",) if self.plan.picture else ()
+        names = (*first, *(() if self.plan.defocus else shade_pass.averaged(self.request.passes)))
         samples = self.counts()
         sums = [self.color] if self.plan.defocus else self.targets.sums
         for name, texture in zip(names, sums, strict=True):
@@ -694,7 +700,7 @@ class Frame:
         missing = frozenset(key for key in wanted if not {key, f"{key}00"} & found.keys())
         found |= self._empty_pixels(missing, width, height)
         if self.beside is not None:
-            found |= {name: array for name, array in self.beside.pixels().items() if name != "combined"}
+            found |= self.beside.pixels()
         return found
 
     def _cryptomatte(self, key: str, column: int, table: np.ndarray | None) -> dict[str, np.ndarray]:
@@ -724,13 +730,13 @@ class Frame:
 
     def report(self, seconds: float) -> dict[str, Any]:
         """What was done, as scripts/render.py writes it."""
-        self.clock.settle()
         prepared, cut = self.prepared, self.splats
+        spent = self._spent()
         return {
             "device": f"{self.device.name}: {self.device.limits.renderer}",
             "seconds": seconds,
-            "passes": [{"name": name, "ms": round(ms, 3)} for name, ms in self.clock.spent.items()],
-            "skipped": [{"name": name, "because": why} for name, why in self._skipped()],
+            "passes": [{"name": name, "ms": round(ms, 3)} for name, ms in spent.items()],
+            "skipped": [{"name": name, "because": why} for name, why in self._skipped(spent.keys())],
             "points": {"total": prepared.total, "cut": cut, "drawn": cut * self.done},
             "technique": {"name": self.technique.name, "because": self.technique.because},
             "triangles": self.triangles,
@@ -739,16 +745,22 @@ class Frame:
             "warnings": [*self._warnings, *prepared.warnings, *(self.shadows.warnings if self.shadows else ())],
         }
 
+    def _spent(self) -> dict[str, float]:
+        """Milliseconds by pass, with those of the passes beside what is out of focus."""
+        self.clock.settle()
+        beside = {} if self.beside is None else self.beside._spent()
+        return self.clock.spent | {name: ms + self.clock.spent.get(name, 0.0) for name, ms in beside.items()}
+
     def _lines_drawn(self) -> dict[str, int]:
         """Strands and segments that the view shows, and segments that all samples drew."""
         segments = self.prepared.lines.values()
         drawn = 0 if self._trivial else sum(lines.drawn for lines in self.uploads.lines)
         return {"strands": sum(s.strands for s in segments), "segments": sum(map(len, segments)), "drawn": drawn}
 
-    def _skipped(self) -> list[tuple[str, str]]:
+    def _skipped(self, ran: Set[str]) -> list[tuple[str, str]]:
         """Passes that did not run, and why."""
-        found = [entry for entry in (*self.plan.skipped, *self._faint) if entry[0] not in self.clock.spent]
-        known = {name for name, _ in found} | self.clock.spent.keys()
+        found = [entry for entry in (*self.plan.skipped, *self._faint) if entry[0] not in ran]
+        known = {name for name, _ in found} | ran
         late = dict(LATE)
         if self._trivial:
             late = {"background": "one colour fills the picture", "adapt": "one colour fills the picture"}

@@ -155,7 +155,8 @@ class Uploads:
     def _upload(self, motion: bool, shadows: Shadows | None) -> None:
         scene, plan, device = self.scene, self.plan, self.device
         table = shade_pass.material_rows(scene.materials, self._escape())
-        if plan.solid or plan.translucent is not None:
+        bare = not (plan.shades or (plan.polygons and plan.variant.color) or plan.lines or plan.options.cull)
+        if (plan.solid or plan.translucent is not None) and not bare:
             self.shared["ps_materials"] = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
         self._surface = float(table[0, 2, 1]), float(table[0, 2, 3])
         self._middle = self.prepared.view_from_object

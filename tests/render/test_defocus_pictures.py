@@ -12,6 +12,7 @@ from pointsplat_addon.core.scene import Aperture, Geometry, Mesh, Scene, Setting
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame import Frame, Renderer, Request, Result
 from pointsplat_addon.render.lens import LensSamples
+from pointsplat_addon.render.passes import defocus as defocus_pass
 from tests.render import scenes
 from tests.render.scenes import ALL_PASSES, CASES, Case, camera, materials, mesh, moved, plane_mesh, points
 
@@ -423,3 +424,37 @@ def test_a_world_that_is_not_blurred_takes_no_pass_for_it():
         report = Renderer(device).render(what.scene, request).report
         assert {"name": "backdrop", "because": because} in report["skipped"]
         assert not {name for name in device.names if "backdrop" in name}
+
+
+@pytest.mark.parametrize("most", [1 << 24, 300])
+def test_tiles_list_the_splats_whose_kernels_reach_their_pixels(most, monkeypatch):
+    """From the front; tiles are larger where there would be too many entries. Against each pixel's own sum."""
+    monkeypatch.setattr(defocus_pass, "MOST_ENTRIES", most)
+    rng = np.random.default_rng(1)
+    count, size, k = 60, (37, 22), 1.0
+    wide = rng.uniform(0.3, 30, (count, 2))
+    turn = rng.uniform(0, np.pi, count)
+    axes = np.stack([np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn)], axis=1).reshape(-1, 2, 2)
+    conic = np.einsum("nji,nj,njk->nik", axes, 1 / wide, axes)
+    place = np.concatenate(
+        [rng.uniform(-25, 25, (count, 2)), rng.uniform(1, 9, (count, 1)), np.ones((count, 1))], axis=1
+    )
+    place[:3, 3], place[3, 0] = 0.0, np.nan
+    shape = np.stack([conic[:, 0, 0], conic[:, 0, 1], conic[:, 1, 1], np.full(count, k + 8)], axis=1)
+    middle = np.array([18.0, 11.0])
+    focal = np.array([1.0, 1.0, *middle])
+    lists = defocus_pass.tile_lists(place.astype(np.float32), shape.astype(np.float32), focal, size)
+    y, x = np.mgrid[: size[1], : size[0]] + 0.5
+    offset = np.stack([x, y], axis=-1)[:, :, None] - middle - place[:, :2]
+    with np.errstate(invalid="ignore"):
+        reached = np.einsum("hwni,nij,hwnj->hwn", offset, conic, offset) < 2 * (k + 2)
+    reached &= place[:, 3] > 0
+    assert lists.tile == (4 if most > 1 << 20 else 8)
+    assert len(lists.entries) <= most
+    for row, column in np.ndindex(lists.tiles.shape[:2]):
+        first, number = lists.tiles[row, column]
+        entries = lists.entries[first : first + number]
+        pixels = np.s_[row * lists.tile : (row + 1) * lists.tile, column * lists.tile : (column + 1) * lists.tile]
+        assert set(np.flatnonzero(reached[pixels].any(axis=(0, 1)))) <= set(entries)
+        assert (np.diff(place[entries, 2]) >= 0).all()
+        assert not set(entries) & {0, 1, 2, 3}

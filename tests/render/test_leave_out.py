@@ -95,7 +95,7 @@ EXPECTED = {
     "smoke out of view": "",
     "smoke without density": IMAGE + SEEN,
     "points and polygons, out of focus": "polygons shade light tiles defocus " + IMAGE,
-    "points and polygons, out of focus, depth": "polygons shade light tiles defocus " + IMAGE,
+    "points and polygons, out of focus, depth": "polygons data shade light tiles defocus " + IMAGE,
     "points and polygons, samples of the lens": "polygons " + IMAGE + SEEN,
     "environment picture, out of focus": "backdrop background",
     "points in focus in an environment picture": "backdrop " + IMAGE + SEEN,

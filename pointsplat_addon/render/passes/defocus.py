@@ -74,8 +74,8 @@ def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tu
     inside = np.flatnonzero((low_x < high_x) & (low_y < high_y))
     inside = inside[np.argsort(depth[seen[inside]], kind="stable")]
     seen, low_y, high_y = seen[inside], low_y[inside], high_y[inside]
-    low_x, high_x, cx, cy = (np.float32(values[inside]) for values in (low_x, high_x, cx, cy))
-    square = np.float32(np.maximum(wide, tall)[inside]) ** 2
+    low_x, high_x, cx, cy = (values[inside].astype(np.float32) for values in (low_x, high_x, cx, cy))
+    square = np.maximum(wide, tall)[inside].astype(np.float32) ** 2
 
     tile = TILE
     while True:
