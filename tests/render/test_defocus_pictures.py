@@ -14,7 +14,18 @@ from pointsplat_addon.render.frame import Frame, Renderer, Request, Result
 from pointsplat_addon.render.lens import LensSamples
 from pointsplat_addon.render.passes import defocus as defocus_pass
 from tests.render import scenes
-from tests.render.scenes import ALL_PASSES, CASES, Case, camera, materials, mesh, moved, plane_mesh, points
+from tests.render.scenes import (
+    ALL_PASSES,
+    CASES,
+    Case,
+    camera,
+    materials,
+    mesh,
+    moved,
+    plane_mesh,
+    points,
+    strand_lines,
+)
 
 COMBINED = frozenset({"combined"})
 SPLAT, LENS = Settings(use_shadows=False), Settings(use_shadows=False, dof_method="LENS_SAMPLES")
@@ -335,6 +346,19 @@ def test_a_picture_that_is_shown_between_samples_ends_as_the_finished_one():
         frame.release()
     whole = renderer.render(case.scene, request).pixels["combined"]
     np.testing.assert_allclose(shown, whole, atol=1e-6)
+
+
+@pytest.mark.parametrize("focus", [2.0, 6.5])
+@pytest.mark.parametrize("far", [(-0.1, 2.0, 0.0), (0.9, 1.2, 0.5), (-0.3, 1.5, 1.0)])
+def test_ends_of_wide_tubes_are_closed_where_they_are_out_of_focus(far, focus):
+    axis = np.linspace((-0.5, -1.2, -0.3), far, 3)
+    tube = strand_lines(f"closed tube to {far}", [axis], 0.45)
+    case = Case(scenes.scene((tube, moved())), camera(resolution=(96, 72)), SPLAT)
+    splat, lens = (
+        drawn(case, Aperture(0.25, focus), n, dof_method=m).pixels["combined"]
+        for n, m in ((16, "SPLAT"), (96, "LENS_SAMPLES"))
+    )
+    assert rms(splat - lens) < 0.03  # measured 0.020, and 0.106 to 0.19 without ends
 
 
 # The world
