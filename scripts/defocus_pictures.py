@@ -3,7 +3,8 @@
 python scripts/defocus_pictures.py --output docs/images/defocus.jpg [--lens 256]
 
 Rows: balls on a floor of triangles; a translucent shell out of focus before a body in focus, and behind one; hair and
-tubes. From the left: without a lens, splats (16 samples), samples through the lens, four times the difference.
+tubes; a ball in focus before a picture of the world. From the left: without a lens, splats (16 samples), samples
+through the lens, four times the difference.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.scene import Aperture, Camera, Scene, Settings
+from pointsplat_addon.core import environment
+from pointsplat_addon.core.scene import Aperture, Camera, Scene, Settings, World
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.frame import Renderer, Request
 from scripts.compare import displayed
@@ -64,13 +66,33 @@ def strands() -> tuple[Scene, Camera]:
     return case.scene, replace(case.camera, resolution=(WIDTH, HEIGHT), aperture=Aperture(0.25, 3.2))
 
 
+def landscape() -> tuple[Scene, Camera]:
+    """A ball between hills at dusk, with the sun and the lamps of a village behind it."""
+    x, y, z = np.moveaxis(environment.texel_directions(1024, 512), -1, 0)
+    azimuth = np.arctan2(y, x)
+    ridge = 0.05 + 0.03 * np.sin(9 * azimuth) + 0.012 * np.sin(31 * azimuth + 1) + 0.006 * np.sin(83 * azimuth)
+    dusk = np.exp(-6 * np.abs(z))[..., None]
+    image = [0.12, 0.2, 0.42] + dusk * np.array([0.85, 0.35, 0.02])
+    image = np.where((z < ridge)[..., None], [0.05, 0.07, 0.06] + 0.3 * np.minimum(np.abs(z), 0.4)[..., None], image)
+    image[np.hypot(azimuth - 1.78, z - 0.16) < 0.022] = 30, 17, 6
+    rng = np.random.default_rng(3)
+    rows, columns = rng.integers(250, 262, 60), rng.integers(140, 340, 60)
+    image[rows, columns] = rng.uniform(4, 14, (60, 1)) * [1.0, 0.75, 0.4]
+    world = World(np.zeros(3), image.astype(np.float32))
+    table = scenes.materials(base_color=[[0.8, 0.78, 0.75]], roughness=[0.25])
+    body = scenes.points("ball before hills", scenes.sphere_cloud(20000))
+    seen = scenes.camera((0, -5, 0.3), (0.35, 0, 0.25), (WIDTH, HEIGHT))
+    scene = scenes.scene((body, scenes.moved((0, 0, 0.1), 0.7)), lights=(), world=world, table=table)
+    return scene, replace(seen, aperture=Aperture(0.15, 4.6))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--lens", type=int, default=256, help="samples through the lens")
     given = parser.parse_args()
     renderer, rows = Renderer(OpenGLDevice()), []
-    for scene, camera in (floor(), shell(False), shell(True), strands()):
+    for scene, camera in (floor(), shell(False), shell(True), strands(), landscape()):
         splat = Settings(use_shadows=False)
         wanted = (
             (replace(camera, aperture=None), splat, 16),

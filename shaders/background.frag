@@ -3,6 +3,7 @@
 
 #include "lib/camera.glsl"
 #include "lib/lights.glsl"
+#include "lib/backdrop.glsl"
 #include "lib/finite.glsl"
 #ifndef PS_EVERYWHERE
 #include "lib/place.glsl"
@@ -20,7 +21,9 @@ void main()
     discard;
   }
 #endif
-#ifdef PS_BACKGROUND
+#ifdef PS_BACKDROP
+  out_combined = open * vec4(ps_finite(ps_backdrop_at(gl_FragCoord.xy)), 1.0);
+#elif defined(PS_BACKGROUND)
   out_combined = open * vec4(ps_finite(ps_background(ps_ray(gl_FragCoord.xy))), 1.0);
 #elif !defined(PS_BESIDE)
   out_combined = vec4(0.0);

@@ -4,6 +4,7 @@
 #include "lib/camera.glsl"
 #include "lib/defocus.glsl"
 #include "lib/lights.glsl"
+#include "lib/backdrop.glsl"
 #include "lib/finite.glsl"
 
 #define PS_FAR 1e30
@@ -131,7 +132,9 @@ void main()
     ps_cover(seen, focused.color, focused.covered, false, focused.depth, thick);
   }
   ps_finish(seen);
-#ifdef PS_BACKGROUND
+#ifdef PS_BACKDROP
+  seen.color += vec4(seen.left * ps_backdrop_at(gl_FragCoord.xy), seen.left.y);
+#elif defined(PS_BACKGROUND)
   seen.color += vec4(seen.left * ps_background(ps_ray(gl_FragCoord.xy)), seen.left.y);
 #endif
   out_combined = vec4(ps_finite(seen.color.rgb), seen.color.a);

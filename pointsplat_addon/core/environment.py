@@ -82,6 +82,17 @@ def level(atlas: np.ndarray, index: int) -> np.ndarray:
     return atlas[y : y + TILE[1], x : x + TILE[0], :3]
 
 
+def pyramid(atlas: np.ndarray) -> list[np.ndarray]:
+    """The picture, and it halved again and again until it is 32 texels wide; each keeps the light from the sphere."""
+    return _mips(level(atlas, 0))
+
+
+def stacked(levels: list[np.ndarray]) -> np.ndarray:
+    """(H, W, 3) float32: all levels of a pyramid but the first, W the widest, one above the other from its left."""
+    width = levels[1].shape[1]
+    return np.concatenate([np.pad(part, ((0, 0), (0, width - part.shape[1]), (0, 0))) for part in levels[1:]])
+
+
 def radiance(atlas: np.ndarray, direction: np.ndarray, roughness: np.ndarray) -> np.ndarray:
     """(N, 3) float64 prefiltered radiance from (N, 3) image-space directions at (N,) roughness."""
     step = ROUGHNESS[0]

@@ -6,12 +6,15 @@ import numpy as np
 
 from .cloud import PointCloud
 from .defocus import BLURRED, IN_FOCUS, Blur, widest
+from .hierarchy import basis
 from .lines import Lines
 from .scene import Camera
 from .strands import Strands, lengths_scale
 
 MOST_BENT = 0.5  # cosine of half the sharpest bend that is closed
 MOST_ACROSS = 16  # strips of a wide tube
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+FINER = 2.0  # so many times as narrow as strips are the pieces of ends, which have an outline of their own
 MOST = 1 << 21  # pieces of one instance: beyond it they stay as long as they are
 SHARE = 3 / np.pi  # of the ellipse with its moments, that a rectangle covers
 
@@ -27,7 +30,7 @@ def splats(
 ) -> PointCloud:
     """Of segments `ends` (K, 2) of one instance with the transform (4, 4), those that may be out of focus. `kernel`
     says what is shaded as a whole strand, whose tangents are the major axes (1), and what as a surface (0): ribbons,
-    and tubes that are wider than their pieces may be, in strips along them.
+    and tubes that are wider than their pieces may be, in strips along them, with disks that close their ends.
 
     Pieces are at most as long as their disks of confusion allow (`widest`).
     """
@@ -84,19 +87,56 @@ def splats(
     # What is shaded as a whole keeps its tangent, however short it is.
     half[whole & turned, 0] = half[whole & turned, 1]
     major[whole] = unit[strip][whole]
-    rows = strands.source[np.stack([first, second], axis=1)][strip]
+    points, part = np.stack([first, second], axis=1)[strip], part[strip]
+    if round_:
+        closing, at, outward, wide = _closing(strands, ends, largest / scale)
+        # What faces away closes nothing that is seen.
+        eye = -(inverse @ matrix[:3, 3]) - at if camera.perspective else inverse[:, 2]
+        seen = (outward * eye).sum(axis=1) > 0
+        closing, at, outward, wide = closing[seen], at[seen], outward[seen], wide[seen]
+        middle, normal = np.concatenate([middle, at]), np.concatenate([normal, outward])
+        major = np.concatenate([major, basis(outward.T)[0].T])
+        half = np.concatenate([half, np.stack([wide, wide], axis=1)])
+        points = np.concatenate([points, np.stack([closing, closing], axis=1)])
+        part = np.concatenate([part, np.zeros((len(closing), 1))])
+        whole = np.concatenate([whole, np.zeros(len(closing), bool)])
+    rows = strands.source[points]
     return PointCloud(
         (middle - strands.origin).astype(np.float32),
         strands.origin,
         normal=np.ascontiguousarray(normal, np.float32),
         axis=np.ascontiguousarray(major, np.float32),
         radii=-np.sort(-half, axis=1).astype(np.float32),
-        material=strands.material[strands.strand[first]][strip].astype(np.uint16),
-        color=_mixed(lines.color, rows, part[strip]),
-        surface=_mixed(lines.surface, rows, part[strip]),
-        emission=_mixed(lines.emission, rows, part[strip]),
+        material=strands.material[strands.strand[points[:, 0]]].astype(np.uint16),
+        color=_mixed(lines.color, rows, part),
+        surface=_mixed(lines.surface, rows, part),
+        emission=_mixed(lines.emission, rows, part),
         kernel=whole.astype(np.uint8) if whole.any() else None,
     )
+
+
+def _closing(
+    strands: Strands, ends: np.ndarray, largest: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The disks across both ends of tubes that are drawn in strips, in pieces as wide as `largest` (K,), in object
+    units, for each segment: their point (n,), middle (n, 3), normal (n, 3) and radius (n,), of which SHARE is the area.
+    """
+    strand = strands.strand[ends[:, 0]]
+    outer = np.stack([strands.start[strand], strands.start[strand + 1] - 1], axis=1)
+    closed = (strands.position[outer[:, 0]] == strands.position[outer[:, 1]]).all(axis=1)
+    of, side = np.nonzero((ends == outer) & (2 * strands.radius[ends] > largest[:, None]) & ~closed[:, None])
+    point = ends[of, side]
+    radius = strands.radius[point].astype(np.float64)
+    count = np.clip(np.ceil((FINER * 2 * radius / largest[of]) ** 2), 1, MOST_ACROSS**2).astype(np.int64)
+    which, number = _numbered(count)
+    # An even spiral; a single disk lies in its middle.
+    away = np.where(count[which] > 1, np.sqrt((number + 0.5) / count[which]), 0) * radius[which]
+    outward = strands.tangent[point].astype(np.float64) * np.where(side, 1, -1)[:, None]
+    right, up = (a.T for a in basis(outward.T))
+    angle = GOLDEN_ANGLE * number
+    middle = (strands.position[point].astype(np.float64) + strands.origin)[which]
+    middle += away[:, None] * (np.cos(angle)[:, None] * right[which] + np.sin(angle)[:, None] * up[which])
+    return point[which], middle, outward[which], radius[which] / np.sqrt(SHARE * count[which])
 
 
 def _wedges(

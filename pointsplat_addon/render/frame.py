@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from ..core.backdrop import grid_of, why_sharp
 from ..core.cost import DEFAULT
 from ..core.defocus import BLURRED, blur_of
 from ..core.lens import sampled
@@ -27,6 +28,7 @@ from .lens import LensSamples, prepared_for
 from .outputs import BACKGROUND_DEPTH, BY_KEY, CRYPTO
 from .painter import defocused, painted
 from .parts import parted
+from .passes import backdrop as backdrop_pass
 from .passes import defocus as defocus_pass
 from .passes import shade as shade_pass
 from .passes import translucent as translucent_pass
@@ -194,8 +196,9 @@ class Frame:
         request: Request,
         cancelled: Callable[[], bool] = lambda: False,
         presented: bool = False,
+        picture: bool = True,
     ) -> None:
-        """`presented`: between samples too."""
+        """`presented`: between samples too. `picture`: with Combined, not passes beside it alone."""
         self.renderer, self.presented = renderer, presented
         self.whole = scene  # as it was given
         scene, self._warnings = parted(scene)
@@ -238,9 +241,10 @@ class Frame:
             others = shade_pass.averaged(request.passes) or shade_pass.data(request.passes)
             self.prepared = painted(self.prepared, keep=presented or bool(others))
         in_focus = "" if blur_of(request.camera) is None or through_lens else "nothing is out of focus"
+        sharp_world = "each sample sees it through a place on the lens" if through_lens else ""
         self.plan = make_plan(
             scene, self.prepared, request.passes, self.shadows, unshadowed, request.interactive, blended, paints,
-            reflects, unseen, in_focus,
+            reflects, unseen, in_focus, sharp_world or why_sharp(scene, request.camera), picture,
         )  # fmt: skip
         # Everything is drawn for `view`, of which the camera's window is a part.
         most = self.device.limits.texture_size
@@ -293,10 +297,15 @@ class Frame:
             Uploads(self.renderer.kept, self.scene, self.view, self.prepared, plan, motion, self.shadows)
         )
         self.clock.spent |= self.uploads.spent
+        self.backdrop: backdrop_pass.Backdrop | None = None
+        if plan.backdrop:
+            grid = grid_of(self.view, device.limits.texture_size)
+            self.backdrop = self._own(backdrop_pass.Backdrop(device, grid))
         size, count = self.view.window[2:], levels(self.prepared.largest, self.view.resolution)
         self._lent = self.renderer.pool.borrow(plan, passes, size, count)
         self.targets = self._lent[1]
-        device.clear(self.targets.sum_target)
+        if self.targets.sums:
+            device.clear(self.targets.sum_target)
         if not self.everywhere:
             # Two pixels of the coarsest level on either side.
             threshold = self.request.settings.adaptive_threshold
@@ -312,11 +321,14 @@ class Frame:
                 shade_pass.background_program((), True, passes, combined=False),
             )
             passes = frozenset({"combined"})
-        self.shade = shade_pass.shade_program(plan.variant, plan.lighting, plan.materials, passes, self.request.samples,
-                                                plan.ewa is not None, plan.lines, plan.defocus)  # fmt: skip
+        self.shade = shade_pass.shade_program(
+            plan.variant, plan.lighting, plan.materials, passes, self.request.samples, plan.ewa is not None,
+            plan.lines, plan.defocus, plan.picture,
+        )  # fmt: skip
         self.background = shade_pass.background_program(
-            plan.world, self.scene.transparent, passes, plan.ewa is not None, everywhere=not plan.shaded.solid
-        )
+            plan.behind, self.scene.transparent, passes, plan.ewa is not None, everywhere=not plan.shaded.solid,
+            combined=plan.picture,
+        )  # fmt: skip
         self.lit: translucent_pass.LitSplats | None = None
         self.tiles: defocus_pass.Defocus | None = None
         if plan.translucent is not None and plan.defocus:
@@ -349,6 +361,8 @@ class Frame:
             region = self.adaptive.gathered if self.adaptive else EVERYWHERE
             projection, uploads = self.targets.projection, self.uploads
             first = self.done == 0
+            if first and self.backdrop is not None:
+                self.clock.run("backdrop", self._draw_backdrop)
             for lines in uploads.lines:
                 lines.list_thin(float(self._turns[self.done]))
             beside = first or self._wants_identities or bool(self.averages)
@@ -369,9 +383,9 @@ class Frame:
                 self.clock.run("averages", lambda: self._average(record))
             if self.lit is not None and not self.plan.defocus:
                 device.clear(self.targets.layer_target)
-            if surfels is not None:
+            if surfels is not None and self.plan.shades:
                 self.clock.run("shade", lambda: self._shade(record))
-            if self.plan.background:
+            if self.plan.background and self.plan.shades:
                 self.clock.run("background", lambda: self._draw_background(record))
             if self.lit is not None and not self.plan.defocus:
                 self._draw_translucent(self.lit, record.copy(), first)
@@ -445,6 +459,8 @@ class Frame:
         record = frame_record(camera, (float(x), float(y)))
         record["mist"][0] = mist.start, 1 / max(mist.depth, 1e-6), shade_pass.MIST_EXPONENT[mist.falloff], 0.0
         record["page"][0, 3] = len(self.scene.lights)
+        if self.backdrop is not None:
+            record["previous"][0, :2] = self.backdrop.texels
         if self.plan.defocus:
             blur, aperture = blur_of(camera), camera.aperture
             assert blur is not None
@@ -465,8 +481,22 @@ class Frame:
                 program, self.targets.averages_target, uniforms=record.copy(), textures=textures, blend=True
             )
 
+    def _draw_backdrop(self) -> None:
+        backdrop, uploads = self.backdrop, self.uploads
+        assert backdrop is not None
+        assert uploads.levels is not None
+        record = self._record(0)
+        record["focal"][0] = self.view.pixel_from_view()
+        backdrop.draw(record, {**uploads.shading, "ps_levels": uploads.levels})
+
+    @property
+    def _behind(self) -> dict[str, Texture]:
+        """The world out of focus, by sampler name."""
+        return {} if self.backdrop is None else {"ps_backdrop": self.backdrop.texture}
+
     def _draw_background(self, record: np.ndarray) -> None:
-        self._add(self.background, record.copy(), _bound(self.targets.surfels) | self.uploads.shading)
+        textures = _bound(self.targets.surfels) | self.uploads.shading | self._behind
+        self._add(self.background, record.copy(), textures)
 
     def _add(self, program: Interface, record: np.ndarray, textures: dict[str, Texture]) -> None:
         region = self.adaptive.shown if self.adaptive else EVERYWHERE
@@ -527,7 +557,7 @@ class Frame:
         unlit = replace(scene, lights=(), world=World(), transparent=True)
         samples = asked.samples if averaged else 1
         beside = replace(asked, camera=camera, settings=settings, passes=others, samples=samples)
-        frame = Frame(self.renderer, unlit, beside, self.clock.cancelled, self.presented)
+        frame = Frame(self.renderer, unlit, beside, self.clock.cancelled, self.presented, picture=False)
         frame.clock.slow = False
         return frame
 
@@ -556,10 +586,10 @@ class Frame:
         assert tiles is not None
         adaptive = self.adaptive
         program = defocus_pass.defocus_program(
-            plan.world, self.scene.transparent, plan.translucent.tint, plan.translucent.holdout,
+            plan.behind, self.scene.transparent, plan.translucent.tint, plan.translucent.holdout,
             adaptive is not None, tiles.tile,
         )  # fmt: skip
-        textures = {**self.uploads.shading, "ps_focused": targets.sums[0], "ps_focus": targets.focus}
+        textures = {**self.uploads.shading, **self._behind, "ps_focused": targets.sums[0], "ps_focus": targets.focus}
         if adaptive is not None:
             textures["ps_counts"] = adaptive.known
         run("defocus", lambda: tiles.draw(program, targets.seen_target, record, lit.textures, textures))
@@ -661,11 +691,12 @@ class Frame:
     def pixels(self) -> dict[str, np.ndarray]:
         """Every requested pass."""
         _, _, width, height = self.request.camera.window
-        wanted = self.request.passes | {"combined"}
+        wanted = self.request.passes | (frozenset({"combined"}) if self.plan.picture else frozenset())
         if self._trivial:
             return self._empty_pixels(wanted, width, height)
         out: dict[str, np.ndarray] = {}
-        names = ("combined", *(() if self.plan.defocus else shade_pass.averaged(self.request.passes)))
+        first = ("combined",) if self.plan.picture else ()
+        names = (*first, *(() if self.plan.defocus else shade_pass.averaged(self.request.passes)))
         samples = self.counts()
         sums = [self.color] if self.plan.defocus else self.targets.sums
         for name, texture in zip(names, sums, strict=True):
@@ -691,7 +722,7 @@ class Frame:
         missing = frozenset(key for key in wanted if not {key, f"{key}00"} & found.keys())
         found |= self._empty_pixels(missing, width, height)
         if self.beside is not None:
-            found |= {name: array for name, array in self.beside.pixels().items() if name != "combined"}
+            found |= self.beside.pixels()
         return found
 
     def _cryptomatte(self, key: str, column: int, table: np.ndarray | None) -> dict[str, np.ndarray]:
@@ -721,13 +752,13 @@ class Frame:
 
     def report(self, seconds: float) -> dict[str, Any]:
         """What was done, as scripts/render.py writes it."""
-        self.clock.settle()
         prepared, cut = self.prepared, self.splats
+        spent = self._spent()
         return {
             "device": f"{self.device.name}: {self.device.limits.renderer}",
             "seconds": seconds,
-            "passes": [{"name": name, "ms": round(ms, 3)} for name, ms in self.clock.spent.items()],
-            "skipped": [{"name": name, "because": why} for name, why in self._skipped()],
+            "passes": [{"name": name, "ms": round(ms, 3)} for name, ms in spent.items()],
+            "skipped": [{"name": name, "because": why} for name, why in self._skipped(spent.keys())],
             "points": {"total": prepared.total, "cut": cut, "drawn": cut * self.done},
             "technique": {"name": self.technique.name, "because": self.technique.because},
             "triangles": self.triangles,
@@ -736,16 +767,22 @@ class Frame:
             "warnings": [*self._warnings, *prepared.warnings, *(self.shadows.warnings if self.shadows else ())],
         }
 
+    def _spent(self) -> dict[str, float]:
+        """Milliseconds by pass, with those of the passes beside what is out of focus."""
+        self.clock.settle()
+        beside = {} if self.beside is None else self.beside._spent()
+        return self.clock.spent | {name: ms + self.clock.spent.get(name, 0.0) for name, ms in beside.items()}
+
     def _lines_drawn(self) -> dict[str, int]:
         """Strands and segments that the view shows, and segments that all samples drew."""
         segments = self.prepared.lines.values()
         drawn = 0 if self._trivial else sum(lines.drawn for lines in self.uploads.lines)
         return {"strands": sum(s.strands for s in segments), "segments": sum(map(len, segments)), "drawn": drawn}
 
-    def _skipped(self) -> list[tuple[str, str]]:
+    def _skipped(self, ran: Set[str]) -> list[tuple[str, str]]:
         """Passes that did not run, and why."""
-        found = [entry for entry in (*self.plan.skipped, *self._faint) if entry[0] not in self.clock.spent]
-        known = {name for name, _ in found} | self.clock.spent.keys()
+        found = [entry for entry in (*self.plan.skipped, *self._faint) if entry[0] not in ran]
+        known = {name for name, _ in found} | ran
         late = dict(LATE)
         if self._trivial:
             late = {"background": "one colour fills the picture", "adapt": "one colour fills the picture"}

@@ -48,6 +48,9 @@ class Plan:
     ewa: ewa.EwaOptions | None = None  # points are drawn by EWA; None: in image space
     world: tuple[str, ...] = ()  # and of what is behind it
     painter: bool = False  # opaque points are painted: what the G-buffer holds of them is for other passes alone
+    backdrop: bool = False  # a picture of the world is out of focus: passes/backdrop.py
+    picture: bool = True  # Combined is drawn, not passes beside it alone
+    shades: bool = True  # it is, or passes that shading leaves behind
     defocus: bool = False  # what is translucent is drawn along with what is out of focus: passes/defocus.py
 
     @property
@@ -59,6 +62,11 @@ class Plan:
     def shaded(self) -> Plan:
         """The plan of the G-buffer that is shaded."""
         return replace(self, points=False) if self.painter else self
+
+    @property
+    def behind(self) -> tuple[str, ...]:
+        """PS_ names of what is behind everything, for those who draw it."""
+        return ("PS_BACKDROP",) if self.backdrop else self.world
 
     def reach(self, largest: float) -> float:
         """Pixels that splats of at most the radius `largest` reach beyond their centres."""
@@ -79,11 +87,14 @@ def make_plan(
     reflects: bool = True,
     unseen: Mapping[str, str] = MappingProxyType({}),
     in_focus: str = "",
+    sharp_world: str = "the camera has no depth of field",
+    picture: bool = True,
 ) -> Plan:
     """The plan for one view of a scene. `unshadowed`: why there are no shadows. `blended`: points are drawn by EWA, for
     this camera and number of samples. `painter`: opaque points are painted (render/painter.py). `reflects`: something
     that is drawn reflects light. `unseen`: kinds of things that are left out, and why (render/in_view.py). `in_focus`:
-    why nothing is out of focus; prepared.blurred is None."""
+    why nothing is out of focus; prepared.blurred is None. `sharp_world`: why the world is not blurred, or nothing.
+    `picture`: Combined is wanted; else nothing is lit, and nothing that is translucent drawn."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
     lines = len(prepared.lines) > 0
@@ -92,7 +103,8 @@ def make_plan(
     solid = polygons or spheres or lines or (points and not painter)
     held = np.zeros(len(scene.instances), bool) if scene.instances.holdout is None else scene.instances.holdout
     cut = bool(held[prepared.translucent.set_of_instance >= 0].any())
-    translucent = translucent_options(behind, scene.materials, solid, cut, defocus) if behind else None
+    blends = bool(behind) and picture
+    translucent = translucent_options(behind, scene.materials, solid, cut, defocus) if blends else None
     drawn = solid or translucent is not None
     graphs = _graphs(scene, prepared)
     channels = {name for graph in graphs for name in graph.channels}
@@ -105,7 +117,7 @@ def make_plan(
     smoothest = 0.0 if varies else float(scene.materials.roughness.min())
     shining = light_names(scene.lights, smoothest) if drawn else ()
     world = _world(scene)
-    lighting = (*world, *shining) if drawn and reflects else ()
+    lighting = (*world, *shining) if drawn and reflects and picture else ()
     if shadows is not None:
         packed = shadows.packed
         named = {"PS_SHADOW_COLORED": packed.colored, "PS_SHADOW_SOLID": packed.solid, "PS_SHADOW_SUNS": packed.suns,
@@ -114,7 +126,7 @@ def make_plan(
     color = (
         surface or any(c.color is not None for c in clouds) or (polygons and bool(channels & {"base_color", "alpha"}))
     )
-    emission = any(c.emission is not None for c in clouds) or (polygons and "emission" in channels)
+    emission = picture and (any(c.emission is not None for c in clouds) or (polygons and "emission" in channels))
     wide = len(scene.materials) >= EXACT_HALF
     lit = bool(lighting) or surface or "normal" in passes
     pulled = points and blended is None
@@ -125,6 +137,8 @@ def make_plan(
         if painter
         else Variant(owner=owner, wide=wide, front=pulled)
     )
+    if not picture and not averaged(passes):
+        variant = data_variant
     turned = lit or painter or bool(data(passes))
     shown = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])
     holdout = bool(held[shown].any())
@@ -141,7 +155,7 @@ def make_plan(
     )
     plan = Plan(
         points, polygons, spheres, lines, variant, data_variant, options, lighting, materials,
-        background=(not scene.transparent or "mist" in passes) and not defocus,
+        background=((not scene.transparent and picture) or "mist" in passes) and not defocus,
         data=(solid or points) and bool(data(passes)),
         translucent=translucent,
         coarse=interactive and translucent is not None and not defocus
@@ -150,11 +164,12 @@ def make_plan(
             blended[0], prepared.largest, any(p.cloud.normal is None for p in prepared.point_sets.values()), blended[1]
         ),
         world=() if scene.transparent else world,
-        painter=painter, defocus=defocus,
+        painter=painter, defocus=defocus, backdrop=not sharp_world, picture=picture,
+        shades=picture or bool(averaged(passes)),
     )  # fmt: skip
     asked = {"data": bool(data(passes)), "averaged": bool(averaged(passes))}
     unshadowed = "" if shadows is not None else unshadowed or "nothing casts shadows"
-    return replace(plan, skipped=tuple(reasons(plan, asked, unshadowed, unseen, in_focus).items()))
+    return replace(plan, skipped=tuple(reasons(plan, asked, unshadowed, unseen, in_focus, sharp_world).items()))
 
 
 def _graphs(scene: Scene, prepared: Prepared) -> list[MaterialGraph]:

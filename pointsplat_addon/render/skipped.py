@@ -26,6 +26,7 @@ PASSES: dict[str, str] = {
     "data": "depth, position, motion and indices under the pixels' centres",
     "averages": "normal, colour and mist of what is painted",
     "shade": "light on what is opaque",
+    "backdrop": "a picture of the world that is out of focus, once for a view",
     "background": "the world where nothing else is",
     "reach": "how much of each lamp's light reaches translucent splats, for all views",
     "light": "translucent splats lit, once for a view",
@@ -48,13 +49,19 @@ UNKNOWN = "no sample came so far"
 
 
 def reasons(
-    plan: Plan, asked: Mapping[str, bool], unshadowed: str, unseen: Mapping[str, str], in_focus: str
+    plan: Plan,
+    asked: Mapping[str, bool],
+    unshadowed: str,
+    unseen: Mapping[str, str],
+    in_focus: str,
+    sharp_world: str,
 ) -> dict[str, str]:
     """Why each pass that a plan leaves out is not needed, by its name.
 
     `asked`: whether a pass of "data" is asked for, and one that is "averaged" beside Combined. `unshadowed`: why no
     lamp has a table of shadows; empty where one has. `unseen`: why kinds of things are left out (render/in_view.py).
     `in_focus`: why nothing is out of focus, beyond that the camera has no lens.
+    `sharp_world`: why the world is not blurred.
     """
     found = {"shadows": unshadowed} if unshadowed else {}
     found |= _of_points(plan, unseen.get("points", "nothing is drawn as points"))
@@ -70,6 +77,8 @@ def reasons(
         found["averages"] = "no pass beside the picture averages what is painted"
     if not plan.shaded.solid:
         found["shade"] = "points are painted" if plan.painter else "nothing opaque is drawn"
+    if not plan.backdrop:
+        found["backdrop"] = sharp_world
     if not plan.background:
         found["background"] = "the pass defocus draws the world" if plan.defocus else "the film is transparent"
     if not plan.defocus:

@@ -32,11 +32,12 @@ class Targets:
             self.surfels = self._own(make_surfels(device, plan.shaded, plan.variant, size, count))
         self.data_surfels = self.surfels
         self.sums: list[Texture] = [
-            self._own(device.texture(size, "RGBA32F")) for _ in range(1 + len(shade_pass.averaged(passes)))
+            self._own(device.texture(size, "RGBA32F")) for _ in range(plan.picture + len(shade_pass.averaged(passes)))
         ]
-        self.sum_target: Target = self._own(device.target(self.sums))
-        # What is translucent lies over the finished picture of each sample, which is then added to the sums.
-        self.shade_target: Target = self.sum_target
+        if self.sums:
+            self.sum_target: Target = self._own(device.target(self.sums))
+            # What is translucent lies over the finished picture of each sample, which is then added to the sums.
+            self.shade_target: Target = self.sum_target
         if plan.defocus:
             # What is in focus has its depth beside it, and the picture is made of it and of all else at the end.
             self.focus: Texture = self._own(device.texture(size, "RGBA32F"))
@@ -46,8 +47,8 @@ class Targets:
         if plan.painter and plan.points:
             # Passes that are not painted have a G-buffer of their own.
             self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
-            if len(self.sums) > 1:
-                self.averages_target: Target = self._own(device.target(self.sums[1:]))
+            if len(self.sums) > plan.picture:
+                self.averages_target: Target = self._own(device.target(self.sums[plan.picture :]))
         self.layer: Texture | None = None
         self.depth: Texture | None = None
         if plan.translucent is not None and not plan.defocus:
@@ -94,7 +95,7 @@ class Pool:
     def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
         """Targets for a plan, and the key to give them back with."""
         key = (size, count, plan.points, plan.ewa, plan.polygons, plan.spheres, plan.lines, plan.variant, plan.options,
-               plan.painter and plan.data_variant, plan.defocus,
+               plan.painter and plan.data_variant, plan.defocus, plan.picture,
                shade_pass.averaged(passes),
                None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),
                (plan.data_variant, shade_pass.data(passes)) if plan.data else None)  # fmt: skip

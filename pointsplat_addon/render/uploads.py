@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core import hair, order, sampling
 from ..core.appearance import digest
-from ..core.environment import build_atlas
+from ..core.environment import build_atlas, pyramid, stacked
 from ..core.lighting import light_texture
 from ..core.lines import Lines
 from ..core.materials import MaterialGraph
@@ -106,6 +106,7 @@ class Uploads:
         self.shared: dict[str, Texture] = {}
         self.lights: Texture | None = None
         self.environment: Texture | None = None
+        self.levels: Texture | None = None  # of the environment, each half as wide: passes/backdrop.py
         self.previous: Texture | None = None
         self.shadows: tuple[Texture | None, Texture | None] = None, None  # tables, and their records in this view
         self.draws: list[PageDraw] = []
@@ -176,12 +177,15 @@ class Uploads:
     def _upload(self, motion: bool, shadows: Shadows | None) -> None:
         scene, plan, device = self.scene, self.plan, self.device
         table = shade_pass.material_rows(scene.materials, self._escape())
-        if plan.solid or plan.translucent is not None:
+        bare = not (plan.shades or (plan.polygons and plan.variant.color) or plan.lines or plan.options.cull)
+        if (plan.solid or plan.translucent is not None) and not bare:
             self.shared["ps_materials"] = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
         self._surface = float(table[0, 2, 1]), float(table[0, 2, 3])
         self._middle = self.prepared.view_from_object
         if "PS_HAS_ENVIRONMENT" in (*plan.lighting, *plan.world) and scene.world.image is not None:
             self.environment = self._environment(scene.world.image)
+            if plan.backdrop:
+                self.levels = self._levels(scene.world.image)
         if shadows is not None:
             self._upload_shadows(shadows)
         if plan.points or plan.spheres:
@@ -242,6 +246,16 @@ class Uploads:
 
         # The array itself is part of the key, so that its identity is not given to another one.
         key = ("environment", Same(image))
+        self.used.add(key)
+        return self.kept.keep(key, make)
+
+    def _levels(self, image: np.ndarray) -> Texture:
+        def make() -> Texture:
+            levels = stacked(pyramid(build_atlas(image)))
+            rgba = np.concatenate([levels, np.ones((*levels.shape[:2], 1), np.float32)], axis=2)
+            return self.device.texture((levels.shape[1], levels.shape[0]), "RGBA32F", rgba.reshape(-1))
+
+        key = ("environment levels", Same(image))
         self.used.add(key)
         return self.kept.keep(key, make)
 

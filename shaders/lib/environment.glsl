@@ -18,6 +18,23 @@ vec3 ps_image_from_view(vec3 direction)
          texelFetch(ps_lights, ivec2(3, PS_WORLD_ROW), 0).xyz * direction.z;
 }
 
+// Between the texels of an equirectangular picture of this size, whose corner lies at `origin` of a texture.
+vec3 ps_equirectangular(sampler2D picture, ivec2 origin, ivec2 size, vec2 uv)
+{
+  float x = uv.x * float(size.x) - 0.5;
+  float y = clamp(uv.y * float(size.y) - 0.5, 0.0, float(size.y - 1));
+  int x0 = int(floor(x)), y0 = int(floor(y));
+  float fx = x - float(x0), fy = y - float(y0);
+  int y1 = min(y0 + 1, size.y - 1);
+  int x1 = (x0 + 1) % size.x;
+  x0 = (x0 + size.x) % size.x;
+  vec3 low = mix(texelFetch(picture, origin + ivec2(x0, y0), 0).rgb,
+                 texelFetch(picture, origin + ivec2(x1, y0), 0).rgb, fx);
+  vec3 high = mix(texelFetch(picture, origin + ivec2(x0, y1), 0).rgb,
+                  texelFetch(picture, origin + ivec2(x1, y1), 0).rgb, fx);
+  return mix(low, high, fy);
+}
+
 // Level 0 is the picture, 1 .. PS_ROUGH_LEVELS are prefiltered, the next one is the irradiance / pi.
 vec3 ps_environment_level(vec2 uv, int level)
 {
@@ -28,18 +45,7 @@ vec3 ps_environment_level(vec2 uv, int level)
     origin = ivec2((level - 1) % 4 * PS_TILE_WIDTH, size.y + (level - 1) / 4 * PS_TILE_HEIGHT);
     size = ivec2(PS_TILE_WIDTH, PS_TILE_HEIGHT);
   }
-  float x = uv.x * float(size.x) - 0.5;
-  float y = clamp(uv.y * float(size.y) - 0.5, 0.0, float(size.y - 1));
-  int x0 = int(floor(x)), y0 = int(floor(y));
-  float fx = x - float(x0), fy = y - float(y0);
-  int y1 = min(y0 + 1, size.y - 1);
-  int x1 = (x0 + 1) % size.x;
-  x0 = (x0 + size.x) % size.x;
-  vec3 low = mix(texelFetch(ps_environment, origin + ivec2(x0, y0), 0).rgb,
-                 texelFetch(ps_environment, origin + ivec2(x1, y0), 0).rgb, fx);
-  vec3 high = mix(texelFetch(ps_environment, origin + ivec2(x0, y1), 0).rgb,
-                  texelFetch(ps_environment, origin + ivec2(x1, y1), 0).rgb, fx);
-  return mix(low, high, fy);
+  return ps_equirectangular(ps_environment, origin, size, uv);
 }
 
 // Blender's equirectangular layout.

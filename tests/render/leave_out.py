@@ -216,6 +216,12 @@ def _through_a_lens(method: str) -> Case:
     return _by(replace(case, camera=replace(case.camera, aperture=Aperture(0.3, 3.0))), dof_method=method)
 
 
+def _before_a_picture() -> Case:
+    """Points in focus before a picture of the world that is not."""
+    case = scenes.environment()
+    return replace(case, camera=replace(case.camera, aperture=Aperture(0.02, 4.0)))
+
+
 def _clear_smoke() -> Case:
     """Smoke without density before a sphere."""
     clear, ball = scenes.smoke_cloud(8, 0.0), scenes.points("leave out: behind", scenes.sphere_cloud())
@@ -318,6 +324,10 @@ ROWS: dict[str, Row] = {
     "points and polygons, out of focus": Row(lambda: _through_a_lens("SPLAT"), samples=4),
     "points and polygons, out of focus, depth": Row(lambda: _through_a_lens("SPLAT"), COMBINED | {"depth"}, samples=4),
     "points and polygons, samples of the lens": Row(lambda: _through_a_lens("LENS_SAMPLES"), samples=4),
+    "environment picture, out of focus": Row(
+        lambda: replace(_picture_only(), camera=replace(scenes.camera(), aperture=Aperture(0.3, 3.0))), samples=4
+    ),
+    "points in focus in an environment picture": Row(_before_a_picture, samples=4),
     "nothing, every pass": Row(scenes.empty, scenes.ALL_PASSES),
     "points and polygons, every pass": Row(scenes.mixed, scenes.ALL_PASSES),
 }  # fmt: skip

@@ -19,7 +19,10 @@ FRAME = Block(
         ("vec4", "focal"),  # fx, fy, cx, cy: core.scene.Camera.pixel_from_view
         ("vec4", "lens"),  # near, far, 1 for perspective, 1 or -1: sense of front faces
         ("vec4", "mist"),  # start, 1 / range, exponent, 1 / samples so far
-        ("vec4", "previous"),  # Vector: size and corner of the picture. Present: clip z and w from view z
+        (
+            "vec4",
+            "previous",
+        ),  # Vector: size and corner of the picture. Present: clip z and w from view z. backdrop.glsl
         ("vec4", "focus"),  # depth of field: core/defocus.py, width of the aperture over its height; else zeros
         ("vec4", "tile"),  # side of a tile as a part of the target's sides; threshold: render/tiles.py
         ("ivec4", "size"),  # width, height, level, instance

@@ -80,9 +80,11 @@ def background_program(
     everywhere: bool = False,
     combined: bool = True,
 ) -> Interface:
-    """The world behind everything, of which `world` says what it is. `coverage`: edges let some of it through.
-    `everywhere`: nothing is before it. `combined`: the picture, not only passes beside it."""
-    named = {"PS_BACKGROUND": not transparent, "PS_COVERAGE": coverage, "PS_EVERYWHERE": everywhere,
+    """The world behind everything, of which `world` says what it is, PS_BACKDROP that it is out of focus. `coverage`:
+    edges let some of it through. `everywhere`: nothing is before it. `combined`: the picture, not only passes beside
+    it."""
+    drawn = not transparent and "PS_BACKDROP" not in world
+    named = {"PS_BACKGROUND": drawn, "PS_COVERAGE": coverage, "PS_EVERYWHERE": everywhere,
              "PS_BESIDE": not combined}  # fmt: skip
     names = (*world, *_averaged_defines(passes), *(name for name, on in named.items() if on))
     read = () if everywhere else ("ps_place", "ps_shape") if coverage else ("ps_place",)
@@ -110,7 +112,8 @@ def lighting_defines(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
 def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """What lib/lights.glsl reads."""
     wanted = (
-        ("ps_lights", bool(lighting)),
+        ("ps_lights", bool(lighting) and lighting != ("PS_BACKDROP",)),
+        ("ps_backdrop", "PS_BACKDROP" in lighting),
         ("ps_environment", "PS_HAS_ENVIRONMENT" in lighting),
         ("ps_shadow_tables", "PS_SHADOWS" in lighting),
         ("ps_shadow_lights", "PS_SHADOWS" in lighting),
