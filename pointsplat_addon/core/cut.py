@@ -22,6 +22,7 @@ from .octree import ranges
 from .scene import Camera
 from .vectors import number
 
+NEIGHBOURS = 3.0  # radii from a splat's middle to the farthest ends of those beside it
 CHUNK = 1 << 15  # nodes that are classified together, so that their working arrays stay in the cache
 HALF_DIGITS = 1.5e-8  # the root of what float64 resolves
 BAND = 0.25  # octaves, see `staggered`: a fifth more nodes in the mean, on surfaces
@@ -388,7 +389,8 @@ def _confusion(
     radius in pixels of their disks of confusion."""
     if lens.blur is None:
         return 0.0, np.empty(0), np.empty(0)
-    near, far = _depths(lens, position, reach)
+    # Surfaces are rebuilt from splats together with their neighbours: what is in focus needs those that are not.
+    near, far = _depths(lens, position, reach * (NEIGHBOURS if lens.wanted == "SHARP" else 1.0))
     least, most = lens.blur.bounds(near, far)
     return np.maximum(lens.disk(near), lens.disk(far)) if lens.wanted != "SHARP" else 0.0, least, most
 

@@ -160,10 +160,11 @@ def sharp_ends(
 
 
 def _depths(strands: Strands, ends: np.ndarray, matrix: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """(K,) each: of the nearer and of the farther end."""
+    """(K,) each: the nearest and the farthest of what is around the nearer and the farther end."""
     depth = -((strands.position.astype(np.float64) + strands.origin) @ matrix[2, :3] + matrix[2, 3])
-    a, b = np.maximum(depth, camera.nearest)[ends].T
-    return np.minimum(a, b), np.maximum(a, b)
+    reach = strands.radius * float(lengths_scale(matrix[None])[0])
+    low, high = np.maximum(depth - reach, camera.nearest)[ends], np.maximum(depth + reach, camera.nearest)[ends]
+    return low.min(axis=1), high.max(axis=1)
 
 
 def _mixed(values: np.ndarray | None, rows: np.ndarray, part: np.ndarray) -> np.ndarray | None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..core.backdrop import grid_of, why_sharp
 from ..core.cost import DEFAULT
+from ..core.cut import NEIGHBOURS
 from ..core.defocus import BLURRED, blur_of
 from ..core.lens import sampled
 from ..core.scene import Camera, Scene, Settings, World
@@ -563,10 +564,14 @@ class Frame:
 
     @property
     def in_focus(self) -> tuple[float, float]:
-        """Depths between which something may be."""
+        """Depths between which something may be; in image space, that shows of points what is beside them, too."""
         blur = blur_of(self.view)
         assert blur is not None
         near, far = blur.depths(BLURRED)
+        if self.plan.points and self.plan.ewa is None:
+            beside = (NEIGHBOURS - 1) * self.prepared.largest / abs(self.view.pixel_from_view()[0])
+            near -= beside * (near if self.view.perspective else 1.0)
+            far += beside * (far if self.view.perspective else 1.0)
         return max(self.view.near, near), min(self.view.far, far)
 
     def _defocus(self) -> None:
