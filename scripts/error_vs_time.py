@@ -609,7 +609,9 @@ def in_processes(names: list[str], arguments: argparse.Namespace) -> list[Row]:
     rows: list[Row] = json.loads(arguments.rows.read_text(encoding="utf-8")) if arguments.rows.exists() else []
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
-            rows = [row for row in rows if row["scene"] not in (name, *(("counts",) if not KINDS[name].build else ()))]
+            drawn_again = (name,) if KINDS[name].build else (name, "counts")
+            kept = () if arguments.eevee else ("EEVEE",)
+            rows = [row for row in rows if row["scene"] not in drawn_again or row["program"] in kept]
             for what in ("ours", "theirs", *(("eevee",) if KINDS[name].build and arguments.eevee else ())):
                 command = [sys.executable, __file__, "--worker", what, name, "--worker-folder", folder]
                 command += ["--data", str(arguments.data), "--tolerances", *map(str, arguments.tolerances)]
