@@ -27,6 +27,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -252,9 +253,10 @@ def plume_truth() -> np.ndarray:
     return np.repeat(picture[..., None], 3, axis=2)
 
 
-def filtered_rays(scene: Any, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Origins and unit directions (H * W * samples^2, 3) of a scene's rays, spread as the pixel's filter."""
-    even = importlib.import_module("compare_media").rays
+def filtered_rays(scene: Any, samples: int, even: Callable | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and unit directions (H * W * samples^2, 3) of a scene's rays, spread as the pixel's filter. `even`: what
+    gives those through the centres of pixels."""
+    even = even or importlib.import_module("compare_media").rays
     forward = np.array(scene.camera.matrix_world)[:3, 2]
     origins, direction = even(scene, 1)
     side = scene.render.resolution_x
@@ -271,7 +273,7 @@ def smoke_truth() -> np.ndarray:
     import bpy
 
     media = importlib.import_module("compare_media")
-    with mock.patch.object(media, "rays", filtered_rays):
+    with mock.patch.object(media, "rays", partial(filtered_rays, even=media.rays)):
         return media.sphere_truth(bpy.context.scene, "absorbing", 4)
 
 
