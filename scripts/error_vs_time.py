@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from unittest import mock
 
 import numpy as np
@@ -256,7 +256,8 @@ def plume_truth() -> np.ndarray:
 def filtered_rays(scene: Any, samples: int, even: Callable | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Origins and unit directions (H * W * samples^2, 3) of a scene's rays, spread as the pixel's filter. `even`: what
     gives those through the centres of pixels."""
-    even = even or importlib.import_module("compare_media").rays
+    if even is None:
+        even = cast(Callable, importlib.import_module("compare_media").rays)
     forward = np.array(scene.camera.matrix_world)[:3, 2]
     origins, direction = even(scene, 1)
     side = scene.render.resolution_x
