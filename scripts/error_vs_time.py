@@ -56,7 +56,8 @@ LENS_TOLERANCES = (4.0, 1.0)  # of samples through the lens
 SAMPLES = (1, 4, 16, 64)
 RESOLUTIONS = (64, 256, 4096)  # of shadows, beside the default
 LONGEST = 4.0  # seconds: a picture that has taken longer gets no further samples, and finer ones are not drawn
-TRUTH = 256  # samples of polygons, through the lens too
+TRUTH = 256  # samples of polygons
+TRUTH_LENS = 1024  # the same, through a lens
 TRUTH_SHADOWS = 8192  # cells of the shadow tables of these
 CYCLES = (1, 4, 16, 64, 256)
 CYCLES_LIMIT = 512  # samples, with other random numbers: what Cycles comes to
@@ -238,7 +239,7 @@ def plume_truth() -> np.ndarray:
 
     values, world_from_index = plume_field()
     field = reference.voxels(values, world_from_index, EXTINCTION)
-    count = 2
+    count = 8
     origins, directions = filtered_rays(bpy.context.scene, count)
     near, far = field.interval(origins, directions)
     steps = 2 * max(values.shape)  # rays cross it sideways
@@ -422,7 +423,8 @@ def ours(
     truth_samples: int = TRUTH,
 ) -> tuple[np.ndarray, list[Row]]:
     """The truth (H, W, 3 or 4), and PointSplat's rows."""
-    truth = polygons(renderer, subject, truth_samples) if subject.truth is None else subject.truth()
+    many = max(truth_samples, TRUTH_LENS) if subject.lens else truth_samples
+    truth = polygons(renderer, subject, many) if subject.truth is None else subject.truth()
     rows: list[Row] = []
     too_long = set()  # techniques at tolerances that no finer ones follow
     for series, primitive, settings in swept(subject, tolerances, samples):
