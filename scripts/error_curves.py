@@ -31,7 +31,7 @@ COLORS = {
 }
 MARKS = {"tolerance": "o", "shadows": "s", "defaults": "D", "lens": "^", "other": "x", "count": "."}
 SERIES = {"lens": ", samples through the lens", "shadows": ", other shadow resolutions"}  # said in the legend
-BRIEF = "Spot", "maple, shadows", "smoke, shadows"  # scenes of the plot that is seen first
+BRIEF = "Spot", "balls, depth of field", "smoke, shadows"  # scenes of the plot that is seen first
 BEGIN, END = "<!-- figures -->\n", "<!-- end of figures -->\n"
 
 
@@ -215,12 +215,12 @@ def plot_brief(rows: list[Row], path: Path) -> None:
             draw_front(axis, [row for row in found if row["program"] == "PointSplat"])
             for label, curve in series([r for r in found if r["series"] in ("defaults", "other")]).items():
                 draw_curve(axis, label, "defaults" if label == "AUTO" else "other", curve)
-            axis.set(title=name, xlabel="processor time (s)", xscale="log", yscale="log")
-            axis.grid(alpha=0.3, linewidth=0.5)
+            axis.set(title=name, xlabel="processor time (s)")
+            logarithmic(axis)
         axes[0, 0].set_ylabel("RMSE, scene-linear")
         seen = labels(axes)
-        figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=len(seen))
-        figure.savefig(path, dpi=90)
+        figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=3)
+        figure.savefig(path, dpi=80)
         pyplot.close(figure)
 
 
@@ -235,6 +235,20 @@ def plot_counts(rows: list[Row], path: Path) -> None:
     draw_counts(axis, counted)
     figure.savefig(path, dpi=100)
     pyplot.close(figure)
+
+
+def logarithmic(axis: Any) -> None:
+    """Both axes, with numbers at powers of ten, and at twice and five times these where they are few."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set(xscale="log", yscale="log")
+    axis.autoscale_view()
+    for side, limits in ((axis.xaxis, axis.get_xlim()), (axis.yaxis, axis.get_ylim())):
+        few = math.log10(limits[1] / limits[0]) < 2
+        side.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,)))
+        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        side.set_minor_formatter(NullFormatter())
+    axis.grid(alpha=0.3, which="both", linewidth=0.4)
 
 
 def labels(axes: np.ndarray) -> dict[str, Any]:
@@ -261,8 +275,8 @@ def draw_scene(axis: Any, title: str, rows: list[Row]) -> None:
         if own:
             axis.plot([r["seconds"] for r in own], [r["own"] for r in own], ":", color=COLORS[name], linewidth=1.2,
                       label=f"{name} against its own limit")  # fmt: skip
-    axis.set(title=title, xlabel="processor time (s)", ylabel="RMSE, scene-linear", xscale="log", yscale="log")
-    axis.grid(alpha=0.3, which="both", linewidth=0.4)
+    axis.set(title=title, xlabel="processor time (s)", ylabel="RMSE, scene-linear")
+    logarithmic(axis)
 
 
 def draw_curve(axis: Any, name: str, kind: str, rows: list[Row]) -> None:
@@ -281,8 +295,10 @@ def draw_curve(axis: Any, name: str, kind: str, rows: list[Row]) -> None:
 def draw_counts(axis: Any, rows: list[Row]) -> None:
     fits = exponents(rows)
     for name, curve in series(rows).items():
-        axis.loglog([r["points"] for r in curve], [r["seconds"] for r in curve], marker="o", markersize=4,
-                    color=COLORS[name], label=f"{name} ~ N^{fits[name]:.2f}")  # fmt: skip
+        count, seconds = (np.array([r[key] for r in curve], float) for key in ("points", "seconds"))
+        axis.loglog(count, seconds, "o", markersize=4, color=COLORS[name])
+        fitted = np.exp(np.log(seconds).mean()) * (count / np.exp(np.log(count).mean())) ** fits[name]
+        axis.loglog(count, fitted, linewidth=1.2, color=COLORS[name], label=f"{name} ~ N^{fits[name]:.2f}")
     axis.set(title="cost over points, all drawn", xlabel="points", ylabel="processor time (s)")
     axis.grid(alpha=0.3, which="both", linewidth=0.4)
     axis.legend(fontsize=7)

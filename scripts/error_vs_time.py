@@ -27,9 +27,10 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from unittest import mock
 
 import numpy as np
@@ -55,7 +56,8 @@ LENS_TOLERANCES = (4.0, 1.0)  # of samples through the lens
 SAMPLES = (1, 4, 16, 64)
 RESOLUTIONS = (64, 256, 4096)  # of shadows, beside the default
 LONGEST = 4.0  # seconds: a picture that has taken longer gets no further samples, and finer ones are not drawn
-TRUTH = 256  # samples of polygons, through the lens too
+TRUTH = 256  # samples of polygons
+TRUTH_LENS = 1024  # the same, through a lens
 TRUTH_SHADOWS = 8192  # cells of the shadow tables of these
 CYCLES = (1, 4, 16, 64, 256)
 CYCLES_LIMIT = 512  # samples, with other random numbers: what Cycles comes to
@@ -237,7 +239,7 @@ def plume_truth() -> np.ndarray:
 
     values, world_from_index = plume_field()
     field = reference.voxels(values, world_from_index, EXTINCTION)
-    count = 2
+    count = 8
     origins, directions = filtered_rays(bpy.context.scene, count)
     near, far = field.interval(origins, directions)
     steps = 2 * max(values.shape)  # rays cross it sideways
@@ -252,9 +254,11 @@ def plume_truth() -> np.ndarray:
     return np.repeat(picture[..., None], 3, axis=2)
 
 
-def filtered_rays(scene: Any, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Origins and unit directions (H * W * samples^2, 3) of a scene's rays, spread as the pixel's filter."""
-    even = importlib.import_module("compare_media").rays
+def filtered_rays(scene: Any, samples: int, even: Callable | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and unit directions (H * W * samples^2, 3) of a scene's rays, spread as the pixel's filter. `even`: what
+    gives those through the centres of pixels."""
+    if even is None:
+        even = cast(Callable, importlib.import_module("compare_media").rays)
     forward = np.array(scene.camera.matrix_world)[:3, 2]
     origins, direction = even(scene, 1)
     side = scene.render.resolution_x
@@ -271,7 +275,7 @@ def smoke_truth() -> np.ndarray:
     import bpy
 
     media = importlib.import_module("compare_media")
-    with mock.patch.object(media, "rays", filtered_rays):
+    with mock.patch.object(media, "rays", partial(filtered_rays, even=media.rays)):
         return media.sphere_truth(bpy.context.scene, "absorbing", 4)
 
 
@@ -419,7 +423,8 @@ def ours(
     truth_samples: int = TRUTH,
 ) -> tuple[np.ndarray, list[Row]]:
     """The truth (H, W, 3 or 4), and PointSplat's rows."""
-    truth = polygons(renderer, subject, truth_samples) if subject.truth is None else subject.truth()
+    many = max(truth_samples, TRUTH_LENS) if subject.lens else truth_samples
+    truth = polygons(renderer, subject, many) if subject.truth is None else subject.truth()
     rows: list[Row] = []
     too_long = set()  # techniques at tolerances that no finer ones follow
     for series, primitive, settings in swept(subject, tolerances, samples):
@@ -609,7 +614,9 @@ def in_processes(names: list[str], arguments: argparse.Namespace) -> list[Row]:
     rows: list[Row] = json.loads(arguments.rows.read_text(encoding="utf-8")) if arguments.rows.exists() else []
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
-            rows = [row for row in rows if row["scene"] not in (name, *(("counts",) if not KINDS[name].build else ()))]
+            drawn_again = (name,) if KINDS[name].build else (name, "counts")
+            kept = () if arguments.eevee else ("EEVEE",)
+            rows = [row for row in rows if row["scene"] not in drawn_again or row["program"] in kept]
             for what in ("ours", "theirs", *(("eevee",) if KINDS[name].build and arguments.eevee else ())):
                 command = [sys.executable, __file__, "--worker", what, name, "--worker-folder", folder]
                 command += ["--data", str(arguments.data), "--tolerances", *map(str, arguments.tolerances)]
