@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .cloud import PointCloud
-from .defocus import BLURRED, IN_FOCUS, NODE, Blur
+from .defocus import BLURRED, IN_FOCUS, Blur
 from .hierarchy import Hierarchy
 from .octree import ranges
 from .scene import Camera
@@ -444,7 +444,7 @@ def _projected(
         # Nodes of all sizes may be drawn, where the blur allows it.
         smallest = np.zeros(len(node))
         least, _ = lens.blur.bounds(*_depths(lens, position, size))
-        limit = limit * np.maximum(NODE * least / lens.tolerance, 1.0)
+        limit = limit * np.maximum(lens.blur.node * least / lens.tolerance, 1.0)
     limit = limit * 2.0 ** (-lens.band * forest.lot.take(node)) if lens.band > 0 else limit
     if not lens.perspective:
         return size <= limit, smallest > lens.limit

@@ -51,6 +51,7 @@ class Blur:
     scale: float  # pixels: f r / D, the radius of the disk of what is infinitely far (parallel: at twice D)
     focus: float  # D, world units
     perspective: bool
+    node: float = NODE  # as that
 
     def position(self, depth: np.ndarray) -> np.ndarray:
         """Signed: how far beyond the plane of focus depths are, in units in which the disk's radius is `scale` times
@@ -76,14 +77,14 @@ class Blur:
         return self.scale * np.maximum(np.maximum(low, -high), 0), self.scale * np.maximum(-low, high)
 
 
-def blur_of(camera: Camera) -> Blur | None:
-    """None: nothing is blurred."""
+def blur_of(camera: Camera, node: float = NODE) -> Blur | None:
+    """None: nothing is blurred. `node`: how large those are that are drawn, as NODE."""
     aperture = camera.aperture
     if aperture is None or not aperture.radius > 0 or not aperture.focus > 0:
         return None
     focal = max(abs(f) for f in camera.pixel_from_view()[:2])
     scale = focal * aperture.radius / (aperture.focus if camera.perspective else 1.0)
-    return Blur(scale, aperture.focus, camera.perspective) if 0 < scale < np.inf else None
+    return Blur(scale, aperture.focus, camera.perspective, node) if 0 < scale < np.inf else None
 
 
 def sharp(radius: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .cloud import PointCloud
-from .defocus import BLURRED, IN_FOCUS, NODE, Blur
+from .defocus import BLURRED, IN_FOCUS, Blur
 from .lines import Lines
 from .scene import Camera
 from .strands import Strands, lengths_scale
@@ -29,7 +29,7 @@ def splats(
     says what is shaded as a whole strand, whose tangents are the major axes (1), and what as a surface (0): ribbons,
     and tubes that are wider than their pieces may be, in strips along them.
 
-    Pieces are at most `tolerance` pixels long, or NODE times the radius of their disks of confusion.
+    Pieces are at most `tolerance` pixels long, or `blur.node` times the radius of their disks of confusion.
     """
     matrix = np.asarray(view_from_object, np.float64)
     linear = matrix[:3, :3]
@@ -40,7 +40,7 @@ def splats(
     keep = (most > IN_FOCUS) & (high > camera.nearest)
     ends, least, low = ends[keep], least[keep], low[keep]
     per_pixel = (low if camera.perspective else 1.0) / max(abs(f) for f in camera.pixel_from_view()[:2])
-    largest = np.maximum(NODE * least, tolerance) * per_pixel  # view space
+    largest = np.maximum(blur.node * least, tolerance) * per_pixel  # view space
     along = (place[ends[:, 1]] - place[ends[:, 0]]) @ linear.T
     count = np.ceil(np.linalg.norm(along, axis=1) / largest)
     count = np.maximum(np.minimum(count, MOST / max(len(ends), 1)), 1).astype(np.int64)

@@ -35,12 +35,15 @@ CLOSE = 0.06  # of the budget: what is predicted that near is left as it is, so 
 STRETCH = 2.0  # times the tolerance: how much coarser a cut may get for the sake of one more sample
 SCENES = 16  # that a device remembers
 EARLY = 5  # samples by which two cuts are compared: with fewer, edges that are not averaged differ more than the cuts
+BLENDED = 9  # least samples where translucent splats are drawn: all pixels of one agree in how shadows are met
 MOST_OF_ALL = 0.6  # of all samples, of which the mean is compared with that of all
 RATIOS = (2.0, 4.0)  # of a tolerance to the finer one that it is compared with
 LEFT = {2.0: 1.2}  # distance from the finest cut over that from the one of half the tolerance
-EVENLY = 0.75  # of the error of independent samples: these are spread evenly
+EVENLY = 0.7  # of the error of independent samples: these are spread evenly
 CUT_PART = 0.9  # of the error budget that the cut may take, before a finer one is drawn
 TILES_PART = 0.25  # of the error budget: difference at which tiles end
+HELD_PART = 0.5  # and error up to which they may
+MOST_UNSEEN, UNSEEN = 0.015, 0.28  # of a pixel, that an edge beside it covers where none of its samples met it
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,11 @@ class Pacers:
         return pacer
 
 
+def checkpoint(samples: int) -> bool:
+    """Whether a picture is looked at after so many: 1, 3, 5, 9, 17 ..., one and pairs that face each other."""
+    return samples == 1 or (samples > 2 and not (samples - 1) & (samples - 2))
+
+
 class Errors:
     """How far the mean of all samples lies from that of very many, by how far it moved since half of them.
 
@@ -150,12 +158,12 @@ class Errors:
         self._means: list[tuple[int, np.ndarray]] = []  # of the last three checkpoints
         self._squares: np.ndarray | None = None  # (H, W) float64: error of each pixel, squared
         self._counted: np.ndarray | int = 0
+        self._unseen: np.ndarray = np.zeros((1, 1))
 
     def look(self, frame: Frame) -> bool:
         """After a sample; True where there is a new estimate."""
         n = frame.done
-        checkpoint = n == 1 or (n > 2 and not (n - 1) & (n - 2))  # 1, 3, 5, 9, 17 ...
-        if not checkpoint and not frame.complete:
+        if not checkpoint(n) and not frame.complete:
             return False
         mean = frame.mean()
         earlier = [(m, picture) for m, picture in self._means if m <= MOST_OF_ALL * n]
@@ -165,15 +173,37 @@ class Errors:
             fresh = np.broadcast_to(np.asarray(counts) > self._counted, (*mean.shape[:2], 1))[..., 0]
             squares = ((mean - before)[..., :3].astype(np.float64) ** 2).mean(axis=-1) * (m / (n - m))
             self._squares = squares if self._squares is None else np.where(fresh, squares, self._squares)
-            self._counted = counts
-        if checkpoint:
+            self._counted, self._unseen = counts, unseen(mean, counts)
+        if checkpoint(n):
             self._means = [*self._means[-2:], (n, mean)]
         return bool(earlier)
 
     @property
+    def squares(self) -> np.ndarray:
+        """(H, W) float64: error of each pixel, squared; infinite where nothing is known yet."""
+        if self._squares is None:
+            return np.full((1, 1), np.inf)
+        return np.maximum(EVENLY**2 * np.nan_to_num(self._squares), self._unseen)
+
+    @property
     def rmse(self) -> float:
         """Root mean square over pixels and colours, scene-linear; infinite where nothing is known yet."""
-        return float("inf") if self._squares is None else EVENLY * float(np.sqrt(np.nan_to_num(self._squares).mean()))
+        return float(np.sqrt(self.squares.mean()))
+
+
+def unseen(mean: np.ndarray, samples: np.ndarray | int) -> np.ndarray:
+    """(H, W) squared error of what no sample has met in pixels of a picture (H, W, 3 or more) that had so many each.
+
+    An edge beside a pixel may reach into its filter where none of its samples lies. What it covers of it then was
+    measured for edges in all directions: MOST_UNSEEN at first, later UNSEEN / n.
+    """
+    # Steps, not slopes: what changes evenly has no second difference.
+    steps = np.zeros(mean.shape[:2])
+    for axis in (0, 1):
+        bent = (np.diff(np.nan_to_num(mean[..., :3]).astype(np.float64), n=2, axis=axis) ** 2).mean(axis=-1)
+        steps = np.maximum(steps, np.pad(bent, [(1, 1) if a == axis else (0, 0) for a in (0, 1)])[: len(steps)])
+    n = np.broadcast_to(np.asarray(samples, np.float64), (*mean.shape[:2], 1))[..., 0]
+    return steps * np.minimum(MOST_UNSEEN, UNSEEN / n) ** 2
 
 
 class Watch:
@@ -227,16 +257,21 @@ class BelowError(Watch):
         self._limit, self._finer = limit, finer
         self.cut_error = 0.0
         self.too_coarse = False
+        self._least = EARLY
 
     def enough(self, frame: Frame) -> bool:
+        self._least = BLENDED if frame.blends else EARLY
         if frame.done == EARLY:
             ratio, mean = self._finer(frame)
             self.cut_error = LEFT.get(ratio, 1.0) * distance(mean, frame.mean())
             self.too_coarse = ratio > 1 and self.cut_error > CUT_PART * self._limit
-        return super().enough(frame)
+        found = super().enough(frame)
+        if checkpoint(frame.done) and not found:
+            frame.hold(self.errors.squares, HELD_PART * self._limit)
+        return found
 
     def stops(self) -> bool:
-        return self.too_coarse or (self.done >= EARLY and self.rmse <= self._limit)
+        return self.too_coarse or (self.done >= self._least and self.rmse <= self._limit)
 
     @property
     def rmse(self) -> float:
@@ -308,8 +343,10 @@ def below_error(
     tolerance = settings.tolerance
 
     def at(value: float) -> Request:
+        """What is out of focus is cut as much finer as what is in it."""
         asked = replace(settings, tolerance=value, adaptive_threshold=_threshold(settings))
-        return replace(request, settings=asked, samples=MOST_SAMPLES)
+        node = request.node * value / settings.tolerance
+        return replace(request, settings=asked, samples=MOST_SAMPLES, node=node)
 
     def finer(frame: Frame) -> tuple[float, np.ndarray]:
         """Finer samples of a mesh that are there already serve coarser cuts too: the first cut that differs."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -34,12 +35,16 @@ OWN_PAGE = 4 << 20  # splats: larger sets get a page of their own, so that small
 DEVICE_LIMIT = 4 << 30  # bytes of geometry that stay on the device after their frame
 
 
+SINGLE = ("order",), ("reach",)  # keys of what is kept of the latest frame alone
+
+
 class Kept:
     """What stays on the device for the next frame, by content."""
 
     def __init__(self, device: Device) -> None:
         self.device = device
         self._items: dict[tuple, Any] = {}
+        self._held: set[tuple] = set()
 
     def keep(self, key: tuple, make: Callable[[], Any]) -> Any:
         """What `make` puts on the device, made once for `key`."""
@@ -53,8 +58,22 @@ class Kept:
         for key in list(self._items):
             if self.device.bytes_allocated() <= DEVICE_LIMIT:
                 return
-            if key not in used:
+            if key not in used and key not in self._held:
                 self._items.pop(key).release()
+
+    @contextmanager
+    def holding(self, used: set[tuple]) -> Iterator[None]:
+        """While another frame is drawn: keep what the one that began before it uses."""
+        before, own = self._held, {key: self._items.pop(key) for key in SINGLE if key in self._items}
+        self._held = before | used
+        try:
+            yield
+        finally:
+            self._held = before
+            for key in SINGLE:
+                if key in self._items:
+                    self._items.pop(key).release()
+            self._items |= own
 
     def release(self) -> None:
         for item in self._items.values():
