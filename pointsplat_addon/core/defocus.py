@@ -38,6 +38,9 @@ NODE = 1.4
 # Sums of kernels over a surface are uneven by some percent. What they cover is the sum s + EVEN s^4, at most 1: what is
 # almost whole lets nothing through, and edges keep their slope.
 EVEN = 0.12
+# Pixels: largest splats of what is blurred less than their size, however coarse a cut is asked for. Nothing closes the
+# gaps between them but their kernels, which sum to less than what lets nothing through if they are wider.
+COARSEST = 3.0
 # Of what backs cover where fronts of the same surface are: sums are uneven, and closed bodies end with fronts alone.
 BESIDE = 0.8
 RIM = 0.002  # of 1 - q / S: where the rim is drawn softer than it is

@@ -85,14 +85,16 @@ class Line:
 class Pacer:
     """Chooses for one scene, at one size, on one device, so that pictures take a given time."""
 
-    once: Line = field(default_factory=Line)  # what a picture takes before its first sample
+    once: Line = field(default_factory=Line)  # what a picture takes before its first sample and after its last
     each: Line = field(default_factory=Line)  # what a sample takes
+    after: float = 0.0  # ms that the latest picture took after its samples
     _last: tuple[float, float] | None = None  # tolerance and splats of the latest picture
 
-    def measured(self, tolerance: float, splats: int, once: float, each: float) -> None:
-        """A picture took `once` ms before its first sample, and `each` ms for one sample in the mean."""
-        self._last = tolerance, max(float(splats), 1.0)
-        self.once.add(splats, once)
+    def measured(self, tolerance: float, splats: int, once: float, each: float, after: float = 0.0) -> None:
+        """A picture took `once` ms before its first sample, `each` ms for one sample in the mean, and `after` ms after
+        the last one."""
+        self._last, self.after = (tolerance, max(float(splats), 1.0)), after
+        self.once.add(splats, once + after)
         self.each.add(splats, each)
 
     def choose(self, budget: float, tolerance: float, most: int = MOST_SAMPLES) -> Choice:
@@ -211,9 +213,10 @@ class Watch:
 
     def __init__(self, clock: Clock) -> None:
         self.errors, self._clock = Errors(), clock
-        self._began = self._ready = clock()
+        self._began = self._ready = self._latest = clock()
         self.prepared = 0.0  # ms before the first sample
         self.each = 0.0  # ms of a sample, in the mean
+        self.after = 0.0  # ms after the last sample
         self.splats = 0
         self.done = 0
         self._measure = True
@@ -229,8 +232,13 @@ class Watch:
         if self._measure:
             self.errors.look(frame)
         self.done = frame.done
-        self.each = 1000 * (self._clock() - self._ready) / frame.done
+        self._latest = self._clock()
+        self.each = 1000 * (self._latest - self._ready) / frame.done
         return self.stops()
+
+    def finished(self) -> None:
+        """The picture is there."""
+        self.after = 1000 * (self._clock() - self._latest)
 
     def stops(self) -> bool:
         raise NotImplementedError
@@ -239,10 +247,11 @@ class Watch:
 class InTime(Watch):
     """Until the next sample would end later than it may, by more than half of it."""
 
-    def __init__(self, milliseconds: float, clock: Clock, measure: bool = True) -> None:
-        """`measure`: the error too, which takes reading the picture back."""
+    def __init__(self, milliseconds: float, after: float, clock: Clock, measure: bool = True) -> None:
+        """`after`: of the milliseconds, those that what follows the samples is taken to need. `measure`: the error
+        too, which takes reading the picture back."""
         super().__init__(clock)
-        self._milliseconds, self._measure = milliseconds, measure
+        self._milliseconds, self._measure = milliseconds - after, measure
 
     def stops(self) -> bool:
         return self.prepared + self.each * (self.done + 0.5) > self._milliseconds
@@ -313,10 +322,10 @@ def in_time(
     """A picture that takes as long as it may, and its error by samples; that of its cut would take more time."""
     settings, pacer = request.settings, renderer.pacers.of(scene, request)
     choice = pacer.choose(settings.time_budget, settings.tolerance)
-    watch = InTime(settings.time_budget, clock)
+    watch = InTime(settings.time_budget, pacer.after, clock)
     result = renderer.draw(scene, _chosen(request, choice, MOST_SAMPLES), progress, cancelled, watch)
     if watch.done:
-        pacer.measured(choice.tolerance, watch.splats, watch.prepared, watch.each)
+        pacer.measured(choice.tolerance, watch.splats, watch.prepared, watch.each, watch.after)
     return result, watch.errors.rmse
 
 
@@ -380,18 +389,22 @@ class Moving:
         self._pacer, self._device = renderer.pacers.of(scene, request), renderer.device
         choice = self._pacer.choose(settings.time_budget, settings.tolerance, request.samples)
         self.request = _chosen(request, choice, request.samples)
-        self._watch = InTime(settings.time_budget, clock, measure=False)
+        self._watch = InTime(settings.time_budget, self._pacer.after, clock, measure=False)
 
     def sample(self, frame: Frame) -> bool:
         """Draw all samples at once; False: there are no more."""
         watch = self._watch
         watch.ready(frame)
+        frame.hurried = True
         while not frame.complete:
             frame.sample()
             _wait(self._device)
             if watch.enough(frame):
-                frame.end()
-        self._pacer.measured(self.request.settings.tolerance, watch.splats, watch.prepared, watch.each)
+                break
+        frame.end()
+        _wait(self._device)
+        watch.finished()
+        self._pacer.measured(self.request.settings.tolerance, watch.splats, watch.prepared, watch.each, watch.after)
         return False
 
 

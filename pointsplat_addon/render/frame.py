@@ -158,7 +158,10 @@ class Renderer:
                 progress(frame.done / request.samples, f"Sample {frame.done}/{request.samples}")
                 if not frame.complete:
                     frame.clock.check()
-            return Result(frame.pixels(), frame.report(time.perf_counter() - started))
+            pixels = frame.pixels()
+            if watch is not None:
+                watch.finished()
+            return Result(pixels, frame.report(time.perf_counter() - started))
         except Cancelled:
             return Result({}, frame.report(time.perf_counter() - started), cancelled=True)
         finally:
@@ -195,6 +198,7 @@ class Frame:
         self.device = renderer.device
         self.done = 0
         self._gathered = 0  # samples in the picture of the pass defocus
+        self.hurried = False  # presented only when it has ended
         self._ended = False
         self.clock = Clock(self.device, cancelled)
         float_blend = self.device.limits.float_blend
@@ -369,7 +373,7 @@ class Frame:
         if self.adaptive is not None and self.done < self.request.samples:
             adaptive = self.adaptive
             self.clock.run("adapt", lambda: self._adapt(adaptive))
-        if self.plan.defocus and (self.complete or (self.presented and checkpoint(self.done))):
+        if self.plan.defocus and self.presented and (self.complete or checkpoint(self.done)) and not self.hurried:
             self._defocus()
         return not self.complete
 
@@ -381,9 +385,9 @@ class Frame:
 
     def end(self) -> None:
         """There are enough samples."""
-        if not self.complete and self.plan.defocus:
-            self._defocus()
         self._ended = True
+        if self.plan.defocus and self.presented:
+            self._defocus()
 
     def other(self, request: Request, samples: int) -> np.ndarray | None:
         """The mean (H, W, 4) of so many samples of the same scene by another request; None where it draws the same."""
@@ -547,10 +551,11 @@ class Frame:
 
     def _defocus(self) -> None:
         """The picture from what is in focus, so far, and all that is not."""
-        if self._gathered == self.done:
+        plan, targets, run = self.plan, self.targets, self.clock.run
+        sampled = plan.points or plan.polygons or plan.spheres or plan.lines  # something is in focus
+        if self._gathered == self.done or (self._gathered and not sampled):
             return
         self._gathered = self.done
-        plan, targets, run = self.plan, self.targets, self.clock.run
         assert plan.translucent is not None
         record = self._record(0)
         record["focal"][0] = self.view.pixel_from_view()
@@ -684,6 +689,8 @@ class Frame:
         wanted = self.request.passes | {"combined"}
         if self._trivial:
             return self._empty_pixels(wanted, width, height)
+        if self.plan.defocus:
+            self._defocus()
         out: dict[str, np.ndarray] = {}
         names = ("combined", *(() if self.plan.defocus else shade_pass.averaged(self.request.passes)))
         samples = self.counts()

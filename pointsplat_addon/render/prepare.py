@@ -17,7 +17,7 @@ from ..core.appearance import digest, passing, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
 from ..core.cost import DEFAULT, Costs
 from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_value, select, staggered
-from ..core.defocus import NODE, blur_of
+from ..core.defocus import COARSEST, NODE, blur_of
 from ..core.hierarchy import Hierarchy, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
 from ..core.lens import sampled
@@ -112,7 +112,8 @@ class _View:
             usable = all_finite(view_from_object.astype(np.float32))  # as the device has them
         blur = blur_of(camera, self.node) if self.settings.dof_method == "SPLAT" else None
         if blur is not None:
-            self.focus = Focus(scene, camera, blur, self.settings.tolerance, self.store, view_from_object)
+            tolerance = min(self.settings.tolerance, COARSEST)
+            self.focus = Focus(scene, camera, blur, tolerance, self.store, view_from_object)
         opaque, translucent, spheres = (({}, np.full(len(instances), -1)) for _ in range(3))
         polygons: list[np.ndarray] = []
         # Parts of meshes are all points or all polygons where either may be out of focus.
