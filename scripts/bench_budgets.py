@@ -129,10 +129,25 @@ def alone(
     return float(once), float(each), splats
 
 
+def warmed(renderer: Renderer, case: scenes.Case, camera: Camera) -> None:
+    """Wait for the octrees, which threads of their own build for viewports: no cut is coarser without them."""
+    settings = replace(case.settings, tolerance=16 * case.settings.tolerance)
+    request = Request(camera, settings, frozenset({"combined"}), 1, interactive=True)
+    seen: list[int] = []
+    while len(seen) < 40 and (len(seen) < 2 or seen[-1] > max(seen) / 2):
+        frame = renderer.start(case.scene, request)
+        seen.append(frame.splats)
+        frame.release()
+        if seen[-1] <= MANY:
+            return
+        time.sleep(0.1)
+
+
 def measured(renderer: Renderer, case: scenes.Case) -> list[Kept | None]:
     """By the processor's clock, then by the one on the wall: still and moving, with SAMPLES and with LESS; None where
     there are too few splats to leave out."""
     camera = around(case)
+    warmed(renderer, case, camera(0))
     found: list[Kept | None] = []
     ways = (lambda step: camera(0), camera)
     for clock in (time.process_time, time.perf_counter):

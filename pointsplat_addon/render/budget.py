@@ -30,7 +30,8 @@ FINEST = 0.25  # times it: what ERROR ends at
 REMEMBERED = 8  # pictures from which a line is fitted
 MIDDLE_OF = 3  # latest pictures of which the middle one says how slow the device is now
 PRIOR_SHARE, PRIOR_WEIGHT = 0.5, 0.05  # share of the time that splats take, before it was seen to change with them
-MOST_STEP = 16.0  # by which the splats of one picture differ from those of the one before
+MOST_STEP = 16.0  # by which the splats of one picture differ from those of the one before; and if they get more:
+MOST_MORE = 4.0
 CLOSE = 0.06  # of the budget: what is predicted that near is left as it is, so that cuts do not flicker
 STRETCH = 2.0  # times the tolerance: how much coarser a cut may get for the sake of one more sample
 SCENES = 16  # that a device remembers
@@ -112,11 +113,11 @@ class Pacer:
         if count < most:
             samples, coarsest = count + 1, STRETCH if count else COARSEST
             room = (budget - p0 - samples * q0) / max(p1 + samples * q1, 1e-12)
-            wanted = np.clip(room, splats / MOST_STEP, splats * MOST_STEP)
+            wanted = np.clip(room, splats / MOST_STEP, splats * MOST_MORE)
             at = max(last * float(np.sqrt(splats / wanted)), tolerance)
             if at <= coarsest * tolerance or not count:
                 return Choice(self._steady(min(at, COARSEST * tolerance), budget, samples), samples)
-        return Choice(max(tolerance, last / MOST_STEP**0.5), count)
+        return Choice(max(tolerance, last / MOST_MORE**0.5), count)
 
     def _steady(self, tolerance: float, budget: float, samples: int) -> float:
         """The latest tolerance where that is predicted to do as well."""

@@ -9,7 +9,7 @@ from pointsplat_addon.core.defocus import NODE
 from pointsplat_addon.core.scene import Aperture, Scene, Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render import budget, frame
-from pointsplat_addon.render.budget import MOST_SAMPLES, Moving, Pacer, Refining
+from pointsplat_addon.render.budget import Moving, Pacer, Refining
 from pointsplat_addon.render.filtering import offsets
 from pointsplat_addon.render.frame import Frame, Renderer, Request
 from pointsplat_addon.render.store import STORE
@@ -129,8 +129,8 @@ def test_a_viewport_that_stands_still_ends_below_its_error():
     drawn.release()
 
 
-# Of all scenes, "empty" and "unlit" have no error to compare; "many_towers" takes too long.
-SHOWN = tuple(name for name in CASES if name not in {"empty", "unlit", "many_towers"})
+# "empty", "unlit" and "in_smoke", below 1e-5, have no error to compare; "many_towers" takes too long.
+SHOWN = tuple(name for name in CASES if name not in {"empty", "unlit", "in_smoke", "many_towers"})
 LENSES = (
     "cube", "emission", "foliage", "holdout", "instances", "lights", "mixed", "moving", "panes", "parallel", "smoke",
     "sphere", "strands", "textured", "tinted_smoke", "wide_balls",
@@ -174,17 +174,27 @@ def under_wide_lamps(case: Case) -> Case:
 
 @pytest.mark.parametrize("name", SHOWN)
 def test_the_estimate_is_within_a_factor_of_two(name, monkeypatch):
-    assert all(0.5 < ratio < 2.0 for ratio in ratios(CASES[name](), monkeypatch))  # measured @@
+    found = ratios(CASES[name](), monkeypatch)
+    assert all(0.5 < ratio < 2.0 for ratio in found)  # measured 0.61 (strands) and 1.82 (smoke)
 
 
 @pytest.mark.parametrize("name", LENSES)
 def test_the_estimate_sees_what_is_out_of_focus(name, monkeypatch):
-    assert all(0.5 < ratio < 2.0 for ratio in ratios(through_lens(CASES[name]()), monkeypatch))  # measured @@
+    found = ratios(through_lens(CASES[name]()), monkeypatch)
+    assert all(0.5 < ratio < 2.0 for ratio in found)  # measured 0.62 (cube) and 1.89 (wide_balls)
+
+
+@pytest.mark.parametrize("name", ["cube", "foliage", "mixed", "smoke"])
+def test_the_estimate_holds_for_samples_through_the_lens(name, monkeypatch):
+    case = through_lens(CASES[name]())
+    found = ratios(replace(case, settings=replace(case.settings, dof_method="LENS_SAMPLES")), monkeypatch)
+    assert all(0.5 < ratio < 2.0 for ratio in found)  # measured 0.54 and 1.87 (smoke)
 
 
 @pytest.mark.parametrize("name", LAMPS)
 def test_the_estimate_sees_the_shadows_of_wide_lamps(name, monkeypatch):
-    assert all(0.5 < ratio < 2.0 for ratio in ratios(under_wide_lamps(CASES[name]()), monkeypatch))  # measured @@
+    found = ratios(under_wide_lamps(CASES[name]()), monkeypatch)
+    assert all(0.5 < ratio < 2.0 for ratio in found)  # measured 0.62 (strands) and 1.28 (smoke)
 
 
 def test_an_error_that_is_one_number_is_not_taken_for_less(monkeypatch):
@@ -200,7 +210,8 @@ def test_the_estimate_holds_for_scenes_that_its_factors_were_not_fitted_to(numbe
     scene, camera = made[number]()
     width, height = camera.resolution
     case = Case(scene, replace(camera, resolution=(width // 4, height // 4)))
-    assert all(0.5 < ratio < 2.0 for ratio in ratios(case, monkeypatch, (0.03, 0.005)))  # measured @@
+    found = ratios(case, monkeypatch, (0.03, 0.005))
+    assert all(0.5 < ratio < 2.0 for ratio in found)  # measured 0.64 (strands) and 1.23 (balls)
 
 
 def test_what_no_sample_met_is_told_from_steps_beside_a_pixel():
@@ -230,7 +241,7 @@ def test_an_edge_leaves_a_pixel_that_no_sample_met_it_in_as_little_as_is_taken()
             share = 1 - np.searchsorted(np.sort(along), places) / len(every)
             covered.append(share[places > along[:count].max()])
         used = min(budget.MOST_UNSEEN, budget.UNSEEN / count)
-        assert 0.6 < np.sqrt((np.concatenate(covered) ** 2).mean()) / used < 1.2  # measured @@
+        assert 0.6 < np.sqrt((np.concatenate(covered) ** 2).mean()) / used < 1.2  # measured 0.68 (17) and 1.03 (65)
 
 
 def test_tiles_with_edges_go_on_where_an_error_is_asked_for():
