@@ -67,6 +67,7 @@ def around(case: scenes.Case, size: int = SIZE) -> Callable[[int], Camera]:
     width, height = (max(side * size // longer, 1) for side in case.camera.resolution)
     start = replace(case.camera, resolution=(width, height), region=None)
     places = case.scene.instances.world_from_object[:, :3, 3]
+    places = places[np.isfinite(places).all(axis=1)]
     middle = np.median(places, axis=0) if len(places) else np.zeros(3)
 
     def at(step: int) -> Camera:
