@@ -2,9 +2,9 @@
 
     python scripts/benchmark.py [--quick] [--only PART ...] [--json FILE] [--write-docs]
 
-Parts: hierarchy, sampling, order, shadow, frame, instances, hybrid, translucent, lines, defocus, leave_out, blender. What
-a part compares with (SciPy, VTK, the bpy package) must be installed in the running interpreter; where it is missing, its
-rows have no value.
+Parts: hierarchy, sampling, order, shadow, frame, instances, hybrid, translucent, lines, defocus, leave_out, blender.
+What a part compares with (SciPy, VTK, the bpy package) must be installed in the running interpreter; where it is
+missing, its rows have no value.
 `--only frame` and `--only translucent` need NumPy and moderngl alone, and so run on a machine with a real GPU and no
 Blender.
 --write-docs replaces the figures of this interpreter's Blender in docs/benchmarks.md.

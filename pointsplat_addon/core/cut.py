@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .cloud import PointCloud
-from .defocus import BLURRED, IN_FOCUS, Blur, widest
+from .defocus import BLURRED, IN_FOCUS, Blur
 from .hierarchy import Hierarchy
 from .octree import ranges
 from .scene import Camera
@@ -446,7 +446,7 @@ def _projected(
         # Nodes of all sizes may be drawn, where the blur allows it.
         smallest = np.zeros(len(node))
         least, _ = lens.blur.bounds(*_depths(lens, position, size))
-        limit = limit * (widest(least, lens.tolerance) / lens.tolerance)
+        limit = limit * (lens.blur.widest(least, lens.tolerance) / lens.tolerance)
     limit = limit * 2.0 ** (-lens.band * forest.lot.take(node)) if lens.band > 0 else limit
     if not lens.perspective:
         return size <= limit, smallest > lens.limit

@@ -33,11 +33,14 @@ IN_FOCUS, BLURRED = 0.3, 0.6
 # Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/filtering.py).
 PIXEL = 0.11
 # Diameter of the largest node that is drawn, over the radius of its disk of confusion together with the tolerance
-# (`widest`). docs/depth_of_field.md has the errors of others.
+# (`Blur.widest`). docs/depth_of_field.md has the errors of others.
 NODE = 1.4
 # Sums of kernels over a surface are uneven by some percent. What they cover is the sum s + EVEN s^4, at most 1: what is
 # almost whole lets nothing through, and edges keep their slope.
 EVEN = 0.12
+# Pixels: largest splats of what is blurred less than their size, however coarse a cut is asked for. Nothing closes the
+# gaps between them but their kernels, which sum to less than what lets nothing through if they are wider.
+COARSEST = 3.0
 # Of what backs cover where fronts of the same surface are: sums are uneven, and closed bodies end with fronts alone.
 BESIDE = 0.8
 FAINT = 1e-3  # of a kernel's middle, and of the lens: where splats end
@@ -52,6 +55,7 @@ class Blur:
     scale: float  # pixels: f r / D, the radius of the disk of what is infinitely far (parallel: at twice D)
     focus: float  # D, world units
     perspective: bool
+    node: float = NODE  # as that
 
     def position(self, depth: np.ndarray) -> np.ndarray:
         """Signed: how far beyond the plane of focus depths are, in units in which the disk's radius is `scale` times
@@ -76,21 +80,20 @@ class Blur:
         low, high = self.position(near), self.position(far)
         return self.scale * np.maximum(np.maximum(low, -high), 0), self.scale * np.maximum(-low, high)
 
+    def widest(self, radius: np.ndarray, tolerance: float) -> np.ndarray:
+        """Pixels: the diameter of the largest piece or node that is drawn as one splat, for the radius in pixels of the
+        smallest disk of confusion within it. A disk of a pixel hides as much as a tolerance of one does."""
+        return np.maximum(self.node * np.hypot(radius, tolerance), tolerance)
 
-def blur_of(camera: Camera) -> Blur | None:
-    """None: nothing is blurred."""
+
+def blur_of(camera: Camera, node: float = NODE) -> Blur | None:
+    """None: nothing is blurred. `node`: how large those are that are drawn, as NODE."""
     aperture = camera.aperture
     if aperture is None or not aperture.radius > 0 or not aperture.focus > 0:
         return None
     focal = max(abs(f) for f in camera.pixel_from_view()[:2])
     scale = focal * aperture.radius / (aperture.focus if camera.perspective else 1.0)
-    return Blur(scale, aperture.focus, camera.perspective) if 0 < scale < np.inf else None
-
-
-def widest(radius: np.ndarray, tolerance: float) -> np.ndarray:
-    """Pixels: the diameter of the largest piece or node that is drawn as one splat, for the radius in pixels of the
-    smallest disk of confusion within it. A disk of a pixel hides as much as a tolerance of one does."""
-    return NODE * np.hypot(radius, tolerance)
+    return Blur(scale, aperture.focus, camera.perspective, node) if 0 < scale < np.inf else None
 
 
 def sharp(radius: np.ndarray) -> np.ndarray:

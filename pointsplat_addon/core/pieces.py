@@ -10,7 +10,7 @@ import numpy as np
 
 from .cloud import PointCloud
 from .cut import largest_singular_value
-from .defocus import BLURRED, IN_FOCUS, Blur, widest
+from .defocus import BLURRED, IN_FOCUS, Blur
 from .hierarchy import basis
 from .sampling import _STEINER, Samples
 from .scene import Camera, Mesh
@@ -32,7 +32,7 @@ def cut(
     the picture, of an instance with the transform (4, 4).
 
     Pieces are cut across their longest edge in the picture until that spans as many pixels as disks of confusion of
-    their size allow (`widest`).
+    their size allow (`Blur.widest`).
     """
     matrix = np.asarray(view_from_object, np.float64)
     corners = mesh.position.astype(np.float64)[mesh.triangles[rows]] @ matrix[:3, :3].T + matrix[:3, 3]
@@ -53,7 +53,7 @@ def cut(
         before = depth.min(axis=1) <= near
         space = np.linalg.norm(corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]], axis=2)
         edges[before] = space[before] * (focal.max() / (near if camera.perspective else 1.0))
-        fine = edges.max(axis=1) <= widest(least, tolerance)
+        fine = edges.max(axis=1) <= blur.widest(least, tolerance)
         total += len(owner)
         fine |= total > MOST
         done.append((owner[fine], weights[fine]))
@@ -82,7 +82,7 @@ def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, toler
     rows = np.flatnonzero((most > IN_FOCUS) & (high > camera.nearest))
     pixels = radius * scale * max(abs(f) for f in camera.pixel_from_view()[:2]) / (low if camera.perspective else 1.0)
     pixels = np.minimum(pixels, max(camera.resolution))  # of what is wider, a part is seen
-    count = np.pi * (pixels / (ROUND * widest(least, tolerance)))[rows] ** 2
+    count = np.pi * (pixels / (ROUND * blur.widest(least, tolerance)))[rows] ** 2
     count = np.clip(np.ceil(np.minimum(count, MOST / max(len(rows), 1))), LEAST_FACETS, None).astype(np.int64)
     of = np.repeat(rows, count)
     number = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)

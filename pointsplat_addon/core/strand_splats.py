@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .cloud import PointCloud
-from .defocus import BLURRED, IN_FOCUS, Blur, widest
+from .defocus import BLURRED, IN_FOCUS, Blur
 from .hierarchy import basis
 from .lines import Lines
 from .scene import Camera
@@ -32,7 +32,7 @@ def splats(
     says what is shaded as a whole strand, whose tangents are the major axes (1), and what as a surface (0): ribbons,
     and tubes that are wider than their pieces may be, in strips along them, with disks that close their ends.
 
-    Pieces are at most as long as their disks of confusion allow (`widest`).
+    Pieces are at most as long as their disks of confusion allow (`Blur.widest`).
     """
     matrix = np.asarray(view_from_object, np.float64)
     linear = matrix[:3, :3]
@@ -43,7 +43,7 @@ def splats(
     keep = (most > IN_FOCUS) & (high > camera.nearest)
     ends, least, low = ends[keep], least[keep], low[keep]
     per_pixel = (low if camera.perspective else 1.0) / max(abs(f) for f in camera.pixel_from_view()[:2])
-    largest = widest(least, tolerance) * per_pixel  # view space
+    largest = blur.widest(least, tolerance) * per_pixel  # view space
     along = (place[ends[:, 1]] - place[ends[:, 0]]) @ linear.T
     count = np.ceil(np.linalg.norm(along, axis=1) / largest)
     count = np.maximum(np.minimum(count, MOST / max(len(ends), 1)), 1).astype(np.int64)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from .properties import TECHNIQUE_ITEMS
+
 REPORT: dict[str, Any] = {}  # of the last final render; empty before the first
 MOST_BARS = 8  # of passes, the longest ones
+REST = "all else"  # choosing and sampling points, and comparing cuts: what is no pass
 
 
 def lines(report: dict[str, Any]) -> list[tuple[str, str]]:
@@ -16,7 +19,7 @@ def lines(report: dict[str, Any]) -> list[tuple[str, str]]:
     found = [
         ("Time", f"{report['seconds']:.3f} s"),
         ("Points", f"{points['cut']:,} of {points['total']:,}"),
-        ("Technique", f"{report['technique']['name']}: {report['technique']['because']}"),
+        ("Technique", f"{TECHNIQUE_ITEMS[report['technique']['name']][1]}: {report['technique']['because']}"),
     ]
     if "estimate" in report:
         found.append(("Estimated Error", error(report["estimate"])))
@@ -30,8 +33,10 @@ def error(estimate: dict[str, float | None]) -> str:
 
 
 def bars(report: dict[str, Any]) -> list[tuple[str, float, float]]:
-    """Name, milliseconds and share of the longest of up to MOST_BARS passes, the longest first."""
-    found = sorted(((p["name"], p["ms"]) for p in report.get("passes", ())), key=lambda item: -item[1])[:MOST_BARS]
+    """Name, milliseconds and share of the longest of up to MOST_BARS passes and REST, the longest first."""
+    passes = [(p["name"], p["ms"]) for p in report.get("passes", ())]
+    rest = 1000 * report.get("seconds", 0.0) - sum(ms for _, ms in passes)
+    found = sorted([*passes, (REST, max(rest, 0.0))], key=lambda item: -item[1])[:MOST_BARS]
     longest = max((ms for _, ms in found), default=0.0)
     return [(name, ms, ms / longest) for name, ms in found if longest > 0]
 

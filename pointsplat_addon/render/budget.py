@@ -30,17 +30,21 @@ FINEST = 0.25  # times it: what ERROR ends at
 REMEMBERED = 8  # pictures from which a line is fitted
 MIDDLE_OF = 3  # latest pictures of which the middle one says how slow the device is now
 PRIOR_SHARE, PRIOR_WEIGHT = 0.5, 0.05  # share of the time that splats take, before it was seen to change with them
-MOST_STEP = 16.0  # by which the splats of one picture differ from those of the one before
+MOST_STEP = 16.0  # by which the splats of one picture differ from those of the one before; and if they get more:
+MOST_MORE = 4.0
 CLOSE = 0.06  # of the budget: what is predicted that near is left as it is, so that cuts do not flicker
 STRETCH = 2.0  # times the tolerance: how much coarser a cut may get for the sake of one more sample
 SCENES = 16  # that a device remembers
 EARLY = 5  # samples by which two cuts are compared: with fewer, edges that are not averaged differ more than the cuts
+BLENDED = 9  # least samples where translucent splats are drawn: all pixels of one agree in how shadows are met
 MOST_OF_ALL = 0.6  # of all samples, of which the mean is compared with that of all
 RATIOS = (2.0, 4.0)  # of a tolerance to the finer one that it is compared with
 LEFT = {2.0: 1.2}  # distance from the finest cut over that from the one of half the tolerance
-EVENLY = 0.75  # of the error of independent samples: these are spread evenly
+EVENLY = 0.7  # of the error of independent samples: these are spread evenly
 CUT_PART = 0.9  # of the error budget that the cut may take, before a finer one is drawn
 TILES_PART = 0.25  # of the error budget: difference at which tiles end
+HELD_PART = 0.5  # and error up to which they may
+MOST_UNSEEN, UNSEEN = 0.015, 0.28  # of a pixel, that an edge beside it covers where none of its samples met it
 
 
 @dataclass(frozen=True)
@@ -82,14 +86,16 @@ class Line:
 class Pacer:
     """Chooses for one scene, at one size, on one device, so that pictures take a given time."""
 
-    once: Line = field(default_factory=Line)  # what a picture takes before its first sample
+    once: Line = field(default_factory=Line)  # what a picture takes before its first sample and after its last
     each: Line = field(default_factory=Line)  # what a sample takes
+    after: float = 0.0  # ms that the latest picture took after its samples
     _last: tuple[float, float] | None = None  # tolerance and splats of the latest picture
 
-    def measured(self, tolerance: float, splats: int, once: float, each: float) -> None:
-        """A picture took `once` ms before its first sample, and `each` ms for one sample in the mean."""
-        self._last = tolerance, max(float(splats), 1.0)
-        self.once.add(splats, once)
+    def measured(self, tolerance: float, splats: int, once: float, each: float, after: float = 0.0) -> None:
+        """A picture took `once` ms before its first sample, `each` ms for one sample in the mean, and `after` ms after
+        the last one."""
+        self._last, self.after = (tolerance, max(float(splats), 1.0)), after
+        self.once.add(splats, once + after)
         self.each.add(splats, each)
 
     def choose(self, budget: float, tolerance: float, most: int = MOST_SAMPLES) -> Choice:
@@ -107,11 +113,11 @@ class Pacer:
         if count < most:
             samples, coarsest = count + 1, STRETCH if count else COARSEST
             room = (budget - p0 - samples * q0) / max(p1 + samples * q1, 1e-12)
-            wanted = np.clip(room, splats / MOST_STEP, splats * MOST_STEP)
+            wanted = np.clip(room, splats / MOST_STEP, splats * MOST_MORE)
             at = max(last * float(np.sqrt(splats / wanted)), tolerance)
             if at <= coarsest * tolerance or not count:
                 return Choice(self._steady(min(at, COARSEST * tolerance), budget, samples), samples)
-        return Choice(max(tolerance, last / MOST_STEP**0.5), count)
+        return Choice(max(tolerance, last / MOST_MORE**0.5), count)
 
     def _steady(self, tolerance: float, budget: float, samples: int) -> float:
         """The latest tolerance where that is predicted to do as well."""
@@ -138,6 +144,11 @@ class Pacers:
         return pacer
 
 
+def checkpoint(samples: int) -> bool:
+    """Whether a picture is looked at after so many: 1, 3, 5, 9, 17 ..., one and pairs that face each other."""
+    return samples == 1 or (samples > 2 and not (samples - 1) & (samples - 2))
+
+
 class Errors:
     """How far the mean of all samples lies from that of very many, by how far it moved since half of them.
 
@@ -150,12 +161,12 @@ class Errors:
         self._means: list[tuple[int, np.ndarray]] = []  # of the last three checkpoints
         self._squares: np.ndarray | None = None  # (H, W) float64: error of each pixel, squared
         self._counted: np.ndarray | int = 0
+        self._unseen: np.ndarray = np.zeros((1, 1))
 
     def look(self, frame: Frame) -> bool:
         """After a sample; True where there is a new estimate."""
         n = frame.done
-        checkpoint = n == 1 or (n > 2 and not (n - 1) & (n - 2))  # 1, 3, 5, 9, 17 ...
-        if not checkpoint and not frame.complete:
+        if not checkpoint(n) and not frame.complete:
             return False
         mean = frame.mean()
         earlier = [(m, picture) for m, picture in self._means if m <= MOST_OF_ALL * n]
@@ -165,15 +176,37 @@ class Errors:
             fresh = np.broadcast_to(np.asarray(counts) > self._counted, (*mean.shape[:2], 1))[..., 0]
             squares = ((mean - before)[..., :3].astype(np.float64) ** 2).mean(axis=-1) * (m / (n - m))
             self._squares = squares if self._squares is None else np.where(fresh, squares, self._squares)
-            self._counted = counts
-        if checkpoint:
+            self._counted, self._unseen = counts, unseen(mean, counts)
+        if checkpoint(n):
             self._means = [*self._means[-2:], (n, mean)]
         return bool(earlier)
 
     @property
+    def squares(self) -> np.ndarray:
+        """(H, W) float64: error of each pixel, squared; infinite where nothing is known yet."""
+        if self._squares is None:
+            return np.full((1, 1), np.inf)
+        return np.maximum(EVENLY**2 * np.nan_to_num(self._squares), self._unseen)
+
+    @property
     def rmse(self) -> float:
         """Root mean square over pixels and colours, scene-linear; infinite where nothing is known yet."""
-        return float("inf") if self._squares is None else EVENLY * float(np.sqrt(np.nan_to_num(self._squares).mean()))
+        return float(np.sqrt(self.squares.mean()))
+
+
+def unseen(mean: np.ndarray, samples: np.ndarray | int) -> np.ndarray:
+    """(H, W) squared error of what no sample has met in pixels of a picture (H, W, 3 or more) that had so many each.
+
+    An edge beside a pixel may reach into its filter where none of its samples lies. What it covers of it then was
+    measured for edges in all directions: MOST_UNSEEN at first, later UNSEEN / n.
+    """
+    # Steps, not slopes: what changes evenly has no second difference.
+    steps = np.zeros(mean.shape[:2])
+    for axis in (0, 1):
+        bent = (np.diff(np.nan_to_num(mean[..., :3]).astype(np.float64), n=2, axis=axis) ** 2).mean(axis=-1)
+        steps = np.maximum(steps, np.pad(bent, [(1, 1) if a == axis else (0, 0) for a in (0, 1)])[: len(steps)])
+    n = np.broadcast_to(np.asarray(samples, np.float64), (*mean.shape[:2], 1))[..., 0]
+    return steps * np.minimum(MOST_UNSEEN, UNSEEN / n) ** 2
 
 
 class Watch:
@@ -181,9 +214,10 @@ class Watch:
 
     def __init__(self, clock: Clock) -> None:
         self.errors, self._clock = Errors(), clock
-        self._began = self._ready = clock()
+        self._began = self._ready = self._latest = clock()
         self.prepared = 0.0  # ms before the first sample
         self.each = 0.0  # ms of a sample, in the mean
+        self.after = 0.0  # ms after the last sample
         self.splats = 0
         self.done = 0
         self._measure = True
@@ -199,8 +233,13 @@ class Watch:
         if self._measure:
             self.errors.look(frame)
         self.done = frame.done
-        self.each = 1000 * (self._clock() - self._ready) / frame.done
+        self._latest = self._clock()
+        self.each = 1000 * (self._latest - self._ready) / frame.done
         return self.stops()
+
+    def finished(self) -> None:
+        """The picture is there."""
+        self.after = 1000 * (self._clock() - self._latest)
 
     def stops(self) -> bool:
         raise NotImplementedError
@@ -209,10 +248,11 @@ class Watch:
 class InTime(Watch):
     """Until the next sample would end later than it may, by more than half of it."""
 
-    def __init__(self, milliseconds: float, clock: Clock, measure: bool = True) -> None:
-        """`measure`: the error too, which takes reading the picture back."""
+    def __init__(self, milliseconds: float, after: float, clock: Clock, measure: bool = True) -> None:
+        """`after`: of the milliseconds, those that what follows the samples is taken to need. `measure`: the error
+        too, which takes reading the picture back."""
         super().__init__(clock)
-        self._milliseconds, self._measure = milliseconds, measure
+        self._milliseconds, self._measure = milliseconds - after, measure
 
     def stops(self) -> bool:
         return self.prepared + self.each * (self.done + 0.5) > self._milliseconds
@@ -227,16 +267,21 @@ class BelowError(Watch):
         self._limit, self._finer = limit, finer
         self.cut_error = 0.0
         self.too_coarse = False
+        self._least = EARLY
 
     def enough(self, frame: Frame) -> bool:
+        self._least = BLENDED if frame.blends else EARLY
         if frame.done == EARLY:
             ratio, mean = self._finer(frame)
             self.cut_error = LEFT.get(ratio, 1.0) * distance(mean, frame.mean())
             self.too_coarse = ratio > 1 and self.cut_error > CUT_PART * self._limit
-        return super().enough(frame)
+        found = super().enough(frame)
+        if checkpoint(frame.done) and not found:
+            frame.hold(self.errors.squares, HELD_PART * self._limit)
+        return found
 
     def stops(self) -> bool:
-        return self.too_coarse or (self.done >= EARLY and self.rmse <= self._limit)
+        return self.too_coarse or (self.done >= self._least and self.rmse <= self._limit)
 
     @property
     def rmse(self) -> float:
@@ -278,10 +323,10 @@ def in_time(
     """A picture that takes as long as it may, and its error by samples; that of its cut would take more time."""
     settings, pacer = request.settings, renderer.pacers.of(scene, request)
     choice = pacer.choose(settings.time_budget, settings.tolerance)
-    watch = InTime(settings.time_budget, clock)
+    watch = InTime(settings.time_budget, pacer.after, clock)
     result = renderer.draw(scene, _chosen(request, choice, MOST_SAMPLES), progress, cancelled, watch)
     if watch.done:
-        pacer.measured(choice.tolerance, watch.splats, watch.prepared, watch.each)
+        pacer.measured(choice.tolerance, watch.splats, watch.prepared, watch.each, watch.after)
     return result, watch.errors.rmse
 
 
@@ -308,8 +353,10 @@ def below_error(
     tolerance = settings.tolerance
 
     def at(value: float) -> Request:
+        """What is out of focus is cut as much finer as what is in it."""
         asked = replace(settings, tolerance=value, adaptive_threshold=_threshold(settings))
-        return replace(request, settings=asked, samples=MOST_SAMPLES)
+        node = request.node * value / settings.tolerance
+        return replace(request, settings=asked, samples=MOST_SAMPLES, node=node)
 
     def finer(frame: Frame) -> tuple[float, np.ndarray]:
         """Finer samples of a mesh that are there already serve coarser cuts too: the first cut that differs."""
@@ -343,18 +390,22 @@ class Moving:
         self._pacer, self._device = renderer.pacers.of(scene, request), renderer.device
         choice = self._pacer.choose(settings.time_budget, settings.tolerance, request.samples)
         self.request = _chosen(request, choice, request.samples)
-        self._watch = InTime(settings.time_budget, clock, measure=False)
+        self._watch = InTime(settings.time_budget, self._pacer.after, clock, measure=False)
 
     def sample(self, frame: Frame) -> bool:
         """Draw all samples at once; False: there are no more."""
         watch = self._watch
         watch.ready(frame)
+        frame.hurried = True
         while not frame.complete:
             frame.sample()
             _wait(self._device)
             if watch.enough(frame):
-                frame.end()
-        self._pacer.measured(self.request.settings.tolerance, watch.splats, watch.prepared, watch.each)
+                break
+        frame.end()
+        _wait(self._device)
+        watch.finished()
+        self._pacer.measured(self.request.settings.tolerance, watch.splats, watch.prepared, watch.each, watch.after)
         return False
 
 

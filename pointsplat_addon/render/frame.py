@@ -14,13 +14,14 @@ import numpy as np
 from ..core.backdrop import grid_of, why_sharp
 from ..core.cost import DEFAULT
 from ..core.cut import NEIGHBOURS
-from ..core.defocus import BLURRED, blur_of
+from ..core.defocus import BLURRED, NODE, blur_of
 from ..core.lens import sampled
 from ..core.scene import Camera, Scene, Settings, World
 from ..core.sound import sound_camera
 from ..core.strands import turns
 from ..shading.interface import Interface
 from . import budget
+from .budget import checkpoint
 from .device import Device, Target, Texture, Timer
 from .faint import without_faint
 from .filtering import cryptomatte, offsets
@@ -60,6 +61,7 @@ class Request:
     samples: int
     crypto_levels: int = 6
     interactive: bool = False  # drawn again and again, and at once: see prepare
+    node: float = NODE  # largest nodes of what is out of focus, over the radii of their disks: core/defocus.py
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,10 @@ class Renderer:
                 progress(frame.done / request.samples, f"Sample {frame.done}/{request.samples}")
                 if not frame.complete:
                     frame.clock.check()
-            return Result(frame.pixels(), frame.report(time.perf_counter() - started))
+            pixels = frame.pixels()
+            if watch is not None:
+                watch.finished()
+            return Result(pixels, frame.report(time.perf_counter() - started))
         except Cancelled:
             return Result({}, frame.report(time.perf_counter() - started), cancelled=True)
         finally:
@@ -209,6 +214,8 @@ class Frame:
         self.scene = scene
         self.device = renderer.device
         self.done = 0
+        self._gathered = 0  # samples in the picture of the pass defocus
+        self.hurried = False  # presented only when it has ended
         self._ended = False
         self.clock = Clock(self.device, cancelled)
         float_blend = self.device.limits.float_blend
@@ -226,6 +233,7 @@ class Frame:
             interactive=request.interactive,
             check=self.clock.check,
             costs=renderer.costs,
+            node=request.node,
         )
         self.technique = reconsidered(technique, self.prepared)
         self.beside: Frame | None = None
@@ -251,6 +259,7 @@ class Frame:
         most = self.device.limits.texture_size
         self.view, self.corner = _widened(request.camera, self.plan.reach(self.prepared.largest), most)
         self._turns = turns(request.samples)
+        self._tap = 0  # which points of wide lamps translucent splats are lit by
         self._owned: list[Any] = []
         self.lens = self._own(LensSamples(self.device, self.view, request.samples)) if through_lens else None
         self._lent: tuple[tuple, Targets] | None = None
@@ -396,7 +405,7 @@ class Frame:
         if self.adaptive is not None and self.done < self.request.samples:
             adaptive = self.adaptive
             self.clock.run("adapt", lambda: self._adapt(adaptive))
-        if self.plan.defocus and (self.complete or (self.presented and self.done & (self.done - 1) == 0)):
+        if self.plan.defocus and self.presented and (self.complete or checkpoint(self.done)) and not self.hurried:
             self._defocus()
         return not self.complete
 
@@ -408,15 +417,15 @@ class Frame:
 
     def end(self) -> None:
         """There are enough samples."""
-        if not self.complete and self.plan.defocus and not self.presented:
-            self._defocus()
         self._ended = True
+        if self.plan.defocus and self.presented:
+            self._defocus()
 
     def other(self, request: Request, samples: int) -> np.ndarray | None:
         """The mean (H, W, 4) of so many samples of the same scene by another request; None where it draws the same."""
         frame = Frame(self.renderer, self.whole, request, self.clock.cancelled)
         try:
-            if (frame.splats, frame.triangles) == (self.splats, self.triangles):
+            if (frame.splats, frame.segments, frame.triangles) == (self.splats, self.segments, self.triangles):
                 return None
             while frame.done < samples and frame.sample():
                 frame.clock.settle()
@@ -431,6 +440,16 @@ class Frame:
         prepared = self.prepared
         layers = (*(() if self.plan.painter else (prepared,)), prepared.translucent, prepared.spheres)
         return sum(layer.cut.splats for layer in layers)
+
+    @property
+    def blends(self) -> bool:
+        """Whether each sample draws translucent splats."""
+        return not self._trivial and self.lit is not None and not self.plan.defocus
+
+    @property
+    def segments(self) -> int:
+        """Of strands."""
+        return sum(map(len, self.prepared.lines.values()))
 
     @property
     def triangles(self) -> int:
@@ -514,14 +533,16 @@ class Frame:
             )
 
         # The same for all samples, but for the shadows of wide lamps, which splats blur among each other, and the lens.
-        relit = max(self.request.samples // RELIT, 1) if self.shadows is not None and self.shadows.wide else 0
-        if first or (relit and self.done % relit == 0) or self.lens is not None:
+        wide = self.shadows is not None and self.shadows.wide
+        tap = self._lighting(self.done) if wide else 0
+        if first or tap != self._tap or self.lens is not None:
+            self._tap = tap
             centred = self._record(0)
             centred["focal"][0] = self.view.pixel_from_view()
-            centred["size"][0, 2] = self.done // relit if relit else 0
+            centred["size"][0, 2] = tap
             textures = {**self.uploads.splats, **self.uploads.shading}
             if self.uploads.reach_lights:
-                textures |= self.uploads.reach(int(centred["size"][0, 2]), centred, run)
+                textures |= self.uploads.reach(tap, centred, run)
             run("light", lambda: lit.light(centred, textures))
         if targets.depth is not None:
             surfels = _bound(targets.surfels)
@@ -538,6 +559,13 @@ class Frame:
             run("translucent", lambda: lit.draw(targets.layer_target, record.copy(), targets.depth))
         layer = {"ps_layer": targets.layer, **({} if targets.cut is None else {"ps_cut": targets.cut})}
         run("add", lambda: draw(self.add_program, targets.combined_target, layer, "blend"))
+
+    def _lighting(self, sample: int) -> int:
+        """Which points of wide lamps light translucent splats in a sample: RELIT times in a picture; where an error
+        decides how many samples there are, for each pair."""
+        if self.request.settings.budget == "ERROR":
+            return (sample + 1) // 2
+        return sample // max(self.request.samples // RELIT, 1)
 
     def _defocused(self) -> Request:
         """What is out of focus goes to the pass of its own name. Passes that know no blur are another picture's;
@@ -577,6 +605,10 @@ class Frame:
     def _defocus(self) -> None:
         """The picture from what is in focus, so far, and all that is not."""
         plan, targets, run = self.plan, self.targets, self.clock.run
+        sampled = plan.points or plan.polygons or plan.spheres or plan.lines  # something is in focus
+        if self._gathered == self.done or (self._gathered and not sampled):
+            return
+        self._gathered = self.done
         assert plan.translucent is not None
         record = self._record(0)
         record["focal"][0] = self.view.pixel_from_view()
@@ -683,15 +715,26 @@ class Frame:
         return np.zeros(4) if self.scene.transparent else np.append(np.asarray(self.scene.world.color), 1.0)
 
     def mean(self) -> np.ndarray:
-        """(H, W, 4) float32: the picture so far; without what is out of focus, where a pass of its own draws that."""
+        """(H, W, 4) float32: the picture so far."""
         if self._trivial:
             _, _, width, height = self.request.camera.window
             return self._empty_pixels(frozenset({"combined"}), width, height)["combined"]
+        if self.plan.defocus:
+            self._defocus()
+            return self._cropped(self.targets.seen)
         return self._cropped(self.targets.sums[0]) / self.counts()
 
     def counts(self) -> np.ndarray | int:
         """(H, W, 1) float32, or one for all pixels: how many samples each of them has."""
         return max(self.done, 1) if self.adaptive is None else self._window(self.adaptive.samples(self.done))
+
+    def hold(self, squares: np.ndarray, limit: float) -> None:
+        """Adaptive sampling goes on where the root mean of these squared errors (H, W) exceeds `limit` in a tile."""
+        if self.adaptive is not None:
+            x, y = self.corner
+            columns, rows = self.view.window[2:]
+            height, width = squares.shape
+            self.adaptive.hold(np.pad(squares, [(y, rows - y - height), (x, columns - x - width)]), limit)
 
     def pixels(self) -> dict[str, np.ndarray]:
         """Every requested pass."""
@@ -699,6 +742,8 @@ class Frame:
         wanted = self.request.passes | (frozenset({"combined"}) if self.plan.picture else frozenset())
         if self._trivial:
             return self._empty_pixels(wanted, width, height)
+        if self.plan.defocus:
+            self._defocus()
         out: dict[str, np.ndarray] = {}
         first = ("combined",) if self.plan.picture else ()
         names = (*first, *(() if self.plan.defocus else shade_pass.averaged(self.request.passes)))
@@ -782,7 +827,7 @@ class Frame:
         """Strands and segments that the view shows, and segments that all samples drew."""
         segments = self.prepared.lines.values()
         drawn = 0 if self._trivial else sum(lines.drawn for lines in self.uploads.lines)
-        return {"strands": sum(s.strands for s in segments), "segments": sum(map(len, segments)), "drawn": drawn}
+        return {"strands": sum(s.strands for s in segments), "segments": self.segments, "drawn": drawn}
 
     def _skipped(self, ran: Set[str]) -> list[tuple[str, str]]:
         """Passes that did not run, and why."""

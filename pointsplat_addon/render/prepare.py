@@ -17,7 +17,7 @@ from ..core.appearance import digest, passing, point_cloud
 from ..core.cloud import PointCloud, coherent, finite
 from ..core.cost import DEFAULT, Costs
 from ..core.cut import Cut, Forest, all_finite, forest, fully, largest_singular_value, select, staggered
-from ..core.defocus import blur_of
+from ..core.defocus import COARSEST, NODE, blur_of
 from ..core.hierarchy import Hierarchy, recolor, refit
 from ..core.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
 from ..core.lens import sampled
@@ -78,14 +78,15 @@ def prepare(
     interactive: bool = False,
     check: Callable[[], None] = lambda: None,
     costs: Costs = DEFAULT,
+    node: float = NODE,
 ) -> Prepared:
     """Choose, sample and cut everything that `camera` sees.
 
     `samples` tells how often the result will be drawn. `interactive`: again and again, and at once; what takes long is
     then built on another thread and used when it is there. `check` is called between geometries, and may raise to stop.
-    `costs`: what drawing costs on the device.
+    `costs`: what drawing costs on the device. `node`: of what is out of focus, see core/defocus.py.
     """
-    return _View(scene, camera, settings, samples, interactive, store, check, costs).prepared()
+    return _View(scene, camera, settings, samples, interactive, store, check, costs, node).prepared()
 
 
 @dataclass
@@ -98,6 +99,7 @@ class _View:
     store: Store
     check: Callable[[], None]
     costs: Costs
+    node: float
     warnings: list[str] = field(default_factory=list)
     ranges: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)  # of points, by instance
     parts: dict[int, np.ndarray] = field(default_factory=dict)  # that are polygons, by instance
@@ -108,9 +110,10 @@ class _View:
         with np.errstate(all="ignore"):
             view_from_object = camera.view_from_world @ instances.world_from_object
             usable = all_finite(view_from_object.astype(np.float32))  # as the device has them
-        blur = blur_of(camera) if self.settings.dof_method == "SPLAT" else None
+        blur = blur_of(camera, self.node) if self.settings.dof_method == "SPLAT" else None
         if blur is not None:
-            self.focus = Focus(scene, camera, blur, self.settings.tolerance, self.store, view_from_object)
+            tolerance = min(self.settings.tolerance, COARSEST)
+            self.focus = Focus(scene, camera, blur, tolerance, self.store, view_from_object)
         opaque, translucent, spheres = (({}, np.full(len(instances), -1)) for _ in range(3))
         polygons: list[np.ndarray] = []
         # Parts of meshes are all points or all polygons where either may be out of focus.

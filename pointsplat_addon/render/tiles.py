@@ -106,6 +106,7 @@ class Adaptive:
         self._reach = -(-gather // TILE)
         self._size = -(-sums.size[0] // TILE), -(-sums.size[1] // TILE)
         self.counts = np.zeros(self._size[::-1], np.float32)  # 0: still active
+        self._held = np.zeros(self.counts.shape, bool)
         self._half = device.texture(sums.size, "RGBA32F")
         self._half_target = device.target([self._half])
         self._count = device.texture(self._size, "R32F")
@@ -134,6 +135,7 @@ class Adaptive:
         textures = {"ps_combined": self._sums, "ps_half": self._half, "ps_counts": self.known}
         self.device.draw(CONVERGE, self._count_target, uniforms=record, textures=textures)
         counts = self.device.read(self._count)[..., 0]
+        counts = np.where(self._held & (self.counts == 0), np.float32(0), counts)
         if np.array_equal(counts, self.counts):
             return False
         if self._place is not None and not self._places:
@@ -146,6 +148,12 @@ class Adaptive:
         self.known = self.device.texture(self._size, "R32F", counts.reshape(-1))
         self.shown, self.gathered = self._region(active), self._region(dilated(active, self._reach))
         return True
+
+    def hold(self, squares: np.ndarray, limit: float) -> None:
+        """Tiles go on in which the mean of these squared errors (H, W), of the whole picture, exceeds limit^2."""
+        rows, columns = self.counts.shape
+        whole = np.pad(squares, [(0, rows * TILE - squares.shape[0]), (0, columns * TILE - squares.shape[1])])
+        self._held = whole.reshape(rows, TILE, columns, TILE).mean(axis=(1, 3)) > limit**2
 
     @property
     def place(self) -> Texture | None:

@@ -45,6 +45,7 @@ OPAQUE = 100.0  # optical depth of what is opaque
 CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
 COARSE = 2  # pixels of the picture along a side of the coarse one's
 MOST_REACHED = 4  # lights whose shares are kept
+MOST_KEPT = 7  # points of wide lamps whose shares are kept
 CHANNELS = ("R", "GA", "B")  # drawn one after the other where extinction is coloured
 
 
@@ -271,7 +272,8 @@ class Reach:
     def __init__(self, device: Device) -> None:
         self.device = device
         self._key: tuple = ()
-        self._kept: dict[int, tuple[Target, dict[str, Texture]]] = {}  # by which point of wide lamps
+        self._kept: dict[int, tuple[Target, dict[str, Texture]]] = {}  # all points from MOST_KEPT on share one
+        self._taps: dict[int, int] = {}  # which point of wide lamps each is of
 
     def textures(
         self, key: tuple, tap: int, program: Interface, size: tuple[int, int], light: Callable[[Target], None]
@@ -280,15 +282,18 @@ class Reach:
         if key != self._key:
             self.release()
             self._key = key
-        if tap not in self._kept:
+        slot = min(tap, MOST_KEPT)
+        if slot not in self._kept:
             with undone(self.device):
                 textures = {
                     name.replace("out_", "ps_"): self.device.texture(size, "RGBA16F") for _, name in program.outputs
                 }
-                target = self.device.target(list(textures.values()))
-                light(target)
-            self._kept[tap] = target, textures
-        return self._kept[tap][1]
+                self._kept[slot] = self.device.target(list(textures.values())), textures
+        target, textures = self._kept[slot]
+        if self._taps.get(slot) != tap:
+            light(target)
+            self._taps[slot] = tap
+        return textures
 
     def release(self) -> None:
         for target, textures in self._kept.values():
@@ -296,6 +301,7 @@ class Reach:
             for texture in textures.values():
                 texture.release()
         self._kept.clear()
+        self._taps.clear()
 
 
 def draw_program(options: TranslucentOptions, channel: str) -> Interface:
