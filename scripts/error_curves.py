@@ -31,7 +31,7 @@ COLORS = {
 }
 MARKS = {"tolerance": "o", "shadows": "s", "defaults": "D", "lens": "^", "other": "x", "count": "."}
 SERIES = {"lens": ", samples through the lens", "shadows": ", other shadow resolutions"}  # said in the legend
-BRIEF = "Spot", "balls, depth of field", "smoke, shadows"  # scenes of the plot that is seen first
+BRIEF = "Spot", "maple, shadows", "balls, depth of field", "smoke, shadows"  # scenes of the plot that is seen first
 BEGIN, END = "<!-- figures -->\n", "<!-- end of figures -->\n"
 
 
@@ -176,22 +176,20 @@ def written(text: str, rows: list[Row]) -> str:
 
 
 def plot(rows: list[Row], path: Path) -> None:
-    """A panel for each scene, of error over time with PointSplat's Pareto front; and one of cost over points."""
+    """A panel for each scene, of error over time with PointSplat's Pareto front."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     names = list(dict.fromkeys(row["scene"] for row in rows if row["series"] != "count"))
-    panels = len(names) + any(row["series"] == "count" for row in rows)
+    panels = len(names)
     across = min(panels, 3)
     down = -(-panels // across)
     size = 4.6 * across, 3.9 * down + 0.5
     figure, axes = pyplot.subplots(down, across, figsize=size, squeeze=False, layout="constrained")
     for axis, name in zip(axes.flat, names, strict=False):
         draw_scene(axis, name, [r for r in rows if r["scene"] == name and r["series"] != "count"])
-    if panels > len(names):
-        draw_counts(axes.flat[len(names)], [row for row in rows if row["series"] == "count"])
     for axis in list(axes.flat)[panels:]:
         axis.set_axis_off()
     seen = labels(axes)
@@ -207,8 +205,8 @@ def plot_brief(rows: list[Row], path: Path) -> None:
     names = [name for name in BRIEF if any(row["scene"] == name for row in rows)]
     if not names:
         return
-    with pyplot.rc_context({"font.size": 12}):
-        figure, axes = pyplot.subplots(1, len(names), figsize=(3.6 * len(names), 4.2), squeeze=False,
+    with pyplot.rc_context({"font.size": 13}):
+        figure, axes = pyplot.subplots(1, len(names), figsize=(3.2 * len(names), 4.0), squeeze=False,
                                        layout="constrained")  # fmt: skip
         for axis, name in zip(axes.flat, names, strict=True):
             found = [r for r in rows if r["scene"] == name and r["series"] != "count"]
@@ -219,7 +217,7 @@ def plot_brief(rows: list[Row], path: Path) -> None:
             logarithmic(axis)
         axes[0, 0].set_ylabel("RMSE, scene-linear")
         seen = labels(axes)
-        figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=3)
+        figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=4)
         figure.savefig(path, dpi=80)
         pyplot.close(figure)
 

@@ -632,7 +632,7 @@ def in_processes(names: list[str], arguments: argparse.Namespace) -> list[Row]:
                 said = "; ".join(told) if told else f"{time.perf_counter() - start:.0f} s"
                 sys.stderr.write(f"{name}, {what}: {said}\n")
         order = ("counts", *KINDS)
-        rows.sort(key=lambda row: order.index(row["scene"]))
+        rows.sort(key=lambda row: (order.index(row["scene"]), row["program"] != "PointSplat", row["program"]))
         save(rows, arguments.rows)
     return rows
 

@@ -59,9 +59,10 @@ DEALT = 1 << 17  # entries that are dealt out to runs together, and
 RUN = 1 << 14  # entries that are sorted together: their scratch arrays stay in the cache
 
 
-def build(light: Light, batches: Sequence[Casters], resolution: int) -> ShadowTable:
+def build(light: Light, batches: Sequence[Casters], resolution: int, around: Sequence[Casters] = ()) -> ShadowTable:
     """The table of `light`, `resolution` cells high: over half a turn, or over the casters where they fill less.
 
+    `around`: what the cells are to reach over besides, and casts nothing.
     ValueError: a lamp or direction that is not finite, or more entries than 32-bit links reach.
     """
     if not (np.isfinite(light.position).all() and np.isfinite(light.direction).all()):
@@ -71,7 +72,7 @@ def build(light: Light, batches: Sequence[Casters], resolution: int) -> ShadowTa
     if not batches:
         nothing = Frame(True, np.eye(3), np.zeros(3), False, -np.ones(2), np.ones(2), 1)
         return ShadowTable(nothing, Emitter("POINT", np.zeros((2, 3))), (), colored)
-    frame = fit_frame(light, batches, resolution)
+    frame = fit_frame(light, [*batches, *around], resolution)
     rows = _Rows(frame, [cell_grids(frame, _coarser(frame, kind, batches)) for kind in KINDS])
     blocks = [*_blocks(rows, batches, colored)]
     emitter = emitter_of(light, frame)

@@ -18,7 +18,7 @@ def plane_of(mesh: Mesh, outline: Outline) -> tuple[np.ndarray, np.ndarray] | No
     a, b, c = mesh.position[mesh.triangles[outline.area.argmax()]].astype(np.float64)
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal)
-    slack = FLAT * (np.linalg.norm(outline.high - outline.low) + np.abs(_corners(outline.low, outline.high)).max())
+    slack = FLAT * (np.linalg.norm(outline.high - outline.low) + np.abs(box_corners(outline.low, outline.high)).max())
     used = mesh.position[np.unique(mesh.triangles[outline.valid])].astype(np.float64)
     return (a, normal) if np.abs((used - a) @ normal).max() <= slack else None
 
@@ -38,7 +38,7 @@ def lowest_corner(
 ) -> float:
     """The least height, above a plane in the world, of boxes between corners (3,) in object space, of instances
     (I, 4, 4); not a number where a matrix is none."""
-    return lowest(_corners(low, high), world_from_object, point, normal)
+    return lowest(box_corners(low, high), world_from_object, point, normal)
 
 
 def lowest(position: np.ndarray, world_from_object: np.ndarray, point: np.ndarray, normal: np.ndarray) -> float:
@@ -49,6 +49,6 @@ def lowest(position: np.ndarray, world_from_object: np.ndarray, point: np.ndarra
         return float(height.min(initial=np.inf))
 
 
-def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(8, 3) of a box."""
+def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(8, 3) of a box between two (3,)."""
     return np.stack([np.where(which, high, low) for which in np.ndindex(2, 2, 2)])

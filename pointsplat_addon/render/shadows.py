@@ -14,14 +14,14 @@ import numpy as np
 from ..core import sampling, shadow
 from ..core.appearance import digest, hiding
 from ..core.cloud import PointCloud, finite
-from ..core.cut import largest_singular_value
+from ..core.cut import all_finite, largest_singular_value
 from ..core.hierarchy import build
 from ..core.instances import make_levels
 from ..core.lighting import in_rows
 from ..core.scene import Geometry, Light, Mesh, Scene, Settings
 from ..core.shadow_casters import Pieces, pieces
 from ..core.shadow_cells import NARROW, rotation
-from ..core.shadow_floor import FLAT, lowest, lowest_corner, plane_of, shines_from
+from ..core.shadow_floor import FLAT, box_corners, lowest, lowest_corner, plane_of, shines_from
 from ..core.shadow_samples import Outline, outline, places, sampled
 from ..core.strands import Strands, clean
 from .prepare import MANY_INSTANCES, given
@@ -92,15 +92,17 @@ def cast(
     casters = _casters(scene, store)
     if not casters:
         return None, "nothing casts shadows"
-    casters = _without_floors(scene, casters, store)
-    if not casters:
+    floors = _floors(scene, casters, store)
+    if all(floors):
         return None, "there is nothing in the shadow of anything"
-    spacing = _spacings(casters, scene.lights, settings.shadow_resolution, store)
+    spacing = _spacings(casters, scene.lights, settings.shadow_resolution, store, floors)
     look = tuple(
         (c.geometry.key, _look(scene, c.geometry), c.matrices.tobytes(), s)
         for c, s in zip(casters, spacing, strict=True)
     )
     matter = ("casters", hashlib.blake2b(repr(look).encode(), digest_size=16).digest(), settings.shadow_resolution)
+    # Cells are as wide as they would be if floors cast, so that shadows on these do not move with what stands there.
+    around = [_outer(c, store) for c, floor in zip(casters, floors, strict=True) if floor]
     lights = in_rows(scene.lights)
     keys = tuple(_key(light) if light.shadow else None for light in lights)
 
@@ -121,7 +123,7 @@ def cast(
                     strands.extend(_pieces(casters, spacing, store))
                 try:
                     every = [*batches, *(one.toward(light) for one in strands)]
-                    return shadow.build(light, every, settings.shadow_resolution)
+                    return shadow.build(light, every, settings.shadow_resolution, around)
                 except ValueError as error:
                     warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")
                     return None
@@ -161,9 +163,18 @@ def _casters(scene: Scene, store: Store) -> list[_Caster]:
     return found
 
 
-def _without_floors(scene: Scene, casters: list[_Caster], store: Store) -> list[_Caster]:
-    """The casters but for those behind which, seen from all lamps, there is nothing: a floor under all that stands on
-    it would take as many samples as the tables have cells."""
+def _outer(caster: _Caster, store: Store) -> shadow.Casters:
+    """The corners of boxes about all instances, in the world, of no size."""
+    corners = box_corners(*_box(caster.geometry, store))
+    world = np.einsum("iab,nb->ina", caster.matrices[:, :3, :3], corners) + caster.matrices[:, None, :3, 3]
+    world = world.reshape(-1, 3)
+    middle = world.mean(axis=0)
+    return shadow.Casters("OPAQUE", middle, (world - middle).astype(np.float32), np.zeros(len(world), np.float32))
+
+
+def _floors(scene: Scene, casters: list[_Caster], store: Store) -> tuple[bool, ...]:
+    """Casters behind which, seen from all lamps, there is nothing: a floor under all that stands on it would take as
+    many samples as the tables have cells."""
     instances = scene.instances
     every = (*(g.key for g in scene.geometries), *(_key(light) for light in scene.lights if light.shadow))
     held = instances.world_from_object.tobytes() + instances.geometry.tobytes()
@@ -172,7 +183,7 @@ def _without_floors(scene: Scene, casters: list[_Caster], store: Store) -> list[
     def look() -> tuple[bool, ...]:
         return tuple(_is_floor(scene, caster, store) for caster in casters)
 
-    return [caster for caster, floor in zip(casters, store.lookup(key, look), strict=True) if not floor]
+    return store.lookup(key, look)
 
 
 def _is_floor(scene: Scene, caster: _Caster, store: Store) -> bool:
@@ -202,8 +213,10 @@ def _nothing_behind(scene: Scene, point: np.ndarray, normal: np.ndarray, matrix:
         normal = -normal
         if not all(shines_from(light, point, normal) for light in lights):
             return False
+    with np.errstate(all="ignore"):
+        drawn = all_finite(scene.instances.world_from_object.astype(np.float32))  # no others are
     for row, geometry in enumerate(scene.geometries):
-        matrices = scene.instances.world_from_object[scene.instances.geometry == row]
+        matrices = scene.instances.world_from_object[drawn & (scene.instances.geometry == row)]
         if len(matrices) and not _above(geometry, matrices, point, normal, store):
             return False
     return True
@@ -283,9 +296,11 @@ def _pieces(casters: list[_Caster], spacing: list[float], store: Store) -> list[
     ]
 
 
-def _spacings(casters: list[_Caster], lights: tuple[Light, ...], resolution: int, store: Store) -> list[float]:
+def _spacings(
+    casters: list[_Caster], lights: tuple[Light, ...], resolution: int, store: Store, floors: tuple[bool, ...]
+) -> list[float]:
     """How far apart the samples of each mesh may lie, in object units: cells of the table that tells most apart. 0 for
-    clouds, which have their points. Of strands how long their pieces are."""
+    clouds, which have their points, and for floors. Of strands how long their pieces are."""
     meshes = [caster.geometry.mesh is not None for caster in casters]
     if not any(mesh or caster.geometry.lines is not None for mesh, caster in zip(meshes, casters, strict=True)):
         return [0.0] * len(casters)
@@ -303,7 +318,7 @@ def _spacings(casters: list[_Caster], lights: tuple[Light, ...], resolution: int
             ]
             cell = np.minimum(cell, step * np.array(near))
     scale = np.array([largest_singular_value(c.matrices[:, :3, :3]).max() for c in casters])
-    area = np.array([_area(caster, store) for caster in casters])
+    area = np.array([0.0 if floor else _area(c, store) for c, floor in zip(casters, floors, strict=True)])
     with np.errstate(divide="ignore", invalid="ignore"):
         spacing = WITHIN * cell / scale
         samples = area / spacing**2
