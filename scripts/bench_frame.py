@@ -121,6 +121,9 @@ class Stopwatch:
     def milliseconds(self) -> float:
         return 1e3 * self._elapsed
 
+    def release(self) -> None:
+        pass
+
 
 @dataclass
 class Ours:

@@ -348,6 +348,9 @@ class ProcessorWatch:
     def milliseconds(self) -> float:
         return 1e3 * self._elapsed
 
+    def release(self) -> None:
+        pass
+
 
 def pictures(
     renderer: Renderer, scene: Scene, camera: Camera, settings: Settings, samples: tuple[int, ...], lens: bool

@@ -40,4 +40,4 @@ def test_sixty_frames_leave_nothing_behind(renderer, within):
 
 @pytest.mark.long
 def test_two_thousand_frames_leave_nothing_behind(renderer, within):
-    assert_nothing_is_left(renderer, 2000, 0.05, within)
+    assert_nothing_is_left(renderer, 2000, 0.05, within)  # measured 0.013
