@@ -197,7 +197,7 @@ def plume(size: int, data: Path, folder: Path) -> None:
     middle[1] = ends.mean()
     scale = 2 / float(np.linalg.norm(object_from_index[:3, 1]) * (ends[1] - ends[0]))
     world = np.array([[scale, 0, 0, 0], [0, 0, -scale, 0], [0, scale, 0, 0], [0, 0, 0, 1.0]])
-    world[:3, 3] = -(world @ object_from_index @ np.append(middle, 1.0))[:3]
+    world[:3, 3] = -1.0 * (world @ object_from_index @ np.append(middle, 1.0))[:3]
     item.matrix_world = [list(row) for row in world]
     # A volume's density is that of its own units, whatever its scale.
     volume = item.data.materials[0].node_tree.nodes["Principled Volume"]
