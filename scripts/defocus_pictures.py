@@ -1,10 +1,10 @@
 """What is out of focus, by splats and by samples through the lens: the pictures of docs/depth_of_field.md.
 
-python scripts/defocus_pictures.py --output docs/images/defocus.jpg [--lens 256]
+python scripts/defocus_pictures.py --output docs/images/defocus.jpg [--lens 256] [--scan FILE.ply[.gz]]
 
 Rows: balls on a floor of triangles; a translucent shell out of focus before a body in focus, and behind one; hair and
-tubes; a ball in focus before a picture of the world. From the left: without a lens, splats (16 samples), samples
-through the lens, four times the difference.
+tubes; a ball in focus before a picture of the world; the points of a scan, if one is given. From the left: without a
+lens, splats (16 samples), samples through the lens, four times the difference.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ import numpy as np
 from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from pointsplat_addon.core import environment
 from pointsplat_addon.core.scene import Aperture, Camera, Scene, Settings, World
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.frame import Renderer, Request
+from scripts.bench_defocus import scan
 from scripts.compare import displayed
 from tests.render import scenes
 
@@ -86,13 +88,26 @@ def landscape() -> tuple[Scene, Camera]:
     return scene, replace(seen, aperture=Aperture(0.15, 4.6))
 
 
+def scanned(path: Path) -> tuple[Scene, Camera]:
+    """Along a scan that is as deep as the lens blurs: in focus where it is nearest."""
+    body = scenes.mesh(scan(path), "POINTS")
+    lights = (scenes.sun(2.5, (0.4, 0.5, -0.8)),)
+    seen = scenes.camera((-2.1, -1.0, 0.5), (0.1, 0.0, -0.15), (WIDTH, HEIGHT), field_of_view=50.0)
+    of = scenes.scene((body, scenes.moved((0, 0, -1.0), 1.2)), lights=lights)
+    return of, replace(seen, aperture=Aperture(0.06, 1.6))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--lens", type=int, default=256, help="samples through the lens")
+    parser.add_argument("--scan", type=Path, help="a PLY of triangles")
     given = parser.parse_args()
     renderer, rows = Renderer(OpenGLDevice()), []
-    for scene, camera in (floor(), shell(False), shell(True), strands(), landscape()):
+    pictures = [floor(), shell(False), shell(True), strands(), landscape()]
+    if given.scan is not None:
+        pictures.append(scanned(given.scan))
+    for scene, camera in pictures:
         splat = Settings(use_shadows=False)
         wanted = (
             (replace(camera, aperture=None), splat, 16),
