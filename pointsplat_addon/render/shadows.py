@@ -224,7 +224,7 @@ def _nothing_behind(scene: Scene, point: np.ndarray, normal: np.ndarray, matrix:
 
 def _above(geometry: Geometry, matrices: np.ndarray, point: np.ndarray, normal: np.ndarray, store: Store) -> bool:
     """Whether all instances (I, 4, 4) lie above a plane, or on it."""
-    low, high = store.lookup(("box", geometry.key), lambda: _box(geometry, store))
+    low, high = store.lookup(("corners", geometry.key), lambda: _box(geometry, store))
     if not (low <= high).all():
         return True
     with np.errstate(all="ignore"):
