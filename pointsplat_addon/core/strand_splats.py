@@ -11,7 +11,7 @@ from .lines import Lines
 from .scene import Camera
 from .strands import Strands, lengths_scale
 
-MOST_BENT = 0.5  # cosine of half the sharpest bend that is closed
+MOST_BENT = 0.5  # cosine of half the sharpest bend whose sides meet
 MOST_ACROSS = 16  # strips of a wide tube
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 FINER = 2.0  # so many times as narrow as strips are the pieces of ends, which have an outline of their own
@@ -68,17 +68,24 @@ def splats(
         side = _normalised(side - (side * unit).sum(axis=1, keepdims=True) * unit)
         facing = np.cross(unit, side)
         across = np.ones(len(of), np.int64)
-    if strands.side is None:
-        before, after = _wedges(strands, first, second, unit, number, count[of])
-        reach = np.where(across > 1, radius, 0.0)
-        middle = middle + unit * (reach * (after - before) / 2)[:, None]
-        length = length + reach * (before + after)
     strip, which = _numbered(across)
     shift = ((2 * which + 1) / across[strip] - 1)[:, None]
     round_ = strands.side is None
     normal = facing[strip] * np.sqrt(1 - shift**2) + side[strip] * shift if round_ else facing[strip]
-    middle = middle[strip] + radius[strip, None] * (normal if round_ else 0.0) * (across[strip] > 1)[:, None]
-    half = np.stack([length[strip] / np.sqrt(3), 2 * radius[strip] / (across[strip] * np.sqrt(3))], axis=1)
+    wide = across[strip] > 1
+    middle, length = middle[strip] + radius[strip, None] * (normal if round_ else 0.0) * wide[:, None], length[strip]
+    if round_:
+        begin, end = (
+            np.where(
+                wide & (number == last)[strip], radius[strip] * _mitre(strands, at[strip], unit[strip], normal), 0.0
+            )
+            for at, last in ((first, 0), (second, count[of] - 1))
+        )
+        # The inner side ends within the next segment.
+        begin, end = np.minimum(begin, 0), np.maximum(end, 0)
+        middle += unit[strip] * ((begin + end) / 2)[:, None]
+        length = length + end - begin
+    half = np.stack([length / np.sqrt(3), 2 * radius[strip] / (across[strip] * np.sqrt(3))], axis=1)
     # The wider of both half-axes comes first.
     turned = half[:, 1] > half[:, 0]
     major = np.where(turned[:, None], np.cross(normal, unit[strip]), unit[strip])
@@ -139,17 +146,12 @@ def _closing(
     return point[which], middle, outward[which], radius[which] / np.sqrt(SHARE * count[which])
 
 
-def _wedges(
-    strands: Strands, first: np.ndarray, second: np.ndarray, unit: np.ndarray, number: np.ndarray, count: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) each: how far, in radii, a segment's first and last piece reach beyond it, so that no wedge is open on the
-    outer side of a bend: the tangent of half the bend's angle, which the strand's tangent at the joint tells."""
-
-    def bend(point: np.ndarray) -> np.ndarray:
-        cosine = np.clip((strands.tangent[point] * unit).sum(axis=1), MOST_BENT, 1)
-        return np.sqrt(1 - cosine**2) / cosine
-
-    return np.where(number == 0, bend(first), 0.0), np.where(number == count - 1, bend(second), 0.0)
+def _mitre(strands: Strands, point: np.ndarray, unit: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(n,): how far, in radii, the side of a tube with this normal (n, 3) goes on along its segment (n, 3) where that
+    ends at a point (n,): to the plane through the point whose normal is the tangent of the strand there. Farther on the
+    outer side of a bend, and less far on the inner one."""
+    tangent = strands.tangent[point].astype(np.float64)
+    return -(normal * tangent).sum(axis=1) / np.maximum((unit * tangent).sum(axis=1), MOST_BENT)
 
 
 def sharp_ends(

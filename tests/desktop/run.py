@@ -217,6 +217,41 @@ def views(folder):
     yield 0.5
 
 
+def lens(folder):
+    """Depth of field in camera view, by both methods, and as it follows the focus distance."""
+    _, area, _, space = viewport()
+    view = space.region_3d
+    scene = bpy.context.scene
+    of = scene.camera.data.dof
+    view.view_perspective = "CAMERA"
+    area.tag_redraw()
+    yield 2.0
+    sharp = shoot(folder, "lens_off")
+    of.use_dof, of.aperture_fstop, of.focus_distance = True, 0.1, 4.0
+    yield 4.0
+    near = shoot(folder, "lens_near")
+    check(difference(sharp, near) > 0.004, "depth of field blurs the camera view")
+    of.focus_distance = 14.0
+    yield 4.0
+    far = shoot(folder, "lens_far")
+    check(difference(near, far) > 0.002, "the blur follows the focus distance")
+    scene.pointsplat.dof_method = "LENS_SAMPLES"
+    # The first samples show the scene a few times over.
+    for _ in range(10):
+        yield 4.0
+        samples = shoot(folder, "lens_samples")
+        alike = difference(far, samples) < difference(sharp, samples) / 2
+        if alike:
+            break
+    check(alike, "both methods show the same blur")
+    scene.pointsplat.dof_method = "SPLAT"
+    yield from final_render(folder, "f12_lens")
+    of.use_dof = False
+    view.view_perspective = "PERSP"
+    area.tag_redraw()
+    yield 0.5
+
+
 def final_render(folder, name="f12"):
     ticks = [time.monotonic()]
 
@@ -425,6 +460,7 @@ def story(args):
     check(len(colors) > 12, f"the rendered viewport shows shaded objects ({len(colors)} coarse colours)")
     yield from orbit(args.output)
     yield from views(args.output)
+    yield from lens(args.output)
     yield from final_render(args.output)
     yield from cancelled_render()
     yield 2.0
