@@ -38,9 +38,9 @@ NODE = 1.4
 # Sums of kernels over a surface are uneven by some percent. What they cover is the sum s + EVEN s^4, at most 1: what is
 # almost whole lets nothing through, and edges keep their slope.
 EVEN = 0.12
-# Pixels: largest splats of what is blurred less than their size, however coarse a cut is asked for. Nothing closes the
-# gaps between them but their kernels, which sum to less than what lets nothing through if they are wider.
-COARSEST = 3.0
+# Pixels: the coarsest tolerance of what is blurred, however coarse a cut is asked for. Nothing closes the gaps between
+# its splats but their kernels, which sum to less than what lets nothing through if they are wider.
+COARSEST = 2.0
 # Of what backs cover where fronts of the same surface are: sums are uneven, and closed bodies end with fronts alone.
 BESIDE = 0.8
 FAINT = 1e-3  # of a kernel's middle, and of the lens: where splats end

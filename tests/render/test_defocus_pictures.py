@@ -272,7 +272,7 @@ def test_a_coarse_cut_has_no_holes(primitive):
     case = Case(scenes.scene((floor, flat), world=BLACK), seen, SPLAT)
     # The lower rows are blurred by 1 to 3 pixels.
     coarse, fine = (drawn(case, Aperture(0.1, 8.0), 1, tolerance=t).pixels["combined"][:24, :, 0] for t in (16.0, 1.0))
-    assert np.abs(coarse / fine - 1).max() < 0.01  # measured 4e-4; 0.8 of splats as wide as 16 pixels
+    assert np.abs(coarse / fine - 1).max() < 0.01  # measured 4.2e-4; 0.8 of splats as wide as 16 pixels
 
 
 # What a scene does not need
