@@ -262,8 +262,8 @@ def lint(args, rest):
 def test_groups(arguments):
     """Split pytest's arguments into options and groups of paths, each group for one process.
 
-    What needs no Blender shares a process. Every file that loads bpy has its own: Blender's state cannot be reset. So
-    have the extreme cases, which measure the memory of theirs.
+    The folders of the whole suite have one each, so that none needs the memory of two; the extreme cases always have
+    their own, of which they measure the memory. So has every file that loads bpy: Blender's state cannot be reset.
     """
     is_path = [os.path.exists(os.path.join(ROOT, a.split("::")[0])) and not a.startswith("-") for a in arguments]
     options = [a for a, path in zip(arguments, is_path) if not path]  # noqa: B905 (Python 3.8 has no strict)
@@ -271,16 +271,17 @@ def test_groups(arguments):
     plain, groups = [], []
     for path in paths:
         name = os.path.relpath(os.path.join(ROOT, path), ROOT)
-        folders = ["core", "render", "extreme", "blender"] if name == "tests" else []
+        whole = name == "tests"
+        folders = ["core", "render", "extreme", "blender"] if whole else []
         for part in [os.path.join(name, folder) for folder in folders] or [name]:
-            if part.startswith(os.path.join("tests", "extreme")):
+            if part.startswith(os.path.join("tests", "blender")):
+                is_folder = os.path.isdir(os.path.join(ROOT, part))
+                files = glob.glob(os.path.join(part, "**", "test_*.py"), recursive=True) if is_folder else [part]
+                groups += [[file] for file in sorted(files)]
+            elif whole or part.startswith(os.path.join("tests", "extreme")):
                 groups.append([part])
-            elif not part.startswith(os.path.join("tests", "blender")):
-                plain.append(part)
-            elif os.path.isdir(os.path.join(ROOT, part)):
-                groups += [[f] for f in sorted(glob.glob(os.path.join(part, "**", "test_*.py"), recursive=True))]
             else:
-                groups.append([part])
+                plain.append(part)
     return options, ([plain] if plain else []) + groups
 
 

@@ -110,7 +110,9 @@ def _from_object(
     obj: bpy.types.Object, world_from_object: np.ndarray, depsgraph: bpy.types.Depsgraph, width: int, height: int
 ) -> Camera:
     render = depsgraph.scene.render
-    rotation = world_from_object[:3, :3] / np.linalg.norm(world_from_object[:3, :3], axis=0)
+    length = np.linalg.norm(world_from_object[:3, :3], axis=0)
+    # A camera that is scaled to nothing has no such directions: core/sound.py tells.
+    rotation = world_from_object[:3, :3] / np.where(length > 0, length, 1.0)
     view_from_world = np.eye(4)
     # Rows rather than a general inverse: exactly rigid whatever float32 made of the matrix.
     view_from_world[:3, :3] = rotation.T
