@@ -266,6 +266,7 @@ class Frame:
         self._identities: list[np.ndarray] = []
         self._data: dict[str, np.ndarray] = {}
         self.adaptive: Adaptive | None = None
+        self.backdrop: backdrop_pass.Backdrop | None = None
         plan = self.plan
         self.everywhere = why_everywhere(
             request.settings,
@@ -307,7 +308,6 @@ class Frame:
             Uploads(self.renderer.kept, self.scene, self.view, self.prepared, plan, motion, self.shadows)
         )
         self.clock.spent |= self.uploads.spent
-        self.backdrop: backdrop_pass.Backdrop | None = None
         if plan.backdrop:
             grid = grid_of(self.view, device.limits.texture_size)
             self.backdrop = self._own(backdrop_pass.Backdrop(device, grid))
