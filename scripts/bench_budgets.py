@@ -30,7 +30,8 @@ from bench_defocus import scan
 from pointsplat_addon.core.scene import Camera, Geometry, Medium, Settings, Volume
 from pointsplat_addon.formats import dense
 from pointsplat_addon.render.budget import Moving, _wait
-from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from pointsplat_addon.render.store import STORE
 from tests.render import scenes
 
@@ -124,7 +125,7 @@ def alone(
             frame.sample()
             _wait(renderer.device)
         found.append((ready - before, (clock() - ready) / 2))
-        splats = frame.splats
+        splats = frame.shot.splats
         frame.release()
     once, each = np.median(found[1:], axis=0)
     return float(once), float(each), splats
@@ -137,7 +138,7 @@ def warmed(renderer: Renderer, case: scenes.Case, camera: Camera) -> None:
     seen: list[int] = []
     while len(seen) < 40 and (len(seen) < 2 or seen[-1] > max(seen) / 2):
         frame = renderer.start(case.scene, request)
-        seen.append(frame.splats)
+        seen.append(frame.shot.splats)
         frame.release()
         if seen[-1] <= MANY:
             return

@@ -24,7 +24,8 @@ from bench_hierarchy import row
 from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.scene import Aperture, Camera, Mesh, Scene, Settings
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from tests.render import scenes
 
 SIDE = 512  # points of the plane, along each side

@@ -25,7 +25,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.scene import Camera, Geometry, Instances, Light, Scene, Settings, World, default_materials
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.report import report
+from pointsplat_addon.render.request import Request
 
 SIZE = 1024  # pixels
 SETTINGS = Settings(technique="IMAGE_SPACE", use_shadows=False, use_adaptive_sampling=False)
@@ -146,12 +148,12 @@ class Ours:
             frame.sample()
         self.device.finish()
         drawn = time.perf_counter()
-        report = frame.report(drawn - start)
+        told = report(frame, drawn - start)
         pixels = frame.pixels() if self.device.timed else {}
         read = time.perf_counter()
         frame.release()
         stages = {"prepare, allocate": started - start, "read back": read - drawn if pixels else 0.0}
-        return {**report, "stages": stages}
+        return {**told, "stages": stages}
 
 
 # ---------------------------------------------------------------------------- VTK
@@ -349,11 +351,11 @@ def by_pass(ours: Ours, frames: int, samples: int) -> tuple[dict[str, float], li
     taken: dict[str, list[float]] = {}
     totals = []
     for i in range(frames):
-        report = ours.frame((i + 1) * TURN, samples)
-        totals.append(1e3 * report["seconds"])
-        stages = {name: 1e3 * s for name, s in report["stages"].items()}
+        told = ours.frame((i + 1) * TURN, samples)
+        totals.append(1e3 * told["seconds"])
+        stages = {name: 1e3 * s for name, s in told["stages"].items()}
         read = stages.pop("read back")
-        stages |= {p["name"]: p["ms"] for p in report["passes"]}
+        stages |= {p["name"]: p["ms"] for p in told["passes"]}
         stages["read back"] = read
         for name, ms in stages.items():
             taken.setdefault(name, []).append(ms)
@@ -392,9 +394,9 @@ def run(quick: bool = False, vtk: bool = True) -> tuple[list[dict], dict[str, li
 
     try:
         rows = []
-        report = ours(1, False).frame(0.0)
-        note = f"{count} points at {SIZE}x{SIZE} on {report['device']}"
-        rows.append(row("frame, points in the cut", 100 * report["points"]["cut"] / count, "%", ">= 100", note))
+        told = ours(1, False).frame(0.0)
+        note = f"{count} points at {SIZE}x{SIZE} on {told['device']}"
+        rows.append(row("frame, points in the cut", 100 * told["points"]["cut"] / count, "%", ">= 100", note))
         rows.append(uploads(ours(1, True)))
         rows += blended(ours, 3)
         if vtk and find_spec("vtk"):

@@ -39,8 +39,10 @@ from pointsplat_addon.core.scene import (
     World,
     default_materials,
 )
-from pointsplat_addon.render.frame import Renderer, Request
 from pointsplat_addon.render.prepare import STORE, prepare
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.report import report
+from pointsplat_addon.render.request import Request
 
 SIZE = (500, 400)  # pixels
 TURN = np.radians(1.0)  # of the camera from frame to frame
@@ -124,11 +126,11 @@ class Ours:
             picture.sample()
         self.device.finish()
         end = time.perf_counter()
-        report, image = picture.report(end - prepared), picture.pixels()["combined"] if pixels else None
+        told, image = report(picture, end - prepared), picture.pixels()["combined"] if pixels else None
         picture.release()
         return {
-            "seconds": end - prepared, "prepare": prepared - start, "cut": report["points"]["cut"],
-            "bytes": report["bytes"], "uploaded": self.device.uploaded - uploaded, "image": image,
+            "seconds": end - prepared, "prepare": prepared - start, "cut": told["points"]["cut"],
+            "bytes": told["bytes"], "uploaded": self.device.uploaded - uploaded, "image": image,
         }  # fmt: skip
 
 

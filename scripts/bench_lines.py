@@ -20,7 +20,8 @@ from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.lines import Lines
 from pointsplat_addon.core.scene import Geometry, Scene, Settings
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from tests.render import scenes
 
 STRANDS, POINTS, CLOUD, RESOLUTION = 50_000, 16, 1_000_000, 1024

@@ -28,7 +28,8 @@ from pointsplat_addon.core.scene import (
     default_materials,
 )
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from scripts.compare import displayed
 
 CELL = 0.25  # side of a square

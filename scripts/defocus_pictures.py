@@ -23,7 +23,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from pointsplat_addon.core import environment
 from pointsplat_addon.core.scene import Aperture, Camera, Scene, Settings, World
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from scripts.bench_defocus import scan
 from scripts.compare import displayed
 from tests.render import scenes

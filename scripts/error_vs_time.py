@@ -42,8 +42,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.scene import Camera, Geometry, Instances, Scene, Settings, World, default_materials
 from pointsplat_addon.render.filtering import FILTER_WIDTH, offsets
-from pointsplat_addon.render.frame import Frame, Renderer, Request
+from pointsplat_addon.render.frame import Frame
 from pointsplat_addon.render.prepare import STORE
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.report import report
+from pointsplat_addon.render.request import Request
 from scripts import bench_frame
 from scripts.error_curves import Row, errors, plot, plot_brief, plot_counts, written
 from scripts.vtk_volume import VolumeView
@@ -374,10 +377,10 @@ def pictures(
             pixels = frame.pixels()["combined"]
             before = time.process_time()
             seconds = before - start - reading
-            report = frame.report(seconds)
-            passes = {entry["name"]: round(entry["ms"] / 1e3, 6) for entry in report["passes"]}
+            told = report(frame, seconds)
+            passes = {entry["name"]: round(entry["ms"] / 1e3, 6) for entry in told["passes"]}
             prepare = max(allocated - passes.get("shadows", 0.0), 0.0)
-            row = {"prepare": prepare, "passes": passes, "points": report["points"]["cut"], "bytes": report["bytes"]}
+            row = {"prepare": prepare, "passes": passes, "points": told["points"]["cut"], "bytes": told["bytes"]}
             yield pixels, {"samples": min(frame.done, samples[-1]), "seconds": seconds, **row}
             reading += time.process_time() - before
     finally:

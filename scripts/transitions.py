@@ -23,7 +23,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from pointsplat_addon.core.scene import Camera, Geometry, Scene, Settings
-from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from scripts.compare import displayed
 
 PERCENTILE = 99.0

@@ -27,7 +27,8 @@ from pointsplat_addon.core.lines import Lines
 from pointsplat_addon.core.scene import Camera, Geometry, Scene, Settings
 from pointsplat_addon.core.strands_from_mesh import Found, find, parts_of
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from scripts.compare import displayed, psnr
 from tests.render import scenes
 

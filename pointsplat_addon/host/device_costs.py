@@ -11,7 +11,7 @@ import bpy
 from ..core.cost import DEFAULT, Costs
 from ..render.calibrate import calibrate
 from ..render.device import DeviceError
-from ..render.frame import Renderer
+from ..render.renderer import Renderer
 from . import preferences
 
 LOG = logging.getLogger(__name__)

@@ -15,8 +15,9 @@ import numpy as np
 from ..core import scene as core
 from ..core.cryptomatte import murmur3
 from ..render.device import DeviceError
-from ..render.frame import Renderer, Request, Result
 from ..render.outputs import BY_KEY, CRYPTO, PASSES
+from ..render.renderer import Renderer
+from ..render.request import Request, Result
 from . import disk_cache, gl_thread, last, main_gpu
 from .convert.camera import render_camera
 from .convert.objects import collect

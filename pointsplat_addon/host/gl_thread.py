@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from ..render.frame import Renderer
+from ..render.renderer import Renderer
 from . import device_costs
 
 T = TypeVar("T")

@@ -12,7 +12,7 @@ import bpy
 from ..core.cost import DEFAULT
 from ..devices.blender_gpu import BlenderDevice
 from ..render.device import Device
-from ..render.frame import Renderer
+from ..render.renderer import Renderer
 from . import device_costs
 
 T = TypeVar("T")

@@ -13,7 +13,8 @@ import bpy
 from ..core import scene as core
 from ..render.budget import Moving, Refining
 from ..render.device import DeviceError
-from ..render.frame import Frame, Request
+from ..render.frame import Frame
+from ..render.request import Request
 from ..shading.sources import ShaderError
 from . import disk_cache
 from .convert.camera import viewport_camera

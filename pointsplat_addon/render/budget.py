@@ -19,7 +19,9 @@ from ..core.scene import Scene, Settings
 
 if TYPE_CHECKING:
     from .device import Device
-    from .frame import Frame, Renderer, Request, Result
+    from .frame import Frame
+    from .renderer import Renderer
+    from .request import Request, Result
 
 Progress = Callable[[float, str], None]
 Clock = Callable[[], float]  # seconds
@@ -226,7 +228,7 @@ class Watch:
         """The picture is prepared."""
         self._ready = self._clock()
         self.prepared = 1000 * (self._ready - self._began)
-        self.splats = frame.splats
+        self.splats = frame.shot.splats
 
     def enough(self, frame: Frame) -> bool:
         """Whether the picture needs no more samples."""

@@ -10,7 +10,9 @@ import numpy as np
 from ..core.cloud import PointCloud
 from ..core.cost import Costs
 from ..core.scene import Camera, Geometry, Instances, Mesh, Scene, Settings, World, default_materials
-from .frame import Frame, Renderer, Request
+from .frame import Frame
+from .renderer import Renderer
+from .request import Request
 
 SIZE = 256  # pixels
 FEW, MANY = 1 << 10, 1 << 15  # splats and triangles: what a scene of many takes longer is their own cost

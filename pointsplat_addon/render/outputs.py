@@ -1,8 +1,12 @@
-"""The render passes in one table: read by the engine's registration, by plan.py and by the output alike."""
+"""The render passes in one table: read by the engine's registration, by plan.py and by the output alike; and what they
+hold where nothing is."""
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import dataclass
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -38,3 +42,24 @@ PASSES = (
 BY_KEY = {p.key: p for p in PASSES}
 CRYPTO = ("crypto_object", "crypto_material")  # each becomes ceil(levels / 2) passes with suffix 00, 01, ...
 BACKGROUND_DEPTH = 1e10  # Cycles' value where a ray meets nothing
+
+
+def empty_pixels(keys: Set[str], size: tuple[int, int], color: np.ndarray, crypto_levels: int) -> dict[str, np.ndarray]:
+    """Pictures (H, W, C) float32 of passes where nothing is but a world of one `color` (4,). `size`: width, height."""
+    width, height = size
+    out = {}
+    for key in keys:
+        channels = BY_KEY[key].channels
+        if key in CRYPTO:
+            for i in range((crypto_levels + 1) // 2):
+                out[f"{key}{i:02d}"] = np.zeros((height, width, 4), np.float32)
+            continue
+        # What is filled at once is not zeroed first: that takes several times as long.
+        if key == "combined":
+            out[key] = np.empty((height, width, channels), np.float32)
+            out[key].reshape(height, -1)[:] = np.tile(color.astype(np.float32), width)
+        elif key in ("depth", "mist"):
+            out[key] = np.full((height, width, channels), BACKGROUND_DEPTH if key == "depth" else 1.0, np.float32)
+        else:
+            out[key] = np.zeros((height, width, channels), np.float32)
+    return out

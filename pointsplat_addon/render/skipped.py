@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Set
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -111,3 +111,21 @@ def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
     if not plan.coarse:
         found["enlarge"] = "only views that move are coarse at first, where no splat is coloured, painted or a holdout"
     return found
+
+
+def not_run(
+    left_out: Iterable[tuple[str, str]], ran: Set[str], trivial: bool, everywhere: str, reaches: bool
+) -> list[tuple[str, str]]:
+    """Passes that did not run, and why. `left_out`: of the plan, and why. `ran`: those that did. `trivial`: one colour
+    fills the picture. `everywhere`: why no part of it ends early; empty where one may. `reaches`: what reaches
+    translucent splats could be kept."""
+    found = [entry for entry in left_out if entry[0] not in ran]
+    known = {name for name, _ in found} | ran
+    late = dict(LATE)
+    if trivial:
+        late = {"background": "one colour fills the picture", "adapt": "one colour fills the picture"}
+    elif not reaches:
+        late["reach"] = "several of its instances share splats, or lamps are too many"
+    if everywhere:
+        late["adapt"] = everywhere
+    return found + [(name, late.get(name, UNKNOWN)) for name in PASSES if name not in known]

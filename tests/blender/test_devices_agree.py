@@ -12,8 +12,8 @@ gpu = pytest.importorskip("gpu")
 
 from pointsplat_addon.devices.blender_gpu import BlenderDevice  # noqa: E402 - needs Blender
 from pointsplat_addon.devices.opengl import OpenGLDevice  # noqa: E402
-from pointsplat_addon.render.frame import Renderer  # noqa: E402
 from pointsplat_addon.render.outputs import BACKGROUND_DEPTH  # noqa: E402
+from pointsplat_addon.render.renderer import Renderer  # noqa: E402
 from tests.blender.test_blender_gpu import start_gpu  # noqa: E402
 from tests.render.scenes import CASES, Case  # noqa: E402
 

@@ -15,9 +15,12 @@ import pytest
 
 from pointsplat_addon.core.scene import Aperture
 from pointsplat_addon.devices.null import NullDevice, NullTarget, NullTexture, NullTimer
+from pointsplat_addon.render.clock import MOST_OPEN
 from pointsplat_addon.render.device import DeviceError, Texture
-from pointsplat_addon.render.frame import MOST_OPEN, Renderer, Request
 from pointsplat_addon.render.prepare import STORE
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.report import report
+from pointsplat_addon.render.request import Request
 from tests.extreme.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
 from tests.render.scenes import ALL_PASSES, Case, camera
 
@@ -152,6 +155,6 @@ def test_a_viewport_that_stands_still_holds_few_timers():
     frame = Renderer(device).start(case.scene, many)
     while frame.sample():
         assert len(device.timers) <= MOST_OPEN
-    assert frame.report(0.0)["passes"]
+    assert report(frame, 0.0)["passes"]
     frame.release()
     assert not device.timers

@@ -10,7 +10,9 @@ import pytest
 from pointsplat_addon.core.scene import Aperture
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render import uploads
-from pointsplat_addon.render.frame import Frame, Renderer, Request
+from pointsplat_addon.render.frame import Frame
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from tests.extreme.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
 from tests.render import scenes
 from tests.render.scenes import camera

@@ -25,7 +25,8 @@ from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import Aperture, HairTable, Light, World
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from pointsplat_addon.shading import sources
 from pointsplat_addon.shading.interface import Interface
 from tests.render import scenes

@@ -25,8 +25,9 @@ from pointsplat_addon.core.scene import (
     default_materials,
 )
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.frame import Renderer, Request, Result
 from pointsplat_addon.render.outputs import PASSES
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request, Result
 from scripts.tower import COLORS, tower
 
 ALL_PASSES = frozenset(p.key for p in PASSES)

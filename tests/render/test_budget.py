@@ -8,10 +8,12 @@ import pytest
 from pointsplat_addon.core.defocus import NODE
 from pointsplat_addon.core.scene import Aperture, Scene, Settings
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render import budget, frame
+from pointsplat_addon.render import budget, translucent
 from pointsplat_addon.render.budget import Moving, Pacer, Refining
 from pointsplat_addon.render.filtering import offsets
-from pointsplat_addon.render.frame import Frame, Renderer, Request
+from pointsplat_addon.render.frame import Frame
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from pointsplat_addon.render.store import STORE
 from scripts import defocus_pictures
 from tests.render import scenes
@@ -152,7 +154,7 @@ def ratios(case: Case, monkeypatch: pytest.MonkeyPatch, limits=(0.03, 0.01, 0.00
         # More samples than MOST_SAMPLES are not drawn.
         assert report["estimate"]["rmse"] <= limit or "samples" not in {entry["name"] for entry in report["skipped"]}
     settings = replace(case.settings, tolerance=case.settings.tolerance / 4, use_adaptive_sampling=False)
-    monkeypatch.setattr(frame, "RELIT", CONVERGED)
+    monkeypatch.setattr(translucent, "RELIT", CONVERGED)
     best = Request(case.camera, settings, COMBINED, CONVERGED, node=NODE / 4)
     truth = scenes.opengl().render(case.scene, best).pixels["combined"]
     estimates = [result.report["estimate"]["rmse"] for result in found]

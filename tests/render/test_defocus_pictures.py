@@ -10,9 +10,11 @@ from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.ewa import SHARE
 from pointsplat_addon.core.scene import Aperture, Geometry, Mesh, Scene, Settings, World
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.frame import Frame, Renderer, Request, Result
+from pointsplat_addon.render.frame import Frame
 from pointsplat_addon.render.lens import LensSamples
 from pointsplat_addon.render.passes import defocus as defocus_pass
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request, Result
 from tests.render import scenes
 from tests.render.scenes import (
     ALL_PASSES,
@@ -32,10 +34,13 @@ SPLAT, LENS = Settings(use_shadows=False), Settings(use_shadows=False, dof_metho
 BLACK = World(np.zeros(3))
 
 
-def drawn(case: Case, aperture: Aperture | None, samples: int = 16, passes=COMBINED, **settings) -> Result:
+def asked(case: Case, aperture: Aperture | None, samples: int = 16, passes=COMBINED, **settings) -> Request:
     given = replace(case.settings, use_adaptive_sampling=False, **settings)
-    request = Request(replace(case.camera, aperture=aperture), given, passes, samples)
-    return scenes.opengl().render(case.scene, request)
+    return Request(replace(case.camera, aperture=aperture), given, passes, samples)
+
+
+def drawn(case: Case, aperture: Aperture | None, samples: int = 16, passes=COMBINED, **settings) -> Result:
+    return scenes.opengl().render(case.scene, asked(case, aperture, samples, passes, **settings))
 
 
 def glowing(key: str, position, radius: float, color=(1.0, 1.0, 1.0)):
@@ -60,25 +65,21 @@ def rms(error: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("name", ["sphere", "smoke", "tinted_smoke", "panes", "foliage", "strands", "parallel"])
-def test_the_shader_is_the_reference(name, monkeypatch):
+def test_the_shader_is_the_reference(name):
     """Everything that the pass `light` left, composited in float64; without what is in focus."""
-    kept = {}
-    defocused = Frame._defocus
-
-    def keep(frame: Frame) -> None:
-        defocused(frame)
-        assert frame.lit is not None
-        for key, texture in frame.lit.textures.items():
-            kept[key] = frame.device.read(texture).reshape(-1, 4)[: frame.lit.count].astype(float)
-        kept["focal"] = frame._record(0)["focal"][0].astype(float)
-        kept["corner"] = frame.corner
-
-    monkeypatch.setattr(Frame, "_defocus", keep)
     case = CASES[name]()
-    scene = replace(case.scene, transparent=True)
     # Nothing is in focus.
     aperture = Aperture(0.1, 1.5) if case.camera.perspective else Aperture(0.5, 10.0)
-    found = drawn(replace(case, scene=scene), aperture, 1).pixels["combined"].astype(float)
+    frame = Frame(scenes.opengl(), replace(case.scene, transparent=True), asked(case, aperture, 1))
+    frame.sample()
+    found = frame.pixels()["combined"].astype(float)
+    assert frame.out_of_focus is not None
+    lit = frame.out_of_focus.lit
+    kept = {key: frame.device.read(texture).reshape(-1, 4)[: lit.count] for key, texture in lit.textures.items()}
+    kept = {key: texels.astype(float) for key, texels in kept.items()}
+    principal = np.array(frame.view.pixel_from_view()[2:], np.float32).astype(float)  # as the shader knows it
+    corner = frame.shot.corner
+    frame.release()
 
     place, shape, source = kept["ps_place"], kept["ps_shape"], kept["ps_source"]
     order = np.argsort(place[:, 2], kind="stable")
@@ -94,7 +95,7 @@ def test_the_shader_is_the_reference(name, monkeypatch):
     )  # fmt: skip
     height, width, _ = found.shape
     y, x = np.mgrid[:height, :width]
-    pixels = np.stack([x.ravel(), y.ravel()], axis=1) + 0.5 + kept["corner"] - kept["focal"][2:]
+    pixels = np.stack([x.ravel(), y.ravel()], axis=1) + 0.5 + corner - principal
     channels = []
     for channel in range(3):
         seen = splats
@@ -438,25 +439,19 @@ def test_what_is_out_of_focus_lets_a_blurred_world_through():
 
 
 @pytest.mark.parametrize("aperture", [Aperture(0.02, 4.0), Aperture(0.4, 4.0), Aperture(0.4, 4.0, ratio=0.5)])
-def test_the_blurred_world_is_the_references(aperture, monkeypatch):
-    kept = {}
-    draw = Frame._draw_backdrop
-
-    def keep(frame: Frame) -> None:
-        draw(frame)
-        assert frame.backdrop is not None
-        kept["found"] = frame.device.read(frame.backdrop.texture)[..., :3]
-        kept["view"], kept["grid"] = frame.view, frame.backdrop.grid
-
-    monkeypatch.setattr(Frame, "_draw_backdrop", keep)
+def test_the_blurred_world_is_the_references(aperture):
     case = before_the_world()
-    drawn(case, aperture, 1)
+    frame = Frame(scenes.opengl(), case.scene, asked(case, aperture, 1))
+    frame.sample()
+    assert frame.backdrop is not None
+    found, grid = frame.device.read(frame.backdrop.texture)[..., :3], frame.backdrop.grid
+    frame.release()
     image, turn = case.scene.world.image, case.scene.world.world_rotation
     assert image is not None
-    picture = backdrop.sharp(environment.build_atlas(image), kept["grid"], kept["view"], turn)
-    error = np.abs(kept["found"] - backdrop.blurred(picture, kept["grid"]))
+    picture = backdrop.sharp(environment.build_atlas(image), grid, frame.view, turn)
+    error = np.abs(found - backdrop.blurred(picture, grid))
     assert error.max() < 0.003 * picture.max()  # measured 0.0012
-    assert kept["found"].std() > 0.02
+    assert found.std() > 0.02
 
 
 def test_a_world_that_is_not_blurred_takes_no_pass_for_it():

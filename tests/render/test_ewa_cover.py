@@ -8,8 +8,8 @@ import pytest
 from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.scene import Settings, World
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.frame import Renderer
 from pointsplat_addon.render.passes import ewa, ewa_cover
+from pointsplat_addon.render.renderer import Renderer
 from tests.render import scenes
 from tests.render.scenes import Case, render
 

@@ -9,9 +9,10 @@ from pointsplat_addon.core import ewa, reference
 from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.scene import Settings, World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
-from pointsplat_addon.render.frame import Renderer, Request
 from pointsplat_addon.render.outputs import BACKGROUND_DEPTH
 from pointsplat_addon.render.prepare import STORE
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from scripts import technique_error
 from scripts.compare import compare, eroded
 from tests.render import scenes, test_quality

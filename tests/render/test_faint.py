@@ -7,7 +7,7 @@ import pytest
 
 from pointsplat_addon.core import lighting
 from pointsplat_addon.core.scene import Aperture, Light, Settings, World
-from pointsplat_addon.render import frame, shadows
+from pointsplat_addon.render import shadows, shot
 from pointsplat_addon.render.faint import EMISSION, LIGHTS, MEASURABLE, WORLD, reflection
 from pointsplat_addon.render.in_view import CLEAR, OUT_OF_VIEW, drawn_ball, in_view
 from pointsplat_addon.render.prepare import prepare
@@ -72,8 +72,8 @@ def test_no_light_adds_more_than_its_bound(kind):
 
 
 def without_leaving_out(monkeypatch):
-    monkeypatch.setattr(frame, "without_faint", lambda scene, prepared, view: (scene, True, ()))
-    monkeypatch.setattr(frame, "in_view", lambda scene, prepared, camera: (prepared, {}))
+    monkeypatch.setattr(shot, "without_faint", lambda scene, prepared, view: (scene, True, ()))
+    monkeypatch.setattr(shot, "in_view", lambda scene, prepared, camera: (prepared, {}))
 
 
 def both(case: Case, monkeypatch, samples: int = 1):

@@ -11,7 +11,8 @@ from pointsplat_addon.core.hierarchy import basis
 from pointsplat_addon.core.scene import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.frame import Renderer, Request
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from tests.core.test_optics import cards, mean_transmittance, medium, voxel_ball
 from tests.render import scenes
 from tests.render.scenes import camera, leaves, moved, points

@@ -11,8 +11,8 @@ from pointsplat_addon.core.cryptomatte import cryptomatte_hash
 from pointsplat_addon.core.scene import Mist, World
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.filtering import offsets
-from pointsplat_addon.render.frame import Renderer
 from pointsplat_addon.render.outputs import BACKGROUND_DEPTH
+from pointsplat_addon.render.renderer import Renderer
 from tests.render import scenes
 from tests.render.scenes import ALL_PASSES, CASES, Case, render
 

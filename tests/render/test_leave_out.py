@@ -296,6 +296,19 @@ def test_the_viewport_presents_without_a_depth_where_nothing_has_one():
         frame.release()
 
 
+def test_the_viewport_presents_a_world_of_one_colour_from_one_texel():
+    case, device = scenes.empty(), leave_out.NullDevice()
+    request = leave_out.Request(case.camera, case.settings, leave_out.COMBINED, 2, interactive=True)
+    frame = leave_out.Renderer(device).start(case.scene, request)
+    for _ in range(2):
+        frame.present()
+        (read,) = device.calls[-1].textures.values()
+        assert (device.calls[-1].interface.name, read.size) == ("present", (1, 1))
+        frame.sample()
+    frame.release()
+    assert not device.alive
+
+
 @pytest.mark.parametrize("name", ROWS)
 def test_every_scene_is_drawn_by_a_device_as_it_is_planned(name):
     """All variants compile, and the same passes run as on the device that only records, but those that a reading

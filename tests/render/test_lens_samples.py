@@ -9,9 +9,10 @@ from pointsplat_addon.core.lens import lens_points, through
 from pointsplat_addon.core.scene import Aperture, Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render import frame
-from pointsplat_addon.render.frame import Renderer, Request
 from pointsplat_addon.render.lens import prepared_for
 from pointsplat_addon.render.prepare import prepare
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.request import Request
 from tests.render import scenes
 from tests.render.scenes import ALL_PASSES, CASES, Case
 

@@ -10,7 +10,7 @@ from pointsplat_addon.core.lighting import FIRST_LIGHT, KINDS, WIDTH
 from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
-from pointsplat_addon.render.frame import Renderer
+from pointsplat_addon.render.renderer import Renderer
 from tests.render import scenes
 from tests.render.scenes import ALL_PASSES, CASES, Case
 

@@ -7,7 +7,7 @@ import pytest
 
 from pointsplat_addon.core.scene import Settings
 from pointsplat_addon.devices.null import LIMITS, NullDevice
-from pointsplat_addon.render.frame import Renderer
+from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.technique import choose
 from tests.render import scenes
 from tests.render.scenes import Case

@@ -7,7 +7,9 @@ import pytest
 
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.filtering import offsets
-from pointsplat_addon.render.frame import Frame, Renderer
+from pointsplat_addon.render.frame import Frame
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.report import report
 from pointsplat_addon.render.tiles import FIRST_CHECK, LEAST_SAMPLES, TILE, dilated
 from tests.render import scenes
 from tests.render.scenes import CASES, Case
@@ -40,7 +42,7 @@ def drawn(case: Case, **settings) -> tuple[np.ndarray, np.ndarray]:
     combined = frame.pixels()["combined"]
     count = np.full((*combined.shape[:2], 1), SAMPLES, np.float32)
     if frame.adaptive is not None:
-        count = frame._window(frame.adaptive.samples(frame.done))
+        count = np.asarray(frame.counts())
     frame.release()
     return combined, count[..., 0]
 
@@ -94,8 +96,8 @@ def test_a_picture_of_one_colour_ends_at_the_first_check():
     assert frame.done == FIRST_CHECK
     assert frame.complete
     np.testing.assert_allclose(frame.pixels()["combined"], 1.0, atol=1e-5)  # measured 0
-    report = {entry["name"]: entry["because"] for entry in frame.report(0.0)["skipped"]}
-    assert f"{FIRST_CHECK:.1f} of {SAMPLES}" in report["samples"]
+    skipped = {entry["name"]: entry["because"] for entry in report(frame, 0.0)["skipped"]}
+    assert f"{FIRST_CHECK:.1f} of {SAMPLES}" in skipped["samples"]
     frame.release()
 
 
@@ -112,9 +114,9 @@ def test_where_all_samples_are_needed_nothing_asks(case, passes, samples, settin
     case = CASES[case]()
     case = replace(case, settings=replace(case.settings, **settings))
     device = NullDevice()
-    report = Renderer(device).render(case.scene, case.request(passes, samples)).report
+    told = Renderer(device).render(case.scene, case.request(passes, samples)).report
     assert not {"converge", "keep", "mark"} & set(device.names)
-    assert any(entry["name"] == "adapt" for entry in report["skipped"])
+    assert any(entry["name"] == "adapt" for entry in told["skipped"])
 
 
 def test_blocks_of_points_that_no_tile_needs_are_not_projected():

@@ -1,0 +1,91 @@
+"""Draws pictures on one device: all samples at once, or as many as a budget allows, or one by one for a viewport."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from ..core.cost import DEFAULT
+from ..core.scene import Scene
+from . import budget
+from .clock import Cancelled
+from .device import Device
+from .frame import Frame
+from .report import report
+from .request import Request, Result
+from .targets import Pool
+from .uploads import Kept
+
+SLOW_SECONDS = 0.2  # a sample that takes longer is asked after each of its passes whether it is still wanted
+
+
+class Renderer:
+    """Draws scenes on one device and keeps there what the next frame can use."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.kept = Kept(device)
+        self.pool = Pool(device)
+        self.costs = DEFAULT  # of this device
+        self.pacers = budget.Pacers()  # of the scenes that a budget of time was kept for
+
+    def render(
+        self,
+        scene: Scene,
+        request: Request,
+        *,
+        progress: Callable[[float, str], None] = lambda fraction, text: None,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> Result:
+        """All samples of a picture, or what its budget allows. DeviceError, ShaderError: the device cannot draw it."""
+        if request.settings.budget != "NONE":
+            return budget.kept(self, scene, request, progress, cancelled)
+        return self.draw(scene, request, progress, cancelled)
+
+    def draw(
+        self,
+        scene: Scene,
+        request: Request,
+        progress: Callable[[float, str], None],
+        cancelled: Callable[[], bool],
+        watch: budget.Watch | None = None,
+    ) -> Result:
+        """Samples of a picture until there are enough, or `watch` says so."""
+        started = time.perf_counter()
+        progress(0.0, "Preparing points")
+        try:
+            frame = Frame(self, scene, request, cancelled)
+        except Cancelled:
+            return Result({}, {}, cancelled=True)
+        if watch is not None:
+            watch.ready(frame)
+        try:
+            while not frame.complete:
+                before = time.perf_counter()
+                frame.sample()
+                frame.clock.settle()
+                frame.clock.slow = time.perf_counter() - before > SLOW_SECONDS
+                if watch is not None and watch.enough(frame):
+                    frame.end()
+                progress(frame.done / request.samples, f"Sample {frame.done}/{request.samples}")
+                if not frame.complete:
+                    frame.clock.check()
+            pixels = frame.pixels()
+            if watch is not None:
+                watch.finished()
+            return Result(pixels, report(frame, time.perf_counter() - started))
+        except Cancelled:
+            return Result({}, report(frame, time.perf_counter() - started), cancelled=True)
+        finally:
+            frame.release()
+
+    def start(self, scene: Scene, request: Request) -> Frame:
+        """A picture that is drawn sample by sample."""
+        frame = Frame(self, scene, request, presented=True)
+        frame.clock.slow = False
+        return frame
+
+    def release(self) -> None:
+        """Free everything that is kept on the device."""
+        self.kept.release()
+        self.pool.release()
