@@ -64,6 +64,26 @@ def sound_camera(camera: Camera) -> tuple[Camera, tuple[str, ...]]:
     return (replace(camera, **changed) if changed else camera), warnings
 
 
+def shown(scene: Scene, camera: Camera) -> tuple[Scene, Camera, tuple[str, ...]]:
+    """The scene and its camera, and warnings. A camera that is nowhere, has no directions or projects all onto a line
+    shows the world alone, as it does in Cycles: every ray of it is no number, and meets nothing."""
+    wrong = [] if _turns(camera.view_from_world) else ["place or directions"]
+    wrong += [] if _projects(camera.clip_from_view) else ["projection"]
+    if not wrong:
+        return scene, camera, ()
+    camera = replace(camera, view_from_world=np.eye(4), clip_from_view=np.diag([1.0, 1.0, -1.0, 1.0]), aperture=None)
+    nothing = replace(scene, geometries=(), instances=Instances(np.zeros(0, np.int32), np.zeros((0, 4, 4))), lights=())
+    return nothing, camera, (f"Camera: its {' and '.join(wrong)} cannot be drawn, so only the world is seen",)
+
+
+def _turns(matrix: np.ndarray) -> bool:
+    return _within(matrix, -FARTHEST, FARTHEST) and bool(abs(np.linalg.det(matrix[:3, :3])) > 0.5)  # it is rigid
+
+
+def _projects(matrix: np.ndarray) -> bool:
+    return _within(matrix, -FARTHEST, FARTHEST) and bool(matrix[0, 0] and matrix[1, 1])
+
+
 def _around(world: World) -> World:
     color = np.nan_to_num(world.color, nan=0.0, posinf=FARTHEST, neginf=0.0)
     if not np.array_equal(color, world.color):

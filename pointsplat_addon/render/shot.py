@@ -13,7 +13,7 @@ from ..core.cost import Costs
 from ..core.defocus import blur_of
 from ..core.lens import sampled
 from ..core.scene import Camera, Scene
-from ..core.sound import sound_camera
+from ..core.sound import shown, sound_camera
 from .clock import Clock
 from .device import Limits
 from .faint import without_faint
@@ -116,11 +116,12 @@ def make_shot(
 ) -> Shot:
     """`limits`, `costs`: of the device. `clock`: is told what shadows take. `presented`: between samples too.
     `picture`: with Combined, not passes beside it alone. Cancelled: the clock says so."""
+    scene, camera, nothing_seen = shown(scene, request.camera)
     scene, warnings = parted(scene)
-    camera, unseen_lens = sound_camera(request.camera)
+    camera, unseen_lens = sound_camera(camera)
     request = request if camera is request.camera else replace(request, camera=camera)
     technique = choose(request.settings, scene, request.samples, request.interactive, limits.float_blend)
-    warnings += (*unseen_lens, *_not_blended(technique, request))
+    warnings += (*nothing_seen, *unseen_lens, *_not_blended(technique, request))
     through_lens = sampled(camera, request.settings) and request.samples > 1
     prepared = prepare(
         scene,

@@ -10,7 +10,8 @@ bpy = pytest.importorskip("bpy")
 
 from mathutils import Euler, Matrix  # noqa: E402
 
-from pointsplat_addon.core.scene import Camera  # noqa: E402
+from pointsplat_addon.core.scene import Camera, Instances, Scene, World, default_materials  # noqa: E402
+from pointsplat_addon.core.sound import shown  # noqa: E402
 from pointsplat_addon.host.convert import camera as cameras  # noqa: E402
 
 
@@ -163,6 +164,26 @@ def test_vertices_are_projected_where_cycles_draws_them(scene, tmp_path, set_up)
         centroid = np.array([(x * near).sum(), (y * near).sum()]) / near.sum()
         # measured 0.105: perspective draws a sphere's outline away from the middle
         assert np.hypot(*(centroid - (px, py))) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("place", "size", "there"),
+    [((0, -4, 0), (2, 0.7, 1.3), True), ((0, -4, 0), (0, 0, 0), False), ((0, -4, 0), (1, 1, 0), False),
+     ((float("inf"), -4, 0), (1, 1, 1), False)],
+)  # fmt: skip
+def test_a_camera_that_is_nowhere_sees_nothing_as_in_cycles(scene, tmp_path, place, size, there):
+    obj = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    obj.location, obj.rotation_euler, obj.scale = place, (np.pi / 2, 0, 0), size
+    scene.collection.objects.link(obj)
+    scene.camera = obj
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.context.object.data.materials.append(glowing(scene, 1)[0])
+    assert (picture(scene, tmp_path)[..., :3].max() > 0.5) == there
+
+    made = Scene((), Instances(np.zeros(1, np.int32), np.eye(4)[None]), default_materials(), (), World())
+    camera = cameras.from_camera_object(obj, bpy.context.evaluated_depsgraph_get(), 160, 120)
+    seen, _, warnings = shown(made, camera)
+    assert (len(seen.instances), len(warnings)) == ((1, 0) if there else (0, 1))
 
 
 def test_clip_range_is_read_back_from_both_projections(scene):

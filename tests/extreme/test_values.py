@@ -19,7 +19,7 @@ from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import Aperture, Geometry, Settings, World
 from pointsplat_addon.render.device import half
-from tests.extreme.extremes import FEW, SHADOWED, TECHNIQUES, every_pass, lamp, picture
+from tests.extreme.extremes import FEW, SHADOWED, TECHNIQUES, all_kinds, every_pass, lamp, picture, without
 from tests.render import scenes
 from tests.render.scenes import Case, camera, materials, mesh, moved, plane_cloud, points, scene, sphere_cloud
 
@@ -208,6 +208,21 @@ def test_a_lens_that_is_none_leaves_all_in_focus(odd, method):
     np.testing.assert_array_equal(found, sharp)
     told = scenes.render(case, samples=3).report["warnings"]
     assert any("lens" in text for text in told) == (odd != {"radius": -np.inf})
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("matrix", ["view_from_world", "clip_from_view"])
+@pytest.mark.parametrize("odd", [0.0, *ODD[:3], -1e30, 3e38])
+def test_a_camera_that_is_none_shows_the_world_alone(odd, matrix, technique):
+    """Where one axis, or one scale of the projection, is that number. As in Cycles, whose rays then meet nothing."""
+    wrong = getattr(EYE, matrix).copy()
+    wrong[:3, 0] *= 0
+    wrong[0, 0] = odd
+    nowhere = replace(all_kinds("nowhere"), camera=replace(EYE, **{matrix: wrong}, aperture=Aperture(0.2, 3.0)))
+    alone = replace(without(nowhere, list(range(len(nowhere.scene.instances)))), camera=EYE)
+    found, there = every_pass(nowhere, technique), every_pass(alone, technique)
+    assert {name: array.tobytes() for name, array in found.items()} == {k: a.tobytes() for k, a in there.items()}
+    assert any("Camera" in text for text in scenes.render(nowhere).report["warnings"])
 
 
 @pytest.mark.parametrize("method", ["SPLAT", "LENS_SAMPLES"])
