@@ -94,7 +94,7 @@ def said(row: Row) -> str:
         parts.append(row["dof_method"])
     if row["series"] == "shadows":
         parts.append(f"shadows {row['shadow_resolution']}")
-    if row["program"] == "VTK":
+    if row["program"] == "VTK" and row["points"]:
         parts.append(f"{row['points']} points")
     return ", ".join(parts)
 
