@@ -2,7 +2,7 @@
 """Makes the environment and runs what a developer needs, with nothing but a plain Python.
 
     python3 scripts/dev.py render     the demo scene, drawn by PointSplat: out/demo.png and out/demo.json
-    python3 scripts/dev.py test       every test (--python 3.11|3.13|all, --long, then pytest's own arguments)
+    python3 scripts/dev.py test       the tests (--python 3.11|3.13|all, --long, then pytest's own arguments)
     python3 scripts/dev.py build      the extension: dist/pointsplat-<version>.zip
     python3 scripts/dev.py lint       ruff and pyright
     python3 scripts/dev.py benchmark  scripts/benchmark.py, with what it compares against
