@@ -29,9 +29,9 @@ from pointsplat_addon.core.scene import Camera, Geometry, Instances, Light, Mesh
 from pointsplat_addon.core.scene import default_materials as materials
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.calibrate import calibrate
-from pointsplat_addon.render.prepare import STORE
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import STORE
 
 SIZE = (512, 512)  # pixels
 SETTINGS = Settings(use_shadows=False, use_adaptive_sampling=False)

@@ -39,10 +39,11 @@ from pointsplat_addon.core.scene import (
     World,
     default_materials,
 )
-from pointsplat_addon.render.prepare import STORE, prepare
+from pointsplat_addon.render.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.report import report
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import STORE
 
 SIZE = (500, 400)  # pixels
 TURN = np.radians(1.0)  # of the camera from frame to frame

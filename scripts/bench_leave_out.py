@@ -28,9 +28,9 @@ from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import Light, Scene, Settings, World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.prepare import STORE
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import STORE
 from tests.render import scenes
 
 SIZE, TIMES = 512, 5

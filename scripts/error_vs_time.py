@@ -43,10 +43,10 @@ from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.scene import Camera, Geometry, Instances, Scene, Settings, World, default_materials
 from pointsplat_addon.render.filtering import FILTER_WIDTH, offsets
 from pointsplat_addon.render.frame import Frame
-from pointsplat_addon.render.prepare import STORE
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.report import report
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import STORE
 from scripts import bench_frame
 from scripts.error_curves import Row, errors, plot, plot_brief, plot_counts, written
 from scripts.vtk_volume import VolumeView

@@ -30,9 +30,10 @@ from pointsplat_addon.core.kernel import POWER
 from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import Camera, Light, Scene, Settings, World
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.prepare import STORE, prepare
+from pointsplat_addon.render.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import STORE
 from scripts.compare import displayed, eroded
 from tests.render import scenes
 

@@ -8,9 +8,16 @@ from functools import cached_property
 import numpy as np
 
 from ..core import sampling
+from ..core.appearance import digest, point_cloud
+from ..core.cloud import PointCloud, finite
 from ..core.cost import Choice, Costs, choose, runs
-from ..core.scene import Camera, Mesh
-from ..core.spacing import Parts, part_spacings
+from ..core.scene import Camera, Geometry, MaterialTable, Mesh
+from ..core.spacing import PART, Parts, part_spacings
+from .layers import MANY_INSTANCES
+from .meshes import VERTEX_PIXELS, Measured, Primitives, all_points, measured, most_samples
+from .parts import lets_through
+from .store import PointSet
+from .view import View
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,3 +180,104 @@ def show(
         choice = replace(choice, points=visible, polygons=np.zeros_like(visible), cost=every * costs.point)
         return Shown(divided.octave(finest), choice, whole=True)
     return Shown(float(spacing[choice.octave]), choice, whole=False)
+
+
+def choose_parts(view: View, view_from_object: np.ndarray, usable: np.ndarray) -> dict[int, list[Shown | None]]:
+    """Meshes that are chosen for part by part, by geometry row, with the choice of each instance that is `usable` (I,)
+    bool. Where points would save less than the passes over all pixels cost that they need, all are polygons."""
+    found: dict[int, list[Shown | None]] = {}
+    scene, others = view.scene, False
+    for row, geometry in enumerate(scene.geometries):
+        views = view_from_object[usable & (scene.instances.geometry == row)]
+        mesh = geometry.mesh
+        if len(views) == 0 or geometry.lines is not None or (mesh is not None and len(mesh.triangles) == 0):
+            continue
+        of = _choosable(view, geometry, len(views))
+        if of is None:
+            others |= geometry.primitive != "POLYGONS" and not lets_through(geometry, scene.materials)
+            continue
+        view.check()
+        found[row] = _shown(view, of, views)
+    choices = [s.choice for some in found.values() for s in some if s is not None]
+    pixels = view.costs.pixel * float(np.prod(view.camera.window[2:]))
+    if not others and sum(c.triangles_cost - c.cost for c in choices) < pixels:
+        found = {row: [None if s is None else s.as_polygons() for s in some] for row, some in found.items()}
+    return found
+
+
+def _choosable(view: View, geometry: Geometry, instances: int) -> Measured | None:
+    """The mesh of a geometry, if it is chosen for part by part."""
+    if geometry.primitive != "AUTO" or geometry.spacing > 0 or instances >= MANY_INSTANCES:
+        return None
+    of = measured(view, geometry)
+    if of is None or lets_through(geometry, view.scene.materials):
+        return None
+    return None if of.leaves(instances) else of
+
+
+def _division(of: Measured) -> Divided:
+    return of.store.lookup(("divided", of.geometry.key), lambda: Divided(of.mesh, of.ok, of.parts, of.measures))
+
+
+def _shown(view: View, of: Measured, view_from_object: np.ndarray) -> list[Shown | None]:
+    """The choice of each instance (I, 4, 4)."""
+    divided, tolerance = _division(of), view.settings.tolerance
+    most = most_samples(tolerance)
+    slack = 1.0 if digest(of.mesh, view.scene.materials) else VERTEX_PIXELS
+    return [show(divided, view.costs, matrix, view.camera, tolerance, slack, most) for matrix in view_from_object]
+
+
+def split(view: View, of: Measured, shown: list[Shown | None], view_from_object: np.ndarray) -> Primitives:
+    """Instances (I, 4, 4) as they were chosen for: points of their parts by spacing, then those that are all points."""
+    divided, table = _division(of), view.scene.materials
+    polygons, parts, ranges = [], {}, {}
+    by_spacing: dict[float, list[int]] = {}
+    for i, one in enumerate(shown):
+        if one is None or one.whole:
+            continue
+        if one.choice.polygons.any():
+            polygons.append(i)
+            if not one.choice.polygons.all():
+                parts[i] = np.flatnonzero(one.choice.polygons)
+        if one.choice.points.any():
+            by_spacing.setdefault(one.spacing, []).append(i)
+    found = []
+    for spacing, some in sorted(by_spacing.items()):
+        worth = divided.worth(view.costs, spacing, most_samples(view.settings.tolerance))
+        points, sampled = _sampled(of, divided, spacing, worth, table)
+        for i in some:
+            one = shown[i]
+            if one is not None and len(points) == len(sampled.samples) and not one.choice.points[worth].all():
+                ranges[i] = sampled.ranges(one.choice.points)
+        found.append((points, np.array(some)))
+    whole = np.flatnonzero([one is not None and one.whole for one in shown])
+    if len(whole):
+        found += [(points, whole[some]) for points, some in all_points(view, of, view_from_object[whole])]
+    return Primitives(found, np.array(polygons, int), parts, ranges)
+
+
+def _sampled(
+    of: Measured, divided: Divided, spacing: float, worth: np.ndarray, table: MaterialTable
+) -> tuple[PointSet, PartSamples]:
+    """The samples of all parts that are points in some view, `worth` (B,) bool."""
+    mesh, ok, store = of.mesh, of.ok, of.store
+    look, first = digest(mesh, table), sampling.centre(mesh)
+    # Parts that lie in the mesh's own order, all of them, depend on its topology alone.
+    same = of.shape if worth.all() and divided.parts.order is None else (of.geometry.key, worth.tobytes())
+    sampled, origin = store.lookup(
+        ("places by part", same, spacing), lambda: (sample_parts(divided, spacing, worth), first)
+    )
+    key = ("samples by part", of.geometry.key, same, look, spacing)
+
+    def make() -> PointCloud:
+        evaluated = sampling.evaluate(mesh, sampled.samples, origin, ok)
+        return finite(point_cloud(mesh, sampled.samples, evaluated, table))[0]
+
+    family = ("family by part", same, look, spacing)
+    return PointSet(key, store.lookup(key, make), family=family), sampled
+
+
+def triangles_of(mesh: Mesh, parts: np.ndarray | None) -> int:
+    """Triangles in parts (P,) of a mesh; None: of all of it."""
+    count = len(mesh.triangles)
+    return count if parts is None else int(np.minimum(PART, count - PART * parts).sum())

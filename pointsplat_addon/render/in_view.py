@@ -11,7 +11,9 @@ from ..core import sampling
 from ..core.cut import Cut, all_finite, largest_singular_value
 from ..core.instances import visible
 from ..core.scene import Camera, Scene
-from .prepare import Prepared, mesh_ball, set_ball
+from .meshes import mesh_ball
+from .point_sets import set_ball
+from .prepare import Prepared
 from .store import STORE, Layer, PointSet, Store
 
 MARGIN = 8.0  # pixels: kernels end this far outside of what they cover, at most

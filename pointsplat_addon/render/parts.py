@@ -59,6 +59,13 @@ def _parts(geometry: Geometry, table: MaterialTable, store: Store, warnings: lis
     return found or [replace(geometry, key=f"{geometry.key} of none", mesh=None)]
 
 
+def lets_through(geometry: Geometry, table: MaterialTable) -> bool:
+    """Whether light passes through a geometry, all of which is alike."""
+    if geometry.cloud is not None:
+        return geometry.cloud.opacity is not None or geometry.cloud.extinction is not None
+    return geometry.mesh is not None and passing(geometry.mesh, table) is not None
+
+
 def _volume(geometry: Geometry, volume: Volume, table: MaterialTable, store: Store, warnings: list[str]) -> Geometry:
     """The points of a volume."""
     medium = table.media[volume.material] if volume.material < len(table.media) else None

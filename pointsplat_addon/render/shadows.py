@@ -24,7 +24,8 @@ from ..core.shadow_cells import NARROW, rotation
 from ..core.shadow_floor import FLAT, box_corners, lowest, lowest_corner, plane_of, shines_from
 from ..core.shadow_samples import Outline, outline, places, sampled
 from ..core.strands import Strands, clean
-from .prepare import MANY_INSTANCES, given
+from .layers import MANY_INSTANCES
+from .point_sets import given
 from .shadow_pages import PackedTables, pack
 from .store import Store
 

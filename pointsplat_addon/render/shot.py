@@ -17,6 +17,7 @@ from ..core.sound import shown, sound_camera
 from .clock import Clock
 from .device import Limits
 from .faint import without_faint
+from .hybrid import triangles_of
 from .in_view import in_view
 from .lens import prepared_for
 from .out_of_focus import beside
@@ -26,7 +27,7 @@ from .parts import parted
 from .passes.pyramid import levels
 from .passes.shade import averaged, data
 from .plan import Plan, make_plan
-from .prepare import Prepared, prepare, triangles_of
+from .prepare import Prepared, prepare
 from .request import Request
 from .shadows import Shadows, cast
 from .store import STORE

@@ -9,7 +9,8 @@ import numpy as np
 from ..core.appearance import graphs_of
 from ..core.ewa import centres_decide
 from ..core.scene import Geometry, MaterialTable, Scene, Settings
-from .prepare import MANY_INSTANCES, Prepared
+from .layers import MANY_INSTANCES
+from .prepare import Prepared
 
 
 class Technique(NamedTuple):

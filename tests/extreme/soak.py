@@ -13,9 +13,9 @@ import numpy as np
 
 from pointsplat_addon.core.scene import Scene, Settings
 from pointsplat_addon.render import uploads
-from pointsplat_addon.render.prepare import STORE
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import STORE
 from tests.extreme.extremes import COMBINED, TECHNIQUES, lamp
 from tests.render import scenes
 from tests.render.scenes import ALL_PASSES, camera, cube_mesh, mesh, moved, points, scene, smoke_cloud, sphere_cloud

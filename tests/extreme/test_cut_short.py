@@ -17,10 +17,10 @@ from pointsplat_addon.core.scene import Aperture
 from pointsplat_addon.devices.null import NullDevice, NullTarget, NullTexture, NullTimer
 from pointsplat_addon.render.clock import MOST_OPEN
 from pointsplat_addon.render.device import DeviceError, Texture
-from pointsplat_addon.render.prepare import STORE
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.report import report
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import STORE
 from tests.extreme.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
 from tests.render.scenes import ALL_PASSES, Case, camera
 

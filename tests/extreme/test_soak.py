@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.prepare import STORE
 from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.store import STORE
 from tests.extreme.soak import KEPT, draw, soak
 
 

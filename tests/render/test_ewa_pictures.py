@@ -10,9 +10,9 @@ from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.scene import Settings, World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.outputs import BACKGROUND_DEPTH
-from pointsplat_addon.render.prepare import STORE
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import STORE
 from scripts import technique_error
 from scripts.compare import compare, eroded
 from tests.render import scenes, test_quality

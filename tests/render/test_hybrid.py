@@ -10,8 +10,9 @@ from pointsplat_addon.core.cost import Costs
 from pointsplat_addon.core.scene import Camera, Mesh, Scene, Settings, World
 from pointsplat_addon.core.spacing import PART
 from pointsplat_addon.render.calibrate import calibrate
-from pointsplat_addon.render.prepare import Store, prepare
+from pointsplat_addon.render.prepare import prepare
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import Store
 from scripts.compare import eroded
 from scripts.transitions import levels
 from tests.render import scenes

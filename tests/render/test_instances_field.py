@@ -9,9 +9,10 @@ import pytest
 
 from pointsplat_addon.core.scene import Camera, Instances, Settings
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.prepare import Store, prepare
+from pointsplat_addon.render.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import Store
 from scripts.tower import COLORS
 from tests.render import scenes
 from tests.render.scenes import Case

@@ -10,7 +10,7 @@ from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged, unpack_normal
 from pointsplat_addon.render.passes.common import Variant
 from pointsplat_addon.render.passes.points import Page, PointOptions
-from pointsplat_addon.render.prepare import PointSet
+from pointsplat_addon.render.store import PointSet
 from tests.render import scenes
 
 

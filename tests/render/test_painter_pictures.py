@@ -8,9 +8,9 @@ import pytest
 from pointsplat_addon.core import ewa, order, painter, reference
 from pointsplat_addon.core.scene import Light, Settings, World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
-from pointsplat_addon.render.prepare import STORE
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import STORE
 from scripts import technique_error
 from scripts.compare import compare, eroded
 from scripts.transitions import levels

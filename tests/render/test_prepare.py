@@ -10,7 +10,8 @@ from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.cost import DEFAULT
 from pointsplat_addon.core.scene import Geometry, Settings, Transfer, Volume
 from pointsplat_addon.render.parts import parted
-from pointsplat_addon.render.prepare import Store, prepare
+from pointsplat_addon.render.prepare import prepare
+from pointsplat_addon.render.store import Store
 from tests.render import scenes
 from tests.render.scenes import CASES, Case
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene import Mesh, Settings, World
-from pointsplat_addon.render.prepare import STORE
+from pointsplat_addon.render.store import STORE
 from scripts.compare import compare, directions
 from tests.render import scenes
 from tests.render.scenes import Case, render

@@ -9,10 +9,9 @@ from pointsplat_addon.core import expressions as ex
 from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import MaterialTable, Settings
 from pointsplat_addon.render import shadows
-from pointsplat_addon.render.prepare import STORE
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.shadows import Shadows, _share
-from pointsplat_addon.render.store import Store
+from pointsplat_addon.render.store import STORE, Store
 from tests.render import scenes
 from tests.render.scenes import Case
 

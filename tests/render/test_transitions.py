@@ -14,8 +14,9 @@ from pointsplat_addon.core import expressions as ex
 from pointsplat_addon.core.cost import Costs
 from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import Camera, Geometry, Instances, Mesh, Scene, Settings, World
-from pointsplat_addon.render.prepare import STORE, Store, prepare
+from pointsplat_addon.render.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.store import STORE, Store
 from scripts.transitions import Change, changes
 from tests.render import scenes
 from tests.render.test_quality import shape, with_smooth_normals

@@ -12,9 +12,9 @@ from pointsplat_addon.core.kernel import EVEN, PROFILES
 from pointsplat_addon.core.scene import Light, Medium, Settings, Volume, World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.parts import parted
-from pointsplat_addon.render.prepare import Store
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import Store
 from tests.render import scenes
 from tests.render.scenes import camera, moved, points
 
