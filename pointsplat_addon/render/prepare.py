@@ -129,8 +129,9 @@ def _drawn(
     """Points and polygons of all geometries but strands, with hierarchies where these pay. `divided`: by row of those
     meshes that are chosen for part by part, the choices."""
     scene, instances = view.scene, view.scene.instances
+    opaque, translucent, spheres = (_Kind(np.full(len(instances), -1)) for _ in range(3))
     polygons = [np.empty(0, np.int64)]
-    drawn = _Drawn(*(_Kind(np.full(len(instances), -1)) for _ in range(3)), polygons[0])
+    drawn = _Drawn(opaque, translucent, spheres, polygons[0])
     for row, geometry in enumerate(scene.geometries):
         where = np.flatnonzero(usable & (instances.geometry == row))
         if len(where) == 0 or geometry.lines is not None:
