@@ -86,7 +86,7 @@ def _cut(
         key, lambda: forest({row: p.hierarchy or p.cloud for row, p in point_sets.items()})
     )
     scene, tolerance = view.scene, view.settings.tolerance
-    cull = np.array([bool(scene.materials.cull[_materials(g)].all()) for g in scene.geometries], bool)
+    cull = np.array([bool(scene.materials.cull.take(_materials(g), mode="clip").all()) for g in scene.geometries], bool)
     # What turns its back to the middle of the lens may face its rim.
     cull = cull[scene.instances.geometry] & (not sampled(view.camera, view.settings))
     return select(

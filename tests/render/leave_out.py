@@ -27,6 +27,7 @@ from pointsplat_addon.core.scene import Aperture, HairTable, Light, World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.store import STORE
 from pointsplat_addon.shading import sources
 from pointsplat_addon.shading.interface import Interface
 from tests.render import scenes
@@ -335,7 +336,8 @@ ROWS: dict[str, Row] = {
 
 
 def draw(row: Row, device: NullDevice | None = None) -> Found:
-    """The row's picture, recorded."""
+    """The row's picture, recorded, with nothing kept from others."""
+    STORE.clear()
     device = device or NullDevice()
     case = row.case()
     request = Request(case.camera, case.settings, row.passes, row.samples, interactive=row.interactive)
