@@ -9,7 +9,7 @@
 
 #define PS_FAR 1e30
 #define PS_BACK_BESIDE 0.8  // of what backs cover where fronts of the same surface are
-#define PS_EVEN 0.12  // added to a sum of 1
+#define PS_EVEN 0.05  // added to a sum of 1
 #define PS_OPEN 0.001  // of the light from behind: less is not seen
 
 // What was gathered from the front. Of the surface that is being gathered: how much of the lens its fronts and its backs
@@ -27,8 +27,8 @@ struct PsSeen
 // Sums of kernels are uneven by some percent: what is almost whole is.
 void ps_finish(inout PsSeen seen)
 {
-  float sum = min(max(seen.front, seen.back), 1.0), square = sum * sum;
-  float covered = min(sum + PS_EVEN * square * square, 1.0);
+  float sum = min(max(seen.front, seen.back), 1.0), square = sum * sum, fourth = square * square;
+  float covered = min(sum + PS_EVEN * fourth * fourth, 1.0);
   float scale = covered / max(sum, 1e-6);
   seen.color += vec4(seen.left, seen.left.y) * scale * seen.here;
   seen.left *= (1.0 - covered) * seen.passing;

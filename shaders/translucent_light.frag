@@ -170,7 +170,10 @@ void main()
   // A sample stands for a pixel, and each splat for all that the lens makes of it.
   float confusion = ps_confusion(d);
   low_pass = max(PS_DEFOCUS_PIXEL, low_pass);
-  vec3 disk = 0.25 * confusion * confusion * vec3(frame.focus.w * frame.focus.w, 0.0, 1.0);
+  vec2 half_disk = confusion * vec2(frame.focus.w, 1.0);
+  vec2 lean = ball || medium ? vec2(0.0) : half_disk * ps_lean(p, normal);
+  vec3 disk = vec3(0.25 * half_disk.x * half_disk.x - lean.x * lean.x, -lean.x * lean.y,
+                   0.25 * half_disk.y * half_disk.y - lean.y * lean.y);
   vec3 wide = own + vec3(low_pass, 0.0, low_pass) + disk;
 #else
   vec3 wide = own + vec3(low_pass, 0.0, low_pass);
@@ -203,6 +206,9 @@ void main()
 
   // Outside of the picture?
   vec2 centre = frame.focal.xy * p.xy * (ps_is_perspective() ? 1.0 / d : 1.0);
+#ifdef PS_DEFOCUS
+  centre += d * frame.focus.y < 1.0 ? -lean : lean;
+#endif
   vec2 margin = PS_RIM_SIGMA * sqrt(wide.xz) + 2.0;
   vec2 pixel = centre + frame.focal.zw;
   bool seen = d > frame.lens.x && d < frame.lens.y && all(greaterThan(pixel + margin, vec2(0.0))) &&
@@ -278,7 +284,6 @@ void main()
                   (seen_as.x * seen_as.z - seen_as.y * seen_as.y);
 #endif
 #ifdef PS_DEFOCUS
-  float k = ps_defocus_exponent((disk.x + disk.z) / (wide.x + wide.z));
   float covers = 12.566371 * sqrt(max(own.x * own.z - own.y * own.y, 0.0));
   float amount = 0.5 * peak * covers, kind = PS_DEFOCUS_TRANSLUCENT;
 #ifdef PS_FUZZY
@@ -288,6 +293,7 @@ void main()
     kind = extent.y < 0.0 || optics.w > 0.5 ? PS_DEFOCUS_APART : turned ? PS_DEFOCUS_BACK : 0.0;
   }
 #endif
+  float k = ps_defocus_exponent((disk.x + disk.z) / (wide.x + wide.z), kind <= PS_DEFOCUS_BACK);
 #ifdef PS_HOLDOUT
   kind += ps_instance_row(instance, 3).x > 0.5 ? PS_DEFOCUS_HOLDOUT : 0.0;
 #endif

@@ -13,7 +13,11 @@ the same radius; it reaches 1.8 times as far as the disk does, and no highlight 
 
 whose integral is one and whose covariance is M = J V J^T + p I + C^2/4 I for every k: the splat's own, the pixel's and
 the disk's. k = 0 is the disk itself. k is chosen such that the fourth moment, too, is that of the convolution: with b
-the disk's share of the variance, k = 3 (1 - b^2) / b^2, at most that of core/kernel.py, which stands for a Gaussian.
+the disk's share of the variance, k = 3 (1 - b^2) / b^2, at most that of core/kernel.py, which stands for a Gaussian;
+SMOOTHER times that where neighbours add up to a surface.
+
+A splat that leans is seen larger from one side of the lens than from the other, so that the middle of its kernel lies
+beside its place (`lean`): otherwise what curves away ends too early or too late.
 
 What is blurred by less than IN_FOCUS pixels is drawn as without depth of field, what is blurred by more than BLURRED
 by such splats, and between the two a part by each: `sharp`.
@@ -34,10 +38,12 @@ IN_FOCUS, BLURRED = 0.3, 0.6
 PIXEL = 0.11
 # Diameter of the largest node that is drawn, over the radius of its disk of confusion together with the tolerance
 # (`Blur.widest`). docs/depth_of_field.md has the errors of others.
-NODE = 1.4
-# Sums of kernels over a surface are uneven by some percent. What they cover is the sum s + EVEN s^4, at most 1: what is
-# almost whole lets nothing through, and edges keep their slope.
-EVEN = 0.12
+NODE = 1.0
+# Of splats that add up with their neighbours, over the exponent whose fourth moment is right: the smoother kernels are,
+# the more even are their sums, and what is alone is all disk, whose exponent is 0 either way.
+SMOOTHER = 2.0
+# Sums of kernels over a surface are uneven by some percent still (`evened`).
+EVEN = 0.05
 # Pixels: the coarsest tolerance of what is blurred, however coarse a cut is asked for. Nothing closes the gaps between
 # its splats but their kernels, which sum to less than what lets nothing through if they are wider.
 COARSEST = 2.0
@@ -102,6 +108,27 @@ def sharp(radius: np.ndarray) -> np.ndarray:
     return 1 - t * t * (3 - 2 * t)
 
 
+def lean(camera: Camera, place: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(N, 2): where within their disks of confusion the middle of flat splats lies, in half-axes of the disks (those to
+    the right are `radius` over the aperture's ratio); of what lies before the focus, the other way.
+
+    place, normal (N, 3): in view space, of either length and sign. From a place u on the unit disk of the lens a splat
+    is seen as large as 1 + g u, so that u has the mean g / 4 and the covariance (1/4) I - g g^T / 16. Where |g| > 1 a
+    part of the lens sees the other side; g is taken for 1 there, and what little is seen of it is left as it is.
+    """
+    aperture = camera.aperture
+    assert aperture is not None
+    facing = -(normal * place).sum(axis=1) if camera.perspective else normal[:, 2] * aperture.focus
+    slope = aperture.radius * normal[:, :2] / [aperture.ratio, 1.0] * np.where(facing < 0, -1.0, 1.0)[:, None]
+    return slope / np.maximum(4 * np.maximum(np.abs(facing), np.linalg.norm(slope, axis=1)), 1e-300)[:, None]
+
+
+def evened(sums: np.ndarray) -> np.ndarray:
+    """What a surface covers, for the sum s <= 1 of its splats: s + EVEN s^8, at most 1. What is almost whole lets nothing
+    through, and edges keep their slope."""
+    return np.minimum(sums + EVEN * sums**8, 1)
+
+
 def exponent(radius: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """k for disks of confusion of a `radius`, and the variance along an axis, pixels^2, of what else is in a splat."""
     disk = np.asarray(radius, np.float64) ** 2 / 4
@@ -158,7 +185,7 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     sums = np.minimum(np.maximum(front, back), 1)
     was = np.where(begins, 0.0, np.concatenate([np.zeros((len(pixels), 1)), sums[:, :-1]], axis=1))
     # What a surface as a whole covers, for its sum so far; at its end, and for what lies within it.
-    covers = np.minimum(sums + EVEN * sums**4, 1)
+    covers = evened(sums)
     ends = np.concatenate([begins[:, 1:], np.ones((len(pixels), 1), bool)], axis=1)
     last = _last(np.where(ends, covers, 0.0), ends)
     total = _last(np.where(ends, sums, 0.0), ends)

@@ -71,7 +71,8 @@ def splats(
     strip, which = _numbered(across)
     shift = ((2 * which + 1) / across[strip] - 1)[:, None]
     round_ = strands.side is None
-    normal = facing[strip] * np.sqrt(1 - shift**2) + side[strip] * shift if round_ else facing[strip]
+    rising = np.sqrt(1 - shift**2) if round_ else np.ones_like(shift)
+    normal = facing[strip] * rising + side[strip] * shift if round_ else facing[strip]
     wide = across[strip] > 1
     middle, length = middle[strip] + radius[strip, None] * (normal if round_ else 0.0) * wide[:, None], length[strip]
     if round_:
@@ -81,11 +82,11 @@ def splats(
             )
             for at, last in ((first, 0), (second, count[of] - 1))
         )
-        # The inner side ends within the next segment.
-        begin, end = np.minimum(begin, 0), np.maximum(end, 0)
+        begin, end = np.minimum(begin, length / 2), np.maximum(end, -length / 2)
         middle += unit[strip] * ((begin + end) / 2)[:, None]
         length = length + end - begin
-    half = np.stack([length / np.sqrt(3), 2 * radius[strip] / (across[strip] * np.sqrt(3))], axis=1)
+    # Strips are as wide as each other where they are seen, and wider where they lean.
+    half = np.stack([length / np.sqrt(3), 2 * radius[strip] / (across[strip] * rising[:, 0] * np.sqrt(3))], axis=1)
     # The wider of both half-axes comes first.
     turned = half[:, 1] > half[:, 0]
     major = np.where(turned[:, None], np.cross(normal, unit[strip]), unit[strip])

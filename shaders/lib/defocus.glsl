@@ -7,6 +7,7 @@
 #define PS_DEFOCUS_FAINT 1e-3  // of a kernel's middle, and of the lens: where splats end
 #define PS_DEFOCUS_PIXEL 0.11  // pixels^2 of variance
 #define PS_DEFOCUS_MOST 4.0  // exponent of what is hardly blurred: core/kernel.py
+#define PS_DEFOCUS_SMOOTHER 2.0
 // Added to the exponent: what shows its back, what is translucent, what only hides, what
 // belongs to no surface: leaves and hair.
 #define PS_DEFOCUS_BACK 8.0
@@ -21,17 +22,27 @@ float ps_confusion(float d)
   return frame.focus.x * abs(ps_is_perspective() ? 1.0 - 1.0 / max(relative, PS_NEAREST) : relative - 1.0);
 }
 
+// Where, in half-axes of the disk about a splat at p with the normal n (view space, of either length), the middle of its
+// kernel lies. Reference: core/defocus.py, `lean`.
+vec2 ps_lean(vec3 p, vec3 n)
+{
+  float lens = frame.focus.x / frame.focal.y;  // radius of the lens over the distance of focus, or the radius itself
+  float facing = ps_is_perspective() ? -dot(n, p) * frame.focus.y : n.z / frame.focus.y;
+  vec2 slope = lens * vec2(frame.focus.w, 1.0) * n.xy * (facing < 0.0 ? -1.0 : 1.0);
+  return 0.25 * slope / max(max(abs(facing), length(slope)), 1e-30);
+}
+
 // How much of what has a disk of this radius is drawn as if it were in focus.
 float ps_sharp(float radius)
 {
   return 1.0 - smoothstep(PS_IN_FOCUS, PS_BLURRED, radius);
 }
 
-// For the disk's share of the variance.
-float ps_defocus_exponent(float share)
+// For the disk's share of the variance; of what adds up with its neighbours to a surface, so many times as large.
+float ps_defocus_exponent(float share, bool beside)
 {
   float square = max(share * share, 1e-6);
-  return min(3.0 * (1.0 - square) / square, PS_DEFOCUS_MOST);
+  return min((beside ? PS_DEFOCUS_SMOOTHER : 1.0) * 3.0 * (1.0 - square) / square, PS_DEFOCUS_MOST);
 }
 
 // The kernel's value in its middle, per pixel^2, for the determinant of its covariance.

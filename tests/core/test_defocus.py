@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core import covers, cut, defocus, pieces, sampling, strand_splats
 from pointsplat_addon.core.cloud import PointCloud
 from pointsplat_addon.core.hierarchy import build
-from pointsplat_addon.core.lens import confusion
+from pointsplat_addon.core.lens import confusion, lens_points, through
 from pointsplat_addon.core.scene import Aperture, Camera
 from pointsplat_addon.core.strands import clean
 from tests.render.scenes import camera, flat_mesh, moved, plane_mesh, sphere_mesh, strand_lines
@@ -64,6 +64,39 @@ def test_extreme_depths_have_finite_or_infinite_disks_and_no_nan():
     radius = of.radius(np.array([-1.0, 0.0, 1e-300, 1e300, np.inf]))
     assert np.isfinite(radius).all()
     assert radius[3] == pytest.approx(of.scale)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.5])
+@pytest.mark.parametrize("parallel", [None, 5.0])
+def test_the_middle_of_what_leans_is_where_the_lens_sees_most_of_it(parallel, ratio):
+    """Means and variances of a point's places in the picture, over the lens, by how large its surface is seen."""
+    seen = replace(camera(parallel=parallel), aperture=Aperture(0.4, 4.0, ratio=ratio))
+    rng = np.random.default_rng(1)
+    place = rng.uniform(-1, 1, (60, 3)) - [0, 0, 4.5]
+    normal = rng.normal(size=(60, 3))
+    world = (place - seen.view_from_world[:3, 3]) @ seen.view_from_world[:3, :3]
+    places, sizes = [], []
+    for point in lens_points(4097, seen.aperture):
+        of = through(seen, point)
+        view = world @ of.view_from_world[:3, :3].T + of.view_from_world[:3, 3]
+        fx, fy, cx, cy = of.pixel_from_view()
+        places.append(view[:, :2] * [fx, fy] / (-view[:, 2:] if parallel is None else 1.0) + [cx, cy])
+        toward = np.append(point, 0.0) - place if parallel is None else np.append(point / 4.0, 1.0)
+        sizes.append((normal * toward).sum(axis=1))
+    places, sizes = np.array(places), np.array(sizes)
+    one_side = (np.sign(sizes) == np.sign(sizes[0])).all(axis=0)
+    assert one_side.sum() > 30
+    share = sizes / sizes.sum(axis=0)
+    middle = (share[..., None] * places).sum(axis=0)
+    spread = (share[..., None] * (places - middle) ** 2).sum(axis=0)
+    disk = (blur(seen).radius(-place[:, 2]) * np.sign(-place[:, 2] - 4.0))[:, None] / [ratio, 1.0]
+    lean = defocus.lean(seen, place, normal)
+    error = (middle - places[0] - disk * lean) / np.abs(disk)
+    assert np.abs(error[one_side]).max() < 2e-3  # measured 8.5e-4, of the lens's 4,097 places
+    error = spread / disk**2 - (0.25 - lean**2)
+    assert np.abs(error[one_side]).max() < 1e-3  # measured 3.3e-4
+    assert np.abs(lean[one_side]).max() > 0.1
+    assert (np.linalg.norm(lean, axis=1) <= 0.25 * (1 + 1e-12)).all()
 
 
 # The kernel
@@ -134,7 +167,7 @@ def shares(of: defocus.Splats) -> np.ndarray:
 
 
 def covered(a: float) -> float:
-    return a + defocus.EVEN * a**4
+    return a + defocus.EVEN * a**8
 
 
 def test_surfaces_apart_cover_on_their_own():
@@ -201,7 +234,7 @@ def test_cuts_of_what_is_sharp_and_of_what_is_blurred_hold_all_points(parallel):
     seen = camera((0, -4, 1), parallel=parallel)
     trees, zero, view = cut.forest({0: tree}), np.zeros(1, int), seen.view_from_world[None]
     stands_for = []
-    for radius in (0.1, 0.3, 1.0):
+    for radius in (0.1, 0.5, 1.5):
         of = blur(replace(seen, aperture=Aperture(radius, 4.0)))
         held = np.zeros(len(tree.cloud), bool)
         for wanted in ("SHARP", "BLURRED"):
@@ -298,11 +331,31 @@ def test_pieces_of_strands_have_their_area():
         found = strand_splats.splats(strands, lines, ends, seen.view_from_world, seen, 1.0, blur(seen))
         assert found.radii is not None
         assert (found.kernel is None or not found.kernel.any()) == strips
+        assert np.isfinite(found.position).all()
         area = np.pi * found.radii.astype(float).prod(axis=1) * strand_splats.SHARE
         length = np.linalg.norm(np.diff(strand, axis=0), axis=1).sum()
         if not strips:
             assert abs(area.sum() / (2 * size * length) - 1) < 1e-6  # measured 5.4e-8
-        assert np.isfinite(found.position).all()
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.3, 0.6])
+def test_strips_of_a_wide_tube_cover_what_is_seen_of_it(bend):
+    """Half-way around, also where segments meet: twice the radius for each unit of length."""
+    along = np.stack([np.sin(u := np.arange(-3, 4) * max(bend, 1e-6)), 0 * u, np.cos(u)], axis=1) / max(bend, 1e-6)
+    along -= along[3]
+    given = strand_lines(f"tube bent by {bend}", [along], 0.3).lines
+    assert given is not None
+    strands = clean(given)
+    seen = lens(0.5, 3.0, parallel=20.0)
+    ends = np.stack([np.arange(6), np.arange(1, 7)], axis=1)
+    found = strand_splats.splats(strands, given, ends, seen.view_from_world, seen, 1.0, blur(seen))
+    assert found.radii is not None
+    assert found.normal is not None
+    facing = found.normal @ seen.view_from_world[2, :3]
+    inner = facing > 0.05  # without what closes the ends
+    area = np.pi * found.radii.astype(float).prod(axis=1) * strand_splats.SHARE * facing
+    length = np.linalg.norm(np.diff(along, axis=0), axis=1).sum()
+    assert abs(area[inner].sum() / (0.6 * length) - 1) < 1e-6  # measured 3.2e-8
 
 
 # What splats cover
