@@ -36,9 +36,10 @@ from .scene import Camera
 IN_FOCUS, BLURRED = 0.3, 0.6
 # Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/filtering.py).
 PIXEL = 0.11
-# Diameter of the largest node that is drawn, over the radius of its disk of confusion together with the tolerance
-# (`Blur.widest`). docs/depth_of_field.md has the errors of others.
+# Diameter of the largest node that is drawn, over the radius of its disk of confusion together with SHARPER times the
+# tolerance (`Blur.widest`). docs/depth_of_field.md has the errors of others.
 NODE = 1.0
+SHARPER = 1.5
 # Of splats that add up with their neighbours, over the exponent whose fourth moment is right: the smoother kernels are,
 # the more even are their sums, and what is alone is all disk, whose exponent is 0 either way.
 SMOOTHER = 2.0
@@ -89,7 +90,7 @@ class Blur:
     def widest(self, radius: np.ndarray, tolerance: float) -> np.ndarray:
         """Pixels: the diameter of the largest piece or node that is drawn as one splat, for the radius in pixels of the
         smallest disk of confusion within it. A disk of a pixel hides as much as a tolerance of one does."""
-        return np.maximum(self.node * np.hypot(radius, tolerance), tolerance)
+        return np.maximum(self.node * np.hypot(radius, SHARPER * tolerance), tolerance)
 
 
 def blur_of(camera: Camera, node: float = NODE) -> Blur | None:
@@ -124,8 +125,8 @@ def lean(camera: Camera, place: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def evened(sums: np.ndarray) -> np.ndarray:
-    """What a surface covers, for the sum s <= 1 of its splats: s + EVEN s^8, at most 1. What is almost whole lets nothing
-    through, and edges keep their slope."""
+    """What a surface covers, for the sum s <= 1 of its splats: s + EVEN s^8, at most 1. What is almost whole lets
+    nothing through, and edges keep their slope."""
     return np.minimum(sums + EVEN * sums**8, 1)
 
 

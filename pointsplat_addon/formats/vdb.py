@@ -80,8 +80,10 @@ def read(openvdb: Any, path: Path, names: Collection[str] | None = None) -> tupl
             messages += found
             if grid is not None:
                 grids.append(grid)
-    except (RuntimeError, KeyError) as error:
-        raise OSError(f"{path.name} cannot be read: {error}") from error
+    except (RuntimeError, LookupError, MemoryError) as error:
+        # OpenVDB takes the lengths that a file claims for granted, and kinds of grids that it does not know for errors.
+        why = "it claims more than memory holds" if isinstance(error, MemoryError) else error
+        raise OSError(f"{path.name} cannot be read: {why}") from error
     return grids, messages
 
 
