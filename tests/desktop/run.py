@@ -95,17 +95,19 @@ def viewport():
     return window, area, region, area.spaces.active
 
 
-def save_picture(path):
+def save_picture(path, area=None):
     """Save a picture of Blender's window: with ImageMagick and xdotool where they are, else with Blender's operator.
 
     Blender reads the front buffer, which is black on software OpenGL under X11.
     """
-    window, area, region, _ = viewport()
     if os.environ.get("DISPLAY") and shutil.which("import") and shutil.which("xdotool"):
         search = ["xdotool", "search", "--onlyvisible", "--class", "blender"]
         found = subprocess.run(search, capture_output=True, text=True, check=True).stdout.split()
         subprocess.run(["import", "-window", found[0], str(path)], check=True)
         return
+    window = bpy.context.window_manager.windows[0]
+    area = area or viewport()[1]
+    region = next(r for r in area.regions if r.type == "WINDOW")
     with bpy.context.temp_override(window=window, screen=window.screen, area=area, region=region):
         bpy.ops.screen.screenshot(filepath=str(path), check_existing=False)
 
@@ -248,6 +250,40 @@ def lens(folder):
     view.view_perspective = "PERSP"
     area.tag_redraw()
     yield 0.5
+
+
+def budgets(folder):
+    """A time for a view that moves, an error for one that stands still and for F12, and where both are told."""
+    _, area, _, space = viewport()
+    view = space.region_3d
+    settings = bpy.context.scene.pointsplat
+    settings.budget, settings.time_budget = "TIME", 80.0
+    area.tag_redraw()
+    yield 2.0
+    began, frames = time.monotonic(), 16
+    for step in range(frames):
+        view.view_rotation = Euler((math.radians(60), 0, math.radians(200 + 3 * step))).to_quaternion()
+        area.tag_redraw()
+        yield 0.01
+    say(f"figure: {1000 * (time.monotonic() - began) / frames:.0f} ms for each step of a view with 80 ms to draw it in")
+    moving = shoot(folder, "budget_time")
+    yield 2.0
+    settings.budget, settings.error_budget = "ERROR", 0.01
+    yield 4.0
+    still = shoot(folder, "budget_error")
+    check(difference(moving, still) < 0.05, "budgets show the same view")
+    yield from final_render(folder, "f12_budget")
+    path = str(folder / "f12_budget.png")
+    with open(path, "rb") as file:
+        check(b"pointsplat/error" in file.read(), "the picture's metadata tells its error")
+    # In the large area, where all panels of the tab are seen.
+    area.type = "PROPERTIES"
+    area.spaces.active.context = "RENDER"
+    yield 1.0
+    save_picture(folder / "last_render.png", area)
+    area.type = "VIEW_3D"
+    settings.budget = "NONE"
+    yield 1.0
 
 
 def final_render(folder, name="f12"):
@@ -459,6 +495,7 @@ def story(args):
     yield from orbit(args.output)
     yield from views(args.output)
     yield from lens(args.output)
+    yield from budgets(args.output)
     yield from final_render(args.output)
     yield from cancelled_render()
     yield 2.0
