@@ -44,6 +44,7 @@ SAMPLES = 5.0  # that fit in the longer time, at the tolerance of the settings; 
 LESS = 0.5
 MANY = 10_000  # splats, of scenes that are asked to keep that
 MOST = 16  # samples of a viewport's picture
+WARMED = (4.0, 8.0, 16.0)  # times the tolerance: of what is drawn then, octrees are there before anything is measured
 
 
 @dataclass(frozen=True)
@@ -133,16 +134,18 @@ def alone(
 
 def warmed(renderer: Renderer, case: scenes.Case, camera: Camera) -> None:
     """Wait for the octrees, which threads of their own build for viewports: no cut is coarser without them."""
-    settings = replace(case.settings, tolerance=16 * case.settings.tolerance)
-    request = Request(camera, settings, frozenset({"combined"}), 1, interactive=True)
-    seen: list[int] = []
-    while len(seen) < 40 and (len(seen) < 2 or seen[-1] > max(seen) / 2):
-        frame = renderer.start(case.scene, request)
-        seen.append(frame.shot.splats)
-        frame.release()
-        if seen[-1] <= MANY:
-            return
-        time.sleep(0.1)
+    for coarser in WARMED:
+        request = coarse(case, camera, coarser)
+        for _ in range(2):  # octrees of meshes are begun when they are asked for again
+            renderer.start(case.scene, request).release()
+        while STORE.building:
+            time.sleep(0.05)
+
+
+def coarse(case: scenes.Case, camera: Camera, coarser: float) -> Request:
+    """As TIME asks for cuts that are so much coarser."""
+    settings = replace(case.settings, budget="TIME", tolerance=coarser * case.settings.tolerance)
+    return Request(camera, settings, frozenset({"combined"}), 1, interactive=True, coarser=coarser)
 
 
 def measured(renderer: Renderer, case: scenes.Case) -> list[Kept | None]:

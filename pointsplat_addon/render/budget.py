@@ -93,10 +93,10 @@ class Pacer:
     after: float = 0.0  # ms that the latest picture took after its samples
     _last: tuple[float, float] | None = None  # tolerance and splats of the latest picture
 
-    def measured(self, tolerance: float, splats: int, once: float, each: float, after: float = 0.0) -> None:
+    def measured(self, tolerance: float, splats: float, once: float, each: float, after: float = 0.0) -> None:
         """A picture took `once` ms before its first sample, `each` ms for one sample in the mean, and `after` ms after
         the last one."""
-        self._last, self.after = (tolerance, max(float(splats), 1.0)), after
+        self._last, self.after = (tolerance, max(splats, 1.0)), after
         self.once.add(splats, once + after)
         self.each.add(splats, each)
 
@@ -220,7 +220,7 @@ class Watch:
         self.prepared = 0.0  # ms before the first sample
         self.each = 0.0  # ms of a sample, in the mean
         self.after = 0.0  # ms after the last sample
-        self.splats = 0
+        self.splats = 0.0  # and what costs as much as so many
         self.done = 0
         self._measure = True
 
@@ -228,7 +228,7 @@ class Watch:
         """The picture is prepared."""
         self._ready = self._clock()
         self.prepared = 1000 * (self._ready - self._began)
-        self.splats = frame.shot.splats
+        self.splats = frame.shot.work(frame.renderer.costs)
 
     def enough(self, frame: Frame) -> bool:
         """Whether the picture needs no more samples."""
@@ -335,7 +335,9 @@ def in_time(
 def _chosen(request: Request, choice: Choice, most: int) -> Request:
     """With room for half as many samples more, where a picture turns out faster than those before: InTime ends it."""
     settings = replace(request.settings, tolerance=choice.tolerance)
-    return replace(request, settings=settings, samples=min(choice.samples + -(-choice.samples // 2), most))
+    samples = min(choice.samples + -(-choice.samples // 2), most)
+    coarser = choice.tolerance / request.settings.tolerance
+    return replace(request, settings=settings, samples=samples, coarser=coarser)
 
 
 def below_error(
