@@ -44,7 +44,7 @@ SAMPLES = 5.0  # that fit in the longer time, at the tolerance of the settings; 
 LESS = 0.5
 MANY = 10_000  # splats, of scenes that are asked to keep that
 MOST = 16  # samples of a viewport's picture
-WARMED = (4.0, 8.0, 16.0)  # times the tolerance: of what is drawn then, octrees are there before anything is measured
+WARMED = (1.0, 4.0, 8.0, 16.0)  # times the tolerance: of what is drawn then, octrees are there before anything is measured
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def alone(
 
 def warmed(renderer: Renderer, case: scenes.Case, camera: Camera) -> None:
     """Wait for the octrees, which threads of their own build for viewports: no cut is coarser without them."""
-    for coarser in WARMED:
+    for coarser in WARMED:  # first at the settings' own: samples are only ever refined
         request = coarse(case, camera, coarser)
         for _ in range(2):  # octrees of meshes are begun when they are asked for again
             renderer.start(case.scene, request).release()

@@ -20,7 +20,7 @@ from ..core.cut import largest_singular_value
 from ..core.instances import visible
 from ..core.scene import Geometry, Mesh
 from ..core.spacing import EXACT_INSTANCES, Parts, make_parts, required_spacing
-from .hierarchies import bare_key
+from .hierarchies import bare_key, that_have_nodes
 from .layers import MANY_INSTANCES
 from .store import STORE, PointSet, Store
 from .view import View
@@ -243,10 +243,16 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
         )
     spacing = store.finest(("spacing", shape, geometry.spacing), spacing) * 2.0**octave
     needed *= 2.0**octave
-    look = digest(mesh, view.scene.materials)
     # Vertices do for coarser needs than samples: their disks cover the mesh whatever its edges project to.
+    look = digest(mesh, view.scene.materials)
     loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
     method = store.lookup(("method", shape, loose), lambda: sampling.choose(mesh, loose, ok, measures))
+    if view.coarser > 1 and geometry.spacing <= 0 and method != "VERTICES":
+        # Finer samples than a budget of time leaves room for are drawn once their nodes can stand for them.
+        own = sampling.quantise_spacing(needed)
+        name = (geometry.key, look, method, spacing)
+        if own > spacing and that_have_nodes(view, name, lambda: _samples(view, of, method, spacing, loose)) is None:
+            spacing = own
     return _samples(view, of, method, spacing, loose)
 
 
