@@ -168,6 +168,8 @@ def make_shot(
         scene, prepared, request.passes, shadows, unshadowed, request.interactive, blended, paints,
         reflects, unseen, in_focus, sharp_world, picture,
     )  # fmt: skip
+    if request.coarser > 1 and plan.ewa is None:
+        plan = replace(plan, options=replace(plan.options, coarse=True))
     view, corner = with_margin(camera, plan.reach(prepared.largest), limits.texture_size)
     everywhere = why_everywhere(
         request.settings,
