@@ -249,10 +249,10 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
     method = store.lookup(("method", shape, loose), lambda: sampling.choose(mesh, loose, ok, measures))
     if view.coarser > 1 and geometry.spacing <= 0 and method != "VERTICES":
         # Finer samples than a budget of time leaves room for are drawn once their nodes can stand for them.
-        own = sampling.quantise_spacing(needed)
-        name = (geometry.key, look, method, spacing)
-        if own > spacing and that_have_nodes(view, name, lambda: _samples(view, of, method, spacing, loose)) is None:
-            spacing = own
+        own, name = sampling.quantise_spacing(needed), (geometry.key, look, method, spacing)
+        if own > spacing:
+            found = that_have_nodes(view, name, lambda: _samples(view, of, method, spacing, loose))
+            return _samples(view, of, method, own, loose) if found is None else found
     return _samples(view, of, method, spacing, loose)
 
 
