@@ -5,9 +5,9 @@
 
 Every scene of tests/render/scenes.py, and the files: scans of triangles, volumes of voxels. Of each, pictures of a
 camera that stands still and of one that goes around, nearer and farther. What they may take is what five samples take
-here, and half of what one takes, which only a coarser cut can keep; "no splats" is how much of the latter a picture takes
-whose cut is as good as empty, which no cut changes. By the clock on the wall, and by the processor's, in all threads,
-which other work on the machine leaves alone.
+here, and half of what one takes, which only a coarser cut can keep; "no splats" is how much of the latter a picture
+takes whose cut is as good as empty, which no cut changes. By the clock on the wall, and by the processor's, in all
+threads, which other work on the machine leaves alone.
 
 --write-docs replaces the table in docs/budgets.md.
 """
@@ -51,7 +51,7 @@ LESS = 0.5
 FEW = 8  # splats of a picture without
 MANY = 10_000  # splats, of scenes that are asked to keep that
 MOST = 16  # samples of a viewport's picture
-WARMED = (1.0, 4.0, 8.0, 16.0)  # times the tolerance: of what is drawn then, octrees are there before anything is measured
+WARMED = (1.0, 4.0, 8.0, 16.0)  # times the tolerance: octrees of what is drawn then are there before
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,11 @@ def main() -> None:
         renderer.release()
         found = measured(renderer, make())
         table.append([name, *map(shown, found)])
-        detail = ", ".join(f"{one.samples:.1f} at {one.tolerance:.2f} in {one.allowed:.0f} ms" for one in found if isinstance(one, Kept))
+        detail = ", ".join(
+            f"{one.samples:.1f} at {one.tolerance:.2f} in {one.allowed:.0f} ms"
+            for one in found
+            if isinstance(one, Kept)
+        )
         print(" | ".join(table[-1]), "|", detail, flush=True)
     text = "".join(f"| {' | '.join(cells)} |\n" for cells in table)
     if given.write_docs:

@@ -1,4 +1,4 @@
-"""Where a budget of time asks for a coarser tolerance than the settings', there is a coarser cut of everything, it looks
+"""Where a budget of time asks for a coarser tolerance than the settings', there is a coarser cut of meshes, it looks
 like what it stands for, and without a budget nothing of it is made."""
 
 import time
@@ -185,7 +185,7 @@ def test_coarse_nodes_do_not_lie_in_the_shadow_of_what_they_stand_for(coarser):
     inside = np.hypot(x, y) < 45
     lit = [image[..., :3].mean(axis=2)[inside] for image in (fine, coarse)]
     dark = [np.mean(values < 0.5 * np.median(lit[0])) for values in lit]
-    assert dark[1] < dark[0] + 0.01  # measured 0 and 0
+    assert dark[1] < dark[0] + 0.001  # measured 0; 0.0016 and 0.008 where they are lit in their own places
     assert np.median(lit[1]) == pytest.approx(np.median(lit[0]), rel=0.1)
 
 
@@ -199,4 +199,4 @@ def test_coarse_cuts_have_few_gaps(coarser):
     ground[np.flatnonzero(ground.any(axis=1)).max() - 1 :] = False
     gaps = np.abs(coarse - fine[-1, 0]).max(axis=2) < 0.02
     assert ground.mean() > 0.3
-    assert np.mean(gaps[ground]) < 0.01  # measured 0 and 0.002; 0.06 where splats close no gaps
+    assert np.mean(gaps[ground]) < 0.01  # measured 0 and 0.002; 0.04 and 0.09 where splats close no gaps
