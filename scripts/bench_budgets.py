@@ -152,7 +152,7 @@ def warmed(renderer: Renderer, case: scenes.Case, camera: Camera) -> None:
 def coarse(case: scenes.Case, camera: Camera, coarser: float) -> Request:
     """As TIME asks for cuts that are so much coarser."""
     settings = replace(case.settings, budget="TIME", tolerance=coarser * case.settings.tolerance)
-    return Request(camera, settings, frozenset({"combined"}), 1, interactive=True, coarser=coarser)
+    return Request(camera, settings, frozenset({"combined"}), 1, interactive=True, coarse=coarser > 1)
 
 
 @contextmanager

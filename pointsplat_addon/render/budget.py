@@ -36,8 +36,8 @@ MIDDLE_OF = 3  # latest pictures of which the middle one says how slow the devic
 PRIOR_SHARE, PRIOR_WEIGHT = 0.5, 0.05  # share of the time that splats take, before it was seen to change with them
 MOST_STEP = 16.0  # by which the splats of one picture differ from those of the one before; and if they get more:
 MOST_MORE = 4.0
-CLOSE = 0.06  # of the budget: what is predicted that near is left as it is, so that cuts do not flicker
 STRETCH = 2.0  # times the tolerance: how much coarser a cut may get for the sake of one more sample
+CLOSE = 0.06  # of the budget: what is predicted that near is left as it is, so that cuts do not flicker
 SCENES = 16  # that a device remembers
 EARLY = 5  # samples by which two cuts are compared: with fewer, edges that are not averaged differ more than the cuts
 BLENDED = 9  # least samples where translucent splats are drawn: all pixels of one agree in how shadows are met
@@ -57,6 +57,7 @@ class Choice:
 
     tolerance: float  # pixels
     samples: int
+    coarse: bool = False  # not even one sample fits at the tolerance that was asked for
 
 
 class Line:
@@ -114,15 +115,20 @@ class Pacer:
             return Choice(tolerance, most)
         last, splats = self._last
         (p0, p1), (q0, q1) = self.once.fitted(), self.each.fitted()
-        here = self._splats_at(tolerance)
+        here = splats * (last / tolerance) ** 2
         count = int(np.clip((budget - p0 - p1 * here) / max(q0 + q1 * here, 1e-9), 0, most))
+        known = self._splats_at(tolerance)
+        if p0 + q0 + (p1 + q1) * known > budget:
+            count = 0  # not even one sample fits, whatever the latest cut promises
         if count < most:
             samples, coarsest = count + 1, STRETCH if count else COARSEST
             room = (budget - p0 - samples * q0) / max(p1 + samples * q1, 1e-12)
             wanted = np.clip(room, splats / MOST_STEP, splats * MOST_MORE)
-            at = max(self._tolerance_of(float(wanted)), tolerance)
+            at = last * float(np.sqrt(splats / wanted)) if count else self._tolerance_of(float(wanted))
+            at = max(at, tolerance)
             if at <= coarsest * tolerance or not count:
-                return Choice(self._steady(min(at, COARSEST * tolerance), budget, samples), samples)
+                found = self._steady(min(at, COARSEST * tolerance), budget, samples)
+                return Choice(found, samples, not count and found > tolerance)
         return Choice(max(tolerance, last / MOST_MORE**0.5), count)
 
     def _curve(self) -> tuple[np.ndarray, np.ndarray]:
@@ -373,8 +379,7 @@ def _chosen(request: Request, choice: Choice, most: int) -> Request:
     """With room for half as many samples more, where a picture turns out faster than those before: InTime ends it."""
     settings = replace(request.settings, tolerance=choice.tolerance)
     samples = min(choice.samples + -(-choice.samples // 2), most)
-    coarser = choice.tolerance / request.settings.tolerance
-    return replace(request, settings=settings, samples=samples, coarser=coarser)
+    return replace(request, settings=settings, samples=samples, coarse=choice.coarse)
 
 
 def below_error(

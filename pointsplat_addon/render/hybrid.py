@@ -249,7 +249,7 @@ def _shown(view: View, of: Measured, view_from_object: np.ndarray) -> list[Shown
             show(divided, view.costs, matrix, view.camera, tolerance, slack, most, nodes) for matrix in view_from_object
         ]
 
-    if view.coarser <= 1:
+    if not view.coarse:
         return every(nodes=False)
     # There is less time than the settings' own tolerance takes: what has few samples left gets nodes.
     found = every(nodes=True)

@@ -247,7 +247,7 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
     look = digest(mesh, view.scene.materials)
     loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
     method = store.lookup(("method", shape, loose), lambda: sampling.choose(mesh, loose, ok, measures))
-    if view.coarser > 1 and geometry.spacing <= 0 and method != "VERTICES":
+    if view.coarse and geometry.spacing <= 0 and method != "VERTICES":
         # Finer samples than a budget of time leaves room for are drawn once their nodes can stand for them.
         own, name = sampling.quantise_spacing(needed), (geometry.key, look, method, spacing)
         if own > spacing:

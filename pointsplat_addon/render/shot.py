@@ -142,7 +142,7 @@ def make_shot(
         check=clock.check,
         costs=costs,
         node=request.node,
-        coarser=request.coarser,
+        coarse=request.coarse,
     )
     technique = reconsidered(technique, prepared)
     others = None
@@ -168,7 +168,7 @@ def make_shot(
         scene, prepared, request.passes, shadows, unshadowed, request.interactive, blended, paints,
         reflects, unseen, in_focus, sharp_world, picture,
     )  # fmt: skip
-    if request.coarser > 1 and plan.ewa is None:
+    if request.coarse and plan.ewa is None:
         plan = replace(plan, options=replace(plan.options, coarse=True))
     view, corner = with_margin(camera, plan.reach(prepared.largest), limits.texture_size)
     everywhere = why_everywhere(
