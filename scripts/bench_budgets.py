@@ -5,8 +5,9 @@
 
 Every scene of tests/render/scenes.py, and the files: scans of triangles, volumes of voxels. Of each, pictures of a
 camera that stands still and of one that goes around, nearer and farther. What they may take is what five samples take
-here, and half of what one takes, which only a coarser cut can keep. By the clock on the wall, and by the processor's,
-in all threads, which other work on the machine leaves alone.
+here, and half of what one takes, which only a coarser cut can keep; "no splats" is how much of the latter a picture
+takes whose cut is as good as empty, which no cut changes. By the clock on the wall, and by the processor's, in all
+threads, which other work on the machine leaves alone.
 
 --write-docs replaces the table in docs/budgets.md.
 """
@@ -16,9 +17,11 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,11 +30,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from bench_defocus import scan
 
+from pointsplat_addon.core.cut import Cut
 from pointsplat_addon.core.scene import Camera, Geometry, Medium, Settings, Volume
 from pointsplat_addon.formats import dense
-from pointsplat_addon.render.budget import Moving, _wait
+from pointsplat_addon.render import frame
+from pointsplat_addon.render.budget import COARSEST, Moving, _wait
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.request import Request
+from pointsplat_addon.render.shot import Shot
 from pointsplat_addon.render.store import STORE
 from tests.render import scenes
 
@@ -42,8 +48,10 @@ FIRST, COUNTED = 3, 20  # pictures that do not count, and those of which the med
 TURN, NEARER = 0.05, 0.2  # radians a picture; part of the distance by which it changes, to and fro
 SAMPLES = 5.0  # that fit in the longer time, at the tolerance of the settings; and in the shorter one:
 LESS = 0.5
+FEW = 8  # splats of a picture without
 MANY = 10_000  # splats, of scenes that are asked to keep that
 MOST = 16  # samples of a viewport's picture
+WARMED = (1.0, 4.0, 8.0, 16.0)  # times the tolerance: octrees of what is drawn then are there before
 
 
 @dataclass(frozen=True)
@@ -133,30 +141,77 @@ def alone(
 
 def warmed(renderer: Renderer, case: scenes.Case, camera: Camera) -> None:
     """Wait for the octrees, which threads of their own build for viewports: no cut is coarser without them."""
-    settings = replace(case.settings, tolerance=16 * case.settings.tolerance)
-    request = Request(camera, settings, frozenset({"combined"}), 1, interactive=True)
-    seen: list[int] = []
-    while len(seen) < 40 and (len(seen) < 2 or seen[-1] > max(seen) / 2):
-        frame = renderer.start(case.scene, request)
-        seen.append(frame.shot.splats)
-        frame.release()
-        if seen[-1] <= MANY:
-            return
-        time.sleep(0.1)
+    for coarser in WARMED:  # first at the settings' own: samples are only ever refined
+        request = coarse(case, camera, coarser)
+        for _ in range(2):  # octrees of meshes are begun when they are asked for again
+            renderer.start(case.scene, request).release()
+        while STORE.building:
+            time.sleep(0.05)
 
 
-def measured(renderer: Renderer, case: scenes.Case) -> list[Kept | None]:
-    """By the processor's clock, then by the one on the wall: still and moving, with SAMPLES and with LESS; None where
-    there are too few splats to leave out."""
+def coarse(case: scenes.Case, camera: Camera, coarser: float) -> Request:
+    """As TIME asks for cuts that are so much coarser."""
+    settings = replace(case.settings, budget="TIME", tolerance=coarser * case.settings.tolerance)
+    return Request(camera, settings, frozenset({"combined"}), 1, interactive=True, coarse=coarser > 1)
+
+
+@contextmanager
+def bare() -> Iterator[None]:
+    """Pictures are planned as ever, and then drawn with FEW splats of each kind."""
+    made = frame.make_shot
+
+    def without(*given: Any) -> Shot:
+        shot = made(*given)
+        prepared = shot.prepared
+        few = replace(
+            prepared,
+            cut=_few(prepared.cut),
+            translucent=replace(prepared.translucent, cut=_few(prepared.translucent.cut)),
+            spheres=replace(prepared.spheres, cut=_few(prepared.spheres.cut)),
+        )
+        return replace(shot, prepared=few)
+
+    frame.make_shot = without
+    try:
+        yield
+    finally:
+        frame.make_shot = made
+
+
+def _few(cut: Cut) -> Cut:
+    count = np.minimum(cut.count[:1], FEW)
+    return Cut(cut.instance[:1], cut.first[:1], count, points=int(count.sum()))
+
+
+def least(renderer: Renderer, case: scenes.Case, camera: Camera, clock: Callable[[], float]) -> float:
+    """Seconds of one sample at the coarsest tolerance with next to no splats: preparing, and passes over all pixels."""
+    found = []
+    with bare():
+        for _ in range(7):
+            before = clock()
+            drawn = renderer.start(case.scene, coarse(case, camera, COARSEST))
+            drawn.sample()
+            _wait(renderer.device)
+            drawn.release()
+            found.append(clock() - before)
+            while STORE.building:
+                time.sleep(0.05)
+    return min(found)
+
+
+def measured(renderer: Renderer, case: scenes.Case) -> list[Kept | float | None]:
+    """By the processor's clock, then by the one on the wall: still and moving, with SAMPLES and with LESS, and what of
+    the latter `least` takes; None where there are too few splats to leave out."""
     camera = around(case)
     warmed(renderer, case, camera(0))
-    found: list[Kept | None] = []
+    found: list[Kept | float | None] = []
     ways = (lambda step: camera(0), camera)
     for clock in (time.process_time, time.perf_counter):
         once, each, splats = alone(renderer, case, camera(0), clock)
         budgets = (once + SAMPLES * each, LESS * (once + each))
         found += [kept(renderer, case, budgets[0], way, clock) for way in ways]
         found += [kept(renderer, case, budgets[1], way, clock) if splats > MANY else None for way in ways]
+        found.append(least(renderer, case, camera(0), clock) / budgets[1] if splats > MANY else None)
     return found
 
 
@@ -182,10 +237,12 @@ def voxels(path: Path) -> scenes.Case:
     )  # fmt: skip
 
 
-HEAD = ["scene", *(
-    f"{what}{by}: {way}" for by in ("", " by the wall") for what in ("5 samples", "half of one")
-    for way in ("still", "moving")
-)]  # fmt: skip
+WAYS = ("5 samples{}: still", "5 samples{}: moving", "half of one{}: still", "half of one{}: moving", "no splats{}")
+HEAD = ["scene", *(way.format(by) for by in ("", " by the wall") for way in WAYS)]
+
+
+def shown(one: Kept | float | None) -> str:
+    return "" if one is None else f"{one:.2f}" if isinstance(one, float) else one.text
 
 
 def main() -> None:
@@ -206,8 +263,12 @@ def main() -> None:
         renderer = scenes.opengl()
         renderer.release()
         found = measured(renderer, make())
-        table.append([name, *(one.text if one else "" for one in found)])
-        detail = ", ".join(f"{one.samples:.1f} at {one.tolerance:.2f} in {one.allowed:.0f} ms" for one in found if one)
+        table.append([name, *map(shown, found)])
+        detail = ", ".join(
+            f"{one.samples:.1f} at {one.tolerance:.2f} in {one.allowed:.0f} ms"
+            for one in found
+            if isinstance(one, Kept)
+        )
         print(" | ".join(table[-1]), "|", detail, flush=True)
     text = "".join(f"| {' | '.join(cells)} |\n" for cells in table)
     if given.write_docs:

@@ -36,6 +36,11 @@ void main()
   vec3 normal = vec3(0.0, 0.0, 1.0);
   vec3 position = ps_view_from_pixel(gl_FragCoord.xy, place.x);
 #endif
+#ifdef PS_COARSE
+  // A coarse node lies below the surface that it stands for, which casts shadows as fine as ever: it is lit above that.
+  float radius = place.w > PS_POLYGON ? 2.0 * max(abs(shape.x), length(shape.yz)) : 0.0;  // pixels
+  position += normal * (radius * ps_pixel_size(place.x));
+#endif
   vec3 to_eye = -ps_ray(gl_FragCoord.xy);
 #ifdef PS_LINES
   bool strand = ps_is_strand(place);

@@ -198,20 +198,26 @@ def _box_spacing(low: np.ndarray, high: np.ndarray, view_from_object: np.ndarray
 
     One box (3,) and matrices (I, 4, 4), or boxes (B, 3) and one matrix (4, 4): (I,) or (B,).
     """
-    corners = np.where(_CORNERS, high[..., None], low[..., None])  # (..., 3, 8)
-    view = view_from_object[..., :3, :3] @ corners + view_from_object[..., :3, 3:]
+    # Coordinates and corners come first, so that what is reduced over them lies in whole rows.
+    corners = np.where(_CORNERS[..., None], high.T.reshape(3, 1, -1), low.T.reshape(3, 1, -1))  # (3, 8, B)
+    linear, shift = view_from_object[..., :3, :3], view_from_object[..., :3, 3]
+    if view_from_object.ndim == 2:
+        view = (linear @ corners.reshape(3, -1)).reshape(3, 8, -1) + shift[:, None, None]
+    else:
+        seen = (linear.reshape(-1, 3) @ corners[..., 0]).reshape(-1, 3, 8)
+        view = np.ascontiguousarray(seen.transpose(1, 2, 0)) + shift.T[:, None]
     planes = _frustum_planes(camera)
-    distance = planes[:, :3] @ view + planes[:, 3:]  # (..., 6, 8)
-    outside = (distance.max(axis=-1) < 0).any(axis=-1)
+    distance = (planes[:, :3] @ view.reshape(3, -1)).reshape(6, 8, -1) + planes[:, 3, None, None]
+    outside = (distance.max(axis=1) < 0).any(axis=0)
     if not camera.perspective:
         return np.where(outside, np.inf, 1 / _focal(camera))
     rim = _frustum_edges(camera)[0]
     with np.errstate(invalid="ignore"):
         cosine = (-rim[:, 2] / np.linalg.norm(rim, axis=1)).min()
     # A cone around the axis is convex: one that holds the corners holds the box.
-    nearest = -view[..., 2, :].max(axis=-1)
+    nearest = -view[2].max(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        corner = (-view[..., 2, :] / np.sqrt((view * view).sum(axis=-2))).min(axis=-1)
+        corner = (-view[2] / np.sqrt((view * view).sum(axis=0))).min(axis=0)
     cosine = np.where(nearest > 0, np.fmax(corner, cosine), cosine)
     return np.where(outside, np.inf, np.maximum(nearest, camera.near) * cosine / _focal(camera))
 

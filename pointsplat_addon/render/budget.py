@@ -30,12 +30,14 @@ MOST_SAMPLES = 257  # of a picture with a budget: what more of them change canno
 COARSEST = 16.0  # times the tolerance that the settings ask for: TIME goes no further
 FINEST = 0.25  # times it: what ERROR ends at
 REMEMBERED = 8  # pictures from which a line is fitted
+UNLIKE = 2.0  # times what the inverse square gives: how a cut differs that follows another law
+CUTS = 32  # pictures of which it is known how many splats a tolerance takes
 MIDDLE_OF = 3  # latest pictures of which the middle one says how slow the device is now
 PRIOR_SHARE, PRIOR_WEIGHT = 0.5, 0.05  # share of the time that splats take, before it was seen to change with them
 MOST_STEP = 16.0  # by which the splats of one picture differ from those of the one before; and if they get more:
 MOST_MORE = 4.0
-CLOSE = 0.06  # of the budget: what is predicted that near is left as it is, so that cuts do not flicker
 STRETCH = 2.0  # times the tolerance: how much coarser a cut may get for the sake of one more sample
+CLOSE = 0.06  # of the budget: what is predicted that near is left as it is, so that cuts do not flicker
 SCENES = 16  # that a device remembers
 EARLY = 5  # samples by which two cuts are compared: with fewer, edges that are not averaged differ more than the cuts
 BLENDED = 9  # least samples where translucent splats are drawn: all pixels of one agree in how shadows are met
@@ -55,6 +57,7 @@ class Choice:
 
     tolerance: float  # pixels
     samples: int
+    coarse: bool = False  # not even one sample fits at the tolerance that was asked for
 
 
 class Line:
@@ -92,11 +95,13 @@ class Pacer:
     each: Line = field(default_factory=Line)  # what a sample takes
     after: float = 0.0  # ms that the latest picture took after its samples
     _last: tuple[float, float] | None = None  # tolerance and splats of the latest picture
+    _cuts: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=CUTS))  # of the latest ones
 
-    def measured(self, tolerance: float, splats: int, once: float, each: float, after: float = 0.0) -> None:
+    def measured(self, tolerance: float, splats: float, once: float, each: float, after: float = 0.0) -> None:
         """A picture took `once` ms before its first sample, `each` ms for one sample in the mean, and `after` ms after
         the last one."""
-        self._last, self.after = (tolerance, max(float(splats), 1.0)), after
+        self._last, self.after = (tolerance, max(splats, 1.0)), after
+        self._cuts.append(self._last)
         self.once.add(splats, once + after)
         self.each.add(splats, each)
 
@@ -112,14 +117,52 @@ class Pacer:
         (p0, p1), (q0, q1) = self.once.fitted(), self.each.fitted()
         here = splats * (last / tolerance) ** 2
         count = int(np.clip((budget - p0 - p1 * here) / max(q0 + q1 * here, 1e-9), 0, most))
+        known = self._splats_at(tolerance)
+        if p0 + q0 + (p1 + q1) * known > budget:
+            count = 0  # not even one sample fits, whatever the latest cut promises
         if count < most:
             samples, coarsest = count + 1, STRETCH if count else COARSEST
             room = (budget - p0 - samples * q0) / max(p1 + samples * q1, 1e-12)
             wanted = np.clip(room, splats / MOST_STEP, splats * MOST_MORE)
-            at = max(last * float(np.sqrt(splats / wanted)), tolerance)
+            at = last * float(np.sqrt(splats / wanted)) if count else self._tolerance_of(float(wanted))
+            at = max(at, tolerance)
             if at <= coarsest * tolerance or not count:
-                return Choice(self._steady(min(at, COARSEST * tolerance), budget, samples), samples)
+                found = self._steady(min(at, COARSEST * tolerance), budget, samples)
+                return Choice(found, samples, not count and found > tolerance)
         return Choice(max(tolerance, last / MOST_MORE**0.5), count)
+
+    def _curve(self) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithms of tolerances, rising, and of splats, falling: the latest cut, and those that lie so far from the
+        inverse square that not the view has changed: meshes take triangles where they are near, and nodes not at all.
+        """
+        assert self._last is not None
+        known, (last, splats) = dict(self._cuts), self._last  # of each tolerance the latest
+        finer = sorted((t for t in known if t < last), reverse=True)
+        coarser = sorted(t for t in known if t > last)
+        found = [(last, splats)]
+        for side, sign in ((finer, 1), (coarser, -1)):
+            end = splats
+            for t in side:
+                other = known[t] / (splats * (last / t) ** 2)
+                if sign * (known[t] - end) > 0 and not 1 / UNLIKE < other < UNLIKE:
+                    end = known[t]
+                    found.append((t, end))
+        tolerances, cuts = np.log(sorted(found)).T
+        return tolerances, cuts
+
+    def _splats_at(self, tolerance: float) -> float:
+        """Of a cut: between those that are known, of which the scene decides; beyond, by the inverse square."""
+        x, y = self._curve()
+        at = np.log(tolerance)
+        beyond = 2 * (max(x[0] - at, 0.0) - max(at - x[-1], 0.0))
+        return float(np.exp(np.interp(at, x, y) + beyond))
+
+    def _tolerance_of(self, splats: float) -> float:
+        """The reverse."""
+        x, y = self._curve()
+        at = np.log(splats)
+        beyond = 0.5 * (max(y[-1] - at, 0.0) - max(at - y[0], 0.0))
+        return float(np.exp(np.interp(at, y[::-1], x[::-1]) + beyond))
 
     def _steady(self, tolerance: float, budget: float, samples: int) -> float:
         """The latest tolerance where that is predicted to do as well."""
@@ -220,7 +263,7 @@ class Watch:
         self.prepared = 0.0  # ms before the first sample
         self.each = 0.0  # ms of a sample, in the mean
         self.after = 0.0  # ms after the last sample
-        self.splats = 0
+        self.splats = 0.0  # and what costs as much as so many
         self.done = 0
         self._measure = True
 
@@ -228,7 +271,7 @@ class Watch:
         """The picture is prepared."""
         self._ready = self._clock()
         self.prepared = 1000 * (self._ready - self._began)
-        self.splats = frame.shot.splats
+        self.splats = frame.shot.work(frame.renderer.costs)
 
     def enough(self, frame: Frame) -> bool:
         """Whether the picture needs no more samples."""
@@ -335,7 +378,8 @@ def in_time(
 def _chosen(request: Request, choice: Choice, most: int) -> Request:
     """With room for half as many samples more, where a picture turns out faster than those before: InTime ends it."""
     settings = replace(request.settings, tolerance=choice.tolerance)
-    return replace(request, settings=settings, samples=min(choice.samples + -(-choice.samples // 2), most))
+    samples = min(choice.samples + -(-choice.samples // 2), most)
+    return replace(request, settings=settings, samples=samples, coarse=choice.coarse)
 
 
 def below_error(

@@ -126,7 +126,7 @@ class Frame:
             passes = frozenset({"combined"})
         self.shade = shade_pass.shade_program(
             plan.variant, plan.lighting, plan.materials, passes, request.samples, coverage, plan.lines, plan.defocus,
-            plan.picture,
+            plan.picture, coarse=request.coarse,
         )  # fmt: skip
         self.background = shade_pass.background_program(
             plan.behind, transparent, passes, coverage, everywhere=not plan.shaded.solid, combined=plan.picture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -35,6 +36,27 @@ def where_it_pays(view: View, points: PointSet, view_from_object: np.ndarray) ->
             store.later(key, lambda: _hierarchy(points, store))
             return plain
     return _with_hierarchy(points, store)
+
+
+def that_have_nodes(view: View, name: tuple, make: Callable[[], PointSet]) -> PointSet | None:
+    """Points called `name`, once their octree is there. In an interactive view it is begun, on another thread, at the
+    second time of asking: what changes from picture to picture would be gone when it is built."""
+    store, known, asked = view.store, ("nodes of", *name), ("nodes asked for", *name)
+
+    def build() -> tuple:
+        return _with_hierarchy(_filled(make(), view.scene.materials, store), store).key
+
+    if known in store:
+        key = store.lookup(known, build)
+        if key in store:
+            return make()
+        if view.interactive:  # there was no room for it
+            store.later(key, lambda: _hierarchy(_filled(make(), view.scene.materials, store), store))
+    elif view.interactive and asked in store:
+        store.later(known, build)
+    elif view.interactive:
+        store.lookup(asked, tuple)
+    return None
 
 
 def where_blurred(view: View, points: PointSet, always: bool) -> PointSet:

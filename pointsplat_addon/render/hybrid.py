@@ -13,11 +13,15 @@ from ..core.cloud import PointCloud, finite
 from ..core.cost import Choice, Costs, choose, runs
 from ..core.scene import Camera, Geometry, MaterialTable, Mesh
 from ..core.spacing import PART, Parts, part_spacings
+from .hierarchies import that_have_nodes
 from .layers import MANY_INSTANCES
-from .meshes import VERTEX_PIXELS, Measured, Primitives, all_points, measured, most_samples
+from .meshes import VERTEX_PIXELS, Measured, Primitives, all_points, fewest, measured, most_samples
 from .parts import lets_through
 from .store import PointSet
 from .view import View
+
+NODES = 16.0  # of a cut, for each square of the tolerance that a curved surface holds: measured 13 to 16.5 of scans
+NODE = 2.0  # what a splat of a cut costs of one that is drawn with all others: it is found, and drawn in short blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +71,11 @@ class Divided:
         if sampling.choose(self.mesh, max(slack * needed, self.octave(needed)), self.ok, m) == "VERTICES":
             return float(m.vertices)
         return float(self.samples(self.octave(needed)).sum())
+
+    @cached_property
+    def fewest(self) -> np.ndarray:
+        """(B,) float64: about how many samples each part has where they are as few as cover the mesh."""
+        return self.parts.counts * min(self.measures.vertices / len(self.measures.triangle), 1.0)
 
     def octave(self, spacing: float) -> float:
         return min(sampling.quantise_spacing(spacing), self.coarsest)
@@ -144,12 +153,13 @@ class Shown:
     spacing: float  # of its points
     choice: Choice
     whole: bool  # all of it is points, out of view or not: as dense as its nearest part needs
+    nodes: bool = False  # or, where that is too many, those of an octree over as few samples as cover it
 
     def as_polygons(self) -> Shown:
         """The same with polygons for all that is in view."""
         c = self.choice
         every = replace(c, points=np.zeros_like(c.points), polygons=c.points | c.polygons, cost=c.triangles_cost)
-        return replace(self, choice=every, whole=False)
+        return replace(self, choice=every, whole=False, nodes=False)
 
 
 def show(
@@ -160,10 +170,12 @@ def show(
     tolerance: float,
     slack: float,
     most: int,
+    nodes: bool = False,
 ) -> Shown | None:
     """The cheapest way to draw an instance (4, 4); None: nothing of it is in view.
 
-    `slack`: see Divided.whole. `most`: samples that the mesh may have.
+    `slack`: see Divided.whole. `most`: samples that the mesh may have. `nodes`: an octree over the fewest samples may
+    be drawn as well.
     """
     needed = part_spacings(divided.parts, view_from_object, camera, tolerance)
     visible = np.isfinite(needed)
@@ -178,8 +190,15 @@ def show(
     every = divided.whole(finest, slack)
     if every <= most and every * costs.point <= choice.cost:
         choice = replace(choice, points=visible, polygons=np.zeros_like(visible), cost=every * costs.point)
-        return Shown(divided.octave(finest), choice, whole=True)
-    return Shown(float(spacing[choice.octave]), choice, whole=False)
+        shown = Shown(divided.octave(finest), choice, whole=True)
+    else:
+        shown = Shown(float(spacing[choice.octave]), choice, whole=False)
+    if nodes:
+        cut = np.minimum(NODES * divided.area / needed**2, divided.fewest)[visible].sum()
+        if (cost := float(cut) * NODE * costs.point) < shown.choice.cost:
+            choice = replace(choice, points=visible, polygons=np.zeros_like(visible), cost=cost)
+            return Shown(divided.coarsest, choice, whole=True, nodes=True)
+    return shown
 
 
 def choose_parts(view: View, view_from_object: np.ndarray, usable: np.ndarray) -> dict[int, list[Shown | None]]:
@@ -224,7 +243,24 @@ def _shown(view: View, of: Measured, view_from_object: np.ndarray) -> list[Shown
     divided, tolerance = _division(of), view.settings.tolerance
     most = most_samples(tolerance)
     slack = 1.0 if digest(of.mesh, view.scene.materials) else VERTEX_PIXELS
-    return [show(divided, view.costs, matrix, view.camera, tolerance, slack, most) for matrix in view_from_object]
+
+    def every(nodes: bool) -> list[Shown | None]:
+        return [
+            show(divided, view.costs, matrix, view.camera, tolerance, slack, most, nodes) for matrix in view_from_object
+        ]
+
+    if not view.coarse:
+        return every(nodes=False)
+    # There is less time than the settings' own tolerance takes: what has few samples left gets nodes.
+    found = every(nodes=True)
+    wanted = any(one is not None and one.nodes for one in found)
+    return every(nodes=False) if wanted and _with_nodes(view, of) is None else found
+
+
+def _with_nodes(view: View, of: Measured) -> PointSet | None:
+    """The fewest samples of a mesh, once they have an octree."""
+    name = (of.geometry.key, digest(of.mesh, view.scene.materials))
+    return that_have_nodes(view, name, lambda: fewest(view, of))
 
 
 def split(view: View, of: Measured, shown: list[Shown | None], view_from_object: np.ndarray) -> Primitives:
@@ -250,7 +286,10 @@ def split(view: View, of: Measured, shown: list[Shown | None], view_from_object:
             if one is not None and len(points) == len(sampled.samples) and not one.choice.points[worth].all():
                 ranges[i] = sampled.ranges(one.choice.points)
         found.append((points, np.array(some)))
-    whole = np.flatnonzero([one is not None and one.whole for one in shown])
+    nodes = np.flatnonzero([one is not None and one.nodes for one in shown])
+    if len(nodes):
+        found.append((fewest(view, of), nodes))
+    whole = np.flatnonzero([one is not None and one.whole and not one.nodes for one in shown])
     if len(whole):
         found += [(points, whole[some]) for points, some in all_points(view, of, view_from_object[whole])]
     return Primitives(found, np.array(polygons, int), parts, ranges)

@@ -20,7 +20,7 @@ from ..core.cut import largest_singular_value
 from ..core.instances import visible
 from ..core.scene import Geometry, Mesh
 from ..core.spacing import EXACT_INSTANCES, Parts, make_parts, required_spacing
-from .hierarchies import bare_key
+from .hierarchies import bare_key, that_have_nodes
 from .layers import MANY_INSTANCES
 from .store import STORE, PointSet, Store
 from .view import View
@@ -243,16 +243,33 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
         )
     spacing = store.finest(("spacing", shape, geometry.spacing), spacing) * 2.0**octave
     needed *= 2.0**octave
-    table = view.scene.materials
-    look = digest(mesh, table)
     # Vertices do for coarser needs than samples: their disks cover the mesh whatever its edges project to.
+    look = digest(mesh, view.scene.materials)
     loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
     method = store.lookup(("method", shape, loose), lambda: sampling.choose(mesh, loose, ok, measures))
+    if view.coarse and geometry.spacing <= 0 and method != "VERTICES":
+        # Finer samples than a budget of time leaves room for are drawn once their nodes can stand for them.
+        own, name = sampling.quantise_spacing(needed), (geometry.key, look, method, spacing)
+        if own > spacing:
+            found = that_have_nodes(view, name, lambda: _samples(view, of, method, spacing, loose))
+            return _samples(view, of, method, own, loose) if found is None else found
+    return _samples(view, of, method, spacing, loose)
+
+
+def fewest(view: View, of: Measured) -> PointSet:
+    """The fewest samples that cover a mesh: its vertices, or one on each triangle."""
+    spacing = sampling.quantise_spacing(2 * of.measures.longest)
+    return _samples(view, of, sampling.choose(of.mesh, spacing, of.ok, of.measures), spacing, spacing)
+
+
+def _samples(view: View, of: Measured, method: str, spacing: float, loose: float) -> PointSet:
+    """Samples by one method, so far apart; vertices where they may be `loose` apart."""
+    geometry, mesh, ok, shape, store, table = of.geometry, of.mesh, of.ok, of.shape, view.store, view.scene.materials
+    look = digest(mesh, table)
     spacing = 0.0 if method == "VERTICES" else spacing
-    first = sampling.centre(mesh)
     samples, origin = store.lookup(
         ("places", shape, method, spacing),
-        lambda: (sampling.sample(mesh, spacing or loose, method, ok, measures), first),
+        lambda: (sampling.sample(mesh, spacing or loose, method, ok, of.measures), sampling.centre(mesh)),
     )
     key = ("samples", geometry.key, look, method, spacing)
 

@@ -59,18 +59,20 @@ def prepare(
     check: Callable[[], None] = lambda: None,
     costs: Costs = DEFAULT,
     node: float = NODE,
+    coarse: bool = False,
 ) -> Prepared:
     """Choose, sample and cut everything that `camera` sees.
 
     `samples` tells how often the result will be drawn. `interactive`: again and again, and at once; what takes long is
     then built on another thread and used when it is there. `check` is called between geometries, and may raise to stop.
     `costs`: what drawing costs on the device. `node`: of what is out of focus, see core/defocus.py.
+    `coarse`: there is no time for one sample at the tolerance that was asked for.
     """
     with np.errstate(all="ignore"):
         view_from_object = camera.view_from_world @ scene.instances.world_from_object
         usable = all_finite(view_from_object.astype(np.float32))  # as the device has them
     blur = blur_of(camera, node) if settings.dof_method == "SPLAT" else None
-    view = View(scene, camera, settings, samples, interactive, store, check, costs, blur)
+    view = View(scene, camera, settings, samples, interactive, store, check, costs, blur, coarse)
     focus = None
     if blur is not None:
         focus = Focus(scene, camera, blur, min(settings.tolerance, COARSEST), store, view_from_object)

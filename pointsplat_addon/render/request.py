@@ -21,6 +21,7 @@ class Request:
     samples: int
     crypto_levels: int = 6
     interactive: bool = False  # drawn again and again, and at once: see prepare
+    coarse: bool = False  # a budget of time has no room for one sample at the tolerance that was asked for
     node: float = NODE  # largest nodes of what is out of focus, over the radii of their disks: core/defocus.py
 
 

@@ -96,12 +96,17 @@ def cast(
     floors = _floors(scene, casters, store)
     if all(floors):
         return None, "there is nothing in the shadow of anything"
-    spacing = _spacings(casters, scene.lights, settings.shadow_resolution, store, floors)
+    held = tuple((c.geometry.key, c.matrices.tobytes()) for c in casters)
+    lamps = tuple(_key(light) for light in scene.lights if light.shadow)
+    spacing = store.lookup(
+        ("shadow spacings", _hashed((held, lamps)), settings.shadow_resolution, floors),
+        lambda: _spacings(casters, scene.lights, settings.shadow_resolution, store, floors),
+    )
     look = tuple(
         (c.geometry.key, _look(scene, c.geometry), c.matrices.tobytes(), s)
         for c, s in zip(casters, spacing, strict=True)
     )
-    matter = ("casters", hashlib.blake2b(repr(look).encode(), digest_size=16).digest(), settings.shadow_resolution)
+    matter = ("casters", _hashed(look), settings.shadow_resolution)
     # Cells are as wide as they would be if floors cast, so that shadows on these do not move with what stands there.
     around = [_outer(c, store) for c, floor in zip(casters, floors, strict=True) if floor]
     lights = in_rows(scene.lights)
@@ -136,6 +141,10 @@ def cast(
         return Shadows((matter, keys), packed, entries, wide, tuple(warnings))
 
     return store.lookup(("shadows", matter, keys), make), ""
+
+
+def _hashed(of: tuple) -> bytes:
+    return hashlib.blake2b(repr(of).encode(), digest_size=16).digest()
 
 
 def _key(light: Light) -> tuple:

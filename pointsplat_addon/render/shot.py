@@ -91,12 +91,21 @@ class Shot:
     @property
     def triangles(self) -> int:
         """That are drawn."""
-        prepared, geometries = self.prepared, self.scene.geometries
+        return self._triangles()
+
+    def _triangles(self, primitives: tuple[str, ...] = ()) -> int:
+        """Of geometries that are to be drawn as `primitives`; of all where none are named."""
+        prepared, instances = self.prepared, self.prepared.polygons.tolist()
+        of = [self.scene.geometries[int(self.scene.instances.geometry[instance])] for instance in instances]
         return sum(
-            triangles_of(mesh, prepared.parts.get(instance))
-            for instance in prepared.polygons.tolist()
-            if (mesh := geometries[int(self.scene.instances.geometry[instance])].mesh) is not None
+            triangles_of(geometry.mesh, prepared.parts.get(instance))
+            for geometry, instance in zip(of, instances, strict=True)
+            if geometry.mesh is not None and (not primitives or geometry.primitive in primitives)
         )
+
+    def work(self, costs: Costs) -> float:
+        """What a coarser cut has less of, in splats: those, and triangles of meshes that may be points instead."""
+        return self.splats + self._triangles(("AUTO",)) * costs.triangle / costs.point
 
     def cropped(self, picture: np.ndarray) -> np.ndarray:
         """The camera's window of a picture (H, W, ...) of the view."""
@@ -133,6 +142,7 @@ def make_shot(
         check=clock.check,
         costs=costs,
         node=request.node,
+        coarse=request.coarse,
     )
     technique = reconsidered(technique, prepared)
     others = None
@@ -158,6 +168,8 @@ def make_shot(
         scene, prepared, request.passes, shadows, unshadowed, request.interactive, blended, paints,
         reflects, unseen, in_focus, sharp_world, picture,
     )  # fmt: skip
+    if request.coarse and plan.ewa is None:
+        plan = replace(plan, options=replace(plan.options, coarse=True))
     view, corner = with_margin(camera, plan.reach(prepared.largest), limits.texture_size)
     everywhere = why_everywhere(
         request.settings,

@@ -24,4 +24,5 @@ class View:
     check: Callable[[], None]  # called between geometries; may raise to stop
     costs: Costs  # of drawing on the device
     blur: Blur | None  # of what is drawn as blurred splats; None: nothing is
+    coarse: bool = False  # a budget of time has no room for one sample at the tolerance that was asked for
     warnings: list[str] = field(default_factory=list)  # steps append to it, some of them the same again

@@ -4,6 +4,9 @@
 
 // A splat is at least this wide, as a standard deviation in pixels, in any direction: disks seen edge-on stay invertible.
 #define PS_LEAST_SIGMA 0.02
+// Nodes of a coarse cut: those of squares in a plane leave their corners open, and thin ones what lies between them.
+#define PS_COARSE_AREA 2.0
+#define PS_COARSE_SIGMA 0.5  // pixels
 #define PS_ALONE_SIGMA 4.0  // pixels
 #define PS_BESIDE 0x80000000u  // of a depth or an index: the splat does not hold its pixel's centre
 
@@ -46,6 +49,10 @@ vec3 ps_footprint(int instance, vec3 p, float normal_code, vec4 extent)
   wider = extent.y < 0.0 ? 0.0 : wider;
 #endif
   covariance.xz += wider;
+#ifdef PS_COARSE
+  covariance *= PS_COARSE_AREA;
+  covariance.xz += PS_COARSE_SIGMA * PS_COARSE_SIGMA;
+#endif
   return covariance;
 }
 

@@ -43,6 +43,7 @@ class PointOptions:
     one_instance: bool = False
     apart: bool = False  # some splats close no surface with others
     depth: bool = False  # polygons share the G-buffer
+    coarse: bool = False  # nodes are so wide that gaps between them show
 
 
 class Page(SplatPage):
@@ -151,6 +152,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         ("PS_CULL", options.cull),
         ("PS_ELLIPSES", options.ellipses),
         ("PS_APART", options.apart),
+        ("PS_COARSE", options.coarse),
     )
     defines = tuple((name, "1") for name, on in names if on)
     nearest = Interface(
@@ -197,6 +199,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         "PS_DEPTH": options.depth,
         "PS_ELLIPSES": options.ellipses,
         "PS_APART": options.apart,
+        "PS_COARSE": options.coarse,
     }
     resolve = Interface(
         "resolve",

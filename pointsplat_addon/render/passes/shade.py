@@ -52,14 +52,16 @@ def shade_program(
     lines: bool = False,
     focus: bool = False,
     combined: bool = True,
+    coarse: bool = False,
 ) -> Interface:
     """`lighting`, `materials`: the PS_ names of what shines and of what surfaces do with it. Wide lamps are looked at
     from as many points as the `samples` of a picture leave over from LAMP_POINTS. `coverage`: edges are soft.
     `lines`: there are strands. `focus`: only what is in focus, with its depth. `combined`: the picture, not only passes
-    beside it."""
+    beside it. `coarse`: nodes are so wide that they would lie in the shadow of what they stand for."""
     read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
     flags = {"PS_COVERAGE": coverage, "PS_LINES": lines and variant.normal, "PS_FOCUS": focus,
-             "PS_BESIDE": not combined}  # fmt: skip
+             "PS_BESIDE": not combined,
+             "PS_COARSE": coarse and any("SHADOW" in name for name in lighting)}  # fmt: skip
     names = (*variant.defines, *materials, *_averaged_defines(passes), *(name for name, on in flags.items() if on))
     points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
