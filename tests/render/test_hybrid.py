@@ -19,7 +19,8 @@ from tests.render import scenes
 from tests.render.test_quality import with_smooth_normals
 
 SETTINGS = Settings(use_shadows=False, use_adaptive_sampling=False)
-COSTS = Costs(pixel=1e-3)  # points need not pay for their passes: the pictures are small
+# Points need not pay for their passes and for being sampled: the pictures are small, and of few samples.
+COSTS = Costs(pixel=1e-3, prepared=1e-3, uploaded=1e-3)
 SIZE = 128
 
 
