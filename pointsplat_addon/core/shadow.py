@@ -24,7 +24,7 @@ import numpy as np
 
 from .kernel import SUPPORT
 from .scene import Light
-from .shadow_casters import CHUNK, KINDS, OPAQUE_DEPTH, Casters, casters, typical
+from .shadow_casters import CHUNK, KINDS, OPAQUE_DEPTH, Casters, casters, turned, typical
 from .shadow_cells import (
     FINER,
     FINEST,
@@ -113,7 +113,7 @@ def _coarser(frame: Frame, kind: str, batches: Sequence[Casters]) -> float:
         return 1.0
     widths = []
     for batch in found:
-        spans, reach = _spans(frame, batch), batch.reach()
+        spans, reach = _spans(frame, batch), batch.reach
         width = (
             SMOKE * float(np.median(reach))
             if kind == "VOLUME"
@@ -144,7 +144,7 @@ class _Spans:
 
 def _spans(frame: Frame, batch: Casters) -> _Spans:
     surface = batch.kind != "VOLUME"
-    least = typical(batch.reach()) if surface else 0.0
+    least = typical(batch.reach) if surface else 0.0
     if frame.parallel:
         return _Spans(1.0, 1.0, least)
     near, far = np.inf, 0.0
@@ -198,7 +198,7 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
         assert batch.radius is not None
         up = across = batch.radius / 2
     else:
-        axes = batch.axes @ turn
+        axes = turned(batch.axes, turn)
         ray, north, east = directions(frame, latitude, longitude)
         along = (
             (axes[..., 1], axes[..., 0])
@@ -259,7 +259,7 @@ def _level(rows: _Rows, batch: Casters, distance: np.ndarray, spans: _Spans) -> 
     share a level, that of the nearest (in a batch whose distances are all alike, all do), and the samples of surfaces
     share that of a wide one among them.
     """
-    angle = np.float32(2 * RIM[batch.kind]) * np.maximum(batch.reach(), np.float32(spans.least))
+    angle = np.float32(2 * RIM[batch.kind]) * np.maximum(batch.reach, np.float32(spans.least))
     if not rows.frame.parallel:
         base = np.full_like(distance, spans.nearest)
         if spans.farthest > spans.nearest:
