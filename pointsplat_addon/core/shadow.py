@@ -218,27 +218,35 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
         cosine = np.cos(latitude)
         latitude = latitude - (np.hypot(cosine, np.minimum(np.maximum(up, across), 1)) - cosine) * np.sin(latitude)
     level = _level(rows, batch, distance, spans)
+    if (level == level[0]).all():
+        level = level[:1]  # what follows from it is the same for all splats then, and not gathered for each
+    one = len(level) == 1
 
     # The nearer row and, where the splat reaches into it, the next; in each of them the same with columns.
     step, smoke, rim = rows.step[level], batch.kind == "VOLUME", np.float32(2 * RIM[batch.kind])
     which, row, share = _split((latitude - rows.low[level]) / step, rim * up / step, smoke)
-    level = level[which]
-    inside = (row >= 0) & (row < rows.height[level])
-    row = np.where(inside, row, 0) + rows.base[level]
-    density = rows.density[row]
+    level = level if one else level[which]
+    inside = _within(row, rows.height[level])
+    row = (row if inside is None else np.where(inside, row, 0)) + rows.base[level]
+    # Across a sun's rays all rows of a level are alike.
+    alike = rows.base[level] if one and frame.parallel else row
+    density = rows.density[alike]
     if not frame.parallel:
         across = across / np.maximum(np.cos(latitude), np.float32(1e-6))
     again, column, part = _split(longitude[which] * density, rim * across[which] * density, smoke)
-    which, row, share, inside = which[again], row[again], share[again] * part, inside[again]
+    which, row, share = which[again], row[again], share[again] * part
+    inside = None if inside is None else inside[again]
+    alike = alike if len(alike) == 1 else row
     place = column
-    column = column - rows.column0[row]
+    column = column - rows.column0[alike]
     if frame.full:
-        column %= rows.count[row]
-    inside &= (column >= 0) & (column < rows.count[row])
+        column %= rows.count[alike]
+    beside = _within(column, rows.count[alike])
+    inside = inside if beside is None else beside if inside is None else inside & beside
 
     at = distance[which]
     if normal is not None:
-        place = place.astype(np.float32) / rows.density[row]
+        place = place.astype(np.float32) / rows.density[alike]
         to_cell = place - longitude[which], rows.latitude[row] - latitude[which]
         if frame.parallel:
             slope = slopes(normal)
@@ -246,10 +254,18 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
         else:
             middle = directions(frame, rows.latitude[row], place)[0]
             at = plane_distance(frame, normal[which], at, ray[which], middle, to_cell)
-    weight = share * rows.inverse_area[row]
+    weight = share * rows.inverse_area[alike]
     depth = np.minimum(strength[which] * (weight if strength.ndim == 1 else weight[:, None]), np.float32(OPAQUE_DEPTH))
     cell, at = rows.first[row] + column, np.maximum(at, 0)
-    return (cell, at, depth) if inside.all() else (cell[inside], at[inside], depth[inside])
+    return (cell, at, depth) if inside is None else (cell[inside], at[inside], depth[inside])
+
+
+def _within(index: np.ndarray, count: np.ndarray) -> np.ndarray | None:
+    """(E,) bool: 0 <= index < count, of which there may be one for all; None: everywhere."""
+    if len(index) == 0 or (index.min() >= 0 and index.max() < count.min()):
+        return None
+    inside = (index >= 0) & (index < count)
+    return None if inside.all() else inside
 
 
 def _level(rows: _Rows, batch: Casters, distance: np.ndarray, spans: _Spans) -> np.ndarray:
@@ -287,8 +303,9 @@ def _split(place: np.ndarray, half: np.ndarray, smoke: bool) -> tuple[np.ndarray
     else:
         t *= np.float32(1.5) - np.float32(0.5) * t2
     beyond = np.float32(0.5) + np.float32(0.5) * t
-    beyond[beyond < LEAST_SHARE] = 0
-    far = np.flatnonzero(beyond)
+    reaches = beyond >= np.float32(LEAST_SHARE)
+    beyond *= reaches
+    far = np.flatnonzero(reaches)
     next_cell = cell[far] + np.copysign(np.float32(1), off[far])
     which = np.concatenate([np.arange(len(place)), far])
     return which, np.concatenate([cell, next_cell]).astype(np.int32), np.concatenate([1 - beyond, beyond[far]])
@@ -432,10 +449,15 @@ def _hidden(rows: _Rows, key: np.ndarray, cell: np.ndarray, share: np.ndarray) -
     distances, while samples of one surface have nearly the same in a cell, as the distance is their plane's.
     """
     at = (key & np.uint64(0xFFFFFFFF)).astype(np.uint32).view(np.float32)
-    width = rows.step[np.searchsorted(rows.cell_base[: rows.levels], cell, side="right") - 1]
+    level = np.searchsorted(rows.cell_base[: rows.levels], cell[[0, -1]], side="right") - 1
+    if level[0] == level[1]:  # runs are short: most hold cells of one level
+        level = level[:1]
+    else:
+        level = np.searchsorted(rows.cell_base[: rows.levels], cell, side="right") - 1
+    width = rows.step[level]
     width = np.maximum(width if rows.frame.parallel else width * at, np.float32(1e-30))
-    slab, gap = np.floor(at / (SLAB * width)), np.diff(at)
-    apart = (gap > APART * width[1:]) | (gap > CLOSE * width[1:]) & (slab[1:] != slab[:-1])
+    slab, gap, between = np.floor(at / (SLAB * width)), np.diff(at), width if len(width) == 1 else width[1:]
+    apart = (gap > APART * between) | (gap > CLOSE * between) & (slab[1:] != slab[:-1])
     begins = np.append(True, (cell[1:] != cell[:-1]) | apart)
     surface = np.cumsum(begins) - 1
     own = -np.log(np.maximum(1 - _sums_within(surface, share), np.exp(-HIDDEN)))
