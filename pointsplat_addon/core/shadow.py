@@ -296,7 +296,8 @@ def _split(place: np.ndarray, half: np.ndarray, smoke: bool) -> tuple[np.ndarray
     """
     cell = np.rint(place)
     off = place - cell
-    t = np.clip((np.abs(off) - np.float32(0.5)) / np.maximum(half, np.float32(1e-20)), -1, 1)
+    t = (np.abs(off) - np.float32(0.5)) / np.maximum(half, np.float32(1e-20))
+    t = np.minimum(np.maximum(t, np.float32(-1), out=t), np.float32(1), out=t)
     t2 = t * t
     if smoke:
         t *= np.float32(315 / 128) * (1 + t2 * (-4 / 3 + t2 * (6 / 5 + t2 * (-4 / 7 + t2 / 9))))
@@ -423,9 +424,9 @@ def _summed(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> tupl
     depth = depth.astype(np.float64)
     cell = (key >> np.uint64(32)).astype(np.int32)
     opaque = int(np.searchsorted(cell, rows.cell_base[rows.levels]))
-    total = _sums_within(cell[opaque:], depth[opaque:])
-    if opaque:
-        total = np.concatenate([_hidden(rows, key[:opaque], cell[:opaque], depth[:opaque]), total])
+    parts = [_hidden(rows, key[:opaque], cell[:opaque], depth[:opaque])] if opaque else []
+    parts += [_sums_within(cell[opaque:], depth[opaque:])] if opaque < len(cell) else []
+    total = parts[0] if len(parts) == 1 else np.concatenate(parts)
     # What lies behind no light at all is not needed, but where light comes from the side.
     least = total if total.ndim == 1 else total.min(axis=1)
     lit = np.append(True, (least[:-1] < OPAQUE_DEPTH) | (cell[1:] != cell[:-1]))
@@ -459,19 +460,27 @@ def _hidden(rows: _Rows, key: np.ndarray, cell: np.ndarray, share: np.ndarray) -
     slab, gap, between = np.floor(at / (SLAB * width)), np.diff(at), width if len(width) == 1 else width[1:]
     apart = (gap > APART * between) | (gap > CLOSE * between) & (slab[1:] != slab[:-1])
     begins = np.append(True, (cell[1:] != cell[:-1]) | apart)
-    surface = np.cumsum(begins) - 1
-    own = -np.log(np.maximum(1 - _sums_within(surface, share), np.exp(-HIDDEN)))
-    last = np.flatnonzero(np.append(begins[1:], True))
+    starts = np.flatnonzero(begins)
+    count = np.diff(np.append(starts, len(cell)))
+    own = -np.log(np.maximum(1 - _sums_from(starts, count, share), np.exp(-HIDDEN)))
+    last = starts + count - 1
     before = _sums_within(cell[last], own[last]) - own[last]
-    return own + before[surface]
+    own += np.repeat(before, count, axis=0)
+    return own
 
 
 def _sums_within(group: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Running sums (E, ...) of `values` that start anew where `group` (E,) changes."""
-    total = np.cumsum(values, axis=0)
     starts = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
+    return _sums_from(starts, np.diff(np.append(starts, len(group))), values)
+
+
+def _sums_from(starts: np.ndarray, count: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Running sums (E, ...) of `values` that start anew at each of `starts` (S,), `count` (S,) values each."""
+    total = np.cumsum(values, axis=0)
     before = np.concatenate([np.zeros_like(total[:1]), total[starts[1:] - 1]])
-    return total - np.repeat(before, np.diff(np.append(starts, len(group))), axis=0)
+    total -= np.repeat(before, count, axis=0)
+    return total
 
 
 def _masks(occupied: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
