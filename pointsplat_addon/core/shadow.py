@@ -450,12 +450,11 @@ def _hidden(rows: _Rows, key: np.ndarray, cell: np.ndarray, share: np.ndarray) -
     distances, while samples of one surface have nearly the same in a cell, as the distance is their plane's.
     """
     at = (key & np.uint64(0xFFFFFFFF)).astype(np.uint32).view(np.float32)
-    level = np.searchsorted(rows.cell_base[: rows.levels], cell[[0, -1]], side="right") - 1
-    if level[0] == level[1]:  # runs are short: most hold cells of one level
-        level = level[:1]
-    else:
-        level = np.searchsorted(rows.cell_base[: rows.levels], cell, side="right") - 1
-    width = rows.step[level]
+    bases = rows.cell_base[: rows.levels]
+    ends = np.searchsorted(bases, cell[[0, -1]], side="right")
+    # Most runs hold cells of one level.
+    level = ends[:1] if ends[0] == ends[1] else np.searchsorted(bases, cell, side="right")
+    width = rows.step[level - 1]
     width = np.maximum(width if rows.frame.parallel else width * at, np.float32(1e-30))
     slab, gap, between = np.floor(at / (SLAB * width)), np.diff(at), width if len(width) == 1 else width[1:]
     apart = (gap > APART * between) | (gap > CLOSE * between) & (slab[1:] != slab[:-1])

@@ -88,18 +88,21 @@ def _fitted(evaluated: sampling.Evaluated, samples: sampling.Samples, area: np.n
         return evaluated
     own = np.pi * radii[:, 0].astype(np.float64) * radii[:, min(1, radii.shape[1] - 1)]
     share = np.minimum(area / np.maximum(np.bincount(samples.triangle, own, len(area)), 1e-300), 1)
-    return replace(evaluated, radii=radii * np.sqrt(share[samples.triangle])[:, None].astype(np.float32))
+    return replace(evaluated, radii=radii * np.sqrt(share).astype(np.float32).take(samples.triangle)[:, None])
 
 
-def sampled(mesh: Mesh, outline: Outline, spacing: float, table: MaterialTable) -> list[PointCloud]:
-    """The splats of a mesh for tables that tell `spacing` (object units) apart.
+def sampled(
+    mesh: Mesh, outline: Outline, spacing: float, table: MaterialTable, leafy: bool | None = None
+) -> list[PointCloud]:
+    """The splats of a mesh for tables that tell `spacing` (object units) apart. `leafy`: what `leaves` says of it,
+    where it is at hand.
 
     Where triangles are many and small, their vertices are taken: half as many splats, no wider than samples may be.
     """
     valid = outline.valid
     if not _turned(mesh, table):
         mesh = replace(mesh, vertex_normal=None, corner_normal=None)  # splats cast by their planes alone
-    if leaves(mesh, outline):
+    if leaves(mesh, outline) if leafy is None else leafy:
         # As fine as most of them: they are seen one by one where tables tell them apart, for half as many samples more.
         finest = max(float(np.median(outline.longest[valid])), np.sqrt(2 * outline.size / np.count_nonzero(valid)))
         measures = sampling.measure(mesh, valid)
