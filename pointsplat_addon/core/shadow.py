@@ -392,7 +392,7 @@ def _sorted_runs(blocks: Sequence[_Block]) -> Iterator[tuple[np.ndarray, np.ndar
         run = run_of_group[block[0] >> shift]
         order = np.argsort(run, kind="stable")  # of 16 bits: a radix sort
         for values in block:
-            values[:] = values[order]
+            values[:] = values.take(order, axis=0)
         end[:] = np.cumsum(np.bincount(run, minlength=runs))
     start = np.zeros(len(blocks), np.int64)
     for end in ends.T:
@@ -412,10 +412,14 @@ def _sorted_runs(blocks: Sequence[_Block]) -> Iterator[tuple[np.ndarray, np.ndar
         if int(key.max() - first).bit_length() + bits <= 64:
             # Sorting numbers is several times as fast as finding their order: each carries its index.
             carried = (key - first) << np.uint64(bits) | np.arange(len(key), dtype=np.uint64)
-            index = (np.sort(carried) & np.uint64((1 << bits) - 1)).astype(np.int64)
+            carried.sort()
+            index = (carried & np.uint64((1 << bits) - 1)).astype(np.int64)
+            carried >>= np.uint64(bits)
+            carried += first
+            yield carried, depth.take(index, axis=0)
         else:
             index = np.argsort(key, kind="stable")
-        yield key[index], depth[index]
+            yield key[index], depth[index]
 
 
 def _summed(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> tuple[np.ndarray, ...]:
@@ -434,9 +438,11 @@ def _summed(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> tupl
     if not wide:
         lit[1:opaque] = (least[: opaque - 1] < HIDDEN) | (cell[1:opaque] != cell[: opaque - 1]) if opaque else True
     # Of one distance, the last holds the sum.
-    key, total = key[lit], total[lit]
-    last = np.append(key[1:] != key[:-1], True)
-    key, total = key[last], total[last].astype(np.float32)
+    if not lit.all():
+        index = np.flatnonzero(lit)
+        key, total = key.take(index), total.take(index, axis=0)
+    index = np.flatnonzero(np.append(key[1:] != key[:-1], True))
+    key, total = key.take(index), total.take(index, axis=0).astype(np.float32)
     distance = (key & np.uint64(0xFFFFFFFF)).astype(np.uint32).view(np.float32)
     cell = (key >> np.uint64(32)).astype(np.int32)
     starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
