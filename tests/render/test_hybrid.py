@@ -157,6 +157,21 @@ def test_points_beside_a_cloud_need_no_passes_of_their_own():
     assert found.cut.splats > 1000
 
 
+@pytest.mark.parametrize(("interactive", "samples", "points"), [(True, 1, True), (False, 4, False), (False, 64, True)])
+def test_points_of_a_final_picture_have_to_pay_for_being_sampled(interactive, samples, points):
+    camera = SHAPES["bumps"]()[1]
+    costs = replace(Costs(), pixel=1e-3)
+    found = prepare(scene("bumps"), camera, SETTINGS, samples, Store(), interactive=interactive, costs=costs)
+    assert (found.cut.splats > 1000) == points
+
+
+def test_what_is_kept_from_pictures_before_changes_no_choice():
+    camera = SHAPES["bumps"]()[1]
+    store, costs = Store(), replace(Costs(), pixel=1e-3)
+    assert prepare(scene("bumps"), camera, SETTINGS, 4, store, interactive=True, costs=costs).cut.splats > 1000
+    assert prepare(scene("bumps"), camera, SETTINGS, 4, store, costs=costs).cut.splats == 0
+
+
 def test_a_device_can_be_calibrated():
     costs = calibrate(scenes.opengl())
     assert costs.valid()
