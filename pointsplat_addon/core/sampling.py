@@ -349,7 +349,7 @@ def _area_samples(m: Measures, spacing: float) -> Samples:
                 out[:, 1] = np.where(is_0, end, np.where(is_1, start, top))
 
             end = x - foot * y
-            to_corners(barycentric[block], *(np.clip(w, 0.0, 1.0) for w in (1.0 - end - y, end, y)))
+            to_corners(barycentric[block], *(np.minimum(np.maximum(w, 0.0), 1.0) for w in (1.0 - end - y, end, y)))
             to_corners(ellipse[block, 0], -half_x, half_x, 0.0)
             to_corners(ellipse[block, 1], (foot - 1) * half_y, -foot * half_y, half_y)
         if single.any():

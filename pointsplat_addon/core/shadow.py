@@ -24,7 +24,7 @@ import numpy as np
 
 from .kernel import SUPPORT
 from .scene import Light
-from .shadow_casters import CHUNK, KINDS, OPAQUE_DEPTH, Casters, casters, typical
+from .shadow_casters import CHUNK, KINDS, OPAQUE_DEPTH, Casters, casters, turned, typical
 from .shadow_cells import (
     FINER,
     FINEST,
@@ -113,7 +113,7 @@ def _coarser(frame: Frame, kind: str, batches: Sequence[Casters]) -> float:
         return 1.0
     widths = []
     for batch in found:
-        spans, reach = _spans(frame, batch), batch.reach()
+        spans, reach = _spans(frame, batch), batch.reach
         width = (
             SMOKE * float(np.median(reach))
             if kind == "VOLUME"
@@ -144,7 +144,7 @@ class _Spans:
 
 def _spans(frame: Frame, batch: Casters) -> _Spans:
     surface = batch.kind != "VOLUME"
-    least = typical(batch.reach()) if surface else 0.0
+    least = typical(batch.reach) if surface else 0.0
     if frame.parallel:
         return _Spans(1.0, 1.0, least)
     near, far = np.inf, 0.0
@@ -198,7 +198,7 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
         assert batch.radius is not None
         up = across = batch.radius / 2
     else:
-        axes = batch.axes @ turn
+        axes = turned(batch.axes, turn)
         ray, north, east = directions(frame, latitude, longitude)
         along = (
             (axes[..., 1], axes[..., 0])
@@ -218,27 +218,35 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
         cosine = np.cos(latitude)
         latitude = latitude - (np.hypot(cosine, np.minimum(np.maximum(up, across), 1)) - cosine) * np.sin(latitude)
     level = _level(rows, batch, distance, spans)
+    if (level == level[0]).all():
+        level = level[:1]  # what follows from it is the same for all splats then, and not gathered for each
+    one = len(level) == 1
 
     # The nearer row and, where the splat reaches into it, the next; in each of them the same with columns.
     step, smoke, rim = rows.step[level], batch.kind == "VOLUME", np.float32(2 * RIM[batch.kind])
     which, row, share = _split((latitude - rows.low[level]) / step, rim * up / step, smoke)
-    level = level[which]
-    inside = (row >= 0) & (row < rows.height[level])
-    row = np.where(inside, row, 0) + rows.base[level]
-    density = rows.density[row]
+    level = level if one else level[which]
+    inside = _within(row, rows.height[level])
+    row = (row if inside is None else np.where(inside, row, 0)) + rows.base[level]
+    # Across a sun's rays all rows of a level are alike.
+    alike = rows.base[level] if one and frame.parallel else row
+    density = rows.density[alike]
     if not frame.parallel:
         across = across / np.maximum(np.cos(latitude), np.float32(1e-6))
     again, column, part = _split(longitude[which] * density, rim * across[which] * density, smoke)
-    which, row, share, inside = which[again], row[again], share[again] * part, inside[again]
+    which, row, share = which[again], row[again], share[again] * part
+    inside = None if inside is None else inside[again]
+    alike = alike if len(alike) == 1 else row
     place = column
-    column = column - rows.column0[row]
+    column = column - rows.column0[alike]
     if frame.full:
-        column %= rows.count[row]
-    inside &= (column >= 0) & (column < rows.count[row])
+        column %= rows.count[alike]
+    beside = _within(column, rows.count[alike])
+    inside = inside if beside is None else beside if inside is None else inside & beside
 
     at = distance[which]
     if normal is not None:
-        place = place.astype(np.float32) / rows.density[row]
+        place = place.astype(np.float32) / rows.density[alike]
         to_cell = place - longitude[which], rows.latitude[row] - latitude[which]
         if frame.parallel:
             slope = slopes(normal)
@@ -246,10 +254,18 @@ def _entries(rows: _Rows, batch: Casters, spans: _Spans) -> tuple[np.ndarray, np
         else:
             middle = directions(frame, rows.latitude[row], place)[0]
             at = plane_distance(frame, normal[which], at, ray[which], middle, to_cell)
-    weight = share * rows.inverse_area[row]
+    weight = share * rows.inverse_area[alike]
     depth = np.minimum(strength[which] * (weight if strength.ndim == 1 else weight[:, None]), np.float32(OPAQUE_DEPTH))
     cell, at = rows.first[row] + column, np.maximum(at, 0)
-    return (cell, at, depth) if inside.all() else (cell[inside], at[inside], depth[inside])
+    return (cell, at, depth) if inside is None else (cell[inside], at[inside], depth[inside])
+
+
+def _within(index: np.ndarray, count: np.ndarray) -> np.ndarray | None:
+    """(E,) bool: 0 <= index < count, of which there may be one for all; None: everywhere."""
+    if len(index) == 0 or (index.min() >= 0 and index.max() < count.min()):
+        return None
+    inside = (index >= 0) & (index < count)
+    return None if inside.all() else inside
 
 
 def _level(rows: _Rows, batch: Casters, distance: np.ndarray, spans: _Spans) -> np.ndarray:
@@ -259,7 +275,7 @@ def _level(rows: _Rows, batch: Casters, distance: np.ndarray, spans: _Spans) -> 
     share a level, that of the nearest (in a batch whose distances are all alike, all do), and the samples of surfaces
     share that of a wide one among them.
     """
-    angle = np.float32(2 * RIM[batch.kind]) * np.maximum(batch.reach(), np.float32(spans.least))
+    angle = np.float32(2 * RIM[batch.kind]) * np.maximum(batch.reach, np.float32(spans.least))
     if not rows.frame.parallel:
         base = np.full_like(distance, spans.nearest)
         if spans.farthest > spans.nearest:
@@ -280,15 +296,17 @@ def _split(place: np.ndarray, half: np.ndarray, smoke: bool) -> tuple[np.ndarray
     """
     cell = np.rint(place)
     off = place - cell
-    t = np.clip((np.abs(off) - np.float32(0.5)) / np.maximum(half, np.float32(1e-20)), -1, 1)
+    t = (np.abs(off) - np.float32(0.5)) / np.maximum(half, np.float32(1e-20))
+    t = np.minimum(np.maximum(t, np.float32(-1), out=t), np.float32(1), out=t)
     t2 = t * t
     if smoke:
         t *= np.float32(315 / 128) * (1 + t2 * (-4 / 3 + t2 * (6 / 5 + t2 * (-4 / 7 + t2 / 9))))
     else:
         t *= np.float32(1.5) - np.float32(0.5) * t2
     beyond = np.float32(0.5) + np.float32(0.5) * t
-    beyond[beyond < LEAST_SHARE] = 0
-    far = np.flatnonzero(beyond)
+    reaches = beyond >= np.float32(LEAST_SHARE)
+    beyond *= reaches
+    far = np.flatnonzero(reaches)
     next_cell = cell[far] + np.copysign(np.float32(1), off[far])
     which = np.concatenate([np.arange(len(place)), far])
     return which, np.concatenate([cell, next_cell]).astype(np.int32), np.concatenate([1 - beyond, beyond[far]])
@@ -374,7 +392,7 @@ def _sorted_runs(blocks: Sequence[_Block]) -> Iterator[tuple[np.ndarray, np.ndar
         run = run_of_group[block[0] >> shift]
         order = np.argsort(run, kind="stable")  # of 16 bits: a radix sort
         for values in block:
-            values[:] = values[order]
+            values[:] = values.take(order, axis=0)
         end[:] = np.cumsum(np.bincount(run, minlength=runs))
     start = np.zeros(len(blocks), np.int64)
     for end in ends.T:
@@ -394,10 +412,14 @@ def _sorted_runs(blocks: Sequence[_Block]) -> Iterator[tuple[np.ndarray, np.ndar
         if int(key.max() - first).bit_length() + bits <= 64:
             # Sorting numbers is several times as fast as finding their order: each carries its index.
             carried = (key - first) << np.uint64(bits) | np.arange(len(key), dtype=np.uint64)
-            index = (np.sort(carried) & np.uint64((1 << bits) - 1)).astype(np.int64)
+            carried.sort()
+            index = (carried & np.uint64((1 << bits) - 1)).astype(np.int64)
+            carried >>= np.uint64(bits)
+            carried += first
+            yield carried, depth.take(index, axis=0)
         else:
             index = np.argsort(key, kind="stable")
-        yield key[index], depth[index]
+            yield key[index], depth[index]
 
 
 def _summed(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> tuple[np.ndarray, ...]:
@@ -406,9 +428,9 @@ def _summed(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> tupl
     depth = depth.astype(np.float64)
     cell = (key >> np.uint64(32)).astype(np.int32)
     opaque = int(np.searchsorted(cell, rows.cell_base[rows.levels]))
-    total = _sums_within(cell[opaque:], depth[opaque:])
-    if opaque:
-        total = np.concatenate([_hidden(rows, key[:opaque], cell[:opaque], depth[:opaque]), total])
+    parts = [_hidden(rows, key[:opaque], cell[:opaque], depth[:opaque])] if opaque else []
+    parts += [_sums_within(cell[opaque:], depth[opaque:])] if opaque < len(cell) else []
+    total = parts[0] if len(parts) == 1 else np.concatenate(parts)
     # What lies behind no light at all is not needed, but where light comes from the side.
     least = total if total.ndim == 1 else total.min(axis=1)
     lit = np.append(True, (least[:-1] < OPAQUE_DEPTH) | (cell[1:] != cell[:-1]))
@@ -416,9 +438,11 @@ def _summed(rows: _Rows, key: np.ndarray, depth: np.ndarray, wide: bool) -> tupl
     if not wide:
         lit[1:opaque] = (least[: opaque - 1] < HIDDEN) | (cell[1:opaque] != cell[: opaque - 1]) if opaque else True
     # Of one distance, the last holds the sum.
-    key, total = key[lit], total[lit]
-    last = np.append(key[1:] != key[:-1], True)
-    key, total = key[last], total[last].astype(np.float32)
+    if not lit.all():
+        index = np.flatnonzero(lit)
+        key, total = key.take(index), total.take(index, axis=0)
+    index = np.flatnonzero(np.append(key[1:] != key[:-1], True))
+    key, total = key.take(index), total.take(index, axis=0).astype(np.float32)
     distance = (key & np.uint64(0xFFFFFFFF)).astype(np.uint32).view(np.float32)
     cell = (key >> np.uint64(32)).astype(np.int32)
     starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
@@ -432,24 +456,36 @@ def _hidden(rows: _Rows, key: np.ndarray, cell: np.ndarray, share: np.ndarray) -
     distances, while samples of one surface have nearly the same in a cell, as the distance is their plane's.
     """
     at = (key & np.uint64(0xFFFFFFFF)).astype(np.uint32).view(np.float32)
-    width = rows.step[np.searchsorted(rows.cell_base[: rows.levels], cell, side="right") - 1]
+    bases = rows.cell_base[: rows.levels]
+    ends = np.searchsorted(bases, cell[[0, -1]], side="right")
+    # Most runs hold cells of one level.
+    level = ends[:1] if ends[0] == ends[1] else np.searchsorted(bases, cell, side="right")
+    width = rows.step[level - 1]
     width = np.maximum(width if rows.frame.parallel else width * at, np.float32(1e-30))
-    slab, gap = np.floor(at / (SLAB * width)), np.diff(at)
-    apart = (gap > APART * width[1:]) | (gap > CLOSE * width[1:]) & (slab[1:] != slab[:-1])
+    slab, gap, between = np.floor(at / (SLAB * width)), np.diff(at), width if len(width) == 1 else width[1:]
+    apart = (gap > APART * between) | (gap > CLOSE * between) & (slab[1:] != slab[:-1])
     begins = np.append(True, (cell[1:] != cell[:-1]) | apart)
-    surface = np.cumsum(begins) - 1
-    own = -np.log(np.maximum(1 - _sums_within(surface, share), np.exp(-HIDDEN)))
-    last = np.flatnonzero(np.append(begins[1:], True))
+    starts = np.flatnonzero(begins)
+    count = np.diff(np.append(starts, len(cell)))
+    own = -np.log(np.maximum(1 - _sums_from(starts, count, share), np.exp(-HIDDEN)))
+    last = starts + count - 1
     before = _sums_within(cell[last], own[last]) - own[last]
-    return own + before[surface]
+    own += np.repeat(before, count, axis=0)
+    return own
 
 
 def _sums_within(group: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Running sums (E, ...) of `values` that start anew where `group` (E,) changes."""
-    total = np.cumsum(values, axis=0)
     starts = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
+    return _sums_from(starts, np.diff(np.append(starts, len(group))), values)
+
+
+def _sums_from(starts: np.ndarray, count: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Running sums (E, ...) of `values` that start anew at each of `starts` (S,), `count` (S,) values each."""
+    total = np.cumsum(values, axis=0)
     before = np.concatenate([np.zeros_like(total[:1]), total[starts[1:] - 1]])
-    return total - np.repeat(before, np.diff(np.append(starts, len(group))), axis=0)
+    total -= np.repeat(before, count, axis=0)
+    return total
 
 
 def _masks(occupied: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:

@@ -138,7 +138,7 @@ def _across(batches: Sequence[Casters], middle: np.ndarray, axes: np.ndarray) ->
         offset = axes @ (batch.origin - middle)
         for start in range(0, len(batch), CHUNK):
             along = axes.astype(np.float32) @ batch.position[start : start + CHUNK].T
-            reach = float(batch.take(slice(start, start + CHUNK)).reach().max())
+            reach = float(batch.reach[start : start + CHUNK].max())
             ends[0] = np.minimum(ends[0], along.min(axis=1) + offset - reach)
             ends[1] = np.maximum(ends[1], along.max(axis=1) + offset + reach)
     return ends
@@ -153,7 +153,7 @@ def _cone(light: Light, middle: np.ndarray, batches: Sequence[Casters]) -> tuple
             seen = part.position + (batch.origin - light.position).astype(np.float32)
             distance = np.maximum(np.sqrt(np.einsum("nc,nc->n", seen, seen)), np.float32(1e-30))
             cosine = seen @ direction.astype(np.float32) / distance
-            angle = max(angle, float((np.arccos(np.clip(cosine, -1, 1)) + part.reach() / distance).max()))
+            angle = max(angle, float((np.arccos(np.clip(cosine, -1, 1)) + part.reach / distance).max()))
             if angle > NARROW:
                 break
     if light.kind == "SPOT" and light.axis_u is None:
@@ -181,7 +181,7 @@ def lit_part(light: Light, batch: Casters) -> Casters:
     if light.kind not in ("SPOT", "AREA"):
         return batch
     seen = batch.position + (batch.origin - light.position).astype(np.float32)
-    reach = batch.reach() + np.float32(light.radius)
+    reach = batch.reach + np.float32(light.radius)
     depth = seen @ light.direction.astype(np.float32)
     if light.kind == "AREA":
         keep = depth > -reach

@@ -8,8 +8,9 @@ import numpy as np
 
 from . import sampling
 from .apart import LOOSE, leafy
-from .appearance import passing, point_cloud
+from .appearance import graphs_of, passing, point_cloud
 from .cloud import PointCloud, finite
+from .materials import needs
 from .scene import MaterialTable, Mesh
 from .shadow_casters import typical
 from .vectors import blocks, cross, dot
@@ -87,20 +88,26 @@ def _fitted(evaluated: sampling.Evaluated, samples: sampling.Samples, area: np.n
         return evaluated
     own = np.pi * radii[:, 0].astype(np.float64) * radii[:, min(1, radii.shape[1] - 1)]
     share = np.minimum(area / np.maximum(np.bincount(samples.triangle, own, len(area)), 1e-300), 1)
-    return replace(evaluated, radii=radii * np.sqrt(share[samples.triangle])[:, None].astype(np.float32))
+    return replace(evaluated, radii=radii * np.sqrt(share).astype(np.float32).take(samples.triangle)[:, None])
 
 
-def sampled(mesh: Mesh, outline: Outline, spacing: float, table: MaterialTable) -> list[PointCloud]:
-    """The splats of a mesh for tables that tell `spacing` (object units) apart.
+def sampled(
+    mesh: Mesh, outline: Outline, spacing: float, table: MaterialTable, leafy: bool | None = None
+) -> list[PointCloud]:
+    """The splats of a mesh for tables that tell `spacing` (object units) apart. `leafy`: what `leaves` says of it,
+    where it is at hand.
 
     Where triangles are many and small, their vertices are taken: half as many splats, no wider than samples may be.
     """
     valid = outline.valid
-    if leaves(mesh, outline):
+    if not _turned(mesh, table):
+        mesh = replace(mesh, vertex_normal=None, corner_normal=None)  # splats cast by their planes alone
+    if leaves(mesh, outline) if leafy is None else leafy:
         # As fine as most of them: they are seen one by one where tables tell them apart, for half as many samples more.
         finest = max(float(np.median(outline.longest[valid])), np.sqrt(2 * outline.size / np.count_nonzero(valid)))
-        spacing = sampling.limit_spacing(mesh, min(spacing, finest), ok=valid)
-        return [_splats(mesh, "AREA", valid, spacing, table, outline.area)]
+        measures = sampling.measure(mesh, valid)
+        spacing = sampling.limit_spacing(mesh, min(spacing, finest), ok=valid, measures=measures)
+        return [_splats(mesh, "AREA", valid, spacing, table, outline.area, measures)]
     dense = valid & (outline.longest <= DENSE * spacing)
     # A vertex of a translucent mesh stands for all the triangles around it.
     if np.count_nonzero(dense) < MANY or (passing(mesh, table) is not None and not dense[valid].all()):
@@ -118,11 +125,23 @@ def sampled(mesh: Mesh, outline: Outline, spacing: float, table: MaterialTable) 
     return [_splats(mesh, "AREA", valid, sampling.limit_spacing(mesh, spacing, ok=valid), table)]
 
 
+def _turned(mesh: Mesh, table: MaterialTable) -> bool:
+    """Whether what some material lets through depends on its normals."""
+    return any(wanted.normal or wanted.tangent for wanted in map(needs, graphs_of(mesh, table).values()))
+
+
 def _splats(
-    mesh: Mesh, method: str, rows: np.ndarray, spacing: float, table: MaterialTable, area: np.ndarray | None = None
+    mesh: Mesh,
+    method: str,
+    rows: np.ndarray,
+    spacing: float,
+    table: MaterialTable,
+    area: np.ndarray | None = None,
+    measures: sampling.Measures | None = None,
 ) -> PointCloud:
-    """Those of some triangles (T,) bool. `area`: of all triangles (T,), which are leaves."""
-    samples = sampling.sample(mesh, spacing, method, rows)
+    """Those of some triangles (T,) bool, with their `measures` where these are at hand. `area`: of all triangles (T,),
+    which are leaves."""
+    samples = sampling.sample(mesh, spacing, method, rows, measures)
     evaluated = sampling.evaluate(mesh, samples, sampling.centre(mesh), rows)
     if area is not None and passing(mesh, table) is None:
         evaluated = _fitted(evaluated, samples, area)  # before what is cut out is gone

@@ -92,8 +92,8 @@ def splats(
     major = np.where(turned[:, None], np.cross(normal, unit[strip]), unit[strip])
     whole = across[strip] == 1
     whole &= round_
-    # What is shaded as a whole keeps its tangent, however short it is.
-    half[whole & turned, 0] = half[whole & turned, 1]
+    # What is shaded as a whole keeps its tangent and its area, however short it is.
+    half[whole & turned] = np.sqrt(half[whole & turned].prod(axis=1, keepdims=True))
     major[whole] = unit[strip][whole]
     points, part = np.stack([first, second], axis=1)[strip], part[strip]
     if round_:

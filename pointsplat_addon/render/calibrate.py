@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import count
 
 import numpy as np
 
@@ -15,16 +17,21 @@ from .renderer import Renderer
 from .request import Request
 
 SIZE = 256  # pixels
-FEW, MANY = 1 << 10, 1 << 15  # splats and triangles: what a scene of many takes longer is their own cost
+# Splats and triangles: what a scene of many takes longer is their own cost. Many are more than there are pixels, as of
+# what may be either: of fewer, each splat brings a pixel of its own to resolve, and triangles fit into caches.
+FEW, MANY = 1 << 10, 1 << 17
 INSTANCES = 64
 FILLED = 4  # layers of triangles that fill the picture
 TURNS = 5  # of which the fastest counts: nothing makes a device faster than it is
+MADE = 1 << 13  # triangles of a mesh that is prepared as points and as triangles
+LEGS = 2.0  # pixels: of these triangles, so that they have several samples each
+NUMBER = count()  # of meshes that were prepared: what is kept of one that is known costs nothing
 LEAST = 1e-3  # nanoseconds: differences below the clock's resolution are no cost of nothing
 
 
 def calibrate(renderer: Renderer, clock: Callable[[], float] = time.perf_counter) -> Costs:
-    """Measured on the renderer's device, on the thread that it belongs to. Once shaders are compiled it takes 0.8 s of
-    processor time of the software renderer, on two cores half a second. `clock` in seconds.
+    """Measured on the renderer's device, on the thread that it belongs to. Once shaders are compiled it takes 1.4 s of
+    processor time of the software renderer. `clock` in seconds.
     DeviceError: it cannot draw."""
     scenes = {
         "few points": _points(FEW), "many points": _points(MANY),
@@ -41,19 +48,46 @@ def calibrate(renderer: Renderer, clock: Callable[[], float] = time.perf_counter
     triangle = each("many triangles", "few triangles", MANY - FEW)
     # Both pictures hold few things, and differ by the passes over all pixels that points need.
     pixel = 1e9 * (seconds["few points"] - seconds["one draw"]) - FEW * point
+    prepared, uploaded = _once(renderer, clock)
     return Costs(
         point=point,
         pixel=max(pixel / SIZE**2, LEAST),
         triangle=triangle,
         fragment=each("layers", "one layer", FILLED * SIZE**2),
         draw=each("draws", "one draw", INSTANCES - 1),
+        prepared=prepared,
+        uploaded=uploaded,
     )
+
+
+def _once(renderer: Renderer, clock: Callable[[], float]) -> tuple[float, float]:
+    """Nanoseconds of all that is done for a splat of a mesh, and for a triangle, before the first sample is drawn."""
+    request, turns = _request(), []
+    for _ in range(TURNS):
+        mesh = _triangles(MADE, LEGS, f"{next(NUMBER)}").geometries[0]
+        points, from_points = _started(renderer, replace(mesh, primitive="POINTS"), request, clock)
+        # What is looked at of a mesh before anything is chosen is known by now.
+        _, from_triangles = _started(renderer, mesh, request, clock)
+        turns.append((from_points / max(points, 1), from_triangles / MADE))
+    prepared, uploaded = (max(1e9 * min(turn), LEAST) for turn in zip(*turns, strict=True))
+    return prepared, uploaded
+
+
+def _started(renderer: Renderer, geometry: Geometry, request: Request, clock: Callable[[], float]) -> tuple[int, float]:
+    """How many points a picture has, and the seconds until the first sample of it can be drawn."""
+    start = clock()
+    frame = renderer.start(_scene(geometry, np.zeros(1)), request)
+    try:
+        frame.device.read(frame.color)  # waits for what was uploaded
+        return frame.shot.prepared.total, clock() - start
+    finally:
+        frame.release()
 
 
 def _seconds(renderer: Renderer, scenes: dict[str, Scene], clock: Callable[[], float]) -> dict[str, float]:
     """One more sample of each scene that is on the device already, until it is finished. They take turns, so that what
     else the machine does slows all of them."""
-    request = Request(_camera(), Settings(use_shadows=False, use_adaptive_sampling=False), frozenset({"combined"}), 1)
+    request = _request()
     frames: dict[str, Frame] = {}
     try:
         for name, scene in scenes.items():
@@ -76,6 +110,10 @@ def _timed(frame: Frame, clock: Callable[[], float]) -> float:
     start = clock()
     _sample(frame)
     return clock() - start
+
+
+def _request() -> Request:
+    return Request(_camera(), Settings(use_shadows=False, use_adaptive_sampling=False), frozenset({"combined"}), 1)
 
 
 def _camera() -> Camera:
@@ -108,12 +146,12 @@ def _points(count: int) -> Scene:
     return _scene(Geometry(f"calibration {count} points", "Calibration", cloud=cloud), np.zeros(1))
 
 
-def _triangles(count: int) -> Scene:
-    """Triangles with edges of half a pixel."""
-    corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32) / SIZE
+def _triangles(count: int, legs: float = 0.5, name: str = "") -> Scene:
+    """Triangles with `legs` of so many pixels."""
+    corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32) * np.float32(2 * legs / SIZE)
     position = (_places(count)[:, None] + corner).reshape(-1, 3)
     triangles = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
-    mesh = Mesh(f"calibration {count} triangles", "Calibration", position, triangles)
+    mesh = Mesh(f"calibration {count} triangles {name}", "Calibration", position, triangles)
     return _scene(Geometry(mesh.key, mesh.name, mesh=mesh, primitive="POLYGONS"), np.zeros(1))
 
 

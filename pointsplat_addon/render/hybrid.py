@@ -84,7 +84,7 @@ class Divided:
         """(B,) bool: parts of which some view draws points at this spacing; none where these would be more than
         `most` samples."""
         samples, covered = self.samples(spacing), 0.5 * self.area / spacing**2
-        found = samples * costs.point < self.parts.counts * costs.triangle + covered * costs.fragment
+        found = samples * (costs.point + costs.prepared) < self.parts.counts * costs.triangle + covered * costs.fragment
         return found if samples[found].sum() <= most else np.zeros_like(found)
 
 
@@ -188,8 +188,9 @@ def show(
     samples = np.array([divided.samples(s) for s in spacing.tolist()])
     choice = choose(costs, needed, spacing, np.where(worth, samples, np.inf), divided.parts.counts, divided.area)
     every = divided.whole(finest, slack)
-    if every <= most and every * costs.point <= choice.cost:
-        choice = replace(choice, points=visible, polygons=np.zeros_like(visible), cost=every * costs.point)
+    whole = every * (costs.point + costs.prepared)
+    if every <= most and whole <= choice.cost:
+        choice = replace(choice, points=visible, polygons=np.zeros_like(visible), cost=whole)
         shown = Shown(divided.octave(finest), choice, whole=True)
     else:
         shown = Shown(float(spacing[choice.octave]), choice, whole=False)
@@ -218,7 +219,7 @@ def choose_parts(view: View, view_from_object: np.ndarray, usable: np.ndarray) -
         view.check()
         found[row] = _shown(view, of, views)
     choices = [s.choice for some in found.values() for s in some if s is not None]
-    pixels = view.costs.pixel * float(np.prod(view.camera.window[2:]))
+    pixels = _costs(view, 1).pixel * float(np.prod(view.camera.window[2:]))
     if not others and sum(c.triangles_cost - c.cost for c in choices) < pixels:
         found = {row: [None if s is None else s.as_polygons() for s in some] for row, some in found.items()}
     return found
@@ -238,16 +239,22 @@ def _division(of: Measured) -> Divided:
     return of.store.lookup(("divided", of.geometry.key), lambda: Divided(of.mesh, of.ok, of.parts, of.measures))
 
 
+def _costs(view: View, instances: int) -> Costs:
+    """Of one sample of a mesh with so many instances, which share what is done once; a viewport keeps it, too."""
+    if view.interactive:
+        return view.costs.again_and_again()
+    return view.costs.of_picture(view.samples, instances)
+
+
 def _shown(view: View, of: Measured, view_from_object: np.ndarray) -> list[Shown | None]:
     """The choice of each instance (I, 4, 4)."""
     divided, tolerance = _division(of), view.settings.tolerance
     most = most_samples(tolerance)
     slack = 1.0 if digest(of.mesh, view.scene.materials) else VERTEX_PIXELS
+    costs = _costs(view, len(view_from_object))
 
     def every(nodes: bool) -> list[Shown | None]:
-        return [
-            show(divided, view.costs, matrix, view.camera, tolerance, slack, most, nodes) for matrix in view_from_object
-        ]
+        return [show(divided, costs, matrix, view.camera, tolerance, slack, most, nodes) for matrix in view_from_object]
 
     if not view.coarse:
         return every(nodes=False)
@@ -277,9 +284,9 @@ def split(view: View, of: Measured, shown: list[Shown | None], view_from_object:
                 parts[i] = np.flatnonzero(one.choice.polygons)
         if one.choice.points.any():
             by_spacing.setdefault(one.spacing, []).append(i)
-    found = []
+    found, costs = [], _costs(view, len(view_from_object))
     for spacing, some in sorted(by_spacing.items()):
-        worth = divided.worth(view.costs, spacing, most_samples(view.settings.tolerance))
+        worth = divided.worth(costs, spacing, most_samples(view.settings.tolerance))
         points, sampled = _sampled(of, divided, spacing, worth, table)
         for i in some:
             one = shown[i]

@@ -22,7 +22,7 @@ from ..core.scene import Geometry, Light, Mesh, Scene, Settings
 from ..core.shadow_casters import Pieces, pieces
 from ..core.shadow_cells import NARROW, rotation
 from ..core.shadow_floor import FLAT, box_corners, lowest, lowest_corner, plane_of, shines_from
-from ..core.shadow_samples import Outline, outline, places, sampled
+from ..core.shadow_samples import Outline, leaves, outline, places, sampled
 from ..core.strands import Strands, clean
 from .layers import MANY_INSTANCES
 from .point_sets import given
@@ -478,4 +478,9 @@ def _sampled(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store
     """The points of a mesh that is drawn as polygons, or more densely than shadows need."""
     key = ("shadow samples", geometry.key, _look(scene, geometry), spacing)
     shape = _outline(geometry, mesh, store)
-    return store.lookup(key, lambda: tuple(sampled(mesh, shape, spacing, hiding(scene.materials))))
+
+    def make() -> tuple[PointCloud, ...]:
+        leafy = store.lookup(("leafy", geometry.key), lambda: leaves(mesh, shape))  # as render/meshes.py keeps it
+        return tuple(sampled(mesh, shape, spacing, hiding(scene.materials), leafy))
+
+    return store.lookup(key, make)

@@ -1,11 +1,13 @@
 """Which parts of a mesh are points, which are triangles, and at which spacing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.cost import OVERLAP, Costs, choose, runs
+from pointsplat_addon.core.cost import FEWER, OVERLAP, Costs, choose, runs
 
-COSTS = Costs(point=10.0, pixel=1.0, triangle=100.0, fragment=1.0, draw=1.0)
+COSTS = Costs(point=10.0, pixel=1.0, triangle=100.0, fragment=1.0, draw=1.0).again_and_again()
 INF = np.inf
 
 
@@ -54,8 +56,47 @@ def test_the_octave_is_that_at_which_all_parts_together_cost_least():
 def test_an_object_that_saves_less_than_its_second_draw_costs_is_not_split():
     needed, samples = [0.5, 1.0], [[20, 20]]
     saved = 10 * 100 - 20 * 10
-    assert chosen(needed, [1.0], samples, costs=Costs(10, 1, 100, 1, saved - 1)).points.any()
-    assert not chosen(needed, [1.0], samples, costs=Costs(10, 1, 100, 1, saved)).points.any()
+    assert chosen(needed, [1.0], samples, costs=replace(COSTS, draw=saved - 1)).points.any()
+    assert not chosen(needed, [1.0], samples, costs=replace(COSTS, draw=saved)).points.any()
+
+
+def test_what_is_prepared_once_counts():
+    # Fifty points spare half of ten triangles: 500, of which preparing them takes away its share.
+    assert chosen([1.0], [1.0], [[50]], costs=replace(COSTS, prepared=9.9)).points.all()
+    assert not chosen([1.0], [1.0], [[50]], costs=replace(COSTS, prepared=10.0)).points.any()
+
+
+def test_samples_are_prepared_of_what_is_out_of_view_too():
+    costs = replace(COSTS, prepared=3.0)
+    assert chosen([1.0, INF], [1.0], [[50, 50]], costs=costs).cost == 50 * 10 + 100 * 3
+    assert not chosen([1.0, INF, INF, INF], [1.0], [[50, 50, 50, 50]], costs=costs).points.any()
+
+
+def test_a_mesh_is_uploaded_as_a_whole_where_any_triangle_is_drawn():
+    costs = replace(COSTS, uploaded=7.0)
+    found = chosen([1.0, 1.0], [1.0], [[50, 150]], costs=costs)
+    assert found.points.tolist() == [True, False]
+    assert found.cost == 50 * 10 + 10 * 100 + 20 * 7
+    assert found.triangles_cost == 20 * 100 + 20 * 7
+    # Without any triangle it is spared. That weighs against the triangles of the whole, not part by part.
+    assert chosen([1.0, 1.0], [1.0], [[50, 50]], costs=costs).cost == 100 * 10
+
+
+def test_points_of_many_samples_have_to_be_cheaper_than_triangles_of_fewer():
+    costs = Costs(point=10.0, triangle=100.0, draw=1.0, prepared=1e-9, uploaded=1e-9)
+    for samples, factor in ((1, 1), (2, 2), (4, FEWER), (64, FEWER)):
+        assert chosen([1.0], [1.0], [[99 / factor]], costs=costs.of_picture(samples)).points.all()
+        assert not chosen([1.0], [1.0], [[101 / factor]], costs=costs.of_picture(samples)).points.any()
+    assert chosen([1.0], [1.0], [[99]], costs=costs.again_and_again()).points.all()
+
+
+def test_what_is_done_once_is_shared_by_samples_and_instances():
+    costs = Costs(prepared=600.0, uploaded=800.0)
+    one, many, instances = costs.of_picture(FEWER), costs.of_picture(16 * FEWER), costs.of_picture(FEWER, 16)
+    assert one.prepared == 600
+    assert many.prepared == instances.prepared == 600 / 16
+    assert many.uploaded == instances.uploaded == 800 / 16
+    assert costs.of_picture(1) == costs
 
 
 @pytest.mark.parametrize("octaves", [1, 3])

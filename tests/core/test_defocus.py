@@ -338,9 +338,11 @@ def test_pieces_of_strands_have_their_area():
             assert abs(area.sum() / (2 * size * length) - 1) < 1e-6  # measured 5.4e-8
 
 
+@pytest.mark.parametrize("tolerance", [0.3, 3.0])
 @pytest.mark.parametrize("bend", [0.0, 0.3, 0.6])
-def test_strips_of_a_wide_tube_cover_what_is_seen_of_it(bend):
-    """Half-way around, also where segments meet: twice the radius for each unit of length."""
+def test_pieces_of_a_tube_cover_what_is_seen_of_it(bend, tolerance):
+    """In strips half-way around it, and in pieces as wide as it is, also where segments meet: twice the radius for each
+    unit of length."""
     along = np.stack([np.sin(u := np.arange(-3, 4) * max(bend, 1e-6)), 0 * u, np.cos(u)], axis=1) / max(bend, 1e-6)
     along -= along[3]
     given = strand_lines(f"tube bent by {bend}", [along], 0.3).lines
@@ -348,9 +350,10 @@ def test_strips_of_a_wide_tube_cover_what_is_seen_of_it(bend):
     strands = clean(given)
     seen = lens(0.5, 3.0, parallel=20.0)
     ends = np.stack([np.arange(6), np.arange(1, 7)], axis=1)
-    found = strand_splats.splats(strands, given, ends, seen.view_from_world, seen, 1.0, blur(seen))
+    found = strand_splats.splats(strands, given, ends, seen.view_from_world, seen, tolerance, blur(seen))
     assert found.radii is not None
     assert found.normal is not None
+    assert (found.kernel is None) == (tolerance < 1)
     facing = found.normal @ seen.view_from_world[2, :3]
     inner = facing > 0.05  # without what closes the ends
     area = np.pi * found.radii.astype(float).prod(axis=1) * strand_splats.SHARE * facing

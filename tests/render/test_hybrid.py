@@ -19,7 +19,8 @@ from tests.render import scenes
 from tests.render.test_quality import with_smooth_normals
 
 SETTINGS = Settings(use_shadows=False, use_adaptive_sampling=False)
-COSTS = Costs(pixel=1e-3)  # points need not pay for their passes: the pictures are small
+# Points need not pay for their passes and for being sampled: the pictures are small, and of few samples.
+COSTS = Costs(pixel=1e-3, prepared=1e-3, uploaded=1e-3)
 SIZE = 128
 
 
@@ -154,6 +155,21 @@ def test_points_beside_a_cloud_need_no_passes_of_their_own():
     both = scenes.scene((scenes.mesh(mesh), scenes.moved()), (beside, scenes.moved((3, 0, 0))))
     found = prepare(both, camera, SETTINGS, 1, Store(), costs=replace(COSTS, pixel=1e6))
     assert found.cut.splats > 1000
+
+
+@pytest.mark.parametrize(("interactive", "samples", "points"), [(True, 1, True), (False, 4, False), (False, 64, True)])
+def test_points_of_a_final_picture_have_to_pay_for_being_sampled(interactive, samples, points):
+    camera = SHAPES["bumps"]()[1]
+    costs = replace(Costs(), pixel=1e-3)
+    found = prepare(scene("bumps"), camera, SETTINGS, samples, Store(), interactive=interactive, costs=costs)
+    assert (found.cut.splats > 1000) == points
+
+
+def test_what_is_kept_from_pictures_before_changes_no_choice():
+    camera = SHAPES["bumps"]()[1]
+    store, costs = Store(), replace(Costs(), pixel=1e-3)
+    assert prepare(scene("bumps"), camera, SETTINGS, 4, store, interactive=True, costs=costs).cut.splats > 1000
+    assert prepare(scene("bumps"), camera, SETTINGS, 4, store, costs=costs).cut.splats == 0
 
 
 def test_a_device_can_be_calibrated():

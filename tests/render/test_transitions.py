@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core import expressions as ex
-from pointsplat_addon.core.cost import Costs
+from pointsplat_addon.core.cost import FEWER, Costs
 from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import Camera, Geometry, Instances, Mesh, Scene, Settings, World
 from pointsplat_addon.render.prepare import prepare
@@ -117,6 +117,10 @@ def field(direction: scenes.Vector, primitive: str = "AUTO", rings: int = 16, si
     return journey
 
 
+# Points in pictures of 16 samples are set against triangles of FEWER times less.
+COSTS = Costs(point=20.0 / FEWER, pixel=1e-3, prepared=1e-3, uploaded=1e-3)
+
+
 def hills(start: float, stop: float, step: float, size: int) -> Journey:
     """Low over textured hills, where points cost so little that the far ones are points."""
     flat = scenes.plane_mesh("textured hills", 20.0, 160)
@@ -130,7 +134,7 @@ def hills(start: float, stop: float, step: float, size: int) -> Journey:
         base_color=ex.Color(ex.ImageTexture(ex.UV(), ex.Image(texels.reshape(512, 512, 4).astype(np.float32))))
     )
     cameras = along((0.2, -1, 0.25), start, stop, step, size, field_of_view=50, near=0.05)
-    return Journey(lit(scenes.mesh(mesh), cameras[0], graph), cameras, costs=Costs(point=20.0, pixel=1e-3))
+    return Journey(lit(scenes.mesh(mesh), cameras[0], graph), cameras, costs=COSTS)
 
 
 # By name: how it is made, and the distances between which something happens.
