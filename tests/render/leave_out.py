@@ -342,6 +342,7 @@ def draw(row: Row, device: NullDevice | None = None) -> Found:
     case = row.case()
     request = Request(case.camera, case.settings, row.passes, row.samples, interactive=row.interactive)
     renderer = Renderer(device)
+    renderer.costs = scenes.FREE_POINTS
     report = renderer.render(case.scene, request).report
     size = device.peak_bytes
     renderer.release()

@@ -10,6 +10,7 @@ import numpy as np
 
 from pointsplat_addon.core import expressions as ex
 from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.cost import FEWER, Costs
 from pointsplat_addon.core.lines import Lines
 from pointsplat_addon.core.materials import MaterialGraph
 from pointsplat_addon.core.scene import (
@@ -47,10 +48,17 @@ class Case:
         return Request(self.camera, self.settings, passes, samples)
 
 
+# Pictures of tests are small and of few samples: meshes are points in them where they are in large ones of many samples.
+FREE_POINTS = replace(Costs(), prepared=1e-3, uploaded=1e-3)  # to prepare; what else they cost counts FEWER times
+CHEAP_POINTS = replace(FREE_POINTS, point=FREE_POINTS.point / FEWER, pixel=FREE_POINTS.pixel / FEWER)
+
+
 @cache
 def _renderer() -> Renderer:
     """One renderer for all tests of a process, since compiling shaders takes most of their time."""
-    return Renderer(OpenGLDevice())
+    renderer = Renderer(OpenGLDevice())
+    renderer.costs = CHEAP_POINTS
+    return renderer
 
 
 def opengl() -> Renderer:
