@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("moderngl")
 
-from scripts import bench_frame, error_vs_time
+from scripts import bench_frame, error_scenes, error_vs_time
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +42,9 @@ def test_more_samples_come_nearer_to_the_truth(rows):
 
 def test_the_truth_is_the_sphere():
     camera = bench_frame.camera(0.0, 48)
-    few, many = (error_vs_time.sphere_truth(camera, samples) for samples in (64, 256))
+    few, many = (error_scenes.sphere_truth(camera, samples) for samples in (64, 256))
     # The centre of the picture looks at (0, 0, 1), the corners past the sphere.
-    pole = error_vs_time.pattern(np.array([[0.0, 0.0, 1.0]]))[0]
+    pole = error_scenes.pattern(np.array([[0.0, 0.0, 1.0]]))[0]
     assert many[24, 24] == pytest.approx(pole, abs=0.1)  # measured 0.036
     assert not many[0, 0].any()
     assert np.sqrt(((few - many) ** 2).mean()) < 0.01  # measured 0.0035
