@@ -26,11 +26,11 @@ ROOT = Path(__file__).resolve().parent.parent
 TRUTH = 256  # samples, or rays through each pixel
 CLOUD = 200_000  # points of the sphere whose error is told over time
 SMOKE = 96, 48  # pixels and voxels of the ball of smoke
-VOXELS = 96  # pixels of what is voxels: the plume of smoke and the head
-PLUME_FILE, HEAD_FILE = "../volume/gaffer_smoke.vdb", "../volume/inia19_t1_macaque.nii.gz"  # of DIR
+VOXELS = 96  # pixels of what is voxels: the plume of smoke and the brain
+PLUME_FILE, BRAIN_FILE = "../volume/gaffer_smoke.vdb", "../volume/inia19_t1_macaque.nii.gz"  # of DIR
 SCAN_FILE, HAIR_FILE = "../points/cgal_building.ply", "../hair/hair_curves_cyhair_tressfx.blend"
 EXTINCTION = 3.0  # of voxels where the density is 1, per unit: they are two units high
-TISSUE = 0.15, 0.7  # of the head's greatest value: where density begins, and where it comes to DENSEST
+TISSUE = 0.15, 0.7  # of nearly the greatest value in the brain: where density begins, and where it comes to DENSEST
 DENSEST = 0.6
 SCAN_RADIUS = 0.009  # of the scan's points, which lie in the unit ball: about one pixel
 FUR = "bear_fur"  # the Curves object of HAIR_FILE
@@ -198,12 +198,11 @@ def model(path: Path, size: int, picture: Path | None = None, shadows: bool = Fa
     _ = gallery.load(path, picture) if picture is not None or smooth else gallery.read(path)
 
 
-def before_camera(size: int, shadows: bool = False) -> None:
-    """An empty scene, a camera that sees the unit ball, and one sun."""
+def before_camera(size: int, shadows: bool = False, direction: tuple[float, ...] = (0.5, -1.0, 0.45)) -> None:
+    """An empty scene, a camera in that direction which sees the unit ball, and one sun."""
     gallery = importlib.import_module("gallery")
     scene = gallery.studio(size)
-    direction = np.array([0.5, -1.0, 0.45])
-    gallery.look_from(scene, direction / np.linalg.norm(direction))
+    gallery.look_from(scene, np.array(direction) / np.linalg.norm(direction))
     sun = scene.objects["Sun"].data
     sun.angle, sun.use_shadow = 0.0, shadows
     if hasattr(sun.cycles, "cast_shadow"):
@@ -215,7 +214,7 @@ def truck(size: int, data: Path, folder: Path) -> None:
     import bpy
     from mathutils import Matrix, Vector
 
-    before_camera(size)
+    before_camera(size, direction=(1.0, -0.6, 0.4))
     bpy.ops.wm.obj_import(filepath=str(data / "peterbilt/peterbilt.obj"), forward_axis="NEGATIVE_Z", up_axis="Y")
     parts = bpy.context.selected_objects
     bpy.context.view_layer.update()
@@ -243,6 +242,7 @@ def hair(size: int, data: Path, folder: Path) -> None:
         wanted.objects = [FUR]
     [item] = cast(list[Any], wanted.objects)
     bpy.context.scene.collection.objects.link(item)
+    item.location = 0.0, 0.0, 0.0
     strands, count = item.data, len(item.data.points)
     position, radius = np.empty((count, 3), np.float32), np.empty(count, np.float32)
     strands.position_data.foreach_get("vector", position.reshape(-1))
@@ -306,12 +306,12 @@ def plume(size: int, data: Path, folder: Path) -> None:
     put(item, scale, np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), object_from_index @ np.append(middle, 1.0))
 
 
-def head(size: int, data: Path, folder: Path) -> None:
-    """The density of tissue in a scanned head; its z points up, its y to the front."""
+def brain(size: int, data: Path, folder: Path) -> None:
+    """The density of tissue in a scanned brain; its z points up, its y to the front."""
     dense = importlib.import_module("pointsplat_addon.formats.dense")
-    value = dense.read((data / HEAD_FILE).resolve()).value
+    value = dense.read((data / BRAIN_FILE).resolve()).value
     begin, end = (share * float(np.quantile(value, 0.999)) for share in TISSUE)
-    path = folder / "head.vdb"
+    path = folder / "brain.vdb"
     grids = {"density": DENSEST * np.clip((value - begin) / (end - begin), 0, 1)}
     importlib.import_module("volume_objects").write_vdb(path, grids, (0, 0, 0), 1.0)
     item = before_sky(path)
@@ -444,7 +444,7 @@ KINDS = {
     "fur": Kind(hair, HAIR_FILE, strands=True),
     "smoke, shadows": Kind(smoke, shadows=True, truth=lambda camera, data: smoke_truth()),
     "plume of voxels": Kind(plume, PLUME_FILE, truth=lambda camera, data: voxel_truth(), vtk="voxels"),
-    "head of voxels": Kind(head, HEAD_FILE, truth=lambda camera, data: voxel_truth(), vtk="voxels"),
+    "brain of voxels": Kind(brain, BRAIN_FILE, truth=lambda camera, data: voxel_truth(), vtk="voxels"),
     "scan of points": Kind(building, SCAN_FILE, truth=scan_truth, vtk="points"),
     "sphere of points": Kind(None, truth=lambda camera, data: sphere_truth(camera), vtk="points"),
 }

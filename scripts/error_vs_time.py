@@ -57,7 +57,7 @@ LONGEST = 4.0  # seconds: a picture that has taken longer gets no further sample
 TRUTH_MANY = 1024  # samples of the truth through a lens, and of strands
 TRUTH_SHADOWS = 8192  # cells of its shadow tables
 COUNTS = (10_000, 30_000, 100_000, 300_000, 1_000_000)  # points of the sphere
-LIMIT = 1200  # seconds for one process
+LIMIT = 3600  # seconds for one process
 
 
 # ---------------------------------------------------------------------------- PointSplat
