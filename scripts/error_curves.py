@@ -47,8 +47,8 @@ def errors(found: np.ndarray, truth: np.ndarray) -> Row:
     if find_spec("flip_evaluator"):
         import flip_evaluator
 
-        pair = [np.ascontiguousarray(displayed(picture), np.float32) for picture in (b, a)]
-        flip = float(flip_evaluator.evaluate(*pair, "LDR", applyMagma=False)[1])
+        right, seen = (np.ascontiguousarray(displayed(picture), np.float32) for picture in (b, a))
+        flip = float(flip_evaluator.evaluate(right, seen, "LDR", applyMagma=False)[1])
     everywhere = np.ones(a.shape[:2], bool)
     return {"rmse": math.sqrt(((a - b) ** 2).mean()), "psnr": psnr(a, b, everywhere), "flip": flip}
 

@@ -138,7 +138,7 @@ def balls_truth(
     fx, fy, cx, cy = camera.pixel_from_view()
     centre = position.astype(float) @ camera.view_from_world[:3, :3].T + camera.view_from_world[:3, 3]
     middle = np.stack([cx - fx * centre[:, 0] / centre[:, 2], cy - fy * centre[:, 1] / centre[:, 2]], axis=1)
-    wide = 1.1 * max(fx, fy) * radius / -centre[:, 2]
+    wide = -1.1 * max(fx, fy) * radius / centre[:, 2]
     reach = int(np.ceil(wide.max() + 0.5))
     beside = np.stack(np.meshgrid(*2 * [np.arange(-reach, reach + 1)]), axis=-1).reshape(-1, 2)
     inside = radius**2 - (centre**2).sum(axis=1)
@@ -146,7 +146,7 @@ def balls_truth(
     for shift in offsets(samples):
         first = np.floor(middle - shift)
         places = (first[:, None] + beside).reshape(-1, 2)
-        apart = places.reshape(len(first), -1, 2) + (0.5 + shift - middle)[:, None]
+        apart = places.reshape(len(first), -1, 2) - (middle - shift - 0.5)[:, None]
         near = (apart**2).sum(axis=2) < wide[:, None] ** 2
         near = np.flatnonzero(near.reshape(-1) & ((places >= 0) & (places < (width, height))).all(axis=1))
         ball, place = near // len(beside), places[near]
@@ -285,7 +285,9 @@ def building(size: int, data: Path, folder: Path) -> None:
 
 
 def balls(size: int, data: Path, folder: Path) -> None:
+    """With a round aperture, the only one that splats are blurred by."""
     scene = importlib.import_module("demo_depth_of_field").build()
+    scene.camera.data.dof.aperture_blades = 0
     scene.render.resolution_x, scene.render.resolution_y = size, 3 * size // 4
 
 
