@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import subprocess
 import sys
@@ -88,10 +89,16 @@ class ProcessorWatch:
 
 
 def pictures(
-    renderer: Renderer, scene: Scene, camera: Camera, settings: Settings, samples: tuple[int, ...], lens: bool
+    renderer: Renderer,
+    scene: Scene,
+    camera: Camera,
+    settings: Settings,
+    samples: tuple[int, ...],
+    lens: bool,
+    longest: float = LONGEST,
 ) -> Iterator[tuple[np.ndarray, Row]]:
-    """One picture after the first so many samples each, until LONGEST have passed, and its row. Nothing is kept from
-    pictures before but shaders. The first samples do not depend on how many follow."""
+    """One picture after the first so many samples each, until `longest` seconds have passed, and its row. Nothing is kept
+    from pictures before but shaders. The first samples do not depend on how many follow."""
     renderer.release()
     STORE.clear()
     start = time.process_time()
@@ -102,7 +109,7 @@ def pictures(
     allocated = time.process_time() - start
     seconds, reading = allocated, 0.0
     try:
-        while not frame.complete and (seconds < LONGEST or frame.done == 0):
+        while not frame.complete and (seconds < longest or frame.done == 0):
             frame.sample()
             if not (frame.done in samples or frame.complete):
                 continue
@@ -174,7 +181,8 @@ def ours(
         # more samples are first used after five
         few = 6 if settings.use_adaptive_sampling else 2
         _ = list(pictures(renderer, scene, subject.camera, settings, (min(few, counts[-1]),), subject.lens))
-        for pixels, row in pictures(renderer, scene, subject.camera, settings, counts, subject.lens):
+        longest = math.inf if series == "defaults" else LONGEST
+        for pixels, row in pictures(renderer, scene, subject.camera, settings, counts, subject.lens, longest):
             if series == "tolerance" and row["samples"] == 1 and row["seconds"] > LONGEST:
                 too_long.add(settings.technique)
             row |= {"seconds": row["seconds"] + subject.converted, "prepare": row["prepare"] + subject.converted}
