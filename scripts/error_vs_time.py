@@ -97,8 +97,8 @@ def pictures(
     lens: bool,
     longest: float = LONGEST,
 ) -> Iterator[tuple[np.ndarray, Row]]:
-    """One picture after the first so many samples each, until `longest` seconds have passed, and its row. Nothing is kept
-    from pictures before but shaders. The first samples do not depend on how many follow."""
+    """One picture after the first so many samples each, until `longest` seconds have passed, and its row. Nothing is
+    kept from pictures before but shaders. The first samples do not depend on how many follow."""
     renderer.release()
     STORE.clear()
     start = time.process_time()
