@@ -20,17 +20,15 @@ from scripts import bench_frame
 from scripts.error_curves import Row, errors
 from scripts.error_scenes import (
     CLOUD,
-    EXTINCTION,
     KINDS,
     SCAN_FILE,
     SCAN_RADIUS,
-    VOXELS,
     disk_radius,
     scan,
     sphere,
     subject,
-    voxel_field,
 )
+from scripts.error_truths import EXTINCTION, VOXELS, voxel_field
 from scripts.vtk_volume import VolumeView
 
 CYCLES = (1, 4, 16, 64, 256)

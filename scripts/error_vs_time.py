@@ -45,7 +45,8 @@ from pointsplat_addon.render.store import STORE
 from scripts import bench_frame
 from scripts.error_curves import Row, errors, plot, plot_brief, plot_counts, written
 from scripts.error_programs import theirs
-from scripts.error_scenes import KINDS, TRUTH, Subject, sphere_subject, subject
+from scripts.error_scenes import KINDS, Subject, sphere_subject, subject
+from scripts.error_truths import TRUTH
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = 256  # pixels
