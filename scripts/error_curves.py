@@ -19,7 +19,7 @@ from scripts.compare import displayed, psnr
 
 Row = dict[str, Any]
 LEVELS = (0.05, 0.03, 0.02, 0.01, 0.005, 0.003, 0.002)  # RMSE that the table asks for
-SPLIT = 1.0, 16  # tolerance and samples of the table by pass
+LONGEST = 3  # passes of a picture that the table names
 COLORS = {
     "IMAGE_SPACE": "tab:blue",
     "EWA": "tab:green",
@@ -47,8 +47,8 @@ def errors(found: np.ndarray, truth: np.ndarray) -> Row:
     if find_spec("flip_evaluator"):
         import flip_evaluator
 
-        pair = [np.ascontiguousarray(displayed(picture), np.float32) for picture in (b, a)]
-        flip = float(flip_evaluator.evaluate(*pair, "LDR", applyMagma=False)[1])
+        right, seen = (np.ascontiguousarray(displayed(picture), np.float32) for picture in (b, a))
+        flip = float(flip_evaluator.evaluate(right, seen, "LDR", applyMagma=False)[1])
     everywhere = np.ones(a.shape[:2], bool)
     return {"rmse": math.sqrt(((a - b) ** 2).mean()), "psnr": psnr(a, b, everywhere), "flip": flip}
 
@@ -133,21 +133,18 @@ def front_table(rows: list[Row]) -> str:
             size = f"{r['bytes']['gpu'] / 2**20:.1f}" if r.get("bytes") else ""
             own = f"{r['own']:.4f}" if r.get("own") is not None else ""
             lines.append([scene, name, said(r), f"{r['seconds']:.3f}", f"{r['rmse']:.5f}", f"{r['psnr']:.1f}", flip,
-                          own, points, size])  # fmt: skip
-    header = ["scene", "drawn by", "how", "seconds", "RMSE", "PSNR", "FLIP", "own RMSE", "points", "GPU MiB"]
+                          own, points, size, longest(r)])  # fmt: skip
+    header = ["scene", "drawn by", "how", "seconds", "RMSE", "PSNR", "FLIP", "own RMSE", "points", "GPU MiB", "ms"]
     return markdown(header, lines)
 
 
-def pass_table(rows: list[Row]) -> str:
-    """Milliseconds by pass of one picture of each scene and technique."""
-    picked = [r for r in rows if r["series"] == "tolerance" and (r["tolerance"], r["samples"]) == SPLIT]
-    names = list(dict.fromkeys(name for r in picked for name in r["passes"]))
-    lines = [
-        [r["scene"], r["technique"], f"{1e3 * r['prepare']:.0f}",
-         *(f"{1e3 * r['passes'][n]:.0f}" if n in r["passes"] else "" for n in names), f"{1e3 * r['seconds']:.0f}"]
-        for r in picked
-    ]  # fmt: skip
-    return markdown(["scene", "technique", "convert, prepare", *names, "all"], lines)
+def longest(row: Row) -> str:
+    """Where the time of a picture of PointSplat's went, in milliseconds: the longest parts, and all the rest."""
+    if row["prepare"] is None:
+        return ""
+    parts = sorted({"prepare": row["prepare"], **row["passes"]}.items(), key=lambda part: -part[1])[:LONGEST]
+    rest = row["seconds"] - sum(seconds for _, seconds in parts)
+    return ", ".join(f"{name} {1e3 * seconds:.0f}" for name, seconds in [*parts, ("rest", rest)])
 
 
 def exponents(rows: list[Row]) -> dict[str, float]:
@@ -164,9 +161,9 @@ def written(text: str, rows: list[Row]) -> str:
     fits = "".join(f"- {name}: {value:.2f}\n" for name, value in exponents(rows).items())
     tables = (
         f"### Seconds to an error\n\n{level_table(rows)}\n"
-        f"### By pass, in milliseconds\n\n{SPLIT[0]:g} pixel, {SPLIT[1]} samples.\n\n{pass_table(rows)}\n"
         f"### Exponents of the time over the number of points\n\n{fits}\n"
-        f"### Pareto fronts, and the other programs\n\n{front_table(rows)}\n"
+        "### Pareto fronts, and the other programs\n\n"
+        f"<details>\n<summary>Every picture on them</summary>\n\n{front_table(rows)}\n</details>\n\n"
     )
     head, rest = text.split(BEGIN)
     return head + BEGIN + "\n" + tables + END + rest.split(END)[1]
@@ -184,16 +181,16 @@ def plot(rows: list[Row], path: Path) -> None:
 
     names = list(dict.fromkeys(row["scene"] for row in rows if row["series"] != "count"))
     panels = len(names)
-    across = min(panels, 3)
+    across = min(panels, 4)
     down = -(-panels // across)
-    size = 4.6 * across, 3.9 * down + 0.5
+    size = 3.4 * across, 3.1 * down + 0.7
     figure, axes = pyplot.subplots(down, across, figsize=size, squeeze=False, layout="constrained")
     for axis, name in zip(axes.flat, names, strict=False):
         draw_scene(axis, name, [r for r in rows if r["scene"] == name and r["series"] != "count"])
     for axis in list(axes.flat)[panels:]:
         axis.set_axis_off()
     seen = labels(axes)
-    figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=2 * across, fontsize=8)
+    figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=min(4, 2 * across), fontsize=10)
     figure.savefig(path, dpi=100)
 
 

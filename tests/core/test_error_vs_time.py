@@ -67,6 +67,13 @@ def test_tables_replace_what_stood_between_their_marks():
     assert curves.written(once, rows + count) == once
 
 
+def test_the_longest_parts_of_a_picture_and_the_rest_are_all_of_it():
+    passes = {"shade": 0.2, "pull": 0.01, "push": 0.5, "project": 0.3}
+    one = row("a", "PointSplat", 1.3, 0.1, prepare=0.25, passes=passes)
+    assert curves.longest(one) == "push 500, project 300, prepare 250, rest 250"
+    assert curves.longest(row("a", "Cycles", 3.0, 0.05, prepare=None, passes={})) == ""
+
+
 def test_a_plot_is_written_for_every_kind_of_row(tmp_path: Path):
     pytest.importorskip("matplotlib")
     rows = [row("a", "PointSplat", 1.0, 0.1), row("a", "Cycles", 3.0, 0.05, own=0.01), row("b", "EEVEE", 3.0, 0.05),
