@@ -45,8 +45,8 @@ MOST_OF_ALL = 0.6  # of all samples, of which the mean is compared with that of 
 RATIOS = (2.0, 4.0)  # of a tolerance to the finer one that it is compared with
 LEFT = {2.0: 1.2}  # distance from the finest cut over that from the one of half the tolerance
 EVENLY = 0.7  # of the error of independent samples: these are spread evenly
-# Of the error budget that the cut may take, before a finer one is drawn: with what tiles end at (HELD_PART), whose square
-# is added, no more than all of it.
+# Of the error budget that the cut may take, before a finer one is drawn: with what tiles end at (HELD_PART), whose
+# square is added, no more than all of it.
 CUT_PART = 0.85
 TILES_PART = 0.25  # of the error budget: difference at which tiles end
 HELD_PART = 0.5  # and error up to which they may

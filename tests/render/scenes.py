@@ -48,7 +48,7 @@ class Case:
         return Request(self.camera, self.settings, passes, samples)
 
 
-# Pictures of tests are small and of few samples: meshes are points in them where they are in large ones of many samples.
+# Pictures of tests are small and of few samples: meshes are points in them where they are in large ones of many.
 FREE_POINTS = replace(Costs(), prepared=1e-3, uploaded=1e-3)  # to prepare; what else they cost counts FEWER times
 CHEAP_POINTS = replace(FREE_POINTS, point=FREE_POINTS.point / FEWER, pixel=FREE_POINTS.pixel / FEWER)
 
