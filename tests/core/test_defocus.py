@@ -80,7 +80,7 @@ def test_the_middle_of_what_leans_is_where_the_lens_sees_most_of_it(parallel, ra
         of = through(seen, point)
         view = world @ of.view_from_world[:3, :3].T + of.view_from_world[:3, 3]
         fx, fy, cx, cy = of.pixel_from_view()
-        moved_to.append(view[:, :2] * [fx, fy] / (-view[:, 2:] if parallel is None else 1.0) + [cx, cy])
+        moved_to.append(view[:, :2] * [fx, fy] / (np.abs(view[:, 2:]) if parallel is None else 1.0) + [cx, cy])
         toward = np.append(point, 0.0) - place if parallel is None else np.append(point / 4.0, 1.0)
         seen_as.append((normal * toward).sum(axis=1))
     places, sizes = np.array(moved_to), np.array(seen_as)
