@@ -21,6 +21,10 @@ from .store import PointSet
 from .view import View
 
 NODES = 16.0  # of a cut, for each square of the tolerance that a curved surface holds: measured 13 to 16.5 of scans
+MANY = 1 << 12  # triangles of a mesh: fewer are drawn in no time
+WIDEST = (
+    2.0  # typical edge of the triangles in view, over the spacing that is typically needed: splats of wider ones show
+)
 NODE = 2.0  # what a splat of a cut costs of one that is drawn with all others: it is found, and drawn in short blocks
 
 
@@ -194,7 +198,8 @@ def show(
         shown = Shown(divided.octave(finest), choice, whole=True)
     else:
         shown = Shown(float(spacing[choice.octave]), choice, whole=False)
-    if nodes:
+    edge = np.sqrt(2 * divided.area[visible].sum() / divided.parts.counts[visible].sum())
+    if nodes and len(divided.measures.triangle) >= MANY and edge <= WIDEST * np.median(needed[visible]):
         cut = np.minimum(NODES * divided.area / needed**2, divided.fewest)[visible].sum()
         if (cost := float(cut) * NODE * costs.point) < shown.choice.cost:
             choice = replace(choice, points=visible, polygons=np.zeros_like(visible), cost=cost)

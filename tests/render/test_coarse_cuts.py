@@ -48,6 +48,13 @@ def test_meshes_in_parts_get_nodes_once_they_stay_for_two_pictures(coarser):
     assert after < before * 0.5 / coarser
 
 
+def test_few_large_triangles_stay_triangles():
+    """However coarse: splats of their size would show."""
+    scene, store = CASES["cube"]().scene, Store()
+    found = [prepared(store, scene, "cube", 16.0, budget="TIME") for _ in range(3)]
+    assert all(len(one.polygons) == 1 and one.cut.splats == 0 for one in found)
+
+
 def test_finer_tolerances_keep_triangles_where_they_cost_less():
     scene, store = CASES["split_mesh"]().scene, Store()
     found = [prepared(store, scene, "split_mesh", 1.0, budget="TIME") for _ in range(3)]
