@@ -256,7 +256,7 @@ def budgets(folder):
     """A time for a view that moves, an error for one that stands still and for F12, and where both are told."""
     _, area, _, space = viewport()
     view = space.region_3d
-    settings = bpy.context.scene.pointsplat
+    settings, rotation = bpy.context.scene.pointsplat, view.view_rotation.copy()
     settings.budget, settings.time_budget = "TIME", 80.0
     area.tag_redraw()
     yield 2.0
@@ -282,7 +282,7 @@ def budgets(folder):
     yield 1.0
     save_picture(folder / "last_render.png", area)
     area.type = "VIEW_3D"
-    settings.budget = "NONE"
+    settings.budget, view.view_rotation = "NONE", rotation
     yield 1.0
 
 
