@@ -32,8 +32,8 @@ import numpy as np
 from .kernel import POWER
 from .scene import Camera
 
-# Pixels of radius: a disk that adds a fifth of the variance that a pixel's own filter has; one that adds 0.8 of it.
-IN_FOCUS, BLURRED = 0.3, 0.6
+# Pixels of radius: a disk that adds a fifth of the variance that a pixel's own filter has; one that adds half of it.
+IN_FOCUS, BLURRED = 0.3, 0.45
 # Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/filtering.py).
 PIXEL = 0.11
 # Diameter of the largest node that is drawn, over the radius of its disk of confusion together with SHARPER times the

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from .places import around
 from .scene import Aperture, Camera, Settings
 
 # The third and fourth constant of the rank-one sequence in four dimensions (Roberts 2018): 1 / p^3 and 1 / p^4 with
@@ -40,15 +41,12 @@ def lens_points(samples: int, aperture: Aperture) -> np.ndarray:
     ones fill the aperture evenly, and together with those of a pixel fill all four dimensions. Where the aperture is
     no disk, its angles and radii are stretched to the polygon's, which keeps shares of the area.
     """
-    first = (0.5 + np.arange(samples // 2 + 1)[:, None] * R4) % 1.0
-    disk = _disk(first)
+    disk = _disk((0.5 + np.arange(samples // 2 + 1)[:, None] * R4) % 1.0)
+    result = around(disk, -disk, samples)
+    result /= np.maximum(np.hypot(*result.T), 1.0)[:, None]  # what has made way for the last of an even number
     if aperture.blades >= 3:
-        disk = _polygon(disk, aperture.blades, aperture.rotation)
         # Polygons with an odd number of sides are not their own mirror image: what faces a place is one of the disk.
-        facing = _polygon(_disk(1.0 - first), aperture.blades, aperture.rotation)
-    else:
-        facing = -disk
-    result = np.stack([facing, disk], axis=1).reshape(-1, 2)[1 : samples + 1]
+        result = _polygon(result, aperture.blades, aperture.rotation)
     result = result * aperture.radius * [1 / aperture.ratio, 1.0]
     result.setflags(write=False)
     return result

@@ -6,6 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..core.places import around
+
 FILTER_WIDTH = 1.5  # pixels: Cycles' default
 R2 = np.array([0.7548776662466927, 0.5698402909980532])  # 1 / p and 1 / p^2 of the plastic number (Roberts 2018)
 
@@ -25,14 +27,13 @@ def offsets(count: int, width: float = FILTER_WIDTH) -> np.ndarray:
     """(count, 2) float64: sample positions in pixels from the centre, distributed as the Blackman-Harris filter.
 
     The first is the centre itself; then come pairs that face each other across it, the first of each pair from a
-    rank-one sequence. Any number of first samples fills the pixel evenly, and an odd one lies around its centre: what
-    changes linearly over a pixel is exact at once, and edges are a third closer to the filter's integral than with the
-    sequence alone.
+    rank-one sequence. Any number of first samples fills the pixel evenly, and all together lie around its centre (but
+    for two): what changes linearly over a pixel is exact at once, and edges are a third closer to the filter's integral
+    than with the sequence alone.
     """
     first = (0.5 + np.arange(count // 2 + 1)[:, None] * R2) % 1.0
-    uniform = np.stack([1.0 - first, first], axis=1).reshape(-1, 2)[1 : count + 1]
     cumulative, x = _blackman_harris(width)
-    result = np.interp(uniform, cumulative, x)
+    result = around(np.interp(first, cumulative, x), np.interp(1.0 - first, cumulative, x), count)
     result.setflags(write=False)
     return result
 

@@ -2,7 +2,7 @@
 // frame.focus: scale, 1 / distance of focus, unused, width of the aperture over its height.
 
 #define PS_IN_FOCUS 0.3  // pixels of radius
-#define PS_BLURRED 0.6
+#define PS_BLURRED 0.45
 #define PS_NEAREST 1e-9  // of the distance of focus
 #define PS_DEFOCUS_FAINT 1e-3  // of a kernel's middle, and of the lens: where splats end
 #define PS_DEFOCUS_PIXEL 0.11  // pixels^2 of variance

@@ -103,7 +103,8 @@ def test_broken_instances_spoil_no_other():
 def mean_of(case: Case, finer: int = 1) -> tuple[float, np.ndarray]:
     """Covered pixels of the case's picture, and the mean colour there; from a picture of `finer` times the pixels."""
     width, height = case.camera.resolution
-    image = picture(replace(case, camera=replace(case.camera, resolution=(finer * width, finer * height))))
+    larger = replace(case, camera=replace(case.camera, resolution=(finer * width, finer * height)))
+    image = picture(larger, 16 if finer > 1 else 64)
     alpha = float(image[..., 3].sum())
     return alpha / finer**2, image[..., :3].sum((0, 1)) / alpha
 
