@@ -217,9 +217,9 @@ def choose_parts(view: View, view_from_object: np.ndarray, usable: np.ndarray) -
         mesh = geometry.mesh
         if len(views) == 0 or geometry.lines is not None or (mesh is not None and len(mesh.triangles) == 0):
             continue
-        of = _choosable(view, geometry, len(views))
+        of, points = _choosable(view, geometry, len(views))
+        others |= points
         if of is None:
-            others |= geometry.primitive != "POLYGONS" and not lets_through(geometry, scene.materials)
             continue
         view.check()
         found[row] = _shown(view, of, views)
@@ -230,14 +230,16 @@ def choose_parts(view: View, view_from_object: np.ndarray, usable: np.ndarray) -
     return found
 
 
-def _choosable(view: View, geometry: Geometry, instances: int) -> Measured | None:
-    """The mesh of a geometry, if it is chosen for part by part."""
+def _choosable(view: View, geometry: Geometry, instances: int) -> tuple[Measured | None, bool]:
+    """The mesh of a geometry, if it is chosen for part by part; if not, whether it has opaque points anyhow."""
+    through = lets_through(geometry, view.scene.materials)
     if geometry.primitive != "AUTO" or geometry.spacing > 0 or instances >= MANY_INSTANCES:
-        return None
+        return None, geometry.primitive != "POLYGONS" and not through
     of = measured(view, geometry)
-    if of is None or lets_through(geometry, view.scene.materials):
-        return None
-    return None if of.leaves(instances) else of
+    if of is None or through:
+        return None, geometry.mesh is None and not through
+    # Leaves are polygons, which need none of the passes that points do.
+    return (None if of.leaves(instances) else of), False
 
 
 def _division(of: Measured) -> Divided:

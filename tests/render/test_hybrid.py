@@ -157,6 +157,16 @@ def test_points_beside_a_cloud_need_no_passes_of_their_own():
     assert found.cut.splats > 1000
 
 
+def test_leaves_beside_are_polygons_and_make_no_points_cheaper():
+    mesh, camera = SHAPES["bumps"]()
+    position = np.random.default_rng(0).normal(0, 0.3, (600, 3)).astype(np.float32)
+    leaves = scenes.flat_mesh("leaves", position, np.arange(600, dtype=np.int32).reshape(-1, 3))
+    both = scenes.scene((scenes.mesh(mesh), scenes.moved()), (scenes.mesh(leaves), scenes.moved((0, 0, 0.5))))
+    found = prepare(both, camera, SETTINGS, 1, Store(), costs=replace(COSTS, pixel=1e6))
+    assert found.cut.splats == 0
+    assert found.polygons.tolist() == [0, 1]
+
+
 @pytest.mark.parametrize(("interactive", "samples", "points"), [(True, 1, True), (False, 4, False), (False, 64, True)])
 def test_points_of_a_final_picture_have_to_pay_for_being_sampled(interactive, samples, points):
     camera = SHAPES["bumps"]()[1]
