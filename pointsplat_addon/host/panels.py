@@ -148,7 +148,7 @@ class POINTSPLAT_RENDER_PT_last_render(_Panel, bpy.types.Panel):
             row.label(text=value)
         for name, milliseconds, share in last.bars(last.REPORT):
             row = layout.split(factor=0.4)
-            row.label(text=name)
+            row.label(text=name.title())
             row.progress(factor=share, text=f"{milliseconds:.1f} ms")
 
 

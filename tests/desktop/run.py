@@ -276,12 +276,18 @@ def budgets(folder):
     path = str(folder / "f12_budget.png")
     with open(path, "rb") as file:
         check(b"pointsplat/error" in file.read(), "the picture's metadata tells its error")
-    # In the large area, where all panels of the tab are seen.
-    area.type = "PROPERTIES"
-    area.spaces.active.context = "RENDER"
-    yield 1.0
-    save_picture(folder / "last_render.png", area)
-    area.type = "VIEW_3D"
+    # In the large area, where all panels of the tab are seen. Nothing but a mouse opens a panel that begins closed.
+    panel = bpy.types.POINTSPLAT_RENDER_PT_last_render
+    for options in (set(), {"DEFAULT_CLOSED"}):
+        bpy.utils.unregister_class(panel)
+        panel.bl_options = options
+        bpy.utils.register_class(panel)
+        if not options:
+            area.type = "PROPERTIES"
+            area.spaces.active.context = "RENDER"
+            yield 1.0
+            save_picture(folder / "last_render.png", area)
+            area.type = "VIEW_3D"
     settings.budget, view.view_rotation = "NONE", rotation
     yield 1.0
 
