@@ -118,7 +118,7 @@ def test_the_last_render_is_shown_with_a_bar_for_each_pass(tmp_path):
     bars = [named["factor"] for name, _, named in found if name == "progress"]
     assert bars == sorted(bars, reverse=True)
     assert bars[0] == 1.0
-    assert {"polygons", "shade"} <= set(labels)
+    assert {"Polygons", "Shade"} <= set(labels)
 
 
 def test_blenders_layout_has_bars():
