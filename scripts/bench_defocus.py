@@ -161,7 +161,7 @@ def things(quick: bool, path: Path | None) -> dict[str, tuple[Scene, float]]:
     }
 
 
-def found(quick: bool, path: Path | None) -> Iterator[dict]:
+def rows(quick: bool, path: Path | None) -> Iterator[dict]:
     """Rows of the benchmark's table, those that take longest last."""
     renderer = Renderer(OpenGLDevice())
     both = things(quick, path).items()
@@ -178,7 +178,7 @@ def found(quick: bool, path: Path | None) -> Iterator[dict]:
 
 def run(quick: bool = False, path: Path | None = None) -> list[dict]:
     """Rows of the benchmark's table."""
-    return list(found(quick, path))
+    return list(rows(quick, path))
 
 
 if __name__ == "__main__":
@@ -186,5 +186,5 @@ if __name__ == "__main__":
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--scan", type=Path)
     given = parser.parse_args()
-    for line in found(given.quick, given.scan):
+    for line in rows(given.quick, given.scan):
         print(line, flush=True)

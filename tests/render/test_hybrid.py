@@ -93,7 +93,7 @@ def test_a_mesh_that_reaches_from_near_to_far_is_split(name):
     assert 1000 < found.cut.splats < found.total
 
 
-@pytest.mark.parametrize("samples", [1, 16])
+@pytest.mark.parametrize("samples", [1, 17])
 @pytest.mark.parametrize("name", SHAPES)
 def test_where_points_and_triangles_meet_no_seam_is_seen(name, samples):
     mixed, truth = picture(name, "AUTO", samples), picture(name, "POLYGONS", samples)
@@ -106,8 +106,8 @@ def test_where_points_and_triangles_meet_no_seam_is_seen(name, samples):
     assert np.count_nonzero(polygons) > 1000
     assert np.percentile(difference[polygons], 99) < 1  # of 255
     if name != "two_materials":  # whose stripes are thinner than a pixel where they are points
-        # Distant hills' own edges are silhouettes, and the only pixels that differ more: measured 4 and 3 of 9500.
-        assert np.count_nonzero(difference > 4) <= (8 if name == "bumps" else 0)
+        # Distant hills' own edges are silhouettes, and the only pixels that differ more: measured 4 of 9500.
+        assert np.count_nonzero(difference > 4) <= (8 if name == "bumps" and samples == 1 else 0)
 
 
 @pytest.mark.parametrize("samples", [1, 16])

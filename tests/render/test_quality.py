@@ -50,12 +50,8 @@ def spot() -> Mesh:
     return with_smooth_normals("spot", position / np.linalg.norm(position, axis=1).max(), np.array(corners, int) - 1)
 
 
-# Decibels at tolerance 2, 1, 0.5, mean of all views. Measured 42.1, 45.2, 45.6; 37.8, 40.6, 40.6; 30.0, 34.7, 37.7.
-LEAST_PSNR = {
-    "sphere": (41.8, 45.0, 45.3),
-    "torus": (37.5, 40.4, 40.4),
-    "spot": (29.8, 34.3, 36.9),
-}  # measured 30.0, 34.5, 37.1
+# Decibels at tolerance 2, 1, 0.5, mean of all views. Measured 42.5, 45.6, 46.0; 38.1, 41.1, 41.1; 29.9, 35.1, 38.1.
+LEAST_PSNR = {"sphere": (41.8, 45.0, 45.3), "torus": (37.5, 40.4, 40.4), "spot": (29.8, 34.5, 37.5)}
 SHAPES = {"sphere": lambda: scenes.sphere_mesh("unit sphere", 64), "torus": torus, "spot": spot}
 
 
@@ -113,10 +109,10 @@ def test_twice_the_tolerance_lets_nothing_through(name, samples):
 @pytest.mark.parametrize("name", SHAPES)
 def test_points_look_like_polygons_the_more_the_lower_the_tolerance(name):
     whole, interior = (
-        np.array([[view[key] for view in figures(name, tolerance)] for tolerance in (2.0, 1.0, 0.5)]).mean(axis=1)
+        np.array([[view[key] for view in figures(name, tolerance, 9)] for tolerance in (2.0, 1.0, 0.5)]).mean(axis=1)
         for key in ("psnr", "interior_psnr")
     )
-    assert min(view["psnr"] for view in figures(name, 1.0)) > 32  # decibels, measured 34.3
+    assert min(view["psnr"] for view in figures(name, 1.0, 9)) > 32  # decibels, measured 34.3
     assert interior[1] - interior[0] > 3  # measured 5.0
     assert interior[2] - interior[1] > 3  # measured 4.0
     # Silhouettes have a floor that no tolerance lowers: splats seen edge-on are drawn a fraction of a pixel wide.
