@@ -99,7 +99,7 @@ def pictures(
     longest: float = LONGEST,
 ) -> Iterator[tuple[np.ndarray, Row]]:
     """One picture after the first so many samples each, until `longest` seconds have passed, and its row. Nothing is
-    kept from pictures before but shaders. The first samples do not depend on how many follow."""
+    kept from pictures before but shaders. Fewer samples are the first of the largest number."""
     renderer.release()
     STORE.clear()
     start = time.process_time()
