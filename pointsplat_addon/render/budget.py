@@ -223,7 +223,7 @@ class Errors:
             fresh = np.broadcast_to(np.asarray(counts) > self._counted, (*mean.shape[:2], 1))[..., 0]
             squares = ((mean - before)[..., :3].astype(np.float64) ** 2).mean(axis=-1) * (m / (n - m))
             self._squares = squares if self._squares is None else np.where(fresh, squares, self._squares)
-            self._counted, self._unseen = counts, unseen(mean, counts)
+            self._counted, self._unseen = counts, unseen(mean, counts, frame.in_focus())
         if checkpoint(n):
             self._means = [*self._means[-2:], (n, mean)]
         return bool(earlier)
@@ -241,11 +241,12 @@ class Errors:
         return float(np.sqrt(self.squares.mean()))
 
 
-def unseen(mean: np.ndarray, samples: np.ndarray | int) -> np.ndarray:
+def unseen(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.ndarray | float = 1.0) -> np.ndarray:
     """(H, W) squared error of what no sample has met in pixels of a picture (H, W, 3 or more) that had so many each.
 
     An edge beside a pixel may reach into its filter where none of its samples lies. What it covers of it then was
-    measured for edges in all directions: MOST_UNSEEN at first, later UNSEEN / n.
+    measured for edges in all directions: MOST_UNSEEN at first, later UNSEEN / n. `in_focus` (H, W, 1): the share of
+    each pixel that samples decide at all; blurred edges are gathered, and none of them is missed.
     """
     # Steps, not slopes: what changes evenly has no second difference.
     steps = np.zeros(mean.shape[:2])
@@ -253,7 +254,10 @@ def unseen(mean: np.ndarray, samples: np.ndarray | int) -> np.ndarray:
         bent = (np.diff(np.nan_to_num(mean[..., :3]).astype(np.float64), n=2, axis=axis) ** 2).mean(axis=-1)
         steps = np.maximum(steps, np.pad(bent, [(1, 1) if a == axis else (0, 0) for a in (0, 1)])[: len(steps)])
     n = np.broadcast_to(np.asarray(samples, np.float64), (*mean.shape[:2], 1))[..., 0]
-    return steps * np.minimum(MOST_UNSEEN, UNSEEN / n) ** 2
+    sharp = np.pad(np.broadcast_to(np.asarray(in_focus, np.float64), (*mean.shape[:2], 1))[..., 0], 1)
+    for axis in (0, 1):  # an edge is of what lies on either side of it
+        sharp = np.lib.stride_tricks.sliding_window_view(sharp, 3, axis).max(axis=-1)
+    return steps * (np.minimum(sharp, 1.0) * np.minimum(MOST_UNSEEN, UNSEEN / n)) ** 2
 
 
 class Watch:
@@ -334,6 +338,11 @@ class BelowError(Watch):
     def rmse(self) -> float:
         return float(np.hypot(self.errors.rmse, self.cut_error))
 
+    @property
+    def too_much(self) -> bool:
+        """Whether the error is more than it may be with all samples, which alone would do: the cut takes the rest."""
+        return self.errors.rmse <= self._limit < self.rmse
+
 
 def distance(a: np.ndarray, b: np.ndarray) -> float:
     """Root mean square difference of two pictures (H, W, 3 or more) over pixels and colours."""
@@ -395,7 +404,8 @@ def below_error(
     """A picture whose error is at most what it may be, as far as MOST_SAMPLES and FINEST reach, and that error.
 
     After EARLY samples as many of a finer cut tell what the tolerance does. Where that is too much, the finer one is
-    drawn instead; what it was sampled with is kept.
+    drawn instead; what it was sampled with is kept. So it is where all samples together leave too much, and the cut has
+    a part in it.
     """
     settings = request.settings
     tolerance = settings.tolerance
@@ -419,7 +429,7 @@ def below_error(
     while True:
         watch = BelowError(settings.error_budget, finer, clock)
         result = renderer.draw(scene, at(tolerance), progress, cancelled, watch)
-        if not watch.too_coarse or result.cancelled:
+        if result.cancelled or not (watch.too_coarse or watch.too_much):
             return result, watch.rmse
         tolerance /= 2
 
