@@ -241,12 +241,12 @@ class Errors:
         return float(np.sqrt(self.squares.mean()))
 
 
-def unseen(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.ndarray | float = 1.0) -> np.ndarray:
+def unseen(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.ndarray | None = None) -> np.ndarray:
     """(H, W) squared error of what no sample has met in pixels of a picture (H, W, 3 or more) that had so many each.
 
     An edge beside a pixel may reach into its filter where none of its samples lies. What it covers of it then was
     measured for edges in all directions: MOST_UNSEEN at first, later UNSEEN / n. `in_focus` (H, W, 1): the share of
-    each pixel that samples decide at all; blurred edges are gathered, and none of them is missed.
+    each pixel that samples decide at all, None: all; blurred edges are gathered, and none of them is missed.
     """
     # Steps, not slopes: what changes evenly has no second difference.
     steps = np.zeros(mean.shape[:2])
@@ -254,10 +254,13 @@ def unseen(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.ndarray | f
         bent = (np.diff(np.nan_to_num(mean[..., :3]).astype(np.float64), n=2, axis=axis) ** 2).mean(axis=-1)
         steps = np.maximum(steps, np.pad(bent, [(1, 1) if a == axis else (0, 0) for a in (0, 1)])[: len(steps)])
     n = np.broadcast_to(np.asarray(samples, np.float64), (*mean.shape[:2], 1))[..., 0]
-    sharp = np.pad(np.broadcast_to(np.asarray(in_focus, np.float64), (*mean.shape[:2], 1))[..., 0], 1)
-    for axis in (0, 1):  # an edge is of what lies on either side of it
-        sharp = np.lib.stride_tricks.sliding_window_view(sharp, 3, axis).max(axis=-1)
-    return steps * (np.minimum(sharp, 1.0) * np.minimum(MOST_UNSEEN, UNSEEN / n)) ** 2
+    share = np.minimum(MOST_UNSEEN, UNSEEN / n)
+    if in_focus is not None:
+        sharp = np.pad(in_focus[..., 0], 1)
+        for axis in (0, 1):  # an edge is of what lies on either side of it
+            sharp = np.lib.stride_tricks.sliding_window_view(sharp, 3, axis).max(axis=-1)
+        share = share * np.minimum(sharp, 1.0)
+    return steps * share**2
 
 
 class Watch:

@@ -366,10 +366,10 @@ class Frame:
         """(H, W, 1) float32, or one for all pixels: how many samples each of them has."""
         return max(self.done, 1) if self.adaptive is None else self.shot.cropped(self.adaptive.samples(self.done))
 
-    def in_focus(self) -> np.ndarray | float:
-        """(H, W, 1) float32, or one for all pixels: the share of each that its samples show in focus."""
+    def in_focus(self) -> np.ndarray | None:
+        """(H, W, 1) float32: the share of each pixel that its samples show in focus; None: nothing is out of it."""
         if self.out_of_focus is None:
-            return 1.0
+            return None
         return self._cropped(self.targets.focus)[..., 1:2] / self.counts()
 
     def mean(self) -> np.ndarray:
