@@ -176,13 +176,14 @@ class Stages:
     def __init__(self) -> None:
         from pointsplat_addon.devices.opengl import OpenGLDevice
         from pointsplat_addon.host import final
-        from pointsplat_addon.render import frame, shot, uploads
+        from pointsplat_addon.render.frame import frame, uploads
+        from pointsplat_addon.render.plan import frame_plan
 
         self.spent: dict[str, float] = {}
         self._within = [0.0]
         self._wrap(final.Synchronizer, "scene", "convert")
         self._wrap(OpenGLDevice, "__init__", "make context")
-        self._wrap(shot, "prepare", "sample, cut")
+        self._wrap(frame_plan, "prepare", "sample, cut")
         self._wrap(frame.Frame, "__init__", "allocate")
         self._wrap(uploads.Uploads, "__init__", "upload")
         self._wrap(frame.Frame, "sample", "draw")

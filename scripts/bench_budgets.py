@@ -3,7 +3,7 @@
     python scripts/bench_budgets.py [--only NAME ...] [--scan FILE.ply[.gz] ...] [--volume FILE.nii.gz ...]
         [--write-docs]
 
-Every scene of tests/render/scenes.py, and the files: scans of triangles, volumes of voxels. Of each, pictures of a
+Every scene of tests/support/scenes.py, and the files: scans of triangles, volumes of voxels. Of each, pictures of a
 camera that stands still and of one that goes around, nearer and farther. What they may take is what five samples take
 here, and half of what one takes, which only a coarser cut can keep; "no splats" is how much of the latter a picture
 takes whose cut is as good as empty, which no cut changes. By the clock on the wall, and by the processor's, in all
@@ -30,16 +30,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from bench_defocus import scan
 
-from pointsplat_addon.core.cut import Cut
-from pointsplat_addon.core.scene import Camera, Geometry, Medium, Settings, Volume
+from pointsplat_addon.core.lod.cut import Cut
+from pointsplat_addon.core.scene.scene import Camera, Geometry, Medium, Settings, Volume
 from pointsplat_addon.formats import dense
-from pointsplat_addon.render import frame
-from pointsplat_addon.render.budget import COARSEST, Moving, _wait
+from pointsplat_addon.render.budget.budget import COARSEST, Moving, _wait
+from pointsplat_addon.render.cache.store import STORE
+from pointsplat_addon.render.frame import frame
+from pointsplat_addon.render.plan.frame_plan import Shot
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
-from pointsplat_addon.render.shot import Shot
-from pointsplat_addon.render.store import STORE
-from tests.render import scenes
+from tests.support import scenes
 
 DOCS = Path(__file__).resolve().parent.parent / "docs" / "budgets.md"
 BEGIN, END = "<!-- times -->\n", "<!-- end of times -->\n"

@@ -22,12 +22,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from bench_hierarchy import row
 
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.scene import Aperture, Camera, Mesh, Scene, Settings
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import Aperture, Camera, Mesh, Scene, Settings
 from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
-from tests.render import scenes
+from tests.support import scenes
 
 SIDE = 512  # points of the plane, along each side
 SIZE = 512  # pixels

@@ -22,12 +22,21 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.scene import Camera, Geometry, Instances, Light, Scene, Settings, World, default_materials
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import (
+    Camera,
+    Geometry,
+    Instances,
+    Light,
+    Scene,
+    Settings,
+    World,
+    default_materials,
+)
 from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.frame.report import report
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.report import report
-from pointsplat_addon.render.request import Request
 
 SIZE = 1024  # pixels
 SETTINGS = Settings(technique="IMAGE_SPACE", use_shadows=False, use_adaptive_sampling=False)

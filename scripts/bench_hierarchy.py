@@ -16,9 +16,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core import cut, hierarchy, packed
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.scene import Camera
+from pointsplat_addon.core.lod import cut, hierarchy, quantisation
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import Camera
 
 
 def surface(count: int) -> PointCloud:
@@ -81,7 +81,7 @@ def growth_of_cost(small: int, large: int, times: int) -> dict:
 def packed_size(count: int) -> dict:
     built = hierarchy.build(surface(count))
     note = f"{len(built) / count:.3f} nodes per point; {built.nbytes / count:.0f} B unpacked"
-    return row("packed, nodes and order included", packed.pack(built).nbytes / count, "B/point", "<= 46", note)
+    return row("packed, nodes and order included", quantisation.pack(built).nbytes / count, "B/point", "<= 46", note)
 
 
 def peak_resident() -> int:

@@ -25,13 +25,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import bench_instances
 from bench_frame import row
 
-from pointsplat_addon.core.scene import Camera, Geometry, Instances, Light, Mesh, Scene, Settings, World
-from pointsplat_addon.core.scene import default_materials as materials
+from pointsplat_addon.core.scene.scene import Camera, Geometry, Instances, Light, Mesh, Scene, Settings, World
+from pointsplat_addon.core.scene.scene import default_materials as materials
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.calibrate import calibrate
+from pointsplat_addon.render.budget.calibrate import calibrate
+from pointsplat_addon.render.cache.store import STORE
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
-from pointsplat_addon.render.store import STORE
 
 SIZE = (512, 512)  # pixels
 SETTINGS = Settings(use_shadows=False, use_adaptive_sampling=False)
@@ -83,7 +83,7 @@ def scan(count: int) -> Geometry:
     """Points on a ball, as a scanner leaves them."""
     from bench_frame import sphere
 
-    from pointsplat_addon.core.cloud import PointCloud
+    from pointsplat_addon.core.scene.cloud import PointCloud
 
     position, color = sphere(count)
     radii = np.full((count, 1), 2.5 / np.sqrt(count), np.float32)

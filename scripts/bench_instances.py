@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import tower
 from bench_frame import MeteredDevice, row
 
-from pointsplat_addon.core.scene import (
+from pointsplat_addon.core.scene.scene import (
     Camera,
     Geometry,
     Instances,
@@ -39,11 +39,11 @@ from pointsplat_addon.core.scene import (
     World,
     default_materials,
 )
-from pointsplat_addon.render.prepare import prepare
+from pointsplat_addon.render.cache.store import STORE
+from pointsplat_addon.render.frame.report import report
+from pointsplat_addon.render.plan.request import Request
+from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.report import report
-from pointsplat_addon.render.request import Request
-from pointsplat_addon.render.store import STORE
 
 SIZE = (500, 400)  # pixels
 TURN = np.radians(1.0)  # of the camera from frame to frame

@@ -23,15 +23,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from bench_hierarchy import row
 
-from pointsplat_addon.core import expressions as ex
-from pointsplat_addon.core.materials import MaterialGraph
-from pointsplat_addon.core.scene import Light, Scene, Settings, World
+from pointsplat_addon.core.material import expressions as ex
+from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.scene.scene import Light, Scene, Settings, World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.cache.store import STORE
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
-from pointsplat_addon.render.store import STORE
-from tests.render import scenes
+from tests.support import scenes
 
 SIZE, TIMES = 512, 5
 POINTS, CELLS = 100_000, 40  # of each sphere of points; voxels along a side of the smoke

@@ -16,13 +16,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from bench_hierarchy import row
 
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.lines import Lines
-from pointsplat_addon.core.scene import Geometry, Scene, Settings
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import Geometry, Scene, Settings
+from pointsplat_addon.core.scene.strands import Lines
 from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
-from tests.render import scenes
+from tests.support import scenes
 
 STRANDS, POINTS, CLOUD, RESOLUTION = 50_000, 16, 1_000_000, 1024
 ON_SCREEN = 0.9  # of the picture's width that both scenes fill

@@ -15,9 +15,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from bench_hierarchy import row, seconds
 
-from pointsplat_addon.core import order
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.cut import fully
+from pointsplat_addon.core.lod import depth_order
+from pointsplat_addon.core.lod.cut import fully
+from pointsplat_addon.core.scene.cloud import PointCloud
 
 
 def depths(count: int) -> dict[str, np.ndarray]:
@@ -40,7 +40,7 @@ def against_argsort(count: int, times: int) -> list[dict]:
             # Alternating, so that a change of the machine's load meets both.
             pairs = [
                 (
-                    seconds(lambda depth=depth, s=slices, e=extent: order.back_to_front(depth, e / s), 1),
+                    seconds(lambda depth=depth, s=slices, e=extent: depth_order.back_to_front(depth, e / s), 1),
                     seconds(lambda depth=depth: np.argsort(depth, kind="stable"), 1),
                 )
                 for _ in range(times)
@@ -55,7 +55,10 @@ def against_argsort(count: int, times: int) -> list[dict]:
 def growth(count: int, times: int) -> dict:
     few, many = (np.random.default_rng(0).random(n, np.float32) for n in (count, 2 * count))
     pairs = [
-        (seconds(lambda: order.back_to_front(few, 1e-7), 1), seconds(lambda: order.back_to_front(many, 1e-7), 1))
+        (
+            seconds(lambda: depth_order.back_to_front(few, 1e-7), 1),
+            seconds(lambda: depth_order.back_to_front(many, 1e-7), 1),
+        )
         for _ in range(times)
     ]
     low, high = np.min(pairs, axis=0)
@@ -74,7 +77,7 @@ def whole_cut(count: int, times: int) -> dict:
     cut, depth = fully(np.array([count]), one), rng.random(count, np.float32)
     pairs = [
         (
-            seconds(lambda: order.sort(cut, {0: cloud}, one, world, np.eye(4)), 1),
+            seconds(lambda: depth_order.sort(cut, {0: cloud}, one, world, np.eye(4)), 1),
             seconds(lambda: np.argsort(depth, kind="stable"), 1),
         )
         for _ in range(times)

@@ -12,8 +12,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core import sampling
-from pointsplat_addon.core.scene import Mesh
+from pointsplat_addon.core.scene.scene import Mesh
+from pointsplat_addon.core.surface import sampling
 
 
 def wave(vertices: int) -> Mesh:

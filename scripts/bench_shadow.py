@@ -15,9 +15,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core import shadow
-from pointsplat_addon.core.kernel import EVEN
-from pointsplat_addon.core.scene import Light
+from pointsplat_addon.core.scene.scene import Light
+from pointsplat_addon.core.shadow import builder
+from pointsplat_addon.core.splat.kernel import EVEN
 
 DOWN = np.array([0.0, 0.0, -1.0])
 LAMP = Light("POINT", np.ones(3), np.array([0.1, 0.2, 3.0]), DOWN)
@@ -25,7 +25,7 @@ INSIDE = Light("POINT", np.ones(3), np.array([0.1, 0.2, 0.3]), DOWN)
 RESOLUTION = 1024
 
 
-def smoke(count: int, ray: bool = False, colored: bool = False) -> shadow.Casters:
+def smoke(count: int, ray: bool = False, colored: bool = False) -> builder.Casters:
     """Balls in random order in a cube of side 2, or on one ray of the lamp, as large as voxels of the cube."""
     rng = np.random.default_rng(0)
     position = np.empty((count, 3), np.float32)
@@ -34,7 +34,7 @@ def smoke(count: int, ray: bool = False, colored: bool = False) -> shadow.Caster
         part[:] = LAMP.position + (3 + cube[:, :1]) * [0.0, 0.1, -1.0] if ray else cube
     radius = np.full(count, 2 * EVEN * 2 / np.cbrt(count), np.float32)
     mass = np.full((count, 3) if colored else count, 8 / count, np.float32)
-    return shadow.Casters("VOLUME", np.zeros(3), position, radius=radius, mass=mass)
+    return builder.Casters("VOLUME", np.zeros(3), position, radius=radius, mass=mass)
 
 
 def seconds(call: Callable[[], object]) -> float:
@@ -51,10 +51,10 @@ def row(name: str, value: float, unit: str, target: str, note: str = "") -> dict
 def against_sort(count: int, light: Light, name: str, times: int) -> list[dict]:
     """Building, and sorting as many random 64-bit keys as the table has entries, in turn."""
     batch = smoke(count)
-    table = shadow.build(light, [batch], RESOLUTION)
+    table = builder.build(light, [batch], RESOLUTION)
     keys = np.random.default_rng(0).integers(0, 2**62, table.entries).astype(np.uint64)
     pairs = [
-        (seconds(lambda: shadow.build(light, [batch], RESOLUTION)), seconds(lambda: keys.argsort(kind="stable")))
+        (seconds(lambda: builder.build(light, [batch], RESOLUTION)), seconds(lambda: keys.argsort(kind="stable")))
         for _ in range(times)
     ]
     ours, theirs = np.min(pairs, axis=0)
@@ -70,8 +70,8 @@ def growth(count: int, times: int) -> dict:
     few, many = smoke(count // 2), smoke(count)
     pairs = [
         (
-            seconds(lambda: [shadow.build(LAMP, [few], RESOLUTION) for _ in range(2)]),
-            seconds(lambda: shadow.build(LAMP, [many], RESOLUTION)),
+            seconds(lambda: [builder.build(LAMP, [few], RESOLUTION) for _ in range(2)]),
+            seconds(lambda: builder.build(LAMP, [many], RESOLUTION)),
         )
         for _ in range(times)
     ]
@@ -85,8 +85,8 @@ def one_ray(count: int, times: int) -> dict:
     line, cube = smoke(count, ray=True), smoke(count)
     pairs = [
         (
-            seconds(lambda: shadow.build(LAMP, [line], RESOLUTION)),
-            seconds(lambda: shadow.build(LAMP, [cube], RESOLUTION)),
+            seconds(lambda: builder.build(LAMP, [line], RESOLUTION)),
+            seconds(lambda: builder.build(LAMP, [cube], RESOLUTION)),
         )
         for _ in range(times)
     ]
@@ -95,13 +95,13 @@ def one_ray(count: int, times: int) -> dict:
 
 
 def colored(count: int) -> dict:
-    table = shadow.build(LAMP, [smoke(count, colored=True)], RESOLUTION)
+    table = builder.build(LAMP, [smoke(count, colored=True)], RESOLUTION)
     return row("shadow table, colored", table.nbytes / table.entries, "B/entry", "<= 20")
 
 
 def many(count: int) -> dict:
     """More points than float32 has integers: the table holds all their mass."""
-    table = shadow.build(LAMP, [smoke(count)], RESOLUTION)
+    table = builder.build(LAMP, [smoke(count)], RESOLUTION)
     behind = LAMP.position + 2 * (np.random.default_rng(0).uniform(-0.3, 0.3, (1000, 3)) - LAMP.position)
     # The chord through the cube, whose extinction is 1.
     ray = (behind - LAMP.position) / np.linalg.norm(behind - LAMP.position, axis=1, keepdims=True)

@@ -16,13 +16,22 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from bench_hierarchy import row
 
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.kernel import EVEN
-from pointsplat_addon.core.scene import Camera, Geometry, Instances, Light, Scene, Settings, World, default_materials
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import (
+    Camera,
+    Geometry,
+    Instances,
+    Light,
+    Scene,
+    Settings,
+    World,
+    default_materials,
+)
+from pointsplat_addon.core.splat.kernel import EVEN
 from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.cache.store import STORE
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
-from pointsplat_addon.render.store import STORE
 
 COUNT = 624_614  # points
 SIZE = (600, 500)  # pixels

@@ -15,8 +15,8 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.scene import (
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import (
     Camera,
     Geometry,
     Instances,
@@ -28,8 +28,8 @@ from pointsplat_addon.core.scene import (
     default_materials,
 )
 from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
 from scripts.compare import displayed
 
 CELL = 0.25  # side of a square

@@ -5,7 +5,7 @@
 
 Scenes are made by this script and drawn from one file by both engines.
   sphere  a uniform ball of smoke, lit by a lamp outside and by one inside: absorbing over a floor that the lamp lights,
-          and scattering once. Truth: core/media_reference.py. The RMSE leaves out rays that pass a lamp in scattering
+          and scattering once. Truth: tests/reference/media.py. The RMSE leaves out rays that pass a lamp in scattering
           smoke at less than 0.1 of the ball's radius.
   slab    what a uniform slab lets through of a bright background, by angle, extinction and voxel size: exp(-s d).
   shadow  the same for the light of a sun that falls through the slab on a floor.
@@ -34,7 +34,7 @@ from compare import displayed  # noqa: E402
 from leaving import run  # noqa: E402
 from volume_objects import ball, medium, surface, volume_object, volumes_last, write_vdb  # noqa: E402
 
-from pointsplat_addon.core import media_reference as ref  # noqa: E402
+from tests.reference import media as ref  # noqa: E402
 
 GAIN = 8.0  # of the difference pictures
 FLOOR = -1.5  # height of the floor below a ball of radius 1

@@ -20,14 +20,14 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from pointsplat_addon.core import environment
-from pointsplat_addon.core.scene import Aperture, Camera, Scene, Settings, World
+from pointsplat_addon.core.light import environment
+from pointsplat_addon.core.scene.scene import Aperture, Camera, Scene, Settings, World
 from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
 from scripts.bench_defocus import scan
 from scripts.compare import displayed
-from tests.render import scenes
+from tests.support import scenes
 
 WIDTH, HEIGHT, GAP = 320, 220, 4
 COLORS = [[0.75, 0.73, 0.7], [0.2, 0.22, 0.28], [0.75, 0.2, 0.15], [0.15, 0.5, 0.2], [0.15, 0.3, 0.75], [0.8, 0.6, 0.1]]

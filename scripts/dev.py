@@ -272,7 +272,7 @@ def test_groups(arguments):
     for path in paths:
         name = os.path.relpath(os.path.join(ROOT, path), ROOT)
         whole = name == "tests"
-        folders = ["core", "render", "extreme", "blender"] if whole else []
+        folders = ["core", "formats", "reference", "scripts", "render", "extreme", "blender"] if whole else []
         for part in [os.path.join(name, folder) for folder in folders] or [name]:
             if part.startswith(os.path.join("tests", "blender")):
                 is_folder = os.path.isdir(os.path.join(ROOT, part))

@@ -14,8 +14,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.scene import Camera
-from pointsplat_addon.render.filtering import offsets
+from pointsplat_addon.core.scene.scene import Camera
+from pointsplat_addon.render.frame.filtering import offsets
 
 TRUTH = 256  # samples, or rays through each pixel
 VOXELS = 96  # pixels of what is voxels: the plume of smoke and the brain
@@ -112,7 +112,7 @@ def voxel_truth() -> np.ndarray:
     steps of less than a voxel."""
     import bpy
 
-    from pointsplat_addon.core import media_reference as reference
+    from tests.reference import media as reference
 
     values, world_from_index = voxel_field()
     field = reference.voxels(values, world_from_index, EXTINCTION)

@@ -36,12 +36,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.scene import Camera, Scene, Settings
-from pointsplat_addon.render.frame import Frame
+from pointsplat_addon.core.scene.scene import Camera, Scene, Settings
+from pointsplat_addon.render.cache.store import STORE
+from pointsplat_addon.render.frame.frame import Frame
+from pointsplat_addon.render.frame.report import report
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.report import report
-from pointsplat_addon.render.request import Request
-from pointsplat_addon.render.store import STORE
 from scripts import bench_frame
 from scripts.error_curves import Row, errors, plot, plot_brief, plot_counts, written
 from scripts.error_programs import theirs

@@ -17,10 +17,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core import shadow
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.kernel import EVEN
-from pointsplat_addon.core.scene import Light
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import Light
+from pointsplat_addon.core.shadow import builder
+from pointsplat_addon.core.splat.kernel import EVEN
 
 RESOLUTIONS = (16, 32, 64, 128, 256, 512, 1024, 2048)
 DEVIATION, DEPTH = 0.4, 3.0
@@ -78,7 +78,7 @@ def smoke_error(cloud: PointCloud, light: Light, resolution: int) -> float:
     """Root mean square error of T at points behind the smoke."""
     x = np.random.default_rng(1).uniform(-0.8, 0.8, (1000, 2))
     points = np.c_[x, np.full(len(x), -1.7)]
-    table = shadow.build(light, [shadow.casters(cloud, np.eye(4))], resolution)
+    table = builder.build(light, [builder.casters(cloud, np.eye(4))], resolution)
     error = table.transmittance(points) - np.exp(-exact_depth(light, points))
     return float(np.sqrt((error**2).mean()))
 
@@ -90,7 +90,7 @@ def edge_error(light: Light, resolution: int, spacing: float) -> float:
     normal = np.broadcast_to(-DOWN.astype(np.float32), position.shape).copy()
     radii = np.full((len(position), 1), spacing * math.sqrt(2 / math.pi), np.float32)
     plane = PointCloud(position, normal=normal, radii=radii)
-    table = shadow.build(light, [shadow.casters(plane, np.eye(4))], resolution)
+    table = builder.build(light, [builder.casters(plane, np.eye(4))], resolution)
     rng = np.random.default_rng(2)
     crossing = np.c_[rng.uniform(-NEAR, NEAR, 4000), rng.uniform(-0.5, 0.5, 4000), np.zeros(4000)]
     way = np.broadcast_to(DOWN, crossing.shape) if light.kind == "SUN" else crossing - light.position

@@ -24,18 +24,18 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core import expressions as ex
-from pointsplat_addon.core import painter
-from pointsplat_addon.core.kernel import POWER
-from pointsplat_addon.core.materials import MaterialGraph
-from pointsplat_addon.core.scene import Camera, Light, Scene, Settings, World
+from pointsplat_addon.core.material import expressions as ex
+from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.scene.scene import Camera, Light, Scene, Settings, World
+from pointsplat_addon.core.splat import painter
+from pointsplat_addon.core.splat.kernel import POWER
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.prepare import prepare
+from pointsplat_addon.render.cache.store import STORE
+from pointsplat_addon.render.plan.request import Request
+from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
-from pointsplat_addon.render.store import STORE
 from scripts.compare import displayed, eroded
-from tests.render import scenes
+from tests.support import scenes
 
 ROOT = Path(__file__).resolve().parent.parent
 TOLERANCES = (0.5, 1.0, 2.0, 4.0, 8.0)  # pixels

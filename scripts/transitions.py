@@ -6,7 +6,7 @@
 A camera approaches a body on a grey world by a fixed share of its distance from frame to frame. For each pair of frames
 and each pixel, the greatest change of a channel, as a display shows it (8 bits), less the same change of the polygons;
 the 99th percentile over the pixels of the body tells what pops. Polygons with another set of samples are the floor:
-what edges alone change by being quantised. Journeys (tests/render/test_transitions.py) are those of clouds, fields of
+what edges alone change by being quantised. Journeys (tests/render/frame/test_transitions.py) are those of clouds, fields of
 instances, and meshes that are divided, from near to far or back, with what they are compared with.
 """
 
@@ -22,9 +22,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.scene import Camera, Geometry, Scene, Settings
+from pointsplat_addon.core.scene.scene import Camera, Geometry, Scene, Settings
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
 from scripts.compare import displayed
 
 PERCENTILE = 99.0
@@ -104,8 +104,8 @@ def as_polygons(geometry: Geometry) -> Geometry:
 
 
 def main() -> None:
-    from tests.render import scenes
-    from tests.render.test_transitions import JOURNEYS, SHAPES, Journey, dolly
+    from tests.render.frame.test_transitions import JOURNEYS, SHAPES, Journey, dolly
+    from tests.support import scenes
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--shape", action="append", choices=SHAPES)

@@ -23,14 +23,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.lines import Lines
-from pointsplat_addon.core.scene import Camera, Geometry, Scene, Settings
-from pointsplat_addon.core.strands_from_mesh import Found, find, parts_of
+from pointsplat_addon.core.scene.scene import Camera, Geometry, Scene, Settings
+from pointsplat_addon.core.scene.strands import Lines
+from pointsplat_addon.core.strand.fit.from_mesh import Found, find, parts_of
 from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
 from scripts.compare import displayed, psnr
-from tests.render import scenes
+from tests.support import scenes
 
 ROOT = Path(__file__).resolve().parent.parent
 TREE = ROOT / "assets" / "japanese_maple" / "japaneseMaple.obj.gz"

@@ -21,8 +21,8 @@ from typing import Any
 import gpu
 import numpy as np
 
-from ..render import device as checks
-from ..render.device import CHANNELS, DEPTH_BYTES, DeviceError, Limits, Target, Texture, Timer, half
+from ..render.device import protocol as checks
+from ..render.device.protocol import CHANNELS, DEPTH_BYTES, DeviceError, Limits, Target, Texture, Timer, half
 from ..shading import sources
 from ..shading.interface import Interface
 from .probe import capabilities

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..render import device as checks
-from ..render.device import CHANNELS, DEPTH_BYTES, DeviceError, Limits, Target, Texture, Timer
+from ..render.device import protocol as checks
+from ..render.device.protocol import CHANNELS, DEPTH_BYTES, DeviceError, Limits, Target, Texture, Timer
 from ..shading import sources
 from ..shading.interface import Interface
 

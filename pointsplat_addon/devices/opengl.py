@@ -15,8 +15,8 @@ import glcontext
 import moderngl
 import numpy as np
 
-from ..render import device as checks
-from ..render.device import CHANNELS, DEPTH_BYTES, EMPTY, DeviceError, Limits, Target, Texture, Timer, half
+from ..render.device import protocol as checks
+from ..render.device.protocol import CHANNELS, DEPTH_BYTES, EMPTY, DeviceError, Limits, Target, Texture, Timer, half
 from ..shading import sources
 from ..shading.interface import Interface
 from .probe import capabilities

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ..render.device import Device
+from ..render.device.protocol import Device
 from ..shading.interface import Interface
 
-ATOMICS = Interface("probe of image atomics", compute="probe_atomics.comp", images=(("R32UI", "cell"),))
-BLEND = Interface("probe of blending", fragment="probe_blend.frag", outputs=(("vec4", "color"),))
+ATOMICS = Interface("probe of image atomics", compute="device/probe_atomics.comp", images=(("R32UI", "cell"),))
+BLEND = Interface("probe of blending", fragment="device/probe_blend.frag", outputs=(("vec4", "color"),))
 
 _answers: dict[tuple[str, str], tuple[bool, bool]] = {}
 

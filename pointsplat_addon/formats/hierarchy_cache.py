@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.cloud import ATTRIBUTES, PointCloud
-from ..core.hierarchy import Hierarchy
-from ..core.packed import Layout, Packed, pack, unpack
+from ..core.lod.hierarchy import Hierarchy
+from ..core.lod.quantisation import Layout, Packed, pack, unpack
+from ..core.scene.cloud import ATTRIBUTES, PointCloud
 
 MAGIC = b"PSPLAT\r\n"
 VERSION = 2

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.octree import ranges
-from ..core.volumes import bounds, keys
+from ..core.lod.octree import ranges
+from ..core.volume.voxels import bounds, keys
 
 BLOCK = 1 << 18  # voxels that are copied together whatever of them is active
 SPARSE = 16  # so many voxels for each active one are still copied rather than searched

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..render.store import STORE
+from ..render.cache.store import STORE
 from . import engine, gl_thread, sync
 from .convert import images
 from .final import FinalRender

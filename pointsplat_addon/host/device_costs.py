@@ -8,9 +8,9 @@ from dataclasses import asdict
 
 import bpy
 
-from ..core.cost import DEFAULT, Costs
-from ..render.calibrate import calibrate
-from ..render.device import DeviceError
+from ..core.lod.cost import DEFAULT, Costs
+from ..render.budget.calibrate import calibrate
+from ..render.device.protocol import DeviceError
 from ..render.renderer import Renderer
 from . import preferences
 

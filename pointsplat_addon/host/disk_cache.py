@@ -6,10 +6,10 @@ import logging
 from functools import partial
 from pathlib import Path
 
-from ..core.cloud import PointCloud
-from ..core.hierarchy import LEAF_SIZE, Hierarchy, build
+from ..core.lod.hierarchy import LEAF_SIZE, Hierarchy, build
+from ..core.scene.cloud import PointCloud
 from ..formats import hierarchy_cache
-from ..render.store import STORE
+from ..render.cache.store import STORE
 from . import device_costs, preferences
 
 LOG = logging.getLogger(__name__)

@@ -7,13 +7,13 @@ import logging
 import bpy
 import gpu
 
-from ..render.device import DeviceError
-from . import final, gl_thread, last
+from ..render.device.protocol import DeviceError
+from . import final, gl_thread, last_render
 from .viewport import Viewport
 
 LOG = logging.getLogger(__name__)
 
-last_report = last.REPORT
+last_report = last_render.REPORT
 
 
 class PointSplatEngine(bpy.types.RenderEngine):

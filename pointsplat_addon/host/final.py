@@ -12,13 +12,13 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core import scene as core
-from ..core.cryptomatte import murmur3
-from ..render.device import DeviceError
-from ..render.outputs import BY_KEY, CRYPTO, PASSES
+from ..core.scene import scene as core
+from ..core.scene.cryptomatte import murmur3
+from ..render.device.protocol import DeviceError
+from ..render.passes.outputs import BY_KEY, CRYPTO, PASSES
+from ..render.plan.request import Request, Result
 from ..render.renderer import Renderer
-from ..render.request import Request, Result
-from . import disk_cache, gl_thread, last, main_gpu
+from . import disk_cache, gl_thread, last_render, main_gpu
 from .convert.camera import render_camera
 from .convert.objects import collect
 from .sync import Synchronizer
@@ -189,7 +189,7 @@ def _write(
     finally:
         engine.end_result(opened)
     whole = engine.get_result()
-    for field, value in (_manifest(layer, scene, result) | last.stamps(result.report)).items():
+    for field, value in (_manifest(layer, scene, result) | last_render.stamps(result.report)).items():
         whole.stamp_data_add_field(field, value)
 
 

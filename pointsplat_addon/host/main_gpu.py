@@ -9,9 +9,9 @@ from typing import TypeVar
 
 import bpy
 
-from ..core.cost import DEFAULT
+from ..core.lod.cost import DEFAULT
 from ..devices.blender_gpu import BlenderDevice
-from ..render.device import Device
+from ..render.device.protocol import Device
 from ..render.renderer import Renderer
 from . import device_costs
 

@@ -8,10 +8,10 @@ import numpy as np
 from bpy.props import FloatProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from ..core.curves import FREE
-from ..core.strands_from_mesh import Found, find
+from ..core.strand.curves import FREE
+from ..core.strand.fit.from_mesh import Found, find
 from ..formats import dense, hierarchy_cache, vdb
-from ..render.device import DeviceError
+from ..render.device.protocol import DeviceError
 from . import caches, device_costs, gl_thread, main_gpu, preferences
 from .convert import arrays
 from .convert.curves import SURFACE_UV

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import bpy
 
-from ..render.outputs import PASSES
-from . import last
+from ..render.passes.outputs import PASSES
+from . import last_render
 
 ENGINE = "POINTSPLAT"
 DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT", "POINTCLOUD", "VOLUME", "CURVES"}  # objects that are drawn
@@ -138,15 +138,15 @@ class POINTSPLAT_RENDER_PT_last_render(_Panel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return super().poll(context) and bool(last.REPORT)
+        return super().poll(context) and bool(last_render.REPORT)
 
     def draw(self, context):
         layout = self.layout
-        for label, value in last.lines(last.REPORT):
+        for label, value in last_render.lines(last_render.REPORT):
             row = layout.split(factor=0.4)
             row.label(text=label)
             row.label(text=value)
-        for name, milliseconds, share in last.bars(last.REPORT):
+        for name, milliseconds, share in last_render.bars(last_render.REPORT):
             row = layout.split(factor=0.4)
             row.label(text=name.title())
             row.progress(factor=share, text=f"{milliseconds:.1f} ms")

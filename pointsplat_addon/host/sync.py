@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import bpy
 import numpy as np
 
-from ..core import scene as core
-from ..core.cryptomatte import cryptomatte_hash
-from ..core.materials import MaterialGraph, needs
+from ..core.material.graph import MaterialGraph, needs
+from ..core.scene import scene as core
+from ..core.scene.cryptomatte import cryptomatte_hash
 from .convert import curves
 from .convert.lights import convert_lights
 from .convert.materials import convert_materials

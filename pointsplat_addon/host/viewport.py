@@ -10,11 +10,11 @@ from typing import ClassVar
 
 import bpy
 
-from ..core import scene as core
-from ..render.budget import Moving, Refining
-from ..render.device import DeviceError
-from ..render.frame import Frame
-from ..render.request import Request
+from ..core.scene import scene as core
+from ..render.budget.budget import Moving, Refining
+from ..render.device.protocol import DeviceError
+from ..render.frame.frame import Frame
+from ..render.plan.request import Request
 from ..shading.sources import ShaderError
 from . import disk_cache
 from .convert.camera import viewport_camera

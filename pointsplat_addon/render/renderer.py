@@ -5,16 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from ..core.cost import DEFAULT
-from ..core.scene import Scene
-from . import budget
-from .clock import Cancelled
-from .device import Device
-from .frame import Frame
-from .report import report
-from .request import Request, Result
-from .targets import Pool
-from .uploads import Kept
+from ..core.lod.cost import DEFAULT
+from ..core.scene.scene import Scene
+from .budget import budget
+from .device.clock import Cancelled
+from .device.protocol import Device
+from .frame.frame import Frame
+from .frame.report import report
+from .frame.targets import Pool
+from .frame.uploads import Kept
+from .plan.request import Request, Result
 
 SLOW_SECONDS = 0.2  # a sample that takes longer is asked after each of its passes whether it is still wanted
 

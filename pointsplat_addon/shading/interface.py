@@ -70,7 +70,7 @@ class Interface:
 
     name: str  # of the pass, for messages and reports
     fragment: str = ""  # file in shaders/
-    vertex: str = "fullscreen.vert"
+    vertex: str = "common/fullscreen.vert"
     compute: str = ""  # file; set: a compute program, and the two above are unused
     block: Block | None = None
     samplers: tuple[tuple[str, str], ...] = ()  # (key of SAMPLERS, name)

@@ -9,13 +9,13 @@ import pytest
 bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
-from pointsplat_addon.devices import blender_gpu  # noqa: E402 - needs Blender
-from pointsplat_addon.devices.blender_gpu import BlenderDevice  # noqa: E402
-from pointsplat_addon.devices.opengl import OpenGLDevice  # noqa: E402
-from pointsplat_addon.render.device import DeviceError  # noqa: E402
-from pointsplat_addon.shading import sources  # noqa: E402
-from pointsplat_addon.shading.interface import Interface  # noqa: E402
-from tests import devices_suite as suite  # noqa: E402
+from pointsplat_addon.devices import blender_gpu
+from pointsplat_addon.devices.blender_gpu import BlenderDevice
+from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.device.protocol import DeviceError
+from pointsplat_addon.shading import sources
+from pointsplat_addon.shading.interface import Interface
+from tests.support import devices_suite as suite
 
 SOLID = Interface("solid", fragment=suite.path("solid.frag"), block=suite.SOLID, outputs=(("vec4", "color"),))
 
@@ -151,7 +151,7 @@ def test_a_broken_vertex_or_compute_shader_is_an_error_too(device, tmp_path):
     (tmp_path / "broken.vert").write_text("void main() {\n  gl_Position = nowhere;\n}\n")
     (tmp_path / "broken.comp").write_text("void main() {\n\n  lost();\n}\n")
     outputs = (("vec4", "color"),)
-    vertex = Interface("v", vertex=str(tmp_path / "broken.vert"), fragment="probe_blend.frag", outputs=outputs)
+    vertex = Interface("v", vertex=str(tmp_path / "broken.vert"), fragment="device/probe_blend.frag", outputs=outputs)
     with pytest.raises(sources.ShaderError, match=r"(?s)broken\.vert.*nowhere"):
         device.draw(vertex, device.target([device.texture((1, 1), "RGBA32F")]))
     with pytest.raises(sources.ShaderError, match=r"(?s)broken\.comp.*lost"):

@@ -8,14 +8,14 @@ import bpy
 import pytest
 
 import pointsplat_addon
-from pointsplat_addon.host import engine, last, panels
+from pointsplat_addon.host import engine, last_render, panels
 
 
 @pytest.fixture(autouse=True)
 def empty_file():
     pointsplat_addon.register()
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    last.REPORT.clear()
+    last_render.REPORT.clear()
     yield
     pointsplat_addon.unregister()
 
@@ -109,7 +109,7 @@ def test_without_a_budget_there_is_no_estimate(tmp_path):
 
 def test_the_last_render_is_shown_with_a_bar_for_each_pass(tmp_path):
     scene = scene_with_a_cube(samples=2)
-    assert not last.REPORT
+    assert not last_render.REPORT
     assert drawn(panels.POINTSPLAT_RENDER_PT_last_render, scene) == []
     rendered(scene, tmp_path)
     found = drawn(panels.POINTSPLAT_RENDER_PT_last_render, scene)
@@ -135,7 +135,7 @@ def test_a_render_that_failed_leaves_nothing_to_show():
 
 def test_many_passes_are_the_longest_ones():
     report = {"passes": [{"name": str(i), "ms": float(i)} for i in range(20)]}
-    found = last.bars(report)
-    assert len(found) == last.MOST_BARS
+    found = last_render.bars(report)
+    assert len(found) == last_render.MOST_BARS
     assert found[0] == ("19", 19.0, 1.0)
-    assert last.bars({"passes": [{"name": "a", "ms": 0.0}]}) == []
+    assert last_render.bars({"passes": [{"name": "a", "ms": 0.0}]}) == []

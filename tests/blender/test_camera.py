@@ -8,11 +8,17 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from mathutils import Euler, Matrix  # noqa: E402
+from mathutils import Euler, Matrix
 
-from pointsplat_addon.core.scene import Camera, Instances, Scene, World, default_materials  # noqa: E402
-from pointsplat_addon.core.sound import shown  # noqa: E402
-from pointsplat_addon.host.convert import camera as cameras  # noqa: E402
+from pointsplat_addon.core.scene.scene import (
+    Camera,
+    Instances,
+    Scene,
+    World,
+    default_materials,
+)
+from pointsplat_addon.core.scene.validation import shown
+from pointsplat_addon.host.convert import camera as cameras
 
 
 @pytest.fixture

@@ -7,11 +7,11 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
-from nodes import new_material, node
 
-from pointsplat_addon.core import curves as core
-from pointsplat_addon.core import pigment
-from pointsplat_addon.core.strands import clean
+from pointsplat_addon.core.material import hair_color
+from pointsplat_addon.core.strand import curves as core
+from pointsplat_addon.core.strand.selection import clean
+from tests.support.nodes import new_material, node
 
 pytestmark = pytest.mark.usefixtures("empty_file")
 
@@ -305,7 +305,7 @@ def test_what_a_material_reads_of_strands_is_cycles():
     np.testing.assert_allclose(shown(info, "Length")[..., 0], np.repeat([[1], [2], [3]], 3, axis=1), atol=1e-6)
     assert (shown(info, "Thickness") == 0.25).all()
     assert (shown(info, "Is Strand") == 1).all()
-    np.testing.assert_allclose(shown(info, "Random")[:, 0, 0], pigment.random_of_strands(3), atol=1e-7)
+    np.testing.assert_allclose(shown(info, "Random")[:, 0, 0], hair_color.random_of_strands(3), atol=1e-7)
     tint = shown("ShaderNodeAttribute", "Color", attribute_name="tint")
     np.testing.assert_array_equal(tint[:, :, 1], np.repeat([[0.25], [0.5], [1.0]], 3, axis=1))
     uv = shown("ShaderNodeUVMap", "UV")
@@ -422,10 +422,10 @@ def test_principled_hair_fills_the_table():
     np.testing.assert_allclose(table.roughness[1:3], [0.4, 0.3], rtol=1e-6)
     np.testing.assert_allclose([found.coat[1], table.ior[1], found.tilt[1], found.radial[1]], [0.2, 1.6, 0.05, 0.7],
                                rtol=1e-6)  # fmt: skip
-    absorption = pigment.absorption_from_color(table.base_color, found.radial[:, None])
+    absorption = hair_color.absorption_from_color(table.base_color, found.radial[:, None])
     np.testing.assert_allclose(absorption[3], [0.245531, 0.52, 1.365], rtol=1e-6)  # measured 3.5e-8
-    expected = -np.log(0.4) * (0.7 * np.array(pigment.EUMELANIN) + 0.3 * np.array(pigment.PHEOMELANIN))
-    expected[1] += (np.log(0.5) / pigment.roughness_scale(0.3)) ** 2
+    expected = -np.log(0.4) * (0.7 * np.array(hair_color.EUMELANIN) + 0.3 * np.array(hair_color.PHEOMELANIN))
+    expected[1] += (np.log(0.5) / hair_color.roughness_scale(0.3)) ** 2
     np.testing.assert_allclose(absorption[2], expected, rtol=1e-6)  # measured 6.9e-8
     np.testing.assert_allclose(found.lobes[[1, 4]], [[1, 1, 1], [1, 0.5, 1]])
     assert found.radial[4] == np.float32(0.2)
@@ -443,9 +443,9 @@ def test_melanin_varies_from_strand_to_strand_as_in_cycles():
         )
     )
     lines = sync().geometries[0].lines
-    off = 2 * (pigment.random_of_strands(50).astype(float) - 0.5)
-    absorption = -np.log(1 - 0.5 * (1 + 0.8 * off))[:, None] * np.array(pigment.EUMELANIN)
-    expected = np.repeat(pigment.color_from_absorption(absorption, np.array(0.3)), 2, axis=0)
+    off = 2 * (hair_color.random_of_strands(50).astype(float) - 0.5)
+    absorption = -np.log(1 - 0.5 * (1 + 0.8 * off))[:, None] * np.array(hair_color.EUMELANIN)
+    expected = np.repeat(hair_color.color_from_absorption(absorption, np.array(0.3)), 2, axis=0)
     np.testing.assert_allclose(lines.color, expected, rtol=1e-5)  # measured 1e-6
     np.testing.assert_allclose(lines.surface[:, 0], np.repeat(0.3 * (1 + 0.5 * off), 2), rtol=1e-6)  # measured 1.5e-7
 

@@ -7,11 +7,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from nodes import new_material, node  # noqa: E402
-
-from pointsplat_addon.core import expressions as ex  # noqa: E402
-from pointsplat_addon.core.cryptomatte import cryptomatte_hash  # noqa: E402
-from pointsplat_addon.core.materials import (  # noqa: E402
+from pointsplat_addon.core.material import expressions as ex
+from pointsplat_addon.core.material.graph import (
     SampleInputs,
     bake,
     bakeable,
@@ -20,9 +17,14 @@ from pointsplat_addon.core.materials import (  # noqa: E402
     suggested_resolution,
     triangle_tangents,
 )
-from pointsplat_addon.host.convert import images  # noqa: E402
-from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key  # noqa: E402
-from pointsplat_addon.host.convert.nodes import curve_table  # noqa: E402
+from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
+from pointsplat_addon.host.convert import images
+from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key
+from pointsplat_addon.host.convert.nodes import curve_table
+from tests.support.nodes import (
+    new_material,
+    node,
+)
 
 TILE = 24  # pixels along a side of each case's plane
 CORNERS = np.array([(-0.5, -0.5, 0), (0.5, -0.5, 0), (0.5, 0.5, 0), (-0.5, 0.5, 0)], np.float32)

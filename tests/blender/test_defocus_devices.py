@@ -8,9 +8,9 @@ import pytest
 bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
-from pointsplat_addon.core.scene import Aperture  # noqa: E402
-from tests.blender.test_devices_agree import blender, opengl, pictures  # noqa: E402, F401
-from tests.render.scenes import CASES  # noqa: E402
+from pointsplat_addon.core.scene.scene import Aperture
+from tests.blender.test_devices_agree import blender, opengl, pictures  # noqa: F401
+from tests.support.scenes import CASES
 
 
 @pytest.mark.parametrize("name", ["mixed", "parallel", "strands", "smoke", "tinted_smoke", "environment", "holdout"])

@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import pytest
 
-from pointsplat_addon.core.cost import Costs
+from pointsplat_addon.core.lod.cost import Costs
 from pointsplat_addon.host import device_costs
 
 

@@ -10,12 +10,15 @@ import pytest
 bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
-from pointsplat_addon.devices.blender_gpu import BlenderDevice  # noqa: E402 - needs Blender
-from pointsplat_addon.devices.opengl import OpenGLDevice  # noqa: E402
-from pointsplat_addon.render.outputs import BACKGROUND_DEPTH  # noqa: E402
-from pointsplat_addon.render.renderer import Renderer  # noqa: E402
-from tests.blender.test_blender_gpu import start_gpu  # noqa: E402
-from tests.render.scenes import CASES, Case  # noqa: E402
+from pointsplat_addon.devices.blender_gpu import BlenderDevice
+from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
+from pointsplat_addon.render.renderer import Renderer
+from tests.blender.test_blender_gpu import start_gpu
+from tests.support.scenes import (
+    CASES,
+    Case,
+)
 
 Pictures = dict[str, np.ndarray]
 COLORS = ("combined", "normal", "albedo", "mist")

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
-import exr
 import numpy as np
 import pytest
 
 import pointsplat_addon
+from tests.support import exr
 
 NEW_NAMES = bpy.app.version >= (5, 0, 0)
 
@@ -216,7 +216,7 @@ def failing(monkeypatch):
 
     def fail(*names):
         from pointsplat_addon.host import gl_thread, main_gpu
-        from pointsplat_addon.render.device import DeviceError
+        from pointsplat_addon.render.device.protocol import DeviceError
 
         def raising(*_arguments):
             raise DeviceError("taken away by the test")

@@ -6,8 +6,11 @@ import pytest
 bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
-from tests.blender.test_devices_agree import blender, opengl, pictures  # noqa: E402, F401
-from tests.render.test_ewa_cover import SCENES, case  # noqa: E402
+from tests.blender.test_devices_agree import blender, opengl, pictures  # noqa: F401
+from tests.render.passes.test_ewa_cover import (
+    SCENES,
+    case,
+)
 
 
 @pytest.mark.parametrize("name", ["with a hole", "wide, behind wires"])

@@ -1,4 +1,4 @@
-"""Light on one hair, of which Cycles' pixels show all the width, against the reference in core/hair.py."""
+"""Light on one hair, of which Cycles' pixels show all the width, against the reference in core/light/hair.py."""
 
 from pathlib import Path
 
@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from pointsplat_addon.core.hair import Fibre, scattered
-from tests.blender.nodes import new_material, node
+from pointsplat_addon.core.light.hair import Fibre, scattered
+from tests.support.nodes import new_material, node
 
 pytestmark = pytest.mark.usefixtures("empty_file")
 COLOR = np.array([[0.5, 0.3, 0.15]])

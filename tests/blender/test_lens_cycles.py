@@ -7,13 +7,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from mathutils import Euler, Matrix  # noqa: E402
+from mathutils import Euler, Matrix
 
-import pointsplat_addon  # noqa: E402
-from pointsplat_addon.core.lens import confusion  # noqa: E402
-from pointsplat_addon.core.scene import Aperture  # noqa: E402
-from pointsplat_addon.host.convert import camera as cameras  # noqa: E402
-from tests.blender.test_camera import glowing, picture  # noqa: E402
+import pointsplat_addon
+from pointsplat_addon.core.lens.thin_lens import confusion
+from pointsplat_addon.core.scene.scene import Aperture
+from pointsplat_addon.host.convert import camera as cameras
+from tests.blender.test_camera import glowing, picture
 
 WIDTH, HEIGHT, FOCUS = 96, 72, 5.0
 

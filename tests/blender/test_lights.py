@@ -7,10 +7,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from mathutils import Euler, Matrix  # noqa: E402
+from mathutils import Euler, Matrix
 
-from pointsplat_addon.core import lighting  # noqa: E402
-from pointsplat_addon.host.convert import lights, world  # noqa: E402
+from pointsplat_addon.core.light import lighting
+from pointsplat_addon.host.convert import lights, world
 
 SIZE = 20
 

@@ -7,10 +7,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import pointsplat_addon  # noqa: E402
-from pointsplat_addon.core.curves import FREE  # noqa: E402
-from scripts.compare import iou  # noqa: E402
-from tests.blender.test_silhouettes import alpha  # noqa: E402
+import pointsplat_addon
+from pointsplat_addon.core.strand.curves import FREE
+from scripts.compare import iou
+from tests.blender.test_silhouettes import alpha
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-import compare_media as media  # noqa: E402
+import compare_media as media
 
-import pointsplat_addon  # noqa: E402
+import pointsplat_addon
 
 
 @pytest.fixture(autouse=True)

@@ -9,10 +9,10 @@ import bpy
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.cryptomatte import cryptomatte_hash
+from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
 from scripts.compare import iou
-from tests.blender import exr
-from tests.blender.nodes import new_material, node
+from tests.support import exr
+from tests.support.nodes import new_material, node
 
 NEW_NAMES = bpy.app.version >= (5, 0, 0)
 ALIKE = 0.95  # IoU of silhouettes; measured 0.971 and more
@@ -112,7 +112,7 @@ def test_kinks_and_children_are_where_cycles_has_them(scene, tmp_path, settings)
 
 @pytest.mark.parametrize("children", [{}, {"child_type": "SIMPLE", "child_percent": 10}])
 def test_the_viewport_shows_a_share_of_the_hair_and_finds_nothing_wrong_with_it(children):
-    from pointsplat_addon.core.strands import clean
+    from pointsplat_addon.core.strand.selection import clean
 
     whole = furry(count=100, **children)
     every = strands(sync())

@@ -7,10 +7,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from mathutils import Euler  # noqa: E402
+from mathutils import Euler
 
-import pointsplat_addon  # noqa: E402
-from scripts.compare import COVERED, eroded, iou  # noqa: E402
+import pointsplat_addon
+from scripts.compare import COVERED, eroded, iou
 
 
 @pytest.fixture

@@ -10,13 +10,17 @@ import pytest
 bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
-from gpu_extras.batch import batch_for_shader  # noqa: E402 - needs Blender
+from gpu_extras.batch import batch_for_shader
 
-from pointsplat_addon.devices.blender_gpu import BlenderDevice  # noqa: E402
-from pointsplat_addon.render.renderer import Renderer  # noqa: E402
-from pointsplat_addon.render.store import STORE  # noqa: E402
-from tests.blender.test_blender_gpu import start_gpu  # noqa: E402
-from tests.extreme.soak import KEPT, draw, soak  # noqa: E402
+from pointsplat_addon.devices.blender_gpu import BlenderDevice
+from pointsplat_addon.render.cache.store import STORE
+from pointsplat_addon.render.renderer import Renderer
+from tests.blender.test_blender_gpu import start_gpu
+from tests.support.soak import (
+    KEPT,
+    draw,
+    soak,
+)
 
 SIDE = 8  # pixels
 

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.cryptomatte import cryptomatte_hash
+from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
 
 pytestmark = pytest.mark.usefixtures("empty_file")
 

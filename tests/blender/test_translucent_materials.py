@@ -9,11 +9,16 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from nodes import new_material, node  # noqa: E402
-
-from pointsplat_addon.core.kernel import PEAK  # noqa: E402
-from pointsplat_addon.core.materials import SampleInputs, evaluate_samples  # noqa: E402
-from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key  # noqa: E402
+from pointsplat_addon.core.material.graph import (
+    SampleInputs,
+    evaluate_samples,
+)
+from pointsplat_addon.core.splat.kernel import PEAK
+from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key
+from tests.support.nodes import (
+    new_material,
+    node,
+)
 
 FRESNEL = 0.04  # of glass with an index of refraction of 1.5, at normal incidence
 

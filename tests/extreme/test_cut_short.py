@@ -13,16 +13,16 @@ from itertools import count
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene import Aperture
+from pointsplat_addon.core.scene.scene import Aperture
 from pointsplat_addon.devices.null import NullDevice, NullTarget, NullTexture, NullTimer
-from pointsplat_addon.render.clock import MOST_OPEN
-from pointsplat_addon.render.device import DeviceError, Texture
+from pointsplat_addon.render.cache.store import STORE
+from pointsplat_addon.render.device.clock import MOST_OPEN
+from pointsplat_addon.render.device.protocol import DeviceError, Texture
+from pointsplat_addon.render.frame.report import report
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.report import report
-from pointsplat_addon.render.request import Request
-from pointsplat_addon.render.store import STORE
-from tests.extreme.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
-from tests.render.scenes import ALL_PASSES, Case, camera
+from tests.support.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
+from tests.support.scenes import ALL_PASSES, Case, camera
 
 SAMPLES = 6  # so many that tiles are asked whether they need more
 

@@ -1,7 +1,7 @@
 """Files from anywhere: truncated, with flipped bits, and with headers that claim what is not there.
 
 A reader gives what the file holds or an error that it is said to raise; it takes no longer, and no more memory, than
-the bytes that are there account for. `tests/core/test_hierarchy_cache.py` and `tests/core/test_dense.py` have the named
+the bytes that are there account for. `tests/formats/test_hierarchy_cache.py` and `tests/formats/test_dense.py` have the named
 cases.
 """
 
@@ -19,11 +19,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pointsplat_addon.core import hierarchy
-from pointsplat_addon.core.cloud import PointCloud
+from pointsplat_addon.core.lod import hierarchy
+from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.formats import dense, hierarchy_cache
-from tests.core.test_dense import nifti
-from tests.render.scenes import sphere_cloud
+from tests.formats.test_dense import nifti
+from tests.support.scenes import sphere_cloud
 
 SMALL = 1 << 24  # bytes that Python, NumPy and zlib take for themselves
 ARRAY = np.arange(60, dtype=np.int16).reshape(3, 4, 5)

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointsplat_addon.core import lighting, reference
-from pointsplat_addon.core.scene import Light, Settings, World
-from tests.extreme.extremes import TECHNIQUES, lamp, picture
-from tests.render.scenes import Case, camera, materials, mesh, moved, plane_mesh, scene
+from pointsplat_addon.core.light import lighting
+from pointsplat_addon.core.scene.scene import Light, Settings, World
+from tests.reference import opaque
+from tests.support.extremes import TECHNIQUES, lamp, picture
+from tests.support.scenes import Case, camera, materials, mesh, moved, plane_mesh, scene
 
 KINDS = ("POINT", "SPOT", "AREA")
 MATTE = {"base_color": [[1.0, 1, 1]], "roughness": [1.0], "specular": [0.0]}
@@ -25,7 +26,7 @@ def plain() -> lighting.Surface:
 
 
 def test_the_inverse_square_law_from_1e_9_to_1e9(within):
-    """core/lighting.py, which is the reference: the radiance of a white surface under a lamp at each distance."""
+    """core/light/lighting.py, which is the reference: the radiance of a white surface under a lamp at each distance."""
     up = np.array([[0.0, 0, 1]])
     for distance in DISTANCES:
         light = Light("POINT", np.full(3, 7.0), np.array([0, 0, distance]), np.array([0.0, 0, -1]))
@@ -45,7 +46,7 @@ def test_lamps_at_any_distance_shade_as_the_reference(kind, distance, within):
     made = scene(wall, lights=[light], world=World(), table=materials(**MATTE))
     eye = camera((0, -2 * distance, 0.2 * distance), resolution=(12, 9), near=0.1 * distance, far=10 * distance)
     case = Case(made, eye, Settings(use_shadows=False))
-    found, exact = picture(case), reference.picture(made, eye).combined
+    found, exact = picture(case), opaque.picture(made, eye).combined
     assert exact[..., :3].max() > 0.05
     error = np.abs(found - exact)[..., :3].max() / exact[..., :3].max()
     within("lamps at 1e-9 to 1e9, whose pictures are as large", "error over the brightest", error, 5e-4)

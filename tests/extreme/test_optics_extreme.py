@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointsplat_addon.core import shadow
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.kernel import PEAK
-from pointsplat_addon.core.scene import Light, Settings, World
-from tests.extreme.extremes import TECHNIQUES, picture
-from tests.render.scenes import Case, camera, moved, points, scene
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import Light, Settings, World
+from pointsplat_addon.core.shadow import builder
+from pointsplat_addon.core.splat.kernel import PEAK
+from tests.support.extremes import TECHNIQUES, picture
+from tests.support.scenes import Case, camera, moved, points, scene
 
 WHITE = World(np.ones(3))
 UNLIT = Settings(use_shadows=False)
@@ -91,7 +91,9 @@ def test_shadows_of_a_hundred_thousand_layers(depth, within):
     z = np.linspace(2, -2, 41)
 
     def depths(cloud: PointCloud) -> np.ndarray:
-        found = shadow.build(sun, [shadow.casters(cloud, np.eye(4))], 256).optical_depth(np.stack([0 * z, 0 * z, z], 1))
+        found = builder.build(sun, [builder.casters(cloud, np.eye(4))], 256).optical_depth(
+            np.stack([0 * z, 0 * z, z], 1)
+        )
         assert np.isfinite(found).all()
         return found.astype(np.float64)
 
@@ -112,7 +114,7 @@ def test_shadows_of_stiff_media_are_finite_and_only_grow(exponent, seed, lamp, w
     position[:, 2] = rng.uniform(-1, 1, len(exponent))
     cloud = media(position, 0.3, 10.0 ** np.array(exponent))
     light = Light(lamp, np.ones(3), np.array([0.0, 0, 5]), DOWN)
-    built = shadow.build(light, [shadow.casters(cloud, np.eye(4))], 64)
+    built = builder.build(light, [builder.casters(cloud, np.eye(4))], 64)
     z = np.linspace(1.9, -1.9, 39)
     found = built.transmittance(np.stack([0 * z, 0 * z, z], axis=1)).astype(np.float64)
     assert np.isfinite(found).all()

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.extreme.extremes import TECHNIQUES, all_kinds, picture, scaled, shifted
-from tests.render.scenes import CASES, Case, camera, empty, moved, points, scene, sphere_cloud
+from tests.support.extremes import TECHNIQUES, all_kinds, picture, scaled, shifted
+from tests.support.scenes import CASES, Case, camera, empty, moved, points, scene, sphere_cloud
 
 # These have extents of their own; the last two are large, and many.
 LEFT_OUT = ("not_finite", "scales", "far_away", "empty", "many_towers", "split_mesh")

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointsplat_addon.core import hierarchy as h
-from pointsplat_addon.core import reference, sampling
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.scene import Settings
-from pointsplat_addon.render.outputs import BACKGROUND_DEPTH
-from tests.extreme.extremes import FEW, SHADOWED, TECHNIQUES, every_pass, picture
-from tests.render.scenes import (
+from pointsplat_addon.core.lod import hierarchy as h
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import Settings
+from pointsplat_addon.core.surface import sampling
+from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
+from tests.reference import opaque
+from tests.support.extremes import FEW, SHADOWED, TECHNIQUES, every_pass, picture
+from tests.support.scenes import (
     Case,
     camera,
     cube_mesh,
@@ -185,7 +186,7 @@ def test_transformed_polygons_against_the_reference(name, within):
     eye = camera((0.5, -5, 1), resolution=(48, 40))
     block = cube_mesh("transformed cube", 0.8)
     case = Case(scene((mesh(block, "POLYGONS"), turn @ back @ matrix)), eye, PLAIN)
-    found, exact = every_pass(case), reference.picture(case.scene, eye)
+    found, exact = every_pass(case), opaque.picture(case.scene, eye)
     there = exact.depth < BACKGROUND_DEPTH
     assert there.sum() > 100
     missed = np.mean((found["depth"][..., 0] < BACKGROUND_DEPTH) != there)

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 
 from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.store import STORE
-from tests.extreme.soak import KEPT, draw, soak
+from tests.support.soak import KEPT, draw, soak
 
 
 @pytest.fixture

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene import Aperture
+from pointsplat_addon.core.scene.scene import Aperture
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render import uploads
-from pointsplat_addon.render.frame import Frame
+from pointsplat_addon.render.frame import uploads
+from pointsplat_addon.render.frame.frame import Frame
+from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.request import Request
-from tests.extreme.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
-from tests.render import scenes
-from tests.render.scenes import camera
+from tests.support import scenes
+from tests.support.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
+from tests.support.scenes import camera
 
 SAMPLES = 8  # so many that what lies in smoke is lit anew between them, by another part of each lamp
 LOOKS = {name: (None, {"technique": name}) for name in TECHNIQUES}

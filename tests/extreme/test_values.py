@@ -1,7 +1,7 @@
 """Denormals, NaN, infinities and numbers that float32 cannot square, in every attribute of all that is drawn.
 
 Everything stays finite, nothing is darker than black or more than opaque, and what is wrong in one thing stays in it:
-the rest of the picture is as without that thing. Media: tests/render/test_translucent_extremes.py.
+the rest of the picture is as without that thing. Media: tests/render/passes/test_translucent_extremes.py.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointsplat_addon.core import expressions as ex
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.materials import MaterialGraph
-from pointsplat_addon.core.scene import Aperture, Geometry, Settings, World
-from pointsplat_addon.render.device import half
-from tests.extreme.extremes import FEW, SHADOWED, TECHNIQUES, all_kinds, every_pass, lamp, picture, without
-from tests.render import scenes
-from tests.render.scenes import Case, camera, materials, mesh, moved, plane_cloud, points, scene, sphere_cloud
+from pointsplat_addon.core.material import expressions as ex
+from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import Aperture, Geometry, Settings, World
+from pointsplat_addon.render.device.protocol import half
+from tests.support import scenes
+from tests.support.extremes import FEW, SHADOWED, TECHNIQUES, all_kinds, every_pass, lamp, picture, without
+from tests.support.scenes import Case, camera, materials, mesh, moved, plane_cloud, points, scene, sphere_cloud
 
 ODD = (np.nan, np.inf, -np.inf, 1e-42, -1e30, 3e38)
 PLAIN = Settings(use_shadows=False)
@@ -325,8 +325,8 @@ def test_half_floats_hold_the_nearest_of_what_they_can():
 
 def test_nothing_that_is_sound_is_changed():
     """Neither scenes, nor clouds, that have nothing odd in them are copied."""
-    from pointsplat_addon.core.cloud import finite
-    from pointsplat_addon.core.sound import sound
+    from pointsplat_addon.core.scene.cloud import finite
+    from pointsplat_addon.core.scene.validation import sound
 
     case = scenes.lights()
     assert sound(case.scene) == (case.scene, ())

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointsplat_addon.core import reference
-from pointsplat_addon.core.cloud import PointCloud
-from pointsplat_addon.core.scene import Geometry, Mesh, Settings, Volume, World
-from pointsplat_addon.render.outputs import BACKGROUND_DEPTH
-from tests.extreme.extremes import FEW, SHADOWED, TECHNIQUES, all_kinds, every_pass, picture, without
-from tests.render import scenes
-from tests.render.scenes import Case, camera, cube_mesh, mesh, moved, points, scene, sphere_cloud, strand_lines
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import Geometry, Mesh, Settings, Volume, World
+from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
+from tests.reference import opaque
+from tests.support import scenes
+from tests.support.extremes import FEW, SHADOWED, TECHNIQUES, all_kinds, every_pass, picture, without
+from tests.support.scenes import Case, camera, cube_mesh, mesh, moved, points, scene, sphere_cloud, strand_lines
 
 # Near and far planes
 
@@ -43,7 +43,7 @@ def test_depths_of_nine_decades_in_one_picture(kind, within):
     eye = camera((0, 0, 0), (0, 1, 0), resolution=(72, 12), field_of_view=50, near=0.5, far=5e8)
     case = Case(scene(*things), eye, Settings(use_shadows=False))
     found = every_pass(case)
-    exact = reference.picture(case.scene, eye)
+    exact = opaque.picture(case.scene, eye)
     depth = found["depth"][..., 0]
     both = (depth < BACKGROUND_DEPTH) & (exact.depth < BACKGROUND_DEPTH)
     assert len(np.unique(exact.instance[both])) == 9
@@ -66,7 +66,7 @@ def test_fields_of_view_against_the_reference(angle, within):
     case = Case(
         scene((mesh(cube_mesh("seen by any lens", 1.0), "POLYGONS"), moved())), eye, Settings(use_shadows=False)
     )
-    found, exact = picture(case), reference.picture(case.scene, eye)
+    found, exact = picture(case), opaque.picture(case.scene, eye)
     there = exact.depth < BACKGROUND_DEPTH
     assert there.sum() > 300
     depth = every_pass(case)["depth"][..., 0]
@@ -117,7 +117,7 @@ def test_one_pixel_is_the_mean_of_many(technique, within):
 
 @given(size=st.tuples(st.integers(1, 40), st.integers(1, 40)), border=st.tuples(*[st.floats(0, 1)] * 4))
 def test_any_border_of_any_picture(size, border):
-    """Finite, and of its size; tests/render/test_frame.py compares borders with the whole."""
+    """Finite, and of its size; tests/render/frame/test_frame.py compares borders with the whole."""
     case = all_kinds("any border")
     (left, bottom), (right, top) = (
         [min(int(f * s), s - 1) for f, s in zip(part, size, strict=True)] for part in (border[:2], border[2:])
@@ -151,7 +151,7 @@ def test_the_longest_pictures_against_the_reference(size, within):
     made = scene((mesh(wall, "POLYGONS"), moved()))
     eye = camera((0, -40, 0), (0, 0, 0), resolution=size, parallel=64.0, far=100)
     case = Case(made, eye, Settings(use_shadows=False))
-    found, exact = every_pass(case), reference.picture(made, eye)
+    found, exact = every_pass(case), opaque.picture(made, eye)
     there = exact.depth < BACKGROUND_DEPTH
     assert there.sum() == 8192
     missed = np.mean((found["depth"][..., 0] < BACKGROUND_DEPTH) != there)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ...core.scene import Aperture, Camera
+from ...core.scene.scene import Aperture, Camera
 
 LEAST_FOCUS = 1e-5  # world units: a distance of zero is taken for it, and everything is far out of focus
 LEAST_STOP = 1e-5  # Cycles': what the F-stop is divided by
@@ -111,7 +111,7 @@ def _from_object(
 ) -> Camera:
     render = depsgraph.scene.render
     length = np.linalg.norm(world_from_object[:3, :3], axis=0)
-    # A camera that is scaled to nothing has no such directions: core/sound.py tells.
+    # A camera that is scaled to nothing has no such directions: core/scene/validation.py tells.
     rotation = world_from_object[:3, :3] / np.where(length > 0, length, 1.0)
     view_from_world = np.eye(4)
     # Rows rather than a general inverse: exactly rigid whatever float32 made of the matrix.

@@ -14,11 +14,11 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core import curves as core
-from ...core.lines import Lines, owners
-from ...core.materials import Needs, SampleInputs, evaluate_samples, needs
-from ...core.pigment import random_of_strands, strand_attribute
-from ...core.textures import linear_from_srgb
+from ...core.material.graph import Needs, SampleInputs, evaluate_samples, needs
+from ...core.material.hair_color import random_of_strands, strand_attribute
+from ...core.material.textures import linear_from_srgb
+from ...core.scene.strands import Lines, owners
+from ...core.strand import curves as core
 from . import arrays
 from .mesh import COLOR_TYPES, as_color
 from .pointcloud import CloudMaterial, contiguous, surface_of, unit

@@ -5,8 +5,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...core import expressions as ex
-from ...core.scene import Light
+from ...core.material import expressions as ex
+from ...core.scene.scene import Light
 from .nodes import Path, Walker, resolve
 
 

@@ -14,11 +14,11 @@ from dataclasses import dataclass, fields, replace
 import bpy
 import numpy as np
 
-from ...core import expressions as ex
-from ...core.cryptomatte import cryptomatte_hash
-from ...core.materials import CHANNELS, MaterialGraph, is_mask
-from ...core.pigment import Pigment
-from ...core.scene import HairTable, MaterialTable, Medium, default_materials
+from ...core.material import expressions as ex
+from ...core.material.graph import CHANNELS, MaterialGraph, is_mask
+from ...core.material.hair_color import Pigment
+from ...core.scene.cryptomatte import cryptomatte_hash
+from ...core.scene.scene import HairTable, MaterialTable, Medium, default_materials
 from .media import medium_of
 from .nodes import Hair, Path, Reader, UnsupportedNodeError, Walker, default, of_strand, resolve
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import bpy
 import numpy as np
 
-from ...core import expressions as ex
-from ...core.scene import Medium
+from ...core.material import expressions as ex
+from ...core.scene.scene import Medium
 from .nodes import Path, Reader, UnsupportedNodeError, Walker, default, resolve
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...core import expressions as ex
-from ...core.pigment import strand_attribute
+from ...core.material import expressions as ex
+from ...core.material.hair_color import strand_attribute
 from .images import convert_image
 
 Path = tuple[bpy.types.Node, ...]  # the group nodes that lead to a tree, outermost first

@@ -13,12 +13,12 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.appearance import CLIP, ball_extinction
-from ...core.cloud import PointCloud
-from ...core.kernel import PROFILES
-from ...core.materials import MaterialGraph, Needs, SampleInputs, evaluate_samples, needs
-from ...core.scene import MaterialTable, Medium, Volume
-from ...core.volumes import optics
+from ...core.material.graph import MaterialGraph, Needs, SampleInputs, evaluate_samples, needs
+from ...core.scene.cloud import PointCloud
+from ...core.scene.scene import MaterialTable, Medium, Volume
+from ...core.splat.kernel import PROFILES
+from ...core.surface.appearance import CLIP, ball_extinction
+from ...core.volume.voxels import optics
 from . import arrays
 from .mesh import COLOR_TYPES, as_color
 

@@ -6,9 +6,9 @@ import bpy
 import numpy as np
 from mathutils import Euler
 
-from ...core.expressions import Image
-from ...core.scene import World
-from ...core.textures import linear_from_srgb
+from ...core.material.expressions import Image
+from ...core.material.textures import linear_from_srgb
+from ...core.scene.scene import World
 from .images import convert_image
 from .lights import constant
 from .nodes import Path, resolve

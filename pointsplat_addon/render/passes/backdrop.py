@@ -1,22 +1,22 @@
 """The world out of focus, once for a view: sharp on a coarse grid, and blurred there by the disk of confusion of what
-is infinitely far (core/backdrop.py). Whoever draws the background looks it up (lib/backdrop.glsl)."""
+is infinitely far (core/lens/backdrop.py). Whoever draws the background looks it up (lib/light/backdrop.glsl)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ...core.backdrop import Grid
+from ...core.lens.backdrop import Grid
 from ...shading.interface import Interface
-from ..device import Device, Texture
+from ..device.protocol import Device, Texture
 from .common import FRAME
 
 SHARP = Interface(
-    "backdrop", fragment="backdrop.frag", block=FRAME, outputs=(("vec4", "out_color"),),
+    "backdrop", fragment="shading/backdrop.frag", block=FRAME, outputs=(("vec4", "out_color"),),
     samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in ("lights", "environment", "levels")),
     defines=(("PS_HAS_ENVIRONMENT", "1"),),
 )  # fmt: skip
 BLUR = Interface(
-    "backdrop_blur", fragment="backdrop_blur.frag", block=FRAME, outputs=(("vec4", "out_color"),),
+    "backdrop_blur", fragment="shading/backdrop_blur.frag", block=FRAME, outputs=(("vec4", "out_color"),),
     samplers=(("FLOAT_2D", "ps_sharp"),),
 )  # fmt: skip
 

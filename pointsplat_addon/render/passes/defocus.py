@@ -1,9 +1,9 @@
 """What is out of focus, and what is translucent before and behind it: each pixel goes through the splats of its tile
-from the front (core/defocus.py), once for all samples of the picture.
+from the front (core/lens/defocus.py), once for all samples of the picture.
 
 The pass `light` (passes/translucent.py) leaves of each splat, one texel each:
   place   centre in pixels from the principal point, depth, kernel's middle: share of the lens; optical depth
-  shape   inverse of the covariance (xx, xy, yy); exponent of the kernel, plus what kind it is (lib/defocus.glsl)
+  shape   inverse of the covariance (xx, xy, yy); exponent of the kernel, plus what kind it is (lib/splat/defocus.glsl)
   source  radiance, reach in depth
   tint    as in passes/translucent.py
 Tiles hold the column and the row at which their entries begin in the list, and their number.
@@ -15,14 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.defocus import FAINT, RIM
-from ...core.octree import starts
+from ...core.lens.defocus import FAINT, RIM
+from ...core.lod.octree import starts
 from ...shading.interface import Interface
-from ..device import Device, Target, Texture, whole
-from ..packing import PAGE_WIDTH, paged
-from ..tiles import TILE_DEFINE
+from ..device.packing import PAGE_WIDTH, paged
+from ..device.protocol import Device, Target, Texture, whole
 from .common import FRAME
 from .shade import lighting_defines, lighting_samplers
+from .tiles import TILE_DEFINE
 
 TILE = 4  # pixels on a side of tiles
 MOST_ENTRIES = 1 << 24  # of all tiles: beyond it they are made larger
@@ -42,7 +42,7 @@ def defocus_program(
     read = ["splat_place", "shape", "source", "list", "tiles", "focused", "focus"]
     read += ["tint"] * tint + ["counts"] * adaptive
     return Interface(
-        "defocus", fragment="defocus.frag", block=FRAME, outputs=(("vec4", "out_combined"),),
+        "defocus", fragment="defocus/gather.frag", block=FRAME, outputs=(("vec4", "out_combined"),),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(world)),
         defines=(*lighting_defines(world), ("PS_TILE_SIZE", str(tile)), *((TILE_DEFINE,) if adaptive else ()),
                  *((name, "1") for name, on in named.items() if on)),

@@ -28,19 +28,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.ewa import centres_decide, low_pass
-from ...core.scene import Camera
+from ...core.scene.scene import Camera
+from ...core.splat.ewa import centres_decide, low_pass
 from ...shading.interface import Interface
-from ..device import Device, Target, Texture, whole
-from ..packing import PAGE_WIDTH, paged
-from ..tiles import TILE, Region
+from ..device.packing import PAGE_WIDTH, paged
+from ..device.protocol import Device, Target, Texture, whole
 from . import ewa_cover
 from .common import FRAME, GBuffer, Variant
 from .points import PageDraw, PointOptions, attributes
+from .tiles import TILE, Region
 
-WIDEST_POINT = 32.0  # pixels of radius up to which shaders/ewa_splats.frag calls splats small
+WIDEST_POINT = 32.0  # pixels of radius up to which shaders/ewa/project.frag calls splats small
 AFFINE_ERROR = 0.1  # pixels, as there
-NODE_RIM = 6.0  # squared Mahalanobis distance, beyond CUTOFF: shaders/lib/ewa.glsl
+NODE_RIM = 6.0  # squared Mahalanobis distance, beyond CUTOFF: shaders/lib/splat/ewa.glsl
 JITTER = 1.0  # pixels that samples shift the picture by at most
 CHUNK = 1 << 20  # splats of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
 ATTRIBUTES = ("normal", "color", "emission")  # of the G-buffer, that are blended
@@ -89,13 +89,13 @@ def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaProg
     cull = (("FLOAT_2D", "ps_materials"),) if points.cull else ()
     blended = _blended(variant)
     splats = Interface(
-        "splats", fragment="ewa_splats.frag", block=FRAME, samplers=(*samplers, *cull),
+        "splats", fragment="ewa/project.frag", block=FRAME, samplers=(*samplers, *cull),
         outputs=tuple(("vec4", f"out_{name}") for name in ("place", "shape", "front", *blended)),
         defines=(*named, *flagged, *defines),
     )  # fmt: skip
     hard = (("PS_HARD", "1"),) if ewa.hard else ()
     normalise = Interface(
-        "normalise", fragment="ewa_normalise.frag", block=FRAME,
+        "normalise", fragment="ewa/normalise.frag", block=FRAME,
         samplers=tuple(("FLOAT_2D", name) for name in ("ps_nearest", *(f"ps_sum_{n}" for n in ("place", *blended)))),
         outputs=variant.front_outputs, depth=points.depth,
         defines=(*variant.front_defines, *((("PS_DEPTH", "1"),) if points.depth else ()), *hard),
@@ -137,8 +137,8 @@ def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool,
         defines += [(name, "1") for name, on in flags.items() if on]
     return Interface(
         "blend" if blend else "visibility",
-        vertex="ewa_large.vert" if large else "ewa.vert",
-        fragment="ewa.frag", block=FRAME, samplers=tuple(samplers),
+        vertex="ewa/large.vert" if large else "ewa/blend.vert",
+        fragment="ewa/blend.frag", block=FRAME, samplers=tuple(samplers),
         varyings=tuple(("flat", "vec4", name) for name in names),
         outputs=outputs, defines=tuple(defines), depth=not blend,
     )  # fmt: skip
@@ -177,7 +177,7 @@ class Splats:
         self.found = {"first": first, "then": then, "large": np.flatnonzero(~odd & (kind != 0))}
 
     def keep(self, first: np.ndarray, needed: np.ndarray) -> None:
-        """Of what was found, visibility drew `first`; `needed`, of each element: what shaders/ewa_needed.frag says."""
+        """Of what was found, visibility drew `first`; `needed`, of each element: what shaders/ewa/needed.frag says."""
         small = np.concatenate([self.found["first"], self.found["then"]])
         drawn = np.zeros(len(needed), bool)
         drawn[first] = True

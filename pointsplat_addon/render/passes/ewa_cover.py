@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...shading.interface import Interface
-from ..device import Device, Target, Texture, whole
-from ..tiles import TILE
+from ..device.protocol import Device, Target, Texture, whole
 from .common import FRAME
+from .tiles import TILE
 
 LEAST_SPLATS = 1 << 15  # with fewer there is little to save
 CLOSED = (
@@ -32,18 +32,18 @@ FULL = 6.0  # pixels from their middles that kernels reach whose windows are of 
 WIDER = 0.9  # quantile of the kernels' widths that windows are made for
 LOOKED_AT = 2048  # of them, for what is open around them
 ENOUGH = 0.5  # share with nothing open around them, below which too few are hidden
-HIDDEN, COVERED = 0.0, 1.0  # what shaders/ewa_needed.frag says of a splat
+HIDDEN, COVERED = 0.0, 1.0  # what shaders/ewa/needed.frag says of a splat
 
 SIZES = Interface(
-    "sizes", fragment="ewa_sizes.frag", block=FRAME, outputs=(("vec4", "out_size"),),
+    "sizes", fragment="ewa/sizes.frag", block=FRAME, outputs=(("vec4", "out_size"),),
     samplers=(("FLOAT_2D", "ps_list"), ("FLOAT_2D", "ps_splat_place"), ("FLOAT_2D", "ps_splat_shape")),
 )  # fmt: skip
 WINDOW = Interface(
-    "open", fragment="ewa_open.frag", block=FRAME, samplers=(("FLOAT_2D", "ps_open"),), outputs=(("float", "out_open"),)
+    "open", fragment="ewa/open.frag", block=FRAME, samplers=(("FLOAT_2D", "ps_open"),), outputs=(("float", "out_open"),)
 )
 FIRST = WINDOW.with_defines("PS_FIRST")
 NEEDED = Interface(
-    "needed", fragment="ewa_needed.frag", block=FRAME, outputs=(("float", "out_needed"),),
+    "needed", fragment="ewa/needed.frag", block=FRAME, outputs=(("float", "out_needed"),),
     samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in
                    ("splat_place", "splat_shape", "splat_front", "nearest", "open")),
 )  # fmt: skip

@@ -8,7 +8,7 @@ A page holds the points of one geometry, texture by texture, one texel a point:
 Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of thin ones share
 of the raster line's width at both ends, phase; of wide ones the points where the strand ends, as far as they are near,
 or -1: tubes end there in a plane. Lists hold the texel of each segment that is drawn. Thin ones are raster lines
-of one pixel and have a list for each sample: core/strands.py says which. The others have one for all samples: tubes
+of one pixel and have a list for each sample: core/strand/selection.py says which. The others have one for all samples: tubes
 that may be seen to be round are met by the pixels' rays; narrower ones are strips that face the eye, as ribbons are.
 """
 
@@ -16,12 +16,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.lines import Lines
-from ...core.scene import MaterialTable
-from ...core.strands import Segments, Strands
+from ...core.scene.scene import MaterialTable
+from ...core.scene.strands import Lines
+from ...core.strand.selection import Segments, Strands
 from ...shading.interface import Interface
-from ..device import Device, Texture, whole
-from ..packing import PAGE_WIDTH, paged
+from ..device.packing import PAGE_WIDTH, paged
+from ..device.protocol import Device, Texture, whole
 from .common import FRAME, GBuffer, Variant
 
 CHUNK = 1 << 20  # segments of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
@@ -132,7 +132,7 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
         varyings += [("smooth", "vec2", "v_share")] if thin else []
     kinds = {"PS_THIN": thin, "PS_RIBBON": ribbon, "PS_TUBE": tube}
     return Interface(
-        "lines", vertex="lines.vert", fragment="lines.frag", block=FRAME,
+        "lines", vertex="visibility/strands.vert", fragment="visibility/strands.frag", block=FRAME,
         samplers=tuple(("FLOAT_2D", name) for name in fetched),
         varyings=tuple(varyings), outputs=variant.front_outputs, depth=True,
         defines=(*variant.front_defines, *((name, "1") for name, on in kinds.items() if on)),

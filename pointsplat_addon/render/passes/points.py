@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.scene import MaterialTable
+from ...core.scene.scene import MaterialTable
 from ...shading.interface import Interface
-from ..device import EMPTY, Device, Target, Texture
-from ..packing import PAGE_WIDTH, paged
-from ..store import Layer, PointSet
-from ..tiles import TILE_DEFINE, Region
+from ..cache.store import Layer, PointSet
+from ..device.packing import PAGE_WIDTH, paged
+from ..device.protocol import EMPTY, Device, Target, Texture
 from .common import FRAME, GBuffer, Variant
 from .pages import SplatPage, extent, facets, filled, place, shading_normal
+from .tiles import TILE_DEFINE, Region
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
 DRAWN_LIMIT = 2**31 - 2**20  # indices of drawn splats are 32-bit
@@ -157,7 +157,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     defines = tuple((name, "1") for name, on in names if on)
     nearest = Interface(
         "project",
-        compute="project.comp",
+        compute="image_space/project.comp",
         block=FRAME,
         samplers=(*common, *cull),
         images=(("R32UI", "depth"),),
@@ -165,7 +165,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     )
     identify = Interface(
         "identify",
-        compute="project.comp",
+        compute="image_space/project.comp",
         block=FRAME,
         samplers=(*common, *cull, ("UINT_2D", "ps_depth")),
         images=(("R32UI", "ids"),),
@@ -173,7 +173,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     )
     mark = Interface(
         "mark",
-        compute="project.comp",
+        compute="image_space/project.comp",
         block=FRAME,
         samplers=(*common, *cull, ("FLOAT_2D", "ps_tiles")),
         images=(("R32UI", "marks"),),
@@ -181,8 +181,8 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     )
     raster = Interface(
         "project",
-        vertex="project.vert",
-        fragment="project.frag",
+        vertex="image_space/project.vert",
+        fragment="image_space/project.frag",
         block=FRAME,
         samplers=(*common, *cull),
         varyings=(
@@ -203,7 +203,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     }
     resolve = Interface(
         "resolve",
-        fragment="resolve.frag",
+        fragment="image_space/resolve.frag",
         block=FRAME,
         samplers=(*samplers, ("UINT_2D", "ps_ids")),
         outputs=variant.front_outputs,

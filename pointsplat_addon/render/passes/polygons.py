@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...core.appearance import at_corners, baked, corner_normals, graphs_of, pictured, uv_of
-from ...core.materials import MaterialGraph
-from ...core.scene import MaterialTable, Mesh
-from ...core.spacing import PART, Parts
+from ...core.material.graph import MaterialGraph
+from ...core.scene.scene import MaterialTable, Mesh
+from ...core.surface.appearance import at_corners, baked, corner_normals, graphs_of, pictured, uv_of
+from ...core.surface.density import PART, Parts
 from ...shading.interface import Interface
-from ..device import Device, Texture
-from ..packing import PAGE_WIDTH, pack_normal, paged
+from ..device.packing import PAGE_WIDTH, pack_normal, paged
+from ..device.protocol import Device, Texture
 from .common import FRAME, GBuffer, Variant
 
 LARGEST_PICTURE = 4096  # texels along a side of a baked picture
@@ -228,8 +228,8 @@ def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
     more = ((("PS_CULL", "1"),) if group.cull else ()) + ((("PS_PARTS", str(3 * PART)),) if parted else ())
     return Interface(
         "polygons",
-        vertex="polygon.vert",
-        fragment="polygon.frag",
+        vertex="visibility/polygon.vert",
+        fragment="visibility/polygon.frag",
         block=FRAME,
         samplers=tuple(samplers),
         varyings=tuple(varyings),

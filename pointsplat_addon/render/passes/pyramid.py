@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from ...shading.interface import Interface
-from ..device import Device
-from ..tiles import Region
+from ..device.protocol import Device
 from .common import FRAME, GBuffer, Variant
+from .tiles import Region
 
 FINEST_LEVELS = 2  # even sub-pixel splats leave some pixels without a centre
 
@@ -29,11 +29,11 @@ class Pyramid:
         sides = [tuple(-(-side // (1 << level)) for side in base.size) for level in range(1, count + 1)]
         self.levels = [base, *(GBuffer(device, variant, (width, height)) for width, height in sides)]
         self.pull_program = Interface(
-            "pull", fragment="pull.frag", block=FRAME, samplers=variant.samplers(), outputs=variant.front_outputs,
+            "pull", fragment="image_space/pull.frag", block=FRAME, samplers=variant.samplers(), outputs=variant.front_outputs,
             defines=tuple(entry for entry in variant.front_defines if entry[0] != "PS_SURFACE"),
         )  # fmt: skip
         self.fill_program = Interface(
-            "push", fragment="fill.frag", block=FRAME, outputs=variant.outputs(),
+            "push", fragment="image_space/push.frag", block=FRAME, outputs=variant.outputs(),
             samplers=(("FLOAT_2D", "ps_front"), *variant.samplers("ps_coarse_")),
             defines=tuple((name, "1") for name in variant.defines if name != "PS_SURFACE"),
         )  # fmt: skip

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.hair import texel
-from ...core.lighting import relative_index
-from ...core.scene import MaterialTable
+from ...core.light.hair import texel
+from ...core.light.lighting import relative_index
+from ...core.scene.scene import MaterialTable
 from ...shading.interface import Interface
-from ..device import Texture
-from ..outputs import BY_KEY
-from ..tiles import TILE_DEFINE
+from ..device.protocol import Texture
 from .common import FRAME, Variant
+from .outputs import BY_KEY
+from .tiles import TILE_DEFINE
 
 AVERAGED = {"normal": ("PS_OUT_NORMAL", "out_normal_pass"), "albedo": ("PS_OUT_ALBEDO", "out_albedo"),
             "mist": ("PS_OUT_MIST", "out_mist")}  # fmt: skip
@@ -67,7 +67,7 @@ def shade_program(
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
     return Interface(
-        "shade", fragment="shade.frag", block=FRAME,
+        "shade", fragment="shading/shade.frag", block=FRAME,
         outputs=(*_averaged_outputs(passes, combined), *((("vec4", "out_focus"),) if focus else ())),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
         defines=(*lighting_defines(lighting), *taps, *((name, "1") for name in names)),
@@ -91,7 +91,7 @@ def background_program(
     names = (*world, *_averaged_defines(passes), *(name for name, on in named.items() if on))
     read = () if everywhere else ("ps_place", "ps_shape") if coverage else ("ps_place",)
     return Interface(
-        "background", fragment="background.frag", block=FRAME, outputs=_averaged_outputs(passes, combined),
+        "background", fragment="shading/background.frag", block=FRAME, outputs=_averaged_outputs(passes, combined),
         samplers=(*(("FLOAT_2D", name) for name in read), *lighting_samplers(world)),
         defines=tuple((name, "1") for name in names),
     )  # fmt: skip
@@ -112,7 +112,7 @@ def lighting_defines(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
 
 
 def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    """What lib/lights.glsl reads."""
+    """What lib/light/lights.glsl reads."""
     wanted = (
         ("ps_lights", bool(lighting) and lighting != ("PS_BACKDROP",)),
         ("ps_backdrop", "PS_BACKDROP" in lighting),
@@ -130,7 +130,7 @@ def data_program(variant: Variant, passes: frozenset[str]) -> Interface:
         samplers.append(("FLOAT_2D", "ps_previous"))
     names = [DATA[name][0] for name in wanted] + (["PS_OWNER"] if variant.owner else [])
     return Interface(
-        "data", fragment="data.frag", block=FRAME, samplers=tuple(samplers),
+        "data", fragment="shading/data.frag", block=FRAME, samplers=tuple(samplers),
         outputs=tuple(("vec4", DATA[name][1]) for name in wanted),
         defines=tuple((name, "1") for name in names),
     )  # fmt: skip
@@ -138,10 +138,10 @@ def data_program(variant: Variant, passes: frozenset[str]) -> Interface:
 
 def present_program(surface: bool, adaptive: bool = False) -> Interface:
     """The finished picture into the viewport. `surface`: something has a depth. `adaptive`: pixels differ in how many
-    samples they have (render/tiles.py)."""
+    samples they have (render/passes/tiles.py)."""
     named = {"ps_place": surface, "ps_counts": adaptive}
     return Interface(
-        "present", vertex="present.vert", fragment="present.frag", block=FRAME,
+        "present", vertex="output/present.vert", fragment="output/present.frag", block=FRAME,
         samplers=(("FLOAT_2D", "ps_combined"), *(("FLOAT_2D", name) for name, on in named.items() if on)),
         varyings=(("smooth", "vec2", "v_place"),), outputs=(("vec4", "out_color"),), depth=True,
         defines=((("PS_SURFACES", "1"),) if surface else ()) + ((TILE_DEFINE,) if adaptive else ()),

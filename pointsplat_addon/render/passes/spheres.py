@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...shading.interface import Interface
-from ..device import Device, Texture
+from ..device.protocol import Device, Texture
 from .common import FRAME, GBuffer, Variant
 from .points import PageDraw, PointOptions, attributes
 
@@ -18,8 +18,8 @@ def program(variant: Variant, options: PointOptions) -> Interface:
     rows = tuple(("flat", "vec3", name) for name in ("v_centre", "v_row0", "v_row1", "v_row2", "v_element"))
     return Interface(
         "spheres",
-        vertex="sphere.vert",
-        fragment="sphere.frag",
+        vertex="visibility/sphere.vert",
+        fragment="visibility/sphere.frag",
         block=FRAME,
         samplers=samplers,
         varyings=rows,

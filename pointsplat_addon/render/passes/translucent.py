@@ -29,14 +29,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core import painter
-from ...core.cloud import PointCloud
-from ...core.kernel import PEAK, PROFILES, SUPPORT
-from ...core.scene import MaterialTable
+from ...core.scene.cloud import PointCloud
+from ...core.scene.scene import MaterialTable
+from ...core.splat import painter
+from ...core.splat.kernel import PEAK, PROFILES, SUPPORT
 from ...shading.interface import Interface
-from ..device import Device, Target, Texture, undone, whole
-from ..packing import PAGE_WIDTH
-from ..store import PointSet
+from ..cache.store import PointSet
+from ..device.packing import PAGE_WIDTH
+from ..device.protocol import Device, Target, Texture, undone, whole
 from .common import FRAME
 from .pages import SplatPage, extent, filled, place, shading_normal
 from .shade import MOST_LAMP_POINTS, lighting_defines, lighting_samplers
@@ -62,11 +62,11 @@ class TranslucentOptions:
     kernels: bool = False  # some have another kernel than the default
     holdout: bool = False  # some cut holes
     opaque: bool = False  # something opaque may hide them
-    fuzzy: bool = False  # some are opaque: core/painter.py
+    fuzzy: bool = False  # some are opaque: core/splat/painter.py
     cull: bool = False  # and some of these are not drawn where they show their backs
-    apart: bool = False  # and some of these stand apart: core/apart.py
+    apart: bool = False  # and some of these stand apart: core/lod/foliage.py
     defocus: bool = False  # for the pass of what is out of focus: passes/defocus.py
-    strands: bool = False  # some of these splats are pieces of strands: core/strand_splats.py
+    strands: bool = False  # some of these splats are pieces of strands: core/lens/strand_splats.py
 
     @property
     def attributes(self) -> tuple[tuple[str, bool], ...]:
@@ -230,7 +230,7 @@ def light_program(
         *(["tint"] if options.tint else []),
     ]
     return Interface(
-        "light", fragment="translucent_light.frag", block=FRAME,
+        "light", fragment="translucent/light.frag", block=FRAME,
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_{name}") for name in outputs),
         defines=(*lighting_defines(lighting), *known, *_fuzzy_defines(options, lighting),
@@ -245,7 +245,7 @@ def reach_program(options: TranslucentOptions, lighting: tuple[str, ...], lights
     read += ("shading_normal",) if options.shading_normal else ()
     defines = (*_fuzzy_defines(options, lighting), *((("PS_SHADING_NORMAL", "1"),) if options.shading_normal else ()))
     return Interface(
-        "reach", fragment="translucent_light.frag", block=FRAME,
+        "reach", fragment="translucent/light.frag", block=FRAME,
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_reach_{i}") for i in range(_reach_textures(lights, colored))),
         defines=(*lighting_defines(lighting), ("PS_REACH", str(lights)), *defines),
@@ -323,7 +323,7 @@ def draw_program(options: TranslucentOptions, channel: str) -> Interface:
         read.append("tint")
         defines.append(("PS_CHANNEL", str("RGB".index(channel[0]))))
     return Interface(
-        "translucent", vertex="translucent.vert", fragment="translucent.frag", block=FRAME,
+        "translucent", vertex="translucent/blend.vert", fragment="translucent/blend.frag", block=FRAME,
         samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),
         varyings=tuple(varyings), outputs=tuple(outputs), defines=tuple(defines),
     )  # fmt: skip
@@ -332,14 +332,14 @@ def draw_program(options: TranslucentOptions, channel: str) -> Interface:
 def depth_program(samplers: tuple[tuple[str, str], ...], normal: bool) -> Interface:
     """Depth of the opaque surface under each pixel's centre."""
     return Interface(
-        "opaque depth", fragment="translucent_depth.frag", block=FRAME, samplers=samplers,
+        "opaque depth", fragment="translucent/depth.frag", block=FRAME, samplers=samplers,
         outputs=(("float", "out_depth"),), defines=(("PS_NORMAL", "1"),) if normal else (),
     )  # fmt: skip
 
 
 # The coarse picture of a view that moves, over the fine one.
 ENLARGE = Interface(
-    "enlarge", fragment="translucent_enlarge.frag", block=FRAME, samplers=(("FLOAT_2D", "ps_coarse"),),
+    "enlarge", fragment="translucent/enlarge.frag", block=FRAME, samplers=(("FLOAT_2D", "ps_coarse"),),
     outputs=(("vec4", "out_color"),),
 )  # fmt: skip
 
@@ -347,7 +347,7 @@ ENLARGE = Interface(
 def add_program(options: TranslucentOptions) -> Interface:
     """One sample's picture to the sums."""
     return Interface(
-        "add", fragment="translucent_add.frag", block=FRAME,
+        "add", fragment="translucent/add.frag", block=FRAME,
         samplers=(("FLOAT_2D", "ps_layer"), *((("FLOAT_2D", "ps_cut"),) if options.holdout else ())),
         outputs=(("vec4", "out_combined"),), defines=(("PS_HOLDOUT", "1"),) if options.holdout else (),
     )  # fmt: skip

@@ -1,0 +1,110 @@
+"""What drawing costs on a device, and what of a mesh is therefore drawn as points and what as triangles.
+
+Coconu and Hege (2002), section 5.1, switch from points to triangles where a block comes nearer than a threshold, and
+leave it to future work to derive that threshold and the sampling resolution from the hardware. Here both follow from
+seven measured figures (`Costs`, render/budget/calibrate.py): each part of a mesh takes what costs less in this view, at the
+octave of spacing at which all parts together cost least.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+OVERLAP = 0.1  # of the spacing that is needed
+# Points leave an error that more samples do not take away, and triangles none: with so many times fewer samples, but at
+# least one, triangles still leave less, at a tolerance of a pixel (docs/techniques.md, measured 1.1 to 1.8 times).
+FEWER = 4
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Nanoseconds for one sample of a picture, and what is done once for all its samples. The defaults are a software
+    renderer's, of processor time."""
+
+    point: float = 65.0  # each splat that is projected
+    pixel: float = 105.0  # each pixel of a picture that has points at all: resolved, holes filled
+    triangle: float = 240.0  # each triangle
+    fragment: float = 11.0  # each pixel that a triangle covers
+    draw: float = 40_000.0  # each draw call
+    prepared: float = 540.0  # once: each splat that is sampled, packed and uploaded
+    uploaded: float = 750.0  # once: each triangle of a mesh of which any is drawn
+
+    def valid(self) -> bool:
+        """All are positive numbers."""
+        values = np.array([getattr(self, f.name) for f in fields(self)], float)
+        return bool(np.isfinite(values).all() and (values > 0).all())
+
+    def again_and_again(self) -> Costs:
+        """Of views that are drawn until nothing counts that is done once."""
+        return replace(self, prepared=0.0, uploaded=0.0)
+
+    def of_picture(self, samples: int, instances: int = 1) -> Costs:
+        """Of one sample of triangles in a picture that is made once, of so many `samples` of points: what points take
+        in all of their samples stands against what triangles do in FEWER. `instances` share what is done once."""
+        dearer = min(max(samples, 1), FEWER)
+        share = dearer / (max(samples, 1) * max(instances, 1))
+        return replace(
+            self,
+            point=self.point * dearer,
+            pixel=self.pixel * dearer,
+            prepared=self.prepared * share,
+            uploaded=self.uploaded * share,
+        )
+
+
+DEFAULT = Costs()
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """What one instance of a mesh of B parts is drawn as."""
+
+    octave: int  # of the spacing of its points, above the finest one that was offered
+    points: np.ndarray  # (B,) bool
+    polygons: np.ndarray  # (B,) bool; parts that are out of view are neither, those where they meet are both
+    cost: float  # nanoseconds for one sample, without those of all pixels
+    triangles_cost: float  # the same where all that is in view is drawn as triangles
+
+
+def choose(
+    costs: Costs, needed: np.ndarray, spacing: np.ndarray, samples: np.ndarray, triangles: np.ndarray, area: np.ndarray
+) -> Choice:
+    """The cheapest way to draw one instance.
+
+    needed (B,): the spacing that each part needs in this view, inf where it is out of view. spacing (K,): octaves that
+    may be sampled, finest first; samples (K, B): how many splats each part then has, inf where it is not to be points.
+    triangles (B,): of each part. area (B,): of the parts in the same units as `needed` squared.
+
+    A part is points only where its samples are as dense as it needs; those that need up to OVERLAP less are points and
+    polygons, for between a polygon's last pixel and a splat's first there may be one that neither holds. The pixels
+    that triangles cover are estimated by half their area, as of a surface that is seen from all sides, at the part's
+    nearest place. Samples are prepared of all parts that may be points, in view or not, and a mesh is uploaded with all
+    its triangles where any is drawn.
+    """
+    visible = np.isfinite(needed)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        covered = np.where(visible, 0.5 * area / needed**2, 0.0)
+    as_triangles = np.where(visible, triangles * costs.triangle + covered * costs.fragment, 0.0)
+    as_points = np.where(visible, samples * costs.point, np.inf)
+    prepare = np.where(np.isfinite(samples), samples, 0.0) * costs.prepared
+    dense = needed >= spacing[:, None]
+    better = dense & (as_points + prepare < as_triangles)
+    meet = ~dense & (needed >= (1 - OVERLAP) * spacing[:, None]) & np.isfinite(as_points)
+    meet &= better.any(axis=1, keepdims=True)
+    total = np.where(better, as_points, as_triangles).sum(axis=1) + np.where(meet, as_points, 0.0).sum(axis=1)
+    upload = float(triangles.sum()) * costs.uploaded
+    total += np.where(better.any(axis=1), prepare.sum(axis=1), 0.0)
+    total += np.where((visible & ~better).any(axis=1), upload, 0.0)
+    every = float(as_triangles.sum()) + upload
+    best = int(total.argmin())
+    if every <= total[best] + costs.draw:
+        return Choice(best, np.zeros_like(visible), visible, every, every)
+    return Choice(best, better[best] | meet[best], visible & ~better[best], float(total[best]), every)
+
+
+def runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Begin and length, (R,) int64, of each run of a mask (B,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return edges[::2], edges[1::2] - edges[::2]

@@ -1,0 +1,228 @@
+"""What casts shadows: splats in world space, of media, of surfaces that let light through, and of opaque ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, reduce
+
+import numpy as np
+
+from ..numeric.vectors import cross, each_block
+from ..scene.cloud import PointCloud
+from ..scene.scene import Light
+from ..strand.selection import Strands, lengths_scale
+
+OPAQUE_DEPTH = 100.0  # optical depth that stands for no light at all
+KINDS = ("OPAQUE", "SHELL", "VOLUME")
+TYPICAL = 0.9  # quantile of the radii of a surface's samples
+ASKED = 1 << 16  # of them are asked
+MOST_ACROSS = 64  # pieces across a strand
+CHUNK = 1 << 14  # splats that are handled together, so that scratch arrays stay in the cache
+
+
+@dataclass(frozen=True, eq=False)
+class Casters:
+    """Splats of one kind in world space: balls (`radius`), ellipses or ellipsoids (`axes`)."""
+
+    kind: str  # one of KINDS
+    origin: np.ndarray  # (3,) float64
+    position: np.ndarray  # (N, 3) float32, relative to origin
+    radius: np.ndarray | None = None  # (N,) float32
+    axes: np.ndarray | None = None  # (N, K, 3) float32, half-axes: K = 2 flat, 3 solid
+    # VOLUME: (N,) or (N, 3) float32, optical mass in units^2: the integral of extinction over the splat.
+    # SHELL: (N,) or (N, 3) float32, optical depth -ln(1 - opacity) face on. OPAQUE: None.
+    mass: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def colored(self) -> bool:
+        return self.mass is not None and self.mass.ndim == 2
+
+    def take(self, index: np.ndarray | slice) -> Casters:
+        arrays = (self.position, self.radius, self.axes, self.mass)
+        position, radius, axes, mass = (None if a is None else a[index] for a in arrays)
+        assert position is not None
+        some = Casters(self.kind, self.origin, position, radius, axes, mass)
+        if "reach" in self.__dict__:
+            some.__dict__["reach"] = self.reach[index]  # lest each step finds it anew
+        return some
+
+    @cached_property
+    def reach(self) -> np.ndarray:
+        """(N,) float32: the longest half-axis."""
+        if self.axes is None:
+            assert self.radius is not None
+            return self.radius
+        squared = np.einsum("nkc,nkc->kn", self.axes, self.axes)
+        # Row by row: along the last, short axis NumPy is many times slower.
+        return np.sqrt(reduce(np.maximum, squared))
+
+    @cached_property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Low and high corner (3,) float64 of what holds all splats."""
+        low, high = (np.array([end(column) for column in self.position.T], float) for end in (np.min, np.max))
+        widest = float(self.reach.max())
+        return self.origin + low - widest, self.origin + high + widest
+
+
+def casters(cloud: PointCloud, world_from_object: np.ndarray) -> Casters:
+    """The splats of `cloud` as casters: VOLUME where it has `extinction`, SHELL where it has `opacity`, else OPAQUE.
+
+    world_from_object: (4, 4) float64. Extinction is per object unit, so scaling an object keeps its optical depths.
+    Splats with a NaN or infinity, or without size or mass, are left out.
+    """
+    linear = np.asarray(world_from_object[:3, :3], float)
+    origin = linear @ cloud.origin + world_from_object[:3, 3]
+    position = cloud.position @ linear.T.astype(np.float32)
+    kind = "VOLUME" if cloud.extinction is not None else "SHELL" if cloud.opacity is not None else "OPAQUE"
+    radii = np.zeros((len(cloud), 1), np.float32) if cloud.radii is None else cloud.radii
+    radius, axes, size = None, None, radii[:, 0]
+    solid = kind == "VOLUME" and radii.shape[1] == 3
+    with np.errstate(over="ignore", invalid="ignore"):
+        if cloud.normal is None or (kind == "VOLUME" and not solid):
+            scale = np.linalg.norm(linear, axis=0)
+            if np.allclose(linear.T @ linear, np.eye(3) * scale[0] ** 2, atol=1e-4 * scale.max() ** 2):
+                radius = radii[:, 0] * np.float32(scale[0])
+            else:
+                axes = radii[:, :1, None] * linear.T.astype(np.float32)
+        else:
+            axes = turned(_half_axes(cloud, radii, solid), linear.T.astype(np.float32))
+        mass = None
+        if cloud.extinction is not None:
+            volume = 4 / 3 * np.pi * (radii[:, :3].prod(axis=1) if solid else radii[:, 0] ** 3)
+            volume *= abs(np.linalg.det(linear)) ** (2 / 3)
+            extinction = cloud.extinction[:, 0] if cloud.extinction.shape[1:] == (1,) else cloud.extinction
+            mass = np.maximum(extinction, 0) * (volume if extinction.ndim == 1 else volume[:, None])
+            size = mass if mass.ndim == 1 else mass.sum(axis=1)
+        elif cloud.opacity is not None:
+            least = np.float32(np.exp(-OPAQUE_DEPTH / 2))  # float32 holds it
+            mass = -np.log(np.maximum(1 - np.clip(cloud.opacity, 0, 1), least))
+            mass[cloud.opacity >= 1] = OPAQUE_DEPTH
+            size = size * mass
+        good = _finite(position) & np.isfinite(size) & (size > 0)
+        good &= _finite(axes) if axes is not None else np.isfinite(radii[:, 0])
+    if mass is not None:
+        mass = mass.astype(np.float32, copy=False)
+    result = Casters(kind, origin, position, radius, axes, mass)
+    return result if good.all() else result.take(good)
+
+
+def typical(radii: np.ndarray) -> float:
+    """A wide one among the radii (N,) of splats."""
+    step = len(radii) // ASKED | 1  # odd: out of step with what repeats
+    return float(np.quantile(radii[::step], TYPICAL))
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """(N,) bool: rows of (N, ...) without a NaN or infinity."""
+    finite = np.isfinite(values)
+    # Row by row only where there is something to find: that takes many times as long.
+    return np.ones(len(values), bool) if finite.all() else finite.all(axis=tuple(range(1, values.ndim)))
+
+
+def _half_axes(cloud: PointCloud, radii: np.ndarray, solid: bool) -> np.ndarray:
+    """(N, 2 or 3, 3) float32 in object space."""
+    normal = cloud.normal
+    assert normal is not None
+    first = cloud.axis
+    if first is None:
+        # Any direction in the plane of a disk: the cross product with the axis that is farthest from the normal.
+        least = np.eye(3, dtype=np.float32)[np.abs(normal).argmin(axis=1)]
+        first = np.cross(normal, least)
+        first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), np.float32(1e-20))
+    axes = np.empty((3, 3 if solid else 2, len(normal)), np.float32)
+
+    def fill(block: slice) -> None:
+        along, facing, radius = first[block].T.copy(), normal[block].T.copy(), radii[block].T.copy()
+        frame = (along, cross(facing, along), facing)[: axes.shape[1]]
+        for k, direction in enumerate(frame):
+            np.multiply(direction, radius[min(k, len(radius) - 1)], out=axes[:, k, block])
+
+    each_block(len(normal), fill)
+    return axes.transpose(2, 1, 0)
+
+
+def turned(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Vectors (N, K, 3), each times a (3, 3). In memory they are rows of coordinates, which NumPy handles several times
+    faster than vectors one by one."""
+    rows = vectors.transpose(2, 1, 0)
+    return (matrix.T @ rows.reshape(3, -1)).reshape(rows.shape).transpose(2, 1, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Strands in world space, cut into pieces that are no longer than what shadows tell apart."""
+
+    origin: np.ndarray  # (3,) float64
+    position: np.ndarray  # (N, 3) float32, relative to origin
+    along: np.ndarray  # (N, 3) float32, unit
+    side: np.ndarray | None  # (N, 3) float32, half the width of ribbons; None: tubes
+    radius: np.ndarray  # (N,) float32
+    length: np.ndarray  # (N,) float32
+    step: float  # length of a piece: wide strands are cut along, too
+
+    def toward(self, light: Light) -> Casters:
+        """Opaque balls that stand apart, as leaves do, each of the area that its piece of a strand shows to the light:
+        2 r L times the sine of the angle between them. Pieces as wide as long are closed among each other."""
+        to_light = np.broadcast_to(-np.asarray(light.direction, np.float32), self.position.shape)
+        if light.kind != "SUN":
+            to_light = (light.position - self.origin).astype(np.float32) - self.position
+            to_light = to_light / np.maximum(np.linalg.norm(to_light, axis=1, keepdims=True), np.float32(1e-30))
+        if self.side is None:
+            side = np.cross(self.along, to_light)
+            shown = np.linalg.norm(side, axis=1)
+            side *= (self.radius / np.maximum(shown, np.float32(1e-6)))[:, None]
+        else:
+            side = self.side
+            shown = np.abs(np.einsum("nc,nc->n", np.cross(self.along, side), to_light))
+            shown /= np.maximum(self.radius, np.float32(1e-30))
+        area = 2 * self.radius * self.length * shown
+        across = np.clip(np.ceil(2 * self.radius / np.float32(self.step)), 1, MOST_ACROSS).astype(np.int64)
+        which, number = _numbered(across)
+        off = (2 * number + 1) / across[which] - 1
+        position = self.position[which] + off[:, None].astype(np.float32) * side[which]
+        # What is wide is closed, as a surface: there balls cover the cells that they stand for.
+        wide = np.clip(self.radius / np.float32(self.step) - 0.5, 0, 1)
+        tile = (2 * self.radius / across) ** 2 + self.length**2
+        squared = (area / (np.pi * across)) * (1 - wide) + np.where(shown > 0, 0.25 * tile, 0) * wide
+        radius = np.sqrt(squared[which]).astype(np.float32)
+        return Casters("OPAQUE", self.origin, position, radius).take(np.flatnonzero(radius > 0))
+
+
+def pieces(strands: Strands, world_from_object: np.ndarray, step: float) -> Pieces:
+    """Strands of an instance, (4, 4) float64, in pieces of at most `step` object units."""
+    last = np.ones(len(strands), bool)
+    last[strands.start[1:] - 1] = False
+    a = np.flatnonzero(last)
+    b = a + 1
+    linear = np.asarray(world_from_object[:3, :3], float)
+    axis = strands.position[b] - strands.position[a]
+    count = np.maximum(np.ceil(np.linalg.norm(axis, axis=1) / np.float32(step)), 1).astype(np.int64)
+    which, number = _numbered(count)
+    part = ((number + 0.5) / count[which]).astype(np.float32)
+    first, second = a[which], b[which]
+    turn = linear.T.astype(np.float32)
+    scale = np.float32(lengths_scale(world_from_object[None])[0])
+    along = axis[which] @ turn
+    length = np.linalg.norm(along, axis=1)
+    along /= np.maximum(length, np.float32(1e-30))[:, None]
+    radius = strands.radius[first] * (1 - part) + strands.radius[second] * part
+    side = None
+    if strands.side is not None:
+        mixed = strands.side[first] * (1 - part)[:, None] + strands.side[second] * part[:, None]
+        side = (mixed * radius[:, None]) @ turn
+        radius = np.linalg.norm(side, axis=1)
+    else:
+        radius = radius * scale
+    position = (strands.position[first] + part[:, None] * axis[which]) @ turn
+    origin = linear @ strands.origin + world_from_object[:3, 3]
+    length /= count[which].astype(np.float32)
+    return Pieces(origin, position, along, side, radius, length, max(step * float(scale), 1e-30))
+
+
+def _numbered(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(E,) int64 each: rows of `count`, each as often as it says, and a number from 0 on within each."""
+    which = np.repeat(np.arange(len(count)), count)
+    return which, np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)

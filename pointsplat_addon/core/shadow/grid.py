@@ -1,0 +1,235 @@
+"""The cells of a shadow table: directions around a lamp, or places across a sun's rays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..scene.scene import Light
+from .casters import CHUNK, Casters
+
+STEEPEST = 0.1  # cosine: surfaces closer to edge-on are treated as this one
+NARROW = 0.8  # radians: casters within this angle about one direction get a grid about it, without poles
+FINEST = 1e-6  # radians: a cell that float32 still resolves
+FINER = 2  # octaves by which the finest cells may be narrower than the frame's
+# The grid of a sun is turned about its direction where volumes cast: cells that run along a lattice of voxels, under a
+# sun along one of its axes, would all hold the same share of them. By so many radians, no multiple of which is a right
+# angle or a simple slope.
+TILT = 0.3
+COARSEST = 0.5  # radians: the widest cell of a grid without poles
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Where a lamp's cells lie. Local coordinates: for suns (x, y, distance), else a polar axis z.
+
+    Angles are radians for lamps and lengths for suns: `latitude` is y, `longitude` is x.
+    """
+
+    parallel: bool
+    light_from_world: np.ndarray  # (3, 3) float64, a rotation
+    origin: np.ndarray  # (3,) float64, world: the lamp, or a point of the plane from which a sun's distances count
+    full: bool  # all directions, with poles and without a seam
+    low: np.ndarray  # (2,) least latitude and longitude where not full
+    high: np.ndarray  # (2,)
+    rows: int  # of the finest level
+
+    def spherical(self, local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Latitude, longitude and distance (N,) of local coordinates (N, 3), in their dtype."""
+        x, y, z = local.T
+        if self.parallel:
+            return y, x, z
+        squared = x * x + y * y
+        return np.arctan2(z, np.sqrt(squared)), np.arctan2(y, x), np.sqrt(squared + z * z)
+
+    @property
+    def step(self) -> float:
+        """Side of the finest cells."""
+        return np.pi / self.rows if self.full else float((self.high - self.low).max() / self.rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Cells of one size. Row i lies about latitude low + i step, its cells about longitudes (column0 + j) / density."""
+
+    low: float
+    step: float
+    column0: np.ndarray  # (R,) int64
+    count: np.ndarray  # (R,) int64: cells in each row
+    density: np.ndarray  # (R,) float32: columns per unit of longitude
+    first: np.ndarray  # (R,) int64: index of each row's first cell
+    wraps: bool  # the last column borders on the first
+
+    @property
+    def cells(self) -> int:
+        return int(self.first[-1] + self.count[-1])
+
+    @cached_property
+    def latitude(self) -> np.ndarray:
+        return self.low + self.step * np.arange(len(self.count))
+
+    def area(self, parallel: bool) -> np.ndarray:
+        """(R,) float64: of a cell of each row, in steradians (for suns, in units^2)."""
+        if parallel:
+            return np.full(len(self.count), self.step**2)
+        edges = np.clip([self.latitude - self.step / 2, self.latitude + self.step / 2], -np.pi / 2, np.pi / 2)
+        return np.maximum(np.sin(edges[1]) - np.sin(edges[0]), 1e-12) / self.density
+
+
+def cell_grids(frame: Frame, coarser: float) -> list[Grid]:
+    """Finest first, of `coarser` times the frame's step, each of twice the step of the one before; as many for all
+    `coarser` from 2^-FINER to 2."""
+    grids = []
+    for level in range(frame.rows.bit_length() + FINER):
+        if frame.full:
+            rows = max(1, int(frame.rows / coarser) >> level)
+            step, low, count = np.pi / rows, -np.pi / 2, rows + 1
+            latitude = low + step * np.arange(count)
+            columns = np.maximum(np.rint(2 * np.pi * np.cos(latitude) / step), 1).astype(np.int64)
+            density, column0 = columns / (2 * np.pi), np.zeros(count, np.int64)
+        else:
+            step = frame.step * coarser * 2**level
+            if level and not frame.parallel and frame.step * 2.0 ** (level - FINER) > COARSEST:
+                break
+            low = frame.low[0] - step
+            latitude = low + step * np.arange(int(np.ceil((frame.high[0] - frame.low[0]) / step)) + 3)
+            shrink = np.ones(len(latitude)) if frame.parallel else np.maximum(np.cos(latitude), STEEPEST)
+            density = shrink / step
+            column0 = np.floor(frame.low[1] * density).astype(np.int64) - 1
+            columns = np.ceil(frame.high[1] * density).astype(np.int64) + 2 - column0
+        first = np.cumsum(columns) - columns
+        grids.append(Grid(low, step, column0, columns, density.astype(np.float32), first, frame.full))
+    return grids
+
+
+def fit_frame(light: Light, batches: Sequence[Casters], resolution: int) -> Frame:
+    """A grid about the casters, as far as the lamp shines on them."""
+    rows = max(int(resolution), 1)
+    low, high = np.min([b.box[0] for b in batches], axis=0), np.max([b.box[1] for b in batches], axis=0)
+    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3)
+    if light.kind == "SUN":
+        turn = rotation(light.direction)[[1, 2, 0]]
+        if any(batch.kind == "VOLUME" for batch in batches):
+            cosine, sine = np.cos(TILT), np.sin(TILT)
+            turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]]) @ turn
+        local = (corners - corners.mean(axis=0)) @ turn.T
+        ends = _across(batches, corners.mean(axis=0), turn[:2])
+        side = ends[1] - ends[0]
+        # The distance of what lies flat across the light is resolved too.
+        least = max(side.max() * 1e-6, np.abs(corners).max() * 1e-12, 1e-30)
+        half = np.maximum(side / 2, least)
+        origin = corners.mean(axis=0) + np.append(ends.mean(axis=0), local[:, 2].min()) @ turn
+        return Frame(True, turn, origin, False, -half[::-1], half[::-1], rows)
+    direction, angle = _cone(light, corners.mean(axis=0), batches)
+    if angle > NARROW:
+        # The poles lie across the lamp's own direction: a spot or area light has nothing there but at its rim.
+        return Frame(False, rotation(light.direction), light.position, True, np.zeros(2), np.zeros(2), rows)
+    angle = max(angle, FINEST * rows / 2)
+    return Frame(False, rotation(direction), light.position, False, np.full(2, -angle), np.full(2, angle), rows)
+
+
+def _across(batches: Sequence[Casters], middle: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """(2, K) float64: how far the splats reach along unit vectors (K, 3), down and up from `middle`."""
+    ends = np.array([np.full(len(axes), np.inf), np.full(len(axes), -np.inf)])
+    for batch in batches:
+        offset = axes @ (batch.origin - middle)
+        for start in range(0, len(batch), CHUNK):
+            along = axes.astype(np.float32) @ batch.position[start : start + CHUNK].T
+            reach = float(batch.reach[start : start + CHUNK].max())
+            ends[0] = np.minimum(ends[0], along.min(axis=1) + offset - reach)
+            ends[1] = np.maximum(ends[1], along.max(axis=1) + offset + reach)
+    return ends
+
+
+def _cone(light: Light, middle: np.ndarray, batches: Sequence[Casters]) -> tuple[np.ndarray, float]:
+    """A direction, and the angle about it that holds all splats that are lit; pi where the lamp is among them."""
+    direction, angle = _unit(middle - light.position), 0.0
+    for batch in batches:
+        for start in range(0, len(batch), CHUNK):
+            part = batch.take(slice(start, start + CHUNK))
+            seen = part.position + (batch.origin - light.position).astype(np.float32)
+            distance = np.maximum(np.sqrt(np.einsum("nc,nc->n", seen, seen)), np.float32(1e-30))
+            cosine = seen @ direction.astype(np.float32) / distance
+            angle = max(angle, float((np.arccos(np.clip(cosine, -1, 1)) + part.reach / distance).max()))
+            if angle > NARROW:
+                break
+    if light.kind == "SPOT" and light.axis_u is None:
+        lit = float(np.arccos(np.clip(light.spot_cos, -1, 1)))
+        if lit < angle:
+            return light.direction, lit
+    return direction, angle
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+
+
+def rotation(direction: np.ndarray) -> np.ndarray:
+    """(3, 3) float64 rotation whose first row is `direction`."""
+    first = _unit(np.asarray(direction, float))
+    if not first.any():
+        first = np.array([1.0, 0, 0])
+    second = _unit(np.cross(first, np.eye(3)[np.abs(first).argmin()]))
+    return np.stack([first, second, np.cross(first, second)])
+
+
+def lit_part(light: Light, batch: Casters) -> Casters:
+    """Without the casters that a spot or area lamp does not shine at."""
+    if light.kind not in ("SPOT", "AREA"):
+        return batch
+    seen = batch.position + (batch.origin - light.position).astype(np.float32)
+    reach = batch.reach + np.float32(light.radius)
+    depth = seen @ light.direction.astype(np.float32)
+    if light.kind == "AREA":
+        keep = depth > -reach
+    elif light.axis_u is not None or light.spot_cos <= 0:
+        return batch
+    else:
+        # The distance to the cone's side, in the plane of its axis.
+        across = np.sqrt(np.maximum(np.einsum("nc,nc->n", seen, seen) - depth**2, 0))
+        sine = np.sqrt(max(1 - light.spot_cos**2, 0))
+        keep = across * light.spot_cos - depth * sine < reach
+    return batch if keep.all() else batch.take(keep)
+
+
+def directions(frame: Frame, latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors (N, 3) away from the lamp, along growing latitude and along growing longitude; local."""
+    if frame.parallel:
+        shape = (len(latitude), 3)
+        return tuple(np.broadcast_to(np.eye(3, dtype=latitude.dtype)[k], shape) for k in (2, 1, 0))  # type: ignore[return-value]
+    c, s, x, y = np.cos(latitude), np.sin(latitude), np.cos(longitude), np.sin(longitude)
+    ray, north = np.stack([c * x, c * y, s], axis=1), np.stack([-s * x, -s * y, c], axis=1)
+    return ray, north, np.stack([-y, x, np.zeros_like(x)], axis=1)
+
+
+def plane_distance(
+    frame: Frame,
+    normal: np.ndarray,  # (N, 3) local, of any length
+    distance: np.ndarray,  # (N,) of a point of the plane
+    ray: np.ndarray,  # (N, 3) towards it, unit
+    middle: np.ndarray,  # (N, 3) towards the cell, unit
+    to_cell: tuple[np.ndarray, np.ndarray],  # (N,) longitude and latitude of the cell less those of the point
+) -> np.ndarray:
+    """(N,) distance at which the plane meets the middle of the cell."""
+    if frame.parallel:
+        slope = slopes(normal)
+        return distance - slope[0] * to_cell[0] - slope[1] * to_cell[1]
+    facing, there = np.einsum("nc,nc->n", normal, ray), np.einsum("nc,nc->n", normal, middle)
+    least = STEEPEST * np.sqrt(np.einsum("nc,nc->n", normal, normal))
+    # A plane that turns its other side to the cell never meets it.
+    there = np.where((there > 0) == (facing > 0), there, facing)
+    return distance * (at_least(facing, least) / at_least(there, least))
+
+
+def slopes(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How much nearer to a sun (N,) planes with a local normal (N, 3) come along x and along y."""
+    facing = at_least(normal[:, 2], STEEPEST * np.sqrt(np.einsum("nc,nc->n", normal, normal)))
+    return normal[:, 0] / facing, normal[:, 1] / facing
+
+
+def at_least(value: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """With its sign, and not nearer to 0 than `least`; never 0."""
+    return np.copysign(np.maximum(np.maximum(np.abs(value), least), np.float32(1e-30)), value)

@@ -1,0 +1,148 @@
+"""The points of meshes that cast shadows: vertices where these lie dense enough for the tables, else samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..lod.foliage import LOOSE, leafy
+from ..material.graph import needs
+from ..numeric.vectors import blocks, cross, dot
+from ..scene.cloud import PointCloud, finite
+from ..scene.scene import MaterialTable, Mesh
+from ..surface import sampling
+from ..surface.appearance import graphs_of, passing, point_cloud
+from .casters import typical
+
+MANY = 1 << 17  # triangles: of fewer, samples cost little
+DENSE = 3.0  # spacings: longest edge of triangles whose vertices serve, though finer samples would be somewhat sharper
+PLACES = 4096  # that stand for a mesh
+# Additive recurrence in two dimensions (Roberts 2018).
+PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """What one look at all triangles of a mesh tells."""
+
+    valid: np.ndarray  # (T,) bool, see sampling.validate; the rest counts valid triangles alone
+    low: np.ndarray  # (3,) float64, corners of their box, object space
+    high: np.ndarray  # (3,) float64
+    area: np.ndarray  # (T,) float64
+    longest: np.ndarray  # (T,) float32, longest edges
+
+    @property
+    def nbytes(self) -> int:
+        return self.valid.nbytes + self.area.nbytes + self.longest.nbytes
+
+    @property
+    def size(self) -> float:
+        """The mesh's area."""
+        return float(self.area.sum())
+
+
+def outline(mesh: Mesh, valid: np.ndarray) -> Outline:
+    """The outline of a mesh; `valid` (T,) bool is what sampling.validate returned."""
+    rows = np.flatnonzero(valid)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    area, longest = np.zeros(len(valid)), np.zeros(len(valid), np.float32)
+    for block in blocks(len(rows)):
+        some = rows[block]
+        a, b, c = (mesh.position.take(v, axis=0).T.astype(np.float64) for v in mesh.triangles.take(some, axis=0).T)
+        low = np.minimum(low, np.minimum(np.minimum(a, b), c).min(axis=1))
+        high = np.maximum(high, np.maximum(np.maximum(a, b), c).max(axis=1))
+        edges = b - a, c - b, a - c
+        normal = cross(edges[0], edges[2])
+        area[some] = np.sqrt(dot(normal, normal)) / 2
+        longest[some] = np.sqrt(np.maximum(np.maximum(*(dot(e, e) for e in edges[:2])), dot(edges[2], edges[2])))
+    return Outline(valid, low, high, area, longest)
+
+
+def places(mesh: Mesh, outline: Outline) -> np.ndarray:
+    """(PLACES, 3) float64, object space, spread evenly over a mesh; one in the origin where it has no triangle."""
+    ends = np.cumsum(outline.area)
+    if len(ends) == 0 or ends[-1] == 0:
+        return np.zeros((1, 3))
+    triangle = np.searchsorted(ends, (np.arange(PLACES) + 0.5) / PLACES * ends[-1])
+    corners = mesh.position[mesh.triangles[np.minimum(triangle, len(ends) - 1)]].astype(np.float64)
+    weights = (0.5 + np.arange(PLACES)[:, None] * PLASTIC) % 1
+    # The unit square, folded over its diagonal.
+    weights = np.where(weights.sum(axis=1, keepdims=True) > 1, 1 - weights, weights)
+    return corners[:, 0] + np.einsum("nk,nkc->nc", weights, corners[:, 1:] - corners[:, :1])
+
+
+def leaves(mesh: Mesh, outline: Outline) -> bool:
+    """Whether a mesh is of leaves or blades: of triangles with open edges."""
+    count = np.count_nonzero(outline.valid)
+    return bool(len(mesh.position) >= LOOSE * count) and leafy(mesh.position, mesh.triangles[outline.valid])
+
+
+def _fitted(evaluated: sampling.Evaluated, samples: sampling.Samples, area: np.ndarray) -> sampling.Evaluated:
+    """The disks of each triangle with its `area` (T,) in all.
+
+    They would else reach over the edges of leaves, which close no surface, and hide more than the leaves do.
+    """
+    radii = evaluated.radii
+    if samples.ellipse is None:
+        return evaluated
+    own = np.pi * radii[:, 0].astype(np.float64) * radii[:, min(1, radii.shape[1] - 1)]
+    share = np.minimum(area / np.maximum(np.bincount(samples.triangle, own, len(area)), 1e-300), 1)
+    return replace(evaluated, radii=radii * np.sqrt(share).astype(np.float32).take(samples.triangle)[:, None])
+
+
+def sampled(
+    mesh: Mesh, outline: Outline, spacing: float, table: MaterialTable, leafy: bool | None = None
+) -> list[PointCloud]:
+    """The splats of a mesh for tables that tell `spacing` (object units) apart. `leafy`: what `leaves` says of it,
+    where it is at hand.
+
+    Where triangles are many and small, their vertices are taken: half as many splats, no wider than samples may be.
+    """
+    valid = outline.valid
+    if not _turned(mesh, table):
+        mesh = replace(mesh, vertex_normal=None, corner_normal=None)  # splats cast by their planes alone
+    if leaves(mesh, outline) if leafy is None else leafy:
+        # As fine as most of them: they are seen one by one where tables tell them apart, for half as many samples more.
+        finest = max(float(np.median(outline.longest[valid])), np.sqrt(2 * outline.size / np.count_nonzero(valid)))
+        measures = sampling.measure(mesh, valid)
+        spacing = sampling.limit_spacing(mesh, min(spacing, finest), ok=valid, measures=measures)
+        return [_splats(mesh, "AREA", valid, spacing, table, outline.area, measures)]
+    dense = valid & (outline.longest <= DENSE * spacing)
+    # A vertex of a translucent mesh stands for all the triangles around it.
+    if np.count_nonzero(dense) < MANY or (passing(mesh, table) is not None and not dense[valid].all()):
+        spacing = sampling.limit_spacing(mesh, spacing, ok=valid)
+        return [_splats(mesh, sampling.choose(mesh, spacing, valid), valid, spacing, table)]
+    if np.count_nonzero(sampling.used(mesh, dense)) <= np.count_nonzero(dense):
+        found = _splats(mesh, "VERTICES", dense, spacing, table)
+        assert found.radii is not None
+        if typical(found.radii[:, 0]) <= typical(outline.longest[dense]) / np.sqrt(3):
+            rest = valid & ~dense
+            if not rest.any():
+                return [found]
+            spacing = sampling.limit_spacing(mesh, spacing, ok=rest)
+            return [found, _splats(mesh, "AREA", rest, spacing, table)]
+    return [_splats(mesh, "AREA", valid, sampling.limit_spacing(mesh, spacing, ok=valid), table)]
+
+
+def _turned(mesh: Mesh, table: MaterialTable) -> bool:
+    """Whether what some material lets through depends on its normals."""
+    return any(wanted.normal or wanted.tangent for wanted in map(needs, graphs_of(mesh, table).values()))
+
+
+def _splats(
+    mesh: Mesh,
+    method: str,
+    rows: np.ndarray,
+    spacing: float,
+    table: MaterialTable,
+    area: np.ndarray | None = None,
+    measures: sampling.Measures | None = None,
+) -> PointCloud:
+    """Those of some triangles (T,) bool, with their `measures` where these are at hand. `area`: of all triangles (T,),
+    which are leaves."""
+    samples = sampling.sample(mesh, spacing, method, rows, measures)
+    evaluated = sampling.evaluate(mesh, samples, sampling.centre(mesh), rows)
+    if area is not None and passing(mesh, table) is None:
+        evaluated = _fitted(evaluated, samples, area)  # before what is cut out is gone
+    return finite(point_cloud(mesh, samples, evaluated, table))[0]

@@ -1,0 +1,323 @@
+"""Material graphs over meshes: evaluated at samples (points), at corners or over the UV square (polygons)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..material.expressions import SampleInputs
+from ..material.graph import (
+    MaterialGraph,
+    bake,
+    bakeable,
+    evaluate_samples,
+    needs,
+    suggested_resolution,
+    triangle_tangents,
+)
+from ..scene.cloud import PointCloud
+from ..scene.scene import MaterialTable, Mesh
+from ..splat.kernel import PEAK
+from .sampling import Evaluated, Samples, along_half_axes, areas, interpolate, material_ids
+
+CLIP = 0.5  # of alpha: surfaces that are not translucent are cut out below it
+OPAQUE = 100.0  # the largest optical depth
+# Half-axes of translucent splats over those that cover the surface: sums of kernels are then even within 0.6 percent,
+# also where samples are no perfect lattice (where they are, 2 EVEN sqrt(2) = 1.1 does; elsewhere that errs by 4).
+OVERLAP = 1.7
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """What varies over N places of a mesh; None where the material table says it all."""
+
+    color: np.ndarray | None = None  # (N, 3) float32
+    surface: np.ndarray | None = None  # (N, 2) float32: roughness, metallic
+    emission: np.ndarray | None = None  # (N, 3) float32
+    normal: np.ndarray | None = None  # (N, 3) float32, unit, object space
+    alpha: np.ndarray | None = None  # (N,) float32
+
+
+def graphs_of(mesh: Mesh, table: MaterialTable) -> dict[int, MaterialGraph]:
+    """The graphs of the materials that a mesh uses, by row."""
+    found = {row: table.graphs[row] for row in mesh.materials if row < len(table.graphs)}
+    return {row: graph for row, graph in found.items() if isinstance(graph, MaterialGraph)}
+
+
+def digest(mesh: Mesh, table: MaterialTable) -> str:
+    """Equal digests give a mesh the same appearance: the graphs and the constants that fill their gaps."""
+    parts = [f"{row}:{graph.digest}" for row, graph in graphs_of(mesh, table).items()]
+    if parts:
+        rows = list(mesh.materials)
+        parts += [table.base_color[rows].tobytes().hex(), table.emission[rows].tobytes().hex()]
+        parts += [table.roughness[rows].tobytes().hex(), table.metallic[rows].tobytes().hex()]
+    if (passes := passing(mesh, table)) is not None:
+        rows = list(mesh.materials)
+        parts += [passes[rows].tobytes().hex(), table.alpha[rows].tobytes().hex()]
+    return "|".join(parts)
+
+
+def hiding(table: MaterialTable) -> MaterialTable:
+    """What of the materials decides how much light they let through: their alphas, and graphs of nothing else. All
+    other constants are 0, so that digests of shadows' samples do not tell them apart."""
+    graphs = [graph.alpha if isinstance(graph, MaterialGraph) else None for graph in table.graphs]
+    return replace(
+        table,
+        graphs=tuple(None if alpha is None else MaterialGraph(alpha=alpha) for alpha in graphs),
+        base_color=np.zeros_like(table.base_color),
+        roughness=np.zeros_like(table.roughness),
+        metallic=np.zeros_like(table.metallic),
+        emission=np.zeros_like(table.emission),
+    )
+
+
+def passing(mesh: Mesh, table: MaterialTable) -> np.ndarray | None:
+    """(M,) bool, MaterialTable.translucent; None where none of the mesh's materials is."""
+    if table.translucent is None or not table.translucent[list(mesh.materials)].any():
+        return None
+    return table.translucent
+
+
+def split_translucent(mesh: Mesh, table: MaterialTable) -> tuple[Mesh | None, Mesh | None]:
+    """The opaque and the translucent part of a mesh, by material; None where there is none.
+
+    What is all of one kind is the mesh itself. Parts share its vertices, and have content keys that tell from which
+    materials they are. Triangles with a constant alpha of 0 are in neither.
+    """
+    passes = passing(mesh, table)
+    if passes is None:
+        return mesh, None
+    graphs = graphs_of(mesh, table)
+    seen = [row for row in mesh.materials if table.alpha[row] > 0 or (row in graphs and graphs[row].alpha is not None)]
+    opaque = _part(mesh, tuple(row for row in seen if not passes[row]))
+    return opaque, _part(mesh, tuple(row for row in seen if passes[row]))
+
+
+def _part(mesh: Mesh, rows: tuple[int, ...]) -> Mesh | None:
+    """The triangles that have these materials."""
+    if rows == mesh.materials:
+        return mesh
+    if not rows or mesh.material is None:
+        return None
+    which = np.flatnonzero(np.isin(mesh.material, rows))
+    name = f" of {','.join(map(str, rows))}"
+    return replace(
+        mesh,
+        key=mesh.key + name,
+        topology=mesh.topology and mesh.topology + name,
+        triangles=mesh.triangles[which],
+        corner_normal=None if mesh.corner_normal is None else mesh.corner_normal[which],
+        uv={n: a[which] for n, a in mesh.uv.items()},
+        colors={n: a[which] for n, a in mesh.colors.items()},
+        material=mesh.material[which] if len(rows) > 1 else None,
+        materials=rows,
+    )
+
+
+def point_cloud(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: MaterialTable) -> PointCloud:
+    """The splats of a mesh: geometry, material rows, and what its graphs make of them; cut-out samples are left out.
+
+    With a translucent material there are opacities, which are shares: overlapping splats add up to the alpha A. A
+    sample that stands for the area S has the optical mass -ln(1 - A) S, spread over its ellipse.
+    """
+    cloud = PointCloud(
+        evaluated.position,
+        evaluated.origin,
+        normal=evaluated.plane,
+        axis=evaluated.axis,
+        radii=evaluated.radii,
+        material=material_ids(mesh, samples),
+    )
+    own = evaluated.normal
+    look = at_samples(mesh, samples, evaluated, table)
+    if look.normal is not None:
+        own = look.normal
+    # Below a quarter of a degree the splat's plane shades as well.
+    if own is not evaluated.plane and (np.einsum("ij,ij->i", own, evaluated.plane) < 1 - 1e-5).any():
+        cloud = replace(cloud, shading_normal=np.ascontiguousarray(own, np.float32))
+    cloud = replace(cloud, color=look.color, surface=look.surface, emission=look.emission)
+    passes = passing(mesh, table)
+    if passes is not None:
+        return _with_opacity(cloud, passes[cloud.material], look.alpha, areas(mesh, samples), table)
+    return cloud if look.alpha is None else cloud.take(look.alpha >= CLIP)
+
+
+def _with_opacity(
+    cloud: PointCloud, passes: np.ndarray, alpha: np.ndarray | None, area: np.ndarray, table: MaterialTable
+) -> PointCloud:
+    """The splats that show, with their shares of opacity. passes (N,) bool: translucent; alpha, area (N,)."""
+    assert cloud.radii is not None
+    if alpha is None:
+        alpha = table.alpha[cloud.material]
+    shows = np.where(passes, alpha > 0, alpha >= CLIP)
+    radii = cloud.radii * np.where(passes, np.float32(OVERLAP), np.float32(1))[:, None]
+    depth = optical_depth(np.where(passes, alpha, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth *= area / (np.pi * radii[:, 0].astype(np.float64) * radii[:, -1])
+    opacity = np.where(passes, -np.expm1(-np.minimum(depth, OPAQUE)), 1).astype(np.float32)
+    return replace(cloud, radii=radii, opacity=opacity).take(shows)
+
+
+def optical_depth(alpha: np.ndarray) -> np.ndarray:
+    """float64: -ln(1 - alpha), at most OPAQUE."""
+    with np.errstate(divide="ignore"):
+        return np.minimum(-np.log1p(-np.clip(alpha, 0, 1).astype(np.float64)), OPAQUE)
+
+
+def ball_extinction(alpha: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """(N,) float32 extinction of balls whose centres have these alphas (N,); radii (N,) in object units.
+
+    A ball of radius r, two standard deviations, has the mass m = 4/3 pi r^3 extinction, and its kernel the depth
+    PEAK m / (2 pi (r / 2)^2) at the centre.
+    """
+    with np.errstate(divide="ignore"):
+        extinction = optical_depth(alpha) / PEAK * 3 / (8 * radius.astype(np.float64))
+    # Balls of no extent have no mass.
+    return np.where(radius > 0, np.minimum(extinction, np.finfo(np.float32).max), 0).astype(np.float32)
+
+
+def at_samples(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: MaterialTable) -> Appearance:
+    """The appearance of a mesh at its samples."""
+    graphs = graphs_of(mesh, table)
+    if not graphs:
+        return Appearance()
+    rows = material_ids(mesh, samples)
+    position = evaluated.position + evaluated.origin.astype(np.float32)
+    return _evaluate(mesh, samples, rows, position, evaluated.normal, graphs, table, wide=True)
+
+
+def at_corners(mesh: Mesh, table: MaterialTable, graphs: dict[int, MaterialGraph], rows: np.ndarray) -> Appearance:
+    """The appearance of a mesh, (3T,), at the corners of its triangles; `rows` (T,) are their materials."""
+    triangles = len(mesh.triangles)
+    weights = np.tile(np.array([[0, 0], [1, 0], [0, 1]], np.float32), (triangles, 1))
+    samples = Samples("VERTICES", np.repeat(np.arange(triangles, dtype=np.int32), 3), weights)
+    position = mesh.position[mesh.triangles.reshape(-1)]
+    return _evaluate(mesh, samples, np.repeat(rows, 3), position, corner_normals(mesh), graphs, table)
+
+
+def corner_normals(mesh: Mesh) -> np.ndarray:
+    """(3T, 3) float32: the mesh's own normals at its corners, else those of its triangles."""
+    if mesh.corner_normal is not None:
+        return mesh.corner_normal.reshape(-1, 3)
+    if mesh.vertex_normal is not None:
+        return mesh.vertex_normal[mesh.triangles.reshape(-1)]
+    a, b, c = mesh.position[mesh.triangles].transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.repeat(normal / np.maximum(length, 1e-30), 3, axis=0).astype(np.float32)
+
+
+def pictured(mesh: Mesh, graph: MaterialGraph) -> bool:
+    """Whether pictures over the UV square show all of a graph on a mesh: not where it needs more than one UV map or
+    does not repeat."""
+    name = _uv_name(mesh, graph)
+    inside = name in mesh.uv and bool((mesh.uv[name] >= 0).all() and (mesh.uv[name] <= 1).all())
+    return bakeable(graph, unit_square=inside, active_uv=mesh.active_uv)
+
+
+def baked(graph: MaterialGraph, largest: int) -> dict[str, np.ndarray]:
+    """Pictures (H, W, C) float32 of a graph's varying channels over the UV square, sides at most `largest`: the same
+    for all meshes."""
+    return bake(graph, suggested_resolution(graph, largest))
+
+
+def _uv_name(mesh: Mesh, graph: MaterialGraph) -> str:
+    name = next(iter(needs(graph).uv), None)
+    return name or mesh.active_uv or ""
+
+
+def uv_of(mesh: Mesh, graph: MaterialGraph) -> np.ndarray:
+    """(3T, 2) float32: the map that a bakeable graph reads; zeros where the mesh lacks it."""
+    uv = mesh.uv.get(_uv_name(mesh, graph))
+    return np.zeros((3 * len(mesh.triangles), 2), np.float32) if uv is None else uv.reshape(-1, 2)
+
+
+def _evaluate(
+    mesh: Mesh,
+    samples: Samples,
+    rows: np.ndarray,
+    position: np.ndarray,
+    normal: np.ndarray,
+    graphs: dict[int, MaterialGraph],
+    table: MaterialTable,
+    wide: bool = False,
+) -> Appearance:
+    """Each graph where its material is; constants of the table elsewhere. `wide`: pictures are filtered over splats."""
+    channels = {name for graph in graphs.values() for name in graph.channels}
+    out: dict[str, np.ndarray] = {}
+    if "base_color" in channels:
+        out["color"] = table.base_color[rows]
+    if channels & {"roughness", "metallic"}:
+        out["surface"] = np.stack([table.roughness[rows], table.metallic[rows]], axis=1)
+    if "emission" in channels:
+        out["emission"] = table.emission[rows]
+    if "normal" in channels:
+        out["normal"] = normal.copy()
+    if "alpha" in channels:
+        out["alpha"] = table.alpha[rows]
+
+    for row, graph in graphs.items():
+        which = slice(None) if len(mesh.materials) == 1 else np.flatnonzero(rows == row)
+        some = samples if isinstance(which, slice) else _subset(samples, which)
+        values = evaluate_samples(graph, _inputs(mesh, graph, some, position[which], normal[which], wide))
+        for name, value in values.items():
+            if name in ("roughness", "metallic"):
+                out["surface"][which, ("roughness", "metallic").index(name)] = value
+            else:
+                out["color" if name == "base_color" else name][which] = value
+    return Appearance(**out)
+
+
+def _subset(samples: Samples, which: np.ndarray) -> Samples:
+    ellipse = None if samples.ellipse is None else samples.ellipse[which]
+    return replace(samples, triangle=samples.triangle[which], barycentric=samples.barycentric[which], ellipse=ellipse)
+
+
+def _inputs(
+    mesh: Mesh, graph: MaterialGraph, samples: Samples, position: np.ndarray, normal: np.ndarray, wide: bool
+) -> SampleInputs:
+    """What the graph reads, and nothing else."""
+    wanted = needs(graph)
+    uv_names = {name or mesh.active_uv for name in wanted.uv | wanted.tangent} & mesh.uv.keys()
+    colors = mesh.colors.keys() if None in wanted.colors else wanted.colors & mesh.colors.keys()
+    generated = tangent = sign = None
+    if wanted.generated and len(mesh.position):
+        low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
+        generated = (position - low) / np.maximum(high - low, 1e-30)
+    tangent_map = next(iter({name or mesh.active_uv for name in wanted.tangent} & mesh.uv.keys()), None)
+    if tangent_map is not None:
+        along, side = triangle_tangents(mesh.position[mesh.triangles], mesh.uv[tangent_map])
+        tangent, sign = along[samples.triangle], side[samples.triangle]
+    inputs = SampleInputs(
+        uv={name: interpolate(mesh, samples, mesh.uv[name]) for name in uv_names if name is not None},
+        active_uv=mesh.active_uv,
+        colors={name: interpolate(mesh, samples, mesh.colors[name]) for name in colors if name is not None},
+        position=position if wanted.position else None,
+        generated=generated,
+        normal=normal if wanted.normal else None,
+        tangent=tangent,
+        bitangent_sign=sign,
+        count=len(samples),
+    )
+    return replace(inputs, aside=_aside(mesh, samples, inputs)) if wide and wanted.pictures else inputs
+
+
+def _aside(mesh: Mesh, samples: Samples, inputs: SampleInputs) -> tuple[SampleInputs, SampleInputs]:
+    """The inputs at the ends of two half-diameters of each sample's splat, as far as pictures are mapped by them."""
+    steps = {name: along_half_axes(samples, mesh.uv[name]) for name in inputs.uv}
+    places = {"position": inputs.position, "generated": inputs.generated}
+    places = {name: array for name, array in places.items() if array is not None}
+    if places:
+        moved = along_half_axes(samples, mesh.position[mesh.triangles])
+        extent = np.maximum(mesh.position.max(axis=0) - mesh.position.min(axis=0), 1e-30)
+        scale = {"position": 1.0, "generated": (1 / extent).astype(np.float32)}
+    first, second = (
+        replace(
+            inputs,
+            uv={name: array + steps[name][k] for name, array in inputs.uv.items()},
+            **{name: array + moved[k] * scale[name] for name, array in places.items()},
+        )
+        for k in range(2)
+    )
+    return first, second

@@ -1,0 +1,74 @@
+"""Numbers as the shaders read them: pages of 4,096-wide float textures, directions in 24 bits.
+
+Integers are kept as floats below 2^24, which float32 holds exactly. shaders/lib/data/pack.glsl unpacks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.numeric.vectors import each_block
+
+PAGE_WIDTH = 4096
+OCT_STEPS = 4095
+FACET_STEPS = 511  # of normals in 18 bits
+FACET_SHARE = 512.0 * 512.0  # above these: a share in 63rds
+NO_NORMAL = -1.0  # code of a splat without a normal: a ball
+
+
+def pack_normal(normal: np.ndarray) -> np.ndarray:
+    """Octahedral code (Meyer et al. 2010), 12 bits each way, of directions (N, 3), whatever their length: (N,) float32.
+
+    The decoded direction is within 0.06 degrees; that of a zero vector is +Z.
+    """
+    code = np.empty(len(normal), np.float32)
+
+    def pack(block: slice) -> None:
+        code[block] = octahedral(normal[block])
+
+    each_block(len(normal), pack)
+    return code
+
+
+def octahedral(normal: np.ndarray, steps: int = OCT_STEPS) -> np.ndarray:
+    """The same for as many as fit the cache, in `steps` each way."""
+    # One after another, coordinates are read much faster than as rows of a transposed array.
+    x, y, z = (np.array(column, np.float32) for column in normal.T)
+    with np.errstate(over="ignore"):
+        size = np.abs(x) + np.abs(y) + np.abs(z)
+    odd = ~((size > 0) & (size < np.inf))
+    if odd.any():  # nor have infinite vectors a direction
+        x[odd], y[odd], z[odd], size[odd] = 0, 0, 1, 1
+    x /= size
+    y /= size
+    # The lower half is folded outwards.
+    down = z < 0
+    if down.any():
+        folded_x, folded_y = np.copysign(1 - np.abs(y), x), np.copysign(1 - np.abs(x), y)
+        x, y = np.where(down, folded_x, x), np.where(down, folded_y, y)
+    return np.rint((y * 0.5 + 0.5) * steps) * (steps + 1) + np.rint((x * 0.5 + 0.5) * steps)
+
+
+def unpack_normal(code: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 3) float64 of codes (N,): the reference for ps_unpack_normal."""
+    row = np.floor(np.asarray(code, np.float64) / 4096)
+    x, y = (code - 4096 * row) / OCT_STEPS * 2 - 1, row / OCT_STEPS * 2 - 1
+    z = 1 - np.abs(x) - np.abs(y)
+    sign_x, sign_y = np.where(x >= 0, 1, -1), np.where(y >= 0, 1, -1)
+    n = np.stack([np.where(z < 0, (1 - np.abs(y)) * sign_x, x), np.where(z < 0, (1 - np.abs(x)) * sign_y, y), z], 1)
+    return n / np.linalg.norm(n, axis=1, keepdims=True)
+
+
+def paged(values: np.ndarray, channels: int) -> tuple[tuple[int, int], np.ndarray]:
+    """Rows (N, C <= channels) laid out as a texture: its (width, height) and flat float32 data, zero padded.
+
+    A page of fewer than 4,096 rows is one row high and as wide as a page all the same: shaders shift and mask.
+    """
+    height = max(1, -(-len(values) // PAGE_WIDTH))
+    flat = values.reshape(len(values), values[:1].size if len(values) else channels)
+    with np.errstate(over="ignore"):  # of instances that float32 has no place for, which are not drawn
+        if flat.shape[1] == channels and len(values) == height * PAGE_WIDTH:
+            return (PAGE_WIDTH, height), np.ascontiguousarray(flat, np.float32).reshape(-1)
+        data = np.zeros((height * PAGE_WIDTH, channels), np.float32)
+        data[: len(values), : flat.shape[1]] = flat
+    return (PAGE_WIDTH, height), data.reshape(-1)

@@ -1,0 +1,244 @@
+"""The device that draws: the least that the passes need, so that every device can offer it."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
+from typing import Concatenate, ParamSpec, Protocol, TypeVar
+
+import numpy as np
+
+from ...shading.interface import Interface
+
+CHANNELS = {"RGBA32F": 4, "RGBA16F": 4, "RG32F": 2, "R32F": 1, "R32UI": 1}  # formats of textures
+BYTES_PER_PIXEL = {"RGBA32F": 16, "RGBA16F": 8, "RG32F": 8, "R32F": 4, "R32UI": 4}
+DEPTH_BYTES = 4  # per pixel of a target's depth buffer, which is 32-bit float on every device
+MAX_OUTPUTS = 6  # textures of a target; Blender's gpu takes no more
+MAX_GROUPS = 65535  # work groups in one direction
+EMPTY = 0xFFFFFFFF  # what a cleared R32UI texture holds
+
+
+class DeviceError(RuntimeError):
+    """The device cannot do what was asked; the message says what and why."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the device was found to offer, by asking it."""
+
+    renderer: str
+    texture_size: int  # largest side of a texture
+    image_atomics: bool  # compute shaders with atomics on R32UI images
+    float_blend: bool  # additive blending into RGBA32F
+
+
+class Texture(Protocol):
+    """A two-dimensional texture of one level, nearest filtering, clamped."""
+
+    size: tuple[int, int]
+    format: str
+
+    def release(self) -> None: ...
+
+
+class Target(Protocol):
+    """Textures that one draw writes together."""
+
+    colors: tuple[Texture, ...]
+
+    def release(self) -> None: ...
+
+
+class Timer(Protocol):
+    """Timers do not nest."""
+
+    def milliseconds(self) -> float:
+        """Time the device spent between start and stop; waits for it where it must. DeviceError: released unread."""
+        ...
+
+    def release(self) -> None:
+        """Not asked for any more: the device takes back what it measures with. Waits for nothing; once is enough."""
+        ...
+
+
+class Device(Protocol):
+    """All calls come from the thread that made the device."""
+
+    name: str
+    limits: Limits
+
+    @property
+    def alive(self) -> Set[Texture | Target]:
+        """All textures and targets that are not released."""
+        ...
+
+    def texture(self, size: tuple[int, int], format: str, data: np.ndarray | None = None) -> Texture:
+        """A texture; `data` is float32 of size H*W*channels, bottom row first (never given for R32UI).
+
+        Without data its content is undefined.
+        """
+        ...
+
+    def target(self, colors: Sequence[Texture], depth: bool = False) -> Target:
+        """A target over textures of one size, with a depth buffer of its own where `depth`."""
+        ...
+
+    def clear(self, target: Target, color: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> None:
+        """Set all colour textures to `color`, R32UI ones to EMPTY, and the depth buffer to 1."""
+        ...
+
+    def fill(self, texture: Texture) -> None:
+        """Set an R32UI texture to EMPTY."""
+        ...
+
+    def draw(
+        self,
+        interface: Interface,
+        target: Target | None,
+        *,
+        uniforms: np.ndarray | None = None,
+        textures: Mapping[str, Texture] | None = None,
+        vertices: int = 3,
+        primitive: str = "TRIANGLES",
+        blend: bool = False,
+        over: bool = False,
+        mask: str = "RGBA",
+        depth_test: bool = False,
+        cull: bool = False,
+    ) -> None:
+        """Draw `vertices` without vertex attributes (gl_VertexID counts them) as TRIANGLES, LINES or POINTS.
+
+        blend adds to what is there; over covers it with premultiplied colours, (ONE, ONE_MINUS_SRC_ALPHA), in the
+        order of the vertices; mask names the channels that are written; depth_test keeps the nearer (of equals the
+        first) and writes depth; cull drops back faces (clockwise on screen). The vertex shader of POINTS sets
+        gl_PointSize. `target` None draws into what is bound, within the viewport that is set: Blender's own
+        framebuffer in view_draw.
+        """
+        ...
+
+    def dispatch(
+        self,
+        interface: Interface,
+        groups: int,
+        *,
+        uniforms: np.ndarray | None = None,
+        textures: Mapping[str, Texture] | None = None,
+        images: Mapping[str, Texture] | None = None,
+    ) -> None:
+        """Run `groups` work groups of interface.local_size. More than 65,535 are laid out in rows: use ps_index()."""
+        ...
+
+    def read(self, texture: Texture) -> np.ndarray:
+        """The texture as (H, W, channels) float32, or (H, W) uint32 for R32UI; bottom row first."""
+        ...
+
+    def start_timer(self) -> Timer: ...
+
+    def stop_timer(self, timer: Timer) -> None: ...
+
+    def bytes_allocated(self) -> int:
+        """Bytes of all textures and depth buffers alive on the device."""
+        ...
+
+    def release(self) -> None:
+        """Free everything; the device is unusable afterwards."""
+        ...
+
+
+P = ParamSpec("P")
+S = TypeVar("S")
+
+
+@contextlib.contextmanager
+def undone(device: Device) -> Iterator[None]:
+    """Where what it encloses fails, all that this had put on the device is released: nobody else knows of it yet."""
+    before = set(device.alive)
+    try:
+        yield
+    except Exception:
+        for thing in set(device.alive) - before:
+            thing.release()
+        raise
+
+
+def whole(init: Callable[Concatenate[S, Device, P], None]) -> Callable[Concatenate[S, Device, P], None]:
+    """A constructor (self, device, ...) that leaves nothing on the device where it fails, as where memory is full."""
+
+    @functools.wraps(init)
+    def made(self: S, device: Device, *args: P.args, **named: P.kwargs) -> None:
+        with undone(device):
+            init(self, device, *args, **named)
+
+    return made
+
+
+def check_texture(size: tuple[int, int], format: str, data: np.ndarray | None, limits: Limits) -> None:
+    """DeviceError: a texture that no device can make, or data of another size."""
+    width, height = size
+    if format not in CHANNELS:
+        raise DeviceError(f"no texture format {format}; there are {', '.join(CHANNELS)}")
+    if not 1 <= min(size) <= max(size) <= limits.texture_size:
+        raise DeviceError(f"a texture of {width} x {height} is outside this GPU's 1 to {limits.texture_size}")
+    if data is not None and format == "R32UI":
+        raise DeviceError("a texture of unsigned integers takes no data")
+    if data is not None and data.size != width * height * CHANNELS[format]:
+        raise DeviceError(f"{data.size} numbers for a texture of {width} x {height} of {format}")
+
+
+def check_target(colors: Sequence[Texture]) -> None:
+    """DeviceError: textures that cannot be written together."""
+    if not 1 <= len(colors) <= MAX_OUTPUTS:
+        raise DeviceError(f"a target of {len(colors)} textures; 1 to {MAX_OUTPUTS} are possible")
+    if len({tuple(texture.size) for texture in colors}) > 1:
+        raise DeviceError(f"a target of textures of different sizes: {[texture.size for texture in colors]}")
+
+
+def check_call(
+    interface: Interface,
+    target: Target | None,
+    uniforms: np.ndarray | None,
+    textures: Mapping[str, Texture],
+    images: Mapping[str, Texture],
+    blend: bool = False,
+) -> None:
+    """DeviceError: a draw or dispatch that does not fit its interface, or reads what it writes."""
+    name = interface.name
+    if interface.block and (uniforms is None or uniforms.dtype != interface.block.dtype() or uniforms.size != 1):
+        raise DeviceError(f"{name}: uniforms are not one record of {interface.block.type}")
+    for kind, key in interface.samplers:
+        if key not in textures:
+            raise DeviceError(f"{name}: no texture for {key}")
+        if (kind == "UINT_2D") != (textures[key].format == "R32UI"):
+            raise DeviceError(f"{name}: {key} is {kind}, its texture {textures[key].format}")
+    for format, key in interface.images:
+        if key not in images or images[key].format != format:
+            raise DeviceError(f"{name}: no texture of format {format} for {key}")
+    if target is None:
+        return
+    if len(interface.outputs) != len(target.colors):
+        raise DeviceError(f"{name}: {len(interface.outputs)} outputs into {len(target.colors)} textures")
+    if blend and any(texture.format == "R32UI" for texture in target.colors):
+        raise DeviceError(f"{name}: unsigned integers cannot be blended")
+    read = {id(texture) for texture in textures.values()}
+    if any(id(texture) in read for texture in target.colors):
+        raise DeviceError(f"{name}: a texture is both read and drawn into")
+
+
+def half(data: np.ndarray) -> np.ndarray:
+    """`data` as float16, to the nearest; what is too large, infinities too, becomes the largest number there is, and
+    what is no number 0: light that is too bright for a texture stays bright, where infinities would be drawn black."""
+    with np.errstate(over="ignore"):
+        found = np.ascontiguousarray(data, np.float16)
+    bits = found.view(np.uint16)
+    if (bits & 0x7FFF).max(initial=0) >= 0x7C00:
+        bits[(bits & 0x7FFF) == 0x7C00] -= 1  # of either sign
+        bits[(bits & 0x7FFF) > 0x7C00] = 0
+    return found
+
+
+def layout_groups(groups: int) -> tuple[int, int]:
+    """(columns, rows) of at least `groups` work groups, as few more as rows of equal length allow."""
+    rows = max(1, -(-groups // MAX_GROUPS))
+    return -(-groups // rows), rows

@@ -1,0 +1,73 @@
+"""Passes that are not averaged, as they are read from the device: from the first sample, identities from all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ...core.scene.scene import Scene
+from ..device.protocol import Texture
+from ..passes.outputs import CRYPTO
+from ..passes.shade import data
+from ..plan.request import Request
+from .filtering import cryptomatte
+
+
+class Data:
+    """What the pass `data` has left of one picture."""
+
+    def __init__(self, scene: Scene, request: Request) -> None:
+        self.scene, self.request = scene, request
+        self._first: dict[str, np.ndarray] = {}
+        self._identities: list[np.ndarray] = []  # (H, W, 2) int32 by sample: instance, material
+
+    @property
+    def every_sample(self) -> bool:
+        """Cryptomatte ranks the identities of all."""
+        return bool(self.request.passes & set(CRYPTO))
+
+    def read(self, textures: Sequence[Texture], read: Callable[[Texture], np.ndarray], first: bool) -> None:
+        """What is needed of a sample, whose pass has drawn these `textures`. `read`: (H, W, 4) float32 of one."""
+        for name, texture in zip(data(self.request.passes), textures, strict=True):
+            if not (first or name == "index"):
+                continue
+            picture = read(texture)
+            if first:
+                self._first[name] = picture
+            if name == "index" and self.every_sample:
+                self._identities.append(picture[..., :2].astype(np.int32))
+
+    def pixels(self) -> dict[str, np.ndarray]:
+        """(H, W, C) float32 by pass: all that can be told of what was read."""
+        scene, first = self.scene, self._first
+        out = {}
+        if "position" in first:
+            out["depth"], out["position"] = first["position"][..., 3:], first["position"][..., :3]
+        if "vector" in first:
+            out["vector"] = first["vector"]
+        if "index" in first:
+            instance, material = (first["index"][..., i].astype(np.int64) for i in range(2))
+            out["object_index"] = _looked_up(scene.instances.pass_index, instance)
+            out["material_index"] = _looked_up(scene.materials.pass_index, material)
+        if self._identities:
+            tables = scene.instances.object_hash, scene.materials.hash
+            for column, (key, table) in enumerate(zip(CRYPTO, tables, strict=True)):
+                if key in self.request.passes:
+                    out |= self._cryptomatte(key, column, table)
+        return out
+
+    def _cryptomatte(self, key: str, column: int, table: np.ndarray | None) -> dict[str, np.ndarray]:
+        known = np.zeros(len(self.scene.instances), np.uint32) if table is None else table.astype(np.uint32)
+        padded = np.append(known, np.uint32(0))  # -1, and what is no row, look up the last: no identity
+        hashes = padded[np.minimum(np.stack([ids[..., column] for ids in self._identities]), len(known))]
+        pictures = cryptomatte(hashes, self.request.crypto_levels)
+        return {f"{key}{i:02d}": picture for i, picture in enumerate(pictures)}
+
+
+def _looked_up(table: np.ndarray | None, index: np.ndarray) -> np.ndarray:
+    """(H, W, 1) float32: table[index], 0 where the index is negative or no row of the table."""
+    if table is None or len(table) == 0:
+        return np.zeros((*index.shape, 1), np.float32)
+    there = (index >= 0) & (index < len(table))
+    return np.where(there, table[np.where(there, index, 0)], 0).astype(np.float32)[..., None]

@@ -1,0 +1,115 @@
+"""What of a picture is out of focus: gathered once for all samples, over the mean of what is in focus.
+
+Of passes that know no blur, there is a picture beside it that has no lens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.lens.defocus import BLURRED, blur_of
+from ...core.lod.cut import NEIGHBOURS
+from ...core.scene.scene import Camera, Scene, World
+from ..device.protocol import Device, Texture
+from ..passes.defocus import Defocus, defocus_program, tile_lists
+from ..passes.outputs import CRYPTO
+from ..passes.shade import averaged, data
+from ..passes.tiles import Adaptive
+from ..passes.translucent import LitSplats, light_program
+from ..plan.plan import Plan
+from ..plan.request import Request
+from .targets import Targets
+from .uploads import Uploads
+
+
+def beside(scene: Scene, asked: Request, presented: bool) -> tuple[Scene, Request] | None:
+    """The picture of the passes that know no blur, without light; None where none of them is asked for. `presented`:
+    the picture is shown in a viewport, which hides what Blender draws by depths."""
+    others = asked.passes - {"combined"}
+    sampled = averaged(others) or others & set(CRYPTO)
+    if not (presented or sampled or data(others)):
+        return None
+    settings = replace(asked.settings, use_shadows=False, use_adaptive_sampling=False)
+    camera = replace(asked.camera, aperture=None)
+    unlit = replace(scene, lights=(), world=World(), transparent=True)
+    samples = asked.samples if sampled else 1
+    return unlit, replace(asked, camera=camera, settings=settings, passes=others, samples=samples)
+
+
+def in_focus(camera: Camera, plan: Plan, largest: float) -> tuple[float, float]:
+    """Depths between which something may be; in image space, that shows of points what is beside them, too. `largest`:
+    radius of splats in pixels."""
+    blur = blur_of(camera)
+    assert blur is not None
+    near, far = blur.depths(BLURRED)
+    if plan.points and plan.ewa is None:
+        reach = (NEIGHBOURS - 1) * largest / abs(camera.pixel_from_view()[0])
+        near -= reach * (near if camera.perspective else 1.0)
+        far += reach * (far if camera.perspective else 1.0)
+    return max(camera.near, near), min(camera.far, far)
+
+
+class OutOfFocus:
+    """The splats of one picture that are out of focus, with those that are translucent."""
+
+    def __init__(
+        self,
+        device: Device,
+        plan: Plan,
+        uploads: Uploads,
+        targets: Targets,
+        transparent: bool,
+        run: Callable[[str, Callable[[], None]], None],
+    ) -> None:
+        """`transparent`: the film is. `run` times each pass. DeviceError: more splats than a texture holds."""
+        assert plan.translucent is not None
+        self.device, self.plan, self.uploads, self.targets = device, plan, uploads, targets
+        self.transparent, self._run = transparent, run
+        self.gathered = 0  # samples in the picture
+        self.tiles: Defocus | None = None
+        program = light_program(plan.translucent, plan.lighting, plan.materials)
+        self.lit = LitSplats(device, plan.translucent, program, uploads.listed)
+
+    def gather(self, done: int, record: np.ndarray, behind: dict[str, Texture], adaptive: Adaptive | None) -> None:
+        """The picture after `done` samples of what is in focus. `record`: of rays through pixels' centres; it is
+        written to. `behind`: the world out of focus, by sampler name. `adaptive`: where pixels differ in how many
+        samples they have."""
+        if self.gathered == done or (self.gathered and not self.plan.solid):
+            return
+        self.gathered = done
+        assert self.plan.translucent is not None
+        record["mist"][0, 3] = 1 / done
+        if self.tiles is None:
+            self._run("light", lambda: self._light(record.copy()))
+            self._run("tiles", lambda: self._list(record))
+        tiles = self.tiles
+        assert tiles is not None
+        program = defocus_program(
+            self.plan.behind, self.transparent, self.plan.translucent.tint, self.plan.translucent.holdout,
+            adaptive is not None, tiles.tile,
+        )  # fmt: skip
+        sharp = {"ps_focused": self.targets.sums[0], "ps_focus": self.targets.focus}
+        textures = {**self.uploads.shading, **behind, **sharp}
+        if adaptive is not None:
+            textures["ps_counts"] = adaptive.known
+        self._run("defocus", lambda: tiles.draw(program, self.targets.seen_target, record, self.lit.textures, textures))
+
+    def _light(self, record: np.ndarray) -> None:
+        self.lit.light(record, {**self.uploads.splats, **self.uploads.shading})
+
+    def _list(self, record: np.ndarray) -> None:
+        """By the tiles of the picture."""
+        lit = self.lit
+        place, shape = (
+            self.device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_place", "ps_shape")
+        )
+        focal = record["focal"][0].astype(np.float64)
+        self.tiles = Defocus(self.device, tile_lists(place, shape, focal, self.targets.seen.size))
+
+    def release(self) -> None:
+        self.lit.release()
+        if self.tiles is not None:
+            self.tiles.release()

@@ -1,0 +1,429 @@
+"""One picture on the device: its samples drawn, averaged, presented and read back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...core.lens.backdrop import grid_of
+from ...core.lens.defocus import blur_of
+from ...core.scene.scene import Scene
+from ...core.strand.selection import turns
+from ...shading.interface import Interface
+from ..budget.budget import checkpoint
+from ..device.clock import Clock
+from ..device.protocol import Texture
+from ..passes import shade as shade_pass
+from ..passes.backdrop import Backdrop
+from ..passes.common import frame_record
+from ..passes.outputs import BY_KEY, CRYPTO, empty_pixels
+from ..passes.pyramid import levels
+from ..passes.tiles import EVERYWHERE, Adaptive
+from ..plan.frame_plan import make_shot
+from ..plan.request import Request
+from .data import Data
+from .defocus import OutOfFocus, in_focus
+from .filtering import offsets
+from .lens_samples import LensSamples
+from .surfels import Surfels
+from .targets import Targets
+from .translucent import Translucent, lighting
+from .uploads import Uploads
+
+if TYPE_CHECKING:
+    from ..renderer import Renderer
+
+
+class Frame:
+    """One picture in the making. Every call comes from the device's thread."""
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        scene: Scene,
+        request: Request,
+        cancelled: Callable[[], bool] = lambda: False,
+        presented: bool = False,
+        picture: bool = True,
+    ) -> None:
+        """`presented`: between samples too. `picture`: with Combined, not passes beside it alone."""
+        self.renderer, self.presented = renderer, presented
+        self.device = renderer.device
+        self.clock = Clock(self.device, cancelled)
+        self.whole = scene  # as it was given
+        # What comes before anything is on the device can be cancelled.
+        self.shot = make_shot(scene, request, self.device.limits, renderer.costs, self.clock, presented, picture)
+        self.view = self.shot.view  # of the sample that is drawn
+        self.done = 0
+        self.ended = False  # before all samples were drawn
+        self.hurried = False  # presented only when it has ended
+        self.beside: Frame | None = None
+        self.lens: LensSamples | None = None
+        self.backdrop: Backdrop | None = None
+        self.adaptive: Adaptive | None = None
+        self.translucent: Translucent | None = None
+        self.out_of_focus: OutOfFocus | None = None
+        self._turns = turns(self.shot.request.samples)
+        self._data = Data(self.shot.scene, self.shot.request)
+        self._owned: list[Any] = []
+        self._lent: tuple[tuple, Targets] | None = None
+        try:
+            if self.shot.beside is not None:
+                self.beside = Frame(renderer, *self.shot.beside, cancelled, presented, picture=False)
+                self.beside.clock.slow = False
+            if not self.shot.trivial:
+                self._allocate()
+        except Exception:
+            self.release()
+            raise
+
+    # What is on the device
+
+    def _allocate(self) -> None:
+        device, shot, run = self.device, self.shot, self.clock.run
+        plan, request = shot.plan, shot.request
+        if shot.through_lens:
+            self.lens = self._own(LensSamples(device, shot.view, request.samples))
+        motion = plan.data and "vector" in shade_pass.data(request.passes)
+        self.uploads: Uploads = self._own(
+            Uploads(self.renderer.kept, shot.scene, shot.view, shot.prepared, plan, motion, shot.shadows)
+        )
+        self.clock.spent |= self.uploads.spent
+        if plan.backdrop:
+            self.backdrop = self._own(Backdrop(device, grid_of(shot.view, device.limits.texture_size)))
+        count = levels(shot.prepared.largest, shot.view.resolution)
+        self._lent = self.renderer.pool.borrow(plan, request.passes, shot.view.window[2:], count)
+        self.targets = self._lent[1]
+        if self.targets.sums:
+            device.clear(self.targets.sum_target)
+        if not shot.everywhere:
+            shown = self.presented and not plan.defocus and self.targets.surfels is not None
+            place = _bound(self.targets.surfels).get("ps_place") if shown else None
+            threshold = request.settings.adaptive_threshold
+            gather = 2 << count  # two pixels of the coarsest level on either side
+            self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, place))
+        self._make_programs()
+        if plan.defocus:
+            transparent = shot.scene.transparent
+            self.out_of_focus = self._own(OutOfFocus(device, plan, self.uploads, self.targets, transparent, run))
+        elif plan.translucent is not None:
+            self.translucent = self._own(Translucent(device, plan, self.uploads, self.targets, request.samples, run))
+
+    def _make_programs(self) -> None:
+        """What shades, draws the background, and averages passes of what is painted."""
+        plan, request, transparent = self.shot.plan, self.shot.request, self.shot.scene.transparent
+        passes, coverage = request.passes, plan.ewa is not None
+        self.averages: tuple[Interface, ...] = ()
+        if plan.painter and plan.points and shade_pass.averaged(passes):
+            self.averages = (
+                shade_pass.shade_program(
+                    plan.data_variant, (), plan.materials, passes, lines=plan.lines, combined=False
+                ),
+                shade_pass.background_program((), True, passes, combined=False),
+            )
+            passes = frozenset({"combined"})
+        self.shade = shade_pass.shade_program(
+            plan.variant, plan.lighting, plan.materials, passes, request.samples, coverage, plan.lines, plan.defocus,
+            plan.picture, coarse=request.coarse,
+        )  # fmt: skip
+        self.background = shade_pass.background_program(
+            plan.behind, transparent, passes, coverage, everywhere=not plan.shaded.solid, combined=plan.picture
+        )
+
+    # Drawing
+
+    def sample(self) -> bool:
+        """Draw one more sample; False when there were enough."""
+        if self.complete:
+            return False
+        if not self.shot.trivial:
+            self._draw_sample(self.done == 0)
+        self.done += 1
+        if self.adaptive is not None and self.done < self.shot.request.samples:
+            adaptive = self.adaptive
+            self.clock.run("adapt", lambda: self._adapt(adaptive))
+        if self.presented and (self.complete or checkpoint(self.done)) and not self.hurried:
+            self._gather()
+        return not self.complete
+
+    def end(self) -> None:
+        """There are enough samples."""
+        self.ended = True
+        if self.presented:
+            self._gather()
+
+    @property
+    def complete(self) -> bool:
+        """No sample is missing."""
+        enough = self.done >= self.shot.request.samples or (self.adaptive is not None and self.adaptive.finished)
+        return self.ended or enough
+
+    def _draw_sample(self, first: bool) -> None:
+        plan = self.shot.plan
+        if self.lens is not None:
+            self.view = self.lens.view(self.done, self.uploads)
+        record = self._record(self.done)
+        if plan.defocus:
+            record["lens"][0, :2] = in_focus(self.view, plan, self.shot.prepared.largest)
+        if first and self.backdrop is not None:
+            self.clock.run("backdrop", self._draw_backdrop)
+        self._draw_surfels(record, first)
+        if self.translucent is not None:
+            self.device.clear(self.targets.layer_target)
+        if self.targets.surfels is not None and plan.shades:
+            self.clock.run("shade", lambda: self._shade(record))
+        if plan.background and plan.shades:
+            self.clock.run("background", lambda: self._draw_background(record))
+        if self.translucent is not None:
+            self._draw_translucent(self.translucent, record.copy(), first)
+        if self.beside is not None:
+            self.beside.sample()
+
+    def _draw_surfels(self, record: np.ndarray, first: bool) -> None:
+        """What is opaque into G-buffers, and of these the passes that no light changes."""
+        plan, uploads, run = self.shot.plan, self.uploads, self.clock.run
+        surfels, data_surfels = self.targets.surfels, self.targets.data_surfels
+        projection = self.targets.projection
+        for lines in uploads.lines:
+            lines.list_thin(float(self._turns[self.done]))
+        beside = first or self._data.every_sample or bool(self.averages)
+        if projection is not None and (beside or not plan.painter):
+            run("project", lambda: projection.run(uploads.draws, record.copy(), uploads.shared))
+        if surfels is not None:
+            region = self.adaptive.gathered if self.adaptive else EVERYWHERE
+            surfels.draw(uploads, None if plan.painter else projection, record, run, region)
+        if beside and data_surfels is not None and data_surfels is not surfels:
+            data_surfels.draw(uploads, projection, record, run)
+        if self.lens is not None and first and self.presented and data_surfels is not None:
+            self.lens.keep(data_surfels.buffer.textures["place"], record)
+        if plan.data and (first or self._data.every_sample):
+            run("data", lambda: self._draw_data(record))
+            self._data.read(self.targets.data, self._cropped, first)
+        if self.averages:
+            run("averages", lambda: self._average(record))
+
+    def _record(self, index: int) -> np.ndarray:
+        """The uniform block of one sample."""
+        scene, samples, plan = self.shot.scene, self.shot.request.samples, self.shot.plan
+        camera, mist = self.view, scene.mist
+        x, y = offsets(samples)[index] if samples > 1 else (0.0, 0.0)
+        record = frame_record(camera, (float(x), float(y)))
+        record["mist"][0] = mist.start, 1 / max(mist.depth, 1e-6), shade_pass.MIST_EXPONENT[mist.falloff], 0.0
+        record["page"][0, 3] = len(scene.lights)
+        if self.backdrop is not None:
+            record["previous"][0, :2] = self.backdrop.texels
+        if plan.defocus:
+            blur, aperture = blur_of(camera), camera.aperture
+            assert blur is not None
+            assert aperture is not None
+            record["focus"][0] = blur.scale, 1 / blur.focus, 0.0, 1 / aperture.ratio
+        return record
+
+    def _centred(self) -> np.ndarray:
+        """The same for rays through pixels' centres."""
+        record = self._record(0)
+        record["focal"][0] = self.view.pixel_from_view()
+        return record
+
+    @property
+    def _behind(self) -> dict[str, Texture]:
+        """The world out of focus, by sampler name."""
+        return {} if self.backdrop is None else {"ps_backdrop": self.backdrop.texture}
+
+    def _draw_backdrop(self) -> None:
+        assert self.backdrop is not None
+        assert self.uploads.levels is not None
+        self.backdrop.draw(self._centred(), {**self.uploads.shading, "ps_levels": self.uploads.levels})
+
+    def _draw_data(self, record: np.ndarray) -> None:
+        shot, record = self.shot, record.copy()
+        x0, y0, _, _ = self.view.window
+        record["previous"][0] = *self.view.resolution, x0, y0
+        textures = _bound(self.targets.data_surfels)
+        if self.uploads.previous is not None:
+            textures["ps_previous"] = self.uploads.previous
+        program = shade_pass.data_program(shot.plan.data_variant, shot.request.passes)
+        self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
+
+    def _average(self, record: np.ndarray) -> None:
+        """Passes of what is painted that are averaged: of its G-buffer, without light."""
+        textures = _bound(self.targets.data_surfels) | self.uploads.shading
+        for program in self.averages:
+            self.device.draw(
+                program, self.targets.averages_target, uniforms=record.copy(), textures=textures, blend=True
+            )
+
+    def _shade(self, record: np.ndarray) -> None:
+        record = record.copy()
+        record["size"][0, 2] = self.done
+        self._add(self.shade, record, _bound(self.targets.surfels) | self.uploads.shading)
+
+    def _draw_background(self, record: np.ndarray) -> None:
+        textures = _bound(self.targets.surfels) | self.uploads.shading | self._behind
+        self._add(self.background, record.copy(), textures)
+
+    def _add(self, program: Interface, record: np.ndarray, textures: dict[str, Texture]) -> None:
+        region = self.adaptive.shown if self.adaptive else EVERYWHERE
+        region.draw(self.device, program, self.targets.shade_target, uniforms=record, textures=textures, blend=True)
+
+    def _draw_translucent(self, translucent: Translucent, record: np.ndarray, first: bool) -> None:
+        # Their light is the same for all samples, but for the lens, and for the shadows of wide lamps, which they blur
+        # among each other.
+        shadows = self.shot.shadows
+        points = lighting(self.shot.request, self.done) if shadows is not None and shadows.wide else 0
+        if first or points != translucent.lit_by or self.lens is not None:
+            translucent.light(points, self._centred())
+        translucent.draw(record, _bound(self.targets.surfels), coarse=first and self.shot.plan.coarse)
+
+    def _adapt(self, adaptive: Adaptive) -> None:
+        """Leave out what no tile needs any more."""
+        record, projection, uploads = self._record(0), self.targets.projection, self.uploads
+        if adaptive.check(self.done, record) and projection is not None and not adaptive.finished:
+            uploads.narrow(projection.within(uploads.draws, record, uploads.shared, adaptive.gathered))
+
+    def _gather(self) -> None:
+        """What is out of focus into the picture so far."""
+        if self.out_of_focus is not None:
+            self.out_of_focus.gather(self.done, self._centred(), self._behind, self.adaptive)
+
+    # Between samples
+
+    @property
+    def blends(self) -> bool:
+        """Whether each sample draws translucent splats."""
+        return self.translucent is not None
+
+    @property
+    def color(self) -> Texture:
+        """Sum of the samples so far, premultiplied, scene-linear; `present` averages."""
+        return self.targets.sums[0] if self.out_of_focus is None else self.targets.seen
+
+    def other(self, request: Request, samples: int) -> np.ndarray | None:
+        """The mean (H, W, 4) of so many samples of the same scene by another request; None where it draws the same."""
+        frame = Frame(self.renderer, self.whole, request, self.clock.cancelled)
+        try:
+            a, b = frame.shot, self.shot
+            if (a.splats, a.segments, a.triangles) == (b.splats, b.segments, b.triangles):
+                return None
+            while frame.done < samples and frame.sample():
+                frame.clock.settle()
+                frame.clock.check()
+            return frame.mean()
+        finally:
+            frame.release()
+
+    def hold(self, squares: np.ndarray, limit: float) -> None:
+        """Adaptive sampling goes on where the root mean of these squared errors (H, W) exceeds `limit` in a tile."""
+        if self.adaptive is not None:
+            self.adaptive.hold(self.shot.padded(squares), limit)
+
+    def present(self) -> None:
+        """Draw the average so far and its depth into the framebuffer that is bound, in the viewport that is set."""
+        if self.shot.trivial:
+            self._present_constant()
+            return
+        camera = self.shot.request.camera
+        m = camera.clip_from_view
+        record = self._record(0)
+        record["size"][0, :2] = camera.window[2:]
+        record["page"][0, :2] = self.shot.corner
+        record["mist"][0, 3] = 1.0 if self.out_of_focus is not None else 1 / max(self.done, 1)
+        record["previous"][0] = m[2, 2], m[2, 3], m[3, 2], m[3, 3]
+        textures = {"ps_combined": self.color}
+        adaptive = self.adaptive if self.out_of_focus is None else None
+        if adaptive is not None:
+            textures["ps_counts"] = adaptive.known
+        if (place := self._place) is not None:
+            textures["ps_place"] = place
+        program = shade_pass.present_program(place is not None, adaptive is not None)
+        self.device.draw(program, None, uniforms=record, textures=textures)
+
+    @property
+    def _place(self) -> Texture | None:
+        """Depths, of what nothing blurs, that hide what Blender draws."""
+        if self.lens is not None and self.lens.place is not None:
+            return self.lens.place
+        if self.adaptive is not None and self.out_of_focus is None:
+            return self.adaptive.place
+        drawn = self if self.beside is None or self.beside.shot.trivial else self.beside
+        return _bound(drawn.targets.data_surfels).get("ps_place")
+
+    def _present_constant(self) -> None:
+        """A world of one colour needs no picture: one texel does."""
+        texel = self.device.texture((1, 1), "RGBA32F", self.shot.constant.astype(np.float32))
+        record = self._record(0)
+        record["mist"][0, 3] = 1.0
+        record["size"][0, :2] = 1, 1
+        program = shade_pass.present_program(False)
+        self.device.draw(program, None, uniforms=record, textures={"ps_combined": texel})
+        texel.release()
+
+    # Results
+
+    def counts(self) -> np.ndarray | int:
+        """(H, W, 1) float32, or one for all pixels: how many samples each of them has."""
+        return max(self.done, 1) if self.adaptive is None else self.shot.cropped(self.adaptive.samples(self.done))
+
+    def in_focus(self) -> np.ndarray | None:
+        """(H, W, 1) float32: the share of each pixel that its samples show in focus; None: nothing is out of it."""
+        if self.out_of_focus is None:
+            return None
+        return self._cropped(self.targets.focus)[..., 1:2] / self.counts()
+
+    def mean(self) -> np.ndarray:
+        """(H, W, 4) float32: the picture so far."""
+        if self.shot.trivial:
+            return self._empty(frozenset({"combined"}))["combined"]
+        if self.out_of_focus is not None:
+            self._gather()
+            return self._cropped(self.targets.seen)
+        return self._cropped(self.targets.sums[0]) / self.counts()
+
+    def pixels(self) -> dict[str, np.ndarray]:
+        """(H, W, C) float32 of every requested pass."""
+        plan, passes = self.shot.plan, self.shot.request.passes
+        wanted = passes | (frozenset({"combined"}) if plan.picture else frozenset())
+        if self.shot.trivial:
+            return self._empty(wanted)
+        self._gather()
+        sums, samples = (self.targets.sums, self.counts()) if self.out_of_focus is None else ([self.color], 1)
+        out: dict[str, np.ndarray] = {}
+        names = (*(("combined",) if plan.picture else ()), *shade_pass.averaged(passes))
+        for name, texture in zip(names, sums, strict=True):
+            mean = self._cropped(texture) / samples
+            out[name] = np.ascontiguousarray(mean[..., : BY_KEY[name].channels])
+        out |= self._data.pixels()
+        found = {key: array for key, array in out.items() if key in wanted or key.startswith(CRYPTO)}
+        found |= self._empty(frozenset(key for key in wanted if not {key, f"{key}00"} & found.keys()))
+        if self.beside is not None:
+            found |= self.beside.pixels()
+        return found
+
+    def _empty(self, keys: frozenset[str]) -> dict[str, np.ndarray]:
+        return empty_pixels(keys, self.shot.size, self.shot.constant, self.shot.request.crypto_levels)
+
+    def _cropped(self, texture: Texture) -> np.ndarray:
+        return self.shot.cropped(self.device.read(texture))
+
+    def release(self) -> None:
+        """Free what only this picture needed."""
+        self.clock.release()
+        for item in self._owned:
+            item.release()
+        self._owned.clear()
+        if self.beside is not None:
+            self.beside.release()
+        if self._lent is not None:
+            self.renderer.pool.give_back(*self._lent)
+        self._lent = None
+
+    def _own(self, item: Any) -> Any:
+        self._owned.append(item)
+        return item
+
+
+def _bound(surfels: Surfels | None) -> dict[str, Texture]:
+    """Textures of a G-buffer by sampler name; none where there is no G-buffer."""
+    return {} if surfels is None else surfels.buffer.bound()

@@ -1,0 +1,55 @@
+"""What was done for a picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from ..cache.store import STORE
+from ..plan.reasons import not_run
+
+if TYPE_CHECKING:
+    from .frame import Frame
+
+
+def report(frame: Frame, seconds: float) -> dict[str, Any]:
+    """As scripts/render.py writes it. `seconds`: that the picture took."""
+    shot, device, spent = frame.shot, frame.device, _spent(frame)
+    drawn = 0 if shot.trivial else sum(lines.drawn for lines in frame.uploads.lines)
+    return {
+        "device": f"{device.name}: {device.limits.renderer}",
+        "seconds": seconds,
+        "passes": [{"name": name, "ms": round(ms, 3)} for name, ms in spent.items()],
+        "skipped": [{"name": name, "because": why} for name, why in (*_skipped(frame, spent), *_samples(frame))],
+        "points": {"total": shot.prepared.total, "cut": shot.splats, "drawn": shot.splats * frame.done},
+        "technique": {"name": shot.technique.name, "because": shot.technique.because},
+        "triangles": shot.triangles,
+        "lines": {"strands": shot.strands, "segments": shot.segments, "drawn": drawn},
+        "bytes": {"cpu": STORE.nbytes, "gpu": device.bytes_allocated()},
+        "warnings": list(shot.warnings),
+    }
+
+
+def _spent(frame: Frame) -> dict[str, float]:
+    """Milliseconds by pass, with those of the passes beside what is out of focus."""
+    clock = frame.clock
+    clock.settle()
+    beside = {} if frame.beside is None else _spent(frame.beside)
+    return clock.spent | {name: ms + clock.spent.get(name, 0.0) for name, ms in beside.items()}
+
+
+def _skipped(frame: Frame, ran: dict[str, float]) -> list[tuple[str, str]]:
+    """Passes that did not run, and why."""
+    shot = frame.shot
+    reaches = shot.trivial or shot.plan.translucent is None or frame.uploads.reach_lights > 0
+    return not_run(shot.left_out, ran.keys(), shot.trivial, shot.everywhere, reaches)
+
+
+def _samples(frame: Frame) -> list[tuple[str, str]]:
+    """Why there are fewer than were asked for."""
+    shot, asked = frame.shot, frame.shot.request.samples
+    if frame.ended:
+        return [("samples", f"the budget asks for no more than {frame.done}")]
+    if shot.trivial or shot.everywhere or frame.adaptive is None:
+        return []
+    mean = float(frame.counts().mean())
+    return [("samples", f"pixels have {mean:.1f} of {asked}: the others would agree")] if mean < asked else []

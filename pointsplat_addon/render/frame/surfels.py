@@ -1,0 +1,148 @@
+"""From projected points and polygons to a closed G-buffer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..device.protocol import Device, Texture
+from ..passes import ewa as ewa_pass
+from ..passes import lines as line_pass
+from ..passes import polygons as polygon_pass
+from ..passes import spheres as sphere_pass
+from ..passes.common import GBuffer, Variant
+from ..passes.points import Projection, programs, resolve
+from ..passes.pyramid import Pyramid
+from ..passes.tiles import EVERYWHERE, Region
+from ..plan.plan import Plan
+from .uploads import Uploads
+
+
+class Surfels:
+    """A G-buffer of one variant, with the pyramid that closes it."""
+
+    def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> None:
+        """`count`: levels of the pyramid above the G-buffer."""
+        self.device, self.plan, self.variant = device, plan, variant
+        self.buffer = GBuffer(device, variant, size, depth=plan.options.depth)
+        self.pyramid = None
+        if plan.points and plan.ewa is None:
+            self.resolve_program = programs(variant, plan.options).resolve
+            self.pyramid = Pyramid(device, variant, self.buffer, count)
+
+    def draw(
+        self,
+        uploads: Uploads,
+        projection: Projection | None,
+        record: np.ndarray,
+        run: Callable[[str, Callable[[], None]], None],
+        region: Region = EVERYWHERE,
+    ) -> None:
+        """One sample: points resolved, polygons rasterised, holes filled. `run` times each pass; outside `region`
+        nothing of it will be looked at."""
+
+        def resolve_points(ids: Texture) -> None:
+            self.buffer.clear()
+            resolve(
+                self.device,
+                self.resolve_program,
+                ids,
+                uploads.draws,
+                record.copy(),
+                uploads.shared,
+                self.buffer,
+                region,
+            )
+
+        if projection is None:
+            self.buffer.clear()
+        else:
+            run("resolve", lambda: resolve_points(projection.ids))
+        self._draw_solids(uploads, record, run)
+        if self.pyramid is not None:
+            pyramid = self.pyramid
+            run("pull", lambda: pyramid.pull(record.copy(), region))
+            run("push", lambda: pyramid.push(record.copy(), region))
+
+    def _draw_solids(
+        self, uploads: Uploads, record: np.ndarray, run: Callable[[str, Callable[[], None]], None]
+    ) -> None:
+        if self.plan.polygons:
+            run("polygons", lambda: self._draw_polygons(uploads, record.copy()))
+        if self.plan.spheres:
+            run("spheres", lambda: self._draw_spheres(uploads, record.copy()))
+
+        if self.plan.lines:
+            run("lines", lambda: self._draw_lines(uploads, record.copy()))
+
+    def _draw_lines(self, uploads: Uploads, record: np.ndarray) -> None:
+        assert uploads.line_instances is not None
+        shared = {**uploads.shared, "ps_instances": uploads.line_instances}
+        line_pass.draw(self.device, self.variant, uploads.lines, record, shared, self.buffer)
+
+    def _draw_spheres(self, uploads: Uploads, record: np.ndarray) -> None:
+        program = sphere_pass.program(self.variant, self.plan.options)
+        sphere_pass.draw(self.device, program, uploads.balls, record, uploads.shared, self.buffer)
+
+    def _draw_polygons(self, uploads: Uploads, record: np.ndarray) -> None:
+        instances = uploads.scene.instances
+        for instance in uploads.prepared.polygons.tolist():
+            polygon_pass.draw(
+                self.device,
+                self.variant,
+                uploads.meshes[int(instances.geometry[instance])],
+                uploads.prepared.view_from_object[instance],
+                instance,
+                bool(instances.holdout is not None and instances.holdout[instance]),
+                record,
+                uploads.shared,
+                self.buffer,
+                uploads.part_lists.get(instance),
+            )
+
+    def release(self) -> None:
+        self.buffer.release()
+        if self.pyramid is not None:
+            self.pyramid.release()
+
+
+class EwaSurfels(Surfels):
+    """A G-buffer of one variant, closed by blending splats as Gaussians."""
+
+    def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> None:
+        super().__init__(device, plan, variant, size, count)
+        assert plan.ewa is not None
+        self.ewa = ewa_pass.Ewa(device, variant, plan.options, plan.ewa, size)
+
+    def draw(
+        self,
+        uploads: Uploads,
+        projection: Projection | None,
+        record: np.ndarray,
+        run: Callable[[str, Callable[[], None]], None],
+        region: Region = EVERYWHERE,
+    ) -> None:
+        """One sample: splats blended and normalised, polygons rasterised."""
+        ewa, shared = self.ewa, uploads.shared
+
+        def normalise() -> None:
+            self.buffer.clear()
+            ewa.normalise(record.copy(), self.buffer, region)
+
+        if ewa.draws is not uploads.draws:
+            run("splats", lambda: ewa.project(uploads.draws, record.copy(), shared))
+        ewa.narrow(region)
+        run("visibility", lambda: ewa.see(record.copy(), shared))
+        run("blend", lambda: ewa.blend(record.copy(), shared))
+        run("normalise", normalise)
+        self._draw_solids(uploads, record, run)
+
+    def release(self) -> None:
+        super().release()
+        self.ewa.release()
+
+
+def make_surfels(device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> Surfels:
+    """A G-buffer, and how the plan's technique fills it."""
+    return (EwaSurfels if plan.ewa else Surfels)(device, plan, variant, size, count)

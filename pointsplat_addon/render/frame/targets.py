@@ -1,0 +1,116 @@
+"""The textures that one picture is drawn into, lent from frame to frame: making them anew costs as much as a pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..device.protocol import Device, Target, Texture, whole
+from ..passes import shade as shade_pass
+from ..passes.points import Projection
+from ..passes.translucent import COARSE
+from ..plan.plan import Plan
+from .surfels import Surfels, make_surfels
+
+
+class Targets:
+    """Everything that one sample writes, and the sums over samples."""
+
+    @whole
+    def __init__(self, device: Device, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
+        """`count`: levels of the pyramid above the G-buffer."""
+        self._owned: list[Any] = []
+        self._device = device
+        self._allocate(plan, passes, size, count)
+
+    def _allocate(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
+        device = self._device
+        self.projection: Projection | None = None
+        if plan.points and plan.ewa is None:
+            self.projection = self._own(Projection(device, plan.options, size))
+        self.surfels: Surfels | None = None
+        if plan.shaded.solid:
+            self.surfels = self._own(make_surfels(device, plan.shaded, plan.variant, size, count))
+        self.data_surfels = self.surfels
+        self.sums: list[Texture] = [
+            self._own(device.texture(size, "RGBA32F")) for _ in range(plan.picture + len(shade_pass.averaged(passes)))
+        ]
+        if self.sums:
+            self.sum_target: Target = self._own(device.target(self.sums))
+            # What is translucent lies over the finished picture of each sample, which is then added to the sums.
+            self.shade_target: Target = self.sum_target
+        if plan.defocus:
+            # What is in focus has its depth beside it, and the picture is made of it and of all else at the end.
+            self.focus: Texture = self._own(device.texture(size, "RGBA32F"))
+            self.sum_target = self.shade_target = self._own(device.target([*self.sums, self.focus]))
+            self.seen: Texture = self._own(device.texture(size, "RGBA32F"))
+            self.seen_target: Target = self._own(device.target([self.seen]))
+        if plan.painter and plan.points:
+            # Passes that are not painted have a G-buffer of their own.
+            self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
+            if len(self.sums) > plan.picture:
+                self.averages_target: Target = self._own(device.target(self.sums[plan.picture :]))
+        self.layer: Texture | None = None
+        self.depth: Texture | None = None
+        if plan.translucent is not None and not plan.defocus:
+            self.layer = layer = self._own(device.texture(size, "RGBA32F"))
+            # The share of a pixel's alpha that holdouts take away.
+            self.cut: Texture | None = self._own(device.texture(size, "RGBA32F")) if plan.translucent.holdout else None
+            self.layer_target: Target = self._own(device.target([layer] if self.cut is None else [layer, self.cut]))
+            self.combined_target: Target = self._own(device.target(self.sums[:1]))
+            further = [] if plan.painter and plan.points else self.sums[1:]
+            self.shade_target = self._own(device.target([layer, *further]))
+            if plan.coarse:
+                size_of_coarse = (-(-size[0] // COARSE), -(-size[1] // COARSE))
+                self.coarse: Texture = self._own(device.texture(size_of_coarse, "RGBA32F"))
+                self.coarse_target: Target = self._own(device.target([self.coarse]))
+            if plan.translucent.opaque:
+                self.depth = depth = self._own(device.texture(size, "R32F"))
+                self.depth_target: Target = self._own(device.target([depth]))
+        self.data: list[Texture] = []
+        if plan.data:
+            self.data = [self._own(device.texture(size, "RGBA32F")) for _ in shade_pass.data(passes)]
+            self.data_target: Target = self._own(device.target(self.data))
+            # Identities cannot be averaged, and motion and positions are asked for once: they have a G-buffer of their
+            # own, so that no sample carries what only one of them needs.
+            if plan.data_variant != plan.variant and self.data_surfels is self.surfels:
+                self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
+
+    def _own(self, item: Any) -> Any:
+        self._owned.append(item)
+        return item
+
+    def release(self) -> None:
+        for item in self._owned:
+            item.release()
+        self._owned.clear()
+
+
+class Pool:
+    """Targets that no frame uses: the last set that came back."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self._idle: tuple[tuple, Targets] | None = None
+
+    def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
+        """Targets for a plan, and the key to give them back with."""
+        key = (size, count, plan.points, plan.ewa, plan.polygons, plan.spheres, plan.lines, plan.variant, plan.options,
+               plan.painter and plan.data_variant, plan.defocus, plan.picture,
+               shade_pass.averaged(passes),
+               None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),
+               (plan.data_variant, shade_pass.data(passes)) if plan.data else None)  # fmt: skip
+        idle, self._idle = self._idle, None
+        if idle is not None and idle[0] == key:
+            return idle
+        if idle is not None:
+            idle[1].release()
+        return key, Targets(self.device, plan, passes, size, count)
+
+    def give_back(self, key: tuple, targets: Targets) -> None:
+        self.release()
+        self._idle = key, targets
+
+    def release(self) -> None:
+        if self._idle is not None:
+            self._idle[1].release()
+        self._idle = None

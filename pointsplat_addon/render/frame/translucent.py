@@ -1,0 +1,84 @@
+"""Translucent splats over the opaque picture of each sample, which is then added to the sums."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ...shading.interface import Interface
+from ..device.protocol import Device, Target, Texture
+from ..passes.translucent import COARSE, ENLARGE, LitSplats, add_program, depth_program, light_program
+from ..plan.plan import Plan
+from ..plan.request import Request
+from .targets import Targets
+from .uploads import Uploads
+
+RELIT = 4  # times that translucent splats are lit in one picture, where lamps are wide
+
+
+def lighting(request: Request, sample: int) -> int:
+    """Which points of wide lamps light translucent splats in a sample: RELIT times in a picture; where an error
+    decides how many samples there are, for each pair."""
+    if request.settings.budget == "ERROR":
+        return (sample + 1) // 2
+    return sample // max(request.samples // RELIT, 1)
+
+
+class Translucent:
+    """The splats of one picture that are blended over each of its samples."""
+
+    def __init__(
+        self,
+        device: Device,
+        plan: Plan,
+        uploads: Uploads,
+        targets: Targets,
+        samples: int,
+        run: Callable[[str, Callable[[], None]], None],
+    ) -> None:
+        """`samples`: of the picture. `run` times each pass. DeviceError: more splats than a texture holds."""
+        assert plan.translucent is not None
+        self.device, self.plan, self.uploads, self.targets, self._run = device, plan, uploads, targets, run
+        self.lit_by = 0  # which points of wide lamps
+        program = light_program(plan.translucent, plan.lighting, plan.materials, uploads.reach_lights)
+        variant = plan.variant
+        channels = variant.samplers(only=("place", "shape", "normal") if variant.normal else ("place",))
+        self._add = add_program(plan.translucent)
+        self._depth = depth_program(channels, variant.normal)
+        self.lit = LitSplats(device, plan.translucent, program, uploads.listed, samples)
+
+    def light(self, points: int, record: np.ndarray) -> None:
+        """By these points of wide lamps. `record`: of rays through pixels' centres; it is written to."""
+        self.lit_by = points
+        record["size"][0, 2] = points
+        textures = {**self.uploads.splats, **self.uploads.shading}
+        if self.uploads.reach_lights:
+            textures |= self.uploads.reach(points, record, self._run)
+        self._run("light", lambda: self.lit.light(record, textures))
+
+    def draw(self, record: np.ndarray, surfels: dict[str, Texture], coarse: bool) -> None:
+        """Blend them over what is opaque, whose G-buffer `surfels` is, and add the sample. `coarse`: in a picture of
+        fewer pixels, which is then enlarged. `record` is written to."""
+        targets, run, lit = self.targets, self._run, self.lit
+        assert targets.layer is not None
+
+        def draw(program: Interface, target: Target, textures: dict[str, Texture], mode: str = "") -> None:
+            self.device.draw(
+                program, target, uniforms=record, textures=textures, blend=mode == "blend", over=mode == "over"
+            )
+
+        if targets.depth is not None:
+            run("opaque depth", lambda: draw(self._depth, targets.depth_target, surfels))
+        if coarse:
+            self.device.clear(targets.coarse_target)
+            few = record.copy(), targets.depth, COARSE
+            run("translucent", lambda: lit.draw(targets.coarse_target, *few))
+            run("enlarge", lambda: draw(ENLARGE, targets.layer_target, {"ps_coarse": targets.coarse}, "over"))
+        else:
+            run("translucent", lambda: lit.draw(targets.layer_target, record.copy(), targets.depth))
+        layer = {"ps_layer": targets.layer, **({} if targets.cut is None else {"ps_cut": targets.cut})}
+        run("add", lambda: draw(self._add, targets.combined_target, layer, "blend"))
+
+    def release(self) -> None:
+        self.lit.release()

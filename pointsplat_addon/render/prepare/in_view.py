@@ -1,0 +1,106 @@
+"""What of a prepared view cannot be seen at all: kinds of things none of which is in view, and what is clear."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.lod.cut import Cut, all_finite, largest_singular_value
+from ...core.lod.instances import visible
+from ...core.scene.scene import Camera, Scene
+from ...core.surface import sampling
+from ..cache.store import STORE, Layer, PointSet, Store
+from .meshes import mesh_ball
+from .point_sets import set_ball
+from .prepare import Prepared
+
+MARGIN = 8.0  # pixels: kernels end this far outside of what they cover, at most
+OUT_OF_VIEW, CLEAR = "nothing of it is in view", "nothing of it hides or emits light"
+Ball = tuple[np.ndarray, np.ndarray, float]  # view_from_object (I, 4, 4); centre (3,) and radius in object space
+
+
+def in_view(scene: Scene, prepared: Prepared, camera: Camera, store: Store = STORE) -> tuple[Prepared, dict[str, str]]:
+    """The same without layers that cannot be seen, and why by their names: points, translucent, spheres, polygons.
+
+    A layer goes or stays as a whole: were its sets to come and go by themselves, pages would be uploaded again whenever
+    one does. Lenses blur what is beside the picture into it: with one, only what is clear goes, or nothing.
+    """
+    gone: dict[str, str] = {}
+    if prepared.blurred is not None:
+        return prepared, gone
+    sharp = camera.aperture is None
+    for name, layer in (("points", prepared), ("translucent", prepared.translucent), ("spheres", prepared.spheres)):
+        if layer.cut.splats == 0:
+            continue
+        if sharp and not _seen(layer_balls(layer, prepared.view_from_object, store), camera):
+            gone[name] = OUT_OF_VIEW
+        elif name == "translucent" and all(_clear(points, store) for points in layer.point_sets.values()):
+            gone[name] = CLEAR
+    if sharp and len(prepared.polygons) and not _seen(polygon_balls(scene, prepared, store), camera):
+        gone["polygons"] = OUT_OF_VIEW
+    return (_without(prepared, gone), gone) if gone else (prepared, gone)
+
+
+def layer_balls(layer: Layer, view_from_object: np.ndarray, store: Store) -> Iterator[Ball]:
+    """A ball for each point set. Nodes may reach as far beyond it as the widest splat does."""
+    for key, points in layer.point_sets.items():
+        middle, far, radius = set_ball(points, store)
+        yield view_from_object[layer.set_of_instance == key], middle, far + 2 * radius
+
+
+def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ball]:
+    """A ball for each mesh of which instances are drawn as polygons."""
+    geometry = scene.instances.geometry[prepared.polygons]
+    for row in np.unique(geometry).tolist():
+        mesh = scene.geometries[row].mesh
+        if mesh is not None:
+            ok, _ = store.lookup(("valid", mesh.key), lambda mesh=mesh: sampling.validate(mesh))
+            middle, reach = mesh_ball(mesh, ok, store)
+            yield prepared.view_from_object[prepared.polygons[geometry == row]], middle, reach
+
+
+def drawn_ball(scene: Scene, prepared: Prepared, store: Store = STORE) -> tuple[np.ndarray, float]:
+    """Centre in view space and radius of a ball about all that is drawn; infinite where strands are."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    layers = (prepared, prepared.translucent, prepared.spheres)
+    found = [ball for layer in layers for ball in layer_balls(layer, prepared.view_from_object, store)]
+    for views, middle, reach in (*found, *polygon_balls(scene, prepared, store)):
+        views = views[all_finite(views)]
+        centre = views[:, :3, :3] @ middle + views[:, :3, 3]
+        radius = reach * largest_singular_value(views[:, :3, :3])[:, None]
+        low = np.minimum(low, (centre - radius).min(axis=0, initial=np.inf))
+        high = np.maximum(high, (centre + radius).max(axis=0, initial=-np.inf))
+    if prepared.lines or not (np.isfinite(low) & np.isfinite(high)).all():
+        return np.zeros(3), np.inf
+    return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
+
+
+def _seen(balls: Iterator[Ball], camera: Camera) -> bool:
+    """Whether any instance of any ball may reach into the picture."""
+    return any(bool(visible(views, middle, reach, camera, MARGIN).any()) for views, middle, reach in balls)
+
+
+def _clear(points: PointSet, store: Store) -> bool:
+    """Splats that are not there, whatever light falls on them."""
+
+    def look() -> bool:
+        cloud = points.cloud
+        matter = cloud.opacity if cloud.extinction is None else cloud.extinction
+        glows = cloud.extinction is not None and cloud.emission is not None and bool((cloud.emission > 0).any())
+        return matter is not None and not glows and not bool((matter > 0).any())
+
+    return store.lookup(("clear", *points.key), look)
+
+
+def _without(prepared: Prepared, gone: dict[str, str]) -> Prepared:
+    none = np.full(len(prepared.set_of_instance), -1)
+    nothing = Cut(np.empty(0, np.int32), np.empty(0, np.int64), np.empty(0, np.int64))
+    empty = Layer({}, none, nothing)
+    more = {name: empty for name in ("translucent", "spheres") if name in gone}
+    if "polygons" in gone:
+        more |= {"polygons": np.empty(0, np.int64), "parts": {}}
+    if "points" in gone:
+        more |= {"point_sets": {}, "set_of_instance": none, "cut": nothing, "largest": 0.0}
+    return replace(prepared, **more)

@@ -1,0 +1,110 @@
+"""Which points and nodes of a layer's point sets one view draws: a cut for each instance, or one that many share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.lens.thin_lens import sampled
+from ...core.lod.cut import Cut, Forest, forest, fully, select, staggered
+from ...core.lod.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
+from ...core.scene.scene import Geometry
+from ..cache.store import Layer, PointSet, Store
+from .point_sets import counts, set_ball
+from .view import View
+
+MANY_INSTANCES = 16  # of one geometry: so many share samples and cuts
+
+
+def cut_layer(
+    view: View,
+    point_sets: dict[int, PointSet],
+    set_of_instance: np.ndarray,
+    view_from_object: np.ndarray,
+    wanted: str,
+    ranges: dict[int, tuple[np.ndarray, np.ndarray]],
+) -> Layer:
+    """Some point sets, the key of each instance (I,), and their cut. Where instances of one are many, they share cuts,
+    which are sets of their own; those out of view are left out, and the matrices (I, 4, 4) of those that stand for
+    others are enlarged in place. `wanted`: see core.cut.select. `ranges`: by instance, first and count (R,) of its
+    points where they are not all."""
+    tolerance, camera = view.settings.tolerance, view.camera
+    sets, shared = dict(point_sets), []
+    own = set_of_instance.copy()
+    for instance, (first, count) in ranges.items():
+        row = int(own[instance])
+        if row >= 0 and sets[row].hierarchy is None:
+            own[instance] = -1
+            at = np.full(len(first), instance, np.int32)
+            shared.append(Cut(at, first, count, points=int(count.sum())))
+    for key, points in point_sets.items():
+        where = np.flatnonzero(set_of_instance == key)
+        if len(where) < MANY_INSTANCES or view.blur is not None:
+            continue
+        views, levels = view_from_object[where], _levels(points, view.store)
+        if levels is None:
+            middle, far, radius = set_ball(points, view.store)
+            gone = where[~visible(views, middle, far + radius, camera)]
+            set_of_instance[gone] = own[gone] = -1
+            continue
+        choice = choose(levels, views, where, camera, tolerance, band=staggered(tolerance))
+        own[where[choice.level != OWN]] = -1
+        set_of_instance[where[choice.level == NONE]] = -1
+        every = where[choice.level == ALL]
+        shared.append(fully(np.array([len(points.cloud)]), np.zeros(len(every), int)).of(every))
+        some = np.flatnonzero(choice.level >= 0)
+        if len(some):
+            at = len(view.scene.geometries) + max(sets) + 1
+            sets[at] = PointSet(("levels", *points.key), levels.drawn)
+            set_of_instance[where[some]] = at
+            view_from_object[where[some]] = enlarged(views[some], levels.center, choice.scale[some])
+            shared.append(cut_of(levels, where[some], choice.level[some]))
+        if not (set_of_instance == key).any():
+            del sets[key]
+    rest = {key: points for key, points in point_sets.items() if (own == key).any()}
+    return Layer(sets, set_of_instance, joined([_cut(view, rest, own, view_from_object, wanted), *shared]))
+
+
+def _levels(points: PointSet, store: Store) -> Levels | None:
+    hierarchy = points.hierarchy
+    if hierarchy is None:
+        return None
+    return store.lookup(("levels of", *points.key), lambda: make_levels(hierarchy))
+
+
+def _cut(
+    view: View,
+    point_sets: dict[int, PointSet],
+    set_of_instance: np.ndarray,
+    view_from_object: np.ndarray,
+    wanted: str,
+) -> Cut:
+    """Each instance by itself."""
+    if not any(points.hierarchy for points in point_sets.values()):
+        return fully(counts(point_sets), set_of_instance)
+    key = ("forest", *((row, points.key) for row, points in point_sets.items()))
+    trees: Forest = view.store.lookup(
+        key, lambda: forest({row: p.hierarchy or p.cloud for row, p in point_sets.items()})
+    )
+    scene, tolerance = view.scene, view.settings.tolerance
+    cull = np.array([bool(scene.materials.cull.take(_materials(g), mode="clip").all()) for g in scene.geometries], bool)
+    # What turns its back to the middle of the lens may face its rim.
+    cull = cull[scene.instances.geometry] & (not sampled(view.camera, view.settings))
+    return select(
+        trees,
+        set_of_instance,
+        view_from_object,
+        view.camera,
+        tolerance,
+        cull,
+        band=staggered(tolerance),
+        blur=view.blur,
+        wanted=wanted,
+    )
+
+
+def _materials(geometry: Geometry) -> list[int]:
+    """Rows of the material table that a geometry uses."""
+    if geometry.mesh is not None:
+        return list(geometry.mesh.materials)
+    material = geometry.cloud.material if geometry.cloud is not None else None
+    return [0] if material is None else np.unique(material).tolist()

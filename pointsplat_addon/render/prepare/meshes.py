@@ -1,0 +1,295 @@
+"""The points of a mesh, as dense as a view needs them, or that it is to be polygons.
+
+Places on a mesh depend on its topology and an octave of spacing alone: views and frames share them, and a mesh that
+deforms keeps them and does not shimmer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...core.lod.cut import largest_singular_value
+from ...core.lod.foliage import leafy
+from ...core.lod.instances import visible
+from ...core.scene.cloud import PointCloud, finite
+from ...core.scene.scene import Geometry, Mesh
+from ...core.surface import sampling
+from ...core.surface.appearance import digest, point_cloud
+from ...core.surface.density import EXACT_INSTANCES, Parts, make_parts, required_spacing
+from ..cache.store import STORE, PointSet, Store
+from .hierarchies import bare_key, that_have_nodes
+from .layers import MANY_INSTANCES
+from .view import View
+
+# Of meshes whose instances are many, AUTO draws polygons where the typical triangle's edge spans more pixels than this.
+POLYGON_PIXELS = 4.0
+MOST_LEAVES = 1 << 21  # triangles of all instances of a mesh of leaves, which AUTO draws as polygons from any distance
+EXACT_TRIANGLES = 4 << 20  # of all instances: so many are asked one by one what they need
+MANY_TRIANGLES = 1 << 14  # of one mesh: fewer are all looked at in no time
+SHARED_CELLS = 128  # samples across a geometry whose instances are many: outlines grow by half a percent
+COARSEST_OCTAVE = 6  # beyond it, the few samples that are left cost less than another cloud
+VERTEX_PIXELS = 2.0  # vertices are samples enough where no edge spans more; with pictures on them, one sample a pixel
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A mesh that has valid triangles, and what is measured of it once for all views."""
+
+    geometry: Geometry
+    mesh: Mesh
+    ok: np.ndarray  # (T,) bool: valid triangles
+    store: Store
+
+    @property
+    def shape(self) -> tuple:
+        """What places on the mesh depend on."""
+        return self.mesh.topology or self.geometry.key, self.geometry.name
+
+    @property
+    def edge(self) -> float:
+        """The side of the square of the mean triangle's area."""
+        return self._kept("edge", lambda: _typical_edge(self.mesh, self.ok))
+
+    @property
+    def ball(self) -> tuple[np.ndarray, float]:
+        """Centre (3,) and radius in object space of a ball that holds the valid triangles."""
+        return self._kept("bounds", lambda: _bounds(self.mesh, self.ok))
+
+    @property
+    def parts(self) -> Parts:
+        return self._kept("parts", lambda: make_parts(self.mesh, self.ok))
+
+    @property
+    def measures(self) -> sampling.Measures:
+        return self._kept("measures", lambda: sampling.measure(self.mesh, self.ok))
+
+    def leaves(self, instances: int) -> bool:
+        """Whether so many instances of it are leaves, few enough to be polygons from any distance."""
+        return instances * len(self.mesh.triangles) <= MOST_LEAVES and self._kept(
+            "leafy", lambda: leafy(self.mesh.position, self.mesh.triangles[self.ok])
+        )
+
+    def _kept(self, what: str, make: Callable[[], Any]) -> Any:
+        return self.store.lookup((what, self.geometry.key), make)
+
+
+def measured(view: View, geometry: Geometry) -> Measured | None:
+    """The mesh of a geometry; None where nothing of it can be drawn. Says what is dropped."""
+    mesh = geometry.mesh
+    if mesh is None or len(mesh.triangles) == 0:
+        return None
+    ok, dropped = view.store.lookup(("valid", geometry.key), lambda: sampling.validate(mesh))
+    if dropped.total:
+        view.warnings.append(dropped.message(geometry.name))
+    return Measured(geometry, mesh, ok, view.store) if ok.any() else None
+
+
+def mesh_ball(mesh: Mesh, ok: np.ndarray, store: Store = STORE) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius in object space of a ball that holds the triangles `ok` (T,) of a mesh."""
+    if not ok.any():
+        return np.zeros(3), 0.0
+    return store.lookup(("bounds", mesh.key), lambda: _bounds(mesh, ok))
+
+
+def _bounds(mesh: Mesh, ok: np.ndarray) -> tuple[np.ndarray, float]:
+    used = mesh.position[np.unique(mesh.triangles[ok])].astype(np.float64)
+    middle = (used.min(axis=0) + used.max(axis=0)) / 2
+    return middle, float(np.sqrt(((used - middle) ** 2).sum(axis=1).max()))
+
+
+def _typical_edge(mesh: Mesh, ok: np.ndarray) -> float:
+    a, b, c = mesh.position[mesh.triangles[ok]].astype(np.float64).transpose(1, 0, 2)
+    return float(np.sqrt(np.linalg.norm(np.cross(b - a, c - a), axis=1).mean()))
+
+
+def most_samples(tolerance: float) -> int:
+    """Samples that one mesh may have: a finer tolerance asks for more, up to what memory holds."""
+    return int(min(sampling.MAX_SAMPLES / min(tolerance, 1.0) ** 2, sampling.MOST_SAMPLES))
+
+
+@dataclass(frozen=True, eq=False)
+class Primitives:
+    """What instances of one geometry are drawn as; rows count among these instances."""
+
+    points: list[tuple[PointSet, np.ndarray]]  # with the rows (K,) that they are drawn for
+    polygons: np.ndarray  # (P,) rows
+    parts: dict[int, np.ndarray] = field(default_factory=dict)  # by row, what of it is polygons, rising; absent: all
+    # By row, first and count (R,) of the points that are drawn of it; absent: all.
+    ranges: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+
+
+def points_or_polygons(view: View, of: Measured, view_from_object: np.ndarray) -> Primitives:
+    """Instances (I, 4, 4), each of them as a whole."""
+    rows = np.arange(len(view_from_object))
+    found = _points(view, of, view_from_object)
+    if found is not None:
+        return Primitives(found, rows[:0])
+    near = _near(view, of, view_from_object)
+    polygons, far = rows[near], rows[~near]
+    if len(far) == 0:
+        return Primitives([], polygons)
+    # What is not near is small enough to be points, each instance by itself.
+    found = _points(view, of, view_from_object[far], all_far=True)
+    if found is None:
+        return Primitives([], np.concatenate([polygons, far]))
+    return Primitives([(points, far[some]) for points, some in found], polygons)
+
+
+def all_points(view: View, of: Measured, view_from_object: np.ndarray) -> list[tuple[PointSet, np.ndarray]]:
+    """Points with the rows (K,) of the instances (I, 4, 4) that they are drawn for, all of which are points."""
+    needed = _needed(view, of, view_from_object)
+    if not np.isfinite(needed):  # boxes around parts reach into the picture, and no triangle does
+        return []
+    return _dense(view, of, needed, view_from_object)
+
+
+def _points(
+    view: View, of: Measured, view_from_object: np.ndarray, all_far: bool = False
+) -> list[tuple[PointSet, np.ndarray]] | None:
+    """The same; None where polygons are drawn instead. `all_far`: triangles are known to be small."""
+    if of.geometry.primitive == "POLYGONS":
+        return None
+    needed = _needed(view, of, view_from_object)
+    if not np.isfinite(needed):
+        return []
+    if of.geometry.primitive == "AUTO":
+        if not all_far and of.edge * view.settings.tolerance > POLYGON_PIXELS * needed:
+            return None
+        if of.leaves(len(view_from_object)):
+            return None
+    return _dense(view, of, needed, view_from_object)
+
+
+def _near(view: View, of: Measured, view_from_object: np.ndarray) -> np.ndarray:
+    """(I,) bool: instances of a mesh, some of which is to be drawn as polygons, that are so large on the screen that
+    they are, or may be."""
+    if of.geometry.primitive == "POLYGONS" or len(view_from_object) == 1 or not view.camera.perspective:
+        return np.ones(len(view_from_object), bool)
+    allowed = _allowed_by_bounds(view, of, view_from_object)
+    near = of.edge * view.settings.tolerance > POLYGON_PIXELS * allowed
+    return near & visible(view_from_object, *of.ball, view.camera)
+
+
+# How dense points are.
+
+
+def _needed(view: View, of: Measured, view_from_object: np.ndarray) -> float:
+    """The spacing that one or more instances need in this view."""
+    parts = of.parts if len(of.mesh.triangles) >= MANY_TRIANGLES else None
+    return required_spacing(
+        of.mesh, view_from_object, view.camera, view.settings.tolerance, max_samples=None, ok=of.ok, parts=parts
+    )
+
+
+def _allowed_by_bounds(view: View, of: Measured, view_from_object: np.ndarray) -> np.ndarray:
+    """(I,) a spacing that is fine enough for each instance, from the nearest point of its bounding sphere."""
+    middle, reach = of.ball
+    scale = largest_singular_value(view_from_object[:, :3, :3])
+    depth = -(view_from_object[:, 2, :3] @ middle + view_from_object[:, 2, 3]) - reach * scale
+    focal = max(abs(f) for f in view.camera.pixel_from_view()[:2])
+    with np.errstate(all="ignore"):
+        return np.maximum(depth, view.camera.near) * view.settings.tolerance / (focal * scale)
+
+
+def _dense(view: View, of: Measured, needed: float, view_from_object: np.ndarray) -> list[tuple[PointSet, np.ndarray]]:
+    """Points as dense as `needed`; of instances that allow it, octaves less."""
+    if len(view_from_object) >= MANY_INSTANCES:
+        needed = min(needed, _coarsest(of))
+    octave = _octaves(view, of, needed, view_from_object)
+    return [(_sampled(view, of, needed, int(n)), np.flatnonzero(octave == n)) for n in np.unique(octave)]
+
+
+def _octaves(view: View, of: Measured, needed: float, view_from_object: np.ndarray) -> np.ndarray:
+    """(I,) how many octaves coarser than `needed` each instance may be sampled."""
+    if of.geometry.spacing > 0 or not view.camera.perspective or len(view_from_object) == 1:
+        return np.zeros(len(view_from_object), int)
+    many = len(view_from_object) > EXACT_INSTANCES
+    if not many and len(view_from_object) * len(of.mesh.triangles) <= EXACT_TRIANGLES:
+        allowed = np.array([_needed(view, of, matrix) for matrix in view_from_object])
+    else:
+        allowed = _allowed_by_bounds(view, of, view_from_object)
+    with np.errstate(all="ignore"):
+        # Relative to the octave that `needed` is rounded to, so that the coarser ones round alike.
+        coarser = np.floor(np.log2(allowed / sampling.quantise_spacing(needed)))
+        # Each triangle has a sample, however coarse the spacing is.
+        most = of.edge
+        if len(view_from_object) >= MANY_INSTANCES:
+            most = min(most, _coarsest(of))
+        most = np.clip(np.ceil(np.log2(most / needed)), 0, COARSEST_OCTAVE)
+    return np.clip(np.nan_to_num(coarser), 0, np.nan_to_num(most)).astype(int)
+
+
+def _coarsest(of: Measured) -> float:
+    """The spacing beyond which instances that are many are not sampled: outlines grow by about a quarter of it, and
+    hierarchies made of finer samples have coarser nodes that do not."""
+    return 2 * of.ball[1] / SHARED_CELLS
+
+
+def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
+    """Samples so many octaves coarser than `needed`, or than what was needed before: they are only ever refined."""
+    geometry, mesh, ok, shape, store = of.geometry, of.mesh, of.ok, of.shape, view.store
+    spacing = geometry.spacing if geometry.spacing > 0 else needed
+    known = store.finest(("spacing", shape, geometry.spacing), np.inf)
+    measures = of.measures
+    if geometry.spacing <= 0 and spacing < known:
+        octave_of, most = sampling.quantise_spacing(spacing), most_samples(view.settings.tolerance)
+        spacing = store.lookup(
+            ("limited", shape, octave_of, most),
+            lambda: sampling.limit_spacing(mesh, octave_of, most, ok, measures),
+        )
+    spacing = store.finest(("spacing", shape, geometry.spacing), spacing) * 2.0**octave
+    needed *= 2.0**octave
+    # Vertices do for coarser needs than samples: their disks cover the mesh whatever its edges project to.
+    look = digest(mesh, view.scene.materials)
+    loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
+    method = store.lookup(("method", shape, loose), lambda: sampling.choose(mesh, loose, ok, measures))
+    if view.coarse and geometry.spacing <= 0 and method != "VERTICES":
+        # Finer samples than a budget of time leaves room for are drawn once their nodes can stand for them.
+        own, name = sampling.quantise_spacing(needed), (geometry.key, look, method, spacing)
+        if own > spacing:
+            found = that_have_nodes(view, name, lambda: _samples(view, of, method, spacing, loose))
+            return _samples(view, of, method, own, loose) if found is None else found
+    return _samples(view, of, method, spacing, loose)
+
+
+def fewest(view: View, of: Measured) -> PointSet:
+    """The fewest samples that cover a mesh: its vertices, or one on each triangle."""
+    spacing = sampling.quantise_spacing(2 * of.measures.longest)
+    return _samples(view, of, sampling.choose(of.mesh, spacing, of.ok, of.measures), spacing, spacing)
+
+
+def _samples(view: View, of: Measured, method: str, spacing: float, loose: float) -> PointSet:
+    """Samples by one method, so far apart; vertices where they may be `loose` apart."""
+    geometry, mesh, ok, shape, store, table = of.geometry, of.mesh, of.ok, of.shape, view.store, view.scene.materials
+    look = digest(mesh, table)
+    spacing = 0.0 if method == "VERTICES" else spacing
+    samples, origin = store.lookup(
+        ("places", shape, method, spacing),
+        lambda: (sampling.sample(mesh, spacing or loose, method, ok, of.measures), sampling.centre(mesh)),
+    )
+    key = ("samples", geometry.key, look, method, spacing)
+
+    def make() -> PointCloud:
+        evaluated = sampling.evaluate(mesh, samples, origin, ok)
+        return finite(point_cloud(mesh, samples, evaluated, table))[0]
+
+    return PointSet(key, store.lookup(key, make), family=("family", shape, look, method, spacing))
+
+
+def areas(view: View, geometry: Geometry, points: PointSet) -> Callable[[], np.ndarray] | None:
+    """What finds (N,) what each sample of a mesh stands for, in object units squared; None: it is not known."""
+    key, of = bare_key(points.key), measured(view, geometry)
+    if of is None or not key or key[0] != "samples":
+        return None
+    _, _, _, method, spacing = key
+    places = ("places", of.shape, method, spacing)
+    if places not in view.store:
+        return None
+    samples, _ = view.store.lookup(places, lambda: None)
+    if len(samples) != len(points.cloud):
+        return None
+    return lambda: sampling.areas(of.mesh, samples, of.ok)

@@ -1,0 +1,182 @@
+"""What of a scene adds nothing measurable to this view: lights, a world and an emission that together stay below 1/1024
+of white in every pixel.
+
+All are bounds, not estimates. A light of irradiance E adds at most E times
+
+    a / pi + 2 s / (2 pi alpha^3)        on surfaces: albedo a; s of multiple over single scattering (Kulla and Conty
+                                         2017); the GGX lobe times n.l is at most D V with D <= 1 / (pi alpha^2) and,
+                                         for height-correlated Smith (Heitz 2014), V <= 1 / (2 alpha). Twice that is
+                                         more than the closed forms of lights with a size make of it.
+    a (1 + g) / (4 pi (1 - g)^2)         in media: Henyey and Greenstein's phase function straight ahead.
+
+Where colours of their own have no bound that is known without looking at every texel, only what is exactly black is
+left out. Translucent matter is left out only where it is exactly clear (render/prepare/in_view.py): what shows through has no
+bound. Mist changes a pass of its own alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...core.light.lighting import MIN_ALPHA, light_irradiance, most_scattered, relative_index
+from ...core.scene.scene import Light, Scene, World
+from ...core.surface.appearance import graphs_of
+from ..cache.store import STORE, Layer, PointSet, Store
+from .in_view import drawn_ball
+from .prepare import Prepared
+
+MEASURABLE = 1 / 1024  # of white
+LIGHTS, WORLD, EMISSION = MEASURABLE / 2, MEASURABLE / 4, MEASURABLE / 4  # what of it each may take
+LOOK = 4096  # texels of a picture that are looked at first: most pictures are bright
+
+
+@dataclass(frozen=True)
+class Reflection:
+    """Bounds over all that is drawn; infinite: unknown."""
+
+    albedo: float  # of diffuse light
+    lobe: float  # radiance of the specular lobe for an irradiance of 1
+    phase: float  # radiance of media for an irradiance of 1
+    world: float  # radiance for a world of 1
+
+    @property
+    def black(self) -> bool:
+        """Nothing that is drawn reflects light."""
+        return self.world == 0.0
+
+    def of(self, light: Light, irradiance: float) -> float:
+        """Radiance that a light adds; 0 where it sends none."""
+        if irradiance == 0.0 or self.black:
+            return 0.0
+        parts = ((light.diffuse / np.pi, self.albedo), (light.specular, self.lobe), (1.0, self.phase))
+        return irradiance * sum(abs(factor) * bound for factor, bound in parts if factor != 0.0 and bound != 0.0)
+
+
+def without_faint(
+    scene: Scene, prepared: Prepared, view_from_world: np.ndarray, store: Store = STORE
+) -> tuple[Scene, bool, tuple[tuple[str, str], ...]]:
+    """The scene without what adds nothing measurable to what is drawn of it; whether anything that is drawn reflects
+    light; and what was left out: (what, because)."""
+    bounds, notes = reflection(scene, prepared, store), []
+    world = _world(scene, bounds)
+    if world is not scene.world:
+        notes.append(("world", "it adds less than 1/1024 of white"))
+    lights = tuple(scene.lights)
+    if lights:
+        near = any(light.kind != "SUN" and np.any(light.color) for light in lights)
+        ball = drawn_ball(scene, prepared, store) if near else (np.zeros(3), np.inf)
+        added = np.array([bounds.of(light, _irradiance(light, ball, view_from_world)) for light in lights])
+        order = np.argsort(added, kind="stable")
+        left_out = np.zeros(len(lights), bool)
+        left_out[order] = np.cumsum(added[order]) <= LIGHTS
+        lights = tuple(light for light, gone in zip(lights, left_out, strict=True) if not gone)
+        if left_out.any():
+            why = (
+                "nothing that is drawn reflects light"
+                if bounds.black
+                else "together they add less than 1/1024 of white"
+            )
+            notes.append(("lights", f"{left_out.sum()} of {len(left_out)}: {why}"))
+    table = scene.materials
+    if 0.0 < table.emission.max(initial=0.0) <= EMISSION and not _emission_varies(scene, prepared):
+        table = replace(table, emission=np.zeros_like(table.emission))
+        notes.append(("emission", "it adds less than 1/1024 of white"))
+    scene = replace(scene, lights=lights, world=world, materials=table) if notes else scene
+    return scene, not bounds.black, tuple(notes)
+
+
+def reflection(scene: Scene, prepared: Prepared, store: Store = STORE) -> Reflection:
+    """How much of what arrives anything that is drawn may send to the eye."""
+    table = scene.materials
+    rows, albedo, smooth = _used(scene, prepared, store)
+    known = np.array(sorted(rows), int)
+    colors = max(albedo, float(table.base_color[known].max(initial=0.0)))
+    metal = smooth or bool((table.metallic[known] > 0).any())
+    shines = metal or bool((relative_index(table.ior[known], table.specular[known]) != 1).any())
+    alpha = MIN_ALPHA if smooth else max(float(table.roughness[known].min(initial=1.0)) ** 2, MIN_ALPHA)
+    # The lobes of strands (core/light/hair.py) have no bound here, nor have their pieces that are out of focus.
+    blurred = prepared.blurred is not None and any(geometry.lines is not None for geometry in scene.geometries)
+    strands = len(prepared.lines) > 0 or blurred
+    lobe = np.inf if strands else most_scattered() / (np.pi * alpha**3) if shines else 0.0
+    media = any(points.cloud.extinction is not None for points in _sets(prepared))
+    g = 0.0 if table.anisotropy is None else min(float(np.abs(table.anisotropy[known]).max(initial=0.0)), 0.99)
+    phase = colors * (1 + g) / (4 * np.pi * (1 - g) ** 2) if media and colors > 0 else 0.0
+    world = np.inf if strands else colors + (most_scattered() if shines else 0.0)
+    return Reflection(colors, lobe, phase, world)
+
+
+def _sets(prepared: Prepared) -> list[PointSet]:
+    layers: tuple[Layer, ...] = (prepared, prepared.translucent, prepared.spheres)
+    return [points for layer in layers for points in layer.point_sets.values()]
+
+
+def _used(scene: Scene, prepared: Prepared, store: Store) -> tuple[set[int], float, bool]:
+    """Rows of the materials that are drawn; the brightest colour beside theirs; whether roughness or metallic vary."""
+    rows: set[int] = set()
+    albedo, smooth = 0.0, False
+    for points in _sets(prepared):
+        cloud = points.cloud
+        rows |= store.lookup(("rows used", *points.key), lambda c=cloud: _rows(c.material))
+        if (color := cloud.color) is not None:
+            albedo = max(albedo, store.lookup(("brightest", *points.key), lambda c=color: _brightest(c)))
+        smooth |= cloud.surface is not None
+    for row in np.unique(scene.instances.geometry[prepared.polygons]).tolist() if len(prepared.polygons) else ():
+        mesh = scene.geometries[row].mesh
+        if mesh is None:
+            continue
+        rows |= set(mesh.materials)
+        channels = {name for graph in graphs_of(mesh, scene.materials).values() for name in graph.channels}
+        albedo = np.inf if "base_color" in channels else albedo
+        smooth |= bool(channels & {"roughness", "metallic"})
+    for row in prepared.lines:
+        lines = scene.geometries[row].lines
+        rows |= set() if lines is None else set(lines.materials)
+        albedo = np.inf
+    return {row for row in rows if row < len(scene.materials)}, albedo, smooth
+
+
+def _rows(material: np.ndarray | None) -> frozenset[int]:
+    return frozenset([0] if material is None else np.unique(material).tolist())
+
+
+def _brightest(values: np.ndarray) -> float:
+    """The greatest of (N, 3); infinite where one is no number."""
+    most = float(np.max(values, initial=0.0))
+    return most if np.isfinite(most) else np.inf
+
+
+def _irradiance(light: Light, ball: tuple[np.ndarray, float], view_from_world: np.ndarray) -> float:
+    """Bound of the irradiance anywhere in a ball (centre in view space, radius)."""
+    if not np.any(light.color):
+        return 0.0
+    at = view_from_world[:3, :3] @ np.asarray(light.position, float) + view_from_world[:3, 3]
+    with np.errstate(all="ignore"):
+        nearest = float(np.linalg.norm(at - ball[0])) - ball[1]
+    found = light_irradiance(light, max(nearest, 0.0) if np.isfinite(nearest) else 0.0)
+    return found if np.isfinite(found) else np.inf
+
+
+def _world(scene: Scene, bounds: Reflection) -> World:
+    """The world, or a black one where it cannot be told from that."""
+    world = scene.world
+    each = max(bounds.world, 0.0 if scene.transparent else 1.0)
+    values = np.asarray(world.color if world.image is None else world.image).reshape(-1)
+    if world.image is None and not (values > 0).any():
+        return world
+    if each == 0.0:
+        return World()
+    least = WORLD / each
+    few = values[:: max(len(values) // LOOK, 1)]
+    bright = not (np.abs(few) <= least).all() or not (np.abs(values) <= least).all()
+    return world if bright else World()
+
+
+def _emission_varies(scene: Scene, prepared: Prepared) -> bool:
+    """Some emission is not the table's; or the table's is that of media, whose radiance has no bound."""
+    if any(p.cloud.emission is not None or p.cloud.extinction is not None for p in _sets(prepared)) or prepared.lines:
+        return True
+    meshes = [scene.geometries[int(row)].mesh for row in np.unique(scene.instances.geometry[prepared.polygons])]
+    graphs = [g for mesh in meshes if mesh is not None for g in graphs_of(mesh, scene.materials).values()]
+    return any("emission" in graph.channels for graph in graphs)

@@ -1,0 +1,142 @@
+"""What of a view is out of focus, as splats of one layer (core/lens/defocus.py); what is in focus is drawn as always."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...core.lens import dicing
+from ...core.lens.defocus import BLURRED, IN_FOCUS, Blur
+from ...core.lens.strand_splats import SHARE, sharp_ends, splats
+from ...core.lod.area_share import shares
+from ...core.lod.cut import forest, fully, largest_singular_value, select
+from ...core.lod.instances import joined
+from ...core.scene.cloud import PointCloud, finite
+from ...core.scene.scene import Camera, Geometry, Mesh, Scene
+from ...core.scene.strands import Lines
+from ...core.strand.selection import Segments, Strands
+from ...core.surface import sampling
+from ...core.surface.appearance import digest, point_cloud
+from ..cache.store import Layer, PointSet, Store
+
+
+@dataclass(frozen=True, eq=False)
+class Blurred(Layer):
+    """Opaque splats that may be out of focus."""
+
+    # By key of point_sets, what of its ellipse each splat covers: (N + M,) float32, points before nodes, or one number.
+    shares: dict[int, np.ndarray | float] = field(default_factory=dict)
+
+
+@dataclass
+class Focus:
+    """Sorts what a view draws into what is in focus and what is not."""
+
+    scene: Scene
+    camera: Camera
+    blur: Blur
+    tolerance: float
+    store: Store
+    view_from_object: np.ndarray  # (I, 4, 4) float64
+    sets: dict[int, PointSet] = field(default_factory=dict)
+    shares: dict[int, np.ndarray | float] = field(default_factory=dict)
+    set_of_instance: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.set_of_instance = np.full(len(self.view_from_object), -1)
+
+    def reaches(self, instance: np.ndarray, middle: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+        """Of instances whose geometry lies in a ball in object space, which may be in focus somewhere, and which may be
+        out of it."""
+        matrix = self.view_from_object[instance]
+        depth = -(matrix[:, 2, :3] @ middle + matrix[:, 2, 3])
+        reach = radius * largest_singular_value(matrix[:, :3, :3])
+        near = self.camera.nearest
+        least, most = self.blur.bounds(np.maximum(depth - reach, near), np.maximum(depth + reach, near))
+        return least < BLURRED, most > IN_FOCUS
+
+    def add_points(self, instance: np.ndarray, points: PointSet, areas: Callable[[], np.ndarray] | None) -> None:
+        """Points and their nodes. `areas`: (N,) what each point stands for; None: it is not known."""
+        key = self._add(instance, points)
+        made = self.store.lookup(
+            ("shares", areas is not None, *points.key), lambda: shares(points.hierarchy or points.cloud, areas)
+        )
+        self.shares[key] = made
+
+    def add_balls(self, instance: np.ndarray, points: PointSet) -> None:
+        """Balls that are drawn one by one."""
+        for i in instance.tolist():
+            matrix = self.view_from_object[i]
+            key = (*points.key, *self._seen(matrix))
+
+            def make(matrix: np.ndarray = matrix) -> PointCloud:
+                return dicing.balls(points.cloud, matrix, self.camera, self.tolerance, self.blur)
+
+            self._add_pieces(i, key, make, dicing.DISK_SHARE)
+
+    def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh, ok: np.ndarray) -> None:
+        """Triangles, cut for this view."""
+        rows = np.flatnonzero(ok)
+        origin, table = sampling.centre(mesh), self.scene.materials
+        look = digest(mesh, table)
+        for i in instance.tolist():
+            matrix = self.view_from_object[i]
+            key = (geometry.key, look, *self._seen(matrix))
+
+            def make(matrix: np.ndarray = matrix) -> PointCloud:
+                samples = dicing.cut(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
+                return finite(point_cloud(mesh, samples, sampling.evaluate(mesh, samples, origin, ok), table))[0]
+
+            self._add_pieces(i, key, make, dicing.SHARE)
+
+    def add_lines(self, geometry: Geometry, lines: Lines, strands: Strands, segments: Segments) -> Segments:
+        """What of the segments of a view may be out of focus; returns those that may be in it."""
+        kept = np.zeros(len(segments), bool)
+        for i in np.unique(segments.instance).tolist():
+            mine = np.flatnonzero(segments.instance == i)
+            ends, matrix = segments.ends[mine], self.view_from_object[i]
+            kept[mine] = sharp_ends(strands, ends, matrix, self.camera, self.blur)
+            key = (geometry.key, *self._seen(matrix))
+
+            def make(ends: np.ndarray = ends, matrix: np.ndarray = matrix) -> PointCloud:
+                return splats(strands, lines, ends, matrix, self.camera, self.tolerance, self.blur)
+
+            self._add_pieces(i, key, make, SHARE)
+        return segments if kept.all() else segments.take(np.flatnonzero(kept))
+
+    def _seen(self, matrix: np.ndarray) -> tuple:
+        """What pieces of an instance with this transform depend on, of the view."""
+        camera = self.camera
+        return matrix.tobytes(), camera.clip_from_view.tobytes(), camera.window, self.blur, self.tolerance
+
+    def _add_pieces(self, instance: int, key: tuple, make: Callable[[], PointCloud], share: float) -> None:
+        """Splats that were made for this view, each of which covers this share of its ellipse."""
+        key = ("pieces", *key)
+        points = PointSet(key, self.store.lookup(key, make))
+        if len(points):
+            self.shares[self._add(np.array([instance]), points)] = float(share)
+
+    def _add(self, instance: np.ndarray, points: PointSet) -> int:
+        key = len(self.sets)
+        self.sets[key] = points
+        self.set_of_instance[instance] = key
+        return key
+
+    def layer(self) -> Blurred:
+        """All that was added, cut for this view."""
+        bare = {key: points for key, points in self.sets.items() if points.hierarchy is None}
+        counts = np.zeros(len(self.sets) + 1, np.int64)
+        for key, points in bare.items():
+            counts[key] = len(points.cloud)
+        cuts = [fully(counts, self.set_of_instance)]
+        trees = {key: points.hierarchy for key, points in self.sets.items() if points.hierarchy is not None}
+        if trees:
+            known = ("forest", *((key, self.sets[key].key) for key in trees))
+            found = self.store.lookup(known, lambda: forest(trees))
+            own = np.where(np.isin(self.set_of_instance, list(trees)), self.set_of_instance, -1)
+            cuts.append(
+                select(found, own, self.view_from_object, self.camera, self.tolerance, blur=self.blur, wanted="BLURRED")
+            )
+        return Blurred(self.sets, self.set_of_instance, joined(cuts), self.shares)

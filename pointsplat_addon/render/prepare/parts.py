@@ -1,0 +1,118 @@
+"""A scene whose geometries are each opaque or translucent as a whole: meshes split by material, volumes as points."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from ...core.scene.cloud import PointCloud
+from ...core.scene.scene import Geometry, Instances, MaterialTable, Scene, Volume
+from ...core.scene.validation import sound
+from ...core.surface.appearance import digest, passing, split_translucent
+from ...core.volume import voxels
+from ..cache.store import STORE, Store
+
+
+def parted(scene: Scene, store: Store = STORE) -> tuple[Scene, tuple[str, ...]]:
+    """The scene in parts and without what cannot be drawn, and warnings; the scene itself where nothing has to change.
+
+    Instances keep their rows. A translucent part beside an opaque one is a further geometry with instances of its own,
+    which follow after all others.
+    """
+    scene, wrong = sound(scene)
+    warnings = list(wrong)
+    geometries: list[Geometry] = []
+    extra: list[tuple[int, Geometry]] = []
+    for row, geometry in enumerate(scene.geometries):
+        first, *more = _parts(geometry, scene.materials, store, warnings)
+        geometries.append(first)
+        extra += [(row, part) for part in more]
+    if not extra and all(a is b for a, b in zip(geometries, scene.geometries, strict=True)):
+        return scene, tuple(warnings)
+    instances = scene.instances
+    if extra:
+        again = [np.flatnonzero(instances.geometry == row) for row, _ in extra]
+        count = [len(rows) for rows in again]
+        instances = _repeated(
+            instances, np.concatenate(again), np.repeat(len(geometries) + np.arange(len(extra)), count)
+        )
+    all_of_them = (*geometries, *(part for _, part in extra))
+    return replace(scene, geometries=all_of_them, instances=instances), tuple(warnings)
+
+
+def _parts(geometry: Geometry, table: MaterialTable, store: Store, warnings: list[str]) -> list[Geometry]:
+    """The opaque and the translucent part of a geometry, or the only one."""
+    if geometry.volume is not None:
+        return [_volume(geometry, geometry.volume, table, store, warnings)]
+    mesh = geometry.mesh
+    passes = None if mesh is None else passing(mesh, table)
+    if mesh is None or passes is None:
+        return [geometry]
+    key = ("parts", geometry.key, digest(mesh, table), passes.tobytes())
+    opaque, translucent = store.lookup(key, lambda: split_translucent(mesh, table))
+    found = [] if opaque is None else [replace(geometry, key=opaque.key, mesh=opaque)]
+    if translucent is not None:
+        found.append(replace(geometry, key=translucent.key, mesh=translucent, primitive="POINTS"))
+    return found or [replace(geometry, key=f"{geometry.key} of none", mesh=None)]
+
+
+def lets_through(geometry: Geometry, table: MaterialTable) -> bool:
+    """Whether light passes through a geometry, all of which is alike."""
+    if geometry.cloud is not None:
+        return geometry.cloud.opacity is not None or geometry.cloud.extinction is not None
+    return geometry.mesh is not None and passing(geometry.mesh, table) is not None
+
+
+def _volume(geometry: Geometry, volume: Volume, table: MaterialTable, store: Store, warnings: list[str]) -> Geometry:
+    """The points of a volume."""
+    medium = table.media[volume.material] if volume.material < len(table.media) else None
+    key = f"{geometry.key} as {_digest(medium, volume.transfer, geometry.extinction, geometry.spacing)}"
+
+    def make() -> Points:
+        return Points(*voxels.point_cloud(volume, medium, geometry.extinction, geometry.spacing))
+
+    points = store.lookup(("volume", key), make)
+    warnings += points.warnings
+    return replace(geometry, key=key, volume=None, cloud=points.cloud, lattice=f"{volume.key} {geometry.spacing}")
+
+
+class Points:
+    """What is kept of a volume."""
+
+    def __init__(self, cloud: PointCloud, warnings: list[str]) -> None:
+        self.cloud, self.warnings, self.nbytes = cloud, warnings, cloud.nbytes
+
+
+def _digest(*things: Any) -> str:
+    """Of numbers and of dataclasses that hold numbers, names and arrays."""
+    hasher = hashlib.blake2b(digest_size=16)
+    for thing in things:
+        values = (
+            [thing] if not hasattr(thing, "__dataclass_fields__") else [getattr(thing, f.name) for f in fields(thing)]
+        )
+        for value in values:
+            hasher.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+            hasher.update(b"|")
+    return hasher.hexdigest()
+
+
+def _repeated(instances: Instances, rows: np.ndarray, geometry: np.ndarray) -> Instances:
+    """The instances, then those of `rows` again with other geometries."""
+
+    def extended(array: np.ndarray | None) -> np.ndarray | None:
+        return None if array is None else np.concatenate([array, array[rows]])
+
+    names = instances.names
+    return Instances(
+        np.concatenate([instances.geometry, geometry]).astype(np.int32),
+        np.concatenate([instances.world_from_object, instances.world_from_object[rows]]),
+        previous=extended(instances.previous),
+        pass_index=extended(instances.pass_index),
+        holdout=extended(instances.holdout),
+        casts=extended(instances.casts),
+        object_hash=extended(instances.object_hash),
+        names=(*names, *(names[row] for row in rows)) if names else (),
+    )

@@ -1,0 +1,108 @@
+"""Point sets: those of clouds that are given, and how far sets reach and how large their splats are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.lod.cut import largest_singular_value
+from ...core.lod.foliage import apart
+from ...core.lod.instances import visible
+from ...core.numeric.vectors import dot, each_block
+from ...core.scene.cloud import PointCloud, coherent, finite
+from ...core.scene.scene import Camera, Geometry
+from ...core.strand.selection import NEAREST
+from ...core.surface.sampling import bounding_box
+from ..cache.store import STORE, PointSet, Store
+from .view import View
+
+
+def given(cloud: PointCloud) -> tuple[PointCloud, int]:
+    """What is finite of a cloud, in coherent order, and how many points were dropped."""
+    cloud, dropped = finite(cloud)
+    cloud = coherent(cloud)
+    strewn = apart(cloud)
+    return cloud if strewn is None else replace(cloud, apart=strewn), dropped
+
+
+def given_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:
+    """The points of a geometry that is a cloud; says what is dropped."""
+    points, dropped = view.store.lookup(("finite", geometry.key), lambda: given(cloud))
+    if dropped:
+        view.warnings.append(f"{geometry.name}: {dropped} points that are not finite were left out")
+    same = ("lattice", geometry.lattice, len(points), *points.arrays()) if geometry.lattice else ()
+    return PointSet(("cloud", geometry.key), points, family=same)
+
+
+def counts(point_sets: dict[int, PointSet]) -> np.ndarray:
+    """(K + 1,) int64: points of each set by its key; the last one, that -1 reads, has none."""
+    found = np.zeros(max(point_sets, default=-1) + 2, np.int64)
+    for key, points in point_sets.items():
+        found[key] = len(points.cloud)
+    return found
+
+
+def set_ball(points: PointSet, store: Store = STORE) -> tuple[np.ndarray, float, float]:
+    """Centre (3,) in object space, greatest distance of a point of the set from it, greatest radius of a splat."""
+    cloud = points.cloud
+
+    def look() -> tuple[np.ndarray, float, float]:
+        low, high = bounding_box(cloud.position)
+        middle, squared = (low + high) / 2, []
+        side = max(float((high - low).max()), np.finfo(np.float32).tiny)  # squares of 1e30 are no float32
+
+        def measure(block: slice) -> None:
+            offset = (cloud.position[block].T - middle.astype(np.float32)[:, None]) * np.float32(1 / side)
+            squared.append(float(dot(offset, offset).max()))
+
+        each_block(len(cloud), measure)
+        radius = 0.0 if cloud.radii is None else float(cloud.radii[:, 0].max(initial=0.0))
+        # Rounding of the middle and of float32 sums is far below a millionth of what is measured.
+        reach = side * np.sqrt(max(squared)) + 2.0**-23 * np.abs(middle).max()
+        return cloud.origin + middle, float(reach) * (1 + 1e-6), radius
+
+    return store.lookup(("extent", *points.key), look)
+
+
+def typical_diameter(points: PointSet, view_from_object: np.ndarray, camera: Camera, store: Store) -> np.ndarray:
+    """(I,) pixels that the typical splat of each instance (I, 4, 4) spans in the middle of it."""
+    cloud = points.cloud
+    radius = store.lookup(("radius", *points.key), lambda: _typical_radius(cloud))
+    middle, _, _ = set_ball(points, store)
+    linear = view_from_object[:, :3, :3]
+    depth = np.maximum(-(linear @ middle + view_from_object[:, :3, 3])[:, 2], camera.near)
+    scale = np.abs(np.linalg.det(linear)) ** (1 / 3) * abs(camera.pixel_from_view()[0])
+    return 2 * radius * scale / (depth if camera.perspective else 1.0)
+
+
+def _typical_radius(cloud: PointCloud) -> float:
+    if cloud.radii is None or len(cloud) == 0:
+        return 0.0
+    step = max(1, len(cloud) // 4096)
+    return float(np.median(cloud.radii[::step, 0]))
+
+
+def largest_radius(
+    point_sets: dict[int, PointSet],
+    set_of_instance: np.ndarray,
+    view_from_object: np.ndarray,
+    camera: Camera,
+    store: Store,
+) -> float:
+    """No visible point is wider than this radius in pixels: each instance's largest one at its nearest depth. Instances
+    out of view do not count: those beside the eye would ask for a pyramid that closes gaps between bodies."""
+    largest = 0.0
+    focal = max(abs(f) for f in camera.pixel_from_view()[:2])
+    for key, points in point_sets.items():
+        matrix = view_from_object[set_of_instance == key]
+        middle, reach, radius = set_ball(points, store)
+        matrix = matrix[visible(matrix, middle, reach + radius, camera)]
+        scale = largest_singular_value(matrix[:, :3, :3])
+        depth = 1.0
+        if camera.perspective:
+            depth = np.maximum(
+                -(matrix[:, 2, :3] @ middle + matrix[:, 2, 3]) - reach * scale, max(camera.near, NEAREST)
+            )
+        largest = max(largest, float((radius * scale * focal / depth).max(initial=0.0)))
+    return largest

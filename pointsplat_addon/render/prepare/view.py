@@ -1,0 +1,28 @@
+"""What every step of preparing a view is given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from ...core.lens.defocus import Blur
+from ...core.lod.cost import Costs
+from ...core.scene.scene import Camera, Scene, Settings
+from ..cache.store import Store
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A scene as one camera sees it, where what is made for it is kept, and what there is to say about it."""
+
+    scene: Scene
+    camera: Camera
+    settings: Settings
+    samples: int  # how often the view will be drawn
+    interactive: bool  # again and again, and at once
+    store: Store
+    check: Callable[[], None]  # called between geometries; may raise to stop
+    costs: Costs  # of drawing on the device
+    blur: Blur | None  # of what is drawn as blurred splats; None: nothing is
+    coarse: bool = False  # a budget of time has no room for one sample at the tolerance that was asked for
+    warnings: list[str] = field(default_factory=list)  # steps append to it, some of them the same again

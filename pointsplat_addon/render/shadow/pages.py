@@ -1,0 +1,130 @@
+"""Shadow tables as the shaders read them: pages of float textures, and a record of each lamp for each view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.shadow.casters import KINDS
+from ...core.shadow.table import SHAPES, Level, ShadowTable
+from ..device.packing import PAGE_WIDTH
+
+HEAD = 8  # texels of a lamp's record before its levels
+NOTHING = np.float32(1e30)  # distance of the nearest entry where there is none
+LEVEL = 3  # texels of a level's record
+
+
+@dataclass(frozen=True, eq=False)
+class PackedTables:
+    """All lamps' tables as one texture that no view changes, and what each view needs to read it.
+
+    `data` holds, for each level: rows (first cell, column0, count, density), masks (rank, three masks), links, and
+    entries (distance, total): two to a texel, or one where `colored`; and the nearest entry by squares, for lamps with
+    a size. Integers that may be large are `coded`.
+    """
+
+    data: np.ndarray  # (H, PAGE_WIDTH, 4) float32
+    colored: bool
+    tables: tuple[ShadowTable | None, ...]  # of each lamp; None: it casts no shadow
+    levels: np.ndarray  # (lamps, most levels, LEVEL, 4) float32
+    squares: np.ndarray  # (lamps,) int64: which number of `data` is the first square's, core.shadow_table.Nearest
+
+    @property
+    def solid(self) -> bool:
+        """Only opaque things cast."""
+        return all(level.kind == "OPAQUE" for table in self._made for level in table.levels)
+
+    @property
+    def suns(self) -> bool:
+        """Only suns cast shadows."""
+        return all(table.frame.parallel for table in self._made)
+
+    @property
+    def hard(self) -> bool:
+        """No lamp has a size."""
+        return all(table.emitter.shape == "POINT" for table in self._made)
+
+    @property
+    def _made(self) -> list[ShadowTable]:
+        return [table for table in self.tables if table is not None]
+
+    def records(self, view_from_world: np.ndarray) -> np.ndarray:
+        """(lamps, HEAD + LEVEL levels, 4) float32: ps_shadow_lights for one view, (4, 4) float64 and rigid.
+
+        Texels 0 to 2 are the rows of light_from_view, 3 is (1 for suns, number of levels, index of the shape, nearest
+        entry), 4 and 5 are the size, local, with the radius and the finest step behind. Texels 6 and 7 tell of the
+        squares that know the nearest entry: least latitude and longitude, side of the finest, and the coarsest size;
+        how many along a side, and where they begin.
+        """
+        world_from_view = np.linalg.inv(view_from_world)
+        head = np.zeros((len(self.tables), HEAD, 4))
+        for row, table in zip(head, self.tables, strict=True):
+            if table is not None and table.levels:
+                frame, emitter = table.frame, table.emitter
+                row[:3, :3] = frame.light_from_world @ world_from_view[:3, :3]
+                row[:3, 3] = frame.light_from_world @ (world_from_view[:3, 3] - frame.origin)
+                row[3] = frame.parallel, len(table.levels), SHAPES.index(emitter.shape), table.nearest.least
+                row[4:6, :3], row[4:6, 3] = emitter.size, (emitter.radius, frame.step)
+                squares = table.nearest
+                row[6] = *squares.low, squares.side, len(squares.distance) - 1
+                row[7, 0] = len(squares.distance[0])
+        result = np.concatenate([head.astype(np.float32), self.levels.reshape(len(head), -1, 4)], axis=1)
+        result[:, 7, 1] = coded(self.squares)
+        return result
+
+
+def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> PackedTables:
+    """The tables of lamps, in the order of their rows in the texture of lights; None where one casts no shadow.
+
+    ValueError: they need more than `texture_size` rows of PAGE_WIDTH texels.
+    """
+    colored = any(t is not None and t.colored for t in tables)
+    most = max([len(t.levels) for t in tables if t is not None], default=0)
+    records = np.zeros((len(tables), most, LEVEL, 4), np.float32)
+    squares = np.zeros(len(tables), np.int64)
+    parts, texels = [], 0
+    for lamp, (table, record) in enumerate(zip(tables, records, strict=True)):
+        for level, texel in zip(() if table is None else table.levels, record, strict=False):
+            blocks = _blocks(level, colored)
+            sizes = np.array([len(b) for b in blocks])
+            base = texels + np.cumsum(sizes) - sizes
+            texel[0] = level.grid.low, level.grid.step, len(level.grid.count), KINDS.index(level.kind)
+            texel[1] = coded(base * (1, 1, 4, 1 if colored else 2))
+            texel[2, 0] = level.grid.wraps
+            texel[2, 1:3] = level.distance.min(initial=np.inf), level.distance.max(initial=0)
+            parts += blocks
+            texels += int(sizes.sum())
+        if table is not None and table.emitter.shape != "POINT":
+            squares[lamp] = 4 * texels
+            parts.append(_texels(np.minimum(table.nearest.flat, NOTHING)))
+            texels += len(parts[-1])
+    height = max(1, -(-texels // PAGE_WIDTH))
+    if height > texture_size:
+        raise ValueError(f"shadow tables need {height} rows of a texture, this device has {texture_size}")
+    data = np.zeros((height * PAGE_WIDTH, 4), np.float32)
+    if parts:
+        np.concatenate(parts, out=data[:texels])
+    return PackedTables(data.reshape(height, PAGE_WIDTH, 4), colored, tuple(tables), records, squares)
+
+
+def coded(integers: np.ndarray) -> np.ndarray:
+    """Integers below 2^31 - 2^24 as the float32 of their bits: positive, normal, so that no device alters them."""
+    return (np.asarray(integers, np.int64) + 0x00800000).astype(np.int32).view(np.float32)
+
+
+def _blocks(level: Level, colored: bool) -> list[np.ndarray]:
+    """Rows, masks, links and entries as texels (n, 4) float32."""
+    grid = level.grid
+    rows = np.stack([coded(grid.first), grid.column0, grid.count, grid.density], axis=1).astype(np.float32)
+    masks = np.concatenate([coded(level.rank)[:, None], level.mask.astype(np.float32)], axis=1)
+    total = np.broadcast_to(level.total, (len(level.total), 3)) if colored else level.total
+    entries = np.concatenate([level.distance[:, None], total], axis=1)
+    return [rows, masks, *(_texels(a.reshape(-1)) for a in (coded(level.links), entries))]
+
+
+def _texels(values: np.ndarray) -> np.ndarray:
+    texels = np.zeros((-(-len(values) // 4), 4), np.float32)
+    texels.reshape(-1)[: len(values)] = values
+    return texels

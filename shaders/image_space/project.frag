@@ -1,0 +1,15 @@
+// Which splat: see project.vert.
+#ifdef PS_APART
+#include "lib/geometry/footprint.glsl"
+#endif
+
+void main()
+{
+#ifdef PS_APART
+  if (ps_ellipse.x > 0.0 && ps_beside(ps_ellipse, ps_centre - gl_FragCoord.xy) != 0u) {
+    discard;
+  }
+#endif
+  id = ps_id;
+  gl_FragDepth = ps_order;
+}

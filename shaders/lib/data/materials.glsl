@@ -1,0 +1,18 @@
+// The material table: four texels a row. Layout: render/passes/shade.py. PS_HAS_GLOW: some material emits light.
+// PS_ONE_SURFACE: all are alike beyond their colours, which lib/light/brdf.glsl reads elsewhere.
+
+PsSurface ps_material(int row)
+{
+  vec4 base = texelFetch(ps_materials, ivec2(0, row), 0);
+#ifdef PS_HAS_GLOW
+  vec3 emission = texelFetch(ps_materials, ivec2(1, row), 0).rgb;
+#else
+  vec3 emission = vec3(0.0);
+#endif
+#if defined(PS_ONE_SURFACE) && !defined(PS_LINES)
+  vec4 rest = vec4(0.0);
+#else
+  vec4 rest = texelFetch(ps_materials, ivec2(2, row), 0);
+#endif
+  return PsSurface(base.rgb, emission, rest.y, rest.z, rest.w);
+}

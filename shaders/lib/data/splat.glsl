@@ -1,0 +1,20 @@
+// Splats in pages of 4,096-wide textures, and the blocks that a view draws. Layout: render/passes/points.py.
+
+#include "lib/geometry/instance.glsl"
+#include "lib/data/pack.glsl"
+
+// Which splat the drawn element `index` is: texel of its attributes, and its instance. x < 0: none.
+ivec3 ps_element(int index)
+{
+  int block = index >> frame.page.z;
+  if (block >= frame.page.y) {
+    return ivec3(-1);
+  }
+  vec4 record = texelFetch(ps_blocks, ps_texel(block), 0);
+  int lane = index & ((1 << frame.page.z) - 1);
+  if (lane >= int(record.z)) {
+    return ivec3(-1);
+  }
+  int column = int(record.x) + lane;
+  return ivec3(column & PS_PAGE_MASK, int(record.y) + (column >> PS_PAGE_SHIFT), int(record.w));
+}

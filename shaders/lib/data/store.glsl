@@ -1,0 +1,33 @@
+// A surfel into the textures of a G-buffer. PS_FRONT: and the depth of its near end, which is what may hide behind others.
+
+#include "lib/geometry/surfel.glsl"
+
+#define PS_BRIGHTEST 65504.0  // what a texture of half floats holds; an infinity would be drawn black
+
+void ps_store(PsSurfel s)
+{
+  out_place = s.place;
+  out_shape = s.shape;
+#ifdef PS_NORMAL
+  out_normal = s.normal;
+#endif
+#ifdef PS_COLOR
+  out_color = clamp(s.color, -PS_BRIGHTEST, PS_BRIGHTEST);
+#endif
+#ifdef PS_EMISSION
+  out_emission = clamp(s.emission, -PS_BRIGHTEST, PS_BRIGHTEST);
+#endif
+#ifdef PS_OWNER
+  out_owner = s.owner;
+#endif
+}
+
+// Beyond the near plane, so that 0, to which textures are cleared, means that nothing covers the pixel.
+void ps_store_front(PsSurfel s, bool covers)
+{
+  ps_store(s);
+#ifdef PS_FRONT
+  float front = (s.place.w > 0.0 ? s.place.x - s.place.w : s.place.x) - frame.lens.x;
+  out_front = covers ? max(front, 1e-30) : 0.0;
+#endif
+}

@@ -1,0 +1,153 @@
+// The Principled BSDF without coat, sheen, transmission and subsurface: GGX with multiple scattering over Lambert.
+// Reference and sources: core/light/lighting.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
+// PS_HAS_METAL: something is metallic. PS_ONE_SURFACE: nothing is, and roughness and eta are those of the whole scene.
+
+#define PS_PI 3.14159265358979
+#define PS_TABLE_WIDTH 32
+#define PS_TABLE_ROWS 32
+#define PS_SURFACE_ROW (PS_TABLE_ROWS + 1)
+#define PS_MIN_ALPHA 1e-3
+
+struct PsSurface {
+  vec3 base;
+  vec3 emission;
+  float roughness;
+  float metallic;
+  float eta;  // index of refraction that stands for IOR and specular level: core.lighting.relative_index
+};
+
+#if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
+
+// What the BSDF needs of a surface seen from one direction.
+struct PsLobes {
+  vec3 normal;
+  vec3 to_eye;
+  vec3 diffuse;
+  vec3 reflectance;  // of uniform light, by the GGX lobe
+  vec3 metal_f0;
+  vec3 metal_scale;
+  float dielectric_scale;
+  float eta;
+  float roughness;
+  float alpha;
+  float cos_eye;
+  vec3 mirror;  // the reflected view direction
+  vec3 across;  // unit, perpendicular to the plane of incidence; 0 where there is none
+};
+
+// Unpolarised, over one common denominator.
+float ps_fresnel_dielectric(float cosine, float eta)
+{
+  float g2 = eta * eta - 1.0 + cosine * cosine;
+  float g = sqrt(max(g2, 0.0));
+  float a = g - cosine, b = g + cosine;
+  float c = b * cosine - 1.0, d = a * cosine + 1.0;
+  float both = a / max(b * d, 1e-9);
+  return g2 < 0.0 ? 1.0 : min(0.5 * both * both * (d * d + c * c), 1.0);
+}
+
+// Cosine-weighted mean over the hemisphere (fits of Kulla and Conty 2017).
+float ps_mean_fresnel(float eta)
+{
+  float dense = (eta - 1.0) / (4.08567 + 1.00071 * eta);
+  float thin = 0.997118 + eta * (0.1014 - eta * (0.965241 + 0.130607 * eta));
+  return clamp(eta >= 1.0 ? dense : thin, 0.0, 1.0);
+}
+
+vec4 ps_table_row(int row, float cosine)
+{
+  float x = sqrt(cosine) * float(PS_TABLE_WIDTH - 1);
+  int column = min(int(x), PS_TABLE_WIDTH - 2);
+  return mix(texelFetch(ps_lights, ivec2(column, row), 0), texelFetch(ps_lights, ivec2(column + 1, row), 0),
+             x - float(column));
+}
+
+vec4 ps_reflectance_table(float cosine, float roughness)
+{
+  float y = roughness * float(PS_TABLE_ROWS - 1);
+  int row = min(int(y), PS_TABLE_ROWS - 2);
+  return mix(ps_table_row(row, cosine), ps_table_row(row + 1, cosine), y - float(row));
+}
+
+PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 to_eye)
+{
+  PsLobes lobes;
+  float facing = dot(normal, to_eye);
+  lobes.normal = normal;
+  lobes.to_eye = to_eye;
+  lobes.cos_eye = clamp(facing, 1e-4, 1.0);
+  lobes.mirror = 2.0 * facing * normal - to_eye;
+  lobes.across = cross(normal, to_eye);
+  float sine = length(lobes.across);
+  lobes.across = sine > 1e-6 ? lobes.across / sine : vec3(0.0);
+
+#ifdef PS_ONE_SURFACE
+  vec4 table = ps_table_row(PS_SURFACE_ROW, lobes.cos_eye);
+  float reflected = table.x;
+  lobes.dielectric_scale = table.y;
+  lobes.roughness = table.z;
+  lobes.eta = table.w;
+#else
+  lobes.roughness = clamp(surface.roughness, 0.0, 1.0);
+  lobes.eta = surface.eta;
+  float root = (surface.eta - 1.0) / (surface.eta + 1.0);
+  float f0 = root * root;
+
+  // Single scattering from the table, multiple over single scattering as a factor.
+  vec4 table = ps_reflectance_table(lobes.cos_eye, lobes.roughness);
+  float missing = (1.0 - table.x) / table.x;
+  float dielectric_mean = ps_mean_fresnel(surface.eta);
+  lobes.dielectric_scale = 1.0 + missing * dielectric_mean * table.w / (1.0 - dielectric_mean * (1.0 - table.w));
+  float reflected = surface.eta == 1.0 ? 0.0 : mix(f0, 1.0, table.z) * table.x * lobes.dielectric_scale;
+#endif
+  lobes.alpha = max(lobes.roughness * lobes.roughness, PS_MIN_ALPHA);
+  lobes.reflectance = vec3(reflected);
+  lobes.diffuse = max(surface.base, 0.0) * (1.0 - min(reflected, 1.0));
+#ifdef PS_HAS_METAL
+  float metallic = clamp(surface.metallic, 0.0, 1.0);
+  lobes.metal_f0 = clamp(surface.base, 0.0, 1.0);
+  vec3 metal_mean = lobes.metal_f0 + (1.0 - lobes.metal_f0) / 21.0;
+  lobes.metal_scale = metallic * (1.0 + missing * metal_mean * table.w / (1.0 - metal_mean * (1.0 - table.w)));
+  vec3 metal_reflected = mix(lobes.metal_f0, vec3(1.0), table.y) * table.x;
+  lobes.reflectance = (1.0 - metallic) * lobes.reflectance + lobes.metal_scale * metal_reflected;
+  lobes.dielectric_scale *= 1.0 - metallic;
+  lobes.diffuse *= 1.0 - metallic;
+#endif
+  return lobes;
+}
+
+// Angle by which reflected rays turn along a unit direction where the half vector's slope is alpha, per unit of length
+// along `direction` at unit distance.
+float ps_width_along(PsLobes lobes, vec3 direction)
+{
+  vec3 seen = direction - dot(direction, lobes.mirror) * lobes.mirror;
+  float size2 = max(dot(seen, seen), 1e-6);
+  float across = dot(seen, lobes.across);
+  return 2.0 * lobes.alpha * sqrt((1.0 - across * across / size2 * (1.0 - lobes.cos_eye * lobes.cos_eye)) / size2);
+}
+
+// BSDF of the GGX lobe times n.l, where the lobe may be widened: a2 is its alpha squared. The half vector is left
+// unnormalised, h = direction + to_eye, and its length cancels.
+vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
+{
+  float cos_light = dot(lobes.normal, direction);
+  float above = max(cos_light, 1e-6);
+  vec3 h = direction + lobes.to_eye;
+  float h2 = dot(h, h);
+  float along = dot(lobes.normal, h);
+  // |n x h|^2 in place of 1 - (n.h)^2, which cancels.
+  vec3 sine = cross(lobes.normal, h);
+  float spread = a2 * along * along + dot(sine, sine);
+  float masked = above * sqrt(a2 + (1.0 - a2) * lobes.cos_eye * lobes.cos_eye) +
+                 lobes.cos_eye * sqrt(a2 + (1.0 - a2) * above * above);
+  float lobe = a2 * h2 * h2 * above / (2.0 * PS_PI * spread * spread * masked);
+  float cos_between = min(0.5 * sqrt(h2), 1.0);
+  vec3 reflected = vec3(lobes.dielectric_scale * ps_fresnel_dielectric(cos_between, lobes.eta));
+#ifdef PS_HAS_METAL
+  float x = 1.0 - cos_between, x2 = x * x;
+  reflected += lobes.metal_scale * (lobes.metal_f0 + (1.0 - lobes.metal_f0) * (x2 * x2 * x));
+#endif
+  return cos_light > 0.0 ? lobe * reflected : vec3(0.0);
+}
+
+#endif

@@ -1,0 +1,40 @@
+// The world where nothing else is, added to what earlier samples left. PS_EVERYWHERE: that is all of the picture.
+// PS_BESIDE: only passes beside Combined are drawn.
+
+#include "lib/geometry/camera.glsl"
+#include "lib/light/lights.glsl"
+#include "lib/light/backdrop.glsl"
+#include "lib/geometry/finite.glsl"
+#ifndef PS_EVERYWHERE
+#include "lib/data/place.glsl"
+#include "lib/geometry/coverage.glsl"
+#endif
+
+void main()
+{
+#ifdef PS_EVERYWHERE
+  const float open = 1.0;
+#else
+  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  float open = 1.0 - ps_coverage(pixel, texelFetch(ps_place, pixel, 0));
+  if (open == 0.0) {
+    discard;
+  }
+#endif
+#ifdef PS_BACKDROP
+  out_combined = open * vec4(ps_finite(ps_backdrop_at(gl_FragCoord.xy)), 1.0);
+#elif defined(PS_BACKGROUND)
+  out_combined = open * vec4(ps_finite(ps_background(ps_ray(gl_FragCoord.xy))), 1.0);
+#elif !defined(PS_BESIDE)
+  out_combined = vec4(0.0);
+#endif
+#ifdef PS_OUT_NORMAL
+  out_normal_pass = vec4(0.0);
+#endif
+#ifdef PS_OUT_ALBEDO
+  out_albedo = vec4(0.0);
+#endif
+#ifdef PS_OUT_MIST
+  out_mist = vec4(open);
+#endif
+}

@@ -1,0 +1,40 @@
+// A translucent splat over the picture: its optical depth along the pixel's ray (Beer's law), and the light of what of
+// it lies in front of all that is opaque.
+
+#include "lib/splat/kernel.glsl"
+
+#ifdef PS_KERNELS
+// Over the middle's of the default kernel, as ps_kernel.
+float ps_profile(int row, float q)
+{
+  float at = q * (float(PS_PROFILE_STEPS - 1) / PS_SUPPORT);
+  int low = min(int(at), PS_PROFILE_STEPS - 2);
+  float a = texelFetch(ps_profiles, ivec2(low, row), 0).x, b = texelFetch(ps_profiles, ivec2(low + 1, row), 0).x;
+  return mix(a, b, at - float(low)) / PS_PEAK;
+}
+#endif
+
+void main()
+{
+  vec2 v = gl_FragCoord.xy - v_centre;
+  float q = v_conic.x * v.x * v.x + 2.0 * v_conic.y * v.x * v.y + v_conic.z * v.y * v.y;
+  if (!(q < PS_SUPPORT)) {
+    discard;
+  }
+#ifdef PS_KERNELS
+  float depth = v_source.w * ps_profile(int((v_conic.w < -0.5 ? -1.0 - v_conic.w : v_conic.w) + 0.5), q);
+#else
+  float depth = v_source.w * ps_kernel(q);
+#endif
+#ifdef PS_AMONG_OPAQUE
+  float opaque = texelFetch(ps_depth, ivec2(gl_FragCoord.xy / frame.lens.w), 0).x;
+  float x = (opaque - v_front.x - dot(v_front.zw, v)) * v_front.y;
+  depth *= ps_below(clamp(x, -6.0, 6.0));
+#endif
+  float covered = depth < 1e-3 ? depth * (1.0 - 0.5 * depth) : 1.0 - exp(-depth);
+  out_color = vec4(v_source.rgb * covered, covered);
+#ifdef PS_HOLDOUT
+  // How much of what is drawn so far the pixel's alpha is not to count; in the channel that is drawn along with alpha.
+  out_cut = vec4(0.0, v_conic.w < -0.5 ? covered : 0.0, 0.0, covered);
+#endif
+}

@@ -1,0 +1,46 @@
+// Two triangles that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent.py.
+
+#include "lib/splat/kernel.glsl"
+
+#define PS_LOW_PASS 0.04
+#define PS_SHAPED 0.25  // pixels^4: determinant of the covariance above which kernels have shapes of their own
+
+void main()
+{
+  int index = frame.page.x + gl_VertexID / 6;
+  ivec2 at = ivec2(index & 4095, index >> 12);
+  vec4 place = texelFetch(ps_place, at, 0), shape = texelFetch(ps_shape, at, 0);
+  // In a coarser picture's pixels, of which splats are not to miss any either.
+  float scale = frame.lens.w;
+  vec3 c = scale * scale * shape.xyz + (scale < 1.0 ? vec3(PS_LOW_PASS, 0.0, PS_LOW_PASS) : vec3(0.0));
+  float det = c.x * c.z - c.y * c.y;
+  float kept = scale < 1.0 ? scale * scale * sqrt((shape.x * shape.z - shape.y * shape.y) / det) : 1.0;
+  v_centre = scale * (place.xy + frame.focal.zw);
+  vec4 source = texelFetch(ps_source, at, 0);
+  v_source = vec4(source.rgb, kept * place.w);
+#ifdef PS_CHANNEL
+  v_source.w *= texelFetch(ps_tint, at, 0)[PS_CHANNEL];
+#endif
+  v_conic = vec4(vec3(c.z, -c.y, c.x) / det, source.w);
+#ifdef PS_KERNELS
+  // The shapes of splats that are no wider than a pixel would only be missed between the pixels' centres.
+  v_conic.w = det > PS_SHAPED ? source.w : source.w < 0.0 ? -1.0 : 0.0;
+#endif
+#ifdef PS_AMONG_OPAQUE
+  vec4 front = texelFetch(ps_front, at, 0);
+  v_front = vec4(place.z, 1.0 / front.x, front.yz / scale);
+#endif
+
+  // Along the ellipse's axes where that saves much; else along the picture's, which rasterisers fill faster.
+  float middle = 0.5 * (c.x + c.z), apart = 0.5 * (c.x - c.z), root = length(vec2(apart, c.y));
+  bool oblique = 2.0 * det < c.x * c.z;
+  float angle = oblique ? 0.5 * atan(c.y, apart) : 0.0;
+  vec2 axis = vec2(cos(angle), sin(angle));
+  vec2 size = PS_RIM_SIGMA * sqrt(max(oblique ? vec2(middle + root, middle - root) : c.xz, 0.0));
+  int corner = gl_VertexID % 6;
+  vec2 side = vec2(corner == 1 || corner == 2 || corner == 4 ? 1.0 : -1.0, corner == 2 || corner >= 4 ? 1.0 : -1.0);
+  side.x = corner == 5 ? -1.0 : side.x;
+  vec2 pixel = v_centre + side.x * size.x * axis + side.y * size.y * vec2(-axis.y, axis.x);
+  vec2 clip = pixel / vec2(frame.size.xy) * 2.0 - 1.0;
+  gl_Position = place.w > 0.0 ? vec4(clip, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+}

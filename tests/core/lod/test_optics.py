@@ -1,0 +1,246 @@
+"""Facts about light through hierarchies: as much of it passes coarse cuts as passes the points."""
+
+# pyright: reportOptionalSubscript=false, reportOptionalMemberAccess=false, reportOptionalOperand=false
+# pyright: reportArgumentType=false, reportCallIssue=false
+# Attributes may be None by type; the clouds here have those that are asked for.
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.lod import hierarchy as h
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.splat.kernel import EVEN, SUPPORT, kernel
+
+VIEWS = ((0.0, 0.0, 1.0), (1.0, 0.4, 0.7))
+
+
+def projected(cloud: PointCloud, direction: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 2) and covariances (N, 2, 2) of splats in the plane across a direction."""
+    d = np.array(direction) / np.linalg.norm(direction)
+    u = np.cross(d, [0.3, 0.5, 0.8])
+    u /= np.linalg.norm(u)
+    plane = np.stack([u, np.cross(d, u)])
+    normal, axis, radii = h.frames(cloud, slice(None))
+    halves = np.stack([axis, np.cross(normal.T, axis.T).T, normal]) * radii[:, None] / 2
+    flat = np.einsum("xi,kin->nkx", plane, halves)
+    covariance = np.einsum("nkx,nky->nxy", flat, flat) + 1e-12 * radii.max() ** 2 * np.eye(2)
+    return cloud.position.astype(np.float64) @ plane.T, covariance
+
+
+def mean_transmittance(
+    cloud: PointCloud, half: float, direction: tuple[float, float, float], pixels: int = 96, hard: bool = False
+) -> float:
+    """Over the square about the origin with this half side: exp(-tau) of all splats.
+    `hard`: opaque over their ellipses instead."""
+    place, covariance = projected(cloud, direction)
+    determinant, conic = np.linalg.det(covariance), np.linalg.inv(covariance)
+    if hard:
+        middle = np.full(len(cloud), h.OPAQUE)
+    elif cloud.extinction is not None:
+        volume = 4 / 3 * np.pi * np.prod(h.frames(cloud, slice(None))[2], axis=0)
+        middle = cloud.extinction * volume / (2 * np.pi * np.sqrt(determinant))
+    else:
+        # The mass is the depth times the seen area, which is that of the projected ellipse.
+        middle = -2 * np.log1p(-np.minimum(cloud.opacity.astype(np.float64), 1 - 1e-16))
+    step, tau = 2 * half / pixels, np.zeros(pixels * pixels)
+    reach = (2 if hard else np.sqrt(SUPPORT)) * np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
+    spans, home = np.ceil(reach / step).astype(int) + 1, np.floor((place + half) / step).astype(int)
+    for span in np.unique(spans):
+        rows = np.flatnonzero(spans == span)
+        window = np.stack(np.meshgrid(*[np.arange(-span, span + 1)] * 2), axis=-1).reshape(-1, 2)
+        for some in np.array_split(rows, 1 + len(rows) * len(window) // 500_000):
+            cell = home[some, None] + window
+            x = (cell + 0.5) * step - half - place[some, None]
+            q = np.einsum("nwx,nxy,nwy->nw", x, conic[some], x)
+            seen = (q <= (4 if hard else SUPPORT)) & ((cell >= 0) & (cell < pixels)).all(axis=-1)
+            depth = middle[some, None] * (np.ones_like(q) if hard else kernel(q))
+            tau += np.bincount((cell[..., 1] * pixels + cell[..., 0])[seen], depth[seen], pixels * pixels)
+    return float(np.exp(-tau).mean())
+
+
+def levels(built: h.Hierarchy, least: int) -> Iterator[np.ndarray]:
+    """Cuts of at least this many splats: each level of the tree, and the leaves above it; rows of `splats`."""
+    tree = built.tree
+    for first, last in zip(tree.levels[:-1], tree.levels[1:], strict=True):
+        leaves = np.flatnonzero(tree.child_count[:first] == 0)
+        nodes = np.concatenate([leaves, np.arange(first, last)])
+        if len(nodes) >= least:
+            yield np.where(tree.point_count[nodes] > 1, len(built.cloud) + nodes, tree.first_point[nodes])
+
+
+def worst_change(cloud: PointCloud, half: float, least: int) -> float:
+    """How far the mean transmittance of any cut is from that of the points."""
+    built = h.build(cloud, 8)
+    splats, worst = h.splats(built), 0.0
+    cuts = list(levels(built, least))
+    assert cuts
+    for view in VIEWS:
+        near = mean_transmittance(cloud, half, view)
+        worst = max(worst, *(abs(mean_transmittance(splats.take(cut), half, view) - near) for cut in cuts))
+    return worst
+
+
+def voxel_ball(diameter: int, fraction: float = 1.0) -> np.ndarray:
+    """Centres (N, 3) of the voxels in a ball, or of a random part of them."""
+    line = np.arange(diameter) - (diameter - 1) / 2
+    p = np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3)
+    p = p[(p**2).sum(axis=1) <= diameter**2 / 4]
+    return p[np.random.default_rng(0).random(len(p)) < fraction].astype(np.float32)
+
+
+def medium(position: np.ndarray, extinction: float | np.ndarray, **attributes: np.ndarray) -> PointCloud:
+    """Voxels of edge 1 and true extinction, as balls."""
+    radius = 2 * EVEN
+    share = np.float32(1 / (4 / 3 * np.pi * radius**3)) * np.float32(extinction)
+    own = np.broadcast_to(share, (len(position), *np.shape(share)[1:])).astype(np.float32).copy()
+    return PointCloud(position, radii=np.full((len(position), 1), radius, np.float32), extinction=own, **attributes)
+
+
+# Cloud, least splats of a cut, tolerance: one percent, but where the outlines of opaque voxels are Gaussians, too.
+MEDIA: dict[str, tuple[Callable[[], PointCloud], int, float]] = {
+    "thin": (lambda: medium(voxel_ball(24), 0.3 / 24), 64, 0.01),
+    "even": (lambda: medium(voxel_ball(24), 1 / 24), 64, 0.01),
+    "thick": (lambda: medium(voxel_ball(24), 3 / 24), 256, 0.01),
+    "opaque": (lambda: medium(voxel_ball(32), 50.0), 4000, 0.02),  # measured 0.015
+    "sparse": (lambda: medium(voxel_ball(40, 0.03), 1.0), 200, 0.01),
+    "sparse and thick": (lambda: medium(voxel_ball(40, 0.03), 10.0), 200, 0.01),
+    "sparse and opaque": (lambda: medium(voxel_ball(40, 0.03), 50 * 2 * np.pi * EVEN**2), 200, 0.01),
+    "half full": (lambda: medium(voxel_ball(32, 0.2), 1.0), 1000, 0.01),
+}
+
+
+@pytest.mark.parametrize("name", MEDIA)
+def test_media_let_as_much_light_through_from_afar(name: str) -> None:
+    make, least, tolerance = MEDIA[name]
+    cloud = make()
+    half = 1.1 * float(np.abs(cloud.position).max())
+    assert worst_change(cloud, half, least) < tolerance
+
+
+def cards(count: int, alpha: float, side: float, samples: int, seed: int = 0) -> PointCloud:
+    """Square cards in all directions in the unit ball, each of samples^2 disks that overlap and add up to alpha."""
+    rng = np.random.default_rng(seed)
+    middle = rng.standard_normal((count, 3))
+    middle *= np.cbrt(rng.random((count, 1))) / np.linalg.norm(middle, axis=1, keepdims=True)
+    normal = rng.standard_normal((count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    u, v = h.basis(normal.T)
+    line = ((np.arange(samples) + 0.5) / samples - 0.5) * side
+    x, y = (g.reshape(-1, 1) for g in np.meshgrid(line, line))
+    position = (middle[:, None] + u.T[:, None] * x + v.T[:, None] * y).reshape(-1, 3)
+    n, radius = len(position), 1.3 / np.sqrt(2) * side / samples
+    depth = -np.log(1 - alpha) * (side / samples) ** 2 / (np.pi * radius**2)
+    return PointCloud(
+        position.astype(np.float32), normal=np.repeat(normal, samples**2, axis=0).astype(np.float32),
+        radii=np.full((n, 1), radius, np.float32), opacity=np.full(n, -np.expm1(-depth), np.float32),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("alpha", [0.3, 0.9])
+def test_a_tree_of_translucent_cards_is_as_dark_from_afar(alpha: float) -> None:
+    assert worst_change(cards(3000, alpha, 0.06, 3), 1.15, 1000) < 0.01
+
+
+# Masses and colours
+
+
+def test_where_a_medium_is_even_its_mass_is_kept_in_what_is_drawn() -> None:
+    rng = np.random.default_rng(0)
+    cloud = medium(
+        voxel_ball(20),
+        1e-4 * rng.random((len(voxel_ball(20)), 3)),
+        emission=rng.random((len(voxel_ball(20)), 3), np.float32),
+    )
+    built = h.build(cloud)
+    splats = h.splats(built)
+    volume = 4 / 3 * np.pi * splats.radii[:, :1].astype(np.float64) ** 3
+    mass, emission = volume * np.asarray(splats.extinction), volume * np.asarray(splats.emission)
+    n, tree = len(cloud), built.tree
+    for node in range(len(built)):
+        below = slice(tree.first_point[node], tree.first_point[node] + tree.point_count[node])
+        np.testing.assert_allclose(built.mass[node], mass[below].sum(axis=0), rtol=1e-6)  # measured 2e-7
+        np.testing.assert_allclose(
+            mass[n + node], mass[below].sum(axis=0), rtol=1e-3
+        )  # measured 3e-4: what is absorbed
+        np.testing.assert_allclose(emission[n + node], emission[below].sum(axis=0), rtol=1e-6)  # measured 3e-7
+
+
+def test_albedo_is_weighted_by_mass() -> None:
+    p = voxel_ball(3)
+    extinction, color = np.zeros(len(p)), np.zeros((len(p), 3), np.float32)
+    extinction[:2], color[0], color[1] = [1e6, 3e6], [1, 0, 0], [0, 1, 0]
+    built = h.build(medium(p, extinction, color=color), 100)
+    np.testing.assert_allclose(built.color[0], [0.25, 0.75, 0], rtol=1e-6)  # measured 6e-8
+
+
+def test_cross_sections_of_kernels() -> None:
+    """The integral of 1 - exp(-tau), in rings."""
+    q = np.linspace(0, SUPPORT, 200_001)
+    q = (q[1:] + q[:-1]) / 2
+    for depth in (1e-8, 1e-3, 0.1, 1.0, 10.0, 1e3):
+        rings = -np.expm1(-2 * depth * kernel(q)).sum() * (q[1] - q[0]) / 4
+        assert h.absorbed(depth) == pytest.approx(rings, rel=1e-5)  # measured 2e-6
+        assert h.absorbed(h.even(depth)) == pytest.approx(-np.expm1(-depth), rel=1e-5)  # measured 1e-7
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e4])
+def test_extremes_stay_finite(scale: float) -> None:
+    p = voxel_ball(6)
+    strength = np.where(np.arange(len(p)) % 2, 1e6, 1e-6) / scale
+    cloud = medium(p, strength)
+    cloud = replace(cloud, position=cloud.position * np.float32(scale), radii=cloud.radii * np.float32(scale))
+    built = h.build(cloud, 4)
+    for array in (built.extinction, built.mass, built.covered, built.radii):
+        assert np.isfinite(array).all()
+    assert (built.extinction > 0).all()
+    clear = h.build(medium(np.zeros((9, 3), np.float32), 0.0, color=np.full((9, 3), 0.5, np.float32)))
+    np.testing.assert_array_equal(clear.extinction, 0)
+    np.testing.assert_allclose(clear.color, 0.5)
+
+
+# New colours for the same points
+
+
+@pytest.mark.parametrize("kind", ["medium", "surface", "shells"])
+def test_recoloured_equals_a_fresh_build(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    if kind == "medium":
+        p = voxel_ball(14)
+        cloud = medium(p, rng.random((len(p), 3)), emission=rng.random((len(p), 3), np.float32))
+        changed = {"extinction": rng.random((len(p), 3), np.float32), "emission": rng.random((len(p), 3), np.float32)}
+    else:
+        cloud = cards(200, 0.4, 0.1, 3)
+        changed = {"opacity": rng.random(len(cloud), np.float32)}
+        if kind == "surface":
+            cloud, changed = replace(cloud, opacity=None), {}
+    n = len(cloud)
+    cloud = replace(
+        cloud,
+        color=rng.random((n, 3), np.float32),
+        value=rng.random(n, np.float32),
+        material=np.arange(n, dtype=np.uint16),
+    )
+    changed |= {"color": rng.random((n, 3), np.float32), "value": rng.random(n, np.float32)}
+    old, new = h.build(cloud), replace(cloud, **changed)
+    fresh = h.build(new)
+    for found in (h.recolor(old, new), h.recolor(old, new.take(old.order), in_tree_order=True)):
+        for name in ("center", "radii", "bound", "smallest", "material"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(fresh, name))
+        for name in (*h.AVERAGED, "mass", "covered"):
+            if getattr(fresh, name) is not None:
+                np.testing.assert_allclose(getattr(found, name), getattr(fresh, name), rtol=2e-6)  # measured 3e-7
+        np.testing.assert_array_equal(found.cloud.color, fresh.cloud.color)
+
+
+def test_recolouring_with_other_attributes_or_points_is_refused() -> None:
+    built = h.build(medium(voxel_ball(4), 1.0))
+    with pytest.raises(ValueError, match="attributes"):
+        h.recolor(built, replace(built.cloud, value=np.zeros(len(built.cloud), np.float32)))
+    with pytest.raises(ValueError, match="points"):
+        h.recolor(built, built.cloud.take(slice(3)))
+    with pytest.raises(ValueError, match="NaN"):
+        h.recolor(built, replace(built.cloud, extinction=built.cloud.extinction * np.float32(np.nan)))

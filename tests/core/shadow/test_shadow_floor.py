@@ -1,0 +1,80 @@
+"""Which flat meshes may have something behind them, seen from a lamp."""
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.scene.scene import Light, Mesh
+from pointsplat_addon.core.shadow.floor import lowest, lowest_corner, plane_of, shines_from
+from pointsplat_addon.core.shadow.samples import outline
+from pointsplat_addon.core.surface import sampling
+from tests.support import scenes
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def plane(mesh: Mesh) -> tuple[np.ndarray, np.ndarray] | None:
+    return plane_of(mesh, outline(mesh, sampling.validate(mesh)[0]))
+
+
+def flat(key: str) -> Mesh:
+    """A grid in XY."""
+    mesh = scenes.plane_mesh(key, cells=5)
+    return Mesh(key, key, np.ascontiguousarray(mesh.position[:, [0, 2, 1]]), mesh.triangles)
+
+
+def turned(mesh: Mesh, normal: np.ndarray, offset: np.ndarray) -> Mesh:
+    """A mesh whose z axis points along a unit normal."""
+    side = np.cross(normal, [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    position = mesh.position @ np.stack([np.cross(side, normal), side, normal]) + offset
+    return Mesh("turned", "turned", position.astype(np.float32), mesh.triangles)
+
+
+def test_the_plane_of_a_flat_mesh_is_found_whatever_its_place():
+    normal, offset = np.array([0.36, 0.48, 0.8]), np.array([5.0, -7.0, 2.0])
+    found = plane(turned(flat("leaning floor"), normal, offset))
+    assert found is not None
+    point, along = found
+    assert abs(along @ normal) == pytest.approx(1, abs=1e-6)  # measured 4e-14
+    assert (point - offset) @ normal == pytest.approx(0, abs=1e-5)  # measured 7e-7, float32's
+
+
+def test_what_is_not_flat_has_no_plane():
+    bumpy = flat("bumpy floor")
+    position = bumpy.position.copy()
+    position[7, 2] += 1e-3
+    assert plane(scenes.cube_mesh("no floor")) is None
+    assert plane(Mesh("bumpy", "bumpy", position, bumpy.triangles)) is None
+    assert plane(Mesh("none", "none", np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32))) is None
+
+
+@pytest.mark.parametrize(
+    ("light", "above"),
+    [
+        (scenes.sun(direction=(0.5, 0, -1)), True),
+        (scenes.sun(direction=(0.5, 0, 1)), False),
+        (scenes.sun(direction=(1, 0, 0)), False),
+        (Light("SUN", np.ones(3), np.zeros(3), np.array([0.6, 0, -0.8]), radius=0.9), True),  # 0.927 high
+        (Light("SUN", np.ones(3), np.zeros(3), np.array([0.6, 0, -0.8]), radius=1.0), False),
+        (Light("POINT", np.ones(3), np.array([9.0, 9.0, 1.5]), -UP, radius=0.4), True),
+        (Light("POINT", np.ones(3), np.array([9.0, 9.0, 1.5]), -UP, radius=0.6), False),
+        (Light("AREA", np.ones(3), np.array([0, 0, 2.0]), -UP, axis_u=3 * UP[[2, 0, 1]], axis_v=0.9 * UP), True),
+        (Light("AREA", np.ones(3), np.array([0, 0, 2.0]), -UP, axis_u=3 * UP[[2, 0, 1]], axis_v=1.1 * UP), False),
+    ],
+)
+def test_a_lamp_shines_from_above_where_all_of_it_is_above(light, above):
+    assert shines_from(light, UP, UP) == above  # a plane at height 1
+
+
+def test_heights_of_boxes_are_below_those_of_what_they_hold():
+    rng = np.random.default_rng(11)
+    position = rng.normal(size=(50, 3))
+    matrices = np.stack([scenes.moved(rng.normal(size=3), rng.uniform(0.5, 2)) for _ in range(4)])
+    matrices[:, :3, :3] @= np.linalg.qr(rng.normal(size=(4, 3, 3)))[0]
+    normal, point = np.array([0.36, 0.48, 0.8]), rng.normal(size=3)
+    world = np.einsum("iab,nb->ina", matrices[:, :3, :3], position) + matrices[:, None, :3, 3]
+    expected = ((world - point) @ normal).min()
+    assert lowest(position, matrices, point, normal) == pytest.approx(expected, abs=1e-12)  # measured 9e-16
+    assert lowest_corner(position.min(axis=0), position.max(axis=0), matrices, point, normal) <= expected
+    matrices[2, 0, 0] = np.nan
+    assert not lowest(position, matrices, point, normal) >= 0

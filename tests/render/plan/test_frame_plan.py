@@ -1,0 +1,68 @@
+"""What is decided of a picture before anything of it is on a device."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.lod.cost import DEFAULT
+from pointsplat_addon.core.scene.scene import Aperture
+from pointsplat_addon.devices.null import LIMITS, NullDevice
+from pointsplat_addon.render.device.clock import Cancelled, Clock
+from pointsplat_addon.render.plan.frame_plan import Shot, make_shot
+from pointsplat_addon.render.plan.request import Request
+from tests.support.scenes import ALL_PASSES, CASES, Case
+
+COMBINED = frozenset({"combined"})
+
+
+def shot(case: Case, request: Request, clock: Clock | None = None, presented: bool = False) -> Shot:
+    return make_shot(case.scene, request, LIMITS, DEFAULT, clock or Clock(NullDevice()), presented, picture=True)
+
+
+@pytest.mark.parametrize("name", ["empty", "mixed", "smoke", "strands", "environment"])
+def test_nothing_of_a_shot_is_on_the_device(name):
+    device = NullDevice()
+    shot(CASES[name](), CASES[name]().request(), Clock(device))
+    assert not device.textures
+    assert not device.calls
+
+
+@pytest.mark.parametrize("name", ["mixed", "region", "cube"])
+def test_a_picture_of_the_cameras_window_lies_within_that_of_the_view(name):
+    case = CASES[name]()
+    found = shot(case, case.request())
+    width, height = found.size
+    assert found.size == case.camera.window[2:]
+    inner = np.arange(1.0, 1.0 + width * height).reshape(height, width)
+    outer = found.padded(inner)
+    assert outer.shape == found.view.window[:1:-1]
+    np.testing.assert_array_equal(found.cropped(outer), inner)
+    assert outer.sum() == inner.sum()
+
+
+def test_what_knows_no_blur_is_the_picture_of_a_camera_without_a_lens():
+    case = CASES["mixed"]()
+    camera = replace(case.camera, aperture=Aperture(0.2, 3.0))
+    for passes, presented, samples in (
+        (COMBINED, False, 0),  # no such picture
+        (COMBINED, True, 1),
+        (COMBINED | {"depth"}, False, 1),
+        (COMBINED | {"normal"}, False, 4),
+        (ALL_PASSES, False, 4),
+    ):
+        found = shot(case, Request(camera, case.settings, passes, 4), presented=presented)
+        assert found.plan.defocus
+        assert found.request.passes == COMBINED
+        assert (found.beside is not None) == (samples > 0)
+        if found.beside is not None:
+            scene, request = found.beside
+            assert (request.camera.aperture, request.samples) == (None, samples)
+            assert request.passes == passes - COMBINED
+            assert not scene.lights
+
+
+def test_a_shot_that_is_not_wanted_is_not_made():
+    case = CASES["mixed"]()
+    with pytest.raises(Cancelled):
+        shot(case, case.request(), Clock(NullDevice(), cancelled=lambda: True))

@@ -1,0 +1,86 @@
+"""Which technique AUTO takes, and that the report says so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.scene.scene import Settings
+from pointsplat_addon.devices.null import LIMITS, NullDevice
+from pointsplat_addon.render.plan.technique import choose
+from pointsplat_addon.render.renderer import Renderer
+from tests.support import scenes
+from tests.support.scenes import Case
+
+COMBINED = frozenset({"combined"})
+EWA = {"splats", "visibility", "blend", "normalise"}
+IMAGE_SPACE = {"project", "identify", "resolve", "pull", "push"}
+
+
+def case(key: str, color=None, technique: str = "AUTO", instances: int = 1, cloud=None) -> Case:
+    cloud = scenes.sphere_cloud(500) if cloud is None else cloud
+    cloud = cloud if color is None else replace(cloud, color=np.full((len(cloud), 3), color, np.float32))
+    ball = scenes.points(key, cloud)
+    placed = ((ball, scenes.moved((0.1 * i, 0, 0))) for i in range(instances))
+    return Case(scenes.scene(*placed), scenes.camera(), Settings(technique=technique, use_shadows=False))
+
+
+def drawn(case: Case, samples: int, interactive: bool = False, float_blend: bool = True) -> tuple[str, set[str], dict]:
+    """What the report calls the technique, the programs that were compiled, and the report."""
+    device = NullDevice(replace(LIMITS, float_blend=float_blend))
+    request = replace(case.request(COMBINED, samples), interactive=interactive)
+    report = Renderer(device).render(case.scene, request).report
+    return report["technique"]["name"], {interface.name for interface in device.interfaces}, report
+
+
+@pytest.mark.parametrize(
+    ("color", "samples", "more", "expected"),
+    [
+        (0.5, 16, {}, "EWA"),
+        (0.5, 4, {}, "EWA"),
+        (0.5, 3, {}, "IMAGE_SPACE"),
+        (None, 16, {}, "IMAGE_SPACE"),
+        (0.5, 16, {"interactive": True}, "IMAGE_SPACE"),
+        (0.5, 16, {"float_blend": False}, "IMAGE_SPACE"),
+    ],
+)
+def test_final_pictures_of_coloured_points_are_drawn_by_ewa(color, samples, more, expected):
+    name, programs, _ = drawn(case(f"coloured {color}", color), samples, **more)
+    assert name == expected
+    assert not programs & (IMAGE_SPACE if expected == "EWA" else EWA)
+    assert programs & (EWA if expected == "EWA" else IMAGE_SPACE)
+
+
+def test_instances_that_share_nodes_are_drawn_in_image_space():
+    assert drawn(case("alone", 0.5, instances=15), 16)[0] == "EWA"
+    assert drawn(case("in company", 0.5, instances=16), 16)[0] == "IMAGE_SPACE"
+
+
+def test_leaves_are_drawn_in_image_space():
+    name, programs, report = drawn(case("leaves in colour", 0.5, cloud=scenes.leaves(2000, 0.7)), 16)
+    assert name == "IMAGE_SPACE"
+    assert "apart" in report["technique"]["because"]
+    assert not programs & EWA
+
+
+@pytest.mark.parametrize("technique", ["IMAGE_SPACE", "EWA", "PAINTER"])
+def test_what_is_asked_for_is_done(technique):
+    name, _, report = drawn(case("asked for", technique=technique), 1)
+    assert name == technique
+    assert report["warnings"] == []
+
+
+@pytest.mark.parametrize("technique", ["EWA", "PAINTER"])
+def test_what_cannot_be_done_is_said(technique):
+    name, programs, report = drawn(case("asked in vain", technique=technique), 16, float_blend=False)
+    assert name == "IMAGE_SPACE"
+    assert not programs & EWA
+    assert len(report["warnings"]) == 1
+    assert "needs blending of floats" in report["warnings"][0]
+
+
+def test_textured_meshes_count_as_coloured_and_polygons_do_not():
+    textured = scenes.CASES["textured"]().scene
+    assert choose(Settings(), textured, 16, False, True).name == "EWA"
+    solid = replace(textured, geometries=tuple(replace(g, primitive="POLYGONS") for g in textured.geometries))
+    assert choose(Settings(), solid, 16, False, True).name == "IMAGE_SPACE"

@@ -1,0 +1,123 @@
+"""How many samples of each mesh cast shadows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.material import expressions as ex
+from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.scene.scene import MaterialTable, Settings
+from pointsplat_addon.render.cache.store import STORE, Store
+from pointsplat_addon.render.renderer import Renderer
+from pointsplat_addon.render.shadow import shadows
+from pointsplat_addon.render.shadow.shadows import Shadows, _share
+from tests.support import scenes
+from tests.support.scenes import Case
+
+
+def test_small_meshes_keep_their_samples_and_large_ones_share_the_rest():
+    asked = np.array([5e6, 1000.0, 300_000.0, 2e6])
+    each = _share(asked, 1e6)
+    got = np.minimum(asked, each)
+    assert got.sum() == pytest.approx(1e6)
+    assert got[1:3].tolist() == [1000.0, 300_000.0]
+    assert got[0] == got[3]
+
+
+def test_where_all_fit_none_is_coarser():
+    asked = np.array([10.0, 20.0])
+    assert (np.minimum(asked, _share(asked, 1e6)) == asked).all()
+
+
+def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
+    ball = scenes.mesh(scenes.sphere_mesh("many casters", 120), "POLYGONS")
+    floor = scenes.mesh(scenes.plane_mesh("floor of many casters"), "POLYGONS")
+    placed = [(ball, scenes.moved((0.22 * (i % 5) - 0.44, 0.22 * (i // 5) - 0.44, 0.2), 0.08)) for i in range(25)]
+    scene = scenes.scene(*placed, (floor, scenes.moved()), lights=[scenes.sun(3.0, (0.3, 0.2, -1.0))])
+    case = Case(scene, scenes.camera((0, -2.5, 2.5), resolution=(160, 120)), Settings(shadow_resolution=512))
+    found = []
+    for limit in (1 << 60, 0):
+        STORE.clear()
+        monkeypatch.setattr(shadows, "MOST_TOGETHER", limit)
+        renderer = Renderer(scenes.opengl().device)  # what others keep is of other tables
+        pixels = renderer.render(case.scene, case.request(frozenset({"combined"}), 4)).pixels["combined"]
+        renderer.release()
+        found.append(pixels[..., :3].astype(float))
+    difference = found[0] - found[1]
+    assert abs(difference.mean()) < 1e-3  # measured 3.3e-4
+    assert np.sqrt((difference**2).mean()) < 5e-3  # measured 2.8e-3, at the rims of shadows
+
+
+def test_shadows_are_those_of_alphas_whatever_the_colours():
+    store, plane = Store(), (scenes.mesh(scenes.plane_mesh("coloured caster", cells=4)), scenes.moved())
+    below = scenes.mesh(scenes.cube_mesh("in the shadow of colours", 0.1)), scenes.moved((0, 0, -0.5))
+
+    def tables(table: MaterialTable) -> Shadows:
+        scene = scenes.scene(plane, below, lights=[scenes.sun()], table=table)
+        found, _ = shadows.cast(scene, Settings(shadow_resolution=64), store)
+        assert found is not None
+        return found
+
+    def of(**graphs: ex.Expression) -> MaterialTable:
+        return scenes.materials(graphs=(MaterialGraph(**graphs),))
+
+    texture = ex.ImageTexture(ex.UV(), scenes.picture())
+    plain, red = tables(scenes.materials()), tables(scenes.materials(base_color=np.array([[1, 0, 0]], np.float32)))
+    coloured = tables(of(base_color=ex.Color(texture), roughness=ex.Component(texture, 0)))
+    assert red is plain
+    assert coloured is plain
+    half = tables(of(base_color=ex.Color(texture), alpha=ex.Component(texture, 0)))  # cut out where u < 1/2
+    assert half.entries < plain.entries
+
+
+LAID = np.array([[2.0, 0, 0, 0], [0, 0, -2, 0], [0, 2, 0, 0], [0, 0, 0, 1]])  # planes stand upright
+
+
+def floored(*more, lights=None, sunk: float = 0.0) -> Case:
+    """A ball above a floor, in the view of both."""
+    ball = scenes.mesh(scenes.sphere_mesh("ball above a floor", 40), "POLYGONS"), scenes.moved((0, 0, 0.4 - sunk), 0.4)
+    floor = scenes.mesh(scenes.plane_mesh("floor below a ball"), "POLYGONS"), LAID
+    lights = lights or [scenes.sun(3.0, (0.3, 0.2, -1.0))]
+    scene = scenes.scene(ball, floor, *more, lights=lights)
+    return Case(scene, scenes.camera((0, -4, 2.5), resolution=(160, 120)), Settings(shadow_resolution=512))
+
+
+def casting(case: Case) -> set[str]:
+    store = Store()
+    casters = shadows._casters(case.scene, store)
+    floors = shadows._floors(case.scene, casters, store)
+    return {c.geometry.name for c, floor in zip(casters, floors, strict=True) if not floor}
+
+
+def test_a_floor_with_nothing_behind_it_casts_nothing_and_looks_the_same(monkeypatch):
+    case, pictures = floored(), []
+    for keep in (False, True):
+        STORE.clear()
+        if keep:
+            monkeypatch.setattr(shadows, "_floors", lambda scene, casters, store: (False,) * len(casters))
+        renderer = Renderer(scenes.opengl().device)
+        pixels = renderer.render(case.scene, case.request(frozenset({"combined"}), 4)).pixels["combined"]
+        renderer.release()
+        pictures.append(pixels[..., :3].astype(float))
+    difference = np.abs(pictures[0] - pictures[1])
+    assert np.sqrt((difference**2).mean()) < 1e-2  # measured 2.0e-3, at the rim of the shadow
+
+
+def test_what_may_have_something_behind_it_casts():
+    ball, floor = "ball above a floor", "floor below a ball"
+    cellar = scenes.mesh(scenes.cube_mesh("in the cellar", 0.1), "POLYGONS"), scenes.moved((0, 0, -1.0))
+    cloud = scenes.points("cloud", scenes.sphere_cloud()), scenes.moved((0, 0, 0.9))
+    above, below = (scenes.sun(3.0, (0.3, 0.2, z)) for z in (-1.0, 1.0))
+    assert casting(floored()) == {ball}
+    assert casting(floored(lights=[below, replace(above, shadow=False)])) == {ball, floor}
+    assert casting(floored(lights=[above, below])) == {ball, floor}
+    assert casting(floored(sunk=0.01)) == {ball, floor}
+    assert casting(floored(cellar)) == {ball, floor, "in the cellar"}
+    assert casting(floored(cloud)) == {ball, floor, "cloud"}  # its lowest points lie below
+
+
+def test_where_only_floors_could_cast_there_are_no_tables():
+    floor = scenes.mesh(scenes.plane_mesh("only a floor"), "POLYGONS"), LAID
+    scene = scenes.scene(floor, lights=[scenes.sun(3.0, (0.3, 0.2, -1.0))])
+    assert shadows.cast(scene, Settings(), Store()) == (None, "there is nothing in the shadow of anything")

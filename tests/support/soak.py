@@ -1,0 +1,98 @@
+"""Frame after frame of a scene that changes, as a viewport and as final renders, on one device: what is left behind."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pointsplat_addon.core.scene.scene import Scene, Settings
+from pointsplat_addon.render.cache.store import STORE
+from pointsplat_addon.render.frame import uploads
+from pointsplat_addon.render.plan.request import Request
+from pointsplat_addon.render.renderer import Renderer
+from tests.support import scenes
+from tests.support.extremes import COMBINED, TECHNIQUES, lamp
+from tests.support.scenes import ALL_PASSES, camera, cube_mesh, mesh, moved, points, scene, smoke_cloud, sphere_cloud
+
+KEPT = 8 << 20  # bytes that the stores may keep, so that they are full, and let go, long before the end
+# Frames, after which the scene and its views come again, as new objects: by then the stores are full and all shaders
+# compiled, by PointSplat and by the driver, which keeps its own for each state that it meets.
+PERIOD = 180
+SIZES = ((40, 30), (24, 32), (33, 17))
+
+
+@dataclass(frozen=True)
+class Memory:
+    process: int  # bytes that lie in memory; 0 where the system does not tell
+    device: int  # bytes
+
+
+def resident() -> int:
+    """Bytes of the process that lie in memory, after what can be given back was."""
+    if not sys.platform.startswith("linux"):
+        return 0
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def changing(number: int) -> Scene:
+    """A mesh that deforms, points that come anew, smoke that comes and goes, strands, and a lamp that wanders."""
+    turn = 2 * np.pi * 3 * number / PERIOD
+    block = cube_mesh("soaked cube", 0.5)
+    bent = (block.position * np.float32(1 + 0.2 * np.sin(turn + block.position[:, :1]))).astype(np.float32)
+    deformed = replace(block, key=f"soaked cube {number}", position=bent, topology="soaked cube")
+    things = [
+        (mesh(deformed, ("POINTS", "POLYGONS")[number % 2]), moved((-0.8, 0, 0))),
+        (points(f"soaked points {number}", sphere_cloud(2000 + number % 5)), moved((0.8, 0, 0), 0.6)),
+    ]
+    if number % 3 == 0:
+        things.append((points(f"soaked smoke {number % 9}", smoke_cloud(8)), moved((0, -0.8, 0.5), 0.5)))
+    if number % 4 == 0:
+        u = np.linspace(0, 1, 8)
+        strand = np.stack([np.sin(3 * u + turn), -0.5 + 0 * u, 2 * u - 1], axis=1)
+        things.append((scenes.strand_lines(f"soaked strands {number}", [strand], 0.05), moved()))
+    lights = (lamp(("POINT", "SPOT", "AREA")[number % 3], (2 * np.sin(turn), -2, 2), 20), scenes.sun(1.0))
+    return scene(*things, lights=lights)
+
+
+def draw(renderer: Renderer, number: int) -> None:
+    """One frame: three of four as a viewport shows them while something moves, one as a final render."""
+    eye = camera((3 * np.sin(2 * np.pi * number / PERIOD), -4, 1), resolution=SIZES[number // 10 % 3])
+    settings = Settings(technique=TECHNIQUES[number // 3 % 3], shadow_resolution=32, tolerance=2.0)
+    if number % 4 < 3:
+        frame = renderer.start(changing(number), Request(eye, settings, COMBINED, 2, interactive=True))
+        try:
+            while frame.sample():
+                pass
+        finally:
+            frame.release()
+        return
+    found = renderer.render(changing(number), Request(eye, settings, ALL_PASSES, 2)).pixels["combined"]
+    assert np.isfinite(found).all()
+
+
+def soak(renderer: Renderer, frames: int, beside: Callable[[], None] = lambda: None) -> tuple[Memory, Memory]:
+    """Memory after the first PERIOD frames, and after so many more. `beside` is called after each."""
+    limits, STORE.limit = (STORE.limit, uploads.DEVICE_LIMIT), KEPT
+    uploads.DEVICE_LIMIT = KEPT
+    seen = []
+    try:
+        for number in range(PERIOD + frames):
+            draw(renderer, number)
+            beside()
+            if number + 1 in (PERIOD, PERIOD + frames):
+                seen.append(Memory(resident(), renderer.device.bytes_allocated()))
+    finally:
+        STORE.limit, uploads.DEVICE_LIMIT = limits
+        STORE.clear()
+    return seen[0], seen[1]
