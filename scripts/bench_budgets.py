@@ -31,7 +31,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from bench_defocus import scan
 
 from pointsplat_addon.core.lod.cut import Cut
-from pointsplat_addon.core.scene.scene import Camera, Geometry, Medium, Settings, Volume
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.scene import Geometry
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.formats import dense
 from pointsplat_addon.render.budget.budget import COARSEST, Moving, _wait
 from pointsplat_addon.render.cache.store import STORE

@@ -22,17 +22,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import (
-    Camera,
-    Geometry,
-    Instances,
-    Light,
-    Scene,
-    Settings,
-    World,
-    default_materials,
-)
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.materials import default_materials
+from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.frame.report import report
 from pointsplat_addon.render.plan.request import Request

@@ -14,11 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
+from pointsplat_addon.core.lod import cut
+
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.lod import cut, hierarchy, quantisation
+from pointsplat_addon.core.lod import hierarchy, quantisation
+from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Camera
 
 
 def surface(count: int) -> PointCloud:

@@ -25,8 +25,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import bench_instances
 from bench_frame import row
 
-from pointsplat_addon.core.scene.scene import Camera, Geometry, Instances, Light, Mesh, Scene, Settings, World
-from pointsplat_addon.core.scene.scene import default_materials as materials
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.materials import default_materials as materials
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.budget.calibrate import calibrate
 from pointsplat_addon.render.cache.store import STORE

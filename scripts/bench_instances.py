@@ -28,17 +28,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import tower
 from bench_frame import MeteredDevice, row
 
-from pointsplat_addon.core.scene.scene import (
-    Camera,
-    Geometry,
-    Instances,
-    Light,
-    Mesh,
-    Scene,
-    Settings,
-    World,
-    default_materials,
-)
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.materials import default_materials
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.frame.report import report
 from pointsplat_addon.render.plan.request import Request

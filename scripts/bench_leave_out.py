@@ -25,7 +25,10 @@ from bench_hierarchy import row
 
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
-from pointsplat_addon.core.scene.scene import Light, Scene, Settings, World
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.scene import Scene
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.cache.store import STORE

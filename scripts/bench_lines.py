@@ -17,7 +17,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from bench_hierarchy import row
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Geometry, Scene, Settings
+from pointsplat_addon.core.scene.scene import Geometry, Scene
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.strands import Lines
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request

@@ -12,7 +12,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.scene.scene import Mesh
+from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.surface import sampling
 
 

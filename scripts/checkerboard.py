@@ -15,18 +15,13 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import (
-    Camera,
-    Geometry,
-    Instances,
-    MaterialTable,
-    Mesh,
-    Scene,
-    Settings,
-    World,
-    default_materials,
-)
+from pointsplat_addon.core.scene.materials import MaterialTable, default_materials
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer

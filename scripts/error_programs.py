@@ -14,7 +14,7 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.scene.scene import Camera
+from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.render.frame.filtering import FILTER_WIDTH
 from scripts import bench_frame
 from scripts.error_curves import Row, errors

@@ -16,8 +16,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Camera, Geometry, Instances, Scene, World, default_materials
+from pointsplat_addon.core.scene.materials import default_materials
+from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
+from pointsplat_addon.core.scene.world import World
 from scripts import bench_frame
 from scripts.error_truths import (
     EXTINCTION,

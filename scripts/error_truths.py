@@ -14,7 +14,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.scene.scene import Camera
+from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.render.frame.filtering import offsets
 
 TRUTH = 256  # samples, or rays through each pixel

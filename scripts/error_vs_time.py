@@ -36,7 +36,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.scene.scene import Camera, Scene, Settings
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.scene import Scene
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.report import report

@@ -18,7 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Light
+from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
 from pointsplat_addon.core.splat.kernel import EVEN
 

@@ -26,7 +26,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
-from pointsplat_addon.core.scene.scene import Camera, Light, Scene, Settings, World
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.scene import Scene
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat import painter
 from pointsplat_addon.core.splat.kernel import POWER
 from pointsplat_addon.devices.opengl import OpenGLDevice

@@ -22,7 +22,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.scene.scene import Camera, Geometry, Scene, Settings
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.scene import Geometry, Scene
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.compare import displayed

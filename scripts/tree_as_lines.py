@@ -23,7 +23,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.scene.scene import Camera, Geometry, Scene, Settings
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.scene import Geometry, Scene
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.strands import Lines
 from pointsplat_addon.core.strand.fit.from_mesh import Found, find, parts_of
 from pointsplat_addon.devices.opengl import OpenGLDevice

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.lod.octree import ranges
+from ..core.numeric.segments import ranges
 from ..core.volume.voxels import bounds, keys
 
 BLOCK = 1 << 18  # voxels that are copied together whatever of them is active

@@ -12,7 +12,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core.scene import scene as core
+from ..core.scene import camera as camera_module
+from ..core.scene import scene as scene_module
 from ..core.scene.cryptomatte import murmur3
 from ..render.device.protocol import DeviceError
 from ..render.passes.outputs import BY_KEY, CRYPTO, PASSES
@@ -35,7 +36,7 @@ class RenderError(Exception):
 class FinalRender:
     """Renders for one engine. The scene stays, so that the next frame finds what has not changed."""
 
-    last_scene: core.Scene | None = None
+    last_scene: scene_module.Scene | None = None
 
     def __init__(self) -> None:
         self.synchronizer = Synchronizer()
@@ -76,7 +77,9 @@ class FinalRender:
         return {**result.report, "seconds": time.perf_counter() - started, "warnings": list(told)}
 
 
-def _camera(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> tuple[core.Camera, tuple[str, ...]]:
+def _camera(
+    engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph
+) -> tuple[camera_module.Camera, tuple[str, ...]]:
     if engine.camera_override is None and depsgraph.scene_eval.camera is None:
         raise RenderError(f'The scene "{depsgraph.scene.name}" has no camera')
     camera, warnings = render_camera(engine, depsgraph)
@@ -87,7 +90,7 @@ def _camera(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> t
 
 def _previous(
     engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph
-) -> tuple[core.Camera, dict[tuple, np.ndarray]]:
+) -> tuple[camera_module.Camera, dict[tuple, np.ndarray]]:
     """The camera and world_from_object by identity a frame before; leaves the dependency graph at its frame."""
     frame, subframe = depsgraph.scene.frame_current, depsgraph.scene.frame_subframe
     engine.frame_set(frame - 1, subframe)
@@ -99,7 +102,7 @@ def _previous(
     return camera, dict(zip(collected.identity, collected.world_from_object, strict=True))
 
 
-def _draw(engine: bpy.types.RenderEngine, scene: core.Scene, request: Request) -> tuple[Result, list[str]]:
+def _draw(engine: bpy.types.RenderEngine, scene: scene_module.Scene, request: Request) -> tuple[Result, list[str]]:
     """Draw on the device that the settings ask for, else on the other one, and warn. DeviceError: neither can."""
     setting = request.settings.device
     order = ("BLENDER_GPU", "OPENGL") if setting == "BLENDER_GPU" else ("OPENGL", "BLENDER_GPU")
@@ -119,7 +122,7 @@ def _draw(engine: bpy.types.RenderEngine, scene: core.Scene, request: Request) -
 class Job:
     """One drawing, perhaps on another thread: progress comes from there, the wish to stop goes there."""
 
-    def __init__(self, scene: core.Scene, request: Request) -> None:
+    def __init__(self, scene: scene_module.Scene, request: Request) -> None:
         self.scene, self.request = scene, request
         self.fraction, self.text, self._told = 0.0, "", ""
         self._stop = threading.Event()
@@ -177,7 +180,7 @@ def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view
 
 
 def _write(
-    engine: bpy.types.RenderEngine, layer: str, scene: core.Scene, result: Result, size: tuple[int, int]
+    engine: bpy.types.RenderEngine, layer: str, scene: scene_module.Scene, result: Result, size: tuple[int, int]
 ) -> None:
     """Put the passes into Blender's render result; one that was opened must be ended, or Blender crashes later."""
     opened = engine.begin_result(0, 0, *size, layer=layer)
@@ -193,7 +196,7 @@ def _write(
         whole.stamp_data_add_field(field, value)
 
 
-def _manifest(layer: str, scene: core.Scene, result: Result) -> dict[str, str]:
+def _manifest(layer: str, scene: scene_module.Scene, result: Result) -> dict[str, str]:
     """The metadata that tells compositors the names behind Cryptomatte's identifiers (specification 1.2)."""
     hashes = scene.instances.object_hash
     names: dict[str, dict[str, int]] = {"crypto_object": {}, "crypto_material": {}}

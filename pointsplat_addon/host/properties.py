@@ -6,7 +6,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..core.scene.scene import BUDGETS, DEVICES, DOF_METHODS, PRIMITIVES, TECHNIQUES, Settings
+from ..core.scene.settings import BUDGETS, DEVICES, DOF_METHODS, PRIMITIVES, TECHNIQUES, Settings
 from . import engine
 
 Item = tuple[str, str, str]

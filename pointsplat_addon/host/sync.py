@@ -12,7 +12,11 @@ import bpy
 import numpy as np
 
 from ..core.material.graph import MaterialGraph, needs
-from ..core.scene import scene as core
+from ..core.scene import materials as materials_module
+from ..core.scene import mesh as mesh_module
+from ..core.scene import scene
+from ..core.scene import volume as volume_module
+from ..core.scene import world as world_module
 from ..core.scene.cryptomatte import cryptomatte_hash
 from .convert import curves
 from .convert.lights import convert_lights
@@ -69,7 +73,7 @@ CACHE = Cache()
 
 
 class Known(NamedTuple):
-    geometry: core.Geometry | None  # None: nothing to draw
+    geometry: scene.Geometry | None  # None: nothing to draw
     owners: frozenset[int]  # session_uids of the objects that use it, and of the data
     generated: bool  # made by an instancer, whose changes do not name it
     voxels: Voxels | None = None
@@ -85,7 +89,7 @@ class Synchronizer:
         self._known: dict[tuple, Known] = {}
         # So that another transfer function finds voxels, and strands that are looked at again are not evaluated again
         self._held: tuple[Voxels | curves.Converted | None, ...] = ()
-        self._materials: core.MaterialTable | None = None
+        self._materials: materials_module.MaterialTable | None = None
         self._material_warnings: tuple[str, ...] = ()
         self._used: tuple[int, ...] = ()  # rows of the materials in use
         self._depsgraph = 0
@@ -95,7 +99,7 @@ class Synchronizer:
         depsgraph: bpy.types.Depsgraph,
         view3d: bpy.types.SpaceView3D | None = None,
         previous: dict[tuple, np.ndarray] | None = None,
-    ) -> core.Scene:
+    ) -> scene.Scene:
         """The scene as it is now; where the dependency graph names no changes, everything is looked at again.
 
         view3d: the viewport, whose local view holds. previous: world_from_object a frame before by
@@ -110,14 +114,14 @@ class Synchronizer:
         evaluated = depsgraph.scene_eval
         mist_world = getattr(depsgraph.view_layer_eval, "world_override", None) or evaluated.world
         mist = mist_world.mist_settings if mist_world else None
-        return core.Scene(
+        return scene.Scene(
             geometries=geometries,
             instances=instances,
             materials=table,
             lights=tuple(lights),
             world=world,
             transparent=evaluated.render.film_transparent,
-            mist=core.Mist(mist.start, mist.depth, mist.falloff) if mist else core.Mist(),
+            mist=world_module.Mist(mist.start, mist.depth, mist.falloff) if mist else world_module.Mist(),
             warnings=(
                 *_unsupported(collected.unsupported | self._filled(collected.sources, table)),
                 *dict.fromkeys(warning for known in self._known.values() for warning in known.warnings),
@@ -144,7 +148,7 @@ class Synchronizer:
         if any(isinstance(u.id, SHADING) for u in updates):
             self._materials = None
 
-    def _table(self, sources: Iterable[Source]) -> core.MaterialTable:
+    def _table(self, sources: Iterable[Source]) -> materials_module.MaterialTable:
         """The table of materials; rows of materials that are not in use hold the default."""
         used = {self.cache.row(m): m for source in sources for m in source.materials}
         used.pop(0, None)
@@ -154,7 +158,7 @@ class Synchronizer:
             self._materials, self._material_warnings = table, tuple(warnings)
         return self._materials
 
-    def _filled(self, sources: Iterable[Source], table: core.MaterialTable) -> dict[str, list[str]]:
+    def _filled(self, sources: Iterable[Source], table: materials_module.MaterialTable) -> dict[str, list[str]]:
         """Meshes that a material fills with a medium."""
         names = [
             source.name
@@ -165,8 +169,8 @@ class Synchronizer:
         return {"volumes within meshes": names} if names else {}
 
     def _instances(
-        self, collected: Collected, table: core.MaterialTable, previous: dict[tuple, np.ndarray] | None
-    ) -> tuple[tuple[core.Geometry, ...], core.Instances]:
+        self, collected: Collected, table: materials_module.MaterialTable, previous: dict[tuple, np.ndarray] | None
+    ) -> tuple[tuple[scene.Geometry, ...], scene.Instances]:
         sources = collected.sources
         found = self._geometries(sources, table)
         unique = {g.key: g for g in found if g is not None}
@@ -179,7 +183,7 @@ class Synchronizer:
         if previous is not None:
             identity = [i for i, use in zip(collected.identity, drawn, strict=True) if use]
             before = np.array([previous.get(i, m) for i, m in zip(identity, world_from_object, strict=True)])
-        return tuple(unique.values()), core.Instances(
+        return tuple(unique.values()), scene.Instances(
             geometry=geometry[drawn],
             world_from_object=world_from_object,
             previous=None if before is None else before.reshape(-1, 4, 4),
@@ -190,7 +194,7 @@ class Synchronizer:
             names=tuple([sources[i].name for i in source]),
         )
 
-    def _geometries(self, sources: list[Source], table: core.MaterialTable) -> list[core.Geometry | None]:
+    def _geometries(self, sources: list[Source], table: materials_module.MaterialTable) -> list[scene.Geometry | None]:
         """The geometry of each source; converts only what is not known."""
         known: dict[tuple, Known] = {}
         keys = []
@@ -231,7 +235,9 @@ class Synchronizer:
         self._held = tuple(entry.voxels or entry.lines for entry in known.values())
         return [known[key].geometry for key in keys]
 
-    def _read(self, source: Source, rows: tuple[int, ...], table: core.MaterialTable) -> core.Geometry | None:
+    def _read(
+        self, source: Source, rows: tuple[int, ...], table: materials_module.MaterialTable
+    ) -> scene.Geometry | None:
         mesh = cloud = None
         if source.particles or isinstance(source.data, bpy.types.PointCloud):
             material, lookup = cloud_material(table, rows[0], source.extinction), self.cache.lookup
@@ -248,8 +254,8 @@ class Synchronizer:
             return None
         primitive, spacing, extinction = source.primitive, source.spacing, source.extinction
 
-        def build() -> core.Geometry:
-            return core.Geometry(
+        def build() -> scene.Geometry:
+            return scene.Geometry(
                 key, source.name, mesh, cloud, primitive=primitive, spacing=spacing, extinction=extinction
             )
 
@@ -257,8 +263,8 @@ class Synchronizer:
         return self.cache.lookup(key, build)
 
     def _read_lines(
-        self, source: Source, rows: tuple[int, ...], table: core.MaterialTable
-    ) -> tuple[core.Geometry | None, curves.Converted | None, tuple[str, ...]]:
+        self, source: Source, rows: tuple[int, ...], table: materials_module.MaterialTable
+    ) -> tuple[scene.Geometry | None, curves.Converted | None, tuple[str, ...]]:
         """The geometry of strands, what keeps them, and what is wrong with them."""
         materials = tuple(cloud_material(table, row) for row in rows)
         if source.hair:
@@ -274,12 +280,12 @@ class Synchronizer:
         if found.lines is None:
             return None, found, warnings
         key = f"{found.lines.key} lines"
-        made = core.Geometry(key, source.name, lines=found.lines, primitive="LINES")
+        made = scene.Geometry(key, source.name, lines=found.lines, primitive="LINES")
         return self.cache.lookup(key, lambda: made), found, warnings
 
     def _read_volume(
-        self, source: Source, row: int, table: core.MaterialTable
-    ) -> tuple[core.Geometry | None, Voxels, tuple[str, ...]]:
+        self, source: Source, row: int, table: materials_module.MaterialTable
+    ) -> tuple[scene.Geometry | None, Voxels, tuple[str, ...]]:
         """The geometry of a volume, the voxels that it shares with others, and what is wrong with them."""
         names = wanted_grids(_medium(table, row), source.transfer)
         voxels = source.smoke or read_voxels(source.data, names, self.cache.lookup)  # pyright: ignore[reportArgumentType]
@@ -289,19 +295,19 @@ class Synchronizer:
             return None, voxels, warnings
         spacing, extinction = source.spacing, source.extinction
         key = f"{volume.key} {row} {spacing:g} {extinction:g} {source.transfer and digest(source.transfer)}"
-        made = core.Geometry(key, source.name, volume=volume, spacing=spacing, extinction=extinction)
+        made = scene.Geometry(key, source.name, volume=volume, spacing=spacing, extinction=extinction)
         return self.cache.lookup(key, lambda: made), voxels, warnings
 
 
-def _medium(table: core.MaterialTable, row: int) -> core.Medium | None:
+def _medium(table: materials_module.MaterialTable, row: int) -> volume_module.Medium | None:
     return table.media[row] if row < len(table.media) else None
 
 
-def _graph(table: core.MaterialTable, row: int) -> MaterialGraph | None:
+def _graph(table: materials_module.MaterialTable, row: int) -> MaterialGraph | None:
     return table.graphs[row] if row < len(table.graphs) else None  # pyright: ignore[reportReturnType]
 
 
-def _attributes(table: core.MaterialTable, rows: tuple[int, ...]) -> frozenset[str | None]:
+def _attributes(table: materials_module.MaterialTable, rows: tuple[int, ...]) -> frozenset[str | None]:
     """Names of the attributes that the materials read."""
     graphs = [graph for row in rows if (graph := _graph(table, row))]
     return frozenset().union(*(needs(graph).colors for graph in graphs))
@@ -309,7 +315,7 @@ def _attributes(table: core.MaterialTable, rows: tuple[int, ...]) -> frozenset[s
 
 def _read_evaluated(
     source: Source, rows: tuple[int, ...], wanted: frozenset[str | None], lookup: Callable
-) -> core.Mesh | None:
+) -> mesh_module.Mesh | None:
     """The mesh of a source. In edit mode Blender's evaluated mesh holds no arrays, and a copy is made."""
     if source.editing is None:
         return read_mesh(source.data, source.name, rows, wanted, lookup)  # pyright: ignore[reportArgumentType]

@@ -10,7 +10,9 @@ from typing import ClassVar
 
 import bpy
 
-from ..core.scene import scene as core
+from ..core.scene import camera as camera_module
+from ..core.scene import scene as scene_module
+from ..core.scene import settings as settings_module
 from ..render.budget.budget import Moving, Refining
 from ..render.device.protocol import DeviceError
 from ..render.frame.frame import Frame
@@ -34,7 +36,7 @@ class Viewport:
     def __init__(self) -> None:
         Viewport.alive.add(self)
         self.synchronizer = Synchronizer()
-        self._scene: core.Scene | None = None
+        self._scene: scene_module.Scene | None = None
         self._frame: Frame | None = None
         self._look: tuple | None = None  # what the frame depends on besides the scene
         self._keeper: Moving | Refining | None = None  # of the frame's budget
@@ -86,7 +88,9 @@ class Viewport:
         if more or self._coarse:
             engine.tag_redraw()
 
-    def _frame_for(self, scene: core.Scene, camera: core.Camera, settings: core.Settings) -> Frame:
+    def _frame_for(
+        self, scene: scene_module.Scene, camera: camera_module.Camera, settings: settings_module.Settings
+    ) -> Frame:
         """The frame that accumulates this view: coarse after a change, fine once nothing has moved for a while."""
         now = time.perf_counter()
         look = (
@@ -122,7 +126,7 @@ class Viewport:
         self._frame = None
 
 
-def _present(frame: Frame, camera: core.Camera) -> None:
+def _present(frame: Frame, camera: camera_module.Camera) -> None:
     """Draw the frame where its border lies in the region."""
     import gpu
 

@@ -10,14 +10,11 @@ bpy = pytest.importorskip("bpy")
 
 from mathutils import Euler, Matrix
 
-from pointsplat_addon.core.scene.scene import (
-    Camera,
-    Instances,
-    Scene,
-    World,
-    default_materials,
-)
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.materials import default_materials
+from pointsplat_addon.core.scene.scene import Instances, Scene
 from pointsplat_addon.core.scene.validation import shown
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.host.convert import camera as cameras
 
 

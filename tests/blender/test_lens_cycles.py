@@ -11,7 +11,7 @@ from mathutils import Euler, Matrix
 
 import pointsplat_addon
 from pointsplat_addon.core.lens.thin_lens import confusion
-from pointsplat_addon.core.scene.scene import Aperture
+from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.host.convert import camera as cameras
 from tests.blender.test_camera import glowing, picture
 

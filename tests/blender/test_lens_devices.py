@@ -8,7 +8,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
-from pointsplat_addon.core.scene.scene import Aperture
+from pointsplat_addon.core.scene.camera import Aperture
 from tests.blender.test_devices_agree import blender, opengl, pictures  # noqa: F401
 from tests.support.scenes import CASES
 

@@ -11,7 +11,7 @@ import bpy
 import pytest
 
 import pointsplat_addon
-from pointsplat_addon.core.scene.scene import PRIMITIVES, Settings
+from pointsplat_addon.core.scene.settings import PRIMITIVES, Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 

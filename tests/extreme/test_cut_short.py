@@ -13,7 +13,7 @@ from itertools import count
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.scene import Aperture
+from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.devices.null import NullDevice, NullTarget, NullTexture, NullTimer
 from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.device.clock import MOST_OPEN

@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pointsplat_addon.core.light import lighting
-from pointsplat_addon.core.scene.scene import Light, Settings, World
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from tests.reference import opaque
 from tests.support.extremes import TECHNIQUES, lamp, picture
 from tests.support.scenes import Case, camera, materials, mesh, moved, plane_mesh, scene

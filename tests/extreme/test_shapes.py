@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pointsplat_addon.core.lod import hierarchy as h
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Settings
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.surface import sampling
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
 from tests.reference import opaque

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.scene import Aperture
+from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame import uploads
 from pointsplat_addon.render.frame.frame import Frame

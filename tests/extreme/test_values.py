@@ -16,8 +16,11 @@ from hypothesis import strategies as st
 
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Aperture, Geometry, Settings, World
+from pointsplat_addon.core.scene.scene import Geometry
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.device.protocol import half
 from tests.support import scenes
 from tests.support.extremes import FEW, SHADOWED, TECHNIQUES, all_kinds, every_pass, lamp, picture, without

@@ -10,7 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Geometry, Mesh, Settings, Volume, World
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.scene import Geometry
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.volume import Volume
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
 from tests.reference import opaque
 from tests.support import scenes

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Light
+from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.splat.kernel import kernel
 
 OPAQUE = 100.0  # optical depth of an opaque hit, and the most that one splat of a surface has

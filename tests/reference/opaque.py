@@ -16,8 +16,11 @@ import numpy as np
 
 from pointsplat_addon.core.light import environment
 from pointsplat_addon.core.light.lighting import Surface, shade
+from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud, finite
-from pointsplat_addon.core.scene.scene import Camera, MaterialTable, Mesh, Scene
+from pointsplat_addon.core.scene.materials import MaterialTable
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.surface import sampling
 from pointsplat_addon.core.surface.appearance import CLIP, at_samples, corner_normals
 from pointsplat_addon.core.surface.sampling import Evaluated, Samples

@@ -5,7 +5,7 @@ import pytest
 from scipy import integrate
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Light
+from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.splat.kernel import EVEN, kernel
 from tests.reference import media as ref
 

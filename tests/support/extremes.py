@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pointsplat_addon.core.scene.scene import Geometry, Instances, Light, Settings
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.scene import Geometry, Instances
+from pointsplat_addon.core.scene.settings import Settings
 from tests.support import scenes
 from tests.support.scenes import Case, camera, moved, points, render, strand_lines
 

@@ -22,8 +22,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Aperture, HairTable, Light, World
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.materials import HairTable
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request

@@ -11,20 +11,15 @@ import numpy as np
 from pointsplat_addon.core.lod.cost import FEWER, Costs
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import (
-    Camera,
-    Geometry,
-    Instances,
-    Light,
-    MaterialTable,
-    Mesh,
-    Scene,
-    Settings,
-    World,
-    default_materials,
-)
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.materials import MaterialTable, default_materials
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.strands import Lines
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.passes.outputs import PASSES
 from pointsplat_addon.render.plan.request import Request, Result

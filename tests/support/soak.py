@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pointsplat_addon.core.scene.scene import Scene, Settings
+from pointsplat_addon.core.scene.scene import Scene
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.frame import uploads
 from pointsplat_addon.render.plan.request import Request

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..light import environment
-from ..scene.scene import Camera, Scene
-from .defocus import IN_FOCUS, blur_of
+from ..scene.camera import Camera
+from ..scene.scene import Scene
+from ..splat.blur import IN_FOCUS, blur_of
 
 DISK = 8.0  # texels of the widest disk's radius
 TAPS = (-0.25, 0.25)  # places in a texel along each axis, in texels, where the world is looked up

@@ -29,78 +29,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.scene import Camera
+from ..scene.camera import Camera
+from ..splat.blur import BLURRED, IN_FOCUS
 from ..splat.kernel import POWER
 
-# Pixels of radius: a disk that adds a fifth of the variance that a pixel's own filter has; one that adds half of it.
-IN_FOCUS, BLURRED = 0.3, 0.45
 # Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/frame/filtering.py).
 PIXEL = 0.11
-# Diameter of the largest node that is drawn, over the radius of its disk of confusion together with SHARPER times the
-# tolerance (`Blur.widest`). docs/depth_of_field.md has the errors of others.
-NODE = 1.0
-SHARPER = 1.5
 # Of splats that add up with their neighbours, over the exponent whose fourth moment is right: the smoother kernels are,
 # the more even are their sums, and what is alone is all disk, whose exponent is 0 either way.
 SMOOTHER = 2.0
 # Sums of kernels over a surface are uneven by some percent still (`evened`).
 EVEN = 0.05
-# Pixels: the coarsest tolerance of what is blurred, however coarse a cut is asked for. Nothing closes the gaps between
-# its splats but their kernels, which sum to less than what lets nothing through if they are wider.
-COARSEST = 2.0
 # Of what backs cover where fronts of the same surface are: sums are uneven, and closed bodies end with fronts alone.
 BESIDE = 0.8
 FAINT = 1e-3  # of a kernel's middle, and of the lens: where splats end
 RIM = 0.002  # of 1 - q / S: where the rim is drawn softer than it is
-NEAREST = 1e-9  # depth, over the distance of focus, nearer than which the disk does not grow any more
-
-
-@dataclass(frozen=True)
-class Blur:
-    """How a camera's lens blurs."""
-
-    scale: float  # pixels: f r / D, the radius of the disk of what is infinitely far (parallel: at twice D)
-    focus: float  # D, world units
-    perspective: bool
-    node: float = NODE  # as that
-
-    def position(self, depth: np.ndarray) -> np.ndarray:
-        """Signed: how far beyond the plane of focus depths are, in units in which the disk's radius is `scale` times
-        that. Rises with depth; depths behind the eye are taken for the nearest."""
-        with np.errstate(all="ignore"):
-            relative = np.asarray(depth, np.float64) / self.focus
-            return 1 - 1 / np.maximum(relative, NEAREST) if self.perspective else relative - 1
-
-    def radius(self, depth: np.ndarray) -> np.ndarray:
-        """Pixels, of the disks of confusion at these depths."""
-        return self.scale * np.abs(self.position(depth))
-
-    def depths(self, radius: float) -> tuple[float, float]:
-        """The nearest and the farthest depth at which disks of confusion have no more than this radius in pixels."""
-        away = radius / self.scale
-        if not self.perspective:
-            return self.focus * (1 - away), self.focus * (1 + away)
-        return self.focus / (1 + away), self.focus / (1 - away) if away < 1 else np.inf
-
-    def bounds(self, near: np.ndarray, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The least and the greatest radius in pixels between two depths, near <= far."""
-        low, high = self.position(near), self.position(far)
-        return self.scale * np.maximum(np.maximum(low, -high), 0), self.scale * np.maximum(-low, high)
-
-    def widest(self, radius: np.ndarray, tolerance: float) -> np.ndarray:
-        """Pixels: the diameter of the largest piece or node that is drawn as one splat, for the radius in pixels of the
-        smallest disk of confusion within it. A disk of a pixel hides as much as a tolerance of one does."""
-        return np.maximum(self.node * np.hypot(radius, SHARPER * tolerance), tolerance)
-
-
-def blur_of(camera: Camera, node: float = NODE) -> Blur | None:
-    """None: nothing is blurred. `node`: how large those are that are drawn, as NODE."""
-    aperture = camera.aperture
-    if aperture is None or not aperture.radius > 0 or not aperture.focus > 0:
-        return None
-    focal = max(abs(f) for f in camera.pixel_from_view()[:2])
-    scale = focal * aperture.radius / (aperture.focus if camera.perspective else 1.0)
-    return Blur(scale, aperture.focus, camera.perspective, node) if 0 < scale < np.inf else None
 
 
 def sharp(radius: np.ndarray) -> np.ndarray:

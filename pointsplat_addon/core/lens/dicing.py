@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..lod.cut import largest_singular_value
 from ..lod.hierarchy import basis
+from ..numeric.linear import largest_singular_value
+from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
-from ..scene.scene import Camera, Mesh
+from ..scene.mesh import Mesh
+from ..splat.blur import BLURRED, IN_FOCUS, Blur
 from ..surface.sampling import _STEINER, Samples
-from .defocus import BLURRED, IN_FOCUS, Blur
 
 MOST = 1 << 21  # pieces of one mesh: beyond it they stay as large as they are
 ROUND = 0.7  # sides of facets over those of pieces of what is flat

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..lod.hierarchy import basis
+from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
-from ..scene.scene import Camera
 from ..scene.strands import Lines
+from ..splat.blur import BLURRED, IN_FOCUS, Blur
 from ..strand.selection import Strands, lengths_scale
-from .defocus import BLURRED, IN_FOCUS, Blur
 
 MOST_BENT = 0.5  # cosine of half the sharpest bend whose sides meet
 MOST_ACROSS = 16  # strips of a wide tube

@@ -9,7 +9,8 @@ from functools import lru_cache
 import numpy as np
 
 from ..numeric.sequences import around
-from ..scene.scene import Aperture, Camera, Settings
+from ..scene.camera import Aperture, Camera
+from ..scene.settings import Settings
 
 # The third and fourth constant of the rank-one sequence in four dimensions (Roberts 2018): 1 / p^3 and 1 / p^4 with
 # p^5 = p + 1. Those in two dimensions, which the places in a pixel are made with, fill the four with them evenly.

@@ -19,7 +19,8 @@ from functools import cache
 import numpy as np
 
 from ..numeric.vectors import each_block
-from ..scene.scene import Light, World
+from ..scene.lights import Light
+from ..scene.world import World
 from . import environment
 
 # ps_lights, (FIRST_LIGHT + lights, WIDTH, 4) float32:

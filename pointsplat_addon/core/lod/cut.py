@@ -15,16 +15,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..lens.defocus import BLURRED, IN_FOCUS, Blur
+from ..numeric.linear import all_finite, largest_singular_value
+from ..numeric.segments import ranges
 from ..numeric.vectors import number
+from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
-from ..scene.scene import Camera
+from ..splat.blur import BLURRED, IN_FOCUS, Blur
 from .hierarchy import Hierarchy
-from .octree import ranges
 
 NEIGHBOURS = 3.0  # radii from a splat's middle to the farthest ends of those beside it
 CHUNK = 1 << 15  # nodes that are classified together, so that their working arrays stay in the cache
-HALF_DIGITS = 1.5e-8  # the root of what float64 resolves
 BAND = 0.25  # octaves, see `staggered`: a fifth more nodes in the mean, on surfaces
 FLAT = 1e-12  # determinant over scale^3 below which a transform has no inverse worth using
 
@@ -230,34 +230,6 @@ def _views(view_from_object: np.ndarray, origin: np.ndarray, cull: np.ndarray | 
         backward = inverse[:, :, 2].T
         forward[:, culls] = -backward / np.linalg.norm(backward, axis=0)
     return _Views(np.ascontiguousarray(matrix.transpose(1, 2, 0)), scale, culls, eye, forward)
-
-
-def largest_singular_value(matrix: np.ndarray) -> np.ndarray:
-    """Of matrices (I, 3, 3), never too small, and at most 1e-8 of it too large: the largest root of the characteristic
-    cubic of A^T A in trigonometric form (Smith 1961). Where two roots are nearly one, their angle is known to half the
-    digits only; so much, of what they differ by from the mean, is added. Scales that are alike in all directions lose
-    nothing."""
-    a = np.ascontiguousarray(matrix.transpose(1, 2, 0))
-    size = np.maximum(np.maximum.reduce(np.abs(a).reshape(9, -1)), np.finfo(float).tiny)
-    x, y, z = (a / size).transpose(1, 0, 2)
-    xx, yy, zz, xy, xz, yz = _dot(x, x), _dot(y, y), _dot(z, z), _dot(x, y), _dot(x, z), _dot(y, z)
-    middle = (xx + yy + zz) / 3
-    xx, yy, zz = xx - middle, yy - middle, zz - middle
-    spread = np.sqrt((xx * xx + yy * yy + zz * zz + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
-    determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    cosine = np.clip(determinant / np.maximum(2 * spread**3, np.finfo(float).tiny), -1, 1)
-    return size * np.sqrt(middle + 2 * spread * (np.cos(np.arccos(cosine) / 3) + HALF_DIGITS)) * (1 + 1e-15)
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def all_finite(matrix: np.ndarray) -> np.ndarray:
-    """(I,) bool: which of the matrices (I, n, m) hold neither a NaN nor an infinity: what times zero is no zero."""
-    numbers = math.prod(matrix.shape[1:])
-    with np.errstate(invalid="ignore"):
-        return np.asarray(matrix.reshape(-1, numbers) @ np.zeros(numbers) == 0)
 
 
 class _Found:

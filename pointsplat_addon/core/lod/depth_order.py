@@ -16,10 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numeric.linear import largest_singular_value
+from ..numeric.segments import ranges, starts
 from ..scene.cloud import PointCloud
-from .cut import Cut, largest_singular_value
+from .cut import Cut
 from .hierarchy import Hierarchy
-from .octree import ranges, starts
 
 BUCKETS = 1 << 16  # of each table: what a pass over 16-bit keys tells apart
 FARTHEST = 1e300  # depths beyond it are taken for infinite, so that differences stay finite

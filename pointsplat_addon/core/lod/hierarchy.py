@@ -23,9 +23,10 @@ from functools import cache
 
 import numpy as np
 
+from ..numeric.segments import runs, starts
 from ..scene.cloud import PointCloud
 from ..splat.kernel import SUPPORT, kernel
-from .octree import Tree, partition, runs, starts
+from .octree import Tree, partition
 
 CHUNK = 1 << 15  # children that are merged together, for the same reason
 THIN = 1e-3  # smallest ratio of the axes of a bounding ellipse

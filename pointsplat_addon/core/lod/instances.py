@@ -18,12 +18,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..numeric.linear import all_finite, largest_singular_value
+from ..numeric.segments import ranges, starts
 from ..numeric.vectors import number
+from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
-from ..scene.scene import Camera
-from .cut import Cut, Lens, against_frustum, all_finite, largest_singular_value, lens_of
+from .cut import Cut, Lens, against_frustum, lens_of
 from .hierarchy import Hierarchy, frames, splat_weight, splats, sum_up
-from .octree import ranges, starts
 
 STEPS = 4  # levels to each octave of size: a fifth more splats than the tolerance asks for, in the mean
 COARSEST = 8  # splats of the coarsest level: one flat splat alone is no body, seen from its side it vanishes

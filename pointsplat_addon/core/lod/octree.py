@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numeric.segments import ranges, starts
+
 MAX_DEPTH = 64  # levels; only geometric sequences of points come near it
 BLOCK = 1 << 17  # points that are partitioned down to the leaves together: their arrays stay in the cache
 
@@ -27,20 +29,6 @@ class Tree:
 
     def __len__(self) -> int:
         return len(self.child_count)
-
-
-def starts(count: np.ndarray) -> np.ndarray:
-    """Exclusive prefix sums, int64: where each of consecutive segments begins."""
-    begin = np.zeros(len(count), np.int64)
-    np.cumsum(count[:-1], out=begin[1:])
-    return begin
-
-
-def ranges(first: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """The integers first[i] ... first[i] + count[i] - 1 of every i, one after the other, int64."""
-    index = np.repeat(first - starts(count), count)
-    index += np.arange(len(index))
-    return index
 
 
 @dataclass
@@ -229,17 +217,6 @@ def _split(front: _Front, order: np.ndarray, leaf_size: int) -> tuple[np.ndarray
     rest = _Front([x[kept] for x in front.position], front.index[kept], first[open_], size[open_])
     children[children == 1] = 0
     return children, first[~stuck], size[~stuck], rest
-
-
-def runs(count: np.ndarray, most: int) -> Iterator[tuple[int, int]]:
-    """Cut consecutive segments into runs (a, b) that hold at most `most` elements, or one segment."""
-    end = np.cumsum(count)
-    a = 0
-    while a < len(count):
-        b = int(np.searchsorted(end, (end[a - 1] if a else 0) + most, side="right"))
-        b = max(b, a + 1)
-        yield a, b
-        a = b
 
 
 def _join(levels: list[list[_Piece]]) -> Tree:

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from ..numeric.segments import starts
 from ..scene.cloud import ATTRIBUTES, PointCloud
 from .hierarchy import AVERAGED, Hierarchy, basis, check
-from .octree import MAX_DEPTH, Tree, link, starts
+from .octree import MAX_DEPTH, Tree, link
 
 OCTAVES = 40  # range of lengths below the longest one
 STEPS = 65534 / OCTAVES  # code values per octave; 0 is length 0

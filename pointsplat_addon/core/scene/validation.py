@@ -11,8 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from .camera import Camera
 from .cloud import FARTHEST
-from .scene import Camera, Instances, Light, MaterialTable, Scene, World, default_materials
+from .lights import Light
+from .materials import MaterialTable, default_materials
+from .scene import Instances, Scene
+from .world import World
 
 BRIGHTEST = 65504.0  # of half floats
 # Of a table's columns: the range. What is no number becomes the default material's value.

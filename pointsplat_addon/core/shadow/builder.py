@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..numeric.vectors import cross
-from ..scene.scene import Light
+from ..scene.lights import Light
 from ..splat.kernel import SUPPORT
 from .casters import CHUNK, KINDS, OPAQUE_DEPTH, Casters, casters, turned, typical
 from .grid import FINER, FINEST, Frame, Grid, cell_grids, directions, fit_frame, lit_part, plane_distance, slopes

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..numeric.vectors import cross, each_block
 from ..scene.cloud import PointCloud
-from ..scene.scene import Light
+from ..scene.lights import Light
 from ..strand.selection import Strands, lengths_scale
 
 OPAQUE_DEPTH = 100.0  # optical depth that stands for no light at all

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene.scene import Light, Mesh
+from ..scene.lights import Light
+from ..scene.mesh import Mesh
 from .samples import Outline
 
 FLAT = 1e-6  # of a mesh's size, and of the distances at hand: float32 tells no less apart

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..scene.scene import Light
+from ..scene.lights import Light
 from .casters import CHUNK, Casters
 
 STEEPEST = 0.1  # cosine: surfaces closer to edge-on are treated as this one

@@ -10,7 +10,8 @@ from ..lod.foliage import LOOSE, leafy
 from ..material.graph import needs
 from ..numeric.vectors import blocks, cross, dot
 from ..scene.cloud import PointCloud, finite
-from ..scene.scene import MaterialTable, Mesh
+from ..scene.materials import MaterialTable
+from ..scene.mesh import Mesh
 from ..surface import sampling
 from ..surface.appearance import graphs_of, passing, point_cloud
 from .casters import typical

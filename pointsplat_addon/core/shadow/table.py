@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..scene.scene import Light
+from ..scene.lights import Light
 from .casters import CHUNK, OPAQUE_DEPTH
 from .grid import STEEPEST, Frame, Grid, directions, plane_distance
 

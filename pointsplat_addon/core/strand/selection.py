@@ -14,8 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
+from ..scene.camera import Camera
 from ..scene.cloud import FARTHEST
-from ..scene.scene import Camera
 from ..scene.strands import Lines, owners
 
 GOLDEN = (5**0.5 - 1) / 2

@@ -17,7 +17,8 @@ from ..material.graph import (
     triangle_tangents,
 )
 from ..scene.cloud import PointCloud
-from ..scene.scene import MaterialTable, Mesh
+from ..scene.materials import MaterialTable
+from ..scene.mesh import Mesh
 from ..splat.kernel import PEAK
 from .sampling import Evaluated, Samples, along_half_axes, areas, interpolate, material_ids
 

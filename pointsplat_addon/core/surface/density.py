@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..lod.cut import all_finite, largest_singular_value
+from ..numeric.linear import all_finite, largest_singular_value
 from ..numeric.vectors import blocks, clip, cross, dot, each_block
-from ..scene.scene import Camera, Mesh
+from ..scene.camera import Camera
+from ..scene.mesh import Mesh
 from .sampling import MAX_SAMPLES, bounding_box, limit_spacing, used, validate
 
 EXACT_INSTANCES = 64  # beyond these the next instance's bounding box speaks for all others: finer, never coarser

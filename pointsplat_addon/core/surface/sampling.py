@@ -28,7 +28,7 @@ from ..numeric.vectors import clip as _clip
 from ..numeric.vectors import cross as _cross
 from ..numeric.vectors import dot as _dot
 from ..numeric.vectors import each_block
-from ..scene.scene import Mesh
+from ..scene.mesh import Mesh
 
 METHODS = ("AUTO", "VERTICES", "AREA", "GRID")
 MAX_SAMPLES = 1 << 23  # of one mesh, at a tolerance of a pixel: 0.8 GB, and 0.3 on the device

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..scene.cloud import PointCloud
-from ..scene.scene import Medium, Transfer, Volume
+from ..scene.volume import Medium, Transfer, Volume
 from ..splat.kernel import EVEN
 
 SHARE = 1 / (4 / 3 * np.pi * (2 * EVEN) ** 3)  # the volume of a voxel over that of its splat's ellipsoid

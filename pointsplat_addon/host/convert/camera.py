@@ -7,7 +7,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ...core.scene.scene import Aperture, Camera
+from ...core.scene.camera import Aperture, Camera
 
 LEAST_FOCUS = 1e-5  # world units: a distance of zero is taken for it, and everything is far out of focus
 LEAST_STOP = 1e-5  # Cycles': what the F-stop is divided by

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ...core.material import expressions as ex
-from ...core.scene.scene import Light
+from ...core.scene.lights import Light
 from .nodes import Path, Walker, resolve
 
 

@@ -18,7 +18,8 @@ from ...core.material import expressions as ex
 from ...core.material.graph import CHANNELS, MaterialGraph, is_mask
 from ...core.material.hair_color import Pigment
 from ...core.scene.cryptomatte import cryptomatte_hash
-from ...core.scene.scene import HairTable, MaterialTable, Medium, default_materials
+from ...core.scene.materials import HairTable, MaterialTable, default_materials
+from ...core.scene.volume import Medium
 from .media import medium_of
 from .nodes import Hair, Path, Reader, UnsupportedNodeError, Walker, default, of_strand, resolve
 

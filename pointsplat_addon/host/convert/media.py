@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ...core.material import expressions as ex
-from ...core.scene.scene import Medium
+from ...core.scene.volume import Medium
 from .nodes import Path, Reader, UnsupportedNodeError, Walker, default, resolve
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.scene.scene import Mesh
+from ...core.scene.mesh import Mesh
 from . import arrays
 
 COLOR_TYPES = ("FLOAT_COLOR", "BYTE_COLOR")

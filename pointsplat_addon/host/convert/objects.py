@@ -8,7 +8,7 @@ from typing import NamedTuple
 import bpy
 import numpy as np
 
-from ...core.scene.scene import Transfer
+from ...core.scene.volume import Transfer
 from .curves import Hair, hair_systems, is_tube
 from .particles import read_particles
 from .pointcloud import Points

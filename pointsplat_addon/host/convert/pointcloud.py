@@ -15,7 +15,8 @@ import numpy as np
 
 from ...core.material.graph import MaterialGraph, Needs, SampleInputs, evaluate_samples, needs
 from ...core.scene.cloud import PointCloud
-from ...core.scene.scene import MaterialTable, Medium, Volume
+from ...core.scene.materials import MaterialTable
+from ...core.scene.volume import Medium, Volume
 from ...core.splat.kernel import PROFILES
 from ...core.surface.appearance import CLIP, ball_extinction
 from ...core.volume.voxels import optics

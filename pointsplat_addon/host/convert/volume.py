@@ -15,7 +15,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.scene.scene import Medium, Transfer, Volume
+from ...core.scene.volume import Medium, Transfer, Volume
 from ...formats import vdb
 from . import arrays
 

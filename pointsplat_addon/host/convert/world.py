@@ -8,7 +8,7 @@ from mathutils import Euler
 
 from ...core.material.expressions import Image
 from ...core.material.textures import linear_from_srgb
-from ...core.scene.scene import World
+from ...core.scene.world import World
 from .images import convert_image
 from .lights import constant
 from .nodes import Path, resolve

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.scene.scene import Scene, Settings
+from ...core.scene.scene import Scene
+from ...core.scene.settings import Settings
 
 if TYPE_CHECKING:
     from ..device.protocol import Device

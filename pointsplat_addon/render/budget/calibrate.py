@@ -10,8 +10,13 @@ from itertools import count
 import numpy as np
 
 from ...core.lod.cost import Costs
+from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud
-from ...core.scene.scene import Camera, Geometry, Instances, Mesh, Scene, Settings, World, default_materials
+from ...core.scene.materials import default_materials
+from ...core.scene.mesh import Mesh
+from ...core.scene.scene import Geometry, Instances, Scene
+from ...core.scene.settings import Settings
+from ...core.scene.world import World
 from ..frame.frame import Frame
 from ..plan.request import Request
 from ..renderer import Renderer

@@ -10,9 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.lens.defocus import BLURRED, blur_of
 from ...core.lod.cut import NEIGHBOURS
-from ...core.scene.scene import Camera, Scene, World
+from ...core.scene.camera import Camera
+from ...core.scene.scene import Scene
+from ...core.scene.world import World
+from ...core.splat.blur import BLURRED, blur_of
 from ..device.protocol import Device, Texture
 from ..passes.defocus import Defocus, defocus_program, tile_lists
 from ..passes.outputs import CRYPTO

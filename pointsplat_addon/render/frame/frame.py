@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...core.lens.backdrop import grid_of
-from ...core.lens.defocus import blur_of
 from ...core.scene.scene import Scene
+from ...core.splat.blur import blur_of
 from ...core.strand.selection import turns
 from ...shading.interface import Interface
 from ..budget.budget import checkpoint

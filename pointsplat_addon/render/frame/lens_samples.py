@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.lens.thin_lens import lens_points, through, widened
-from ...core.scene.scene import Camera, Geometry, Scene
+from ...core.scene.camera import Camera
+from ...core.scene.scene import Geometry, Scene
 from ..cache.store import STORE
 from ..device.protocol import Device, Texture
 from ..passes.tiles import KEEP

@@ -14,9 +14,11 @@ from ...core.light import hair
 from ...core.light.environment import build_atlas, pyramid, stacked
 from ...core.light.lighting import light_texture
 from ...core.lod import depth_order
-from ...core.lod.octree import ranges
 from ...core.material.graph import MaterialGraph
-from ...core.scene.scene import Camera, Geometry, Mesh, Scene
+from ...core.numeric.segments import ranges
+from ...core.scene.camera import Camera
+from ...core.scene.mesh import Mesh
+from ...core.scene.scene import Geometry, Scene
 from ...core.scene.strands import Lines
 from ...core.strand.selection import clean, lengths_scale
 from ...core.surface import sampling

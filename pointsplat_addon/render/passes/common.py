@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.scene.scene import Camera
+from ...core.scene.camera import Camera
 from ...shading.interface import Block
 from ..device.protocol import Device, Target, Texture
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.lens.defocus import FAINT, RIM
-from ...core.lod.octree import starts
+from ...core.numeric.segments import starts
 from ...shading.interface import Interface
 from ..device.packing import PAGE_WIDTH, paged
 from ..device.protocol import Device, Target, Texture, whole

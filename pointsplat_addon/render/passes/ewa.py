@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.scene.scene import Camera
+from ...core.scene.camera import Camera
 from ...core.splat.ewa import centres_decide, low_pass
 from ...shading.interface import Interface
 from ..device.packing import PAGE_WIDTH, paged

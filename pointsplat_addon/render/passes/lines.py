@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.scene.scene import MaterialTable
+from ...core.scene.materials import MaterialTable
 from ...core.scene.strands import Lines
 from ...core.strand.selection import Segments, Strands
 from ...shading.interface import Interface

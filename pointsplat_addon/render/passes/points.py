@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.scene.scene import MaterialTable
+from ...core.scene.materials import MaterialTable
 from ...shading.interface import Interface
 from ..cache.store import Layer, PointSet
 from ..device.packing import PAGE_WIDTH, paged

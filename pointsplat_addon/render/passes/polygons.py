@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...core.material.graph import MaterialGraph
-from ...core.scene.scene import MaterialTable, Mesh
+from ...core.scene.materials import MaterialTable
+from ...core.scene.mesh import Mesh
 from ...core.surface.appearance import at_corners, baked, corner_normals, graphs_of, pictured, uv_of
 from ...core.surface.density import PART, Parts
 from ...shading.interface import Interface

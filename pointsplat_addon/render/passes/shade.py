@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.light.hair import texel
 from ...core.light.lighting import relative_index
-from ...core.scene.scene import MaterialTable
+from ...core.scene.materials import MaterialTable
 from ...shading.interface import Interface
 from ..device.protocol import Texture
 from .common import FRAME, Variant

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.scene.scene import Settings
+from ...core.scene.settings import Settings
 from ...shading.interface import Interface
 from ..device.protocol import Device, Target, Texture, whole
 from .common import FRAME

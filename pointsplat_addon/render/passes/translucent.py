@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...core.scene.cloud import PointCloud
-from ...core.scene.scene import MaterialTable
+from ...core.scene.materials import MaterialTable
 from ...core.splat import painter
 from ...core.splat.kernel import PEAK, PROFILES, SUPPORT
 from ...shading.interface import Interface

@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...core.lens.backdrop import why_sharp
-from ...core.lens.defocus import blur_of
 from ...core.lens.thin_lens import sampled
 from ...core.lod.cost import Costs
-from ...core.scene.scene import Camera, Scene
+from ...core.scene.camera import Camera
+from ...core.scene.scene import Scene
 from ...core.scene.validation import shown, sound_camera
+from ...core.splat.blur import blur_of
 from ..cache.store import STORE
 from ..device.clock import Clock
 from ..device.protocol import Limits

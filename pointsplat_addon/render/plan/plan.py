@@ -10,8 +10,9 @@ import numpy as np
 
 from ...core.light.lighting import light_names
 from ...core.material.graph import MaterialGraph
+from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud
-from ...core.scene.scene import Camera, Scene
+from ...core.scene.scene import Scene
 from ...core.scene.strands import Lines
 from ...core.surface.appearance import graphs_of
 from ..passes import ewa

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ...core.lens.defocus import NODE
-from ...core.scene.scene import Camera, Settings
+from ...core.scene.camera import Camera
+from ...core.scene.settings import Settings
+from ...core.splat.blur import NODE
 
 
 @dataclass(frozen=True)

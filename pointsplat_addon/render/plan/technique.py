@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...core.scene.scene import Geometry, MaterialTable, Scene, Settings
+from ...core.scene.materials import MaterialTable
+from ...core.scene.scene import Geometry, Scene
+from ...core.scene.settings import Settings
 from ...core.splat.ewa import centres_decide
 from ...core.surface.appearance import graphs_of
 from ..prepare.layers import MANY_INSTANCES

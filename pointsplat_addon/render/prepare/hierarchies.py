@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.lod.hierarchy import Hierarchy, recolor, refit
-from ...core.scene.scene import MaterialTable
+from ...core.scene.materials import MaterialTable
 from ..cache.store import PointSet, Store
 from .layers import MANY_INSTANCES
 from .point_sets import typical_diameter

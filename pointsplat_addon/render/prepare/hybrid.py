@@ -8,8 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from ...core.lod.cost import Choice, Costs, choose, runs
+from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, finite
-from ...core.scene.scene import Camera, Geometry, MaterialTable, Mesh
+from ...core.scene.materials import MaterialTable
+from ...core.scene.mesh import Mesh
+from ...core.scene.scene import Geometry
 from ...core.surface import sampling
 from ...core.surface.appearance import digest, point_cloud
 from ...core.surface.density import PART, Parts, part_spacings

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.lod.cut import Cut, all_finite, largest_singular_value
+from ...core.lod.cut import Cut
 from ...core.lod.instances import visible
-from ...core.scene.scene import Camera, Scene
+from ...core.numeric.linear import all_finite, largest_singular_value
+from ...core.scene.camera import Camera
+from ...core.scene.scene import Scene
 from ...core.surface import sampling
 from ..cache.store import STORE, Layer, PointSet, Store
 from .meshes import mesh_ball

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from ...core.lod.cut import largest_singular_value
 from ...core.lod.foliage import leafy
 from ...core.lod.instances import visible
+from ...core.numeric.linear import largest_singular_value
 from ...core.scene.cloud import PointCloud, finite
-from ...core.scene.scene import Geometry, Mesh
+from ...core.scene.mesh import Mesh
+from ...core.scene.scene import Geometry
 from ...core.surface import sampling
 from ...core.surface.appearance import digest, point_cloud
 from ...core.surface.density import EXACT_INSTANCES, Parts, make_parts, required_spacing

@@ -21,7 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...core.light.lighting import MIN_ALPHA, light_irradiance, most_scattered, relative_index
-from ...core.scene.scene import Light, Scene, World
+from ...core.scene.lights import Light
+from ...core.scene.scene import Scene
+from ...core.scene.world import World
 from ...core.surface.appearance import graphs_of
 from ..cache.store import STORE, Layer, PointSet, Store
 from .in_view import drawn_ball

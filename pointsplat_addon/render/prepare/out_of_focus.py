@@ -8,14 +8,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...core.lens import dicing
-from ...core.lens.defocus import BLURRED, IN_FOCUS, Blur
 from ...core.lens.strand_splats import SHARE, sharp_ends, splats
 from ...core.lod.area_share import shares
-from ...core.lod.cut import forest, fully, largest_singular_value, select
+from ...core.lod.cut import forest, fully, select
 from ...core.lod.instances import joined
+from ...core.numeric.linear import largest_singular_value
+from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, finite
-from ...core.scene.scene import Camera, Geometry, Mesh, Scene
+from ...core.scene.mesh import Mesh
+from ...core.scene.scene import Geometry, Scene
 from ...core.scene.strands import Lines
+from ...core.splat.blur import BLURRED, IN_FOCUS, Blur
 from ...core.strand.selection import Segments, Strands
 from ...core.surface import sampling
 from ...core.surface.appearance import digest, point_cloud

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from ...core.scene.cloud import PointCloud
-from ...core.scene.scene import Geometry, Instances, MaterialTable, Scene, Volume
+from ...core.scene.materials import MaterialTable
+from ...core.scene.scene import Geometry, Instances, Scene
 from ...core.scene.validation import sound
+from ...core.scene.volume import Volume
 from ...core.surface.appearance import digest, passing, split_translucent
 from ...core.volume import voxels
 from ..cache.store import STORE, Store

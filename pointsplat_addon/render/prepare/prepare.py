@@ -11,10 +11,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...core.lens.defocus import COARSEST, NODE, blur_of
 from ...core.lod.cost import DEFAULT, Costs
-from ...core.lod.cut import all_finite, fully
-from ...core.scene.scene import Camera, Geometry, Scene, Settings
+from ...core.lod.cut import fully
+from ...core.numeric.linear import all_finite
+from ...core.scene.camera import Camera
+from ...core.scene.scene import Geometry, Scene
+from ...core.scene.settings import Settings
+from ...core.splat.blur import COARSEST, NODE, blur_of
 from ...core.strand.selection import Segments, clean, select, together
 from ..cache.store import STORE, Layer, PointSet, Store
 from .hierarchies import where_blurred, where_it_pays

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from ...core.lens.defocus import Blur
 from ...core.lod.cost import Costs
-from ...core.scene.scene import Camera, Scene, Settings
+from ...core.scene.camera import Camera
+from ...core.scene.scene import Scene
+from ...core.scene.settings import Settings
+from ...core.splat.blur import Blur
 from ..cache.store import Store
 
 

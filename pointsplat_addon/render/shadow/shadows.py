@@ -12,11 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.light.lighting import in_rows
-from ...core.lod.cut import all_finite, largest_singular_value
 from ...core.lod.hierarchy import build
 from ...core.lod.instances import make_levels
+from ...core.numeric.linear import all_finite, largest_singular_value
 from ...core.scene.cloud import PointCloud, finite
-from ...core.scene.scene import Geometry, Light, Mesh, Scene, Settings
+from ...core.scene.lights import Light
+from ...core.scene.mesh import Mesh
+from ...core.scene.scene import Geometry, Scene
+from ...core.scene.settings import Settings
 from ...core.shadow import builder
 from ...core.shadow.casters import Pieces, pieces
 from ...core.shadow.floor import FLAT, box_corners, lowest, lowest_corner, plane_of, shines_from

@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core.lens import backdrop
 from pointsplat_addon.core.lens.defocus import PIXEL
 from pointsplat_addon.core.light import environment
-from pointsplat_addon.core.scene.scene import Aperture
+from pointsplat_addon.core.scene.camera import Aperture
 from tests.support.scenes import camera
 
 SEEN = camera(resolution=(96, 64))

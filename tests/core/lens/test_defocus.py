@@ -9,8 +9,9 @@ from pointsplat_addon.core.lens import defocus, dicing, strand_splats
 from pointsplat_addon.core.lens.thin_lens import confusion, lens_points, through
 from pointsplat_addon.core.lod import area_share, cut
 from pointsplat_addon.core.lod.hierarchy import build
+from pointsplat_addon.core.scene.camera import Aperture, Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Aperture, Camera
+from pointsplat_addon.core.splat import blur as blur_module
 from pointsplat_addon.core.strand.selection import clean
 from pointsplat_addon.core.surface import sampling
 from tests.support.scenes import camera, flat_mesh, moved, plane_mesh, sphere_mesh, strand_lines
@@ -20,8 +21,8 @@ def lens(radius: float = 0.1, focus: float = 4.0, **more) -> Camera:
     return replace(camera(**more), aperture=Aperture(radius, focus))
 
 
-def blur(of: Camera) -> defocus.Blur:
-    found = defocus.blur_of(of)
+def blur(of: Camera) -> blur_module.Blur:
+    found = blur_module.blur_of(of)
     assert found is not None
     return found
 
@@ -58,7 +59,7 @@ def test_depths_of_a_radius_are_its_inverse(parallel):
 
 def test_what_is_no_lens_blurs_nothing():
     for aperture in (None, Aperture(0.0, 4.0), Aperture(np.nan, 4.0), Aperture(0.1, 0.0), Aperture(np.inf, 4.0)):
-        assert defocus.blur_of(replace(camera(), aperture=aperture)) is None
+        assert blur_module.blur_of(replace(camera(), aperture=aperture)) is None
 
 
 def test_extreme_depths_have_finite_or_infinite_disks_and_no_nan():

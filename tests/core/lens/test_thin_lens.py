@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.lens.thin_lens import confusion, lens_points, through, widened
-from pointsplat_addon.core.scene.scene import Aperture, Camera
+from pointsplat_addon.core.scene.camera import Aperture, Camera
 from pointsplat_addon.render.frame.filtering import offsets
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.light import lighting
-from pointsplat_addon.core.scene.scene import Light, World
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.world import World
 
 DOWN = np.array([0.0, 0, -1])
 UP = np.array([0.0, 0, 1])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.lod import hierarchy as h
+from pointsplat_addon.core.lod import octree
 from pointsplat_addon.core.lod.octree import MAX_DEPTH, Tree
 from pointsplat_addon.core.scene.cloud import PointCloud
 
@@ -105,7 +106,6 @@ def test_children_lie_in_different_octants_about_the_mean() -> None:
 
 def test_blocks_join_into_the_same_tree_as_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     position = sphere_cloud(5000).position
-    from pointsplat_addon.core.lod import octree
 
     order, tree = octree.partition(position, 8)
     monkeypatch.setattr(octree, "BLOCK", 300)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lod import cut as c
+from pointsplat_addon.core.lod import cut as cut_module
 from pointsplat_addon.core.lod import hierarchy as h
 from pointsplat_addon.core.lod import instances as many
+from pointsplat_addon.core.numeric import linear
+from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Camera
 
 
 def ball(n: int = 6000) -> PointCloud:
@@ -67,7 +68,9 @@ def test_each_level_is_the_cut_of_a_parallel_view(built: h.Hierarchy, levels: ma
     focal = max(camera.pixel_from_view()[:2])
     every = h.splats(built)
     for size, first, count, nodes in zip(levels.size, levels.first, levels.count, levels.nodes, strict=True):
-        found = c.select(c.forest({0: built}), np.zeros(1, int), place[None], camera, 2 * focal * size * (1 + 1e-12))
+        found = cut_module.select(
+            cut_module.forest({0: built}), np.zeros(1, int), place[None], camera, 2 * focal * size * (1 + 1e-12)
+        )
         rows = np.concatenate([np.arange(a, a + n) for a, n in zip(found.first, found.count, strict=True)])
         assert count == found.splats
         assert nodes == found.nodes
@@ -193,8 +196,8 @@ def test_enlarged_instances_keep_their_middle() -> None:
 
 
 def test_joined_cuts_are_in_the_order_of_instances() -> None:
-    one = c.Cut(np.array([1, 1, 5], np.int32), np.array([0, 7, 3]), np.array([2, 1, 4]), nodes=3, points=4)
-    two = c.Cut(np.array([0, 3], np.int32), np.array([9, 9]), np.array([1, 2]), nodes=0, points=3, culled=6)
+    one = cut_module.Cut(np.array([1, 1, 5], np.int32), np.array([0, 7, 3]), np.array([2, 1, 4]), nodes=3, points=4)
+    two = cut_module.Cut(np.array([0, 3], np.int32), np.array([9, 9]), np.array([1, 2]), nodes=0, points=3, culled=6)
     cut = many.joined([one, two])
     np.testing.assert_array_equal(cut.instance, [0, 1, 1, 3, 5])
     np.testing.assert_array_equal(cut.first, [9, 0, 7, 9, 3])
@@ -207,13 +210,13 @@ def test_singular_values_and_finite_matrices() -> None:
     matrix = rng.standard_normal((5000, 3, 3)) * 10.0 ** rng.uniform(-30, 30, (5000, 1, 1))
     matrix[:3] = np.zeros((3, 3)), np.eye(3), np.diag([1, 0, 0])
     exact = np.linalg.norm(matrix, 2, axis=(1, 2))
-    found = c.largest_singular_value(matrix)
+    found = linear.largest_singular_value(matrix)
     assert (found >= exact).all()
     assert (found <= exact * (1 + 1e-8)).all()  # measured 7e-9, which is added on purpose
     odd = np.zeros((4, 4, 4))
     odd[1, 2, 2], odd[2, 0, 3], odd[3] = np.nan, -np.inf, 1e308
-    np.testing.assert_array_equal(c.all_finite(odd), [True, False, False, True])
-    assert c.all_finite(np.zeros((0, 4, 4))).shape == (0,)
+    np.testing.assert_array_equal(linear.all_finite(odd), [True, False, False, True])
+    assert linear.all_finite(np.zeros((0, 4, 4))).shape == (0,)
 
 
 def test_nodes_know_how_much_of_them_is_turned_where() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Light
+from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
 from pointsplat_addon.core.shadow.builder import Casters
 from pointsplat_addon.core.splat.kernel import EVEN

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.scene import Light, Mesh
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.shadow.floor import lowest, lowest_corner, plane_of, shines_from
 from pointsplat_addon.core.shadow.samples import outline
 from pointsplat_addon.core.surface import sampling

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Mesh, default_materials
+from pointsplat_addon.core.scene.materials import default_materials
+from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.shadow.samples import MANY, PLACES, Outline, outline, places, sampled
 from pointsplat_addon.core.surface import sampling
 

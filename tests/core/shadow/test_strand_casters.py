@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.scene import Light
+from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.strands import Lines
 from pointsplat_addon.core.shadow.casters import Pieces, pieces
 from pointsplat_addon.core.strand.selection import clean

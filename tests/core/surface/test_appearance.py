@@ -7,7 +7,8 @@ import pytest
 
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph, is_mask
-from pointsplat_addon.core.scene.scene import Mesh, default_materials
+from pointsplat_addon.core.scene.materials import default_materials
+from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.splat.kernel import PEAK, SUPPORT, kernel
 from pointsplat_addon.core.surface import sampling
 from pointsplat_addon.core.surface.appearance import (

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.numeric.vectors import each_block
-from pointsplat_addon.core.scene.scene import Camera, Mesh
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.surface import sampling
 from pointsplat_addon.core.surface.density import PART, make_parts, required_spacing
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.scene import Medium, Transfer, Volume
+from pointsplat_addon.core.scene.volume import Medium, Transfer, Volume
 from pointsplat_addon.core.splat.kernel import EVEN, kernel
 from pointsplat_addon.core.volume import voxels
 

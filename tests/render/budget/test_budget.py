@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lens.defocus import NODE
-from pointsplat_addon.core.scene.scene import Aperture, Scene, Settings
+from pointsplat_addon.core.scene.camera import Aperture
+from pointsplat_addon.core.scene.scene import Scene
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.splat.blur import NODE
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.budget import budget
 from pointsplat_addon.render.budget.budget import Moving, Pacer, Refining

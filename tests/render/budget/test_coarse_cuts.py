@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.scene import Scene, Settings
+from pointsplat_addon.core.scene.scene import Scene
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.budget.budget import Moving
 from pointsplat_addon.render.cache.store import STORE, Store

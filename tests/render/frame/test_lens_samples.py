@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.lens.thin_lens import lens_points, through
-from pointsplat_addon.core.scene.scene import Aperture, Settings
+from pointsplat_addon.core.scene.camera import Aperture
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame import frame
 from pointsplat_addon.render.frame.lens_samples import prepared_for

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.scene import Mesh, Settings, World
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.cache.store import STORE
 from scripts.compare import compare, directions
 from tests.support import scenes

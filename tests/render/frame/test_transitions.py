@@ -13,7 +13,11 @@ import pytest
 from pointsplat_addon.core.lod.cost import FEWER, Costs
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
-from pointsplat_addon.core.scene.scene import Camera, Geometry, Instances, Mesh, Scene, Settings, World
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.cache.store import STORE, Store
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer

@@ -7,8 +7,13 @@ import pytest
 
 from pointsplat_addon.core.lens import backdrop, defocus
 from pointsplat_addon.core.light import environment
+from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Aperture, Geometry, Mesh, Scene, Settings, World
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.scene import Geometry, Scene
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.core.splat import blur as blur_module
 from pointsplat_addon.core.splat.ewa import SHARE
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame.frame import Frame
@@ -123,7 +128,7 @@ def test_a_splats_energy_is_kept_and_half_of_it_lies_within_its_share_of_the_dis
     """Křivánek's radius of half the energy is that of Cycles' disk, C / sqrt 2."""
     seen = camera(resolution=(128, 128), parallel=parallel)
     aperture = Aperture(radius, focus)
-    blur = defocus.blur_of(replace(seen, aperture=aperture))
+    blur = blur_module.blur_of(replace(seen, aperture=aperture))
     assert blur is not None
     disk = float(blur.radius(np.array(4.0)))
     assert 8 < disk < 60

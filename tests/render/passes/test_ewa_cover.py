@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Settings, World
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.passes import ewa, ewa_cover
 from pointsplat_addon.render.renderer import Renderer

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Settings, World
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat import ewa
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.cache.store import STORE

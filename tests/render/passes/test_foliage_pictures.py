@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.lod.hierarchy import basis
-from pointsplat_addon.core.scene.scene import Settings
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request

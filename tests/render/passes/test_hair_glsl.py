@@ -7,8 +7,8 @@ import pytest
 
 from pointsplat_addon.core.light import hair, lighting
 from pointsplat_addon.core.light.hair import Fibre
-from pointsplat_addon.core.scene.scene import World
 from pointsplat_addon.core.scene.strands import Lines
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.shading.interface import Interface
 from tests.support.scenes import opengl
 

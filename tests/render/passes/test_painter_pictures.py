@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.lod import depth_order
-from pointsplat_addon.core.scene.scene import Light, Settings, World
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat import ewa, painter
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.cache.store import STORE

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.light import environment, lighting
-from pointsplat_addon.core.scene.scene import Light, World
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.shading.interface import Interface
 
 moderngl = pytest.importorskip("moderngl")

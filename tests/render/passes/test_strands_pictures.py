@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.scene import Geometry, Settings, World
+from pointsplat_addon.core.scene.scene import Geometry
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.strands import Lines
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.strand.selection import clean, turns
 from tests.support import scenes
 from tests.support.scenes import Case, render

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Light, Medium, Settings, Volume, World
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.volume import Medium, Volume
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat.kernel import EVEN, PROFILES
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.store import Store

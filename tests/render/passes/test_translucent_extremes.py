@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Light, Settings, World
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat.kernel import PEAK
 from tests.render.passes.test_translucent import COMBINED, Request, voxels
 from tests.support import scenes

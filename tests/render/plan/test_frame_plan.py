@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.lod.cost import DEFAULT
-from pointsplat_addon.core.scene.scene import Aperture
+from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.device.clock import Cancelled, Clock
 from pointsplat_addon.render.plan.frame_plan import Shot, make_shot

@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core.light.lighting import FIRST_LIGHT, KINDS, WIDTH
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
-from pointsplat_addon.core.scene.scene import World
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.renderer import Renderer
 from tests.support import scenes

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.scene import Settings
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.plan.technique import choose
 from pointsplat_addon.render.renderer import Renderer

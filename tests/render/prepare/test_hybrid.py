@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.lod.cost import Costs
-from pointsplat_addon.core.scene.scene import Camera, Mesh, Scene, Settings, World
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.scene import Scene
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.surface.density import PART
 from pointsplat_addon.render.budget.calibrate import calibrate
 from pointsplat_addon.render.cache.store import Store

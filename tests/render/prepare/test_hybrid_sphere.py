@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.scene import Mesh, Settings, World
+from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from scripts.compare import eroded
 from scripts.transitions import levels
 from tests.support import scenes

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.scene import Camera, Instances, Settings
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.scene.scene import Instances
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request

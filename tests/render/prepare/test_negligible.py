@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.light import lighting
-from pointsplat_addon.core.scene.scene import Aperture, Light, Settings, World
+from pointsplat_addon.core.scene.camera import Aperture
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.plan import frame_plan
 from pointsplat_addon.render.prepare.in_view import CLEAR, OUT_OF_VIEW, drawn_ball, in_view
 from pointsplat_addon.render.prepare.negligible import EMISSION, LIGHTS, MEASURABLE, WORLD, reflection

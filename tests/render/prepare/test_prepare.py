@@ -7,7 +7,9 @@ import pytest
 
 from pointsplat_addon.core.lod.cost import DEFAULT
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.scene import Geometry, Settings, Transfer, Volume
+from pointsplat_addon.core.scene.scene import Geometry
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.volume import Transfer, Volume
 from pointsplat_addon.core.surface import sampling
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.prepare.parts import parted

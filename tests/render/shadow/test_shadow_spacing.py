@@ -7,7 +7,8 @@ import pytest
 
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
-from pointsplat_addon.core.scene.scene import MaterialTable, Settings
+from pointsplat_addon.core.scene.materials import MaterialTable
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.render.cache.store import STORE, Store
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.shadow import shadows

@@ -1,0 +1,71 @@
+"""TODO: say what this module is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .volume import Medium
+
+
+@dataclass(frozen=True, eq=False)
+class HairTable:
+    """The Principled Hair values of each row of a MaterialTable; rows that are not hair hold Blender's defaults.
+
+    The table's `ior` and `roughness` (the longitudinal one) are hair's too, and its `base_color` is the colour that a
+    head of such hair has; `core.pigment` turns that, or a point's own, and the radial roughness into absorption.
+    """
+
+    used: np.ndarray  # (M,) bool: this row is hair
+    radial: np.ndarray  # (M,) float32, azimuthal roughness in [0, 1]; Huang's model: the longitudinal one
+    coat: np.ndarray  # (M,) float32 in [0, 1]: how much smoother the first reflection is
+    tilt: np.ndarray  # (M,) float32, radians: of the cuticle's scales, Blender's Offset
+    lobes: np.ndarray  # (M, 3) float32: factors of reflection, transmission and second reflection; 1 in Chiang's model
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialTable:
+    """Constants for each material (row 0 is the default material). Attributes on points override them."""
+
+    base_color: np.ndarray  # (M, 3) float32
+    roughness: np.ndarray  # (M,) float32, Principled roughness (alpha = roughness^2)
+    metallic: np.ndarray  # (M,) float32
+    ior: np.ndarray  # (M,) float32
+    specular: np.ndarray  # (M,) float32, Principled specular IOR level (0.5: F0 from ior; 0: no specular)
+    emission: np.ndarray  # (M, 3) float32, emitted radiance
+    alpha: np.ndarray  # (M,) float32
+    cull: np.ndarray  # (M,) bool: backface culling
+    pass_index: np.ndarray  # (M,) int32
+    hash: np.ndarray  # (M,) uint32: cryptomatte hash of the name
+    names: tuple[str, ...] = ()
+    # (M,) float32, Henyey-Greenstein's g of media; None: all 0
+    anisotropy: np.ndarray | None = None
+    # (M,) bool: light passes through (alpha below 1 somewhere, or transmission), so the material's surfaces are drawn
+    # as translucent splats; None: nowhere
+    translucent: np.ndarray | None = None
+    media: tuple[Medium | None, ...] = ()  # what fills volumes of each material
+    graphs: tuple[object | None, ...] = ()  # core.materials.Graph for materials whose inputs vary, else None
+    hair: HairTable | None = None  # what strands of the materials are besides; None: none of them is hair
+
+    def __len__(self) -> int:
+        return len(self.roughness)
+
+
+def default_materials() -> MaterialTable:
+    """A table with only row 0: Blender's default Principled surface."""
+    f = np.float32
+    return MaterialTable(
+        base_color=np.array([[0.8, 0.8, 0.8]], f),
+        roughness=np.array([0.5], f),
+        metallic=np.zeros(1, f),
+        ior=np.array([1.5], f),
+        specular=np.array([0.5], f),
+        emission=np.zeros((1, 3), f),
+        alpha=np.ones(1, f),
+        cull=np.zeros(1, bool),
+        pass_index=np.zeros(1, np.int32),
+        hash=np.zeros(1, np.uint32),
+        names=("Default",),
+        graphs=(None,),
+    )

@@ -1,0 +1,23 @@
+"""TODO: say what this module is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Light from infinitely far: a colour, or an equirectangular picture."""
+
+    color: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) float64 radiance; used when image is None
+    image: np.ndarray | None = None  # (H, W, 3) float32 radiance, row 0 at the bottom (-Z), Blender's equirect layout
+    world_rotation: np.ndarray = field(default_factory=lambda: np.eye(3))  # (3, 3) image_from_world
+
+
+@dataclass(frozen=True, eq=False)
+class Mist:
+    start: float = 5.0
+    depth: float = 25.0
+    falloff: str = "QUADRATIC"  # QUADRATIC, LINEAR, INVERSE_QUADRATIC
