@@ -23,6 +23,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from pointsplat_addon.core.numeric.segments import offsets, ranges
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.scene import Geometry, Scene
 from pointsplat_addon.core.scene.settings import Settings
@@ -113,8 +114,8 @@ def strands(key: str, tree: Tree, found: Found, kept: np.ndarray) -> list[Geomet
             count = np.diff(found.start)[rows]
             if len(rows) == 0:
                 continue
-            start = np.concatenate([[0], np.cumsum(count)])
-            points = np.arange(start[-1]) + np.repeat(found.start[rows] - start[:-1], count)
+            start = offsets(count)
+            points = ranges(found.start[rows], count)
             name = f"{key} {material} {'ribbons' if ribbon else 'tubes'}"
             lines = Lines(
                 name, name, (found.position[points] - tree.middle).astype(np.float32), start,

@@ -11,6 +11,7 @@ import numpy as np
 from pointsplat_addon.core.lod.cost import FEWER, Costs
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.numeric.segments import offsets
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
@@ -634,7 +635,7 @@ def leaves(count: int, depth: float) -> PointCloud:
 def strand_lines(key: str, strands: Sequence[np.ndarray], radius: float | np.ndarray, **more) -> Geometry:
     """Strands (n, 3) with a radius for all or one for each of their points."""
     position = np.concatenate(strands).astype(np.float32)
-    start = np.concatenate([[0], np.cumsum([len(strand) for strand in strands])])
+    start = offsets([len(strand) for strand in strands])
     radii = np.broadcast_to(np.asarray(radius, np.float32), len(position)).copy()
     return Geometry(key, key, lines=Lines(key, key, position, start, radii, **more), primitive="LINES")
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..lod.hierarchy import basis
 from ..numeric.linear import largest_singular_value
+from ..numeric.segments import ranks
 from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
 from ..scene.mesh import Mesh
@@ -86,7 +87,7 @@ def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, toler
     count = np.pi * (pixels / (ROUND * blur.widest(least, tolerance)))[rows] ** 2
     count = np.clip(np.ceil(np.minimum(count, MOST / max(len(rows), 1))), LEAST_FACETS, None).astype(np.int64)
     of = np.repeat(rows, count)
-    number = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
+    number = ranks(count)
     # Spirals fill a disk evenly; their places on the ball are right above.
     share = np.minimum((number + 0.5) / np.repeat(count, count), STEEPEST)
     angle = number * GOLDEN_ANGLE

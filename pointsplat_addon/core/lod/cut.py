@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..numeric.linear import all_finite, largest_singular_value
-from ..numeric.segments import ranges
+from ..numeric.segments import ranges, starts
 from ..numeric.vectors import number
 from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
@@ -85,7 +85,7 @@ def forest(hierarchies: Mapping[int, Hierarchy | PointCloud]) -> Forest:
             root[geometry] = base
             base += len(entry)
             trees.append(entry)
-    bases = np.cumsum([0, *(len(h) for h in trees)])[:-1]
+    bases = starts([len(h) for h in trees])
     first_child = [h.tree.first_child.astype(np.int64) + b for h, b in zip(trees, bases, strict=True)]
 
     def joined(arrays: list[np.ndarray], dtype: type) -> np.ndarray:

@@ -23,7 +23,7 @@ from functools import cache
 
 import numpy as np
 
-from ..numeric.segments import runs, starts
+from ..numeric.segments import batches, owners, starts
 from ..scene.cloud import PointCloud
 from ..splat.kernel import SUPPORT, kernel
 from .octree import Tree, partition
@@ -417,7 +417,7 @@ def _absorption() -> tuple[np.ndarray, np.ndarray]:
 def _merge(rows: _Rows, count: np.ndarray, cloud: PointCloud) -> _Rows:
     """Merge consecutive runs of `count` rows of a cloud into one row each."""
     begin = starts(count)
-    owner = np.repeat(np.arange(len(count)), count)
+    owner = owners(count)
 
     # Moments about each parent's own mean.
     weight = np.add.reduceat(rows.weight, begin)
@@ -540,13 +540,13 @@ def _merge_all(cloud: PointCloud, tree: Tree) -> _Rows:
     nodes = _Rows.empty(_point_rows(cloud, slice(0, 0)), len(tree))
     leaves = _leaves_in_tree_order(tree, len(cloud))
     begin = np.append(tree.first_point[leaves], len(cloud))
-    for a, b in runs(tree.point_count[leaves], CHUNK):
+    for a, b in batches(tree.point_count[leaves], CHUNK):
         rows = _point_rows(cloud, slice(begin[a], begin[b]))
         nodes.put(leaves[a:b], _merge(rows, tree.point_count[leaves[a:b]], cloud))
     for first, last in zip(tree.levels[-2::-1], tree.levels[:0:-1], strict=True):
         parents = first + np.flatnonzero(tree.child_count[first:last])
         count = tree.child_count[parents].astype(np.int64)
-        for a, b in runs(count, CHUNK):
+        for a, b in batches(count, CHUNK):
             begin = tree.first_child[parents[a]]
             end = tree.first_child[parents[b - 1]] + count[b - 1]
             nodes.put(parents[a:b], _merge(nodes.take(slice(begin, end)), count[a:b], cloud))
@@ -558,7 +558,7 @@ def sum_up(tree: Tree, points: int, columns: Callable[[slice], np.ndarray]) -> n
     total = np.empty((len(columns(slice(0, 0))), len(tree)))
     leaves = _leaves_in_tree_order(tree, points)
     begin = np.append(tree.first_point[leaves], points)
-    for a, b in runs(tree.point_count[leaves], CHUNK):
+    for a, b in batches(tree.point_count[leaves], CHUNK):
         total[:, leaves[a:b]] = np.add.reduceat(columns(slice(begin[a], begin[b])), begin[a:b] - begin[a], axis=1)
     for first, last in zip(tree.levels[-2::-1], tree.levels[:0:-1], strict=True):
         parents = first + np.flatnonzero(tree.child_count[first:last])

@@ -11,6 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
+from ..numeric.segments import offsets, owners, ranges, ranks, starts
+
 CATMULL_ROM, POLY, BEZIER, NURBS = range(4)  # Blender's numbers for kinds of curves
 MINIMUM_TWIST, Z_UP, FREE = range(3)  # and for normals
 AUTO = 0  # as a resolution of Catmull-Rom curves: as many steps as the radius asks for
@@ -76,7 +78,7 @@ class Evaluated:
     @cached_property
     def curve(self) -> np.ndarray:
         """(E,) int64 curve of each point."""
-        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+        return owners(np.diff(self.start))
 
 
 def _like(weight: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -88,7 +90,7 @@ def evaluate(curves: Curves) -> Evaluated:
     count, start = curves.count, np.asarray(curves.start, np.int64)
     spans = _Spans(curves)
     kind = np.where(spans.fits | (curves.kind != NURBS), curves.kind, POLY)
-    owner = np.repeat(np.arange(len(count)), count)
+    owner = owners(count)
     inside = np.arange(start[-1]) - start[owner]
 
     # How many points each control point gives, the last one of an open curve itself alone
@@ -104,12 +106,10 @@ def evaluate(curves: Curves) -> Evaluated:
     steps[spans.fits[owner]] = 0
     total = np.add.reduceat(steps, start[:-1]) if len(count) else np.zeros(0, np.int64)
     total = np.where(spans.fits, spans.total, total)
-    opened = np.concatenate([[0], np.cumsum(total)]).astype(np.int64)
+    opened = offsets(total)
 
     # Points of segments: where they lie between their control points
-    point = np.repeat(np.arange(start[-1]), steps)
-    before = np.cumsum(steps) - steps
-    along = np.arange(len(point)) - before[point]
+    point, along, before = owners(steps), ranks(steps), starts(steps)
     t = along / steps[point]
     rows = opened[owner[point]] + (before - before[start[owner]])[point] + along
     parts = []
@@ -127,8 +127,8 @@ def evaluate(curves: Curves) -> Evaluated:
     repeated = None
     start_closed = opened
     if (closed := curves.cyclic & (total > 1)).any():
-        start_closed = opened + np.concatenate([[0], np.cumsum(closed)])
-        repeated = np.arange(start_closed[-1]) - np.repeat(start_closed[:-1] - opened[:-1], np.diff(start_closed))
+        start_closed = opened + offsets(closed)
+        repeated = ranges(opened[:-1], np.diff(start_closed))
         repeated[start_closed[1:][closed] - 1] = opened[:-1][closed]
     result = Evaluated(start_closed, np.empty(0), tuple(p for p in parts if len(p[0])), repeated, opened)
     position = _positions(result, curves, kind, owner, point, following, rows, t)
@@ -247,9 +247,8 @@ class _Spans:
         head = np.where(ends, order - cyclic, np.where(bezier, np.minimum(2, inner), 1))
         tail = np.where(cyclic, 2 * order - 1, np.where(ends, order, 0))
         offset = (ends & cyclic).astype(np.int64)
-        self.first = np.concatenate([[0], np.cumsum(size)])
-        owner = np.repeat(np.arange(len(row)), size)
-        at = np.arange(self.first[-1]) - self.first[owner]
+        self.first = offsets(size)
+        owner, at = owners(size), ranks(size)
 
         def body(i: np.ndarray) -> np.ndarray:
             j = i - offset[owner]
@@ -278,9 +277,8 @@ class _Spans:
         """For each order in use: rows, control points and weights of its evaluated points."""
         if len(self.row) == 0:
             return []
-        total, first_span = self.total[self.row], np.cumsum(self.number) - self.number
-        owner = np.repeat(np.arange(len(self.row)), total)
-        along = np.arange(len(owner)) - (np.cumsum(total) - total)[owner]
+        total, first_span = self.total[self.row], starts(self.number)
+        owner, along = owners(total), ranks(total)
         number = np.minimum(along // self.resolution[owner], self.number[owner] - 1)
         span = self.span[first_span[owner] + number]
         share = (along - number * self.resolution[owner]) / self.resolution[owner]
@@ -332,7 +330,7 @@ def normals(
     """
     chosen = slice(None) if evaluated.rows is None else _unrepeated(evaluated)
     position, start = evaluated.position[chosen], evaluated.open
-    owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    owner = owners(np.diff(start))
     along = tangents(position, start, cyclic)
     flat = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(along))])
     upright = np.abs(along[:, :2]).sum(axis=1) < UPRIGHT
@@ -351,8 +349,7 @@ def normals(
 
 def _unrepeated(evaluated: Evaluated) -> np.ndarray:
     """The rows of all points but those that close a curve."""
-    shift = np.repeat((evaluated.start - evaluated.open)[:-1], np.diff(evaluated.open))
-    return np.arange(evaluated.open[-1]) + shift
+    return ranges(evaluated.start[:-1], np.diff(evaluated.open))
 
 
 def tangents(position: np.ndarray, start: np.ndarray, cyclic: np.ndarray) -> np.ndarray:
@@ -364,7 +361,7 @@ def tangents(position: np.ndarray, start: np.ndarray, cyclic: np.ndarray) -> np.
     count = len(position)
     if count == 0:
         return np.empty((0, 3))
-    owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    owner = owners(np.diff(start))
     every = np.arange(count)
     first, last = start[:-1][owner], start[1:][owner] - 1
     following = np.where(every < last, every + 1, np.where(cyclic[owner], first, every))

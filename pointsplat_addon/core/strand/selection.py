@@ -14,9 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
+from ..numeric.segments import offsets, owners, ranks, starts
 from ..scene.camera import Camera
 from ..scene.cloud import FARTHEST
-from ..scene.strands import Lines, owners
+from ..scene.strands import Lines
 
 GOLDEN = (5**0.5 - 1) / 2
 BLOCK = 64  # strands that follow one another, of which each sample shows its share
@@ -81,7 +82,7 @@ class Strands:
     @cached_property
     def strand(self) -> np.ndarray:
         """(P,) int32: which strand each point belongs to."""
-        return np.repeat(np.arange(len(self.start) - 1, dtype=np.int32), np.diff(self.start))
+        return owners(np.diff(self.start), np.int32)
 
     @cached_property
     def reached(self) -> np.ndarray:
@@ -224,7 +225,7 @@ def clean(lines: Lines) -> Strands:
     position = np.asarray(lines.position, np.float32).reshape(-1, 3)[:MOST_POINTS]
     count = len(position)
     whole = np.asarray(lines.start, np.int64)
-    owner = owners(whole)[:count]
+    owner = owners(np.diff(whole))[:count]
     values = [a[:count] for a in (lines.color, lines.surface, lines.emission) if a is not None]
     with np.errstate(invalid="ignore"):
         good = (np.abs(position) < FARTHEST).all(axis=1) & (np.abs(lines.radius[:count]) < FARTHEST)
@@ -244,7 +245,7 @@ def clean(lines: Lines) -> Strands:
         found[owner[kept[runs[run]]]] = True
     drawn = (several & wide)[run]
     kept, radius = kept[drawn], radius[drawn]
-    start = np.concatenate([[0], np.cumsum(number[several & wide])]).astype(np.int64)
+    start = offsets(number[several & wide])
 
     p = position[kept]
     tangent = _outward(_tangents(p, start), p, radius, start)
@@ -304,7 +305,7 @@ def _outward(tangent: np.ndarray, p: np.ndarray, radius: np.ndarray, start: np.n
     if len(start) < 2:
         return tangent
     first, last = start[:-1], start[1:] - 1
-    number, owner = np.arange(len(p)), owners(start)
+    number, owner = np.arange(len(p)), owners(np.diff(start))
     away, nearest = [], (np.minimum, np.maximum)
     for end, other, near in zip((first, last), (last, first), nearest, strict=True):
         off = p - p[end][owner]
@@ -334,12 +335,11 @@ def _levels(start: np.ndarray) -> tuple[Level, ...]:
     found, step = [], 1
     while 2 * step <= longest:
         inner = np.maximum((np.diff(start) - 2) // step + 1, 0) // 2  # odd multiples of `step` before the last point
-        strand = np.repeat(np.arange(len(inner), dtype=np.int32), inner)
-        number = np.arange(len(strand)) - np.repeat(np.cumsum(inner) - inner, inner)
+        strand, number = owners(inner, np.int32), ranks(inner)
         middle = start[strand] + step * (2 * number + 1)
         high = np.minimum(middle + step, start[strand + 1] - 1)
         some = np.flatnonzero(inner)
-        first = (np.cumsum(inner) - inner)[some]
+        first = starts(inner)[some]
         middle, low, high = (a.astype(np.int32) for a in (middle, middle - step, high))
         found.append(Level(middle, low, high, first, some.astype(np.int32)))
         step *= 2
