@@ -48,7 +48,6 @@ def run(quick: bool = False) -> list[dict[str, Any]]:
         "VERTICES": (dense, one_each, "triangles, half as many samples"),
         "AREA, one sample for each triangle": (dense, one_each, "triangles and samples"),
         "AREA on large triangles": (coarse, fine, "samples"),
-        "GRID on large triangles": (coarse, fine, "samples"),
     }
 
     rows = []

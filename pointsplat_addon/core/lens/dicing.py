@@ -65,7 +65,7 @@ def cut(
     weights = weights[order]
     edges = weights[:, 1:] - weights[:, :1]
     ellipse = np.einsum("ij,njk->nik", _STEINER / np.sqrt(2), edges)
-    return Samples("GRID", owner[order].astype(np.int32), weights.mean(axis=1).astype(np.float32), ellipse.astype("f4"))
+    return Samples("PATCHES", owner[order].astype(np.int32), weights.mean(axis=1).astype(np.float32), ellipse.astype("f4"))
 
 
 def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, tolerance: float, blur: Blur) -> PointCloud:

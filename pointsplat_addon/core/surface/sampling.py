@@ -1,4 +1,4 @@
-"""Triangles to surface samples, three ways: the vertices, area-uniform rows, and an orthographic grid.
+"""Triangles to surface samples, two ways: the vertices, and area-uniform rows.
 
 A sample is a place on a triangle and an ellipse in barycentric coordinates, never a place in space. Both are
 affine, so a mesh that deforms without changing its topology re-evaluates its samples: they neither move over
@@ -6,12 +6,11 @@ the surface nor open holes, whatever the pose or the camera.
 
 The ellipses of a triangle's samples cover the triangle without holes, by construction:
 
-- AREA and GRID cut a triangle into cells and give each cell an ellipse around it. A rectangle of half-sides
+- AREA cuts a triangle into cells and gives each cell an ellipse around it. A rectangle of half-sides
   (w, h) lies in the ellipse of half-axes sqrt(2) (w, h); a triangle lies in its Steiner circumellipse.
 - VERTICES gives each vertex a disk as large as the farthest point of its triangles that has no nearer vertex.
 
-Papers: Gunjee et al. 2007, section 4 (subdivide until a triangle is below a splat's area); Coconu and Hege 2002,
-section 4 (layered depth cube: each triangle is sampled only along the axis that its normal is closest to).
+Paper: Gunjee et al. 2007, section 4 (subdivide until a triangle is below a splat's area).
 
 Lengths are object units. The work is done in float64 on blocks that fit the cache; what is kept is float32.
 """
@@ -23,14 +22,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..numeric.vectors import blocks as _blocks
-from ..numeric.vectors import clip as _clip
-from ..numeric.vectors import cross as _cross
-from ..numeric.vectors import dot as _dot
-from ..numeric.vectors import each_block
+from ..numeric.vectors import blocks, cross, dot, each_block
 from ..scene.mesh import Mesh
 
-METHODS = ("AUTO", "VERTICES", "AREA", "GRID")
+METHODS = ("AUTO", "VERTICES", "AREA")
 MAX_SAMPLES = 1 << 23  # of one mesh, at a tolerance of a pixel: 0.8 GB, and 0.3 on the device
 MOST_SAMPLES = 1 << 24  # of one mesh, where finer tolerances ask for more
 SMALLEST, LARGEST = 1e-18, 1e18  # edge length and coordinate whose squares float32 still holds
@@ -51,7 +46,7 @@ _MIN_ASPECT = 2.0**-20  # minor over major half-axis: keeps conics invertible in
 class Samples:
     """Places on a mesh's triangles, independent of its pose and of the camera."""
 
-    method: str  # VERTICES, AREA or GRID
+    method: str  # VERTICES, AREA, or PATCHES (of core/lens/dicing.py)
     triangle: np.ndarray  # (N,) int32, rows of Mesh.triangles
     barycentric: np.ndarray  # (N, 2) float32, weights of the triangle's corners 1 and 2
     # (N, 2, 2) float32: two conjugate half-diameters of the splat's ellipse, each as weights of corners 1 and 2
@@ -138,7 +133,7 @@ def _to_columns(values: np.ndarray, out: np.ndarray) -> None:
 def _squared_edges(corners: np.ndarray) -> np.ndarray:
     """(3, n) squared lengths of the edges opposite corners 0, 1 and 2."""
     edges = [corners[2] - corners[1], corners[0] - corners[2], corners[1] - corners[0]]
-    return np.stack([_dot(e, e) for e in edges])
+    return np.stack([dot(e, e) for e in edges])
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +168,7 @@ def measure(mesh: Mesh, ok: np.ndarray | None = None) -> Measures:
     def look(block: slice) -> None:
         corners = _corners(mesh, rows[block])
         opposite_0, opposite_1, opposite_2 = squared = _squared_edges(corners)
-        cross = _cross(corners[1] - corners[0], corners[2] - corners[0])
+        product = cross(corners[1] - corners[0], corners[2] - corners[0])
         longest = squared.max(axis=0)
         # The first of equally long ones.
         first = opposite_0 == longest
@@ -183,7 +178,7 @@ def measure(mesh: Mesh, ok: np.ndarray | None = None) -> Measures:
         from_end = np.where(first, opposite_1, np.where(second, opposite_2, opposite_0))
         apex[block] = np.where(first, 0, np.where(second, 1, 2))
         base[block] = np.sqrt(longest)
-        height[block] = np.sqrt(_dot(cross, cross)) / base[block]
+        height[block] = np.sqrt(dot(product, product)) / base[block]
         foot[block] = np.clip(0.5 + (from_start - from_end) / (2 * longest), 0.0, 1.0)
 
     each_block(count, look)
@@ -230,11 +225,11 @@ def validate(mesh: Mesh) -> tuple[np.ndarray, DroppedCounts]:
 
 def _flat(corners: np.ndarray, squared: np.ndarray, extent: np.ndarray) -> np.ndarray:
     """(n,) bool: moving the apex by a quarter of a float32 spacing flattens the triangle."""
-    normal = _cross(corners[1] - corners[0], corners[2] - corners[0])
+    normal = cross(corners[1] - corners[0], corners[2] - corners[0])
     longest = squared.max(axis=0)
     # Most triangles are far from flat. The cross product of a shift and the base is at most shift times base.
     shift = 0.25 * np.finfo(np.float32).eps * extent.max(axis=0)
-    flat = ~(_dot(normal, normal) > 9 * shift * shift * longest)
+    flat = ~(dot(normal, normal) > 9 * shift * shift * longest)
     rows = np.flatnonzero(flat)
     if len(rows):
         corners, extent, normal = corners[:, :, rows], extent[:, rows], normal[:, rows]
@@ -271,7 +266,7 @@ def sample(
         method = choose(mesh, spacing, ok, measures)
     if method == "VERTICES":
         return sample_vertices(mesh, ok)
-    return (sample_area if method == "AREA" else sample_grid)(mesh, spacing, ok, measures)
+    return sample_area(mesh, spacing, ok, measures)
 
 
 def choose(mesh: Mesh, spacing: float, ok: np.ndarray | None = None, measures: Measures | None = None) -> str:
@@ -399,151 +394,8 @@ def _check_count(count: float) -> None:
         raise ValueError(f"{count:.3g} samples are too many; use a larger spacing")
 
 
-def sample_grid(mesh: Mesh, spacing: float, ok: np.ndarray | None = None, measures: Measures | None = None) -> Samples:
-    """Samples where axis-parallel lines, `spacing` apart, meet the triangles: a layered depth cube.
-
-    Each triangle is sampled only along the axis that its normal is closest to (Coconu and Hege 2002, section 4),
-    so the three directions hold no duplicates, and a grid point on the edge between two triangles of one plane
-    is kept once. The ellipse covers the point's square cell: spacing / sqrt(2) across the slope, and that over
-    the cosine of the slope along it. A cell whose grid point misses the triangle gets a sample on the part of the
-    triangle within it; triangles thinner than half the spacing fall between the lines and are sampled by area.
-    Raises ValueError for a spacing that is not a positive number, or for more than 2^31 samples.
-    """
-    _check_spacing(spacing)
-    m = measure(mesh, ok) if measures is None else measures
-    thick = (m.base > _ONE_SAMPLE * spacing) & (m.height > 0.5 * spacing)
-    between = _area_samples(_take(m, ~thick), spacing)
-    on_grid = _grid_samples(mesh, m.triangle[thick], spacing)
-    # In the order of triangles, as the other methods have it: neighbours in space are neighbours in memory.
-    order = np.argsort(np.concatenate([on_grid.triangle, between.triangle]), kind="stable")
-    pairs = [(getattr(on_grid, name), getattr(between, name)) for name in ("triangle", "barycentric", "ellipse")]
-    return Samples("GRID", *(np.concatenate(pair)[order] for pair in pairs))
-
-
 def _take(m: Measures, rows: np.ndarray) -> Measures:
     return Measures(m.triangle[rows], m.apex[rows], m.base[rows], m.height[rows], m.foot[rows], m.longest, m.vertices)
-
-
-def _grid_samples(mesh: Mesh, rows: np.ndarray, spacing: float) -> Samples:
-    """Samples of the triangles `rows` in the cells of the grid that they overlap; a cell's centre is its grid point."""
-    corners = _corners(mesh, rows)
-    normal = _cross(corners[1] - corners[0], corners[2] - corners[0])
-    direction = np.abs(normal).argmax(axis=0)
-    every = np.arange(len(rows))
-    plane = np.stack([corners[:, (direction + c) % 3, every] for c in (1, 2)], axis=1) / spacing  # (3, 2, M), in cells
-    bary_from_plane = _inverse(plane[1] - plane[0], plane[2] - plane[0])  # (2, 2, M)
-    extent = plane.max(axis=0) - plane.min(axis=0)
-    _check_count(float(np.prod(extent + 2, axis=0).sum()))
-
-    owner, cell = _overlapped_cells(plane)
-    weights = _barycentric(plane, bary_from_plane, owner, cell + 0.5)
-    radius = np.full(len(owner), _RADIUS)
-    on_grid = (weights.min(axis=0) >= 0) & (weights.sum(axis=0) <= 1)
-
-    # Where the grid point misses the triangle, a splat on the part of the triangle that lies in the cell.
-    part = np.flatnonzero(~on_grid)
-    low, high = _part_in_cell(plane, bary_from_plane, owner[part], cell[:, part])
-    weights[:, part] = _clamp(_barycentric(plane, bary_from_plane, owner[part], (low + high) / 2))
-    centre = _in_plane(plane, owner[part], weights[:, part])
-    radius[part] = np.hypot(*np.maximum(centre - low, high - centre))
-
-    keep = np.ones(len(owner), bool)
-    keep[part] = (low <= high).all(axis=0)
-    keep[_repeated_on_edges(corners, normal, direction, owner, cell, weights, on_grid)] = False
-    owner, weights = owner[keep], weights[:, keep]
-    radius = radius[keep] * (1 + _WEIGHT_SLACK) + _WEIGHT_SLACK * extent.max(axis=0)[owner]
-    ellipse = (radius * bary_from_plane[:, :, owner]).transpose(2, 1, 0)
-    return Samples("GRID", rows[owner], weights.T.astype(np.float32), ellipse.astype(np.float32))
-
-
-def _overlapped_cells(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (3 corners, 2, M) against unit cells: owner (N,) and low corner (2, N) of each overlapped cell."""
-    low, high = plane[:, 1].min(axis=0), plane[:, 1].max(axis=0)
-    owner, k = _expand(np.maximum(np.ceil(high) - np.floor(low), 1))
-    v = np.floor(low)[owner] + k
-    start = plane[:, :, owner]
-    stop = np.roll(start, -1, axis=0)
-    enter, leave = _clip(*(np.stack([end[:, 1] - v, v + 1 - end[:, 1]]) for end in (start, stop)))
-    low, high = _bounds(start[:, :1], stop[:, :1], enter, leave)
-    reached = low[0] <= high[0]
-    first = np.floor(np.where(reached, low[0], 0))
-    row, i = _expand(np.where(reached, np.maximum(np.ceil(np.where(reached, high[0], 0)) - first, 1), 0))
-    return owner[row], np.stack([first[row] + i, v[row]])
-
-
-def _part_in_cell(
-    plane: np.ndarray, bary_from_plane: np.ndarray, owner: np.ndarray, cell: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Bounding box, low and high (2, n), of each triangle's part in the unit cell at `cell`; low > high: none."""
-    start = plane[:, :, owner]
-    stop = np.roll(start, -1, axis=0)
-    enter, leave = _clip(
-        *(np.concatenate([end - cell, cell + 1 - end], axis=1).swapaxes(0, 1) for end in (start, stop))
-    )
-    low, high = _bounds(start, stop, enter, leave)
-    for offset in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        point = cell + np.array(offset)[:, None]
-        weights = _barycentric(plane, bary_from_plane, owner, point)
-        inside = (weights.min(axis=0) >= 0) & (weights.sum(axis=0) <= 1)
-        low = np.where(inside, np.minimum(low, point), low)
-        high = np.where(inside, np.maximum(high, point), high)
-    found = (low <= high).all(axis=0)
-    return np.where(found, np.maximum(low, cell), cell + 1), np.where(found, np.minimum(high, cell + 1), cell)
-
-
-def _repeated_on_edges(
-    corners: np.ndarray,
-    normal: np.ndarray,
-    direction: np.ndarray,
-    owner: np.ndarray,
-    cell: np.ndarray,
-    weights: np.ndarray,
-    on_grid: np.ndarray,
-) -> np.ndarray:
-    """Indices of grid points on an edge that an earlier triangle of the same plane has as well."""
-    least = np.minimum(weights.min(axis=0), 1 - weights.sum(axis=0))
-    edge = np.flatnonzero(on_grid & (least < 1e-9))
-    if len(edge) == 0:
-        return edge
-    t = owner[edge]
-    a, b, c = corners[:, direction[t], t]
-    depth = a + weights[0, edge] * (b - a) + weights[1, edge] * (c - a)
-    depth /= np.maximum(np.abs(corners[:, :, t]).max(axis=(0, 1)), SMALLEST)
-    slope = normal[:, t] / normal[direction[t], t]
-    key = np.stack([direction[t], *cell[:, edge], np.round(depth, 9), *np.round(slope, 5)], axis=1)
-    first = np.unique(key, axis=0, return_index=True)[1]
-    return np.delete(edge, first)
-
-
-def _inverse(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(2, 2, n) inverses of the matrices with columns a and b, (2, n) each."""
-    return np.stack([np.stack([b[1], -b[0]]), np.stack([-a[1], a[0]])]) / (a[0] * b[1] - a[1] * b[0])
-
-
-def _barycentric(plane: np.ndarray, bary_from_plane: np.ndarray, owner: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """(2, n) weights of corners 1 and 2 of the owners' triangles at `point` (2, n)."""
-    x, y = point - plane[0][:, owner]
-    m = bary_from_plane[:, :, owner]
-    return np.stack([m[0, 0] * x + m[0, 1] * y, m[1, 0] * x + m[1, 1] * y])
-
-
-def _in_plane(plane: np.ndarray, owner: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(2, n): the points that have these weights."""
-    a, b, c = plane[:, :, owner]
-    return a + weights[0] * (b - a) + weights[1] * (c - a)
-
-
-def _clamp(weights: np.ndarray) -> np.ndarray:
-    """Weights (2, n) moved into the triangle."""
-    weights = np.maximum(weights, 0)
-    return weights / np.maximum(weights.sum(axis=0), 1)
-
-
-def _bounds(start: np.ndarray, stop: np.ndarray, enter: np.ndarray, leave: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounding box, low and high (C, n), of clipped segments (E, C, n); low > high where no segment is left."""
-    met = (enter <= leave)[:, None]
-    ends = np.stack([start + t[:, None] * (stop - start) for t in (enter, leave)])
-    return np.where(met, ends, np.inf).min(axis=(0, 1)), np.where(met, ends, -np.inf).max(axis=(0, 1))
 
 
 # --- A pose of the samples ----------------------------------------------------------------------------------
@@ -609,7 +461,7 @@ def _evaluate_ellipses(mesh: Mesh, samples: Samples, ellipse: np.ndarray, origin
             smooth = normals.take(own, axis=1, mode="clip")
             with np.errstate(invalid="ignore"):  # as where they were taken
                 mixed = smooth[:3] + _along((smooth[3:6], smooth[6:]), weights)
-            _to_columns(_unit(mixed, np.sqrt(_dot(mixed, mixed)), face), normal[block])
+            _to_columns(_unit(mixed, np.sqrt(dot(mixed, mixed)), face), normal[block])
 
     each_block(count, fill)
     return Evaluated(origin, position, normal, plane, radii, axis)
@@ -635,10 +487,10 @@ def _per_triangle(
     corners = _corners(mesh, triangles, origin)
     flat[:3] = corners[0]
     first, second = (np.subtract(corners[c], corners[0], out=flat[3 * c : 3 * c + 3]) for c in (1, 2))
-    metric[:3] = _dot(first, first), _dot(first, second), _dot(second, second)
-    cross = _cross(first, second)
-    metric[3] = np.sqrt(_dot(cross, cross))
-    flat[9:] = _unit(cross, metric[3])
+    metric[:3] = dot(first, first), dot(first, second), dot(second, second)
+    product = cross(first, second)
+    metric[3] = np.sqrt(dot(product, product))
+    flat[9:] = _unit(product, metric[3])
     if not smooth:
         return flat, metric, None
     normals = np.empty((3, 3, len(triangles)), np.float32)
@@ -681,7 +533,7 @@ def _major_half_axis(
     swap = difference < 0
     cosine, sine = np.where(swap, small, large), np.where(swap, large, small)
     major = _along(edges, (cosine * p[0] + sine * q[0], cosine * p[1] + sine * q[1]))
-    return major, np.sqrt(_dot(major, major))
+    return major, np.sqrt(dot(major, major))
 
 
 def _unit(vectors: np.ndarray, length: np.ndarray, fallback: np.ndarray | int = 2) -> np.ndarray:
@@ -700,7 +552,7 @@ def _evaluate_vertices(mesh: Mesh, samples: Samples, origin: np.ndarray, ok: np.
     normal = plane
     if mesh.vertex_normal is not None:
         own = mesh.vertex_normal[vertex].T
-        normal = _unit(own, np.sqrt(_dot(own, own)), plane.T).T.astype(np.float32)
+        normal = _unit(own, np.sqrt(dot(own, own)), plane.T).T.astype(np.float32)
     position = (mesh.position[vertex] - origin).astype(np.float32)
     rounding = np.float32(2.0**-23) * np.abs(position).max(axis=1)
     return Evaluated(origin, position, normal, plane, (radius[vertex] + rounding)[:, None])
@@ -727,23 +579,23 @@ def _one_rings(mesh: Mesh, ok: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     vertex_of_corner = mesh.triangles.take(rows, axis=0).T.astype(np.intp, order="C")  # (3, M)
     count, vertices = len(rows), len(mesh.position)
     covering = np.empty(count)
-    cross = np.empty((3, count))
-    for block in _blocks(count):
+    product = np.empty((3, count))
+    for block in blocks(count):
         corners = _corners(mesh, rows[block])
-        cross[:, block] = _cross(corners[1] - corners[0], corners[2] - corners[0])
-        covering[block] = _covering_radius(_squared_edges(corners), np.sqrt(_dot(cross[:, block], cross[:, block])))
+        product[:, block] = cross(corners[1] - corners[0], corners[2] - corners[0])
+        covering[block] = _covering_radius(_squared_edges(corners), np.sqrt(dot(product[:, block], product[:, block])))
 
     total = np.zeros((3, vertices))
     for c in range(3):
         for vertex in vertex_of_corner:
-            total[c] += np.bincount(vertex, cross[c], vertices)
-    mean = np.ascontiguousarray(_unit(total, np.sqrt(_dot(total, total))).T, np.float32)
+            total[c] += np.bincount(vertex, product[c], vertices)
+    mean = np.ascontiguousarray(_unit(total, np.sqrt(dot(total, total))).T, np.float32)
 
     radius = np.zeros(vertices)
-    for block in _blocks(count):
-        face = cross[:, block] / np.sqrt(_dot(cross[:, block], cross[:, block]))
+    for block in blocks(count):
+        face = product[:, block] / np.sqrt(dot(product[:, block], product[:, block]))
         for vertex in vertex_of_corner[:, block]:
-            cosine = np.maximum(np.abs(_dot(face, mean.take(vertex, axis=0).T)), 0.5)
+            cosine = np.maximum(np.abs(dot(face, mean.take(vertex, axis=0).T)), 0.5)
             np.maximum.at(radius, vertex, covering[block] / cosine)
     return mean, (radius * (1 + 2.0**-22)).astype(np.float32)
 
@@ -768,7 +620,7 @@ def areas(mesh: Mesh, samples: Samples, ok: np.ndarray | None = None) -> np.ndar
     """(N,) float64: the area, in object units squared, that each sample stands for on this pose of its mesh.
 
     A vertex stands for a third of each valid triangle around it. The others share their own triangle, by what of it
-    lies in their cells (AREA) or by the sizes of their ellipses (GRID): the areas of a triangle's samples add up to
+    lies in their cells (AREA) or by the sizes of their ellipses (PATCHES): the areas of a triangle's samples add up to
     the triangle's, and where a pose only stretches it, each keeps its share. `ok` is what `validate` returned.
     """
     if samples.ellipse is None:
@@ -777,7 +629,7 @@ def areas(mesh: Mesh, samples: Samples, ok: np.ndarray | None = None) -> np.ndar
         ring = sum((np.bincount(corner, area / 3, vertices) for corner in mesh.triangles[rows].T), np.zeros(vertices))
         return ring[mesh.triangles[samples.triangle, _corner(samples)]]
     share = np.empty(len(samples))
-    for block in _blocks(len(samples)):
+    for block in blocks(len(samples)):
         shape = samples.ellipse[block].transpose(1, 2, 0).astype(np.float64)
         share[block] = np.abs(shape[0, 0] * shape[1, 1] - shape[0, 1] * shape[1, 0])
         if samples.method == "AREA":
@@ -793,10 +645,10 @@ def areas(mesh: Mesh, samples: Samples, ok: np.ndarray | None = None) -> np.ndar
 
 def _triangle_areas(mesh: Mesh, rows: np.ndarray) -> np.ndarray:
     area = np.empty(len(rows))
-    for block in _blocks(len(rows)):
+    for block in blocks(len(rows)):
         corners = _corners(mesh, rows[block])
-        cross = _cross(corners[1] - corners[0], corners[2] - corners[0])
-        area[block] = 0.5 * np.sqrt(_dot(cross, cross))
+        product = cross(corners[1] - corners[0], corners[2] - corners[0])
+        area[block] = 0.5 * np.sqrt(dot(product, product))
     return area
 
 
@@ -837,7 +689,7 @@ def interpolate(mesh: Mesh, samples: Samples, per_corner: np.ndarray) -> np.ndar
     if samples.ellipse is None:
         return np.asarray(per_corner[samples.triangle, _corner(samples)], np.float32)
     result = np.empty((len(samples), per_corner.shape[2]), np.float32)
-    for block in _blocks(len(samples)):
+    for block in blocks(len(samples)):
         a, b, c = per_corner.take(samples.triangle[block], axis=0).transpose(1, 2, 0)
         weights = samples.barycentric[block].T
         with np.errstate(invalid="ignore"):
@@ -849,7 +701,7 @@ def along_half_axes(samples: Samples, per_corner: np.ndarray) -> np.ndarray:
     """(2, N, C) float32: how an attribute of corners, (T, 3, C), changes along two conjugate half-diameters of each
     sample's splat. Splats at vertices reach to the middles of their triangle's edges."""
     result = np.empty((2, len(samples), per_corner.shape[2]), np.float32)
-    for block in _blocks(len(samples)):
+    for block in blocks(len(samples)):
         a, b, c = per_corner.take(samples.triangle[block], axis=0).transpose(1, 0, 2)
         for k in range(2):
             if samples.ellipse is None:
@@ -879,17 +731,6 @@ def quantise_spacing(spacing: float) -> float:
     if not spacing > 0:
         raise ValueError(f"spacing must be positive, not {spacing}")
     return spacing if math.isinf(spacing) else math.ldexp(0.5, math.frexp(spacing)[1])
-
-
-def estimate_count(mesh: Mesh, spacing: float, method: str = "AREA", ok: np.ndarray | None = None) -> int:
-    """About how many samples `sample` would make, without making them. AREA and GRID: seldom too few."""
-    _check_spacing(spacing)
-    ok = validate(mesh)[0] if ok is None else ok
-    if method == "AUTO":
-        method = choose(mesh, spacing, ok)
-    if method == "VERTICES":
-        return int(np.count_nonzero(used(mesh, ok)))
-    return math.ceil(_area_count(measure(mesh, ok), spacing))
 
 
 def estimate_by_part(m: Measures, spacing: float, part: np.ndarray, parts: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.surface import sampling
 from pointsplat_addon.core.surface.density import PART, make_parts, required_spacing
 
-METHODS = ("VERTICES", "AREA", "GRID")
+METHODS = ("VERTICES", "AREA")
 
 
 # --- Shapes -------------------------------------------------------------------------------------------------
@@ -173,10 +173,7 @@ def test_vertex_disks_are_the_least_that_cover(corners):
 def test_radii_keep_to_the_spacing():
     for mesh, spacing in SHAPES.values():
         area = sampling.evaluate(mesh, sampling.sample_area(mesh, spacing)).radii.max()
-        grid = sampling.evaluate(mesh, sampling.sample_grid(mesh, spacing)).radii.max()
         assert area <= spacing * np.sqrt(0.5) * (1 + 1e-4)  # measured 1 + 3.2e-5, from the slack for float32 weights
-        # The steepest slope against the nearest axis has cosine 1 / sqrt(3).
-        assert grid <= spacing * np.sqrt(1.5) * (1 + 1e-4)  # measured 0.933 of the bound
 
 
 # --- Counts -------------------------------------------------------------------------------------------------
@@ -187,13 +184,12 @@ def area_of(mesh: Mesh) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-@pytest.mark.parametrize("method", ["AREA", "GRID"])
-def test_finer_spacing_gives_more_samples_and_about_one_per_cell(method):
+def test_finer_spacing_gives_more_samples_and_about_one_per_cell():
     mesh = cube()
-    counts = np.array([len(sampling.sample(mesh, 0.5**k, method)) for k in range(-2, 8)])
+    counts = np.array([len(sampling.sample_area(mesh, 0.5**k)) for k in range(-2, 8)])
     assert np.all(np.diff(counts) >= 0)
     per_cell = counts[-1] * (0.5**7) ** 2 / area_of(mesh)
-    assert per_cell == pytest.approx(1, abs=0.02)  # measured 1.014 AREA, 1 GRID
+    assert per_cell == pytest.approx(1, abs=0.02)  # measured 1.014
 
 
 def test_area_count_is_bounded_by_area_and_edges():
@@ -214,9 +210,7 @@ def test_slivers_are_sampled_along_their_length_only():
 
 def test_triangles_smaller_than_a_splat_give_one_sample_each():
     mesh = wave(20)
-    for method in ("AREA", "GRID"):
-        samples = sampling.sample(mesh, 1.0, method)
-        assert np.array_equal(samples.triangle, np.arange(len(mesh.triangles)))
+    assert np.array_equal(sampling.sample_area(mesh, 1.0).triangle, np.arange(len(mesh.triangles)))
     vertices = sampling.sample_vertices(mesh)
     assert len(vertices) == len(mesh.position)
     assert np.array_equal(mesh.position, mesh.position[mesh.triangles[vertices.triangle, sampling._corner(vertices)]])
@@ -229,22 +223,14 @@ def test_auto_takes_vertices_only_of_dense_connected_meshes():
     assert sampling.sample(wave(20), 1.0).method == "VERTICES"
 
 
-def test_a_grid_point_on_an_edge_within_a_plane_is_sampled_once():
-    mesh = cube()
-    e = sampling.evaluate(mesh, sampling.sample_grid(mesh, 0.25))
-    # 8 x 8 grid points on each of six faces, the diagonals' among them.
-    assert len(np.unique(e.position, axis=0)) == len(e.position) == 6 * 64
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_estimates(method):
+def test_estimates_by_part_add_up_to_about_the_count():
     for mesh, spacing in SHAPES.values():
-        count = len(sampling.sample(mesh, spacing, method))
-        estimate = sampling.estimate_count(mesh, spacing, method)
-        if method == "VERTICES":
-            assert estimate == count
-        else:
-            assert count / 1.2 <= estimate <= 2 * count  # measured 0.954 (GRID, soup) and 1.43 (GRID, cube)
+        measures = sampling.measure(mesh)
+        part = np.arange(len(measures.triangle)) % 3
+        estimate = sampling.estimate_by_part(measures, spacing, part, 3)
+        assert estimate.shape == (3,)
+        count = len(sampling.sample_area(mesh, spacing))
+        assert count <= estimate.sum() <= 2 * count  # measured 1.43 at most
 
 
 def test_sampling_is_deterministic():
@@ -302,7 +288,6 @@ def test_nothing_to_draw(mesh, method):
     samples = sampling.sample(mesh, 0.1, method)
     e = sampling.evaluate(mesh, samples)
     assert len(samples) == len(e.position) == len(e.radii) == 0
-    assert sampling.estimate_count(mesh, 0.1) == 0
     assert sampling.interpolate(mesh, samples, np.zeros((len(mesh.triangles), 3, 2), np.float32)).shape == (0, 2)
     assert required_spacing(mesh, np.eye(4), camera()) == np.inf
 
@@ -311,14 +296,11 @@ def test_nothing_to_draw(mesh, method):
 def test_spacing_must_be_a_positive_number(spacing):
     with pytest.raises(ValueError, match="spacing"):
         sampling.sample_area(cube(), spacing)
-    with pytest.raises(ValueError, match="spacing"):
-        sampling.sample_grid(cube(), spacing)
 
 
 def test_too_many_samples_are_refused_before_memory_is_taken():
-    for method in ("AREA", "GRID"):
-        with pytest.raises(ValueError, match="larger spacing"):
-            sampling.sample(cube(), 1e-7, method)
+    with pytest.raises(ValueError, match="larger spacing"):
+        sampling.sample_area(cube(), 1e-7)
 
 
 def test_a_pose_without_area_gives_finite_splats():
