@@ -10,10 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from pointsplat_addon.core.scene.validation import valid_triangles
+from pointsplat_addon.core.surface.evaluation import evaluate
+from pointsplat_addon.core.surface.sampling import sample_mesh
+from pointsplat_addon.core.surface.triangles import measure_triangles
+
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from pointsplat_addon.core.scene.mesh import Mesh
-from pointsplat_addon.core.surface import sampling
 
 
 def wave(vertices: int) -> Mesh:
@@ -42,7 +46,7 @@ def run(quick: bool = False) -> list[dict[str, Any]]:
     dense, coarse = wave(count // 2), wave(1000)
     keys = np.random.default_rng(0).random(count, dtype=np.float32)
     sort = seconds(lambda: np.argsort(keys))
-    fine = float(np.sqrt(sampling.measure(coarse).area / count))  # about `count` samples on large triangles
+    fine = float(np.sqrt(measure_triangles(coarse).area / count))  # about `count` samples on large triangles
     one_each = 10.0  # larger than any triangle
     cases = {
         "VERTICES": (dense, one_each, "triangles, half as many samples"),
@@ -55,8 +59,8 @@ def run(quick: bool = False) -> list[dict[str, Any]]:
         method = name.split()[0].strip(",")
 
         def work(mesh: Mesh = mesh, spacing: float = spacing, method: str = method) -> None:
-            ok = sampling.validate(mesh)[0]
-            sampling.evaluate(mesh, sampling.sample(mesh, spacing, method, ok), ok=ok)
+            ok = valid_triangles(mesh)[0]
+            evaluate(mesh, sample_mesh(mesh, spacing, method, ok), ok=ok)
 
         rows.append(
             {
