@@ -19,7 +19,7 @@ from bench_hierarchy import row
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.scene import Geometry, Scene
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.scene.strands import Lines
+from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
@@ -44,8 +44,8 @@ def groom(strands: int, key: str, radius: float = 5e-4) -> Geometry:
     position = root[:, None] + 0.3 * t[None, :, None] * outward[:, None] + curl + bend
     radii = np.tile(radius * (1 - 0.9 * t), strands).astype(np.float32)
     start = np.arange(strands + 1) * POINTS
-    lines = Lines(key, key, position.reshape(-1, 3).astype(np.float32), start, radii)
-    return Geometry(key, key, lines=lines, primitive="LINES")
+    lines = Strands(key, key, position.reshape(-1, 3).astype(np.float32), start, radii)
+    return Geometry(key, key, strands=lines, primitive="LINES")
 
 
 def ball(points: int) -> Geometry:

@@ -26,8 +26,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.scene import Geometry, Scene
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.scene.strands import Lines
-from pointsplat_addon.core.strand.fit.from_mesh import Found, find, parts_of
+from pointsplat_addon.core.scene.strands import Strands
+from pointsplat_addon.core.strand.fit.from_mesh import FittedStrands, connected_parts, fit_strands
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
@@ -104,7 +104,7 @@ def mesh(key: str, tree: Tree, kept: np.ndarray) -> list[Geometry]:
     return found
 
 
-def strands(key: str, tree: Tree, found: Found, kept: np.ndarray) -> list[Geometry]:
+def strands(key: str, tree: Tree, found: FittedStrands, kept: np.ndarray) -> list[Geometry]:
     """The strands that are `kept` (S,), those of each kind and material for themselves."""
     result = []
     for ribbon in (False, True):
@@ -116,16 +116,16 @@ def strands(key: str, tree: Tree, found: Found, kept: np.ndarray) -> list[Geomet
             start = np.concatenate([[0], np.cumsum(count)])
             points = np.arange(start[-1]) + np.repeat(found.start[rows] - start[:-1], count)
             name = f"{key} {material} {'ribbons' if ribbon else 'tubes'}"
-            lines = Lines(
+            lines = Strands(
                 name, name, (found.position[points] - tree.middle).astype(np.float32), start,
                 found.radius[points].astype(np.float32), materials=(material,),
                 normal=found.normal[points].astype(np.float32) if ribbon else None,
             )  # fmt: skip
-            result.append(Geometry(name, name, lines=lines, primitive="LINES"))
+            result.append(Geometry(name, name, strands=lines, primitive="LINES"))
     return result
 
 
-def vertices(tree: Tree, found: Found) -> tuple[int, int]:
+def vertices(tree: Tree, found: FittedStrands) -> tuple[int, int]:
     """How many points of strands and vertices of polygons the tree takes as lines, and how many vertices it has."""
     return len(found.position) + len(np.unique(tree.triangles[found.left])), len(np.unique(tree.triangles))
 
@@ -133,7 +133,9 @@ def vertices(tree: Tree, found: Found) -> tuple[int, int]:
 def leaf_length(tree: Tree) -> float:
     """The longest distance of two corners of the median leaf: the parts with the commonest number of triangles."""
     _, part, count = np.unique(
-        parts_of(tree.triangles, len(tree.position))[tree.triangles[:, 0]], return_inverse=True, return_counts=True
+        connected_parts(tree.triangles, len(tree.position))[tree.triangles[:, 0]],
+        return_inverse=True,
+        return_counts=True,
     )
     many = np.bincount(count)
     size = int((many * np.arange(len(many))).argmax())
@@ -161,7 +163,7 @@ def placed(geometries: list[Geometry], matrices: list[np.ndarray]) -> Scene:
     )
 
 
-def pair(tree: Tree, found: Found, only: int | None = None) -> tuple[list[Geometry], list[Geometry]]:
+def pair(tree: Tree, found: FittedStrands, only: int | None = None) -> tuple[list[Geometry], list[Geometry]]:
     """The tree as polygons and as lines; of one material alone, if there is one."""
     every = np.ones(len(tree.triangles), bool) if only is None else tree.material == only
     key = f"maple {only}"
@@ -170,7 +172,7 @@ def pair(tree: Tree, found: Found, only: int | None = None) -> tuple[list[Geomet
 
 
 def compared(
-    renderer: Renderer, tree: Tree, found: Found, leaf: float, shadows: bool, only: int | None = None
+    renderer: Renderer, tree: Tree, found: FittedStrands, leaf: float, shadows: bool, only: int | None = None
 ) -> tuple[Row, np.ndarray, np.ndarray]:
     """The row, and both pictures (H, W, 4): polygons, lines."""
     camera = seen(tree, leaf)
@@ -194,7 +196,7 @@ def strip(truth: np.ndarray, picture: np.ndarray) -> np.ndarray:
     return np.round(255 * both[::-1]).astype(np.uint8)
 
 
-def timed(renderer: Renderer, tree: Tree, found: Found, samples: int, away: float = 1.0) -> tuple[float, float]:
+def timed(renderer: Renderer, tree: Tree, found: FittedStrands, samples: int, away: float = 1.0) -> tuple[float, float]:
     """Seconds of processor time of MANY trees as polygons and as lines, in turns, the eye moved each time; they fill
     the picture, or 1 / `away` of its width."""
     width = float(np.ptp(tree.position, axis=0).max())
@@ -227,7 +229,7 @@ def main() -> None:
     parser.add_argument("--time", action="store_true", help=f"compares {MANY} trees' processor time instead")
     options = parser.parse_args()
     tree = maple()
-    found = find(tree.position, tree.triangles)
+    found = fit_strands(tree.position, tree.triangles)
     ours, all_of_it = vertices(tree, found)
     print(f"{ours} of {all_of_it} vertices, {ours / all_of_it:.1%}; {len(found)} strands of {found.parts} parts")
     renderer = Renderer(OpenGLDevice())

@@ -77,7 +77,7 @@ def sync(synchronizer=None) -> Any:
 
 
 def strands(scene) -> list[int]:
-    return [len(g.lines) for g in scene.geometries if g.lines]
+    return [len(g.strands) for g in scene.geometries if g.strands]
 
 
 KINK = {"kink_amplitude": 0.15, "render_step": 5}
@@ -122,7 +122,7 @@ def test_the_viewport_shows_a_share_of_the_hair_and_finds_nothing_wrong_with_it(
     # Blender hides parents by chance, and counts children
     assert abs(some / every[0] - 0.4) < 0.12  # measured 0.03
     assert found.warnings == ()
-    assert [clean(g.lines).messages for g in found.geometries if g.lines] == [()]
+    assert [clean(g.strands).messages for g in found.geometries if g.strands] == [()]
 
 
 def instanced(ob, *places, scale=0.7):

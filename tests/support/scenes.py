@@ -18,7 +18,7 @@ from pointsplat_addon.core.scene.materials import MaterialTable, default_materia
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.scene.strands import Lines
+from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.passes.outputs import PASSES
@@ -638,7 +638,7 @@ def strand_lines(key: str, strands: Sequence[np.ndarray], radius: float | np.nda
     position = np.concatenate(strands).astype(np.float32)
     start = np.concatenate([[0], np.cumsum([len(strand) for strand in strands])])
     radii = np.broadcast_to(np.asarray(radius, np.float32), len(position)).copy()
-    return Geometry(key, key, lines=Lines(key, key, position, start, radii, **more), primitive="LINES")
+    return Geometry(key, key, strands=Strands(key, key, position, start, radii, **more), primitive="LINES")
 
 
 def strands() -> Case:

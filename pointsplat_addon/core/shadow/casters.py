@@ -10,7 +10,7 @@ import numpy as np
 from ..numeric.vectors import cross, each_block
 from ..scene.cloud import PointCloud
 from ..scene.lights import Light
-from ..strand.selection import Strands, lengths_scale
+from ..strand.selection import StrandLevels, lengths_scale
 
 OPAQUE_DEPTH = 100.0  # optical depth that stands for no light at all
 KINDS = ("OPAQUE", "SHELL", "VOLUME")
@@ -191,7 +191,7 @@ class Pieces:
         return Casters("OPAQUE", self.origin, position, radius).take(np.flatnonzero(radius > 0))
 
 
-def pieces(strands: Strands, world_from_object: np.ndarray, step: float) -> Pieces:
+def pieces(strands: StrandLevels, world_from_object: np.ndarray, step: float) -> Pieces:
     """Strands of an instance, (4, 4) float64, in pieces of at most `step` object units."""
     last = np.ones(len(strands), bool)
     last[strands.start[1:] - 1] = False

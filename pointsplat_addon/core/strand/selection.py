@@ -16,7 +16,7 @@ import numpy as np
 
 from ..scene.camera import Camera
 from ..scene.cloud import FARTHEST
-from ..scene.strands import Lines, owners
+from ..scene.strands import Strands, owners
 
 GOLDEN = (5**0.5 - 1) / 2
 BLOCK = 64  # strands that follow one another, of which each sample shows its share
@@ -39,12 +39,12 @@ NEAREST = 1e-12  # units from the eye: what is nearer is drawn as if there, for 
 
 
 @dataclass(frozen=True, eq=False)
-class Strands:
+class StrandLevels:
     """The points of strands that can be drawn: finite ones, no two in one place, at least two to a strand, which has a
     radius."""
 
     origin: np.ndarray  # (3,) float64
-    source: np.ndarray  # (P,) int64: rows of the `Lines` that they come from
+    source: np.ndarray  # (P,) int64: rows of the scene.strands.Strands that they come from
     position: np.ndarray  # (P, 3) float32
     radius: np.ndarray  # (P,) float32, at least 0
     start: np.ndarray  # (S + 1,) int64
@@ -218,7 +218,7 @@ def turns(count: int) -> np.ndarray:
     return turn
 
 
-def clean(lines: Lines) -> Strands:
+def clean(lines: Strands) -> StrandLevels:
     """The strands that can be drawn. Points that are not finite, or have such a value, break a strand in two; points in
     the place of the one before, strands of one place and strands without a radius are left out."""
     position = np.asarray(lines.position, np.float32).reshape(-1, 3)[:MOST_POINTS]
@@ -261,7 +261,7 @@ def clean(lines: Lines) -> Strands:
     ]
     if len(lines.position) > MOST_POINTS:
         messages.append(f"strands beyond {MOST_POINTS} points are left out")
-    return Strands(
+    return StrandLevels(
         np.asarray(lines.origin, float), kept, p, radius, start, tangent, side, rows, levels, detail, tuple(messages)
     )
 
@@ -364,7 +364,9 @@ def _detail(values: np.ndarray | None, levels: tuple[Level, ...], strands: int) 
     return result
 
 
-def select(strands: Strands, view_from_object: np.ndarray, instance: int, camera: Camera, tolerance: float) -> Segments:
+def select(
+    strands: StrandLevels, view_from_object: np.ndarray, instance: int, camera: Camera, tolerance: float
+) -> Segments:
     """The segments of one instance (its row in Scene.instances) that `camera` may see; (4, 4) float64 matrix.
 
     Widths of tubes scale with the cube root of the instance's volume; ribbons are scaled as surfaces are.
@@ -444,7 +446,7 @@ def _scale(bounds: Bounds, view_from_object: np.ndarray, camera: Camera) -> _Sca
     return _Scale(f * float(scales[2]) / depths[1], stretched * f * float(scales[0]) / depths[0], bool(inside))
 
 
-def _outlined(strands: Strands, scale: _Scale) -> bool:
+def _outlined(strands: StrandLevels, scale: _Scale) -> bool:
     """Whether all of a geometry may be drawn with its outlines without a look at each segment: strands of few points
     that are short in the picture and mostly not too thin."""
     bounds = strands.bounds
@@ -453,7 +455,7 @@ def _outlined(strands: Strands, scale: _Scale) -> bool:
     return few and flat and bounds.longest * scale.most <= SMALL and bounds.typical * scale.fewest >= SCARCE
 
 
-def _all_of(strands: Strands, instance: int) -> Segments:
+def _all_of(strands: StrandLevels, instance: int) -> Segments:
     ends = strands.every
     count = len(ends)
     return Segments(
@@ -483,7 +485,7 @@ class _Picture:
     length: np.ndarray  # (P - 1,) float32: pixels from each point to the next
 
 
-def _projected(strands: Strands, view_from_object: np.ndarray, camera: Camera) -> _Picture:
+def _projected(strands: StrandLevels, view_from_object: np.ndarray, camera: Camera) -> _Picture:
     linear = view_from_object[:3, :3]
     with np.errstate(all="ignore"):
         shift = (linear @ strands.origin + view_from_object[:3, 3]).astype(np.float32)
@@ -511,7 +513,7 @@ def _projected(strands: Strands, view_from_object: np.ndarray, camera: Camera) -
     return _Picture(q, depth, reach, width, across, length)
 
 
-def _areas(strands: Strands, picture: _Picture) -> np.ndarray:
+def _areas(strands: StrandLevels, picture: _Picture) -> np.ndarray:
     """(P,) float64: pixels^2 from the first point to each."""
     width, across = picture.width, picture.across
     if across is None:
@@ -539,7 +541,7 @@ def _seen(picture: _Picture, first: np.ndarray, last: np.ndarray, camera: Camera
 
 
 def _shares(
-    strands: Strands, picture: _Picture, first: np.ndarray, last: np.ndarray, thinned: np.ndarray
+    strands: StrandLevels, picture: _Picture, first: np.ndarray, last: np.ndarray, thinned: np.ndarray
 ) -> np.ndarray:
     """(K, 2) float32: widths at the ends of segments over that of the raster's line, which is one pixel along the
     nearer axis. Segments that stand for several (`thinned`) have the area of these."""
@@ -569,7 +571,7 @@ def lengths_scale(view_from_object: np.ndarray) -> np.ndarray:
         return np.nan_to_num(np.cbrt(np.abs(np.linalg.det(view_from_object[:, :3, :3]))), posinf=0.0)
 
 
-def _coarsest(strands: Strands, picture: _Picture, allowed: float) -> np.ndarray:
+def _coarsest(strands: StrandLevels, picture: _Picture, allowed: float) -> np.ndarray:
     """(S,) int32: the level that each strand is drawn at, with outlines that are off by at most `allowed` pixels."""
     q, length = picture.place, picture.length
     beside = 0.5 * picture.width[:, None] if picture.across is None else picture.across

@@ -1,7 +1,7 @@
 """Hair and curves to strands: Curves objects, hair of particle systems, and curve objects with a round bevel.
 
-What Blender holds is read as it is (`Strands`), and becomes `core.lines.Lines` by its materials: evaluated, with
-the colours of its points where they vary.
+What Blender holds is read as it is (`CurveArrays`), and becomes `core.scene.strands.Strands` by its materials:
+evaluated, with the colours of its points where they vary.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from ...core.material.graph import Needs, SampleInputs, evaluate_samples, needs
 from ...core.material.hair_color import random_of_strands, strand_attribute
 from ...core.material.textures import linear_from_srgb
-from ...core.scene.strands import Lines, owners
+from ...core.scene.strands import Strands, owners
 from ...core.strand import curves as core
 from . import arrays
 from .mesh import COLOR_TYPES, as_color
@@ -36,7 +36,7 @@ Lookup = Callable[[str, Callable[[], Any]], Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Strands:
+class CurveArrays:
     """Arrays of S strands of P control points as Blender has them."""
 
     curves: core.Curves
@@ -62,9 +62,9 @@ class Strands:
 
 @dataclass(frozen=True, eq=False)
 class Converted:
-    """Lines, and what could not be drawn of them."""
+    """The strands, and what could not be drawn of them."""
 
-    lines: Lines | None
+    lines: Strands | None
     messages: tuple[str, ...]
 
 
@@ -78,7 +78,7 @@ def wanted(materials: tuple[CloudMaterial, ...]) -> Needs:
     )
 
 
-def convert(strands: Strands, name: str, materials: tuple[CloudMaterial, ...], lookup: Lookup) -> Converted:
+def convert(strands: CurveArrays, name: str, materials: tuple[CloudMaterial, ...], lookup: Lookup) -> Converted:
     """The lines of strands; made only where what they are made of is not known. materials: one for each slot."""
     # Where some materials vary, the constants of the others are in the same column
     tints = [m.base_color for m in materials] if len(materials) > 1 else []
@@ -89,7 +89,7 @@ def convert(strands: Strands, name: str, materials: tuple[CloudMaterial, ...], l
 # Reading
 
 
-def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ribbons: bool) -> Strands | None:
+def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ribbons: bool) -> CurveArrays | None:
     """An evaluated Curves object, in object space; None where it is empty. ribbons: with normals."""
     count, total, asked = len(data.curves), len(data.points), wanted(materials)
     if count == 0 or total == 0:
@@ -123,7 +123,7 @@ def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ri
     )
     custom = int(((knots == CUSTOM_KNOTS) & (kind == core.NURBS)).sum())
     colors, of_strand = _colors(data, asked, total)
-    found = Strands(
+    found = CurveArrays(
         curves,
         radius,
         colors=colors,
@@ -175,7 +175,7 @@ def _uv(data: bpy.types.Curves, asked: Needs) -> dict[str, np.ndarray]:
     return found
 
 
-def _sound(strands: Strands) -> Strands | None:
+def _sound(strands: CurveArrays) -> CurveArrays | None:
     """Without control points that are no numbers and curves without points; None where nothing is left."""
     curves, start = strands.curves, strands.curves.start
     held = (curves.position, curves.handle_left, curves.handle_right, curves.weight, strands.radius, strands.normal)
@@ -232,7 +232,7 @@ def is_tube(ob: bpy.types.Object) -> bool:
     return primitive == "LINES" or data.bevel_resolution > SQUARE
 
 
-def read_tubes(data: bpy.types.Curve) -> Strands | None:
+def read_tubes(data: bpy.types.Curve) -> CurveArrays | None:
     """The splines of an evaluated curve object, with the bevel's radius times the points' own."""
     splines = [s for s in data.splines if len(s.bezier_points) or len(s.points)]
     if not splines:
@@ -256,7 +256,7 @@ def read_tubes(data: bpy.types.Curve) -> Strands | None:
         weight,
     )
     slot = np.array([s.material_index for s in splines], np.int32)
-    return Strands(curves, (radius * data.bevel_depth).astype(np.float32), slot=slot)
+    return CurveArrays(curves, (radius * data.bevel_depth).astype(np.float32), slot=slot)
 
 
 def _points(spline: bpy.types.Spline) -> tuple[np.ndarray, ...]:
@@ -320,7 +320,7 @@ def hair_systems(ob: bpy.types.Object, final: bool) -> Iterator[Hair]:
                 yield hair
 
 
-def read_hair(hair: Hair, materials: tuple[CloudMaterial, ...]) -> Strands | None:
+def read_hair(hair: Hair, materials: tuple[CloudMaterial, ...]) -> CurveArrays | None:
     """The strands of a particle system in its object's space, as Cycles reads them; None where there are none."""
     system, settings, shown = hair.system, hair.system.settings, np.array(hair.shown)
     steps = (1 << (settings.render_step if hair.final else settings.display_step)) + 1
@@ -350,7 +350,7 @@ def read_hair(hair: Hair, materials: tuple[CloudMaterial, ...]) -> Strands | Non
     )
     uv, colors = _emitter(hair, shown.tolist(), wanted(materials))
     middle, half = (np.array(v, np.float64) for v in (hair.ob.data.texspace_location, hair.ob.data.texspace_size))
-    return Strands(curves, radius.ravel().astype(np.float32), colors=colors, of_strand=frozenset(colors), uv=uv,
+    return CurveArrays(curves, radius.ravel().astype(np.float32), colors=colors, of_strand=frozenset(colors), uv=uv,
                    first=hair.first, space=np.stack([middle - half, middle + half]))  # fmt: skip
 
 
@@ -412,10 +412,10 @@ def _parent(particles: Any, number: int) -> bpy.types.Particle:
     return particles[min(number, len(particles) - 1)]
 
 
-# Lines
+# Strands
 
 
-def _build(key: str, strands: Strands, name: str, materials: tuple[CloudMaterial, ...]) -> Converted:
+def _build(key: str, strands: CurveArrays, name: str, materials: tuple[CloudMaterial, ...]) -> Converted:
     sound = _sound(strands)
     if sound is None:
         return Converted(None, ("all control points are not numbers",))
@@ -430,7 +430,7 @@ def _build(key: str, strands: Strands, name: str, materials: tuple[CloudMaterial
     if strands.slot is not None:
         slot = np.clip(strands.slot, 0, len(materials) - 1).astype(np.int64)
     rows = np.array([m.row for m in materials])[slot]
-    lines = Lines(
+    lines = Strands(
         key=key,
         name=name,
         position=evaluated.position.astype(np.float32),
@@ -445,8 +445,12 @@ def _build(key: str, strands: Strands, name: str, materials: tuple[CloudMaterial
 
 
 def _shaded(
-    lines: Lines, strands: Strands, evaluated: core.Evaluated, slot: np.ndarray, materials: tuple[CloudMaterial, ...]
-) -> Lines:
+    lines: Strands,
+    strands: CurveArrays,
+    evaluated: core.Evaluated,
+    slot: np.ndarray,
+    materials: tuple[CloudMaterial, ...],
+) -> Strands:
     """With what the materials' graphs give at the points. What is less than opaque is thinner instead."""
     count, strand = len(lines.position), evaluated.curve
     columns: dict[str, np.ndarray] = {}
@@ -482,7 +486,7 @@ def _constants(name: str, slot: np.ndarray, strand: np.ndarray, materials: tuple
     return np.array(each, np.float32)[slot[strand]]
 
 
-def _inputs(lines: Lines, strands: Strands, evaluated: core.Evaluated, asked: Needs) -> SampleInputs:
+def _inputs(lines: Strands, strands: CurveArrays, evaluated: core.Evaluated, asked: Needs) -> SampleInputs:
     """What graphs read at all points."""
     strand = evaluated.curve
     uv = {name: values[strand] for name, values in strands.uv.items()}
@@ -512,7 +516,7 @@ def _bounds(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return position.min(axis=0), position.max(axis=0)
 
 
-def _own(lines: Lines, first: int) -> dict[str, Callable[[], np.ndarray]]:
+def _own(lines: Strands, first: int) -> dict[str, Callable[[], np.ndarray]]:
     """What strands tell of themselves (Blender's Curves Info), each (P,) when called."""
     strand = owners(lines.start)
 

@@ -19,7 +19,7 @@ from ...core.numeric.segments import ranges
 from ...core.scene.camera import Camera
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
-from ...core.scene.strands import Lines
+from ...core.scene.strands import Strands
 from ...core.strand.selection import clean, lengths_scale
 from ...core.surface import sampling
 from ...core.surface.appearance import digest
@@ -302,8 +302,8 @@ class Uploads:
         scene = self.scene
         most = np.zeros(len(scene.materials))
         for geometry in scene.geometries:
-            if geometry.lines is not None and scene.materials.hair is not None:
-                lines, rows = geometry.lines, list(geometry.lines.materials)
+            if geometry.strands is not None and scene.materials.hair is not None:
+                lines, rows = geometry.strands, list(geometry.strands.materials)
                 number = STORE.lookup(("crossed", geometry.key), lambda lines=lines: hair.crossed(lines))
                 most[rows] = np.maximum(most[rows], number)
         return hair.escape(most)
@@ -316,7 +316,7 @@ class Uploads:
             key = ("lines", geometry.key, variant, _fill_key(scene))
             self.used.add(key)
 
-            def make(lines: Lines = lines, geometry: Geometry = geometry) -> line_pass.LinePage:
+            def make(lines: Strands = lines, geometry: Geometry = geometry) -> line_pass.LinePage:
                 strands = STORE.lookup(("strands", geometry.key), lambda: clean(lines))
                 return line_pass.LinePage(self.device, lines, strands, variant, scene.materials)
 
@@ -516,8 +516,8 @@ class Same:
         return isinstance(other, Same) and other.array is self.array
 
 
-def _lines_of(scene: Scene, row: int) -> Lines:
-    lines = scene.geometries[row].lines
+def _lines_of(scene: Scene, row: int) -> Strands:
+    lines = scene.geometries[row].strands
     assert lines is not None
     return lines
 

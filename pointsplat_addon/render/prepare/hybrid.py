@@ -220,7 +220,7 @@ def choose_parts(view: View, view_from_object: np.ndarray, usable: np.ndarray) -
     for row, geometry in enumerate(scene.geometries):
         views = view_from_object[usable & (scene.instances.geometry == row)]
         mesh = geometry.mesh
-        if len(views) == 0 or geometry.lines is not None or (mesh is not None and len(mesh.triangles) == 0):
+        if len(views) == 0 or geometry.strands is not None or (mesh is not None and len(mesh.triangles) == 0):
             continue
         of, points = _choosable(view, geometry, len(views))
         others |= points

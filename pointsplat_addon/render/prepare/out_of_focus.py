@@ -18,9 +18,9 @@ from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, finite
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
-from ...core.scene.strands import Lines
+from ...core.scene.strands import Strands
 from ...core.splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
-from ...core.strand.selection import Segments, Strands
+from ...core.strand.selection import Segments, StrandLevels
 from ...core.surface import sampling
 from ...core.surface.appearance import digest, point_cloud
 from ..cache.store import Layer, PointSet, Store
@@ -95,7 +95,7 @@ class Focus:
 
             self._add_pieces(i, key, make, dicing.SHARE)
 
-    def add_lines(self, geometry: Geometry, lines: Lines, strands: Strands, segments: Segments) -> Segments:
+    def add_lines(self, geometry: Geometry, lines: Strands, strands: StrandLevels, segments: Segments) -> Segments:
         """What of the segments of a view may be out of focus; returns those that may be in it."""
         kept = np.zeros(len(segments), bool)
         for i in np.unique(segments.instance).tolist():

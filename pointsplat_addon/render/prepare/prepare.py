@@ -139,7 +139,7 @@ def _drawn(
     drawn = _Drawn(opaque, translucent, spheres, polygons[0])
     for row, geometry in enumerate(scene.geometries):
         where = np.flatnonzero(usable & (instances.geometry == row))
-        if len(where) == 0 or geometry.lines is not None:
+        if len(where) == 0 or geometry.strands is not None:
             continue
         view.check()
         found = _primitives(view, geometry, view_from_object[where], divided.get(row))
@@ -192,7 +192,7 @@ def _lines(view: View, view_from_object: np.ndarray, usable: np.ndarray, focus: 
     """The segments of strands that this view draws, by geometry row; what is out of focus goes to `focus`."""
     found: dict[int, Segments] = {}
     for row, geometry in enumerate(view.scene.geometries):
-        lines = geometry.lines
+        lines = geometry.strands
         where = np.flatnonzero(usable & (view.scene.instances.geometry == row))
         if lines is None or len(where) == 0:
             continue

@@ -324,7 +324,7 @@ def test_facets_of_balls_cover_their_disks():
 def test_pieces_of_strands_have_their_area():
     u = np.linspace(-1, 1, 9)
     strand = np.stack([u, 0.2 * np.sin(3 * u), 0.3 * u], axis=1)
-    given = strand_lines("in pieces", [strand], 0.01).lines
+    given = strand_lines("in pieces", [strand], 0.01).strands
     assert given is not None
     strands = clean(given)
     ends = np.stack([np.arange(8), np.arange(1, 9)], axis=1)
@@ -349,7 +349,7 @@ def test_pieces_of_a_tube_cover_what_is_seen_of_it(bend, tolerance):
     unit of length."""
     along = np.stack([np.sin(u := np.arange(-3, 4) * max(bend, 1e-6)), 0 * u, np.cos(u)], axis=1) / max(bend, 1e-6)
     along -= along[3]
-    given = strand_lines(f"tube bent by {bend}", [along], 0.3).lines
+    given = strand_lines(f"tube bent by {bend}", [along], 0.3).strands
     assert given is not None
     strands = clean(given)
     seen = lens(0.5, 3.0, parallel=20.0)

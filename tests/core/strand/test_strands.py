@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.material import hair_color
-from pointsplat_addon.core.scene.strands import Lines
+from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.strand import curves as core
 from pointsplat_addon.core.strand.selection import clean
 
@@ -30,7 +30,7 @@ def strands(*parts, radius: Any = 0.01, **more):
     position = np.concatenate([np.asarray(p, np.float32).reshape(-1, 3) for p in parts])
     start = np.concatenate([[0], np.cumsum([len(p) for p in parts])])
     width = np.full(len(position), radius, np.float32) if np.isscalar(radius) else np.asarray(radius, np.float32)
-    return Lines("strands of test_lines", "Hair", position, start, width, **more)
+    return Strands("strands of test_lines", "Hair", position, start, width, **more)
 
 
 def helix(n=1000, turns=3.0):
@@ -181,7 +181,9 @@ def test_what_cannot_be_drawn_is_left_out_and_counted():
 def test_a_wiggle_shorter_than_the_radius_does_not_turn_the_end_of_a_strand():
     straight = np.array([[0.0, 0, z] for z in (0, -0.01, 0.02, 0.5, 1, 1.5, 1.48, 1.51, 1.5)], np.float32)
     bent = np.array([[1.0, 0, 0], [1, 0.05, 0.05], [1, 0.3, 0.1], [1, 0.6, 0.1]], np.float32)
-    lines = Lines("ends", "ends", np.concatenate([straight, bent]), np.array([0, 9, 13]), np.full(13, 0.1, np.float32))
+    lines = Strands(
+        "ends", "ends", np.concatenate([straight, bent]), np.array([0, 9, 13]), np.full(13, 0.1, np.float32)
+    )
     tangent = clean(lines).tangent
     np.testing.assert_array_equal(tangent[[0, 8]], [[0, 0, 1]] * 2)
     # Where the strand leads on it keeps its own direction

@@ -7,7 +7,7 @@ import pytest
 
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.scene.strands import Lines
+from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.strand.selection import clean, turns
 from tests.support import scenes
@@ -19,7 +19,7 @@ PLAIN = Settings(use_shadows=False)
 PARTS = 400  # places along a segment that the reference looks at
 
 
-def covered(lines: Lines, camera) -> np.ndarray:
+def covered(lines: Strands, camera) -> np.ndarray:
     """(H, W) bool: pixels whose centre's ray meets a ball somewhere along a segment, before the eye and between the
     planes in which the strand ends."""
     fx, fy, cx, cy = camera.pixel_from_view()
@@ -53,19 +53,19 @@ def covered(lines: Lines, camera) -> np.ndarray:
     return found
 
 
-def made(key: str, points: list, radius, **more) -> Lines:
+def made(key: str, points: list, radius, **more) -> Strands:
     position = np.concatenate(points).astype(np.float32)
     start = np.concatenate([[0], np.cumsum([len(p) for p in points])])
-    return Lines(
+    return Strands(
         key, key, position, start, np.broadcast_to(np.asarray(radius, np.float32), len(position)).copy(), **more
     )
 
 
-def geometry(lines: Lines) -> Geometry:
-    return Geometry(lines.key, lines.name, lines=lines, primitive="LINES")
+def geometry(lines: Strands) -> Geometry:
+    return Geometry(lines.key, lines.name, strands=lines, primitive="LINES")
 
 
-def case(lines: Lines, camera, settings: Settings = PLAIN, **more) -> Case:
+def case(lines: Strands, camera, settings: Settings = PLAIN, **more) -> Case:
     return Case(scenes.scene((geometry(lines), scenes.moved()), transparent=True, **more), camera, settings)
 
 
@@ -133,7 +133,7 @@ def test_tubes_are_round():
     assert np.abs(pixels["depth"][20][on][:, 0] - (4 - 0.5 * -want[:, 1])).max() < 1e-5
 
 
-def ribbon(key: str, count: int = 200) -> Lines:
+def ribbon(key: str, count: int = 200) -> Strands:
     u = np.linspace(-1, 1, count)
     normal = np.stack([0 * u, -np.cos(2.5 * u), np.sin(2.5 * u)], axis=1).astype(np.float32)
     return made(key, [np.stack([u, 0 * u, 0 * u], axis=1)], 0.3, normal=normal)
@@ -165,7 +165,7 @@ def test_a_ribbon_has_two_sides():
 PIXEL = 2 / 128  # of the view below
 
 
-def field(key: str, width: float, angle: float, rough: float = 0.0) -> Lines:
+def field(key: str, width: float, angle: float, rough: float = 0.0) -> Strands:
     """288 strands of 8 places, `width` pixels wide, that lie beside and behind one another without an overlap."""
     rng = np.random.default_rng(7)
     d, e = np.array([np.cos(angle), 0, np.sin(angle)]), np.array([-np.sin(angle), 0, np.cos(angle)])
