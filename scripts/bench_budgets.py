@@ -9,7 +9,7 @@ here, and half of what one takes, which only a coarser cut can keep; "no splats"
 takes whose cut is as good as empty, which no cut changes. By the clock on the wall, and by the processor's, in all
 threads, which other work on the machine leaves alone.
 
---write-docs replaces the table in docs/budgets.md.
+--write-docs replaces the table in docs/notes/budgets.md.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from tests.support import scenes
 
-DOCS = Path(__file__).resolve().parent.parent / "docs" / "budgets.md"
+DOCS = Path(__file__).resolve().parent.parent / "docs" / "notes" / "budgets.md"
 BEGIN, END = "<!-- times -->\n", "<!-- end of times -->\n"
 SIZE = 192  # pixels of the longer side
 FIRST, COUNTED = 3, 20  # pictures that do not count, and those of which the median does

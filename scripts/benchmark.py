@@ -1,4 +1,4 @@
-"""Speed and memory, as ratios within one run: all that docs/benchmarks.md reports.
+"""Speed and memory, as ratios within one run: all that docs/notes/benchmarks.md reports.
 
     python scripts/benchmark.py [--quick] [--only PART ...] [--json FILE] [--write-docs]
 
@@ -7,7 +7,7 @@ What a part compares with (SciPy, VTK, the bpy package) must be installed in the
 missing, its rows have no value.
 `--only frame` and `--only translucent` need NumPy and moderngl alone, and so run on a machine with a real GPU and no
 Blender.
---write-docs replaces the figures of this interpreter's Blender in docs/benchmarks.md.
+--write-docs replaces the figures of this interpreter's Blender in docs/notes/benchmarks.md.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-DOCS = Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md"
+DOCS = Path(__file__).resolve().parent.parent / "docs" / "notes" / "benchmarks.md"
 Tables = dict[str, list[list[str]]]  # title to lines of cells, the head first
 
 
@@ -159,7 +159,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a tenth of the sizes: does it run at all?")
     parser.add_argument("--only", action="append", choices=PARTS, help="one part; may be given again")
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--write-docs", action="store_true", help="replace the figures in docs/benchmarks.md")
+    parser.add_argument("--write-docs", action="store_true", help="replace the figures in docs/notes/benchmarks.md")
     options = parser.parse_args()
     load = busy()
     sys.stdout.write(f"{machine()}; {load}\n")

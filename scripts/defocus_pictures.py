@@ -1,6 +1,6 @@
-"""What is out of focus, by splats and by samples through the lens: the pictures of docs/depth_of_field.md.
+"""What is out of focus, by splats and by samples through the lens: the pictures of docs/notes/depth_of_field.md.
 
-python scripts/defocus_pictures.py --output docs/images/defocus.jpg [--lens 256] [--scan FILE.ply[.gz]]
+python scripts/defocus_pictures.py --output docs/notes/images/defocus.jpg [--lens 256] [--scan FILE.ply[.gz]]
 
 Rows: balls on a floor of triangles; a translucent shell out of focus before a body in focus, and behind one; hair and
 tubes; a ball in focus before a picture of the world; the points of a scan, if one is given. From the left: without a

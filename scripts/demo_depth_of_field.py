@@ -1,6 +1,6 @@
-"""Balls on a chequered floor before distant lamps, with depth of field: the strip of docs/depth_of_field.md.
+"""Balls on a chequered floor before distant lamps, with depth of field: the strip of docs/notes/depth_of_field.md.
 
-    python scripts/demo_depth_of_field.py --output docs/images/depth_of_field.jpg [--samples 256] [--blend FILE]
+    python scripts/demo_depth_of_field.py --output docs/notes/images/depth_of_field.jpg [--samples 256] [--blend FILE]
 
 From the left: without a lens, 16 samples through it, SAMPLES, and Cycles with as many.
 """

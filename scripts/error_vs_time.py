@@ -1,7 +1,7 @@
 """Error against time: each technique over tolerance, samples, shadow resolution and lens, beside Cycles, EEVEE and VTK.
 
     python scripts/error_vs_time.py [--data DIR] [--only NAME ...] [--quick] [--docs docs] [--rows FILE.json]
-    python scripts/error_vs_time.py --from docs/error_vs_time.json
+    python scripts/error_vs_time.py --from docs/notes/error_vs_time.json
 
 DIR (or the folder that POINTSPLAT_DATA names) holds meshes, and folders beside it what else there is
 (scripts/error_scenes.py): scenes of what is missing are left out; what DOCS has of scenes that are not drawn stays.
@@ -301,7 +301,9 @@ def main() -> None:
     parser.add_argument("--samples", type=int, nargs="+", default=SAMPLES, help="of PointSplat, few first")
     parser.add_argument("--quick", action="store_true", help="does it run at all?")
     parser.add_argument("--no-eevee", dest="eevee", action="store_false", help="which takes long without a GPU")
-    parser.add_argument("--docs", type=Path, default=ROOT / "docs", help="where the page is that is written to")
+    parser.add_argument(
+        "--docs", type=Path, default=ROOT / "docs" / "notes", help="where the page is that is written to"
+    )
     parser.add_argument("--rows", type=Path, help="where the rows go; by default into DOCS")
     parser.add_argument("--from", dest="known", type=Path, help="rows that were measured before: draws them again")
     parser.add_argument("--worker", nargs=2, metavar=("WHAT", "NAME"), help=argparse.SUPPRESS)

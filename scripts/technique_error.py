@@ -210,7 +210,7 @@ def header() -> str:
 
 
 def rows(name: str, curves: Curves, techniques: tuple[str, ...]) -> list[str]:
-    """Of the table in docs/techniques.md: RMSE and, within the silhouette, RMSE."""
+    """Of the table in docs/notes/techniques.md: RMSE and, within the silhouette, RMSE."""
     lines = []
     for samples in SAMPLES:
         base = curves.of("IMAGE_SPACE", samples)

@@ -14,7 +14,7 @@ import numpy as np
 
 OVERLAP = 0.1  # of the spacing that is needed
 # Points leave an error that more samples do not take away, and triangles none: with so many times fewer samples, but at
-# least one, triangles still leave less, at a tolerance of a pixel (docs/techniques.md, measured 1.1 to 1.8 times).
+# least one, triangles still leave less, at a tolerance of a pixel (docs/notes/techniques.md, measured 1.1 to 1.8 times).
 MAX_SAMPLES_RATIO = 4
 
 

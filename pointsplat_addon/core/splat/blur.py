@@ -11,7 +11,7 @@ from ..scene.camera import Camera
 # Pixels of radius: a disk that adds a fifth of the variance that a pixel's own filter has; one that adds half of it.
 IN_FOCUS, OUT_OF_FOCUS = 0.3, 0.45
 # Diameter of the largest node that is drawn, over the radius of its disk of confusion together with SHARPER times the
-# tolerance (`Blur.widest`). docs/depth_of_field.md has the errors of others.
+# tolerance (`Blur.widest`). docs/notes/depth_of_field.md has the errors of others.
 NODE_SIZE = 1.0
 TOLERANCE_WEIGHT = 1.5
 # Pixels: the coarsest tolerance of what is blurred, however coarse a cut is asked for. Nothing closes the gaps between

@@ -13,7 +13,7 @@ q = (distance / half-axis)^2,
     depth(q) = DEPTH (1 - q / SUPPORT)^POWER,    alpha(q) = 1 - exp(-depth(q)).
 
 The nearer SUPPORT is to one, the harder is the rim, and the more do single samples alias; the farther, the more does
-the middle let through. docs/techniques.md has the errors of both.
+the middle let through. docs/notes/techniques.md has the errors of both.
 
 Nodes of the octree have the moments of what they stand for, which is a third less than reaches its corners: they are
 enlarged by NODE_REACH. Splats that stand apart, as leaves do, hide as much as their own area where they are widened.

@@ -219,7 +219,7 @@ def test_an_error_that_is_one_number_is_not_taken_for_less(monkeypatch):
 
 @pytest.mark.parametrize("number", range(4))
 def test_the_estimate_holds_for_scenes_that_its_factors_were_not_fitted_to(number, monkeypatch):
-    """The pictures of docs/depth_of_field.md, at a quarter of their size."""
+    """The pictures of docs/notes/depth_of_field.md, at a quarter of their size."""
     made = (defocus_pictures.floor, lambda: defocus_pictures.shell(False), lambda: defocus_pictures.shell(True),
             defocus_pictures.strands)  # fmt: skip
     scene, camera = made[number]()
