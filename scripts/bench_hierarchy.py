@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pointsplat_addon.core.lod import cut
+from pointsplat_addon.core.lod import cut, hierarchy, node_table, quantisation
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from pointsplat_addon.core.lod import hierarchy, quantisation
+
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
 
@@ -122,14 +122,14 @@ def perspective(size: int) -> Camera:
 def cut_against_sort(count: int, times: int) -> dict:
     """A cut of about a quarter as many nodes as there are points, and an argsort of as many random numbers."""
     built = hierarchy.build(surface(count))
-    forest, view = cut.forest({0: built}), np.eye(4)[None].copy()
+    forest, view = node_table.node_table({0: built}), np.eye(4)[None].copy()
     view[0, 2, 3] = -4
     # A tolerance of four times the points' diameter leaves few points and many nodes.
     tolerance = 4 * 2 * float(built.cloud.radii[0, 0]) / 4 * 1024  # type: ignore[index]
     camera, geometry = perspective(1024), np.zeros(1, int)
-    found = cut.select(forest, geometry, view, camera, tolerance)
+    found = cut.select_cut(forest, geometry, view, camera, tolerance)
     keys = np.random.default_rng(0).random(max(found.nodes, 1))
-    ours = seconds(lambda: cut.select(forest, geometry, view, camera, tolerance), times)
+    ours = seconds(lambda: cut.select_cut(forest, geometry, view, camera, tolerance), times)
     theirs = seconds(keys.argsort, times)
     note = f"{found.nodes} nodes, {found.points} points, {len(found.first)} ranges; {1e3 * ours:.0f} ms"
     return row("cut / argsort of as many as its nodes", ours / theirs, "x", "< 2", note)

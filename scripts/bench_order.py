@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from bench_hierarchy import row, seconds
 
 from pointsplat_addon.core.lod import depth_order
-from pointsplat_addon.core.lod.cut import fully
+from pointsplat_addon.core.lod.cut import cut_of_all_points
 from pointsplat_addon.core.scene.cloud import PointCloud
 
 
@@ -74,10 +74,10 @@ def whole_cut(count: int, times: int) -> dict:
         extinction=np.ones(count, np.float32),
     )
     one, world = np.zeros(1, int), np.eye(4)[None]
-    cut, depth = fully(np.array([count]), one), rng.random(count, np.float32)
+    cut, depth = cut_of_all_points(np.array([count]), one), rng.random(count, np.float32)
     pairs = [
         (
-            seconds(lambda: depth_order.sort(cut, {0: cloud}, one, world, np.eye(4)), 1),
+            seconds(lambda: depth_order.sort_cut(cut, {0: cloud}, one, world, np.eye(4)), 1),
             seconds(lambda: np.argsort(depth, kind="stable"), 1),
         )
         for _ in range(times)

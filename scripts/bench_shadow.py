@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
-from pointsplat_addon.core.splat.kernel import EVEN
+from pointsplat_addon.core.splat.kernel import EVEN_SPACING
 
 DOWN = np.array([0.0, 0.0, -1.0])
 LAMP = Light("POINT", np.ones(3), np.array([0.1, 0.2, 3.0]), DOWN)
@@ -32,7 +32,7 @@ def smoke(count: int, ray: bool = False, colored: bool = False) -> builder.Caste
     for part in np.array_split(position, max(count // 100_000, 1)):
         cube = rng.uniform(-1, 1, part.shape)
         part[:] = LAMP.position + (3 + cube[:, :1]) * [0.0, 0.1, -1.0] if ray else cube
-    radius = np.full(count, 2 * EVEN * 2 / np.cbrt(count), np.float32)
+    radius = np.full(count, 2 * EVEN_SPACING * 2 / np.cbrt(count), np.float32)
     mass = np.full((count, 3) if colored else count, 8 / count, np.float32)
     return builder.Casters("VOLUME", np.zeros(3), position, radius=radius, mass=mass)
 

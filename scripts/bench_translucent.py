@@ -23,7 +23,7 @@ from pointsplat_addon.core.scene.materials import default_materials
 from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.core.splat.kernel import EVEN
+from pointsplat_addon.core.splat.kernel import EVEN_SPACING
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
@@ -42,7 +42,7 @@ def smoke(count: int) -> PointCloud:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     position = (direction * np.cbrt(rng.random((count, 1)))).astype(np.float32)
     volume = 4 / 3 * np.pi / count
-    radius = 2 * EVEN * np.cbrt(volume)
+    radius = 2 * EVEN_SPACING * np.cbrt(volume)
     share = DEPTH / 2 * volume / (4 / 3 * np.pi * radius**3)
     return PointCloud(
         position, radii=np.full((count, 1), radius, np.float32), extinction=np.full(count, share, np.float32)

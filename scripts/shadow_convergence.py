@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
-from pointsplat_addon.core.splat.kernel import EVEN
+from pointsplat_addon.core.splat.kernel import EVEN_SPACING
 
 RESOLUTIONS = (16, 32, 64, 128, 256, 512, 1024, 2048)
 DEVIATION, DEPTH = 0.4, 3.0
@@ -49,7 +49,7 @@ def voxels(count: int) -> PointCloud:
     x = (np.arange(count) + 0.5) * step - HALF
     position = np.stack(np.meshgrid(x, x, x, indexing="ij"), axis=-1).reshape(-1, 3)
     density = PEAK * np.exp(-(position**2).sum(axis=1) / (2 * DEVIATION**2))
-    return balls(position, 2 * EVEN * step, density * step**3)
+    return balls(position, 2 * EVEN_SPACING * step, density * step**3)
 
 
 def dust(count: int) -> PointCloud:

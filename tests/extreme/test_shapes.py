@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointsplat_addon.core.lod import hierarchy as h
+from pointsplat_addon.core.lod import hierarchy
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.validation import valid_triangles
@@ -123,7 +123,7 @@ def test_hierarchies_of_clouds_of_any_rank(rank, count, exponent, seed, normals,
         given_normals = n.astype(np.float32)
     radii = None if shape == 0 else np.full((count, shape), 0.01 * size, np.float32)
     cloud = PointCloud(position, origin=np.full(3, origin), normal=given_normals, radii=radii)
-    built = h.build(cloud, leaf_size=4)
+    built = hierarchy.build(cloud, leaf_size=4)
     for name in ("center", "normal", "axis", "radii", "bound", "cone", "sphere", "size"):
         array = getattr(built, name)
         assert array is None or np.isfinite(array).all(), name

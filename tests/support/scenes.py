@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from pointsplat_addon.core.lod.cost import FEWER, Costs
+from pointsplat_addon.core.lod.cost import MAX_SAMPLES_RATIO, Costs
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
 from pointsplat_addon.core.scene.camera import Camera
@@ -45,7 +45,9 @@ class Case:
 
 # Pictures of tests are small and of few samples: meshes are points in them where they are in large ones of many.
 FREE_POINTS = replace(Costs(), prepared=1e-3, uploaded=1e-3)  # to prepare; what else they cost counts FEWER times
-CHEAP_POINTS = replace(FREE_POINTS, point=FREE_POINTS.point / FEWER, pixel=FREE_POINTS.pixel / FEWER)
+CHEAP_POINTS = replace(
+    FREE_POINTS, point=FREE_POINTS.point / MAX_SAMPLES_RATIO, pixel=FREE_POINTS.pixel / MAX_SAMPLES_RATIO
+)
 
 
 @cache

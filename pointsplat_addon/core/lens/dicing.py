@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..lod.hierarchy import basis
 from ..numeric.linear import largest_singular_value
+from ..numeric.vectors import basis
 from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
 from ..scene.mesh import Mesh
-from ..splat.blur import BLURRED, IN_FOCUS, Blur
+from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
 from ..surface.area_sampling import STEINER
 from ..surface.samples import Samples
 
@@ -121,7 +121,7 @@ def _seen(corners: np.ndarray, camera: Camera, blur: Blur) -> np.ndarray:
     w = np.maximum(depth, 0.0) if camera.perspective else np.ones_like(depth)
     # Of depths at and behind the eye the disk's radius times the depth is what counts: it stays finite.
     seen = np.maximum(depth, camera.nearest)
-    reach = blur.radius(seen) * (seen if camera.perspective else 1.0) + BLURRED * w
+    reach = blur.radius(seen) * (seen if camera.perspective else 1.0) + OUT_OF_FOCUS * w
     x, y = fx * corners[:, :, 0] + cx * w, fy * corners[:, :, 1] + cy * w
     inside = (x + reach > 0).any(axis=1) & (x - reach < width * w).any(axis=1)
     inside &= (y + reach > 0).any(axis=1) & (y - reach < height * w).any(axis=1)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..lod.hierarchy import basis
+from ..numeric.vectors import basis
 from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
 from ..scene.strands import Strands
-from ..splat.blur import BLURRED, IN_FOCUS, Blur
+from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
 from ..strand.selection import StrandLevels, lengths_scale
 
 MOST_BENT = 0.5  # cosine of half the sharpest bend whose sides meet
@@ -159,7 +159,7 @@ def sharp_ends(
     strands: StrandLevels, ends: np.ndarray, view_from_object: np.ndarray, camera: Camera, blur: Blur
 ) -> np.ndarray:
     """(K,) bool: which segments may be in focus somewhere."""
-    return blur.bounds(*_depths(strands, ends, np.asarray(view_from_object, np.float64), camera))[0] < BLURRED
+    return blur.bounds(*_depths(strands, ends, np.asarray(view_from_object, np.float64), camera))[0] < OUT_OF_FOCUS
 
 
 def _depths(

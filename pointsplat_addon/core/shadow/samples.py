@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..lod.foliage import LOOSE, leafy
+from ..lod.foliage import FOLIAGE_VERTICES, is_foliage
 from ..material.graph import needs
 from ..numeric.vectors import blocks, cross, dot
 from ..scene.bounds import mesh_centre
@@ -81,7 +81,9 @@ def places(mesh: Mesh, outline: Outline) -> np.ndarray:
 def leaves(mesh: Mesh, outline: Outline) -> bool:
     """Whether a mesh is of leaves or blades: of triangles with open edges."""
     count = np.count_nonzero(outline.valid)
-    return bool(len(mesh.position) >= LOOSE * count) and leafy(mesh.position, mesh.triangles[outline.valid])
+    return bool(len(mesh.position) >= FOLIAGE_VERTICES * count) and is_foliage(
+        mesh.position, mesh.triangles[outline.valid]
+    )
 
 
 def _fitted(evaluated: Evaluated, samples: Samples, area: np.ndarray) -> Evaluated:

@@ -1,4 +1,4 @@
-"""Samples triangles by area: rows of equal cells, each with an ellipse that covers it (Gunjee et al. 2007, section 4)."""
+"""Samples triangles by area: rows of equal cells, each with a covering ellipse (Gunjee et al. 2007, section 4)."""
 
 from __future__ import annotations
 

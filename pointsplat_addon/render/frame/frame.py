@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.lens.backdrop import grid_of
 from ...core.scene.scene import Scene
-from ...core.splat.blur import blur_of
+from ...core.splat.blur import defocus_blur
 from ...core.strand.selection import turns
 from ...shading.interface import Interface
 from ..budget.budget import checkpoint
@@ -215,7 +215,7 @@ class Frame:
         if self.backdrop is not None:
             record["previous"][0, :2] = self.backdrop.texels
         if plan.defocus:
-            blur, aperture = blur_of(camera), camera.aperture
+            blur, aperture = defocus_blur(camera), camera.aperture
             assert blur is not None
             assert aperture is not None
             record["focus"][0] = blur.scale, 1 / blur.focus, 0.0, 1 / aperture.ratio

@@ -476,7 +476,9 @@ class DrawList:
         if known is not None and not known.stale(view_from_world, layer.cut):
             return
         entries = {row: points.hierarchy or points.cloud for row, points in layer.point_sets.items()}
-        self._order = depth_order.sort(layer.cut, entries, layer.set_of_instance, world_from_object, view_from_world)
+        self._order = depth_order.sort_cut(
+            layer.cut, entries, layer.set_of_instance, world_from_object, view_from_world
+        )
         self._key, self.sorts = key, self.sorts + 1
         texel, instance = listed(page, layer)
         index = self._order.index

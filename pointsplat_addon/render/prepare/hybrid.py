@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...core.lod.cost import Choice, Costs, choose, runs
+from ...core.lod.cost import Costs, PrimitiveChoice, choose_primitives, mask_runs
 from ...core.scene.bounds import mesh_centre
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, finite
@@ -120,7 +120,7 @@ class PartSamples:
         if self.border is not None and not points.all():
             sample, owner, neighbour = self.border
             shown[sample[points[neighbour] & ~points[owner]]] = True
-        return runs(shown)
+        return mask_runs(shown)
 
 
 def sample_parts(divided: Divided, spacing: float, which: np.ndarray) -> PartSamples:
@@ -164,7 +164,7 @@ class Shown:
     """One instance in one view: what its parts are drawn as."""
 
     spacing: float  # of its points
-    choice: Choice
+    choice: PrimitiveChoice
     whole: bool  # all of it is points, out of view or not: as dense as its nearest part needs
     nodes: bool = False  # or, where that is too many, those of an octree over as few samples as cover it
 
@@ -199,7 +199,9 @@ def show(
     spacing = np.unique(np.minimum(octaves, divided.coarsest))
     worth = np.array([divided.worth(costs, s, most) for s in spacing.tolist()])
     samples = np.array([divided.samples(s) for s in spacing.tolist()])
-    choice = choose(costs, needed, spacing, np.where(worth, samples, np.inf), divided.parts.counts, divided.area)
+    choice = choose_primitives(
+        costs, needed, spacing, np.where(worth, samples, np.inf), divided.parts.counts, divided.area
+    )
     every = divided.whole(finest, slack)
     whole = every * (costs.point + costs.prepared)
     if every <= most and whole <= choice.cost:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.lod.cut import Cut
-from ...core.lod.instances import visible
+from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import all_finite, largest_singular_value
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
@@ -81,7 +81,7 @@ def drawn_ball(scene: Scene, prepared: Prepared, store: Store = STORE) -> tuple[
 
 def _seen(balls: Iterator[Ball], camera: Camera) -> bool:
     """Whether any instance of any ball may reach into the picture."""
-    return any(bool(visible(views, middle, reach, camera, MARGIN).any()) for views, middle, reach in balls)
+    return any(bool(visible_instances(views, middle, reach, camera, MARGIN).any()) for views, middle, reach in balls)
 
 
 def _clear(points: PointSet, store: Store) -> bool:

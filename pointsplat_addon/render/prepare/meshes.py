@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ...core.lod.foliage import leafy
-from ...core.lod.instances import visible
+from ...core.lod.foliage import is_foliage
+from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import largest_singular_value
 from ...core.scene.bounds import mesh_centre
 from ...core.scene.cloud import PointCloud, finite
@@ -77,7 +77,7 @@ class Measured:
     def leaves(self, instances: int) -> bool:
         """Whether so many instances of it are leaves, few enough to be polygons from any distance."""
         return instances * len(self.mesh.triangles) <= MOST_LEAVES and self._kept(
-            "leafy", lambda: leafy(self.mesh.position, self.mesh.triangles[self.ok])
+            "leafy", lambda: is_foliage(self.mesh.position, self.mesh.triangles[self.ok])
         )
 
     def _kept(self, what: str, make: Callable[[], Any]) -> Any:
@@ -178,7 +178,7 @@ def _near(view: View, of: Measured, view_from_object: np.ndarray) -> np.ndarray:
         return np.ones(len(view_from_object), bool)
     allowed = _allowed_by_bounds(view, of, view_from_object)
     near = of.edge * view.settings.tolerance > POLYGON_PIXELS * allowed
-    return near & visible(view_from_object, *of.ball, view.camera)
+    return near & visible_instances(view_from_object, *of.ball, view.camera)
 
 
 # How dense points are.

@@ -9,9 +9,10 @@ import numpy as np
 
 from ...core.lens import dicing
 from ...core.lens.strand_splats import SHARE, sharp_ends, splats
-from ...core.lod.area_share import shares
-from ...core.lod.cut import forest, fully, select
-from ...core.lod.instances import joined
+from ...core.lod.area_share import area_shares
+from ...core.lod.cut import cut_of_all_points, select_cut
+from ...core.lod.instances import joined_cuts
+from ...core.lod.node_table import node_table
 from ...core.numeric.linear import largest_singular_value
 from ...core.scene.bounds import mesh_centre
 from ...core.scene.camera import Camera
@@ -19,7 +20,7 @@ from ...core.scene.cloud import PointCloud, finite
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.strands import Strands
-from ...core.splat.blur import BLURRED, IN_FOCUS, Blur
+from ...core.splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
 from ...core.strand.selection import Segments, StrandLevels
 from ...core.surface.appearance import digest, point_cloud
 from ...core.surface.evaluation import evaluate
@@ -59,13 +60,13 @@ class Focus:
         reach = radius * largest_singular_value(matrix[:, :3, :3])
         near = self.camera.nearest
         least, most = self.blur.bounds(np.maximum(depth - reach, near), np.maximum(depth + reach, near))
-        return least < BLURRED, most > IN_FOCUS
+        return least < OUT_OF_FOCUS, most > IN_FOCUS
 
     def add_points(self, instance: np.ndarray, points: PointSet, areas: Callable[[], np.ndarray] | None) -> None:
         """Points and their nodes. `areas`: (N,) what each point stands for; None: it is not known."""
         key = self._add(instance, points)
         made = self.store.lookup(
-            ("shares", areas is not None, *points.key), lambda: shares(points.hierarchy or points.cloud, areas)
+            ("shares", areas is not None, *points.key), lambda: area_shares(points.hierarchy or points.cloud, areas)
         )
         self.shares[key] = made
 
@@ -134,13 +135,15 @@ class Focus:
         counts = np.zeros(len(self.sets) + 1, np.int64)
         for key, points in bare.items():
             counts[key] = len(points.cloud)
-        cuts = [fully(counts, self.set_of_instance)]
+        cuts = [cut_of_all_points(counts, self.set_of_instance)]
         trees = {key: points.hierarchy for key, points in self.sets.items() if points.hierarchy is not None}
         if trees:
             known = ("forest", *((key, self.sets[key].key) for key in trees))
-            found = self.store.lookup(known, lambda: forest(trees))
+            found = self.store.lookup(known, lambda: node_table(trees))
             own = np.where(np.isin(self.set_of_instance, list(trees)), self.set_of_instance, -1)
             cuts.append(
-                select(found, own, self.view_from_object, self.camera, self.tolerance, blur=self.blur, wanted="BLURRED")
+                select_cut(
+                    found, own, self.view_from_object, self.camera, self.tolerance, blur=self.blur, wanted="BLURRED"
+                )
             )
-        return Blurred(self.sets, self.set_of_instance, joined(cuts), self.shares)
+        return Blurred(self.sets, self.set_of_instance, joined_cuts(cuts), self.shares)

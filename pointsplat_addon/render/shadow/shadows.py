@@ -13,7 +13,7 @@ import numpy as np
 
 from ...core.light.lighting import in_rows
 from ...core.lod.hierarchy import build
-from ...core.lod.instances import make_levels
+from ...core.lod.levels import make_levels
 from ...core.numeric.linear import all_finite, largest_singular_value
 from ...core.scene.cloud import PointCloud, finite
 from ...core.scene.lights import Light

@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.splat.blur import NODE
+from pointsplat_addon.core.splat.blur import NODE_SIZE
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.budget import budget
 from pointsplat_addon.render.budget.budget import Moving, Pacer, Refining
@@ -168,7 +168,7 @@ def ratios(case: Case, monkeypatch: pytest.MonkeyPatch, limits=(0.03, 0.01, 0.00
         assert report["estimate"]["rmse"] <= limit or "samples" not in {entry["name"] for entry in report["skipped"]}
     settings = replace(case.settings, tolerance=case.settings.tolerance / 4, use_adaptive_sampling=False)
     monkeypatch.setattr(translucent, "RELIT", CONVERGED)
-    best = Request(case.camera, settings, COMBINED, CONVERGED, node=NODE / 4)
+    best = Request(case.camera, settings, COMBINED, CONVERGED, node=NODE_SIZE / 4)
     truth = scenes.opengl().render(case.scene, best).pixels["combined"]
     estimates = [result.report["estimate"]["rmse"] for result in found]
     distances = [budget.distance(result.pixels["combined"], truth) for result in found]

@@ -11,24 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numeric.segments import ranges, starts
+from ...numeric.segments import ranges, starts
+from .tree import MAX_DEPTH, Tree, link
 
-MAX_DEPTH = 64  # levels; only geometric sequences of points come near it
 BLOCK = 1 << 17  # points that are partitioned down to the leaves together: their arrays stay in the cache
-
-
-@dataclass(frozen=True, eq=False)
-class Tree:
-    """Links of M nodes over N points, breadth first: node 0 is the root."""
-
-    child_count: np.ndarray  # (M,) uint8; 0 for leaves
-    first_child: np.ndarray  # (M,) int32; 0 for leaves
-    point_count: np.ndarray  # (M,) int32
-    first_point: np.ndarray  # (M,) int32, position in tree order
-    levels: np.ndarray  # (L + 1,) int64: level l is the nodes levels[l] to levels[l + 1]
-
-    def __len__(self) -> int:
-        return len(self.child_count)
 
 
 @dataclass
@@ -226,10 +212,3 @@ def _join(levels: list[list[_Piece]]) -> Tree:
     child_count = np.concatenate([piece.child_count for piece in pieces])
     first, count = (np.concatenate([getattr(p, name) for p in pieces]).astype(np.int32) for name in ("first", "count"))
     return link(child_count, first, count, np.cumsum([0, *sizes]))
-
-
-def link(child_count: np.ndarray, first_point: np.ndarray, point_count: np.ndarray, levels: np.ndarray) -> Tree:
-    """Breadth-first order makes the first child a prefix sum: the root is node 0, its children start at node 1."""
-    first_child = (starts(child_count) + 1).astype(np.int32) if len(child_count) else np.empty(0, np.int32)
-    first_child[child_count == 0] = 0
-    return Tree(child_count, first_child, point_count, first_point, levels)
