@@ -9,7 +9,8 @@ from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
 from ..scene.strands import Strands
 from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
-from ..strand.selection import StrandLevels, lengths_scale
+from ..strand.levels import StrandLevels
+from ..strand.projection import tube_radius_scale
 
 MOST_BENT = 0.5  # cosine of half the sharpest bend whose sides meet
 MOST_ACROSS = 16  # strips of a wide tube
@@ -36,7 +37,7 @@ def splats(
     """
     matrix = np.asarray(view_from_object, np.float64)
     linear = matrix[:3, :3]
-    scale = float(lengths_scale(matrix[None])[0])
+    scale = float(tube_radius_scale(matrix[None])[0])
     place = strands.position.astype(np.float64) + strands.origin
     low, high = _depths(strands, ends, matrix, camera)
     least, most = blur.bounds(low, high)
@@ -167,7 +168,7 @@ def _depths(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(K,) each: the nearest and the farthest of what is around the nearer and the farther end."""
     depth = -((strands.position.astype(np.float64) + strands.origin) @ matrix[2, :3] + matrix[2, 3])
-    reach = strands.radius * float(lengths_scale(matrix[None])[0])
+    reach = strands.radius * float(tube_radius_scale(matrix[None])[0])
     low, high = np.maximum(depth - reach, camera.nearest)[ends], np.maximum(depth + reach, camera.nearest)[ends]
     return low.min(axis=1), high.max(axis=1)
 

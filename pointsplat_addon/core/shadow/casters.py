@@ -10,7 +10,8 @@ import numpy as np
 from ..numeric.vectors import cross, each_block
 from ..scene.cloud import PointCloud
 from ..scene.lights import Light
-from ..strand.selection import StrandLevels, lengths_scale
+from ..strand.levels import StrandLevels
+from ..strand.projection import tube_radius_scale
 
 OPAQUE_DEPTH = 100.0  # optical depth that stands for no light at all
 KINDS = ("OPAQUE", "SHELL", "VOLUME")
@@ -204,7 +205,7 @@ def pieces(strands: StrandLevels, world_from_object: np.ndarray, step: float) ->
     part = ((number + 0.5) / count[which]).astype(np.float32)
     first, second = a[which], b[which]
     turn = linear.T.astype(np.float32)
-    scale = np.float32(lengths_scale(world_from_object[None])[0])
+    scale = np.float32(tube_radius_scale(world_from_object[None])[0])
     along = axis[which] @ turn
     length = np.linalg.norm(along, axis=1)
     along /= np.maximum(length, np.float32(1e-30))[:, None]

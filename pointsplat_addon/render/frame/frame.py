@@ -10,7 +10,7 @@ import numpy as np
 from ...core.lens.backdrop import grid_of
 from ...core.scene.scene import Scene
 from ...core.splat.blur import defocus_blur
-from ...core.strand.selection import turns
+from ...core.strand.segments import sample_offsets
 from ...shading.interface import Interface
 from ..budget.budget import checkpoint
 from ..device.clock import Clock
@@ -65,7 +65,7 @@ class Frame:
         self.adaptive: Adaptive | None = None
         self.translucent: Translucent | None = None
         self.out_of_focus: OutOfFocus | None = None
-        self._turns = turns(self.shot.request.samples)
+        self._turns = sample_offsets(self.shot.request.samples)
         self._data = Data(self.shot.scene, self.shot.request)
         self._owned: list[Any] = []
         self._lent: tuple[tuple, Targets] | None = None

@@ -21,7 +21,8 @@ from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.strands import Strands
 from ...core.scene.validation import valid_triangles
-from ...core.strand.selection import clean, lengths_scale
+from ...core.strand.cleaning import clean
+from ...core.strand.projection import tube_radius_scale
 from ...core.surface.appearance import digest
 from ...core.surface.density import Parts, make_parts
 from ..cache.store import STORE, Layer, PointSet
@@ -223,7 +224,7 @@ class Uploads:
             for row in prepared.lines:
                 origin[scene.instances.geometry == row] = _lines_of(scene, row).origin
             rows = instance_rows(prepared.view_from_object, origin, scene.instances.holdout)
-            rows[3::4, 1] = lengths_scale(prepared.view_from_object)
+            rows[3::4, 1] = tube_radius_scale(prepared.view_from_object)
             self.line_instances = self._for_view(rows)
         if plan.translucent is not None:
             origin = _origins(prepared.translucent)

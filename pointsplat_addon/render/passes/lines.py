@@ -18,7 +18,8 @@ import numpy as np
 
 from ...core.scene.materials import MaterialTable
 from ...core.scene.strands import Strands
-from ...core.strand.selection import Segments, StrandLevels
+from ...core.strand.levels import StrandLevels
+from ...core.strand.segments import Segments
 from ...shading.interface import Interface
 from ..device.packing import PAGE_WIDTH, paged
 from ..device.protocol import Device, Texture, whole

@@ -21,7 +21,8 @@ from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.strands import Strands
 from ...core.splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
-from ...core.strand.selection import Segments, StrandLevels
+from ...core.strand.levels import StrandLevels
+from ...core.strand.segments import Segments
 from ...core.surface.appearance import digest, point_cloud
 from ...core.surface.evaluation import evaluate
 from ..cache.store import Layer, PointSet, Store

@@ -14,7 +14,7 @@ from ...core.scene.bounds import bounding_box
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, coherent, finite
 from ...core.scene.scene import Geometry
-from ...core.strand.selection import NEAREST
+from ...core.strand.projection import NEAREST
 from ..cache.store import STORE, PointSet, Store
 from .view import View
 

@@ -26,7 +26,8 @@ from ...core.shadow.casters import Pieces, pieces
 from ...core.shadow.floor import FLAT, box_corners, lowest, lowest_corner, plane_of, shines_from
 from ...core.shadow.grid import NARROW, rotation
 from ...core.shadow.samples import Outline, leaves, outline, places, sampled
-from ...core.strand.selection import StrandLevels, clean
+from ...core.strand.cleaning import clean
+from ...core.strand.levels import StrandLevels
 from ...core.surface.appearance import digest, hiding
 from ...core.surface.spacing import quantise_spacing
 from ..cache.store import Store

@@ -13,7 +13,7 @@ from pointsplat_addon.core.scene.camera import Aperture, Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.validation import valid_triangles
 from pointsplat_addon.core.splat import blur as blur_module
-from pointsplat_addon.core.strand.selection import clean
+from pointsplat_addon.core.strand.cleaning import clean
 from pointsplat_addon.core.surface.evaluation import evaluate
 from pointsplat_addon.core.surface.sample_areas import sample_areas
 from pointsplat_addon.core.surface.sampling import sample_mesh

@@ -9,7 +9,8 @@ from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.core.strand.selection import clean, turns
+from pointsplat_addon.core.strand.cleaning import clean
+from pointsplat_addon.core.strand.segments import sample_offsets
 from tests.support import scenes
 from tests.support.scenes import Case, render
 
@@ -231,14 +232,14 @@ def test_a_tapering_strand_covers_less_and_less():
 
 def test_turns_spread_every_strand_over_the_samples():
     for count in (1, 5, 16, 24):
-        turn = turns(count)
+        turn = sample_offsets(count)
         assert sorted(turn) == [k / count for k in range(count)]
         phase = np.random.default_rng(0).random(500)
         for share in (0.03, 0.3, 0.77):
             times = (((phase[:, None] + turn) % 1) < share).sum(axis=1)
             assert set(times) <= {int(share * count), int(share * count) + 1}
     # The first half of 16 has half of each.
-    assert set((turns(16)[:8] * 16).astype(int) // 2) == set(range(8))
+    assert set((sample_offsets(16)[:8] * 16).astype(int) // 2) == set(range(8))
 
 
 def test_what_is_no_strand_is_left_out_and_the_rest_is_drawn():
@@ -354,7 +355,7 @@ def test_strands_that_a_sample_shows_lie_all_over_however_they_were_laid_out():
     """Hair on a Fibonacci sphere, whose azimuths are multiples of the golden ratio."""
     root = scenes.sphere_points(4000)
     lines = clean(made("fibonacci", [np.stack([p, 1.2 * p]) for p in root], 0.01))
-    shown = (lines.phase + turns(16)[3]) % 1 < 0.1
+    shown = (lines.phase + sample_offsets(16)[3]) % 1 < 0.1
     assert abs(shown.mean() - 0.1) < 0.01  # measured 0.0005
     sector = np.floor((np.arctan2(root[:, 1], root[:, 0]) / (2 * np.pi) % 1) * 8).astype(int)
     shares = np.bincount(sector[shown], minlength=8) / np.bincount(sector)
