@@ -14,7 +14,8 @@ from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
 from ..scene.mesh import Mesh
 from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
-from ..surface.sampling import _STEINER, Samples
+from ..surface.area_sampling import STEINER
+from ..surface.samples import Samples
 
 MOST = 1 << 21  # pieces of one mesh: beyond it they stay as large as they are
 ROUND = 0.7  # sides of facets over those of pieces of what is flat
@@ -64,8 +65,10 @@ def cut(
     order = np.argsort(owner, kind="stable")
     weights = weights[order]
     edges = weights[:, 1:] - weights[:, :1]
-    ellipse = np.einsum("ij,njk->nik", _STEINER / np.sqrt(2), edges)
-    return Samples("GRID", owner[order].astype(np.int32), weights.mean(axis=1).astype(np.float32), ellipse.astype("f4"))
+    ellipse = np.einsum("ij,njk->nik", STEINER / np.sqrt(2), edges)
+    return Samples(
+        "PATCHES", owner[order].astype(np.int32), weights.mean(axis=1).astype(np.float32), ellipse.astype("f4")
+    )
 
 
 def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, tolerance: float, blur: Blur) -> PointCloud:

@@ -20,8 +20,8 @@ from ...core.scene.camera import Camera
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.strands import Strands
+from ...core.scene.validation import valid_triangles
 from ...core.strand.selection import clean, lengths_scale
-from ...core.surface import sampling
 from ...core.surface.appearance import digest
 from ...core.surface.density import Parts, make_parts
 from ..cache.store import STORE, Layer, PointSet
@@ -404,7 +404,7 @@ class Uploads:
             geometry = scene.geometries[row]
             mesh = geometry.mesh
             assert mesh is not None
-            ok, _ = STORE.lookup(("valid", geometry.key), lambda mesh=mesh: sampling.validate(mesh))
+            ok, _ = STORE.lookup(("valid", geometry.key), lambda mesh=mesh: valid_triangles(mesh))
             look = (digest(mesh, scene.materials), plan.variant, _fill_key(scene))
             parts = None
             if geometry.primitive == "AUTO":

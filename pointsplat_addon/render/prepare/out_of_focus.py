@@ -14,6 +14,7 @@ from ...core.lod.cut import cut_of_all_points, select_cut
 from ...core.lod.instances import joined_cuts
 from ...core.lod.node_table import node_table
 from ...core.numeric.linear import largest_singular_value
+from ...core.scene.bounds import mesh_centre
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, finite
 from ...core.scene.mesh import Mesh
@@ -21,8 +22,8 @@ from ...core.scene.scene import Geometry, Scene
 from ...core.scene.strands import Strands
 from ...core.splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
 from ...core.strand.selection import Segments, StrandLevels
-from ...core.surface import sampling
 from ...core.surface.appearance import digest, point_cloud
+from ...core.surface.evaluation import evaluate
 from ..cache.store import Layer, PointSet, Store
 
 
@@ -83,7 +84,7 @@ class Focus:
     def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh, ok: np.ndarray) -> None:
         """Triangles, cut for this view."""
         rows = np.flatnonzero(ok)
-        origin, table = sampling.centre(mesh), self.scene.materials
+        origin, table = mesh_centre(mesh), self.scene.materials
         look = digest(mesh, table)
         for i in instance.tolist():
             matrix = self.view_from_object[i]
@@ -91,7 +92,7 @@ class Focus:
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 samples = dicing.cut(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
-                return finite(point_cloud(mesh, samples, sampling.evaluate(mesh, samples, origin, ok), table))[0]
+                return finite(point_cloud(mesh, samples, evaluate(mesh, samples, origin, ok), table))[0]
 
             self._add_pieces(i, key, make, dicing.SHARE)
 

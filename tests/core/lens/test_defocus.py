@@ -11,9 +11,13 @@ from pointsplat_addon.core.lod import area_share, cut, node_table
 from pointsplat_addon.core.lod.hierarchy import build
 from pointsplat_addon.core.scene.camera import Aperture, Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.validation import valid_triangles
 from pointsplat_addon.core.splat import blur as blur_module
 from pointsplat_addon.core.strand.selection import clean
-from pointsplat_addon.core.surface import sampling
+from pointsplat_addon.core.surface.evaluation import evaluate
+from pointsplat_addon.core.surface.sample_areas import sample_areas
+from pointsplat_addon.core.surface.sampling import sample_mesh
+from pointsplat_addon.core.surface.triangles import measure_triangles
 from tests.support.scenes import camera, flat_mesh, moved, plane_mesh, sphere_mesh, strand_lines
 
 
@@ -277,7 +281,7 @@ def test_pieces_of_triangles_have_their_area_and_moments():
     seen = lens(0.05, 2.0)
     matrix = seen.view_from_world
     samples = dicing.cut(mesh, np.arange(len(mesh.triangles)), matrix, seen, 1.0, blur(seen))
-    found = sampling.evaluate(mesh, samples)
+    found = evaluate(mesh, samples)
     assert found.axis is not None
     area = np.pi * found.radii.prod(axis=1).astype(float) * dicing.SHARE
     assert len(samples) > 100
@@ -382,13 +386,13 @@ def test_points_of_a_plane_cover_their_cells_whatever_their_radii_are(wide):
 
 def test_samples_of_a_mesh_cover_what_they_stand_for():
     mesh = sphere_mesh("covered sphere", 48)
-    ok, _ = sampling.validate(mesh)
-    samples = sampling.sample(mesh, 0.05, "AREA", ok, sampling.measure(mesh, ok))
-    found = sampling.evaluate(mesh, samples, ok=ok)
+    ok, _ = valid_triangles(mesh)
+    samples = sample_mesh(mesh, 0.05, "AREA", ok, measure_triangles(mesh, ok))
+    found = evaluate(mesh, samples, ok=ok)
     cloud = PointCloud(found.position, found.origin, normal=found.plane, axis=found.axis, radii=found.radii)
     tree = build(cloud)
-    share = np.asarray(area_share.area_shares(tree, lambda: sampling.areas(mesh, samples, ok)))
+    share = np.asarray(area_share.area_shares(tree, lambda: sample_areas(mesh, samples, ok)))
     assert tree.cloud.radii is not None
     area = np.pi * tree.cloud.radii.astype(float).prod(axis=1) * share[: len(cloud)]
-    whole = sampling.measure(mesh, ok).area
+    whole = measure_triangles(mesh, ok).area
     assert abs(area.sum() / whole - 1) < 1e-6  # measured 5e-10
