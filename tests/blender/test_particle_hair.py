@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
-from scripts.compare import iou
+from scripts.common.images import iou
 from tests.support import exr
 from tests.support.nodes import new_material, node
 

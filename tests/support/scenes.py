@@ -24,7 +24,7 @@ from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.passes.outputs import PASSES
 from pointsplat_addon.render.plan.request import Request, Result
 from pointsplat_addon.render.renderer import Renderer
-from scripts.tower import COLORS, tower
+from scripts.common.tower import COLORS, tower
 
 ALL_PASSES = frozenset(p.key for p in PASSES)
 RESOLUTION = (48, 40)

@@ -18,7 +18,7 @@ from pointsplat_addon.render.frame.filtering import offsets
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from scripts import defocus_pictures
+from scripts.studies import defocus_pictures
 from tests.support import scenes
 from tests.support.scenes import CASES, Case
 

@@ -21,7 +21,7 @@ from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.cache.store import STORE, Store
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
-from scripts.transitions import Change, changes
+from scripts.studies.transitions import Change, changes
 from tests.render.frame.test_quality import shape, with_smooth_normals
 from tests.support import scenes
 

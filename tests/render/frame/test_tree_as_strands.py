@@ -3,7 +3,7 @@
 import pytest
 
 from pointsplat_addon.core.strand.fit.from_mesh import fit_strands
-from scripts import tree_as_lines as tree
+from scripts.studies import tree_as_strands as tree
 from tests.support import scenes
 
 pytest.importorskip("moderngl")
