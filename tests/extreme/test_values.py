@@ -177,10 +177,10 @@ def test_attributes_of_strands(name, odd, ribbon, within):
     if ribbon:
         given.setdefault("normal", np.tile(np.array([0, -1, 0], np.float32), (27, 1)))
     thing = scenes.strand_lines(f"odd strands {name} {odd} {ribbon}", strands, 0.05, **given)
-    assert thing.lines is not None
-    values = getattr(thing.lines, name).copy()
+    assert thing.strands is not None
+    values = getattr(thing.strands, name).copy()
     values[4:20:5] = odd
-    changed = replace(thing, lines=replace(thing.lines, **{name: values}))
+    changed = replace(thing, strands=replace(thing.strands, **{name: values}))
     assert_rest_is_right(within, "attributes of strands", (changed, AT))
 
 

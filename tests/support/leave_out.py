@@ -1,4 +1,4 @@
-"""What scenes cost on the device, feature by feature: the rows of docs/leave_out.md, and what is written there.
+"""What scenes cost on the device, feature by feature: the rows of docs/notes/leave_out.md, and what is written there.
 
     python tests/support/leave_out.py [--write-docs]
 
@@ -440,10 +440,10 @@ def written(device: NullDevice) -> set[int]:
     return ids | {id(texture) for call in device.calls if call.target for texture in call.target.colors}
 
 
-# docs/leave_out.md
+# docs/notes/leave_out.md
 
 
-DOCS = Path(__file__).resolve().parent.parent.parent / "docs" / "leave_out.md"
+DOCS = Path(__file__).resolve().parent.parent.parent / "docs" / "notes" / "leave_out.md"
 BEGIN, END = "<!-- tables: tests/support/leave_out.py -->", "<!-- end of tables -->"
 
 
@@ -512,7 +512,7 @@ def with_tables(text: str) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write-docs", action="store_true", help="replace the tables in docs/leave_out.md")
+    parser.add_argument("--write-docs", action="store_true", help="replace the tables in docs/notes/leave_out.md")
     if parser.parse_args().write_docs:
         DOCS.write_text(with_tables(DOCS.read_text(encoding="utf-8")), encoding="utf-8")
     else:

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from pointsplat_addon.core.lod.cost import FEWER, Costs
+from pointsplat_addon.core.lod.cost import MAX_SAMPLES_RATIO, Costs
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
 from pointsplat_addon.core.numeric.segments import offsets
@@ -19,13 +19,13 @@ from pointsplat_addon.core.scene.materials import MaterialTable, default_materia
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.scene.strands import Lines
+from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.passes.outputs import PASSES
 from pointsplat_addon.render.plan.request import Request, Result
 from pointsplat_addon.render.renderer import Renderer
-from scripts.tower import COLORS, tower
+from scripts.common.tower import COLORS, tower
 
 ALL_PASSES = frozenset(p.key for p in PASSES)
 RESOLUTION = (48, 40)
@@ -46,7 +46,9 @@ class Case:
 
 # Pictures of tests are small and of few samples: meshes are points in them where they are in large ones of many.
 FREE_POINTS = replace(Costs(), prepared=1e-3, uploaded=1e-3)  # to prepare; what else they cost counts FEWER times
-CHEAP_POINTS = replace(FREE_POINTS, point=FREE_POINTS.point / FEWER, pixel=FREE_POINTS.pixel / FEWER)
+CHEAP_POINTS = replace(
+    FREE_POINTS, point=FREE_POINTS.point / MAX_SAMPLES_RATIO, pixel=FREE_POINTS.pixel / MAX_SAMPLES_RATIO
+)
 
 
 @cache
@@ -637,7 +639,7 @@ def strand_lines(key: str, strands: Sequence[np.ndarray], radius: float | np.nda
     position = np.concatenate(strands).astype(np.float32)
     start = offsets([len(strand) for strand in strands])
     radii = np.broadcast_to(np.asarray(radius, np.float32), len(position)).copy()
-    return Geometry(key, key, lines=Lines(key, key, position, start, radii, **more), primitive="LINES")
+    return Geometry(key, key, strands=Strands(key, key, position, start, radii, **more), primitive="LINES")
 
 
 def strands() -> Case:

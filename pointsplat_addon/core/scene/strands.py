@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class Strands:
     """Strands of one object, in object space: P points in S strands, one after another.
 
     A strand without normals is a tube, which is round; one with normals is a ribbon, flat and two-sided, as wide as the

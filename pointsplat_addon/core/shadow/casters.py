@@ -11,7 +11,8 @@ from ..numeric.segments import owners, ranks
 from ..numeric.vectors import cross, each_block
 from ..scene.cloud import PointCloud
 from ..scene.lights import Light
-from ..strand.selection import Strands, lengths_scale
+from ..strand.levels import StrandLevels
+from ..strand.projection import tube_radius_scale
 
 OPAQUE_DEPTH = 100.0  # optical depth that stands for no light at all
 KINDS = ("OPAQUE", "SHELL", "VOLUME")
@@ -192,7 +193,7 @@ class Pieces:
         return Casters("OPAQUE", self.origin, position, radius).take(np.flatnonzero(radius > 0))
 
 
-def pieces(strands: Strands, world_from_object: np.ndarray, step: float) -> Pieces:
+def pieces(strands: StrandLevels, world_from_object: np.ndarray, step: float) -> Pieces:
     """Strands of an instance, (4, 4) float64, in pieces of at most `step` object units."""
     last = np.ones(len(strands), bool)
     last[strands.start[1:] - 1] = False
@@ -205,7 +206,7 @@ def pieces(strands: Strands, world_from_object: np.ndarray, step: float) -> Piec
     part = ((number + 0.5) / count[which]).astype(np.float32)
     first, second = a[which], b[which]
     turn = linear.T.astype(np.float32)
-    scale = np.float32(lengths_scale(world_from_object[None])[0])
+    scale = np.float32(tube_radius_scale(world_from_object[None])[0])
     along = axis[which] @ turn
     length = np.linalg.norm(along, axis=1)
     along /= np.maximum(length, np.float32(1e-30))[:, None]

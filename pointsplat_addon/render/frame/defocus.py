@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.lod.cut import NEIGHBOURS
+from ...core.lod.criteria import NEIGHBOUR_EXTENT
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ...core.scene.world import World
-from ...core.splat.blur import BLURRED, blur_of
+from ...core.splat.blur import OUT_OF_FOCUS, defocus_blur
 from ..device.protocol import Device, Texture
 from ..passes.defocus import Defocus, defocus_program, tile_lists
 from ..passes.outputs import CRYPTO
@@ -44,11 +44,11 @@ def beside(scene: Scene, asked: Request, presented: bool) -> tuple[Scene, Reques
 def in_focus(camera: Camera, plan: Plan, largest: float) -> tuple[float, float]:
     """Depths between which something may be; in image space, that shows of points what is beside them, too. `largest`:
     radius of splats in pixels."""
-    blur = blur_of(camera)
+    blur = defocus_blur(camera)
     assert blur is not None
-    near, far = blur.depths(BLURRED)
+    near, far = blur.depths(OUT_OF_FOCUS)
     if plan.points and plan.ewa is None:
-        reach = (NEIGHBOURS - 1) * largest / abs(camera.pixel_from_view()[0])
+        reach = (NEIGHBOUR_EXTENT - 1) * largest / abs(camera.pixel_from_view()[0])
         near -= reach * (near if camera.perspective else 1.0)
         far += reach * (far if camera.perspective else 1.0)
     return max(camera.near, near), min(camera.far, far)

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...core.lens.backdrop import grid_of
 from ...core.scene.scene import Scene
-from ...core.splat.blur import blur_of
-from ...core.strand.selection import turns
+from ...core.splat.blur import defocus_blur
+from ...core.strand.segments import sample_offsets
 from ...shading.interface import Interface
 from ..budget.budget import checkpoint
 from ..device.clock import Clock
@@ -65,7 +65,7 @@ class Frame:
         self.adaptive: Adaptive | None = None
         self.translucent: Translucent | None = None
         self.out_of_focus: OutOfFocus | None = None
-        self._turns = turns(self.shot.request.samples)
+        self._turns = sample_offsets(self.shot.request.samples)
         self._data = Data(self.shot.scene, self.shot.request)
         self._owned: list[Any] = []
         self._lent: tuple[tuple, Targets] | None = None
@@ -215,7 +215,7 @@ class Frame:
         if self.backdrop is not None:
             record["previous"][0, :2] = self.backdrop.texels
         if plan.defocus:
-            blur, aperture = blur_of(camera), camera.aperture
+            blur, aperture = defocus_blur(camera), camera.aperture
             assert blur is not None
             assert aperture is not None
             record["focus"][0] = blur.scale, 1 / blur.focus, 0.0, 1 / aperture.ratio

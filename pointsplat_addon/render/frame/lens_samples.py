@@ -57,9 +57,9 @@ def _box(geometry: Geometry) -> np.ndarray:
     elif geometry.cloud is not None:
         position, origin, radii = geometry.cloud.position, geometry.cloud.origin, geometry.cloud.radii
         reach = 0.0 if radii is None else _largest(radii)
-    elif geometry.lines is not None:
-        position, origin = geometry.lines.position, geometry.lines.origin
-        reach = _largest(geometry.lines.radius)
+    elif geometry.strands is not None:
+        position, origin = geometry.strands.position, geometry.strands.origin
+        reach = _largest(geometry.strands.radius)
     else:
         return np.full((2, 3), np.nan)
     good = np.isfinite(position)

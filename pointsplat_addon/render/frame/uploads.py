@@ -19,9 +19,10 @@ from ...core.numeric.segments import ranges
 from ...core.scene.camera import Camera
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
-from ...core.scene.strands import Lines
-from ...core.strand.selection import clean, lengths_scale
-from ...core.surface import sampling
+from ...core.scene.strands import Strands
+from ...core.scene.validation import valid_triangles
+from ...core.strand.cleaning import clean
+from ...core.strand.projection import tube_radius_scale
 from ...core.surface.appearance import digest
 from ...core.surface.density import Parts, make_parts
 from ..cache.store import STORE, Layer, PointSet
@@ -223,7 +224,7 @@ class Uploads:
             for row in prepared.lines:
                 origin[scene.instances.geometry == row] = _lines_of(scene, row).origin
             rows = instance_rows(prepared.view_from_object, origin, scene.instances.holdout)
-            rows[3::4, 1] = lengths_scale(prepared.view_from_object)
+            rows[3::4, 1] = tube_radius_scale(prepared.view_from_object)
             self.line_instances = self._for_view(rows)
         if plan.translucent is not None:
             origin = _origins(prepared.translucent)
@@ -302,8 +303,8 @@ class Uploads:
         scene = self.scene
         most = np.zeros(len(scene.materials))
         for geometry in scene.geometries:
-            if geometry.lines is not None and scene.materials.hair is not None:
-                lines, rows = geometry.lines, list(geometry.lines.materials)
+            if geometry.strands is not None and scene.materials.hair is not None:
+                lines, rows = geometry.strands, list(geometry.strands.materials)
                 number = STORE.lookup(("crossed", geometry.key), lambda lines=lines: hair.crossed(lines))
                 most[rows] = np.maximum(most[rows], number)
         return hair.escape(most)
@@ -316,7 +317,7 @@ class Uploads:
             key = ("lines", geometry.key, variant, _fill_key(scene))
             self.used.add(key)
 
-            def make(lines: Lines = lines, geometry: Geometry = geometry) -> line_pass.LinePage:
+            def make(lines: Strands = lines, geometry: Geometry = geometry) -> line_pass.LinePage:
                 strands = STORE.lookup(("strands", geometry.key), lambda: clean(lines))
                 return line_pass.LinePage(self.device, lines, strands, variant, scene.materials)
 
@@ -404,7 +405,7 @@ class Uploads:
             geometry = scene.geometries[row]
             mesh = geometry.mesh
             assert mesh is not None
-            ok, _ = STORE.lookup(("valid", geometry.key), lambda mesh=mesh: sampling.validate(mesh))
+            ok, _ = STORE.lookup(("valid", geometry.key), lambda mesh=mesh: valid_triangles(mesh))
             look = (digest(mesh, scene.materials), plan.variant, _fill_key(scene))
             parts = None
             if geometry.primitive == "AUTO":
@@ -476,7 +477,9 @@ class DrawList:
         if known is not None and not known.stale(view_from_world, layer.cut):
             return
         entries = {row: points.hierarchy or points.cloud for row, points in layer.point_sets.items()}
-        self._order = depth_order.sort(layer.cut, entries, layer.set_of_instance, world_from_object, view_from_world)
+        self._order = depth_order.sort_cut(
+            layer.cut, entries, layer.set_of_instance, world_from_object, view_from_world
+        )
         self._key, self.sorts = key, self.sorts + 1
         texel, instance = listed(page, layer)
         index = self._order.index
@@ -514,8 +517,8 @@ class Same:
         return isinstance(other, Same) and other.array is self.array
 
 
-def _lines_of(scene: Scene, row: int) -> Lines:
-    lines = scene.geometries[row].lines
+def _lines_of(scene: Scene, row: int) -> Strands:
+    lines = scene.geometries[row].strands
     assert lines is not None
     return lines
 

@@ -17,8 +17,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.scene.materials import MaterialTable
-from ...core.scene.strands import Lines
-from ...core.strand.selection import Segments, Strands
+from ...core.scene.strands import Strands
+from ...core.strand.levels import StrandLevels
+from ...core.strand.segments import Segments
 from ...shading.interface import Interface
 from ..device.packing import PAGE_WIDTH, paged
 from ..device.protocol import Device, Texture, whole
@@ -31,7 +32,9 @@ TEXELS = 2  # of a segment
 class LinePage:
     """The control points of one geometry on the device."""
 
-    def __init__(self, device: Device, lines: Lines, strands: Strands, variant: Variant, table: MaterialTable) -> None:
+    def __init__(
+        self, device: Device, lines: Strands, strands: StrandLevels, variant: Variant, table: MaterialTable
+    ) -> None:
         self._device, self.strands, self.textures = device, strands, {}
         self.ribbon = strands.side is not None
         self._upload("point", "RGBA32F", 4, np.column_stack([strands.position, strands.radius]))

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...core.lod.hierarchy import basis, splats
-from ...core.numeric.vectors import each_block
+from ...core.lod.node_splats import points_and_nodes
+from ...core.numeric.vectors import basis, each_block
 from ...core.scene.cloud import PointCloud
 from ..cache.store import PointSet
 from ..device.packing import FACET_SHARE, FACET_STEPS, NO_NORMAL, PAGE_WIDTH, octahedral
@@ -25,7 +25,7 @@ class SplatPage:
     """
 
     def __init__(self, device: Device, sets: list[PointSet]) -> None:
-        self.clouds = [splats(points.hierarchy) if points.hierarchy else points.cloud for points in sets]
+        self.clouds = [points_and_nodes(points.hierarchy) if points.hierarchy else points.cloud for points in sets]
         ends = np.cumsum([len(cloud) for cloud in self.clouds]).tolist()
         self.first: dict[tuple, int] = dict(zip((points.key for points in sets), [0, *ends], strict=False))
         self.count: int = ends[-1]

@@ -14,7 +14,7 @@ from ...core.lod.cost import Costs
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ...core.scene.validation import shown, sound_camera
-from ...core.splat.blur import blur_of
+from ...core.splat.blur import defocus_blur
 from ..cache.store import STORE
 from ..device.clock import Clock
 from ..device.protocol import Limits
@@ -163,7 +163,7 @@ def make_shot(
         prepared = painted(prepared, keep=presented or bool(averaged(request.passes) or data(request.passes)))
 
     blended = (camera, request.samples) if technique.name == "EWA" else None
-    in_focus = "" if blur_of(camera) is None or through_lens else "nothing is out of focus"
+    in_focus = "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus"
     sharp_world = "each sample sees it through a place on the lens" if through_lens else why_sharp(scene, camera)
     plan = make_plan(
         scene, prepared, request.passes, shadows, unshadowed, request.interactive, blended, paints,

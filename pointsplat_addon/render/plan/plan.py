@@ -13,7 +13,7 @@ from ...core.material.graph import MaterialGraph
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud
 from ...core.scene.scene import Scene
-from ...core.scene.strands import Lines
+from ...core.scene.strands import Strands
 from ...core.surface.appearance import graphs_of
 from ..passes import ewa
 from ..passes.common import Variant
@@ -110,8 +110,8 @@ def make_plan(
     graphs = _graphs(scene, prepared)
     channels = {name for graph in graphs for name in graph.channels}
     sets = [*prepared.point_sets.values(), *prepared.spheres.point_sets.values()]
-    clouds: list[PointCloud | Lines] = [p.cloud for p in sets]
-    clouds += [found for row in prepared.lines if (found := scene.geometries[row].lines) is not None]
+    clouds: list[PointCloud | Strands] = [p.cloud for p in sets]
+    clouds += [found for row in prepared.lines if (found := scene.geometries[row].strands) is not None]
     surface = any(c.surface is not None for c in clouds) or (polygons and bool(channels & {"roughness", "metallic"}))
     varies = surface or (translucent is not None and translucent.surface)
     materials = _materials(scene, varies)

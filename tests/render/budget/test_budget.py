@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.splat.blur import NODE
+from pointsplat_addon.core.splat.blur import NODE_SIZE
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.budget import budget
 from pointsplat_addon.render.budget.budget import Moving, Pacer, Refining
@@ -18,7 +18,7 @@ from pointsplat_addon.render.frame.filtering import offsets
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from scripts import defocus_pictures
+from scripts.studies import defocus_pictures
 from tests.support import scenes
 from tests.support.scenes import CASES, Case
 
@@ -168,7 +168,7 @@ def ratios(case: Case, monkeypatch: pytest.MonkeyPatch, limits=(0.03, 0.01, 0.00
         assert report["estimate"]["rmse"] <= limit or "samples" not in {entry["name"] for entry in report["skipped"]}
     settings = replace(case.settings, tolerance=case.settings.tolerance / 4, use_adaptive_sampling=False)
     monkeypatch.setattr(translucent, "RELIT", CONVERGED)
-    best = Request(case.camera, settings, COMBINED, CONVERGED, node=NODE / 4)
+    best = Request(case.camera, settings, COMBINED, CONVERGED, node=NODE_SIZE / 4)
     truth = scenes.opengl().render(case.scene, best).pixels["combined"]
     estimates = [result.report["estimate"]["rmse"] for result in found]
     distances = [budget.distance(result.pixels["combined"], truth) for result in found]
@@ -219,7 +219,7 @@ def test_an_error_that_is_one_number_is_not_taken_for_less(monkeypatch):
 
 @pytest.mark.parametrize("number", range(4))
 def test_the_estimate_holds_for_scenes_that_its_factors_were_not_fitted_to(number, monkeypatch):
-    """The pictures of docs/depth_of_field.md, at a quarter of their size."""
+    """The pictures of docs/notes/depth_of_field.md, at a quarter of their size."""
     made = (defocus_pictures.floor, lambda: defocus_pictures.shell(False), lambda: defocus_pictures.shell(True),
             defocus_pictures.strands)  # fmt: skip
     scene, camera = made[number]()

@@ -14,7 +14,7 @@ from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.cache.store import STORE
-from scripts.compare import compare, directions
+from scripts.common.images import compare, directions
 from tests.support import scenes
 from tests.support.scenes import Case, render
 

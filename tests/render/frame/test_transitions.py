@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lod.cost import FEWER, Costs
+from pointsplat_addon.core.lod.cost import MAX_SAMPLES_RATIO, Costs
 from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
 from pointsplat_addon.core.scene.camera import Camera
@@ -21,7 +21,7 @@ from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.cache.store import STORE, Store
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
-from scripts.transitions import Change, changes
+from scripts.studies.transitions import Change, changes
 from tests.render.frame.test_quality import shape, with_smooth_normals
 from tests.support import scenes
 
@@ -122,7 +122,7 @@ def field(direction: scenes.Vector, primitive: str = "AUTO", rings: int = 16, si
 
 
 # Points in pictures of 16 samples are set against triangles of FEWER times less.
-COSTS = Costs(point=20.0 / FEWER, pixel=1e-3, prepared=1e-3, uploaded=1e-3)
+COSTS = Costs(point=20.0 / MAX_SAMPLES_RATIO, pixel=1e-3, prepared=1e-3, uploaded=1e-3)
 
 
 def hills(start: float, stop: float, step: float, size: int) -> Journey:

@@ -2,8 +2,8 @@
 
 import pytest
 
-from pointsplat_addon.core.strand.fit.from_mesh import find
-from scripts import tree_as_lines as tree
+from pointsplat_addon.core.strand.fit.from_mesh import fit_strands
+from scripts.studies import tree_as_strands as tree
 from tests.support import scenes
 
 pytest.importorskip("moderngl")
@@ -13,7 +13,7 @@ pytest.importorskip("moderngl")
 def maple():
     """The tree, and its strands."""
     read = tree.maple()
-    return read, find(read.position, read.triangles)
+    return read, fit_strands(read.position, read.triangles)
 
 
 def test_as_lines_the_tree_has_two_fifths_of_its_vertices(maple):

@@ -14,7 +14,7 @@ from pointsplat_addon.core.scene.scene import Geometry, Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat import blur as blur_module
-from pointsplat_addon.core.splat.ewa import SHARE
+from pointsplat_addon.core.splat.ewa import CELL_SHARE
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.lens_samples import LensSamples
@@ -128,7 +128,7 @@ def test_a_splats_energy_is_kept_and_half_of_it_lies_within_its_share_of_the_dis
     """Křivánek's radius of half the energy is that of Cycles' disk, C / sqrt 2."""
     seen = camera(resolution=(128, 128), parallel=parallel)
     aperture = Aperture(radius, focus)
-    blur = blur_module.blur_of(replace(seen, aperture=aperture))
+    blur = blur_module.defocus_blur(replace(seen, aperture=aperture))
     assert blur is not None
     disk = float(blur.radius(np.array(4.0)))
     assert 8 < disk < 60
@@ -144,7 +144,7 @@ def test_a_splats_energy_is_kept_and_half_of_it_lies_within_its_share_of_the_dis
         energies.append(found.sum())
         halves.append(np.interp(found.sum() / 2, np.cumsum(found.ravel()[order]), r.ravel()[order]))
     # A disk alone covers the cell that it goes around.
-    area = np.pi * (0.02 * pixel) ** 2 * SHARE
+    area = np.pi * (0.02 * pixel) ** 2 * CELL_SHARE
     assert np.abs(np.array(energies) / area - 1).max() < 0.01  # measured 0.0036
     assert np.abs(np.array(halves) / (disk / np.sqrt(2)) - 1).max() < 0.03  # measured 0.015
 

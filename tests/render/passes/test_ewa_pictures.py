@@ -14,8 +14,8 @@ from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from scripts import technique_error
-from scripts.compare import compare, eroded
+from scripts.common.images import compare, eroded
+from scripts.studies import technique_error
 from tests.reference import opaque
 from tests.render.frame import test_quality
 from tests.support import scenes

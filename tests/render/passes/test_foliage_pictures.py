@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lod.hierarchy import basis
+from pointsplat_addon.core.numeric.vectors import basis
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.devices.opengl import OpenGLDevice

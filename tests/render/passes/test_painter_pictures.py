@@ -14,9 +14,9 @@ from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from scripts import technique_error
-from scripts.compare import compare, eroded
-from scripts.transitions import levels
+from scripts.common.images import compare, eroded
+from scripts.studies import technique_error
+from scripts.studies.transitions import levels
 from tests.core.lod.test_optics import mean_transmittance
 from tests.reference import opaque
 from tests.render.frame import test_quality

@@ -7,9 +7,10 @@ import pytest
 
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.scene.strands import Lines
+from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.core.strand.selection import clean, turns
+from pointsplat_addon.core.strand.cleaning import clean
+from pointsplat_addon.core.strand.segments import sample_offsets
 from tests.support import scenes
 from tests.support.scenes import Case, render
 
@@ -19,7 +20,7 @@ PLAIN = Settings(use_shadows=False)
 PARTS = 400  # places along a segment that the reference looks at
 
 
-def covered(lines: Lines, camera) -> np.ndarray:
+def covered(lines: Strands, camera) -> np.ndarray:
     """(H, W) bool: pixels whose centre's ray meets a ball somewhere along a segment, before the eye and between the
     planes in which the strand ends."""
     fx, fy, cx, cy = camera.pixel_from_view()
@@ -53,19 +54,19 @@ def covered(lines: Lines, camera) -> np.ndarray:
     return found
 
 
-def made(key: str, points: list, radius, **more) -> Lines:
+def made(key: str, points: list, radius, **more) -> Strands:
     position = np.concatenate(points).astype(np.float32)
     start = np.concatenate([[0], np.cumsum([len(p) for p in points])])
-    return Lines(
+    return Strands(
         key, key, position, start, np.broadcast_to(np.asarray(radius, np.float32), len(position)).copy(), **more
     )
 
 
-def geometry(lines: Lines) -> Geometry:
-    return Geometry(lines.key, lines.name, lines=lines, primitive="LINES")
+def geometry(lines: Strands) -> Geometry:
+    return Geometry(lines.key, lines.name, strands=lines, primitive="LINES")
 
 
-def case(lines: Lines, camera, settings: Settings = PLAIN, **more) -> Case:
+def case(lines: Strands, camera, settings: Settings = PLAIN, **more) -> Case:
     return Case(scenes.scene((geometry(lines), scenes.moved()), transparent=True, **more), camera, settings)
 
 
@@ -133,7 +134,7 @@ def test_tubes_are_round():
     assert np.abs(pixels["depth"][20][on][:, 0] - (4 - 0.5 * -want[:, 1])).max() < 1e-5
 
 
-def ribbon(key: str, count: int = 200) -> Lines:
+def ribbon(key: str, count: int = 200) -> Strands:
     u = np.linspace(-1, 1, count)
     normal = np.stack([0 * u, -np.cos(2.5 * u), np.sin(2.5 * u)], axis=1).astype(np.float32)
     return made(key, [np.stack([u, 0 * u, 0 * u], axis=1)], 0.3, normal=normal)
@@ -165,7 +166,7 @@ def test_a_ribbon_has_two_sides():
 PIXEL = 2 / 128  # of the view below
 
 
-def field(key: str, width: float, angle: float, rough: float = 0.0) -> Lines:
+def field(key: str, width: float, angle: float, rough: float = 0.0) -> Strands:
     """288 strands of 8 places, `width` pixels wide, that lie beside and behind one another without an overlap."""
     rng = np.random.default_rng(7)
     d, e = np.array([np.cos(angle), 0, np.sin(angle)]), np.array([-np.sin(angle), 0, np.cos(angle)])
@@ -231,14 +232,14 @@ def test_a_tapering_strand_covers_less_and_less():
 
 def test_turns_spread_every_strand_over_the_samples():
     for count in (1, 5, 16, 24):
-        turn = turns(count)
+        turn = sample_offsets(count)
         assert sorted(turn) == [k / count for k in range(count)]
         phase = np.random.default_rng(0).random(500)
         for share in (0.03, 0.3, 0.77):
             times = (((phase[:, None] + turn) % 1) < share).sum(axis=1)
             assert set(times) <= {int(share * count), int(share * count) + 1}
     # The first half of 16 has half of each.
-    assert set((turns(16)[:8] * 16).astype(int) // 2) == set(range(8))
+    assert set((sample_offsets(16)[:8] * 16).astype(int) // 2) == set(range(8))
 
 
 def test_what_is_no_strand_is_left_out_and_the_rest_is_drawn():
@@ -354,7 +355,7 @@ def test_strands_that_a_sample_shows_lie_all_over_however_they_were_laid_out():
     """Hair on a Fibonacci sphere, whose azimuths are multiples of the golden ratio."""
     root = scenes.sphere_points(4000)
     lines = clean(made("fibonacci", [np.stack([p, 1.2 * p]) for p in root], 0.01))
-    shown = (lines.phase + turns(16)[3]) % 1 < 0.1
+    shown = (lines.phase + sample_offsets(16)[3]) % 1 < 0.1
     assert abs(shown.mean() - 0.1) < 0.01  # measured 0.0005
     sector = np.floor((np.arctan2(root[:, 1], root[:, 0]) / (2 * np.pi) % 1) * 8).astype(int)
     shares = np.bincount(sector[shown], minlength=8) / np.bincount(sector)

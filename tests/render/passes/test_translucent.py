@@ -12,7 +12,7 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.core.splat.kernel import EVEN, PROFILES
+from pointsplat_addon.core.splat.kernel import EVEN_SPACING, PROFILES
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
@@ -40,7 +40,7 @@ def voxels(
     position = np.stack(np.meshgrid(side, depth, side, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
     if seen is not None:
         position = position[seen(position)]
-    count, radius = len(position), 2 * EVEN * edge
+    count, radius = len(position), 2 * EVEN_SPACING * edge
     share = edge**3 / (4 / 3 * np.pi * radius**3)
     strength = np.broadcast_to(np.asarray(extinction, np.float32) * share, (count, *np.shape(extinction)))
     black = np.zeros((count, 3), np.float32)

@@ -1,6 +1,6 @@
 """What each scene takes on the device is what its pixels read: passes, targets, textures, attributes, programs.
 
-docs/leave_out.md holds the exact lists; `python tests/support/leave_out.py --write-docs` rewrites them.
+docs/notes/leave_out.md holds the exact lists; `python tests/support/leave_out.py --write-docs` rewrites them.
 """
 
 import numpy as np

@@ -292,7 +292,7 @@ def test_a_scene_without_strands_compiles_nothing_for_them(technique):
 def test_strands_alone_need_neither_points_nor_a_pyramid(technique):
     case = scenes.strands()
     only = [
-        (g, m) for g, m in zip(case.scene.geometries, case.scene.instances.world_from_object, strict=True) if g.lines
+        (g, m) for g, m in zip(case.scene.geometries, case.scene.instances.world_from_object, strict=True) if g.strands
     ]
     alone = replace(case, scene=scenes.scene(*only), settings=replace(case.settings, technique=technique))
     device, result = record(alone, samples=8)

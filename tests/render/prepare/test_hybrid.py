@@ -17,8 +17,8 @@ from pointsplat_addon.render.budget.calibrate import calibrate
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
-from scripts.compare import eroded
-from scripts.transitions import levels
+from scripts.common.images import eroded
+from scripts.studies.transitions import levels
 from tests.render.frame.test_quality import with_smooth_normals
 from tests.support import scenes
 

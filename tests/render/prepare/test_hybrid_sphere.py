@@ -8,8 +8,8 @@ import pytest
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from scripts.compare import eroded
-from scripts.transitions import levels
+from scripts.common.images import eroded
+from scripts.studies.transitions import levels
 from tests.support import scenes
 from tests.support.scenes import Case
 

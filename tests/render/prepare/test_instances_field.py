@@ -15,7 +15,7 @@ from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
-from scripts.tower import COLORS
+from scripts.common.tower import COLORS
 from tests.support import scenes
 from tests.support.scenes import Case
 

@@ -10,8 +10,8 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Transfer, Volume
-from pointsplat_addon.core.surface import sampling
 from pointsplat_addon.render.cache.store import Store
+from pointsplat_addon.render.prepare import meshes
 from pointsplat_addon.render.prepare.parts import parted
 from pointsplat_addon.render.prepare.prepare import prepare
 from tests.support import scenes
@@ -162,8 +162,8 @@ class Item:
 
 
 def test_a_finer_tolerance_may_have_more_samples(monkeypatch):
-    monkeypatch.setattr(sampling, "MAX_SAMPLES", 3000)
-    monkeypatch.setattr(sampling, "MOST_SAMPLES", 20_000)
+    monkeypatch.setattr(meshes, "MAX_SAMPLES", 3000)
+    monkeypatch.setattr(meshes, "MOST_SAMPLES", 20_000)
     case = of(scenes.sphere_mesh("budget", 8), "POINTS", distance=1.6)
     counts = []
     for tolerance in (1.0, 0.5, 0.01):
@@ -180,8 +180,8 @@ def test_a_view_that_needs_nothing_finer_samples_nothing(monkeypatch):
     def unwanted(*args, **kwargs):
         raise AssertionError("nothing had to be looked at again")
 
-    for name in ("validate", "measure", "sample", "evaluate", "limit_spacing"):
-        monkeypatch.setattr(sampling, name, unwanted)
+    for name in ("valid_triangles", "measure_triangles", "sample_mesh", "evaluate", "limit_spacing"):
+        monkeypatch.setattr(meshes, name, unwanted)
     second = prepared(of(mesh, "POINTS", distance=4.1), store)
     assert second.point_sets[0] is not None
     assert second.point_sets[0].cloud is first.point_sets[0].cloud

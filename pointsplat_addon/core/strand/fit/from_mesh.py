@@ -36,7 +36,7 @@ NUDGE = 1e-6  # of a section's distance from the next, so that no cut goes throu
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FittedStrands:
     """Strands of a mesh: P points in S strands, tubes and ribbons one after another."""
 
     position: np.ndarray  # (P, 3) float64
@@ -53,7 +53,7 @@ class Found:
         return len(self.start) - 1
 
 
-def parts_of(triangles: np.ndarray, vertices: int) -> np.ndarray:
+def connected_parts(triangles: np.ndarray, vertices: int) -> np.ndarray:
     """(V,) int64: the lowest vertex that triangles (T, 3) connect each one with."""
     label = np.arange(vertices)
     while True:
@@ -66,10 +66,10 @@ def parts_of(triangles: np.ndarray, vertices: int) -> np.ndarray:
         label = following
 
 
-def find(position: np.ndarray, triangles: np.ndarray) -> Found:
+def fit_strands(position: np.ndarray, triangles: np.ndarray) -> FittedStrands:
     """The strands of a mesh with vertices (V, 3) and triangles (T, 3)."""
     position, triangles = np.asarray(position, np.float64), np.asarray(triangles, np.int64)
-    label = parts_of(triangles, len(position))
+    label = connected_parts(triangles, len(position))
     names, part = np.unique(label[triangles[:, 0]], return_inverse=True)
     open_ = ~_caps(position, triangles, part, len(names))
     tubes = _tubes(position, triangles[open_], label, names, part[open_])
@@ -88,7 +88,7 @@ def find(position: np.ndarray, triangles: np.ndarray) -> Found:
     np.minimum.at(first, part, np.arange(len(triangles)))
     left = np.ones(len(names), bool)
     left[chosen] = False
-    return Found(
+    return FittedStrands(
         np.concatenate([b[0] for b in both]),
         np.concatenate([b[1] for b in both]),
         np.concatenate([b[2] for b in both]),
@@ -333,7 +333,7 @@ def _sleeves(
 
 def _connected(edges: np.ndarray, vertices: int) -> np.ndarray:
     """(V,) the lowest vertex that edges (E, 2) connect each one with."""
-    return parts_of(np.column_stack([edges, edges[:, :1]]), vertices) if len(edges) else np.arange(vertices)
+    return connected_parts(np.column_stack([edges, edges[:, :1]]), vertices) if len(edges) else np.arange(vertices)
 
 
 def _ribbons(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, count: int) -> Strands:
