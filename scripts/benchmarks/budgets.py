@@ -30,7 +30,8 @@ from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.formats import dense
-from pointsplat_addon.render.budget.budget import COARSEST, Moving, _wait
+from pointsplat_addon.render.budget.pacing import COARSEST
+from pointsplat_addon.render.budget.viewport import Moving, _wait
 from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.frame import frame
 from pointsplat_addon.render.plan.frame_plan import Shot

@@ -10,7 +10,7 @@ import pytest
 from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.budget.budget import Moving
+from pointsplat_addon.render.budget.viewport import Moving
 from pointsplat_addon.render.cache.store import STORE, Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.parts import parted

@@ -9,8 +9,8 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.store import PointSet
 from pointsplat_addon.render.device.packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged, unpack_normal
-from pointsplat_addon.render.passes.common import Variant
-from pointsplat_addon.render.passes.points import Page, PointOptions
+from pointsplat_addon.render.passes.gbuffer import Variant
+from pointsplat_addon.render.passes.pages.point_page import Page, PointOptions
 from scripts.scenes import build
 
 

@@ -9,7 +9,7 @@ import pytest
 from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
 from pointsplat_addon.core.scene.world import Mist, World
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.frame.filtering import offsets
+from pointsplat_addon.render.frame.sample_positions import offsets
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, drawing, meshes, solid_cases

@@ -10,7 +10,7 @@ from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame import frame
-from pointsplat_addon.render.frame.lens_samples import prepared_for
+from pointsplat_addon.render.plan.lens_view import prepared_for
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer

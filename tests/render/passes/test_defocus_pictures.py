@@ -18,7 +18,7 @@ from pointsplat_addon.core.splat.ewa import CELL_SHARE
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.lens_samples import LensSamples
-from pointsplat_addon.render.passes import defocus as defocus_pass
+from pointsplat_addon.render.passes.defocus import tile_lists
 from pointsplat_addon.render.plan.request import Request, Result
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, clouds, drawing, meshes
@@ -513,7 +513,7 @@ def test_a_world_that_is_not_blurred_takes_no_pass_for_it():
 @pytest.mark.parametrize("most", [1 << 24, 300])
 def test_tiles_list_the_splats_whose_kernels_reach_their_pixels(most, monkeypatch):
     """From the front; tiles are larger where there would be too many entries. Against each pixel's own sum."""
-    monkeypatch.setattr(defocus_pass, "MOST_ENTRIES", most)
+    monkeypatch.setattr(tile_lists, "MOST_ENTRIES", most)
     rng = np.random.default_rng(1)
     count, size, k = 60, (37, 22), 1.0
     wide = rng.uniform(0.3, 30, (count, 2))
@@ -527,7 +527,7 @@ def test_tiles_list_the_splats_whose_kernels_reach_their_pixels(most, monkeypatc
     shape = np.stack([conic[:, 0, 0], conic[:, 0, 1], conic[:, 1, 1], np.full(count, k + 8)], axis=1)
     middle = np.array([18.0, 11.0])
     focal = np.array([1.0, 1.0, *middle])
-    lists = defocus_pass.tile_lists(place.astype(np.float32), shape.astype(np.float32), focal, size)
+    lists = tile_lists.tile_lists(place.astype(np.float32), shape.astype(np.float32), focal, size)
     y, x = np.mgrid[: size[1], : size[0]] + 0.5
     offset = np.stack([x, y], axis=-1)[:, :, None] - middle - place[:, :2]
     with np.errstate(invalid="ignore"):

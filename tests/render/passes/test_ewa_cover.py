@@ -9,7 +9,7 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.passes import ewa, ewa_cover
+from pointsplat_addon.render.passes.ewa import cover, ewa
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, solid_cases
 from scripts.scenes.case import Case
@@ -86,7 +86,7 @@ def test_pictures_are_the_same_with_fewer_splats(name, samples, drawn, monkeypat
     found = picture(thing, samples)
     assert drawn["blended"] < blended * total
     assert drawn["first"] + drawn["then"] < seen * total
-    monkeypatch.setattr(ewa_cover, "LEAST_SPLATS", 1 << 30)
+    monkeypatch.setattr(cover, "LEAST_SPLATS", 1 << 30)
     whole = picture(thing, samples)
     assert "blended" not in drawn
     assert drawn["first"] + drawn["then"] == total
@@ -110,7 +110,7 @@ def test_what_is_full_of_holes_leaves_nothing_out(drawn):
 def test_thinning_leaves_no_pattern_of_the_numbers():
     """Numbers of rows and spirals: each part of them keeps its share."""
     index = np.arange(1 << 18)
-    kept = np.isin(index, ewa_cover.thinned(index, 0.25))
+    kept = np.isin(index, cover.thinned(index, 0.25))
     for period in (2, 3, 8, 64, 610, 4096):
         share = np.bincount(index % period, kept) / np.bincount(index % period)
         deviation = np.sqrt(0.25 * 0.75 / (len(index) / period))

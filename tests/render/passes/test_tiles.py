@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.frame.filtering import offsets
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.report import report
-from pointsplat_addon.render.passes.tiles import FIRST_CHECK, LEAST_SAMPLES, TILE, dilated
+from pointsplat_addon.render.frame.sample_positions import offsets
+from pointsplat_addon.render.passes.output.adaptive import FIRST_CHECK, LEAST_SAMPLES, dilated
+from pointsplat_addon.render.passes.tiles import TILE
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, clouds, drawing
 from scripts.scenes.case import Case

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...shading.interface import Interface
-from ..device.protocol import Device, Target, Texture, whole
-from .common import FRAME
-from .tiles import TILE
+from ....shading.interface import Interface
+from ...device.protocol import Device, Target, Texture, whole
+from ..tiles import TILE
+from ..uniforms import FRAME
 
 LEAST_SPLATS = 1 << 15  # with fewer there is little to save
 CLOSED = (

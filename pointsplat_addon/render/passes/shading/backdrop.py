@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.lens.backdrop import Grid
-from ...shading.interface import Interface
-from ..device.protocol import Device, Texture
-from .common import FRAME
+from ....core.lens.backdrop import Grid
+from ....shading.interface import Interface
+from ...device.protocol import Device, Texture
+from ..uniforms import FRAME
 
 SHARP = Interface(
     "backdrop", fragment="shading/backdrop.frag", block=FRAME, outputs=(("vec4", "out_color"),),

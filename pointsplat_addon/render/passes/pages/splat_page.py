@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...core.lod.node_splats import points_and_nodes
-from ...core.numeric.vectors import basis, each_block
-from ...core.scene.cloud import PointCloud
-from ..cache.store import PointSet
-from ..device.packing import FACET_SHARE, FACET_STEPS, NO_NORMAL, PAGE_WIDTH, octahedral
-from ..device.protocol import Device, Texture
+from ....core.lod.node_splats import points_and_nodes
+from ....core.numeric.vectors import basis, each_block
+from ....core.scene.cloud import PointCloud
+from ...cache.store import PointSet
+from ...device.packing import FACET_SHARE, FACET_STEPS, NO_NORMAL, PAGE_WIDTH, octahedral
+from ...device.protocol import Device, Texture
 
 NODE = 0.25  # tells nodes from points beside a material row, which is whole
 SMALLEST_NORMAL = 1e-6  # of shading: what is shorter has no direction

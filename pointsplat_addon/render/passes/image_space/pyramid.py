@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
-from ...shading.interface import Interface
-from ..device.protocol import Device
-from .common import FRAME, GBuffer, Variant
-from .tiles import Region
+from ....shading.interface import Interface
+from ...device.protocol import Device
+from ..gbuffer import GBuffer, Variant
+from ..tiles import Region
+from ..uniforms import FRAME
 
 FINEST_LEVELS = 2  # even sub-pixel splats leave some pixels without a centre
 

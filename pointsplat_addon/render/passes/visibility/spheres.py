@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...shading.interface import Interface
-from ..device.protocol import Device, Texture
-from .common import FRAME, GBuffer, Variant
-from .points import PageDraw, PointOptions, attributes
+from ....shading.interface import Interface
+from ...device.protocol import Device, Texture
+from ..gbuffer import GBuffer, Variant
+from ..pages.point_page import PageDraw, PointOptions, attributes
+from ..uniforms import FRAME
 
 VERTICES = 6  # of a rectangle
 
