@@ -30,7 +30,7 @@ from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.common.images import displayed, psnr
-from tests.support import scenes
+from scripts.scenes import build, cameras, meshes
 
 ROOT = Path(__file__).resolve().parents[2]
 TREE = ROOT / "assets" / "japanese_maple" / "japaneseMaple.obj.gz"
@@ -97,7 +97,7 @@ def mesh(key: str, tree: Tree, kept: np.ndarray) -> list[Geometry]:
         used, triangles = np.unique(tree.triangles[rows], return_inverse=True)
         name = f"{key} {material}"
         position = (tree.position[used] - tree.middle).astype(np.float32)
-        one = scenes.flat_mesh(name, position, triangles.reshape(-1, 3), materials=(int(material),))
+        one = meshes.flat_mesh(name, position, triangles.reshape(-1, 3), materials=(int(material),))
         found.append(Geometry(name, name, mesh=one, primitive="POLYGONS"))
     return found
 
@@ -149,14 +149,14 @@ def seen(tree: Tree, leaf: float) -> Camera:
     size = round(leaf * width / (FILLED * leaf_length(tree)))
     away = width / FILLED / 2 / np.tan(np.radians(ANGLE) / 2)
     eye = away * np.array([0.25, -1, 0.2]) / np.linalg.norm([0.25, -1, 0.2])
-    return scenes.camera(eye, resolution=(size, size), field_of_view=ANGLE, near=0.01 * away, far=3 * away)
+    return cameras.camera(eye, resolution=(size, size), field_of_view=ANGLE, near=0.01 * away, far=3 * away)
 
 
 def placed(geometries: list[Geometry], matrices: list[np.ndarray]) -> Scene:
-    return scenes.scene(
+    return build.scene(
         *((geometry, matrix) for matrix in matrices for geometry in geometries),
-        lights=[scenes.sun(3.0)],
-        table=scenes.materials(len(COLORS), base_color=COLORS, roughness=[0.8] * len(COLORS)),
+        lights=[build.sun(3.0)],
+        table=build.materials(len(COLORS), base_color=COLORS, roughness=[0.8] * len(COLORS)),
         transparent=True,
     )
 
@@ -209,7 +209,7 @@ def timed(renderer: Renderer, tree: Tree, found: FittedStrands, samples: int, aw
     spent = np.zeros((TIMES + 1, 2))
     for turn in range(TIMES + 1):
         eye = width * away * np.array([0.02 * turn, -3.6, 0.7])
-        camera = scenes.camera(
+        camera = cameras.camera(
             eye, resolution=(FIELD, FIELD), field_of_view=45, near=0.01 * width, far=20 * away * width
         )
         settings = Settings(use_shadows=False, use_adaptive_sampling=False)

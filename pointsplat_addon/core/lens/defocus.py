@@ -33,7 +33,7 @@ from ..scene.camera import Camera
 from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS
 from ..splat.kernel import POWER
 
-# Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/frame/filtering.py).
+# Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/frame/sample_positions.py).
 PIXEL = 0.11
 # Of splats that add up with their neighbours, over the exponent whose fourth moment is right: the smoother kernels are,
 # the more even are their sums, and what is alone is all disk, whose exponent is 0 either way.

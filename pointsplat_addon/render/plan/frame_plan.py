@@ -18,12 +18,11 @@ from ...core.splat.blur import defocus_blur
 from ..cache.store import STORE
 from ..device.clock import Clock
 from ..device.protocol import Limits
-from ..frame.defocus import beside
-from ..frame.lens_samples import prepared_for
+from ..passes.image_space.pyramid import levels
+from ..passes.output.adaptive import why_everywhere
 from ..passes.outputs import CRYPTO
-from ..passes.pyramid import levels
-from ..passes.shade import averaged, data
-from ..passes.tiles import why_everywhere
+from ..passes.shading.averages import averaged
+from ..passes.shading.data import data
 from ..prepare.hybrid import triangles_of
 from ..prepare.in_view import in_view
 from ..prepare.negligible import without_faint
@@ -31,6 +30,8 @@ from ..prepare.painter import defocused, painted
 from ..prepare.parts import parted
 from ..prepare.prepare import Prepared, prepare
 from ..shadow.shadows import Shadows, cast
+from .auxiliary import beside
+from .lens_view import prepared_for
 from .plan import Plan, make_plan
 from .request import Request
 from .technique import NAMES, NO_BLENDING, Technique, choose, reconsidered

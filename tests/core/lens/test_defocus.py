@@ -18,7 +18,9 @@ from pointsplat_addon.core.surface.evaluation import evaluate
 from pointsplat_addon.core.surface.sample_areas import sample_areas
 from pointsplat_addon.core.surface.sampling import sample_mesh
 from pointsplat_addon.core.surface.triangles import measure_triangles
-from tests.support.scenes import camera, flat_mesh, moved, plane_mesh, sphere_mesh, strand_lines
+from scripts.scenes.build import moved, strand_lines
+from scripts.scenes.cameras import camera
+from scripts.scenes.meshes import flat_mesh, plane_mesh, sphere_mesh
 
 
 def lens(radius: float = 0.1, focus: float = 4.0, **more) -> Camera:
