@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pointsplat_addon.core.material import expressions as ex
+from pointsplat_addon.core.numeric.segments import offsets
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.materials import MaterialTable, default_materials
@@ -93,6 +94,6 @@ def picture(width: int = 16, height: int = 8) -> ex.Image:
 def strand_lines(key: str, strands: Sequence[np.ndarray], radius: float | np.ndarray, **more) -> Geometry:
     """Strands (n, 3) with a radius for all or one for each of their points."""
     position = np.concatenate(strands).astype(np.float32)
-    start = np.concatenate([[0], np.cumsum([len(strand) for strand in strands])])
+    start = offsets([len(strand) for strand in strands])
     radii = np.broadcast_to(np.asarray(radius, np.float32), len(position)).copy()
     return Geometry(key, key, strands=Strands(key, key, position, start, radii, **more), primitive="LINES")

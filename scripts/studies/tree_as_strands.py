@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pointsplat_addon.core.numeric.segments import offsets, ranges
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.scene import Geometry, Scene
 from pointsplat_addon.core.scene.settings import Settings
@@ -110,8 +111,8 @@ def strands(key: str, tree: Tree, found: FittedStrands, kept: np.ndarray) -> lis
             count = np.diff(found.start)[rows]
             if len(rows) == 0:
                 continue
-            start = np.concatenate([[0], np.cumsum(count)])
-            points = np.arange(start[-1]) + np.repeat(found.start[rows] - start[:-1], count)
+            start = offsets(count)
+            points = ranges(found.start[rows], count)
             name = f"{key} {material} {'ribbons' if ribbon else 'tubes'}"
             lines = Strands(
                 name, name, (found.position[points] - tree.middle).astype(np.float32), start,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..numeric.linear import largest_singular_value
+from ..numeric.segments import ranks
 from ..numeric.vectors import basis
 from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
@@ -89,7 +90,7 @@ def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, toler
     count = np.pi * (pixels / (ROUND * blur.widest(least, tolerance)))[rows] ** 2
     count = np.clip(np.ceil(np.minimum(count, MOST / max(len(rows), 1))), LEAST_FACETS, None).astype(np.int64)
     of = np.repeat(rows, count)
-    number = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
+    number = ranks(count)
     # Spirals fill a disk evenly; their places on the ball are right above.
     share = np.minimum((number + 0.5) / np.repeat(count, count), STEEPEST)
     angle = number * GOLDEN_ANGLE

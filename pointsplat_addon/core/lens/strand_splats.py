@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..numeric.segments import owners, ranks
 from ..numeric.vectors import basis
 from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
@@ -48,7 +49,7 @@ def splats(
     along = (place[ends[:, 1]] - place[ends[:, 0]]) @ linear.T
     count = np.ceil(np.linalg.norm(along, axis=1) / largest)
     count = np.maximum(np.minimum(count, MOST / max(len(ends), 1)), 1).astype(np.int64)
-    of, number = _numbered(count)
+    of, number = owners(count), ranks(count)
     part = ((number + 0.5) / count[of])[:, None]
     first, second = ends[of].T
     middle = place[first] * (1 - part) + place[second] * part
@@ -69,7 +70,7 @@ def splats(
         side = _normalised(side - (side * unit).sum(axis=1, keepdims=True) * unit)
         facing = np.cross(unit, side)
         across = np.ones(len(of), np.int64)
-    strip, which = _numbered(across)
+    strip, which = owners(across), ranks(across)
     shift = ((2 * which + 1) / across[strip] - 1)[:, None]
     round_ = strands.side is None
     rising = np.sqrt(1 - shift**2) if round_ else np.ones_like(shift)
@@ -137,7 +138,7 @@ def _closing(
     point = ends[of, side]
     radius = strands.radius[point].astype(np.float64)
     count = np.clip(np.ceil((FINER * 2 * radius / largest[of]) ** 2), 1, MOST_ACROSS**2).astype(np.int64)
-    which, number = _numbered(count)
+    which, number = owners(count), ranks(count)
     # An even spiral; a single disk lies in its middle.
     away = np.where(count[which] > 1, np.sqrt((number + 0.5) / count[which]), 0) * radius[which]
     outward = strands.tangent[point].astype(np.float64) * np.where(side, 1, -1)[:, None]
@@ -181,9 +182,3 @@ def _mixed(values: np.ndarray | None, rows: np.ndarray, part: np.ndarray) -> np.
 
 def _normalised(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
-
-
-def _numbered(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(E,) int64 each: rows of `count`, each as often as it says, and a number from 0 on within each."""
-    which = np.repeat(np.arange(len(count)), count)
-    return which, np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
