@@ -10,7 +10,8 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..core.numeric.segments import ranges
 from ..core.strand.curves import FREE
-from ..core.strand.fit.from_mesh import FittedStrands, fit_strands
+from ..core.strand.fit.from_mesh import fit_strands
+from ..core.strand.fit.result import FittedStrands
 from ..formats import dense, hierarchy_cache, vdb
 from ..render.device.protocol import DeviceError
 from . import caches, device_costs, gl_thread, main_gpu, preferences

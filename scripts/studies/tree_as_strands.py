@@ -25,7 +25,9 @@ from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.scene import Geometry, Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.strands import Strands
-from pointsplat_addon.core.strand.fit.from_mesh import FittedStrands, connected_parts, fit_strands
+from pointsplat_addon.core.strand.fit.from_mesh import fit_strands
+from pointsplat_addon.core.strand.fit.graph import connected_parts
+from pointsplat_addon.core.strand.fit.result import FittedStrands
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer

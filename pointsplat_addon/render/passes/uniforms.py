@@ -20,7 +20,7 @@ FRAME = Block(
             "vec4",
             "previous",
         ),  # Vector: size and corner of the picture. Present: clip z and w from view z. backdrop.glsl
-        ("vec4", "focus"),  # depth of field: core/lens/defocus.py, width of the aperture over its height; else zeros
+        ("vec4", "focus"),  # depth of field: core/lens/kernel.py, width of the aperture over its height; else zeros
         ("vec4", "tile"),  # side of a tile as a part of the target's sides; threshold: render/passes/tiles.py
         ("ivec4", "size"),  # width, height, level, instance
         ("ivec4", "page"),  # points: first index, blocks, log2 of a block. polygons: corner, material, holdout. lights

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lens.thin_lens import lens_points, through
+from pointsplat_addon.core.lens.thin_lens import camera_through, lens_points
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
@@ -45,7 +45,7 @@ def test_a_picture_is_the_mean_of_those_of_cameras_at_places_on_the_lens(name, t
     case = with_aperture(name)
     found = seen(case, 5, technique=technique).pixels["combined"]
     alone = [
-        seen(replace(case, camera=through(case.camera, point)), 5, technique=technique).pixels["combined"]
+        seen(replace(case, camera=camera_through(case.camera, point)), 5, technique=technique).pixels["combined"]
         for point in lens_points(5, PENTAGON)
     ]
     error = np.abs(found - np.mean(alone, axis=0))

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lens import backdrop, defocus
 from pointsplat_addon.core.light import environment
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
@@ -27,6 +26,7 @@ from scripts.scenes.cameras import camera
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
 from scripts.scenes.meshes import cube_mesh, plane_mesh
+from tests.reference import backdrop, defocus
 
 COMBINED = frozenset({"combined"})
 SPLAT, LENS = Settings(use_shadows=False), Settings(use_shadows=False, dof_method="LENS_SAMPLES")
@@ -486,8 +486,8 @@ def test_the_blurred_world_is_the_references(aperture):
     frame.release()
     image, turn = case.scene.world.image, case.scene.world.world_rotation
     assert image is not None
-    picture = backdrop.sharp(environment.build_atlas(image), grid, frame.view, turn)
-    error = np.abs(found - backdrop.blurred(picture, grid))
+    picture = backdrop.sharp_backdrop(environment.build_atlas(image), grid, frame.view, turn)
+    error = np.abs(found - backdrop.blur_backdrop(picture, grid))
     assert error.max() < 0.003 * picture.max()  # measured 0.0012
     assert found.std() > 0.02
 

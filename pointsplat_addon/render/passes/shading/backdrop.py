@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.lens.backdrop import Grid
+from ....core.lens.backdrop import BackdropGrid
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..uniforms import FRAME
@@ -24,7 +24,7 @@ BLUR = Interface(
 class Backdrop:
     """The world behind one view. Floats: the sun is brighter than half floats are."""
 
-    def __init__(self, device: Device, grid: Grid) -> None:
+    def __init__(self, device: Device, grid: BackdropGrid) -> None:
         self.device, self.grid = device, grid
         self.texture: Texture = device.texture(grid.size, "RGBA32F")
 
