@@ -60,7 +60,7 @@ def depth_for_share(kept: np.ndarray) -> np.ndarray:
 
 
 def weights(
-    pixels: np.ndarray, centre: np.ndarray, moments: np.ndarray, samples: int = 1, apart: bool = False
+    pixels: np.ndarray, centre: np.ndarray, moments: np.ndarray, samples: int = 1, disconnected: bool = False
 ) -> np.ndarray:
     """(P, N) how much of each splat is seen at places (P, 2), of splats given back to front.
 

@@ -2,7 +2,7 @@
 
 A page holds the splats of several point sets. Texture by texture, one texel a splat:
   place           xyz relative to the set's origin; packed normal (pack_normal; -1: a ball)
-  extent          half-axes (major, minor; negative: stands apart), packed major axis, material row
+  extent          half-axes (major, minor; negative: disconnected), packed major axis, material row
   color           base colour                    \\  where any set of the scene has them
   surface         roughness, metallic             |
   emission        emitted radiance                |
@@ -41,7 +41,7 @@ class PointOptions:
     holdout: bool = False
     ellipses: bool = False  # some splats are not round
     one_instance: bool = False
-    apart: bool = False  # some splats close no surface with others
+    disconnected: bool = False  # some splats close no surface with others
     depth: bool = False  # polygons share the G-buffer
     coarse: bool = False  # nodes are so wide that gaps between them show
 
@@ -151,7 +151,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         ("PS_ONE_INSTANCE", options.one_instance),
         ("PS_CULL", options.cull),
         ("PS_ELLIPSES", options.ellipses),
-        ("PS_APART", options.apart),
+        ("PS_DISCONNECTED", options.disconnected),
         ("PS_COARSE", options.coarse),
     )
     defines = tuple((name, "1") for name, on in names if on)
@@ -188,7 +188,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         varyings=(
             ("flat", "uint", "ps_id"),
             ("flat", "float", "ps_order"),
-            *((("flat", "vec3", "ps_ellipse"), ("flat", "vec2", "ps_centre")) if options.apart else ()),
+            *((("flat", "vec3", "ps_ellipse"), ("flat", "vec2", "ps_centre")) if options.disconnected else ()),
         ),
         outputs=(("uint", "id"),),
         depth=True,
@@ -198,7 +198,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     flags = {
         "PS_DEPTH": options.depth,
         "PS_ELLIPSES": options.ellipses,
-        "PS_APART": options.apart,
+        "PS_DISCONNECTED": options.disconnected,
         "PS_COARSE": options.coarse,
     }
     resolve = Interface(

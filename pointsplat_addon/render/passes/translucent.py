@@ -64,7 +64,7 @@ class TranslucentOptions:
     opaque: bool = False  # something opaque may hide them
     fuzzy: bool = False  # some are opaque: core/splat/painter.py
     cull: bool = False  # and some of these are not drawn where they show their backs
-    apart: bool = False  # and some of these stand apart: core/lod/foliage.py
+    disconnected: bool = False  # and some of these are disconnected: core/lod/foliage.py
     defocus: bool = False  # for the pass of what is out of focus: passes/defocus.py
     strands: bool = False  # some of these splats are pieces of strands: core/lens/strand_splats.py
 
@@ -93,7 +93,7 @@ def options(
         opaque=opaque,
         fuzzy=fuzzy,
         cull=fuzzy and bool(table.cull.any()),
-        apart=not defocus and any(is_fuzzy(c) and c.apart is not None for c in clouds),
+        disconnected=not defocus and any(is_fuzzy(c) and c.disconnected is not None for c in clouds),
         defocus=defocus,
         strands=defocus and any(is_fuzzy(c) and c.kernel is not None for c in clouds),
     )
@@ -154,7 +154,7 @@ def _reaching(cloud: PointCloud, points: int) -> PointCloud:
     if not is_fuzzy(cloud) or len(cloud) == points or cloud.radii is None:
         return cloud
     radii = cloud.radii.copy()
-    closed = True if cloud.apart is None else ~cloud.apart[points:, None]
+    closed = True if cloud.disconnected is None else ~cloud.disconnected[points:, None]
     np.multiply(radii[points:], np.float32(painter.NODE_REACH), out=radii[points:], where=closed)
     return replace(cloud, radii=radii)
 
@@ -220,7 +220,7 @@ def light_program(
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
     named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.opaque and not options.defocus}
     named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
-    named |= {"PS_FUZZY_APART": options.apart, "PS_DEFOCUS": options.defocus, "PS_LINES": options.strands}
+    named |= {"PS_FUZZY_DISCONNECTED": options.disconnected, "PS_DEFOCUS": options.defocus, "PS_LINES": options.strands}
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
     outputs = [
         "place",

@@ -156,7 +156,7 @@ def splats(count: int = 1, **more) -> defocus.Splats:
         "centre": np.zeros((count, 2)), "depth": np.arange(count, dtype=float), "covariance": wide,
         "exponent": np.zeros(count), "weight": np.ones(count), "color": np.eye(4)[:count, :3],
         "reach": np.full(count, 0.1), "back": np.zeros(count, bool), "translucent": np.zeros(count, bool),
-        "apart": np.zeros(count, bool),
+        "disconnected": np.zeros(count, bool),
     }  # fmt: skip
     given |= more
     given["weight"] = np.asarray(given["weight"], float) * np.pi * 4e4
@@ -215,7 +215,7 @@ def test_translucent_splats_follow_beers_law_before_within_and_behind_a_surface(
 
 
 def test_leaves_cover_on_their_own_however_near_they_are():
-    found = shares(splats(2, weight=[0.5, 0.4], reach=np.full(2, 5.0), apart=np.ones(2, bool)))
+    found = shares(splats(2, weight=[0.5, 0.4], reach=np.full(2, 5.0), disconnected=np.ones(2, bool)))
     np.testing.assert_allclose(found[:2], [0.5, 0.5 * 0.4], rtol=1e-9)
 
 
