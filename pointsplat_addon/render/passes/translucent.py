@@ -155,7 +155,7 @@ def _reaching(cloud: PointCloud, points: int) -> PointCloud:
         return cloud
     radii = cloud.radii.copy()
     closed = True if cloud.disconnected is None else ~cloud.disconnected[points:, None]
-    np.multiply(radii[points:], np.float32(painter.NODE_REACH), out=radii[points:], where=closed)
+    np.multiply(radii[points:], np.float32(painter.NODE_SCALE), out=radii[points:], where=closed)
     return replace(cloud, radii=radii)
 
 

@@ -42,7 +42,7 @@ def test_bounds_hold_all_depths_between_and_are_met(parallel):
     of = blur(lens(parallel=parallel))
     rng = np.random.default_rng(0)
     near, far = np.sort(rng.uniform(0.1, 12.0, (2, 1000)), axis=0)
-    least, most = of.bounds(near, far)
+    least, most = of.radius_range(near, far)
     between = of.radius(near + (far - near) * np.linspace(0, 1, 101)[:, None])
     assert (between >= least * (1 - 1e-12)).all()
     assert (between <= most * (1 + 1e-12)).all()
@@ -53,8 +53,8 @@ def test_bounds_hold_all_depths_between_and_are_met(parallel):
 def test_depths_of_a_radius_are_its_inverse(parallel):
     of = blur(lens(parallel=parallel))
     for radius in (0.1, 0.5, 1.0):
-        np.testing.assert_allclose(of.radius(np.array(of.depths(radius))), radius, rtol=1e-9)
-    assert of.depths(1e9)[1] == np.inf or parallel  # all that is far
+        np.testing.assert_allclose(of.radius(np.array(of.depth_range(radius))), radius, rtol=1e-9)
+    assert of.depth_range(1e9)[1] == np.inf or parallel  # all that is far
 
 
 def test_what_is_no_lens_blurs_nothing():
@@ -267,7 +267,7 @@ def test_cuts_of_what_is_sharp_and_of_what_is_blurred_hold_all_points(parallel):
         depth = -(tree.center[nodes] @ view[0, 2, :3] + view[0, 2, 3])
         size = tree.size[nodes]
         pixels = 2 * size * seen.pixel_from_view()[0] / (depth if parallel is None else 1.0)
-        assert (pixels <= of.widest(of.radius(depth), 1.0) * 1.0001).all()  # measured 0.966 of it
+        assert (pixels <= of.largest_splat(of.radius(depth), 1.0) * 1.0001).all()  # measured 0.966 of it
     assert stands_for[2] > stands_for[1] > stands_for[0]
 
 
@@ -295,7 +295,7 @@ def test_pieces_of_triangles_have_their_area_and_moments():
     np.testing.assert_allclose(np.diag(second), expected, atol=1e-5)  # measured 5.7e-7
     depth = -(place @ matrix[2, :3] + matrix[2, 3])
     widest = 4 / np.sqrt(3) * found.radii[:, 0] * seen.pixel_from_view()[0] / depth
-    assert (widest <= blur(seen).widest(blur(seen).radius(depth), 1.0)).all()  # measured 0.76 of it
+    assert (widest <= blur(seen).largest_splat(blur(seen).radius(depth), 1.0)).all()  # measured 0.76 of it
 
 
 def test_pieces_of_what_reaches_behind_the_eye_are_finite_and_few():

