@@ -1,5 +1,5 @@
 // The world behind a picture on the grid of core/lens/backdrop.py, sharp: each texel is its mean over the texel's area.
-// frame.previous.xy: pixels that a texel spans. frame.size.z: texels around the blurred picture. Reference: `sharp`.
+// frame.previous.xy: pixels that a texel spans. frame.size.z: texels around the blurred picture. Reference: tests/reference/backdrop.py, `sharp_backdrop`.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/light/lights.glsl"

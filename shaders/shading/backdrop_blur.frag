@@ -1,5 +1,5 @@
 // The mean of a sharp picture over the disk of confusion. frame.previous.zw: its radii in texels. frame.size.z: texels
-// around the blurred picture. Reference: core/lens/backdrop.py, `blurred`.
+// around the blurred picture. Reference: tests/reference/backdrop.py, `blur_backdrop`.
 
 void main()
 {

@@ -1,10 +1,10 @@
 // One translucent splat of the draw list: its ellipse in pixels, its optical depth and the light that it sends to the
-// eye. Texel by texel; layouts: render/passes/translucent.py. Reference: tests/reference/media.py.
+// eye. Texel by texel; layouts: render/passes/translucent/page.py. Reference: scripts/common/media_truth.py.
 // PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/splat/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
-// drawn where they show their backs, PS_FUZZY_DISCONNECTED: some are disconnected. PS_DEFOCUS: for the pass of what is out of focus,
-// render/passes/defocus.py, PS_LINES: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
+// drawn where they show their backs, PS_FUZZY_DISCONNECTED: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
+// render/passes/defocus/gather.py, PS_LINES: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
 // opaque may stand among them.
 
 #include "lib/geometry/camera.glsl"
@@ -261,7 +261,7 @@ void main()
   }
 
 #ifdef PS_FUZZY_DISCONNECTED
-  // A disconnected splat hides as much as if it were not widened: core/splat/painter.py, `depth_for_share`.
+  // What stands apart hides as much as if it were not widened: core/splat/painter.py, `thinned`.
   if (fuzzy && extent.y < 0.0) {
     float deepest = peak * PS_PEAK, most = 1.0 - PS_GAMMA * pow(deepest, -0.25);
     float g2 = PS_GAMMA * PS_GAMMA, whole = PS_GAMMA / (1.0 - most * kept);

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.material import hair_color
-from pointsplat_addon.core.strand import curves as core
-from pointsplat_addon.core.strand.selection import clean
-from tests.support.nodes import new_material, node
+from pointsplat_addon.core.strand import curves, normals
+from pointsplat_addon.core.strand.cleaning import clean
+from tests.support.blender.scenes import new_material, node
 
 pytestmark = pytest.mark.usefixtures("empty_file")
 
@@ -71,7 +71,7 @@ def evaluated_by_blender(ob):
 # Evaluation
 
 
-@pytest.mark.parametrize("mode", [core.MINIMUM_TWIST, core.Z_UP, core.FREE])
+@pytest.mark.parametrize("mode", [curves.MINIMUM_TWIST, curves.Z_UP, curves.FREE])
 @pytest.mark.parametrize("cyclic", [False, True])
 @pytest.mark.parametrize("kind", ["CATMULL_ROM", "POLY"])
 def test_points_radii_and_normals_of_hair_are_blenders(kind, cyclic, mode):
@@ -322,7 +322,7 @@ def test_ribbons_are_asked_for_and_change_the_geometry():
     ob.pointsplat.ribbons = True
     flat = sync(synchronizer).geometries[0]
     assert flat.key != round_one.key
-    along = core.tangents(flat.strands.position, flat.strands.start, np.array([False]))
+    along = normals.curve_tangents(flat.strands.position, flat.strands.start, np.array([False]))
     assert np.abs(np.linalg.norm(flat.strands.normal, axis=1) - 1).max() < 1e-6
     assert np.abs(np.einsum("ij,ij->i", along, flat.strands.normal)).max() < 1e-5  # measured 3.2e-7
 

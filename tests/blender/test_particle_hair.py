@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
-from scripts.compare import iou
-from tests.support import exr
-from tests.support.nodes import new_material, node
+from scripts.common.images import iou
+from tests.support import files
+from tests.support.blender.scenes import new_material, node
 
 NEW_NAMES = bpy.app.version >= (5, 0, 0)
 ALIKE = 0.95  # IoU of silhouettes; measured 0.971 and more
@@ -112,7 +112,7 @@ def test_kinks_and_children_are_where_cycles_has_them(scene, tmp_path, settings)
 
 @pytest.mark.parametrize("children", [{}, {"child_type": "SIMPLE", "child_percent": 10}])
 def test_the_viewport_shows_a_share_of_the_hair_and_finds_nothing_wrong_with_it(children):
-    from pointsplat_addon.core.strand.selection import clean
+    from pointsplat_addon.core.strand.cleaning import clean
 
     whole = furry(count=100, **children)
     every = strands(sync())
@@ -240,7 +240,7 @@ def test_indices_and_cryptomatte_name_strands_and_their_material(scene, tmp_path
     settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR_MULTILAYER", "32", "NONE"
     scene.render.engine, scene.render.filepath = "POINTSPLAT", str(tmp_path / "passes.exr")
     bpy.ops.render.render(write_still=True)
-    found = {name.rpartition(".")[2]: array for name, array in exr.read(tmp_path / "passes.exr").items()}
+    found = {name.rpartition(".")[2]: array for name, array in files.read_exr(tmp_path / "passes.exr").items()}
     alpha = found["Combined"][..., 3]
     assert np.mean(alpha == 1) > 0.02
     for name, index in ((("IndexOB", "Object Index"), 7), (("IndexMA", "Material Index"), 3)):

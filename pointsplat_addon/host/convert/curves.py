@@ -17,8 +17,11 @@ import numpy as np
 from ...core.material.graph import Needs, SampleInputs, evaluate_samples, needs
 from ...core.material.hair_color import random_of_strands, strand_attribute
 from ...core.material.textures import linear_from_srgb
-from ...core.scene.strands import Strands, owners
-from ...core.strand import curves as core
+from ...core.numeric.segments import offsets, owners
+from ...core.scene.strands import Strands
+from ...core.strand.curves import AUTO, BEZIER, CATMULL_ROM, MINIMUM_TWIST, NURBS, POLY, Curves, EvaluatedCurves
+from ...core.strand.evaluation import evaluate_curves
+from ...core.strand.normals import curve_normals
 from . import arrays
 from .mesh import COLOR_TYPES, as_color
 from .pointcloud import CloudMaterial, contiguous, surface_of, unit
@@ -39,7 +42,7 @@ Lookup = Callable[[str, Callable[[], Any]], Any]
 class CurveArrays:
     """Arrays of S strands of P control points as Blender has them."""
 
-    curves: core.Curves
+    curves: Curves
     radius: np.ndarray  # (P,) float32
     slot: np.ndarray | None = None  # (S,) int32, material slots; None: all the first
     normal_mode: np.ndarray | None = None  # (S,) int32; None: tubes
@@ -55,7 +58,7 @@ class CurveArrays:
     @property
     def key(self) -> str:
         named = [part for group in (self.colors, self.uv) for item in group.items() for part in item]
-        held = (getattr(self.curves, f) for f in core.Curves.__dataclass_fields__)
+        held = (getattr(self.curves, f) for f in Curves.__dataclass_fields__)
         own = self.slot, self.normal_mode, self.tilt, self.normal, self.first, self.space
         return arrays.digest("strands", *held, self.radius, *own, *named)
 
@@ -102,16 +105,16 @@ def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ri
 
     radius = _read(data, "radius")
     radius = np.full(total, DEFAULT_RADIUS, np.float32) if radius is None or len(radius) != total else radius
-    kind = number("curve_type", core.CATMULL_ROM)
+    kind = number("curve_type", CATMULL_ROM)
     knots = number("knots_mode", 0)
-    free = kind == core.CATMULL_ROM if "resolution" not in data.attributes else np.zeros(count, bool)
+    free = kind == CATMULL_ROM if "resolution" not in data.attributes else np.zeros(count, bool)
     types = [_read(data, f"handle_type_{side}") for side in ("left", "right")]
-    curves = core.Curves(
+    curves = Curves(
         arrays.read(data.position_data, "vector", 3, np.float32),
         start,
         kind.astype(np.uint8),
         number("cyclic", 0).astype(bool),
-        np.where(free, core.AUTO, np.maximum(number("resolution", DEFAULT_RESOLUTION), 1)),
+        np.where(free, AUTO, np.maximum(number("resolution", DEFAULT_RESOLUTION), 1)),
         radius,
         _read(data, "handle_left"),
         _read(data, "handle_right"),
@@ -121,7 +124,7 @@ def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ri
         np.where(knots == CUSTOM_KNOTS, 0, knots),
         _read(data, "nurbs_weight"),
     )
-    custom = int(((knots == CUSTOM_KNOTS) & (kind == core.NURBS)).sum())
+    custom = int(((knots == CUSTOM_KNOTS) & (kind == NURBS)).sum())
     colors, of_strand = _colors(data, asked, total)
     found = CurveArrays(
         curves,
@@ -132,7 +135,7 @@ def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ri
         messages=(f"{custom} curves with knots of their own have uniform ones",) if custom else (),
     )
     if ribbons:
-        mode, custom_normal = number("normal_mode", core.MINIMUM_TWIST), _read(data, "custom_normal")
+        mode, custom_normal = number("normal_mode", MINIMUM_TWIST), _read(data, "custom_normal")
         found = replace(found, normal_mode=mode, tilt=_read(data, "tilt"), normal=custom_normal)
     return found
 
@@ -184,7 +187,7 @@ def _sound(strands: CurveArrays) -> CurveArrays | None:
         if array is not None:
             sound &= np.isfinite(array.reshape(len(sound), -1)).all(axis=1)
     points = np.flatnonzero(sound)
-    count = np.bincount(owners(start)[points], minlength=len(start) - 1)
+    count = np.bincount(owners(np.diff(start))[points], minlength=len(start) - 1)
     kept = np.flatnonzero(count > 0)
     if len(points) == len(sound) and len(kept) == len(count):
         return strands
@@ -201,7 +204,7 @@ def _sound(strands: CurveArrays) -> CurveArrays | None:
         return {n: a[part] for n in names if (a := getattr(holder, n)) is not None}
 
     named = taken(curves, OF_POINTS, points) | taken(curves, OF_CURVES, kept)
-    named |= {"start": np.concatenate([[0], np.cumsum(count[kept])])}
+    named |= {"start": offsets(count[kept])}
     return replace(
         strands,
         curves=replace(curves, **named),
@@ -239,11 +242,11 @@ def read_tubes(data: bpy.types.Curve) -> CurveArrays | None:
         return None
     parts = [_bezier(s) if s.type == "BEZIER" else _points(s) for s in splines]
     position, radius, weight, left, right, vector = (np.concatenate(p) for p in zip(*parts, strict=True))
-    kinds = {"POLY": core.POLY, "BEZIER": core.BEZIER}
-    curves = core.Curves(
+    kinds = {"POLY": POLY, "BEZIER": BEZIER}
+    curves = Curves(
         position,
-        np.concatenate([[0], np.cumsum([len(p[0]) for p in parts])]),
-        np.array([kinds.get(s.type, core.NURBS) for s in splines], np.uint8),
+        offsets([len(p[0]) for p in parts]),
+        np.array([kinds.get(s.type, NURBS) for s in splines], np.uint8),
         np.array([s.use_cyclic_u for s in splines]),
         np.array([s.resolution_u for s in splines]),
         None,
@@ -340,12 +343,12 @@ def read_hair(hair: Hair, materials: tuple[CloudMaterial, ...]) -> CurveArrays |
     whole = length[:, -1:]
     radius = _radius(settings, np.divide(length, whole, out=np.zeros_like(length), where=whole > 0))
     count = len(shown)
-    curves = core.Curves(
+    curves = Curves(
         position.reshape(-1, 3).astype(np.float32),
         np.arange(count + 1) * steps,
-        np.full(count, core.CATMULL_ROM, np.uint8),
+        np.full(count, CATMULL_ROM, np.uint8),
         np.zeros(count, bool),
-        np.full(count, core.AUTO),
+        np.full(count, AUTO),
         radius.ravel().astype(np.float32),
     )
     uv, colors = _emitter(hair, shown.tolist(), wanted(materials))
@@ -420,12 +423,12 @@ def _build(key: str, strands: CurveArrays, name: str, materials: tuple[CloudMate
     if sound is None:
         return Converted(None, ("all control points are not numbers",))
     strands, curves = sound, sound.curves
-    evaluated = core.evaluate(curves)
+    evaluated = evaluate_curves(curves)
     width = np.maximum(evaluated.interpolate(strands.radius), 0)
     normal = None
     if strands.normal_mode is not None:
         tilt, free = (None if a is None else evaluated.interpolate(a) for a in (strands.tilt, strands.normal))
-        normal = core.normals(evaluated, curves.cyclic, strands.normal_mode, tilt, free).astype(np.float32)
+        normal = curve_normals(evaluated, curves.cyclic, strands.normal_mode, tilt, free).astype(np.float32)
     slot = np.zeros(len(evaluated.start) - 1, np.int64)
     if strands.slot is not None:
         slot = np.clip(strands.slot, 0, len(materials) - 1).astype(np.int64)
@@ -447,7 +450,7 @@ def _build(key: str, strands: CurveArrays, name: str, materials: tuple[CloudMate
 def _shaded(
     lines: Strands,
     strands: CurveArrays,
-    evaluated: core.Evaluated,
+    evaluated: EvaluatedCurves,
     slot: np.ndarray,
     materials: tuple[CloudMaterial, ...],
 ) -> Strands:
@@ -486,7 +489,7 @@ def _constants(name: str, slot: np.ndarray, strand: np.ndarray, materials: tuple
     return np.array(each, np.float32)[slot[strand]]
 
 
-def _inputs(lines: Strands, strands: CurveArrays, evaluated: core.Evaluated, asked: Needs) -> SampleInputs:
+def _inputs(lines: Strands, strands: CurveArrays, evaluated: EvaluatedCurves, asked: Needs) -> SampleInputs:
     """What graphs read at all points."""
     strand = evaluated.curve
     uv = {name: values[strand] for name, values in strands.uv.items()}
@@ -518,7 +521,7 @@ def _bounds(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _own(lines: Strands, first: int) -> dict[str, Callable[[], np.ndarray]]:
     """What strands tell of themselves (Blender's Curves Info), each (P,) when called."""
-    strand = owners(lines.start)
+    strand = owners(np.diff(lines.start))
 
     def reached() -> np.ndarray:
         step = np.linalg.norm(np.diff(lines.position.astype(np.float64), axis=0, prepend=lines.position[:1]), axis=1)

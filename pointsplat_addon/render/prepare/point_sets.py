@@ -10,11 +10,11 @@ from ...core.lod.foliage import disconnected_splats
 from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import largest_singular_value
 from ...core.numeric.vectors import dot, each_block
+from ...core.scene.bounds import bounding_box
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, coherent, finite
 from ...core.scene.scene import Geometry
-from ...core.strand.selection import NEAREST
-from ...core.surface.sampling import bounding_box
+from ...core.strand.projection import NEAREST
 from ..cache.store import STORE, PointSet, Store
 from .view import View
 

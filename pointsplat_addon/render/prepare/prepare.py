@@ -18,7 +18,9 @@ from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
 from ...core.splat.blur import COARSEST_TOLERANCE, NODE_SIZE, defocus_blur
-from ...core.strand.selection import Segments, clean, select, together
+from ...core.strand.cleaning import clean
+from ...core.strand.segments import Segments, concatenate_segments
+from ...core.strand.selection import select
 from ..cache.store import STORE, Layer, PointSet, Store
 from .hierarchies import where_blurred, where_it_pays
 from .hybrid import Shown, choose_parts, split
@@ -68,7 +70,7 @@ def prepare(
 
     `samples` tells how often the result will be drawn. `interactive`: again and again, and at once; what takes long is
     then built on another thread and used when it is there. `check` is called between geometries, and may raise to stop.
-    `costs`: what drawing costs on the device. `node`: of what is out of focus, see core/lens/defocus.py.
+    `costs`: what drawing costs on the device. `node`: of what is out of focus, see core/lens/kernel.py.
     `coarse`: there is no time for one sample at the tolerance that was asked for.
     """
     with np.errstate(all="ignore"):
@@ -205,7 +207,7 @@ def _lines(view: View, view_from_object: np.ndarray, usable: np.ndarray, focus: 
         parts = [select(strands, view_from_object[i], i, view.camera, tolerance) for i in where.tolist()]
         parts = [part for part in parts if len(part)]
         if parts:
-            found[row] = together(parts)
+            found[row] = concatenate_segments(parts)
             if focus is not None:
                 found[row] = focus.add_lines(geometry, lines, strands, found[row])
                 found = {row: segments for row, segments in found.items() if len(segments)}

@@ -20,14 +20,16 @@ from ...core.scene.lights import Light
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
+from ...core.scene.validation import valid_triangles
 from ...core.shadow import builder
 from ...core.shadow.casters import Pieces, pieces
 from ...core.shadow.floor import FLAT, box_corners, lowest, lowest_corner, plane_of, shines_from
 from ...core.shadow.grid import NARROW, rotation
 from ...core.shadow.samples import Outline, leaves, outline, places, sampled
-from ...core.strand.selection import StrandLevels, clean
-from ...core.surface import sampling
+from ...core.strand.cleaning import clean
+from ...core.strand.levels import StrandLevels
 from ...core.surface.appearance import digest, hiding
+from ...core.surface.spacing import quantise_spacing
 from ..cache.store import Store
 from ..prepare.layers import MANY_INSTANCES
 from ..prepare.point_sets import given
@@ -271,7 +273,7 @@ def _box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _outline(geometry: Geometry, mesh: Mesh, store: Store) -> Outline:
-    valid, _ = store.lookup(("valid", geometry.key), lambda: sampling.validate(mesh))
+    valid, _ = store.lookup(("valid", geometry.key), lambda: valid_triangles(mesh))
     return store.lookup(("shadow outline", geometry.key), lambda: outline(mesh, valid))
 
 
@@ -344,10 +346,7 @@ def _spacings(
     many = samples[some] / _share(samples[some], MOST_SAMPLES)
     # Down to an octave; where there are too many, to the nearest.
     spacing[some] *= np.where(many > 1, np.sqrt(2 * many), 1)
-    return [
-        sampling.quantise_spacing(s) if ok else other
-        for s, ok, other in zip(spacing.tolist(), some, strands, strict=True)
-    ]
+    return [quantise_spacing(s) if ok else other for s, ok, other in zip(spacing.tolist(), some, strands, strict=True)]
 
 
 def _length(caster: _Caster, store: Store) -> float:

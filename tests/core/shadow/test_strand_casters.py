@@ -6,7 +6,7 @@ import pytest
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.shadow.casters import Pieces, pieces
-from pointsplat_addon.core.strand.selection import clean
+from pointsplat_addon.core.strand.cleaning import clean
 
 
 def cut(points: np.ndarray, radius: float, step: float, matrix: np.ndarray | None = None, **more) -> Pieces:
