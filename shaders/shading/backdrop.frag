@@ -1,5 +1,6 @@
 // The world behind a picture on the grid of core/lens/backdrop.py, sharp: each texel is its mean over the texel's area.
-// u.texel_size: pixels that a texel spans. u.margin: texels around the blurred picture. Reference: `sharp`.
+// u.texel_size: pixels that a texel spans. u.margin: texels around the blurred picture. Reference:
+// tests/reference/backdrop.py, `sharp_backdrop`.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/light/lights.glsl"

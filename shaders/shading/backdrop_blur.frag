@@ -1,5 +1,5 @@
 // The mean of a sharp picture over the disk of confusion. u.radius: its radii in texels. u.margin: texels
-// around the blurred picture. Reference: core/lens/backdrop.py, `blurred`.
+// around the blurred picture. Reference: tests/reference/backdrop.py, `blur_backdrop`.
 
 void main()
 {

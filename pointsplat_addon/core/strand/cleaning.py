@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..numeric.segments import offsets, owners
 from ..scene.cloud import FARTHEST
-from ..scene.strands import Strands, owners
+from ..scene.strands import Strands
 from .levels import StrandLevels, coarsest_attribute_level, halving_levels
 
 MOST_POINTS = 1 << 24  # of one geometry: float32 counts no farther
@@ -18,7 +19,7 @@ def clean(lines: Strands) -> StrandLevels:
     position = np.asarray(lines.position, np.float32).reshape(-1, 3)[:MOST_POINTS]
     count = len(position)
     whole = np.asarray(lines.start, np.int64)
-    owner = owners(whole)[:count]
+    owner = owners(np.diff(whole))[:count]
     values = [a[:count] for a in (lines.color, lines.surface, lines.emission) if a is not None]
     with np.errstate(invalid="ignore"):
         good = (np.abs(position) < FARTHEST).all(axis=1) & (np.abs(lines.radius[:count]) < FARTHEST)
@@ -38,7 +39,7 @@ def clean(lines: Strands) -> StrandLevels:
         found[owner[kept[runs[run]]]] = True
     drawn = (several & wide)[run]
     kept, radius = kept[drawn], radius[drawn]
-    start = np.concatenate([[0], np.cumsum(number[several & wide])]).astype(np.int64)
+    start = offsets(number[several & wide])
 
     p = position[kept]
     tangent = _straighten_end_tangents(_tangents(p, start), p, radius, start)
@@ -98,7 +99,7 @@ def _straighten_end_tangents(tangent: np.ndarray, p: np.ndarray, radius: np.ndar
     if len(start) < 2:
         return tangent
     first, last = start[:-1], start[1:] - 1
-    number, owner = np.arange(len(p)), owners(start)
+    number, owner = np.arange(len(p)), owners(np.diff(start))
     away, nearest = [], (np.minimum, np.maximum)
     for end, other, near in zip((first, last), (last, first), nearest, strict=True):
         off = p - p[end][owner]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.lens.backdrop import grid_of
+from ...core.lens.backdrop import backdrop_grid
 from ...core.scene.scene import Scene
 from ...core.strand.segments import sample_offsets
 from ...shading.interface import Interface
@@ -91,7 +91,7 @@ class Frame:
         )
         self.clock.spent |= self.uploads.spent
         if plan.backdrop:
-            self.backdrop = self._own(Backdrop(device, grid_of(shot.view, device.limits.texture_size)))
+            self.backdrop = self._own(Backdrop(device, backdrop_grid(shot.view, device.limits.texture_size)))
         count = levels(shot.prepared.largest, shot.view.resolution)
         self._lent = self.renderer.pool.borrow(plan, request.passes, shot.view.window[2:], count)
         self.targets = self._lent[1]

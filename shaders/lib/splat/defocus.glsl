@@ -1,4 +1,4 @@
-// Disks of confusion, and the kernel of splats that are out of focus. Reference: core/lens/defocus.py.
+// Disks of confusion, and the kernel of splats that are out of focus. Model: core/lens/kernel.py; reference: tests/reference/defocus.py.
 // u.confusion_scale, u.inverse_focus_distance, u.aperture_aspect: render/passes/uniforms.py, LENS_FIELDS.
 
 #define PS_IN_FOCUS 0.3  // pixels of radius
@@ -23,7 +23,7 @@ float ps_confusion(float d)
 }
 
 // Where, in half-axes of the disk about a splat at p with the normal n (view space, of either length), the middle of its
-// kernel lies. Reference: core/lens/defocus.py, `lean`.
+// kernel lies. Reference: tests/reference/defocus.py, `lens_mean`.
 vec2 ps_lean(vec3 p, vec3 n)
 {
   float lens = u.confusion_scale / u.focal.y;  // radius of the lens over the distance of focus, or the radius itself

@@ -19,9 +19,10 @@ from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.sample_positions import offsets
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes import cameras, drawing
+from scripts.scenes.case import Case
+from scripts.scenes.cases import CASES
 from scripts.studies import defocus_pictures
-from tests.support import scenes
-from tests.support.scenes import CASES, Case
 
 COMBINED = frozenset({"combined"})
 # ms: what comes once, a sample, and both per splat; splats at the tolerance of one pixel; the budget.
@@ -115,7 +116,7 @@ def test_a_view_that_moves_keeps_its_time():
     scene, request = asked("mixed", 16, budget="TIME", time_budget=100.0)
     request, times = replace(request, interactive=True), []
     for step in range(6):
-        moved = replace(request, camera=scenes.camera(eye=(0.1 * step, -4, 0)))
+        moved = replace(request, camera=cameras.camera(eye=(0.1 * step, -4, 0)))
         keeper, before = Moving(renderer, scene, moved, clock), len(device.calls)
         drawn = renderer.start(scene, keeper.request)
         assert not keeper.sample(drawn)
@@ -127,7 +128,7 @@ def test_a_view_that_moves_keeps_its_time():
 def test_a_viewport_that_stands_still_ends_below_its_error():
     scene, request = asked("mixed", budget="ERROR", error_budget=0.02)
     keeper = Refining(replace(request, interactive=True))
-    drawn = scenes.opengl().start(scene, keeper.request)
+    drawn = drawing.opengl().start(scene, keeper.request)
     while keeper.sample(drawn):
         pass
     assert drawn.complete
@@ -163,14 +164,14 @@ def ratios(case: Case, monkeypatch: pytest.MonkeyPatch, limits=(0.03, 0.01, 0.00
     found = []
     for limit in limits:
         asked = replace(request, settings=replace(case.settings, budget="ERROR", error_budget=limit))
-        found.append(scenes.opengl().render(case.scene, asked))
+        found.append(drawing.opengl().render(case.scene, asked))
         report = found[-1].report
         # More samples than MOST_SAMPLES are not drawn.
         assert report["estimate"]["rmse"] <= limit or "samples" not in {entry["name"] for entry in report["skipped"]}
     settings = replace(case.settings, tolerance=case.settings.tolerance / 4, use_adaptive_sampling=False)
     monkeypatch.setattr(translucent, "RELIT", CONVERGED)
     best = Request(case.camera, settings, COMBINED, CONVERGED, node=NODE_SIZE / 4)
-    truth = scenes.opengl().render(case.scene, best).pixels["combined"]
+    truth = drawing.opengl().render(case.scene, best).pixels["combined"]
     estimates = [result.report["estimate"]["rmse"] for result in found]
     distances = [error.distance(result.pixels["combined"], truth) for result in found]
     return [e / d for e, d in zip(estimates, distances, strict=True)]
@@ -263,7 +264,7 @@ def test_where_samples_alone_would_do_the_cut_gets_finer():
     case = through_lens(CASES["emission"]())
     STORE.clear()
     settings = replace(case.settings, budget="ERROR", error_budget=0.003)
-    report = scenes.opengl().render(case.scene, replace(case.request(COMBINED, 16), settings=settings)).report
+    report = drawing.opengl().render(case.scene, replace(case.request(COMBINED, 16), settings=settings)).report
     assert report["estimate"]["rmse"] <= 0.003  # measured 0.0026; 0.0034 with the first cut
 
 
@@ -284,9 +285,9 @@ def test_an_edge_leaves_a_pixel_that_no_sample_met_it_in_as_little_as_is_taken()
 def test_tiles_with_edges_go_on_where_an_error_is_asked_for():
     """Edges along the pixels' sides, which the first samples all miss: the tile would end, and be wrong."""
     scene, request = asked("moving", budget="ERROR", error_budget=0.003)
-    result = scenes.opengl().render(scene, request)
+    result = drawing.opengl().render(scene, request)
     exact = replace(request, settings=replace(request.settings, budget="NONE", use_adaptive_sampling=False))
-    truth = scenes.opengl().render(scene, replace(exact, samples=CONVERGED)).pixels["combined"]
+    truth = drawing.opengl().render(scene, replace(exact, samples=CONVERGED)).pixels["combined"]
     assert error.distance(result.pixels["combined"], truth) < 0.003  # measured 0.0012; 0.0045 where tiles just end
 
 
@@ -294,7 +295,7 @@ def test_a_cut_is_compared_without_touching_what_the_picture_uses():
     """Another frame sorts translucent splats and lights them, and this one goes on with its own."""
     case = under_wide_lamps(CASES["panes"]())
     scene, request = case.scene, case.request(COMBINED, 9)
-    renderer = scenes.opengl()
+    renderer = drawing.opengl()
     STORE.clear()
     alone = renderer.render(scene, request).pixels["combined"]
     STORE.clear()
@@ -312,7 +313,7 @@ def test_a_cut_is_compared_without_touching_what_the_picture_uses():
 def test_what_is_exact_takes_no_more_samples():
     for name in ("empty", "unlit"):
         scene, request = asked(name, budget="ERROR", error_budget=0.001)
-        report = scenes.opengl().render(scene, request).report
+        report = drawing.opengl().render(scene, request).report
         assert report["estimate"]["rmse"] == 0.0
         assert report["points"]["drawn"] <= 5 * report["points"]["cut"]
 
@@ -327,7 +328,7 @@ def test_without_a_budget_nothing_changes():
         assert "estimate" not in report
         calls.append([(call.interface.name, call.count) for call in device.calls])
         assert sum(name == "shade" for name, _ in calls[-1]) == 8
-        pictures.append(scenes.opengl().render(scene, request).pixels["combined"])
+        pictures.append(drawing.opengl().render(scene, request).pixels["combined"])
     assert calls[0] == calls[1]
     np.testing.assert_array_equal(*pictures)
 
@@ -339,5 +340,5 @@ def test_the_default_is_no_budget():
 def test_a_cancelled_picture_ends():
     scene, request = asked("mixed", budget="ERROR", error_budget=0.001)
     asks = iter(range(100))
-    result = scenes.opengl().render(scene, request, cancelled=lambda: next(asks) > 3)
+    result = drawing.opengl().render(scene, request, cancelled=lambda: next(asks) > 3)
     assert result.cancelled

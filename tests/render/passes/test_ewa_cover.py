@@ -11,8 +11,9 @@ from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.passes.ewa import cover, ewa
 from pointsplat_addon.render.renderer import Renderer
-from tests.support import scenes
-from tests.support.scenes import Case, render
+from scripts.scenes import build, cameras, solid_cases
+from scripts.scenes.case import Case
+from scripts.scenes.drawing import render
 
 ONLY_COMBINED = frozenset({"combined"})
 COUNT = 60_000
@@ -34,10 +35,10 @@ def case(key: str, *things: tuple[np.ndarray, ...]) -> Case:
     """Splats that glow, over nothing."""
     position, normal, radii, color = (np.concatenate(part).astype(np.float32) for part in zip(*things, strict=True))
     cloud = PointCloud(position, normal=normal, radii=radii[:, None], emission=color)
-    table = scenes.materials(base_color=[[0, 0, 0]], specular=[0])
-    scene = scenes.scene((scenes.points(key, cloud), scenes.moved()), lights=(), world=World(), table=table,
+    table = build.materials(base_color=[[0, 0, 0]], specular=[0])
+    scene = build.scene((build.points(key, cloud), build.moved()), lights=(), world=World(), table=table,
                          transparent=True)  # fmt: skip
-    camera = scenes.camera((0, -4, 0), resolution=(300, 300), parallel=2.3)
+    camera = cameras.camera((0, -4, 0), resolution=(300, 300), parallel=2.3)
     return Case(scene, camera, Settings(technique="EWA", use_shadows=False, use_adaptive_sampling=False))
 
 
@@ -121,6 +122,6 @@ def test_thinning_leaves_no_pattern_of_the_numbers():
 
 def test_few_splats_compile_none_of_it():
     device = NullDevice()
-    few = replace(scenes.sphere(), settings=Settings(technique="EWA", use_shadows=False))
+    few = replace(solid_cases.sphere(), settings=Settings(technique="EWA", use_shadows=False))
     Renderer(device).render(few.scene, few.request(ONLY_COMBINED, 1))
     assert not PROGRAMS & {interface.name for interface in device.interfaces}

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.render.plan.reasons import PASSES
-from tests.support import leave_out, scenes
+from scripts.scenes import drawing, solid_cases
+from tests.support import leave_out
 from tests.support.leave_out import ROWS, active, found, idle_defines, read, words, written
 
 IMAGE = "project resolve pull push "
@@ -297,7 +298,7 @@ def test_the_viewport_presents_without_a_depth_where_nothing_has_one():
 
 
 def test_the_viewport_presents_a_world_of_one_colour_from_one_texel():
-    case, device = scenes.empty(), leave_out.NullDevice()
+    case, device = solid_cases.empty(), leave_out.NullDevice()
     request = leave_out.Request(case.camera, case.settings, leave_out.COMBINED, 2, interactive=True)
     frame = leave_out.Renderer(device).start(case.scene, request)
     for _ in range(2):
@@ -316,7 +317,7 @@ def test_every_scene_is_drawn_by_a_device_as_it_is_planned(name):
     row = ROWS[name]
     case = row.case()
     request = leave_out.Request(case.camera, case.settings, row.passes, row.samples, interactive=row.interactive)
-    renderer = scenes.opengl()
+    renderer = drawing.opengl()
     renderer.kept.release()  # orders and light of pictures before
     result = renderer.render(case.scene, request)
     assert {entry["name"] for entry in result.report["passes"]} == set(found(name).ran)

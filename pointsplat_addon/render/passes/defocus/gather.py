@@ -1,5 +1,5 @@
 """What is out of focus, and what is translucent before and behind it: each pixel goes through the splats of its tile
-from the front (core/lens/defocus.py), once for all samples of the picture.
+from the front (core/lens/kernel.py), once for all samples of the picture.
 
 The pass `light` (passes/translucent.py) leaves of each splat, one texel each:
   place   centre in pixels from the principal point, depth, kernel's middle: share of the lens; optical depth

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....core.lens.defocus import FAINT, RIM
-from ....core.numeric.segments import starts
+from ....core.lens.kernel import NEGLIGIBLE, SOFT_RIM
+from ....core.numeric.segments import owners, ranges, starts
 
 TILE = 4  # pixels on a side of tiles
 MOST_ENTRIES = 1 << 24  # of all tiles: beyond it they are made larger
@@ -32,9 +32,9 @@ def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tu
     cx, cy = (values[seen] + middle for values, middle in zip((x, y), focal[2:].astype(np.float32), strict=True))
     k = code[seen] % 8
     # Where splats end. The rims of disks are as soft as a pixel is wide.
-    faint = FAINT / np.maximum(peak[seen], 1)
+    faint = NEGLIGIBLE / np.maximum(peak[seen], 1)
     support = 2 * (k + 2) * (1 - faint ** (1 / np.maximum(k, 1e-3)))
-    rim = np.where(RIM**k > faint, np.float32(0.5), np.float32(0))
+    rim = np.where(SOFT_RIM**k > faint, np.float32(0.5), np.float32(0))
     # Halves of the box around xx dx^2 + 2 xy dx dy + yy dy^2 = support.
     xx, xy, yy = (values[seen] for values in (xx, xy, yy))
     determinant = np.maximum(xx * yy - xy * xy, np.finfo(np.float32).tiny)
@@ -61,8 +61,8 @@ def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tu
         tile *= 2
     columns, rows = (-(-side // tile) for side in size)
     # Rows of tiles, and in each those between the ellipse's ends within the row.
-    owner = np.repeat(np.arange(len(seen), dtype=np.int32), count)
-    row = np.arange(len(owner), dtype=np.int32) + np.repeat(first - starts(count).astype(np.int32), count)
+    owner = owners(count, np.int32)
+    row = ranges(first, count, np.int32)
     below = row * np.float32(tile) + 0.5 - cy[owner] - rim[owner]
     above = below + np.float32(tile - 1) + 2 * rim[owner]
     lean, half = (xy / xx)[owner], tall[owner]
@@ -73,8 +73,7 @@ def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tu
         dy = np.clip(np.clip(-side * touches, below, above), -half, half)
         reach.append(side * np.sqrt(np.maximum((half * half - dy * dy) * narrow, 0)) - lean * dy)
     left, width = tiles_between(cx[owner] + reach[0] - rim[owner], cx[owner] + reach[1] + rim[owner], ends[0])
-    where = np.repeat(row * columns + left - starts(width).astype(np.int32), width)
-    where += np.arange(len(where), dtype=np.int32)
+    where = ranges(row * columns + left, width, np.int32)
     order = np.argsort(where.astype(np.uint16) if columns * rows <= 1 << 16 else where, kind="stable")
     amount = np.bincount(where, minlength=columns * rows)
     tiles = np.stack([starts(amount), amount], axis=1).reshape(rows, columns, 2)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ....core.numeric.segments import owners, ranks
 from ....core.scene.materials import MaterialTable
 from ....shading.interface import Block
 from ...cache.store import Layer, PointSet
@@ -77,8 +78,8 @@ def blocks(layer: Layer, first: dict[int, int]) -> tuple[np.ndarray, int]:
     mean = count.mean() if len(count) else 0.0
     shift = LONG_BLOCK if mean >= 1 << (LONG_BLOCK - 1) else SHORT_BLOCK
     number = (count + (1 << shift) - 1) >> shift
-    owner = np.repeat(np.arange(len(count)), number)
-    step = (np.arange(len(owner)) - np.repeat(np.cumsum(number) - number, number)) << shift
+    owner = owners(number)
+    step = ranks(number) << shift
     at = begin[owner] + step
     rows = np.empty((len(owner), 4), np.float32)
     rows[:, 0], rows[:, 1] = at % PAGE_WIDTH, at // PAGE_WIDTH

@@ -3,7 +3,7 @@ is infinitely far (core/lens/backdrop.py). Whoever draws the background looks it
 
 from __future__ import annotations
 
-from ....core.lens.backdrop import Grid
+from ....core.lens.backdrop import BackdropGrid
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
@@ -25,7 +25,7 @@ BLUR = Interface(
 class Backdrop:
     """The world behind one view. Floats: the sun is brighter than half floats are."""
 
-    def __init__(self, device: Device, grid: Grid) -> None:
+    def __init__(self, device: Device, grid: BackdropGrid) -> None:
         self.device, self.grid = device, grid
         self.texture: Texture = device.texture(grid.size, "RGBA32F")
 
