@@ -1,5 +1,5 @@
 // One translucent splat of the draw list: its ellipse in pixels, its optical depth and the light that it sends to the
-// eye. Texel by texel; layouts: render/passes/translucent/page.py. Reference: tests/reference/media.py.
+// eye. Texel by texel; layouts: render/passes/translucent/page.py. Reference: scripts/common/media_truth.py.
 // PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/splat/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not

@@ -15,7 +15,7 @@ from pointsplat_addon.core.lod import hierarchy, node_splats
 from pointsplat_addon.core.lod.foliage import disconnected_splats, is_foliage
 from pointsplat_addon.core.scene.cloud import PointCloud
 from scripts.scenes.meshes import plane_mesh, sphere_mesh
-from tests.core.lod.test_optics import levels, mean_transmittance
+from tests.support.transmittance import levels, mean_transmittance
 
 
 def leaves(count: int, depth: float, flat: float = 0.0) -> PointCloud:

@@ -17,13 +17,9 @@ from scripts.scenes import build, clouds, detailed_cases, drawing, meshes, solid
 from scripts.scenes.build import moved, points
 from scripts.scenes.cameras import camera
 from scripts.scenes.clouds import leaves
-from tests.core.lod.test_optics import cards, mean_transmittance, medium, voxel_ball
+from tests.support.transmittance import cards, crown, mean_transmittance, medium, voxel_ball
 
 COMBINED = frozenset({"combined"})
-
-
-def crown(count, depth):
-    return build.scene((points(f"crown {count} {depth}", leaves(count, depth)), moved()), lights=(), transparent=True)
 
 
 def let_through(renderer, seen, diameter, samples):

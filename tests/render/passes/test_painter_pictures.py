@@ -22,21 +22,10 @@ from scripts.scenes.changes import levels
 from scripts.scenes.drawing import render
 from scripts.scenes.meshes import SHAPES, plane_mesh, shape, sphere_mesh
 from scripts.studies import technique_error
-from tests.core.lod.test_optics import mean_transmittance
 from tests.reference import opaque
-from tests.render.frame import test_quality
-from tests.render.passes import test_foliage_pictures
-from tests.render.passes.test_ewa_pictures import (
-    EXTREMES,
-    NORMALS,
-    dark,
-    lone,
-    of_nodes,
-    on_screen,
-    shape_picture,
-    splats,
-)
-from tests.render.prepare import test_hybrid
+from tests.support import divided_meshes, transmittance
+from tests.support.splats import EXTREMES, NORMALS, VIEWS, dark, lone, of_nodes, on_screen, shape_picture, splats
+from tests.support.transmittance import mean_transmittance
 
 PAINTER = Settings(technique="PAINTER", use_shadows=False)
 ONLY_COMBINED = frozenset({"combined"})
@@ -228,7 +217,7 @@ def test_every_pass_of_every_scene_is_finite(name):
 @pytest.mark.parametrize("samples", [1, 16])
 def test_silhouettes_are_those_of_the_polygons_and_surfaces_are_closed(name, samples):
     mesh = shape(name)
-    for view in range(len(test_quality.VIEWS)):
+    for view in range(len(VIEWS)):
         truth = shape_picture(build.mesh(mesh, "POLYGONS"), view, "AUTO", 64)
         STORE.clear()
         found = shape_picture(build.mesh(mesh, "POINTS"), view, "PAINTER", samples)
@@ -268,12 +257,12 @@ def test_nodes_of_an_octree_close_what_their_points_close(tolerance):
 def test_where_splats_and_triangles_of_a_split_mesh_meet_no_seam_is_seen(name, samples, tolerance):
     """The painter draws the points of some parts over the triangles of the others, and each hides what lies behind."""
     renderer, found = drawing.opengl(), []
-    before, renderer.costs = renderer.costs, test_hybrid.COSTS
+    before, renderer.costs = renderer.costs, divided_meshes.COSTS
     try:
         for primitive, technique in (("POLYGONS", "IMAGE_SPACE"), ("AUTO", "PAINTER")):
-            settings = replace(test_hybrid.SETTINGS, technique=technique, tolerance=tolerance)
-            request = Request(test_hybrid.SHAPES[name]()[1], settings, frozenset({"combined", "depth"}), samples)
-            found.append(renderer.render(test_hybrid.scene(name, primitive), request))
+            settings = replace(divided_meshes.SETTINGS, technique=technique, tolerance=tolerance)
+            request = Request(divided_meshes.SHAPES[name]()[1], settings, frozenset({"combined", "depth"}), samples)
+            found.append(renderer.render(divided_meshes.scene(name, primitive), request))
     finally:
         renderer.costs = before
     truth, drawn = (levels(result.pixels["combined"]) for result in found)
@@ -288,7 +277,7 @@ def test_where_splats_and_triangles_of_a_split_mesh_meet_no_seam_is_seen(name, s
 def test_a_crown_of_leaves_lets_as_much_light_through_as_it_should():
     """From leaves of pixels to a tenth of one, and at one sample as at many: what is widened hides no more."""
     exact = mean_transmittance(clouds.leaves(20000, 0.5), 1.15, (0.0, 1.0, 0.0), pixels=768, hard=True)
-    seen = test_foliage_pictures.crown(20000, 0.5)
+    seen = transmittance.crown(20000, 0.5)
     for diameter, samples in ((320, 1), (80, 1), (20, 1), (80, 16), (10, 96)):
         size = round(1.15 * diameter) + 8
         eye = cameras.camera((0, -5, 0), resolution=(size, size), parallel=2 * size / diameter)
