@@ -13,7 +13,7 @@ import pointsplat_addon
 from pointsplat_addon.core.lens.thin_lens import circle_of_confusion
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.host.convert import camera as cameras
-from tests.blender.test_camera import glowing, picture
+from tests.support.blender.scenes import glowing, picture
 
 WIDTH, HEIGHT, FOCUS = 96, 72, 5.0
 

@@ -36,11 +36,11 @@ class LensSamples:
             uploads.move(camera_through(still, self.points[sample]).view_from_world, seen)
         return seen
 
-    def keep(self, place: Texture, record: np.ndarray) -> None:
+    def keep(self, place: Texture) -> None:
         """Remember the depths that the middle of the lens sees: what else is drawn in a viewport is hidden by them."""
         self.place = self.device.texture(place.size, "RGBA32F")
         self._target = self.device.target([self.place])
-        self.device.draw(KEEP, self._target, uniforms=record.copy(), textures={"ps_combined": place})
+        self.device.draw(KEEP, self._target, textures={"ps_combined": place})
 
     def release(self) -> None:
         if self.place is not None:

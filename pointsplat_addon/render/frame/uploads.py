@@ -33,6 +33,7 @@ from ..passes.shading import lighting, materials
 from ..passes.translucent import light as light_pass
 from ..passes.translucent import light_shares
 from ..passes.translucent.page import TranslucentPage
+from ..passes.uniforms import SampleView, Values
 from ..passes.visibility import polygon_mesh, strand_page
 from ..plan.plan import Plan
 from ..prepare.prepare import Prepared
@@ -108,7 +109,7 @@ class Uploads:
         self._owned: list[Any] = []
         self._of_view: list[Texture] = []
         self._packed = None if shadows is None else shadows.packed
-        self._one: dict[str, Any] = {}  # the only instance of points, as uniforms
+        self._one: Values = {}  # the only instance of points, as uniforms
         self.shared: dict[str, Texture] = {}
         self.lights: Texture | None = None
         self.environment: Texture | None = None
@@ -277,7 +278,7 @@ class Uploads:
         rows = instance_rows(prepared.view_from_object, origin, instances.holdout)
         self.shared["ps_instances"] = self._for_view(rows)
 
-    def _point_draws(self, layer: Layer, uniforms: dict[str, Any]) -> list[PageDraw]:
+    def _point_draws(self, layer: Layer, transform: Values) -> list[PageDraw]:
         draws, index = [], 0
         for group in _pages(layer.point_sets, self.device.limits.texture_size):
             page = self._page(group)
@@ -287,7 +288,7 @@ class Uploads:
                 continue
             size, data = paged(rows, 4)
             texture = self._own(self.device.texture(size, "RGBA32F", data))
-            draws.append(PageDraw(page, texture, len(rows), shift, index, uniforms))
+            draws.append(PageDraw(page, texture, len(rows), shift, index, transform))
             index += len(rows) << shift
         return draws
 
@@ -376,7 +377,7 @@ class Uploads:
         self.reach_key = (key, self._shadow_key, layer.set_of_instance.tobytes(), world_from_object.tobytes())
         self.reach_lights, self.reach_instances = lights, instance
 
-    def reach(self, tap: int, record: np.ndarray, run: Callable[[str, Callable[[], None]], None]) -> dict[str, Texture]:
+    def reach(self, tap: int, view: SampleView, run: Callable[[str, Callable[[], None]], None]) -> dict[str, Texture]:
         """How much of each light reaches the translucent splats, by sampler name; `tap`: which point of wide lamps."""
         device, options = self.device, self.plan.translucent
         assert options is not None
@@ -386,8 +387,7 @@ class Uploads:
         def light(target: Target) -> None:
             size, data = paged(light_pass.draw_list(np.arange(count), self.reach_instances), 2)
             order = device.texture(size, "RG32F", data)
-            every = record.copy()
-            every["page"][0, 1] = count
+            every = view.record_of(program.block, count=count)
             textures = {**self.splats, **self.shading, "ps_order": order}
             try:
                 run("reach", lambda: device.draw(program, target, uniforms=every, textures=textures))

@@ -16,9 +16,10 @@ import numpy as np
 from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Target, Texture, whole
+from ..shading.background import world_block
 from ..shading.lighting import lighting_defines, lighting_samplers
 from ..tiles import TILE_DEFINE
-from ..uniforms import FRAME
+from ..uniforms import LENS_FIELDS
 from .tile_lists import TileLists
 
 
@@ -36,7 +37,7 @@ def defocus_program(
     read = ["splat_place", "shape", "source", "list", "tiles", "focused", "focus"]
     read += ["tint"] * tint + ["counts"] * adaptive
     return Interface(
-        "defocus", fragment="defocus/gather.frag", block=FRAME, outputs=(("vec4", "out_combined"),),
+        "defocus", fragment="defocus/gather.frag", block=world_block("Gather", world, LENS_FIELDS, (("float", "sample_weight"),)), outputs=(("vec4", "out_combined"),),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(world)),
         defines=(*lighting_defines(world), ("PS_TILE_SIZE", str(tile)), *((TILE_DEFINE,) if adaptive else ()),
                  *((name, "1") for name, on in named.items() if on)),

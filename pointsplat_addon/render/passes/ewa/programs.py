@@ -4,13 +4,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
 from ..gbuffer import Variant
-from ..pages.point_page import PointOptions, attributes
-from ..uniforms import FRAME
+from ..pages.point_page import PointOptions, attributes, page_block
+from ..uniforms import CAMERA_FIELDS, Fields, block
 from .options import EwaOptions
 
 ATTRIBUTES = ("normal", "color", "emission")  # of the G-buffer, that are blended
+
+LOW_PASS: Fields = (("float", "low_pass"),)  # pixels^2 of variance
+FIRST: Fields = (("int", "first"),)  # entry of the list of splats
+NORMALISE = block("Normalise", CAMERA_FIELDS)
+
+
+def project_block(points: PointOptions) -> Block:
+    """The uniforms of the pass `splats`."""
+    return page_block("Splats", points, LOW_PASS)
+
+
+def _drawn_block(points: PointOptions, blend: bool, large: bool) -> Block:
+    """The uniforms of the passes that draw listed splats."""
+    own = (FIRST, LOW_PASS) if blend else (FIRST,)
+    if large:
+        return page_block("LargeSplats", points, *own)
+    return block("SmallSplats", CAMERA_FIELDS, *own)
 
 
 @dataclass(frozen=True)
@@ -32,13 +49,13 @@ def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaProg
     cull = (("FLOAT_2D", "ps_materials"),) if points.cull else ()
     blended = _blended(variant)
     splats = Interface(
-        "splats", fragment="ewa/project.frag", block=FRAME, samplers=(*samplers, *cull),
+        "splats", fragment="ewa/project.frag", block=project_block(points), samplers=(*samplers, *cull),
         outputs=tuple(("vec4", f"out_{name}") for name in ("place", "shape", "front", *blended)),
         defines=(*named, *flagged, *defines),
     )  # fmt: skip
     hard = (("PS_HARD", "1"),) if ewa.hard else ()
     normalise = Interface(
-        "normalise", fragment="ewa/normalise.frag", block=FRAME,
+        "normalise", fragment="ewa/normalise.frag", block=NORMALISE,
         samplers=tuple(("FLOAT_2D", name) for name in ("ps_nearest", *(f"ps_sum_{n}" for n in ("place", *blended)))),
         outputs=variant.front_outputs, depth=points.depth,
         defines=(*variant.front_defines, *((("PS_DEPTH", "1"),) if points.depth else ()), *hard),
@@ -81,7 +98,7 @@ def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool,
     return Interface(
         "blend" if blend else "visibility",
         vertex="ewa/large.vert" if large else "ewa/blend.vert",
-        fragment="ewa/blend.frag", block=FRAME, samplers=tuple(samplers),
+        fragment="ewa/blend.frag", block=_drawn_block(points, blend, large), samplers=tuple(samplers),
         varyings=tuple(("flat", "vec4", name) for name in names),
         outputs=outputs, defines=tuple(defines), depth=not blend,
     )  # fmt: skip

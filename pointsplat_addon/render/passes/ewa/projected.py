@@ -9,6 +9,7 @@ from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Target, Texture, whole
 from ..pages.point_page import PageDraw
 from ..tiles import TILE
+from ..uniforms import SampleView
 from . import cover as ewa_cover
 
 
@@ -32,14 +33,14 @@ class Splats:
         self.lists: dict[str, tuple[Texture, int]] = {}  # their texels, and how many
         self._corner = np.zeros(2, np.float32)  # of the picture from the principal point, in pixels
 
-    def find(self, device: Device, record: np.ndarray, margin: float) -> None:
+    def find(self, device: Device, view: SampleView, margin: float) -> None:
         """Find the splats that are drawn: not the small ones that lie `margin` pixels outside the picture, since
         vertices cost more than looking once which of them are needed. Those that show their backs come second."""
         x, y, _, kind = device.read(self.textures["ps_splat_place"]).reshape(-1, 4).T
-        self._corner = -record["focal"][0, 2:]
+        self._corner = -np.array(view.principal_point, np.float32)
         odd = np.abs(kind).astype(np.int32) & 1 == 1
         small, turned = odd.copy(), kind < 0
-        for at, low, size in zip((x, y), self._corner, record["size"][0, :2], strict=True):
+        for at, low, size in zip((x, y), self._corner, np.array(view.size, np.int32), strict=True):
             small &= (at > low - margin) & (at < low + size + margin)
         first, then = np.flatnonzero(small & ~turned), np.flatnonzero(small & turned)
         self.found = {"first": first, "then": then, "large": np.flatnonzero(~odd & (kind != 0))}

@@ -8,13 +8,20 @@ import numpy as np
 
 from ....core.numeric.segments import owners, ranks
 from ....core.scene.materials import MaterialTable
+from ....shading.interface import Block
 from ...cache.store import Layer, PointSet
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Texture
 from ..gbuffer import Variant
+from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
 from .splat_page import SplatPage, extent, facets, filled, place, shading_normal
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
+# What lib/data/splat.glsl reads.
+BLOCK_FIELDS: Fields = (
+    ("int", "block_count"),
+    ("int", "block_shift"),  # log2 of the splats in a block
+)
 POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_place"), ("FLOAT_2D", "ps_extent"))
 
 
@@ -28,7 +35,7 @@ class PointOptions:
     holdout: bool = False
     ellipses: bool = False  # some splats are not round
     one_instance: bool = False
-    apart: bool = False  # some splats close no surface with others
+    disconnected: bool = False  # some splats close no surface with others
     depth: bool = False  # polygons share the G-buffer
     coarse: bool = False  # nodes are so wide that gaps between them show
 
@@ -118,6 +125,12 @@ def attributes(
     return tuple(samplers), tuple((name, "1") for name, on in named.items() if on)
 
 
+def page_block(name: str, options: PointOptions, *groups: Fields) -> Block:
+    """The uniform block of a pass that draws the blocks of a page, with further fields. `name`: as for `block`."""
+    transform = ONE_INSTANCE_FIELDS if options.one_instance else ()
+    return block(name, CAMERA_FIELDS, BLOCK_FIELDS, transform, *groups)
+
+
 @dataclass
 class PageDraw:
     """What one view draws of one page."""
@@ -127,14 +140,12 @@ class PageDraw:
     count: int  # blocks
     shift: int
     first_index: int  # of this page's splats among all that are drawn
-    uniforms: dict[str, object]
+    transform: Values  # of ONE_INSTANCE_FIELDS, where there is only one instance; else none
 
     @property
     def elements(self) -> int:
         return self.count << self.shift
 
-    def fill(self, record: np.ndarray) -> np.ndarray:
-        record["page"][0, :3] = self.first_index, self.count, self.shift
-        for name, value in self.uniforms.items():
-            record[name][0] = value
-        return record
+    def record(self, view: SampleView, block: Block, **own: object) -> np.ndarray:
+        """The record of a pass whose block is a `page_block`."""
+        return view.record(block, block_count=self.count, block_shift=self.shift, **self.transform, **own)

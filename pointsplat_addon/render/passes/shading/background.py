@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from ....shading.interface import Interface
-from ..uniforms import FRAME
+from ....shading.interface import Block, Interface
+from ..uniforms import BACKDROP_FIELDS, CAMERA_FIELDS, Fields, block
 from .averages import _averaged_defines, _averaged_outputs
 from .lighting import lighting_samplers
+
+
+def world_block(name: str, world: tuple[str, ...], *groups: Fields) -> Block:
+    """The uniforms of a pass that draws the world, with further fields."""
+    return block(name, CAMERA_FIELDS, BACKDROP_FIELDS if "PS_BACKDROP" in world else (), *groups)
 
 
 def background_program(
@@ -25,7 +30,7 @@ def background_program(
     names = (*world, *_averaged_defines(passes), *(name for name, on in named.items() if on))
     read = () if everywhere else ("ps_place", "ps_shape") if coverage else ("ps_place",)
     return Interface(
-        "background", fragment="shading/background.frag", block=FRAME, outputs=_averaged_outputs(passes, combined),
+        "background", fragment="shading/background.frag", block=world_block("Background", world), outputs=_averaged_outputs(passes, combined),
         samplers=(*(("FLOAT_2D", name) for name in read), *lighting_samplers(world)),
         defines=tuple((name, "1") for name in names),
     )  # fmt: skip

@@ -6,13 +6,47 @@ refraction that stands for IOR and specular level; what hair is besides (core.ha
 
 from __future__ import annotations
 
-from ....shading.interface import Interface
+from ....core.scene.scene import Scene
+from ....shading.interface import Block, Interface
 from ..gbuffer import Variant
-from ..uniforms import FRAME
-from .averages import _averaged_defines, _averaged_outputs
-from .lighting import ENOUGH_CELLS, LAMP_POINTS, MOST_LAMP_POINTS, lighting_defines, lighting_samplers
+from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, Values, block
+from .averages import _averaged_defines, _averaged_outputs, averaged
+from .lighting import (
+    ENOUGH_CELLS,
+    LAMP_POINTS,
+    LIGHT_FIELDS,
+    MOST_LAMP_POINTS,
+    SAMPLE_FIELDS,
+    lighting_defines,
+    lighting_samplers,
+)
 
 MIST_EXPONENT = {"LINEAR": 1.0, "QUADRATIC": 2.0, "INVERSE_QUADRATIC": 0.5}
+MIST_FIELDS: Fields = (("float", "mist_start"), ("float", "mist_scale"), ("float", "mist_exponent"))
+WORLD_FIELDS: Fields = (("mat4", "world_from_view"),)
+
+
+def _block(passes: frozenset[str], lighting: tuple[str, ...], focus: bool, combined: bool) -> Block:
+    """The uniforms of one variant."""
+    wanted = (
+        (LIGHT_FIELDS, combined),
+        (SAMPLE_FIELDS, "PS_SHADOW_SAMPLE" in lighting),
+        (LENS_FIELDS, focus),
+        (MIST_FIELDS, "mist" in averaged(passes)),
+        (WORLD_FIELDS, "normal" in averaged(passes)),
+    )
+    return block("Shade", CAMERA_FIELDS, *(fields for fields, on in wanted if on))
+
+
+def shade_values(scene: Scene) -> Values:
+    """Values of the fields that depend on the scene."""
+    mist = scene.mist
+    return {
+        "light_count": len(scene.lights),
+        "mist_start": mist.start,
+        "mist_scale": 1 / max(mist.depth, 1e-6),
+        "mist_exponent": MIST_EXPONENT[mist.falloff],
+    }
 
 
 def shade_program(
@@ -40,7 +74,7 @@ def shade_program(
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
     return Interface(
-        "shade", fragment="shading/shade.frag", block=FRAME,
+        "shade", fragment="shading/shade.frag", block=_block(passes, lighting, focus, combined),
         outputs=(*_averaged_outputs(passes, combined), *((("vec4", "out_focus"),) if focus else ())),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
         defines=(*lighting_defines(lighting), *taps, *((name, "1") for name in names)),

@@ -6,10 +6,10 @@ import numpy as np
 
 from ....core.splat import painter
 from ....core.splat.kernel import SUPPORT
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
-from ..shading.lighting import MOST_LAMP_POINTS, lighting_defines, lighting_samplers
-from ..uniforms import FRAME
+from ..shading.lighting import LIGHT_FIELDS, MOST_LAMP_POINTS, SAMPLE_FIELDS, lighting_defines, lighting_samplers
+from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, block
 from .options import TranslucentOptions
 
 MOST_REACHED = 4  # lights whose shares are kept
@@ -21,6 +21,25 @@ def draw_list(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
     rows[:, 0] = texel & (PAGE_WIDTH * PAGE_WIDTH - 1)
     rows[:, 1] = 4 * instance.astype(np.int64) + (texel >> 24)
     return rows
+
+
+def _sample_fields(lighting: tuple[str, ...]) -> Fields:
+    return SAMPLE_FIELDS if "PS_SHADOW_SAMPLE" in lighting else ()
+
+
+def _light_block(options: TranslucentOptions, lighting: tuple[str, ...]) -> Block:
+    """The uniforms of the pass `light`."""
+    own: Fields = (
+        ("int", "count"),  # of the splats in the list
+        ("float", "low_pass_scale"),  # of the low-pass of splats that are not particles
+    )
+    lens = LENS_FIELDS if options.defocus else ()
+    return block("Light", CAMERA_FIELDS, own, LIGHT_FIELDS, lens, _sample_fields(lighting))
+
+
+def _reach_block(lighting: tuple[str, ...]) -> Block:
+    """The uniforms of the pass `reach`."""
+    return block("Reach", CAMERA_FIELDS, (("int", "count"),), _sample_fields(lighting))
 
 
 def light_program(
@@ -38,7 +57,7 @@ def light_program(
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
     named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.opaque and not options.defocus}
     named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
-    named |= {"PS_FUZZY_APART": options.apart, "PS_DEFOCUS": options.defocus, "PS_LINES": options.strands}
+    named |= {"PS_FUZZY_DISCONNECTED": options.disconnected, "PS_DEFOCUS": options.defocus, "PS_LINES": options.strands}
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
     outputs = [
         "place",
@@ -48,7 +67,7 @@ def light_program(
         *(["tint"] if options.tint else []),
     ]
     return Interface(
-        "light", fragment="translucent/light.frag", block=FRAME,
+        "light", fragment="translucent/light.frag", block=_light_block(options, lighting),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_{name}") for name in outputs),
         defines=(*lighting_defines(lighting), *known, *_fuzzy_defines(options, lighting),
@@ -63,7 +82,7 @@ def reach_program(options: TranslucentOptions, lighting: tuple[str, ...], lights
     read += ("shading_normal",) if options.shading_normal else ()
     defines = (*_fuzzy_defines(options, lighting), *((("PS_SHADING_NORMAL", "1"),) if options.shading_normal else ()))
     return Interface(
-        "reach", fragment="translucent/light.frag", block=FRAME,
+        "reach", fragment="translucent/light.frag", block=_reach_block(lighting),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_reach_{i}") for i in range(_reach_textures(lights, colored))),
         defines=(*lighting_defines(lighting), ("PS_REACH", str(lights)), *defines),

@@ -14,15 +14,17 @@ that may be seen to be round are met by the pixels' rays; narrower ones are stri
 
 from __future__ import annotations
 
-import numpy as np
-
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
-from ..uniforms import FRAME
+from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
 from .strand_page import LineDraw
 
 CHUNK = 1 << 20  # segments of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
+
+FIRST: Fields = (("int", "first"),)  # entry of the list
+STRANDS = block("Strands", CAMERA_FIELDS, FIRST)
+THIN = block("ThinStrands", CAMERA_FIELDS, FIRST, (("float", "sample_offset"),))
 
 
 def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
@@ -44,7 +46,7 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
         varyings += [("smooth", "vec2", "v_share")] if thin else []
     kinds = {"PS_THIN": thin, "PS_RIBBON": ribbon, "PS_TUBE": tube}
     return Interface(
-        "lines", vertex="visibility/strands.vert", fragment="visibility/strands.frag", block=FRAME,
+        "lines", vertex="visibility/strands.vert", fragment="visibility/strands.frag", block=THIN if thin else STRANDS,
         samplers=tuple(("FLOAT_2D", name) for name in fetched),
         varyings=tuple(varyings), outputs=variant.front_outputs, depth=True,
         defines=(*variant.front_defines, *((name, "1") for name, on in kinds.items() if on)),
@@ -55,19 +57,19 @@ def draw(
     device: Device,
     variant: Variant,
     draws: list[LineDraw],
-    record: np.ndarray,
+    view: SampleView,
     shared: dict[str, Texture],
     out: GBuffer,
 ) -> None:
     """All strands of one sample into the G-buffer."""
     for part in draws:
-        record["lens"][0, 3] = part.turn
         for kind, listed in part.lists().items():
             thin = kind == "THIN"
             texture, total = listed
             textures = {**shared, **part.page.textures, "ps_segments": part.texture, "ps_list": texture}
             for first in range(0, total, CHUNK):
-                record["page"][0, 0] = first
+                own = {"sample_offset": part.turn} if thin else {}
+                record = view.record(THIN if thin else STRANDS, first=first, **own)
                 device.draw(
                     program(variant, part.page.ribbon, kind), out.target, uniforms=record, textures=textures,
                     vertices=min(CHUNK, total - first) * (2 if thin else 6),
