@@ -8,7 +8,8 @@ import numpy as np
 
 from pointsplat_addon.core.shadow.casters import CHUNK, OPAQUE_DEPTH
 from pointsplat_addon.core.shadow.grid import LEAST_COSINE, Frame, directions, plane_distance
-from pointsplat_addon.core.shadow.table import TEXEL, WORD, Emitter, Level, ShadowTable
+from pointsplat_addon.core.shadow.level import MASK_CELLS, TEXEL_CELLS, TableLevel
+from pointsplat_addon.core.shadow.table import Emitter, ShadowTable
 
 BIAS = 1.0  # cells: how far along its normal a receiver is lifted
 UNORIENTED_BIAS = 1.5  # cells, towards the lamp: receivers without a normal
@@ -173,23 +174,23 @@ def _from_one_point(
     return open_ * np.exp(-depth)
 
 
-def _entry_range(level: Level, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _entry_range(level: TableLevel, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """First entry (P,) and one past the last of cells (P,); the same where a cell holds none or is negative."""
     inside = cell >= 0
     cell = np.where(inside, cell, 0)
-    texel, bit = cell // TEXEL, cell % TEXEL
+    texel, bit = cell // TEXEL_CELLS, cell % TEXEL_CELLS
     words = level.mask[texel]
-    word = bit // WORD
+    word = bit // MASK_CELLS
     below = np.where(np.arange(3) < word[:, None], 0xFFFFFF, 0)
-    below[np.arange(len(cell)), word] = (1 << (bit % WORD)) - 1
+    below[np.arange(len(cell)), word] = (1 << (bit % MASK_CELLS)) - 1
     rank = level.rank[texel] + _bit_count(words & below).sum(axis=1)
-    held = inside & ((words[np.arange(len(cell)), word] >> (bit % WORD)) & 1 == 1)
+    held = inside & ((words[np.arange(len(cell)), word] >> (bit % MASK_CELLS)) & 1 == 1)
     rank = np.where(held, rank, 0)
     return level.links[rank], np.where(held, level.links[np.minimum(rank + 1, len(level.links) - 1)], level.links[rank])
 
 
 def _look_up(
-    level: Level,
+    level: TableLevel,
     receiver: Receiver,
     latitude: np.ndarray,
     longitude: np.ndarray,
@@ -233,7 +234,9 @@ def _look_up(
     return result
 
 
-def _depth_before(level: Level, first: np.ndarray, end: np.ndarray, limit: np.ndarray, ramp: np.ndarray) -> np.ndarray:
+def _depth_before(
+    level: TableLevel, first: np.ndarray, end: np.ndarray, limit: np.ndarray, ramp: np.ndarray
+) -> np.ndarray:
     """(P, C) float64: what the entries first .. end (P,) hold in front of distances (P,).
 
     Opaque entries count in full. Others set in along the ray from `ramp` (P,) before to as much after their distance,

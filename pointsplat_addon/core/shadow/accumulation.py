@@ -9,8 +9,8 @@ import numpy as np
 from ..numeric import segments
 from .casters import KINDS, OPAQUE_DEPTH
 from .entries import EntryBlock, concatenate_columns
+from .level import MASK_CELLS, TEXEL_CELLS, TableLevel
 from .rows import GridRows
-from .table import TEXEL, WORD, Level
 
 SLAB_WIDTH, NARROW_GAP, WIDE_GAP = 1.0, 0.05, 2.0  # cells: distances that tell surfaces from each other, see _hidden
 COVERED_DEPTH = 40.0  # optical depth of a cell that a surface covers: 1 - exp(-40) is 1
@@ -18,7 +18,7 @@ GROUPS = 18  # bits: cells are counted by groups, at most so many
 RUN_ENTRIES = 1 << 14  # entries that are sorted together: their scratch arrays stay in the cache
 
 
-def accumulate_levels(rows: GridRows, blocks: Sequence[EntryBlock], wide: bool) -> Iterator[Level]:
+def accumulate_levels(rows: GridRows, blocks: Sequence[EntryBlock], wide: bool) -> Iterator[TableLevel]:
     """Sort the entries of all cells, sum within cells, and cut into levels. `wide`: the lamp has a size.
 
     Arrays of all entries are made for the levels alone: large ones take the system longer than small ones.
@@ -41,7 +41,7 @@ def accumulate_levels(rows: GridRows, blocks: Sequence[EntryBlock], wide: bool) 
         distance, total = concatenate_columns(
             [[a[part] for a in runs[i][2:]] for i, part in zip(some, parts, strict=True)]
         )
-        yield Level(KINDS[k // rows.levels], grid, rank, mask, links, distance, total)
+        yield TableLevel(KINDS[k // rows.levels], grid, rank, mask, links, distance, total)
 
 
 def _sorted_runs(blocks: Sequence[EntryBlock]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -164,7 +164,9 @@ def _sums_from(starts: np.ndarray, count: np.ndarray, values: np.ndarray) -> np.
 
 def _masks(occupied: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
     """Which cells hold entries: the number (W,) int32 of occupied cells before each TEXEL, bits (W, 3) int32."""
-    words = -(-cells // TEXEL)
-    mask = np.bincount(occupied // WORD, weights=2.0 ** (occupied % WORD), minlength=3 * words).astype(np.int32)
-    count = np.bincount(occupied // TEXEL, minlength=words)
+    words = -(-cells // TEXEL_CELLS)
+    mask = np.bincount(occupied // MASK_CELLS, weights=2.0 ** (occupied % MASK_CELLS), minlength=3 * words).astype(
+        np.int32
+    )
+    count = np.bincount(occupied // TEXEL_CELLS, minlength=words)
     return segments.starts(count).astype(np.int32), mask.reshape(words, 3)

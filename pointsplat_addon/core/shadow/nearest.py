@@ -9,7 +9,7 @@ import numpy as np
 
 from ..numeric.segments import starts
 from .grid import Frame
-from .table import Level
+from .level import TableLevel
 
 SQUARE_CELLS = 4  # cells of a level: sides of the squares that know its nearest entry
 
@@ -51,7 +51,7 @@ class NearestEntries:
         return np.concatenate([d.reshape(-1) for d in self.distance])
 
 
-def nearest_entries(frame: Frame, levels: tuple[Level, ...], wide: bool) -> NearestEntries:
+def nearest_entries(frame: Frame, levels: tuple[TableLevel, ...], wide: bool) -> NearestEntries:
     """Of a table's levels. Lamps without a size need but the coarsest square."""
     if not levels or not wide:
         least = min((float(level.distance.min()) for level in levels), default=np.inf)
