@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""One ribbon for each flat part without lobes, by its widths across its longest axis."""
 
 from __future__ import annotations
 

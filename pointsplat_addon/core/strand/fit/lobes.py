@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Ribbons of flat parts with lobes about a hub, as of maple leaves: one for each lobe and one between them."""
 
 from __future__ import annotations
 

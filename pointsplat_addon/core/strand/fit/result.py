@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Strands fitted to a mesh, and the tolerances that several kinds of fits share."""
 
 from __future__ import annotations
 

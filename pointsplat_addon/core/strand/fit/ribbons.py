@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Ribbons from parts of two to four triangles in a row."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Tubes through the sections of a part: centres, radii, and whether the sections are round enough."""
 
 from __future__ import annotations
 
