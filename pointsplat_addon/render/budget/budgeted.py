@@ -1,7 +1,6 @@
-"""What a picture may cost: a time to keep, or an error to stay below (docs/notes/budgets.md).
+"""Draws a picture within a budget: a time to keep, or an error to stay below (docs/notes/budgets.md).
 
-TIME chooses how many samples a picture gets, and how coarse its cut is, from what earlier pictures of the scene took:
-t(n, s) = p(s) + n q(s), with p what comes once and q what each sample takes, both linear in the splats s of the cut.
+TIME chooses how many samples a picture gets, and how coarse its cut is, from what earlier pictures of the scene took.
 ERROR measures how far the mean of all samples still moves, and how far another cut lies from this one.
 """
 

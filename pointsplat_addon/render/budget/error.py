@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Estimates the error of a picture from how far the mean of its samples still moves (docs/notes/budgets.md)."""
 
 from __future__ import annotations
 

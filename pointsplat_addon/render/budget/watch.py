@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Decides after each sample of a picture whether it has enough: for a budget of time, or one of error."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ class Frame:
             device.clear(self.targets.sum_target)
         if not shot.everywhere:
             shown = self.presented and not plan.defocus and self.targets.surfels is not None
-            place = _bound(self.targets.surfels).get("ps_place") if shown else None
+            place = _bound(self.targets.surfels).get("ps_centre") if shown else None
             threshold = request.settings.adaptive_threshold
             gather = 2 << count  # two pixels of the coarsest level on either side
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, place))
@@ -195,7 +195,7 @@ class Frame:
         if beside and data_surfels is not None and data_surfels is not surfels:
             data_surfels.draw(uploads, projection, view, run)
         if self.lens is not None and first and self.presented and data_surfels is not None:
-            self.lens.keep(data_surfels.buffer.textures["place"])
+            self.lens.keep(data_surfels.buffer.textures["centre"])
         if plan.data and (first or self._data.every_sample):
             run("data", lambda: self._draw_data(view))
             self._data.read(self.targets.data, self._cropped, first)
@@ -327,7 +327,7 @@ class Frame:
         if adaptive is not None:
             textures["ps_counts"] = adaptive.known
         if (place := self._place) is not None:
-            textures["ps_place"] = place
+            textures["ps_centre"] = place
         program = present.present_program(place is not None, adaptive is not None)
         _, _, width, height = camera.window
         record = present.present_record(place is not None, camera, (width, height), self.shot.corner, weight)
@@ -341,7 +341,7 @@ class Frame:
         if self.adaptive is not None and self.out_of_focus is None:
             return self.adaptive.place
         drawn = self if self.beside is None or self.beside.shot.trivial else self.beside
-        return _bound(drawn.targets.data_surfels).get("ps_place")
+        return _bound(drawn.targets.data_surfels).get("ps_centre")
 
     def _present_constant(self) -> None:
         """A world of one colour needs no picture: one texel does."""

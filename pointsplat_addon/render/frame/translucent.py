@@ -45,7 +45,7 @@ class Translucent:
         self.lit_by = 0  # which points of wide lamps
         program = light_program(plan.translucent, plan.lighting, plan.materials, uploads.reach_lights)
         variant = plan.variant
-        channels = variant.samplers(only=("place", "shape", "normal") if variant.normal else ("place",))
+        channels = variant.samplers(only=("centre", "shape", "normal") if variant.normal else ("centre",))
         self._add = add_program(plan.translucent)
         self._depth = depth_program(channels, variant.normal)
         self.lit = LitSplats(device, plan.translucent, program, uploads.listed, samples)

@@ -396,7 +396,7 @@ class Uploads:
 
         self.used.add(self._reach_key)
         kept: light_shares.Reach = self.kept.keep(self._reach_key, lambda: light_shares.Reach(device))
-        return kept.textures(self.reach_key, tap, program, self.splats["ps_place"].size, light)
+        return kept.textures(self.reach_key, tap, program, self.splats["ps_position"].size, light)
 
     def _polygon_meshes(self) -> dict[int, polygon_mesh.PolygonMesh]:
         scene, plan, meshes = self.scene, self.plan, {}

@@ -49,7 +49,7 @@ NEEDED_BLOCK = block("Needed", (
 ))  # fmt: skip
 SIZES = Interface(
     "sizes", fragment="ewa/sizes.frag", block=SIZES_BLOCK, outputs=(("vec4", "out_size"),),
-    samplers=(("FLOAT_2D", "ps_list"), ("FLOAT_2D", "ps_splat_place"), ("FLOAT_2D", "ps_splat_shape")),
+    samplers=(("FLOAT_2D", "ps_list"), ("FLOAT_2D", "ps_splat_centre"), ("FLOAT_2D", "ps_splat_shape")),
 )  # fmt: skip
 WINDOW = Interface(
     "open",
@@ -62,7 +62,7 @@ FIRST = WINDOW.with_defines("PS_FIRST")
 NEEDED = Interface(
     "needed", fragment="ewa/needed.frag", block=NEEDED_BLOCK, outputs=(("float", "out_needed"),),
     samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in
-                   ("splat_place", "splat_shape", "splat_front", "nearest", "open")),
+                   ("splat_centre", "splat_shape", "splat_front", "nearest", "open")),
 )  # fmt: skip
 THINNED = NEEDED.with_defines("PS_THIN")
 
@@ -167,7 +167,7 @@ class Cover:
 
     def needed(self, splats: dict[str, Texture], view: SampleView, low_pass: float) -> np.ndarray:
         """(elements,) float32, one for each projected splat: HIDDEN, COVERED, or more."""
-        device, size = self._device, splats["ps_splat_place"].size
+        device, size = self._device, splats["ps_splat_centre"].size
         out = device.texture(size, "R32F")
         target = device.target([out])
         record = view.record(

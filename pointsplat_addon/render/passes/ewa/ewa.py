@@ -51,7 +51,7 @@ class Ewa:
         self.nearest = device.texture(size, "RGBA32F")
         self.nearest_target: Target = device.target([self.nearest], depth=True)
         self.sums: dict[str, Texture] = {
-            f"ps_sum_{name}": device.texture(size, "RGBA32F") for name in ("place", *_blended(variant))
+            f"ps_sum_{name}": device.texture(size, "RGBA32F") for name in ("depth", *_blended(variant))
         }
         self.sum_target: Target = device.target(list(self.sums.values()))
         self._splats: list[Splats] = []

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Splats of one view after projection, and lists of those that are drawn."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Splats:
         """DeviceError: more splats than a texture holds."""
         self.draw = draw
         size = (PAGE_WIDTH, max(1, -(-draw.elements // PAGE_WIDTH)))
-        exact = ("out_place", "out_shape", "out_front")
+        exact = ("out_centre", "out_shape", "out_front")
         self.textures: dict[str, Texture] = {
             name.replace("out_", "ps_splat_"): device.texture(size, "RGBA32F" if name in exact else "RGBA16F")
             for _, name in program.outputs
@@ -36,7 +36,7 @@ class Splats:
     def find(self, device: Device, view: SampleView, margin: float) -> None:
         """Find the splats that are drawn: not the small ones that lie `margin` pixels outside the picture, since
         vertices cost more than looking once which of them are needed. Those that show their backs come second."""
-        x, y, _, kind = device.read(self.textures["ps_splat_place"]).reshape(-1, 4).T
+        x, y, _, kind = device.read(self.textures["ps_splat_centre"]).reshape(-1, 4).T
         self._corner = -np.array(view.principal_point, np.float32)
         odd = np.abs(kind).astype(np.int32) & 1 == 1
         small, turned = odd.copy(), kind < 0
@@ -69,7 +69,7 @@ class Splats:
             self.lists[name] = listed(device, shown)
 
     def _within(self, device: Device, tiles: np.ndarray) -> np.ndarray:
-        middle = device.read(self.textures["ps_splat_place"]).reshape(-1, 4)[:, :2] - self._corner
+        middle = device.read(self.textures["ps_splat_centre"]).reshape(-1, 4)[:, :2] - self._corner
         rows, columns = tiles.shape
         column, row = np.clip(middle / TILE, 0, (columns - 1, rows - 1)).astype(np.int32).T
         return tiles[row, column]

@@ -1,4 +1,10 @@
-"""TODO: say what this module is."""
+"""Adaptive sampling: tiles of the picture whose samples agree get no more of them.
+
+After 5, 9, 17 ... samples each tile is asked how far the mean of its samples lies from the mean of their first half, in
+its worst pixel; where that is below the threshold the tile is done. The measure is Cycles' (difference of two estimates
+over the square root of the brightness), but both are means of a fixed sequence of sample positions: the picture is the
+same every time.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Splats on the device: pages of 4,096-wide float textures, one texel a splat, texture by texture."""
+"""Pages of splats on the device: 4,096-wide float textures, one for each attribute, one texel a splat."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The passes beyond Combined that are averaged over samples, and where shaders write them."""
 
 from __future__ import annotations
 

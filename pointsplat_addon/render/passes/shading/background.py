@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Draws the world where nothing else is, and adds it to the sums over samples."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def background_program(
     it."""
     drawn = not transparent and "PS_BACKDROP" not in world
     named = {"PS_BACKGROUND": drawn, "PS_COVERAGE": coverage, "PS_EVERYWHERE": everywhere,
-             "PS_BESIDE": not combined}  # fmt: skip
+             "PS_AUXILIARY_ONLY": not combined}  # fmt: skip
     names = (*world, *_averaged_defines(passes), *(name for name, on in named.items() if on))
-    read = () if everywhere else ("ps_place", "ps_shape") if coverage else ("ps_place",)
+    read = () if everywhere else ("ps_centre", "ps_shape") if coverage else ("ps_centre",)
     return Interface(
         "background", fragment="shading/background.frag", block=world_block("Background", world), outputs=_averaged_outputs(passes, combined),
         samplers=(*(("FLOAT_2D", name) for name in read), *lighting_samplers(world)),

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""What shaders of lib/light and lib/shadow read: defines, samplers, uniforms, and textures by sampler name."""
 
 from __future__ import annotations
 

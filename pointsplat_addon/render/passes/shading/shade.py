@@ -1,8 +1,4 @@
-"""Deferred shading into accumulators, the passes that are not averaged, and what shading reads.
-
-Material table, four texels a row: base colour, alpha; emission, anisotropy; culls, roughness, metallic, index of
-refraction that stands for IOR and specular level; what hair is besides (core.hair.texel).
-"""
+"""Deferred shading: the G-buffer to scene-linear radiance and averaged passes, added to the sums over samples."""
 
 from __future__ import annotations
 
@@ -65,9 +61,9 @@ def shade_program(
     from as many points as the `samples` of a picture leave over from LAMP_POINTS. `coverage`: edges are soft.
     `lines`: there are strands. `focus`: only what is in focus, with its depth. `combined`: the picture, not only passes
     beside it. `coarse`: nodes are so wide that they would lie in the shadow of what they stand for."""
-    read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
-    flags = {"PS_COVERAGE": coverage, "PS_LINES": lines and variant.normal, "PS_FOCUS": focus,
-             "PS_BESIDE": not combined,
+    read = variant.samplers(only=("centre", "shape", "normal", "color", "emission"))
+    flags = {"PS_COVERAGE": coverage, "PS_STRANDS": lines and variant.normal, "PS_FOCUS": focus,
+             "PS_AUXILIARY_ONLY": not combined,
              "PS_COARSE": coarse and any("SHADOW" in name for name in lighting)}  # fmt: skip
     names = (*variant.defines, *materials, *_averaged_defines(passes), *(name for name, on in flags.items() if on))
     points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)

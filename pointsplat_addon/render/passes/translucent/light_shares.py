@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Shares of light that reach the splats of a page; they hold for all cameras and are kept from frame to frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The lit splats of one view, and the draws that blend them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Meshes on the device: corners of triangles in textures, in groups by material, and baked material pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,14 @@
-"""TODO: say what this module is."""
+"""Strands on the device: pages of control points, and the segments that a view draws of them.
+
+A page holds the points of one geometry, texture by texture, one texel a point:
+  point     xyz relative to the geometry's origin; radius
+  tangent   unit, along the strand
+  side      unit, across a ribbon
+  color, surface, emission   as in pages of splats, where the scene has them
+Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of thin ones share
+of the raster line's width at both ends, phase; of wide ones the points where the strand ends, as far as they are near,
+or -1: tubes end there in a plane.
+"""
 
 from __future__ import annotations
 
