@@ -25,7 +25,7 @@ RATIOS = (2.0, 4.0)  # of a tolerance to the finer one that it is compared with
 TILES_PART = 0.25  # of the error budget: difference at which tiles end
 
 
-def kept(
+def render_within_budget(
     renderer: SampleRenderer,
     scene: Scene,
     request: Request,
@@ -35,7 +35,7 @@ def kept(
 ) -> Result:
     """A picture within its budget. Its report tells the "estimate": the error "rmse" and the "seconds" that it took."""
     began = clock()
-    keep = in_time if request.settings.budget == "TIME" else below_error
+    keep = render_in_time if request.settings.budget == "TIME" else render_below_error
     result, rmse = keep(renderer, scene, request, progress, cancelled, clock)
     if not result.report:
         return result
@@ -44,7 +44,7 @@ def kept(
     return replace(result, report={**result.report, "seconds": seconds, "estimate": estimate})
 
 
-def in_time(
+def render_in_time(
     renderer: SampleRenderer,
     scene: Scene,
     request: Request,
@@ -69,7 +69,7 @@ def _chosen(request: Request, choice: Choice, most: int) -> Request:
     return replace(request, settings=settings, samples=samples, coarse=choice.coarse)
 
 
-def below_error(
+def render_below_error(
     renderer: SampleRenderer,
     scene: Scene,
     request: Request,

@@ -24,14 +24,14 @@ from ..passes.tiles import EVERYWHERE
 from ..passes.uniforms import SampleView, view_of
 from ..plan.frame_plan import make_shot
 from ..plan.request import Request
-from .data import Data
+from .data import DataPasses
 from .defocus import OutOfFocus, in_focus
 from .lens_samples import LensSamples
 from .resources import FrameResources
-from .sample_positions import checkpoint, offsets
+from .sample_positions import is_checkpoint, offsets
 from .surfels import Surfels
 from .targets import Targets
-from .translucent import Translucent, lighting
+from .translucent import Translucent, lighting_of_sample
 from .uploads import Uploads
 
 
@@ -65,7 +65,7 @@ class Frame:
         self.translucent: Translucent | None = None
         self.out_of_focus: OutOfFocus | None = None
         self._turns = sample_offsets(self.shot.request.samples)
-        self._data = Data(self.shot.scene, self.shot.request)
+        self._data = DataPasses(self.shot.scene, self.shot.request)
         self._owned: list[Any] = []
         self._lent: tuple[tuple, Targets] | None = None
         try:
@@ -141,7 +141,7 @@ class Frame:
         if self.adaptive is not None and self.done < self.shot.request.samples:
             adaptive = self.adaptive
             self.clock.run("adapt", lambda: self._adapt(adaptive))
-        if self.presented and (self.complete or checkpoint(self.done)) and not self.hurried:
+        if self.presented and (self.complete or is_checkpoint(self.done)) and not self.hurried:
             self._gather()
         return not self.complete
 
@@ -268,7 +268,7 @@ class Frame:
         # Their light is the same for all samples, but for the lens, and for the shadows of wide lamps, which they blur
         # among each other.
         shadows = self.shot.shadows
-        points = lighting(self.shot.request, self.done) if shadows is not None and shadows.wide else 0
+        points = lighting_of_sample(self.shot.request, self.done) if shadows is not None and shadows.wide else 0
         if first or points != translucent.lit_by or self.lens is not None:
             translucent.light(points, self._centred())
         translucent.draw(view, _bound(self.targets.surfels), coarse=first and self.shot.plan.coarse)

@@ -16,15 +16,15 @@ from ..plan.request import Request
 from .targets import Targets
 from .uploads import Uploads
 
-RELIT = 4  # times that translucent splats are lit in one picture, where lamps are wide
+LIGHTINGS = 4  # times that translucent splats are lit in one picture, where lamps are wide
 
 
-def lighting(request: Request, sample: int) -> int:
+def lighting_of_sample(request: Request, sample: int) -> int:
     """Which points of wide lamps light translucent splats in a sample: RELIT times in a picture; where an error
     decides how many samples there are, for each pair."""
     if request.settings.budget == "ERROR":
         return (sample + 1) // 2
-    return sample // max(request.samples // RELIT, 1)
+    return sample // max(request.samples // LIGHTINGS, 1)
 
 
 class Translucent:

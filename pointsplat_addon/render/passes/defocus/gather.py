@@ -15,7 +15,7 @@ import numpy as np
 
 from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH, paged
-from ...device.protocol import Device, Target, Texture, whole
+from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..shading.background import world_block
 from ..shading.lighting import lighting_defines, lighting_samplers
 from ..tiles import TILE_DEFINE
@@ -47,7 +47,7 @@ def defocus_program(
 class Defocus:
     """The tiles of one view on the device."""
 
-    @whole
+    @releases_on_failure
     def __init__(self, device: Device, lists: TileLists) -> None:
         self.device, self.tile = device, lists.tile
         size, data = paged(lists.entries[:, None].astype(np.float32), 1)

@@ -47,7 +47,7 @@ def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaProg
     flagged = tuple((name, "1") for name, on in flags.items() if on)
     samplers, defines = attributes(variant, points)
     cull = (("FLOAT_2D", "ps_materials"),) if points.cull else ()
-    blended = _blended(variant)
+    blended = blended_attributes(variant)
     splats = Interface(
         "splats", fragment="ewa/project.frag", block=project_block(points), samplers=(*samplers, *cull),
         outputs=tuple(("vec4", f"out_{name}") for name in ("centre", "shape", "front", *blended)),
@@ -69,13 +69,13 @@ def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaProg
     )
 
 
-def _blended(variant: Variant) -> tuple[str, ...]:
+def blended_attributes(variant: Variant) -> tuple[str, ...]:
     return tuple(name for name, _, _ in variant.channels if name in ATTRIBUTES)
 
 
 def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool, large: bool) -> Interface:
     """Splats on the screen: `blend` their kernels, else their ellipses."""
-    blended = _blended(variant) if blend else ()
+    blended = blended_attributes(variant) if blend else ()
     samplers = [
         ("FLOAT_2D", name) for name in ("ps_list", *(f"ps_splat_{n}" for n in ("centre", "shape", "front", *blended)))
     ]

@@ -14,7 +14,7 @@ import numpy as np
 
 from ....core.scene.settings import Settings
 from ....shading.interface import Interface
-from ...device.protocol import Device, Texture, whole
+from ...device.protocol import Device, Texture, releases_on_failure
 from ..tiles import EVERYWHERE, TILE, TILE_DEFINE, Region
 from ..uniforms import block
 
@@ -56,7 +56,7 @@ def why_everywhere(
 class Adaptive:
     """Which tiles of one picture still take samples, and how many each of them got."""
 
-    @whole
+    @releases_on_failure
     def __init__(
         self, device: Device, sums: Texture, threshold: float, gather: int, place: Texture | None = None
     ) -> None:

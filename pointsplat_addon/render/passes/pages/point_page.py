@@ -24,7 +24,7 @@ from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Texture
 from ..gbuffer import Variant
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
-from .splat_page import SplatPage, extent, facets, filled, place, shading_normal
+from .splat_page import SplatPage, extent, facets, filled, position_and_normal, shading_normal
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
 # What lib/data/splat.glsl reads.
@@ -58,7 +58,7 @@ class Page(SplatPage):
     ) -> None:
         super().__init__(device, sets)
         clouds = self.clouds
-        self.upload("position", "RGBA32F", 4, [place(c) for c in clouds])
+        self.upload("position", "RGBA32F", 4, [position_and_normal(c) for c in clouds])
         self.upload("extent", "RGBA32F", 4, [
             extent(c, points=len(points.cloud)) for c, points in zip(clouds, sets, strict=True)
         ])  # fmt: skip

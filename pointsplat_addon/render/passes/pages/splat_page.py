@@ -65,7 +65,7 @@ def _copy(values: np.ndarray) -> Write:
     return write
 
 
-def place(cloud: PointCloud) -> Write:
+def position_and_normal(cloud: PointCloud) -> Write:
     """(N, 4): position relative to the cloud's origin, packed normal (NO_NORMAL: a ball)."""
 
     def write(out: np.ndarray, block: slice) -> None:

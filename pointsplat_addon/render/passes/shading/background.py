@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ....shading.interface import Block, Interface
 from ..uniforms import BACKDROP_FIELDS, CAMERA_FIELDS, Fields, block
-from .averages import _averaged_defines, _averaged_outputs
+from .averages import averaged_defines, averaged_outputs
 from .lighting import lighting_samplers
 
 
@@ -27,10 +27,10 @@ def background_program(
     drawn = not transparent and "PS_BACKDROP" not in world
     named = {"PS_BACKGROUND": drawn, "PS_COVERAGE": coverage, "PS_EVERYWHERE": everywhere,
              "PS_AUXILIARY_ONLY": not combined}  # fmt: skip
-    names = (*world, *_averaged_defines(passes), *(name for name, on in named.items() if on))
+    names = (*world, *averaged_defines(passes), *(name for name, on in named.items() if on))
     read = () if everywhere else ("ps_centre", "ps_shape") if coverage else ("ps_centre",)
     return Interface(
-        "background", fragment="shading/background.frag", block=world_block("Background", world), outputs=_averaged_outputs(passes, combined),
+        "background", fragment="shading/background.frag", block=world_block("Background", world), outputs=averaged_outputs(passes, combined),
         samplers=(*(("FLOAT_2D", name) for name in read), *lighting_samplers(world)),
         defines=tuple((name, "1") for name in names),
     )  # fmt: skip

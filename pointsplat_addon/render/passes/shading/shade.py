@@ -6,12 +6,12 @@ from ....core.scene.scene import Scene
 from ....shading.interface import Block, Interface
 from ..gbuffer import Variant
 from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, Values, block
-from .averages import _averaged_defines, _averaged_outputs, averaged
+from .averages import averaged, averaged_defines, averaged_outputs
 from .lighting import (
     ENOUGH_CELLS,
-    LAMP_POINTS,
     LIGHT_FIELDS,
-    MOST_LAMP_POINTS,
+    LIGHT_POINTS,
+    MOST_LIGHT_POINTS,
     SAMPLE_FIELDS,
     lighting_defines,
     lighting_samplers,
@@ -65,13 +65,13 @@ def shade_program(
     flags = {"PS_COVERAGE": coverage, "PS_STRANDS": lines and variant.normal, "PS_FOCUS": focus,
              "PS_AUXILIARY_ONLY": not combined,
              "PS_COARSE": coarse and any("SHADOW" in name for name in lighting)}  # fmt: skip
-    names = (*variant.defines, *materials, *_averaged_defines(passes), *(name for name, on in flags.items() if on))
-    points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)
+    names = (*variant.defines, *materials, *averaged_defines(passes), *(name for name, on in flags.items() if on))
+    points = min(max(LIGHT_POINTS // samples, 1), MOST_LIGHT_POINTS)
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
     return Interface(
         "shade", fragment="shading/shade.frag", block=_block(passes, lighting, focus, combined),
-        outputs=(*_averaged_outputs(passes, combined), *((("vec4", "out_focus"),) if focus else ())),
+        outputs=(*averaged_outputs(passes, combined), *((("vec4", "out_focus"),) if focus else ())),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
         defines=(*lighting_defines(lighting), *taps, *((name, "1") for name in names)),
     )  # fmt: skip

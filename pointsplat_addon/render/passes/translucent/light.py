@@ -18,14 +18,14 @@ from ....core.splat import painter
 from ....core.splat.kernel import SUPPORT
 from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
-from ..shading.lighting import LIGHT_FIELDS, MOST_LAMP_POINTS, SAMPLE_FIELDS, lighting_defines, lighting_samplers
+from ..shading.lighting import LIGHT_FIELDS, MOST_LIGHT_POINTS, SAMPLE_FIELDS, lighting_defines, lighting_samplers
 from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, block
 from .options import TranslucentOptions
 
-MOST_REACHED = 4  # lights whose shares are kept
+MOST_SHARED_LIGHTS = 4  # lights whose shares are kept
 
 
-def draw_list(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
+def draw_list_rows(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
     """(N, 2) float32 of splats' places in the page, counted texel by texel, and their instances."""
     rows = np.empty((len(texel), 2), np.float32)
     rows[:, 0] = texel & (PAGE_WIDTH * PAGE_WIDTH - 1)
@@ -89,7 +89,7 @@ def light_program(
     )  # fmt: skip
 
 
-def reach_program(options: TranslucentOptions, lighting: tuple[str, ...], lights: int) -> Interface:
+def light_shares_program(options: TranslucentOptions, lighting: tuple[str, ...], lights: int) -> Interface:
     """The share of each light that reaches every splat of a page, by a list of all of them in their own order."""
     colored = "PS_SHADOW_COLORED" in lighting
     read = ("order", "instances", "position", "extent", "optics", "materials")
@@ -106,7 +106,7 @@ def reach_program(options: TranslucentOptions, lighting: tuple[str, ...], lights
 def _fuzzy_defines(options: TranslucentOptions, lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """One point of each wide lamp a sample is enough for splats that overlap, and blur what they receive; opaque ones
     do not."""
-    points = MOST_LAMP_POINTS if options.fuzzy else 1
+    points = MOST_LIGHT_POINTS if options.fuzzy else 1
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOWS" in lighting else ()
     narrow = float(np.sqrt(4 * painter.SUPPORT / SUPPORT))
     return (*taps, *((("PS_FUZZY", repr(narrow)),) if options.fuzzy else ()))

@@ -26,7 +26,7 @@ from ....core.splat import painter
 from ....core.splat.kernel import PEAK, PROFILES
 from ...cache.store import PointSet
 from ...device.protocol import Device
-from ..pages.splat_page import SplatPage, extent, filled, place, shading_normal
+from ..pages.splat_page import SplatPage, extent, filled, position_and_normal, shading_normal
 from .options import TranslucentOptions, is_fuzzy
 
 OPAQUE = 100.0  # optical depth of what is opaque
@@ -54,7 +54,7 @@ class TranslucentPage(SplatPage):
             self.upload("share", "R32F", 1, [
                 np.broadcast_to(np.float32(share), len(cloud)) for share, cloud in zip(held, clouds, strict=True)
             ])  # fmt: skip
-        self.upload("position", "RGBA32F", 4, [place(c) for c in clouds])
+        self.upload("position", "RGBA32F", 4, [position_and_normal(c) for c in clouds])
         self.upload("extent", "RGBA32F", 4, [extent(c, always_axis=True) for c in clouds])
         self.upload("optics", "RGBA32F", 4, [
             _optics(c, points.family[:1] == ("lattice",)) for c, points in zip(clouds, sets, strict=True)

@@ -19,13 +19,13 @@ from ....core.scene.strands import Strands
 from ....core.strand.levels import StrandLevels
 from ....core.strand.segments import Segments
 from ...device.packing import PAGE_WIDTH, paged
-from ...device.protocol import Device, Texture, whole
+from ...device.protocol import Device, Texture, releases_on_failure
 from ..gbuffer import Variant
 
 TEXELS = 2  # of a segment
 
 
-class LinePage:
+class StrandPage:
     """The control points of one geometry on the device."""
 
     def __init__(
@@ -56,11 +56,11 @@ class LinePage:
             texture.release()
 
 
-class LineDraw:
+class StrandDraw:
     """What one view draws of one geometry."""
 
-    @whole
-    def __init__(self, device: Device, page: LinePage, segments: Segments, holdout: np.ndarray | None = None) -> None:
+    @releases_on_failure
+    def __init__(self, device: Device, page: StrandPage, segments: Segments, holdout: np.ndarray | None = None) -> None:
         """holdout: (I,) bool, of all instances."""
         self.device, self.page, self.segments = device, page, segments
         rows = np.zeros((len(segments), TEXELS, 4), np.float32)

@@ -11,7 +11,7 @@ from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
-from .strand_page import LineDraw
+from .strand_page import StrandDraw
 
 CHUNK = 1 << 20  # segments of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
 
@@ -49,7 +49,7 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
 def draw(
     device: Device,
     variant: Variant,
-    draws: list[LineDraw],
+    draws: list[StrandDraw],
     view: SampleView,
     shared: dict[str, Texture],
     out: GBuffer,
