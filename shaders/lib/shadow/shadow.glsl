@@ -1,4 +1,4 @@
-// How much of a lamp's light reaches a point. Reference: core/shadow/table.py; layout: render/shadow/pages.py.
+// How much of a lamp's light reaches a point. Reference: tests/reference/shadow.py; layout: render/shadow/pages.py.
 // Samplers: ps_shadow_tables (all lamps' cells), ps_shadow_lights (one row for each lamp, of this view).
 // PS_SHADOWS: some lamp casts shadows; else nothing here exists. PS_SHADOW_COLORED: optical depths have three channels.
 // Shadows of wide lamps are the mean of PS_SHADOW_TAPS points of the lamp, of a sequence that goes on from sample to
@@ -115,7 +115,7 @@ ivec2 ps_shadow_range(PsShadowLevel level, int cell)
   return held ? level.entry_base + ps_shadow_links(level.link_base + rank) : ivec2(level.entry_base);
 }
 
-// What a cell's entries hold in front of a distance; see _up_to.
+// What a cell's entries hold in front of a distance; see _depth_before.
 PsDepth ps_shadow_up_to(PsShadowLevel level, ivec2 range, float limit, float ramp)
 {
   int low = range.x, high = range.y;
@@ -156,7 +156,7 @@ float ps_shadow_cosine(float cosine)
   return (cosine < 0.0 ? -1.0 : 1.0) * max(abs(cosine), PS_SHADOW_STEEPEST);
 }
 
-// Distance at which the receiver's plane meets the middle of a cell (longitude, latitude); see _plane_distance.
+// Distance at which the receiver's plane meets the middle of a cell (longitude, latitude); see plane_distance in core/shadow/grid.py.
 float ps_shadow_plane(PsReceiver p, vec2 cell)
 {
   float facing = dot(p.normal, p.ray), there = dot(p.normal, ps_shadow_ray(cell.y, cell.x));
@@ -251,7 +251,7 @@ float ps_shadow_spread(PsReceiver p, float nearest, float radius)
   return max(p.parallel ? p.at - nearest : 1.0 / max(max(nearest, radius), 1e-30) - 1.0 / max(p.at, 1e-30), 0.0);
 }
 
-// The same, where the first entry lies that rays from all of the lamp to the receiver may meet; see Receiver.reach.
+// The same, where the first entry lies that rays from all of the lamp to the receiver may meet; see Receiver.spread_at_nearest.
 // `nearest`: of all entries.
 float ps_shadow_reach(int light, PsReceiver p, float nearest, float radius)
 {
