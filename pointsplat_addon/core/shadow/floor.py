@@ -6,12 +6,12 @@ import numpy as np
 
 from ..scene.lights import Light
 from ..scene.mesh import Mesh
-from .samples import Outline
+from .samples import MeshExtents
 
-FLAT = 1e-6  # of a mesh's size, and of the distances at hand: float32 tells no less apart
+FLATNESS = 1e-6  # of a mesh's size, and of the distances at hand: float32 tells no less apart
 
 
-def plane_of(mesh: Mesh, outline: Outline) -> tuple[np.ndarray, np.ndarray] | None:
+def plane_of_mesh(mesh: Mesh, outline: MeshExtents) -> tuple[np.ndarray, np.ndarray] | None:
     """A point (3,) and the unit normal (3,) float64, object space, of the plane that holds all valid triangles of a
     mesh; None where there is none."""
     if not outline.valid.any() or not outline.size > 0:
@@ -19,12 +19,14 @@ def plane_of(mesh: Mesh, outline: Outline) -> tuple[np.ndarray, np.ndarray] | No
     a, b, c = mesh.position[mesh.triangles[outline.area.argmax()]].astype(np.float64)
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal)
-    slack = FLAT * (np.linalg.norm(outline.high - outline.low) + np.abs(box_corners(outline.low, outline.high)).max())
+    slack = FLATNESS * (
+        np.linalg.norm(outline.high - outline.low) + np.abs(box_corners(outline.low, outline.high)).max()
+    )
     used = mesh.position[np.unique(mesh.triangles[outline.valid])].astype(np.float64)
     return (a, normal) if np.abs((used - a) @ normal).max() <= slack else None
 
 
-def shines_from(light: Light, point: np.ndarray, normal: np.ndarray) -> bool:
+def light_is_above(light: Light, point: np.ndarray, normal: np.ndarray) -> bool:
     """Whether all of a lamp lies on the side of a plane, through `point` (3,), that its unit `normal` (3,) points to;
     world space, float64."""
     if light.kind == "SUN":
@@ -34,15 +36,15 @@ def shines_from(light: Light, point: np.ndarray, normal: np.ndarray) -> bool:
     return bool((light.position - point) @ normal > extent)
 
 
-def lowest_corner(
+def lowest_box_height(
     low: np.ndarray, high: np.ndarray, world_from_object: np.ndarray, point: np.ndarray, normal: np.ndarray
 ) -> float:
     """The least height, above a plane in the world, of boxes between corners (3,) in object space, of instances
     (I, 4, 4); not a number where a matrix is none."""
-    return lowest(box_corners(low, high), world_from_object, point, normal)
+    return lowest_height(box_corners(low, high), world_from_object, point, normal)
 
 
-def lowest(position: np.ndarray, world_from_object: np.ndarray, point: np.ndarray, normal: np.ndarray) -> float:
+def lowest_height(position: np.ndarray, world_from_object: np.ndarray, point: np.ndarray, normal: np.ndarray) -> float:
     """The same of positions (N, 3)."""
     with np.errstate(all="ignore"):
         along = normal @ world_from_object[:, :3, :3]  # (I, 3)

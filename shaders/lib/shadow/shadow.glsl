@@ -1,4 +1,4 @@
-// How much of a light's light reaches a point. Reference: core/shadow/table.py; layout: render/shadow/pages.py.
+// How much of a light's light reaches a point. Reference: tests/reference/shadow.py; layout: render/shadow/pages.py.
 // PS_SHADOWS: some light casts shadows; else nothing here exists. PS_SHADOW_COLORED: optical depths have three channels.
 // Shadows of wide lights are the mean of PS_SHADOW_TAPS points of the light, of a sequence that goes on from sample to
 // sample of a picture: PS_SHADOW_SAMPLE is the sample's number. PS_SHADOW_ONE_CELL: samples are so many that each looks
@@ -60,7 +60,7 @@ float ps_shadow_spread(PsReceiver p, float nearest, float radius)
   return max(p.parallel ? p.at - nearest : 1.0 / max(max(nearest, radius), 1e-30) - 1.0 / max(p.at, 1e-30), 0.0);
 }
 
-// The same, where the first entry lies that rays from all of the light to the receiver may meet; see Receiver.reach.
+// The same, where the first entry lies that rays from all of the light to the receiver may meet; see Receiver.spread_at_nearest.
 // `nearest`: of all entries.
 float ps_shadow_reach(int light, PsReceiver p, float nearest, float radius)
 {

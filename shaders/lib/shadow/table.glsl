@@ -1,5 +1,5 @@
 // Tables of optical depth around each light: their layout, and what a cell or the four around a direction hold in front of
-// a distance. Reference: core/shadow/table.py; layout: render/shadow/pages.py.
+// a distance. Reference: tests/reference/shadow.py; layout: render/shadow/pages.py.
 // Samplers: ps_shadow_tables (the cells of all lights), ps_shadow_lights (one row for each light, of this view).
 
 #ifdef PS_SHADOWS
@@ -111,7 +111,7 @@ ivec2 ps_shadow_range(PsShadowLevel level, int cell)
   return held ? level.entry_base + ps_shadow_links(level.link_base + rank) : ivec2(level.entry_base);
 }
 
-// What a cell's entries hold in front of a distance; see _up_to.
+// What a cell's entries hold in front of a distance; see _depth_before.
 PsDepth ps_shadow_up_to(PsShadowLevel level, ivec2 range, float limit, float ramp)
 {
   int low = range.x, high = range.y;
@@ -152,7 +152,8 @@ float ps_shadow_cosine(float cosine)
   return (cosine < 0.0 ? -1.0 : 1.0) * max(abs(cosine), PS_SHADOW_STEEPEST);
 }
 
-// Distance at which the receiver's plane meets the middle of a cell (longitude, latitude); see _plane_distance.
+// Distance at which the receiver's plane meets the middle of a cell (longitude, latitude); see plane_distance in
+// core/shadow/grid.py.
 float ps_shadow_plane(PsReceiver p, vec2 cell)
 {
   float facing = dot(p.normal, p.ray), there = dot(p.normal, ps_shadow_ray(cell.y, cell.x));
