@@ -9,13 +9,14 @@ from ..scene.cloud import FARTHEST
 from ..scene.strands import Strands
 from .levels import StrandLevels, coarsest_attribute_level, halving_levels
 
-MOST_POINTS = 1 << 24  # of one geometry: float32 counts no farther
-LEAST_END_COSINE = 0.5  # cosine between a strand's end and the way to where it is a radius away
+MOST_POINTS = 1 << 24  # of one geometry: float32 holds no larger integers exactly
+LEAST_END_COSINE = 0.5  # cosine between the tangent at an end and the direction to where the strand is a radius away
 
 
 def clean(lines: Strands) -> StrandLevels:
-    """The strands that can be drawn. Points that are not finite, or have such a value, break a strand in two; points in
-    the place of the one before, strands of one place and strands without a radius are left out."""
+    """Strands without what cannot be drawn, with tangents, ribbon sides and levels of detail; `messages` count what was
+    left out. Points with a value that is not finite break a strand in two. Points that repeat the one before, strands
+    of a single position and strands without a radius are left out."""
     position = np.asarray(lines.position, np.float32).reshape(-1, 3)[:MOST_POINTS]
     count = len(position)
     whole = np.asarray(lines.start, np.int64)
@@ -68,10 +69,10 @@ def _counted(number: int, what: str, one: str, many: str) -> list[str]:
 
 
 def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """(P, 3) float32 unit, by the neighbours of each point."""
+    """(P, 3) float32 unit tangents: the mean of the directions to both neighbours of each point."""
     before, after = np.arange(len(p)) - 1, np.arange(len(p)) + 1
     before[start[:-1]], after[start[1:] - 1] = start[:-1], start[1:] - 1
-    # Of the directions to both neighbours, so that long and short segments count alike.
+    # Unit directions to both neighbours, so that long and short segments count alike.
     back, on = p - p[before], p[after] - p
     for d in (back, on):
         d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), np.float32(1e-37))
@@ -79,7 +80,7 @@ def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(both, axis=1, keepdims=True)
     turned = size[:, 0] < 1e-3  # the strand goes back where it came from
     both[turned], size[turned] = on[turned], 1
-    # Closed strands go on.
+    # Closed strands have one tangent at their joint.
     ends = start[:-1], start[1:] - 1
     closed = np.flatnonzero((p[ends[0]] == p[ends[1]]).all(axis=1)) if len(start) > 1 else np.empty(0, int)
     result = both / np.maximum(size, np.float32(1e-37))
@@ -93,8 +94,8 @@ def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 
 def _straighten_end_tangents(tangent: np.ndarray, p: np.ndarray, radius: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """(P, 3) float32 unit: tangents, those at the ends turned to where the strand is a radius away where they lead
-    elsewhere. Splines go back and forth about control points that coincide, and strands end in planes across their
+    """(P, 3) float32 unit tangents, those at the ends of strands replaced, where they point elsewhere, by the direction to
+    where the strand is a radius away. Splines go back and forth about control points that coincide, and strands end in planes across their
     tangents, which would then cut off the strand instead of its end."""
     if len(start) < 2:
         return tangent
@@ -114,7 +115,8 @@ def _straighten_end_tangents(tangent: np.ndarray, p: np.ndarray, radius: np.ndar
 
 
 def _ribbon_sides(normal: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """(P, 3) float32 unit, perpendicular to tangents and normals; any, where these are no directions."""
+    """(P, 3) float32 unit vectors across ribbons, perpendicular to tangents and normals; any perpendicular of the tangent
+    where the normal gives none."""
     with np.errstate(invalid="ignore"):
         side = np.cross(np.where(np.abs(normal) < FARTHEST, normal, np.float32(0)), tangent)
     size = np.linalg.norm(side, axis=1, keepdims=True)

@@ -43,11 +43,11 @@ def select(
     if _all_outlined(strands, scale):
         return all_segments(strands, instance)
     picture = project(strands, view_from_object, camera)
-    first, last = strands.every.T
+    first, last = strands.segment_ends.T
     level = np.zeros(len(strands.start) - 1, np.int32)
     if strands.levels:
         level = _choose_levels(strands, picture, OUTLINE_ERROR * tolerance)
-        kept = strands.local & ((np.int32(1) << level) - 1)[strands.strand] == 0
+        kept = strands.index_in_strand & ((np.int32(1) << level) - 1)[strands.strand] == 0
         kept[strands.start[1:] - 1] = True
         index = np.flatnonzero(kept)
         first, last = index[:-1], index[1:]
@@ -58,7 +58,7 @@ def select(
         first, last = first[seen], last[seen]
     strand = strands.strand[first]
     share = line_shares(strands, picture, first, last, level[strand] > 0)
-    exact = (strands.total(picture.length) <= UNBROKEN_LENGTH) & (level == 0)
+    exact = (strands.sum_over_strands(picture.length) <= UNBROKEN_LENGTH) & (level == 0)
     most = np.maximum(*share.T)
     share[exact[strand] & (most >= LEAST_OUTLINED) & (most < THIN)] = THIN
     visible = (share[:, 0] > 0) | (share[:, 1] > 0)
@@ -86,7 +86,7 @@ class _Scale:
 def _scale(bounds: StrandBounds, view_from_object: np.ndarray, camera: Camera) -> _Scale | None:
     """None where the ball lies outside the picture."""
     linear = view_from_object[:3, :3]
-    x, y, z = linear @ bounds.middle + view_from_object[:3, 3]
+    x, y, z = linear @ bounds.center + view_from_object[:3, 3]
     if not (np.isfinite(linear).all() and np.isfinite([x, y, z]).all()):
         return _Scale(0.0, np.inf, False)
     scales = np.linalg.svd(linear, compute_uv=False)
@@ -129,7 +129,7 @@ def _choose_levels(strands: StrandLevels, picture: ProjectedStrands, allowed: fl
     beside = 0.5 * picture.width[:, None] if picture.across is None else picture.across
     count = len(strands.start) - 1
     level, off = np.zeros(count, np.int32), np.zeros(count, np.float32)
-    total = strands.total(length)
+    total = strands.sum_over_strands(length)
     # Segments of the next level are half as many.
     short = np.floor(np.log2(np.maximum(INVISIBLE_LENGTH * np.diff(strands.start) / np.maximum(total, 1e-20), 1)))
     most = np.maximum(strands.detail, np.minimum(short, 126))
