@@ -1,10 +1,10 @@
-"""TODO: say what this module is."""
+"""The camera for which a picture through many points of a lens is prepared."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ...core.lens.thin_lens import widened
+from ...core.lens.thin_lens import widened_camera
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
 from ..cache.store import STORE
@@ -12,7 +12,7 @@ from ..cache.store import STORE
 
 def prepared_for(scene: Scene, camera: Camera) -> Camera:
     """The camera whose cut holds what any place on the lens sees."""
-    return widened(camera, *_depths(scene, camera))
+    return widened_camera(camera, *_depths(scene, camera))
 
 
 def _depths(scene: Scene, camera: Camera) -> tuple[float, float]:
