@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.render.device.protocol import half
+from pointsplat_addon.render.device.protocol import to_half
 from scripts.scenes import build, drawing, lit_cases, meshes
 from scripts.scenes.build import materials, mesh, moved, points, scene
 from scripts.scenes.cameras import camera
@@ -151,7 +151,9 @@ def test_nodes_of_points_of_rows_that_no_table_has():
     assert 0 < drawing.render(case, samples=128).report["points"]["cut"] < len(cloud) / 4
 
 
-PICTURE = materials(graphs=(MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), build.picture()))),))
+PICTURE = materials(
+    graphs=(MaterialGraph(base_color=color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV(), build.picture()))),)
+)
 
 
 @pytest.mark.parametrize("primitive", ["POINTS", "POLYGONS"])
@@ -326,7 +328,7 @@ def test_what_shines_brighter_than_half_floats_is_white_and_not_black(strength, 
 def test_half_floats_hold_the_nearest_of_what_they_can():
     given_values = np.array([0, 1, -65504, 65519, 7e4, -1e30, np.inf, -np.inf, np.nan, 1e-8], np.float32)
     expected = [0, 1, -65504, 65504, 65504, -65504, 65504, -65504, 0, 0]
-    np.testing.assert_array_equal(half(given_values), expected)
+    np.testing.assert_array_equal(to_half(given_values), expected)
 
 
 def test_nothing_that_is_sound_is_changed():
