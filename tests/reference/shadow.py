@@ -12,12 +12,12 @@ from pointsplat_addon.core.shadow.level import MASK_CELLS, TEXEL_CELLS, TableLev
 from pointsplat_addon.core.shadow.table import Emitter, ShadowTable
 
 BIAS = 1.0  # cells: how far along its normal a receiver is lifted
-UNORIENTED_BIAS = 1.5  # cells, towards the lamp: receivers without a normal
-SHARP = 0.5  # cells: a lamp whose penumbrae are at most so wide is a point
-TAPS = 64  # points of a wide lamp; the device takes some in each sample of the picture
-SEGMENTS, FEW_SEGMENTS = 4, 2  # of each ray to a point of a wide lamp; where it crosses few cells
+UNORIENTED_BIAS = 1.5  # cells, towards the light: receivers without a normal
+SHARP = 0.5  # cells: a light whose penumbrae are at most so wide counts as a point
+TAPS = 64  # points of a light with a size; the device takes some in each sample of the picture
+SEGMENTS, FEW_SEGMENTS = 4, 2  # of each ray to a point of a light with a size; where it crosses few cells
 NARROW = 2.0  # cells: so many are few
-# Additive recurrence in five dimensions (Roberts 2018): two on the lamp, two in the cell, one along the ray.
+# Additive recurrence in five dimensions (Roberts 2018): two on the light, two in the cell, one along the ray.
 SEQUENCE = 1.1347241384015194 ** -np.arange(1, 6)
 CORNER = 1.42  # of a rectangle, over its half-side
 NARROWINGS = 2  # times that the nearest entry is asked for, within what the one before leaves
@@ -31,7 +31,7 @@ def _bit_count(words: np.ndarray) -> np.ndarray:
 
 
 class Receiver:
-    """Points that receive light, in the lamp's coordinates; normals are zero where there is none."""
+    """Points that receive light, in the light's coordinates; normals are zero where there is none."""
 
     def __init__(self, frame: Frame, local: np.ndarray, normals: np.ndarray) -> None:
         self.frame, self.local, self.normals = frame, local, normals
@@ -47,7 +47,7 @@ class Receiver:
         return Receiver(self.frame, self.local[index], self.normals[index])
 
     def spread_at_nearest(self, table: ShadowTable) -> np.ndarray:
-        """(P,) how far the ray from the lamp's rim departs from the ray from its middle, per size of the lamp, where
+        """(P,) how far the ray from the light's rim departs from the ray from its middle, per size of the light, where
         the first thing lies that the ray may meet."""
         if table.emitter.shape == "POINT":
             return np.zeros(len(self))
@@ -66,11 +66,11 @@ class Receiver:
         return np.maximum(1 / nearest - 1 / np.maximum(self.distance, 1e-30), 0)
 
     def along(self, spread: np.ndarray) -> np.ndarray:
-        """(P,) distance from the lamp at which rays have departed so far."""
+        """(P,) distance from the light at which rays have departed so far."""
         return self.distance - spread if self.frame.parallel else self.distance / (1 + self.distance * spread)
 
     def offset(self, emitter: Emitter, at: np.ndarray) -> np.ndarray:
-        """(P, 3) from the lamp's middle to a point (2,) of it, across the ray."""
+        """(P, 3) from the light's middle to a point (2,) of it, across the ray."""
         if emitter.shape in ("POINT", "DISK") and not self.frame.parallel:
             return emitter.radius * (at[0] * self.east + at[1] * self.north)
         point = at @ emitter.size

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""How much optical depth, or covered fraction, each splat adds to which cells of a shadow table."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def entry_blocks(rows: GridRows, batches: Sequence[Casters], colored: bool) -> I
 
 
 def concatenate_columns(parts: Sequence[Sequence[np.ndarray]]) -> tuple:
-    """Tuples of arrays, each end to end."""
+    """Concatenates the first arrays of all tuples, the second ones, and so on."""
     return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
 def _splat_entries(rows: GridRows, batch: Casters, spans: DistanceSpans) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What splats give to the cells: which (E,) int32, at what distance (E,) float32, how much (E,) or (E, 3) float32:
-    optical depth, of opaque splats the covered fraction."""
+    """Entries of splats: cells (E,) int32, distances (E,) float32, and amounts (E,) or (E, 3) float32, which are optical
+    depths, or the covered fractions of opaque splats."""
     frame = rows.frame
     turn = frame.light_from_world.T.astype(np.float32)
     local = (batch.position + (batch.origin - frame.origin).astype(np.float32)) @ turn
@@ -116,7 +116,7 @@ def _splat_entries(rows: GridRows, batch: Casters, spans: DistanceSpans) -> tupl
 
 
 def _inside(index: np.ndarray, count: np.ndarray) -> np.ndarray | None:
-    """(E,) bool: 0 <= index < count, of which there may be one for all; None: everywhere."""
+    """(E,) bool where 0 <= index < count (E,) or (1,); None if that holds everywhere."""
     if len(index) == 0 or (index.min() >= 0 and index.max() < count.min()):
         return None
     inside = (index >= 0) & (index < count)
@@ -124,7 +124,8 @@ def _inside(index: np.ndarray, count: np.ndarray) -> np.ndarray | None:
 
 
 def _split_between_cells(place: np.ndarray, half: np.ndarray, smoke: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which splat (E,), which cell (E,) int32, what share of it (E,): of splats on a line of cells about integers.
+    """Divides splats on a line of cells, centred on integers, between the cells that they touch: splat (E,), cell (E,)
+    int32, and share of the splat (E,).
 
     `half` is a splat's half extent in cells; it is at most half a cell, so the nearest border divides it. Along the
     line a disk counts as a parabola that ends at its rim, and smoke as (1 - x^2)^4, near to the projection of
@@ -150,7 +151,7 @@ def _split_between_cells(place: np.ndarray, half: np.ndarray, smoke: bool) -> tu
 
 
 def _mean_inverse_square(distance: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """(N,) float32: mean of 1 / r^2 over Gaussians, which smoke around a lamp is far from the value at their centres.
+    """(N,) float32: mean of 1 / r^2 over Gaussians, which for smoke around a light is far from the value at their centres.
 
     With t = distance / deviation it is Dawson's integral, over deviation^2: the integral of exp(-t^2 (1 - s^2) / 2) for
     s from 0 to 1, or 1 / t^2 (1 + 1 / t^2 (1 + 3 / t^2 (1 + 5 / t^2))) for large t.
@@ -168,7 +169,7 @@ def _mean_inverse_square(distance: np.ndarray, deviation: np.ndarray) -> np.ndar
 
 
 def _strength(batch: Casters, normal: np.ndarray | None, ray: np.ndarray) -> np.ndarray:
-    """(N,) or (N, 3) float32: optical mass towards the lamp, units^2; of opaque splats the area that is seen.
+    """(N,) or (N, 3) float32: optical mass towards the light, units^2; of opaque splats the area that is seen.
 
     normal: (N, 3), of surfaces, as long as the product of the half-axes.
     """

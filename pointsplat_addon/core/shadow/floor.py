@@ -1,4 +1,4 @@
-"""Floors: flat casters of which everything else lies on the lamp's side, so that no light that they stop is missed."""
+"""Floors: flat casters of which everything else lies on the light's side, so that leaving them out changes no shadow."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FLATNESS = 1e-6  # of a mesh's size, and of the distances at hand: float32 tells
 
 def plane_of_mesh(mesh: Mesh, outline: MeshExtents) -> tuple[np.ndarray, np.ndarray] | None:
     """A point (3,) and the unit normal (3,) float64, object space, of the plane that holds all valid triangles of a
-    mesh; None where there is none."""
+    mesh; None if there is no such plane."""
     if not outline.valid.any() or not outline.size > 0:
         return None
     a, b, c = mesh.position[mesh.triangles[outline.area.argmax()]].astype(np.float64)
@@ -27,7 +27,7 @@ def plane_of_mesh(mesh: Mesh, outline: MeshExtents) -> tuple[np.ndarray, np.ndar
 
 
 def light_is_above(light: Light, point: np.ndarray, normal: np.ndarray) -> bool:
-    """Whether all of a lamp lies on the side of a plane, through `point` (3,), that its unit `normal` (3,) points to;
+    """Whether all of a light lies on the side of a plane, through `point` (3,), that its unit `normal` (3,) points to;
     world space, float64."""
     if light.kind == "SUN":
         return bool(-light.direction @ normal > np.sin(min(light.radius, np.pi / 2)))
@@ -40,12 +40,13 @@ def lowest_box_height(
     low: np.ndarray, high: np.ndarray, world_from_object: np.ndarray, point: np.ndarray, normal: np.ndarray
 ) -> float:
     """The least height, above a plane in the world, of boxes between corners (3,) in object space, of instances
-    (I, 4, 4); not a number where a matrix is none."""
+    (I, 4, 4); NaN if a matrix is not finite."""
     return lowest_height(box_corners(low, high), world_from_object, point, normal)
 
 
 def lowest_height(position: np.ndarray, world_from_object: np.ndarray, point: np.ndarray, normal: np.ndarray) -> float:
-    """The same of positions (N, 3)."""
+    """The least height, above a plane in the world, of positions (N, 3) in object space, of instances (I, 4, 4); NaN if a
+    matrix is not finite."""
     with np.errstate(all="ignore"):
         along = normal @ world_from_object[:, :3, :3]  # (I, 3)
         height = position.astype(np.float64) @ along.T + (world_from_object[:, :3, 3] - point) @ normal
@@ -53,5 +54,5 @@ def lowest_height(position: np.ndarray, world_from_object: np.ndarray, point: np
 
 
 def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(8, 3) of a box between two (3,)."""
+    """The corners (8, 3) of the box between two opposite corners (3,)."""
     return np.stack([np.where(which, high, low) for which in np.ndindex(2, 2, 2)])

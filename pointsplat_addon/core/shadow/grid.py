@@ -1,4 +1,4 @@
-"""The cells of a shadow table: directions around a lamp, or places across a sun's rays."""
+"""The cells of a shadow table: directions around a light, or positions across a sun's rays."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ COARSEST_STEP = 0.5  # radians: the widest cell of a grid without poles
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Where a lamp's cells lie. Local coordinates: for suns (x, y, distance), else a polar axis z.
+    """The coordinates of a light's cells. Local coordinates: for suns (x, y, distance), else a polar axis z.
 
-    Angles are radians for lamps and lengths for suns: `latitude` is y, `longitude` is x.
+    Angles are lengths for suns and radians for other lights: `latitude` is y, `longitude` is x.
     """
 
     parallel: bool
     light_from_world: np.ndarray  # (3, 3) float64, a rotation
-    origin: np.ndarray  # (3,) float64, world: the lamp, or a point of the plane from which a sun's distances count
+    origin: np.ndarray  # (3,) float64, world: the light, or a point of the plane from which a sun's distances count
     full: bool  # all directions, with poles and without a seam
     low: np.ndarray  # (2,) least latitude and longitude where not full
     high: np.ndarray  # (2,)
@@ -107,7 +107,7 @@ def cell_grids(frame: Frame, coarser: float) -> list[Grid]:
 
 
 def fit_frame(light: Light, batches: Sequence[Casters], resolution: int) -> Frame:
-    """A grid about the casters, as far as the lamp shines on them."""
+    """The frame of a light whose grids hold all casters that it shines on, `resolution` cells high."""
     rows = max(int(resolution), 1)
     low, high = np.min([b.box[0] for b in batches], axis=0), np.max([b.box[1] for b in batches], axis=0)
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -126,14 +126,14 @@ def fit_frame(light: Light, batches: Sequence[Casters], resolution: int) -> Fram
         return Frame(True, turn, origin, False, -half[::-1], half[::-1], rows)
     direction, angle = _cone(light, corners.mean(axis=0), batches)
     if angle > NARROW_ANGLE:
-        # The poles lie across the lamp's own direction: a spot or area light has nothing there but at its rim.
+        # The poles lie across the light's own direction: a spot or area light has nothing there but at its rim.
         return Frame(False, rotation_to(light.direction), light.position, True, np.zeros(2), np.zeros(2), rows)
     angle = max(angle, FINEST_STEP * rows / 2)
     return Frame(False, rotation_to(direction), light.position, False, np.full(2, -angle), np.full(2, angle), rows)
 
 
 def _across(batches: Sequence[Casters], middle: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """(2, K) float64: how far the splats reach along unit vectors (K, 3), down and up from `middle`."""
+    """(2, K) float64: the least and greatest extent of the splats along unit vectors (K, 3), relative to `middle`."""
     ends = np.array([np.full(len(axes), np.inf), np.full(len(axes), -np.inf)])
     for batch in batches:
         offset = axes @ (batch.origin - middle)
@@ -146,7 +146,7 @@ def _across(batches: Sequence[Casters], middle: np.ndarray, axes: np.ndarray) ->
 
 
 def _cone(light: Light, middle: np.ndarray, batches: Sequence[Casters]) -> tuple[np.ndarray, float]:
-    """A direction, and the angle about it that holds all splats that are lit; pi where the lamp is among them."""
+    """A direction, and the angle about it that holds all splats that are lit; pi if the light is among them."""
     direction, angle = _unit(middle - light.position), 0.0
     for batch in batches:
         for start in range(0, len(batch), CHUNK):
@@ -178,7 +178,7 @@ def rotation_to(direction: np.ndarray) -> np.ndarray:
 
 
 def lit_casters(light: Light, batch: Casters) -> Casters:
-    """Without the casters that a spot or area lamp does not shine at."""
+    """The casters of a batch that a spot or area light shines on; all of them for other lights."""
     if light.kind not in ("SPOT", "AREA"):
         return batch
     seen = batch.position + (batch.origin - light.position).astype(np.float32)
@@ -197,7 +197,7 @@ def lit_casters(light: Light, batch: Casters) -> Casters:
 
 
 def directions(frame: Frame, latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unit vectors (N, 3) away from the lamp, along growing latitude and along growing longitude; local."""
+    """Unit vectors (N, 3) away from the light, along growing latitude and along growing longitude; local."""
     if frame.parallel:
         shape = (len(latitude), 3)
         return tuple(np.broadcast_to(np.eye(3, dtype=latitude.dtype)[k], shape) for k in (2, 1, 0))  # type: ignore[return-value]
@@ -226,11 +226,11 @@ def plane_distance(
 
 
 def slopes(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How much nearer to a sun (N,) planes with a local normal (N, 3) come along x and along y."""
+    """Slopes (N,) along x and along y, towards a sun, of planes with local normals (N, 3)."""
     facing = clamp_magnitude(normal[:, 2], LEAST_COSINE * np.sqrt(np.einsum("nc,nc->n", normal, normal)))
     return normal[:, 0] / facing, normal[:, 1] / facing
 
 
 def clamp_magnitude(value: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """With its sign, and not nearer to 0 than `least`; never 0."""
+    """Values with their sign whose magnitude is at least `least`, and never 0."""
     return np.copysign(np.maximum(np.maximum(np.abs(value), least), np.float32(1e-30)), value)

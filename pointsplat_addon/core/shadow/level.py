@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""One level of a shadow table: cells of one size and kind, with sorted entries."""
 
 from __future__ import annotations
 

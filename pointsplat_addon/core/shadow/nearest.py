@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The distance to the nearest entry of a shadow table within a range of directions, from a pyramid of minima."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SQUARE_CELLS = 4  # cells of a level: sides of the squares that know its nearest
 
 @dataclass(frozen=True, eq=False)
 class NearestEntries:
-    """How near to the lamp the first entry is that rays towards it could meet, by squares of directions.
+    """The distance from the light to the nearest entry, for squares of directions of all sizes.
 
     From finest to coarsest, squares double in size and halve in number; the last holds all directions. A square knows
     the cells that a look-up reads up to LOOSE of its side away from it: what surrounds a receiver takes one of them.
@@ -29,11 +29,11 @@ class NearestEntries:
 
     @property
     def least(self) -> float:
-        """No entry is nearer to the lamp; 0 where there is none."""
+        """The least distance of all entries; 0 if there are none."""
         return float(np.nan_to_num(self.distance[-1][0, 0], posinf=0.0))
 
     def around(self, latitude: np.ndarray, longitude: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """(P,) distances, of directions (P,) and what lies within `reach` (P,) of them: radians, for suns units."""
+        """(P,) distances that no entry within `reach` (P,) of directions (P,) falls below. Reach: radians, for suns units."""
         size = np.ceil(np.log2(np.maximum(reach / self.side, 1)))
         size = np.minimum(size, len(self.distance) - 1).astype(np.int64)
         count = len(self.distance[0]) >> size
@@ -52,7 +52,7 @@ class NearestEntries:
 
 
 def nearest_entries(frame: Frame, levels: tuple[TableLevel, ...], wide: bool) -> NearestEntries:
-    """Of a table's levels. Lamps without a size need but the coarsest square."""
+    """The nearest entries of a table's levels. Lights without a size (`wide` is false) need only the coarsest square."""
     if not levels or not wide:
         least = min((float(level.distance.min()) for level in levels), default=np.inf)
         return NearestEntries(frame.low, 1.0, frame.full, (np.full((1, 1), least, np.float32),))
@@ -91,7 +91,7 @@ def nearest_entries(frame: Frame, levels: tuple[TableLevel, ...], wide: bool) ->
 
 
 def _minimum_of_neighbours(distance: np.ndarray, wraps: bool) -> np.ndarray:
-    """(P, P) the least of each square and its eight neighbours."""
+    """(P, P) the minimum over each square and its eight neighbours."""
     padded = np.pad(distance, ((1, 1), (0, 0)), constant_values=np.inf)
     across = (0, 0), (1, 1)
     padded = np.pad(padded, across, "wrap") if wraps else np.pad(padded, across, constant_values=np.inf)

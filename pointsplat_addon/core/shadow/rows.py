@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The rows of all grids of a shadow table in one array, and which level of the grids a splat belongs to."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..splat.kernel import SUPPORT
 from .casters import CHUNK, KINDS, Casters, typical_radius
 from .grid import FINER_OCTAVES, FINEST_STEP, Frame, Grid
 
-WIDEST_DEVIATION = 10.0  # radians: standard deviation of a splat that surrounds the lamp
+WIDEST_DEVIATION = 10.0  # radians: standard deviation of a splat that surrounds the light
 SPAN = 2.0  # ratio of distances that share a level
 ROUNDING_MARGIN = 1.001  # cells of surfaces: rounding moves no sample into wider ones
 ONE_SPAN = 4.0  # ratio of all distances of a batch up to which they share one
@@ -28,7 +28,7 @@ MOST_ROWS = 8192  # of cells that are finer than the frame's
 
 
 class GridRows:
-    """The rows of all kinds' grids, one after another."""
+    """The rows of the grids of all kinds of casters, one after another in flat arrays."""
 
     def __init__(self, frame: Frame, kinds: list[list[Grid]]) -> None:
         self.frame, self.levels = frame, len(kinds[0])
@@ -50,7 +50,7 @@ class GridRows:
 
 
 def coarsening(frame: Frame, kind: str, batches: Sequence[Casters]) -> float:
-    """By how much the finest cells of a kind are wider than the frame's, up to 2.
+    """The ratio of the finest cells of a kind of casters to the frame's cells, at most 2.
 
     A level of smoke's cells is then SMOKE radii of most of its splats wide, and one of surfaces as wide as nearly all
     samples: wider cells would blur them more. Where samples of a surface are smaller than the frame's cells, as leaves
@@ -83,7 +83,7 @@ def _finer_octaves(frame: Frame) -> int:
 
 @dataclass(frozen=True)
 class DistanceSpans:
-    """How the splats of a batch are given their levels; see _level."""
+    """How the splats of a batch are assigned to levels (`level_of_splats`)."""
 
     farthest: float  # where the farthest span of distances begins
     nearest: float  # and the nearest

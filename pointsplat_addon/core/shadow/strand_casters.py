@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Strands as casters of shadows: cut into short segments, which are balls of the area that they show to a light."""
 
 from __future__ import annotations
 

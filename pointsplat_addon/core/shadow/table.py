@@ -1,4 +1,4 @@
-"""Shadow tables: what they hold, and how much light reaches a point. shaders/lib/shadow/shadow.glsl looks up the same."""
+"""Shadow tables: what they hold. shaders/lib/shadow/shadow.glsl looks up how much light reaches a point."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHAPES = ("POINT", "DISK", "RECTANGLE", "ELLIPSE")
 
 @dataclass(frozen=True, eq=False)
 class Emitter:
-    """What shines, for the softness of shadows."""
+    """The shape of a light, which shadows are soft by."""
 
     shape: str  # one of SHAPES; DISK: faces the receiver
     size: np.ndarray  # (2, 3) float64, local half-sides; DISK: both as long as the radius, for suns per unit of length
@@ -28,6 +28,7 @@ class Emitter:
 
 
 def emitter_of(light: Light, frame: Frame) -> Emitter:
+    """The shape of a light in the local coordinates of a frame."""
     if light.kind == "AREA" and light.axis_u is not None and light.axis_v is not None:
         size = np.stack([light.axis_u, light.axis_v]) @ frame.light_from_world.T
         return Emitter("ELLIPSE" if light.ellipse else "RECTANGLE", size)
@@ -37,7 +38,7 @@ def emitter_of(light: Light, frame: Frame) -> Emitter:
 
 @dataclass(frozen=True, eq=False)
 class ShadowTable:
-    """What stands between a lamp and the points that it could light."""
+    """Cumulated optical depths around a light, for each direction; renderers look up transmittances in it."""
 
     frame: Frame
     emitter: Emitter
