@@ -109,7 +109,6 @@ def splats(
         points = np.concatenate([points, np.stack([closing, closing], axis=1)])
         part = np.concatenate([part, np.zeros((len(closing), 1))])
         whole = np.concatenate([whole, np.zeros(len(closing), bool)])
-    rows = strands.source[points]
     return PointCloud(
         (middle - strands.origin).astype(np.float32),
         strands.origin,
@@ -117,9 +116,9 @@ def splats(
         axis=np.ascontiguousarray(major, np.float32),
         radii=-np.sort(-half, axis=1).astype(np.float32),
         material=strands.material[strands.strand[points[:, 0]]].astype(np.uint16),
-        color=_mixed(lines.color, rows, part),
-        surface=_mixed(lines.surface, rows, part),
-        emission=_mixed(lines.emission, rows, part),
+        color=_mixed(lines.color, points, part),
+        surface=_mixed(lines.surface, points, part),
+        emission=_mixed(lines.emission, points, part),
         kernel=whole.astype(np.uint8) if whole.any() else None,
     )
 

@@ -17,7 +17,6 @@ class StrandLevels:
     radius."""
 
     origin: np.ndarray  # (3,) float64
-    source: np.ndarray  # (P,) int64: rows of the scene.strands.Strands that they come from
     position: np.ndarray  # (P, 3) float32
     radius: np.ndarray  # (P,) float32, at least 0
     start: np.ndarray  # (S + 1,) int64
@@ -26,7 +25,6 @@ class StrandLevels:
     material: np.ndarray  # (S,) int64
     levels: tuple[Level, ...]
     detail: np.ndarray  # (S,) int8: up to this level, attributes change too little to be seen
-    messages: tuple[str, ...]  # what was left out, counted
 
     def __len__(self) -> int:
         """How many points."""
@@ -34,7 +32,7 @@ class StrandLevels:
 
     @property
     def nbytes(self) -> int:
-        arrays = [self.source, self.position, self.radius, self.start, self.tangent, self.material, self.detail]
+        arrays = [self.position, self.radius, self.start, self.tangent, self.material, self.detail]
         arrays += [] if self.side is None else [self.side]
         arrays += [a for level in self.levels for a in (level.middle, level.low, level.high, level.first, level.strand)]
         return sum(a.nbytes for a in arrays)

@@ -5,7 +5,6 @@ import pytest
 
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.mesh import Mesh
-from pointsplat_addon.core.scene.validation import valid_triangles
 from pointsplat_addon.core.shadow.floor import lowest, lowest_corner, plane_of, shines_from
 from pointsplat_addon.core.shadow.samples import outline
 from tests.support import scenes
@@ -14,7 +13,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def plane(mesh: Mesh) -> tuple[np.ndarray, np.ndarray] | None:
-    return plane_of(mesh, outline(mesh, valid_triangles(mesh)[0]))
+    return plane_of(mesh, outline(mesh))
 
 
 def flat(key: str) -> Mesh:
