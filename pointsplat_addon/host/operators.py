@@ -8,8 +8,10 @@ import numpy as np
 from bpy.props import FloatProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
+from ..core.numeric.segments import ranges
 from ..core.strand.curves import FREE
-from ..core.strand.fit.from_mesh import FittedStrands, fit_strands
+from ..core.strand.fit.from_mesh import fit_strands
+from ..core.strand.fit.result import FittedStrands
 from ..formats import dense, hierarchy_cache, vdb
 from ..render.device.protocol import DeviceError
 from . import caches, device_costs, gl_thread, main_gpu, preferences
@@ -177,8 +179,7 @@ class POINTSPLAT_OT_mesh_to_strands(bpy.types.Operator):
 def _curves(name: str, found: FittedStrands, part: np.ndarray, uv: np.ndarray | None) -> bpy.types.Curves:
     """Some of the strands as Blender's curves."""
     count = np.diff(found.start)[part]
-    first = np.cumsum(count) - count
-    points = np.arange(count.sum()) + np.repeat(found.start[part] - first, count)
+    points = ranges(found.start[part], count)
     data = bpy.data.hair_curves.new(name)
     data.add_curves(count.tolist())
     data.set_types(type="POLY")

@@ -258,8 +258,9 @@ def empty_scene(frames: int) -> dict[str, Any]:
 
 def one_cube() -> dict[str, Any]:
     """Which of the things that hold buffers for points a render makes."""
-    from pointsplat_addon.render.passes.points import Page, Projection
-    from pointsplat_addon.render.passes.pyramid import Pyramid
+    from pointsplat_addon.render.passes.image_space.projection import Projection
+    from pointsplat_addon.render.passes.image_space.pyramid import Pyramid
+    from pointsplat_addon.render.passes.pages.point_page import Page
 
     made = []
     for kind in (Page, Projection, Pyramid):

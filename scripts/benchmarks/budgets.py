@@ -3,7 +3,7 @@
     python -m scripts.benchmarks.budgets [--only NAME ...] [--scan FILE.ply[.gz] ...] [--volume FILE.nii.gz ...]
         [--write-docs]
 
-Every scene of tests/support/scenes.py, and the files: scans of triangles, volumes of voxels. Of each, pictures of a
+Every scene of scripts/scenes/cases.py, and the files: scans of triangles, volumes of voxels. Of each, pictures of a
 camera that stands still and of one that goes around, nearer and farther. What they may take is what five samples take
 here, and half of what one takes, which only a coarser cut can keep; "no splats" is how much of the latter a picture
 takes whose cut is as good as empty, which no cut changes. By the clock on the wall, and by the processor's, in all
@@ -30,14 +30,17 @@ from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.formats import dense
-from pointsplat_addon.render.budget.budget import COARSEST, Moving, _wait
+from pointsplat_addon.render.budget.pacing import COARSEST
+from pointsplat_addon.render.budget.viewport import Moving, _wait
 from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.frame import frame
 from pointsplat_addon.render.plan.frame_plan import Shot
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks.defocus import scan
-from tests.support import scenes
+from scripts.scenes import build, cameras, drawing
+from scripts.scenes.case import Case
+from scripts.scenes.cases import CASES
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "notes" / "budgets.md"
 BEGIN, END = "<!-- times -->\n", "<!-- end of times -->\n"
@@ -68,7 +71,7 @@ class Kept:
         return f"{middle:.2f} ({worst:.2f})" + ("*" if self.held else "")
 
 
-def around(case: scenes.Case, size: int = SIZE) -> Callable[[int], Camera]:
+def around(case: Case, size: int = SIZE) -> Callable[[int], Camera]:
     """The case's camera, larger, at a picture of its way around the middle of what it sees."""
     longer = max(case.camera.resolution)
     width, height = (max(side * size // longer, 1) for side in case.camera.resolution)
@@ -92,7 +95,11 @@ def around(case: scenes.Case, size: int = SIZE) -> Callable[[int], Camera]:
 
 
 def kept(
-    renderer: Renderer, case: scenes.Case, allowed: float, camera: Callable[[int], Camera], clock: Callable[[], float]
+    renderer: Renderer,
+    case: Case,
+    allowed: float,
+    camera: Callable[[int], Camera],
+    clock: Callable[[], float],
 ) -> Kept:
     """`allowed`: seconds."""
     settings = replace(case.settings, budget="TIME", time_budget=1000 * allowed)
@@ -117,9 +124,7 @@ def kept(
     )  # fmt: skip
 
 
-def alone(
-    renderer: Renderer, case: scenes.Case, camera: Camera, clock: Callable[[], float]
-) -> tuple[float, float, int]:
+def alone(renderer: Renderer, case: Case, camera: Camera, clock: Callable[[], float]) -> tuple[float, float, int]:
     """Seconds before the first sample, and of a sample; splats."""
     found, splats = [], 0
     for _ in range(4):
@@ -137,7 +142,7 @@ def alone(
     return float(once), float(each), splats
 
 
-def warmed(renderer: Renderer, case: scenes.Case, camera: Camera) -> None:
+def warmed(renderer: Renderer, case: Case, camera: Camera) -> None:
     """Wait for the octrees, which threads of their own build for viewports: no cut is coarser without them."""
     for coarser in WARMED:  # first at the settings' own: samples are only ever refined
         request = coarse(case, camera, coarser)
@@ -147,7 +152,7 @@ def warmed(renderer: Renderer, case: scenes.Case, camera: Camera) -> None:
             time.sleep(0.05)
 
 
-def coarse(case: scenes.Case, camera: Camera, coarser: float) -> Request:
+def coarse(case: Case, camera: Camera, coarser: float) -> Request:
     """As TIME asks for cuts that are so much coarser."""
     settings = replace(case.settings, budget="TIME", tolerance=coarser * case.settings.tolerance)
     return Request(camera, settings, frozenset({"combined"}), 1, interactive=True, coarse=coarser > 1)
@@ -181,7 +186,7 @@ def _few(cut: Cut) -> Cut:
     return Cut(cut.instance[:1], cut.first[:1], count, points=int(count.sum()))
 
 
-def least(renderer: Renderer, case: scenes.Case, camera: Camera, clock: Callable[[], float]) -> float:
+def least(renderer: Renderer, case: Case, camera: Camera, clock: Callable[[], float]) -> float:
     """Seconds of one sample at the coarsest tolerance with next to no splats: preparing, and passes over all pixels."""
     found = []
     with bare():
@@ -197,7 +202,7 @@ def least(renderer: Renderer, case: scenes.Case, camera: Camera, clock: Callable
     return min(found)
 
 
-def measured(renderer: Renderer, case: scenes.Case) -> list[Kept | float | None]:
+def measured(renderer: Renderer, case: Case) -> list[Kept | float | None]:
     """By the processor's clock, then by the one on the wall: still and moving, with SAMPLES and with LESS, and what of
     the latter `least` takes; None where there are too few splats to leave out."""
     camera = around(case)
@@ -213,24 +218,24 @@ def measured(renderer: Renderer, case: scenes.Case) -> list[Kept | float | None]
     return found
 
 
-def scanned(path: Path) -> scenes.Case:
+def scanned(path: Path) -> Case:
     mesh = Geometry(str(path), path.name, mesh=scan(path))
-    return scenes.Case(
-        scenes.scene((mesh, scenes.moved((0, 0, -0.7)))), scenes.camera((0.3, -3, 0.6), resolution=(SIZE, SIZE)),
+    return Case(
+        build.scene((mesh, build.moved((0, 0, -0.7)))), cameras.camera((0.3, -3, 0.6), resolution=(SIZE, SIZE)),
         Settings(),
     )  # fmt: skip
 
 
-def voxels(path: Path) -> scenes.Case:
+def voxels(path: Path) -> Case:
     found = dense.read(path)
     value, empty, highest = dense.without_background(found.value, 0.05)
     index = np.argwhere(value != empty).astype(np.int32)
     density = (value[tuple(index.T)] / highest).astype(np.float32)
     volume = Volume(str(path), path.name, index, dense.centred(found, 2.0), {"density": density})
-    table = scenes.materials(media=(Medium(density=20.0),))
+    table = build.materials(media=(Medium(density=20.0),))
     geometry = Geometry(str(path), path.name, volume=volume)
-    return scenes.Case(
-        scenes.scene((geometry, scenes.moved()), table=table), scenes.camera((0, -3.5, 0.5), resolution=(SIZE, SIZE)),
+    return Case(
+        build.scene((geometry, build.moved()), table=table), cameras.camera((0, -3.5, 0.5), resolution=(SIZE, SIZE)),
         Settings(),
     )  # fmt: skip
 
@@ -250,7 +255,7 @@ def main() -> None:
     parser.add_argument("--volume", nargs="+", type=Path, default=[])
     parser.add_argument("--write-docs", action="store_true")
     given = parser.parse_args()
-    cases = {name: make for name, make in scenes.CASES.items() if name != "empty"}
+    cases = {name: make for name, make in CASES.items() if name != "empty"}
     cases |= {path.name: lambda path=path: scanned(path) for path in given.scan}
     cases |= {path.name: lambda path=path: voxels(path) for path in given.volume}
     table = [HEAD, ["---"] * len(HEAD)]
@@ -258,7 +263,7 @@ def main() -> None:
         if given.only and name not in given.only:
             continue
         STORE.clear()
-        renderer = scenes.opengl()
+        renderer = drawing.opengl()
         renderer.release()
         found = measured(renderer, make())
         table.append([name, *map(shown, found)])

@@ -26,7 +26,7 @@ from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks.hierarchy import row
-from tests.support import scenes
+from scripts.scenes import build, cameras, clouds
 
 SIDE = 512  # points of the plane, along each side
 SIZE = 512  # pixels
@@ -55,7 +55,7 @@ def plane(side: int) -> PointCloud:
 
 def bumpy(count: int) -> PointCloud:
     """Instead of a scan."""
-    normal = scenes.sphere_points(count)
+    normal = clouds.sphere_points(count)
     height = 1 + 0.1 * np.sin(9 * normal).prod(axis=1, keepdims=True)
     radii = np.full((count, 1), 2.2 / np.sqrt(count), np.float32)
     return PointCloud((normal * height).astype(np.float32), normal=normal.astype(np.float32), radii=radii)
@@ -78,7 +78,7 @@ def scan(path: Path) -> Mesh:
 
 
 def camera(size: int, radius: float, focus: float) -> Camera:
-    of = scenes.camera(EYE, TARGET, (size, size), field_of_view=58.0)
+    of = cameras.camera(EYE, TARGET, (size, size), field_of_view=58.0)
     return replace(of, aperture=Aperture(radius, focus) if radius > 0 else None)
 
 
@@ -150,13 +150,13 @@ def against_samples(
 def things(quick: bool, path: Path | None) -> dict[str, tuple[Scene, float]]:
     """Scenes and their distances of focus."""
     side = SIDE // 4 if quick else SIDE
-    of = scenes.points(f"plane of {side * side} points", plane(side))
-    body = scenes.mesh(scan(path), "POINTS") if path else scenes.points("bumpy ball", bumpy(side * side))
-    lights = (scenes.sun(2.5, (0.4, 0.5, -0.8)),)
-    lift = scenes.moved((0, 0, -1.0), 1.8) if path else scenes.moved((0, 0, 0.1), 1.2)
+    of = build.points(f"plane of {side * side} points", plane(side))
+    body = build.mesh(scan(path), "POINTS") if path else build.points("bumpy ball", bumpy(side * side))
+    lights = (build.sun(2.5, (0.4, 0.5, -0.8)),)
+    lift = build.moved((0, 0, -1.0), 1.8) if path else build.moved((0, 0, 0.1), 1.2)
     return {
-        of.name: (scenes.scene((of, scenes.moved()), lights=()), ON_PLANE),
-        path.stem.split(".")[0] if path else "bumpy ball": (scenes.scene((body, lift), lights=lights), BEFORE),
+        of.name: (build.scene((of, build.moved()), lights=()), ON_PLANE),
+        path.stem.split(".")[0] if path else "bumpy ball": (build.scene((body, lift), lights=lights), BEFORE),
     }
 
 

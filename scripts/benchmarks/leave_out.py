@@ -29,7 +29,7 @@ from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks.hierarchy import row
-from tests.support import scenes
+from scripts.scenes import build, cameras, case, clouds, meshes, solid_cases
 
 SIZE, TIMES = 512, 5
 POINTS, CELLS = 100_000, 40  # of each sphere of points; voxels along a side of the smoke
@@ -40,21 +40,21 @@ COMBINED = frozenset({"combined"})
 
 def opaque(points: int) -> tuple[list, dict]:
     """A sphere of coloured points, a cube of triangles, a plane with a picture on it; a sun and a dim world."""
-    color = (0.5 + 0.4 * scenes.sphere_points(points)).astype(np.float32)
-    ball = scenes.points("bench: ball", scenes.sphere_cloud(points, color=color))
-    graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), scenes.picture(512, 256))))
-    wall = replace(scenes.plane_mesh("bench: wall", 2.5), materials=(1,))
+    color = (0.5 + 0.4 * clouds.sphere_points(points)).astype(np.float32)
+    ball = build.points("bench: ball", clouds.sphere_cloud(points, color=color))
+    graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), build.picture(512, 256))))
+    wall = replace(meshes.plane_mesh("bench: wall", 2.5), materials=(1,))
     things = [
-        (ball, scenes.moved((-0.8, 0, 0), 0.7)),
-        (scenes.mesh(scenes.cube_mesh("bench: cube", 0.5), "POLYGONS"), scenes.moved((0.8, 0, 0.6))),
-        (scenes.mesh(wall, "POLYGONS"), scenes.moved((0, 1.5, 0))),
+        (ball, build.moved((-0.8, 0, 0), 0.7)),
+        (build.mesh(meshes.cube_mesh("bench: cube", 0.5), "POLYGONS"), build.moved((0.8, 0, 0.6))),
+        (build.mesh(wall, "POLYGONS"), build.moved((0, 1.5, 0))),
     ]
-    return things, {"table": scenes.materials(2, graphs=(None, graph))}
+    return things, {"table": build.materials(2, graphs=(None, graph))}
 
 
 def translucent(cells: int) -> tuple[list, dict]:
     """A ball of smoke."""
-    return [(scenes.points("bench: smoke", scenes.smoke_cloud(cells)), scenes.moved())], {}
+    return [(build.points("bench: smoke", clouds.smoke_cloud(cells)), build.moved())], {}
 
 
 def full(points: int, cells: int) -> tuple[list, dict]:
@@ -64,25 +64,25 @@ def full(points: int, cells: int) -> tuple[list, dict]:
     (smoke, _), *_ = translucent(cells)[0]
     turn = np.linspace(0, 6 * np.pi, 60)
     spring = np.stack([0.4 * np.cos(turn), 0.4 * np.sin(turn), 0.05 * turn - 0.5], axis=1)
-    glow = scenes.sphere_cloud(2000, emission=np.abs(scenes.sphere_points(2000)).astype(np.float32))
-    pane = replace(scenes.plane_mesh("bench: pane", 0.5), materials=(2,))
-    wide = scenes.balls().scene.geometries[0]
-    tinted = scenes.points("bench: tinted", scenes.smoke_cloud(cells // 2, (0.5, 1.0, 3.0)))
+    glow = clouds.sphere_cloud(2000, emission=np.abs(clouds.sphere_points(2000)).astype(np.float32))
+    pane = replace(meshes.plane_mesh("bench: pane", 0.5), materials=(2,))
+    wide = solid_cases.balls().scene.geometries[0]
+    tinted = build.points("bench: tinted", clouds.smoke_cloud(cells // 2, (0.5, 1.0, 3.0)))
     things += [
-        (smoke, scenes.moved((0.6, -0.5, -0.6), 0.5)),
-        (tinted, scenes.moved((-0.6, -0.5, -0.8), 0.4)),
-        (scenes.mesh(pane), scenes.moved((0.2, -1, 0.3))),
-        (wide, scenes.moved((0, 0.5, 1.2), 0.4)),
-        (scenes.strand_lines("bench: spring", [spring], 0.03), scenes.moved((1.3, 0.4, -0.6))),
-        (scenes.points("bench: glow", glow), scenes.moved((-1.5, 0.5, 0.9), 0.3)),
-        (scenes.points("bench: cut", scenes.sphere_cloud(2000)), scenes.moved((1.4, 0, -1.2), 0.3)),
+        (smoke, build.moved((0.6, -0.5, -0.6), 0.5)),
+        (tinted, build.moved((-0.6, -0.5, -0.8), 0.4)),
+        (build.mesh(pane), build.moved((0.2, -1, 0.3))),
+        (wide, build.moved((0, 0.5, 1.2), 0.4)),
+        (build.strand_lines("bench: spring", [spring], 0.03), build.moved((1.3, 0.4, -0.6))),
+        (build.points("bench: glow", glow), build.moved((-1.5, 0.5, 0.9), 0.3)),
+        (build.points("bench: cut", clouds.sphere_cloud(2000)), build.moved((1.4, 0, -1.2), 0.3)),
     ]
-    table = scenes.materials(3, graphs=(*more["table"].graphs, None), alpha=[1, 1, 0.4],
+    table = build.materials(3, graphs=(*more["table"].graphs, None), alpha=[1, 1, 0.4],
                              translucent=np.array([False, False, True]))  # fmt: skip
     lamp = Light("POINT", np.full(3, 30.0), np.array([1.0, -3, 3]), np.array([0.0, 0, -1]), 0.3)
     image = np.linspace(0.1, 0.6, 64 * 32 * 3).reshape(32, 64, 3).astype(np.float32)
     held = [False] * (len(things) - 1) + [True]
-    return things, {"table": table, "lights": (scenes.sun(), lamp), "world": World(np.zeros(3), image), "holdout": held}
+    return things, {"table": table, "lights": (build.sun(), lamp), "world": World(np.zeros(3), image), "holdout": held}
 
 
 def cases(quick: bool) -> dict[str, tuple[Scene, frozenset[str]]]:
@@ -96,7 +96,7 @@ def cases(quick: bool) -> dict[str, tuple[Scene, frozenset[str]]]:
         "full, every pass": full(points, cells),
     }
     return {
-        name: (scenes.scene(*things, **more), scenes.ALL_PASSES if "every" in name else COMBINED)
+        name: (build.scene(*things, **more), case.ALL_PASSES if "every" in name else COMBINED)
         for name, (things, more) in made.items()
     }
 
@@ -111,7 +111,7 @@ def timed(call: Callable[[], Any]) -> float:
 def run(quick: bool = False) -> tuple[list[dict], dict[str, list[list[str]]]]:
     """Rows of the benchmark, and its table."""
     side = SIZE // (4 if quick else 1)
-    camera = scenes.camera((0, -5, 0), resolution=(side, side), field_of_view=45)
+    camera = cameras.camera((0, -5, 0), resolution=(side, side), field_of_view=45)
     found = cases(quick)
     requests = {name: Request(camera, SETTINGS, passes, 1) for name, (_, passes) in found.items()}
     device = OpenGLDevice()

@@ -18,7 +18,7 @@ from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks.hierarchy import row
-from tests.support import scenes
+from scripts.scenes import build, cameras, clouds
 
 STRANDS, POINTS, CLOUD, RESOLUTION = 50_000, 16, 1_000_000, 1024
 ON_SCREEN = 0.9  # of the picture's width that both scenes fill
@@ -29,7 +29,7 @@ def groom(strands: int, key: str, radius: float = 5e-4) -> Geometry:
     """A ball of hair that grows outward and curls: `strands` of POINTS points, about a unit in radius. Where that is 10
     cm, hair is a tenth of a millimetre thick at its root."""
     rng = np.random.default_rng(0)
-    root = 0.7 * scenes.sphere_points(strands)
+    root = 0.7 * clouds.sphere_points(strands)
     outward = root / np.linalg.norm(root, axis=1, keepdims=True)
     t = np.linspace(0, 1, POINTS)
     phase = rng.uniform(0, 2 * np.pi, (strands, 1, 1)) + 5 * t[None, :, None]
@@ -45,8 +45,8 @@ def groom(strands: int, key: str, radius: float = 5e-4) -> Geometry:
 
 def ball(points: int) -> Geometry:
     """A cloud of as many disks that cover the unit sphere."""
-    cloud: PointCloud = scenes.sphere_cloud(points)
-    return scenes.points(f"ball of {points}", cloud)
+    cloud: PointCloud = clouds.sphere_cloud(points)
+    return build.points(f"ball of {points}", cloud)
 
 
 def cpu(renderer: Renderer, scene: Scene, request: Request) -> float:
@@ -75,10 +75,10 @@ def run(quick: bool = False) -> list[dict]:
     rows = []
     for technique, samples, target in (("IMAGE_SPACE", 1, "<= 2"), ("IMAGE_SPACE", 16, "<= 2"), ("EWA", 16, "")):
         for name, distance in (("filling the picture", 2.2 / ON_SCREEN), ("an eighth of its width", 17.6 / ON_SCREEN)):
-            camera = scenes.camera((0, -distance, 0.3), resolution=(size, size), field_of_view=53.13)
+            camera = cameras.camera((0, -distance, 0.3), resolution=(size, size), field_of_view=53.13)
             settings = Settings(technique=technique, use_shadows=False, use_adaptive_sampling=False)
             request = Request(camera, settings, frozenset({"combined"}), samples)
-            ours, theirs = (scenes.scene((geometry, scenes.moved())) for geometry in (hair, cloud))
+            ours, theirs = (build.scene((geometry, build.moved())) for geometry in (hair, cloud))
             a, b, both = ratio(renderer, ours, theirs, request)
             note = f"{STRANDS // part} x {POINTS} points, {samples} samples; {a:.2f} s against {b:.2f} s"
             near = name == "filling the picture"

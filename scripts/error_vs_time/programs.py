@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from pointsplat_addon.core.scene.camera import Camera
-from pointsplat_addon.render.frame.filtering import FILTER_WIDTH
+from pointsplat_addon.render.frame.sample_positions import FILTER_WIDTH
 from scripts.benchmarks import frame
 from scripts.error_vs_time.curves import Row, errors
 from scripts.error_vs_time.scenes import CLOUD, KINDS, SCAN_FILE, SCAN_RADIUS, disk_radius, scan, sphere, subject

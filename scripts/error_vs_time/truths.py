@@ -11,7 +11,7 @@ from unittest import mock
 import numpy as np
 
 from pointsplat_addon.core.scene.camera import Camera
-from pointsplat_addon.render.frame.filtering import offsets
+from pointsplat_addon.render.frame.sample_positions import offsets
 
 TRUTH = 256  # samples, or rays through each pixel
 VOXELS = 96  # pixels of what is voxels: the plume of smoke and the brain
@@ -108,7 +108,7 @@ def voxel_truth() -> np.ndarray:
     steps of less than a voxel."""
     import bpy
 
-    from tests.reference import media as reference
+    from scripts.common import media_truth as reference
 
     values, world_from_index = voxel_field()
     field = reference.voxels(values, world_from_index, EXTINCTION)

@@ -26,7 +26,7 @@ from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks.defocus import scan
 from scripts.common.images import displayed
-from tests.support import scenes
+from scripts.scenes import build, cameras, cases, clouds, meshes
 
 WIDTH, HEIGHT, GAP = 320, 220, 4
 COLORS = [[0.75, 0.73, 0.7], [0.2, 0.22, 0.28], [0.75, 0.2, 0.15], [0.15, 0.5, 0.2], [0.15, 0.3, 0.75], [0.8, 0.6, 0.1]]
@@ -35,36 +35,36 @@ COLORS = [[0.75, 0.73, 0.7], [0.2, 0.22, 0.28], [0.75, 0.2, 0.15], [0.15, 0.5, 0
 def floor() -> tuple[Scene, Camera]:
     cells = 24
     row = np.arange(2 * cells * cells, dtype=np.uint16) // 2
-    board = replace(scenes.plane_mesh("board", 4.0, cells), material=(row + row // cells) % 2, materials=(0, 1))
-    flat = scenes.moved()
+    board = replace(meshes.plane_mesh("board", 4.0, cells), material=(row + row // cells) % 2, materials=(0, 1))
+    flat = build.moved()
     flat[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
-    ball = scenes.sphere_mesh("ball", 48)
-    things = [(scenes.mesh(board), flat)]
+    ball = meshes.sphere_mesh("ball", 48)
+    things = [(build.mesh(board), flat)]
     for i, (x, y) in enumerate([(-0.9, -2.2), (-0.3, -0.8), (0.1, 0.4), (0.7, 1.7), (1.2, 3.2)]):
-        of = scenes.mesh(replace(ball, key=f"ball {i}", materials=(2 + i % 4,)))
-        things.append((of, scenes.moved((x, y, 0.4), 0.4)))
-    table = scenes.materials(len(COLORS), base_color=COLORS)
-    seen = scenes.camera((0, -4.6, 1.6), (0, 0.2, 0.3), (WIDTH, HEIGHT), field_of_view=64.0)
-    return scenes.scene(*things, table=table), replace(seen, aperture=Aperture(0.3, 4.2))
+        of = build.mesh(replace(ball, key=f"ball {i}", materials=(2 + i % 4,)))
+        things.append((of, build.moved((x, y, 0.4), 0.4)))
+    table = build.materials(len(COLORS), base_color=COLORS)
+    seen = cameras.camera((0, -4.6, 1.6), (0, 0.2, 0.3), (WIDTH, HEIGHT), field_of_view=64.0)
+    return build.scene(*things, table=table), replace(seen, aperture=Aperture(0.3, 4.2))
 
 
 def shell(behind: bool) -> tuple[Scene, Camera]:
     """A shell of coloured glass before a body of points, or the other way about."""
-    table = scenes.materials(
+    table = build.materials(
         2, base_color=[[0.8, 0.5, 0.2], [0.2, 0.45, 0.9]], alpha=[1.0, 0.45], translucent=np.array([False, True])
     )
     name = "behind" if behind else "before"
-    glass = replace(scenes.sphere_mesh(f"glass {name}", 40), materials=(1,))
-    body = scenes.points(f"body {name}", scenes.sphere_cloud(20000))
+    glass = replace(meshes.sphere_mesh(f"glass {name}", 40), materials=(1,))
+    body = build.points(f"body {name}", clouds.sphere_cloud(20000))
     place = (0.6, 1.8, 0.2) if behind else (0.35, -2.0, 0.1)
     size = 1.0 if behind else 0.5
-    things = ((scenes.mesh(glass), scenes.moved(place, size)), (body, scenes.moved((-0.2, 0, 0), 0.8)))
-    seen = scenes.camera((0, -4.5, 0.6), (0, 0, 0), (WIDTH, HEIGHT))
-    return scenes.scene(*things, table=table), replace(seen, aperture=Aperture(0.25, 3.8))
+    things = ((build.mesh(glass), build.moved(place, size)), (body, build.moved((-0.2, 0, 0), 0.8)))
+    seen = cameras.camera((0, -4.5, 0.6), (0, 0, 0), (WIDTH, HEIGHT))
+    return build.scene(*things, table=table), replace(seen, aperture=Aperture(0.25, 3.8))
 
 
 def strands() -> tuple[Scene, Camera]:
-    case = scenes.CASES["strands"]()
+    case = cases.CASES["strands"]()
     return case.scene, replace(case.camera, resolution=(WIDTH, HEIGHT), aperture=Aperture(0.25, 3.2))
 
 
@@ -81,19 +81,19 @@ def landscape() -> tuple[Scene, Camera]:
     rows, columns = rng.integers(250, 262, 60), rng.integers(140, 340, 60)
     image[rows, columns] = rng.uniform(4, 14, (60, 1)) * [1.0, 0.75, 0.4]
     world = World(np.zeros(3), image.astype(np.float32))
-    table = scenes.materials(base_color=[[0.8, 0.78, 0.75]], roughness=[0.25])
-    body = scenes.points("ball before hills", scenes.sphere_cloud(20000))
-    seen = scenes.camera((0, -5, 0.3), (0.35, 0, 0.25), (WIDTH, HEIGHT))
-    scene = scenes.scene((body, scenes.moved((0, 0, 0.1), 0.7)), lights=(), world=world, table=table)
+    table = build.materials(base_color=[[0.8, 0.78, 0.75]], roughness=[0.25])
+    body = build.points("ball before hills", clouds.sphere_cloud(20000))
+    seen = cameras.camera((0, -5, 0.3), (0.35, 0, 0.25), (WIDTH, HEIGHT))
+    scene = build.scene((body, build.moved((0, 0, 0.1), 0.7)), lights=(), world=world, table=table)
     return scene, replace(seen, aperture=Aperture(0.15, 4.6))
 
 
 def scanned(path: Path) -> tuple[Scene, Camera]:
     """Along a scan that is as deep as the lens blurs: in focus where it is nearest."""
-    body = scenes.mesh(scan(path), "POINTS")
-    lights = (scenes.sun(2.5, (0.4, 0.5, -0.8)),)
-    seen = scenes.camera((-2.1, -1.0, 0.5), (0.1, 0.0, -0.15), (WIDTH, HEIGHT), field_of_view=50.0)
-    of = scenes.scene((body, scenes.moved((0, 0, -1.0), 1.2)), lights=lights)
+    body = build.mesh(scan(path), "POINTS")
+    lights = (build.sun(2.5, (0.4, 0.5, -0.8)),)
+    seen = cameras.camera((-2.1, -1.0, 0.5), (0.1, 0.0, -0.15), (WIDTH, HEIGHT), field_of_view=50.0)
+    of = build.scene((body, build.moved((0, 0, -1.0), 1.2)), lights=lights)
     return of, replace(seen, aperture=Aperture(0.06, 1.6))
 
 

@@ -37,7 +37,7 @@ from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
 from scripts.common.images import displayed, eroded
-from tests.support import scenes
+from scripts.scenes import build, cameras, meshes
 
 ROOT = Path(__file__).resolve().parents[2]
 TOLERANCES = (0.5, 1.0, 2.0, 4.0, 8.0)  # pixels
@@ -96,14 +96,14 @@ def plane(eye: tuple[float, float, float]) -> Subject:
     graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), texture())))
     direction = np.array([0.2, 0.9, -0.3])
     sun = Light("SUN", np.full(3, 3.0), np.zeros(3), direction / np.linalg.norm(direction))
-    scene = scenes.scene(
-        (scenes.mesh(scenes.plane_mesh("errors of a plane", cells=8)), scenes.moved()),
+    scene = build.scene(
+        (build.mesh(meshes.plane_mesh("errors of a plane", cells=8)), build.moved()),
         lights=[sun],
         world=World(np.full(3, 0.2)),
-        table=scenes.materials(graphs=(graph,), specular=[0]),
+        table=build.materials(graphs=(graph,), specular=[0]),
         transparent=True,
     )
-    return Subject(scene, scenes.camera(eye, resolution=(SIZE, SIZE)))
+    return Subject(scene, cameras.camera(eye, resolution=(SIZE, SIZE)))
 
 
 def model(path: Path, picture: Path | None = None) -> Subject:
@@ -121,9 +121,9 @@ def model(path: Path, picture: Path | None = None) -> Subject:
     depsgraph = bpy.context.evaluated_depsgraph_get()
     depsgraph.update()
     eye = EYE / np.linalg.norm(EYE) * 1.05 / math.sin(math.radians(ANGLE) / 2)
-    camera = scenes.camera(eye, resolution=(SIZE, SIZE), field_of_view=ANGLE)
+    camera = cameras.camera(eye, resolution=(SIZE, SIZE), field_of_view=ANGLE)
     scene = Synchronizer().scene(depsgraph)
-    sun = scenes.sun(3.0, camera.view_from_world[:3, :3].T @ (0.45, -0.5, -1.0))
+    sun = build.sun(3.0, camera.view_from_world[:3, :3].T @ (0.45, -0.5, -1.0))
     return Subject(replace(scene, lights=(sun,), world=World(np.full(3, 0.2)), transparent=True), camera)
 
 

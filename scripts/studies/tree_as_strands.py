@@ -20,16 +20,19 @@ from pathlib import Path
 
 import numpy as np
 
+from pointsplat_addon.core.numeric.segments import offsets, ranges
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.scene import Geometry, Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.strands import Strands
-from pointsplat_addon.core.strand.fit.from_mesh import FittedStrands, connected_parts, fit_strands
+from pointsplat_addon.core.strand.fit.from_mesh import fit_strands
+from pointsplat_addon.core.strand.fit.graph import connected_parts
+from pointsplat_addon.core.strand.fit.result import FittedStrands
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.common.images import displayed, psnr
-from tests.support import scenes
+from scripts.scenes import build, cameras, meshes
 
 ROOT = Path(__file__).resolve().parents[2]
 TREE = ROOT / "assets" / "japanese_maple" / "japaneseMaple.obj.gz"
@@ -96,7 +99,7 @@ def mesh(key: str, tree: Tree, kept: np.ndarray) -> list[Geometry]:
         used, triangles = np.unique(tree.triangles[rows], return_inverse=True)
         name = f"{key} {material}"
         position = (tree.position[used] - tree.middle).astype(np.float32)
-        one = scenes.flat_mesh(name, position, triangles.reshape(-1, 3), materials=(int(material),))
+        one = meshes.flat_mesh(name, position, triangles.reshape(-1, 3), materials=(int(material),))
         found.append(Geometry(name, name, mesh=one, primitive="POLYGONS"))
     return found
 
@@ -110,8 +113,8 @@ def strands(key: str, tree: Tree, found: FittedStrands, kept: np.ndarray) -> lis
             count = np.diff(found.start)[rows]
             if len(rows) == 0:
                 continue
-            start = np.concatenate([[0], np.cumsum(count)])
-            points = np.arange(start[-1]) + np.repeat(found.start[rows] - start[:-1], count)
+            start = offsets(count)
+            points = ranges(found.start[rows], count)
             name = f"{key} {material} {'ribbons' if ribbon else 'tubes'}"
             lines = Strands(
                 name, name, (found.position[points] - tree.middle).astype(np.float32), start,
@@ -148,14 +151,14 @@ def seen(tree: Tree, leaf: float) -> Camera:
     size = round(leaf * width / (FILLED * leaf_length(tree)))
     away = width / FILLED / 2 / np.tan(np.radians(ANGLE) / 2)
     eye = away * np.array([0.25, -1, 0.2]) / np.linalg.norm([0.25, -1, 0.2])
-    return scenes.camera(eye, resolution=(size, size), field_of_view=ANGLE, near=0.01 * away, far=3 * away)
+    return cameras.camera(eye, resolution=(size, size), field_of_view=ANGLE, near=0.01 * away, far=3 * away)
 
 
 def placed(geometries: list[Geometry], matrices: list[np.ndarray]) -> Scene:
-    return scenes.scene(
+    return build.scene(
         *((geometry, matrix) for matrix in matrices for geometry in geometries),
-        lights=[scenes.sun(3.0)],
-        table=scenes.materials(len(COLORS), base_color=COLORS, roughness=[0.8] * len(COLORS)),
+        lights=[build.sun(3.0)],
+        table=build.materials(len(COLORS), base_color=COLORS, roughness=[0.8] * len(COLORS)),
         transparent=True,
     )
 
@@ -208,7 +211,7 @@ def timed(renderer: Renderer, tree: Tree, found: FittedStrands, samples: int, aw
     spent = np.zeros((TIMES + 1, 2))
     for turn in range(TIMES + 1):
         eye = width * away * np.array([0.02 * turn, -3.6, 0.7])
-        camera = scenes.camera(
+        camera = cameras.camera(
             eye, resolution=(FIELD, FIELD), field_of_view=45, near=0.01 * width, far=20 * away * width
         )
         settings = Settings(use_shadows=False, use_adaptive_sampling=False)

@@ -1,5 +1,5 @@
 // What the lens sees at a pixel: the splats of its tile from the front, and the picture of what is in focus where its
-// depth is. Layout: render/passes/defocus.py; reference: core/lens/defocus.py, `composite`.
+// depth is. Layout: render/passes/defocus/gather.py; reference: tests/reference/defocus.py, `composite`.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/splat/defocus.glsl"
@@ -81,7 +81,7 @@ void main()
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   vec3 tile = texelFetch(ps_tiles, pixel / PS_TILE_SIZE, 0).xyz;
   int first = int(tile.x) + 4096 * int(tile.y), count = int(tile.z);
-  float weight = frame.mist.w;
+  float weight = u.sample_weight;
 #ifdef PS_ADAPTIVE
   float samples = texelFetch(ps_counts, pixel / PS_TILE, 0).x;
   weight = samples > 0.0 ? 1.0 / samples : weight;
@@ -102,7 +102,7 @@ void main()
       ps_cover(seen, focused.color, focused.covered, false, focused.depth, thick);
       pending = false;
     }
-    vec2 v = gl_FragCoord.xy - place.xy - frame.focal.zw;
+    vec2 v = gl_FragCoord.xy - place.xy - u.principal_point;
     float q = shape.x * v.x * v.x + 2.0 * shape.y * v.x * v.y + shape.z * v.y * v.y;
     int kind = int(shape.w * 0.125);
     float k = shape.w - 8.0 * float(kind);

@@ -1,4 +1,4 @@
-// A square around each small splat's ellipse; PS_BLEND: around its kernel. Layout: render/passes/ewa.py.
+// A square around each small splat's ellipse; PS_BLEND: around its kernel. Layout: render/passes/ewa/ewa.py.
 
 #include "lib/splat/ewa.glsl"
 #include "lib/splat/ewa_varyings.glsl"
@@ -23,7 +23,7 @@ bool ps_hidden(vec4 place, float side)
 
 void main()
 {
-  ivec2 at = ps_listed(frame.page.x + gl_VertexID);
+  ivec2 at = ps_listed(u.first + gl_VertexID);
   vec4 place = texelFetch(ps_splat_place, at, 0);
   gl_PointSize = 1.0;
   vec3 c = ps_splat(at, place);
@@ -37,5 +37,5 @@ void main()
   float side = sqrt(v_conic.w * max(c.x, c.z));
 #endif
   gl_PointSize = max(2.0 * side, 1.0);
-  gl_Position = vec4(v_place.xy / vec2(frame.size.xy) * 2.0 - 1.0, 0.0, 1.0);
+  gl_Position = vec4(v_place.xy / vec2(u.size) * 2.0 - 1.0, 0.0, 1.0);
 }

@@ -37,7 +37,7 @@ void main()
     discard;
   }
   float scale = 1.0 / sum.w;
-  float d = sum.x * scale, reach = max(nearest.y - frame.lens.x - nearest.x, 1e-30);
+  float d = sum.x * scale, reach = max(nearest.y - u.near - nearest.x, 1e-30);
   PsSurfel s = ps_empty();
   s.place = vec4(d, 0.0, 0.0, covers ? reach : -reach);
   float front = sum.z, back = (sum.w - sum.z) / (ps_back_seen(nearest) ? 1.0 : PS_EWA_BACK);

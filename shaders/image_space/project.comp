@@ -10,7 +10,7 @@ void ps_put(ivec2 place, uint key, int index, uint beside)
 {
 #ifdef PS_IDENTIFY
   if ((texelFetch(ps_depth, place, 0).x & ~PS_BESIDE) == key) {
-    imageAtomicMin(ids, place, uint(frame.page.x + index) | beside);
+    imageAtomicMin(ids, place, uint(u.first_index + index) | beside);
   }
 #else
   imageAtomicMin(depth, place, key | beside);
@@ -44,10 +44,10 @@ void main()
   ivec2 place = ivec2(pixel.xy);
 #ifdef PS_MARK
   if (texelFetch(ps_tiles, place / PS_TILE, 0).x != 0.0) {
-    imageAtomicMin(marks, ps_texel(index >> frame.page.z), 0u);
+    imageAtomicMin(marks, ps_texel(index >> u.block_shift), 0u);
   }
 #else
-  uint key = floatBitsToUint(pixel.z - frame.lens.x);
+  uint key = floatBitsToUint(pixel.z - u.near);
   // Splats that hold the pixel's centre come before those that only lie in the pixel: on a dense surface the nearest
   // one is always at the same side of the pixel, and would miss its centre.
   vec4 extent = texelFetch(ps_extent, element.xy, 0);
@@ -56,7 +56,7 @@ void main()
   if (ps_alone(covariance, extent)) {
     vec2 reach = 2.0 * sqrt(covariance.xz);
     ivec2 low = max(ivec2(ceil(pixel.xy - reach - 0.5)), ivec2(0));
-    ivec2 high = min(ivec2(floor(pixel.xy + reach - 0.5)), frame.size.xy - 1);
+    ivec2 high = min(ivec2(floor(pixel.xy + reach - 0.5)), u.size - 1);
     for (int y = low.y; y <= high.y; y++) {
       for (int x = low.x; x <= high.x; x++) {
         if (ps_beside(covariance, pixel.xy - (vec2(x, y) + 0.5)) == 0u) {

@@ -5,7 +5,7 @@
 
 void main()
 {
-  ps_id = uint(frame.page.x + gl_VertexID);
+  ps_id = uint(u.first_index + gl_VertexID);
   ps_order = 1.0;
   gl_PointSize = 1.0;
 #ifdef PS_APART
@@ -44,7 +44,7 @@ void main()
     vec2 reach = 2.0 * sqrt(covariance.xz);
     gl_PointSize = 2.0 * max(reach.x, reach.y) + 2.0;
     ps_order = 0.5 * ps_buffer_depth(pixel.z);
-    gl_Position = vec4(pixel.xy / vec2(frame.size.xy) * 2.0 - 1.0, 0.0, 1.0);
+    gl_Position = vec4(pixel.xy / vec2(u.size) * 2.0 - 1.0, 0.0, 1.0);
     return;
   }
 #endif
@@ -53,5 +53,5 @@ void main()
   // Splats that miss the pixel's centre come after all that hold it: the far half of the depth range. Written by the
   // fragment shader, since clip space would round it to a part of the whole range.
   ps_order = 0.5 * ps_buffer_depth(pixel.z) + (beside == 0u ? 0.0 : 0.5);
-  gl_Position = vec4(centre / vec2(frame.size.xy) * 2.0 - 1.0, 0.0, 1.0);
+  gl_Position = vec4(centre / vec2(u.size) * 2.0 - 1.0, 0.0, 1.0);
 }

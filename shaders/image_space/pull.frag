@@ -8,7 +8,7 @@ void main()
 {
   ivec2 parent = ivec2(gl_FragCoord.xy);
   ivec2 last = textureSize(ps_place, 0) - 1;
-  float half_child = float(1 << frame.size.z) * 0.25;  // half a child's side; frame.size.z is the level written
+  float half_child = float(1 << u.level) * 0.25;  // half a child's side; u.level is the level written
   vec4 place[4];
   float front = 1e38, nearest = 1e38;
   for (int i = 0; i < 4; i++) {

@@ -38,7 +38,7 @@ int ps_enclosed(ivec2 pixel, float own_front)
                    texelFetch(ps_front, ivec2(min(pixel.x + 1, last.x), pixel.y), 0).x,
                    texelFetch(ps_front, ivec2(pixel.x, min(pixel.y + 1, last.y)), 0).x);
   vec2 farther = max(near.xy, near.zw), nearer = min(near.xy, near.zw);
-  float own = own_front - frame.lens.x;
+  float own = own_front - u.near;
   bvec2 linked = lessThan(2.0 * farther - nearer, vec2(own));
   bool between = (nearer.x > 0.0 && linked.x) || (nearer.y > 0.0 && linked.y);
   float sides = dot(vec4(greaterThan(near, vec4(0.0))) * vec4(lessThan(near, vec4(own))), vec4(1.0));
@@ -50,7 +50,7 @@ void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   float own_front = texelFetch(ps_front, pixel, 0).x;
-  own_front = own_front == 0.0 ? 1e38 : own_front + frame.lens.x;
+  own_front = own_front == 0.0 ? 1e38 : own_front + u.near;
 
   // The four coarser pixels around this one: the parent, and its neighbours on this pixel's side.
   ivec2 parent = pixel >> 1;
@@ -70,7 +70,7 @@ void main()
 
   // Between levels a splat must not miss a pixel that it touches. At the end, where the pixel's centre is what counts,
   // splats may be too small to reach it from all sides: a surface goes on between the centres of its splats.
-  float side = float(1 << frame.size.z);
+  float side = float(1 << u.level);
 #ifdef PS_FINEST
   // Where it does so on all four sides, it goes on however thin its splats are.
   bool inside = ps_surrounded(place[0], place[1], place[2], place[3], vec2(toward));

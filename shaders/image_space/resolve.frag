@@ -13,8 +13,8 @@ void main()
   ivec2 place = ivec2(gl_FragCoord.xy);
   uint found = texelFetch(ps_ids, place, 0).x;
   uint id = found & ~PS_BESIDE;
-  int index = int(id - uint(frame.page.x));
-  if (found == 0xFFFFFFFFu || id < uint(frame.page.x) || (index >> frame.page.z) >= frame.page.y) {
+  int index = int(id - uint(u.first_index));
+  if (found == 0xFFFFFFFFu || id < uint(u.first_index) || (index >> u.block_shift) >= u.block_count) {
     discard;
   }
   ivec3 element = ps_element(index);

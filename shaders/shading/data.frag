@@ -18,7 +18,7 @@ void main()
                                    gl_FragCoord.xy);
   }
 #ifdef PS_OUT_POSITION
-  out_position = there ? vec4((frame.world_from_view * vec4(position, 1.0)).xyz, -position.z) : vec4(0.0, 0.0, 0.0, 1e10);
+  out_position = there ? vec4((u.world_from_view * vec4(position, 1.0)).xyz, -position.z) : vec4(0.0, 0.0, 0.0, 1e10);
 #endif
 #ifdef PS_OWNER
   int owner = there ? int(texelFetch(ps_owner, pixel, 0).x) : -1;
@@ -38,7 +38,7 @@ void main()
       rows[i] = texelFetch(ps_previous, ivec2(t & 4095, t >> 12), 0);
     }
     vec4 clip = vec4(dot(rows[0], q), dot(rows[1], q), dot(rows[2], q), dot(rows[3], q));
-    vec2 before = (clip.xy / clip.w * 0.5 + 0.5) * frame.previous.xy - frame.previous.zw;
+    vec2 before = (clip.xy / clip.w * 0.5 + 0.5) * u.resolution - u.corner;
     vec2 motion = clip.w > 0.0 ? before - gl_FragCoord.xy : vec2(0.0);
     out_vector = vec4(motion, motion);
   }

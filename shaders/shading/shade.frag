@@ -68,14 +68,14 @@ void main()
   // Loops of one turn or none, since some devices run both sides of every branch.
   vec3 radiance = vec3(0.0);
   for (int i = 0; i < (strand ? 0 : 1); i++) {
-    radiance = ps_shade(position, normal, to_eye, surface, frame.page.w);
+    radiance = ps_shade(position, normal, to_eye, surface, u.light_count);
   }
   for (int i = 0; i < (strand ? 1 : 0); i++) {
     vec4 fibre = texelFetch(ps_materials, ivec2(3, material), 0);
-    radiance = ps_shade_strand(position, tangent, to_eye, surface, fibre, frame.page.w);
+    radiance = ps_shade_strand(position, tangent, to_eye, surface, fibre, u.light_count);
   }
 #else
-  vec3 radiance = ps_shade(position, normal, to_eye, surface, frame.page.w);
+  vec3 radiance = ps_shade(position, normal, to_eye, surface, u.light_count);
 #endif
 #ifdef PS_FOCUS
   out_focus = covered * vec4(place.x, 1.0, 0.0, 0.0);
@@ -85,14 +85,14 @@ void main()
 
 #ifdef PS_OUT_NORMAL
   vec3 facing = dot(normal, to_eye) < 0.0 ? -normal : normal;
-  out_normal_pass = covered * vec4(mat3(frame.world_from_view) * facing, 1.0);
+  out_normal_pass = covered * vec4(mat3(u.world_from_view) * facing, 1.0);
 #endif
 #ifdef PS_OUT_ALBEDO
   out_albedo = covered * vec4(surface.base * (1.0 - surface.metallic), 1.0);
 #endif
 #ifdef PS_OUT_MIST
   float d = ps_is_perspective() ? length(position) : -position.z;
-  float mist = clamp((d - frame.mist.x) * frame.mist.y, 0.0, 1.0);
-  out_mist = vec4(covered * (frame.mist.z == 1.0 ? mist : pow(mist, frame.mist.z)));
+  float mist = clamp((d - u.mist_start) * u.mist_scale, 0.0, 1.0);
+  out_mist = vec4(covered * (u.mist_exponent == 1.0 ? mist : pow(mist, u.mist_exponent)));
 #endif
 }

@@ -1,4 +1,4 @@
-// Two triangles that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent.py.
+// Two triangles that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent/page.py.
 
 #include "lib/splat/kernel.glsl"
 
@@ -7,15 +7,15 @@
 
 void main()
 {
-  int index = frame.page.x + gl_VertexID / 6;
+  int index = u.first + gl_VertexID / 6;
   ivec2 at = ivec2(index & 4095, index >> 12);
   vec4 place = texelFetch(ps_place, at, 0), shape = texelFetch(ps_shape, at, 0);
   // In a coarser picture's pixels, of which splats are not to miss any either.
-  float scale = frame.lens.w;
+  float scale = u.scale;
   vec3 c = scale * scale * shape.xyz + (scale < 1.0 ? vec3(PS_LOW_PASS, 0.0, PS_LOW_PASS) : vec3(0.0));
   float det = c.x * c.z - c.y * c.y;
   float kept = scale < 1.0 ? scale * scale * sqrt((shape.x * shape.z - shape.y * shape.y) / det) : 1.0;
-  v_centre = scale * (place.xy + frame.focal.zw);
+  v_centre = scale * (place.xy + u.principal_point);
   vec4 source = texelFetch(ps_source, at, 0);
   v_source = vec4(source.rgb, kept * place.w);
 #ifdef PS_CHANNEL
@@ -41,6 +41,6 @@ void main()
   vec2 side = vec2(corner == 1 || corner == 2 || corner == 4 ? 1.0 : -1.0, corner == 2 || corner >= 4 ? 1.0 : -1.0);
   side.x = corner == 5 ? -1.0 : side.x;
   vec2 pixel = v_centre + side.x * size.x * axis + side.y * size.y * vec2(-axis.y, axis.x);
-  vec2 clip = pixel / vec2(frame.size.xy) * 2.0 - 1.0;
+  vec2 clip = pixel / vec2(u.size) * 2.0 - 1.0;
   gl_Position = place.w > 0.0 ? vec4(clip, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }

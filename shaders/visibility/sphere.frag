@@ -24,8 +24,8 @@ void main()
   float half_chord = sqrt(outside / a);
   float d = middle - half_chord;
   // Cut open by the near plane, a ball shows its inside.
-  d = d < frame.lens.x ? middle + half_chord : d;
-  if (d < frame.lens.x || d > frame.lens.y) {
+  d = d < u.near ? middle + half_chord : d;
+  if (d < u.near || d > u.far) {
     discard;
   }
   PsSurfel s = ps_empty();

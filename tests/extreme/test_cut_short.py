@@ -21,8 +21,9 @@ from pointsplat_addon.render.device.protocol import DeviceError, Texture
 from pointsplat_addon.render.frame.report import report
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import ALL_PASSES, Case
 from tests.support.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
-from tests.support.scenes import ALL_PASSES, Case, camera
 
 SAMPLES = 6  # so many that tiles are asked whether they need more
 

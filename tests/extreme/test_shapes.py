@@ -16,20 +16,13 @@ from pointsplat_addon.core.scene.valid_geometry import valid_triangles
 from pointsplat_addon.core.surface.area_sampling import sample_area
 from pointsplat_addon.core.surface.evaluation import evaluate
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
+from scripts.scenes.build import mesh, moved, points, scene
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import Case
+from scripts.scenes.clouds import plane_cloud, sphere_cloud
+from scripts.scenes.meshes import cube_mesh, flat_mesh
 from tests.reference import opaque
 from tests.support.extremes import FEW, SHADOWED, TECHNIQUES, every_pass, picture
-from tests.support.scenes import (
-    Case,
-    camera,
-    cube_mesh,
-    flat_mesh,
-    mesh,
-    moved,
-    plane_cloud,
-    points,
-    scene,
-    sphere_cloud,
-)
 
 PLAIN = Settings(use_shadows=False)
 

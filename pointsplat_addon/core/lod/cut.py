@@ -78,7 +78,7 @@ def select_cut(
     (I, 4, 4) float64. A node is drawn where its projected diameter is at most `tolerance` pixels, or up to `band`
     octaves less, a share that each node keeps (`staggered`). `cull` (I,) bool allows to leave out what faces away.
     Whatever reaches into the camera's window, widened by `margin` pixels, is kept. Instances whose transform is not
-    finite, or zero, have no splats. `blur`: nodes may be as large as their disks of confusion allow (core/lens/defocus.py);
+    finite, or zero, have no splats. `blur`: nodes may be as large as their disks of confusion allow (core/lens/kernel.py);
     `wanted`: ALL, only what may be out of focus (BLURRED), or only what may be in it, in usual nodes (SHARP).
     """
     geometry = np.asarray(geometry, np.int64)

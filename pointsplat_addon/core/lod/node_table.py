@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numeric.segments import starts
 from ..numeric.vectors import number
 from ..scene.cloud import PointCloud
 from .hierarchy import Hierarchy
@@ -48,7 +49,7 @@ def node_table(hierarchies: Mapping[int, Hierarchy | PointCloud]) -> NodeTable:
             root[geometry] = base
             base += len(entry)
             trees.append(entry)
-    bases = np.cumsum([0, *(len(h) for h in trees)])[:-1]
+    bases = starts([len(h) for h in trees])
     first_child = [h.tree.first_child.astype(np.int64) + b for h, b in zip(trees, bases, strict=True)]
 
     def joined(arrays: list[np.ndarray], dtype: type) -> np.ndarray:

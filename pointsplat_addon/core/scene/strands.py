@@ -40,8 +40,3 @@ class Strands:
         arrays = (self.position, self.start, self.radius, self.normal, self.color, self.surface, self.emission, self.uv,
                   self.material)  # fmt: skip
         return sum(a.nbytes for a in arrays if a is not None)
-
-
-def owners(start: np.ndarray) -> np.ndarray:
-    """(P,) int64: the strand of each point."""
-    return np.repeat(np.arange(len(start) - 1), np.diff(start))

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..numeric.segments import offsets, owners
 from ..numeric.vectors import cross, dot, each_block
 from .cloud import FARTHEST, LENGTHS, PointCloud
 from .mesh import LARGEST, SMALLEST, Mesh, squared_edges, triangle_corners
-from .strands import Strands, owners
+from .strands import Strands
 
 MOST_STRAND_POINTS = 1 << 24  # of one geometry: float32 counts no farther
 
@@ -162,7 +163,7 @@ def valid_strands(strands: Strands) -> tuple[Strands, tuple[str, ...]]:
     position = np.asarray(strands.position, np.float32).reshape(-1, 3)[:MOST_STRAND_POINTS]
     count = len(position)
     whole = np.asarray(strands.start, np.int64)
-    owner = owners(whole)[:count]
+    owner = owners(np.diff(whole))[:count]
     with np.errstate(invalid="ignore"):
         good = (np.abs(position) < FARTHEST).all(axis=1) & (np.abs(strands.radius[:count]) < FARTHEST)
     for value in (strands.color, strands.surface, strands.emission):
@@ -191,7 +192,7 @@ def valid_strands(strands: Strands) -> tuple[Strands, tuple[str, ...]]:
     )
     drawn = (several & wide)[run]
     rows, radius = rows[drawn], radius[drawn]
-    start = np.concatenate([[0], np.cumsum(number[several & wide])]).astype(np.int64)
+    start = offsets(number[several & wide])
     if len(rows) == len(strands.position) and np.array_equal(start, whole) and (radius == strands.radius).all():
         return strands, messages
     of_points = ("normal", "color", "surface", "emission")

@@ -33,7 +33,7 @@ def low_pass(samples: int) -> float:
     al. leaves exp(-2 pi^2 v) = 3e-9 of a pattern as fine as the pixels, which would else show as a constant, and 0.7 %
     at half that frequency. N samples a pixel are sqrt(N) times as dense along each axis, for which 1 / N would be as
     much. They are no grid, though: what they alias is spread, and the filter that they are distributed by takes out
-    most of it when they are averaged (render/frame/filtering.py). N^-1.5 blurs less than that costs.
+    most of it when they are averaged (render/frame/sample_positions.py). N^-1.5 blurs less than that costs.
     """
     return max(samples**-1.5, LEAST_LOW_PASS)
 

@@ -11,6 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
+from ..numeric.segments import owners
+
 CATMULL_ROM, POLY, BEZIER, NURBS = range(4)  # Blender's numbers for kinds of curves
 MINIMUM_TWIST, Z_UP, FREE = range(3)  # and for normals
 AUTO = 0  # as a resolution of Catmull-Rom curves: as many steps as the radius asks for
@@ -72,7 +74,7 @@ class EvaluatedCurves:
     @cached_property
     def curve(self) -> np.ndarray:
         """(E,) int64 curve of each point."""
-        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+        return owners(np.diff(self.start))
 
 
 def _like(weight: np.ndarray, values: np.ndarray) -> np.ndarray:

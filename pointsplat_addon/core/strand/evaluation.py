@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..numeric.segments import offsets, owners, ranges, ranks, starts
 from .curves import AUTO, BEZIER, CATMULL_ROM, NURBS, POLY, Curves, EvaluatedCurves
 from .normals import unit
 from .nurbs import NurbsSpans
@@ -18,7 +19,7 @@ def evaluate_curves(curves: Curves) -> EvaluatedCurves:
     count, start = curves.count, np.asarray(curves.start, np.int64)
     spans = NurbsSpans(curves)
     kind = np.where(spans.fits | (curves.kind != NURBS), curves.kind, POLY)
-    owner = np.repeat(np.arange(len(count)), count)
+    owner = owners(count)
     inside = np.arange(start[-1]) - start[owner]
 
     # How many points each control point gives, the last one of an open curve itself alone
@@ -34,12 +35,10 @@ def evaluate_curves(curves: Curves) -> EvaluatedCurves:
     steps[spans.fits[owner]] = 0
     total = np.add.reduceat(steps, start[:-1]) if len(count) else np.zeros(0, np.int64)
     total = np.where(spans.fits, spans.total, total)
-    opened = np.concatenate([[0], np.cumsum(total)]).astype(np.int64)
+    opened = offsets(total)
 
     # Points of segments: where they lie between their control points
-    point = np.repeat(np.arange(start[-1]), steps)
-    before = np.cumsum(steps) - steps
-    along = np.arange(len(point)) - before[point]
+    point, along, before = owners(steps), ranks(steps), starts(steps)
     t = along / steps[point]
     rows = opened[owner[point]] + (before - before[start[owner]])[point] + along
     parts = []
@@ -57,8 +56,8 @@ def evaluate_curves(curves: Curves) -> EvaluatedCurves:
     repeated = None
     start_closed = opened
     if (closed := curves.cyclic & (total > 1)).any():
-        start_closed = opened + np.concatenate([[0], np.cumsum(closed)])
-        repeated = np.arange(start_closed[-1]) - np.repeat(start_closed[:-1] - opened[:-1], np.diff(start_closed))
+        start_closed = opened + offsets(closed)
+        repeated = ranges(opened[:-1], np.diff(start_closed))
         repeated[start_closed[1:][closed] - 1] = opened[:-1][closed]
     result = EvaluatedCurves(start_closed, np.empty(0), tuple(p for p in parts if len(p[0])), repeated, opened)
     position = _positions(result, curves, kind, owner, point, following, rows, t)

@@ -7,6 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from ..numeric.segments import owners, ranks, starts
+
 BLOCK = 64  # strands that follow one another, of which each sample shows its share
 VISIBLE_CHANGE = 1 / 64  # of colours and of surface values between the points that are kept
 
@@ -52,7 +54,7 @@ class StrandLevels:
     @cached_property
     def strand(self) -> np.ndarray:
         """(P,) int32: which strand each point belongs to."""
-        return np.repeat(np.arange(len(self.start) - 1, dtype=np.int32), np.diff(self.start))
+        return owners(np.diff(self.start), np.int32)
 
     @cached_property
     def reached(self) -> np.ndarray:
@@ -133,12 +135,11 @@ def halving_levels(start: np.ndarray) -> tuple[Level, ...]:
     found, step = [], 1
     while 2 * step <= longest:
         inner = np.maximum((np.diff(start) - 2) // step + 1, 0) // 2  # odd multiples of `step` before the last point
-        strand = np.repeat(np.arange(len(inner), dtype=np.int32), inner)
-        number = np.arange(len(strand)) - np.repeat(np.cumsum(inner) - inner, inner)
+        strand, number = owners(inner, np.int32), ranks(inner)
         middle = start[strand] + step * (2 * number + 1)
         high = np.minimum(middle + step, start[strand + 1] - 1)
         some = np.flatnonzero(inner)
-        first = (np.cumsum(inner) - inner)[some]
+        first = starts(inner)[some]
         middle, low, high = (a.astype(np.int32) for a in (middle, middle - step, high))
         found.append(Level(middle, low, high, first, some.astype(np.int32)))
         step *= 2

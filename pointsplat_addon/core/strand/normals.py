@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..numeric.segments import owners, ranges
 from .curves import FREE, MINIMUM_TWIST, EvaluatedCurves
 
 UPRIGHT = 1e-4  # tangents whose |x| + |y| is below this are vertical (Blender's number)
@@ -24,7 +25,7 @@ def curve_normals(
     """
     chosen = slice(None) if evaluated.rows is None else _unrepeated(evaluated)
     position, start = evaluated.position[chosen], evaluated.open
-    owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    owner = owners(np.diff(start))
     along = curve_tangents(position, start, cyclic)
     flat = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(along))])
     upright = np.abs(along[:, :2]).sum(axis=1) < UPRIGHT
@@ -43,8 +44,7 @@ def curve_normals(
 
 def _unrepeated(evaluated: EvaluatedCurves) -> np.ndarray:
     """The rows of all points but those that close a curve."""
-    shift = np.repeat((evaluated.start - evaluated.open)[:-1], np.diff(evaluated.open))
-    return np.arange(evaluated.open[-1]) + shift
+    return ranges(evaluated.start[:-1], np.diff(evaluated.open))
 
 
 def curve_tangents(position: np.ndarray, start: np.ndarray, cyclic: np.ndarray) -> np.ndarray:
@@ -56,7 +56,7 @@ def curve_tangents(position: np.ndarray, start: np.ndarray, cyclic: np.ndarray) 
     count = len(position)
     if count == 0:
         return np.empty((0, 3))
-    owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    owner = owners(np.diff(start))
     every = np.arange(count)
     first, last = start[:-1][owner], start[1:][owner] - 1
     following = np.where(every < last, every + 1, np.where(cyclic[owner], first, every))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..numeric.segments import offsets, owners, ranks, starts
 from .curves import NURBS, Curves
 
 
@@ -32,9 +33,8 @@ class NurbsSpans:
         head = np.where(ends, order - cyclic, np.where(bezier, np.minimum(2, inner), 1))
         tail = np.where(cyclic, 2 * order - 1, np.where(ends, order, 0))
         offset = (ends & cyclic).astype(np.int64)
-        self.first = np.concatenate([[0], np.cumsum(size)])
-        owner = np.repeat(np.arange(len(row)), size)
-        at = np.arange(self.first[-1]) - self.first[owner]
+        self.first = offsets(size)
+        owner, at = owners(size), ranks(size)
 
         def body(i: np.ndarray) -> np.ndarray:
             j = i - offset[owner]
@@ -63,9 +63,8 @@ class NurbsSpans:
         """For each order in use: rows, control points and weights of its evaluated points."""
         if len(self.row) == 0:
             return []
-        total, first_span = self.total[self.row], np.cumsum(self.number) - self.number
-        owner = np.repeat(np.arange(len(self.row)), total)
-        along = np.arange(len(owner)) - (np.cumsum(total) - total)[owner]
+        total, first_span = self.total[self.row], starts(self.number)
+        owner, along = owners(total), ranks(total)
         number = np.minimum(along // self.resolution[owner], self.number[owner] - 1)
         span = self.span[first_span[owner] + number]
         share = (along - number * self.resolution[owner]) / self.resolution[owner]

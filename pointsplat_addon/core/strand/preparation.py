@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..numeric.segments import owners
 from ..scene.cloud import FARTHEST
-from ..scene.strands import Strands, owners
+from ..scene.strands import Strands
 from .levels import StrandLevels, coarsest_attribute_level, halving_levels
 
 LEAST_END_COSINE = 0.5  # cosine between a strand's end and the way to where it is a radius away
@@ -57,7 +58,7 @@ def _straighten_end_tangents(tangent: np.ndarray, p: np.ndarray, radius: np.ndar
     if len(start) < 2:
         return tangent
     first, last = start[:-1], start[1:] - 1
-    number, owner = np.arange(len(p)), owners(start)
+    number, owner = np.arange(len(p)), owners(np.diff(start))
     away, nearest = [], (np.minimum, np.maximum)
     for end, other, near in zip((first, last), (last, first), nearest, strict=True):
         off = p - p[end][owner]

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..numeric.segments import owners, ranks
 from ..numeric.vectors import each_block
 from ..scene.mesh import Mesh
 from .samples import Samples
@@ -98,10 +99,7 @@ def _roof(left: np.ndarray, right: np.ndarray, foot: np.ndarray) -> np.ndarray:
 def _expand(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For counts [2, 0, 3]: owners [0, 0, 2, 2, 2] (int32) and positions within them [0, 1, 0, 1, 2] (int64)."""
     counts = counts.astype(np.int64)
-    ends = np.cumsum(counts)
-    total = int(ends[-1]) if len(ends) else 0
-    owner = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
-    return owner, np.arange(total) - np.repeat(ends - counts, counts)
+    return owners(counts, np.int32), ranks(counts)
 
 
 def most_samples(m: Measures, spacing: float) -> float:

@@ -17,7 +17,8 @@ import numpy as np
 from ...core.material.graph import Needs, SampleInputs, evaluate_samples, needs
 from ...core.material.hair_color import random_of_strands, strand_attribute
 from ...core.material.textures import linear_from_srgb
-from ...core.scene.strands import Strands, owners
+from ...core.numeric.segments import offsets, owners
+from ...core.scene.strands import Strands
 from ...core.strand.curves import AUTO, BEZIER, CATMULL_ROM, MINIMUM_TWIST, NURBS, POLY, Curves, EvaluatedCurves
 from ...core.strand.evaluation import evaluate_curves
 from ...core.strand.normals import curve_normals
@@ -186,7 +187,7 @@ def _sound(strands: CurveArrays) -> CurveArrays | None:
         if array is not None:
             sound &= np.isfinite(array.reshape(len(sound), -1)).all(axis=1)
     points = np.flatnonzero(sound)
-    count = np.bincount(owners(start)[points], minlength=len(start) - 1)
+    count = np.bincount(owners(np.diff(start))[points], minlength=len(start) - 1)
     kept = np.flatnonzero(count > 0)
     if len(points) == len(sound) and len(kept) == len(count):
         return strands
@@ -203,7 +204,7 @@ def _sound(strands: CurveArrays) -> CurveArrays | None:
         return {n: a[part] for n in names if (a := getattr(holder, n)) is not None}
 
     named = taken(curves, OF_POINTS, points) | taken(curves, OF_CURVES, kept)
-    named |= {"start": np.concatenate([[0], np.cumsum(count[kept])])}
+    named |= {"start": offsets(count[kept])}
     return replace(
         strands,
         curves=replace(curves, **named),
@@ -244,7 +245,7 @@ def read_tubes(data: bpy.types.Curve) -> CurveArrays | None:
     kinds = {"POLY": POLY, "BEZIER": BEZIER}
     curves = Curves(
         position,
-        np.concatenate([[0], np.cumsum([len(p[0]) for p in parts])]),
+        offsets([len(p[0]) for p in parts]),
         np.array([kinds.get(s.type, NURBS) for s in splines], np.uint8),
         np.array([s.use_cyclic_u for s in splines]),
         np.array([s.resolution_u for s in splines]),
@@ -520,7 +521,7 @@ def _bounds(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _own(lines: Strands, first: int) -> dict[str, Callable[[], np.ndarray]]:
     """What strands tell of themselves (Blender's Curves Info), each (P,) when called."""
-    strand = owners(lines.start)
+    strand = owners(np.diff(lines.start))
 
     def reached() -> np.ndarray:
         step = np.linalg.norm(np.diff(lines.position.astype(np.float64), axis=0, prepend=lines.position[:1]), axis=1)

@@ -6,39 +6,22 @@ Of passes that know no blur, there is a picture beside it that has no lens.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from ...core.lod.criteria import NEIGHBOUR_EXTENT
 from ...core.scene.camera import Camera
-from ...core.scene.scene import Scene
-from ...core.scene.world import World
 from ...core.splat.blur import OUT_OF_FOCUS, defocus_blur
 from ..device.protocol import Device, Texture
-from ..passes.defocus import Defocus, defocus_program, tile_lists
-from ..passes.outputs import CRYPTO
-from ..passes.shade import averaged, data
-from ..passes.tiles import Adaptive
-from ..passes.translucent import LitSplats, light_program
+from ..passes.defocus.gather import Defocus, defocus_program
+from ..passes.defocus.tile_lists import tile_lists
+from ..passes.output.adaptive import Adaptive
+from ..passes.translucent.light import light_program
+from ..passes.translucent.lit_splats import LitSplats
+from ..passes.uniforms import SampleView
 from ..plan.plan import Plan
-from ..plan.request import Request
 from .targets import Targets
 from .uploads import Uploads
-
-
-def beside(scene: Scene, asked: Request, presented: bool) -> tuple[Scene, Request] | None:
-    """The picture of the passes that know no blur, without light; None where none of them is asked for. `presented`:
-    the picture is shown in a viewport, which hides what Blender draws by depths."""
-    others = asked.passes - {"combined"}
-    sampled = averaged(others) or others & set(CRYPTO)
-    if not (presented or sampled or data(others)):
-        return None
-    settings = replace(asked.settings, use_shadows=False, use_adaptive_sampling=False)
-    camera = replace(asked.camera, aperture=None)
-    unlit = replace(scene, lights=(), world=World(), transparent=True)
-    samples = asked.samples if sampled else 1
-    return unlit, replace(asked, camera=camera, settings=settings, passes=others, samples=samples)
 
 
 def in_focus(camera: Camera, plan: Plan, largest: float) -> tuple[float, float]:
@@ -75,18 +58,23 @@ class OutOfFocus:
         program = light_program(plan.translucent, plan.lighting, plan.materials)
         self.lit = LitSplats(device, plan.translucent, program, uploads.listed)
 
-    def gather(self, done: int, record: np.ndarray, behind: dict[str, Texture], adaptive: Adaptive | None) -> None:
-        """The picture after `done` samples of what is in focus. `record`: of rays through pixels' centres; it is
-        written to. `behind`: the world out of focus, by sampler name. `adaptive`: where pixels differ in how many
+    def gather(
+        self,
+        done: int,
+        view: SampleView,
+        behind: dict[str, Texture],
+        backdrop_texels: tuple[float, float] | None,
+        adaptive: Adaptive | None,
+    ) -> None:
+        """The picture after `done` samples of what is in focus. `view`: of rays through pixels' centres. `behind`: the world out of focus, by sampler name. `adaptive`: where pixels differ in how many
         samples they have."""
         if self.gathered == done or (self.gathered and not self.plan.solid):
             return
         self.gathered = done
         assert self.plan.translucent is not None
-        record["mist"][0, 3] = 1 / done
         if self.tiles is None:
-            self._run("light", lambda: self._light(record.copy()))
-            self._run("tiles", lambda: self._list(record))
+            self._run("light", lambda: self._light(view))
+            self._run("tiles", lambda: self._list(view))
         tiles = self.tiles
         assert tiles is not None
         program = defocus_program(
@@ -97,18 +85,19 @@ class OutOfFocus:
         textures = {**self.uploads.shading, **behind, **sharp}
         if adaptive is not None:
             textures["ps_counts"] = adaptive.known
+        record = view.record_of(program.block, sample_weight=1 / done, backdrop_texels=backdrop_texels)
         self._run("defocus", lambda: tiles.draw(program, self.targets.seen_target, record, self.lit.textures, textures))
 
-    def _light(self, record: np.ndarray) -> None:
-        self.lit.light(record, {**self.uploads.splats, **self.uploads.shading})
+    def _light(self, view: SampleView) -> None:
+        self.lit.light(view, len(self.uploads.scene.lights), {**self.uploads.splats, **self.uploads.shading})
 
-    def _list(self, record: np.ndarray) -> None:
+    def _list(self, view: SampleView) -> None:
         """By the tiles of the picture."""
         lit = self.lit
         place, shape = (
             self.device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_place", "ps_shape")
         )
-        focal = record["focal"][0].astype(np.float64)
+        focal = np.array([*view.camera.pixel_from_view()[:2], *view.principal_point], np.float32).astype(np.float64)
         self.tiles = Defocus(self.device, tile_lists(place, shape, focal, self.targets.seen.size))
 
     def release(self) -> None:

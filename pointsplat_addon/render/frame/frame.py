@@ -3,37 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from ...core.lens.backdrop import grid_of
+from ...core.lens.backdrop import backdrop_grid
 from ...core.scene.scene import Scene
-from ...core.splat.blur import defocus_blur
 from ...core.strand.segments import sample_offsets
 from ...shading.interface import Interface
-from ..budget.budget import checkpoint
 from ..device.clock import Clock
 from ..device.protocol import Texture
-from ..passes import shade as shade_pass
-from ..passes.backdrop import Backdrop
-from ..passes.common import frame_record
+from ..passes.image_space.pyramid import levels
+from ..passes.output import present
+from ..passes.output.adaptive import Adaptive
 from ..passes.outputs import BY_KEY, CRYPTO, empty_pixels
-from ..passes.pyramid import levels
-from ..passes.tiles import EVERYWHERE, Adaptive
+from ..passes.shading import averages, background, data, shade
+from ..passes.shading.backdrop import Backdrop
+from ..passes.tiles import EVERYWHERE
+from ..passes.uniforms import SampleView, view_of
 from ..plan.frame_plan import make_shot
 from ..plan.request import Request
 from .data import Data
 from .defocus import OutOfFocus, in_focus
-from .filtering import offsets
 from .lens_samples import LensSamples
+from .resources import FrameResources
+from .sample_positions import checkpoint, offsets
 from .surfels import Surfels
 from .targets import Targets
 from .translucent import Translucent, lighting
 from .uploads import Uploads
-
-if TYPE_CHECKING:
-    from ..renderer import Renderer
 
 
 class Frame:
@@ -41,7 +40,7 @@ class Frame:
 
     def __init__(
         self,
-        renderer: Renderer,
+        renderer: FrameResources,
         scene: Scene,
         request: Request,
         cancelled: Callable[[], bool] = lambda: False,
@@ -86,13 +85,13 @@ class Frame:
         plan, request = shot.plan, shot.request
         if shot.through_lens:
             self.lens = self._own(LensSamples(device, shot.view, request.samples))
-        motion = plan.data and "vector" in shade_pass.data(request.passes)
+        motion = plan.data and "vector" in data.data(request.passes)
         self.uploads: Uploads = self._own(
             Uploads(self.renderer.kept, shot.scene, shot.view, shot.prepared, plan, motion, shot.shadows)
         )
         self.clock.spent |= self.uploads.spent
         if plan.backdrop:
-            self.backdrop = self._own(Backdrop(device, grid_of(shot.view, device.limits.texture_size)))
+            self.backdrop = self._own(Backdrop(device, backdrop_grid(shot.view, device.limits.texture_size)))
         count = levels(shot.prepared.largest, shot.view.resolution)
         self._lent = self.renderer.pool.borrow(plan, request.passes, shot.view.window[2:], count)
         self.targets = self._lent[1]
@@ -116,19 +115,17 @@ class Frame:
         plan, request, transparent = self.shot.plan, self.shot.request, self.shot.scene.transparent
         passes, coverage = request.passes, plan.ewa is not None
         self.averages: tuple[Interface, ...] = ()
-        if plan.painter and plan.points and shade_pass.averaged(passes):
+        if plan.painter and plan.points and averages.averaged(passes):
             self.averages = (
-                shade_pass.shade_program(
-                    plan.data_variant, (), plan.materials, passes, lines=plan.lines, combined=False
-                ),
-                shade_pass.background_program((), True, passes, combined=False),
+                shade.shade_program(plan.data_variant, (), plan.materials, passes, lines=plan.lines, combined=False),
+                background.background_program((), True, passes, combined=False),
             )
             passes = frozenset({"combined"})
-        self.shade = shade_pass.shade_program(
+        self.shade = shade.shade_program(
             plan.variant, plan.lighting, plan.materials, passes, request.samples, coverage, plan.lines, plan.defocus,
             plan.picture, coarse=request.coarse,
         )  # fmt: skip
-        self.background = shade_pass.background_program(
+        self.background = background.background_program(
             plan.behind, transparent, passes, coverage, everywhere=not plan.shaded.solid, combined=plan.picture
         )
 
@@ -164,24 +161,25 @@ class Frame:
         plan = self.shot.plan
         if self.lens is not None:
             self.view = self.lens.view(self.done, self.uploads)
-        record = self._record(self.done)
+        view = self._sample_view(self.done)
         if plan.defocus:
-            record["lens"][0, :2] = in_focus(self.view, plan, self.shot.prepared.largest)
+            near, far = in_focus(self.view, plan, self.shot.prepared.largest)
+            view = replace(view, near=near, far=far)
         if first and self.backdrop is not None:
             self.clock.run("backdrop", self._draw_backdrop)
-        self._draw_surfels(record, first)
+        self._draw_surfels(view, first)
         if self.translucent is not None:
             self.device.clear(self.targets.layer_target)
         if self.targets.surfels is not None and plan.shades:
-            self.clock.run("shade", lambda: self._shade(record))
+            self.clock.run("shade", lambda: self._shade(view))
         if plan.background and plan.shades:
-            self.clock.run("background", lambda: self._draw_background(record))
+            self.clock.run("background", lambda: self._draw_background(view))
         if self.translucent is not None:
-            self._draw_translucent(self.translucent, record.copy(), first)
+            self._draw_translucent(self.translucent, view, first)
         if self.beside is not None:
             self.beside.sample()
 
-    def _draw_surfels(self, record: np.ndarray, first: bool) -> None:
+    def _draw_surfels(self, view: SampleView, first: bool) -> None:
         """What is opaque into G-buffers, and of these the passes that no light changes."""
         plan, uploads, run = self.shot.plan, self.uploads, self.clock.run
         surfels, data_surfels = self.targets.surfels, self.targets.data_surfels
@@ -190,42 +188,33 @@ class Frame:
             lines.list_thin(float(self._turns[self.done]))
         beside = first or self._data.every_sample or bool(self.averages)
         if projection is not None and (beside or not plan.painter):
-            run("project", lambda: projection.run(uploads.draws, record.copy(), uploads.shared))
+            run("project", lambda: projection.run(uploads.draws, view, uploads.shared))
         if surfels is not None:
             region = self.adaptive.gathered if self.adaptive else EVERYWHERE
-            surfels.draw(uploads, None if plan.painter else projection, record, run, region)
+            surfels.draw(uploads, None if plan.painter else projection, view, run, region)
         if beside and data_surfels is not None and data_surfels is not surfels:
-            data_surfels.draw(uploads, projection, record, run)
+            data_surfels.draw(uploads, projection, view, run)
         if self.lens is not None and first and self.presented and data_surfels is not None:
-            self.lens.keep(data_surfels.buffer.textures["place"], record)
+            self.lens.keep(data_surfels.buffer.textures["place"])
         if plan.data and (first or self._data.every_sample):
-            run("data", lambda: self._draw_data(record))
+            run("data", lambda: self._draw_data(view))
             self._data.read(self.targets.data, self._cropped, first)
         if self.averages:
-            run("averages", lambda: self._average(record))
+            run("averages", lambda: self._average(view))
 
-    def _record(self, index: int) -> np.ndarray:
-        """The uniform block of one sample."""
-        scene, samples, plan = self.shot.scene, self.shot.request.samples, self.shot.plan
-        camera, mist = self.view, scene.mist
+    def _sample_view(self, index: int) -> SampleView:
+        """The view of one sample."""
+        samples = self.shot.request.samples
         x, y = offsets(samples)[index] if samples > 1 else (0.0, 0.0)
-        record = frame_record(camera, (float(x), float(y)))
-        record["mist"][0] = mist.start, 1 / max(mist.depth, 1e-6), shade_pass.MIST_EXPONENT[mist.falloff], 0.0
-        record["page"][0, 3] = len(scene.lights)
-        if self.backdrop is not None:
-            record["previous"][0, :2] = self.backdrop.texels
-        if plan.defocus:
-            blur, aperture = defocus_blur(camera), camera.aperture
-            assert blur is not None
-            assert aperture is not None
-            record["focus"][0] = blur.scale, 1 / blur.focus, 0.0, 1 / aperture.ratio
-        return record
+        return view_of(self.view, (float(x), float(y)), index)
 
-    def _centred(self) -> np.ndarray:
-        """The same for rays through pixels' centres."""
-        record = self._record(0)
-        record["focal"][0] = self.view.pixel_from_view()
-        return record
+    def _centred(self) -> SampleView:
+        """The view of rays through pixels' centres."""
+        return view_of(self.view)
+
+    @property
+    def _backdrop_texels(self) -> tuple[float, float] | None:
+        return None if self.backdrop is None else self.backdrop.texels
 
     @property
     def _behind(self) -> dict[str, Texture]:
@@ -237,56 +226,63 @@ class Frame:
         assert self.uploads.levels is not None
         self.backdrop.draw(self._centred(), {**self.uploads.shading, "ps_levels": self.uploads.levels})
 
-    def _draw_data(self, record: np.ndarray) -> None:
-        shot, record = self.shot, record.copy()
-        x0, y0, _, _ = self.view.window
-        record["previous"][0] = *self.view.resolution, x0, y0
+    def _draw_data(self, view: SampleView) -> None:
+        shot = self.shot
         textures = _bound(self.targets.data_surfels)
         if self.uploads.previous is not None:
             textures["ps_previous"] = self.uploads.previous
-        program = shade_pass.data_program(shot.plan.data_variant, shot.request.passes)
+        program = data.data_program(shot.plan.data_variant, shot.request.passes)
+        record = view.record_of(program.block, resolution=self.view.resolution, corner=self.view.window[:2])
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 
-    def _average(self, record: np.ndarray) -> None:
+    def _average(self, view: SampleView) -> None:
         """Passes of what is painted that are averaged: of its G-buffer, without light."""
         textures = _bound(self.targets.data_surfels) | self.uploads.shading
         for program in self.averages:
             self.device.draw(
-                program, self.targets.averages_target, uniforms=record.copy(), textures=textures, blend=True
+                program,
+                self.targets.averages_target,
+                uniforms=self._record(program, view),
+                textures=textures,
+                blend=True,
             )
 
-    def _shade(self, record: np.ndarray) -> None:
-        record = record.copy()
-        record["size"][0, 2] = self.done
-        self._add(self.shade, record, _bound(self.targets.surfels) | self.uploads.shading)
+    def _shade(self, view: SampleView) -> None:
+        self._add(self.shade, view, _bound(self.targets.surfels) | self.uploads.shading)
 
-    def _draw_background(self, record: np.ndarray) -> None:
+    def _draw_background(self, view: SampleView) -> None:
         textures = _bound(self.targets.surfels) | self.uploads.shading | self._behind
-        self._add(self.background, record.copy(), textures)
+        self._add(self.background, view, textures)
 
-    def _add(self, program: Interface, record: np.ndarray, textures: dict[str, Texture]) -> None:
+    def _add(self, program: Interface, view: SampleView, textures: dict[str, Texture]) -> None:
         region = self.adaptive.shown if self.adaptive else EVERYWHERE
+        record = self._record(program, view)
         region.draw(self.device, program, self.targets.shade_target, uniforms=record, textures=textures, blend=True)
 
-    def _draw_translucent(self, translucent: Translucent, record: np.ndarray, first: bool) -> None:
+    def _record(self, program: Interface, view: SampleView) -> np.ndarray:
+        """The uniforms of a program that shades or draws the background."""
+        values = shade.shade_values(self.shot.scene)
+        return view.record_of(program.block, backdrop_texels=self._backdrop_texels, **values)
+
+    def _draw_translucent(self, translucent: Translucent, view: SampleView, first: bool) -> None:
         # Their light is the same for all samples, but for the lens, and for the shadows of wide lamps, which they blur
         # among each other.
         shadows = self.shot.shadows
         points = lighting(self.shot.request, self.done) if shadows is not None and shadows.wide else 0
         if first or points != translucent.lit_by or self.lens is not None:
             translucent.light(points, self._centred())
-        translucent.draw(record, _bound(self.targets.surfels), coarse=first and self.shot.plan.coarse)
+        translucent.draw(view, _bound(self.targets.surfels), coarse=first and self.shot.plan.coarse)
 
     def _adapt(self, adaptive: Adaptive) -> None:
         """Leave out what no tile needs any more."""
-        record, projection, uploads = self._record(0), self.targets.projection, self.uploads
-        if adaptive.check(self.done, record) and projection is not None and not adaptive.finished:
-            uploads.narrow(projection.within(uploads.draws, record, uploads.shared, adaptive.gathered))
+        view, projection, uploads = self._sample_view(0), self.targets.projection, self.uploads
+        if adaptive.check(self.done) and projection is not None and not adaptive.finished:
+            uploads.narrow(projection.within(uploads.draws, view, uploads.shared, adaptive.gathered))
 
     def _gather(self) -> None:
         """What is out of focus into the picture so far."""
         if self.out_of_focus is not None:
-            self.out_of_focus.gather(self.done, self._centred(), self._behind, self.adaptive)
+            self.out_of_focus.gather(self.done, self._centred(), self._behind, self._backdrop_texels, self.adaptive)
 
     # Between samples
 
@@ -325,19 +321,16 @@ class Frame:
             self._present_constant()
             return
         camera = self.shot.request.camera
-        m = camera.clip_from_view
-        record = self._record(0)
-        record["size"][0, :2] = camera.window[2:]
-        record["page"][0, :2] = self.shot.corner
-        record["mist"][0, 3] = 1.0 if self.out_of_focus is not None else 1 / max(self.done, 1)
-        record["previous"][0] = m[2, 2], m[2, 3], m[3, 2], m[3, 3]
+        weight = 1.0 if self.out_of_focus is not None else 1 / max(self.done, 1)
         textures = {"ps_combined": self.color}
         adaptive = self.adaptive if self.out_of_focus is None else None
         if adaptive is not None:
             textures["ps_counts"] = adaptive.known
         if (place := self._place) is not None:
             textures["ps_place"] = place
-        program = shade_pass.present_program(place is not None, adaptive is not None)
+        program = present.present_program(place is not None, adaptive is not None)
+        _, _, width, height = camera.window
+        record = present.present_record(place is not None, camera, (width, height), self.shot.corner, weight)
         self.device.draw(program, None, uniforms=record, textures=textures)
 
     @property
@@ -353,10 +346,8 @@ class Frame:
     def _present_constant(self) -> None:
         """A world of one colour needs no picture: one texel does."""
         texel = self.device.texture((1, 1), "RGBA32F", self.shot.constant.astype(np.float32))
-        record = self._record(0)
-        record["mist"][0, 3] = 1.0
-        record["size"][0, :2] = 1, 1
-        program = shade_pass.present_program(False)
+        record = present.present_record(False, self.shot.request.camera, (1, 1), (0, 0), 1.0)
+        program = present.present_program(False)
         self.device.draw(program, None, uniforms=record, textures={"ps_combined": texel})
         texel.release()
 
@@ -390,7 +381,7 @@ class Frame:
         self._gather()
         sums, samples = (self.targets.sums, self.counts()) if self.out_of_focus is None else ([self.color], 1)
         out: dict[str, np.ndarray] = {}
-        names = (*(("combined",) if plan.picture else ()), *shade_pass.averaged(passes))
+        names = (*(("combined",) if plan.picture else ()), *averages.averaged(passes))
         for name, texture in zip(names, sums, strict=True):
             mean = self._cropped(texture) / samples
             out[name] = np.ascontiguousarray(mean[..., : BY_KEY[name].channels])

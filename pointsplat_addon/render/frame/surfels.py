@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from ..device.protocol import Device, Texture
-from ..passes import ewa as ewa_pass
-from ..passes import lines as line_pass
-from ..passes import polygons as polygon_pass
-from ..passes import spheres as sphere_pass
-from ..passes.common import GBuffer, Variant
-from ..passes.points import Projection, programs, resolve
-from ..passes.pyramid import Pyramid
+from ..passes.ewa.ewa import Ewa
+from ..passes.gbuffer import GBuffer, Variant
+from ..passes.image_space.projection import Projection, programs
+from ..passes.image_space.pyramid import Pyramid
+from ..passes.image_space.resolve import resolve
 from ..passes.tiles import EVERYWHERE, Region
+from ..passes.uniforms import SampleView
+from ..passes.visibility import polygons, strands
+from ..passes.visibility import spheres as sphere_pass
 from ..plan.plan import Plan
 from .uploads import Uploads
 
@@ -35,7 +34,7 @@ class Surfels:
         self,
         uploads: Uploads,
         projection: Projection | None,
-        record: np.ndarray,
+        view: SampleView,
         run: Callable[[str, Callable[[], None]], None],
         region: Region = EVERYWHERE,
     ) -> None:
@@ -49,7 +48,7 @@ class Surfels:
                 self.resolve_program,
                 ids,
                 uploads.draws,
-                record.copy(),
+                view,
                 uploads.shared,
                 self.buffer,
                 region,
@@ -59,43 +58,41 @@ class Surfels:
             self.buffer.clear()
         else:
             run("resolve", lambda: resolve_points(projection.ids))
-        self._draw_solids(uploads, record, run)
+        self._draw_solids(uploads, view, run)
         if self.pyramid is not None:
             pyramid = self.pyramid
-            run("pull", lambda: pyramid.pull(record.copy(), region))
-            run("push", lambda: pyramid.push(record.copy(), region))
+            run("pull", lambda: pyramid.pull(view, region))
+            run("push", lambda: pyramid.push(view, region))
 
-    def _draw_solids(
-        self, uploads: Uploads, record: np.ndarray, run: Callable[[str, Callable[[], None]], None]
-    ) -> None:
+    def _draw_solids(self, uploads: Uploads, view: SampleView, run: Callable[[str, Callable[[], None]], None]) -> None:
         if self.plan.polygons:
-            run("polygons", lambda: self._draw_polygons(uploads, record.copy()))
+            run("polygons", lambda: self._draw_polygons(uploads, view))
         if self.plan.spheres:
-            run("spheres", lambda: self._draw_spheres(uploads, record.copy()))
+            run("spheres", lambda: self._draw_spheres(uploads, view))
 
         if self.plan.lines:
-            run("lines", lambda: self._draw_lines(uploads, record.copy()))
+            run("lines", lambda: self._draw_lines(uploads, view))
 
-    def _draw_lines(self, uploads: Uploads, record: np.ndarray) -> None:
+    def _draw_lines(self, uploads: Uploads, view: SampleView) -> None:
         assert uploads.line_instances is not None
         shared = {**uploads.shared, "ps_instances": uploads.line_instances}
-        line_pass.draw(self.device, self.variant, uploads.lines, record, shared, self.buffer)
+        strands.draw(self.device, self.variant, uploads.lines, view, shared, self.buffer)
 
-    def _draw_spheres(self, uploads: Uploads, record: np.ndarray) -> None:
+    def _draw_spheres(self, uploads: Uploads, view: SampleView) -> None:
         program = sphere_pass.program(self.variant, self.plan.options)
-        sphere_pass.draw(self.device, program, uploads.balls, record, uploads.shared, self.buffer)
+        sphere_pass.draw(self.device, program, uploads.balls, view, uploads.shared, self.buffer)
 
-    def _draw_polygons(self, uploads: Uploads, record: np.ndarray) -> None:
+    def _draw_polygons(self, uploads: Uploads, view: SampleView) -> None:
         instances = uploads.scene.instances
         for instance in uploads.prepared.polygons.tolist():
-            polygon_pass.draw(
+            polygons.draw(
                 self.device,
                 self.variant,
                 uploads.meshes[int(instances.geometry[instance])],
                 uploads.prepared.view_from_object[instance],
                 instance,
                 bool(instances.holdout is not None and instances.holdout[instance]),
-                record,
+                view,
                 uploads.shared,
                 self.buffer,
                 uploads.part_lists.get(instance),
@@ -113,13 +110,13 @@ class EwaSurfels(Surfels):
     def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> None:
         super().__init__(device, plan, variant, size, count)
         assert plan.ewa is not None
-        self.ewa = ewa_pass.Ewa(device, variant, plan.options, plan.ewa, size)
+        self.ewa = Ewa(device, variant, plan.options, plan.ewa, size)
 
     def draw(
         self,
         uploads: Uploads,
         projection: Projection | None,
-        record: np.ndarray,
+        view: SampleView,
         run: Callable[[str, Callable[[], None]], None],
         region: Region = EVERYWHERE,
     ) -> None:
@@ -128,15 +125,15 @@ class EwaSurfels(Surfels):
 
         def normalise() -> None:
             self.buffer.clear()
-            ewa.normalise(record.copy(), self.buffer, region)
+            ewa.normalise(view, self.buffer, region)
 
         if ewa.draws is not uploads.draws:
-            run("splats", lambda: ewa.project(uploads.draws, record.copy(), shared))
+            run("splats", lambda: ewa.project(uploads.draws, view, shared))
         ewa.narrow(region)
-        run("visibility", lambda: ewa.see(record.copy(), shared))
-        run("blend", lambda: ewa.blend(record.copy(), shared))
+        run("visibility", lambda: ewa.see(view, shared))
+        run("blend", lambda: ewa.blend(view, shared))
         run("normalise", normalise)
-        self._draw_solids(uploads, record, run)
+        self._draw_solids(uploads, view, run)
 
     def release(self) -> None:
         super().release()

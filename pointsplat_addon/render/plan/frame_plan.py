@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.lens.backdrop import why_sharp
-from ...core.lens.thin_lens import sampled
+from ...core.lens.backdrop import why_not_blurred
+from ...core.lens.thin_lens import uses_lens_samples
 from ...core.lod.cost import Costs
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
@@ -18,12 +18,11 @@ from ...core.splat.blur import defocus_blur
 from ..cache.store import STORE
 from ..device.clock import Clock
 from ..device.protocol import Limits
-from ..frame.defocus import beside
-from ..frame.lens_samples import prepared_for
+from ..passes.image_space.pyramid import levels
+from ..passes.output.adaptive import why_everywhere
 from ..passes.outputs import CRYPTO
-from ..passes.pyramid import levels
-from ..passes.shade import averaged, data
-from ..passes.tiles import why_everywhere
+from ..passes.shading.averages import averaged
+from ..passes.shading.data import data
 from ..prepare.hybrid import triangles_of
 from ..prepare.in_view import in_view
 from ..prepare.negligible import without_faint
@@ -31,6 +30,8 @@ from ..prepare.painter import defocused, painted
 from ..prepare.parts import parted
 from ..prepare.prepare import Prepared, prepare
 from ..shadow.shadows import Shadows, cast
+from .auxiliary import beside
+from .lens_view import prepared_for
 from .plan import Plan, make_plan
 from .request import Request
 from .technique import NAMES, NO_BLENDING, Technique, choose, reconsidered
@@ -133,7 +134,7 @@ def make_shot(
     request = request if camera is request.camera else replace(request, camera=camera)
     technique = choose(request.settings, scene, request.samples, request.interactive, limits.float_blend)
     warnings += (*of_parts, *_not_blended(technique, request))
-    through_lens = sampled(camera, request.settings) and request.samples > 1
+    through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
     prepared = prepare(
         scene,
         prepared_for(scene, camera) if through_lens else camera,
@@ -164,7 +165,7 @@ def make_shot(
 
     blended = (camera, request.samples) if technique.name == "EWA" else None
     in_focus = "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus"
-    sharp_world = "each sample sees it through a place on the lens" if through_lens else why_sharp(scene, camera)
+    sharp_world = "each sample sees it through a place on the lens" if through_lens else why_not_blurred(scene, camera)
     plan = make_plan(
         scene, prepared, request.passes, shadows, unshadowed, request.interactive, blended, paints,
         reflects, unseen, in_focus, sharp_world, picture,

@@ -73,7 +73,7 @@ def _volume(geometry: Geometry, volume: Volume, table: MaterialTable, store: Sto
     key = f"{geometry.key} as {_digest(medium, volume.transfer, geometry.extinction, geometry.spacing)}"
 
     def make() -> Points:
-        made, found = voxels.point_cloud(volume, medium, geometry.extinction, geometry.spacing)
+        made, found = voxels.volume_splats(volume, medium, geometry.extinction, geometry.spacing)
         # Transforms can take voxels out of range that float32 has.
         cloud, dropped = valid_points(made)
         found += [f"{geometry.name}: {dropped} points that are not finite were left out"] if dropped else []

@@ -17,8 +17,8 @@ mat2x3 ps_half_pixels(int instance, vec3 p)
   mat3 rows = transpose(ps_linear(instance));
   float scale = ps_is_perspective() ? -1.0 / p.z : 1.0;
   vec2 slope = ps_is_perspective() ? p.xy * scale : vec2(0.0);
-  return mat2x3(0.5 * scale * frame.focal.x * (rows[0] + slope.x * rows[2]),
-                0.5 * scale * frame.focal.y * (rows[1] + slope.y * rows[2]));
+  return mat2x3(0.5 * scale * u.focal.x * (rows[0] + slope.x * rows[2]),
+                0.5 * scale * u.focal.y * (rows[1] + slope.y * rows[2]));
 }
 
 // Covariance (xx, xy, yy) of the splat at `p` in view space; its rim lies at 2 sigma. With M from ps_half_pixels, a ball

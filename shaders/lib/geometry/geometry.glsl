@@ -8,11 +8,11 @@ vec3 ps_surface_normal(vec3 stored, vec4 place, vec4 shape, vec2 pixel)
   }
   vec2 across = clamp(-place.yz / max(2.0 * shape.xz, vec2(1e-6)), vec2(-1.0), vec2(1.0));
   vec3 n = vec3(across, sqrt(max(1.0 - dot(across, across), 0.0)));
-  vec3 toward = -ps_ray(pixel), u, v;
-  // The frame of the ray that keeps u near x and v near y.
-  u = normalize(cross(vec3(0.0, 1.0, 0.0), toward) + vec3(1e-9, 0.0, 0.0));
-  v = cross(toward, u);
-  return normalize(n.x * u + n.y * v + n.z * toward);
+  vec3 toward = -ps_ray(pixel);
+  // The frame of the ray that keeps its first axis near x and its second near y.
+  vec3 axis_x = normalize(cross(vec3(0.0, 1.0, 0.0), toward) + vec3(1e-9, 0.0, 0.0));
+  vec3 axis_y = cross(toward, axis_x);
+  return normalize(n.x * axis_x + n.y * axis_y + n.z * toward);
 }
 
 // The splat's centre is not under the pixel's: go along the ray to the splat's plane, but no farther than it extends.

@@ -1,5 +1,5 @@
 // Instances, and pages of 4,096-wide textures. PS_ONE_INSTANCE: its matrix is a uniform; else `ps_instances` has three
-// rows for each, and a fourth: holdout, scale of lengths (only of strands). Layout: render/passes/points.py.
+// rows for each, and a fourth: holdout, scale of lengths (only of strands). Layout: render/passes/image_space/projection.py.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/direction.glsl"
@@ -16,12 +16,12 @@ ivec2 ps_texel(int index)
 
 vec3 ps_view_from_point(int instance, vec3 p)
 {
-  return (frame.view_from_object * vec4(p, 1.0)).xyz;
+  return (u.view_from_object * vec4(p, 1.0)).xyz;
 }
 
 mat3 ps_linear(int instance)
 {
-  return mat3(frame.view_from_object);
+  return mat3(u.view_from_object);
 }
 
 #else

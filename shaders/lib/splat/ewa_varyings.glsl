@@ -1,4 +1,4 @@
-// What both vertex shaders of EWA hand on of a projected splat. Layout: render/passes/ewa.py.
+// What both vertex shaders of EWA hand on of a projected splat. Layout: render/passes/ewa/ewa.py.
 
 // Where the projected splat is that is drawn as the number `index`.
 ivec2 ps_listed(int index)
@@ -13,13 +13,13 @@ vec3 ps_splat(ivec2 at, vec4 place)
   vec3 c = shape.xyz;
   float of = c.x * c.z - c.y * c.y;
 #ifdef PS_BLEND
-  c.xz += frame.lens.w;
+  c.xz += u.low_pass;
 #else
   float middle = 0.5 * (c.x + c.z), least = middle - length(vec2(0.5 * (c.x - c.z), c.y));
   c.xz += max(max(PS_EWA_LEAST, PS_EWA_THINNEST * middle) - least, 0.0);
 #endif
   float with = c.x * c.z - c.y * c.y;
-  v_place = vec4(place.xy + frame.focal.zw, place.z, sign(place.w));
+  v_place = vec4(place.xy + u.principal_point, place.z, sign(place.w));
   v_front = texelFetch(ps_splat_front, at, 0);
 #ifdef PS_BLEND
   v_conic = vec4(vec3(c.z, -c.y, c.x) / with, ps_ewa_peak(v_front.z, of, with));

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lens import defocus, dicing, strand_splats
-from pointsplat_addon.core.lens.thin_lens import confusion, lens_points, through
+from pointsplat_addon.core.lens import dicing, strand_splats
+from pointsplat_addon.core.lens.thin_lens import camera_through, circle_of_confusion, lens_points
 from pointsplat_addon.core.lod import area_share, cut, node_table
 from pointsplat_addon.core.lod.hierarchy import build
 from pointsplat_addon.core.scene.camera import Aperture, Camera
@@ -17,7 +17,10 @@ from pointsplat_addon.core.surface.evaluation import evaluate
 from pointsplat_addon.core.surface.sample_areas import sample_areas
 from pointsplat_addon.core.surface.sampling import sample_mesh
 from pointsplat_addon.core.surface.triangles import measure_triangles
-from tests.support.scenes import camera, flat_mesh, moved, plane_mesh, sphere_mesh, strand_lines
+from scripts.scenes.build import moved, strand_lines
+from scripts.scenes.cameras import camera
+from scripts.scenes.meshes import flat_mesh, plane_mesh, sphere_mesh
+from tests.reference import defocus
 
 
 def lens(radius: float = 0.1, focus: float = 4.0, **more) -> Camera:
@@ -37,7 +40,7 @@ def blur(of: Camera) -> blur_module.Blur:
 def test_disks_are_the_thin_lens(parallel):
     seen = lens(parallel=parallel)
     depth = np.geomspace(0.2, 1e6, 50)
-    np.testing.assert_allclose(blur(seen).radius(depth), confusion(seen, depth), rtol=1e-10)  # measured 0
+    np.testing.assert_allclose(blur(seen).radius(depth), circle_of_confusion(seen, depth), rtol=1e-10)  # measured 0
 
 
 @pytest.mark.parametrize("parallel", [None, 5.0])
@@ -83,7 +86,7 @@ def test_the_middle_of_what_leans_is_where_the_lens_sees_most_of_it(parallel, ra
     world = (place - seen.view_from_world[:3, 3]) @ seen.view_from_world[:3, :3]
     moved_to, seen_as = [], []
     for point in lens_points(4097, seen.aperture):
-        of = through(seen, point)
+        of = camera_through(seen, point)
         view = world @ of.view_from_world[:3, :3].T + of.view_from_world[:3, 3]
         fx, fy, cx, cy = of.pixel_from_view()
         moved_to.append(view[:, :2] * [fx, fy] / (np.abs(view[:, 2:]) if parallel is None else 1.0) + [cx, cy])
@@ -97,7 +100,7 @@ def test_the_middle_of_what_leans_is_where_the_lens_sees_most_of_it(parallel, ra
     spread = (share[..., None] * (places - middle) ** 2).sum(axis=0)
     depth = -place[:, 2]
     disk = (blur(seen).radius(depth) * np.where(depth < 4.0, -1.0, 1.0))[:, None] / np.array([ratio, 1.0])
-    lean = defocus.lean(seen, place, normal)
+    lean = defocus.lens_mean(seen, place, normal)
     error = (middle - places[0] - disk * lean) / np.abs(disk)
     assert np.abs(error[one_side]).max() < 2e-3  # measured 8.5e-4, of the lens's 4,097 places
     error = spread / disk**2 - (0.25 - lean**2)
@@ -135,7 +138,7 @@ def test_kernels_are_nearer_to_the_convolved_disk_than_gaussians_are(radius, var
     disk = (r < radius) / np.sum(r < radius) / step**2
     exact = np.fft.ifft2(np.fft.fft2(disk) * low_pass).real
     total = radius**2 / 4 + variance
-    k = defocus.exponent(np.array(float(radius)), np.array(variance))
+    k = defocus.kernel_exponent(np.array(float(radius)), np.array(variance))
     ours = defocus.kernel(r**2 / total, k, np.array(total**2))
     wide = radius**2 / (2 * np.log(4)) + variance
     gauss = np.exp(-0.5 * r**2 / wide) / (2 * np.pi * wide)
@@ -279,10 +282,10 @@ def test_pieces_of_triangles_have_their_area_and_moments():
     mesh = flat_mesh("plane in pieces", plane_mesh("in pieces").position, plane_mesh("in pieces").triangles)
     seen = lens(0.05, 2.0)
     matrix = seen.view_from_world
-    samples = dicing.cut(mesh, np.arange(len(mesh.triangles)), matrix, seen, 1.0, blur(seen))
+    samples = dicing.dice_triangles(mesh, np.arange(len(mesh.triangles)), matrix, seen, 1.0, blur(seen))
     found = evaluate(mesh, samples)
     assert found.axis is not None
-    area = np.pi * found.radii.prod(axis=1).astype(float) * dicing.SHARE
+    area = np.pi * found.radii.prod(axis=1).astype(float) * dicing.TRIANGLE_SHARE
     assert len(samples) > 100
     assert abs(area.sum() / 4 - 1) < 5e-5  # measured 1.2e-5: half-axes are rounded outwards
     place = found.position.astype(float) + found.origin
@@ -305,7 +308,7 @@ def test_pieces_of_what_reaches_behind_the_eye_are_finite_and_few():
     mesh = plane_mesh("floor in pieces", 50.0)
     matrix = lens().view_from_world @ moved((0, 0, -0.5)) @ np.diag([1.0, 1, 1, 1])[[0, 2, 1, 3]]
     seen = lens(0.05, 5.0)
-    samples = dicing.cut(mesh, np.arange(2), matrix, seen, 1.0, blur(seen))
+    samples = dicing.dice_triangles(mesh, np.arange(2), matrix, seen, 1.0, blur(seen))
     assert np.isfinite(samples.barycentric).all()
     assert 0 < len(samples) < 100_000
 
@@ -315,7 +318,7 @@ def test_facets_of_balls_cover_their_disks():
     position = rng.uniform(-0.5, 0.5, (20, 3)).astype(np.float32)
     radii = rng.uniform(0.01, 0.3, (20, 1)).astype(np.float32)
     seen = lens(0.5, 2.0, parallel=5.0)
-    found = dicing.balls(PointCloud(position, radii=radii), seen.view_from_world, seen, 1.0, blur(seen))
+    found = dicing.dice_balls(PointCloud(position, radii=radii), seen.view_from_world, seen, 1.0, blur(seen))
     assert found.radii is not None
     assert found.normal is not None
     facing = found.normal @ seen.view_from_world[2, :3]
@@ -335,11 +338,11 @@ def test_pieces_of_strands_have_their_area():
         lines = replace(given, radius=np.full(9, size, np.float32))
         strands = with_levels(lines)
         seen = lens(0.05, 2.0)
-        found = strand_splats.splats(strands, lines, ends, seen.view_from_world, seen, 1.0, blur(seen))
+        found = strand_splats.dice_strands(strands, lines, ends, seen.view_from_world, seen, 1.0, blur(seen))
         assert found.radii is not None
         assert (found.kernel is None or not found.kernel.any()) == strips
         assert np.isfinite(found.position).all()
-        area = np.pi * found.radii.astype(float).prod(axis=1) * strand_splats.SHARE
+        area = np.pi * found.radii.astype(float).prod(axis=1) * strand_splats.RECTANGLE_SHARE
         length = np.linalg.norm(np.diff(strand, axis=0), axis=1).sum()
         if not strips:
             assert abs(area.sum() / (2 * size * length) - 1) < 1e-6  # measured 5.4e-8
@@ -357,13 +360,13 @@ def test_pieces_of_a_tube_cover_what_is_seen_of_it(bend, tolerance):
     strands = with_levels(given)
     seen = lens(0.5, 3.0, parallel=20.0)
     ends = np.stack([np.arange(6), np.arange(1, 7)], axis=1)
-    found = strand_splats.splats(strands, given, ends, seen.view_from_world, seen, tolerance, blur(seen))
+    found = strand_splats.dice_strands(strands, given, ends, seen.view_from_world, seen, tolerance, blur(seen))
     assert found.radii is not None
     assert found.normal is not None
     assert (found.kernel is None) == (tolerance < 1)
     facing = found.normal @ seen.view_from_world[2, :3]
     inner = facing > 0.05  # without what closes the ends
-    area = np.pi * found.radii.astype(float).prod(axis=1) * strand_splats.SHARE * facing
+    area = np.pi * found.radii.astype(float).prod(axis=1) * strand_splats.RECTANGLE_SHARE * facing
     length = np.linalg.norm(np.diff(along, axis=0), axis=1).sum()
     assert abs(area[inner].sum() / (0.6 * length) - 1) < 1e-6  # measured 3.2e-8
 

@@ -14,8 +14,8 @@ import pytest
 from pointsplat_addon.core.lod import hierarchy, node_splats
 from pointsplat_addon.core.lod.foliage import disconnected_splats, is_foliage
 from pointsplat_addon.core.scene.cloud import PointCloud
-from tests.core.lod.test_optics import levels, mean_transmittance
-from tests.support.scenes import plane_mesh, sphere_mesh
+from scripts.scenes.meshes import plane_mesh, sphere_mesh
+from tests.support.transmittance import levels, mean_transmittance
 
 
 def leaves(count: int, depth: float, flat: float = 0.0) -> PointCloud:

@@ -13,11 +13,11 @@ from pointsplat_addon.core.strand import levels, projection, selection
 from pointsplat_addon.core.strand.preparation import with_levels
 from pointsplat_addon.core.strand.segments import Segments
 from pointsplat_addon.core.strand.selection import select
-from tests.support import scenes
+from scripts.scenes import build, cameras
 
-CAMERA = scenes.camera((0, -4, 0), resolution=(200, 160))
-WIDE = scenes.camera((0, -1.6, 0), resolution=(200, 160), field_of_view=130)
-PARALLEL = scenes.camera((0, -4, 0), resolution=(200, 160), parallel=3.0)
+CAMERA = cameras.camera((0, -4, 0), resolution=(200, 160))
+WIDE = cameras.camera((0, -1.6, 0), resolution=(200, 160), field_of_view=130)
+PARALLEL = cameras.camera((0, -4, 0), resolution=(200, 160), parallel=3.0)
 
 
 def tuft(points: int, length: float, radius: float, ribbon: bool, count: int = 300) -> levels.StrandLevels:
@@ -38,7 +38,7 @@ def views() -> list[np.ndarray]:
     places = [(0, 0, 0), (1.3, 0, 0), (0, 0, -1.1), (2.2, 0, 0), (0, 0, 2), (0, -3.9, 0), (0, -5, 0), (0, 200, 0)]
     found = []
     for k, place in enumerate(places):
-        matrix = scenes.moved(place, (1.2, 0.7, 1 + 0.1 * k))
+        matrix = build.moved(place, (1.2, 0.7, 1 + 0.1 * k))
         matrix[:3, :3] @= np.linalg.qr(np.random.default_rng(k).normal(size=(3, 3)))[0]
         found.append(matrix)
     return found

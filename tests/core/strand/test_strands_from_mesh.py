@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.strand.fit.from_mesh import connected_parts, fit_strands
+from pointsplat_addon.core.strand.fit.from_mesh import fit_strands
+from pointsplat_addon.core.strand.fit.graph import connected_parts
 
 
 def branch(sides, rings, *, tip=False, bend=0.0):

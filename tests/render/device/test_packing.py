@@ -9,9 +9,9 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.store import PointSet
 from pointsplat_addon.render.device.packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged, unpack_normal
-from pointsplat_addon.render.passes.common import Variant
-from pointsplat_addon.render.passes.points import Page, PointOptions
-from tests.support import scenes
+from pointsplat_addon.render.passes.gbuffer import Variant
+from pointsplat_addon.render.passes.pages.point_page import Page, PointOptions
+from scripts.scenes import build
 
 
 def directions(count=20000):
@@ -100,7 +100,7 @@ def test_a_page_holds_its_clouds_one_after_another():
             made[next(names)] = data.reshape(size[0] * size[1], -1)
             return super().texture(size, format, data)
 
-    table = scenes.materials(base_color=[[0.1 * i, 0.2, 0.3] for i in range(5)])
+    table = build.materials(base_color=[[0.1 * i, 0.2, 0.3] for i in range(5)])
     sets = [PointSet(("first",), first), PointSet(("second",), second)]
     page = Page(Recorder(), sets, Variant(color=True), PointOptions(shading_normal=True), table)
     assert page.first == {("first",): 0, ("second",): 40_000}

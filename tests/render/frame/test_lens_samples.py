@@ -5,17 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lens.thin_lens import lens_points, through
+from pointsplat_addon.core.lens.thin_lens import camera_through, lens_points
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame import frame
-from pointsplat_addon.render.frame.lens_samples import prepared_for
+from pointsplat_addon.render.plan.lens_view import prepared_for
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
-from tests.support import scenes
-from tests.support.scenes import ALL_PASSES, CASES, Case
+from scripts.scenes import drawing
+from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.cases import CASES
 
 COMBINED = frozenset({"combined"})
 PENTAGON = Aperture(0.15, 4.0, 5, 0.3)
@@ -25,7 +26,7 @@ LENS = Settings(dof_method="LENS_SAMPLES")
 def seen(case: Case, samples: int, passes: frozenset[str] = COMBINED, renderer: Renderer | None = None, **settings):
     settings = {"dof_method": "LENS_SAMPLES", "use_adaptive_sampling": False, **settings}
     request = Request(case.camera, replace(case.settings, **settings), passes, samples)
-    return (renderer or scenes.opengl()).render(case.scene, request)
+    return (renderer or drawing.opengl()).render(case.scene, request)
 
 
 def with_aperture(name: str, aperture: Aperture | None = PENTAGON) -> Case:
@@ -44,7 +45,7 @@ def test_a_picture_is_the_mean_of_those_of_cameras_at_places_on_the_lens(name, t
     case = with_aperture(name)
     found = seen(case, 5, technique=technique).pixels["combined"]
     alone = [
-        seen(replace(case, camera=through(case.camera, point)), 5, technique=technique).pixels["combined"]
+        seen(replace(case, camera=camera_through(case.camera, point)), 5, technique=technique).pixels["combined"]
         for point in lens_points(5, PENTAGON)
     ]
     error = np.abs(found - np.mean(alone, axis=0))

@@ -10,7 +10,7 @@ from pointsplat_addon.core.light.hair import Fibre
 from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.shading.interface import Interface
-from tests.support.scenes import opengl
+from scripts.scenes.drawing import opengl
 
 moderngl = pytest.importorskip("moderngl")
 COUNT = 4096

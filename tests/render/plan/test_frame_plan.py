@@ -11,7 +11,8 @@ from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.device.clock import Cancelled, Clock
 from pointsplat_addon.render.plan.frame_plan import Shot, make_shot
 from pointsplat_addon.render.plan.request import Request
-from tests.support.scenes import ALL_PASSES, CASES, Case
+from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.cases import CASES
 
 COMBINED = frozenset({"combined"})
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...numeric.linear import bilinear_form, outer_product, principal_axes
-from ...numeric.segments import runs, starts
+from ...numeric.segments import batches, owners, starts
 from ...numeric.vectors import basis, lengths
 from ...scene.cloud import PointCloud
 from .bounds import bounds_of_runs
@@ -17,7 +17,7 @@ from .tree import CHUNK, Tree, leaves_in_tree_order
 def _merge_runs(rows: NodeRows, count: np.ndarray, cloud: PointCloud) -> NodeRows:
     """Merge consecutive runs of `count` rows of a cloud into one row each."""
     begin = starts(count)
-    owner = np.repeat(np.arange(len(count)), count)
+    owner = owners(count)
 
     # Moments about each parent's own mean.
     weight = np.add.reduceat(rows.weight, begin)
@@ -91,13 +91,13 @@ def merge_nodes(cloud: PointCloud, tree: Tree) -> NodeRows:
     nodes = NodeRows.empty(rows_of_points(cloud, slice(0, 0)), len(tree))
     leaves = leaves_in_tree_order(tree, len(cloud))
     begin = np.append(tree.first_point[leaves], len(cloud))
-    for a, b in runs(tree.point_count[leaves], CHUNK):
+    for a, b in batches(tree.point_count[leaves], CHUNK):
         rows = rows_of_points(cloud, slice(begin[a], begin[b]))
         nodes.put(leaves[a:b], _merge_runs(rows, tree.point_count[leaves[a:b]], cloud))
     for first, last in zip(tree.levels[-2::-1], tree.levels[:0:-1], strict=True):
         parents = first + np.flatnonzero(tree.child_count[first:last])
         count = tree.child_count[parents].astype(np.int64)
-        for a, b in runs(count, CHUNK):
+        for a, b in batches(count, CHUNK):
             begin = tree.first_child[parents[a]]
             end = tree.first_child[parents[b - 1]] + count[b - 1]
             nodes.put(parents[a:b], _merge_runs(nodes.take(slice(begin, end)), count[a:b], cloud))

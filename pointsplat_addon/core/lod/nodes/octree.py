@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...numeric.segments import ranges, starts
+from ...numeric.segments import offsets, ranges, starts
 from .tree import MAX_DEPTH, Tree, link
 
 BLOCK = 1 << 17  # points that are partitioned down to the leaves together: their arrays stay in the cache
@@ -211,4 +211,4 @@ def _join(levels: list[list[_Piece]]) -> Tree:
     sizes = [sum(len(piece.first) for piece in level) for level in levels]
     child_count = np.concatenate([piece.child_count for piece in pieces])
     first, count = (np.concatenate([getattr(p, name) for p in pieces]).astype(np.int32) for name in ("first", "count"))
-    return link(child_count, first, count, np.cumsum([0, *sizes]))
+    return link(child_count, first, count, offsets(sizes))

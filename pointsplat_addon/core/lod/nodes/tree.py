@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...numeric.segments import runs, starts
+from ...numeric.segments import batches, starts
 
 CHUNK = 1 << 15  # children that are merged together, for the same reason
 
@@ -17,7 +17,7 @@ def sum_over_nodes(tree: Tree, points: int, columns: Callable[[slice], np.ndarra
     total = np.empty((len(columns(slice(0, 0))), len(tree)))
     leaves = leaves_in_tree_order(tree, points)
     begin = np.append(tree.first_point[leaves], points)
-    for a, b in runs(tree.point_count[leaves], CHUNK):
+    for a, b in batches(tree.point_count[leaves], CHUNK):
         total[:, leaves[a:b]] = np.add.reduceat(columns(slice(begin[a], begin[b])), begin[a:b] - begin[a], axis=1)
     for first, last in zip(tree.levels[-2::-1], tree.levels[:0:-1], strict=True):
         parents = first + np.flatnonzero(tree.child_count[first:last])
