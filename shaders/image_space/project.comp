@@ -1,5 +1,5 @@
-// Each splat to the one pixel that holds its centre (Marroquim et al. 2008, section 3), or where it stands apart to all
-// pixels whose centres it covers (PS_APART): the least depth of each pixel, then (PS_IDENTIFY) the lowest index among the
+// Each splat to the one pixel that holds its centre (Marroquim et al. 2008, section 3), or where it is disconnected to all
+// pixels whose centres it covers (PS_DISCONNECTED): the least depth of each pixel, then (PS_IDENTIFY) the lowest index among the
 // splats that have it. PS_MARK: instead, which blocks have splats in the tiles that `ps_tiles` names.
 
 #include "lib/data/index.glsl"
@@ -52,7 +52,7 @@ void main()
   // one is always at the same side of the pixel, and would miss its centre.
   vec4 extent = texelFetch(ps_extent, element.xy, 0);
   vec3 covariance = ps_footprint(element.z, view, head.w, extent);
-#ifdef PS_APART
+#ifdef PS_DISCONNECTED
   if (ps_alone(covariance, extent)) {
     vec2 reach = 2.0 * sqrt(covariance.xz);
     ivec2 low = max(ivec2(ceil(pixel.xy - reach - 0.5)), ivec2(0));

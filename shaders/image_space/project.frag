@@ -1,11 +1,11 @@
 // Which splat: see project.vert.
-#ifdef PS_APART
+#ifdef PS_DISCONNECTED
 #include "lib/geometry/footprint.glsl"
 #endif
 
 void main()
 {
-#ifdef PS_APART
+#ifdef PS_DISCONNECTED
   if (ps_ellipse.x > 0.0 && ps_beside(ps_ellipse, ps_centre - gl_FragCoord.xy) != 0u) {
     discard;
   }

@@ -8,7 +8,7 @@ void main()
   ps_id = uint(u.first_index + gl_VertexID);
   ps_order = 1.0;
   gl_PointSize = 1.0;
-#ifdef PS_APART
+#ifdef PS_DISCONNECTED
   ps_ellipse = vec3(0.0);
   ps_centre = vec2(0.0);
 #endif
@@ -37,7 +37,7 @@ void main()
   vec2 centre = floor(pixel.xy) + 0.5;
   vec4 extent = texelFetch(ps_extent, element.xy, 0);
   vec3 covariance = ps_footprint(element.z, view, head.w, extent);
-#ifdef PS_APART
+#ifdef PS_DISCONNECTED
   if (ps_alone(covariance, extent)) {
     ps_ellipse = covariance;
     ps_centre = pixel.xy;

@@ -41,7 +41,7 @@ void main()
 
   PsSurfel s = ps_empty();
   s.place = vec4(pixel.z, pixel.xy - (vec2(place) + 0.5), covers ? max(reach, 1e-30) : -max(reach, 1e-30));
-#ifdef PS_APART
+#ifdef PS_DISCONNECTED
   if (ps_alone(covariance, extent)) {
     s.place = vec4(pixel.z, 0.0, 0.0, PS_POLYGON);
   }

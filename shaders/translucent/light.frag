@@ -3,7 +3,7 @@
 // PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/splat/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
-// drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
+// drawn where they show their backs, PS_FUZZY_DISCONNECTED: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
 // render/passes/defocus/gather.py, PS_LINES: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
 // opaque may stand among them.
 
@@ -260,7 +260,7 @@ void main()
 #endif
   }
 
-#ifdef PS_FUZZY_APART
+#ifdef PS_FUZZY_DISCONNECTED
   // What stands apart hides as much as if it were not widened: core/splat/painter.py, `thinned`.
   if (fuzzy && extent.y < 0.0) {
     float deepest = peak * PS_PEAK, most = 1.0 - PS_GAMMA * pow(deepest, -0.25);
@@ -290,7 +290,7 @@ void main()
   if (fuzzy) {
     amount = covers * texelFetch(ps_share, at, 0).x * (1.0 - ps_sharp(confusion));
     bool turned = !ball && dot(normal, ps_is_perspective() ? p : vec3(0.0, 0.0, -1.0)) > 0.0;
-    kind = extent.y < 0.0 || optics.w > 0.5 ? PS_DEFOCUS_APART : turned ? PS_DEFOCUS_BACK : 0.0;
+    kind = extent.y < 0.0 || optics.w > 0.5 ? PS_DEFOCUS_DISCONNECTED : turned ? PS_DEFOCUS_BACK : 0.0;
   }
 #endif
   float k = ps_defocus_exponent((disk.x + disk.z) / (wide.x + wide.z), kind <= PS_DEFOCUS_BACK);

@@ -77,7 +77,7 @@ class Splats:
     reach: np.ndarray  # (N,) how far before and behind its depth an opaque one's surface may lie in its kernel
     back: np.ndarray  # (N,) bool: shows its back
     translucent: np.ndarray  # (N,) bool
-    apart: np.ndarray  # (N,) bool: opaque, but of no surface
+    disconnected: np.ndarray  # (N,) bool: opaque, but of no surface
 
 
 def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
@@ -92,7 +92,7 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     middle = splats.weight * kernel(np.zeros(len(splats.weight)), splats.exponent, np.linalg.det(splats.covariance))
     amount = splats.weight * drawn_kernel(pixels, splats)
     amount = np.where(amount > NEGLIGIBLE * np.minimum(middle, 1), amount, 0.0)
-    surface = ~(splats.translucent | splats.apart)
+    surface = ~(splats.translucent | splats.disconnected)
     there = (amount > 0) & surface
     # A surface goes on while the next splat's near end lies before the farthest end so far.
     farthest = np.maximum.accumulate(np.where(there, splats.depth + splats.reach, -np.inf), axis=1)

@@ -46,7 +46,7 @@ def dice_triangles(
     total = 0
     while len(owner):
         depth = -corners[:, :, 2]
-        least, most = blur.bounds(np.maximum(depth.min(axis=1), near), np.maximum(depth.max(axis=1), near))
+        least, most = blur.radius_range(np.maximum(depth.min(axis=1), near), np.maximum(depth.max(axis=1), near))
         keep = _may_be_seen(corners, camera, blur) & (most > IN_FOCUS) & np.isfinite(corners).all(axis=(1, 2))
         corners, weights, owner, depth, least = (a[keep] for a in (corners, weights, owner, depth, least))
         scale = 1 / np.maximum(depth, 1e-300) if camera.perspective else np.ones_like(depth)
@@ -56,7 +56,7 @@ def dice_triangles(
         before = depth.min(axis=1) <= near
         space = np.linalg.norm(corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]], axis=2)
         edges[before] = space[before] * (focal.max() / (near if camera.perspective else 1.0))
-        fine = edges.max(axis=1) <= blur.widest(least, tolerance)
+        fine = edges.max(axis=1) <= blur.largest_splat(least, tolerance)
         total += len(owner)
         fine |= total > MOST_PATCHES
         done.append((owner[fine], weights[fine]))
@@ -85,11 +85,11 @@ def dice_balls(
     depth = -(place @ matrix[2, :3] + matrix[2, 3])
     scale = float(largest_singular_value(matrix[None, :3, :3])[0])
     low, high = (np.maximum(depth + side * radius * scale, camera.nearest) for side in (-1, 1))
-    least, most = blur.bounds(low, high)
+    least, most = blur.radius_range(low, high)
     rows = np.flatnonzero((most > IN_FOCUS) & (high > camera.nearest))
     pixels = radius * scale * max(abs(f) for f in camera.pixel_from_view()[:2]) / (low if camera.perspective else 1.0)
     pixels = np.minimum(pixels, max(camera.resolution))  # of what is wider, a part is seen
-    count = np.pi * (pixels / (BALL_FACET_SIZE * blur.widest(least, tolerance)))[rows] ** 2
+    count = np.pi * (pixels / (BALL_FACET_SIZE * blur.largest_splat(least, tolerance)))[rows] ** 2
     count = np.clip(np.ceil(np.minimum(count, MOST_PATCHES / max(len(rows), 1))), LEAST_FACETS, None).astype(np.int64)
     of = np.repeat(rows, count)
     number = ranks(count)

@@ -34,18 +34,18 @@ def dice_strands(
     says what is shaded as a whole strand, whose tangents are the major axes (1), and what as a surface (0): ribbons,
     and tubes that are wider than their pieces may be, in strips along them, with disks that close their ends.
 
-    Pieces are at most as long as their disks of confusion allow (`Blur.widest`).
+    Pieces are at most as long as their disks of confusion allow (`Blur.largest_splat`).
     """
     matrix = np.asarray(view_from_object, np.float64)
     linear = matrix[:3, :3]
     scale = float(tube_radius_scale(matrix[None])[0])
     place = strands.position.astype(np.float64) + strands.origin
     low, high = _depths(strands, ends, matrix, camera)
-    least, most = blur.bounds(low, high)
+    least, most = blur.radius_range(low, high)
     keep = (most > IN_FOCUS) & (high > camera.nearest)
     ends, least, low = ends[keep], least[keep], low[keep]
     per_pixel = (low if camera.perspective else 1.0) / max(abs(f) for f in camera.pixel_from_view()[:2])
-    largest = blur.widest(least, tolerance) * per_pixel  # view space
+    largest = blur.largest_splat(least, tolerance) * per_pixel  # view space
     along = (place[ends[:, 1]] - place[ends[:, 0]]) @ linear.T
     count = np.ceil(np.linalg.norm(along, axis=1) / largest)
     count = np.maximum(np.minimum(count, MOST_PATCHES / max(len(ends), 1)), 1).astype(np.int64)
@@ -162,7 +162,9 @@ def may_be_in_focus(
     strands: StrandLevels, ends: np.ndarray, view_from_object: np.ndarray, camera: Camera, blur: Blur
 ) -> np.ndarray:
     """(K,) bool: which segments may be in focus somewhere."""
-    return blur.bounds(*_depths(strands, ends, np.asarray(view_from_object, np.float64), camera))[0] < OUT_OF_FOCUS
+    return (
+        blur.radius_range(*_depths(strands, ends, np.asarray(view_from_object, np.float64), camera))[0] < OUT_OF_FOCUS
+    )
 
 
 def _depths(

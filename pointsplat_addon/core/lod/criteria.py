@@ -130,7 +130,7 @@ def blur_extent(
         return 0.0, np.empty(0), np.empty(0)
     # Surfaces are rebuilt from splats together with their neighbours: what is in focus needs those that are not.
     near, far = _depth_range(lens, position, reach * (NEIGHBOUR_EXTENT if lens.wanted == "SHARP" else 1.0))
-    least, most = lens.blur.bounds(near, far)
+    least, most = lens.blur.radius_range(near, far)
     return np.maximum(lens.disk(near), lens.disk(far)) if lens.wanted != "SHARP" else 0.0, least, most
 
 
@@ -184,8 +184,8 @@ def within_tolerance(
     if lens.blur is not None and lens.wanted != "SHARP":
         # Nodes of all sizes may be drawn, where the blur allows it.
         smallest = np.zeros(len(node))
-        least, _ = lens.blur.bounds(*_depth_range(lens, position, size))
-        limit = limit * (lens.blur.widest(least, lens.tolerance) / lens.tolerance)
+        least, _ = lens.blur.radius_range(*_depth_range(lens, position, size))
+        limit = limit * (lens.blur.largest_splat(least, lens.tolerance) / lens.tolerance)
     limit = limit * 2.0 ** (-lens.band * forest.lot.take(node)) if lens.band > 0 else limit
     if not lens.perspective:
         return size <= limit, smallest > lens.limit

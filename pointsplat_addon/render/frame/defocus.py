@@ -29,7 +29,7 @@ def in_focus(camera: Camera, plan: Plan, largest: float) -> tuple[float, float]:
     radius of splats in pixels."""
     blur = defocus_blur(camera)
     assert blur is not None
-    near, far = blur.depths(OUT_OF_FOCUS)
+    near, far = blur.depth_range(OUT_OF_FOCUS)
     if plan.points and plan.ewa is None:
         reach = (NEIGHBOUR_EXTENT - 1) * largest / abs(camera.pixel_from_view()[0])
         near -= reach * (near if camera.perspective else 1.0)

@@ -60,7 +60,7 @@ class Focus:
         depth = -(matrix[:, 2, :3] @ middle + matrix[:, 2, 3])
         reach = radius * largest_singular_value(matrix[:, :3, :3])
         near = self.camera.nearest
-        least, most = self.blur.bounds(np.maximum(depth - reach, near), np.maximum(depth + reach, near))
+        least, most = self.blur.radius_range(np.maximum(depth - reach, near), np.maximum(depth + reach, near))
         return least < OUT_OF_FOCUS, most > IN_FOCUS
 
     def add_points(self, instance: np.ndarray, points: PointSet, areas: Callable[[], np.ndarray] | None) -> None:

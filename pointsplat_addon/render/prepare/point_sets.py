@@ -22,8 +22,8 @@ from .view import View
 def given(cloud: PointCloud) -> PointCloud:
     """The cloud in coherent order, its foliage marked."""
     cloud = coherent(cloud)
-    strewn = disconnected_splats(cloud)
-    return cloud if strewn is None else replace(cloud, apart=strewn)
+    disconnected = disconnected_splats(cloud)
+    return cloud if disconnected is None else replace(cloud, disconnected=disconnected)
 
 
 def given_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:

@@ -44,8 +44,8 @@ vec3 ps_footprint(int instance, vec3 p, float normal_code, vec4 extent)
   float mean = 0.5 * (covariance.x + covariance.z);
   float least = mean - length(vec2(0.5 * (covariance.x - covariance.z), covariance.y));
   float wider = max(PS_LEAST_SIGMA * PS_LEAST_SIGMA - least, 0.0);
-#ifdef PS_APART
-  // Of what stands apart the area counts.
+#ifdef PS_DISCONNECTED
+  // Of disconnected splats the area counts.
   wider = extent.y < 0.0 ? 0.0 : wider;
 #endif
   covariance.xz += wider;
@@ -56,8 +56,8 @@ vec3 ps_footprint(int instance, vec3 p, float normal_code, vec4 extent)
   return covariance;
 }
 
-#ifdef PS_APART
-// Whether a splat shows where it covers pixels' centres, and nowhere else: it stands apart, and is not so wide that to
+#ifdef PS_DISCONNECTED
+// Whether a splat shows where it covers pixels' centres, and nowhere else: it is disconnected, and is not so wide that to
 // fill it from its middle costs less.
 bool ps_alone(vec3 covariance, vec4 extent)
 {

@@ -13,7 +13,7 @@
 #define PS_DEFOCUS_BACK 8.0
 #define PS_DEFOCUS_TRANSLUCENT 16.0
 #define PS_DEFOCUS_HOLDOUT 32.0
-#define PS_DEFOCUS_APART 64.0
+#define PS_DEFOCUS_DISCONNECTED 64.0
 
 // Radius in pixels, along the picture's y, of the disk of confusion at depth d.
 float ps_confusion(float d)

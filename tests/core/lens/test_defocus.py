@@ -48,7 +48,7 @@ def test_bounds_hold_all_depths_between_and_are_met(parallel):
     of = blur(lens(parallel=parallel))
     rng = np.random.default_rng(0)
     near, far = np.sort(rng.uniform(0.1, 12.0, (2, 1000)), axis=0)
-    least, most = of.bounds(near, far)
+    least, most = of.radius_range(near, far)
     between = of.radius(near + (far - near) * np.linspace(0, 1, 101)[:, None])
     assert (between >= least * (1 - 1e-12)).all()
     assert (between <= most * (1 + 1e-12)).all()
@@ -59,8 +59,8 @@ def test_bounds_hold_all_depths_between_and_are_met(parallel):
 def test_depths_of_a_radius_are_its_inverse(parallel):
     of = blur(lens(parallel=parallel))
     for radius in (0.1, 0.5, 1.0):
-        np.testing.assert_allclose(of.radius(np.array(of.depths(radius))), radius, rtol=1e-9)
-    assert of.depths(1e9)[1] == np.inf or parallel  # all that is far
+        np.testing.assert_allclose(of.radius(np.array(of.depth_range(radius))), radius, rtol=1e-9)
+    assert of.depth_range(1e9)[1] == np.inf or parallel  # all that is far
 
 
 def test_what_is_no_lens_blurs_nothing():
@@ -162,7 +162,7 @@ def splats(count: int = 1, **more) -> defocus.Splats:
         "centre": np.zeros((count, 2)), "depth": np.arange(count, dtype=float), "covariance": wide,
         "exponent": np.zeros(count), "weight": np.ones(count), "color": np.eye(4)[:count, :3],
         "reach": np.full(count, 0.1), "back": np.zeros(count, bool), "translucent": np.zeros(count, bool),
-        "apart": np.zeros(count, bool),
+        "disconnected": np.zeros(count, bool),
     }  # fmt: skip
     given |= more
     given["weight"] = np.asarray(given["weight"], float) * np.pi * 4e4
@@ -221,7 +221,7 @@ def test_translucent_splats_follow_beers_law_before_within_and_behind_a_surface(
 
 
 def test_leaves_cover_on_their_own_however_near_they_are():
-    found = shares(splats(2, weight=[0.5, 0.4], reach=np.full(2, 5.0), apart=np.ones(2, bool)))
+    found = shares(splats(2, weight=[0.5, 0.4], reach=np.full(2, 5.0), disconnected=np.ones(2, bool)))
     np.testing.assert_allclose(found[:2], [0.5, 0.5 * 0.4], rtol=1e-9)
 
 
@@ -273,7 +273,7 @@ def test_cuts_of_what_is_sharp_and_of_what_is_blurred_hold_all_points(parallel):
         depth = -(tree.center[nodes] @ view[0, 2, :3] + view[0, 2, 3])
         size = tree.size[nodes]
         pixels = 2 * size * seen.pixel_from_view()[0] / (depth if parallel is None else 1.0)
-        assert (pixels <= of.widest(of.radius(depth), 1.0) * 1.0001).all()  # measured 0.966 of it
+        assert (pixels <= of.largest_splat(of.radius(depth), 1.0) * 1.0001).all()  # measured 0.966 of it
     assert stands_for[2] > stands_for[1] > stands_for[0]
 
 
@@ -301,7 +301,7 @@ def test_pieces_of_triangles_have_their_area_and_moments():
     np.testing.assert_allclose(np.diag(second), expected, atol=1e-5)  # measured 5.7e-7
     depth = -(place @ matrix[2, :3] + matrix[2, 3])
     widest = 4 / np.sqrt(3) * found.radii[:, 0] * seen.pixel_from_view()[0] / depth
-    assert (widest <= blur(seen).widest(blur(seen).radius(depth), 1.0)).all()  # measured 0.76 of it
+    assert (widest <= blur(seen).largest_splat(blur(seen).radius(depth), 1.0)).all()  # measured 0.76 of it
 
 
 def test_pieces_of_what_reaches_behind_the_eye_are_finite_and_few():

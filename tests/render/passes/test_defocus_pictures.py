@@ -90,7 +90,7 @@ def test_the_shader_is_the_reference(name):
     peak = defocus.kernel(np.zeros(len(k)), k, np.linalg.det(covariance))
     splats = defocus.Splats(
         place[:, :2], place[:, 2], covariance, k, place[:, 3] / peak, source[:, :3], source[:, 3],
-        back=kind % 2 == 1, translucent=kind // 2 % 2 == 1, apart=kind // 8 % 2 == 1,
+        back=kind % 2 == 1, translucent=kind // 2 % 2 == 1, disconnected=kind // 8 % 2 == 1,
     )  # fmt: skip
     height, width, _ = found.shape
     y, x = np.mgrid[:height, :width]

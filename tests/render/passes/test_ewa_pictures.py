@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.splat import ewa
+from pointsplat_addon.core.splat.ewa import low_pass
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
@@ -17,7 +17,7 @@ from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
 from scripts.scenes.drawing import render
 from scripts.studies import technique_error
-from tests.reference import opaque
+from tests.reference import ewa, opaque
 from tests.support.splats import (
     EWA,
     EXTREMES,
@@ -40,8 +40,8 @@ def closed_form(case: Case, samples: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Of the splats of the only cloud: their weights (H, W, N), and whether they hold the pixels' centres."""
     width, height = case.camera.resolution
     centre, a, b, middle, pixels = on_screen(case)
-    moments = ewa.covariance(centre, a, b, case.camera.pixel_from_view()[:2], case.camera.perspective)
-    found = ewa.weights(pixels, middle, moments, ewa.low_pass(samples))
+    moments = ewa.projected_covariance(centre, a, b, case.camera.pixel_from_view()[:2], case.camera.perspective)
+    found = ewa.resampling_weights(pixels, middle, moments, low_pass(samples))
     offset = pixels[:, None] - middle
     within = np.einsum("pni,nij,pnj->pn", offset, np.linalg.inv(moments), offset) <= 4
     return found.reshape(height, width, -1), within.reshape(height, width, -1)

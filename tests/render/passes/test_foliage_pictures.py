@@ -105,7 +105,7 @@ def test_surfaces_have_no_variant_for_it():
         device = NullDevice()
         Renderer(device).render(case.scene, case.request(COMBINED))
         names = {name for interface in device.interfaces for name, _ in interface.defines}
-        assert ("PS_APART" in names) == there
+        assert ("PS_DISCONNECTED" in names) == there
 
 
 def test_what_is_seen_through_leaves_is_closed():

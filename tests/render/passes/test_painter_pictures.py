@@ -9,7 +9,6 @@ from pointsplat_addon.core.lod import depth_order
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.core.splat import ewa, painter
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
@@ -22,7 +21,7 @@ from scripts.scenes.changes import levels
 from scripts.scenes.drawing import render
 from scripts.scenes.meshes import SHAPES, plane_mesh, shape, sphere_mesh
 from scripts.studies import technique_error
-from tests.reference import opaque
+from tests.reference import ewa, opaque, painter
 from tests.support import divided_meshes, transmittance
 from tests.support.splats import EXTREMES, NORMALS, VIEWS, dark, lone, of_nodes, on_screen, shape_picture, splats
 from tests.support.transmittance import mean_transmittance
@@ -49,7 +48,7 @@ def closed_form(case: Case) -> np.ndarray:
     """(H, W, N) how much of each splat of the only cloud is seen, from one sample."""
     width, height = case.camera.resolution
     centre, a, b, middle, pixels = on_screen(case)
-    moments = 4 * ewa.covariance(centre, a, b, case.camera.pixel_from_view()[:2], case.camera.perspective)
+    moments = 4 * ewa.projected_covariance(centre, a, b, case.camera.pixel_from_view()[:2], case.camera.perspective)
     cloud = case.scene.geometries[0].cloud
     assert cloud is not None
     assert cloud.radii is not None
@@ -247,7 +246,7 @@ def test_on_a_textured_plane_it_is_nearer_to_the_polygons_than_disks_and_farther
 @pytest.mark.parametrize("tolerance", [2.0, 4.0])
 def test_nodes_of_an_octree_close_what_their_points_close(tolerance):
     figures, leaks = of_nodes(PAINTER, tolerance)
-    assert leaks < 1  # measured 0.014; 38 without NODE_REACH
+    assert leaks < 1  # measured 0.014; 38 without NODE_SCALE
     assert figures["interior_psnr"] > 45  # measured 48.8; 35 without
     assert abs(figures["thickening"] - 1) < 0.001  # measured 0.0002
 

@@ -47,7 +47,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         ("PS_ONE_INSTANCE", options.one_instance),
         ("PS_CULL", options.cull),
         ("PS_ELLIPSES", options.ellipses),
-        ("PS_APART", options.apart),
+        ("PS_DISCONNECTED", options.disconnected),
         ("PS_COARSE", options.coarse),
     )
     defines = tuple((name, "1") for name, on in names if on)
@@ -84,7 +84,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         varyings=(
             ("flat", "uint", "ps_id"),
             ("flat", "float", "ps_order"),
-            *((("flat", "vec3", "ps_ellipse"), ("flat", "vec2", "ps_centre")) if options.apart else ()),
+            *((("flat", "vec3", "ps_ellipse"), ("flat", "vec2", "ps_centre")) if options.disconnected else ()),
         ),
         outputs=(("uint", "id"),),
         depth=True,
@@ -94,7 +94,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     flags = {
         "PS_DEPTH": options.depth,
         "PS_ELLIPSES": options.ellipses,
-        "PS_APART": options.apart,
+        "PS_DISCONNECTED": options.disconnected,
         "PS_COARSE": options.coarse,
     }
     resolve = Interface(

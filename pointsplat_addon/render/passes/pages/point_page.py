@@ -35,7 +35,7 @@ class PointOptions:
     holdout: bool = False
     ellipses: bool = False  # some splats are not round
     one_instance: bool = False
-    apart: bool = False  # some splats close no surface with others
+    disconnected: bool = False  # some splats close no surface with others
     depth: bool = False  # polygons share the G-buffer
     coarse: bool = False  # nodes are so wide that gaps between them show
 

@@ -57,7 +57,7 @@ def light_program(
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
     named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.opaque and not options.defocus}
     named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
-    named |= {"PS_FUZZY_APART": options.apart, "PS_DEFOCUS": options.defocus, "PS_LINES": options.strands}
+    named |= {"PS_FUZZY_DISCONNECTED": options.disconnected, "PS_DEFOCUS": options.defocus, "PS_LINES": options.strands}
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
     outputs = [
         "place",

@@ -91,8 +91,8 @@ def _reaching(cloud: PointCloud, points: int) -> PointCloud:
     if not is_fuzzy(cloud) or len(cloud) == points or cloud.radii is None:
         return cloud
     radii = cloud.radii.copy()
-    closed = True if cloud.apart is None else ~cloud.apart[points:, None]
-    np.multiply(radii[points:], np.float32(painter.NODE_REACH), out=radii[points:], where=closed)
+    closed = True if cloud.disconnected is None else ~cloud.disconnected[points:, None]
+    np.multiply(radii[points:], np.float32(painter.NODE_SCALE), out=radii[points:], where=closed)
     return replace(cloud, radii=radii)
 
 
