@@ -166,12 +166,12 @@ class POINTSPLAT_OT_mesh_to_strands(bpy.types.Operator):
                 made = bpy.data.objects.new(data.name, data)
                 ob.users_collection[0].objects.link(made)
                 made.parent, made.pointsplat.ribbons = ob, ribbon
-        _keep_polygons(mesh, np.unique(polygon[found.left]))
+        _keep_polygons(mesh, np.unique(polygon[found.remaining]))
         ribbons = int(found.ribbon.sum())
         self.report(
             {"INFO"},
             f"{ob.name}: {len(found) - ribbons} tubes, {ribbons} ribbons, "
-            f"{found.stay} of {found.parts} parts stay polygons",
+            f"{found.remaining_parts} of {found.parts} parts stay polygons",
         )
         return {"FINISHED"}
 

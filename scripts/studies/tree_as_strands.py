@@ -127,7 +127,7 @@ def strands(key: str, tree: Tree, found: FittedStrands, kept: np.ndarray) -> lis
 
 def vertices(tree: Tree, found: FittedStrands) -> tuple[int, int]:
     """How many points of strands and vertices of polygons the tree takes as lines, and how many vertices it has."""
-    return len(found.position) + len(np.unique(tree.triangles[found.left])), len(np.unique(tree.triangles))
+    return len(found.position) + len(np.unique(tree.triangles[found.remaining])), len(np.unique(tree.triangles))
 
 
 def leaf_length(tree: Tree) -> float:
@@ -168,7 +168,7 @@ def pair(tree: Tree, found: FittedStrands, only: int | None = None) -> tuple[lis
     every = np.ones(len(tree.triangles), bool) if only is None else tree.material == only
     key = f"maple {only}"
     lines = strands(key, tree, found, every[found.triangle])
-    return mesh(key, tree, every), lines + mesh(f"{key} rest", tree, every & found.left)
+    return mesh(key, tree, every), lines + mesh(f"{key} rest", tree, every & found.remaining)
 
 
 def compared(

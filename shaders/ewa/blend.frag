@@ -3,7 +3,7 @@
 
 #include "lib/geometry/camera.glsl"
 #include "lib/splat/ewa.glsl"
-#include "lib/data/place.glsl"
+#include "lib/geometry/surfel_kind.glsl"
 #include "lib/geometry/geometry.glsl"
 
 void main()
@@ -35,11 +35,11 @@ void main()
 #else
   float q = 4.0 * dot(uv, uv);
 #endif
-  vec2 v = gl_FragCoord.xy - v_place.xy;
+  vec2 v = gl_FragCoord.xy - v_centre.xy;
 #else
-  vec2 v = gl_FragCoord.xy - v_place.xy;
+  vec2 v = gl_FragCoord.xy - v_centre.xy;
   float q = v_conic.x * v.x * v.x + 2.0 * v_conic.y * v.x * v.y + v_conic.z * v.y * v.y;
-  float depth = v_place.z + dot(v_front.xy, v);
+  float depth = v_centre.z + dot(v_front.xy, v);
   float peak = v_conic.w;
 #endif
 #ifdef PS_BLEND
@@ -60,12 +60,12 @@ void main()
   }
 #endif
   float w = peak * exp(-0.5 * q);
-  bool back = v_place.w < 0.0;
+  bool back = v_centre.w < 0.0;
   w *= back && !ps_back_seen(nearest) ? PS_EWA_BACK : 1.0;
-  out_place = w * vec4(depth, v_material.x, back ? 0.0 : 1.0, 1.0);
+  out_depth = w * vec4(depth, v_material.x, back ? 0.0 : 1.0, 1.0);
 #ifdef PS_NORMAL
 #ifdef PS_BALLS
-  vec3 bulge = ps_surface_normal(v_normal.xyz, vec4(v_place.z, -v, 0.0), vec4(v_material.z, 0.0, v_material.w, 0.0),
+  vec3 bulge = ps_surface_normal(v_normal.xyz, vec4(v_centre.z, -v, 0.0), vec4(v_material.z, 0.0, v_material.w, 0.0),
                                  gl_FragCoord.xy);
   out_normal = w * vec4(bulge, v_normal.w);
 #else
@@ -83,7 +83,7 @@ void main()
     discard;
   }
   // Ellipses that are seen nearly edge-on reach beyond the edge of a closed surface: their backs are not meant.
-  bool back = v_place.w < 0.0 && length(v_front.xy) < PS_EWA_STEEP * abs(ps_pixel_size(v_place.z));
+  bool back = v_centre.w < 0.0 && length(v_front.xy) < PS_EWA_STEEP * abs(ps_pixel_size(v_centre.z));
   // Beyond the near plane, so that 0 means that there is nothing.
   out_nearest = vec4(depth - u.near, depth + v_front.w, v_material.x, 2.0 * v_material.y + (back ? 1.0 : 0.0));
   gl_FragDepth = ps_buffer_depth(depth);

@@ -24,10 +24,10 @@ float ps_farthest(vec2 middle, vec2 side)
 void main()
 {
   ivec2 at = ivec2(gl_FragCoord.xy), last = ivec2(u.size) - 1;
-  vec4 place = texelFetch(ps_splat_place, at, 0), front = texelFetch(ps_splat_front, at, 0);
+  vec4 centre = texelFetch(ps_splat_centre, at, 0), front = texelFetch(ps_splat_front, at, 0);
   vec3 c = texelFetch(ps_splat_shape, at, 0).xyz;
-  vec2 middle = place.xy + u.principal_point;
-  bool back = place.w < 0.0;
+  vec2 middle = centre.xy + u.principal_point;
+  bool back = centre.w < 0.0;
   float margin = u.margin, tolerance = back ? 0.0 : u.tolerance * front.w, low_pass = u.low_pass;
   // Axes of the covariance, one standard deviation long, and of that of the kernel.
   float mean = 0.5 * (c.x + c.z), apart = length(vec2(0.5 * (c.x - c.z), c.y));
@@ -41,7 +41,7 @@ void main()
     sides *= (abs(sides.x) + abs(sides.y) > 1.5 ? 0.70710678 : 1.0) * rim;
     ivec2 pixel = clamp(ivec2(floor(middle + sides.x * axis + sides.y * across)), ivec2(0), last);
     vec2 seen = texelFetch(ps_nearest, pixel, 0).xy;
-    float depth = place.z + dot(front.xy, vec2(pixel) + 0.5 - middle);
+    float depth = centre.z + dot(front.xy, vec2(pixel) + 0.5 - middle);
     bool open = !(seen.x > 0.0);
     covered = covered && !open && depth - u.near + tolerance >= seen.x;
   }
@@ -49,7 +49,7 @@ void main()
   float farthest = ps_farthest(middle, side);
   bool closed = farthest < PS_OPEN;
   // All of it, wherever something nearer ends within its reach.
-  bool hidden = place.z - dot(abs(front.xy), side) - front.w > farthest;
+  bool hidden = centre.z - dot(abs(front.xy), side) - front.w > farthest;
 #ifdef PS_THIN
   covered = covered && (back || closed);
 #else

@@ -18,7 +18,7 @@ void main()
   ivec3 element = ps_element((at.y << PS_PAGE_SHIFT) + at.x);
   bool drawn = element.x >= 0;
   element = max(element, ivec3(0));
-  vec4 head = texelFetch(ps_place, element.xy, 0);
+  vec4 head = texelFetch(ps_position, element.xy, 0);
   vec4 extent = texelFetch(ps_extent, element.xy, 0);
   vec3 p = ps_view_from_point(element.z, head.xyz);
   mat3 linear = ps_linear(element.z);
@@ -69,7 +69,7 @@ void main()
 #endif
   s = ps_attributed(s, element);
   float kind = float(element.z) * 2.0 + (large ? 2.0 : 1.0);
-  out_place = vec4(pixel.xy - u.principal_point, d, drawn ? (turned ? -kind : kind) : 0.0);
+  out_centre = vec4(pixel.xy - u.principal_point, d, drawn ? (turned ? -kind : kind) : 0.0);
   out_shape = vec4(covariance, s.shape.w);
   // Alone, a splat stands for all of its ellipse.
   float share = fract(extent.w) > 0.0 && !ball ? PS_EWA_NODE_SHARE : PS_EWA_SHARE;

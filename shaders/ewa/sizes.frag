@@ -12,5 +12,5 @@ void main()
   vec3 c = texelFetch(ps_splat_shape, listed, 0).xyz;
   out_size = vec4(PS_EWA_CUTOFF_SIGMA * sqrt(max(c.x, c.z) + u.low_pass),
                   12.566371 * sqrt(max(c.x * c.z - c.y * c.y, 0.0)),
-                  texelFetch(ps_splat_place, listed, 0).xy + u.principal_point);
+                  texelFetch(ps_splat_centre, listed, 0).xy + u.principal_point);
 }

@@ -6,14 +6,14 @@
 #include "lib/geometry/footprint.glsl"
 
 #ifndef PS_MARK
-void ps_put(ivec2 place, uint key, int index, uint beside)
+void ps_put(ivec2 texel, uint key, int index, uint beside)
 {
 #ifdef PS_IDENTIFY
-  if ((texelFetch(ps_depth, place, 0).x & ~PS_BESIDE) == key) {
-    imageAtomicMin(ids, place, uint(u.first_index + index) | beside);
+  if ((texelFetch(ps_depth, texel, 0).x & ~PS_OFF_CENTRE) == key) {
+    imageAtomicMin(ids, texel, uint(u.first_index + index) | beside);
   }
 #else
-  imageAtomicMin(depth, place, key | beside);
+  imageAtomicMin(depth, texel, key | beside);
 #endif
 }
 #endif
@@ -25,7 +25,7 @@ void main()
   if (element.x < 0) {
     return;
   }
-  vec4 head = texelFetch(ps_place, element.xy, 0);
+  vec4 head = texelFetch(ps_position, element.xy, 0);
   vec3 view = ps_view_from_point(element.z, head.xyz);
   vec3 pixel = ps_pixel_from_view(view);
   if (!ps_in_frame(pixel)) {
@@ -41,9 +41,9 @@ void main()
     }
   }
 #endif
-  ivec2 place = ivec2(pixel.xy);
+  ivec2 texel = ivec2(pixel.xy);
 #ifdef PS_MARK
-  if (texelFetch(ps_tiles, place / PS_TILE, 0).x != 0.0) {
+  if (texelFetch(ps_tiles, texel / PS_TILE, 0).x != 0.0) {
     imageAtomicMin(marks, ps_texel(index >> u.block_shift), 0u);
   }
 #else
@@ -59,7 +59,7 @@ void main()
     ivec2 high = min(ivec2(floor(pixel.xy + reach - 0.5)), u.size - 1);
     for (int y = low.y; y <= high.y; y++) {
       for (int x = low.x; x <= high.x; x++) {
-        if (ps_beside(covariance, pixel.xy - (vec2(x, y) + 0.5)) == 0u) {
+        if (ps_off_centre(covariance, pixel.xy - (vec2(x, y) + 0.5)) == 0u) {
           ps_put(ivec2(x, y), key, index, 0u);
         }
       }
@@ -67,6 +67,6 @@ void main()
     return;
   }
 #endif
-  ps_put(place, key, index, ps_beside(covariance, pixel.xy - (vec2(place) + 0.5)));
+  ps_put(texel, key, index, ps_off_centre(covariance, pixel.xy - (vec2(texel) + 0.5)));
 #endif
 }

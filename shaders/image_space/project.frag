@@ -6,7 +6,7 @@
 void main()
 {
 #ifdef PS_DISCONNECTED
-  if (ps_ellipse.x > 0.0 && ps_beside(ps_ellipse, ps_centre - gl_FragCoord.xy) != 0u) {
+  if (ps_ellipse.x > 0.0 && ps_off_centre(ps_ellipse, ps_centre - gl_FragCoord.xy) != 0u) {
     discard;
   }
 #endif

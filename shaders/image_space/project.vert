@@ -17,7 +17,7 @@ void main()
   if (element.x < 0) {
     return;
   }
-  vec4 head = texelFetch(ps_place, element.xy, 0);
+  vec4 head = texelFetch(ps_position, element.xy, 0);
   vec3 view = ps_view_from_point(element.z, head.xyz);
   vec3 pixel = ps_pixel_from_view(view);
   if (!ps_in_frame(pixel)) {
@@ -48,7 +48,7 @@ void main()
     return;
   }
 #endif
-  uint beside = ps_beside(covariance, pixel.xy - centre);
+  uint beside = ps_off_centre(covariance, pixel.xy - centre);
   ps_id |= beside;
   // Splats that miss the pixel's centre come after all that hold it: the far half of the depth range. Written by the
   // fragment shader, since clip space would round it to a part of the whole range.

@@ -1,20 +1,20 @@
 // Passes that are not averaged: what lies under the pixel's centre in the first sample.
 
 #include "lib/geometry/camera.glsl"
-#include "lib/data/place.glsl"
+#include "lib/geometry/surfel_kind.glsl"
 #include "lib/geometry/geometry.glsl"
 
 void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
-  vec4 place = texelFetch(ps_place, pixel, 0);
-  bool there = ps_is_there(place);
+  vec4 centre = texelFetch(ps_centre, pixel, 0);
+  bool there = ps_is_there(centre);
   vec3 position = vec3(0.0, 0.0, -1e10);
   vec4 shape = vec4(0.0);
   if (there) {
     shape = texelFetch(ps_shape, pixel, 0);
     vec3 stored = texelFetch(ps_normal, pixel, 0).xyz;
-    position = ps_surface_position(ps_surface_normal(stored, place, shape, gl_FragCoord.xy), stored, place,
+    position = ps_surface_position(ps_surface_normal(stored, centre, shape, gl_FragCoord.xy), stored, centre,
                                    gl_FragCoord.xy);
   }
 #ifdef PS_OUT_POSITION

@@ -4,7 +4,7 @@
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/splat/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
 // drawn where they show their backs, PS_FUZZY_DISCONNECTED: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
-// render/passes/defocus/gather.py, PS_LINES: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
+// render/passes/defocus/gather.py, PS_STRANDS: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
 // opaque may stand among them.
 
 #include "lib/geometry/camera.glsl"
@@ -17,7 +17,7 @@
 #ifdef PS_DEFOCUS
 #include "lib/splat/defocus.glsl"
 #endif
-#ifdef PS_LINES
+#ifdef PS_STRANDS
 #include "lib/light/hair.glsl"
 #endif
 
@@ -64,7 +64,7 @@ void main()
   ivec2 at = ivec2(low & 4095, (low >> 12) + ((high & 3) << 12));
 
   // Half-axes in view space.
-  vec4 head = texelFetch(ps_place, at, 0), extent = texelFetch(ps_extent, at, 0);
+  vec4 head = texelFetch(ps_position, at, 0), extent = texelFetch(ps_extent, at, 0);
   vec4 optics = texelFetch(ps_optics, at, 0);
   vec4 rows[3] = vec4[3](ps_instance_row(instance, 0), ps_instance_row(instance, 1), ps_instance_row(instance, 2));
   vec4 q = vec4(head.xyz, 1.0);
@@ -84,12 +84,12 @@ void main()
 #endif
 
   // A medium that shines like a surface is steep there, and the lattice near it would show as rings.
-  vec3 place = p + (medium ? 3.0 * extent.x * length(linear[0]) * facing : vec3(0.0));
+  vec3 lit_position = p + (medium ? 3.0 * extent.x * length(linear[0]) * facing : vec3(0.0));
 #ifdef PS_REACH
   // How much of each light comes here does not depend on the camera.
   vec3 share[4] = vec3[4](vec3(1.0), vec3(1.0), vec3(1.0), vec3(1.0));
   for (int i = 0; i < PS_REACH; i++) {
-    share[i] = ps_transmittance(i, place, facing, true);
+    share[i] = ps_transmittance(i, lit_position, facing, true);
   }
 #ifdef PS_SHADOW_COLORED
   out_reach_0 = vec4(share[0], 1.0);
@@ -246,17 +246,17 @@ void main()
   surface.emission = medium ? vec3(0.0) : emission;
   if (lit_as_surface) {
     facing = dot(facing, facing) > 0.5 ? facing : to_eye;
-#ifdef PS_LINES
+#ifdef PS_STRANDS
     bool strand = fuzzy && optics.w > 0.5;
     for (int i = 0; i < (strand ? 1 : 0); i++) {
-      source += ps_shade_strand(place, normalize(a), to_eye, surface, texelFetch(ps_materials, ivec2(3, material), 0),
+      source += ps_shade_strand(lit_position, normalize(a), to_eye, surface, texelFetch(ps_materials, ivec2(3, material), 0),
                                 u.light_count);
     }
     for (int i = 0; i < (strand ? 0 : 1); i++) {
-      source += ps_shade(place, facing, to_eye, surface, u.light_count);
+      source += ps_shade(lit_position, facing, to_eye, surface, u.light_count);
     }
 #else
-    source += ps_shade(place, facing, to_eye, surface, u.light_count);
+    source += ps_shade(lit_position, facing, to_eye, surface, u.light_count);
 #endif
   }
 
@@ -271,7 +271,7 @@ void main()
 #endif
 
 #if defined(PS_AMONG_OPAQUE) || defined(PS_DEFOCUS)
-  // Regression of depth on the place in the picture.
+  // Regression of depth on the position in the picture.
 #ifdef PS_DEFOCUS
   vec3 seen_as = wide - disk;
 #else
@@ -300,11 +300,11 @@ void main()
   // How far before and behind its middle the surface may lie that it shows in a pixel: as far as its plane reaches, and
   // its neighbours do, within the disk.
   float reach = length(gradient) * sqrt(2.0 * (k + 2.0) * max(wide.x, wide.z)) + 2.0 * length(deep);
-  out_place = seen ? vec4(centre, d, amount * ps_defocus_peak(k, det)) : vec4(0.0);
+  out_centre = seen ? vec4(centre, d, amount * ps_defocus_peak(k, det)) : vec4(0.0);
   out_shape = seen ? vec4(vec3(wide.z, -wide.y, wide.x) / det, k + kind) : vec4(1.0, 0.0, 1.0, 0.0);
   out_source = vec4(ps_finite(source), reach);
 #else
-  out_place = seen ? vec4(centre, d, peak * kept * PS_PEAK) : vec4(0.0);
+  out_centre = seen ? vec4(centre, d, peak * kept * PS_PEAK) : vec4(0.0);
   out_shape = seen ? vec4(wide, 0.0) : vec4(1.0, 0.0, 1.0, 0.0);
   out_source = vec4(ps_finite(source), 0.0);
 #ifdef PS_KERNELS

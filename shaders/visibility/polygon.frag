@@ -51,7 +51,7 @@ void main()
   float d = -v_position.z;
   float material = float(u.material);
   PsSurfel s = ps_empty();
-  s.place = vec4(d, 0.0, 0.0, PS_POLYGON);
+  s.centre = vec4(d, 0.0, 0.0, PS_POLYGON);
   s.shape = vec4(0.0, 0.0, 0.0, u.holdout == 1 ? -1.0 - material : material);
 #ifdef PS_NORMAL
   s.normal.xyz = normalize(v_normal);

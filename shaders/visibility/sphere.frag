@@ -29,7 +29,7 @@ void main()
     discard;
   }
   PsSurfel s = ps_empty();
-  s.place = vec4(d, 0.0, 0.0, PS_POLYGON);
+  s.centre = vec4(d, 0.0, 0.0, PS_POLYGON);
   ivec3 element = ivec3(v_element);
   s.shape.w = texelFetch(ps_extent, element.xy, 0).w;
 #ifdef PS_NORMAL

@@ -126,13 +126,13 @@ void main()
     discard;
   }
   PsSurfel s = ps_empty();
-  s.place = vec4(d, 0.0, 0.0, PS_POLYGON);
+  s.centre = vec4(d, 0.0, 0.0, PS_POLYGON);
   s.shape.w = v_segment.w;
 #ifdef PS_NORMAL
 #ifndef PS_TUBE
   s.normal.xyz = normalize(v_normal);
 #ifndef PS_RIBBON
-  s.place.y = PS_STRAND;
+  s.centre.y = PS_STRAND;
 #endif
 #else
   mat3 linear = ps_linear(instance);
@@ -142,7 +142,7 @@ void main()
   // Round along the strand as well: across its own tangent, not the segment's.
   vec3 outward = along > 0.0 && along < 1.0 ? hit.normal - dot(hit.normal, tangent) * tangent : hit.normal;
   s.normal.xyz = fibre ? tangent : normalize(outward);
-  s.place.y = fibre ? PS_STRAND : 0.0;
+  s.centre.y = fibre ? PS_STRAND : 0.0;
 #endif
 #endif
 #ifdef PS_COLOR

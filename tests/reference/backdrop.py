@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The world seen out of focus, in float64: what shaders/shading/backdrop.frag and backdrop_blur.frag compute."""
 
 from __future__ import annotations
 

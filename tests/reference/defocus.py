@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Depth of field by splats, in float64 (model: core/lens/kernel.py): what shaders/defocus/gather.frag computes."""
 
 from __future__ import annotations
 

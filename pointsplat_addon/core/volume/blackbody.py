@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Colours of black bodies from Planck's law and the CIE 1931 observer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Sparse voxel indices as sortable 64-bit numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Blocks of voxels merged into one voxel each, at its centre of mass."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Normals of a volume from the negated 3D Sobel gradient of a grid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Extinction, albedo and emission of voxels, by a medium as Cycles reads it or by a transfer function."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ class OutOfFocus:
         """By the tiles of the picture."""
         lit = self.lit
         place, shape = (
-            self.device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_place", "ps_shape")
+            self.device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_centre", "ps_shape")
         )
         focal = np.array([*view.camera.pixel_from_view()[:2], *view.principal_point], np.float32).astype(np.float64)
         self.tiles = Defocus(self.device, tile_lists(place, shape, focal, self.targets.seen.size))

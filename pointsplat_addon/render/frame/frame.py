@@ -24,14 +24,14 @@ from ..passes.tiles import EVERYWHERE
 from ..passes.uniforms import SampleView, view_of
 from ..plan.frame_plan import make_shot
 from ..plan.request import Request
-from .data import Data
+from .data import DataPasses
 from .defocus import OutOfFocus, in_focus
 from .lens_samples import LensSamples
 from .resources import FrameResources
-from .sample_positions import checkpoint, offsets
+from .sample_positions import is_checkpoint, offsets
 from .surfels import Surfels
 from .targets import Targets
-from .translucent import Translucent, lighting
+from .translucent import Translucent, lighting_of_sample
 from .uploads import Uploads
 
 
@@ -65,7 +65,7 @@ class Frame:
         self.translucent: Translucent | None = None
         self.out_of_focus: OutOfFocus | None = None
         self._turns = sample_offsets(self.shot.request.samples)
-        self._data = Data(self.shot.scene, self.shot.request)
+        self._data = DataPasses(self.shot.scene, self.shot.request)
         self._owned: list[Any] = []
         self._lent: tuple[tuple, Targets] | None = None
         try:
@@ -99,7 +99,7 @@ class Frame:
             device.clear(self.targets.sum_target)
         if not shot.everywhere:
             shown = self.presented and not plan.defocus and self.targets.surfels is not None
-            place = _bound(self.targets.surfels).get("ps_place") if shown else None
+            place = _bound(self.targets.surfels).get("ps_centre") if shown else None
             threshold = request.settings.adaptive_threshold
             gather = 2 << count  # two pixels of the coarsest level on either side
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, place))
@@ -141,7 +141,7 @@ class Frame:
         if self.adaptive is not None and self.done < self.shot.request.samples:
             adaptive = self.adaptive
             self.clock.run("adapt", lambda: self._adapt(adaptive))
-        if self.presented and (self.complete or checkpoint(self.done)) and not self.hurried:
+        if self.presented and (self.complete or is_checkpoint(self.done)) and not self.hurried:
             self._gather()
         return not self.complete
 
@@ -195,7 +195,7 @@ class Frame:
         if beside and data_surfels is not None and data_surfels is not surfels:
             data_surfels.draw(uploads, projection, view, run)
         if self.lens is not None and first and self.presented and data_surfels is not None:
-            self.lens.keep(data_surfels.buffer.textures["place"])
+            self.lens.keep(data_surfels.buffer.textures["centre"])
         if plan.data and (first or self._data.every_sample):
             run("data", lambda: self._draw_data(view))
             self._data.read(self.targets.data, self._cropped, first)
@@ -268,7 +268,7 @@ class Frame:
         # Their light is the same for all samples, but for the lens, and for the shadows of wide lamps, which they blur
         # among each other.
         shadows = self.shot.shadows
-        points = lighting(self.shot.request, self.done) if shadows is not None and shadows.wide else 0
+        points = lighting_of_sample(self.shot.request, self.done) if shadows is not None and shadows.wide else 0
         if first or points != translucent.lit_by or self.lens is not None:
             translucent.light(points, self._centred())
         translucent.draw(view, _bound(self.targets.surfels), coarse=first and self.shot.plan.coarse)
@@ -327,7 +327,7 @@ class Frame:
         if adaptive is not None:
             textures["ps_counts"] = adaptive.known
         if (place := self._place) is not None:
-            textures["ps_place"] = place
+            textures["ps_centre"] = place
         program = present.present_program(place is not None, adaptive is not None)
         _, _, width, height = camera.window
         record = present.present_record(place is not None, camera, (width, height), self.shot.corner, weight)
@@ -341,7 +341,7 @@ class Frame:
         if self.adaptive is not None and self.out_of_focus is None:
             return self.adaptive.place
         drawn = self if self.beside is None or self.beside.shot.trivial else self.beside
-        return _bound(drawn.targets.data_surfels).get("ps_place")
+        return _bound(drawn.targets.data_surfels).get("ps_centre")
 
     def _present_constant(self) -> None:
         """A world of one colour needs no picture: one texel does."""

@@ -16,15 +16,15 @@ from ..plan.request import Request
 from .targets import Targets
 from .uploads import Uploads
 
-RELIT = 4  # times that translucent splats are lit in one picture, where lamps are wide
+LIGHTINGS = 4  # times that translucent splats are lit in one picture, where lamps are wide
 
 
-def lighting(request: Request, sample: int) -> int:
+def lighting_of_sample(request: Request, sample: int) -> int:
     """Which points of wide lamps light translucent splats in a sample: RELIT times in a picture; where an error
     decides how many samples there are, for each pair."""
     if request.settings.budget == "ERROR":
         return (sample + 1) // 2
-    return sample // max(request.samples // RELIT, 1)
+    return sample // max(request.samples // LIGHTINGS, 1)
 
 
 class Translucent:
@@ -45,7 +45,7 @@ class Translucent:
         self.lit_by = 0  # which points of wide lamps
         program = light_program(plan.translucent, plan.lighting, plan.materials, uploads.reach_lights)
         variant = plan.variant
-        channels = variant.samplers(only=("place", "shape", "normal") if variant.normal else ("place",))
+        channels = variant.samplers(only=("centre", "shape", "normal") if variant.normal else ("centre",))
         self._add = add_program(plan.translucent)
         self._depth = depth_program(channels, variant.normal)
         self.lit = LitSplats(device, plan.translucent, program, uploads.listed, samples)

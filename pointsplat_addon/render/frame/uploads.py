@@ -26,7 +26,7 @@ from ...core.surface.appearance import digest
 from ...core.surface.density import Parts, make_parts
 from ..cache.store import STORE, Layer, PointSet
 from ..device.packing import PAGE_WIDTH, paged
-from ..device.protocol import Device, Target, Texture, undone
+from ..device.protocol import Device, Target, Texture, released_on_failure
 from ..passes.pages.point_page import Page, PageDraw, blocks, instance_rows, with_origin
 from ..passes.shading import lighting, materials
 from ..passes.translucent import light as light_pass
@@ -68,7 +68,7 @@ class Kept:
     def keep(self, key: tuple, make: Callable[[], Any]) -> Any:
         """What `make` puts on the device, made once for `key`."""
         if key not in self._items:
-            with undone(self.device):
+            with released_on_failure(self.device):
                 self._items[key] = make()
         self._items[key] = self._items.pop(key)
         return self._items[key]
@@ -120,7 +120,7 @@ class Uploads:
         self.meshes: dict[int, polygon_mesh.PolygonMesh] = {}
         # Of each group, by instance, where it draws only some parts.
         self.part_lists: dict[int, list[polygon_mesh.PartList | None]] = {}
-        self.lines: list[strand_page.LineDraw] = []
+        self.lines: list[strand_page.StrandDraw] = []
         self.line_instances: Texture | None = None
         self.splats: dict[str, Texture] = {}  # translucent ones, and their draw list
         self.listed = 0  # how many
@@ -138,7 +138,7 @@ class Uploads:
     def shading(self) -> dict[str, Texture]:
         """Textures that shading reads, by sampler name."""
         tables, records = self.shadows
-        return lighting.textures(
+        return lighting.bound_textures(
             materials=self.shared.get("ps_materials"), lights=self.lights, environment=self.environment,
             shadow_tables=tables, shadow_lights=records,
         )  # fmt: skip
@@ -318,12 +318,12 @@ class Uploads:
             key = ("lines", geometry.key, variant, _fill_key(scene))
             self.used.add(key)
 
-            def make(lines: Strands = lines, geometry: Geometry = geometry) -> strand_page.LinePage:
+            def make(lines: Strands = lines, geometry: Geometry = geometry) -> strand_page.StrandPage:
                 strands = STORE.lookup(("strands", geometry.key), lambda: with_levels(lines))
-                return strand_page.LinePage(self.device, lines, strands, variant, scene.materials)
+                return strand_page.StrandPage(self.device, lines, strands, variant, scene.materials)
 
             page = self.kept.keep(key, make)
-            self.lines.append(self._own(strand_page.LineDraw(self.device, page, segments, scene.instances.holdout)))
+            self.lines.append(self._own(strand_page.StrandDraw(self.device, page, segments, scene.instances.holdout)))
 
     def _draw_list(self) -> None:
         """Translucent splats, and the order in which this view draws them."""
@@ -359,14 +359,14 @@ class Uploads:
     def _unsorted(self, page: TranslucentPage, layer: Layer) -> tuple[Texture, int]:
         """The splats of a cut as they come, and how many."""
         texel, instance = listed(page, layer)
-        size, data = paged(light_pass.draw_list(texel, instance), 2)
+        size, data = paged(light_pass.draw_list_rows(texel, instance), 2)
         return self._own(self.device.texture(size, "RG32F", data)), len(texel)
 
     def _remember(self, page: TranslucentPage, key: tuple, layer: Layer, world_from_object: np.ndarray) -> None:
         """What it needs to know the light that reaches each splat for all cameras: one instance for each splat."""
         shown = layer.set_of_instance[layer.set_of_instance >= 0]
         lights = len(self.scene.lights)
-        if self.shadows[0] is None or len(np.unique(shown)) < len(shown) or lights > light_pass.MOST_REACHED:
+        if self.shadows[0] is None or len(np.unique(shown)) < len(shown) or lights > light_pass.MOST_SHARED_LIGHTS:
             return
         instance = np.zeros(page.count, np.int64)
         for row in np.flatnonzero(layer.set_of_instance >= 0):
@@ -380,11 +380,11 @@ class Uploads:
         """How much of each light reaches the translucent splats, by sampler name; `tap`: which point of wide lamps."""
         device, options = self.device, self.plan.translucent
         assert options is not None
-        program = light_pass.reach_program(options, self.plan.lighting, self.reach_lights)
+        program = light_pass.light_shares_program(options, self.plan.lighting, self.reach_lights)
         count = len(self.reach_instances)
 
         def light(target: Target) -> None:
-            size, data = paged(light_pass.draw_list(np.arange(count), self.reach_instances), 2)
+            size, data = paged(light_pass.draw_list_rows(np.arange(count), self.reach_instances), 2)
             order = device.texture(size, "RG32F", data)
             every = view.record_of(program.block, count=count)
             textures = {**self.splats, **self.shading, "ps_order": order}
@@ -394,8 +394,8 @@ class Uploads:
                 order.release()
 
         self.used.add(self._reach_key)
-        kept: light_shares.Reach = self.kept.keep(self._reach_key, lambda: light_shares.Reach(device))
-        return kept.textures(self.reach_key, tap, program, self.splats["ps_place"].size, light)
+        kept: light_shares.LightShares = self.kept.keep(self._reach_key, lambda: light_shares.LightShares(device))
+        return kept.textures(self.reach_key, tap, program, self.splats["ps_position"].size, light)
 
     def _polygon_meshes(self) -> dict[int, polygon_mesh.PolygonMesh]:
         scene, plan, meshes = self.scene, self.plan, {}
@@ -481,7 +481,7 @@ class DrawList:
         texel, instance = listed(page, layer)
         index = self._order.index
         self.count = len(index)
-        size, data = paged(light_pass.draw_list(texel[index], instance[index]), 2)
+        size, data = paged(light_pass.draw_list_rows(texel[index], instance[index]), 2)
         self.release()
         self.texture = device.texture(size, "RG32F", data)
 

@@ -1,10 +1,4 @@
-"""Adaptive sampling: tiles of the picture whose samples agree get no more of them.
-
-After 5, 9, 17 ... samples each tile is asked how far the mean of its samples lies from the mean of their first half,
-in its worst pixel; where that is below the threshold the tile is done. The measure is Cycles' (difference of two
-estimates over the square root of the brightness), but both are means of a fixed sequence of sample positions: no random
-numbers, and the same picture every time.
-"""
+"""Full-screen passes over only some tiles of the picture."""
 
 from __future__ import annotations
 

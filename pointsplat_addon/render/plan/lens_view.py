@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The camera for which a picture through many points of a lens is prepared."""
 
 from __future__ import annotations
 

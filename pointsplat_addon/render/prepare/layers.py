@@ -62,7 +62,7 @@ def cut_layer(
         own[where[choice.level != OWN_CUT]] = -1
         set_of_instance[where[choice.level == NOTHING]] = -1
         every = where[choice.level == ALL_POINTS]
-        shared.append(cut_of_all_points(np.array([len(points.cloud)]), np.zeros(len(every), int)).of(every))
+        shared.append(cut_of_all_points(np.array([len(points.cloud)]), np.zeros(len(every), int)).renumbered(every))
         some = np.flatnonzero(choice.level >= 0)
         if len(some):
             at = len(view.scene.geometries) + max(sets) + 1

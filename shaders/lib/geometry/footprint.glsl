@@ -8,7 +8,7 @@
 #define PS_COARSE_AREA 2.0
 #define PS_COARSE_SIGMA 0.5  // pixels
 #define PS_ALONE_SIGMA 4.0  // pixels
-#define PS_BESIDE 0x80000000u  // of a depth or an index: the splat does not hold its pixel's centre
+#define PS_OFF_CENTRE 0x80000000u  // of a depth or an index: the splat does not hold its pixel's centre
 
 // Rows of the matrix that takes offsets in the object to half pixels: the perspective Jacobian (Zwicker et al. 2001)
 // times the instance's linear part.
@@ -65,9 +65,9 @@ bool ps_alone(vec3 covariance, vec4 extent)
 }
 #endif
 
-// PS_BESIDE where the ellipse around a centre that is `v` pixels from its pixel's centre does not hold that.
-uint ps_beside(vec3 c, vec2 v)
+// PS_OFF_CENTRE where the ellipse around a centre that is `v` pixels from its pixel's centre does not hold that.
+uint ps_off_centre(vec3 c, vec2 v)
 {
   float det = max(c.x * c.z - c.y * c.y, 1e-12);
-  return c.z * v.x * v.x - 2.0 * c.y * v.x * v.y + c.x * v.y * v.y <= 4.0 * det ? 0u : PS_BESIDE;
+  return c.z * v.x * v.x - 2.0 * c.y * v.x * v.y + c.x * v.y * v.y <= 4.0 * det ? 0u : PS_OFF_CENTRE;
 }

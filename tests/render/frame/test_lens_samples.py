@@ -144,7 +144,7 @@ def test_a_viewport_keeps_the_depths_that_the_middle_of_the_lens_sees():
             pass
         picture.present()
         assert device.names.count("keep") == kept
-        place, data = device.calls[-1].textures["ps_place"], picture.targets.data_surfels
+        place, data = device.calls[-1].textures["ps_centre"], picture.targets.data_surfels
         assert data is not None
-        assert (place is data.buffer.textures["place"]) == (aperture is None)
+        assert (place is data.buffer.textures["centre"]) == (aperture is None)
         picture.release()

@@ -80,7 +80,7 @@ def test_the_shader_is_the_reference(name):
     corner = frame.shot.corner
     frame.release()
 
-    place, shape, source = kept["ps_place"], kept["ps_shape"], kept["ps_source"]
+    place, shape, source = kept["ps_centre"], kept["ps_shape"], kept["ps_source"]
     order = np.argsort(place[:, 2], kind="stable")
     order = order[place[order, 3] > 0]
     place, shape, source = place[order], shape[order], source[order]

@@ -67,7 +67,7 @@ def test_what_is_full_of_holes_leaves_nothing_out(drawn):
 def test_thinning_leaves_no_pattern_of_the_numbers():
     """Numbers of rows and spirals: each part of them keeps its share."""
     index = np.arange(1 << 18)
-    kept = np.isin(index, cover.thinned(index, 0.25))
+    kept = np.isin(index, cover.hashed_share(index, 0.25))
     for period in (2, 3, 8, 64, 610, 4096):
         share = np.bincount(index % period, kept) / np.bincount(index % period)
         deviation = np.sqrt(0.25 * 0.75 / (len(index) / period))

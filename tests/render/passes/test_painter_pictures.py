@@ -342,7 +342,7 @@ def test_a_viewport_knows_how_far_what_is_painted_is():
     frame.present()
     data = frame.targets.data_surfels
     assert data is not None
-    assert device.calls[-1].textures["ps_place"] is data.buffer.textures["place"]
+    assert device.calls[-1].textures["ps_centre"] is data.buffer.textures["centre"]
     frame.release()
 
 

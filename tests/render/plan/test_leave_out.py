@@ -264,7 +264,7 @@ def test_where_nothing_opaque_is_drawn_there_is_no_g_buffer():
         outputs = {output for interface in device.interfaces for _, output in interface.outputs}
         assert not {"out_normal", "out_front"} & outputs
         assert "shade" not in device.names
-        assert "ps_place" not in {s for i in device.interfaces if i.name == "background" for _, s in i.samplers}
+        assert "ps_centre" not in {s for i in device.interfaces if i.name == "background" for _, s in i.samplers}
 
 
 def test_without_a_pyramid_no_near_ends_are_kept():
@@ -292,7 +292,7 @@ def test_the_viewport_presents_without_a_depth_where_nothing_has_one():
         frame.present()
         present = device.calls[-1].interface
         assert present.name == "present"
-        assert ("ps_place" in {sampler for _, sampler in present.samplers}) == reads
+        assert ("ps_centre" in {sampler for _, sampler in present.samplers}) == reads
         assert {declared for _, declared in present.samplers} <= words(present)
         assert not idle_defines(present)
         frame.release()

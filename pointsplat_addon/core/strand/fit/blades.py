@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""One ribbon for each flat part without lobes, by its widths across its longest axis."""
 
 from __future__ import annotations
 
@@ -61,5 +61,5 @@ def fit_blades(flat: FlatParts, taken: np.ndarray) -> PartStrands:
     )
     radius *= (whole / np.maximum(covered, 1e-300))[:, None]
     normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-300)
-    return (points[fits].reshape(-1, 3), radius[fits].ravel(), normal[fits].reshape(-1, 3),
+    return PartStrands(points[fits].reshape(-1, 3), radius[fits].ravel(), normal[fits].reshape(-1, 3),
             np.full(int(fits.sum()), BLADE_POINTS), flat.part[fits])  # fmt: skip

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Flat parts of a mesh, with their principal axes and the triangles of one of their two sides."""
 
 from __future__ import annotations
 

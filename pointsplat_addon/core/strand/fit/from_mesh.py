@@ -1,9 +1,9 @@
-"""Meshes of leaves and branches as ribbons and tubes where they have that structure (Marroquim et al. 2008, section 5).
+"""Ribbons and tubes fitted to meshes of leaves and branches (Marroquim et al. 2008, section 5).
 
-A part is what edges hold together. A tube is a part made of rings of vertices, open, closed or with a tip at its ends,
+A part is a connected component of the mesh. A tube is a part made of rings of vertices, open, closed or with a tip at its ends,
 or any sleeve between two open rims whose sections are round enough. A ribbon is one of two to four triangles in a row,
 or a flat one of some more, by its widths across its longest axis. Flat parts with lobes about a hub are several
-ribbons. What fits none of these stays polygons.
+ribbons. Parts that fit none of these stay polygons.
 """
 
 from __future__ import annotations
@@ -15,42 +15,41 @@ from .blades import fit_blades
 from .flat import find_flat_parts
 from .graph import connected_parts
 from .lobes import fit_lobes
-from .result import FittedStrands
+from .result import FittedStrands, concatenate_strands
 from .ribbons import fit_ribbons
 from .rings import cap_triangles, fit_ring_tubes
 from .sleeves import fit_sleeves
 
 
 def fit_strands(position: np.ndarray, triangles: np.ndarray) -> FittedStrands:
-    """The strands of a mesh with vertices (V, 3) and triangles (T, 3)."""
+    """Fits tubes and ribbons to the connected parts of a mesh with vertices (V, 3) and triangles (T, 3)."""
     position, triangles = np.asarray(position, np.float64), np.asarray(triangles, np.int64)
     label = connected_parts(triangles, len(position))
     names, part = np.unique(label[triangles[:, 0]], return_inverse=True)
     open_ = ~cap_triangles(position, triangles, part, len(names))
     tubes = fit_ring_tubes(position, triangles[open_], label, names, part[open_])
     other = np.ones(len(names), bool)
-    other[tubes[4]] = False
+    other[tubes.part] = False
     sleeves = fit_sleeves(position, triangles, label, names, part, other)
     ribbons = fit_ribbons(position, triangles, part, len(names))
-    other[np.concatenate([sleeves[4], ribbons[4]])] = False
+    other[np.concatenate([sleeves.part, ribbons.part])] = False
     flat = find_flat_parts(position, triangles, part, other)
     lobes = fit_lobes(flat)
-    blades = fit_blades(flat, lobes[4])
-    both = [tubes, sleeves, ribbons, lobes, blades]
-    count = np.concatenate([b[3] for b in both]).astype(np.int64)
-    chosen = np.concatenate([b[4] for b in both])
+    blades = fit_blades(flat, lobes.part)
+    fits = [tubes, sleeves, ribbons, lobes, blades]
+    found = concatenate_strands(fits)
     first = np.full(len(names), len(triangles))
     np.minimum.at(first, part, np.arange(len(triangles)))
-    left = np.ones(len(names), bool)
-    left[chosen] = False
+    remaining = np.ones(len(names), bool)
+    remaining[found.part] = False
     return FittedStrands(
-        np.concatenate([b[0] for b in both]),
-        np.concatenate([b[1] for b in both]),
-        np.concatenate([b[2] for b in both]),
-        offsets(count),
-        np.repeat([False, False, True, True, True], [len(b[3]) for b in both]),
-        first[chosen],
-        left[part],
+        found.position,
+        found.radius,
+        found.normal,
+        offsets(found.count.astype(np.int64)),
+        np.repeat([False, False, True, True, True], [len(fit) for fit in fits]),
+        first[found.part],
+        remaining[part],
         len(names),
-        int(left.sum()),
+        int(remaining.sum()),
     )

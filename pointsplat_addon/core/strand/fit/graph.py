@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""A mesh as a graph: edges, connected parts, and distances along edges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Ribbons of flat parts with lobes about a hub, as of maple leaves: one for each lobe and one between them."""
 
 from __future__ import annotations
 
@@ -58,7 +58,9 @@ def fit_lobes(flat: FlatParts) -> PartStrands:
     row = owners(number + 1)
     points[..., :2] += hub[row][:, None]
     points = flat.middle[row][:, None] + np.einsum("nki,nij->nkj", points, flat.axes[row])
-    return points.reshape(-1, 3), radius.ravel(), np.repeat(normal, 2, axis=0), np.full(len(row), 2), flat.part[row]
+    return PartStrands(
+        points.reshape(-1, 3), radius.ravel(), np.repeat(normal, 2, axis=0), np.full(len(row), 2), flat.part[row]
+    )
 
 
 def _sample_flat_parts(flat: FlatParts, hub: np.ndarray) -> _SurfaceSamples:

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Areas and normals of triangles, and sums over rows."""
 
 from __future__ import annotations
 

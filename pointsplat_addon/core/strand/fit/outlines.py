@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Outlines of flat parts in polar coordinates about a hub, and their division into lobes."""
 
 from __future__ import annotations
 

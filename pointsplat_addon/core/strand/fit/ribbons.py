@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Ribbons from parts of two to four triangles in a row."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import numpy as np
 
 from ...numeric.segments import starts
 from .measures import mean_normals, triangle_areas
-from .result import AREA_ERROR, PartStrands, no_strands
+from .result import AREA_ERROR, PartStrands, concatenate_strands, no_strands
 
 
 def fit_ribbons(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, count: int) -> PartStrands:
+    """Ribbons from those of `count` parts that are two to four triangles in a row; part (T,): of each triangle."""
     number = np.bincount(part, minlength=count)
     order = np.argsort(part, kind="stable")
     first = starts(number)
@@ -25,15 +26,13 @@ def fit_ribbons(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, c
             best, good = off.argmin(axis=0), off.min(axis=0) <= AREA_ERROR * area
             for choice, (points, radius, normal, _) in enumerate(options):
                 use = np.flatnonzero(good & (best == choice) & (area > 0))
-                found.append((points[use].reshape(-1, 3), radius[use].ravel(), normal[use].reshape(-1, 3),
-                              np.full(len(use), points.shape[1]), rows[use]))  # fmt: skip
-    if not found:
-        return no_strands()
-    return tuple(np.concatenate(column) for column in zip(*found, strict=True))  # pyright: ignore[reportReturnType]
+                found.append(PartStrands(points[use].reshape(-1, 3), radius[use].ravel(), normal[use].reshape(-1, 3),
+                                         np.full(len(use), points.shape[1]), rows[use]))  # fmt: skip
+    return concatenate_strands(found) if found else no_strands()
 
 
 def _in_a_row(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (n, k, 3) of parts in the order in which each shares an edge with the next, and whether they do so."""
+    """Orders the triangles (n, k, 3) of parts such that each shares an edge with the next; (n,) bool where it can be done."""
     size = triangles.shape[1]
     common = (triangles[:, :, None, :, None] == triangles[:, None, :, None, :]).sum(axis=(3, 4))
     joined = (common == 2) & ~np.eye(size, dtype=bool)

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Tubes from parts that are made of rings of vertices, with open ends, caps or a tip."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Tubes from parts with two open rims, cut into sections between the rims."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Tubes through the sections of a part: centres, radii, and whether the sections are round enough."""
 
 from __future__ import annotations
 
@@ -62,4 +62,4 @@ def tubes_from_sections(
     off = np.abs(covered - area) > UNSCALED_AREA_ERROR * area
     radius = radius * np.where(off & fits, area / np.where(covered > 0, covered, 1), 1)[strand]
     kept, chosen = np.flatnonzero(fits[strand]), np.flatnonzero(fits)
-    return center[kept], radius[kept], np.zeros((len(kept), 3)), np.diff(start)[chosen], chosen
+    return PartStrands(center[kept], radius[kept], np.zeros((len(kept), 3)), np.diff(start)[chosen], chosen)

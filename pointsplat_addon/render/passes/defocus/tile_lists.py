@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Lists which out-of-focus splats each tile of a picture shows, the nearest first."""
 
 from __future__ import annotations
 

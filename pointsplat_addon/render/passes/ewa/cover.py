@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....shading.interface import Interface
-from ...device.protocol import Device, Target, Texture, whole
+from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..tiles import TILE
 from ..uniforms import SampleView, block
 
@@ -49,7 +49,7 @@ NEEDED_BLOCK = block("Needed", (
 ))  # fmt: skip
 SIZES = Interface(
     "sizes", fragment="ewa/sizes.frag", block=SIZES_BLOCK, outputs=(("vec4", "out_size"),),
-    samplers=(("FLOAT_2D", "ps_list"), ("FLOAT_2D", "ps_splat_place"), ("FLOAT_2D", "ps_splat_shape")),
+    samplers=(("FLOAT_2D", "ps_list"), ("FLOAT_2D", "ps_splat_centre"), ("FLOAT_2D", "ps_splat_shape")),
 )  # fmt: skip
 WINDOW = Interface(
     "open",
@@ -62,7 +62,7 @@ FIRST = WINDOW.with_defines("PS_FIRST")
 NEEDED = Interface(
     "needed", fragment="ewa/needed.frag", block=NEEDED_BLOCK, outputs=(("float", "out_needed"),),
     samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in
-                   ("splat_place", "splat_shape", "splat_front", "nearest", "open")),
+                   ("splat_centre", "splat_shape", "splat_front", "nearest", "open")),
 )  # fmt: skip
 THINNED = NEEDED.with_defines("PS_THIN")
 
@@ -90,7 +90,9 @@ class Sizes:
         return self.layers >= CLOSED and (self.thin or turned >= LEAST_TURNED * (facing + turned))
 
 
-def measure(device: Device, lists: list[tuple[dict[str, Texture], int]], view: SampleView, low_pass: float) -> Sizes:
+def measure_sizes(
+    device: Device, lists: list[tuple[dict[str, Texture], int]], view: SampleView, low_pass: float
+) -> Sizes:
     """`lists`: of each page with splats, its textures with the list of them, and how many they are."""
     target = device.texture((PROBES, PROBES), "RGBA32F")
     drawn = device.target([target])
@@ -114,7 +116,7 @@ def measure(device: Device, lists: list[tuple[dict[str, Texture], int]], view: S
     return Sizes(kernel, max(area / max(tiles * TILE * TILE, 1), 1e-9), within[:: max(len(within) // LOOKED_AT, 1)])
 
 
-def closed(device: Device, nearest: Texture, sizes: Sizes) -> float:
+def closed_share(device: Device, nearest: Texture, sizes: Sizes) -> float:
     """Share of some kernels in which visibility, which left `nearest`, found nothing open."""
     there = device.read(nearest)[..., 0] > 0
     aside = np.linspace(-sizes.kernel, sizes.kernel, int(np.clip(2 * sizes.kernel + 1, 2, 8)))
@@ -127,7 +129,7 @@ def closed(device: Device, nearest: Texture, sizes: Sizes) -> float:
     return float(found.mean()) if len(found) else 0.0
 
 
-def thinned(index: np.ndarray, share: float) -> np.ndarray:
+def hashed_share(index: np.ndarray, share: float) -> np.ndarray:
     """A share of the elements (N,), the same in each frame: by a hash, since what is regular in their numbers, as rows
     and spirals are, may be so in their places."""
     if share >= 1:
@@ -142,7 +144,7 @@ def thinned(index: np.ndarray, share: float) -> np.ndarray:
 class Cover:
     """What visibility found of the splats that are drawn first."""
 
-    @whole
+    @releases_on_failure
     def __init__(self, device: Device, nearest: Texture, sizes: Sizes, margin: float) -> None:
         """`nearest`: passes/ewa.py; `margin`: pixels that samples may move the picture by."""
         self._device, self._nearest, self._margin, self._thin = device, nearest, margin, sizes.thin
@@ -167,7 +169,7 @@ class Cover:
 
     def needed(self, splats: dict[str, Texture], view: SampleView, low_pass: float) -> np.ndarray:
         """(elements,) float32, one for each projected splat: HIDDEN, COVERED, or more."""
-        device, size = self._device, splats["ps_splat_place"].size
+        device, size = self._device, splats["ps_splat_centre"].size
         out = device.texture(size, "R32F")
         target = device.target([out])
         record = view.record(

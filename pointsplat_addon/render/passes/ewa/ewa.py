@@ -33,8 +33,8 @@ from ..tiles import Region
 from ..uniforms import SampleView
 from . import cover as ewa_cover
 from .options import WIDEST_POINT, EwaOptions
-from .programs import NORMALISE, _blended, programs
-from .projected import Splats
+from .programs import NORMALISE, blended_attributes, programs
+from .projected import ProjectedSplats
 
 JITTER = 1.0  # pixels that samples shift the picture by at most
 CHUNK = 1 << 20  # splats of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
@@ -51,10 +51,10 @@ class Ewa:
         self.nearest = device.texture(size, "RGBA32F")
         self.nearest_target: Target = device.target([self.nearest], depth=True)
         self.sums: dict[str, Texture] = {
-            f"ps_sum_{name}": device.texture(size, "RGBA32F") for name in ("place", *_blended(variant))
+            f"ps_sum_{name}": device.texture(size, "RGBA32F") for name in ("depth", *blended_attributes(variant))
         }
         self.sum_target: Target = device.target(list(self.sums.values()))
-        self._splats: list[Splats] = []
+        self._splats: list[ProjectedSplats] = []
         self.draws: list[PageDraw] | None = None  # of which the splats are projected
         self._mask: Texture | None = None  # of the region that they are listed for
         self._left = False  # some are left out
@@ -67,7 +67,7 @@ class Ewa:
         program = self.programs.splats
         assert program.block is not None
         for draw in draws:
-            splats = Splats(self.device, self.programs.splats, draw)
+            splats = ProjectedSplats(self.device, self.programs.splats, draw)
             self._splats.append(splats)
             textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks}
             record = draw.record(view, program.block, low_pass=self.options.low_pass)
@@ -87,16 +87,16 @@ class Ewa:
             splats.list_first(device, splats.found["first"])
         pages = [({**splats.textures, "ps_list": texture}, total)
                  for splats in self._splats for texture, total in (splats.lists["first"],) if total]  # fmt: skip
-        sizes = ewa_cover.measure(device, pages, view, self.options.low_pass)
+        sizes = ewa_cover.measure_sizes(device, pages, view, self.options.low_pass)
         if not sizes.pays(facing, turned):
             return
-        drawn = [ewa_cover.thinned(splats.found["first"], sizes.share) for splats in self._splats]
+        drawn = [ewa_cover.hashed_share(splats.found["first"], sizes.share) for splats in self._splats]
         if sizes.thin:
             for splats, index in zip(self._splats, drawn, strict=True):
                 splats.list_first(device, index)
         device.clear(self.nearest_target)
         self._see(("first",), view, shared)
-        if ewa_cover.closed(device, self.nearest, sizes) < ewa_cover.ENOUGH:
+        if ewa_cover.closed_share(device, self.nearest, sizes) < ewa_cover.ENOUGH:
             self._begun = not sizes.thin
             return
         margin = 0.0 if self.options.low_pass == 1 else JITTER

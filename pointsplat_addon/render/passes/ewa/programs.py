@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The programs of EWA splatting and their uniforms; what they leave is described in passes/ewa/ewa.py."""
 
 from __future__ import annotations
 
@@ -47,16 +47,16 @@ def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaProg
     flagged = tuple((name, "1") for name, on in flags.items() if on)
     samplers, defines = attributes(variant, points)
     cull = (("FLOAT_2D", "ps_materials"),) if points.cull else ()
-    blended = _blended(variant)
+    blended = blended_attributes(variant)
     splats = Interface(
         "splats", fragment="ewa/project.frag", block=project_block(points), samplers=(*samplers, *cull),
-        outputs=tuple(("vec4", f"out_{name}") for name in ("place", "shape", "front", *blended)),
+        outputs=tuple(("vec4", f"out_{name}") for name in ("centre", "shape", "front", *blended)),
         defines=(*named, *flagged, *defines),
     )  # fmt: skip
     hard = (("PS_HARD", "1"),) if ewa.hard else ()
     normalise = Interface(
         "normalise", fragment="ewa/normalise.frag", block=NORMALISE,
-        samplers=tuple(("FLOAT_2D", name) for name in ("ps_nearest", *(f"ps_sum_{n}" for n in ("place", *blended)))),
+        samplers=tuple(("FLOAT_2D", name) for name in ("ps_nearest", *(f"ps_sum_{n}" for n in ("depth", *blended)))),
         outputs=variant.front_outputs, depth=points.depth,
         defines=(*variant.front_defines, *((("PS_DEPTH", "1"),) if points.depth else ()), *hard),
     )  # fmt: skip
@@ -69,28 +69,28 @@ def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaProg
     )
 
 
-def _blended(variant: Variant) -> tuple[str, ...]:
+def blended_attributes(variant: Variant) -> tuple[str, ...]:
     return tuple(name for name, _, _ in variant.channels if name in ATTRIBUTES)
 
 
 def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool, large: bool) -> Interface:
     """Splats on the screen: `blend` their kernels, else their ellipses."""
-    blended = _blended(variant) if blend else ()
+    blended = blended_attributes(variant) if blend else ()
     samplers = [
-        ("FLOAT_2D", name) for name in ("ps_list", *(f"ps_splat_{n}" for n in ("place", "shape", "front", *blended)))
+        ("FLOAT_2D", name) for name in ("ps_list", *(f"ps_splat_{n}" for n in ("centre", "shape", "front", *blended)))
     ]
-    names = ["v_place", "v_conic", "v_front", "v_material", *(f"v_{name}" for name in blended)]
+    names = ["v_centre", "v_conic", "v_front", "v_material", *(f"v_{name}" for name in blended)]
     defines: list[tuple[str, str]] = []
     if blend:
         samplers.append(("FLOAT_2D", "ps_nearest"))
         defines += [("PS_BLEND", "1"), *((name, "1") for name in variant.defines if name != "PS_OWNER")]
         defines += [("PS_BALLS", "1")] if ewa.balls and variant.normal else []
         defines += [("PS_HARD", "1")] if ewa.hard else []
-        outputs = tuple(("vec4", f"out_{name}") for name in ("place", *blended))
+        outputs = tuple(("vec4", f"out_{name}") for name in ("depth", *blended))
     else:
         outputs = (("vec4", "out_nearest"),)
     if large:
-        pages = ("ps_blocks", "ps_place", "ps_extent", *(() if points.one_instance else ("ps_instances",)))
+        pages = ("ps_blocks", "ps_position", "ps_extent", *(() if points.one_instance else ("ps_instances",)))
         samplers += [("FLOAT_2D", name) for name in pages]
         names += ["v_u", "v_v", "v_plane"]
         flags = {"PS_LARGE": True, "PS_ELLIPSES": points.ellipses, "PS_ONE_INSTANCE": points.one_instance}

@@ -1,14 +1,4 @@
-"""Points: uploaded once as pages of textures, sent to pixels as blocks of consecutive splats.
-
-A page holds the splats of several point sets. Texture by texture, one texel a splat:
-  place           xyz relative to the set's origin; packed normal (pack_normal; -1: a ball)
-  extent          half-axes (major, minor; negative: stands apart), packed major axis, material row
-  color           base colour                    \\  where any set of the scene has them
-  surface         roughness, metallic             |
-  emission        emitted radiance                |
-  shading_normal  packed normal, -1: the splat's  /
-A block is up to 2^shift consecutive splats of one instance: texel (x, y) of the first one, count, instance.
-"""
+"""Projects splats to pixels and finds the nearest splat of each pixel (Marroquim et al. 2008, section 3)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Writes the ellipse and the attributes of each pixel's splat into the G-buffer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""TODO: say what this module is."""
+"""Adaptive sampling: tiles of the picture whose samples agree get no more of them.
+
+After 5, 9, 17 ... samples each tile is asked how far the mean of its samples lies from the mean of their first half, in
+its worst pixel; where that is below the threshold the tile is done. The measure is Cycles' (difference of two estimates
+over the square root of the brightness), but both are means of a fixed sequence of sample positions: the picture is the
+same every time.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +14,7 @@ import numpy as np
 
 from ....core.scene.settings import Settings
 from ....shading.interface import Interface
-from ...device.protocol import Device, Texture, whole
+from ...device.protocol import Device, Texture, releases_on_failure
 from ..tiles import EVERYWHERE, TILE, TILE_DEFINE, Region
 from ..uniforms import block
 
@@ -50,7 +56,7 @@ def why_everywhere(
 class Adaptive:
     """Which tiles of one picture still take samples, and how many each of them got."""
 
-    @whole
+    @releases_on_failure
     def __init__(
         self, device: Device, sums: Texture, threshold: float, gather: int, place: Texture | None = None
     ) -> None:

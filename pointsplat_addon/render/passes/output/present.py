@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Draws the picture so far, and its depth, into a viewport."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def present_record(
 def present_program(surface: bool, adaptive: bool = False) -> Interface:
     """The finished picture into the viewport. `surface`: something has a depth. `adaptive`: pixels differ in how many
     samples they have (render/passes/tiles.py)."""
-    named = {"ps_place": surface, "ps_counts": adaptive}
+    named = {"ps_centre": surface, "ps_counts": adaptive}
     return Interface(
         "present", vertex="output/present.vert", fragment="output/present.frag", block=present_block(surface),
         samplers=(("FLOAT_2D", "ps_combined"), *(("FLOAT_2D", name) for name, on in named.items() if on)),
-        varyings=(("smooth", "vec2", "v_place"),), outputs=(("vec4", "out_color"),), depth=True,
+        varyings=(("smooth", "vec2", "v_uv"),), outputs=(("vec4", "out_color"),), depth=True,
         defines=((("PS_SURFACES", "1"),) if surface else ()) + ((TILE_DEFINE,) if adaptive else ()),
     )  # fmt: skip

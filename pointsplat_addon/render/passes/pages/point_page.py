@@ -1,4 +1,14 @@
-"""TODO: say what this module is."""
+"""Pages of opaque splats, and the blocks of consecutive splats that a view draws of them.
+
+A page holds the splats of several point sets. Texture by texture, one texel a splat:
+  position        xyz relative to the set's origin; packed normal (pack_normal; -1: a ball)
+  extent          half-axes (major, minor; negative: a disconnected splat), packed major axis, material row
+  color           base colour                    \\  where any set of the scene has them
+  surface         roughness, metallic             |
+  emission        emitted radiance                |
+  shading_normal  packed normal, -1: the splat's  /
+A block is up to 2^shift consecutive splats of one instance: texel (x, y) of the first one, count, instance.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +24,7 @@ from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Texture
 from ..gbuffer import Variant
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
-from .splat_page import SplatPage, extent, facets, filled, place, shading_normal
+from .splat_page import SplatPage, extent, facets, filled, position_and_normal, shading_normal
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
 # What lib/data/splat.glsl reads.
@@ -22,7 +32,7 @@ BLOCK_FIELDS: Fields = (
     ("int", "block_count"),
     ("int", "block_shift"),  # log2 of the splats in a block
 )
-POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_place"), ("FLOAT_2D", "ps_extent"))
+POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_position"), ("FLOAT_2D", "ps_extent"))
 
 
 @dataclass(frozen=True)
@@ -48,7 +58,7 @@ class Page(SplatPage):
     ) -> None:
         super().__init__(device, sets)
         clouds = self.clouds
-        self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
+        self.upload("position", "RGBA32F", 4, [position_and_normal(c) for c in clouds])
         self.upload("extent", "RGBA32F", 4, [
             extent(c, points=len(points.cloud)) for c, points in zip(clouds, sets, strict=True)
         ])  # fmt: skip

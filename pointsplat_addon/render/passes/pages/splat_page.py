@@ -1,4 +1,4 @@
-"""Splats on the device: pages of 4,096-wide float textures, one texel a splat, texture by texture."""
+"""Pages of splats on the device: 4,096-wide float textures, one for each attribute, one texel a splat."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _copy(values: np.ndarray) -> Write:
     return write
 
 
-def place(cloud: PointCloud) -> Write:
+def position_and_normal(cloud: PointCloud) -> Write:
     """(N, 4): position relative to the cloud's origin, packed normal (NO_NORMAL: a ball)."""
 
     def write(out: np.ndarray, block: slice) -> None:

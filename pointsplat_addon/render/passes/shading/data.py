@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Passes that are not averaged: position, depth, motion and indices under the pixels' centres."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _block(wanted: tuple[str, ...]) -> Block:
 
 def data_program(variant: Variant, passes: frozenset[str]) -> Interface:
     wanted = data(passes)
-    samplers = list(variant.samplers(only=("place", "shape", "normal", "owner")))
+    samplers = list(variant.samplers(only=("centre", "shape", "normal", "owner")))
     if "vector" in wanted:
         samplers.append(("FLOAT_2D", "ps_previous"))
     names = [DATA[name][0] for name in wanted] + (["PS_OWNER"] if variant.owner else [])

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Blends lit splats over the picture of one sample, and adds that to the sums."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OPAQUE_DEPTH = block("OpaqueDepth", CAMERA_FIELDS)
 
 def draw_program(options: TranslucentOptions, channel: str) -> Interface:
     """Splats over the picture. `channel`: one of CHANNELS, or "" where all are alike."""
-    read = ["place", "shape", "source", *(["front", "depth"] if options.opaque else [])]
+    read = ["centre", "shape", "source", *(["front", "depth"] if options.opaque else [])]
     varyings = [("flat", "vec4", "v_conic"), ("flat", "vec4", "v_source"), ("flat", "vec2", "v_centre")]
     defines = []
     if options.opaque:

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The lit splats of one view, and the draws that blend them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from ....core.splat.kernel import PROFILES
 from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH
-from ...device.protocol import Device, Target, Texture, whole
+from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..uniforms import SampleView
 from .blend import BLEND, CHANNELS, draw_program
 from .options import TranslucentOptions
@@ -18,7 +18,7 @@ CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empt
 class LitSplats:
     """The draw list of one view after lighting, and the draws that read it."""
 
-    @whole
+    @releases_on_failure
     def __init__(
         self, device: Device, options: TranslucentOptions, program: Interface, count: int, samples: int = 1
     ) -> None:

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Which attributes the translucent splats of a view have: shader variants of their passes."""
 
 from __future__ import annotations
 

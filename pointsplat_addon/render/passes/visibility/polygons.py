@@ -1,4 +1,4 @@
-"""Polygons: corners of triangles in textures, one draw for each material of each instance."""
+"""Draws polygons into the G-buffer, one draw for each material of each instance."""
 
 from __future__ import annotations
 

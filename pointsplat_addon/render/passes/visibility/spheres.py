@@ -1,4 +1,4 @@
-"""Balls that are wide on the screen, each met by the pixels' rays: into the G-buffer as polygons are."""
+"""Draws balls that are wide on the screen into the G-buffer: each pixel's ray meets them exactly."""
 
 from __future__ import annotations
 

@@ -1,15 +1,8 @@
-"""Strands: control points in textures, segments of them into the G-buffer as polygons are (Marroquim et al. 2008, 4).
+"""Draws segments of strands into the G-buffer, as polygons are (Marroquim et al. 2008, section 4).
 
-A page holds the points of one geometry, texture by texture, one texel a point:
-  point     xyz relative to the geometry's origin; radius
-  tangent   unit, along the strand
-  side      unit, across a ribbon
-  color, surface, emission   as in pages of splats, where the scene has them
-Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of thin ones share
-of the raster line's width at both ends, phase; of wide ones the points where the strand ends, as far as they are near,
-or -1: tubes end there in a plane. Lists hold the texel of each segment that is drawn. Thin ones are raster lines
-of one pixel and have a list for each sample: core/strand/selection.py says which. The others have one for all samples: tubes
-that may be seen to be round are met by the pixels' rays; narrower ones are strips that face the eye, as ribbons are.
+Lists hold the texel of each segment that is drawn. Thin segments are raster lines of one pixel and have a list for each
+sample (core/strand/segments.py says which). The others have one list for all samples: tubes that may be seen to be round
+are met by the pixels' rays; narrower ones are strips that face the eye, as ribbons are.
 """
 
 from __future__ import annotations
@@ -18,7 +11,7 @@ from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
-from .strand_page import LineDraw
+from .strand_page import StrandDraw
 
 CHUNK = 1 << 20  # segments of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
 
@@ -56,7 +49,7 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
 def draw(
     device: Device,
     variant: Variant,
-    draws: list[LineDraw],
+    draws: list[StrandDraw],
     view: SampleView,
     shared: dict[str, Texture],
     out: GBuffer,
