@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.scene import Geometry
@@ -151,7 +151,9 @@ def test_nodes_of_points_of_rows_that_no_table_has():
     assert 0 < drawing.render(case, samples=128).report["points"]["cut"] < len(cloud) / 4
 
 
-PICTURE = materials(graphs=(MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), build.picture()))),))
+PICTURE = materials(
+    graphs=(MaterialGraph(base_color=color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV(), build.picture()))),)
+)
 
 
 @pytest.mark.parametrize("primitive", ["POINTS", "POLYGONS"])

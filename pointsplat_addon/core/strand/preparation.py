@@ -27,10 +27,10 @@ def with_levels(strands: Strands) -> StrandLevels:
 
 
 def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """(P, 3) float32 unit, by the neighbours of each point."""
+    """(P, 3) float32 unit tangents: the mean of the directions to both neighbours of each point."""
     before, after = np.arange(len(p)) - 1, np.arange(len(p)) + 1
     before[start[:-1]], after[start[1:] - 1] = start[:-1], start[1:] - 1
-    # Of the directions to both neighbours, so that long and short segments count alike.
+    # Unit directions to both neighbours, so that long and short segments count alike.
     back, on = p - p[before], p[after] - p
     for d in (back, on):
         d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), np.float32(1e-37))
@@ -38,7 +38,7 @@ def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(both, axis=1, keepdims=True)
     turned = size[:, 0] < 1e-3  # the strand goes back where it came from
     both[turned], size[turned] = on[turned], 1
-    # Closed strands go on.
+    # Closed strands have one tangent at their joint.
     ends = start[:-1], start[1:] - 1
     closed = np.flatnonzero((p[ends[0]] == p[ends[1]]).all(axis=1)) if len(start) > 1 else np.empty(0, int)
     result = both / np.maximum(size, np.float32(1e-37))
@@ -52,8 +52,8 @@ def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 
 def _straighten_end_tangents(tangent: np.ndarray, p: np.ndarray, radius: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """(P, 3) float32 unit: tangents, those at the ends turned to where the strand is a radius away where they lead
-    elsewhere. Splines go back and forth about control points that coincide, and strands end in planes across their
+    """(P, 3) float32 unit tangents, those at the ends of strands replaced, where they point elsewhere, by the direction to
+    where the strand is a radius away. Splines go back and forth about control points that coincide, and strands end in planes across their
     tangents, which would then cut off the strand instead of its end."""
     if len(start) < 2:
         return tangent
@@ -73,7 +73,8 @@ def _straighten_end_tangents(tangent: np.ndarray, p: np.ndarray, radius: np.ndar
 
 
 def _ribbon_sides(normal: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """(P, 3) float32 unit, perpendicular to tangents and normals; any, where these are no directions."""
+    """(P, 3) float32 unit vectors across ribbons, perpendicular to tangents and normals; any perpendicular of the tangent
+    where the normal gives none."""
     with np.errstate(invalid="ignore"):
         side = np.cross(np.where(np.abs(normal) < FARTHEST, normal, np.float32(0)), tangent)
     size = np.linalg.norm(side, axis=1, keepdims=True)

@@ -6,16 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..material.expressions import SampleInputs
-from ..material.graph import (
-    MaterialGraph,
-    bake,
-    bakeable,
-    evaluate_samples,
-    needs,
-    suggested_resolution,
-    triangle_tangents,
-)
+from ..material.baking import bake, bakeable, suggested_resolution
+from ..material.evaluation import evaluate_samples, triangle_tangents
+from ..material.expression import SampleInputs
+from ..material.graph import MaterialGraph, needs
 from ..scene.cloud import PointCloud
 from ..scene.materials import MaterialTable
 from ..scene.mesh import Mesh
@@ -302,10 +296,10 @@ def _inputs(
         bitangent_sign=sign,
         count=len(samples),
     )
-    return replace(inputs, aside=_aside(mesh, samples, inputs)) if wide and wanted.pictures else inputs
+    return replace(inputs, displaced=_displaced(mesh, samples, inputs)) if wide and wanted.images else inputs
 
 
-def _aside(mesh: Mesh, samples: Samples, inputs: SampleInputs) -> tuple[SampleInputs, SampleInputs]:
+def _displaced(mesh: Mesh, samples: Samples, inputs: SampleInputs) -> tuple[SampleInputs, SampleInputs]:
     """The inputs at the ends of two half-diameters of each sample's splat, as far as pictures are mapped by them."""
     steps = {name: difference_along_half_axes(samples, mesh.uv[name]) for name in inputs.uv}
     places = {"position": inputs.position, "generated": inputs.generated}

@@ -13,7 +13,9 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.material.graph import MaterialGraph, Needs, SampleInputs, evaluate_samples, needs
+from ...core.material.evaluation import evaluate_samples
+from ...core.material.expression import SampleInputs
+from ...core.material.graph import MaterialGraph, Needs, needs
 from ...core.scene.cloud import PointCloud
 from ...core.scene.materials import MaterialTable
 from ...core.scene.volume import Medium, Volume

@@ -99,10 +99,10 @@ class Frame:
             device.clear(self.targets.sum_target)
         if not shot.everywhere:
             shown = self.presented and not plan.defocus and self.targets.surfels is not None
-            place = _bound(self.targets.surfels).get("ps_centre") if shown else None
+            centre = _bound(self.targets.surfels).get("ps_centre") if shown else None
             threshold = request.settings.adaptive_threshold
             gather = 2 << count  # two pixels of the coarsest level on either side
-            self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, place))
+            self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, centre))
         self._make_programs()
         if plan.defocus:
             transparent = shot.scene.transparent
@@ -326,20 +326,20 @@ class Frame:
         adaptive = self.adaptive if self.out_of_focus is None else None
         if adaptive is not None:
             textures["ps_counts"] = adaptive.known
-        if (place := self._place) is not None:
-            textures["ps_centre"] = place
-        program = present.present_program(place is not None, adaptive is not None)
+        if (centre := self._centre) is not None:
+            textures["ps_centre"] = centre
+        program = present.present_program(centre is not None, adaptive is not None)
         _, _, width, height = camera.window
-        record = present.present_record(place is not None, camera, (width, height), self.shot.corner, weight)
+        record = present.present_record(centre is not None, camera, (width, height), self.shot.corner, weight)
         self.device.draw(program, None, uniforms=record, textures=textures)
 
     @property
-    def _place(self) -> Texture | None:
+    def _centre(self) -> Texture | None:
         """Depths, of what nothing blurs, that hide what Blender draws."""
-        if self.lens is not None and self.lens.place is not None:
-            return self.lens.place
+        if self.lens is not None and self.lens.centre is not None:
+            return self.lens.centre
         if self.adaptive is not None and self.out_of_focus is None:
-            return self.adaptive.place
+            return self.adaptive.centre
         drawn = self if self.beside is None or self.beside.shot.trivial else self.beside
         return _bound(drawn.targets.data_surfels).get("ps_centre")
 

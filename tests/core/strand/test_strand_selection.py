@@ -75,7 +75,7 @@ def test_the_scale_of_a_whole_bounds_that_of_each_segment(camera):
         assert scale is not None
         assert (picture.length[::2] <= scale.most * steps * (1 + 1e-5)).all()
         assert (picture.width <= 2 * scale.most * strands.radius * (1 + 1e-5)).all()
-        assert scale.fewest < scale.most
+        assert scale.least < scale.most
 
 
 def test_short_strands_of_few_points_are_drawn_whole():

@@ -32,7 +32,7 @@ def present_record(
 
 
 def present_program(surface: bool, adaptive: bool = False) -> Interface:
-    """The finished picture into the viewport. `surface`: something has a depth. `adaptive`: pixels differ in how many
+    """Returns the program that draws the picture into the viewport. `surface`: something has a depth. `adaptive`: pixels differ in how many
     samples they have (render/passes/tiles.py)."""
     named = {"ps_centre": surface, "ps_counts": adaptive}
     return Interface(

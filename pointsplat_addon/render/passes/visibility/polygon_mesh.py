@@ -55,7 +55,7 @@ class PartList:
 
 
 def baked_defines(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
-    """Defines of shaders that read the pictures of a graph."""
+    """Returns the defines of shaders that read the baked pictures of a graph."""
     on = graph.channels.keys()
     names = {
         "PS_UV": True,
@@ -125,16 +125,16 @@ class PolygonMesh:
         by_material = np.argsort(rows[triangle], kind="stable")
         order = triangle[by_material]
         corners = (3 * order[:, None] + np.arange(3)).reshape(-1)
-        place = np.empty((len(corners), 4), np.float32)
-        place[:, :3] = mesh.position[mesh.triangles[order].reshape(-1)] - self.origin
-        place[:, 3] = pack_normal(corner_normals(mesh)[corners])
+        corner_rows = np.empty((len(corners), 4), np.float32)
+        corner_rows[:, :3] = mesh.position[mesh.triangles[order].reshape(-1)] - self.origin
+        corner_rows[:, 3] = pack_normal(corner_normals(mesh)[corners])
         self.textures: dict[str, Texture] = {}
 
         def upload(name: str, format: str, channels: int, values: np.ndarray) -> None:
             size, data = paged(values, channels)
             self.textures[name] = device.texture(size, format, data)
 
-        upload("ps_corner", "RGBA32F", 4, place)
+        upload("ps_corner", "RGBA32F", 4, corner_rows)
         graphs = graphs_of(mesh, table)
         shown = {row: graph for row, graph in graphs.items() if pictured(mesh, graph)}
         flat = {row: graph for row, graph in graphs.items() if row not in shown}
