@@ -1,4 +1,4 @@
-"""Light on one hair, of which Cycles' pixels show all the width, against the reference in core/light/hair.py."""
+"""Light on one hair, of which Cycles' pixels show all the width, against tests/reference/hair_lighting.py."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from pointsplat_addon.core.light.hair import Fibre, scattered
+from tests.reference.hair_lighting import Fibre, scattered_radiance
 from tests.support.blender.scenes import new_material, node
 
 pytestmark = pytest.mark.usefixtures("empty_file")
@@ -69,6 +69,8 @@ def test_a_hair_scatters_as_cycles_does(sun, tmp_path, phi, offset):
         direction /= np.linalg.norm(direction)
         sun.rotation_euler = Vector(direction).to_track_quat("Z", "Y").to_euler()
         truth = seen_by_cycles(tmp_path)
-        ours = scattered(np.array([[0, 0, 1.0]]), direction[None], np.array([[0, -1.0, 0]]), fibre).sum(axis=0)[0]
+        ours = scattered_radiance(np.array([[0, 0, 1.0]]), direction[None], np.array([[0, -1.0, 0]]), fibre).sum(
+            axis=0
+        )[0]
         # R, TT and TRT are means over the width, which has their middles elsewhere for each place. Measured 0.20
         assert np.abs(ours - truth).max() < 0.3 * (truth.max() + 0.02), (z, ours, truth)
