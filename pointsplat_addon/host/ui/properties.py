@@ -6,8 +6,8 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..core.scene.settings import BUDGETS, DEVICES, DOF_METHODS, PRIMITIVES, TECHNIQUES, Settings
-from . import engine
+from ...core.scene.settings import BUDGETS, DEVICES, DOF_METHODS, PRIMITIVES, TECHNIQUES, Settings
+from .. import engine
 
 Item = tuple[str, str, str]
 
@@ -67,7 +67,11 @@ DOF_ITEMS: dict[str, Item] = {
 PRIMITIVE_ITEMS: dict[str, Item] = {
     "AUTO": ("AUTO", "Automatic", "Polygons where triangles are large in the picture, points where they are small"),
     "POINTS": ("POINTS", "Points", "Sample the surface with points"),
-    "POLYGONS": ("POLYGONS", "Polygons", "Draw the triangles themselves; curves with a bevel become meshes"),
+    "POLYGONS": (
+        "POLYGONS",
+        "Polygons",
+        "Draw the triangles themselves, but points where materials let light through; curves with a bevel become meshes",
+    ),
     "LINES": ("LINES", "Lines", "Draw curves with a round bevel as tubes along their points; the rest as by Automatic"),
 }
 
@@ -82,7 +86,8 @@ LABELS: dict[str, tuple[str, str]] = {
     "viewport_samples": ("Viewport", "Number of sub-pixel samples that are averaged in the viewport while it is still"),
     "use_adaptive_sampling": (
         "Adaptive Sampling",
-        "Parts of the picture whose samples agree get no more of them; does not apply to what is translucent",
+        "Parts of the picture whose samples agree get no more of them. Pictures with translucent objects or strands thinner "
+        "than a pixel, the technique Painter and depth of field by Lens Samples need all samples everywhere",
     ),
     "adaptive_threshold": (
         "Threshold",
@@ -92,7 +97,7 @@ LABELS: dict[str, tuple[str, str]] = {
     "use_shadows": ("Shadows", "Lights cast shadows, which what is translucent softens and tints"),
     "shadow_resolution": (
         "Resolution",
-        "Number of cells in half a turn around each lamp that hold what its light crosses; more cells, sharper shadows",
+        "Number of cells in half a turn around each light that hold what its rays cross; more cells make sharper shadows",
     ),
     "dof_method": ("Depth of Field", "How cameras with depth of field blur what is out of focus"),
     "budget": ("Budget", "What decides how many samples are drawn and how coarse the points may be"),
