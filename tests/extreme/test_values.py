@@ -331,13 +331,17 @@ def test_half_floats_hold_the_nearest_of_what_they_can():
     np.testing.assert_array_equal(to_half(given_values), expected)
 
 
-def test_nothing_that_is_sound_is_changed():
+def test_what_is_valid_is_not_copied():
     """Neither scenes, nor clouds, that have nothing odd in them are copied."""
-    from pointsplat_addon.core.scene.cloud import finite
-    from pointsplat_addon.core.scene.validation import sound
+    from pointsplat_addon.core.scene.valid_geometry import valid_points
+    from pointsplat_addon.core.scene.validation import validate
 
     case = lit_cases.lights()
-    assert sound(case.scene) == (case.scene, ())
+    scene, camera = validate(case.scene, case.camera)
+    assert camera is case.camera
+    assert validate(scene, camera)[0] is scene
+    for name in ("geometries", "instances", "materials", "lights", "world", "warnings"):
+        assert getattr(scene, name) is getattr(case.scene, name)
     cloud = whole_cloud()
-    assert finite(cloud)[0] is cloud
+    assert valid_points(cloud)[0] is cloud
     assert {f.name for f in fields(cloud)} >= set(CLOUD)

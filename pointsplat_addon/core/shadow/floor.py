@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..scene.bounds import box_corners
 from ..scene.lights import Light
 from ..scene.mesh import Mesh
 from .samples import MeshExtents
@@ -12,9 +13,9 @@ FLATNESS = 1e-6  # of a mesh's size, and of the distances at hand: float32 tells
 
 
 def plane_of_mesh(mesh: Mesh, outline: MeshExtents) -> tuple[np.ndarray, np.ndarray] | None:
-    """A point (3,) and the unit normal (3,) float64, object space, of the plane that holds all valid triangles of a
+    """A point (3,) and the unit normal (3,) float64, object space, of the plane that holds all triangles of a
     mesh; None if there is no such plane."""
-    if not outline.valid.any() or not outline.size > 0:
+    if len(mesh.triangles) == 0 or not outline.size > 0:
         return None
     a, b, c = mesh.position[mesh.triangles[outline.area.argmax()]].astype(np.float64)
     normal = np.cross(b - a, c - a)
@@ -22,7 +23,7 @@ def plane_of_mesh(mesh: Mesh, outline: MeshExtents) -> tuple[np.ndarray, np.ndar
     slack = FLATNESS * (
         np.linalg.norm(outline.high - outline.low) + np.abs(box_corners(outline.low, outline.high)).max()
     )
-    used = mesh.position[np.unique(mesh.triangles[outline.valid])].astype(np.float64)
+    used = mesh.position[np.unique(mesh.triangles)].astype(np.float64)
     return (a, normal) if np.abs((used - a) @ normal).max() <= slack else None
 
 
@@ -51,8 +52,3 @@ def lowest_height(position: np.ndarray, world_from_object: np.ndarray, point: np
         along = normal @ world_from_object[:, :3, :3]  # (I, 3)
         height = position.astype(np.float64) @ along.T + (world_from_object[:, :3, 3] - point) @ normal
         return float(height.min(initial=np.inf))
-
-
-def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The corners (8, 3) of the box between two opposite corners (3,)."""
-    return np.stack([np.where(which, high, low) for which in np.ndindex(2, 2, 2)])

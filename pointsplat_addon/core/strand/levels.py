@@ -19,7 +19,6 @@ class StrandLevels:
     and a radius. P points in S strands, one after another."""
 
     origin: np.ndarray  # (3,) float64
-    source: np.ndarray  # (P,) int64: the points of the scene.strands.Strands that they were
     position: np.ndarray  # (P, 3) float32
     radius: np.ndarray  # (P,) float32, at least 0
     start: np.ndarray  # (S + 1,) int64
@@ -28,7 +27,6 @@ class StrandLevels:
     material: np.ndarray  # (S,) int64
     levels: tuple[Level, ...]
     detail: np.ndarray  # (S,) int8: the coarsest level at which attributes change too little to be seen
-    messages: tuple[str, ...]  # what was left out, with numbers
 
     def __len__(self) -> int:
         """The number of points, P."""
@@ -36,7 +34,7 @@ class StrandLevels:
 
     @property
     def nbytes(self) -> int:
-        arrays = [self.source, self.position, self.radius, self.start, self.tangent, self.material, self.detail]
+        arrays = [self.position, self.radius, self.start, self.tangent, self.material, self.detail]
         arrays += [] if self.side is None else [self.side]
         arrays += [a for level in self.levels for a in (level.middle, level.low, level.high, level.first, level.strand)]
         return sum(a.nbytes for a in arrays)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import bpy
 
 from ...render.passes.outputs import PASSES
+from ..convert.mesh import is_scattered
 from . import last_render
 
 ENGINE = "POINTSPLAT"
@@ -208,7 +209,10 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             layout.prop(ob.pointsplat, "ribbons")
             self._visibility(ob, layout)
             return
-        if ob.type != "POINTCLOUD":  # points are drawn as they are: nothing is sampled
+        scattered = ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_scattered(ob.data))
+        if scattered:  # points are drawn as they are: nothing is sampled
+            layout.prop(ob.pointsplat, "radius")
+        else:
             layout.prop(ob.pointsplat, "primitive")
             row = layout.row()
             row.active = ob.pointsplat.primitive != "POLYGONS"

@@ -12,7 +12,6 @@ from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import all_finite, largest_singular_value
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
-from ...core.scene.validation import valid_triangles
 from ..cache.store import STORE, Layer, PointSet, Store
 from .meshes import mesh_ball
 from .point_sets import set_ball
@@ -58,8 +57,7 @@ def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ba
     for row in np.unique(geometry).tolist():
         mesh = scene.geometries[row].mesh
         if mesh is not None:
-            ok, _ = store.lookup(("valid", mesh.key), lambda mesh=mesh: valid_triangles(mesh))
-            middle, reach = mesh_ball(mesh, ok, store)
+            middle, reach = mesh_ball(mesh, store)
             yield prepared.view_from_object[prepared.polygons[geometry == row]], middle, reach
 
 

@@ -9,29 +9,25 @@ import numpy as np
 from ...core.lod.foliage import disconnected_splats
 from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import largest_singular_value
-from ...core.numeric.vectors import dot, each_block
-from ...core.scene.bounds import bounding_box
+from ...core.scene.bounds import cloud_ball
 from ...core.scene.camera import Camera
-from ...core.scene.cloud import PointCloud, coherent, finite
+from ...core.scene.cloud import PointCloud, coherent
 from ...core.scene.scene import Geometry
 from ...core.strand.projection import NEAREST
 from ..cache.store import STORE, PointSet, Store
 from .view import View
 
 
-def given(cloud: PointCloud) -> tuple[PointCloud, int]:
-    """What is finite of a cloud, in coherent order, and how many points were dropped."""
-    cloud, dropped = finite(cloud)
+def given(cloud: PointCloud) -> PointCloud:
+    """The cloud in coherent order, its foliage marked."""
     cloud = coherent(cloud)
     disconnected = disconnected_splats(cloud)
-    return cloud if disconnected is None else replace(cloud, disconnected=disconnected), dropped
+    return cloud if disconnected is None else replace(cloud, disconnected=disconnected)
 
 
 def given_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:
-    """The points of a geometry that is a cloud; says what is dropped."""
-    points, dropped = view.store.lookup(("finite", geometry.key), lambda: given(cloud))
-    if dropped:
-        view.warnings.append(f"{geometry.name}: {dropped} points that are not finite were left out")
+    """The points of a geometry that is a cloud."""
+    points = view.store.lookup(("coherent", geometry.key), lambda: given(cloud))
     same = ("lattice", geometry.lattice, len(points), *points.arrays()) if geometry.lattice else ()
     return PointSet(("cloud", geometry.key), points, family=same)
 
@@ -46,24 +42,7 @@ def counts(point_sets: dict[int, PointSet]) -> np.ndarray:
 
 def set_ball(points: PointSet, store: Store = STORE) -> tuple[np.ndarray, float, float]:
     """Centre (3,) in object space, greatest distance of a point of the set from it, greatest radius of a splat."""
-    cloud = points.cloud
-
-    def look() -> tuple[np.ndarray, float, float]:
-        low, high = bounding_box(cloud.position)
-        middle, squared = (low + high) / 2, []
-        side = max(float((high - low).max()), np.finfo(np.float32).tiny)  # squares of 1e30 are no float32
-
-        def measure(block: slice) -> None:
-            offset = (cloud.position[block].T - middle.astype(np.float32)[:, None]) * np.float32(1 / side)
-            squared.append(float(dot(offset, offset).max()))
-
-        each_block(len(cloud), measure)
-        radius = 0.0 if cloud.radii is None else float(cloud.radii[:, 0].max(initial=0.0))
-        # Rounding of the middle and of float32 sums is far below a millionth of what is measured.
-        reach = side * np.sqrt(max(squared)) + 2.0**-23 * np.abs(middle).max()
-        return cloud.origin + middle, float(reach) * (1 + 1e-6), radius
-
-    return store.lookup(("extent", *points.key), look)
+    return store.lookup(("extent", *points.key), lambda: cloud_ball(points.cloud))
 
 
 def typical_diameter(points: PointSet, view_from_object: np.ndarray, camera: Camera, store: Store) -> np.ndarray:

@@ -104,7 +104,7 @@ class Pictures:
 
 
 class PolygonMesh:
-    """One mesh on the device, its valid triangles sorted by material, and within one by parts where there are any.
+    """One mesh on the device, its triangles sorted by material, and within one by parts where there are any.
 
     `hang` gives it the pictures that it shows, before it is drawn.
     """
@@ -113,18 +113,17 @@ class PolygonMesh:
         self,
         device: Device,
         mesh: Mesh,
-        ok: np.ndarray,
         table: MaterialTable,
         variant: Variant,
         parts: Parts | None = None,
     ) -> None:
-        self.origin = _origin(mesh, ok)
+        self.origin = _origin(mesh)
         rows = np.full(len(mesh.triangles), mesh.materials[0]) if mesh.material is None else mesh.material.astype(int)
-        valid = np.flatnonzero(ok)
+        triangle = np.arange(len(mesh.triangles))
         if parts is not None and parts.order is not None:
-            valid = valid[parts.order]
-        by_material = np.argsort(rows[valid], kind="stable")
-        order = valid[by_material]
+            triangle = parts.order
+        by_material = np.argsort(rows[triangle], kind="stable")
+        order = triangle[by_material]
         corners = (3 * order[:, None] + np.arange(3)).reshape(-1)
         corner_rows = np.empty((len(corners), 4), np.float32)
         corner_rows[:, :3] = mesh.position[mesh.triangles[order].reshape(-1)] - self.origin
@@ -187,6 +186,6 @@ class PolygonMesh:
             texture.release()
 
 
-def _origin(mesh: Mesh, ok: np.ndarray) -> np.ndarray:
-    used = mesh.position[mesh.triangles[ok].reshape(-1)]
+def _origin(mesh: Mesh) -> np.ndarray:
+    used = mesh.position[mesh.triangles.reshape(-1)]
     return ((used.min(axis=0) + used.max(axis=0)) / 2).astype(np.float64) if len(used) else np.zeros(3)

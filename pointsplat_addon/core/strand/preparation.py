@@ -1,71 +1,29 @@
-"""Strands without the points that cannot be drawn, with unit tangents and sides at those that remain."""
+"""Prepares valid strands for selection: tangents, sides of ribbons, and levels of points that may be left out."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..numeric.segments import offsets, owners
+from ..numeric.segments import owners
 from ..scene.cloud import FARTHEST
 from ..scene.strands import Strands
 from .levels import StrandLevels, coarsest_attribute_level, halving_levels
 
-MOST_POINTS = 1 << 24  # of one geometry: float32 holds no larger integers exactly
-LEAST_END_COSINE = 0.5  # cosine between the tangent at an end and the direction to where the strand is a radius away
+LEAST_END_COSINE = 0.5  # cosine between a strand's end and the way to where it is a radius away
 
 
-def clean(lines: Strands) -> StrandLevels:
-    """Strands without what cannot be drawn, with tangents, ribbon sides and levels of detail; `messages` count what was
-    left out. Points with a value that is not finite break a strand in two. Points that repeat the one before, strands
-    of a single position and strands without a radius are left out."""
-    position = np.asarray(lines.position, np.float32).reshape(-1, 3)[:MOST_POINTS]
-    count = len(position)
-    whole = np.asarray(lines.start, np.int64)
-    owner = owners(np.diff(whole))[:count]
-    values = [a[:count] for a in (lines.color, lines.surface, lines.emission) if a is not None]
-    with np.errstate(invalid="ignore"):
-        good = (np.abs(position) < FARTHEST).all(axis=1) & (np.abs(lines.radius[:count]) < FARTHEST)
-    for value in values:
-        good &= np.isfinite(value).all(axis=1)
-    begins = np.ones(count, bool)
-    begins[1:] = (owner[1:] != owner[:-1]) | ~good[:-1]
-    repeated = np.zeros(count, bool)
-    repeated[1:] = (position[1:] == position[:-1]).all(axis=1) & ~begins[1:]
-    kept = np.flatnonzero(good & ~repeated)
-    radius = np.maximum(np.asarray(lines.radius, np.float32)[kept], 0)
-    run = np.cumsum(begins)[kept]
-    number = np.bincount(run)
-    several, wide = number > 1, np.bincount(run, radius) > 0
-    strand = np.zeros((2, len(whole) - 1), bool)  # of those that were given: with two places, and to be drawn
-    for found, runs in zip(strand, (several, several & wide), strict=True):
-        found[owner[kept[runs[run]]]] = True
-    drawn = (several & wide)[run]
-    kept, radius = kept[drawn], radius[drawn]
-    start = offsets(number[several & wide])
-
-    p = position[kept]
-    tangent = _straighten_end_tangents(_tangents(p, start), p, radius, start)
-    side = None if lines.normal is None else _ribbon_sides(np.asarray(lines.normal, np.float32)[kept], tangent)
-    owner = owner[kept[start[:-1]]]
-    rows = np.full(len(owner), lines.materials[0]) if lines.material is None else lines.material[owner].astype(np.int64)
+def with_levels(strands: Strands) -> StrandLevels:
+    """Returns valid strands with tangents, the sides of ribbons and the levels that points may be left out by."""
+    position, radius = np.asarray(strands.position, np.float32), np.asarray(strands.radius, np.float32)
+    start = np.asarray(strands.start, np.int64)
+    tangent = _straighten_end_tangents(_tangents(position, start), position, radius, start)
+    side = None if strands.normal is None else _ribbon_sides(np.asarray(strands.normal, np.float32), tangent)
+    count = len(start) - 1
+    rows = np.full(count, strands.materials[0]) if strands.material is None else strands.material.astype(np.int64)
     levels = halving_levels(start)
-    varying = np.concatenate([a[kept] for a in values], axis=1) if values else None
-    detail = coarsest_attribute_level(varying, levels, len(start) - 1)
-    messages = [
-        *_counted(int(np.count_nonzero(~good)), "point", "is not finite", "are not finite"),
-        *_counted(int((~strand[0]).sum()), "strand", "has less than two places", "have less than two places"),
-        *_counted(int((strand[0] & ~strand[1]).sum()), "strand", "has no radius", "have no radius"),
-    ]
-    if len(lines.position) > MOST_POINTS:
-        messages.append(f"strands beyond {MOST_POINTS} points are left out")
-    return StrandLevels(
-        np.asarray(lines.origin, float), kept, p, radius, start, tangent, side, rows, levels, detail, tuple(messages)
-    )
-
-
-def _counted(number: int, what: str, one: str, many: str) -> list[str]:
-    if number == 0:
-        return []
-    return [f"1 {what} {one} and is left out" if number == 1 else f"{number} {what}s {many} and are left out"]
+    values = [a for a in (strands.color, strands.surface, strands.emission) if a is not None]
+    detail = coarsest_attribute_level(np.concatenate(values, axis=1) if values else None, levels, count)
+    return StrandLevels(np.asarray(strands.origin, float), position, radius, start, tangent, side, rows, levels, detail)
 
 
 def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
