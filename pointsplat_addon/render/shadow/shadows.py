@@ -15,20 +15,14 @@ from ...core.light.lighting import in_rows
 from ...core.lod.hierarchy import build
 from ...core.lod.levels import make_levels
 from ...core.numeric.linear import all_finite, largest_singular_value
+from ...core.scene.bounds import box_corners
 from ...core.scene.cloud import PointCloud
 from ...core.scene.lights import Light
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
 from ...core.shadow import builder
-from ...core.shadow.floor import (
-    FLATNESS,
-    box_corners,
-    light_is_above,
-    lowest_box_height,
-    lowest_height,
-    plane_of_mesh,
-)
+from ...core.shadow.floor import FLATNESS, light_is_above, lowest_box_height, lowest_height, plane_of_mesh
 from ...core.shadow.grid import NARROW_ANGLE, rotation_to
 from ...core.shadow.samples import (
     MeshExtents,
