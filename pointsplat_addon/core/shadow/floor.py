@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..scene.bounds import box_corners
 from ..scene.lights import Light
 from ..scene.mesh import Mesh
 from .samples import MeshExtents
@@ -51,8 +52,3 @@ def lowest_height(position: np.ndarray, world_from_object: np.ndarray, point: np
         along = normal @ world_from_object[:, :3, :3]  # (I, 3)
         height = position.astype(np.float64) @ along.T + (world_from_object[:, :3, 3] - point) @ normal
         return float(height.min(initial=np.inf))
-
-
-def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The corners (8, 3) of the box between two opposite corners (3,)."""
-    return np.stack([np.where(which, high, low) for which in np.ndindex(2, 2, 2)])
