@@ -1,4 +1,5 @@
-// Direct light in view space; the entry is ps_shade. Reference, sources and the layout of ps_lights: core/light/lighting.py.
+// Direct light in view space; the entry is ps_shade. Layout of ps_lights: core/light/light_table.py; float64 twin and
+// sources: tests/reference/lighting.py.
 // Names say what a scene needs, and all else is left out: PS_HAS_SUNS, PS_HAS_POINTS, PS_HAS_SPOTS, PS_HAS_RECTANGLES,
 // PS_HAS_ELLIPSES (kinds of lights), PS_ONE_KIND (all lights are of one); PS_HAS_WIDE_LIGHTS (some light's size is
 // seen), PS_HAS_BEAMS (narrowed area lights), PS_HAS_METAL, PS_ONE_SURFACE, PS_HAS_WORLD, PS_HAS_ENVIRONMENT. Some
