@@ -12,7 +12,8 @@ from ..core.numeric.segments import ranges
 from ..core.strand.curves import FREE
 from ..core.strand.fit.from_mesh import fit_strands
 from ..core.strand.fit.result import FittedStrands
-from ..formats import dense, hierarchy_cache, vdb
+from ..formats import hierarchy_cache
+from ..formats.volumes import dense, vdb
 from ..render.device.protocol import DeviceError
 from . import caches, device_costs, gl_thread, main_gpu, preferences
 from .convert import arrays
