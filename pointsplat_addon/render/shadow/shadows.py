@@ -140,7 +140,7 @@ def cast(
                     batches.extend(_batches(scene, casters, spacing, store, check))
                     strands.extend(_pieces(casters, spacing, store))
                 try:
-                    every = [*batches, *(one.toward(light) for one in strands)]
+                    every = [*batches, *(one.casters_toward(light) for one in strands)]
                     return builder.build_table(light, every, settings.shadow_resolution, around)
                 except ValueError as error:
                     warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")
