@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.numeric.segments import owners, ranks
-from ..core.volume.lattice import index_bounds, lattice_keys
+from ...core.numeric.segments import owners, ranks
+from ...core.volume.lattice import index_bounds, lattice_keys
 
 BLOCK = 1 << 18  # voxels that are copied together whatever of them is active
 SPARSE = 16  # so many voxels for each active one are still copied rather than searched
