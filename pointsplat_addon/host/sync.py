@@ -19,12 +19,13 @@ from ..core.scene import volume as volume_module
 from ..core.scene import world as world_module
 from ..core.scene.cloud import PointCloud
 from ..core.scene.cryptomatte import cryptomatte_hash
-from .convert import curves
 from .convert.lights import convert_lights
 from .convert.material.materials import convert_materials
 from .convert.mesh import is_scattered, read_mesh
 from .convert.objects import Collected, Source, collect
-from .convert.pointcloud import CloudMaterial, cloud_material, read_pointcloud, splats
+from .convert.pointcloud import read_pointcloud, splats
+from .convert.sample_material import SampleMaterial, sample_material
+from .convert.strands import bevels, conversion, curves_objects, particle_hair
 from .convert.volume import Voxels, convert_volume, digest, read_voxels, source_key, wanted_grids
 from .convert.world import convert_world
 
@@ -79,7 +80,7 @@ class Known(NamedTuple):
     generated: bool  # made by an instancer, whose changes do not name it
     voxels: Voxels | None = None
     warnings: tuple[str, ...] = ()
-    lines: curves.Converted | None = None
+    lines: conversion.ConvertedStrands | None = None
 
 
 class Synchronizer:
@@ -89,7 +90,7 @@ class Synchronizer:
         self.cache = cache
         self._known: dict[tuple, Known] = {}
         # So that another transfer function finds voxels, and strands that are looked at again are not evaluated again
-        self._held: tuple[Voxels | curves.Converted | None, ...] = ()
+        self._held: tuple[Voxels | conversion.ConvertedStrands | None, ...] = ()
         self._materials: materials_module.MaterialTable | None = None
         self._material_warnings: tuple[str, ...] = ()
         self._used: tuple[int, ...] = ()  # rows of the materials in use
@@ -234,9 +235,9 @@ class Synchronizer:
             if source.particles:
                 key = (*key, source.particles.key)
             if source.particles or isinstance(source.data, bpy.types.PointCloud) or _is_scattered(source):
-                key = (*key, cloud_material(table, rows[0]).key)
+                key = (*key, sample_material(table, rows[0]).key)
             if source.strands:
-                looks = tuple((cloud_material(table, row).key, *table.base_color[row].tolist()) for row in rows)
+                looks = tuple((sample_material(table, row).key, *table.base_color[row].tolist()) for row in rows)
                 # Evaluated curve data have no session_uid
                 names = source.data.original.session_uid, source.owner, source.hair and source.hair.modifier.name
                 key = (*key, *names, looks, source.ribbons)
@@ -264,14 +265,14 @@ class Synchronizer:
     ) -> scene.Geometry | None:
         mesh = cloud = None
         if source.particles or isinstance(source.data, bpy.types.PointCloud):
-            material, lookup = cloud_material(table, rows[0], source.extinction), self.cache.lookup
+            material, lookup = sample_material(table, rows[0], source.extinction), self.cache.lookup
             if source.particles:
                 key, cloud = splats(source.particles, material, lookup)
             else:
                 found = read_pointcloud(source.data, material, lookup, source.radius)  # pyright: ignore[reportArgumentType]
                 key, cloud = found or ("", None)
         else:
-            material = cloud_material(table, rows[0], source.extinction)
+            material = sample_material(table, rows[0], source.extinction)
             found = _read_evaluated(source, rows, _attributes(table, rows), material, self.cache.lookup)
             if isinstance(found, mesh_module.Mesh):
                 mesh, key = found, found.key
@@ -291,18 +292,18 @@ class Synchronizer:
 
     def _read_lines(
         self, source: Source, rows: tuple[int, ...], table: materials_module.MaterialTable
-    ) -> tuple[scene.Geometry | None, curves.Converted | None, tuple[str, ...]]:
+    ) -> tuple[scene.Geometry | None, conversion.ConvertedStrands | None, tuple[str, ...]]:
         """The geometry of strands, what keeps them, and what is wrong with them."""
-        materials = tuple(cloud_material(table, row) for row in rows)
+        materials = tuple(sample_material(table, row) for row in rows)
         if source.hair:
-            strands = curves.read_hair(source.hair, materials)
+            strands = particle_hair.read_hair(source.hair, materials)
         elif isinstance(source.data, bpy.types.Curve):
-            strands = curves.read_tubes(source.data)
+            strands = bevels.read_splines(source.data)
         else:
-            strands = curves.read_curves(source.data, materials, source.ribbons)  # pyright: ignore[reportArgumentType]
+            strands = curves_objects.read_curves(source.data, materials, source.ribbons)  # pyright: ignore[reportArgumentType]
         if strands is None:
             return None, None, ()
-        found = curves.convert(strands, source.name, materials, self.cache.lookup)
+        found = conversion.convert_strands(strands, source.name, materials, self.cache.lookup)
         warnings = tuple(f"{source.name}: {message}" for message in found.messages)
         if found.lines is None:
             return None, found, warnings
@@ -349,7 +350,7 @@ def _read_evaluated(
     source: Source,
     rows: tuple[int, ...],
     wanted: frozenset[str | None],
-    material: CloudMaterial,
+    material: SampleMaterial,
     lookup: Callable,
 ) -> mesh_module.Mesh | tuple[str, PointCloud] | None:
     """The mesh of a source, or the key and points of one without edges and faces; None where there is nothing to draw.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...core.material.color_models import linear_from_srgb
+from . import arrays
 
 CTYPES = {np.float32: ctypes.c_float, np.int32: ctypes.c_int32, np.uint8: ctypes.c_uint8}
 
@@ -46,7 +47,7 @@ def digest(*parts: object) -> str:
     return state.hexdigest()
 
 
-def colors(attribute: Any) -> np.ndarray:
+def stored_colors(attribute: Any) -> np.ndarray:
     """A FLOAT_COLOR or BYTE_COLOR attribute as stored: (N, 4) float32 scene-linear, or (N, 4) uint8 sRGB."""
     if attribute.data_type == "BYTE_COLOR":
         return view(attribute.data, (len(attribute.data), 4), np.uint8)
@@ -61,3 +62,27 @@ def scene_linear(stored: np.ndarray) -> np.ndarray:
     result = linear_from_srgb(codes).astype(np.float32)[stored]
     result[..., 3] = stored[..., 3] / np.float32(255)
     return result
+
+
+COLOR_TYPES = ("FLOAT_COLOR", "BYTE_COLOR")
+
+
+def attribute_as_color(attribute: Any) -> np.ndarray:
+    """(N, 4) as an Attribute node's Color output has it: a float in all three channels, a vector as it is."""
+    if attribute.data_type in COLOR_TYPES:
+        return arrays.stored_colors(attribute)
+    if attribute.data_type == "FLOAT":
+        value = np.repeat(arrays.read(attribute.data, "value", 1, np.float32)[:, None], 3, axis=1)
+    else:
+        value = arrays.read(attribute.data, "vector", 3, np.float32)
+    return np.concatenate([value, np.ones((len(value), 1), np.float32)], axis=1)
+
+
+def contiguous_float32(array: np.ndarray | None) -> np.ndarray | None:
+    return None if array is None else np.ascontiguousarray(array, np.float32)
+
+
+def unit_or_up(vectors: np.ndarray) -> np.ndarray:
+    """Normalised rows; a zero vector becomes +Z."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.where(length > 0, vectors / np.where(length > 0, length, 1), [0, 0, 1]).astype(np.float32)

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...core.scene.mesh import Mesh
 from . import arrays
+from .arrays import COLOR_TYPES, attribute_as_color
 
-COLOR_TYPES = ("FLOAT_COLOR", "BYTE_COLOR")
 Lookup = Callable[[str, Callable[[], Mesh]], Mesh]  # the mesh of a content key, made only where it is not known
 
 
@@ -102,25 +102,14 @@ def _colors(mesh: bpy.types.Mesh, wanted: frozenset[str | None] | None) -> dict[
     for name in names:
         attribute = mesh.attributes[name]
         if (wanted is None or name in wanted or (name == default and None in wanted)) and _readable(attribute):
-            found[name] = attribute.domain, arrays.colors(attribute)
+            found[name] = attribute.domain, arrays.stored_colors(attribute)
     for name in sorted({n for n in wanted or () if n is not None} - set(found)):
         attribute = mesh.attributes.get(name)
         if attribute is not None and _readable(attribute) and name not in mesh.uv_layers:
-            found[name] = attribute.domain, as_color(attribute)
+            found[name] = attribute.domain, attribute_as_color(attribute)
     return found
 
 
 def _readable(attribute: Any) -> bool:
     known = attribute.data_type in (*COLOR_TYPES, "FLOAT", "FLOAT_VECTOR")
     return known and attribute.domain in ("POINT", "CORNER")
-
-
-def as_color(attribute: Any) -> np.ndarray:
-    """(N, 4) as an Attribute node's Color output has it: a float in all three channels, a vector as it is."""
-    if attribute.data_type in COLOR_TYPES:
-        return arrays.colors(attribute)
-    if attribute.data_type == "FLOAT":
-        value = np.repeat(arrays.read(attribute.data, "value", 1, np.float32)[:, None], 3, axis=1)
-    else:
-        value = arrays.read(attribute.data, "vector", 3, np.float32)
-    return np.concatenate([value, np.ones((len(value), 1), np.float32)], axis=1)

@@ -9,9 +9,10 @@ import bpy
 import numpy as np
 
 from ...core.scene.volume import Transfer
-from .curves import Hair, hair_systems, is_tube
 from .particles import read_particles
 from .pointcloud import Points
+from .strands.bevels import has_round_bevel
+from .strands.particle_hair import ParticleHair, hair_systems
 from .volume import Voxels, convert_transfer, read_domain
 
 GEOMETRY = ("MESH", "POINTCLOUD", "VOLUME", "CURVES")
@@ -43,7 +44,7 @@ class Source:
     transfer: Transfer | None = None  # of volumes
     smoke: Voxels | None = None  # instead of the data: what a fluid domain holds
     particles: Points | None = None  # instead of the data, in world space
-    hair: Hair | None = None  # instead of the data, in the object's space
+    hair: ParticleHair | None = None  # instead of the data, in the object's space
     ribbons: bool = False  # strands have normals
 
     @property
@@ -80,7 +81,7 @@ def collect(
         count = row + 1
         # The instance and, where it is generated, its object live only until the next step.
         ob = instance.object
-        uid, tube = ob.original.session_uid, ob.type == "CURVE" and is_tube(ob)
+        uid, tube = ob.original.session_uid, ob.type == "CURVE" and has_round_bevel(ob)
         if tube:
             tubes.add(uid)
         elif ob.type == "MESH" and uid in tubes:

@@ -17,14 +17,14 @@ from ...core.material.evaluation import evaluate_samples
 from ...core.material.expression import SampleInputs
 from ...core.material.graph import MaterialGraph, Needs, needs
 from ...core.scene.cloud import PointCloud
-from ...core.scene.materials import MaterialTable
 from ...core.scene.volume import Medium, Volume
 from ...core.splat.kernel import PROFILES
 from ...core.surface.appearance import CLIP, ball_extinction
 from ...core.surface.nearest import median_spacing
 from ...core.volume.optics import voxel_optics
 from . import arrays
-from .mesh import COLOR_TYPES, as_color
+from .arrays import COLOR_TYPES, attribute_as_color, contiguous_float32, unit_or_up
+from .sample_material import SampleMaterial, roughness_and_metallic
 
 DEFAULT_RADIUS = 0.01  # Blender's, for points without a radius attribute
 COLOR_NAMES = ("Color", "Col")  # what importers call it
@@ -33,47 +33,6 @@ CAPTURED = "f_dc_0"  # an attribute of captured splats, whose opacities are logi
 NUMBERS = {"FLOAT": ("value", 1), "FLOAT2": ("vector", 2), "FLOAT_VECTOR": ("vector", 3)}
 Lookup = Callable[[str, Callable[[], PointCloud]], PointCloud]
 Data = bpy.types.PointCloud | bpy.types.Mesh
-
-
-@dataclass(frozen=True, eq=False)
-class CloudMaterial:
-    """What points must know of their material."""
-
-    row: int  # of the scene's table; 0 is no material, and then attributes by the names of importers give the looks
-    graph: MaterialGraph | None = None
-    roughness: float = 0.5  # the constants, for when only the other one varies
-    metallic: float = 0.0
-    emission: tuple[float, ...] = (0.0, 0.0, 0.0)
-    alpha: float = 1.0
-    translucent: bool = False
-    medium: Medium | None = None  # of a material without a surface
-    extinction: float = 0.0  # the object's own, per object unit; 0 takes the material's
-    base_color: tuple[float, ...] = (0.8, 0.8, 0.8)  # of strands, which may have several materials
-
-    @property
-    def key(self) -> str:
-        volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
-        looks = self.roughness, self.metallic, self.emission, self.alpha, self.translucent, self.extinction
-        return repr((self.row, self.graph and self.graph.digest, looks, volume))
-
-
-def cloud_material(table: MaterialTable, row: int, extinction: float = 0.0) -> CloudMaterial:
-    """What the table says of a material's points."""
-    graph = table.graphs[row] if row < len(table.graphs) else None
-    alpha = float(table.alpha[row])
-    varies = isinstance(graph, MaterialGraph) and graph.alpha is not None
-    return CloudMaterial(
-        row,
-        graph,  # pyright: ignore[reportArgumentType]
-        float(table.roughness[row]),
-        float(table.metallic[row]),
-        tuple(table.emission[row].tolist()),
-        alpha,
-        table.translucent is not None and bool(table.translucent[row]),
-        table.media[row] if row < len(table.media) and alpha == 0 and not varies else None,
-        extinction,
-        tuple(table.base_color[row].tolist()),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +55,7 @@ class Points:
 
 
 def read_pointcloud(
-    data: Data, material: CloudMaterial, lookup: Lookup, radius: float = 0.0
+    data: Data, material: SampleMaterial, lookup: Lookup, radius: float = 0.0
 ) -> tuple[str, PointCloud] | None:
     """(content key, cloud) of a point cloud, or of the vertices of a mesh, in object space; None where it is empty.
 
@@ -116,20 +75,20 @@ def read_pointcloud(
         _read(data, "normal", "FLOAT_VECTOR"),
         _opacity(data) if imported else None,
         _kernel(data),
-        {a.name: as_color(a) for a in _color_attributes(data, wanted, imported)},
+        {a.name: attribute_as_color(a) for a in _color_attributes(data, wanted, imported)},
         _present((name, _read(data, name, "FLOAT2")) for name in wanted.uv if name is not None),
         _present((name, _grid(data, name)) for name in _grid_names(material.medium)),
     )
     return splats(points, material, lookup)
 
 
-def splats(points: Points, material: CloudMaterial, lookup: Lookup) -> tuple[str, PointCloud]:
+def splats(points: Points, material: SampleMaterial, lookup: Lookup) -> tuple[str, PointCloud]:
     """(content key, cloud) of points by their material; the cloud is made only where it is not known."""
     key = f"{points.key} {arrays.digest(material.key)}"
     return key, lookup(key, lambda: _build(points, material))
 
 
-def _build(points: Points, material: CloudMaterial) -> PointCloud:
+def _build(points: Points, material: SampleMaterial) -> PointCloud:
     count, graph, normal = len(points.position), material.graph, points.normal
     linear = {name: arrays.scene_linear(array) for name, array in points.colors.items()}
     varying: dict[str, np.ndarray] = {}
@@ -141,11 +100,11 @@ def _build(points: Points, material: CloudMaterial) -> PointCloud:
     facing = varying.get("normal", normal)
     cloud = PointCloud(
         position=points.position,
-        normal=None if facing is None or normal is None else unit(facing),
+        normal=None if facing is None or normal is None else unit_or_up(facing),
         radii=_radii(points)[:, None],
-        color=contiguous(varying.get("base_color")),
-        surface=surface_of(varying, material, count),
-        emission=contiguous(varying.get("emission")),
+        color=contiguous_float32(varying.get("base_color")),
+        surface=roughness_and_metallic(varying, material, count),
+        emission=contiguous_float32(varying.get("emission")),
         material=np.full(count, material.row, np.uint16) if material.row else None,
         kernel=points.kernel,
     )
@@ -165,7 +124,7 @@ def _radii(points: Points) -> np.ndarray:
     return np.full(len(points.position), radius, np.float32)
 
 
-def _filled(cloud: PointCloud, points: Points, material: CloudMaterial) -> PointCloud:
+def _filled(cloud: PointCloud, points: Points, material: SampleMaterial) -> PointCloud:
     """Balls of a medium."""
     if material.medium is None:
         return _balls(cloud, np.full(len(cloud), material.extinction, np.float32), material)
@@ -178,7 +137,7 @@ def _filled(cloud: PointCloud, points: Points, material: CloudMaterial) -> Point
     return replace(cloud, normal=None, color=found.albedo, emission=found.emission, extinction=found.extinction)
 
 
-def _balls(cloud: PointCloud, extinction: np.ndarray, material: CloudMaterial) -> PointCloud:
+def _balls(cloud: PointCloud, extinction: np.ndarray, material: SampleMaterial) -> PointCloud:
     """Gaussians of an extinction (N,), in whose depths the surface's emitted radiance is reached."""
     radiance = cloud.emission
     if radiance is None and any(material.emission):
@@ -187,7 +146,7 @@ def _balls(cloud: PointCloud, extinction: np.ndarray, material: CloudMaterial) -
     return replace(cloud, normal=None, extinction=extinction, emission=emission)
 
 
-def _seen(cloud: PointCloud, alpha: np.ndarray, material: CloudMaterial) -> PointCloud:
+def _seen(cloud: PointCloud, alpha: np.ndarray, material: SampleMaterial) -> PointCloud:
     """The points that show, with their extinction, or opacity where they have normals, unless all are opaque."""
     if material.graph is not None and not material.translucent:
         return cloud if (alpha >= CLIP).all() else cloud.take(alpha >= CLIP)
@@ -239,7 +198,7 @@ def _grid(data: Data, name: str) -> np.ndarray | None:
     attribute = data.attributes.get(name)
     if attribute is None or attribute.data_type not in ("FLOAT", "FLOAT_VECTOR", *COLOR_TYPES):
         return None
-    value = arrays.scene_linear(as_color(attribute))
+    value = arrays.scene_linear(attribute_as_color(attribute))
     return value[:, 0].copy() if attribute.data_type == "FLOAT" else value[:, :3].copy()
 
 
@@ -270,22 +229,3 @@ def _evaluate(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np.ndarra
         graph,
         SampleInputs(inputs.uv, next(iter(inputs.uv), None), inputs.colors, None, position, generated, inputs.normal),
     )
-
-
-def surface_of(varying: dict[str, np.ndarray], material: CloudMaterial, count: int) -> np.ndarray | None:
-    if "roughness" not in varying and "metallic" not in varying:
-        return None
-    surface = np.empty((count, 2), np.float32)
-    surface[:, 0] = varying.get("roughness", material.roughness)
-    surface[:, 1] = varying.get("metallic", material.metallic)
-    return surface
-
-
-def contiguous(array: np.ndarray | None) -> np.ndarray | None:
-    return None if array is None else np.ascontiguousarray(array, np.float32)
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    """Normalised rows; a zero vector becomes +Z."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.where(length > 0, vectors / np.where(length > 0, length, 1), [0, 0, 1]).astype(np.float32)

@@ -17,7 +17,7 @@ from ...formats.volumes import dense, vdb
 from ...render.device.protocol import DeviceError
 from .. import caches
 from ..convert import arrays
-from ..convert.curves import SURFACE_UV
+from ..convert.strands.curves_objects import SURFACE_UV
 from ..convert.volume import load_openvdb
 from ..device import device_costs, gl_thread, main_gpu
 from . import preferences

@@ -1,0 +1,71 @@
+"""TODO: say what this module is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.material.graph import MaterialGraph, Needs, needs
+from ...core.scene.materials import MaterialTable
+from ...core.scene.volume import Medium
+
+
+def needs_of_materials(materials: tuple[SampleMaterial, ...]) -> Needs:
+    """What any of the materials reads."""
+    found = [needs(m.graph) for m in materials if m.graph]
+    return Needs(
+        uv=frozenset().union(*(n.uv for n in found)),
+        colors=frozenset().union(*(n.colors for n in found)),
+        generated=any(n.generated for n in found),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SampleMaterial:
+    """What points must know of their material."""
+
+    row: int  # of the scene's table; 0 is no material, and then attributes by the names of importers give the looks
+    graph: MaterialGraph | None = None
+    roughness: float = 0.5  # the constants, for when only the other one varies
+    metallic: float = 0.0
+    emission: tuple[float, ...] = (0.0, 0.0, 0.0)
+    alpha: float = 1.0
+    translucent: bool = False
+    medium: Medium | None = None  # of a material without a surface
+    extinction: float = 0.0  # the object's own, per object unit; 0 takes the material's
+    base_color: tuple[float, ...] = (0.8, 0.8, 0.8)  # of strands, which may have several materials
+
+    @property
+    def key(self) -> str:
+        volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
+        looks = self.roughness, self.metallic, self.emission, self.alpha, self.translucent, self.extinction
+        return repr((self.row, self.graph and self.graph.digest, looks, volume))
+
+
+def sample_material(table: MaterialTable, row: int, extinction: float = 0.0) -> SampleMaterial:
+    """What the table says of a material's points."""
+    graph = table.graphs[row] if row < len(table.graphs) else None
+    alpha = float(table.alpha[row])
+    varies = isinstance(graph, MaterialGraph) and graph.alpha is not None
+    return SampleMaterial(
+        row,
+        graph,  # pyright: ignore[reportArgumentType]
+        float(table.roughness[row]),
+        float(table.metallic[row]),
+        tuple(table.emission[row].tolist()),
+        alpha,
+        table.translucent is not None and bool(table.translucent[row]),
+        table.media[row] if row < len(table.media) and alpha == 0 and not varies else None,
+        extinction,
+        tuple(table.base_color[row].tolist()),
+    )
+
+
+def roughness_and_metallic(varying: dict[str, np.ndarray], material: SampleMaterial, count: int) -> np.ndarray | None:
+    if "roughness" not in varying and "metallic" not in varying:
+        return None
+    surface = np.empty((count, 2), np.float32)
+    surface[:, 0] = varying.get("roughness", material.roughness)
+    surface[:, 1] = varying.get("metallic", material.metallic)
+    return surface

@@ -1,0 +1,1 @@
+"""Hair and curves of Blender as strands of core: one file for each kind of source."""
