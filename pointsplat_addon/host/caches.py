@@ -5,11 +5,12 @@ from __future__ import annotations
 import bpy
 
 from ..render.cache.store import STORE
-from . import engine, sync
+from . import engine
 from .convert.material import images
 from .device import gl_thread
 from .device.main_gpu import MAIN_GPU
 from .final import FinalRender
+from .geometry_cache import CACHE
 from .viewport import Viewport
 
 
@@ -22,7 +23,7 @@ def release() -> None:
     gl_thread.THREAD.release()
     FinalRender.last_scene = None
     STORE.clear()
-    sync.CACHE.clear()
+    CACHE.clear()
     images.clear()
 
 

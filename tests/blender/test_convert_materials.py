@@ -18,7 +18,7 @@ from pointsplat_addon.core.material.graph import needs
 from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
 from pointsplat_addon.host.convert.material import images
 from pointsplat_addon.host.convert.material.materials import convert_material, convert_materials, material_key
-from pointsplat_addon.host.convert.material.nodes import curve_table
+from pointsplat_addon.host.convert.material.nodes.colors import curve_table
 from tests.support.blender.scenes import new_material, node
 
 TILE = 24  # pixels along a side of each case's plane

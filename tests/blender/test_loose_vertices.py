@@ -4,7 +4,8 @@ import bpy
 import numpy as np
 import pytest
 
-from pointsplat_addon.host.sync import Cache, Synchronizer
+from pointsplat_addon.host.geometry_cache import GeometryCache
+from pointsplat_addon.host.sync import Synchronizer
 from tests.support.blender.scenes import pointcloud
 
 pytestmark = pytest.mark.usefixtures("empty_file")
@@ -48,7 +49,7 @@ def imported(path) -> bpy.types.Object:
 
 
 def cloud_of(ob):
-    scene = Synchronizer(Cache()).scene(bpy.context.evaluated_depsgraph_get())
+    scene = Synchronizer(GeometryCache()).scene(bpy.context.evaluated_depsgraph_get())
     (geometry,) = scene.geometries
     assert geometry.name == ob.name
     assert geometry.mesh is None
@@ -94,7 +95,7 @@ def test_meshes_with_edges_or_faces_are_no_scans():
         data.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], edges, faces)
         ob = bpy.data.objects.new("mesh", data)
         bpy.context.collection.objects.link(ob)
-        found = Synchronizer(Cache()).scene(bpy.context.evaluated_depsgraph_get()).geometries
+        found = Synchronizer(GeometryCache()).scene(bpy.context.evaluated_depsgraph_get()).geometries
         assert all(geometry.cloud is None for geometry in found)
         assert len(found) == len(faces)
         bpy.data.objects.remove(ob)

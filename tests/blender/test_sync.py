@@ -437,18 +437,19 @@ def test_content_keys_do_not_depend_on_which_other_materials_are_shown():
 
 
 def test_updates_of_the_dependency_graph_decide_what_is_read_again(monkeypatch):
-    from pointsplat_addon.host import sync as module
+    from pointsplat_addon.host import geometries
+    from pointsplat_addon.host.sync import Synchronizer
 
     changed, still = square("Changed"), mesh_object("Still", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
     assert still
-    synchronizer, read = module.Synchronizer(), []
-    original = module._read_evaluated
+    synchronizer, read = Synchronizer(), []
+    original = geometries._read_evaluated
 
     def spy(source, *arguments):
         read.append(source.name)
         return original(source, *arguments)
 
-    monkeypatch.setattr(module, "_read_evaluated", spy)
+    monkeypatch.setattr(geometries, "_read_evaluated", spy)
     log = []
 
     def handler(_scene, depsgraph):
@@ -471,10 +472,11 @@ def test_updates_of_the_dependency_graph_decide_what_is_read_again(monkeypatch):
 
 
 def test_geometry_is_forgotten_with_the_scenes_that_hold_it():
-    from pointsplat_addon.host.sync import Cache, Synchronizer
+    from pointsplat_addon.host.geometry_cache import GeometryCache
+    from pointsplat_addon.host.sync import Synchronizer
 
     square()
-    cache = Cache()
+    cache = GeometryCache()
     synchronizer = Synchronizer(cache)
     scene = sync(synchronizer)
     key = scene.geometries[0].key

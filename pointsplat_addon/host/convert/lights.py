@@ -1,17 +1,17 @@
-"""Blender's lights in radiometric quantities, as Cycles takes them."""
+"""Blender's lights as core's lights, in radiometric quantities, as Cycles interprets them."""
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
 
-from ...core.material.nodes import input_nodes
 from ...core.scene.lights import Light
-from .material.nodes import Path, Walker, resolve
+from .material.nodes.table import constant_value
+from .material.nodes.tree import resolve
 
 
 def convert_lights(depsgraph: bpy.types.Depsgraph) -> tuple[list[Light], list[str]]:
-    """All lights of an evaluated scene, instances included, and warnings (each said once)."""
+    """All lights of an evaluated scene, instances included, and warnings without repetitions."""
     lights, warnings = [], []
     for instance in depsgraph.object_instances:
         if instance.object.type != "LIGHT" or not instance.show_self:
@@ -23,9 +23,9 @@ def convert_lights(depsgraph: bpy.types.Depsgraph) -> tuple[list[Light], list[st
 
 
 def from_object(obj: bpy.types.Object, world_from_object: np.ndarray | None = None) -> tuple[Light | None, list[str]]:
-    """An evaluated light object as a Light, and warnings; None where it shines nowhere (no size, no strength).
+    """An evaluated light object as a Light, and warnings; None if it emits nothing (no size, no strength).
 
-    `world_from_object` (4, 4) takes the place of the object's own matrix, for instances.
+    world_from_object: (4, 4), of an instance; None takes the object's own matrix.
     """
     data = obj.data
     matrix = np.array(obj.matrix_world if world_from_object is None else world_from_object, float)
@@ -90,10 +90,10 @@ def _area(data: bpy.types.AreaLight, matrix: np.ndarray) -> dict | None:
 
 
 def _radiometric_factor(data: bpy.types.Light, shape: dict) -> float:
-    """From Blender's strength (W, or W/m2 for a sun) to what Light.color holds.
+    """Factor from Blender's strength (W, or W/m2 for a sun) to what Light.color holds.
 
-    A lamp of power P has the radiance P / (pi A) of a Lambert emitter of area A, the whole sphere for POINT and SPOT.
-    Without `normalize` the area is left out: strength / pi is the radiance (of a sun: the strength itself).
+    A light of power P has the radiance P / (pi A) of a Lambertian emitter of area A, the whole sphere for POINT and
+    SPOT. Without `normalize` the area is left out: strength / pi is the radiance (of a sun: the strength itself).
     """
     radius = shape.get("radius", 0.0)
     if data.type == "SUN":
@@ -104,12 +104,12 @@ def _radiometric_factor(data: bpy.types.Light, shape: dict) -> float:
         return float(1 / (np.pi * area) if data.normalize else 1 / np.pi)
     if data.normalize:
         return 1 / (4 * np.pi)
-    # Intensity: the radiance times the area of the disk that is seen.
+    # Intensity: the radiance times the area of the disk that the sphere projects to.
     return radius**2 if radius > 0 else 1 / np.pi
 
 
 def _emission(data: bpy.types.Light, name: str) -> tuple[np.ndarray, list[str]]:
-    """Colour times strength of the light's Emission node, (1, 1, 1) without nodes; warnings for what varies."""
+    """Colour times strength (3,) of the light's Emission node, and warnings; ones without nodes or if they vary."""
     one = np.ones(3)
     if data.node_tree is None or (bpy.app.version < (5, 0) and not data.use_nodes):
         return one, []
@@ -122,14 +122,7 @@ def _emission(data: bpy.types.Light, name: str) -> tuple[np.ndarray, list[str]]:
     node, path = found[0].node, found[1]
     if node.bl_idname != "ShaderNodeEmission":
         return one, [f'Light "{name}": node "{node.label or node.name}" is not supported and is taken as white']
-    color, strength = (constant(node.inputs[key], path) for key in ("Color", "Strength"))
+    color, strength = (constant_value(node.inputs[key], path) for key in ("Color", "Strength"))
     if color is None or strength is None:
         return one, [f'Light "{name}": node "{node.label or node.name}" varies and is taken as white']
     return np.array(color) * strength[0], []
-
-
-def constant(socket: bpy.types.NodeSocket, path: Path) -> tuple[float, ...] | None:
-    """The value of an input if it is the same everywhere, else None."""
-    walker = Walker("")
-    value = walker.read(socket, path)
-    return tuple(value.value) if isinstance(value, input_nodes.Constant) and not walker.warnings else None

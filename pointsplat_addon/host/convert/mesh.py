@@ -76,7 +76,7 @@ def read_mesh(
     return lookup(key, build)
 
 
-def is_scattered(mesh: bpy.types.Mesh) -> bool:
+def is_loose_vertices(mesh: bpy.types.Mesh) -> bool:
     """Whether a mesh is nothing but vertices, as importers make of scans: it is drawn as points."""
     return len(mesh.polygons) == 0 and len(mesh.edges) == 0 and len(mesh.vertices) > 0
 

@@ -79,10 +79,10 @@ def read_pointcloud(
         _present((name, _read(data, name, "FLOAT2")) for name in wanted.uv if name is not None),
         _present((name, _grid(data, name)) for name in _grid_names(material.medium)),
     )
-    return splats(points, material, lookup)
+    return convert_points(points, material, lookup)
 
 
-def splats(points: Points, material: SampleMaterial, lookup: Lookup) -> tuple[str, PointCloud]:
+def convert_points(points: Points, material: SampleMaterial, lookup: Lookup) -> tuple[str, PointCloud]:
     """(content key, cloud) of points by their material; the cloud is made only where it is not known."""
     key = f"{points.key} {arrays.digest(material.key)}"
     return key, lookup(key, lambda: _build(points, material))

@@ -193,7 +193,7 @@ def convert_transfer(ob: bpy.types.Object) -> Transfer | None:
     )
 
 
-def digest(transfer: Transfer) -> str:
+def transfer_digest(transfer: Transfer) -> str:
     """Content key of a transfer function."""
     return arrays.digest("transfer", transfer.grid, transfer.low, transfer.high, transfer.ramp, transfer.density)
 

@@ -1,4 +1,4 @@
-"""Blender's world: one colour, or an environment texture."""
+"""Blender's world as core's: one colour, or an environment texture."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from mathutils import Euler
 from ...core.material.color_models import linear_from_srgb
 from ...core.material.image import Image
 from ...core.scene.world import World
-from .lights import constant
 from .material.images import convert_image
-from .material.nodes import Path, resolve
+from .material.nodes.table import constant_value
+from .material.nodes.tree import Path, resolve
 
 DIRECTIONS = {("ShaderNodeTexCoord", "Generated"), ("ShaderNodeNewGeometry", "Position")}
 
@@ -23,7 +23,10 @@ def convert_world(depsgraph: bpy.types.Depsgraph) -> tuple[World, list[str]]:
 
 
 def from_world(world: bpy.types.World | None) -> tuple[World, list[str]]:
-    """An evaluated world (None: black) and warnings. What cannot be read falls back to its viewport colour."""
+    """An evaluated world as a World, and warnings. A world that cannot be converted gets its viewport colour.
+
+    None is a black world.
+    """
     if world is None:
         return World(), []
     plain = World(color=np.array(world.color, float))
@@ -36,13 +39,13 @@ def from_world(world: bpy.types.World | None) -> tuple[World, list[str]]:
     node, path = found[0].node, found[1]
     if node.bl_idname not in {"ShaderNodeBackground", "ShaderNodeEmission"}:
         return plain, [_fallback(world, node)]
-    strength, color = (constant(node.inputs[key], path) for key in ("Strength", "Color"))
+    strength, color = (constant_value(node.inputs[key], path) for key in ("Strength", "Color"))
     if strength is None:
-        return plain, [_fallback(world, _feed(node.inputs["Strength"], path)[0])]
+        return plain, [_fallback(world, _feeding_node(node.inputs["Strength"], path)[0])]
     if color is not None:
         return World(color=np.array(color) * strength[0]), []
 
-    texture, path = _feed(node.inputs["Color"], path)
+    texture, path = _feeding_node(node.inputs["Color"], path)
     if texture.bl_idname != "ShaderNodeTexEnvironment" or texture.projection != "EQUIRECTANGULAR":
         return plain, [_fallback(world, texture)]
     rotation, blocker = _rotation(texture, path)
@@ -54,7 +57,7 @@ def from_world(world: bpy.types.World | None) -> tuple[World, list[str]]:
 
 
 def _linear(image: Image) -> np.ndarray:
-    """(H, W, 3) float32 scene-linear."""
+    """Texels of an image as (H, W, 3) float32, scene-linear."""
     texels = image.texels[..., :3]
     if texels.dtype == np.uint8:
         codes = np.arange(256, dtype=np.float32) / 255
@@ -62,25 +65,25 @@ def _linear(image: Image) -> np.ndarray:
     return linear_from_srgb(texels) if image.srgb else texels
 
 
-def _feed(socket: bpy.types.NodeSocket, path: Path) -> tuple[bpy.types.Node, Path]:
-    """The node that feeds an input which is not constant."""
+def _feeding_node(socket: bpy.types.NodeSocket, path: Path) -> tuple[bpy.types.Node, Path]:
+    """The node that feeds an input, which must be linked, with the path to its tree."""
     found = resolve(socket, path)
     assert found is not None
     return found[0].node, found[1]
 
 
 def _rotation(texture: bpy.types.Node, path: Path) -> tuple[np.ndarray | None, bpy.types.Node]:
-    """image_from_world (3, 3) of an environment texture, or None and the node that is in the way."""
+    """Rotation image_from_world (3, 3) of an environment texture; None, and the node at fault, if it is no rotation."""
     found = resolve(texture.inputs["Vector"], path)
     rotation = np.eye(3)
     if found is not None and found[0].node.bl_idname == "ShaderNodeMapping":
         mapping, path = found[0].node, found[1]
-        angles, scale = (constant(mapping.inputs[key], path) for key in ("Rotation", "Scale"))
-        moves = mapping.vector_type in {"POINT", "TEXTURE"}
-        location = constant(mapping.inputs["Location"], path) if moves else (0.0, 0.0, 0.0)
+        angles, scale = (constant_value(mapping.inputs[key], path) for key in ("Rotation", "Scale"))
+        translates = mapping.vector_type in {"POINT", "TEXTURE"}
+        location = constant_value(mapping.inputs["Location"], path) if translates else (0.0, 0.0, 0.0)
         # A scale common to all axes does not change a direction.
-        simple = angles and scale and location and not any(location) and scale[0] > 0 and np.ptp(scale) < 1e-6
-        if not simple:
+        rotates_only = angles and scale and location and not any(location) and scale[0] > 0 and np.ptp(scale) < 1e-6
+        if not rotates_only:
             return None, mapping
         rotation = np.array(Euler(angles).to_matrix())
         if mapping.vector_type == "TEXTURE":

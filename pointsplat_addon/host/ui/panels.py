@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import bpy
 
 from ...render.passes.outputs import PASSES
-from ..convert.mesh import is_scattered
+from ..convert.mesh import is_loose_vertices
 from . import last_render
 
 ENGINE = "POINTSPLAT"
@@ -209,7 +209,7 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             layout.prop(ob.pointsplat, "ribbons")
             self._visibility(ob, layout)
             return
-        scattered = ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_scattered(ob.data))
+        scattered = ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_loose_vertices(ob.data))
         if scattered:  # points are drawn as they are: nothing is sampled
             layout.prop(ob.pointsplat, "radius")
         else:

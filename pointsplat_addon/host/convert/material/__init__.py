@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Blender's materials as core's table of materials: surfaces, media, node trees and images."""

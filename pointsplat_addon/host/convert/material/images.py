@@ -1,4 +1,4 @@
-"""Blender's images as core images, cached by content."""
+"""Blender's images as images of core, cached by content."""
 
 from __future__ import annotations
 
@@ -12,13 +12,17 @@ import numpy as np
 
 from ....core.material.image import Image
 
-CACHE_BYTES = 1 << 30  # texels kept for images that no material holds at the moment
-MISSING_COLOR = (1.0, 0.0, 1.0, 1.0)  # what Blender shows for a missing picture
-SUPPORTED_ENCODINGS = {"sRGB": True, "Linear Rec.709": False, "scene_linear": False}  # of bytes: sRGB curve or none
+CACHE_BYTES = 1 << 30  # of texels that are cached, whether or not a material uses them
+MISSING_COLOR = (1.0, 0.0, 1.0, 1.0)  # what Blender shows for a missing image
+SUPPORTED_ENCODINGS = {
+    "sRGB": True,
+    "Linear Rec.709": False,
+    "scene_linear": False,
+}  # of 8-bit images: whether they have the sRGB curve
 
 
 class _Cache:
-    """Least recently used pictures up to CACHE_BYTES; final renders and viewports read it from their threads."""
+    """The most recently used images, up to CACHE_BYTES. Final renders and viewports share it between their threads."""
 
     def __init__(self) -> None:
         self._images: OrderedDict[str, Image] = OrderedDict()
@@ -46,21 +50,21 @@ _cache = _Cache()
 
 
 def clear() -> None:
-    """Forget every picture, for instance when a file is loaded or the extension is disabled."""
+    """Forget all cached images, for instance when a file is loaded or the extension is disabled."""
     _cache.clear()
 
 
 def missing_image() -> Image:
-    """One magenta texel."""
+    """An image of one magenta texel, as Blender shows missing files."""
     return Image(np.array([[MISSING_COLOR]], np.float32), key="missing", name="missing")
 
 
 def convert_image(image: bpy.types.Image | None) -> tuple[Image, str | None]:
-    """The texels of a picture as Cycles interpolates them, and what is wrong with it, if anything.
+    """The texels of an image as Cycles interpolates them, and what is wrong with it; None if nothing is.
 
-    Bytes stay bytes (H, W, 4) uint8 with their encoding; float pictures are scene-linear float32, which is how
-    Blender holds them. Colour is multiplied by alpha unless the picture is data or its alpha is a channel of its
-    own. A missing file gives one magenta texel.
+    8-bit images stay (H, W, 4) uint8 with their encoding; float images are scene-linear float32, which is how Blender
+    holds them. Colour is multiplied by alpha unless the image is data or its alpha is a channel of its own. A missing
+    file gives one magenta texel. What is wrong completes the sentence "node X ...".
     """
     if image is None:
         return missing_image(), "has no image"
@@ -77,7 +81,7 @@ def convert_image(image: bpy.types.Image | None) -> tuple[Image, str | None]:
 
 
 def _unsupported(image: bpy.types.Image) -> str | None:
-    """What is not read as Blender would show it."""
+    """What of the image cannot be read as Blender shows it; None if nothing."""
     if image.source == "TILED" and len(image.tiles) > 1:
         return f'reads the image "{image.name}" with UDIM tiles; only tile {image.tiles[0].number} is used'
     if image.source in ("SEQUENCE", "MOVIE"):
@@ -89,14 +93,14 @@ def _unsupported(image: bpy.types.Image) -> str | None:
 
 
 def content_id(image: bpy.types.Image) -> str:
-    """A key that changes with the texels or their meaning.
+    """A key that changes with the texels or their encoding.
 
-    Files are told by path, size and time; whatever lives in memory only (painted, generated, sequences) by its
+    Files are identified by path, size and time; what exists only in memory (painted, generated, sequences) by its
     texels.
     """
     space = image.colorspace_settings
-    meaning = f"{space.name} {space.is_data} {image.alpha_mode} {image.is_float} {tuple(image.size)}"
-    return hashlib.blake2b(f"{meaning} {_texel_id(image)}".encode(), digest_size=16).hexdigest()
+    encoding = f"{space.name} {space.is_data} {image.alpha_mode} {image.is_float} {tuple(image.size)}"
+    return hashlib.blake2b(f"{encoding} {_texel_id(image)}".encode(), digest_size=16).hexdigest()
 
 
 def _texel_id(image: bpy.types.Image) -> str:
@@ -111,7 +115,7 @@ def _texel_id(image: bpy.types.Image) -> str:
 
 
 def _pixels(image: bpy.types.Image) -> np.ndarray:
-    """(H * W * channels,) float32 as Blender hands them out: bytes divided by 255, still encoded."""
+    """(H * W * channels,) float32 as Blender gives them: 8-bit values divided by 255, still encoded."""
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
     return pixels
@@ -129,14 +133,14 @@ def _read(image: bpy.types.Image, key: str) -> Image:
     texels *= 255
     texels = np.rint(texels, out=texels).astype(np.uint8)
     if associated and texels[..., 3].min() < 255:
-        # Blender holds bytes with straight alpha; Cycles multiplies them while encoded, rounding down
+        # Blender holds 8-bit images with straight alpha; Cycles multiplies them while encoded, rounding down
         texels[..., :3] = texels[..., :3].astype(np.uint16) * texels[..., 3:] // 255
     srgb = not data and SUPPORTED_ENCODINGS.get(image.colorspace_settings.name, True)
     return Image(texels, srgb, associated, key, image.name)
 
 
 def _four_channels(pixels: np.ndarray) -> np.ndarray:
-    """(H, W, 1 | 2 | 3 | 4) as RGBA: one and two channels are grey, a missing alpha is 1."""
+    """Pixels (H, W, 1 | 2 | 3 | 4) as RGBA (H, W, 4): one and two channels are grey, a missing alpha is 1."""
     height, width, channels = pixels.shape
     if channels == 4:
         return pixels

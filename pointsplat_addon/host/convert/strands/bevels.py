@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Control points of Blender's curve objects whose round bevels are drawn as tubes."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from ....core.strand.curves import BEZIER, NURBS, POLY, Curves
 from .. import arrays
 from .control_points import VECTOR_HANDLE, ControlPoints
 
-MAX_ANGULAR_BEVEL = 1  # bevel resolutions up to this one have corners that show
+MAX_ANGULAR_BEVEL = 1  # bevels up to this resolution have visible corners
 
 
 def has_round_bevel(ob: bpy.types.Object) -> bool:
-    """Whether a curve object is drawn as tubes along its control points: its bevel is round and nothing else shapes it.
+    """Whether a curve object is drawn as tubes along its curves: it has a round bevel and nothing else shapes it.
 
-    Where the object does not ask for lines, bars of few sides stay meshes.
+    Bevels of few sides become meshes unless the object's primitive is LINES.
     """
     data, primitive = ob.data, ob.pointsplat.primitive
     if primitive not in ("AUTO", "LINES") or data.bevel_mode != "ROUND" or not data.bevel_depth > 0:
@@ -30,7 +30,10 @@ def has_round_bevel(ob: bpy.types.Object) -> bool:
 
 
 def read_splines(data: bpy.types.Curve) -> ControlPoints | None:
-    """The splines of an evaluated curve object, with the bevel's radius times the points' own."""
+    """The control points of an evaluated curve object, in object space; None if it has none.
+
+    Radii are the bevel's depth times those of the points.
+    """
     splines = [s for s in data.splines if len(s.bezier_points) or len(s.points)]
     if not splines:
         return None
@@ -57,13 +60,14 @@ def read_splines(data: bpy.types.Curve) -> ControlPoints | None:
 
 
 def _read_points(spline: bpy.types.Spline) -> tuple[np.ndarray, ...]:
-    """Positions, radii, weights, handles (unused), and whether those are vectors."""
+    """Arrays of a NURBS or poly spline in the order of `_read_bezier`, with handles that are not used."""
     co = arrays.read(spline.points, "co", 4, np.float32)
     radius, zero = arrays.read(spline.points, "radius", 1, np.float32), np.zeros_like(co[:, :3])
     return co[:, :3], radius, co[:, 3], zero, zero, np.zeros((len(co), 2), bool)
 
 
 def _read_bezier(spline: bpy.types.Spline) -> tuple[np.ndarray, ...]:
+    """Position (P, 3), radius (P,), weight (P,), left and right handle (P, 3), and whether they are vectors (P, 2)."""
     points = spline.bezier_points
     co, left, right = (arrays.read(points, name, 3, np.float32) for name in ("co", "handle_left", "handle_right"))
     types = [arrays.read(points, f"handle_{side}_type", 1, np.int32) == VECTOR_HANDLE for side in ("left", "right")]

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Control points of curves as Blender has them, and their validation."""
 
 from __future__ import annotations
 
@@ -18,62 +18,66 @@ CURVE_FIELDS = ("kind", "cyclic", "resolution", "order", "knots")
 
 @dataclass(frozen=True, eq=False)
 class ControlPoints:
-    """Arrays of S strands of P control points as Blender has them."""
+    """Arrays of P control points of S strands as Blender has them, in object units."""
 
     curves: Curves
     radius: np.ndarray  # (P,) float32
-    slot: np.ndarray | None = None  # (S,) int32, material slots; None: all the first
-    normal_mode: np.ndarray | None = None  # (S,) int32; None: tubes
+    slot: np.ndarray | None = None  # (S,) int32, of materials; None: all use the first
+    normal_mode: np.ndarray | None = None  # (S,) int32; None: strands are tubes, without normals
     tilt: np.ndarray | None = None  # (P,) float32
-    normal: np.ndarray | None = None  # (P, 3) float32, of free normals
-    colors: dict[str, np.ndarray] = field(default_factory=dict)  # name to (P, 4) or (S, 4) as stored
-    of_strand: frozenset[str] = frozenset()  # the names of those that are one for each strand
-    uv: dict[str, np.ndarray] = field(default_factory=dict)  # name to (S, 2) float32, the active one first
-    first: int = 0  # strands before these that count for random numbers
-    space: np.ndarray | None = None  # (2, 3) float64: corners of the box of Generated; None: that of the strands
-    messages: tuple[str, ...] = ()
+    normal: np.ndarray | None = None  # (P, 3) float32, for the mode of free normals
+    colors: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (P, 4) or (S, 4) as stored
+    strand_colors: frozenset[str] = frozenset()  # names of the colours that are (S, 4)
+    uv: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (S, 2) float32, the active one first
+    first_strand: int = 0  # number of the first strand, on which random values depend
+    texture_space: np.ndarray | None = None  # (2, 3) float64, corners for Generated; None: the bounds of the points
+    messages: tuple[str, ...] = ()  # about what is read differently; they do not name the object
 
     @property
     def key(self) -> str:
+        """Content key of all arrays."""
         named = [part for group in (self.colors, self.uv) for item in group.items() for part in item]
-        held = (getattr(self.curves, f) for f in Curves.__dataclass_fields__)
-        own = self.slot, self.normal_mode, self.tilt, self.normal, self.first, self.space
-        return arrays.digest("strands", *held, self.radius, *own, *named)
+        shape = (getattr(self.curves, f) for f in Curves.__dataclass_fields__)
+        other = self.slot, self.normal_mode, self.tilt, self.normal, self.first_strand, self.texture_space
+        return arrays.digest("strands", *shape, self.radius, *other, *named)
 
 
 def without_invalid_points(strands: ControlPoints) -> ControlPoints | None:
-    """Without control points that are no numbers and curves without points; None where nothing is left."""
+    """`strands` without control points that are NaN or infinite and strands without points; None if none is left.
+
+    A message says how many points are left out.
+    """
     curves, start = strands.curves, strands.curves.start
-    held = (curves.position, curves.handle_left, curves.handle_right, curves.weight, strands.radius, strands.normal)
-    sound = np.ones(len(curves.position), bool)
-    for array in held:
+    checked = (curves.position, curves.handle_left, curves.handle_right, curves.weight, strands.radius, strands.normal)
+    finite = np.ones(len(curves.position), bool)
+    for array in checked:
         if array is not None:
-            sound &= np.isfinite(array.reshape(len(sound), -1)).all(axis=1)
-    points = np.flatnonzero(sound)
+            finite &= np.isfinite(array.reshape(len(finite), -1)).all(axis=1)
+    points = np.flatnonzero(finite)
     count = np.bincount(owners(np.diff(start))[points], minlength=len(start) - 1)
-    kept = np.flatnonzero(count > 0)
-    if len(points) == len(sound) and len(kept) == len(count):
+    nonempty = np.flatnonzero(count > 0)
+    if len(points) == len(finite) and len(nonempty) == len(count):
         return strands
-    if len(kept) == 0:
+    if len(nonempty) == 0:
         return None
-    lost = len(sound) - len(points)
+    lost = len(finite) - len(points)
     message = (
         f"{lost} control points are not numbers and are left out"
         if lost > 1
         else ("1 control point is not a number and is left out")
     )
 
-    def taken(holder: Any, names: tuple[str, ...], part: np.ndarray) -> dict[str, np.ndarray]:
-        return {n: a[part] for n in names if (a := getattr(holder, n)) is not None}
+    def select(holder: Any, names: tuple[str, ...], rows: np.ndarray) -> dict[str, np.ndarray]:
+        return {n: a[rows] for n in names if (a := getattr(holder, n)) is not None}
 
-    named = taken(curves, POINT_FIELDS, points) | taken(curves, CURVE_FIELDS, kept)
-    named |= {"start": offsets(count[kept])}
+    named = select(curves, POINT_FIELDS, points) | select(curves, CURVE_FIELDS, nonempty)
+    named |= {"start": offsets(count[nonempty])}
     return replace(
         strands,
         curves=replace(curves, **named),
         messages=(*strands.messages, *([message] if lost else [])),
-        colors={n: a[kept if n in strands.of_strand else points] for n, a in strands.colors.items()},
-        uv={n: a[kept] for n, a in strands.uv.items()},
-        **taken(strands, ("radius", "tilt", "normal"), points),
-        **taken(strands, ("slot", "normal_mode"), kept),
+        colors={n: a[nonempty if n in strands.strand_colors else points] for n, a in strands.colors.items()},
+        uv={n: a[nonempty] for n, a in strands.uv.items()},
+        **select(strands, ("radius", "tilt", "normal"), points),
+        **select(strands, ("slot", "normal_mode"), nonempty),
     )

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Control points of hair of Blender's particle systems."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from .control_points import ControlPoints
 
 @dataclass(frozen=True, eq=False)
 class ParticleHair:
-    """A particle system that is drawn as hair. Its Blender data live as long as the dependency graph's state."""
+    """A particle system that is drawn as hair. Its Blender data are valid until the dependency graph changes."""
 
     ob: bpy.types.Object
     modifier: bpy.types.Modifier
-    final: bool  # a final render
-    first: int  # strands of the systems before it
+    final: bool  # whether it is read for a final render
+    first_strand: int  # number of its first strand among all of the object
 
     @property
     def system(self) -> bpy.types.ParticleSystem:
@@ -32,36 +32,39 @@ class ParticleHair:
 
     @property
     def material(self) -> int:
-        """The slot; beyond the last one Blender takes the last."""
+        """The material slot, -1 if the object has none; Blender takes the last slot for numbers beyond it."""
         return min(self.system.settings.material, len(self.ob.material_slots)) - 1
 
     @property
     def shown(self) -> range:
-        """Numbers of the strands that are drawn: children take the place of their parents."""
+        """Numbers of the strands that are drawn, parents first: those of children only, if there are any."""
         parents, children = len(self.system.particles), len(self.system.child_particles)
         settings = self.system.settings
         if not self.final:
             children = int(children * settings.display_percentage / 100)
-        some = settings.child_type != "NONE" and children > 0
-        return range(parents if some else 0, parents + children)
+        has_children = settings.child_type != "NONE" and children > 0
+        return range(parents if has_children else 0, parents + children)
 
 
 def hair_systems(ob: bpy.types.Object, final: bool) -> Iterator[ParticleHair]:
-    """The particle systems of an evaluated object that are hair and drawn as paths."""
-    first = 0
+    """The particle systems of an evaluated object that are hair and drawn as paths; none in edit modes."""
+    first_strand = 0
     if ob.mode in ("EDIT", "PARTICLE_EDIT"):
         return
     for modifier in ob.modifiers:
         if modifier.type == "PARTICLE_SYSTEM" and (modifier.show_render if final else modifier.show_viewport):
             settings = modifier.particle_system.settings
             if settings.type == "HAIR" and settings.render_type == "PATH":
-                hair = ParticleHair(ob, modifier, final, first)
-                first += len(hair.shown)
+                hair = ParticleHair(ob, modifier, final, first_strand)
+                first_strand += len(hair.shown)
                 yield hair
 
 
 def read_hair(hair: ParticleHair, materials: tuple[SampleMaterial, ...]) -> ControlPoints | None:
-    """The strands of a particle system in its object's space, as Cycles reads them; None where there are none."""
+    """The control points of a particle system in its object's space, as Cycles reads them; None if it has no strands.
+
+    materials: those that the strands use; attributes of the emitter that they do not read are left out.
+    """
     system, settings, shown = hair.system, hair.system.settings, np.array(hair.shown)
     steps = (1 << (settings.render_step if hair.final else settings.display_step)) + 1
     steps += settings.kink_extra_steps if settings.kink == "SPIRAL" else 0
@@ -71,11 +74,11 @@ def read_hair(hair: ParticleHair, materials: tuple[SampleMaterial, ...]) -> Cont
     calls = (system.co_hair(hair.ob, particle_no=i, step=k) for i in hair.shown for k in range(steps))
     world = np.fromiter(itertools.chain.from_iterable(calls), np.float64, len(shown) * steps * 3)
     position = _object_from_world(hair.ob, _extend_short_strands(world.reshape(len(shown), steps, 3)))
-    # The viewport hides a share of the parents: they have no path
-    grown = (position != position[:, :1]).any(axis=(1, 2))
-    if not grown.any():
+    # Parents that the viewport hides have no path
+    has_path = (position != position[:, :1]).any(axis=(1, 2))
+    if not has_path.any():
         return None
-    position, shown = position[grown], shown[grown]
+    position, shown = position[has_path], shown[has_path]
     length = np.cumsum(np.linalg.norm(np.diff(position, axis=1, prepend=position[:, :1]), axis=2), axis=1)
     whole = length[:, -1:]
     radius = _strand_radius(settings, np.divide(length, whole, out=np.zeros_like(length), where=whole > 0))
@@ -90,66 +93,69 @@ def read_hair(hair: ParticleHair, materials: tuple[SampleMaterial, ...]) -> Cont
     )
     uv, colors = _emitter_attributes(hair, shown.tolist(), needs_of_materials(materials))
     middle, half = (np.array(v, np.float64) for v in (hair.ob.data.texspace_location, hair.ob.data.texspace_size))
-    return ControlPoints(curves, radius.ravel().astype(np.float32), colors=colors, of_strand=frozenset(colors), uv=uv,
-                   first=hair.first, space=np.stack([middle - half, middle + half]))  # fmt: skip
+    return ControlPoints(curves, radius.ravel().astype(np.float32), colors=colors, strand_colors=frozenset(colors), uv=uv,
+                   first_strand=hair.first_strand, texture_space=np.stack([middle - half, middle + half]))  # fmt: skip
 
 
 def _extend_short_strands(world: np.ndarray) -> np.ndarray:
-    """Strands that end early have zeros from there on: they stay at their last point."""
+    """Points (S, K, 3) in which strands that end early, and have zeros from there on, repeat their last point."""
     step = np.arange(world.shape[1])
     known = np.where(world.any(axis=2) | (step == 0), step, 0)
     return np.take_along_axis(world, np.maximum.accumulate(known, axis=1)[..., None], axis=1)
 
 
 def _object_from_world(ob: bpy.types.Object, world: np.ndarray) -> np.ndarray:
+    """World-space points (..., 3) in object space."""
     matrix = np.array(ob.matrix_world.inverted_safe(), np.float64)
     return world @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def _strand_radius(settings: bpy.types.ParticleSettings, along: np.ndarray) -> np.ndarray:
-    """(S, K) radii at shares (S, K) of the length, Cycles' shape."""
+    """Radii (S, K) at the fractions `along` (S, K) of each strand's length, by Cycles' formula."""
     root, tip = (settings.radius_scale * 0.5 * r for r in (settings.root_radius, settings.tip_radius))
-    shape, left = settings.shape, np.clip(1 - along, 0, 1)
+    shape, remaining = settings.shape, np.clip(1 - along, 0, 1)
     if shape < 0:
-        left = left ** (1 + shape)
+        remaining = remaining ** (1 + shape)
     elif shape > 0:
-        left = left ** (1 / (1 - shape)) if shape < 1 else (left >= 1).astype(float)
-    radius = left * (root - tip) + tip
+        remaining = remaining ** (1 / (1 - shape)) if shape < 1 else (remaining >= 1).astype(float)
+    radius = remaining * (root - tip) + tip
     if settings.use_close_tip:
         radius[:, -1] = 0
     return radius
 
 
 def _emitter_attributes(
-    hair: ParticleHair, shown: list[int], asked: Needs
+    hair: ParticleHair, shown: list[int], wanted: Needs
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """UV maps and colours of the emitter's surface where strands of these numbers grow, those that materials read:
-    (S, 2) and (S, 4)."""
+    """UV coordinates (S, 2) and colours (S, 4) of the emitter at the roots of these strands, by name.
+
+    Only those that the materials read.
+    """
     mesh, system = hair.ob.data, hair.system
     parents = system.particles
     uv, colors = {}, {}
     layers = sorted(enumerate(mesh.uv_layers), key=lambda item: not item[1].active_render)
     for index, layer in layers:
-        if layer.name in asked.uv or (None in asked.uv and layer.active_render):
-            places = (
+        if layer.name in wanted.uv or (None in wanted.uv and layer.active_render):
+            coordinates = (
                 system.uv_on_emitter(hair.modifier, particle=_parent_particle(parents, i), particle_no=i, uv_no=index)
                 for i in shown
             )
-            uv[layer.name] = np.array([tuple(p) for p in places], np.float32).reshape(-1, 2)
+            uv[layer.name] = np.array([tuple(p) for p in coordinates], np.float32).reshape(-1, 2)
     corner = [a for a in mesh.color_attributes if a.domain == "CORNER" and a.data_type == "BYTE_COLOR"]
     for index, layer in enumerate(corner):
-        if layer.name in asked.colors or (
-            None in asked.colors and layer.name == mesh.color_attributes.default_color_name
+        if layer.name in wanted.colors or (
+            None in wanted.colors and layer.name == mesh.color_attributes.default_color_name
         ):
-            tints = (
+            values = (
                 system.mcol_on_emitter(hair.modifier, _parent_particle(parents, i), particle_no=i, vcol_no=index)
                 for i in shown
             )
-            stored = np.array([tuple(c)[:3] for c in tints], np.float32).reshape(-1, 3)
+            stored = np.array([tuple(c)[:3] for c in values], np.float32).reshape(-1, 3)
             colors[layer.name] = np.concatenate([linear_from_srgb(stored), np.ones((len(stored), 1))], axis=1)
     return uv, colors
 
 
 def _parent_particle(particles: Any, number: int) -> bpy.types.Particle:
-    """Children are found by their number alone, and then the particle is not looked at."""
+    """The particle of a strand. Blender finds children by their number alone and ignores the particle then."""
     return particles[min(number, len(particles) - 1)]

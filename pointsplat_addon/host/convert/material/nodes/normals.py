@@ -1,0 +1,27 @@
+"""Nodes that change the normal."""
+
+from __future__ import annotations
+
+from .....core.material.nodes import input_nodes, normal_nodes
+from .tree import NodeConverter, NodeReader, Outputs, UnsupportedNodeError
+
+
+def _normal_map(node: NodeReader) -> Outputs:
+    space = node.node.space
+    if space in ("WORLD", "BLENDER_WORLD"):
+        raise UnsupportedNodeError("holds normals in world space")
+    flip = (1.0, 1.0, 1.0)
+    if space == "BLENDER_OBJECT":
+        flip = (1.0, -1.0, -1.0)
+    elif getattr(node.node, "convention", "OPENGL") == "DIRECTX":
+        flip = (1.0, -1.0, 1.0)
+    uv = input_nodes.UV(node.node.uv_map or None) if space == "TANGENT" else None
+    return {"Normal": normal_nodes.NormalMap(node["Strength"], node["Color"], uv, flip)}
+
+
+def _bump(node: NodeReader) -> Outputs:
+    node.warn("is ignored: bumps need derivatives of their height")
+    return {"Normal": node["Normal"]}
+
+
+NORMALS: dict[str, NodeConverter] = {"ShaderNodeNormalMap": _normal_map, "ShaderNodeBump": _bump}

@@ -1,0 +1,26 @@
+"""All supported shader nodes by their bl_idname, and what reads trees of them."""
+
+from __future__ import annotations
+
+import bpy
+
+from .....core.material.nodes import input_nodes
+from .colors import COLORS
+from .inputs import INPUTS
+from .mathematics import MATHEMATICS
+from .normals import NORMALS
+from .tree import NodeConverter, Path, TreeReader
+
+NODES: dict[str, NodeConverter] = INPUTS | MATHEMATICS | COLORS | NORMALS
+
+
+def tree_reader(material_name: str) -> TreeReader:
+    """A reader for the nodes of one material, whose name appears in the warnings."""
+    return TreeReader(material_name, NODES)
+
+
+def constant_value(socket: bpy.types.NodeSocket, path: Path) -> tuple[float, ...] | None:
+    """The value of an input; None if it varies or cannot be evaluated. path: the groups that lead to its tree."""
+    tree = tree_reader("")
+    value = tree.read(socket, path)
+    return tuple(value.value) if isinstance(value, input_nodes.Constant) and not tree.warnings else None

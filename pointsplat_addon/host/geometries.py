@@ -1,0 +1,214 @@
+"""Sources of a dependency graph as geometry of core; what has not changed is not converted again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import bpy
+
+from ..core.material.graph import MaterialGraph, needs
+from ..core.scene import mesh as mesh_module
+from ..core.scene import scene
+from ..core.scene.cloud import PointCloud
+from ..core.scene.materials import MaterialTable
+from ..core.scene.volume import Medium
+from .convert.mesh import is_loose_vertices, read_mesh
+from .convert.objects import Source
+from .convert.pointcloud import convert_points, read_pointcloud
+from .convert.sample_material import SampleMaterial, sample_material
+from .convert.strands import bevels, conversion, curves_objects, particle_hair
+from .convert.volume import Voxels, convert_volume, read_voxels, source_key, transfer_digest, wanted_grids
+from .geometry_cache import GeometryCache
+
+
+class Known(NamedTuple):
+    """What one source became."""
+
+    geometry: scene.Geometry | None  # None: nothing to draw
+    owners: frozenset[int]  # session_uids of the objects that use it, and of the data
+    generated: bool  # made by an instancer, whose changes do not name it
+    voxels: Voxels | None = None
+    warnings: tuple[str, ...] = ()
+    strands: conversion.ConvertedStrands | None = None
+
+
+class Geometries:
+    """Converts the sources of the successive states of one dependency graph, and remembers the last ones."""
+
+    def __init__(self, cache: GeometryCache) -> None:
+        self._cache = cache
+        self._known: dict[tuple, Known] = {}
+        # Kept alive so that another transfer function finds voxels, and strands that are read again stay evaluated
+        self._shared: tuple[Voxels | conversion.ConvertedStrands | None, ...] = ()
+
+    def warnings(self) -> dict[str, None]:
+        """Warnings about the sources of the last `convert`, without repetitions, as the keys of a dictionary."""
+        return dict.fromkeys(warning for known in self._known.values() for warning in known.warnings)
+
+    def forget(self) -> None:
+        """Read every source again at the next `convert`."""
+        self._known = {}
+
+    def forget_owned_by(self, changed: set[int]) -> None:
+        """Read again the sources of changed objects or data, by their session_uids, and all generated ones."""
+        unchanged = {k: v for k, v in self._known.items() if not v.generated and changed.isdisjoint(v.owners)}
+        self._known = unchanged
+
+    def convert(self, sources: list[Source], table: MaterialTable) -> list[scene.Geometry | None]:
+        """The geometry of each source, None if there is nothing to draw; converts only what is not known."""
+        known: dict[tuple, Known] = {}
+        keys = []
+        for source in sources:
+            rows = tuple(self._cache.row(m) for m in source.materials)
+            key = _source_key(source, rows, table)
+            keys.append(key)
+            last = known.get(key) or self._known.get(key)
+            voxels, warnings, strands = (last.voxels, last.warnings, last.strands) if last else (None, (), None)
+            if last and not source.editing:
+                geometry = last.geometry
+            elif source.smoke or isinstance(source.data, bpy.types.Volume):
+                geometry, voxels, warnings = self._convert_volume(source, rows[0], table)
+            elif source.strands:
+                geometry, strands, warnings = self._convert_strands(source, rows, table)
+            else:
+                geometry = self._convert_surface(source, rows, table)
+            owners = {source.owner, source.data.original.session_uid, source.data.session_uid}
+            owners |= last.owners if last else set()
+            generated = source.generated or bool(last and last.generated)
+            known[key] = Known(geometry, frozenset(owners), generated, voxels, warnings, strands)
+        self._known = known
+        self._shared = tuple(entry.voxels or entry.strands for entry in known.values())
+        return [known[key].geometry for key in keys]
+
+    def _convert_surface(self, source: Source, rows: tuple[int, ...], table: MaterialTable) -> scene.Geometry | None:
+        """The geometry of a mesh, or of points."""
+        mesh = cloud = None
+        material, lookup = sample_material(table, rows[0], source.extinction), self._cache.lookup
+        if source.particles:
+            key, cloud = convert_points(source.particles, material, lookup)
+        elif isinstance(source.data, bpy.types.PointCloud):
+            key, cloud = read_pointcloud(source.data, material, lookup, source.radius) or ("", None)
+        else:
+            found = _read_evaluated(source, rows, _attributes(table, rows), material, lookup)
+            if isinstance(found, mesh_module.Mesh):
+                mesh, key = found, found.key
+            else:
+                key, cloud = found or ("", None)
+        if mesh is None and cloud is None:
+            return None
+        primitive, spacing, extinction = source.primitive, source.spacing, source.extinction
+
+        def build() -> scene.Geometry:
+            return scene.Geometry(
+                key, source.name, mesh, cloud, primitive=primitive, spacing=spacing, extinction=extinction
+            )
+
+        key = f"{key} {primitive} {spacing:g} {extinction:g}"
+        return self._cache.lookup(key, build)
+
+    def _convert_strands(
+        self, source: Source, rows: tuple[int, ...], table: MaterialTable
+    ) -> tuple[scene.Geometry | None, conversion.ConvertedStrands | None, tuple[str, ...]]:
+        """The geometry of strands, the conversion that it shares with others, and warnings."""
+        materials = tuple(sample_material(table, row) for row in rows)
+        if source.hair:
+            control = particle_hair.read_hair(source.hair, materials)
+        elif isinstance(source.data, bpy.types.Curve):
+            control = bevels.read_splines(source.data)
+        else:
+            control = curves_objects.read_curves(source.data, materials, source.ribbons)  # pyright: ignore[reportArgumentType]
+        if control is None:
+            return None, None, ()
+        found = conversion.convert_strands(control, source.name, materials, self._cache.lookup)
+        warnings = tuple(f"{source.name}: {message}" for message in found.messages)
+        if found.strands is None:
+            return None, found, warnings
+        key = f"{found.strands.key} lines"
+        made = scene.Geometry(key, source.name, strands=found.strands, primitive="LINES")
+        return self._cache.lookup(key, lambda: made), found, warnings
+
+    def _convert_volume(
+        self, source: Source, row: int, table: MaterialTable
+    ) -> tuple[scene.Geometry | None, Voxels, tuple[str, ...]]:
+        """The geometry of a volume, the voxels that it shares with others, and warnings."""
+        names = wanted_grids(_medium(table, row), source.transfer)
+        voxels = source.smoke or read_voxels(source.data, names, self._cache.lookup)  # pyright: ignore[reportArgumentType]
+        warnings = tuple(f"{source.name}: {message}" for message in voxels.messages)
+        volume = convert_volume(voxels, source.name, row, source.transfer)
+        if volume is None:
+            return None, voxels, warnings
+        spacing, extinction = source.spacing, source.extinction
+        transfer = source.transfer and transfer_digest(source.transfer)
+        key = f"{volume.key} {row} {spacing:g} {extinction:g} {transfer}"
+        made = scene.Geometry(key, source.name, volume=volume, spacing=spacing, extinction=extinction)
+        return self._cache.lookup(key, lambda: made), voxels, warnings
+
+
+def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> tuple:
+    """What tells whether a source is the same as before, apart from changes that the dependency graph reports.
+
+    rows: of its materials in the table.
+    """
+    digests = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
+    settings = source.primitive, source.spacing, source.extinction, source.radius
+    key = (source.data.session_uid, rows, digests, *settings)
+    if source.smoke:
+        key = (*key, source.smoke.key)
+    if isinstance(source.data, bpy.types.Volume):
+        names = wanted_grids(_medium(table, rows[0]), source.transfer)
+        key = (*source_key(source.data), *key, names, source.transfer and transfer_digest(source.transfer))
+    if source.particles:
+        key = (*key, source.particles.key)
+    if source.particles or isinstance(source.data, bpy.types.PointCloud) or _is_loose_vertices(source):
+        key = (*key, sample_material(table, rows[0]).key)
+    if source.strands:
+        looks = tuple((sample_material(table, row).key, *table.base_color[row].tolist()) for row in rows)
+        # Evaluated curve data have no session_uid
+        names = source.data.original.session_uid, source.owner, source.hair and source.hair.modifier.name
+        key = (*key, *names, looks, source.ribbons)
+    return key
+
+
+def _medium(table: MaterialTable, row: int) -> Medium | None:
+    return table.media[row] if row < len(table.media) else None
+
+
+def _graph(table: MaterialTable, row: int) -> MaterialGraph | None:
+    return table.graphs[row] if row < len(table.graphs) else None  # pyright: ignore[reportReturnType]
+
+
+def _attributes(table: MaterialTable, rows: tuple[int, ...]) -> frozenset[str | None]:
+    """Names of the attributes that the materials read; None among them is the default colour attribute."""
+    graphs = [graph for row in rows if (graph := _graph(table, row))]
+    return frozenset().union(*(needs(graph).colors for graph in graphs))
+
+
+def _is_loose_vertices(source: Source) -> bool:
+    """Whether a source is a mesh that is drawn as points because it has neither edges nor faces."""
+    return isinstance(source.data, bpy.types.Mesh) and not source.strands and is_loose_vertices(source.data)
+
+
+def _read_evaluated(
+    source: Source,
+    rows: tuple[int, ...],
+    wanted: frozenset[str | None],
+    material: SampleMaterial,
+    lookup: Callable,
+) -> mesh_module.Mesh | tuple[str, PointCloud] | None:
+    """The mesh of a source, or (content key, points) of one without edges and faces; None if nothing is to be drawn.
+
+    In edit mode Blender's evaluated mesh holds no arrays, and a copy is made.
+    """
+
+    def read(data: bpy.types.Mesh) -> mesh_module.Mesh | tuple[str, PointCloud] | None:
+        if is_loose_vertices(data):
+            return read_pointcloud(data, material, lookup, source.radius)
+        return read_mesh(data, source.name, rows, wanted, lookup)
+
+    if source.editing is None:
+        return read(source.data)  # pyright: ignore[reportArgumentType]
+    try:
+        return read(source.editing.to_mesh())
+    finally:
+        source.editing.to_mesh_clear()
