@@ -79,7 +79,7 @@ class Synchronizer:
         self._depsgraph = 0
 
     def _forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
-        """Drop what the dependency graph reports as changed. A re-evaluated modifier gives its mesh a new session_uid."""
+        """Drop what the dependency graph reports as changed. Re-evaluated modifiers give meshes a new session_uid."""
         updates = depsgraph.updates
         if len(updates) == 0 or depsgraph.as_pointer() != self._depsgraph:
             self._geometries.forget()

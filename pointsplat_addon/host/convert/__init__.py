@@ -1,1 +1,1 @@
-"""Blender data blocks to the plain data of core: one file per kind of data."""
+"""Blender's data blocks as the plain data of core: one file or folder for each kind of data."""

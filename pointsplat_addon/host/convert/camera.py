@@ -1,4 +1,4 @@
-"""Blender's cameras and viewports as a Camera."""
+"""Blender's cameras and viewports as cameras of core."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 from ...core.scene.camera import Aperture, Camera
 
-LEAST_FOCUS = 1e-5  # world units: a distance of zero is taken for it, and everything is far out of focus
-LEAST_STOP = 1e-5  # Cycles': what the F-stop is divided by
+LEAST_FOCUS = 1e-5  # world units: replaces a focus distance of zero
+LEAST_STOP = 1e-5  # the smallest F-stop, as in Cycles
 
 
 def render_camera(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> tuple[Camera, list[str]]:
-    """The camera of a final render with its border, and warnings. ValueError: the scene has no camera."""
+    """The camera of a final render with its border, and warnings. Raises ValueError if the scene has no camera."""
     obj = engine.camera_override or depsgraph.scene.camera
     if obj is None:
         raise ValueError(f'The scene "{depsgraph.scene.name}" has no camera')
@@ -34,7 +34,7 @@ def viewport_camera(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) 
 
 
 def from_camera_object(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, width: int, height: int) -> Camera:
-    """The camera of a picture of width x height pixels without a render engine, for scripts."""
+    """The camera of an image of width x height pixels without a render engine, for scripts."""
     obj = obj.evaluated_get(depsgraph)
     return _from_object(obj, np.array(obj.matrix_world), depsgraph, width, height)
 
@@ -45,7 +45,7 @@ def from_view(
     space: bpy.types.SpaceView3D,
     scene: bpy.types.Scene,
 ) -> Camera:
-    """The camera of a viewport, with its border. In camera view the border is the scene's."""
+    """The camera of a viewport without its lens, with its border; in camera view, with the scene's border."""
     clip_from_view = np.array(rv3d.window_matrix, float)
     near, far = clip_range(clip_from_view)
     obj = _looked_through(rv3d, space, scene)
@@ -62,22 +62,24 @@ def from_view(
 def _looked_through(
     rv3d: bpy.types.RegionView3D, space: bpy.types.SpaceView3D, scene: bpy.types.Scene
 ) -> bpy.types.Object | None:
-    """The camera of a viewport in camera view."""
+    """The camera of a viewport in camera view; None in other views."""
     obj = space.camera if space.use_local_camera else scene.camera
     return obj if rv3d.view_perspective == "CAMERA" else None
 
 
 def aperture_of(obj: bpy.types.Object, view_from_world: np.ndarray, depsgraph: bpy.types.Depsgraph) -> Aperture | None:
-    """The lens of an evaluated camera object as Cycles has it: as wide as the focal length, in thousandths of a
-    Blender unit whatever the scene's unit is, over the F-stop; of orthographic ones as one Blender unit. None: it has
-    no depth of field."""
+    """The aperture of an evaluated camera object as in Cycles; None if it has no depth of field.
+
+    Its diameter is the focal length over the F-stop, where the focal length is in thousandths of a Blender unit
+    whatever the scene's unit is; orthographic cameras have a focal length of one Blender unit.
+    """
     data = obj.data
     if data.type not in {"PERSP", "ORTHO"} or not data.dof.use_dof:
         return None
     dof = data.dof
-    width = data.lens / 1000 if data.type == "PERSP" else 1.0
+    focal_length = data.lens / 1000 if data.type == "PERSP" else 1.0
     return Aperture(
-        radius=width / (2 * max(dof.aperture_fstop, LEAST_STOP)),
+        radius=focal_length / (2 * max(dof.aperture_fstop, LEAST_STOP)),
         focus=max(_focus(dof, view_from_world, depsgraph), LEAST_FOCUS),
         blades=dof.aperture_blades if dof.aperture_blades >= 3 else 0,
         rotation=dof.aperture_rotation,
@@ -86,19 +88,21 @@ def aperture_of(obj: bpy.types.Object, view_from_world: np.ndarray, depsgraph: b
 
 
 def _focus(dof: bpy.types.CameraDOFSettings, view_from_world: np.ndarray, depsgraph: bpy.types.Depsgraph) -> float:
-    """Distance along the view to the plane of focus. An object behind the camera counts as if it were as far before it,
-    as in Cycles."""
+    """Distance along the view direction to the plane in focus, in world units.
+
+    As in Cycles, an object behind the camera counts as if it were at the same distance in front of it.
+    """
     if dof.focus_object is None:
         return dof.focus_distance
     target = dof.focus_object.evaluated_get(depsgraph)
-    place = target.matrix_world
+    world_from_target = target.matrix_world
     if target.pose is not None and dof.focus_subtarget in target.pose.bones:
-        place = place @ target.pose.bones[dof.focus_subtarget].matrix
-    return abs(float(view_from_world[2, :3] @ np.array(place.translation) + view_from_world[2, 3]))
+        world_from_target = world_from_target @ target.pose.bones[dof.focus_subtarget].matrix
+    return abs(float(view_from_world[2, :3] @ np.array(world_from_target.translation) + view_from_world[2, 3]))
 
 
 def clip_range(clip_from_view: np.ndarray) -> tuple[float, float]:
-    """Distances (near, far) of the clipping planes of an OpenGL projection."""
+    """Distances (near, far) of the clipping planes of an OpenGL projection (4, 4); far may be infinite."""
     m, t = clip_from_view[2, 2], clip_from_view[2, 3]
     if clip_from_view[3, 2] != 0:
         # A far plane that float32 cannot tell from infinity.
@@ -111,10 +115,10 @@ def _from_object(
 ) -> Camera:
     render = depsgraph.scene.render
     length = np.linalg.norm(world_from_object[:3, :3], axis=0)
-    # A camera that is scaled to nothing has no such directions: core/scene/validation.py tells.
+    # A camera scaled to zero has no directions: core/scene/validation.py reports it.
     rotation = world_from_object[:3, :3] / np.where(length > 0, length, 1.0)
     view_from_world = np.eye(4)
-    # Rows rather than a general inverse: exactly rigid whatever float32 made of the matrix.
+    # The transpose rather than a general inverse: exactly rigid whatever float32 made of the matrix.
     view_from_world[:3, :3] = rotation.T
     view_from_world[:3, 3] = -rotation.T @ world_from_object[:3, 3]
     clip_from_view = obj.calc_matrix_camera(
@@ -132,6 +136,7 @@ def _from_object(
 
 
 def _render_border(render: bpy.types.RenderSettings, width: int, height: int) -> tuple[int, int, int, int] | None:
+    """The border of a final render as (x, y, width, height) in pixels; None without a border."""
     if not render.use_border:
         return None
     # Truncated, as Blender does: rounding asks for a result of another size.
@@ -147,6 +152,7 @@ def _view_border(
     scene: bpy.types.Scene,
     camera: bpy.types.Object | None,
 ) -> tuple[int, int, int, int] | None:
+    """The border of a viewport as (x, y, width, height) in pixels; None without a border."""
     size = np.array([region.width, region.height])
     low, high = np.zeros(2), size.astype(float)
     if camera is not None:

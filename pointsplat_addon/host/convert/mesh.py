@@ -1,4 +1,4 @@
-"""An evaluated mesh to triangles."""
+"""Evaluated meshes of Blender as triangle meshes of core."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from ...core.scene.mesh import Mesh
 from . import arrays
 from .arrays import COLOR_TYPES, attribute_as_color
 
-Lookup = Callable[[str, Callable[[], Mesh]], Mesh]  # the mesh of a content key, made only where it is not known
+Lookup = Callable[[str, Callable[[], Mesh]], Mesh]  # the mesh of a content key, made only if it is not known
 
 
 def read_mesh(
     mesh: bpy.types.Mesh, name: str, rows: tuple[int, ...], wanted: frozenset[str | None] | None, lookup: Lookup
 ) -> Mesh | None:
-    """Triangles of an evaluated mesh, or None where it has no faces.
+    """The triangles of an evaluated mesh in object space; None if it has no faces.
 
-    rows: for each material slot its row in the scene's table; faces beyond the last slot use the last.
+    rows: row of each material slot in the scene's table; faces with a slot beyond the last use the last.
     wanted: names of the colour and other attributes that the materials read, where a None among them is the
     default colour attribute; None instead of a set: all colours.
-    UV maps are always taken. lookup: gives the cached mesh of a content key, so that unchanged arrays are
-    digested (30 MB for a million triangles) but neither triangulated nor expanded.
+    UV maps are always read. lookup: gives the known mesh of a content key, so that unchanged arrays are digested
+    (30 MB for a million triangles) but neither triangulated nor expanded.
     """
     if len(mesh.polygons) == 0:
         return None
@@ -39,7 +39,7 @@ def read_mesh(
         normal = arrays.view(mesh.corner_normals, (len(mesh.loops), 3), np.float32)
     uv = {m.name: arrays.read(mesh.attributes[m.name].data, "vector", 2, np.float32) for m in mesh.uv_layers}
     active = next((m.name for m in mesh.uv_layers if m.active_render), None)
-    colors = _colors(mesh, wanted)
+    colors = _read_colors(mesh, wanted)
 
     def build() -> Mesh:
         mesh.calc_loop_triangles()
@@ -58,7 +58,9 @@ def read_mesh(
             vertex_normal=normal.copy() if smooth else None,
             corner_normal=None if smooth else normal[corners],
             uv={n: a[corners] for n, a in uv.items()},
-            colors={n: arrays.scene_linear(a[_rows(d, corners, corner_vert)]) for n, (d, a) in colors.items()},
+            colors={
+                n: arrays.scene_linear(a[_attribute_rows(d, corners, corner_vert)]) for n, (d, a) in colors.items()
+            },
             active_uv=active,
             material=material,
             materials=used,
@@ -77,25 +79,25 @@ def read_mesh(
 
 
 def is_loose_vertices(mesh: bpy.types.Mesh) -> bool:
-    """Whether a mesh is nothing but vertices, as importers make of scans: it is drawn as points."""
+    """Whether a mesh has vertices but neither edges nor faces, as imported scans do: it is drawn as points."""
     return len(mesh.polygons) == 0 and len(mesh.edges) == 0 and len(mesh.vertices) > 0
 
 
 def _slots(mesh: bpy.types.Mesh, count: int) -> np.ndarray | None:
-    """(P,) int32 material slot of each polygon, within the slots there are; None where all are the first."""
+    """Material slot of each polygon, (P,) int32, clipped to the `count` existing ones; None if all are the first."""
     attribute = mesh.attributes.get("material_index")
     if attribute is None or count < 2 or attribute.domain != "FACE":
         return None
     return np.clip(arrays.read(attribute.data, "value", 1, np.int32), 0, count - 1)
 
 
-def _rows(domain: str, corners: np.ndarray, corner_vert: np.ndarray) -> np.ndarray:
-    """(T, 3) rows of an attribute of that domain, for the triangles' corners."""
+def _attribute_rows(domain: str, corners: np.ndarray, corner_vert: np.ndarray) -> np.ndarray:
+    """Rows (T, 3) of an attribute of the domain CORNER or POINT at the triangles' corners."""
     return corners if domain == "CORNER" else corner_vert[corners]
 
 
-def _colors(mesh: bpy.types.Mesh, wanted: frozenset[str | None] | None) -> dict[str, tuple[str, np.ndarray]]:
-    """Name to (domain, (N, 4) as stored) of the wanted attributes, the default colour attribute first."""
+def _read_colors(mesh: bpy.types.Mesh, wanted: frozenset[str | None] | None) -> dict[str, tuple[str, np.ndarray]]:
+    """The wanted attributes by name, as (domain, colours (N, 4) as stored), the default colour attribute first."""
     default = mesh.color_attributes.default_color_name
     names: list[str] = sorted((a.name for a in mesh.color_attributes), key=lambda n: n != default)
     found: dict[str, tuple[str, np.ndarray]] = {}
@@ -111,5 +113,6 @@ def _colors(mesh: bpy.types.Mesh, wanted: frozenset[str | None] | None) -> dict[
 
 
 def _readable(attribute: Any) -> bool:
+    """Whether an attribute has a type and a domain that materials can read here."""
     known = attribute.data_type in (*COLOR_TYPES, "FLOAT", "FLOAT_VECTOR")
     return known and attribute.domain in ("POINT", "CORNER")

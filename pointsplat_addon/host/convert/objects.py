@@ -1,4 +1,4 @@
-"""The dependency graph's instances as a table: what is drawn where, and for each distinct object what it refers to."""
+"""The dependency graph's instances as a table: the sources that are drawn, and the transforms of their instances."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UNSUPPORTED = {
 
 @dataclass(eq=False)
 class Source:
-    """One distinct pair of object and data."""
+    """A distinct pair of object and data, or one of the object's particle systems, with the settings that apply."""
 
     name: str
     owner: int  # session_uid of the original object
@@ -38,44 +38,49 @@ class Source:
     radius: float  # of points, in object units; 0 takes their attribute, else a default
     pass_index: int
     holdout: bool
-    casts: bool  # shadows
-    generated: bool  # is_instance: the data may belong to the instancer
-    editing: bpy.types.Object | None = None  # the object, where its mesh is in edit mode
+    casts: bool  # whether it casts shadows
+    generated: bool  # whether an instancer made it: its data may belong to the instancer
+    editing: bpy.types.Object | None = None  # the object, if its mesh is in edit mode
     transfer: Transfer | None = None  # of volumes
-    smoke: Voxels | None = None  # instead of the data: what a fluid domain holds
+    smoke: Voxels | None = None  # instead of the data: the voxels of a fluid domain
     particles: Points | None = None  # instead of the data, in world space
     hair: ParticleHair | None = None  # instead of the data, in the object's space
     ribbons: bool = False  # strands have normals
 
     @property
     def strands(self) -> bool:
-        """Whether it becomes lines."""
+        """Whether the source becomes strands."""
         return self.hair is not None or isinstance(self.data, bpy.types.Curves | bpy.types.Curve)
 
 
 @dataclass(eq=False)
 class Collected:
+    """The S distinct sources of a scene and their I instances."""
+
     sources: list[Source]
-    source: np.ndarray  # (I,) int32, rows of sources
+    source: np.ndarray  # (I,) int32, indices into sources
     world_from_object: np.ndarray  # (I, 4, 4) float64
-    identity: list[tuple]  # what stays the same from frame to frame, for motion; empty where not asked for
-    unsupported: dict[str, list[str]] = field(default_factory=dict)  # kind to names of objects
+    identity: list[tuple]  # of instances, persistent from frame to frame, for motion; empty unless asked for
+    unsupported: dict[str, list[str]] = field(default_factory=dict)  # kind of object to names
 
 
 def collect(
     depsgraph: bpy.types.Depsgraph, view3d: bpy.types.SpaceView3D | None = None, *, identify: bool = False
 ) -> Collected:
-    """All that the camera can see. view3d: the viewport, whose local view and filters hold."""
+    """All sources and instances that the camera can see.
+
+    view3d: the viewport whose local view and filters apply. identify: whether instances get their identity.
+    """
     view_layer = depsgraph.view_layer_eval
     flags: dict[int, Flags] = {}
-    known: dict[tuple, range] = {}  # to rows of sources: what is drawn of an object itself, and its particles
+    known: dict[tuple, range] = {}  # to indices of sources: of an object itself, and of its particle systems
     sources: list[Source] = []
     rows: list[int] = []
-    picked: list[int] = []
-    free: list[int] = []  # of rows: those in world space
+    instances: list[int] = []  # indices into the dependency graph's instances
+    in_world_space: list[int] = []  # indices into rows
     identity: list[tuple] = []
     unsupported: dict[str, list[str]] = {}
-    tubes: set[int] = set()  # session_uids of curve objects that are drawn as such
+    tubes: set[int] = set()  # session_uids of curve objects that are drawn as tubes
     count = 0
     for row, instance in enumerate(depsgraph.object_instances):
         count = row + 1
@@ -99,17 +104,17 @@ def collect(
             if visible.catcher:
                 unsupported.setdefault("Shadow catchers", []).append(ob.name)
             elif visible.drawn and (view3d is None or ob.visible_in_viewport_get(view3d)):
-                source = _source(ob, view_layer.material_override, visible, instance.is_instance)
+                source = _make_source(ob, view_layer.material_override, visible, instance.is_instance)
                 sources += [source] if instance.show_self else []
                 if len(ob.particle_systems) and instance.show_particles:
-                    # Hair is read when the step is over
+                    # Hair is read later, when the instance and its object no longer live
                     emitter = ob.original.evaluated_get(depsgraph) if instance.is_instance else ob
                     sources += _particles(source, emitter, view_layer.material_override, depsgraph.mode == "RENDER")
             found = known[key] = range(first, len(sources))
         for source in found:
             if sources[source].particles:
-                free.append(len(rows))
-            picked.append(row)
+                in_world_space.append(len(rows))
+            instances.append(row)
             rows.append(source)
             if identify:
                 persistent = tuple(instance.persistent_id) if instance.is_instance else ()
@@ -117,12 +122,12 @@ def collect(
     matrices = np.empty(count * 16, np.float32)
     depsgraph.object_instances.foreach_get("matrix_world", matrices)
     # Blender stores columns one after another.
-    world_from_object = matrices.reshape(-1, 4, 4)[picked].transpose(0, 2, 1).astype(np.float64)
-    world_from_object[free] = np.eye(4)
+    world_from_object = matrices.reshape(-1, 4, 4)[instances].transpose(0, 2, 1).astype(np.float64)
+    world_from_object[in_world_space] = np.eye(4)
     return Collected(sources, np.array(rows, np.int32), world_from_object, identity, unsupported)
 
 
-def _source(ob: bpy.types.Object, override: bpy.types.Material | None, visible: Flags, generated: bool) -> Source:
+def _make_source(ob: bpy.types.Object, override: bpy.types.Material | None, visible: Flags, generated: bool) -> Source:
     materials = tuple(override or slot.material for slot in ob.material_slots)
     return Source(
         name=ob.name,
@@ -145,7 +150,8 @@ def _source(ob: bpy.types.Object, override: bpy.types.Material | None, visible: 
 
 
 def _particles(emitter: Source, ob: bpy.types.Object, override: bpy.types.Material | None, final: bool) -> list[Source]:
-    # Particles are in world space, where instances have none of their own
+    """Sources of an object's particle systems, points and hair."""
+    # Particles are in world space: instances of their emitter have no particles of their own
     found = [
         replace(emitter, materials=(override or material,), editing=None, particles=points)
         for points, material in ([] if emitter.generated else read_particles(ob, final))
@@ -159,16 +165,18 @@ def _particles(emitter: Source, ob: bpy.types.Object, override: bpy.types.Materi
 
 
 class Flags(NamedTuple):
+    """How the camera and lights see an instance."""
+
     drawn: bool
     holdout: bool
-    casts: bool  # shadows
-    catcher: bool  # of shadows: what it would show is only known with and without the shadows, so it is left out
+    casts: bool  # whether it casts shadows
+    catcher: bool  # whether it is a shadow catcher, which is not supported and left out
 
 
 def _visibility(
     ob: bpy.types.Object, parent: bpy.types.Object, view_layer: bpy.types.ViewLayer, flags: dict[int, Flags]
 ) -> Flags:
-    """As in Cycles, the instancer decides on holdout, and both on what the camera sees and what casts shadows."""
+    """The flags of an instance: as in Cycles, `parent`, the instancer, decides on holdout, and both on the others."""
     uid = parent.original.session_uid
     if uid not in flags:
         drawn = parent.visible_camera and not parent.indirect_only_get(view_layer=view_layer)

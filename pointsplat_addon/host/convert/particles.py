@@ -1,6 +1,6 @@
-"""Particle systems that Blender itself draws as halos, as points.
+"""Particle systems that Blender draws as halos, as points.
 
-Those that put objects or collections in their places are instances like any others, and hair is hair.
+Those that draw objects or collections are ordinary instances; hair is read by strands/particle_hair.py.
 """
 
 from __future__ import annotations
@@ -13,16 +13,18 @@ import numpy as np
 from . import arrays
 from .pointcloud import Points
 
-HIDDEN = {1: "use_dead", 2: "show_unborn"}  # Particle.alive_state: the setting that shows such particles all the same
+HIDDEN = {1: "use_dead", 2: "show_unborn"}  # Particle.alive_state to the setting that shows such particles
 
 
 class Particles(NamedTuple):
+    """The points of one particle system, with their material."""
+
     points: Points  # in world space
     material: bpy.types.Material | None
 
 
 def read_particles(ob: bpy.types.Object, final: bool) -> list[Particles]:
-    """The particles of an evaluated object's systems; a particle's size is its radius. final: a final render."""
+    """The particles of an evaluated object's systems, with their sizes as radii. final: for a final render."""
     found = []
     for modifier in ob.modifiers:
         if modifier.type == "PARTICLE_SYSTEM" and (modifier.show_render if final else modifier.show_viewport):
@@ -35,6 +37,7 @@ def read_particles(ob: bpy.types.Object, final: bool) -> list[Particles]:
 
 
 def _points(system: bpy.types.ParticleSystem) -> Points:
+    """The particles that are shown and have a finite position and a size."""
     particles, settings = system.particles, system.settings
     state = arrays.read(particles, "alive_state", 1, np.int32)
     position = arrays.read(particles, "location", 3, np.float32)
@@ -47,6 +50,6 @@ def _points(system: bpy.types.ParticleSystem) -> Points:
 
 
 def _material(ob: bpy.types.Object, settings: bpy.types.ParticleSettings) -> bpy.types.Material | None:
-    """Slots count from 1; beyond the last one Blender takes the last."""
+    """The material of a system: slots count from 1, and Blender takes the last one for numbers beyond it."""
     slots = ob.material_slots
     return slots[min(settings.material, len(slots)) - 1].material if len(slots) else None

@@ -1,7 +1,7 @@
-"""Points of an evaluated PointCloud object, of a particle system, or of a mesh without edges and faces, to splats.
+"""Points of a PointCloud object, of a particle system, or of a mesh without edges and faces, as a point cloud of core.
 
-Points without normals are balls. Those that light passes through become Gaussians: by the object's own extinction, by
-the medium of a material that has a volume and no surface, or such that a ray through a ball's centre meets its alpha.
+Points without normals are balls. Translucent ones become Gaussians whose extinction is the object's own, or that of the
+medium of a material with a volume and no surface, or such that a ray through the centre of a ball meets its alpha.
 """
 
 from __future__ import annotations
@@ -27,29 +27,30 @@ from .arrays import COLOR_TYPES, attribute_as_color, contiguous_float32, unit_or
 from .sample_material import SampleMaterial, roughness_and_metallic
 
 DEFAULT_RADIUS = 0.01  # Blender's, for points without a radius attribute
-COLOR_NAMES = ("Color", "Col")  # what importers call it
+COLOR_NAMES = ("Color", "Col")  # names that importers give to colours
 OPACITY_NAMES = ("opacity", "alpha")
-CAPTURED = "f_dc_0"  # an attribute of captured splats, whose opacities are logits
-NUMBERS = {"FLOAT": ("value", 1), "FLOAT2": ("vector", 2), "FLOAT_VECTOR": ("vector", 3)}
-Lookup = Callable[[str, Callable[[], PointCloud]], PointCloud]
+CAPTURED_ATTRIBUTE = "f_dc_0"  # an attribute of captured splats, whose opacities are logits
+READABLE_TYPES = {"FLOAT": ("value", 1), "FLOAT2": ("vector", 2), "FLOAT_VECTOR": ("vector", 3)}
+Lookup = Callable[[str, Callable[[], PointCloud]], PointCloud]  # the cloud of a key, made only if it is not known
 Data = bpy.types.PointCloud | bpy.types.Mesh
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Arrays of N points as Blender has them."""
+    """Arrays of N points as Blender has them, in object units."""
 
     position: np.ndarray  # (N, 3) float32
     radius: np.ndarray | None  # (N,) float32; None: half the median distance to the nearest neighbour
     normal: np.ndarray | None = None  # (N, 3) float32
     opacity: np.ndarray | None = None  # (N,) float32
-    kernel: np.ndarray | None = None  # (N,) uint8, rows of core.kernel.PROFILES
-    colors: dict[str, np.ndarray] = field(default_factory=dict)  # name to (N, 4) as stored
-    uv: dict[str, np.ndarray] = field(default_factory=dict)  # name to (N, 2) float32
-    grids: dict[str, np.ndarray] = field(default_factory=dict)  # what a medium reads, (N,) or (N, 3) float32
+    kernel: np.ndarray | None = None  # (N,) uint8, rows of core.splat.kernel.PROFILES
+    colors: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (N, 4) as stored
+    uv: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (N, 2) float32
+    grids: dict[str, np.ndarray] = field(default_factory=dict)  # by name, what a medium reads, (N,) or (N, 3) float32
 
     @property
     def key(self) -> str:
+        """Content key of all arrays."""
         named = [part for group in (self.colors, self.uv, self.grids) for item in group.items() for part in item]
         return arrays.digest("pointcloud", self.position, self.radius, self.normal, self.opacity, self.kernel, *named)
 
@@ -57,10 +58,10 @@ class Points:
 def read_pointcloud(
     data: Data, material: SampleMaterial, lookup: Lookup, radius: float = 0.0
 ) -> tuple[str, PointCloud] | None:
-    """(content key, cloud) of a point cloud, or of the vertices of a mesh, in object space; None where it is empty.
+    """(content key, cloud) of a point cloud, or of the vertices of a mesh, in object space; None if it is empty.
 
-    `radius`: of all points, in object units; 0 takes their attribute. Without that, points of a point cloud have
-    Blender's radius and vertices one by how far apart they lie.
+    radius: of all points, in object units; 0 takes their attribute. Without such an attribute, points of a point cloud
+    have Blender's default radius, and vertices half the median distance to their nearest neighbours.
     """
     count = len(data.vertices if isinstance(data, bpy.types.Mesh) else data.points)
     if "position" not in data.attributes or count == 0:
@@ -83,17 +84,19 @@ def read_pointcloud(
 
 
 def convert_points(points: Points, material: SampleMaterial, lookup: Lookup) -> tuple[str, PointCloud]:
-    """(content key, cloud) of points by their material; the cloud is made only where it is not known."""
+    """(content key, cloud) of points with their material; the cloud is made only if `lookup` does not know the key."""
     key = f"{points.key} {arrays.digest(material.key)}"
-    return key, lookup(key, lambda: _build(points, material))
+    return key, lookup(key, lambda: _make_cloud(points, material))
 
 
-def _build(points: Points, material: SampleMaterial) -> PointCloud:
+def _make_cloud(points: Points, material: SampleMaterial) -> PointCloud:
     count, graph, normal = len(points.position), material.graph, points.normal
     linear = {name: arrays.scene_linear(array) for name, array in points.colors.items()}
     varying: dict[str, np.ndarray] = {}
     if graph is not None:
-        varying = _evaluate(graph, SampleInputs(points.uv, colors=linear, position=points.position, normal=normal))
+        varying = _evaluate_graph(
+            graph, SampleInputs(points.uv, colors=linear, position=points.position, normal=normal)
+        )
     elif linear and material.row == 0:
         color = next(iter(linear.values()))
         varying = {"base_color": color[:, :3], "alpha": np.clip(color[:, 3], 0, 1)}
@@ -109,36 +112,36 @@ def _build(points: Points, material: SampleMaterial) -> PointCloud:
         kernel=points.kernel,
     )
     if material.extinction > 0 or material.medium is not None:
-        return _filled(cloud, points, material)
+        return _with_medium(cloud, points, material)
     alpha = varying.get("alpha", np.full(count, material.alpha, np.float32))
     if points.opacity is not None:
         alpha = alpha * points.opacity
-    return _seen(cloud, alpha, material)
+    return _with_alpha(cloud, alpha, material)
 
 
 def _radii(points: Points) -> np.ndarray:
-    """(N,) float32 in object units."""
+    """Radii (N,) float32 in object units."""
     if points.radius is not None:
         return points.radius
     radius = 0.5 * median_spacing(points.position) or DEFAULT_RADIUS
     return np.full(len(points.position), radius, np.float32)
 
 
-def _filled(cloud: PointCloud, points: Points, material: SampleMaterial) -> PointCloud:
-    """Balls of a medium."""
+def _with_medium(cloud: PointCloud, points: Points, material: SampleMaterial) -> PointCloud:
+    """The cloud as Gaussians of the object's own extinction or of the material's medium."""
     if material.medium is None:
-        return _balls(cloud, np.full(len(cloud), material.extinction, np.float32), material)
+        return _gaussians(cloud, np.full(len(cloud), material.extinction, np.float32), material)
     medium = material.medium
     if medium.density_grid not in points.grids:
         medium = replace(medium, density_grid="")
-    # Points are voxels without places: what is read of them does not depend on where they are.
+    # Points are treated as voxels without indices: their optics do not depend on where they are.
     voxels = Volume("", "", np.empty((len(cloud), 0), np.int32), np.eye(4), points.grids)
     found, _ = voxel_optics(voxels, medium, material.extinction)
     return replace(cloud, normal=None, color=found.albedo, emission=found.emission, extinction=found.extinction)
 
 
-def _balls(cloud: PointCloud, extinction: np.ndarray, material: SampleMaterial) -> PointCloud:
-    """Gaussians of an extinction (N,), in whose depths the surface's emitted radiance is reached."""
+def _gaussians(cloud: PointCloud, extinction: np.ndarray, material: SampleMaterial) -> PointCloud:
+    """The cloud as Gaussians of this extinction (N,); a very deep one emits the radiance of the material's surface."""
     radiance = cloud.emission
     if radiance is None and any(material.emission):
         radiance = np.array([material.emission], np.float32)
@@ -146,8 +149,11 @@ def _balls(cloud: PointCloud, extinction: np.ndarray, material: SampleMaterial) 
     return replace(cloud, normal=None, extinction=extinction, emission=emission)
 
 
-def _seen(cloud: PointCloud, alpha: np.ndarray, material: SampleMaterial) -> PointCloud:
-    """The points that show, with their extinction, or opacity where they have normals, unless all are opaque."""
+def _with_alpha(cloud: PointCloud, alpha: np.ndarray, material: SampleMaterial) -> PointCloud:
+    """The cloud without invisible points; translucent ones get an opacity if they have normals, else an extinction.
+
+    alpha: (N,). Materials that are not translucent are cut out where it is below CLIP.
+    """
     if material.graph is not None and not material.translucent:
         return cloud if (alpha >= CLIP).all() else cloud.take(alpha >= CLIP)
     if not (alpha < 1).any():
@@ -156,7 +162,7 @@ def _seen(cloud: PointCloud, alpha: np.ndarray, material: SampleMaterial) -> Poi
         cloud = replace(cloud, opacity=alpha.astype(np.float32))
     else:
         assert cloud.radii is not None
-        cloud = _balls(cloud, ball_extinction(alpha, cloud.radii[:, 0]), material)
+        cloud = _gaussians(cloud, ball_extinction(alpha, cloud.radii[:, 0]), material)
     return cloud.take(alpha > 0)
 
 
@@ -164,23 +170,23 @@ def _seen(cloud: PointCloud, alpha: np.ndarray, material: SampleMaterial) -> Poi
 
 
 def _read(data: Data, name: str, kind: str) -> np.ndarray | None:
-    """A point attribute, or None where there is none of that name and type."""
+    """A point attribute (N,) or (N, 2 | 3) float32; None if there is none of that name and type."""
     attribute = data.attributes.get(name)
     if attribute is None or attribute.data_type != kind or attribute.domain != "POINT":
         return None
-    return arrays.read(attribute.data, *NUMBERS[kind], np.float32)
+    return arrays.read(attribute.data, *READABLE_TYPES[kind], np.float32)
 
 
 def _opacity(data: Data) -> np.ndarray | None:
-    """(N,) in [0, 1]; what is no number counts as opaque."""
-    if CAPTURED in data.attributes:
+    """Opacities (N,) in [0, 1], NaN being opaque; None without such an attribute and for captured splats."""
+    if CAPTURED_ATTRIBUTE in data.attributes:
         return None
     found = next((a for name in OPACITY_NAMES if (a := _read(data, name, "FLOAT")) is not None), None)
     return None if found is None else np.clip(np.nan_to_num(found, nan=1.0), 0, 1)
 
 
 def _kernel(data: Data) -> np.ndarray | None:
-    """(N,) uint8 shapes of splats by an attribute of integers, if any; numbers that name none are the default, 0."""
+    """Rows (N,) uint8 of kernel profiles, from an attribute of integers; invalid ones are 0. None without attribute."""
     attribute = data.attributes.get("kernel")
     if attribute is None or attribute.data_type != "INT":
         return None
@@ -189,12 +195,13 @@ def _kernel(data: Data) -> np.ndarray | None:
 
 
 def _grid_names(medium: Medium | None) -> set[str]:
+    """Names of the attributes that a medium reads as grids."""
     names = {medium.density_grid, medium.color_grid, medium.temperature_grid} if medium else set()
     return names - {""}
 
 
 def _grid(data: Data, name: str) -> np.ndarray | None:
-    """(N,) of a number, (N, 3) of a vector or colour; None where there is no such attribute."""
+    """An attribute of numbers as (N,), of vectors or colours as (N, 3), scene-linear; None if there is none."""
     attribute = data.attributes.get(name)
     if attribute is None or attribute.data_type not in ("FLOAT", "FLOAT_VECTOR", *COLOR_TYPES):
         return None
@@ -203,11 +210,12 @@ def _grid(data: Data, name: str) -> np.ndarray | None:
 
 
 def _present(named: Iterable[tuple[str, np.ndarray | None]]) -> dict[str, np.ndarray]:
+    """The named arrays that are not None."""
     return {name: array for name, array in named if array is not None}
 
 
 def _color_attributes(data: Data, wanted: Needs, imported: bool) -> list[Any]:
-    """Attributes that give colours: those that the material reads, or the one that importers make."""
+    """The attributes that give colours: those that the material reads, or, if imported, the one that importers make."""
     colors = [a for a in data.attributes if a.data_type in COLOR_TYPES and a.domain == "POINT"]
     colors.sort(key=lambda a: COLOR_NAMES.index(a.name) if a.name in COLOR_NAMES else len(COLOR_NAMES))
     if imported:
@@ -219,7 +227,8 @@ def _color_attributes(data: Data, wanted: Needs, imported: bool) -> list[Any]:
     return [*colors[:1], *found] if None in wanted.colors else found
 
 
-def _evaluate(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np.ndarray]:
+def _evaluate_graph(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np.ndarray]:
+    """Values of the graph by channel; generated coordinates come from the bounds of the positions."""
     position, generated = inputs.position, None
     assert position is not None
     if needs(graph).generated:

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""What the samples of points and strands need to know of their material."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...core.scene.volume import Medium
 
 
 def needs_of_materials(materials: tuple[SampleMaterial, ...]) -> Needs:
-    """What any of the materials reads."""
+    """The attributes that the graphs of any of these materials read."""
     found = [needs(m.graph) for m in materials if m.graph]
     return Needs(
         uv=frozenset().union(*(n.uv for n in found)),
@@ -23,28 +23,29 @@ def needs_of_materials(materials: tuple[SampleMaterial, ...]) -> Needs:
 
 @dataclass(frozen=True, eq=False)
 class SampleMaterial:
-    """What points must know of their material."""
+    """One row of the table of materials, as the conversion of points and strands needs it."""
 
-    row: int  # of the scene's table; 0 is no material, and then attributes by the names of importers give the looks
+    row: int  # of the table; 0: no material, and then attributes with the names that importers give have the colours
     graph: MaterialGraph | None = None
-    roughness: float = 0.5  # the constants, for when only the other one varies
+    roughness: float = 0.5  # the constants, used where only the other one varies
     metallic: float = 0.0
     emission: tuple[float, ...] = (0.0, 0.0, 0.0)
     alpha: float = 1.0
     translucent: bool = False
-    medium: Medium | None = None  # of a material without a surface
+    medium: Medium | None = None  # of a material with a volume and no surface
     extinction: float = 0.0  # the object's own, per object unit; 0 takes the material's
     base_color: tuple[float, ...] = (0.8, 0.8, 0.8)  # of strands, which may have several materials
 
     @property
     def key(self) -> str:
+        """What tells materials apart whose samples differ, but for the base colour."""
         volume = None if self.medium is None else [np.asarray(v).tolist() for v in vars(self.medium).values()]
         looks = self.roughness, self.metallic, self.emission, self.alpha, self.translucent, self.extinction
         return repr((self.row, self.graph and self.graph.digest, looks, volume))
 
 
 def sample_material(table: MaterialTable, row: int, extinction: float = 0.0) -> SampleMaterial:
-    """What the table says of a material's points."""
+    """The material in a row of the table. extinction: the object's own per object unit; 0 takes the material's."""
     graph = table.graphs[row] if row < len(table.graphs) else None
     alpha = float(table.alpha[row])
     varies = isinstance(graph, MaterialGraph) and graph.alpha is not None
@@ -63,6 +64,10 @@ def sample_material(table: MaterialTable, row: int, extinction: float = 0.0) -> 
 
 
 def roughness_and_metallic(varying: dict[str, np.ndarray], material: SampleMaterial, count: int) -> np.ndarray | None:
+    """Roughness and metallic (N, 2) float32 of `count` samples; None if both are constant.
+
+    varying: values of the graph by channel.
+    """
     if "roughness" not in varying and "metallic" not in varying:
         return None
     surface = np.empty((count, 2), np.float32)

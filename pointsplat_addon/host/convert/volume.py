@@ -1,4 +1,4 @@
-"""An evaluated Volume object to sparse voxels."""
+"""Evaluated Volume objects and fluid domains of Blender as sparse voxels of core."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from ...formats.volumes import vdb
 from . import arrays
 
 DOMAIN_GRIDS = ("density", "flame", "heat", "temperature")  # of fluid simulations
-RAMP = 256  # samples of a colour ramp
+RAMP_SAMPLES = 256  # samples of a colour ramp
 Lookup = Callable[[str, Callable[[], Any]], Any]
 
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """What was read from one file, or from one evaluated object."""
+    """The grids of one file or of one evaluated object."""
 
     key: str  # content key
     grids: vdb.Grids | None  # None: nothing to draw
-    messages: tuple[str, ...] = ()  # what is wrong; they do not name the object
+    messages: tuple[str, ...] = ()  # about what cannot be read; they do not name the object
 
 
 def load_openvdb() -> ModuleType:
@@ -59,7 +59,7 @@ def wanted_grids(medium: Medium | None, transfer: Transfer | None) -> tuple[str,
 
 
 def source_key(data: bpy.types.Volume) -> tuple:
-    """What tells this state of a volume from others: its session_uid, file, and when that was written.
+    """What identifies the state of a volume: its session_uid, and the path, time and size of its file.
 
     The evaluated copy of a volume that nothing modifies has no session_uid of its own.
     """
@@ -74,10 +74,10 @@ def source_key(data: bpy.types.Volume) -> tuple:
 
 
 def read_voxels(data: bpy.types.Volume, names: Collection[str], lookup: Lookup) -> Voxels:
-    """The voxels of the grids called `names`; `lookup(key, make)` gives what is known by its content key.
+    """The voxels of the grids called `names`; `lookup(key, make)` gives those that are known by their content key.
 
-    The reading is repeated only for another file, or for other grids of it; what modifiers and nodes make is always
-    read, and recognised by its content.
+    A file is read again only if it changed or other grids of it are wanted; the results of modifiers and nodes are
+    always read, and recognised by their content.
     """
     if not data.grids.load():
         return Voxels("", None, (data.grids.error_message,))
@@ -85,20 +85,20 @@ def read_voxels(data: bpy.types.Volume, names: Collection[str], lookup: Lookup) 
         return Voxels("", None)
     path = _file(data)
     if path is None:
-        return _generated(data, names, lookup)
+        return _read_generated(data, names, lookup)
     key = arrays.digest("volume file", source_key(data)[1:], tuple(names))
-    return lookup(key, lambda: _read(key, path, names))
+    return lookup(key, lambda: _read_file(key, path, names))
 
 
-def _generated(data: bpy.types.Volume, names: Collection[str], lookup: Lookup) -> Voxels:
-    """By way of a file: Python has no other access to grids in memory."""
+def _read_generated(data: bpy.types.Volume, names: Collection[str], lookup: Lookup) -> Voxels:
+    """Voxels of a volume in memory, by way of a temporary file: Python has no other access to them."""
     with tempfile.TemporaryDirectory(prefix="pointsplat-") as folder:
         path = Path(folder) / "grids.vdb"
         try:
             data.grids.save(str(path))
         except RuntimeError as error:
             return Voxels("", None, (str(error),))
-        read = _read("", path, names)
+        read = _read_file("", path, names)
     if read.grids is None:
         return read
     parts = [part for name, values in read.grids.values.items() for part in (name, values)]
@@ -106,13 +106,14 @@ def _generated(data: bpy.types.Volume, names: Collection[str], lookup: Lookup) -
     return lookup(key, lambda: replace(read, key=key))
 
 
-def _read(key: str, path: Path, names: Collection[str]) -> Voxels:
+def _read_file(key: str, path: Path, names: Collection[str]) -> Voxels:
+    """The voxels of these grids of an OpenVDB file on one lattice."""
     try:
         found, messages = vdb.read(load_openvdb(), path, names)
         if not found:
             return Voxels(key, None, tuple(messages))
         # The lattice is that of the first name.
-        order = {name: place for place, name in enumerate(names)}
+        order = {name: position for position, name in enumerate(names)}
         grids, more = vdb.combine(sorted(found, key=lambda grid: order.get(grid.name, len(order))))
     except (OSError, ValueError, ImportError) as error:
         return Voxels(key, None, (str(error),))
@@ -120,7 +121,7 @@ def _read(key: str, path: Path, names: Collection[str]) -> Voxels:
 
 
 def convert_volume(voxels: Voxels, name: str, row: int, transfer: Transfer | None) -> Volume | None:
-    """A volume of the scene; None where nothing is active."""
+    """The volume of core of these voxels; None if no voxel is active. row: of its material in the table."""
     grids = voxels.grids
     if grids is None:
         return None
@@ -128,7 +129,10 @@ def convert_volume(voxels: Voxels, name: str, row: int, transfer: Transfer | Non
 
 
 def read_domain(ob: bpy.types.Object) -> Voxels | None:
-    """What a gas domain of Blender's fluid simulation holds in this frame, in object space; None for other meshes."""
+    """The smoke and flames of a gas domain of Blender's fluid simulation in this frame, in object space.
+
+    Returns None if the object is no such domain.
+    """
     for modifier in ob.modifiers:
         if (
             modifier.type == "FLUID"
@@ -140,9 +144,9 @@ def read_domain(ob: bpy.types.Object) -> Voxels | None:
 
 
 def smoke(domain: Any) -> Voxels:
-    """The voxels of a FluidDomainSettings that hold smoke or flames; x varies fastest in Blender's arrays.
+    """The voxels of a FluidDomainSettings with smoke or flames.
 
-    With noise, grids are finer than the domain's resolution by a whole factor.
+    With noise, grids are finer than the domain's resolution by an integer factor.
     """
     resolution = np.array(domain.domain_resolution, np.int64)
     found = {name: _flat(getattr(domain, f"{name}_grid")) for name in DOMAIN_GRIDS}
@@ -150,6 +154,7 @@ def smoke(domain: Any) -> Voxels:
     finer = round((count / coarse) ** (1 / 3)) if coarse else 0
     if count == 0 or count != coarse * finer**3:
         return Voxels("", None)
+    # x varies fastest in Blender's arrays
     active = np.flatnonzero((found["density"] > 0) | (found["flame"] > 0 if len(found["flame"]) == count else False))
     fine = resolution * finer
     index = np.stack([active % fine[0], active // fine[0] % fine[1], active // (fine[0] * fine[1])], axis=1)
@@ -165,6 +170,7 @@ def smoke(domain: Any) -> Voxels:
 
 
 def _flat(array: Any) -> np.ndarray:
+    """An array property of Blender as (N,) float32."""
     values = np.empty(len(array), np.float32)
     if len(array):
         array.foreach_get(values)
@@ -172,12 +178,12 @@ def _flat(array: Any) -> np.ndarray:
 
 
 def sample_ramp(ramp: bpy.types.ColorRamp) -> np.ndarray:
-    """(R, 4) float32 of a colour ramp, evenly spaced from its left to its right end."""
-    return np.array([ramp.evaluate(x) for x in np.linspace(0, 1, RAMP)], np.float32)
+    """RAMP_SAMPLES colours (R, 4) float32 of a colour ramp at equal distances, both ends included."""
+    return np.array([ramp.evaluate(x) for x in np.linspace(0, 1, RAMP_SAMPLES)], np.float32)
 
 
 def convert_transfer(ob: bpy.types.Object) -> Transfer | None:
-    """The transfer function of an object, where it has one."""
+    """The transfer function of an object; None if it has none or uses none."""
     settings = ob.pointsplat
     if not settings.use_transfer or settings.transfer_texture is None:
         return None
@@ -199,7 +205,7 @@ def transfer_digest(transfer: Transfer) -> str:
 
 
 def _file(data: bpy.types.Volume) -> Path | None:
-    """The file that holds exactly these grids; None for what modifiers or nodes have made, which has no original."""
+    """The file with exactly these grids; None for the results of modifiers or nodes, which have no original."""
     if data.original == data:
         return None
     data.grids.load()

@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Renderers on the devices that Blender offers: their threads, contexts and measured costs."""

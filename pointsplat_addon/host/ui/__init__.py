@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""What people see of PointSplat in Blender: properties, panels, operators and preferences."""

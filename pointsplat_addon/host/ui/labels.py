@@ -1,4 +1,4 @@
-"""What the person reads of each setting: names and tooltips of properties and of their choices."""
+"""Names and tooltips of the settings and of their choices."""
 
 from ...core.scene.settings import BUDGETS, DEVICES, DOF_METHODS, TECHNIQUES
 
@@ -27,7 +27,7 @@ BUDGET_ITEMS: dict[str, Item] = {
     "TIME": (
         "TIME",
         "Time",
-        "As many samples and as fine a cut, up to the tolerance, as the time allows, by what pictures took before",
+        "As many samples and as fine a cut, up to the tolerance, as the time allows, judged by earlier pictures",
     ),
     "ERROR": ("ERROR", "Error", "Samples, and a finer tolerance where they do not suffice, until the error is small"),
 }
@@ -48,13 +48,13 @@ DOF_ITEMS: dict[str, Item] = {
     "SPLAT": (
         "SPLAT",
         "Splat",
-        "Blur each splat by its circle of confusion: what is blurred more takes fewer splats. "
-        "The shape of the aperture is taken for a disk",
+        "Enlarge each splat by its circle of confusion: what is more out of focus takes fewer splats. "
+        "The aperture is treated as a disk",
     ),
     "LENS_SAMPLES": (
         "LENS_SAMPLES",
         "Lens Samples",
-        "Draw each sample through another place on the aperture: exact with many samples, blades and ratio included",
+        "Draw each sample through another point of the aperture: exact with many samples, blades and ratio included",
     ),
 }
 PRIMITIVE_ITEMS: dict[str, Item] = {
@@ -63,7 +63,7 @@ PRIMITIVE_ITEMS: dict[str, Item] = {
     "POLYGONS": (
         "POLYGONS",
         "Polygons",
-        "Draw the triangles themselves, but points where materials let light through; curves with a bevel become meshes",
+        "Draw the triangles themselves, but points where materials are translucent; curves with a bevel become meshes",
     ),
     "LINES": ("LINES", "Lines", "Draw curves with a round bevel as tubes along their points; the rest as by Automatic"),
 }
@@ -73,24 +73,24 @@ LABELS: dict[str, tuple[str, str]] = {
     "technique": ("Technique", "How points become pixels"),
     "tolerance": (
         "Tolerance",
-        "Size in pixels below which one point stands for all the finer ones that it covers; smaller is more exact",
+        "Size in pixels below which one point is drawn instead of the finer ones that it covers; smaller is more exact",
     ),
     "samples": ("Render", "Number of sub-pixel samples that are averaged for each pixel of a final render"),
     "viewport_samples": ("Viewport", "Number of sub-pixel samples that are averaged in the viewport while it is still"),
     "use_adaptive_sampling": (
         "Adaptive Sampling",
-        "Parts of the picture whose samples agree get no more of them. Pictures with translucent objects or strands thinner "
-        "than a pixel, the technique Painter and depth of field by Lens Samples need all samples everywhere",
+        "Parts of the picture whose samples agree get no more of them. Pictures with translucent objects or strands "
+        "thinner than a pixel, the technique Painter and depth of field by Lens Samples need all samples everywhere",
     ),
     "adaptive_threshold": (
         "Threshold",
         "Difference between the means of all samples and of half of them below which no more are taken; "
         "smaller is more exact",
     ),
-    "use_shadows": ("Shadows", "Lights cast shadows, which what is translucent softens and tints"),
+    "use_shadows": ("Shadows", "Lights cast shadows, which translucent objects soften and tint"),
     "shadow_resolution": (
         "Resolution",
-        "Number of cells in half a turn around each light that hold what its rays cross; more cells make sharper shadows",
+        "Number of cells in half a turn around each light in which shadows are stored; more cells make sharper shadows",
     ),
     "dof_method": ("Depth of Field", "How cameras with depth of field blur what is out of focus"),
     "budget": ("Budget", "What decides how many samples are drawn and how coarse the points may be"),

@@ -1,4 +1,4 @@
-"""The report of the last final render, and how it is told: in its panel and in the picture's metadata."""
+"""The report of the last final render, and how its panel and the image's metadata show it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from .labels import TECHNIQUE_ITEMS
 
 REPORT: dict[str, Any] = {}  # of the last final render; empty before the first
 MOST_BARS = 8  # of passes, the longest ones
-REST = "all else"  # choosing and sampling points, and comparing cuts: what is no pass
+REST = "all else"  # time outside of passes: choosing and sampling points, comparing cuts
 
 
 def lines(report: dict[str, Any]) -> list[tuple[str, str]]:
-    """Label and value of what a picture took and is; nothing of an empty report."""
+    """Pairs (label, value) that sum up a report, for people; none of an empty report."""
     if "technique" not in report:
         return []
     points = report["points"]
@@ -27,13 +27,13 @@ def lines(report: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def error(estimate: dict[str, float | None]) -> str:
-    """The root mean square error of a report's estimate."""
+    """The root mean square error of a report's estimate, as text."""
     rmse = estimate["rmse"]
     return "unknown: one sample" if rmse is None else f"{rmse:.2g}"
 
 
 def bars(report: dict[str, Any]) -> list[tuple[str, float, float]]:
-    """Name, milliseconds and share of the longest of up to MOST_BARS passes and REST, the longest first."""
+    """(name, milliseconds, fraction of the longest) of up to MOST_BARS passes and REST, the longest first."""
     passes = [(p["name"], p["ms"]) for p in report.get("passes", ())]
     rest = 1000 * report.get("seconds", 0.0) - sum(ms for _, ms in passes)
     found = sorted([*passes, (REST, max(rest, 0.0))], key=lambda item: -item[1])[:MOST_BARS]
@@ -42,7 +42,7 @@ def bars(report: dict[str, Any]) -> list[tuple[str, float, float]]:
 
 
 def stamps(report: dict[str, Any]) -> dict[str, str]:
-    """The picture's metadata by field."""
+    """The metadata of a rendered image by field."""
     found = {"pointsplat/seconds": f"{report['seconds']:.3f}"}
     if "estimate" in report:
         found["pointsplat/error"] = error(report["estimate"])

@@ -1,4 +1,4 @@
-"""Operators."""
+"""Operators: clearing the cache, calibration, imports, and strands from meshes."""
 
 from pathlib import Path
 
@@ -180,7 +180,7 @@ class POINTSPLAT_OT_mesh_to_strands(bpy.types.Operator):
 
 
 def _curves(name: str, found: FittedStrands, part: np.ndarray, uv: np.ndarray | None) -> bpy.types.Curves:
-    """Some of the strands as Blender's curves."""
+    """A Curves data block with the strands `part`, given by their indices. uv: (N, 2) of all strands, or None."""
     count = np.diff(found.start)[part]
     points = ranges(found.start[part], count)
     data = bpy.data.hair_curves.new(name)
@@ -214,12 +214,13 @@ def _keep_polygons(mesh: bpy.types.Mesh, kept: np.ndarray) -> None:
 
 
 def _stem(path: Path) -> str:
+    """The name of a file without its extension, .nii.gz included."""
     name = path.name
     return name[: -len(".nii.gz")] if name.lower().endswith(".nii.gz") else path.stem
 
 
 def _unused(source: Path) -> Path:
-    """A path for an OpenVDB file that is not there yet."""
+    """A path for a new OpenVDB file, beside the blend file or else beside `source`."""
     folder = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent
     target, number = folder / f"{_stem(source)}.vdb", 0
     while target.exists():
@@ -229,16 +230,19 @@ def _unused(source: Path) -> Path:
 
 
 def _ramp(name: str) -> bpy.types.Texture:
+    """A new texture with a colour ramp for a transfer function."""
     texture = bpy.data.textures.new(f"{name} Transfer", "BLEND")
     texture.use_color_ramp = True
     return texture
 
 
 def import_menu(menu, _context):
+    """Draw the entries of the menu File > Import."""
     menu.layout.operator(POINTSPLAT_OT_import_volume.bl_idname, text="Volume for PointSplat (.npy, .nii)")
 
 
 def convert_menu(menu, _context):
+    """Draw the entries of the menu Object > Convert."""
     menu.layout.operator(POINTSPLAT_OT_mesh_to_strands.bl_idname)
 
 

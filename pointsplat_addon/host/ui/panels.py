@@ -1,4 +1,4 @@
-"""Panels of the properties editor, and which of Blender's own are shown with this engine."""
+"""Panels of the properties editor, and the choice of Blender's own panels that are shown with this engine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from . import last_render
 
 ENGINE = "POINTSPLAT"
 DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT", "POINTCLOUD", "VOLUME", "CURVES"}  # objects that are drawn
-FILLED = {"POINTCLOUD", "VOLUME"}  # whose points may be Gaussians of a medium
+WITH_EXTINCTION = {"POINTCLOUD", "VOLUME"}  # objects whose points may be Gaussians of a medium
 
 # Blender's panels for any engine that show what PointSplat does not have.
 EXCLUDED = {"RENDER_PT_stereoscopy", "RENDER_PT_output_views", "MATERIAL_PT_freestyle_line"}
@@ -34,10 +34,8 @@ INCLUDED = {
 }
 
 
-def adapts(scene: bpy.types.Scene) -> bool:
-    """Whether adaptive sampling can leave out any sample of the scene's pictures, as far as its settings say.
-
-    The tooltip of the setting gives the reasons."""
+def can_adapt_samples(scene: bpy.types.Scene) -> bool:
+    """Whether the scene's settings allow adaptive sampling to leave out samples; its tooltip gives the reasons."""
     settings = scene.pointsplat
     camera = scene.camera
     through_lens = camera is not None and camera.type == "CAMERA" and camera.data.dof.use_dof
@@ -71,7 +69,7 @@ class POINTSPLAT_RENDER_PT_sampling(_Panel, bpy.types.Panel):
         render.active = settings.budget == "NONE"
         render.prop(settings, "samples", text="Render Samples")
         row = layout.column(heading="Adaptive").row(align=True)
-        row.active = adapts(context.scene)
+        row.active = can_adapt_samples(context.scene)
         row.prop(settings, "use_adaptive_sampling", text="")
         threshold = row.row()
         threshold.active = settings.use_adaptive_sampling
@@ -209,15 +207,15 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             layout.prop(ob.pointsplat, "ribbons")
             self._visibility(ob, layout)
             return
-        scattered = ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_loose_vertices(ob.data))
-        if scattered:  # points are drawn as they are: nothing is sampled
+        is_points = ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_loose_vertices(ob.data))
+        if is_points:  # they are drawn as they are: nothing is sampled
             layout.prop(ob.pointsplat, "radius")
         else:
             layout.prop(ob.pointsplat, "primitive")
             row = layout.row()
             row.active = ob.pointsplat.primitive != "POLYGONS"
             row.prop(ob.pointsplat, "spacing")
-        if ob.type in FILLED or len(ob.particle_systems):
+        if ob.type in WITH_EXTINCTION or len(ob.particle_systems):
             layout.prop(ob.pointsplat, "extinction")
         self._visibility(ob, layout)
 
@@ -272,7 +270,7 @@ CLASSES = (
 
 
 def builtin_panels() -> Iterator[type[bpy.types.Panel]]:
-    """Blender's own panels that make sense with this engine."""
+    """Blender's own panels that are shown with this engine."""
     for panel in bpy.types.Panel.__subclasses__():
         name, engines = panel.__name__, getattr(panel, "COMPAT_ENGINES", ())
         if name in INCLUDED or (

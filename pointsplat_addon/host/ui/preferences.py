@@ -40,7 +40,7 @@ class PointSplatPreferences(bpy.types.AddonPreferences):
 
 
 def device_text() -> str:
-    """What final renders are drawn with."""
+    """What final renders are drawn with, as text for people."""
     if gl_thread.available():
         return "OpenGL context of their own (moderngl)"
     return "Blender's graphics backend: moderngl is not installed, so the window stands still while they run"
@@ -55,20 +55,20 @@ def own_folder() -> Path | None:
 
 
 def cache_folder() -> Path | None:
-    """Where hierarchies are kept on disk; None: nowhere."""
+    """The folder of hierarchies on disk; None if they are not kept."""
     addon = bpy.context.preferences.addons.get(ROOT)
     chosen = addon.preferences.cache_folder if addon and addon.preferences else ""
     return Path(bpy.path.abspath(chosen)) if chosen else own_folder()
 
 
 def device_costs() -> str:
-    """What `device_costs.write` kept; empty: nothing yet."""
+    """The costs that `keep_device_costs` stored, as JSON; empty if none were."""
     addon = bpy.context.preferences.addons.get(ROOT)
     return addon.preferences.device_costs if addon and addon.preferences else ""
 
 
 def keep_device_costs(text: str) -> None:
-    """Blender saves it with the other preferences."""
+    """Store measured costs as JSON in the preferences, which Blender saves."""
     addon = bpy.context.preferences.addons.get(ROOT)
     if addon and addon.preferences and addon.preferences.device_costs != text:
         addon.preferences.device_costs = text

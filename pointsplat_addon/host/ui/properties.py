@@ -1,4 +1,4 @@
-"""scene.pointsplat and object.pointsplat, made from core.scene's tables."""
+"""The properties scene.pointsplat and object.pointsplat, made from the tables of core.scene.settings."""
 
 from dataclasses import fields
 from typing import Any
@@ -12,14 +12,16 @@ from .labels import ITEMS, LABELS, PRIMITIVE_ITEMS
 
 
 def changed(_properties: Any, _context: bpy.types.Context) -> None:
-    """An update callback: without one, Blender does not refresh evaluated copies after a Python script's write."""
+    """Do nothing. Without an update callback Blender does not refresh evaluated copies after a script's change."""
 
 
 def device_changed(_properties: Any, _context: bpy.types.Context) -> None:
+    """Register the engine with the kind of context that the device setting needs."""
     engine.choose_context()
 
 
 def _property(name: str, default: Any) -> Any:
+    """Blender's property for a field of Settings."""
     label, tooltip = LABELS[name]
     common = {"name": label, "description": tooltip, "default": default, "update": UPDATES.get(name, changed)}
     if name in ITEMS:
@@ -40,17 +42,17 @@ UPDATES = {"device": device_changed}
 
 
 class PointSplatScene(bpy.types.PropertyGroup):
-    """Settings of the render engine; one property for each field of core.scene.Settings."""
+    """Settings of the render engine; one property for each field of core.scene.settings.Settings."""
 
     __annotations__ = {f.name: _property(f.name, f.default) for f in fields(Settings)}
 
     def settings(self) -> Settings:
-        """The values as core.scene.Settings."""
+        """The present values."""
         return Settings(**{f.name: getattr(self, f.name) for f in fields(Settings)})
 
 
 class PointSplatObject(bpy.types.PropertyGroup):
-    """How one object becomes points."""
+    """How one object is drawn."""
 
     primitive: EnumProperty(
         name="Primitive",

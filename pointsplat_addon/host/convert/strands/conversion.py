@@ -112,7 +112,7 @@ def _evaluate_materials(
 def _material_constants(
     name: str, slot: np.ndarray, strand: np.ndarray, materials: tuple[SampleMaterial, ...]
 ) -> np.ndarray:
-    """A column of constants of the materials, (P, 2) of "surface" and (P, 3) of others, to be overwritten where they vary."""
+    """A column (P, 2 | 3) of constants of the materials, to be overwritten where they vary."""
     constants = {
         "color": [m.base_color for m in materials],
         "surface": [(m.roughness, m.metallic) for m in materials],

@@ -32,7 +32,7 @@ def read_curves(data: bpy.types.Curves, materials: tuple[SampleMaterial, ...], r
     start = arrays.read(data.curve_offset_data, "value", 1, np.int32).astype(np.int64)
 
     def strand_numbers(name: str, default: int) -> np.ndarray:
-        """(S,) int64."""
+        """An attribute of strands, or the default, as (S,) int64."""
         found = _read_attribute(data, name)
         return np.full(count, default) if found is None or len(found) != count else found.astype(np.int64)
 

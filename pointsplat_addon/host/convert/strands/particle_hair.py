@@ -61,7 +61,7 @@ def hair_systems(ob: bpy.types.Object, final: bool) -> Iterator[ParticleHair]:
 
 
 def read_hair(hair: ParticleHair, materials: tuple[SampleMaterial, ...]) -> ControlPoints | None:
-    """The control points of a particle system in its object's space, as Cycles reads them; None if it has no strands.
+    """The control points of a particle system in its object's space, as in Cycles; None without strands.
 
     materials: those that the strands use; attributes of the emitter that they do not read are left out.
     """
@@ -93,8 +93,15 @@ def read_hair(hair: ParticleHair, materials: tuple[SampleMaterial, ...]) -> Cont
     )
     uv, colors = _emitter_attributes(hair, shown.tolist(), needs_of_materials(materials))
     middle, half = (np.array(v, np.float64) for v in (hair.ob.data.texspace_location, hair.ob.data.texspace_size))
-    return ControlPoints(curves, radius.ravel().astype(np.float32), colors=colors, strand_colors=frozenset(colors), uv=uv,
-                   first_strand=hair.first_strand, texture_space=np.stack([middle - half, middle + half]))  # fmt: skip
+    return ControlPoints(
+        curves,
+        radius.ravel().astype(np.float32),
+        colors=colors,
+        strand_colors=frozenset(colors),
+        uv=uv,
+        first_strand=hair.first_strand,
+        texture_space=np.stack([middle - half, middle + half]),
+    )
 
 
 def _extend_short_strands(world: np.ndarray) -> np.ndarray:
