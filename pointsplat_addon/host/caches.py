@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import bpy
 
-from ..render.cache.store import STORE
 from . import engine, gl_thread, sync
 from .convert import images
 from .final import FinalRender
 from .main_gpu import MAIN_GPU
+from .shared_store import STORE
 from .viewport import Viewport
 
 

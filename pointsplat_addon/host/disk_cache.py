@@ -9,8 +9,8 @@ from pathlib import Path
 from ..core.lod.hierarchy import LEAF_SIZE, Hierarchy, build
 from ..core.scene.cloud import PointCloud
 from ..formats import hierarchy_cache
-from ..render.cache.store import STORE
 from . import device_costs, preferences
+from .shared_store import STORE
 
 LOG = logging.getLogger(__name__)
 WORTH_KEEPING = 200_000  # points; smaller hierarchies are built about as fast as they are read
@@ -21,7 +21,7 @@ def refresh() -> None:
     """Follow the preferences. Called on Blender's main thread before anything is drawn."""
     device_costs.read()
     folder = preferences.cache_folder()
-    STORE.build = build if folder is None else partial(build_or_read, folder)
+    STORE.build_hierarchy = build if folder is None else partial(build_or_read, folder)
 
 
 def build_or_read(folder: Path, cloud: PointCloud) -> Hierarchy:

@@ -19,6 +19,7 @@ from tests.support.scenes import (
     CASES,
     Case,
 )
+from tests.support.store import STORE
 
 Pictures = dict[str, np.ndarray]
 COLORS = ("combined", "normal", "albedo", "mist")
@@ -33,7 +34,7 @@ def pictures(renderer: Renderer, case: Case) -> Pictures:
 @pytest.fixture(scope="module")
 def blender() -> Iterator[Renderer]:
     start_gpu()
-    renderer = Renderer(BlenderDevice())
+    renderer = Renderer(BlenderDevice(), STORE)
     yield renderer
     renderer.release()
     assert renderer.device.bytes_allocated() == 0
@@ -44,7 +45,7 @@ def blender() -> Iterator[Renderer]:
 def opengl() -> Iterator[Callable[[Case, bool], Pictures]]:
     """Draws on a thread of its own, as in a render; the flag says whether with image atomics."""
     with ThreadPoolExecutor(1) as thread:
-        renderer = thread.submit(lambda: Renderer(OpenGLDevice())).result()
+        renderer = thread.submit(lambda: Renderer(OpenGLDevice(), STORE)).result()
         limits = renderer.device.limits
 
         def draw(case: Case, atomics: bool) -> Pictures:

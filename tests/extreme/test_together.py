@@ -16,6 +16,7 @@ from pointsplat_addon.render.renderer import Renderer
 from tests.support import scenes
 from tests.support.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
 from tests.support.scenes import camera
+from tests.support.store import STORE
 
 SAMPLES = 8  # so many that what lies in smoke is lit anew between them, by another part of each lamp
 LOOKS = {name: (None, {"technique": name}) for name in TECHNIQUES}
@@ -48,7 +49,7 @@ def test_neither_reads_what_the_other_released(monkeypatch, look, other, limit):
     """Where there is room for both, and where there is for none: what one uses stays. The null device refuses calls
     with anything that is released."""
     monkeypatch.setattr(uploads, "DEVICE_LIMIT", limit)
-    renderer = Renderer(NullDevice())
+    renderer = Renderer(NullDevice(), STORE)
     for key in ("together", "elsewhere"):
         frames = begun(renderer, look, -1, "together"), begun(renderer, other, 1, key)
         drawn(*frames)

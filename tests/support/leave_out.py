@@ -28,13 +28,13 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.materials import HairTable
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.shading import sources
 from pointsplat_addon.shading.interface import Interface
 from tests.support import scenes
 from tests.support.scenes import Case
+from tests.support.store import STORE
 
 COMBINED = frozenset({"combined"})
 
@@ -344,7 +344,7 @@ def draw(row: Row, device: NullDevice | None = None) -> Found:
     device = device or NullDevice()
     case = row.case()
     request = Request(case.camera, case.settings, row.passes, row.samples, interactive=row.interactive)
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     renderer.costs = scenes.FREE_POINTS
     report = renderer.render(case.scene, request).report
     size = device.peak_bytes

@@ -25,6 +25,7 @@ from pointsplat_addon.render.passes.outputs import PASSES
 from pointsplat_addon.render.plan.request import Request, Result
 from pointsplat_addon.render.renderer import Renderer
 from scripts.tower import COLORS, tower
+from tests.support.store import STORE
 
 ALL_PASSES = frozenset(p.key for p in PASSES)
 RESOLUTION = (48, 40)
@@ -51,7 +52,7 @@ CHEAP_POINTS = replace(FREE_POINTS, point=FREE_POINTS.point / FEWER, pixel=FREE_
 @cache
 def _renderer() -> Renderer:
     """One renderer for all tests of a process, since compiling shaders takes most of their time."""
-    renderer = Renderer(OpenGLDevice())
+    renderer = Renderer(OpenGLDevice(), STORE)
     renderer.costs = CHEAP_POINTS
     return renderer
 

@@ -13,8 +13,6 @@ import numpy as np
 
 from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.render.cache.store import STORE
-from pointsplat_addon.render.frame import uploads
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from tests.support import scenes
@@ -84,8 +82,9 @@ def draw(renderer: Renderer, number: int) -> None:
 
 def soak(renderer: Renderer, frames: int, beside: Callable[[], None] = lambda: None) -> tuple[Memory, Memory]:
     """Memory after the first PERIOD frames, and after so many more. `beside` is called after each."""
-    limits, STORE.limit = (STORE.limit, uploads.DEVICE_LIMIT), KEPT
-    uploads.DEVICE_LIMIT = KEPT
+    store, kept = renderer.store, renderer.kept
+    limits = store.limit, kept.limit
+    store.limit = kept.limit = KEPT
     seen = []
     try:
         for number in range(PERIOD + frames):
@@ -94,6 +93,6 @@ def soak(renderer: Renderer, frames: int, beside: Callable[[], None] = lambda: N
             if number + 1 in (PERIOD, PERIOD + frames):
                 seen.append(Memory(resident(), renderer.device.bytes_allocated()))
     finally:
-        STORE.limit, uploads.DEVICE_LIMIT = limits
-        STORE.clear()
+        store.limit, kept.limit = limits
+        store.clear()
     return seen[0], seen[1]

@@ -18,9 +18,9 @@ import numpy as np
 
 from ...core.scene.materials import MaterialTable
 from ...shading.interface import Interface
-from ..cache.store import Layer, PointSet
 from ..device.packing import PAGE_WIDTH, paged
 from ..device.protocol import EMPTY, Device, Target, Texture
+from ..prepare.point_sets import Layer, PointSet
 from .common import FRAME, GBuffer, Variant
 from .pages import SplatPage, extent, facets, filled, place, shading_normal
 from .tiles import TILE_DEFINE, Region

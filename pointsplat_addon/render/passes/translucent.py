@@ -34,9 +34,10 @@ from ...core.scene.materials import MaterialTable
 from ...core.splat import painter
 from ...core.splat.kernel import PEAK, PROFILES, SUPPORT
 from ...shading.interface import Interface
-from ..cache.store import PointSet
+from ..cache.keys import Key
 from ..device.packing import PAGE_WIDTH
 from ..device.protocol import Device, Target, Texture, undone, whole
+from ..prepare.point_sets import PointSet
 from .common import FRAME
 from .pages import SplatPage, extent, filled, place, shading_normal
 from .shade import MOST_LAMP_POINTS, lighting_defines, lighting_samplers
@@ -113,7 +114,7 @@ class TranslucentPage(SplatPage):
         sets: list[PointSet],
         options: TranslucentOptions,
         table: MaterialTable,
-        shares: Mapping[tuple, np.ndarray | float] | None = None,
+        shares: Mapping[Key, np.ndarray | float] | None = None,
     ) -> None:
         """`shares`: by key, what of its ellipse each opaque splat covers; with `options.defocus`."""
         super().__init__(device, sets)
@@ -129,7 +130,7 @@ class TranslucentPage(SplatPage):
         self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
         self.upload("extent", "RGBA32F", 4, [extent(c, always_axis=True) for c in clouds])
         self.upload("optics", "RGBA32F", 4, [
-            _optics(c, points.family[:1] == ("lattice",)) for c, points in zip(clouds, sets, strict=True)
+            _optics(c, points.is_lattice) for c, points in zip(clouds, sets, strict=True)
         ])  # fmt: skip
         if options.color:
             self.upload("color", "RGBA16F", 4, [filled(c, "color", table.base_color) for c in clouds])

@@ -22,7 +22,9 @@ from ...core.splat.blur import BLURRED, IN_FOCUS, Blur
 from ...core.strand.selection import Segments, Strands
 from ...core.surface import sampling
 from ...core.surface.appearance import digest, point_cloud
-from ..cache.store import Layer, PointSet, Store
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
+from .point_sets import Layer, PointSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,8 @@ class Focus:
         """Points and their nodes. `areas`: (N,) what each point stands for; None: it is not known."""
         key = self._add(instance, points)
         made = self.store.lookup(
-            ("shares", areas is not None, *points.key), lambda: shares(points.hierarchy or points.cloud, areas)
+            Key(Kind.AREA_SHARES, points.key, other=areas is not None),
+            lambda: shares(points.hierarchy or points.cloud, areas),
         )
         self.shares[key] = made
 
@@ -72,7 +75,7 @@ class Focus:
         """Balls that are drawn one by one."""
         for i in instance.tolist():
             matrix = self.view_from_object[i]
-            key = (*points.key, *self._seen(matrix))
+            key = Key(Kind.DICED, points.key, other=self._seen(matrix))
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 return dicing.balls(points.cloud, matrix, self.camera, self.tolerance, self.blur)
@@ -86,7 +89,7 @@ class Focus:
         look = digest(mesh, table)
         for i in instance.tolist():
             matrix = self.view_from_object[i]
-            key = (geometry.key, look, *self._seen(matrix))
+            key = Key(Kind.DICED, geometry.key, look, other=self._seen(matrix))
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 samples = dicing.cut(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
@@ -101,7 +104,7 @@ class Focus:
             mine = np.flatnonzero(segments.instance == i)
             ends, matrix = segments.ends[mine], self.view_from_object[i]
             kept[mine] = sharp_ends(strands, ends, matrix, self.camera, self.blur)
-            key = (geometry.key, *self._seen(matrix))
+            key = Key(Kind.DICED, geometry.key, other=self._seen(matrix))
 
             def make(ends: np.ndarray = ends, matrix: np.ndarray = matrix) -> PointCloud:
                 return splats(strands, lines, ends, matrix, self.camera, self.tolerance, self.blur)
@@ -114,9 +117,8 @@ class Focus:
         camera = self.camera
         return matrix.tobytes(), camera.clip_from_view.tobytes(), camera.window, self.blur, self.tolerance
 
-    def _add_pieces(self, instance: int, key: tuple, make: Callable[[], PointCloud], share: float) -> None:
+    def _add_pieces(self, instance: int, key: Key, make: Callable[[], PointCloud], share: float) -> None:
         """Splats that were made for this view, each of which covers this share of its ellipse."""
-        key = ("pieces", *key)
         points = PointSet(key, self.store.lookup(key, make))
         if len(points):
             self.shares[self._add(np.array([instance]), points)] = float(share)
@@ -136,7 +138,7 @@ class Focus:
         cuts = [fully(counts, self.set_of_instance)]
         trees = {key: points.hierarchy for key, points in self.sets.items() if points.hierarchy is not None}
         if trees:
-            known = ("forest", *((key, self.sets[key].key) for key in trees))
+            known = Key(Kind.FOREST, tuple((key, self.sets[key].key) for key in trees))
             found = self.store.lookup(known, lambda: forest(trees))
             own = np.where(np.isin(self.set_of_instance, list(trees)), self.set_of_instance, -1)
             cuts.append(

@@ -19,14 +19,15 @@ from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
 from ...core.splat.blur import COARSEST, NODE, blur_of
 from ...core.strand.selection import Segments, clean, select, together
-from ..cache.store import STORE, Layer, PointSet, Store
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
 from .hierarchies import where_blurred, where_it_pays
 from .hybrid import Shown, choose_parts, split
 from .layers import cut_layer
 from .meshes import Primitives, areas, measured, points_or_polygons
 from .out_of_focus import Blurred, Focus
 from .parts import lets_through
-from .point_sets import counts, given_points, largest_radius, set_ball, typical_diameter
+from .point_sets import Layer, PointSet, counts, given_points, largest_radius, set_ball, typical_diameter
 from .view import View
 
 WIDE_BALL = 2.0  # pixels of radius: means of wider balls that overlap would show
@@ -56,7 +57,7 @@ def prepare(
     camera: Camera,
     settings: Settings,
     samples: int,
-    store: Store = STORE,
+    store: Store,
     *,
     interactive: bool = False,
     check: Callable[[], None] = lambda: None,
@@ -197,7 +198,7 @@ def _lines(view: View, view_from_object: np.ndarray, usable: np.ndarray, focus: 
         if lines is None or len(where) == 0:
             continue
         view.check()
-        strands = view.store.lookup(("strands", geometry.key), lambda lines=lines: clean(lines))
+        strands = view.store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda lines=lines: clean(lines))
         view.warnings.extend(f"{geometry.name}: {message}" for message in strands.messages)
         if len(strands) == 0:
             continue

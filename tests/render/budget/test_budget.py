@@ -12,7 +12,6 @@ from pointsplat_addon.core.splat.blur import NODE
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.budget import budget
 from pointsplat_addon.render.budget.budget import Moving, Pacer, Refining
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.frame import translucent
 from pointsplat_addon.render.frame.filtering import offsets
 from pointsplat_addon.render.frame.frame import Frame
@@ -21,6 +20,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts import defocus_pictures
 from tests.support import scenes
 from tests.support.scenes import CASES, Case
+from tests.support.store import STORE
 
 COMBINED = frozenset({"combined"})
 # ms: what comes once, a sample, and both per splat; splats at the tolerance of one pixel; the budget.
@@ -96,7 +96,7 @@ def asked(name: str, samples: int = 8, **settings) -> tuple[Scene, Request]:
 def test_a_picture_stops_in_time(milliseconds, aperture):
     """The first one too, of which nothing is known."""
     device = NullDevice()
-    renderer, clock = Renderer(device), Ticking(device)
+    renderer, clock = Renderer(device, STORE), Ticking(device)
     scene, request = asked("mixed", budget="TIME", time_budget=milliseconds)
     request, times = replace(request, camera=replace(request.camera, aperture=aperture)), []
     for _ in range(4):
@@ -110,7 +110,7 @@ def test_a_picture_stops_in_time(milliseconds, aperture):
 
 def test_a_view_that_moves_keeps_its_time():
     device = NullDevice()
-    renderer, clock = Renderer(device), Ticking(device)
+    renderer, clock = Renderer(device, STORE), Ticking(device)
     scene, request = asked("mixed", 16, budget="TIME", time_budget=100.0)
     request, times = replace(request, interactive=True), []
     for step in range(6):
@@ -322,7 +322,7 @@ def test_without_a_budget_nothing_changes():
     for limit in (1.0, 0.5):
         scene, request = asked("mixed", budget="NONE", time_budget=limit, error_budget=limit)
         device = NullDevice()
-        report = Renderer(device).render(scene, request).report
+        report = Renderer(device, STORE).render(scene, request).report
         assert "estimate" not in report
         calls.append([(call.interface.name, call.count) for call in device.calls])
         assert sum(name == "shade" for name, _ in calls[-1]) == 8

@@ -15,6 +15,7 @@ from pointsplat_addon.render.renderer import Renderer
 from tests.reference import opaque
 from tests.support import scenes
 from tests.support.scenes import ALL_PASSES, CASES, Case, render
+from tests.support.store import STORE
 
 POLYGONS = ("cube", "culled")  # only polygons are seen
 
@@ -362,7 +363,7 @@ def test_releasing_a_renderer_frees_everything():
 
     def bytes_while_and_after():
         device = OpenGLDevice()
-        renderer = Renderer(device)
+        renderer = Renderer(device, STORE)
         renderer.render(case.scene, case.request(frozenset({"combined"})))
         kept = device.bytes_allocated()
         renderer.release()

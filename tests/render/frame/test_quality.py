@@ -13,10 +13,10 @@ import pytest
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.render.cache.store import STORE
 from scripts.compare import compare, directions
 from tests.support import scenes
 from tests.support.scenes import Case, render
+from tests.support.store import STORE
 
 SPOT = Path(__file__).resolve().parents[3] / "assets" / "spot" / "spot_triangulated.obj.gz"
 SIZE = 192

@@ -18,12 +18,13 @@ from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.render.cache.store import STORE, Store
+from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
 from scripts.transitions import Change, changes
 from tests.render.frame.test_quality import shape, with_smooth_normals
 from tests.support import scenes
+from tests.support.store import STORE
 
 
 def bumpy(key: str, rings: int) -> Mesh:
@@ -79,7 +80,7 @@ class Journey:
         STORE.clear()
         if self.grown:
             farthest = max(self.cameras, key=lambda c: np.abs(c.view_from_world[:3, 3]).max())
-            prepare(self.scene, farthest, settings, 1000)
+            prepare(self.scene, farthest, settings, 1000, STORE)
         reference = None if self.whole is None else (self.whole, replace(settings, tolerance=0.05))
         before, renderer.costs = renderer.costs, self.costs or renderer.costs
         try:

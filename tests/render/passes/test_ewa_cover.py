@@ -13,6 +13,7 @@ from pointsplat_addon.render.passes import ewa, ewa_cover
 from pointsplat_addon.render.renderer import Renderer
 from tests.support import scenes
 from tests.support.scenes import Case, render
+from tests.support.store import STORE
 
 ONLY_COMBINED = frozenset({"combined"})
 COUNT = 60_000
@@ -122,5 +123,5 @@ def test_thinning_leaves_no_pattern_of_the_numbers():
 def test_few_splats_compile_none_of_it():
     device = NullDevice()
     few = replace(scenes.sphere(), settings=Settings(technique="EWA", use_shadows=False))
-    Renderer(device).render(few.scene, few.request(ONLY_COMBINED, 1))
+    Renderer(device, STORE).render(few.scene, few.request(ONLY_COMBINED, 1))
     assert not PROGRAMS & {interface.name for interface in device.interfaces}

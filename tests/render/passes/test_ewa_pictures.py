@@ -10,7 +10,6 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat import ewa
 from pointsplat_addon.devices.null import LIMITS, NullDevice
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
@@ -20,6 +19,7 @@ from tests.reference import opaque
 from tests.render.frame import test_quality
 from tests.support import scenes
 from tests.support.scenes import ALL_PASSES, CASES, Case, render
+from tests.support.store import STORE
 
 EWA = Settings(technique="EWA", use_shadows=False)
 ONLY_COMBINED = frozenset({"combined"})
@@ -256,7 +256,7 @@ def test_pictures_are_near_those_of_image_space(name):
 
 def record(case: Case, device=None, samples: int = 1):
     device = device or NullDevice()
-    result = Renderer(device).render(case.scene, case.request(ONLY_COMBINED, samples))
+    result = Renderer(device, STORE).render(case.scene, case.request(ONLY_COMBINED, samples))
     return device, result
 
 

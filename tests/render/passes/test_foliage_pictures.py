@@ -16,6 +16,7 @@ from pointsplat_addon.render.renderer import Renderer
 from tests.core.lod.test_optics import cards, mean_transmittance, medium, voxel_ball
 from tests.support import scenes
 from tests.support.scenes import camera, leaves, moved, points
+from tests.support.store import STORE
 
 COMBINED = frozenset({"combined"})
 
@@ -41,7 +42,7 @@ def rasterising():
     """A renderer without image atomics."""
     device = OpenGLDevice()
     device.limits = replace(device.limits, image_atomics=False)
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     yield renderer
     renderer.release()
     device.release()
@@ -105,7 +106,7 @@ def test_what_is_translucent_lets_as_much_light_through_at_any_distance(kind, di
 def test_surfaces_have_no_variant_for_it():
     for case, there in ((scenes.plain_sphere(), False), (scenes.foliage(), True)):
         device = NullDevice()
-        Renderer(device).render(case.scene, case.request(COMBINED))
+        Renderer(device, STORE).render(case.scene, case.request(COMBINED))
         names = {name for interface in device.interfaces for name, _ in interface.defines}
         assert ("PS_APART" in names) == there
 

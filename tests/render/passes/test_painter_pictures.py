@@ -11,7 +11,6 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat import ewa, painter
 from pointsplat_addon.devices.null import LIMITS, NullDevice
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts import technique_error
@@ -34,6 +33,7 @@ from tests.render.passes.test_ewa_pictures import (
 from tests.render.prepare import test_hybrid
 from tests.support import scenes
 from tests.support.scenes import CASES, Case, render
+from tests.support.store import STORE
 
 PAINTER = Settings(technique="PAINTER", use_shadows=False)
 ONLY_COMBINED = frozenset({"combined"})
@@ -311,7 +311,7 @@ def test_backs_that_are_culled_are_not_painted():
 
 def record(case: Case, device=None, samples: int = 1, passes=ONLY_COMBINED):
     device = device or NullDevice()
-    result = Renderer(device).render(case.scene, case.request(passes, samples))
+    result = Renderer(device, STORE).render(case.scene, case.request(passes, samples))
     return device, result
 
 
@@ -344,7 +344,7 @@ def test_passes_beside_the_picture_are_drawn_in_image_space_as_often_as_they_nee
 def test_a_viewport_knows_how_far_what_is_painted_is():
     case = with_technique(scenes.sphere(), "PAINTER")
     device = NullDevice()
-    frame = Renderer(device).start(case.scene, case.request(ONLY_COMBINED, 4))
+    frame = Renderer(device, STORE).start(case.scene, case.request(ONLY_COMBINED, 4))
     frame.sample()
     frame.sample()
     assert device.names.count("project") == 1
@@ -372,5 +372,5 @@ def test_a_view_that_moves_shows_surfaces_in_full():
     case = with_technique(scenes.sphere(), "PAINTER")
     device = NullDevice()
     request = Request(case.camera, case.settings, ONLY_COMBINED, 2, interactive=True)
-    Renderer(device).render(case.scene, request)
+    Renderer(device, STORE).render(case.scene, request)
     assert "enlarge" not in device.names

@@ -13,6 +13,7 @@ from pointsplat_addon.render.passes.tiles import FIRST_CHECK, LEAST_SAMPLES, TIL
 from pointsplat_addon.render.renderer import Renderer
 from tests.support import scenes
 from tests.support.scenes import CASES, Case
+from tests.support.store import STORE
 
 SAMPLES = 24
 COMBINED = frozenset({"combined"})
@@ -114,7 +115,7 @@ def test_where_all_samples_are_needed_nothing_asks(case, passes, samples, settin
     case = CASES[case]()
     case = replace(case, settings=replace(case.settings, **settings))
     device = NullDevice()
-    told = Renderer(device).render(case.scene, case.request(passes, samples)).report
+    told = Renderer(device, STORE).render(case.scene, case.request(passes, samples)).report
     assert not {"converge", "keep", "mark"} & set(device.names)
     assert any(entry["name"] == "adapt" for entry in told["skipped"])
 

@@ -20,6 +20,7 @@ from pointsplat_addon.render.prepare.parts import parted
 from pointsplat_addon.render.renderer import Renderer
 from tests.support import scenes
 from tests.support.scenes import camera, moved, points
+from tests.support.store import STORE
 
 COMBINED = frozenset({"combined"})
 WHITE = World(np.ones(3))
@@ -346,7 +347,7 @@ def test_what_reaches_a_splat_is_the_same_whether_it_is_kept_or_not():
 def test_tables_are_made_once_for_all_views():
     made = lit_floor((points("fog once", voxels(1.5, 0.5, 6, 1.0)), moved()))
     device = NullDevice()
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     tables = []
     for eye in ((0, -4, 0), (2, -3, 1)):
         renderer.render(made, Request(camera(eye), Settings(), COMBINED, 1))
@@ -438,7 +439,7 @@ def test_kernels_cost_only_where_points_have_them():
 def record(made, eye_camera=None, passes=COMBINED, samples=1, shadows=False):
     device = NullDevice()
     settings = Settings(use_shadows=shadows)
-    result = Renderer(device).render(made, Request(eye_camera or camera(), settings, passes, samples))
+    result = Renderer(device, STORE).render(made, Request(eye_camera or camera(), settings, passes, samples))
     return device, result
 
 
@@ -468,7 +469,7 @@ def test_a_view_that_moves_shows_a_coarse_layer_first():
     case = scenes.smoke()
     request = Request(case.camera, case.settings, COMBINED, 3, interactive=True)
     device = NullDevice()
-    Renderer(device).render(case.scene, request)
+    Renderer(device, STORE).render(case.scene, request)
     drawn = [call.target for call in device.calls if call.interface.name == "translucent" and call.target]
     sizes = [target.colors[0].size for target in drawn]
     assert sizes[0] == tuple(-(-side // 2) for side in sizes[1])
@@ -495,7 +496,7 @@ def test_coloured_extinction_alone_is_drawn_by_channel():
 
 
 def test_splats_are_sorted_again_only_for_other_directions():
-    renderer, made = Renderer(NullDevice()), alone(voxels(1, 1, 8), "sorted")
+    renderer, made = Renderer(NullDevice(), STORE), alone(voxels(1, 1, 8), "sorted")
     sorts = []
     for eye, target in (
         ((0, -4, 0), (0, 0, 0)),

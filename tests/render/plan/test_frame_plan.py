@@ -12,12 +12,13 @@ from pointsplat_addon.render.device.clock import Cancelled, Clock
 from pointsplat_addon.render.plan.frame_plan import Shot, make_shot
 from pointsplat_addon.render.plan.request import Request
 from tests.support.scenes import ALL_PASSES, CASES, Case
+from tests.support.store import STORE
 
 COMBINED = frozenset({"combined"})
 
 
 def shot(case: Case, request: Request, clock: Clock | None = None, presented: bool = False) -> Shot:
-    return make_shot(case.scene, request, LIMITS, DEFAULT, clock or Clock(NullDevice()), presented, picture=True)
+    return make_shot(case.scene, request, STORE, LIMITS, DEFAULT, clock or Clock(NullDevice()), presented, picture=True)
 
 
 @pytest.mark.parametrize("name", ["empty", "mixed", "smoke", "strands", "environment"])

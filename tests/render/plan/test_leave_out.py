@@ -9,6 +9,7 @@ import pytest
 from pointsplat_addon.render.plan.reasons import PASSES
 from tests.support import leave_out, scenes
 from tests.support.leave_out import ROWS, active, found, idle_defines, read, words, written
+from tests.support.store import STORE
 
 IMAGE = "project resolve pull push "
 EWA = "splats visibility blend normalise "
@@ -285,7 +286,7 @@ def test_the_viewport_presents_without_a_depth_where_nothing_has_one():
         case = row.case()
         device = leave_out.NullDevice()
         request = leave_out.Request(case.camera, case.settings, row.passes, 2, interactive=True)
-        frame = leave_out.Renderer(device).start(case.scene, request)
+        frame = leave_out.Renderer(device, STORE).start(case.scene, request)
         frame.sample()
         frame.present()
         present = device.calls[-1].interface
@@ -299,7 +300,7 @@ def test_the_viewport_presents_without_a_depth_where_nothing_has_one():
 def test_the_viewport_presents_a_world_of_one_colour_from_one_texel():
     case, device = scenes.empty(), leave_out.NullDevice()
     request = leave_out.Request(case.camera, case.settings, leave_out.COMBINED, 2, interactive=True)
-    frame = leave_out.Renderer(device).start(case.scene, request)
+    frame = leave_out.Renderer(device, STORE).start(case.scene, request)
     for _ in range(2):
         frame.present()
         (read,) = device.calls[-1].textures.values()

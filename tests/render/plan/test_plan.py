@@ -13,6 +13,7 @@ from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.renderer import Renderer
 from tests.support import scenes
 from tests.support.scenes import ALL_PASSES, CASES, Case
+from tests.support.store import STORE
 
 ONLY_COMBINED = frozenset({"combined"})
 POINT_PROGRAMS = {"project", "identify", "resolve", "pull", "push", "fill"}
@@ -21,7 +22,7 @@ POINT_PROGRAMS = {"project", "identify", "resolve", "pull", "push", "fill"}
 def record(case, passes=ONLY_COMBINED, samples=1, device=None):
     """The device that recorded a picture, and its report."""
     device = device or NullDevice()
-    result = Renderer(device).render(case.scene, case.request(passes, samples))
+    result = Renderer(device, STORE).render(case.scene, case.request(passes, samples))
     return device, result
 
 
@@ -58,7 +59,7 @@ def test_a_cube_allocates_no_point_buffers_and_compiles_no_point_program():
 
 def test_pictures_are_baked_once_for_all_meshes_and_poses_that_show_them():
     device, table = NullDevice(), scenes.textured().scene.materials
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     for pose in range(2):
         planes = (
             (scenes.mesh(scenes.plane_mesh(f"shared pictures {x} {pose}"), "POLYGONS"), scenes.moved((x, 0, 0)))
@@ -226,7 +227,7 @@ def test_without_image_atomics_points_are_rasterised():
 @pytest.mark.parametrize("name", CASES)
 def test_every_scene_is_drawn_and_everything_is_freed(name):
     device = NullDevice()
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     case = CASES[name]()
     result = renderer.render(case.scene, case.request(samples=2))
     _, _, width, height = case.camera.window
@@ -250,7 +251,7 @@ def test_the_second_frame_uploads_only_small_tables(name):
     """Materials, lights, instances and blocks of the cut; no geometry, no picture."""
     case = CASES[name]()
     device = NullDevice()
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     renderer.render(case.scene, case.request(ALL_PASSES))
     first, pages = device.uploaded_bytes, len(device.textures)
     turned = replace(
@@ -270,7 +271,7 @@ def test_a_large_static_cloud_is_uploaded_once():
     cloud = scenes.sphere_cloud(200_000)
     case = Case(scenes.scene((scenes.points("large", cloud), scenes.moved())), scenes.camera())
     device = NullDevice()
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     renderer.render(case.scene, case.request(ONLY_COMBINED))
     first = device.uploaded_bytes
     renderer.render(case.scene, case.request(ONLY_COMBINED))
