@@ -5,7 +5,7 @@
     python3 scripts/dev.py test       the tests (--python 3.11|3.13|all, --long, then pytest's own arguments)
     python3 scripts/dev.py build      the extension: dist/pointsplat-<version>.zip
     python3 scripts/dev.py lint       ruff and pyright
-    python3 scripts/dev.py benchmark  scripts/benchmark.py, with what it compares against
+    python3 scripts/dev.py benchmark  every benchmark (scripts/benchmarks), with what it compares against
     python3 scripts/dev.py env        only the environment
 
 Blender comes as the package bpy, which needs Python 3.11 (Blender 4.5 LTS) or 3.13 (Blender 5.2 LTS).
@@ -226,7 +226,7 @@ def render(args, rest):
     os.makedirs(os.path.join(ROOT, "out"), exist_ok=True)
     scene, picture, report = (os.path.join("out", "demo" + end) for end in (".blend", ".png", ".json"))
     steps = [
-        ["scripts/demo_scene.py", "--output", scene],
+        ["-m", "scripts.demos.park", "--output", scene],
         ["scripts/render.py", scene, "--output", picture, "--report", report] + rest,
     ]
     for step in steps:
@@ -327,7 +327,7 @@ def test(args, rest):
 def benchmark(args, rest):
     python = ready(args.python)[0]
     install(python, "benchmark.txt")
-    return run([python, "scripts/benchmark.py"] + rest)
+    return run([python, "-m", "scripts.benchmarks"] + rest)
 
 
 def env(args, rest):

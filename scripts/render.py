@@ -14,9 +14,11 @@ import re
 import sys
 from pathlib import Path
 
-from leaving import run
-
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))  # run as a file, also by Blender: neither knows the checkout
+
+from scripts.common.process import run  # noqa: E402
+
 FORMATS = {".png": "PNG", ".exr": "OPEN_EXR"}
 LARGEST_SIDE = 65536  # Blender's own limit of scene.render.resolution_x
 
@@ -83,7 +85,6 @@ def engine_class():
         return next((c for c in classes if getattr(c, "bl_idname", "") == "POINTSPLAT" and c.is_registered), None)
 
     if registered() is None:
-        sys.path.insert(0, str(ROOT))
         import pointsplat_addon
 
         pointsplat_addon.register()

@@ -19,6 +19,7 @@ import numpy as np
 
 from ..core.lod.hierarchy import Hierarchy
 from ..core.lod.quantisation import Layout, Packed, pack, unpack
+from ..core.numeric.segments import offsets
 from ..core.scene.cloud import ATTRIBUTES, PointCloud
 
 MAGIC = b"PSPLAT\r\n"
@@ -141,7 +142,7 @@ def _parse(content: memoryview) -> Packed:
     sizes = [kind.itemsize * n for kind, n in zip(kinds, (*counts, counts[0]), strict=True)]
     if length + sum(sizes) != len(body):
         raise ValueError(f"{len(body) - length} bytes of records, expected {sum(sizes)}")
-    ends = length + np.cumsum([0, *sizes])
+    ends = length + offsets(sizes)
     points, nodes, order = (np.frombuffer(body[a:b], k) for k, a, b in zip(kinds, ends[:-1], ends[1:], strict=True))
     origin, longest = np.array(header["origin"], np.float64), float(header["longest"])
     if origin.shape != (3,) or not np.isfinite(origin).all() or not 0 < longest < 3e38:

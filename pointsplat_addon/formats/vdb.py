@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.numeric.segments import ranges
+from ..core.numeric.segments import owners, ranks
 from ..core.volume.voxels import bounds, keys
 
 BLOCK = 1 << 18  # voxels that are copied together whatever of them is active
@@ -195,8 +195,7 @@ def _visited(grid: Any, width: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]
     low, high = (np.array([item[k] for item in items], np.int64) for k in (0, 1))
     value = np.array([item[2] for item in items], np.float32).reshape(-1, *width)
     size = high - low + 1
-    owner = np.repeat(np.arange(len(items)), size.prod(axis=1))
-    place = ranges(np.zeros(len(items), np.int64), size.prod(axis=1))
+    owner, place = owners(size.prod(axis=1)), ranks(size.prod(axis=1))
     x, rest = np.divmod(place, (size[:, 1] * size[:, 2])[owner])
     y, z = np.divmod(rest, size[owner, 2])
     return (np.stack([x, y, z], axis=1) + low[owner]).astype(np.int32), value[owner]

@@ -8,8 +8,9 @@ import numpy as np
 from bpy.props import FloatProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
+from ..core.numeric.segments import ranges
 from ..core.strand.curves import FREE
-from ..core.strand.fit.from_mesh import Found, find
+from ..core.strand.fit.from_mesh import FittedStrands, fit_strands
 from ..formats import dense, hierarchy_cache, vdb
 from ..render.device.protocol import DeviceError
 from . import caches, device_costs, gl_thread, main_gpu, preferences
@@ -146,7 +147,7 @@ class POINTSPLAT_OT_mesh_to_strands(bpy.types.Operator):
         triangles = arrays.read(mesh.loop_triangles, "vertices", 3, np.int32)
         polygon = arrays.read(mesh.loop_triangles, "polygon_index", 1, np.int32)
         position = arrays.read(mesh.vertices, "co", 3, np.float32)
-        found = find(position, triangles)
+        found = fit_strands(position, triangles)
         if len(found) == 0:
             self.report({"WARNING"}, f"{ob.name}: none of {found.parts} parts is a branch or a leaf")
             return {"CANCELLED"}
@@ -174,11 +175,10 @@ class POINTSPLAT_OT_mesh_to_strands(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _curves(name: str, found: Found, part: np.ndarray, uv: np.ndarray | None) -> bpy.types.Curves:
+def _curves(name: str, found: FittedStrands, part: np.ndarray, uv: np.ndarray | None) -> bpy.types.Curves:
     """Some of the strands as Blender's curves."""
     count = np.diff(found.start)[part]
-    first = np.cumsum(count) - count
-    points = np.arange(count.sum()) + np.repeat(found.start[part] - first, count)
+    points = ranges(found.start[part], count)
     data = bpy.data.hair_curves.new(name)
     data.add_curves(count.tolist())
     data.set_types(type="POLY")

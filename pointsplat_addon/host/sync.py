@@ -280,7 +280,7 @@ class Synchronizer:
         if found.lines is None:
             return None, found, warnings
         key = f"{found.lines.key} lines"
-        made = scene.Geometry(key, source.name, lines=found.lines, primitive="LINES")
+        made = scene.Geometry(key, source.name, strands=found.lines, primitive="LINES")
         return self.cache.lookup(key, lambda: made), found, warnings
 
     def _read_volume(

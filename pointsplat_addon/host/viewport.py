@@ -13,7 +13,7 @@ import bpy
 from ..core.scene import camera as camera_module
 from ..core.scene import scene as scene_module
 from ..core.scene import settings as settings_module
-from ..render.budget.budget import Moving, Refining
+from ..render.budget.viewport import Moving, Refining
 from ..render.device.protocol import DeviceError
 from ..render.frame.frame import Frame
 from ..render.plan.request import Request

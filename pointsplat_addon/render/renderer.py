@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from ..core.lod.cost import DEFAULT
 from ..core.scene.scene import Scene
-from .budget import budget
+from .budget import budgeted, pacing
+from .budget.watch import Watch
 from .cache.device_cache import DeviceCache
 from .cache.store import Store
 from .device.clock import Cancelled
@@ -30,7 +31,7 @@ class Renderer:
         self.kept = DeviceCache(device)
         self.pool = Pool(device)
         self.costs = DEFAULT  # of this device
-        self.pacers = budget.Pacers()  # of the scenes that a budget of time was kept for
+        self.pacers = pacing.Pacers()  # of the scenes that a budget of time was kept for
 
     def render(
         self,
@@ -42,7 +43,7 @@ class Renderer:
     ) -> Result:
         """All samples of a picture, or what its budget allows. DeviceError, ShaderError: the device cannot draw it."""
         if request.settings.budget != "NONE":
-            return budget.kept(self, scene, request, progress, cancelled)
+            return budgeted.kept(self, scene, request, progress, cancelled)
         return self.draw(scene, request, progress, cancelled)
 
     def draw(
@@ -51,7 +52,7 @@ class Renderer:
         request: Request,
         progress: Callable[[float, str], None],
         cancelled: Callable[[], bool],
-        watch: budget.Watch | None = None,
+        watch: Watch | None = None,
     ) -> Result:
         """Samples of a picture until there are enough, or `watch` says so."""
         started = time.perf_counter()

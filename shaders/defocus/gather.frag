@@ -1,5 +1,5 @@
 // What the lens sees at a pixel: the splats of its tile from the front, and the picture of what is in focus where its
-// depth is. Layout: render/passes/defocus.py; reference: core/lens/defocus.py, `composite`.
+// depth is. Layout: render/passes/defocus/gather.py; reference: core/lens/defocus.py, `composite`.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/splat/defocus.glsl"

@@ -1,5 +1,5 @@
 // What a splat brings to a pixel. PS_BLEND: its attributes times its kernel, where it belongs to the nearest surface;
-// else the depth of its plane and its identity, where its ellipse holds the pixel's centre. Layout: render/passes/ewa.py.
+// else the depth of its plane and its identity, where its ellipse holds the pixel's centre. Layout: render/passes/ewa/ewa.py.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/splat/ewa.glsl"

@@ -1,4 +1,4 @@
-// A square around each small splat's ellipse; PS_BLEND: around its kernel. Layout: render/passes/ewa.py.
+// A square around each small splat's ellipse; PS_BLEND: around its kernel. Layout: render/passes/ewa/ewa.py.
 
 #include "lib/splat/ewa.glsl"
 #include "lib/splat/ewa_varyings.glsl"

@@ -1,5 +1,5 @@
 // Two triangles that hold what each large splat shows on the screen: its ellipse, or (PS_BLEND) its kernel. The splat's
-// plane goes along, for fragments to meet. Layout: render/passes/ewa.py.
+// plane goes along, for fragments to meet. Layout: render/passes/ewa/ewa.py.
 
 #include "lib/data/splat.glsl"
 #include "lib/data/reach.glsl"

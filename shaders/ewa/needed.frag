@@ -1,6 +1,6 @@
 // Whether a projected splat is needed, for what `visibility` found of some of them: PS_EWA_HIDDEN, where all of it lies
 // behind that; PS_EWA_COVERED, where it may be blended, but its ellipse is covered by a surface that it belongs to or lies
-// behind, at its middle and at eight places near the kernel's end; else PS_EWA_NEEDED. Layout: render/passes/ewa_cover.py.
+// behind, at its middle and at eight places near the kernel's end; else PS_EWA_NEEDED. Layout: render/passes/ewa/cover.py.
 
 #include "lib/splat/ewa.glsl"
 

@@ -1,4 +1,4 @@
-// Every splat of a view, projected once for all samples. Layout: render/passes/ewa.py.
+// Every splat of a view, projected once for all samples. Layout: render/passes/ewa/ewa.py.
 
 #include "lib/geometry/footprint.glsl"
 #include "lib/geometry/surfel.glsl"

@@ -1,4 +1,4 @@
-// Two triangles that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent.py.
+// Two triangles that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent/page.py.
 
 #include "lib/splat/kernel.glsl"
 

@@ -1,10 +1,10 @@
 // One translucent splat of the draw list: its ellipse in pixels, its optical depth and the light that it sends to the
-// eye. Texel by texel; layouts: render/passes/translucent.py. Reference: tests/reference/media.py.
+// eye. Texel by texel; layouts: render/passes/translucent/page.py. Reference: tests/reference/media.py.
 // PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/splat/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
 // drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
-// render/passes/defocus.py, PS_LINES: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
+// render/passes/defocus/gather.py, PS_LINES: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
 // opaque may stand among them.
 
 #include "lib/geometry/camera.glsl"

@@ -1,4 +1,4 @@
-// Segments of strands from pages of control points. Layout: render/passes/lines.py.
+// Segments of strands from pages of control points. Layout: render/passes/visibility/strands.py.
 // PS_THIN: raster lines, one pixel wide. PS_TUBE: rectangles around the pictures of what two balls and all between them
 // fill. Else two triangles each: PS_RIBBON, or strips that face the eye in place of tubes that are too narrow to be seen
 // round.

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.material import hair_color
-from pointsplat_addon.core.strand import curves as core
-from pointsplat_addon.core.strand.selection import clean
+from pointsplat_addon.core.strand import curves, normals
+from pointsplat_addon.core.strand.cleaning import clean
 from tests.support.nodes import new_material, node
 
 pytestmark = pytest.mark.usefixtures("empty_file")
@@ -71,7 +71,7 @@ def evaluated_by_blender(ob):
 # Evaluation
 
 
-@pytest.mark.parametrize("mode", [core.MINIMUM_TWIST, core.Z_UP, core.FREE])
+@pytest.mark.parametrize("mode", [curves.MINIMUM_TWIST, curves.Z_UP, curves.FREE])
 @pytest.mark.parametrize("cyclic", [False, True])
 @pytest.mark.parametrize("kind", ["CATMULL_ROM", "POLY"])
 def test_points_radii_and_normals_of_hair_are_blenders(kind, cyclic, mode):
@@ -90,7 +90,7 @@ def test_points_radii_and_normals_of_hair_are_blenders(kind, cyclic, mode):
     ob.data.set_types(type=kind)
     ob.pointsplat.ribbons = True
     position, normal, radius = evaluated_by_blender(ob)
-    lines = sync().geometries[0].lines
+    lines = sync().geometries[0].strands
     assert len(lines) == count
     ends = lines.start[1:] - 1
     kept = np.setdiff1d(np.arange(len(lines.position)), ends) if cyclic else np.arange(len(lines.position))
@@ -168,7 +168,7 @@ def test_a_round_bevel_is_a_tube_along_blenders_points(settings, cyclic):
     ob.data.bevel_depth = 0.01
     (geometry,) = sync().geometries
     assert geometry.mesh is None
-    lines = geometry.lines
+    lines = geometry.strands
     found = lines.position[:-1] if cyclic else lines.position
     if settings["kind"] == "NURBS" and bpy.app.version < (5, 0, 0):
         # The same curve in other steps, five on a span: each lies within the other's chords
@@ -188,7 +188,7 @@ def test_what_a_tube_does_not_fit_stays_a_mesh():
 
     def drawn():
         (geometry,) = sync().geometries
-        return "lines" if geometry.lines else "mesh"
+        return "lines" if geometry.strands else "mesh"
 
     assert drawn() == "lines"
     for settings, name, value, back in (
@@ -221,7 +221,7 @@ def test_splines_keep_their_materials_and_radii():
     second.points[0].radius, second.points[1].radius = 1, 3
     second.material_index = 1
     scene = sync()
-    lines = scene.geometries[0].lines
+    lines = scene.geometries[0].strands
     assert [scene.materials.names[row] for row in lines.material] == ["Red", "Blue"]
     assert lines.radius[-2:].tolist() == [0.5, 1.5]
     assert lines.materials == tuple(sorted(lines.material.tolist()))
@@ -238,7 +238,7 @@ def test_instances_of_tubes_share_them_and_their_meshes_are_left_out():
         empty.instance_type, empty.instance_collection, empty.location = "COLLECTION", collection, (i, 0, 0)
     scene = sync()
     assert len(scene.geometries) == 1
-    assert scene.geometries[0].lines is not None
+    assert scene.geometries[0].strands is not None
     assert sorted(scene.instances.world_from_object[:, 0, 3].tolist()) == [0, 1, 2]
 
 
@@ -249,7 +249,7 @@ def test_hair_without_attributes_has_cycles_radius_and_few_points():
     straight = np.linspace([0, 0, 0], [0, 0, 1], 5)
     bent = np.stack([np.cos(np.linspace(0, 3, 5)), np.sin(np.linspace(0, 3, 5)), np.zeros(5)], axis=1)
     hair([5, 5], np.concatenate([straight, bent]))
-    lines = sync().geometries[0].lines
+    lines = sync().geometries[0].strands
     assert (lines.radius == np.float32(0.005)).all()
     count = np.diff(lines.start).tolist()
     assert count[0] == 5
@@ -271,7 +271,7 @@ def test_bad_hair_is_named_and_counted_and_the_rest_is_drawn():
         "Mop: 1 control point is not a number and is left out",
         "Gone: all control points are not numbers",
     }
-    strands = clean(geometry.lines)
+    strands = clean(geometry.strands)
     assert len(strands.start) - 1 == 3
     assert strands.messages == ("2 strands have less than two places and are left out",)
 
@@ -297,7 +297,7 @@ def test_what_a_material_reads_of_strands_is_cycles():
         node(tree, "ShaderNodeOutputMaterial", {"Surface": surface.outputs[0]})
         ob.data.materials.clear()
         ob.data.materials.append(material)
-        lines = sync().geometries[0].lines
+        lines = sync().geometries[0].strands
         return lines.color.reshape(3, 3, 3)
 
     info = "ShaderNodeHairInfo"
@@ -310,7 +310,7 @@ def test_what_a_material_reads_of_strands_is_cycles():
     np.testing.assert_array_equal(tint[:, :, 1], np.repeat([[0.25], [0.5], [1.0]], 3, axis=1))
     uv = shown("ShaderNodeUVMap", "UV")
     np.testing.assert_array_equal(uv[:, 1, :2], np.arange(6).reshape(3, 2) / 8)
-    np.testing.assert_array_equal(sync().geometries[0].lines.uv, np.arange(6).reshape(3, 2) / 8)
+    np.testing.assert_array_equal(sync().geometries[0].strands.uv, np.arange(6).reshape(3, 2) / 8)
 
 
 def test_ribbons_are_asked_for_and_change_the_geometry():
@@ -322,9 +322,9 @@ def test_ribbons_are_asked_for_and_change_the_geometry():
     ob.pointsplat.ribbons = True
     flat = sync(synchronizer).geometries[0]
     assert flat.key != round_one.key
-    along = core.tangents(flat.lines.position, flat.lines.start, np.array([False]))
-    assert np.abs(np.linalg.norm(flat.lines.normal, axis=1) - 1).max() < 1e-6
-    assert np.abs(np.einsum("ij,ij->i", along, flat.lines.normal)).max() < 1e-5  # measured 3.2e-7
+    along = normals.curve_tangents(flat.strands.position, flat.strands.start, np.array([False]))
+    assert np.abs(np.linalg.norm(flat.strands.normal, axis=1) - 1).max() < 1e-6
+    assert np.abs(np.einsum("ij,ij->i", along, flat.strands.normal)).max() < 1e-5  # measured 3.2e-7
 
 
 # Particle systems
@@ -345,15 +345,15 @@ def test_particle_hair_has_cycles_shape_in_the_objects_space():
     ob = furry(root_radius=1.0, tip_radius=0.25, radius_scale=0.02, shape=0.0, use_close_tip=False)
     ob.location, ob.rotation_euler, ob.scale = (3, 2, 1), (0.3, 0.2, 0.1), (2, 2, 2)
     scene = sync()
-    geometry = next(g for g in scene.geometries if g.lines)
-    lines = geometry.lines
+    geometry = next(g for g in scene.geometries if g.strands)
+    lines = geometry.strands
     assert len(lines) == 20
     root = lines.position[lines.start[:-1]]
     assert np.abs(root[:, 2]).max() < 1e-5  # on the plane; measured 1.1e-7
     assert np.abs(root[:, :2]).max() <= 1 + 1e-5
     np.testing.assert_allclose(lines.radius[lines.start[:-1]], 0.01, rtol=1e-6)
     np.testing.assert_allclose(lines.radius[lines.start[1:] - 1], 0.0025, rtol=1e-6)
-    row = next(i for i, g in enumerate(scene.geometries) if g.lines)
+    row = next(i for i, g in enumerate(scene.geometries) if g.strands)
     drawn = np.flatnonzero(scene.instances.geometry == row)
     np.testing.assert_allclose(scene.instances.world_from_object[drawn[0]], np.array(ob.matrix_world), atol=1e-6)
     # Along the world's way the strands are as Blender's
@@ -367,13 +367,13 @@ def test_children_take_the_place_of_parents_and_moving_the_emitter_makes_nothing
     from pointsplat_addon.host.sync import Synchronizer
 
     ob, synchronizer = furry(count=5, child_type="SIMPLE", child_percent=10), Synchronizer()
-    first = next(g for g in sync(synchronizer).geometries if g.lines)
-    assert len(first.lines) == 50
+    first = next(g for g in sync(synchronizer).geometries if g.strands)
+    assert len(first.strands) == 50
     ob.location = (1, 2, 3)
-    again = next(g for g in sync(synchronizer).geometries if g.lines)
-    np.testing.assert_allclose(again.lines.position, first.lines.position, atol=1e-5)  # measured 2.4e-7
+    again = next(g for g in sync(synchronizer).geometries if g.strands)
+    np.testing.assert_allclose(again.strands.position, first.strands.position, atol=1e-5)  # measured 2.4e-7
     ob.particle_systems[0].settings.render_type = "NONE"
-    assert all(g.lines is None for g in sync(synchronizer).geometries)
+    assert all(g.strands is None for g in sync(synchronizer).geometries)
 
 
 def test_fur_takes_its_colour_from_the_emitters_uv_map():
@@ -383,7 +383,7 @@ def test_fur_takes_its_colour_from_the_emitters_uv_map():
     surface = node(material.node_tree, "ShaderNodeBsdfPrincipled", {"Base Color": uv.outputs[0]})
     node(material.node_tree, "ShaderNodeOutputMaterial", {"Surface": surface.outputs[0]})
     ob.data.materials.append(material)
-    lines = next(g for g in sync().geometries if g.lines).lines
+    lines = next(g for g in sync().geometries if g.strands).strands
     root = lines.position[lines.start[:-1]]
     # The plane's map is its square
     np.testing.assert_allclose(lines.uv, (root[:, :2] + 1) / 2, atol=1e-6)  # measured 6e-8
@@ -442,7 +442,7 @@ def test_melanin_varies_from_strand_to_strand_as_in_cycles():
             **{"Melanin Redness": 0.0, "Random Color": 0.8, "Random Roughness": 0.5},
         )
     )
-    lines = sync().geometries[0].lines
+    lines = sync().geometries[0].strands
     off = 2 * (hair_color.random_of_strands(50).astype(float) - 0.5)
     absorption = -np.log(1 - 0.5 * (1 + 0.8 * off))[:, None] * np.array(hair_color.EUMELANIN)
     expected = np.repeat(hair_color.color_from_absorption(absorption, np.array(0.3)), 2, axis=0)
@@ -479,7 +479,7 @@ def test_colours_of_random_strands_are_cycles_pixels():
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
     seen = pixels.reshape(32, 16 * count, 4)[:, 8::16]
-    lines = sync().geometries[0].lines
+    lines = sync().geometries[0].strands
     strand = lines.emission.reshape(count, -1, 3)
     np.testing.assert_allclose(seen[16, :, 0], strand[:, 0, 0], atol=1e-6)  # measured 6e-8
     height = (np.arange(32) + 0.5) / 16
@@ -508,7 +508,9 @@ def test_branches_and_leaves_become_strands_and_the_rest_stays():
     assert len(ob.data.polygons) == 6  # the cube
     scene = sync()
     assert scene.warnings == ()
-    tubes, ribbons = ([g.lines for g in scene.geometries if g.lines and (g.lines.normal is None) == t] for t in (1, 0))
+    tubes, ribbons = (
+        [g.strands for g in scene.geometries if g.strands and (g.strands.normal is None) == t] for t in (1, 0)
+    )
     assert len(tubes) == len(ribbons) == 1
     assert len(tubes[0]) == len(ribbons[0]) == 1
     np.testing.assert_allclose(np.abs(tubes[0].position), [[0, 0, 1]] * 2, atol=1e-6)

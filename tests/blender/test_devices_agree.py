@@ -14,12 +14,10 @@ from pointsplat_addon.devices.blender_gpu import BlenderDevice
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
 from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes.case import Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 from tests.blender.test_blender_gpu import start_gpu
-from tests.support.scenes import (
-    CASES,
-    Case,
-)
-from tests.support.store import STORE
 
 Pictures = dict[str, np.ndarray]
 COLORS = ("combined", "normal", "albedo", "mist")

@@ -9,8 +9,8 @@ bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
 from pointsplat_addon.core.scene.camera import Aperture
+from scripts.scenes.cases import CASES
 from tests.blender.test_devices_agree import blender, opengl, pictures  # noqa: F401
-from tests.support.scenes import CASES
 
 
 @pytest.mark.parametrize("technique", ["IMAGE_SPACE", "EWA", "PAINTER"])

@@ -9,7 +9,7 @@ bpy = pytest.importorskip("bpy")
 
 import pointsplat_addon
 from pointsplat_addon.core.strand.curves import FREE
-from scripts.compare import iou
+from scripts.common.images import iou
 from tests.blender.test_silhouettes import alpha
 
 

@@ -1,19 +1,16 @@
-"""Translucency against Cycles, ray marching and closed forms: small pictures of the scenes of compare_media.py."""
+"""Translucency against Cycles, ray marching and closed forms: small pictures of the scenes of scripts/studies/media.py."""
 
 import itertools
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-import compare_media as media
 
 import pointsplat_addon
+from scripts.studies import media
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
-from scripts.compare import iou
+from scripts.common.images import iou
 from tests.support import exr
 from tests.support.nodes import new_material, node
 
@@ -77,7 +77,7 @@ def sync(synchronizer=None) -> Any:
 
 
 def strands(scene) -> list[int]:
-    return [len(g.lines) for g in scene.geometries if g.lines]
+    return [len(g.strands) for g in scene.geometries if g.strands]
 
 
 KINK = {"kink_amplitude": 0.15, "render_step": 5}
@@ -112,7 +112,7 @@ def test_kinks_and_children_are_where_cycles_has_them(scene, tmp_path, settings)
 
 @pytest.mark.parametrize("children", [{}, {"child_type": "SIMPLE", "child_percent": 10}])
 def test_the_viewport_shows_a_share_of_the_hair_and_finds_nothing_wrong_with_it(children):
-    from pointsplat_addon.core.strand.selection import clean
+    from pointsplat_addon.core.strand.cleaning import clean
 
     whole = furry(count=100, **children)
     every = strands(sync())
@@ -122,7 +122,7 @@ def test_the_viewport_shows_a_share_of_the_hair_and_finds_nothing_wrong_with_it(
     # Blender hides parents by chance, and counts children
     assert abs(some / every[0] - 0.4) < 0.12  # measured 0.03
     assert found.warnings == ()
-    assert [clean(g.lines).messages for g in found.geometries if g.lines] == [()]
+    assert [clean(g.strands).messages for g in found.geometries if g.strands] == [()]
 
 
 def instanced(ob, *places, scale=0.7):

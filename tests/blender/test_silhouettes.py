@@ -10,7 +10,7 @@ bpy = pytest.importorskip("bpy")
 from mathutils import Euler
 
 import pointsplat_addon
-from scripts.compare import COVERED, eroded, iou
+from scripts.common.images import COVERED, eroded, iou
 
 
 @pytest.fixture

@@ -14,13 +14,13 @@ from gpu_extras.batch import batch_for_shader
 
 from pointsplat_addon.devices.blender_gpu import BlenderDevice
 from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes.store import STORE
 from tests.blender.test_blender_gpu import start_gpu
 from tests.support.soak import (
     KEPT,
     draw,
     soak,
 )
-from tests.support.store import STORE
 
 SIDE = 8  # pixels
 

@@ -8,8 +8,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
+from scripts.scenes.cases import CASES
 from tests.blender.test_devices_agree import COLORS, EDGES, blender, differences, opengl, pictures  # noqa: F401
-from tests.support.scenes import CASES
 
 AGREE = 2 / 255
 

@@ -20,9 +20,10 @@ from pointsplat_addon.render.device.protocol import DeviceError, Texture
 from pointsplat_addon.render.frame.report import report
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.store import STORE
 from tests.support.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
-from tests.support.scenes import ALL_PASSES, Case, camera
-from tests.support.store import STORE
 
 SAMPLES = 6  # so many that tiles are asked whether they need more
 

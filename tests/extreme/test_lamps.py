@@ -13,9 +13,12 @@ from pointsplat_addon.core.light import lighting
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
+from scripts.scenes.build import materials, mesh, moved, scene
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import Case
+from scripts.scenes.meshes import plane_mesh
 from tests.reference import opaque
 from tests.support.extremes import TECHNIQUES, lamp, picture
-from tests.support.scenes import Case, camera, materials, mesh, moved, plane_mesh, scene
 
 KINDS = ("POINT", "SPOT", "AREA")
 MATTE = {"base_color": [[1.0, 1, 1]], "roughness": [1.0], "specular": [0.0]}

@@ -13,8 +13,10 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.shadow import builder
 from pointsplat_addon.core.splat.kernel import PEAK
+from scripts.scenes.build import moved, points, scene
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import Case
 from tests.support.extremes import TECHNIQUES, picture
-from tests.support.scenes import Case, camera, moved, points, scene
 
 WHITE = World(np.ones(3))
 UNLIT = Settings(use_shadows=False)

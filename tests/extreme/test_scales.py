@@ -13,8 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scripts.scenes.build import moved, points, scene
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.clouds import sphere_cloud
+from scripts.scenes.solid_cases import empty
 from tests.support.extremes import TECHNIQUES, all_kinds, picture, scaled, shifted
-from tests.support.scenes import CASES, Case, camera, empty, moved, points, scene, sphere_cloud
 
 # These have extents of their own; the last two are large, and many.
 LEFT_OUT = ("not_finite", "scales", "far_away", "empty", "many_towers", "split_mesh")

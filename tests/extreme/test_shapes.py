@@ -9,25 +9,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointsplat_addon.core.lod import hierarchy as h
+from pointsplat_addon.core.lod import hierarchy
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.surface import sampling
+from pointsplat_addon.core.scene.validation import valid_triangles
+from pointsplat_addon.core.surface.area_sampling import sample_area
+from pointsplat_addon.core.surface.evaluation import evaluate
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
+from scripts.scenes.build import mesh, moved, points, scene
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import Case
+from scripts.scenes.clouds import plane_cloud, sphere_cloud
+from scripts.scenes.meshes import cube_mesh, flat_mesh
 from tests.reference import opaque
 from tests.support.extremes import FEW, SHADOWED, TECHNIQUES, every_pass, picture
-from tests.support.scenes import (
-    Case,
-    camera,
-    cube_mesh,
-    flat_mesh,
-    mesh,
-    moved,
-    plane_cloud,
-    points,
-    scene,
-    sphere_cloud,
-)
 
 PLAIN = Settings(use_shadows=False)
 
@@ -74,11 +69,11 @@ def test_splats_of_any_needle_keep_to_it(aspect, size, turn, place, within):
     xz = flat @ spin.T
     position = np.stack([xz[:, 0], np.full(3, place * long), xz[:, 1]], axis=1).astype(np.float32)
     of = flat_mesh(f"{aspect} {size} {turn} {place}", position, np.array([[0, 1, 2]]))
-    ok, _ = sampling.validate(of)
+    ok, _ = valid_triangles(of)
     if not ok.any():  # float32 has made it a line
         return
-    samples = sampling.sample_area(of, long / 50, ok)
-    found = sampling.evaluate(of, samples, ok=ok)
+    samples = sample_area(of, long / 50, ok)
+    found = evaluate(of, samples, ok=ok)
     assert np.isfinite(found.position).all()
     assert np.isfinite(found.radii).all()
     assert np.isfinite(found.normal).all()
@@ -121,7 +116,7 @@ def test_hierarchies_of_clouds_of_any_rank(rank, count, exponent, seed, normals,
         given_normals = n.astype(np.float32)
     radii = None if shape == 0 else np.full((count, shape), 0.01 * size, np.float32)
     cloud = PointCloud(position, origin=np.full(3, origin), normal=given_normals, radii=radii)
-    built = h.build(cloud, leaf_size=4)
+    built = hierarchy.build(cloud, leaf_size=4)
     for name in ("center", "normal", "axis", "radii", "bound", "cone", "sphere", "size"):
         array = getattr(built, name)
         assert array is None or np.isfinite(array).all(), name

@@ -8,8 +8,8 @@ import pytest
 
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes.store import STORE
 from tests.support.soak import KEPT, draw, soak
-from tests.support.store import STORE
 
 
 @pytest.fixture

@@ -13,10 +13,10 @@ from pointsplat_addon.render.frame import uploads
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from tests.support import scenes
+from scripts.scenes import drawing
+from scripts.scenes.cameras import camera
+from scripts.scenes.store import STORE
 from tests.support.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
-from tests.support.scenes import camera
-from tests.support.store import STORE
 
 SAMPLES = 8  # so many that what lies in smoke is lit anew between them, by another part of each lamp
 LOOKS = {name: (None, {"technique": name}) for name in TECHNIQUES}
@@ -64,7 +64,7 @@ def test_neither_reads_what_the_other_released(monkeypatch, look, other, limit):
 
 @pytest.mark.parametrize(("look", "other"), PAIRS)
 def test_pictures_drawn_in_turns_are_those_drawn_alone(look, other):
-    renderer, views = scenes.opengl(), ((look, -1), (other, 1))
+    renderer, views = drawing.opengl(), ((look, -1), (other, 1))
     for _ in range(2):  # the first time meshes are sampled as each view needs, from then on as both do
         alone = [drawn(begun(renderer, name, place, "in turns"))[0] for name, place in views]
     together = drawn(begun(renderer, look, -1, "in turns"), begun(renderer, other, 1, "in turns"))

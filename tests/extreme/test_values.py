@@ -22,9 +22,12 @@ from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.device.protocol import half
-from tests.support import scenes
+from scripts.scenes import build, drawing, lit_cases, meshes
+from scripts.scenes.build import materials, mesh, moved, points, scene
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import Case
+from scripts.scenes.clouds import plane_cloud, sphere_cloud
 from tests.support.extremes import FEW, SHADOWED, TECHNIQUES, all_kinds, every_pass, lamp, picture, without
-from tests.support.scenes import Case, camera, materials, mesh, moved, plane_cloud, points, scene, sphere_cloud
 
 ODD = (np.nan, np.inf, -np.inf, 1e-42, -1e30, 3e38)
 PLAIN = Settings(use_shadows=False)
@@ -84,10 +87,10 @@ def test_attributes_of_points(name, odd, technique, within):
 def test_transforms_that_float32_cannot_hold(place, primitive, within):
     for matrix in (moved((place, 0, 0)), moved((0, -place, 0)), moved(scale=place)):
         matrix[:3, :3] += AT[:3, :3]
-        of = mesh(scenes.plane_mesh(f"lost {place} {primitive}", 0.8, 4), primitive)
+        of = mesh(meshes.plane_mesh(f"lost {place} {primitive}", 0.8, 4), primitive)
         every_pass(Case(scene(GOOD, (of, matrix)), EYE, PLAIN))
     assert_rest_is_right(
-        within, "transforms", (mesh(scenes.plane_mesh("lost", 0.8, 4), primitive), moved((place, 0, 0)))
+        within, "transforms", (mesh(meshes.plane_mesh("lost", 0.8, 4), primitive), moved((place, 0, 0)))
     )
 
 
@@ -145,17 +148,17 @@ def test_nodes_of_points_of_rows_that_no_table_has():
     beyond = points("nodes beyond", replace(cloud, material=np.full(len(cloud), 65535, np.uint16)))
     case = Case(scene((beyond, moved())), camera((0, -40, 0), resolution=(32, 32)), PLAIN)
     every_pass(case, samples=128)  # so many that a hierarchy pays
-    assert 0 < scenes.render(case, samples=128).report["points"]["cut"] < len(cloud) / 4
+    assert 0 < drawing.render(case, samples=128).report["points"]["cut"] < len(cloud) / 4
 
 
-PICTURE = materials(graphs=(MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), scenes.picture()))),))
+PICTURE = materials(graphs=(MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), build.picture()))),))
 
 
 @pytest.mark.parametrize("primitive", ["POINTS", "POLYGONS"])
 @pytest.mark.parametrize("odd", ODD)
 @pytest.mark.parametrize("name", ["position", "corner_normal", "vertex_normal", "uv"])
 def test_attributes_of_meshes(name, odd, primitive, within):
-    of = scenes.plane_mesh(f"odd mesh {name} {odd} {primitive}", 0.8, 6)
+    of = meshes.plane_mesh(f"odd mesh {name} {odd} {primitive}", 0.8, 6)
     if name == "vertex_normal":
         up = np.tile(np.array([0, -1, 0], np.float32), (len(of.position), 1))
         of = replace(of, vertex_normal=up, corner_normal=None)
@@ -176,11 +179,11 @@ def test_attributes_of_strands(name, odd, ribbon, within):
     given = {} if name in ("position", "radius") else {name: np.full(shape, 0.5, np.float32)}
     if ribbon:
         given.setdefault("normal", np.tile(np.array([0, -1, 0], np.float32), (27, 1)))
-    thing = scenes.strand_lines(f"odd strands {name} {odd} {ribbon}", strands, 0.05, **given)
-    assert thing.lines is not None
-    values = getattr(thing.lines, name).copy()
+    thing = build.strand_lines(f"odd strands {name} {odd} {ribbon}", strands, 0.05, **given)
+    assert thing.strands is not None
+    values = getattr(thing.strands, name).copy()
     values[4:20:5] = odd
-    changed = replace(thing, lines=replace(thing.lines, **{name: values}))
+    changed = replace(thing, strands=replace(thing.strands, **{name: values}))
     assert_rest_is_right(within, "attributes of strands", (changed, AT))
 
 
@@ -218,7 +221,7 @@ def test_a_lens_that_is_none_leaves_all_in_focus(odd, method):
         return
     found, sharp = (picture(replace(case, camera=camera), samples=3) for camera in (eye, EYE))
     np.testing.assert_array_equal(found, sharp)
-    told = scenes.render(case, samples=3).report["warnings"]
+    told = drawing.render(case, samples=3).report["warnings"]
     assert any("lens" in text for text in told) == (odd != {"radius": -np.inf})
 
 
@@ -234,7 +237,7 @@ def test_a_camera_that_is_none_shows_the_world_alone(odd, matrix, technique):
     alone = replace(without(nowhere, list(range(len(nowhere.scene.instances)))), camera=EYE)
     found, there = every_pass(nowhere, technique), every_pass(alone, technique)
     assert {name: array.tobytes() for name, array in found.items()} == {k: a.tobytes() for k, a in there.items()}
-    assert any("Camera" in text for text in scenes.render(nowhere).report["warnings"])
+    assert any("Camera" in text for text in drawing.render(nowhere).report["warnings"])
 
 
 @pytest.mark.parametrize("method", ["SPLAT", "LENS_SAMPLES"])
@@ -262,7 +265,7 @@ def test_mist_that_is_no_number(name, odd):
 
 
 def lit(lights, table=None, world=None) -> Case:
-    thing = (mesh(scenes.plane_mesh("lit by odd lamps", 0.8, 4), "POLYGONS"), moved((0.8, 0, 0)))
+    thing = (mesh(meshes.plane_mesh("lit by odd lamps", 0.8, 4), "POLYGONS"), moved((0.8, 0, 0)))
     return Case(scene(GOOD, thing, lights=lights, table=table, world=world), EYE, SHADOWED)
 
 
@@ -276,12 +279,12 @@ def test_a_lamp_that_is_no_number_puts_out_no_other(kind, name):
     light = lamp(kind, (-2, -3, 2), 30)
     if getattr(light, name) is None:
         return
-    alone = picture(lit([scenes.sun()]))
+    alone = picture(lit([build.sun()]))
     for odd in (np.nan, np.inf, -np.inf, 3e38):
         value = np.full(3, odd) if isinstance(getattr(light, name), np.ndarray) else odd
-        case = lit([replace(light, name="odd one", **{name: value}), scenes.sun()])
+        case = lit([replace(light, name="odd one", **{name: value}), build.sun()])
         np.testing.assert_array_equal(picture(case), alone)
-        told = scenes.render(case).report["warnings"]
+        told = drawing.render(case).report["warnings"]
         assert any('"odd one"' in text for text in told)
 
 
@@ -291,7 +294,7 @@ def test_materials_that_are_no_numbers_leave_the_others(name, odd, within):
     table = materials(2)
     values = getattr(table, name).copy()
     values[1] = odd
-    of = replace(scenes.plane_mesh("of an odd material", 0.8, 4), materials=(1,))
+    of = replace(meshes.plane_mesh("of an odd material", 0.8, 4), materials=(1,))
     cloud = replace(plane_cloud(8, 0.4), material=np.ones(64, np.uint16))
     things = ((mesh(of, "POLYGONS"), AT), (points("of it too", cloud), moved((0.9, -0.5, 0))))
     assert_rest_is_right(within, "materials", *things, table=replace(table, **{name: values}))
@@ -306,8 +309,8 @@ def test_worlds_that_are_no_numbers(odd, picture_of_it):
         image[3, 4] = odd
         world = World(np.zeros(3), image)
         turned = replace(world, image=np.full((8, 16, 3), 0.5, np.float32), world_rotation=np.full((3, 3), odd))
-        every_pass(lit([scenes.sun()], world=turned))
-    every_pass(lit([scenes.sun()], world=world))
+        every_pass(lit([build.sun()], world=turned))
+    every_pass(lit([build.sun()], world=world))
 
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
@@ -315,7 +318,7 @@ def test_worlds_that_are_no_numbers(odd, picture_of_it):
 @pytest.mark.parametrize("primitive", ["POINTS", "POLYGONS"])
 def test_what_shines_brighter_than_half_floats_is_white_and_not_black(strength, primitive, technique):
     table = materials(emission=np.full((1, 3), strength))
-    thing = mesh(scenes.plane_mesh("too bright", 1.5, 4), primitive), moved()
+    thing = mesh(meshes.plane_mesh("too bright", 1.5, 4), primitive), moved()
     found = picture(Case(scene(thing, table=table), camera(resolution=FEW), PLAIN), technique)
     assert found[12, 16, :3].min() >= min(strength, 65504) * 0.9
 
@@ -331,7 +334,7 @@ def test_nothing_that_is_sound_is_changed():
     from pointsplat_addon.core.scene.cloud import finite
     from pointsplat_addon.core.scene.validation import sound
 
-    case = scenes.lights()
+    case = lit_cases.lights()
     assert sound(case.scene) == (case.scene, ())
     cloud = whole_cloud()
     assert finite(cloud)[0] is cloud

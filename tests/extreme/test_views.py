@@ -16,10 +16,14 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Volume
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
+from scripts.scenes import meshes
+from scripts.scenes.build import mesh, moved, points, scene, strand_lines
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import Case
+from scripts.scenes.clouds import sphere_cloud
+from scripts.scenes.meshes import cube_mesh
 from tests.reference import opaque
-from tests.support import scenes
 from tests.support.extremes import FEW, SHADOWED, TECHNIQUES, all_kinds, every_pass, picture, without
-from tests.support.scenes import Case, camera, cube_mesh, mesh, moved, points, scene, sphere_cloud, strand_lines
 
 # Near and far planes
 
@@ -42,7 +46,7 @@ def test_depths_of_nine_decades_in_one_picture(kind, within):
         distance = 10.0**decade
         size = 0.04 * distance
         at = np.array([(decade - 4) * 0.1 * distance, distance, 0])
-        quad = mesh(scenes.plane_mesh(f"decade {kind} {decade}", 1.0, 2), kind)
+        quad = mesh(meshes.plane_mesh(f"decade {kind} {decade}", 1.0, 2), kind)
         things.append((quad, moved(at, size)))
     eye = camera((0, 0, 0), (0, 1, 0), resolution=(72, 12), field_of_view=50, near=0.5, far=5e8)
     case = Case(scene(*things), eye, Settings(use_shadows=False))
@@ -151,7 +155,7 @@ def test_the_longest_pictures_against_the_reference(size, within):
     corner[:, long] = np.repeat([-16, 0, 16], 2)
     corner[:, 2 - long] = np.tile([-1, 1], 3)
     corner[2:4, 1] = 3
-    wall = scenes.flat_mesh(f"longest wall {size}", corner, np.array([[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]]))
+    wall = meshes.flat_mesh(f"longest wall {size}", corner, np.array([[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]]))
     made = scene((mesh(wall, "POLYGONS"), moved()))
     eye = camera((0, -40, 0), (0, 0, 0), resolution=size, parallel=64.0, far=100)
     case = Case(made, eye, Settings(use_shadows=False))

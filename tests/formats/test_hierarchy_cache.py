@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lod import hierarchy as h
-from pointsplat_addon.core.lod import quantisation as pk
-from pointsplat_addon.core.lod.octree import Tree
+from pointsplat_addon.core.lod import encoding, hierarchy, quantisation
+from pointsplat_addon.core.lod.nodes import tree
+from pointsplat_addon.core.lod.nodes.tree import Tree
 from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.splat import ellipsoids
 from pointsplat_addon.formats import hierarchy_cache as cache
 
 
@@ -61,8 +62,8 @@ CLOUDS = {
 
 
 @pytest.fixture(params=CLOUDS, scope="module")
-def built(request: pytest.FixtureRequest) -> h.Hierarchy:
-    return h.build(CLOUDS[request.param]())
+def built(request: pytest.FixtureRequest) -> hierarchy.Hierarchy:
+    return hierarchy.build(CLOUDS[request.param]())
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -70,7 +71,7 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
 
 
-def assert_same(a: h.Hierarchy, b: h.Hierarchy) -> None:
+def assert_same(a: hierarchy.Hierarchy, b: hierarchy.Hierarchy) -> None:
     """Equal but for quantisation."""
     for f in fields(Tree):
         np.testing.assert_array_equal(getattr(a.tree, f.name), getattr(b.tree, f.name))
@@ -91,38 +92,40 @@ def assert_same(a: h.Hierarchy, b: h.Hierarchy) -> None:
             if getattr(x, name) is not None:
                 np.testing.assert_array_equal(getattr(y, name), getattr(x, name))
         if x.normal is not None:
-            assert angle_between(x.normal, y.normal).max(initial=0) < pk.TILT  # measured 5e-5; 6.4e-5 over millions
+            assert (
+                angle_between(x.normal, y.normal).max(initial=0) < encoding.TILT
+            )  # measured 5e-5; 6.4e-5 over millions
         if x.axis is not None and len(x.axis):
             turned = angle_between(x.axis, y.axis)
-            assert np.minimum(turned, np.pi - turned).max() < pk.TILT  # measured 5e-5; 6.7e-5 over millions
+            assert np.minimum(turned, np.pi - turned).max() < encoding.TILT  # measured 5e-5; 6.7e-5 over millions
         if x.radii is not None:
-            np.testing.assert_allclose(y.radii, x.radii, rtol=pk.LENGTH_ERROR, atol=1e-11)  # measured 2.1e-4
+            np.testing.assert_allclose(y.radii, x.radii, rtol=encoding.LENGTH_ERROR, atol=1e-11)  # measured 2.1e-4
 
 
-def test_round_trip(built: h.Hierarchy) -> None:
-    assert_same(built, pk.unpack(pk.pack(built)))
+def test_round_trip(built: hierarchy.Hierarchy) -> None:
+    assert_same(built, quantisation.unpack(quantisation.pack(built)))
 
 
-def test_file_round_trip(built: h.Hierarchy, tmp_path: Path) -> None:
+def test_file_round_trip(built: hierarchy.Hierarchy, tmp_path: Path) -> None:
     path = cache.write(tmp_path / "new" / "folder", "any/../key", built)
     assert path.parent == tmp_path / "new" / "folder"
     again = cache.read(tmp_path / "new" / "folder", "any/../key")
     assert again is not None
     assert_same(built, again)
-    assert path.stat().st_size < pk.pack(built).nbytes + 1000
+    assert path.stat().st_size < quantisation.pack(built).nbytes + 1000
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
 def test_size_per_point() -> None:
     """Position, normal, disk, colour, bounds, links and the original order."""
-    built = h.build(surface_cloud(50_000))
-    assert pk.pack(built).nbytes / 50_000 <= 46  # measured 38
+    built = hierarchy.build(surface_cloud(50_000))
+    assert quantisation.pack(built).nbytes / 50_000 <= 46  # measured 38
 
 
 def test_packed_bounds_contain_the_packed_disks() -> None:
     for make in (surface_cloud, rich_cloud):
-        built = pk.unpack(pk.pack(h.build(make())))
-        normal, axis, radii = (a.T for a in h.frames(built.cloud, slice(None)))
+        built = quantisation.unpack(quantisation.pack(hierarchy.build(make())))
+        normal, axis, radii = (a.T for a in ellipsoids.splat_frames(built.cloud, slice(None)))
         third = np.cross(normal, axis)
         t = np.linspace(0, 2 * np.pi, 16, endpoint=False)[:, None, None]
         rim = np.cos(t) * axis * radii[:, :1] + np.sin(t) * third * radii[:, 1:2]
@@ -138,7 +141,7 @@ def test_packed_bounds_contain_the_packed_disks() -> None:
 
 
 def test_packed_cones_contain_the_packed_normals() -> None:
-    built = pk.unpack(pk.pack(h.build(surface_cloud())))
+    built = quantisation.unpack(quantisation.pack(hierarchy.build(surface_cloud())))
     for node in range(len(built)):
         first = built.tree.first_point[node]
         n = built.cloud.normal[first : first + built.tree.point_count[node]]
@@ -150,26 +153,26 @@ def test_octahedral_normals_at_the_folds() -> None:
     g = np.array([-1.0, -1e-9, 0.0, 1e-9, 1.0])
     n = np.stack(np.meshgrid(g, g, g), axis=-1).reshape(-1, 3)
     n = unit(n[np.abs(n).max(axis=1) > 0.5])
-    assert angle_between(n, pk.decode_normal(pk.encode_normal(n))).max() < pk.TILT  # measured 4e-5
+    assert angle_between(n, encoding.decode_normal(encoding.encode_normal(n))).max() < encoding.TILT  # measured 4e-5
 
 
 def test_shared_exponent_colours() -> None:
     """Powers of two are exact; the largest channel is within half of 1/256; carries do not overflow."""
     exact = np.array([[0, 0, 0], [1, 0.5, 0.25], [1024, 4, 0], [2.0**-14, 0, 0]], np.float32)
-    np.testing.assert_array_equal(pk.decode_rgb(pk.encode_rgb(exact)), exact)
+    np.testing.assert_array_equal(encoding.decode_rgb(encoding.encode_rgb(exact)), exact)
     carry = np.array([[0.99999994, 1.9999, 65408.0], [3.9999, 0, 0], [-1, 1e9, 0]], np.float32)
-    back = pk.decode_rgb(pk.encode_rgb(carry))
+    back = encoding.decode_rgb(encoding.encode_rgb(carry))
     np.testing.assert_allclose(back[1, 0], 4, rtol=2**-9)
     np.testing.assert_array_equal(back[2], [0, 65408, 0])
 
 
 def test_lengths_round_up_where_they_bound() -> None:
     length = np.concatenate([[0.0], 10.0 ** np.linspace(-10, 1, 2000)])
-    up = pk.decode_length(pk.encode_length(length, 10.0, up=True), 10.0)
+    up = encoding.decode_length(encoding.encode_length(length, 10.0, up=True), 10.0)
     assert (up >= length).all()
     assert up[0] == 0
-    near = pk.decode_length(pk.encode_length(length, 10.0), 10.0)
-    assert np.abs(near[1:] / length[1:] - 1).max() < pk.LENGTH_ERROR  # measured 2.1e-4
+    near = encoding.decode_length(encoding.encode_length(length, 10.0), 10.0)
+    assert np.abs(near[1:] / length[1:] - 1).max() < encoding.LENGTH_ERROR  # measured 2.1e-4
 
 
 def test_keys_tell_clouds_apart() -> None:
@@ -194,7 +197,7 @@ def test_missing_file_is_none(tmp_path: Path) -> None:
 
 @pytest.fixture
 def written(tmp_path: Path) -> Path:
-    return cache.write(tmp_path, "k", h.build(surface_cloud(200)))
+    return cache.write(tmp_path, "k", hierarchy.build(surface_cloud(200)))
 
 
 def test_every_truncation_is_found(written: Path) -> None:
@@ -273,11 +276,11 @@ def test_forged_files_are_refused(written: Path, name: str) -> None:
 )
 def test_links_that_are_no_tree_are_refused(children: list[int], leaf_points: list[int], points: int) -> None:
     with pytest.raises(ValueError, match=r"nodes|leaves"):
-        pk.relink(np.array(children, np.uint8), np.array(leaf_points, np.uint32), points)
+        tree.tree_from_counts(np.array(children, np.uint8), np.array(leaf_points, np.uint32), points)
 
 
 def test_failed_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    built = h.build(surface_cloud(50))
+    built = hierarchy.build(surface_cloud(50))
     cache.write(tmp_path, "k", built)
     before = cache.path_of(tmp_path, "k").read_bytes()
 
@@ -286,12 +289,12 @@ def test_failed_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(cache.os, "replace", full)
     with pytest.raises(OSError, match="full"):
-        cache.write(tmp_path, "k", h.build(surface_cloud(60)))
+        cache.write(tmp_path, "k", hierarchy.build(surface_cloud(60)))
     assert [p.read_bytes() for p in tmp_path.iterdir()] == [before]
 
 
 def test_trim_keeps_the_newest(tmp_path: Path) -> None:
-    built = h.build(surface_cloud(50))
+    built = hierarchy.build(surface_cloud(50))
     paths = [cache.write(tmp_path, str(i), built) for i in range(4)]
     for age, path in enumerate(paths):
         cache.os.utime(path, (age, age))

@@ -21,9 +21,10 @@ from pointsplat_addon.core.scene.cloud import PointCloud, finite
 from pointsplat_addon.core.scene.materials import MaterialTable
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.scene import Scene
-from pointsplat_addon.core.surface import sampling
+from pointsplat_addon.core.scene.validation import valid_triangles
 from pointsplat_addon.core.surface.appearance import CLIP, at_samples, corner_normals
-from pointsplat_addon.core.surface.sampling import Evaluated, Samples
+from pointsplat_addon.core.surface.evaluation import Evaluated
+from pointsplat_addon.core.surface.samples import Samples
 
 BACKGROUND_DEPTH = 1e10
 _PAIRS = 1 << 20  # pixels times primitives that are met together
@@ -226,7 +227,7 @@ def _triangles(
 ) -> _Hit:
     """What rays (P, 3) meet of a mesh (Möller and Trumbore 1997)."""
     hit = _Hit.none(len(start))
-    ok = np.flatnonzero(sampling.validate(mesh)[0])
+    ok = np.flatnonzero(valid_triangles(mesh)[0])
     if len(ok) == 0:
         return hit
     linear = view_from_object[:3, :3]

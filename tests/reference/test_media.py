@@ -6,7 +6,7 @@ from scipy import integrate
 
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
-from pointsplat_addon.core.splat.kernel import EVEN, kernel
+from pointsplat_addon.core.splat.kernel import EVEN_SPACING, kernel
 from tests.reference import media as ref
 
 Z = np.array([0.0, 0, 1])
@@ -169,7 +169,7 @@ def lattice(spacing: float, extinction: float, sigma: float, half: tuple[float, 
 @pytest.mark.parametrize("angle", [0, 35, 60])
 def test_a_lattice_of_splats_is_a_slab(angle):
     """Mean over one cell: the ends along the ray are exact and the kernel keeps its sum."""
-    cloud = lattice(0.25, 1.5, EVEN, (3.0, 1.0, 0.5))
+    cloud = lattice(0.25, 1.5, EVEN_SPACING, (3.0, 1.0, 0.5))
     u = (np.arange(24) + 0.5) / 24 * 0.25
     offsets = np.stack(np.meshgrid(u, u, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
     depth = ref.splat_optical_depth(cloud, offsets - 5 * towards(angle), np.tile(towards(angle), (576, 1)))

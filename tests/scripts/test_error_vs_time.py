@@ -1,11 +1,11 @@
-"""Errors, Pareto fronts, exponents, tables and plots of scripts/error_vs_time.py."""
+"""Errors, Pareto fronts, exponents, tables and plots of scripts/error_vs_time/measure.py."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from scripts import error_curves as curves
+from scripts.error_vs_time import curves
 
 RNG = np.random.default_rng(4)
 

@@ -9,8 +9,11 @@ import numpy as np
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.scene import Geometry, Instances
 from pointsplat_addon.core.scene.settings import Settings
-from tests.support import scenes
-from tests.support.scenes import Case, camera, moved, points, render, strand_lines
+from scripts.scenes import build, cameras, clouds, meshes
+from scripts.scenes.build import moved, points, strand_lines
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import Case
+from scripts.scenes.drawing import render
 
 TECHNIQUES = ("IMAGE_SPACE", "EWA", "PAINTER")
 COMBINED = frozenset({"combined"})
@@ -76,7 +79,7 @@ def shifted(case: Case, offset: np.ndarray) -> Case:
     return replace(case, scene=replace(scene, instances=instances, lights=lights), camera=eye)
 
 
-def lamp(kind: str, position: scenes.Vector, strength: float, size: float = 0.1) -> Light:
+def lamp(kind: str, position: cameras.Vector, strength: float, size: float = 0.1) -> Light:
     """A lamp that shines down and to the back."""
     down = np.array([0, 0.6, -0.8])
     light = Light(kind, np.full(3, float(strength)), np.asarray(position, float), down, radius=size)
@@ -90,11 +93,11 @@ def all_kinds(key: str) -> Case:
     u = np.linspace(-1.3, 1.3, 12)
     across = np.tile(np.array([0, 1, 0], np.float32), (24, 1))
     strands = [np.stack([u, 0 * u - 0.5, 0 * u + 1.0], 1), np.stack([0 * u + 1.2, 0 * u - 0.5, u], 1)]
-    smoke = scenes.smoke_cloud(8, 2.0)
+    smoke = clouds.smoke_cloud(8, 2.0)
     things: tuple[tuple[Geometry, np.ndarray], ...] = (
-        (points(f"{key} ball", scenes.sphere_cloud(400)), moved((-0.8, 0, 0.3), 0.7)),
-        (scenes.mesh(scenes.cube_mesh(f"{key} block", 0.5), "POLYGONS"), moved((0.7, 0.2, 0))),
-        (scenes.mesh(scenes.cube_mesh(f"{key} points", 0.4), "POINTS"), moved((0, -0.6, -0.7))),
+        (points(f"{key} ball", clouds.sphere_cloud(400)), moved((-0.8, 0, 0.3), 0.7)),
+        (build.mesh(meshes.cube_mesh(f"{key} block", 0.5), "POLYGONS"), moved((0.7, 0.2, 0))),
+        (build.mesh(meshes.cube_mesh(f"{key} points", 0.4), "POINTS"), moved((0, -0.6, -0.7))),
         (points(f"{key} smoke", smoke), moved((0.2, -0.4, 0.8), 0.5)),
         (strand_lines(f"{key} tubes", strands, 0.05), moved()),
         (strand_lines(f"{key} ribbons", strands, 0.05, normal=across), moved((0, 0.3, -0.4))),
@@ -103,9 +106,9 @@ def all_kinds(key: str) -> Case:
         lamp("POINT", (-2, -3, 2), 20),
         lamp("SPOT", (0, -3, 3), 30),
         lamp("AREA", (2, -2, 2), 3, 0.5),
-        scenes.sun(1.0),
+        build.sun(1.0),
     )
-    return Case(scenes.scene(*things, lights=lights), camera((0.5, -4, 0.7), resolution=FEW), SHADOWED)
+    return Case(build.scene(*things, lights=lights), camera((0.5, -4, 0.7), resolution=FEW), SHADOWED)
 
 
 def without(case: Case, rows: list[int]) -> Case:

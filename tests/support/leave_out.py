@@ -1,4 +1,4 @@
-"""What scenes cost on the device, feature by feature: the rows of docs/leave_out.md, and what is written there.
+"""What scenes cost on the device, feature by feature: the rows of docs/notes/leave_out.md, and what is written there.
 
     python tests/support/leave_out.py [--write-docs]
 
@@ -18,6 +18,19 @@ from pathlib import Path
 
 import numpy as np
 
+from scripts.scenes import (
+    build,
+    cameras,
+    clouds,
+    detailed_cases,
+    drawing,
+    lit_cases,
+    meshes,
+    solid_cases,
+    translucent_cases,
+)
+from scripts.scenes.case import ALL_PASSES
+
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 from pointsplat_addon.core.material import expressions as ex
@@ -32,9 +45,8 @@ from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.shading import sources
 from pointsplat_addon.shading.interface import Interface
-from tests.support import scenes
-from tests.support.scenes import Case
-from tests.support.store import STORE
+from scripts.scenes.case import Case
+from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 
@@ -74,121 +86,121 @@ def _alone(case: Case, kind: Callable) -> Case:
     """Only the geometries that `kind` is true of, each once."""
     of, at = case.scene.instances.geometry, case.scene.instances.world_from_object
     things = [(g, at[np.flatnonzero(of == i)[0]]) for i, g in enumerate(case.scene.geometries) if kind(g)]
-    only = scenes.scene(*things, lights=case.scene.lights, world=case.scene.world, table=case.scene.materials)
+    only = build.scene(*things, lights=case.scene.lights, world=case.scene.world, table=case.scene.materials)
     return replace(case, scene=only)
 
 
 def _of(cloud: PointCloud, key: str, **more) -> Case:
-    return Case(scenes.scene((scenes.points(key, cloud), scenes.moved()), **more), scenes.camera())
+    return Case(build.scene((build.points(key, cloud), build.moved()), **more), cameras.camera())
 
 
 def _world_only() -> Case:
-    return Case(scenes.scene(lights=(), world=World(np.array([0.2, 0.3, 0.4]))), scenes.camera())
+    return Case(build.scene(lights=(), world=World(np.array([0.2, 0.3, 0.4]))), cameras.camera())
 
 
 def _picture_only() -> Case:
     image = np.ones((4, 8, 3), np.float32)
-    return Case(scenes.scene(lights=(), world=World(np.zeros(3), image)), scenes.camera())
+    return Case(build.scene(lights=(), world=World(np.zeros(3), image)), cameras.camera())
 
 
 def _dense_mesh() -> Case:
-    return Case(scenes.scene((scenes.mesh(scenes.sphere_mesh("leave out: dense", 96)), scenes.moved())),
-                scenes.camera(resolution=(32, 32)))  # fmt: skip
+    return Case(build.scene((build.mesh(meshes.sphere_mesh("leave out: dense", 96)), build.moved())),
+                cameras.camera(resolution=(32, 32)))  # fmt: skip
 
 
 def _painted_picture(primitive: str) -> Case:
     """A plane with a picture on it: only its colours vary."""
-    graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), scenes.picture())))
-    plane = scenes.mesh(scenes.plane_mesh(f"leave out: picture, {primitive}", cells=16), primitive)
-    return Case(scenes.scene((plane, scenes.moved()), table=scenes.materials(graphs=(graph,))), scenes.camera())
+    graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), build.picture())))
+    plane = build.mesh(meshes.plane_mesh(f"leave out: picture, {primitive}", cells=16), primitive)
+    return Case(build.scene((plane, build.moved()), table=build.materials(graphs=(graph,))), cameras.camera())
 
 
 def _corner_colors() -> Case:
     """A cube whose colours do not repeat over its maps: from where its corners lie."""
     graph = MaterialGraph(base_color=ex.Color(ex.Coordinates("position")))
-    block = scenes.mesh(scenes.cube_mesh("leave out: corners"), "POLYGONS")
-    return Case(scenes.scene((block, scenes.moved()), table=scenes.materials(graphs=(graph,))), scenes.camera())
+    block = build.mesh(meshes.cube_mesh("leave out: corners"), "POLYGONS")
+    return Case(build.scene((block, build.moved()), table=build.materials(graphs=(graph,))), cameras.camera())
 
 
 def _rough_picture(primitive: str) -> Case:
     """The same, but only its roughness varies."""
-    red = ex.Gray(ex.ImageTexture(ex.UV(), scenes.picture()))
-    plane = scenes.mesh(scenes.plane_mesh(f"leave out: rough, {primitive}", cells=16), primitive)
+    red = ex.Gray(ex.ImageTexture(ex.UV(), build.picture()))
+    plane = build.mesh(meshes.plane_mesh(f"leave out: rough, {primitive}", cells=16), primitive)
     graph = MaterialGraph(roughness=red)
-    return Case(scenes.scene((plane, scenes.moved()), table=scenes.materials(graphs=(graph,))), scenes.camera())
+    return Case(build.scene((plane, build.moved()), table=build.materials(graphs=(graph,))), cameras.camera())
 
 
 def _glow() -> Case:
     """Points that only glow, under a lamp that they do not reflect."""
-    cloud = scenes.sphere_cloud(emission=np.abs(scenes.sphere_points()).astype(np.float32))
-    table = scenes.materials(base_color=np.zeros((1, 3)), specular=[0.0])
+    cloud = clouds.sphere_cloud(emission=np.abs(clouds.sphere_points()).astype(np.float32))
+    table = build.materials(base_color=np.zeros((1, 3)), specular=[0.0])
     case = _of(cloud, "leave out: glow", table=table)
     return _by(case, use_shadows=True, shadow_resolution=64)
 
 
 def _panes(**more) -> Case:
     """One pane of clear glass, and nothing else."""
-    table = scenes.materials(alpha=[0.5], translucent=np.array([True]), **more)
-    pane = replace(scenes.plane_mesh("leave out: pane", 0.7), materials=(0,))
-    return Case(scenes.scene((scenes.mesh(pane), scenes.moved()), table=table), scenes.camera())
+    table = build.materials(alpha=[0.5], translucent=np.array([True]), **more)
+    pane = replace(meshes.plane_mesh("leave out: pane", 0.7), materials=(0,))
+    return Case(build.scene((build.mesh(pane), build.moved()), table=table), cameras.camera())
 
 
 def _two_smokes() -> Case:
     """Two instances of one cloud of smoke: none of them knows alone what light reaches it."""
-    cloud = scenes.points("leave out: two smokes", scenes.smoke_cloud(8))
-    case = Case(scenes.scene(*((cloud, scenes.moved((x, 0, 0))) for x in (-0.5, 0.5))), scenes.camera())
+    cloud = build.points("leave out: two smokes", clouds.smoke_cloud(8))
+    case = Case(build.scene(*((cloud, build.moved((x, 0, 0))) for x in (-0.5, 0.5))), cameras.camera())
     return _by(case, use_shadows=True, shadow_resolution=64)
 
 
 def _held_smoke() -> Case:
     """Smoke, of which another ball of smoke cuts a hole."""
-    cloud = scenes.points("leave out: held smoke", scenes.smoke_cloud(8))
-    things = ((cloud, scenes.moved()), (cloud, scenes.moved((0.5, -0.5, 0), 0.4)))
-    return Case(scenes.scene(*things, holdout=(False, True)), scenes.camera())
+    cloud = build.points("leave out: held smoke", clouds.smoke_cloud(8))
+    things = ((cloud, build.moved()), (cloud, build.moved((0.5, -0.5, 0), 0.4)))
+    return Case(build.scene(*things, holdout=(False, True)), cameras.camera())
 
 
 def _mixed_materials() -> Case:
     """A plain cube, a metal one and one that glows."""
-    table = scenes.materials(3, metallic=[0, 1, 0], emission=[[0, 0, 0], [0, 0, 0], [1, 2, 3]])
+    table = build.materials(3, metallic=[0, 1, 0], emission=[[0, 0, 0], [0, 0, 0], [1, 2, 3]])
     things = []
     for row in range(3):
-        block = replace(scenes.cube_mesh(f"leave out: material {row}", 0.4), materials=(row,),
+        block = replace(meshes.cube_mesh(f"leave out: material {row}", 0.4), materials=(row,),
                         material=np.full(12, row, np.uint16))  # fmt: skip
-        things.append((scenes.mesh(block, "POLYGONS"), scenes.moved((row - 1.0, 0, 0))))
-    return Case(scenes.scene(*things, table=table), scenes.camera())
+        things.append((build.mesh(block, "POLYGONS"), build.moved((row - 1.0, 0, 0))))
+    return Case(build.scene(*things, table=table), cameras.camera())
 
 
 def _many() -> Case:
-    cloud = scenes.points("leave out: many", scenes.sphere_cloud(100))
+    cloud = build.points("leave out: many", clouds.sphere_cloud(100))
     x, z = (a.ravel() for a in np.meshgrid(np.linspace(-1, 1, 6), np.linspace(-1, 1, 6)))
-    return Case(scenes.scene(*((cloud, scenes.moved((a, 0, b), 0.1)) for a, b in zip(x, z, strict=True))),
-                scenes.camera())  # fmt: skip
+    return Case(build.scene(*((cloud, build.moved((a, 0, b), 0.1)) for a, b in zip(x, z, strict=True))),
+                cameras.camera())  # fmt: skip
 
 
 def _tube() -> Case:
     turn = np.linspace(0, 6, 20)
     way = np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=1)
-    return Case(scenes.scene((scenes.strand_lines("leave out: tube", [way], 0.2), scenes.moved())), scenes.camera())
+    return Case(build.scene((build.strand_lines("leave out: tube", [way], 0.2), build.moved())), cameras.camera())
 
 
 def _ribbon() -> Case:
     u = np.linspace(-1.3, 1.3, 30)
     normal = np.stack([0 * u, np.cos(3 * u), np.sin(3 * u)], axis=1).astype(np.float32)
-    lines = scenes.strand_lines("leave out: ribbon", [np.stack([u, 0 * u, 0 * u], axis=1)], 0.12, normal=normal)
-    return Case(scenes.scene((lines, scenes.moved())), scenes.camera())
+    lines = build.strand_lines("leave out: ribbon", [np.stack([u, 0 * u, 0 * u], axis=1)], 0.12, normal=normal)
+    return Case(build.scene((lines, build.moved())), cameras.camera())
 
 
 def _hair() -> Case:
     """Strands thinner than a pixel, of the Principled Hair BSDF."""
-    table = scenes.materials()
+    table = build.materials()
     one = np.ones(1, np.float32)
     fibre = HairTable(np.array([True]), 0.3 * one, 0 * one, 0.03 * one, np.ones((1, 3), np.float32))
-    case = _alone(scenes.strands(), lambda g: g.name == "hair")
+    case = _alone(detailed_cases.strands(), lambda g: g.name == "hair")
     return _lit(case, materials=replace(table, hair=fibre))
 
 
 def _small_balls() -> Case:
-    cloud = PointCloud(scenes.sphere_points().astype(np.float32), radii=np.full((400, 1), 0.02, np.float32))
+    cloud = PointCloud(clouds.sphere_points().astype(np.float32), radii=np.full((400, 1), 0.02, np.float32))
     return _of(cloud, "leave out: small balls")
 
 
@@ -199,17 +211,17 @@ def _lamp(case: Case, radius: float) -> Case:
 
 def _normals() -> Case:
     """Points that are shaded by normals other than their own, once lit and once not."""
-    return _of(scenes.sphere_cloud(shading_normal=scenes.sphere_points().astype(np.float32)), "leave out: bent")
+    return _of(clouds.sphere_cloud(shading_normal=clouds.sphere_points().astype(np.float32)), "leave out: bent")
 
 
 def _aside(case: Case) -> Case:
     """The same from where nothing of it is in view."""
-    return replace(case, camera=scenes.camera((0, -8, 0), (0, -16, 0)))
+    return replace(case, camera=cameras.camera((0, -8, 0), (0, -16, 0)))
 
 
 def _lamps(*lamps: Light) -> Case:
     """Points beneath a sun and further lamps, all with shadows."""
-    return _by(_lit(scenes.plain_sphere(), lights=(scenes.sun(), *lamps)), use_shadows=True, shadow_resolution=64)
+    return _by(_lit(solid_cases.plain_sphere(), lights=(build.sun(), *lamps)), use_shadows=True, shadow_resolution=64)
 
 
 def _far_lamp() -> Light:
@@ -217,21 +229,21 @@ def _far_lamp() -> Light:
 
 
 def _through_a_lens(method: str) -> Case:
-    case = scenes.mixed()
+    case = solid_cases.mixed()
     return _by(replace(case, camera=replace(case.camera, aperture=Aperture(0.3, 3.0))), dof_method=method)
 
 
 def _before_a_picture() -> Case:
     """Points in focus before a picture of the world that is not."""
-    case = scenes.environment()
+    case = lit_cases.environment()
     return replace(case, camera=replace(case.camera, aperture=Aperture(0.02, 4.0)))
 
 
 def _clear_smoke() -> Case:
     """Smoke without density before a sphere."""
-    clear, ball = scenes.smoke_cloud(8, 0.0), scenes.points("leave out: behind", scenes.sphere_cloud())
-    return Case(scenes.scene((scenes.points("leave out: clear", clear), scenes.moved((0, -2, 0))),
-                             (ball, scenes.moved())), scenes.camera((0, -6, 0)))  # fmt: skip
+    clear, ball = clouds.smoke_cloud(8, 0.0), build.points("leave out: behind", clouds.sphere_cloud())
+    return Case(build.scene((build.points("leave out: clear", clear), build.moved((0, -2, 0))),
+                             (ball, build.moved())), cameras.camera((0, -6, 0)))  # fmt: skip
 
 
 def _dark(case: Case) -> Case:
@@ -239,18 +251,18 @@ def _dark(case: Case) -> Case:
 
 
 ROWS: dict[str, Row] = {
-    "nothing": Row(scenes.empty),
+    "nothing": Row(solid_cases.empty),
     "world of one colour": Row(_world_only),
     "environment picture": Row(_picture_only),
     "environment picture, 16 samples": Row(_picture_only, samples=16),
     "environment picture, transparent film": Row(lambda: _lit(_picture_only(), transparent=True)),
-    "one cube": Row(scenes.cube),
-    "one cube, unlit": Row(lambda: _dark(scenes.cube())),
-    "one cube, shadows": Row(lambda: _by(scenes.cube(), use_shadows=True, shadow_resolution=64)),
-    "one cube, shadows of a wide lamp": Row(lambda: _lamp(scenes.cube(), 0.3)),
-    "one cube, transparent film": Row(lambda: _lit(scenes.cube(), transparent=True)),
+    "one cube": Row(solid_cases.cube),
+    "one cube, unlit": Row(lambda: _dark(solid_cases.cube())),
+    "one cube, shadows": Row(lambda: _by(solid_cases.cube(), use_shadows=True, shadow_resolution=64)),
+    "one cube, shadows of a wide lamp": Row(lambda: _lamp(solid_cases.cube(), 0.3)),
+    "one cube, transparent film": Row(lambda: _lit(solid_cases.cube(), transparent=True)),
     "dense mesh": Row(_dense_mesh),
-    "mesh of points and polygons": Row(scenes.split_mesh),
+    "mesh of points and polygons": Row(detailed_cases.split_mesh),
     "polygons, colours from a picture": Row(lambda: _painted_picture("POLYGONS")),
     "points, colours from a picture": Row(lambda: _painted_picture("POINTS")),
     "polygons, roughness from a picture": Row(lambda: _rough_picture("POLYGONS")),
@@ -258,83 +270,83 @@ ROWS: dict[str, Row] = {
     "polygons, colours from a picture, depth": Row(lambda: _painted_picture("POLYGONS"), COMBINED | {"depth"}),
     "polygons, colours at corners": Row(_corner_colors),
     "polygons, colours at corners, depth": Row(_corner_colors, COMBINED | {"depth"}),
-    "points": Row(scenes.plain_sphere),
-    "points, unlit": Row(lambda: _dark(scenes.plain_sphere())),
-    "points, colours": Row(scenes.sphere),
+    "points": Row(solid_cases.plain_sphere),
+    "points, unlit": Row(lambda: _dark(solid_cases.plain_sphere())),
+    "points, colours": Row(solid_cases.sphere),
     "points, shading normals": Row(_normals),
     "points, shading normals, unlit": Row(lambda: _dark(_normals())),
-    "points, shadows of a sun": Row(lambda: _by(scenes.plain_sphere(), use_shadows=True, shadow_resolution=64)),
-    "points, shadows of a wide lamp": Row(lambda: _lamp(scenes.plain_sphere(), 0.3)),
+    "points, shadows of a sun": Row(lambda: _by(solid_cases.plain_sphere(), use_shadows=True, shadow_resolution=64)),
+    "points, shadows of a wide lamp": Row(lambda: _lamp(solid_cases.plain_sphere(), 0.3)),
     "points that only glow": Row(_glow),
-    "points and polygons, backs culled": Row(scenes.culled),
-    "leaves": Row(scenes.foliage),
+    "points and polygons, backs culled": Row(solid_cases.culled),
+    "leaves": Row(detailed_cases.foliage),
     "small balls": Row(_small_balls),
-    "wide balls": Row(scenes.wide_balls),
+    "wide balls": Row(solid_cases.wide_balls),
     "many instances": Row(_many),
-    "many instances that share levels": Row(scenes.many_towers),
-    "points and polygons": Row(scenes.mixed),
-    "points and polygons, unlit": Row(scenes.unlit),
-    "points and polygons, border": Row(scenes.region),
-    "points and polygons, parallel camera": Row(scenes.parallel),
-    "points and polygons, interactive": Row(scenes.mixed, interactive=True),
-    "points and polygons, adaptive": Row(scenes.mixed, samples=16),
-    "emission of points and polygons": Row(scenes.emission),
+    "many instances that share levels": Row(detailed_cases.many_towers),
+    "points and polygons": Row(solid_cases.mixed),
+    "points and polygons, unlit": Row(solid_cases.unlit),
+    "points and polygons, border": Row(solid_cases.region),
+    "points and polygons, parallel camera": Row(solid_cases.parallel),
+    "points and polygons, interactive": Row(solid_cases.mixed, interactive=True),
+    "points and polygons, adaptive": Row(solid_cases.mixed, samples=16),
+    "emission of points and polygons": Row(lit_cases.emission),
     "mixed materials": Row(_mixed_materials),
-    "holdouts": Row(scenes.holdout),
-    "every kind of lamp": Row(scenes.lights),
-    "points in an environment picture": Row(scenes.environment),
+    "holdouts": Row(solid_cases.holdout),
+    "every kind of lamp": Row(lit_cases.lights),
+    "points in an environment picture": Row(lit_cases.environment),
     "pane": Row(_panes),
-    "panes and a cube": Row(scenes.panes),
-    "smoke": Row(scenes.in_smoke),
-    "smoke, transparent film": Row(lambda: _lit(scenes.in_smoke(), transparent=True)),
-    "smoke, interactive": Row(scenes.in_smoke, interactive=True),
+    "panes and a cube": Row(translucent_cases.panes),
+    "smoke": Row(translucent_cases.in_smoke),
+    "smoke, transparent film": Row(lambda: _lit(translucent_cases.in_smoke(), transparent=True)),
+    "smoke, interactive": Row(translucent_cases.in_smoke, interactive=True),
     "smoke twice, shadows": Row(_two_smokes),
-    "smoke among points and polygons, shadows": Row(scenes.smoke),
-    "coloured smoke, shadows": Row(scenes.tinted_smoke),
+    "smoke among points and polygons, shadows": Row(translucent_cases.smoke),
+    "coloured smoke, shadows": Row(translucent_cases.tinted_smoke),
     "smoke that is held out": Row(_held_smoke),
     "tube": Row(_tube),
     "ribbon": Row(_ribbon),
     "hair, shadows": Row(_hair, samples=8),
-    "strands and a cube, shadows": Row(scenes.strands, samples=4),
-    "EWA": Row(lambda: _by(scenes.sphere(), technique="EWA")),
-    "EWA, adaptive": Row(lambda: _by(scenes.sphere(), technique="EWA"), samples=16),
-    "EWA among polygons": Row(lambda: _by(scenes.mixed(), technique="EWA")),
-    "painter": Row(lambda: _by(scenes.sphere(), technique="PAINTER")),
-    "painter among polygons": Row(lambda: _by(scenes.mixed(), technique="PAINTER")),
+    "strands and a cube, shadows": Row(detailed_cases.strands, samples=4),
+    "EWA": Row(lambda: _by(solid_cases.sphere(), technique="EWA")),
+    "EWA, adaptive": Row(lambda: _by(solid_cases.sphere(), technique="EWA"), samples=16),
+    "EWA among polygons": Row(lambda: _by(solid_cases.mixed(), technique="EWA")),
+    "painter": Row(lambda: _by(solid_cases.sphere(), technique="PAINTER")),
+    "painter among polygons": Row(lambda: _by(solid_cases.mixed(), technique="PAINTER")),
     "painter among polygons, normal and depth": Row(
-        lambda: _by(scenes.mixed(), technique="PAINTER"), COMBINED | {"normal", "depth"}
+        lambda: _by(solid_cases.mixed(), technique="PAINTER"), COMBINED | {"normal", "depth"}
     ),
-    "points, depth and position": Row(scenes.plain_sphere, COMBINED | {"depth", "position"}),
-    "points, normal and colour": Row(scenes.plain_sphere, COMBINED | {"normal", "albedo"}),
-    "points, mist": Row(scenes.plain_sphere, COMBINED | {"mist"}),
+    "points, depth and position": Row(solid_cases.plain_sphere, COMBINED | {"depth", "position"}),
+    "points, normal and colour": Row(solid_cases.plain_sphere, COMBINED | {"normal", "albedo"}),
+    "points, mist": Row(solid_cases.plain_sphere, COMBINED | {"mist"}),
     "points, mist, transparent film": Row(
-        lambda: _lit(scenes.plain_sphere(), transparent=True), COMBINED | {"mist"}
+        lambda: _lit(solid_cases.plain_sphere(), transparent=True), COMBINED | {"mist"}
     ),
-    "points, indices": Row(scenes.plain_sphere, COMBINED | {"object_index", "material_index"}),
-    "points, Cryptomatte": Row(scenes.plain_sphere, COMBINED | {"crypto_object"}, samples=4),
-    "points and polygons, motion": Row(scenes.moving, COMBINED | {"vector"}),
-    "smoke, depth and motion": Row(scenes.in_smoke, COMBINED | {"depth", "vector"}),
+    "points, indices": Row(solid_cases.plain_sphere, COMBINED | {"object_index", "material_index"}),
+    "points, Cryptomatte": Row(solid_cases.plain_sphere, COMBINED | {"crypto_object"}, samples=4),
+    "points and polygons, motion": Row(solid_cases.moving, COMBINED | {"vector"}),
+    "smoke, depth and motion": Row(translucent_cases.in_smoke, COMBINED | {"depth", "vector"}),
     "a lamp that is off": Row(lambda: _lamps(replace(_far_lamp(), color=np.zeros(3)))),
     "a lamp too far to matter": Row(lambda: _lamps(_far_lamp())),
-    "a world too dark to matter": Row(lambda: _lit(scenes.plain_sphere(), world=World(np.full(3, 1e-5)))),
+    "a world too dark to matter": Row(lambda: _lit(solid_cases.plain_sphere(), world=World(np.full(3, 1e-5)))),
     "a black environment picture": Row(
-        lambda: _lit(scenes.plain_sphere(), world=World(np.zeros(3), np.zeros((4, 8, 3), np.float32)))
+        lambda: _lit(solid_cases.plain_sphere(), world=World(np.zeros(3), np.zeros((4, 8, 3), np.float32)))
     ),
     "an emission too weak to matter": Row(
-        lambda: _lit(scenes.plain_sphere(), materials=scenes.materials(emission=np.full((1, 3), 1e-4)))
+        lambda: _lit(solid_cases.plain_sphere(), materials=build.materials(emission=np.full((1, 3), 1e-4)))
     ),
-    "points and polygons out of view": Row(lambda: _aside(scenes.mixed())),
+    "points and polygons out of view": Row(lambda: _aside(solid_cases.mixed())),
     "smoke out of view": Row(lambda: _aside(_two_smokes())),
     "smoke without density": Row(_clear_smoke),
     "points and polygons, out of focus": Row(lambda: _through_a_lens("SPLAT"), samples=4),
     "points and polygons, out of focus, depth": Row(lambda: _through_a_lens("SPLAT"), COMBINED | {"depth"}, samples=4),
     "points and polygons, samples of the lens": Row(lambda: _through_a_lens("LENS_SAMPLES"), samples=4),
     "environment picture, out of focus": Row(
-        lambda: replace(_picture_only(), camera=replace(scenes.camera(), aperture=Aperture(0.3, 3.0))), samples=4
+        lambda: replace(_picture_only(), camera=replace(cameras.camera(), aperture=Aperture(0.3, 3.0))), samples=4
     ),
     "points in focus in an environment picture": Row(_before_a_picture, samples=4),
-    "nothing, every pass": Row(scenes.empty, scenes.ALL_PASSES),
-    "points and polygons, every pass": Row(scenes.mixed, scenes.ALL_PASSES),
+    "nothing, every pass": Row(solid_cases.empty, ALL_PASSES),
+    "points and polygons, every pass": Row(solid_cases.mixed, ALL_PASSES),
 }  # fmt: skip
 
 
@@ -345,7 +357,7 @@ def draw(row: Row, device: NullDevice | None = None) -> Found:
     case = row.case()
     request = Request(case.camera, case.settings, row.passes, row.samples, interactive=row.interactive)
     renderer = Renderer(device, STORE)
-    renderer.costs = scenes.FREE_POINTS
+    renderer.costs = drawing.FREE_POINTS
     report = renderer.render(case.scene, request).report
     size = device.peak_bytes
     renderer.release()
@@ -440,10 +452,10 @@ def written(device: NullDevice) -> set[int]:
     return ids | {id(texture) for call in device.calls if call.target for texture in call.target.colors}
 
 
-# docs/leave_out.md
+# docs/notes/leave_out.md
 
 
-DOCS = Path(__file__).resolve().parent.parent.parent / "docs" / "leave_out.md"
+DOCS = Path(__file__).resolve().parent.parent.parent / "docs" / "notes" / "leave_out.md"
 BEGIN, END = "<!-- tables: tests/support/leave_out.py -->", "<!-- end of tables -->"
 
 
@@ -512,7 +524,7 @@ def with_tables(text: str) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write-docs", action="store_true", help="replace the tables in docs/leave_out.md")
+    parser.add_argument("--write-docs", action="store_true", help="replace the tables in docs/notes/leave_out.md")
     if parser.parse_args().write_docs:
         DOCS.write_text(with_tables(DOCS.read_text(encoding="utf-8")), encoding="utf-8")
     else:

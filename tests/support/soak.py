@@ -15,9 +15,13 @@ from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from tests.support import scenes
+from scripts.scenes import build
+from scripts.scenes.build import mesh, moved, points, scene
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import ALL_PASSES
+from scripts.scenes.clouds import smoke_cloud, sphere_cloud
+from scripts.scenes.meshes import cube_mesh
 from tests.support.extremes import COMBINED, TECHNIQUES, lamp
-from tests.support.scenes import ALL_PASSES, camera, cube_mesh, mesh, moved, points, scene, smoke_cloud, sphere_cloud
 
 KEPT = 8 << 20  # bytes that the stores may keep, so that they are full, and let go, long before the end
 # Frames, after which the scene and its views come again, as new objects: by then the stores are full and all shaders
@@ -59,8 +63,8 @@ def changing(number: int) -> Scene:
     if number % 4 == 0:
         u = np.linspace(0, 1, 8)
         strand = np.stack([np.sin(3 * u + turn), -0.5 + 0 * u, 2 * u - 1], axis=1)
-        things.append((scenes.strand_lines(f"soaked strands {number}", [strand], 0.05), moved()))
-    lights = (lamp(("POINT", "SPOT", "AREA")[number % 3], (2 * np.sin(turn), -2, 2), 20), scenes.sun(1.0))
+        things.append((build.strand_lines(f"soaked strands {number}", [strand], 0.05), moved()))
+    lights = (lamp(("POINT", "SPOT", "AREA")[number % 3], (2 * np.sin(turn), -2, 2), 20), build.sun(1.0))
     return scene(*things, lights=lights)
 
 

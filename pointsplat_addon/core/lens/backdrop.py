@@ -17,7 +17,7 @@ import numpy as np
 from ..light import environment
 from ..scene.camera import Camera
 from ..scene.scene import Scene
-from ..splat.blur import IN_FOCUS, blur_of
+from ..splat.blur import IN_FOCUS, defocus_blur
 
 DISK = 8.0  # texels of the widest disk's radius
 TAPS = (-0.25, 0.25)  # places in a texel along each axis, in texels, where the world is looked up
@@ -49,7 +49,7 @@ class Grid:
 
 def why_sharp(scene: Scene, camera: Camera) -> str:
     """Why the world behind a picture is not blurred; empty where it is."""
-    blur = blur_of(camera)
+    blur = defocus_blur(camera)
     if blur is None:
         return "the camera has no depth of field"
     if scene.transparent:

@@ -30,10 +30,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..scene.camera import Camera
-from ..splat.blur import BLURRED, IN_FOCUS
+from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS
 from ..splat.kernel import POWER
 
-# Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/frame/filtering.py).
+# Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/frame/sample_positions.py).
 PIXEL = 0.11
 # Of splats that add up with their neighbours, over the exponent whose fourth moment is right: the smoother kernels are,
 # the more even are their sums, and what is alone is all disk, whose exponent is 0 either way.
@@ -48,7 +48,7 @@ RIM = 0.002  # of 1 - q / S: where the rim is drawn softer than it is
 
 def sharp(radius: np.ndarray) -> np.ndarray:
     """How much of what has disks of this radius is drawn as if it were in focus, in [0, 1]."""
-    t = np.clip((radius - IN_FOCUS) / (BLURRED - IN_FOCUS), 0, 1)
+    t = np.clip((radius - IN_FOCUS) / (OUT_OF_FOCUS - IN_FOCUS), 0, 1)
     return 1 - t * t * (3 - 2 * t)
 
 

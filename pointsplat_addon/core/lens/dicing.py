@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..lod.hierarchy import basis
 from ..numeric.linear import largest_singular_value
+from ..numeric.segments import ranks
+from ..numeric.vectors import basis
 from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
 from ..scene.mesh import Mesh
-from ..splat.blur import BLURRED, IN_FOCUS, Blur
-from ..surface.sampling import _STEINER, Samples
+from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
+from ..surface.area_sampling import STEINER
+from ..surface.samples import Samples
 
 MOST = 1 << 21  # pieces of one mesh: beyond it they stay as large as they are
 ROUND = 0.7  # sides of facets over those of pieces of what is flat
@@ -64,8 +66,10 @@ def cut(
     order = np.argsort(owner, kind="stable")
     weights = weights[order]
     edges = weights[:, 1:] - weights[:, :1]
-    ellipse = np.einsum("ij,njk->nik", _STEINER / np.sqrt(2), edges)
-    return Samples("GRID", owner[order].astype(np.int32), weights.mean(axis=1).astype(np.float32), ellipse.astype("f4"))
+    ellipse = np.einsum("ij,njk->nik", STEINER / np.sqrt(2), edges)
+    return Samples(
+        "PATCHES", owner[order].astype(np.int32), weights.mean(axis=1).astype(np.float32), ellipse.astype("f4")
+    )
 
 
 def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, tolerance: float, blur: Blur) -> PointCloud:
@@ -86,7 +90,7 @@ def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, toler
     count = np.pi * (pixels / (ROUND * blur.widest(least, tolerance)))[rows] ** 2
     count = np.clip(np.ceil(np.minimum(count, MOST / max(len(rows), 1))), LEAST_FACETS, None).astype(np.int64)
     of = np.repeat(rows, count)
-    number = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
+    number = ranks(count)
     # Spirals fill a disk evenly; their places on the ball are right above.
     share = np.minimum((number + 0.5) / np.repeat(count, count), STEEPEST)
     angle = number * GOLDEN_ANGLE
@@ -118,7 +122,7 @@ def _seen(corners: np.ndarray, camera: Camera, blur: Blur) -> np.ndarray:
     w = np.maximum(depth, 0.0) if camera.perspective else np.ones_like(depth)
     # Of depths at and behind the eye the disk's radius times the depth is what counts: it stays finite.
     seen = np.maximum(depth, camera.nearest)
-    reach = blur.radius(seen) * (seen if camera.perspective else 1.0) + BLURRED * w
+    reach = blur.radius(seen) * (seen if camera.perspective else 1.0) + OUT_OF_FOCUS * w
     x, y = fx * corners[:, :, 0] + cx * w, fy * corners[:, :, 1] + cy * w
     inside = (x + reach > 0).any(axis=1) & (x - reach < width * w).any(axis=1)
     inside &= (y + reach > 0).any(axis=1) & (y - reach < height * w).any(axis=1)

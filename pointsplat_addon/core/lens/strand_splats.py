@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..lod.hierarchy import basis
+from ..numeric.segments import owners, ranks
+from ..numeric.vectors import basis
 from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
-from ..scene.strands import Lines
-from ..splat.blur import BLURRED, IN_FOCUS, Blur
-from ..strand.selection import Strands, lengths_scale
+from ..scene.strands import Strands
+from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
+from ..strand.levels import StrandLevels
+from ..strand.projection import tube_radius_scale
 
 MOST_BENT = 0.5  # cosine of half the sharpest bend whose sides meet
 MOST_ACROSS = 16  # strips of a wide tube
@@ -20,8 +22,8 @@ SHARE = 3 / np.pi  # of the ellipse with its moments, that a rectangle covers
 
 
 def splats(
-    strands: Strands,
-    lines: Lines,
+    strands: StrandLevels,
+    lines: Strands,
     ends: np.ndarray,
     view_from_object: np.ndarray,
     camera: Camera,
@@ -36,7 +38,7 @@ def splats(
     """
     matrix = np.asarray(view_from_object, np.float64)
     linear = matrix[:3, :3]
-    scale = float(lengths_scale(matrix[None])[0])
+    scale = float(tube_radius_scale(matrix[None])[0])
     place = strands.position.astype(np.float64) + strands.origin
     low, high = _depths(strands, ends, matrix, camera)
     least, most = blur.bounds(low, high)
@@ -47,7 +49,7 @@ def splats(
     along = (place[ends[:, 1]] - place[ends[:, 0]]) @ linear.T
     count = np.ceil(np.linalg.norm(along, axis=1) / largest)
     count = np.maximum(np.minimum(count, MOST / max(len(ends), 1)), 1).astype(np.int64)
-    of, number = _numbered(count)
+    of, number = owners(count), ranks(count)
     part = ((number + 0.5) / count[of])[:, None]
     first, second = ends[of].T
     middle = place[first] * (1 - part) + place[second] * part
@@ -68,7 +70,7 @@ def splats(
         side = _normalised(side - (side * unit).sum(axis=1, keepdims=True) * unit)
         facing = np.cross(unit, side)
         across = np.ones(len(of), np.int64)
-    strip, which = _numbered(across)
+    strip, which = owners(across), ranks(across)
     shift = ((2 * which + 1) / across[strip] - 1)[:, None]
     round_ = strands.side is None
     rising = np.sqrt(1 - shift**2) if round_ else np.ones_like(shift)
@@ -124,7 +126,7 @@ def splats(
 
 
 def _closing(
-    strands: Strands, ends: np.ndarray, largest: np.ndarray
+    strands: StrandLevels, ends: np.ndarray, largest: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The disks across both ends of tubes that are drawn in strips, in pieces as wide as `largest` (K,), in object
     units, for each segment: their point (n,), middle (n, 3), normal (n, 3) and radius (n,), of which SHARE is the area.
@@ -136,7 +138,7 @@ def _closing(
     point = ends[of, side]
     radius = strands.radius[point].astype(np.float64)
     count = np.clip(np.ceil((FINER * 2 * radius / largest[of]) ** 2), 1, MOST_ACROSS**2).astype(np.int64)
-    which, number = _numbered(count)
+    which, number = owners(count), ranks(count)
     # An even spiral; a single disk lies in its middle.
     away = np.where(count[which] > 1, np.sqrt((number + 0.5) / count[which]), 0) * radius[which]
     outward = strands.tangent[point].astype(np.float64) * np.where(side, 1, -1)[:, None]
@@ -147,7 +149,7 @@ def _closing(
     return point[which], middle, outward[which], radius[which] / np.sqrt(SHARE * count[which])
 
 
-def _mitre(strands: Strands, point: np.ndarray, unit: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _mitre(strands: StrandLevels, point: np.ndarray, unit: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(n,): how far, in radii, the side of a tube with this normal (n, 3) goes on along its segment (n, 3) where that
     ends at a point (n,): to the plane through the point whose normal is the tangent of the strand there. Farther on the
     outer side of a bend, and less far on the inner one."""
@@ -156,16 +158,18 @@ def _mitre(strands: Strands, point: np.ndarray, unit: np.ndarray, normal: np.nda
 
 
 def sharp_ends(
-    strands: Strands, ends: np.ndarray, view_from_object: np.ndarray, camera: Camera, blur: Blur
+    strands: StrandLevels, ends: np.ndarray, view_from_object: np.ndarray, camera: Camera, blur: Blur
 ) -> np.ndarray:
     """(K,) bool: which segments may be in focus somewhere."""
-    return blur.bounds(*_depths(strands, ends, np.asarray(view_from_object, np.float64), camera))[0] < BLURRED
+    return blur.bounds(*_depths(strands, ends, np.asarray(view_from_object, np.float64), camera))[0] < OUT_OF_FOCUS
 
 
-def _depths(strands: Strands, ends: np.ndarray, matrix: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def _depths(
+    strands: StrandLevels, ends: np.ndarray, matrix: np.ndarray, camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
     """(K,) each: the nearest and the farthest of what is around the nearer and the farther end."""
     depth = -((strands.position.astype(np.float64) + strands.origin) @ matrix[2, :3] + matrix[2, 3])
-    reach = strands.radius * float(lengths_scale(matrix[None])[0])
+    reach = strands.radius * float(tube_radius_scale(matrix[None])[0])
     low, high = np.maximum(depth - reach, camera.nearest)[ends], np.maximum(depth + reach, camera.nearest)[ends]
     return low.min(axis=1), high.max(axis=1)
 
@@ -178,9 +182,3 @@ def _mixed(values: np.ndarray | None, rows: np.ndarray, part: np.ndarray) -> np.
 
 def _normalised(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
-
-
-def _numbered(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(E,) int64 each: rows of `count`, each as often as it says, and a number from 0 on within each."""
-    which = np.repeat(np.arange(len(count)), count)
-    return which, np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)

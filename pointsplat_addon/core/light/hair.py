@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..material.hair_color import absorption_from_color
-from ..scene.strands import Lines
+from ..scene.strands import Strands
 from .lighting import fresnel_dielectric
 
 # Offsets from the middle of a strand, of its radius, that stand for its width (Gauss and Legendre on [0, 1]).
@@ -98,7 +98,7 @@ def in_uniform_light(fibre: Fibre, sine: np.ndarray) -> np.ndarray:
     return _left(alone, np.broadcast_to(np.asarray(fibre.escape, float), alone.shape[:1])[:, None])
 
 
-def crossed(lines: Lines) -> float:
+def crossed(lines: Strands) -> float:
     """How many strands a line through all of them meets, about: their area, which is pi / 4 of width times length as
     the mean of all sides, over that of the ellipsoid in the box around them."""
     with np.errstate(all="ignore"):

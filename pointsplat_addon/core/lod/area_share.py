@@ -12,17 +12,17 @@ from collections.abc import Callable
 import numpy as np
 
 from ..scene.cloud import PointCloud
-from ..splat.ewa import SHARE
-from .hierarchy import Hierarchy, sum_up
-from .octree import Tree
+from ..splat.ewa import CELL_SHARE
+from .hierarchy import Hierarchy
+from .nodes.tree import Tree, sum_over_nodes
 
 # A node covers no more than this of its ellipse, whatever lies in it: a square of its moments.
 NODE_SHARE = 3 / np.pi
-ENOUGH = 8  # points of a node whose moments say how dense they lie
+MIN_POINTS = 8  # points of a node whose moments say how dense they lie
 STEPS = 3  # of the fixed point in `_densities`; the next one changes areas by less than 1e-3
 
 
-def shares(entry: Hierarchy | PointCloud, areas: Callable[[], np.ndarray] | None = None) -> np.ndarray | float:
+def area_shares(entry: Hierarchy | PointCloud, areas: Callable[[], np.ndarray] | None = None) -> np.ndarray | float:
     """What of its ellipse each splat covers: (N,) float32 of a cloud, (N + M,) of points in tree order, then nodes.
 
     `areas`: (N,) of the points in their original order, object units squared; None: they are estimated from how dense
@@ -37,12 +37,12 @@ def shares(entry: Hierarchy | PointCloud, areas: Callable[[], np.ndarray] | None
     if areas is not None:
         area = areas() if tree is None else areas()[tree.order]
     else:
-        area = ellipse * SHARE if tree is None else np.minimum(_densities(tree), ellipse)
+        area = ellipse * CELL_SHARE if tree is None else np.minimum(_densities(tree), ellipse)
     if cloud.apart is not None:
         area = np.where(cloud.apart, ellipse, area)
     share = area / np.maximum(ellipse, 1e-300)
     if tree is not None:
-        below = sum_up(tree.tree, len(cloud), lambda which: area[None, which])[0]
+        below = sum_over_nodes(tree.tree, len(cloud), lambda which: area[None, which])[0]
         nodes = np.minimum(below / np.maximum(np.pi * _product(tree.radii[:, :2]), 1e-300), NODE_SHARE)
         nodes = nodes if tree.apart is None else np.where(tree.apart, 1.0, nodes)
         share = np.concatenate([share, nodes])
@@ -60,11 +60,11 @@ def _densities(hierarchy: Hierarchy) -> np.ndarray:
     count = tree.point_count.astype(np.float64)
     assert cloud.radii is not None
     squared = _product(cloud.radii)
-    own = sum_up(tree, len(cloud), lambda which: 0.25 * squared[None, which])[0] / count
+    own = sum_over_nodes(tree, len(cloud), lambda which: 0.25 * squared[None, which])[0] / count
     # Moments of the points' places alone, and of the cells around them, whose area is what is asked for: at first that
     # of the points themselves, which single ones keep.
     places = np.maximum(0.25 * hierarchy.radii[:, :2].T.astype(np.float64) ** 2 - own, 0)
-    each = 4 * np.pi * SHARE * own
+    each = 4 * np.pi * CELL_SHARE * own
     for _ in range(STEPS):
         each = 12 * np.sqrt((places + each / 12).prod(axis=0)) / count
     return np.repeat(*_of_leaves(tree, each))
@@ -80,7 +80,7 @@ def _of_leaves(tree: Tree, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             begin = int(tree.first_child[parents[0]])
             end = int(tree.first_child[parents[-1]]) + int(tree.child_count[parents[-1]])
             above = np.repeat(found[parents], tree.child_count[parents])
-            found[begin:end] = np.where(tree.point_count[begin:end] >= ENOUGH, values[begin:end], above)
+            found[begin:end] = np.where(tree.point_count[begin:end] >= MIN_POINTS, values[begin:end], above)
     leaves = np.flatnonzero(tree.child_count == 0)
     leaves = leaves[np.argsort(tree.first_point[leaves], kind="stable")]
     return found[leaves], tree.point_count[leaves]

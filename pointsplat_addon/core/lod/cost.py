@@ -14,8 +14,8 @@ import numpy as np
 
 OVERLAP = 0.1  # of the spacing that is needed
 # Points leave an error that more samples do not take away, and triangles none: with so many times fewer samples, but at
-# least one, triangles still leave less, at a tolerance of a pixel (docs/techniques.md, measured 1.1 to 1.8 times).
-FEWER = 4
+# least one, triangles still leave less, at a tolerance of a pixel (docs/notes/techniques.md, measured 1.1 to 1.8 times).
+MAX_SAMPLES_RATIO = 4
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Costs:
     def of_picture(self, samples: int, instances: int = 1) -> Costs:
         """Of one sample of triangles in a picture that is made once, of so many `samples` of points: what points take
         in all of their samples stands against what triangles do in FEWER. `instances` share what is done once."""
-        dearer = min(max(samples, 1), FEWER)
+        dearer = min(max(samples, 1), MAX_SAMPLES_RATIO)
         share = dearer / (max(samples, 1) * max(instances, 1))
         return replace(
             self,
@@ -58,7 +58,7 @@ DEFAULT = Costs()
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class PrimitiveChoice:
     """What one instance of a mesh of B parts is drawn as."""
 
     octave: int  # of the spacing of its points, above the finest one that was offered
@@ -68,9 +68,9 @@ class Choice:
     triangles_cost: float  # the same where all that is in view is drawn as triangles
 
 
-def choose(
+def choose_primitives(
     costs: Costs, needed: np.ndarray, spacing: np.ndarray, samples: np.ndarray, triangles: np.ndarray, area: np.ndarray
-) -> Choice:
+) -> PrimitiveChoice:
     """The cheapest way to draw one instance.
 
     needed (B,): the spacing that each part needs in this view, inf where it is out of view. spacing (K,): octaves that
@@ -100,11 +100,11 @@ def choose(
     every = float(as_triangles.sum()) + upload
     best = int(total.argmin())
     if every <= total[best] + costs.draw:
-        return Choice(best, np.zeros_like(visible), visible, every, every)
-    return Choice(best, better[best] | meet[best], visible & ~better[best], float(total[best]), every)
+        return PrimitiveChoice(best, np.zeros_like(visible), visible, every, every)
+    return PrimitiveChoice(best, better[best] | meet[best], visible & ~better[best], float(total[best]), every)
 
 
-def runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def mask_runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Begin and length, (R,) int64, of each run of a mask (B,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return edges[::2], edges[1::2] - edges[::2]

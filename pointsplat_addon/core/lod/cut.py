@@ -9,24 +9,28 @@ Splats are counted per geometry as `hierarchy.splats` lays them out: N points in
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..numeric.linear import all_finite, largest_singular_value
+from ..numeric.linear import all_finite
 from ..numeric.segments import ranges
-from ..numeric.vectors import number
 from ..scene.camera import Camera
-from ..scene.cloud import PointCloud
-from ..splat.blur import BLURRED, IN_FOCUS, Blur
-from .hierarchy import Hierarchy
+from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
+from .criteria import (
+    Criteria,
+    InstanceViews,
+    _pick,
+    against_cone,
+    against_frustum,
+    blur_extent,
+    criteria_of,
+    instance_views,
+    within_tolerance,
+)
+from .node_table import NodeTable
 
-NEIGHBOURS = 3.0  # radii from a splat's middle to the farthest ends of those beside it
 CHUNK = 1 << 15  # nodes that are classified together, so that their working arrays stay in the cache
-BAND = 0.25  # octaves, see `staggered`: a fifth more nodes in the mean, on surfaces
-FLAT = 1e-12  # determinant over scale^3 below which a transform has no inverse worth using
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,73 +53,15 @@ class Cut:
         return self.nodes + self.points
 
 
-@dataclass(frozen=True, eq=False)
-class Forest:
-    """Of several geometries' nodes, one after the other, what a cut reads. Made once per set of hierarchies.
-
-    Columns are contiguous; `root` and `points` have a row for each geometry index up to the largest.
-    """
-
-    root: np.ndarray  # (G,) int64: the geometry's first node; -1 for a cloud without nodes
-    points: np.ndarray  # (G,) int64; 0 for geometries that are not drawn as points
-    origin: np.ndarray  # (G, 3) float64
-    first_child: np.ndarray  # (M,) int64, in the forest
-    child_count: np.ndarray  # (M,) uint8
-    first_point: np.ndarray  # (M,) int32
-    point_count: np.ndarray  # (M,) int32
-    center: np.ndarray  # (3, M) float32
-    normal: np.ndarray  # (3, M) float32
-    cone: np.ndarray  # (2, M) float32
-    sphere: np.ndarray  # (M,) float32
-    size: np.ndarray  # (M,) float32
-    smallest: np.ndarray  # (M,) float32
-    lot: np.ndarray  # (M,) float32 in [0, 1): each node's own, whatever else the forest holds
-
-
-def forest(hierarchies: Mapping[int, Hierarchy | PointCloud]) -> Forest:
-    """Hierarchies by geometry index. A PointCloud stands for one without nodes, which is always drawn whole."""
-    geometries = max(hierarchies, default=-1) + 1
-    root, points, origin = np.full(geometries, -1), np.zeros(geometries, np.int64), np.zeros((geometries, 3))
-    trees: list[Hierarchy] = []
-    base = 0
-    for geometry, entry in hierarchies.items():
-        cloud = entry if isinstance(entry, PointCloud) else entry.cloud
-        points[geometry], origin[geometry] = len(cloud), cloud.origin
-        if isinstance(entry, Hierarchy) and len(entry):
-            root[geometry] = base
-            base += len(entry)
-            trees.append(entry)
-    bases = np.cumsum([0, *(len(h) for h in trees)])[:-1]
-    first_child = [h.tree.first_child.astype(np.int64) + b for h, b in zip(trees, bases, strict=True)]
-
-    def joined(arrays: list[np.ndarray], dtype: type) -> np.ndarray:
-        return np.concatenate([np.empty((*arrays[0].shape[:-1], 0) if arrays else 0, dtype), *arrays], axis=-1)
-
-    return Forest(
-        root, points, origin,
-        first_child=joined(first_child, np.int64),
-        child_count=joined([h.tree.child_count for h in trees], np.uint8),
-        first_point=joined([h.tree.first_point for h in trees], np.int32),
-        point_count=joined([h.tree.point_count for h in trees], np.int32),
-        center=joined([h.center.T for h in trees], np.float32),
-        normal=joined([h.normal.T for h in trees], np.float32),
-        cone=joined([h.cone.T for h in trees], np.float32),
-        sphere=joined([h.sphere for h in trees], np.float32),
-        size=joined([h.size for h in trees], np.float32),
-        smallest=joined([h.smallest for h in trees], np.float32),
-        lot=joined([number(np.arange(len(h))) for h in trees], np.float32),
-    )  # fmt: skip
-
-
-def fully(points: np.ndarray, geometry: np.ndarray) -> Cut:
+def cut_of_all_points(points: np.ndarray, geometry: np.ndarray) -> Cut:
     """The cut of all points: `points` (G,) per geometry, `geometry` (I,) per instance. Needs no hierarchy."""
     count = np.asarray(points, np.int64)[geometry] if len(geometry) else np.empty(0, np.int64)
     instance = np.flatnonzero(count)
     return Cut(instance.astype(np.int32), np.zeros(len(instance), np.int64), count[instance], points=int(count.sum()))
 
 
-def select(
-    forest: Forest,
+def select_cut(
+    forest: NodeTable,
     geometry: np.ndarray,
     view_from_object: np.ndarray,
     camera: Camera,
@@ -142,14 +88,16 @@ def select(
     drawable &= all_finite(view_from_object) & view_from_object[:, :3, :3].any(axis=(1, 2))
     instance = np.flatnonzero(drawable)
     root = forest.root[place[instance]]
-    views = _views(view_from_object, forest.origin[place] if len(forest.root) else np.zeros((0, 3)), cull, drawable)
+    views = instance_views(
+        view_from_object, forest.origin[place] if len(forest.root) else np.zeros((0, 3)), cull, drawable
+    )
 
     found = _Found(forest, place)
     bare = instance[root < 0]
     found.add_points(bare, np.zeros(len(bare), np.int64), forest.points[place[bare]])
     instance, node = instance[root >= 0], root[root >= 0]
     inside = np.zeros(len(node), bool)
-    lens = replace(lens_of(camera, tolerance, margin), band=band, blur=blur, wanted=wanted)
+    lens = replace(criteria_of(camera, tolerance, margin), band=band, blur=blur, wanted=wanted)
     while len(node):
         pieces = [
             _step(forest, views, lens, instance[i : i + CHUNK], node[i : i + CHUNK], inside[i : i + CHUNK], found)
@@ -159,83 +107,10 @@ def select(
     return found.cut()
 
 
-@dataclass(frozen=True)
-class Lens:
-    """The camera as the tests need it."""
-
-    planes: np.ndarray  # (6, 4) float64, view space: a sphere is outside where plane . (p, 1) < -radius
-    perspective: bool
-    near: float
-    limit: float  # tolerance over twice the focal length: projected half size over distance
-    tolerance: float
-    band: float = 0.0  # octaves by which nodes' limits lie below that, each by its own share of them
-    blur: Blur | None = None
-    wanted: str = "ALL"  # where there is a blur: ALL, BLURRED or SHARP
-
-    def disk(self, depth: np.ndarray) -> np.ndarray:
-        """World units: radius of the disks of confusion at these depths."""
-        assert self.blur is not None
-        per_pixel = 2 * self.limit / self.tolerance
-        return self.blur.radius(depth) * per_pixel * (np.abs(depth) if self.perspective else 1.0)
-
-
-@dataclass(frozen=True)
-class _Views:
-    """Per instance, in columns."""
-
-    matrix: np.ndarray  # (3, 4, I) float64, view from points relative to the cloud's origin
-    scale: np.ndarray  # (I,) float64: largest singular value
-    culls: np.ndarray  # (I,) bool
-    eye: np.ndarray  # (3, I) float64, relative to the cloud's origin; only where `culls`
-    forward: np.ndarray  # (3, I) float64, unit, in object space; only where `culls`
-
-
-def lens_of(camera: Camera, tolerance: float, margin: float) -> Lens:
-    """Frustum planes (Gribb and Hartmann 2001) of the window, from the rows of clip_from_view."""
-    x, y, z, w = camera.clip_from_view
-    (width, height), (x0, y0, across, up) = camera.resolution, camera.window
-    planes = np.stack([
-        x - (2 * (x0 - margin) / width - 1) * w,
-        (2 * (x0 + across + margin) / width - 1) * w - x,
-        y - (2 * (y0 - margin) / height - 1) * w,
-        (2 * (y0 + up + margin) / height - 1) * w - y,
-        z + w,
-        w - z,
-    ])  # fmt: skip
-    length = np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
-    # A far plane at infinity has no direction and excludes nothing.
-    planes = np.where(length > 1e-12, planes / np.maximum(length, 1e-300), [0.0, 0.0, 0.0, np.inf])
-    fx, fy, _, _ = camera.pixel_from_view()
-    return Lens(planes, camera.perspective, max(camera.near, 0.0), tolerance / (2 * max(abs(fx), abs(fy))), tolerance)
-
-
-def staggered(tolerance: float) -> float:
-    """Octaves of projected size over which the nodes of one level give way to their children. Of a surface that faces
-    the camera all of them would otherwise do so in one frame, and be seen to where they are wider than a pixel; what is
-    not changes unseen, and gets no more nodes than it needs."""
-    return BAND * min(math.log2(max(tolerance, 1.0)), 1.0)
-
-
-def _views(view_from_object: np.ndarray, origin: np.ndarray, cull: np.ndarray | None, use: np.ndarray) -> _Views:
-    matrix = np.where(use[:, None, None], view_from_object[:, :3], 0.0)
-    linear = matrix[:, :, :3]
-    matrix[:, :, 3] += np.einsum("kij,kj->ki", linear, origin) if len(origin) else 0.0
-    scale = largest_singular_value(linear)
-    flat = np.abs(np.linalg.det(linear)) <= FLAT * scale**3
-    culls = np.zeros(len(scale), bool) if cull is None else np.asarray(cull, bool) & ~flat
-    eye, forward = np.zeros((3, len(scale))), np.zeros((3, len(scale)))
-    if culls.any():
-        inverse = np.linalg.inv(linear[culls])
-        eye[:, culls] = -np.einsum("kij,kj->ik", inverse, matrix[culls, :, 3])
-        backward = inverse[:, :, 2].T
-        forward[:, culls] = -backward / np.linalg.norm(backward, axis=0)
-    return _Views(np.ascontiguousarray(matrix.transpose(1, 2, 0)), scale, culls, eye, forward)
-
-
 class _Found:
     """Collects what is drawn and makes the cut of it."""
 
-    def __init__(self, forest: Forest, geometry: np.ndarray) -> None:
+    def __init__(self, forest: NodeTable, geometry: np.ndarray) -> None:
         self.forest, self.geometry = forest, geometry
         self.instance, self.first, self.count = [], [], []
         self.nodes = self.points = self.culled = 0
@@ -278,9 +153,9 @@ def _merge(instance: np.ndarray, first: np.ndarray, count: np.ndarray) -> tuple[
 
 
 def _step(
-    forest: Forest,
-    views: _Views,
-    lens: Lens,
+    forest: NodeTable,
+    views: InstanceViews,
+    lens: Criteria,
     instance: np.ndarray,
     node: np.ndarray,
     inside: np.ndarray,
@@ -297,21 +172,23 @@ def _step(
     reach = sphere * view.scale
 
     # What is out of view or faces away is left out; `safe` are nodes of which no part can be.
-    away, least, most = _confusion(lens, position, reach)
+    away, least, most = blur_extent(lens, position, reach)
     gone, inside = against_frustum(lens, position, reach + away, inside)
     safe = inside
     if lens.blur is not None:
-        outside = {"BLURRED": most <= IN_FOCUS, "SHARP": least >= BLURRED}.get(lens.wanted)
+        outside = {"BLURRED": most <= IN_FOCUS, "SHARP": least >= OUT_OF_FOCUS}.get(lens.wanted)
         if outside is not None:
-            gone, safe = gone | outside, inside & (most < BLURRED)
+            gone, safe = gone | outside, inside & (most < OUT_OF_FOCUS)
     if view.culls.any():
-        away, toward = _against_cone(forest, view, lens, node, center, sphere)
+        away, toward = against_cone(forest, view, lens, node, center, sphere)
         gone, safe = gone | away, inside & toward
     count = forest.point_count.take(node)
     found.culled += int(count[gone].sum(dtype=np.int64))
 
     # A node small enough is drawn; one whose descendants are all too large shows all its points, as do leaves.
-    small, large = _projected(forest, lens, node, position, forest.size.take(node) * view.scale, reach, view.scale)
+    small, large = within_tolerance(
+        forest, lens, node, position, forest.size.take(node) * view.scale, reach, view.scale
+    )
     drawn = ~gone & small & (count > 1)
     children = forest.child_count.take(node)
     whole = ~gone & ~drawn & ((children == 0) | (safe & large))
@@ -325,106 +202,3 @@ def _step(
         ranges(forest.first_child.take(node[rest]), children),
         np.repeat(inside[rest], children),
     )
-
-
-def _pick(views: _Views, instance: np.ndarray) -> _Views:
-    """The views of a frontier's nodes; columns of length one where there is but one instance."""
-    if len(views.scale) == 1:
-        return views
-    culls = views.culls.take(instance)
-    use = instance if culls.any() else instance[:0]
-    return _Views(
-        views.matrix.take(instance, axis=2), views.scale.take(instance), culls,
-        views.eye.take(use, axis=1), views.forward.take(use, axis=1),
-    )  # fmt: skip
-
-
-def against_frustum(
-    lens: Lens, position: np.ndarray, reach: np.ndarray, inside: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which balls lie outside one of the planes, and which lie inside all of them."""
-    gone, inside = np.zeros(len(inside), bool), inside.copy()
-    check = np.flatnonzero(~inside)
-    if len(check):
-        p, r = position.take(check, axis=1), reach.take(check)
-        nearest = np.full(len(check), np.inf)
-        for a, b, c, d in lens.planes:
-            np.minimum(nearest, a * p[0] + b * p[1] + c * p[2] + d, out=nearest)
-        gone[check], inside[check] = nearest < -r, nearest >= r
-    return gone, inside
-
-
-def _confusion(
-    lens: Lens, position: np.ndarray, reach: np.ndarray
-) -> tuple[np.ndarray | float, np.ndarray, np.ndarray]:
-    """How far balls reach beyond themselves where they are blurred, in world units, and the least and the greatest
-    radius in pixels of their disks of confusion."""
-    if lens.blur is None:
-        return 0.0, np.empty(0), np.empty(0)
-    # Surfaces are rebuilt from splats together with their neighbours: what is in focus needs those that are not.
-    near, far = _depths(lens, position, reach * (NEIGHBOURS if lens.wanted == "SHARP" else 1.0))
-    least, most = lens.blur.bounds(near, far)
-    return np.maximum(lens.disk(near), lens.disk(far)) if lens.wanted != "SHARP" else 0.0, least, most
-
-
-def _depths(lens: Lens, position: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of balls, as far as they may be seen."""
-    depth = -position[2]
-    if not lens.perspective:
-        return depth - reach, depth + reach
-    return np.maximum(depth - reach, lens.near), np.maximum(depth + reach, lens.near)
-
-
-def _against_cone(
-    forest: Forest, view: _Views, lens: Lens, node: np.ndarray, center: np.ndarray, sphere: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which nodes face away as a whole, and which face the eye as a whole (all, where nothing is culled).
-
-    In object space, since affine maps keep the sign of n . (eye - p). With phi the angle of the cone's axis
-    to the ray, theta the cone's and beta the ball's half-angle: all of it faces away if
-    phi + theta + beta <= 90 degrees.
-    """
-    cosine, sine = forest.cone.take(node, axis=1).astype(np.float64)
-    normal = forest.normal.take(node, axis=1)
-    if lens.perspective:
-        ray = center - view.eye
-        tangent = np.sqrt(np.maximum((ray**2).sum(axis=0) - sphere.astype(np.float64) ** 2, 0))
-        along = (normal * ray).sum(axis=0)
-        least = sine * tangent + cosine * sphere
-        narrow = (tangent > 0) & (cosine * np.hypot(tangent, sphere) >= sphere)
-    else:
-        along, least, narrow = (normal * view.forward).sum(axis=0), sine, cosine >= 0
-    return view.culls & narrow & (along >= least), ~view.culls | (narrow & (along <= -least))
-
-
-def _projected(
-    forest: Forest,
-    lens: Lens,
-    node: np.ndarray,
-    position: np.ndarray,
-    size: np.ndarray,
-    reach: np.ndarray,
-    scale: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which nodes are at most as large as their share of the tolerance, and of which all descendants exceed all of it.
-
-    The picture of a ball of radius r whose center has depth z and distance D is longest along the radius from
-    the picture's center: f (tan(theta + beta) - tan(theta - beta)) = 2 f r sqrt(D^2 - r^2) / (z^2 - r^2).
-    Nodes that reach before the near plane have no size there, and are refined.
-    """
-    smallest = forest.smallest.take(node) * scale
-    limit = lens.limit
-    if lens.blur is not None and lens.wanted != "SHARP":
-        # Nodes of all sizes may be drawn, where the blur allows it.
-        smallest = np.zeros(len(node))
-        least, _ = lens.blur.bounds(*_depths(lens, position, size))
-        limit = limit * (lens.blur.widest(least, lens.tolerance) / lens.tolerance)
-    limit = limit * 2.0 ** (-lens.band * forest.lot.take(node)) if lens.band > 0 else limit
-    if not lens.perspective:
-        return size <= limit, smallest > lens.limit
-    z = -position[2]
-    squares = z * z - size * size
-    distance = position[0] ** 2 + position[1] ** 2 + squares
-    small = (z - size > lens.near) & (size * np.sqrt(np.maximum(distance, 0)) <= limit * squares)
-    # No descendant is deeper than the ball's far side, and none projects smaller than r / z.
-    return small, smallest > lens.limit * np.maximum(z + reach, 0)

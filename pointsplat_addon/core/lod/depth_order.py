@@ -23,9 +23,9 @@ from .cut import Cut
 from .hierarchy import Hierarchy
 
 BUCKETS = 1 << 16  # of each table: what a pass over 16-bit keys tells apart
-FARTHEST = 1e300  # depths beyond it are taken for infinite, so that differences stay finite
+MAX_DEPTH = 1e300  # depths beyond it are taken for infinite, so that differences stay finite
 OPAQUE_SLICES = 1 / 16  # of the smallest splat: one of two opaque ones hides the other, and has to be the right one
-THINNEST = 1e-300  # a slice: quotients by it keep their digits
+MIN_THICKNESS = 1e-300  # a slice: quotients by it keep their digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +44,12 @@ def back_to_front(depth: np.ndarray, smallest: float) -> Slices:
     positive. NaN and infinite depths are left out. Slice s holds the depths from which the farthest one is
     [s, s + 1) thicknesses away.
     """
-    finite = np.abs(depth) <= min(FARTHEST, float(np.finfo(depth.dtype).max))
+    finite = np.abs(depth) <= min(MAX_DEPTH, float(np.finfo(depth.dtype).max))
     rows = None if finite.all() else np.flatnonzero(finite)
     if rows is not None:
         depth = depth.take(rows)
     if len(depth) == 0:
-        return Slices(np.empty(0, np.int64), np.empty(0, np.uint32), THINNEST)
+        return Slices(np.empty(0, np.int64), np.empty(0, np.uint32), MIN_THICKNESS)
     number, thickness = _number(depth, smallest)
     index = np.argsort((number & (BUCKETS - 1)).astype(np.uint16), kind="stable")
     if int(number.max()) >= BUCKETS:
@@ -62,7 +62,7 @@ def _number(depth: np.ndarray, smallest: float) -> tuple[np.ndarray, float]:
     """The slice (N,) uint32 of finite depths, and the thickness of slices."""
     farthest = float(depth.max())
     extent = farthest - float(depth.min())
-    thickness = max(extent / (BUCKETS**2 - 1), smallest if smallest > 0 else 0.0, THINNEST)
+    thickness = max(extent / (BUCKETS**2 - 1), smallest if smallest > 0 else 0.0, MIN_THICKNESS)
     return (np.subtract(farthest, depth, dtype=np.float64) / thickness).astype(np.uint32), thickness
 
 
@@ -86,7 +86,7 @@ class Order:
         return bool(turned * self.radius > self.thickness) or not _same(cut, self.cut)
 
 
-def sort(
+def sort_cut(
     cut: Cut,
     geometries: Mapping[int, Hierarchy | PointCloud],
     geometry: np.ndarray,

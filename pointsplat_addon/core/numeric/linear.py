@@ -35,3 +35,28 @@ def all_finite(matrix: np.ndarray) -> np.ndarray:
     numbers = math.prod(matrix.shape[1:])
     with np.errstate(invalid="ignore"):
         return np.asarray(matrix.reshape(-1, numbers) @ np.zeros(numbers) == 0)
+
+
+def outer_product(a: np.ndarray) -> np.ndarray:
+    x, y, z = a
+    return np.stack([x * x, x * y, x * z, y * y, y * z, z * z])
+
+
+def principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Last and first principal axis and the half-axes (major, middle, minor) of covariances (6, n), float32."""
+    matrix = covariance[[0, 1, 2, 1, 3, 4, 2, 4, 5]].T.reshape(-1, 3, 3)
+    scale = np.maximum(np.abs(matrix).max(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
+    variance, vectors = np.linalg.eigh(matrix / scale)
+    radii = 2 * np.sqrt(np.maximum(variance[:, ::-1], 0) * scale[:, :, 0])
+    normal, axis = vectors[:, :, 0], vectors[:, :, 2]
+    return normal.T.astype(np.float32), axis.T.astype(np.float32), radii.T.astype(np.float32)
+
+
+def bilinear_form(matrix: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a^T M b for symmetric matrices (6, n)."""
+    xx, xy, xz, yy, yz, zz = matrix
+    return (
+        a[0] * (xx * b[0] + xy * b[1] + xz * b[2])
+        + a[1] * (xy * b[0] + yy * b[1] + yz * b[2])
+        + a[2] * (xz * b[0] + yz * b[1] + zz * b[2])
+    )

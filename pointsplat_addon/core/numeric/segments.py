@@ -1,28 +1,51 @@
-"""TODO: say what this module is."""
+"""Arithmetic on consecutive segments of an array, given by how many elements each segment has.
+
+With counts [2, 0, 3], the starts are [0, 2, 2], the offsets [0, 2, 2, 5], the owners [0, 0, 2, 2, 2] and the ranks
+[0, 1, 0, 1, 2].
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import DTypeLike
+
+Counts = np.ndarray | Sequence[int]
 
 
-def starts(count: np.ndarray) -> np.ndarray:
-    """Exclusive prefix sums, int64: where each of consecutive segments begins."""
-    begin = np.zeros(len(count), np.int64)
-    np.cumsum(count[:-1], out=begin[1:])
-    return begin
+def starts(count: Counts) -> np.ndarray:
+    """(S,) int64: index at which each segment begins (exclusive prefix sums of `count`, (S,) integers)."""
+    return offsets(count)[:-1]
 
 
-def ranges(first: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """The integers first[i] ... first[i] + count[i] - 1 of every i, one after the other, int64."""
-    index = np.repeat(first - starts(count), count)
-    index += np.arange(len(index))
+def offsets(count: Counts) -> np.ndarray:
+    """(S + 1,) int64: index at which each segment begins, then the total of `count` (S,)."""
+    result = np.zeros(len(count) + 1, np.int64)
+    if len(count):
+        np.cumsum(count, out=result[1:])
+    return result
+
+
+def owners(count: Counts, dtype: DTypeLike = np.int64) -> np.ndarray:
+    """(count.sum(),): index of the segment that each element belongs to."""
+    return np.repeat(np.arange(len(count), dtype=dtype), count)
+
+
+def ranks(count: Counts) -> np.ndarray:
+    """(count.sum(),) int64: index of each element within its segment."""
+    return ranges(np.zeros(len(count), np.int64), count)
+
+
+def ranges(first: np.ndarray, count: Counts, dtype: DTypeLike = np.int64) -> np.ndarray:
+    """(count.sum(),): the integers first[i], ..., first[i] + count[i] - 1 of every segment i, one after the other."""
+    index = np.repeat((first - starts(count)).astype(dtype, copy=False), count)
+    index += np.arange(len(index), dtype=dtype)
     return index
 
 
-def runs(count: np.ndarray, most: int) -> Iterator[tuple[int, int]]:
-    """Cut consecutive segments into runs (a, b) that hold at most `most` elements, or one segment."""
+def batches(count: np.ndarray, most: int) -> Iterator[tuple[int, int]]:
+    """Yields ranges (a, b) of consecutive segments that hold at most `most` elements together, or one segment."""
     end = np.cumsum(count)
     a = 0
     while a < len(count):

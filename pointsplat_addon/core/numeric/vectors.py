@@ -44,6 +44,11 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return result
 
 
+def lengths(a: np.ndarray) -> np.ndarray:
+    """Euclidean lengths (n,) of vectors (3, n); zeros where there are no coordinates, (0, n)."""
+    return np.sqrt(dot(a, a)) if len(a) else np.zeros(a.shape[1])
+
+
 def clip(start: np.ndarray, stop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Parameters in [0, 1] at which segments enter and leave the intersection of half-spaces (Liang and Barsky).
 
@@ -60,3 +65,22 @@ def number(row: np.ndarray) -> np.ndarray:
     """(I,) float64 in [0, 1), the same for the same integer: multiples of the golden ratio, modulo 1. Of any run of
     integers, as of the instances that stand in one place, those below a bound are as many as they should be."""
     return (np.asarray(row).astype(np.uint32) * np.uint32(0x9E3779B9)) / 2.0**32
+
+
+def basis(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors that make a right-handed frame with the unit vectors n (3, ...) (Duff et al. 2017)."""
+    x, y, z = n
+    sign = np.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return np.stack([1.0 + sign * x * x * a, sign * b, -sign * x]), np.stack([b, sign + y * y * a, -y])
+
+
+def as_rows(array: np.ndarray, which: slice) -> np.ndarray:
+    """(n,) or (n, k) to (k, n)."""
+    return array[which].reshape(-1, int(np.prod(array.shape[1:]))).T
+
+
+def as_columns(rows: np.ndarray) -> np.ndarray:
+    """(k, n) to (n, k) float32."""
+    return np.ascontiguousarray(rows.T, np.float32)

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..numeric.vectors import dot
+
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -29,3 +31,32 @@ class Mesh:
         arrays = [self.position, self.triangles, self.vertex_normal, self.corner_normal, self.material]
         arrays += [*self.uv.values(), *self.colors.values()]
         return sum(a.nbytes for a in arrays if a is not None)
+
+
+def triangle_corners(mesh: Mesh, rows: np.ndarray | slice, origin: np.ndarray | float = 0.0) -> np.ndarray:
+    """(3 corners, 3 coordinates, n) float64 of the triangles that `rows` selects, relative to `origin`."""
+    triangles = mesh.triangles[rows] if isinstance(rows, slice) else mesh.triangles.take(rows, axis=0)
+    corners = np.empty((3, 3, len(triangles)))
+    for corner, vertex in zip(corners, triangles.T, strict=True):
+        copy_to_rows(mesh.position.take(vertex, axis=0), corner)
+    if np.any(origin):
+        corners -= np.asarray(origin, np.float64).reshape(-1, 1)
+    return corners
+
+
+def copy_to_rows(values: np.ndarray, out: np.ndarray) -> None:
+    """(n, C) into (C, n). NumPy copies a whole transposed array several times more slowly."""
+    for row, column in zip(out, values.T, strict=True):
+        row[:] = column
+
+
+def copy_to_columns(values: np.ndarray, out: np.ndarray) -> None:
+    """(C, n) into (n, C)."""
+    for column, row in zip(out.T, values, strict=True):
+        column[:] = row
+
+
+def squared_edges(corners: np.ndarray) -> np.ndarray:
+    """(3, n) squared lengths of the edges opposite corners 0, 1 and 2."""
+    edges = [corners[2] - corners[1], corners[0] - corners[2], corners[1] - corners[0]]
+    return np.stack([dot(e, e) for e in edges])

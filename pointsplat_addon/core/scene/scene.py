@@ -14,7 +14,7 @@ from .cloud import PointCloud
 from .lights import Light
 from .materials import MaterialTable
 from .mesh import Mesh
-from .strands import Lines
+from .strands import Strands
 from .volume import Volume
 from .world import Mist, World
 
@@ -28,7 +28,7 @@ class Geometry:
     mesh: Mesh | None = None
     cloud: PointCloud | None = None
     volume: Volume | None = None
-    lines: Lines | None = None
+    strands: Strands | None = None
     primitive: str = "AUTO"  # one of PRIMITIVES
     spacing: float = 0.0  # distance between samples in object units; 0 chooses
     lattice: str = ""  # clouds of equal keys and attributes have the same points and half-axes; "": no other does

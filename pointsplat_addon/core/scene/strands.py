@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class Strands:
     """Strands of one object, in object space: P points in S strands, one after another.
 
     A strand without normals is a tube, which is round; one with normals is a ribbon, flat and two-sided, as wide as the
@@ -40,8 +40,3 @@ class Lines:
         arrays = (self.position, self.start, self.radius, self.normal, self.color, self.surface, self.emission, self.uv,
                   self.material)  # fmt: skip
         return sum(a.nbytes for a in arrays if a is not None)
-
-
-def owners(start: np.ndarray) -> np.ndarray:
-    """(P,) int64: the strand of each point."""
-    return np.repeat(np.arange(len(start) - 1), np.diff(start))

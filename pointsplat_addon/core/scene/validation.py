@@ -6,15 +6,17 @@ Points, triangles and strands are looked through where they are prepared.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from ..numeric.vectors import cross, dot, each_block
 from .camera import Camera
 from .cloud import FARTHEST
 from .lights import Light
 from .materials import MaterialTable, default_materials
+from .mesh import Mesh, squared_edges, triangle_corners
 from .scene import Instances, Scene
 from .world import World
 
@@ -142,3 +144,94 @@ def _within(value: np.ndarray | float, low: float, high: float) -> bool:
     """Whether all lie within the range; NaN lies in none."""
     array = np.asarray(value)
     return array.size == 0 or bool(array.min() >= low and array.max() <= high)
+
+
+SMALLEST, LARGEST = 1e-18, 1e18  # edge length and coordinate whose squares float32 still holds
+
+
+@dataclass(frozen=True)
+class DroppedCounts:
+    """Triangles that are not drawn, by reason. Each is counted once, under the first reason that holds."""
+
+    bad_index: int = 0  # a corner refers to no vertex
+    non_finite: int = 0  # a corner holds a NaN or an infinity
+    huge: int = 0  # a coordinate beyond LARGEST
+    tiny: int = 0  # all edges below SMALLEST
+    degenerate: int = 0  # no area, or a height that is rounding noise
+
+    @property
+    def total(self) -> int:
+        return self.bad_index + self.non_finite + self.huge + self.tiny + self.degenerate
+
+    def message(self, name: str) -> str:
+        """One warning that names the object, or "" where nothing was dropped."""
+        reasons = {
+            "with an index out of range": self.bad_index,
+            "with NaN or infinite coordinates": self.non_finite,
+            "too large": self.huge,
+            "too small": self.tiny,
+            "without area": self.degenerate,
+        }
+        parts = [f"{count} {reason}" for reason, count in reasons.items() if count]
+        if not parts:
+            return ""
+        noun = "triangle is" if self.total == 1 else "triangles are"
+        return f"{name}: {self.total} {noun} not drawn ({', '.join(parts)})"
+
+
+def valid_triangles(mesh: Mesh) -> tuple[np.ndarray, DroppedCounts]:
+    """Which triangles can be drawn, (T,) bool, and how many were dropped for which reason.
+
+    A triangle is degenerate when a quarter of the spacing of float32 numbers, at its corner opposite the longest
+    edge and along each coordinate axis, is enough to flatten it. Needles that are exactly representable stay,
+    whatever their aspect ratio; so do triangles a few such spacings large, far from the origin.
+    """
+    triangles, vertices = mesh.triangles, len(mesh.position)
+    count = len(triangles)
+    ok = np.ones(count, bool)
+    if count == 0:
+        return ok, DroppedCounts()
+    if triangles.min() < 0 or triangles.max() >= vertices:
+        ok &= ((triangles >= 0) & (triangles < vertices)).all(axis=1)
+    bad_index = count - int(np.count_nonzero(ok))
+
+    dropped: list[list[int]] = []  # appending is safe from any thread
+
+    def look(block: slice) -> None:
+        rows = np.arange(block.start, block.stop)[ok[block]] if bad_index else block
+        corners = triangle_corners(mesh, rows)
+        extent = np.abs(corners).max(axis=0)  # per coordinate; NaN spreads
+        largest = extent.max(axis=0)
+        finite = np.isfinite(largest)
+        small = largest <= LARGEST
+        with np.errstate(invalid="ignore", over="ignore"):
+            squared = squared_edges(corners)
+            long_enough = squared.max(axis=0) >= SMALLEST**2
+            flat = _degenerate(corners, squared, extent)
+        kinds = ~finite, finite & ~small, small & ~long_enough, small & long_enough & flat
+        dropped.append([int(np.count_nonzero(kind)) for kind in kinds])
+        ok[rows] = small & long_enough & ~flat
+
+    each_block(count, look)
+    return ok, DroppedCounts(bad_index, *(sum(kind) for kind in zip(*dropped, strict=True)))
+
+
+def _degenerate(corners: np.ndarray, squared: np.ndarray, extent: np.ndarray) -> np.ndarray:
+    """(n,) bool: moving the apex by a quarter of a float32 spacing flattens the triangle."""
+    normal = cross(corners[1] - corners[0], corners[2] - corners[0])
+    longest = squared.max(axis=0)
+    # Most triangles are far from flat. The cross product of a shift and the base is at most shift times base.
+    shift = 0.25 * np.finfo(np.float32).eps * extent.max(axis=0)
+    flat = ~(dot(normal, normal) > 9 * shift * shift * longest)
+    rows = np.flatnonzero(flat)
+    if len(rows):
+        corners, extent, normal = corners[:, :, rows], extent[:, rows], normal[:, rows]
+        apex = squared[:, rows].argmax(axis=0)
+        every = np.arange(len(rows))
+        base = np.abs(corners[(apex + 2) % 3, :, every] - corners[(apex + 1) % 3, :, every]).T
+        shift = 0.25 * np.finfo(np.float32).eps * extent
+        noise = np.stack(
+            [shift[(c + 1) % 3] * base[(c + 2) % 3] + shift[(c + 2) % 3] * base[(c + 1) % 3] for c in (0, 1, 2)]
+        )
+        flat[rows] = (np.abs(normal) <= noise).all(axis=0)
+    return flat

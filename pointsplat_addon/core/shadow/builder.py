@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numeric import segments
 from ..numeric.vectors import cross
 from ..scene.lights import Light
 from ..splat.kernel import SUPPORT
@@ -77,9 +78,9 @@ class _Rows:
         self.low = np.array([g.low for g in grids], np.float32)
         self.step = np.array([g.step for g in grids], np.float32)
         self.height = np.array([len(g.count) for g in grids])
-        self.base = (np.cumsum(self.height) - self.height).astype(np.int32)  # (G,) first row of each grid
+        self.base = segments.starts(self.height).astype(np.int32)  # (G,) first row of each grid
         cells = np.array([g.cells for g in grids])
-        self.cell_base = np.cumsum(cells) - cells  # (G,) first cell of each grid
+        self.cell_base = segments.starts(cells)  # (G,) first cell of each grid
         if cells.sum() >= 2**31:
             raise ValueError(f"a shadow table of {frame.rows} rows has too many cells for 32-bit links")
         self.first = np.concatenate([g.first + b for g, b in zip(grids, self.cell_base, strict=True)]).astype(np.int32)
@@ -346,8 +347,8 @@ def _levels(rows: _Rows, blocks: Sequence[_Block], wide: bool) -> Iterator[Level
     if not runs:
         return
     occupied, counts = _joined([run[:2] for run in runs])
-    starts = np.concatenate([[0], np.cumsum(counts)])
-    run_starts = np.cumsum([0, *(len(run[2]) for run in runs)])
+    starts = segments.offsets(counts)
+    run_starts = segments.offsets([len(run[2]) for run in runs])
     for k, (grid, base) in enumerate(zip(rows.grids, rows.cell_base, strict=True)):
         low, high = np.searchsorted(occupied, [base, base + grid.cells])
         if low == high:
@@ -374,7 +375,7 @@ def _sorted_runs(blocks: Sequence[_Block]) -> Iterator[tuple[np.ndarray, np.ndar
     shift = max(last.bit_length() - GROUPS, 0)
     size = (last >> shift) + 1
     count = sum((np.bincount(cell >> shift, minlength=size) for cell, _, _ in blocks), np.zeros(size, np.int64))
-    run_of_group = ((np.cumsum(count) - count) // max(RUN, entries >> 15)).astype(np.uint16)
+    run_of_group = (segments.starts(count) // max(RUN, entries >> 15)).astype(np.uint16)
     runs = int(run_of_group[-1]) + 1
     ends = np.empty((len(blocks), runs), np.int64)
     for block, end in zip(blocks, ends, strict=True):
@@ -482,4 +483,4 @@ def _masks(occupied: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
     words = -(-cells // TEXEL)
     mask = np.bincount(occupied // WORD, weights=2.0 ** (occupied % WORD), minlength=3 * words).astype(np.int32)
     count = np.bincount(occupied // TEXEL, minlength=words)
-    return (np.cumsum(count) - count).astype(np.int32), mask.reshape(words, 3)
+    return segments.starts(count).astype(np.int32), mask.reshape(words, 3)

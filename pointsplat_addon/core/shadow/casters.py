@@ -7,10 +7,12 @@ from functools import cached_property, reduce
 
 import numpy as np
 
+from ..numeric.segments import owners, ranks
 from ..numeric.vectors import cross, each_block
 from ..scene.cloud import PointCloud
 from ..scene.lights import Light
-from ..strand.selection import Strands, lengths_scale
+from ..strand.levels import StrandLevels
+from ..strand.projection import tube_radius_scale
 
 OPAQUE_DEPTH = 100.0  # optical depth that stands for no light at all
 KINDS = ("OPAQUE", "SHELL", "VOLUME")
@@ -180,7 +182,7 @@ class Pieces:
             shown /= np.maximum(self.radius, np.float32(1e-30))
         area = 2 * self.radius * self.length * shown
         across = np.clip(np.ceil(2 * self.radius / np.float32(self.step)), 1, MOST_ACROSS).astype(np.int64)
-        which, number = _numbered(across)
+        which, number = owners(across), ranks(across)
         off = (2 * number + 1) / across[which] - 1
         position = self.position[which] + off[:, None].astype(np.float32) * side[which]
         # What is wide is closed, as a surface: there balls cover the cells that they stand for.
@@ -191,7 +193,7 @@ class Pieces:
         return Casters("OPAQUE", self.origin, position, radius).take(np.flatnonzero(radius > 0))
 
 
-def pieces(strands: Strands, world_from_object: np.ndarray, step: float) -> Pieces:
+def pieces(strands: StrandLevels, world_from_object: np.ndarray, step: float) -> Pieces:
     """Strands of an instance, (4, 4) float64, in pieces of at most `step` object units."""
     last = np.ones(len(strands), bool)
     last[strands.start[1:] - 1] = False
@@ -200,11 +202,11 @@ def pieces(strands: Strands, world_from_object: np.ndarray, step: float) -> Piec
     linear = np.asarray(world_from_object[:3, :3], float)
     axis = strands.position[b] - strands.position[a]
     count = np.maximum(np.ceil(np.linalg.norm(axis, axis=1) / np.float32(step)), 1).astype(np.int64)
-    which, number = _numbered(count)
+    which, number = owners(count), ranks(count)
     part = ((number + 0.5) / count[which]).astype(np.float32)
     first, second = a[which], b[which]
     turn = linear.T.astype(np.float32)
-    scale = np.float32(lengths_scale(world_from_object[None])[0])
+    scale = np.float32(tube_radius_scale(world_from_object[None])[0])
     along = axis[which] @ turn
     length = np.linalg.norm(along, axis=1)
     along /= np.maximum(length, np.float32(1e-30))[:, None]
@@ -220,9 +222,3 @@ def pieces(strands: Strands, world_from_object: np.ndarray, step: float) -> Piec
     origin = linear @ strands.origin + world_from_object[:3, 3]
     length /= count[which].astype(np.float32)
     return Pieces(origin, position, along, side, radius, length, max(step * float(scale), 1e-30))
-
-
-def _numbered(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(E,) int64 each: rows of `count`, each as often as it says, and a number from 0 on within each."""
-    which = np.repeat(np.arange(len(count)), count)
-    return which, np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..numeric.segments import starts
 from ..scene.lights import Light
 from .casters import CHUNK, Casters
 
@@ -100,7 +101,7 @@ def cell_grids(frame: Frame, coarser: float) -> list[Grid]:
             density = shrink / step
             column0 = np.floor(frame.low[1] * density).astype(np.int64) - 1
             columns = np.ceil(frame.high[1] * density).astype(np.int64) + 2 - column0
-        first = np.cumsum(columns) - columns
+        first = starts(columns)
         grids.append(Grid(low, step, column0, columns, density.astype(np.float32), first, frame.full))
     return grids
 

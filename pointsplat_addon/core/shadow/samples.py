@@ -6,14 +6,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..lod.foliage import LOOSE, leafy
+from ..lod.foliage import FOLIAGE_VERTICES, is_foliage
 from ..material.graph import needs
 from ..numeric.vectors import blocks, cross, dot
+from ..scene.bounds import mesh_centre
 from ..scene.cloud import PointCloud, finite
 from ..scene.materials import MaterialTable
 from ..scene.mesh import Mesh
-from ..surface import sampling
 from ..surface.appearance import graphs_of, passing, point_cloud
+from ..surface.evaluation import Evaluated, evaluate
+from ..surface.samples import Samples
+from ..surface.sampling import choose_method, sample_mesh
+from ..surface.spacing import limit_spacing
+from ..surface.triangles import Measures, measure_triangles, used_vertices
 from .casters import typical
 
 MANY = 1 << 17  # triangles: of fewer, samples cost little
@@ -27,7 +32,7 @@ PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 class Outline:
     """What one look at all triangles of a mesh tells."""
 
-    valid: np.ndarray  # (T,) bool, see sampling.validate; the rest counts valid triangles alone
+    valid: np.ndarray  # (T,) bool, see validate; the rest counts valid triangles alone
     low: np.ndarray  # (3,) float64, corners of their box, object space
     high: np.ndarray  # (3,) float64
     area: np.ndarray  # (T,) float64
@@ -44,7 +49,7 @@ class Outline:
 
 
 def outline(mesh: Mesh, valid: np.ndarray) -> Outline:
-    """The outline of a mesh; `valid` (T,) bool is what sampling.validate returned."""
+    """The outline of a mesh; `valid` (T,) bool is what validate returned."""
     rows = np.flatnonzero(valid)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     area, longest = np.zeros(len(valid)), np.zeros(len(valid), np.float32)
@@ -76,10 +81,12 @@ def places(mesh: Mesh, outline: Outline) -> np.ndarray:
 def leaves(mesh: Mesh, outline: Outline) -> bool:
     """Whether a mesh is of leaves or blades: of triangles with open edges."""
     count = np.count_nonzero(outline.valid)
-    return bool(len(mesh.position) >= LOOSE * count) and leafy(mesh.position, mesh.triangles[outline.valid])
+    return bool(len(mesh.position) >= FOLIAGE_VERTICES * count) and is_foliage(
+        mesh.position, mesh.triangles[outline.valid]
+    )
 
 
-def _fitted(evaluated: sampling.Evaluated, samples: sampling.Samples, area: np.ndarray) -> sampling.Evaluated:
+def _fitted(evaluated: Evaluated, samples: Samples, area: np.ndarray) -> Evaluated:
     """The disks of each triangle with its `area` (T,) in all.
 
     They would else reach over the edges of leaves, which close no surface, and hide more than the leaves do.
@@ -106,24 +113,24 @@ def sampled(
     if leaves(mesh, outline) if leafy is None else leafy:
         # As fine as most of them: they are seen one by one where tables tell them apart, for half as many samples more.
         finest = max(float(np.median(outline.longest[valid])), np.sqrt(2 * outline.size / np.count_nonzero(valid)))
-        measures = sampling.measure(mesh, valid)
-        spacing = sampling.limit_spacing(mesh, min(spacing, finest), ok=valid, measures=measures)
+        measures = measure_triangles(mesh, valid)
+        spacing = limit_spacing(mesh, min(spacing, finest), ok=valid, measures=measures)
         return [_splats(mesh, "AREA", valid, spacing, table, outline.area, measures)]
     dense = valid & (outline.longest <= DENSE * spacing)
     # A vertex of a translucent mesh stands for all the triangles around it.
     if np.count_nonzero(dense) < MANY or (passing(mesh, table) is not None and not dense[valid].all()):
-        spacing = sampling.limit_spacing(mesh, spacing, ok=valid)
-        return [_splats(mesh, sampling.choose(mesh, spacing, valid), valid, spacing, table)]
-    if np.count_nonzero(sampling.used(mesh, dense)) <= np.count_nonzero(dense):
+        spacing = limit_spacing(mesh, spacing, ok=valid)
+        return [_splats(mesh, choose_method(mesh, spacing, valid), valid, spacing, table)]
+    if np.count_nonzero(used_vertices(mesh, dense)) <= np.count_nonzero(dense):
         found = _splats(mesh, "VERTICES", dense, spacing, table)
         assert found.radii is not None
         if typical(found.radii[:, 0]) <= typical(outline.longest[dense]) / np.sqrt(3):
             rest = valid & ~dense
             if not rest.any():
                 return [found]
-            spacing = sampling.limit_spacing(mesh, spacing, ok=rest)
+            spacing = limit_spacing(mesh, spacing, ok=rest)
             return [found, _splats(mesh, "AREA", rest, spacing, table)]
-    return [_splats(mesh, "AREA", valid, sampling.limit_spacing(mesh, spacing, ok=valid), table)]
+    return [_splats(mesh, "AREA", valid, limit_spacing(mesh, spacing, ok=valid), table)]
 
 
 def _turned(mesh: Mesh, table: MaterialTable) -> bool:
@@ -138,12 +145,12 @@ def _splats(
     spacing: float,
     table: MaterialTable,
     area: np.ndarray | None = None,
-    measures: sampling.Measures | None = None,
+    measures: Measures | None = None,
 ) -> PointCloud:
     """Those of some triangles (T,) bool, with their `measures` where these are at hand. `area`: of all triangles (T,),
     which are leaves."""
-    samples = sampling.sample(mesh, spacing, method, rows, measures)
-    evaluated = sampling.evaluate(mesh, samples, sampling.centre(mesh), rows)
+    samples = sample_mesh(mesh, spacing, method, rows, measures)
+    evaluated = evaluate(mesh, samples, mesh_centre(mesh), rows)
     if area is not None and passing(mesh, table) is None:
         evaluated = _fitted(evaluated, samples, area)  # before what is cut out is gone
     return finite(point_cloud(mesh, samples, evaluated, table))[0]

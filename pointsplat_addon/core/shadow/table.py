@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..numeric.segments import starts
 from ..scene.lights import Light
 from .casters import CHUNK, OPAQUE_DEPTH
 from .grid import STEEPEST, Frame, Grid, directions, plane_distance
@@ -120,7 +121,7 @@ class Nearest:
             for v, low in zip((latitude, longitude), self.low, strict=True)
         ]
         row, column = (np.clip(v, 0, count - 1).astype(np.int64) for v in place)
-        first = np.cumsum([0, *(d.size for d in self.distance)])
+        first = starts([d.size for d in self.distance])
         return self.flat[first[size] + row * count + column].astype(float)
 
     @cached_property

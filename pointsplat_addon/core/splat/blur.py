@@ -9,14 +9,14 @@ import numpy as np
 from ..scene.camera import Camera
 
 # Pixels of radius: a disk that adds a fifth of the variance that a pixel's own filter has; one that adds half of it.
-IN_FOCUS, BLURRED = 0.3, 0.45
+IN_FOCUS, OUT_OF_FOCUS = 0.3, 0.45
 # Diameter of the largest node that is drawn, over the radius of its disk of confusion together with SHARPER times the
-# tolerance (`Blur.widest`). docs/depth_of_field.md has the errors of others.
-NODE = 1.0
-SHARPER = 1.5
+# tolerance (`Blur.widest`). docs/notes/depth_of_field.md has the errors of others.
+NODE_SIZE = 1.0
+TOLERANCE_WEIGHT = 1.5
 # Pixels: the coarsest tolerance of what is blurred, however coarse a cut is asked for. Nothing closes the gaps between
 # its splats but their kernels, which sum to less than what lets nothing through if they are wider.
-COARSEST = 2.0
+COARSEST_TOLERANCE = 2.0
 NEAREST = 1e-9  # depth, over the distance of focus, nearer than which the disk does not grow any more
 
 
@@ -27,7 +27,7 @@ class Blur:
     scale: float  # pixels: f r / D, the radius of the disk of what is infinitely far (parallel: at twice D)
     focus: float  # D, world units
     perspective: bool
-    node: float = NODE  # as that
+    node: float = NODE_SIZE  # as that
 
     def position(self, depth: np.ndarray) -> np.ndarray:
         """Signed: how far beyond the plane of focus depths are, in units in which the disk's radius is `scale` times
@@ -55,10 +55,10 @@ class Blur:
     def widest(self, radius: np.ndarray, tolerance: float) -> np.ndarray:
         """Pixels: the diameter of the largest piece or node that is drawn as one splat, for the radius in pixels of the
         smallest disk of confusion within it. A disk of a pixel hides as much as a tolerance of one does."""
-        return np.maximum(self.node * np.hypot(radius, SHARPER * tolerance), tolerance)
+        return np.maximum(self.node * np.hypot(radius, TOLERANCE_WEIGHT * tolerance), tolerance)
 
 
-def blur_of(camera: Camera, node: float = NODE) -> Blur | None:
+def defocus_blur(camera: Camera, node: float = NODE_SIZE) -> Blur | None:
     """None: nothing is blurred. `node`: how large those are that are drawn, as NODE."""
     aperture = camera.aperture
     if aperture is None or not aperture.radius > 0 or not aperture.focus > 0:

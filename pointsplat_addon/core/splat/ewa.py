@@ -17,10 +17,10 @@ from __future__ import annotations
 import numpy as np
 
 CUTOFF = 5.0
-KEPT = 1 - np.exp(-CUTOFF / 2)
+KEPT_MASS = 1 - np.exp(-CUTOFF / 2)
 # Of its ellipse's area a splat stands for the cell that the ellipse goes around: between 1 / pi, half a rectangle, and
 # 2 / pi, a rectangle (core/surface/sampling.py); the mean of the two.
-SHARE = np.sqrt(2) / np.pi
+CELL_SHARE = np.sqrt(2) / np.pi
 WITHIN = np.sqrt(2)  # where an ellipse holds the pixel's centre the lower sums count as much as the higher ones
 CENTRES = 4  # samples of a pixel from which on what no ellipse holds shows nothing
 LEAST_LOW_PASS = 4e-4  # pixels^2, which keeps covariances invertible
@@ -33,7 +33,7 @@ def low_pass(samples: int) -> float:
     al. leaves exp(-2 pi^2 v) = 3e-9 of a pattern as fine as the pixels, which would else show as a constant, and 0.7 %
     at half that frequency. N samples a pixel are sqrt(N) times as dense along each axis, for which 1 / N would be as
     much. They are no grid, though: what they alias is spread, and the filter that they are distributed by takes out
-    most of it when they are averaged (render/frame/filtering.py). N^-1.5 blurs less than that costs.
+    most of it when they are averaged (render/frame/sample_positions.py). N^-1.5 blurs less than that costs.
     """
     return max(samples**-1.5, LEAST_LOW_PASS)
 
@@ -66,8 +66,8 @@ def weights(pixels: np.ndarray, centre: np.ndarray, moments: np.ndarray, v: floa
     wide = moments + v * np.eye(2)
     offset = pixels[:, None] - centre
     q = np.einsum("pni,nij,pnj->pn", offset, np.linalg.inv(wide), offset)
-    covered = 4 * np.pi * np.sqrt(np.maximum(np.linalg.det(moments), 0)) * SHARE
-    peak = covered / (2 * np.pi * np.sqrt(np.linalg.det(wide))) / KEPT
+    covered = 4 * np.pi * np.sqrt(np.maximum(np.linalg.det(moments), 0)) * CELL_SHARE
+    peak = covered / (2 * np.pi * np.sqrt(np.linalg.det(wide))) / KEPT_MASS
     return np.where(q <= CUTOFF, peak * np.exp(-q / 2), 0.0)
 
 

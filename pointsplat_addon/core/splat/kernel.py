@@ -18,7 +18,9 @@ import numpy as np
 POWER = 4
 SUPPORT = 2 * (POWER + 2)  # squared Mahalanobis distance of the rim: unit variance along each axis
 PEAK = (POWER + 1) / (POWER + 2)  # the middle's value over that of a Gaussian of the same moments and integral
-EVEN = 1.4 / math.sqrt(SUPPORT)  # standard deviation over the edge of the lattice on which kernels add up evenly
+EVEN_SPACING = 1.4 / math.sqrt(
+    SUPPORT
+)  # standard deviation over the edge of the lattice on which kernels add up evenly
 
 
 def kernel(q: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ q = (distance / half-axis)^2,
     depth(q) = DEPTH (1 - q / SUPPORT)^POWER,    alpha(q) = 1 - exp(-depth(q)).
 
 The nearer SUPPORT is to one, the harder is the rim, and the more do single samples alias; the farther, the more does
-the middle let through. docs/techniques.md has the errors of both.
+the middle let through. docs/notes/techniques.md has the errors of both.
 
 Nodes of the octree have the moments of what they stand for, which is a third less than reaches its corners: they are
 enlarged by NODE_REACH. Splats that stand apart, as leaves do, hide as much as their own area where they are widened.
@@ -46,16 +46,16 @@ def alpha(q: np.ndarray) -> np.ndarray:
     return -np.expm1(-depth(q))
 
 
-def covered(depth: float | np.ndarray) -> float | np.ndarray:
+def hidden_share(depth: float | np.ndarray) -> float | np.ndarray:
     """What a splat whose middle has this optical depth hides, over what it would if it were opaque up to its rim;
     within 0.004 from depths of 3 on."""
     return 1 - GAMMA * depth**-0.25
 
 
-def thinned(kept: np.ndarray) -> np.ndarray:
+def depth_for_share(kept: np.ndarray) -> np.ndarray:
     """Optical depth of the middle of a splat that hides as much as one of DEPTH whose area is the share `kept` of its
     own, within 3.5 %: the inverse of `covered`, with the right slope at 0 and value at 1."""
-    most = covered(DEPTH)
+    most = hidden_share(DEPTH)
     return (GAMMA / (1 - most * kept)) ** 4 - GAMMA**4 * (1 - kept) ** ((5 / GAMMA**4 - 4) * most)
 
 
@@ -75,7 +75,7 @@ def weights(
     thin = np.sqrt(np.maximum(np.linalg.det(moments), 0) / np.linalg.det(wide))
     offset = pixels[:, None] - centre
     q = np.einsum("pni,nij,pnj->pn", offset, np.linalg.inv(wide), offset)
-    thin = thinned(thin) / DEPTH if apart else thin
+    thin = depth_for_share(thin) / DEPTH if apart else thin
     covers = -np.expm1(-thin * depth(q))
     before = np.cumprod(1 - covers[:, ::-1], axis=1)[:, ::-1]
     return covers * np.concatenate([before[:, 1:], np.ones((len(pixels), 1))], axis=1)

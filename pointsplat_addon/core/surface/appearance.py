@@ -20,7 +20,9 @@ from ..scene.cloud import PointCloud
 from ..scene.materials import MaterialTable
 from ..scene.mesh import Mesh
 from ..splat.kernel import PEAK
-from .sampling import Evaluated, Samples, along_half_axes, areas, interpolate, material_ids
+from .evaluation import Evaluated
+from .sample_areas import sample_areas
+from .samples import Samples, difference_along_half_axes, interpolate, material_ids
 
 CLIP = 0.5  # of alpha: surfaces that are not translucent are cut out below it
 OPAQUE = 100.0  # the largest optical depth
@@ -140,7 +142,7 @@ def point_cloud(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: Mater
     cloud = replace(cloud, color=look.color, surface=look.surface, emission=look.emission)
     passes = passing(mesh, table)
     if passes is not None:
-        return _with_opacity(cloud, passes[cloud.material], look.alpha, areas(mesh, samples), table)
+        return _with_opacity(cloud, passes[cloud.material], look.alpha, sample_areas(mesh, samples), table)
     return cloud if look.alpha is None else cloud.take(look.alpha >= CLIP)
 
 
@@ -306,11 +308,11 @@ def _inputs(
 
 def _aside(mesh: Mesh, samples: Samples, inputs: SampleInputs) -> tuple[SampleInputs, SampleInputs]:
     """The inputs at the ends of two half-diameters of each sample's splat, as far as pictures are mapped by them."""
-    steps = {name: along_half_axes(samples, mesh.uv[name]) for name in inputs.uv}
+    steps = {name: difference_along_half_axes(samples, mesh.uv[name]) for name in inputs.uv}
     places = {"position": inputs.position, "generated": inputs.generated}
     places = {name: array for name, array in places.items() if array is not None}
     if places:
-        moved = along_half_axes(samples, mesh.position[mesh.triangles])
+        moved = difference_along_half_axes(samples, mesh.position[mesh.triangles])
         extent = np.maximum(mesh.position.max(axis=0) - mesh.position.min(axis=0), 1e-30)
         scale = {"position": 1.0, "generated": (1 / extent).astype(np.float32)}
     first, second = (

@@ -10,9 +10,12 @@ import numpy as np
 
 from ..numeric.linear import all_finite, largest_singular_value
 from ..numeric.vectors import blocks, clip, cross, dot, each_block
+from ..scene.bounds import bounding_box
 from ..scene.camera import Camera
 from ..scene.mesh import Mesh
-from .sampling import MAX_SAMPLES, bounding_box, limit_spacing, used, validate
+from ..scene.validation import valid_triangles
+from .spacing import MAX_SAMPLES, limit_spacing
+from .triangles import used_vertices
 
 EXACT_INSTANCES = 64  # beyond these the next instance's bounding box speaks for all others: finer, never coarser
 PART = 128  # triangles
@@ -54,7 +57,7 @@ class Parts:
 
 def make_parts(mesh: Mesh, ok: np.ndarray | None = None) -> Parts:
     """Triangles in the mesh's own order, or in Morton order where that one jumps about."""
-    ok = validate(mesh)[0] if ok is None else ok
+    ok = valid_triangles(mesh)[0] if ok is None else ok
     triangles = mesh.triangles if ok.all() else mesh.triangles[ok]
     low, high = _boxes(mesh.position, triangles)
     if len(low) == 0:
@@ -125,7 +128,7 @@ def required_spacing(
     The result is not quantised otherwise. `parts` is what `make_parts` returned, where many views ask: the result is
     the same, and only the triangles near the eye are looked at.
     """
-    ok = validate(mesh)[0] if ok is None else ok
+    ok = valid_triangles(mesh)[0] if ok is None else ok
     matrices = np.reshape(view_from_object, (-1, 4, 4))
     matrices = matrices[all_finite(matrices)]
     stretch = largest_singular_value(matrices[:, :3, :3])
@@ -135,7 +138,7 @@ def required_spacing(
         return math.inf
     if parts is None:
         look = _whole(mesh, ok, camera)
-        low, high = bounding_box(mesh.position if ok.all() else mesh.position[used(mesh, ok)])
+        low, high = bounding_box(mesh.position if ok.all() else mesh.position[used_vertices(mesh, ok)])
     else:
         look = _by_parts(mesh, parts, camera)
         low, high = parts.low.min(axis=0), parts.high.max(axis=0)

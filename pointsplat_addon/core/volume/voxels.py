@@ -14,9 +14,9 @@ import numpy as np
 
 from ..scene.cloud import PointCloud
 from ..scene.volume import Medium, Transfer, Volume
-from ..splat.kernel import EVEN
+from ..splat.kernel import EVEN_SPACING
 
-SHARE = 1 / (4 / 3 * np.pi * (2 * EVEN) ** 3)  # the volume of a voxel over that of its splat's ellipsoid
+SHARE = 1 / (4 / 3 * np.pi * (2 * EVEN_SPACING) ** 3)  # the volume of a voxel over that of its splat's ellipsoid
 NEARLY_CUBIC = 1.03  # ratio of a voxel's principal lengths up to which its splat is a ball
 OPAQUE = 1e6  # optical depth of a voxel's edge that is as good as any above it
 BRIGHT = 1e30  # extinction, and radiance per unit of length, that leaves room for products in float32
@@ -239,7 +239,7 @@ def _ellipsoid(linear: np.ndarray, count: int) -> tuple[np.ndarray | None, np.nd
     The map's left singular vectors and values are the principal axes; they hold shear, too.
     """
     axes, lengths, _ = np.linalg.svd(linear)
-    radii = 2 * EVEN * lengths
+    radii = 2 * EVEN_SPACING * lengths
     if lengths[0] <= NEARLY_CUBIC * lengths[2]:
         return None, None, np.full((count, 1), np.cbrt(np.prod(radii)), np.float32)
     axis, normal = (np.tile(axes[:, k].astype(np.float32), (count, 1)) for k in (0, 2))

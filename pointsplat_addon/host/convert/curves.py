@@ -1,7 +1,7 @@
 """Hair and curves to strands: Curves objects, hair of particle systems, and curve objects with a round bevel.
 
-What Blender holds is read as it is (`Strands`), and becomes `core.lines.Lines` by its materials: evaluated, with
-the colours of its points where they vary.
+What Blender holds is read as it is (`CurveArrays`), and becomes `core.scene.strands.Strands` by its materials:
+evaluated, with the colours of its points where they vary.
 """
 
 from __future__ import annotations
@@ -17,8 +17,11 @@ import numpy as np
 from ...core.material.graph import Needs, SampleInputs, evaluate_samples, needs
 from ...core.material.hair_color import random_of_strands, strand_attribute
 from ...core.material.textures import linear_from_srgb
-from ...core.scene.strands import Lines, owners
-from ...core.strand import curves as core
+from ...core.numeric.segments import offsets, owners
+from ...core.scene.strands import Strands
+from ...core.strand.curves import AUTO, BEZIER, CATMULL_ROM, MINIMUM_TWIST, NURBS, POLY, Curves, EvaluatedCurves
+from ...core.strand.evaluation import evaluate_curves
+from ...core.strand.normals import curve_normals
 from . import arrays
 from .mesh import COLOR_TYPES, as_color
 from .pointcloud import CloudMaterial, contiguous, surface_of, unit
@@ -36,10 +39,10 @@ Lookup = Callable[[str, Callable[[], Any]], Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Strands:
+class CurveArrays:
     """Arrays of S strands of P control points as Blender has them."""
 
-    curves: core.Curves
+    curves: Curves
     radius: np.ndarray  # (P,) float32
     slot: np.ndarray | None = None  # (S,) int32, material slots; None: all the first
     normal_mode: np.ndarray | None = None  # (S,) int32; None: tubes
@@ -55,16 +58,16 @@ class Strands:
     @property
     def key(self) -> str:
         named = [part for group in (self.colors, self.uv) for item in group.items() for part in item]
-        held = (getattr(self.curves, f) for f in core.Curves.__dataclass_fields__)
+        held = (getattr(self.curves, f) for f in Curves.__dataclass_fields__)
         own = self.slot, self.normal_mode, self.tilt, self.normal, self.first, self.space
         return arrays.digest("strands", *held, self.radius, *own, *named)
 
 
 @dataclass(frozen=True, eq=False)
 class Converted:
-    """Lines, and what could not be drawn of them."""
+    """The strands, and what could not be drawn of them."""
 
-    lines: Lines | None
+    lines: Strands | None
     messages: tuple[str, ...]
 
 
@@ -78,7 +81,7 @@ def wanted(materials: tuple[CloudMaterial, ...]) -> Needs:
     )
 
 
-def convert(strands: Strands, name: str, materials: tuple[CloudMaterial, ...], lookup: Lookup) -> Converted:
+def convert(strands: CurveArrays, name: str, materials: tuple[CloudMaterial, ...], lookup: Lookup) -> Converted:
     """The lines of strands; made only where what they are made of is not known. materials: one for each slot."""
     # Where some materials vary, the constants of the others are in the same column
     tints = [m.base_color for m in materials] if len(materials) > 1 else []
@@ -89,7 +92,7 @@ def convert(strands: Strands, name: str, materials: tuple[CloudMaterial, ...], l
 # Reading
 
 
-def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ribbons: bool) -> Strands | None:
+def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ribbons: bool) -> CurveArrays | None:
     """An evaluated Curves object, in object space; None where it is empty. ribbons: with normals."""
     count, total, asked = len(data.curves), len(data.points), wanted(materials)
     if count == 0 or total == 0:
@@ -102,16 +105,16 @@ def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ri
 
     radius = _read(data, "radius")
     radius = np.full(total, DEFAULT_RADIUS, np.float32) if radius is None or len(radius) != total else radius
-    kind = number("curve_type", core.CATMULL_ROM)
+    kind = number("curve_type", CATMULL_ROM)
     knots = number("knots_mode", 0)
-    free = kind == core.CATMULL_ROM if "resolution" not in data.attributes else np.zeros(count, bool)
+    free = kind == CATMULL_ROM if "resolution" not in data.attributes else np.zeros(count, bool)
     types = [_read(data, f"handle_type_{side}") for side in ("left", "right")]
-    curves = core.Curves(
+    curves = Curves(
         arrays.read(data.position_data, "vector", 3, np.float32),
         start,
         kind.astype(np.uint8),
         number("cyclic", 0).astype(bool),
-        np.where(free, core.AUTO, np.maximum(number("resolution", DEFAULT_RESOLUTION), 1)),
+        np.where(free, AUTO, np.maximum(number("resolution", DEFAULT_RESOLUTION), 1)),
         radius,
         _read(data, "handle_left"),
         _read(data, "handle_right"),
@@ -121,9 +124,9 @@ def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ri
         np.where(knots == CUSTOM_KNOTS, 0, knots),
         _read(data, "nurbs_weight"),
     )
-    custom = int(((knots == CUSTOM_KNOTS) & (kind == core.NURBS)).sum())
+    custom = int(((knots == CUSTOM_KNOTS) & (kind == NURBS)).sum())
     colors, of_strand = _colors(data, asked, total)
-    found = Strands(
+    found = CurveArrays(
         curves,
         radius,
         colors=colors,
@@ -132,7 +135,7 @@ def read_curves(data: bpy.types.Curves, materials: tuple[CloudMaterial, ...], ri
         messages=(f"{custom} curves with knots of their own have uniform ones",) if custom else (),
     )
     if ribbons:
-        mode, custom_normal = number("normal_mode", core.MINIMUM_TWIST), _read(data, "custom_normal")
+        mode, custom_normal = number("normal_mode", MINIMUM_TWIST), _read(data, "custom_normal")
         found = replace(found, normal_mode=mode, tilt=_read(data, "tilt"), normal=custom_normal)
     return found
 
@@ -175,7 +178,7 @@ def _uv(data: bpy.types.Curves, asked: Needs) -> dict[str, np.ndarray]:
     return found
 
 
-def _sound(strands: Strands) -> Strands | None:
+def _sound(strands: CurveArrays) -> CurveArrays | None:
     """Without control points that are no numbers and curves without points; None where nothing is left."""
     curves, start = strands.curves, strands.curves.start
     held = (curves.position, curves.handle_left, curves.handle_right, curves.weight, strands.radius, strands.normal)
@@ -184,7 +187,7 @@ def _sound(strands: Strands) -> Strands | None:
         if array is not None:
             sound &= np.isfinite(array.reshape(len(sound), -1)).all(axis=1)
     points = np.flatnonzero(sound)
-    count = np.bincount(owners(start)[points], minlength=len(start) - 1)
+    count = np.bincount(owners(np.diff(start))[points], minlength=len(start) - 1)
     kept = np.flatnonzero(count > 0)
     if len(points) == len(sound) and len(kept) == len(count):
         return strands
@@ -201,7 +204,7 @@ def _sound(strands: Strands) -> Strands | None:
         return {n: a[part] for n in names if (a := getattr(holder, n)) is not None}
 
     named = taken(curves, OF_POINTS, points) | taken(curves, OF_CURVES, kept)
-    named |= {"start": np.concatenate([[0], np.cumsum(count[kept])])}
+    named |= {"start": offsets(count[kept])}
     return replace(
         strands,
         curves=replace(curves, **named),
@@ -232,18 +235,18 @@ def is_tube(ob: bpy.types.Object) -> bool:
     return primitive == "LINES" or data.bevel_resolution > SQUARE
 
 
-def read_tubes(data: bpy.types.Curve) -> Strands | None:
+def read_tubes(data: bpy.types.Curve) -> CurveArrays | None:
     """The splines of an evaluated curve object, with the bevel's radius times the points' own."""
     splines = [s for s in data.splines if len(s.bezier_points) or len(s.points)]
     if not splines:
         return None
     parts = [_bezier(s) if s.type == "BEZIER" else _points(s) for s in splines]
     position, radius, weight, left, right, vector = (np.concatenate(p) for p in zip(*parts, strict=True))
-    kinds = {"POLY": core.POLY, "BEZIER": core.BEZIER}
-    curves = core.Curves(
+    kinds = {"POLY": POLY, "BEZIER": BEZIER}
+    curves = Curves(
         position,
-        np.concatenate([[0], np.cumsum([len(p[0]) for p in parts])]),
-        np.array([kinds.get(s.type, core.NURBS) for s in splines], np.uint8),
+        offsets([len(p[0]) for p in parts]),
+        np.array([kinds.get(s.type, NURBS) for s in splines], np.uint8),
         np.array([s.use_cyclic_u for s in splines]),
         np.array([s.resolution_u for s in splines]),
         None,
@@ -256,7 +259,7 @@ def read_tubes(data: bpy.types.Curve) -> Strands | None:
         weight,
     )
     slot = np.array([s.material_index for s in splines], np.int32)
-    return Strands(curves, (radius * data.bevel_depth).astype(np.float32), slot=slot)
+    return CurveArrays(curves, (radius * data.bevel_depth).astype(np.float32), slot=slot)
 
 
 def _points(spline: bpy.types.Spline) -> tuple[np.ndarray, ...]:
@@ -320,7 +323,7 @@ def hair_systems(ob: bpy.types.Object, final: bool) -> Iterator[Hair]:
                 yield hair
 
 
-def read_hair(hair: Hair, materials: tuple[CloudMaterial, ...]) -> Strands | None:
+def read_hair(hair: Hair, materials: tuple[CloudMaterial, ...]) -> CurveArrays | None:
     """The strands of a particle system in its object's space, as Cycles reads them; None where there are none."""
     system, settings, shown = hair.system, hair.system.settings, np.array(hair.shown)
     steps = (1 << (settings.render_step if hair.final else settings.display_step)) + 1
@@ -340,17 +343,17 @@ def read_hair(hair: Hair, materials: tuple[CloudMaterial, ...]) -> Strands | Non
     whole = length[:, -1:]
     radius = _radius(settings, np.divide(length, whole, out=np.zeros_like(length), where=whole > 0))
     count = len(shown)
-    curves = core.Curves(
+    curves = Curves(
         position.reshape(-1, 3).astype(np.float32),
         np.arange(count + 1) * steps,
-        np.full(count, core.CATMULL_ROM, np.uint8),
+        np.full(count, CATMULL_ROM, np.uint8),
         np.zeros(count, bool),
-        np.full(count, core.AUTO),
+        np.full(count, AUTO),
         radius.ravel().astype(np.float32),
     )
     uv, colors = _emitter(hair, shown.tolist(), wanted(materials))
     middle, half = (np.array(v, np.float64) for v in (hair.ob.data.texspace_location, hair.ob.data.texspace_size))
-    return Strands(curves, radius.ravel().astype(np.float32), colors=colors, of_strand=frozenset(colors), uv=uv,
+    return CurveArrays(curves, radius.ravel().astype(np.float32), colors=colors, of_strand=frozenset(colors), uv=uv,
                    first=hair.first, space=np.stack([middle - half, middle + half]))  # fmt: skip
 
 
@@ -412,25 +415,25 @@ def _parent(particles: Any, number: int) -> bpy.types.Particle:
     return particles[min(number, len(particles) - 1)]
 
 
-# Lines
+# Strands
 
 
-def _build(key: str, strands: Strands, name: str, materials: tuple[CloudMaterial, ...]) -> Converted:
+def _build(key: str, strands: CurveArrays, name: str, materials: tuple[CloudMaterial, ...]) -> Converted:
     sound = _sound(strands)
     if sound is None:
         return Converted(None, ("all control points are not numbers",))
     strands, curves = sound, sound.curves
-    evaluated = core.evaluate(curves)
+    evaluated = evaluate_curves(curves)
     width = np.maximum(evaluated.interpolate(strands.radius), 0)
     normal = None
     if strands.normal_mode is not None:
         tilt, free = (None if a is None else evaluated.interpolate(a) for a in (strands.tilt, strands.normal))
-        normal = core.normals(evaluated, curves.cyclic, strands.normal_mode, tilt, free).astype(np.float32)
+        normal = curve_normals(evaluated, curves.cyclic, strands.normal_mode, tilt, free).astype(np.float32)
     slot = np.zeros(len(evaluated.start) - 1, np.int64)
     if strands.slot is not None:
         slot = np.clip(strands.slot, 0, len(materials) - 1).astype(np.int64)
     rows = np.array([m.row for m in materials])[slot]
-    lines = Lines(
+    lines = Strands(
         key=key,
         name=name,
         position=evaluated.position.astype(np.float32),
@@ -445,8 +448,12 @@ def _build(key: str, strands: Strands, name: str, materials: tuple[CloudMaterial
 
 
 def _shaded(
-    lines: Lines, strands: Strands, evaluated: core.Evaluated, slot: np.ndarray, materials: tuple[CloudMaterial, ...]
-) -> Lines:
+    lines: Strands,
+    strands: CurveArrays,
+    evaluated: EvaluatedCurves,
+    slot: np.ndarray,
+    materials: tuple[CloudMaterial, ...],
+) -> Strands:
     """With what the materials' graphs give at the points. What is less than opaque is thinner instead."""
     count, strand = len(lines.position), evaluated.curve
     columns: dict[str, np.ndarray] = {}
@@ -482,7 +489,7 @@ def _constants(name: str, slot: np.ndarray, strand: np.ndarray, materials: tuple
     return np.array(each, np.float32)[slot[strand]]
 
 
-def _inputs(lines: Lines, strands: Strands, evaluated: core.Evaluated, asked: Needs) -> SampleInputs:
+def _inputs(lines: Strands, strands: CurveArrays, evaluated: EvaluatedCurves, asked: Needs) -> SampleInputs:
     """What graphs read at all points."""
     strand = evaluated.curve
     uv = {name: values[strand] for name, values in strands.uv.items()}
@@ -512,9 +519,9 @@ def _bounds(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return position.min(axis=0), position.max(axis=0)
 
 
-def _own(lines: Lines, first: int) -> dict[str, Callable[[], np.ndarray]]:
+def _own(lines: Strands, first: int) -> dict[str, Callable[[], np.ndarray]]:
     """What strands tell of themselves (Blender's Curves Info), each (P,) when called."""
-    strand = owners(lines.start)
+    strand = owners(np.diff(lines.start))
 
     def reached() -> np.ndarray:
         step = np.linalg.norm(np.diff(lines.position.astype(np.float64), axis=0, prepend=lines.position[:1]), axis=1)

@@ -19,7 +19,7 @@ from ...core.scene.settings import Settings
 from ...core.scene.world import World
 from ..frame.frame import Frame
 from ..plan.request import Request
-from ..renderer import Renderer
+from .protocol import SampleRenderer
 
 SIZE = 256  # pixels
 # Splats and triangles: what a scene of many takes longer is their own cost. Many are more than there are pixels, as of
@@ -34,7 +34,7 @@ NUMBER = count()  # of meshes that were prepared: what is kept of one that is kn
 LEAST = 1e-3  # nanoseconds: differences below the clock's resolution are no cost of nothing
 
 
-def calibrate(renderer: Renderer, clock: Callable[[], float] = time.perf_counter) -> Costs:
+def calibrate(renderer: SampleRenderer, clock: Callable[[], float] = time.perf_counter) -> Costs:
     """Measured on the renderer's device, on the thread that it belongs to. Once shaders are compiled it takes 1.4 s of
     processor time of the software renderer. `clock` in seconds.
     DeviceError: it cannot draw."""
@@ -65,7 +65,7 @@ def calibrate(renderer: Renderer, clock: Callable[[], float] = time.perf_counter
     )
 
 
-def _once(renderer: Renderer, clock: Callable[[], float]) -> tuple[float, float]:
+def _once(renderer: SampleRenderer, clock: Callable[[], float]) -> tuple[float, float]:
     """Nanoseconds of all that is done for a splat of a mesh, and for a triangle, before the first sample is drawn."""
     request, turns = _request(), []
     for _ in range(TURNS):
@@ -78,7 +78,9 @@ def _once(renderer: Renderer, clock: Callable[[], float]) -> tuple[float, float]
     return prepared, uploaded
 
 
-def _started(renderer: Renderer, geometry: Geometry, request: Request, clock: Callable[[], float]) -> tuple[int, float]:
+def _started(
+    renderer: SampleRenderer, geometry: Geometry, request: Request, clock: Callable[[], float]
+) -> tuple[int, float]:
     """How many points a picture has, and the seconds until the first sample of it can be drawn."""
     start = clock()
     frame = renderer.start(_scene(geometry, np.zeros(1)), request)
@@ -89,7 +91,7 @@ def _started(renderer: Renderer, geometry: Geometry, request: Request, clock: Ca
         frame.release()
 
 
-def _seconds(renderer: Renderer, scenes: dict[str, Scene], clock: Callable[[], float]) -> dict[str, float]:
+def _seconds(renderer: SampleRenderer, scenes: dict[str, Scene], clock: Callable[[], float]) -> dict[str, float]:
     """One more sample of each scene that is on the device already, until it is finished. They take turns, so that what
     else the machine does slows all of them."""
     request = _request()

@@ -9,9 +9,9 @@ import numpy as np
 from ...core.scene.scene import Scene
 from ..device.protocol import Texture
 from ..passes.outputs import CRYPTO
-from ..passes.shade import data
+from ..passes.shading.data import data
 from ..plan.request import Request
-from .filtering import cryptomatte
+from .cryptomatte import cryptomatte
 
 
 class Data:

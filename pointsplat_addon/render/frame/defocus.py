@@ -6,49 +6,31 @@ Of passes that know no blur, there is a picture beside it that has no lens.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
-from ...core.lod.cut import NEIGHBOURS
+from ...core.lod.criteria import NEIGHBOUR_EXTENT
 from ...core.scene.camera import Camera
-from ...core.scene.scene import Scene
-from ...core.scene.world import World
-from ...core.splat.blur import BLURRED, blur_of
+from ...core.splat.blur import OUT_OF_FOCUS, defocus_blur
 from ..device.protocol import Device, Texture
-from ..passes.defocus import Defocus, defocus_program, tile_lists
-from ..passes.outputs import CRYPTO
-from ..passes.shade import averaged, data
-from ..passes.tiles import Adaptive
-from ..passes.translucent import LitSplats, light_program
+from ..passes.defocus.gather import Defocus, defocus_program
+from ..passes.defocus.tile_lists import tile_lists
+from ..passes.output.adaptive import Adaptive
+from ..passes.translucent.light import light_program
+from ..passes.translucent.lit_splats import LitSplats
 from ..plan.plan import Plan
-from ..plan.request import Request
 from .targets import Targets
 from .uploads import Uploads
-
-
-def beside(scene: Scene, asked: Request, presented: bool) -> tuple[Scene, Request] | None:
-    """The picture of the passes that know no blur, without light; None where none of them is asked for. `presented`:
-    the picture is shown in a viewport, which hides what Blender draws by depths."""
-    others = asked.passes - {"combined"}
-    sampled = averaged(others) or others & set(CRYPTO)
-    if not (presented or sampled or data(others)):
-        return None
-    settings = replace(asked.settings, use_shadows=False, use_adaptive_sampling=False)
-    camera = replace(asked.camera, aperture=None)
-    unlit = replace(scene, lights=(), world=World(), transparent=True)
-    samples = asked.samples if sampled else 1
-    return unlit, replace(asked, camera=camera, settings=settings, passes=others, samples=samples)
 
 
 def in_focus(camera: Camera, plan: Plan, largest: float) -> tuple[float, float]:
     """Depths between which something may be; in image space, that shows of points what is beside them, too. `largest`:
     radius of splats in pixels."""
-    blur = blur_of(camera)
+    blur = defocus_blur(camera)
     assert blur is not None
-    near, far = blur.depths(BLURRED)
+    near, far = blur.depths(OUT_OF_FOCUS)
     if plan.points and plan.ewa is None:
-        reach = (NEIGHBOURS - 1) * largest / abs(camera.pixel_from_view()[0])
+        reach = (NEIGHBOUR_EXTENT - 1) * largest / abs(camera.pixel_from_view()[0])
         near -= reach * (near if camera.perspective else 1.0)
         far += reach * (far if camera.perspective else 1.0)
     return max(camera.near, near), min(camera.far, far)

@@ -3,37 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...core.lens.backdrop import grid_of
 from ...core.scene.scene import Scene
-from ...core.splat.blur import blur_of
-from ...core.strand.selection import turns
+from ...core.splat.blur import defocus_blur
+from ...core.strand.segments import sample_offsets
 from ...shading.interface import Interface
-from ..budget.budget import checkpoint
 from ..device.clock import Clock
 from ..device.protocol import Texture
-from ..passes import shade as shade_pass
-from ..passes.backdrop import Backdrop
-from ..passes.common import frame_record
+from ..passes.image_space.pyramid import levels
+from ..passes.output import present
+from ..passes.output.adaptive import Adaptive
 from ..passes.outputs import BY_KEY, CRYPTO, empty_pixels
-from ..passes.pyramid import levels
-from ..passes.tiles import EVERYWHERE, Adaptive
+from ..passes.shading import averages, background, data, shade
+from ..passes.shading.backdrop import Backdrop
+from ..passes.tiles import EVERYWHERE
+from ..passes.uniforms import frame_record
 from ..plan.frame_plan import make_shot
 from ..plan.request import Request
 from .data import Data
 from .defocus import OutOfFocus, in_focus
-from .filtering import offsets
 from .lens_samples import LensSamples
+from .resources import FrameResources
+from .sample_positions import checkpoint, offsets
 from .surfels import Surfels
 from .targets import Targets
 from .translucent import Translucent, lighting
 from .uploads import Uploads
-
-if TYPE_CHECKING:
-    from ..renderer import Renderer
 
 
 class Frame:
@@ -41,7 +40,7 @@ class Frame:
 
     def __init__(
         self,
-        renderer: Renderer,
+        renderer: FrameResources,
         scene: Scene,
         request: Request,
         cancelled: Callable[[], bool] = lambda: False,
@@ -67,7 +66,7 @@ class Frame:
         self.adaptive: Adaptive | None = None
         self.translucent: Translucent | None = None
         self.out_of_focus: OutOfFocus | None = None
-        self._turns = turns(self.shot.request.samples)
+        self._turns = sample_offsets(self.shot.request.samples)
         self._data = Data(self.shot.scene, self.shot.request)
         self._owned: list[Any] = []
         self._lent: tuple[tuple, Targets] | None = None
@@ -88,7 +87,7 @@ class Frame:
         plan, request = shot.plan, shot.request
         if shot.through_lens:
             self.lens = self._own(LensSamples(device, shot.view, request.samples))
-        motion = plan.data and "vector" in shade_pass.data(request.passes)
+        motion = plan.data and "vector" in data.data(request.passes)
         self.uploads: Uploads = self._own(
             Uploads(
                 self.renderer.store,
@@ -127,19 +126,17 @@ class Frame:
         plan, request, transparent = self.shot.plan, self.shot.request, self.shot.scene.transparent
         passes, coverage = request.passes, plan.ewa is not None
         self.averages: tuple[Interface, ...] = ()
-        if plan.painter and plan.points and shade_pass.averaged(passes):
+        if plan.painter and plan.points and averages.averaged(passes):
             self.averages = (
-                shade_pass.shade_program(
-                    plan.data_variant, (), plan.materials, passes, lines=plan.lines, combined=False
-                ),
-                shade_pass.background_program((), True, passes, combined=False),
+                shade.shade_program(plan.data_variant, (), plan.materials, passes, lines=plan.lines, combined=False),
+                background.background_program((), True, passes, combined=False),
             )
             passes = frozenset({"combined"})
-        self.shade = shade_pass.shade_program(
+        self.shade = shade.shade_program(
             plan.variant, plan.lighting, plan.materials, passes, request.samples, coverage, plan.lines, plan.defocus,
             plan.picture, coarse=request.coarse,
         )  # fmt: skip
-        self.background = shade_pass.background_program(
+        self.background = background.background_program(
             plan.behind, transparent, passes, coverage, everywhere=not plan.shaded.solid, combined=plan.picture
         )
 
@@ -221,12 +218,12 @@ class Frame:
         camera, mist = self.view, scene.mist
         x, y = offsets(samples)[index] if samples > 1 else (0.0, 0.0)
         record = frame_record(camera, (float(x), float(y)))
-        record["mist"][0] = mist.start, 1 / max(mist.depth, 1e-6), shade_pass.MIST_EXPONENT[mist.falloff], 0.0
+        record["mist"][0] = mist.start, 1 / max(mist.depth, 1e-6), shade.MIST_EXPONENT[mist.falloff], 0.0
         record["page"][0, 3] = len(scene.lights)
         if self.backdrop is not None:
             record["previous"][0, :2] = self.backdrop.texels
         if plan.defocus:
-            blur, aperture = blur_of(camera), camera.aperture
+            blur, aperture = defocus_blur(camera), camera.aperture
             assert blur is not None
             assert aperture is not None
             record["focus"][0] = blur.scale, 1 / blur.focus, 0.0, 1 / aperture.ratio
@@ -255,7 +252,7 @@ class Frame:
         textures = _bound(self.targets.data_surfels)
         if self.uploads.previous is not None:
             textures["ps_previous"] = self.uploads.previous
-        program = shade_pass.data_program(shot.plan.data_variant, shot.request.passes)
+        program = data.data_program(shot.plan.data_variant, shot.request.passes)
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 
     def _average(self, record: np.ndarray) -> None:
@@ -348,7 +345,7 @@ class Frame:
             textures["ps_counts"] = adaptive.known
         if (place := self._place) is not None:
             textures["ps_place"] = place
-        program = shade_pass.present_program(place is not None, adaptive is not None)
+        program = present.present_program(place is not None, adaptive is not None)
         self.device.draw(program, None, uniforms=record, textures=textures)
 
     @property
@@ -367,7 +364,7 @@ class Frame:
         record = self._record(0)
         record["mist"][0, 3] = 1.0
         record["size"][0, :2] = 1, 1
-        program = shade_pass.present_program(False)
+        program = present.present_program(False)
         self.device.draw(program, None, uniforms=record, textures={"ps_combined": texel})
         texel.release()
 
@@ -401,7 +398,7 @@ class Frame:
         self._gather()
         sums, samples = (self.targets.sums, self.counts()) if self.out_of_focus is None else ([self.color], 1)
         out: dict[str, np.ndarray] = {}
-        names = (*(("combined",) if plan.picture else ()), *shade_pass.averaged(passes))
+        names = (*(("combined",) if plan.picture else ()), *averages.averaged(passes))
         for name, texture in zip(names, sums, strict=True):
             mean = self._cropped(texture) / samples
             out[name] = np.ascontiguousarray(mean[..., : BY_KEY[name].channels])

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..plan.reasons import not_run
-
-if TYPE_CHECKING:
-    from .frame import Frame
+from .frame import Frame
 
 
 def report(frame: Frame, seconds: float) -> dict[str, Any]:

@@ -7,14 +7,14 @@ from collections.abc import Callable
 import numpy as np
 
 from ..device.protocol import Device, Texture
-from ..passes import ewa as ewa_pass
-from ..passes import lines as line_pass
-from ..passes import polygons as polygon_pass
-from ..passes import spheres as sphere_pass
-from ..passes.common import GBuffer, Variant
-from ..passes.points import Projection, programs, resolve
-from ..passes.pyramid import Pyramid
+from ..passes.ewa.ewa import Ewa
+from ..passes.gbuffer import GBuffer, Variant
+from ..passes.image_space.projection import Projection, programs
+from ..passes.image_space.pyramid import Pyramid
+from ..passes.image_space.resolve import resolve
 from ..passes.tiles import EVERYWHERE, Region
+from ..passes.visibility import polygons, strands
+from ..passes.visibility import spheres as sphere_pass
 from ..plan.plan import Plan
 from .uploads import Uploads
 
@@ -79,7 +79,7 @@ class Surfels:
     def _draw_lines(self, uploads: Uploads, record: np.ndarray) -> None:
         assert uploads.line_instances is not None
         shared = {**uploads.shared, "ps_instances": uploads.line_instances}
-        line_pass.draw(self.device, self.variant, uploads.lines, record, shared, self.buffer)
+        strands.draw(self.device, self.variant, uploads.lines, record, shared, self.buffer)
 
     def _draw_spheres(self, uploads: Uploads, record: np.ndarray) -> None:
         program = sphere_pass.program(self.variant, self.plan.options)
@@ -88,7 +88,7 @@ class Surfels:
     def _draw_polygons(self, uploads: Uploads, record: np.ndarray) -> None:
         instances = uploads.scene.instances
         for instance in uploads.prepared.polygons.tolist():
-            polygon_pass.draw(
+            polygons.draw(
                 self.device,
                 self.variant,
                 uploads.meshes[int(instances.geometry[instance])],
@@ -113,7 +113,7 @@ class EwaSurfels(Surfels):
     def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> None:
         super().__init__(device, plan, variant, size, count)
         assert plan.ewa is not None
-        self.ewa = ewa_pass.Ewa(device, variant, plan.options, plan.ewa, size)
+        self.ewa = Ewa(device, variant, plan.options, plan.ewa, size)
 
     def draw(
         self,

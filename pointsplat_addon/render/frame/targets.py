@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from ..device.protocol import Device, Target, Texture, whole
-from ..passes import shade as shade_pass
-from ..passes.points import Projection
-from ..passes.translucent import COARSE
+from ..passes.image_space.projection import Projection
+from ..passes.shading import averages, data
+from ..passes.translucent.blend import COARSE
 from ..plan.plan import Plan
 from .surfels import Surfels, make_surfels
 
@@ -32,7 +32,7 @@ class Targets:
             self.surfels = self._own(make_surfels(device, plan.shaded, plan.variant, size, count))
         self.data_surfels = self.surfels
         self.sums: list[Texture] = [
-            self._own(device.texture(size, "RGBA32F")) for _ in range(plan.picture + len(shade_pass.averaged(passes)))
+            self._own(device.texture(size, "RGBA32F")) for _ in range(plan.picture + len(averages.averaged(passes)))
         ]
         if self.sums:
             self.sum_target: Target = self._own(device.target(self.sums))
@@ -68,7 +68,7 @@ class Targets:
                 self.depth_target: Target = self._own(device.target([depth]))
         self.data: list[Texture] = []
         if plan.data:
-            self.data = [self._own(device.texture(size, "RGBA32F")) for _ in shade_pass.data(passes)]
+            self.data = [self._own(device.texture(size, "RGBA32F")) for _ in data.data(passes)]
             self.data_target: Target = self._own(device.target(self.data))
             # Identities cannot be averaged, and motion and positions are asked for once: they have a G-buffer of their
             # own, so that no sample carries what only one of them needs.
@@ -96,9 +96,9 @@ class Pool:
         """Targets for a plan, and the key to give them back with."""
         key = (size, count, plan.points, plan.ewa, plan.polygons, plan.spheres, plan.lines, plan.variant, plan.options,
                plan.painter and plan.data_variant, plan.defocus, plan.picture,
-               shade_pass.averaged(passes),
+               averages.averaged(passes),
                None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),
-               (plan.data_variant, shade_pass.data(passes)) if plan.data else None)  # fmt: skip
+               (plan.data_variant, data.data(passes)) if plan.data else None)  # fmt: skip
         idle, self._idle = self._idle, None
         if idle is not None and idle[0] == key:
             return idle

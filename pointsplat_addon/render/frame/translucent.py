@@ -8,7 +8,9 @@ import numpy as np
 
 from ...shading.interface import Interface
 from ..device.protocol import Device, Target, Texture
-from ..passes.translucent import COARSE, ENLARGE, LitSplats, add_program, depth_program, light_program
+from ..passes.translucent.blend import COARSE, ENLARGE, add_program, depth_program
+from ..passes.translucent.light import light_program
+from ..passes.translucent.lit_splats import LitSplats
 from ..plan.plan import Plan
 from ..plan.request import Request
 from .targets import Targets

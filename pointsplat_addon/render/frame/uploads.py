@@ -18,9 +18,10 @@ from ...core.numeric.segments import ranges
 from ...core.scene.camera import Camera
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
-from ...core.scene.strands import Lines
-from ...core.strand.selection import clean, lengths_scale
-from ...core.surface import sampling
+from ...core.scene.strands import Strands
+from ...core.scene.validation import valid_triangles
+from ...core.strand.cleaning import clean
+from ...core.strand.projection import tube_radius_scale
 from ...core.surface.appearance import digest
 from ...core.surface.density import Parts, make_parts
 from ..cache.device_cache import DeviceCache
@@ -28,11 +29,12 @@ from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from ..device.packing import PAGE_WIDTH, paged
 from ..device.protocol import Device, Target, Texture
-from ..passes import lines as line_pass
-from ..passes import polygons as polygon_pass
-from ..passes import shade as shade_pass
-from ..passes import translucent as translucent_pass
-from ..passes.points import Page, PageDraw, blocks, instance_rows, with_origin
+from ..passes.pages.point_page import Page, PageDraw, blocks, instance_rows, with_origin
+from ..passes.shading import lighting, materials
+from ..passes.translucent import light as light_pass
+from ..passes.translucent import light_shares
+from ..passes.translucent.page import TranslucentPage
+from ..passes.visibility import polygon_mesh, strand_page
 from ..plan.plan import Plan
 from ..prepare.point_sets import Layer, PointSet
 from ..prepare.prepare import Prepared
@@ -71,10 +73,10 @@ class Uploads:
         self.shadows: tuple[Texture | None, Texture | None] = None, None  # tables, and their records in this view
         self.draws: list[PageDraw] = []
         self.balls: list[PageDraw] = []
-        self.meshes: dict[int, polygon_pass.PolygonMesh] = {}
+        self.meshes: dict[int, polygon_mesh.PolygonMesh] = {}
         # Of each group, by instance, where it draws only some parts.
-        self.part_lists: dict[int, list[polygon_pass.PartList | None]] = {}
-        self.lines: list[line_pass.LineDraw] = []
+        self.part_lists: dict[int, list[polygon_mesh.PartList | None]] = {}
+        self.lines: list[strand_page.LineDraw] = []
         self.line_instances: Texture | None = None
         self.splats: dict[str, Texture] = {}  # translucent ones, and their draw list
         self.listed = 0  # how many
@@ -92,7 +94,7 @@ class Uploads:
     def shading(self) -> dict[str, Texture]:
         """Textures that shading reads, by sampler name."""
         tables, records = self.shadows
-        return shade_pass.textures(
+        return lighting.textures(
             materials=self.shared.get("ps_materials"), lights=self.lights, environment=self.environment,
             shadow_tables=tables, shadow_lights=records,
         )  # fmt: skip
@@ -136,7 +138,7 @@ class Uploads:
 
     def _upload(self, motion: bool, shadows: Shadows | None) -> None:
         scene, plan, device = self.scene, self.plan, self.device
-        table = shade_pass.material_rows(scene.materials, self._escape())
+        table = materials.material_rows(scene.materials, self._escape())
         bare = not (plan.shades or (plan.polygons and plan.variant.color) or plan.lines or plan.options.cull)
         if (plan.solid or plan.translucent is not None) and not bare:
             self.shared["ps_materials"] = self._own(device.texture((4, len(table)), "RGBA32F", table.reshape(-1)))
@@ -179,7 +181,7 @@ class Uploads:
             for row in prepared.lines:
                 origin[scene.instances.geometry == row] = _lines_of(scene, row).origin
             rows = instance_rows(prepared.view_from_object, origin, scene.instances.holdout)
-            rows[3::4, 1] = lengths_scale(prepared.view_from_object)
+            rows[3::4, 1] = tube_radius_scale(prepared.view_from_object)
             self.line_instances = self._for_view(rows)
         if plan.translucent is not None:
             origin = _origins(prepared.translucent)
@@ -258,8 +260,8 @@ class Uploads:
         scene = self.scene
         most = np.zeros(len(scene.materials))
         for geometry in scene.geometries:
-            if geometry.lines is not None and scene.materials.hair is not None:
-                lines, rows = geometry.lines, list(geometry.lines.materials)
+            if geometry.strands is not None and scene.materials.hair is not None:
+                lines, rows = geometry.strands, list(geometry.strands.materials)
                 number = self.store.lookup(
                     Key(Kind.CROSSED_HAIRS, geometry.key), lambda lines=lines: hair.crossed(lines)
                 )
@@ -274,12 +276,12 @@ class Uploads:
             key = Key(Kind.STRAND_PAGE, geometry.key, other=(variant, _fill_key(scene)))
             self.used.add(key)
 
-            def make(lines: Lines = lines, geometry: Geometry = geometry) -> line_pass.LinePage:
+            def make(lines: Strands = lines, geometry: Geometry = geometry) -> strand_page.LinePage:
                 strands = self.store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: clean(lines))
-                return line_pass.LinePage(self.device, lines, strands, variant, scene.materials)
+                return strand_page.LinePage(self.device, lines, strands, variant, scene.materials)
 
             page = self.kept.lookup(key, make)
-            self.lines.append(self._own(line_pass.LineDraw(self.device, page, segments, scene.instances.holdout)))
+            self.lines.append(self._own(strand_page.LineDraw(self.device, page, segments, scene.instances.holdout)))
 
     def _draw_list(self) -> None:
         """Translucent splats, and the order in which this view draws them."""
@@ -291,8 +293,8 @@ class Uploads:
         self.used.add(key)
         shares = {layer.point_sets[row].key: share for row, share in self.prepared.shares.items()}
 
-        def make() -> translucent_pass.TranslucentPage:
-            return translucent_pass.TranslucentPage(device, sets, options, scene.materials, shares)
+        def make() -> TranslucentPage:
+            return TranslucentPage(device, sets, options, scene.materials, shares)
 
         page = self.kept.lookup(key, make)
         matrices, view = scene.instances.world_from_object, self.camera.view_from_world
@@ -312,19 +314,17 @@ class Uploads:
         assert texture is not None
         self.splats = {**page.textures, "ps_order": texture}
 
-    def _unsorted(self, page: translucent_pass.TranslucentPage, layer: Layer) -> tuple[Texture, int]:
+    def _unsorted(self, page: TranslucentPage, layer: Layer) -> tuple[Texture, int]:
         """The splats of a cut as they come, and how many."""
         texel, instance = listed(page, layer)
-        size, data = paged(translucent_pass.draw_list(texel, instance), 2)
+        size, data = paged(light_pass.draw_list(texel, instance), 2)
         return self._own(self.device.texture(size, "RG32F", data)), len(texel)
 
-    def _remember(
-        self, page: translucent_pass.TranslucentPage, key: Key, layer: Layer, world_from_object: np.ndarray
-    ) -> None:
+    def _remember(self, page: TranslucentPage, key: Key, layer: Layer, world_from_object: np.ndarray) -> None:
         """What it needs to know the light that reaches each splat for all cameras: one instance for each splat."""
         shown = layer.set_of_instance[layer.set_of_instance >= 0]
         lights = len(self.scene.lights)
-        if self.shadows[0] is None or len(np.unique(shown)) < len(shown) or lights > translucent_pass.MOST_REACHED:
+        if self.shadows[0] is None or len(np.unique(shown)) < len(shown) or lights > light_pass.MOST_REACHED:
             return
         instance = np.zeros(page.count, np.int64)
         for row in np.flatnonzero(layer.set_of_instance >= 0):
@@ -338,11 +338,11 @@ class Uploads:
         """How much of each light reaches the translucent splats, by sampler name; `tap`: which point of wide lamps."""
         device, options = self.device, self.plan.translucent
         assert options is not None
-        program = translucent_pass.reach_program(options, self.plan.lighting, self.reach_lights)
+        program = light_pass.reach_program(options, self.plan.lighting, self.reach_lights)
         count = len(self.reach_instances)
 
         def light(target: Target) -> None:
-            size, data = paged(translucent_pass.draw_list(np.arange(count), self.reach_instances), 2)
+            size, data = paged(light_pass.draw_list(np.arange(count), self.reach_instances), 2)
             order = device.texture(size, "RG32F", data)
             every = record.copy()
             every["page"][0, 1] = count
@@ -353,18 +353,16 @@ class Uploads:
                 order.release()
 
         self.used.add(self._reach_key)
-        kept: translucent_pass.Reach = self.kept.lookup(self._reach_key, lambda: translucent_pass.Reach(device))
+        kept: light_shares.Reach = self.kept.lookup(self._reach_key, lambda: light_shares.Reach(device))
         return kept.textures(self.reach_key, tap, program, self.splats["ps_place"].size, light)
 
-    def _polygon_meshes(self) -> dict[int, polygon_pass.PolygonMesh]:
+    def _polygon_meshes(self) -> dict[int, polygon_mesh.PolygonMesh]:
         scene, plan, meshes = self.scene, self.plan, {}
         for row in np.unique(scene.instances.geometry[self.prepared.polygons]).tolist():
             geometry = scene.geometries[row]
             mesh = geometry.mesh
             assert mesh is not None
-            ok, _ = self.store.lookup(
-                Key(Kind.VALID_TRIANGLES, geometry.key), lambda mesh=mesh: sampling.validate(mesh)
-            )
+            ok, _ = self.store.lookup(Key(Kind.VALID_TRIANGLES, geometry.key), lambda mesh=mesh: valid_triangles(mesh))
             look = digest(mesh, scene.materials)
             parts = None
             if geometry.primitive == "AUTO":
@@ -373,8 +371,8 @@ class Uploads:
             key = Key(Kind.POLYGON_MESH, geometry.key, look, other=more)
             self.used.add(key)
 
-            def make(mesh: Mesh = mesh, ok: np.ndarray = ok, parts: Parts | None = parts) -> polygon_pass.PolygonMesh:
-                return polygon_pass.PolygonMesh(self.device, mesh, ok, scene.materials, plan.variant, parts)
+            def make(mesh: Mesh = mesh, ok: np.ndarray = ok, parts: Parts | None = parts) -> polygon_mesh.PolygonMesh:
+                return polygon_mesh.PolygonMesh(self.device, mesh, ok, scene.materials, plan.variant, parts)
 
             meshes[row] = self.kept.lookup(key, make)
             meshes[row].hang(self._pictures)
@@ -383,19 +381,19 @@ class Uploads:
             self.part_lists[instance] = [self._part_list(group.rows(parts)) for group in groups]
         return meshes
 
-    def _pictures(self, graph: MaterialGraph, row: int) -> polygon_pass.Pictures:
+    def _pictures(self, graph: MaterialGraph, row: int) -> polygon_mesh.Pictures:
         """Of a graph, over constants of the material table's row."""
         table, emission = self.scene.materials, self.plan.variant.emission
         constants = (table.base_color[row].tobytes(), float(table.roughness[row]), float(table.metallic[row]))
         key = Key(Kind.TEXTURES, graph.digest, other=(*constants, emission))
         self.used.add(key)
-        return self.kept.lookup(key, lambda: polygon_pass.Pictures(self.device, graph, table, row, emission))
+        return self.kept.lookup(key, lambda: polygon_mesh.Pictures(self.device, graph, table, row, emission))
 
-    def _part_list(self, rows: np.ndarray) -> polygon_pass.PartList | None:
+    def _part_list(self, rows: np.ndarray) -> polygon_mesh.PartList | None:
         if len(rows) == 0:
             return None
         size, data = paged(rows, 4)
-        return polygon_pass.PartList(self._own(self.device.texture(size, "RGBA32F", data)), len(rows))
+        return polygon_mesh.PartList(self._own(self.device.texture(size, "RGBA32F", data)), len(rows))
 
     def _motion(self) -> Texture:
         """Clip space a frame before from today's view space, four rows for each instance."""
@@ -426,7 +424,7 @@ class DrawList:
     def update(
         self,
         device: Device,
-        page: translucent_pass.TranslucentPage,
+        page: TranslucentPage,
         layer: Layer,
         world_from_object: np.ndarray,
         view_from_world: np.ndarray,
@@ -437,12 +435,14 @@ class DrawList:
         if known is not None and not known.stale(view_from_world, layer.cut):
             return
         entries = {row: points.hierarchy or points.cloud for row, points in layer.point_sets.items()}
-        self._order = depth_order.sort(layer.cut, entries, layer.set_of_instance, world_from_object, view_from_world)
+        self._order = depth_order.sort_cut(
+            layer.cut, entries, layer.set_of_instance, world_from_object, view_from_world
+        )
         self._key, self.sorts = key, self.sorts + 1
         texel, instance = listed(page, layer)
         index = self._order.index
         self.count = len(index)
-        size, data = paged(translucent_pass.draw_list(texel[index], instance[index]), 2)
+        size, data = paged(light_pass.draw_list(texel[index], instance[index]), 2)
         self.release()
         self.texture = device.texture(size, "RG32F", data)
 
@@ -452,7 +452,7 @@ class DrawList:
         self.texture = None
 
 
-def listed(page: translucent_pass.TranslucentPage, layer: Layer) -> tuple[np.ndarray, np.ndarray]:
+def listed(page: TranslucentPage, layer: Layer) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int64: where in its page each splat of a layer's cut is, and of which instance it is one."""
     first = np.zeros(max(layer.point_sets) + 1, np.int64)
     for row, points in layer.point_sets.items():
@@ -475,8 +475,8 @@ class Same:
         return isinstance(other, Same) and other.array is self.array
 
 
-def _lines_of(scene: Scene, row: int) -> Lines:
-    lines = scene.geometries[row].lines
+def _lines_of(scene: Scene, row: int) -> Strands:
+    lines = scene.geometries[row].strands
     assert lines is not None
     return lines
 

@@ -14,16 +14,15 @@ from ...core.lod.cost import Costs
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ...core.scene.validation import shown, sound_camera
-from ...core.splat.blur import blur_of
+from ...core.splat.blur import defocus_blur
 from ..cache.store import Store
 from ..device.clock import Clock
 from ..device.protocol import Limits
-from ..frame.defocus import beside
-from ..frame.lens_samples import prepared_for
+from ..passes.image_space.pyramid import levels
+from ..passes.output.adaptive import why_everywhere
 from ..passes.outputs import CRYPTO
-from ..passes.pyramid import levels
-from ..passes.shade import averaged, data
-from ..passes.tiles import why_everywhere
+from ..passes.shading.averages import averaged
+from ..passes.shading.data import data
 from ..prepare.hybrid import triangles_of
 from ..prepare.in_view import in_view
 from ..prepare.negligible import without_faint
@@ -31,6 +30,8 @@ from ..prepare.painter import defocused, painted
 from ..prepare.parts import parted
 from ..prepare.prepare import Prepared, prepare
 from ..shadow.shadows import Shadows, cast
+from .auxiliary import beside
+from .lens_view import prepared_for
 from .plan import Plan, make_plan
 from .request import Request
 from .technique import NAMES, NO_BLENDING, Technique, choose, reconsidered
@@ -171,7 +172,7 @@ def make_shot(
         prepared = painted(prepared, keep=presented or bool(averaged(request.passes) or data(request.passes)))
 
     blended = (camera, request.samples) if technique.name == "EWA" else None
-    in_focus = "" if blur_of(camera) is None or through_lens else "nothing is out of focus"
+    in_focus = "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus"
     sharp_world = "each sample sees it through a place on the lens" if through_lens else why_sharp(scene, camera)
     plan = make_plan(
         scene, prepared, request.passes, shadows, unshadowed, request.interactive, blended, paints,

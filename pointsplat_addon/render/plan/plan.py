@@ -13,14 +13,15 @@ from ...core.material.graph import MaterialGraph
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud
 from ...core.scene.scene import Scene
-from ...core.scene.strands import Lines
+from ...core.scene.strands import Strands
 from ...core.surface.appearance import graphs_of
-from ..passes import ewa
-from ..passes.common import Variant
-from ..passes.points import PointOptions
-from ..passes.shade import NEED_OWNER, averaged, data
-from ..passes.translucent import TranslucentOptions
-from ..passes.translucent import options as translucent_options
+from ..passes.ewa import options as options_module
+from ..passes.gbuffer import Variant
+from ..passes.pages.point_page import PointOptions
+from ..passes.shading.averages import averaged
+from ..passes.shading.data import NEED_OWNER, data
+from ..passes.translucent.options import TranslucentOptions
+from ..passes.translucent.options import options as translucent_options
 from ..prepare.prepare import Prepared
 from ..shadow.shadows import Shadows
 from .reasons import reasons
@@ -46,7 +47,7 @@ class Plan:
     translucent: TranslucentOptions | None  # None: nothing is
     coarse: bool  # the first sample's translucent layer has fewer pixels: views that move show it at once
     skipped: tuple[tuple[str, str], ...] = ()  # (pass, because)
-    ewa: ewa.EwaOptions | None = None  # points are drawn by EWA; None: in image space
+    ewa: options_module.EwaOptions | None = None  # points are drawn by EWA; None: in image space
     world: tuple[str, ...] = ()  # and of what is behind it
     painter: bool = False  # opaque points are painted: what the G-buffer holds of them is for other passes alone
     backdrop: bool = False  # a picture of the world is out of focus: passes/backdrop.py
@@ -110,8 +111,8 @@ def make_plan(
     graphs = _graphs(scene, prepared)
     channels = {name for graph in graphs for name in graph.channels}
     sets = [*prepared.point_sets.values(), *prepared.spheres.point_sets.values()]
-    clouds: list[PointCloud | Lines] = [p.cloud for p in sets]
-    clouds += [found for row in prepared.lines if (found := scene.geometries[row].lines) is not None]
+    clouds: list[PointCloud | Strands] = [p.cloud for p in sets]
+    clouds += [found for row in prepared.lines if (found := scene.geometries[row].strands) is not None]
     surface = any(c.surface is not None for c in clouds) or (polygons and bool(channels & {"roughness", "metallic"}))
     varies = surface or (translucent is not None and translucent.surface)
     materials = _materials(scene, varies)
@@ -161,7 +162,7 @@ def make_plan(
         translucent=translucent,
         coarse=interactive and translucent is not None and not defocus
         and not (translucent.tint or translucent.holdout or translucent.fuzzy),
-        ewa=None if blended is None or not points else ewa.options(
+        ewa=None if blended is None or not points else options_module.options(
             blended[0], prepared.largest, any(p.cloud.normal is None for p in prepared.point_sets.values()), blended[1]
         ),
         world=() if scene.transparent else world,

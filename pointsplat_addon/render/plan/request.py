@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.scene.camera import Camera
 from ...core.scene.settings import Settings
-from ...core.splat.blur import NODE
+from ...core.splat.blur import NODE_SIZE
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,9 @@ class Request:
     crypto_levels: int = 6
     interactive: bool = False  # drawn again and again, and at once: see prepare
     coarse: bool = False  # a budget of time has no room for one sample at the tolerance that was asked for
-    node: float = NODE  # largest nodes of what is out of focus, over the radii of their disks: core/lens/defocus.py
+    node: float = (
+        NODE_SIZE  # largest nodes of what is out of focus, over the radii of their disks: core/lens/defocus.py
+    )
 
 
 @dataclass(frozen=True)

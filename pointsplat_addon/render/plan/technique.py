@@ -1,4 +1,4 @@
-"""Which technique draws the opaque points of a view, where the person leaves it to us (docs/techniques.md)."""
+"""Which technique draws the opaque points of a view, where the person leaves it to us (docs/notes/techniques.md)."""
 
 from __future__ import annotations
 

@@ -7,15 +7,21 @@ from functools import cached_property
 
 import numpy as np
 
-from ...core.lod.cost import Choice, Costs, choose, runs
+from ...core.lod.cost import Costs, PrimitiveChoice, choose_primitives, mask_runs
+from ...core.scene.bounds import mesh_centre
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, finite
 from ...core.scene.materials import MaterialTable
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry
-from ...core.surface import sampling
 from ...core.surface.appearance import digest, point_cloud
+from ...core.surface.area_sampling import estimate_by_part
 from ...core.surface.density import PART, Parts, part_spacings
+from ...core.surface.evaluation import evaluate
+from ...core.surface.samples import Samples, take_samples, vertex_of_sample
+from ...core.surface.sampling import choose_method, sample_mesh
+from ...core.surface.spacing import quantise_spacing
+from ...core.surface.triangles import Measures, measures_of_some
 from ..cache.keys import Key, Kind
 from .hierarchies import that_have_nodes
 from .layers import MANY_INSTANCES
@@ -39,7 +45,7 @@ class Divided:
     mesh: Mesh
     ok: np.ndarray  # (T,) bool: valid triangles
     parts: Parts
-    measures: sampling.Measures
+    measures: Measures
     _samples: dict[float, np.ndarray] = field(default_factory=dict)
 
     @cached_property
@@ -55,7 +61,7 @@ class Divided:
     @property
     def coarsest(self) -> float:
         """The octave of spacing beyond which no triangle has fewer samples."""
-        return sampling.quantise_spacing(2 * self.measures.longest)
+        return quantise_spacing(2 * self.measures.longest)
 
     @property
     def nbytes(self) -> int:
@@ -65,10 +71,10 @@ class Divided:
         """(B,) float64: about how many samples each part has."""
         if spacing not in self._samples:
             m = self.measures
-            if sampling.choose(self.mesh, spacing, self.ok, m) == "VERTICES":
+            if choose_method(self.mesh, spacing, self.ok, m) == "VERTICES":
                 found = self.parts.counts * (m.vertices / len(m.triangle))
             else:
-                found = sampling.estimate_by_part(m, spacing, self.number, len(self.parts))
+                found = estimate_by_part(m, spacing, self.number, len(self.parts))
             self._samples[spacing] = found
         return self._samples[spacing]
 
@@ -76,7 +82,7 @@ class Divided:
         """About how many samples the mesh has where all of it is points that are dense enough for `needed`: vertices
         where they are at most `slack` times as far apart, else the octave of spacing."""
         m = self.measures
-        if sampling.choose(self.mesh, max(slack * needed, self.octave(needed)), self.ok, m) == "VERTICES":
+        if choose_method(self.mesh, max(slack * needed, self.octave(needed)), self.ok, m) == "VERTICES":
             return float(m.vertices)
         return float(self.samples(self.octave(needed)).sum())
 
@@ -86,7 +92,7 @@ class Divided:
         return self.parts.counts * min(self.measures.vertices / len(self.measures.triangle), 1.0)
 
     def octave(self, spacing: float) -> float:
-        return min(sampling.quantise_spacing(spacing), self.coarsest)
+        return min(quantise_spacing(spacing), self.coarsest)
 
     def worth(self, costs: Costs, spacing: float, most: int) -> np.ndarray:
         """(B,) bool: parts of which some view draws points at this spacing; none where these would be more than
@@ -100,7 +106,7 @@ class Divided:
 class PartSamples:
     """Samples of some parts of a mesh, part by part."""
 
-    samples: sampling.Samples
+    samples: Samples
     start: np.ndarray  # (B + 1,) int64: where each part's samples begin
     # Vertices on a border are samples of one part, and close its neighbours too: (E,) sample, its part, the neighbour.
     border: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
@@ -115,35 +121,35 @@ class PartSamples:
         if self.border is not None and not points.all():
             sample, owner, neighbour = self.border
             shown[sample[points[neighbour] & ~points[owner]]] = True
-        return runs(shown)
+        return mask_runs(shown)
 
 
 def sample_parts(divided: Divided, spacing: float, which: np.ndarray) -> PartSamples:
     """The samples of the parts `which` (B,) bool."""
     mesh, ok, number = divided.mesh, divided.ok, divided.number
     mine = which[number]
-    m = divided.measures if mine.all() else sampling.some(divided.measures, mine)
+    m = divided.measures if mine.all() else measures_of_some(divided.measures, mine)
     inside = ok.copy()
     inside[ok] = mine
-    method = sampling.choose(mesh, spacing, inside, m)
-    samples = sampling.sample(mesh, spacing, method, inside, m)
+    method = choose_method(mesh, spacing, inside, m)
+    samples = sample_mesh(mesh, spacing, method, inside, m)
     of_triangle = np.full(len(mesh.triangles), -1, np.int32)
     of_triangle[ok] = number
     part = of_triangle[samples.triangle]
     if (np.diff(part) < 0).any():
         order = np.argsort(part, kind="stable")
-        samples, part = sampling.taken(samples, order), part[order]
+        samples, part = take_samples(samples, order), part[order]
     start = np.searchsorted(part, np.arange(len(divided.parts) + 1))
     border = _border(mesh, samples, part, of_triangle, inside) if method == "VERTICES" else None
     return PartSamples(samples, start, border)
 
 
 def _border(
-    mesh: Mesh, samples: sampling.Samples, part: np.ndarray, of_triangle: np.ndarray, inside: np.ndarray
+    mesh: Mesh, samples: Samples, part: np.ndarray, of_triangle: np.ndarray, inside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """See PartSamples.border: of vertex samples with their parts (N,), the parts of all triangles (T,)."""
     at = np.full(len(mesh.position), -1, np.int64)
-    at[sampling.vertices_of(mesh, samples)] = np.arange(len(samples))
+    at[vertex_of_sample(mesh, samples)] = np.arange(len(samples))
     rows = np.flatnonzero(inside)
     sample = at[mesh.triangles[rows]]
     neighbour = np.broadcast_to(of_triangle[rows, None], sample.shape)
@@ -159,7 +165,7 @@ class Shown:
     """One instance in one view: what its parts are drawn as."""
 
     spacing: float  # of its points
-    choice: Choice
+    choice: PrimitiveChoice
     whole: bool  # all of it is points, out of view or not: as dense as its nearest part needs
     nodes: bool = False  # or, where that is too many, those of an octree over as few samples as cover it
 
@@ -194,7 +200,9 @@ def show(
     spacing = np.unique(np.minimum(octaves, divided.coarsest))
     worth = np.array([divided.worth(costs, s, most) for s in spacing.tolist()])
     samples = np.array([divided.samples(s) for s in spacing.tolist()])
-    choice = choose(costs, needed, spacing, np.where(worth, samples, np.inf), divided.parts.counts, divided.area)
+    choice = choose_primitives(
+        costs, needed, spacing, np.where(worth, samples, np.inf), divided.parts.counts, divided.area
+    )
     every = divided.whole(finest, slack)
     whole = every * (costs.point + costs.prepared)
     if every <= most and whole <= choice.cost:
@@ -219,7 +227,7 @@ def choose_parts(view: View, view_from_object: np.ndarray, usable: np.ndarray) -
     for row, geometry in enumerate(scene.geometries):
         views = view_from_object[usable & (scene.instances.geometry == row)]
         mesh = geometry.mesh
-        if len(views) == 0 or geometry.lines is not None or (mesh is not None and len(mesh.triangles) == 0):
+        if len(views) == 0 or geometry.strands is not None or (mesh is not None and len(mesh.triangles) == 0):
             continue
         of, points = _choosable(view, geometry, len(views))
         others |= points
@@ -320,7 +328,7 @@ def _sampled(
 ) -> tuple[PointSet, PartSamples]:
     """The samples of all parts that are points in some view, `worth` (B,) bool."""
     mesh, ok, store = of.mesh, of.ok, of.store
-    look, first = digest(mesh, table), sampling.centre(mesh)
+    look, first = digest(mesh, table), mesh_centre(mesh)
     # Parts that lie in the mesh's own order, all of them, depend on its topology alone.
     same = of.shape if worth.all() and divided.parts.order is None else (of.geometry.key, worth.tobytes())
     sampled, origin = store.lookup(
@@ -329,7 +337,7 @@ def _sampled(
     key = Key(Kind.POINTS_OF_PARTS, (of.geometry.key, same), look, spacing=spacing)
 
     def make() -> PointCloud:
-        evaluated = sampling.evaluate(mesh, sampled.samples, origin, ok)
+        evaluated = evaluate(mesh, sampled.samples, origin, ok)
         return finite(point_cloud(mesh, sampled.samples, evaluated, table))[0]
 
     family = Key(Kind.SHARED_HIERARCHY, same, look, "PARTS", spacing)

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.lod.cut import Cut
-from ...core.lod.instances import visible
+from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import all_finite, largest_singular_value
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
-from ...core.surface import sampling
+from ...core.scene.validation import valid_triangles
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .meshes import mesh_ball
@@ -59,7 +59,7 @@ def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ba
     for row in np.unique(geometry).tolist():
         mesh = scene.geometries[row].mesh
         if mesh is not None:
-            ok, _ = store.lookup(Key(Kind.VALID_TRIANGLES, mesh.key), lambda mesh=mesh: sampling.validate(mesh))
+            ok, _ = store.lookup(Key(Kind.VALID_TRIANGLES, mesh.key), lambda mesh=mesh: valid_triangles(mesh))
             middle, reach = mesh_ball(mesh, ok, store)
             yield prepared.view_from_object[prepared.polygons[geometry == row]], middle, reach
 
@@ -82,7 +82,7 @@ def drawn_ball(scene: Scene, prepared: Prepared, store: Store) -> tuple[np.ndarr
 
 def _seen(balls: Iterator[Ball], camera: Camera) -> bool:
     """Whether any instance of any ball may reach into the picture."""
-    return any(bool(visible(views, middle, reach, camera, MARGIN).any()) for views, middle, reach in balls)
+    return any(bool(visible_instances(views, middle, reach, camera, MARGIN).any()) for views, middle, reach in balls)
 
 
 def _clear(points: PointSet, store: Store) -> bool:

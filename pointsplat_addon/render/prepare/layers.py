@@ -5,8 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.lens.thin_lens import sampled
-from ...core.lod.cut import Cut, Forest, forest, fully, select, staggered
-from ...core.lod.instances import ALL, NONE, OWN, Levels, choose, cut_of, enlarged, joined, make_levels, visible
+from ...core.lod.criteria import transition_band
+from ...core.lod.cut import Cut, cut_of_all_points, select_cut
+from ...core.lod.instances import (
+    ALL_POINTS,
+    NOTHING,
+    OWN_CUT,
+    choose_levels,
+    cut_from_levels,
+    joined_cuts,
+    scaled_about,
+    visible_instances,
+)
+from ...core.lod.levels import Levels, make_levels
+from ...core.lod.node_table import NodeTable, node_table
 from ...core.scene.scene import Geometry
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
@@ -44,25 +56,25 @@ def cut_layer(
         views, levels = view_from_object[where], _levels(points, view.store)
         if levels is None:
             middle, far, radius = set_ball(points, view.store)
-            gone = where[~visible(views, middle, far + radius, camera)]
+            gone = where[~visible_instances(views, middle, far + radius, camera)]
             set_of_instance[gone] = own[gone] = -1
             continue
-        choice = choose(levels, views, where, camera, tolerance, band=staggered(tolerance))
-        own[where[choice.level != OWN]] = -1
-        set_of_instance[where[choice.level == NONE]] = -1
-        every = where[choice.level == ALL]
-        shared.append(fully(np.array([len(points.cloud)]), np.zeros(len(every), int)).of(every))
+        choice = choose_levels(levels, views, where, camera, tolerance, band=transition_band(tolerance))
+        own[where[choice.level != OWN_CUT]] = -1
+        set_of_instance[where[choice.level == NOTHING]] = -1
+        every = where[choice.level == ALL_POINTS]
+        shared.append(cut_of_all_points(np.array([len(points.cloud)]), np.zeros(len(every), int)).of(every))
         some = np.flatnonzero(choice.level >= 0)
         if len(some):
             at = len(view.scene.geometries) + max(sets) + 1
             sets[at] = PointSet(Key(Kind.LEVEL_NODES, points.key), levels.drawn)
             set_of_instance[where[some]] = at
-            view_from_object[where[some]] = enlarged(views[some], levels.center, choice.scale[some])
-            shared.append(cut_of(levels, where[some], choice.level[some]))
+            view_from_object[where[some]] = scaled_about(views[some], levels.center, choice.scale[some])
+            shared.append(cut_from_levels(levels, where[some], choice.level[some]))
         if not (set_of_instance == key).any():
             del sets[key]
     rest = {key: points for key, points in point_sets.items() if (own == key).any()}
-    return Layer(sets, set_of_instance, joined([_cut(view, rest, own, view_from_object, wanted), *shared]))
+    return Layer(sets, set_of_instance, joined_cuts([_cut(view, rest, own, view_from_object, wanted), *shared]))
 
 
 def _levels(points: PointSet, store: Store) -> Levels | None:
@@ -81,23 +93,23 @@ def _cut(
 ) -> Cut:
     """Each instance by itself."""
     if not any(points.hierarchy for points in point_sets.values()):
-        return fully(counts(point_sets), set_of_instance)
+        return cut_of_all_points(counts(point_sets), set_of_instance)
     key = Key(Kind.FOREST, tuple((row, points.key) for row, points in point_sets.items()))
-    trees: Forest = view.store.lookup(
-        key, lambda: forest({row: p.hierarchy or p.cloud for row, p in point_sets.items()})
+    trees: NodeTable = view.store.lookup(
+        key, lambda: node_table({row: p.hierarchy or p.cloud for row, p in point_sets.items()})
     )
     scene, tolerance = view.scene, view.settings.tolerance
     cull = np.array([bool(scene.materials.cull.take(_materials(g), mode="clip").all()) for g in scene.geometries], bool)
     # What turns its back to the middle of the lens may face its rim.
     cull = cull[scene.instances.geometry] & (not sampled(view.camera, view.settings))
-    return select(
+    return select_cut(
         trees,
         set_of_instance,
         view_from_object,
         view.camera,
         tolerance,
         cull,
-        band=staggered(tolerance),
+        band=transition_band(tolerance),
         blur=view.blur,
         wanted=wanted,
     )

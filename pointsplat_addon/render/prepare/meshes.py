@@ -12,15 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from ...core.lod.foliage import leafy
-from ...core.lod.instances import visible
+from ...core.lod.foliage import is_foliage
+from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import largest_singular_value
+from ...core.scene.bounds import mesh_centre
 from ...core.scene.cloud import PointCloud, finite
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry
-from ...core.surface import sampling
+from ...core.scene.validation import valid_triangles
 from ...core.surface.appearance import digest, point_cloud
 from ...core.surface.density import EXACT_INSTANCES, Parts, make_parts, required_spacing
+from ...core.surface.evaluation import evaluate
+from ...core.surface.sample_areas import sample_areas
+from ...core.surface.sampling import choose_method, sample_mesh
+from ...core.surface.spacing import MAX_SAMPLES, MOST_SAMPLES, limit_spacing, quantise_spacing
+from ...core.surface.triangles import Measures, measure_triangles
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .hierarchies import that_have_nodes
@@ -67,13 +73,13 @@ class Measured:
         return self._kept(Kind.PARTS, lambda: make_parts(self.mesh, self.ok))
 
     @property
-    def measures(self) -> sampling.Measures:
-        return self._kept(Kind.MEASURES, lambda: sampling.measure(self.mesh, self.ok))
+    def measures(self) -> Measures:
+        return self._kept(Kind.MEASURES, lambda: measure_triangles(self.mesh, self.ok))
 
     def leaves(self, instances: int) -> bool:
         """Whether so many instances of it are leaves, few enough to be polygons from any distance."""
         return instances * len(self.mesh.triangles) <= MOST_LEAVES and self._kept(
-            Kind.IS_FOLIAGE, lambda: leafy(self.mesh.position, self.mesh.triangles[self.ok])
+            Kind.IS_FOLIAGE, lambda: is_foliage(self.mesh.position, self.mesh.triangles[self.ok])
         )
 
     def _kept(self, kind: Kind, make: Callable[[], Any]) -> Any:
@@ -85,7 +91,7 @@ def measured(view: View, geometry: Geometry) -> Measured | None:
     mesh = geometry.mesh
     if mesh is None or len(mesh.triangles) == 0:
         return None
-    ok, dropped = view.store.lookup(Key(Kind.VALID_TRIANGLES, geometry.key), lambda: sampling.validate(mesh))
+    ok, dropped = view.store.lookup(Key(Kind.VALID_TRIANGLES, geometry.key), lambda: valid_triangles(mesh))
     if dropped.total:
         view.warnings.append(dropped.message(geometry.name))
     return Measured(geometry, mesh, ok, view.store) if ok.any() else None
@@ -111,7 +117,7 @@ def _typical_edge(mesh: Mesh, ok: np.ndarray) -> float:
 
 def most_samples(tolerance: float) -> int:
     """Samples that one mesh may have: a finer tolerance asks for more, up to what memory holds."""
-    return int(min(sampling.MAX_SAMPLES / min(tolerance, 1.0) ** 2, sampling.MOST_SAMPLES))
+    return int(min(MAX_SAMPLES / min(tolerance, 1.0) ** 2, MOST_SAMPLES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +180,7 @@ def _near(view: View, of: Measured, view_from_object: np.ndarray) -> np.ndarray:
         return np.ones(len(view_from_object), bool)
     allowed = _allowed_by_bounds(view, of, view_from_object)
     near = of.edge * view.settings.tolerance > POLYGON_PIXELS * allowed
-    return near & visible(view_from_object, *of.ball, view.camera)
+    return near & visible_instances(view_from_object, *of.ball, view.camera)
 
 
 # How dense points are.
@@ -217,7 +223,7 @@ def _octaves(view: View, of: Measured, needed: float, view_from_object: np.ndarr
         allowed = _allowed_by_bounds(view, of, view_from_object)
     with np.errstate(all="ignore"):
         # Relative to the octave that `needed` is rounded to, so that the coarser ones round alike.
-        coarser = np.floor(np.log2(allowed / sampling.quantise_spacing(needed)))
+        coarser = np.floor(np.log2(allowed / quantise_spacing(needed)))
         # Each triangle has a sample, however coarse the spacing is.
         most = of.edge
         if len(view_from_object) >= MANY_INSTANCES:
@@ -240,10 +246,10 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
     known = store.finest_spacing(asked, np.inf)
     measures = of.measures
     if geometry.spacing <= 0 and spacing < known:
-        octave_of, most = sampling.quantise_spacing(spacing), most_samples(view.settings.tolerance)
+        octave_of, most = quantise_spacing(spacing), most_samples(view.settings.tolerance)
         spacing = store.lookup(
             Key(Kind.LIMITED_SPACING, shape, spacing=octave_of, other=most),
-            lambda: sampling.limit_spacing(mesh, octave_of, most, ok, measures),
+            lambda: limit_spacing(mesh, octave_of, most, ok, measures),
         )
     spacing = store.finest_spacing(asked, spacing) * 2.0**octave
     needed *= 2.0**octave
@@ -251,11 +257,11 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
     look = digest(mesh, view.scene.materials)
     loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
     method = store.lookup(
-        Key(Kind.SAMPLING_METHOD, shape, spacing=loose), lambda: sampling.choose(mesh, loose, ok, measures)
+        Key(Kind.SAMPLING_METHOD, shape, spacing=loose), lambda: choose_method(mesh, loose, ok, measures)
     )
     if view.coarse and geometry.spacing <= 0 and method != "VERTICES":
         # Finer samples than a budget of time leaves room for are drawn once their nodes can stand for them.
-        own, name = sampling.quantise_spacing(needed), Key(Kind.MESH_POINTS, geometry.key, look, method, spacing)
+        own, name = quantise_spacing(needed), Key(Kind.MESH_POINTS, geometry.key, look, method, spacing)
         if own > spacing:
             found = that_have_nodes(view, name, lambda: _samples(view, of, method, spacing, loose))
             return _samples(view, of, method, own, loose) if found is None else found
@@ -264,8 +270,8 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
 
 def fewest(view: View, of: Measured) -> PointSet:
     """The fewest samples that cover a mesh: its vertices, or one on each triangle."""
-    spacing = sampling.quantise_spacing(2 * of.measures.longest)
-    return _samples(view, of, sampling.choose(of.mesh, spacing, of.ok, of.measures), spacing, spacing)
+    spacing = quantise_spacing(2 * of.measures.longest)
+    return _samples(view, of, choose_method(of.mesh, spacing, of.ok, of.measures), spacing, spacing)
 
 
 def _samples(view: View, of: Measured, method: str, spacing: float, loose: float) -> PointSet:
@@ -274,14 +280,15 @@ def _samples(view: View, of: Measured, method: str, spacing: float, loose: float
     look = digest(mesh, table)
     spacing = 0.0 if method == "VERTICES" else spacing
     at = Key(Kind.SAMPLES, shape, method=method, spacing=spacing)
+    at = Key(Kind.SAMPLES, shape, method=method, spacing=spacing)
     samples, origin = store.lookup(
         at,
-        lambda: (sampling.sample(mesh, spacing or loose, method, ok, of.measures), sampling.centre(mesh)),
+        lambda: (sample_mesh(mesh, spacing or loose, method, ok, of.measures), mesh_centre(mesh)),
     )
     key = Key(Kind.MESH_POINTS, geometry.key, look, method, spacing)
 
     def make() -> PointCloud:
-        evaluated = sampling.evaluate(mesh, samples, origin, ok)
+        evaluated = evaluate(mesh, samples, origin, ok)
         return finite(point_cloud(mesh, samples, evaluated, table))[0]
 
     family = Key(Kind.SHARED_HIERARCHY, shape, look, method, spacing)
@@ -296,4 +303,4 @@ def areas(view: View, geometry: Geometry, points: PointSet) -> Callable[[], np.n
     samples, _ = view.store.lookup(points.samples, lambda: None)
     if len(samples) != len(points.cloud):
         return None
-    return lambda: sampling.areas(of.mesh, samples, of.ok)
+    return lambda: sample_areas(of.mesh, samples, of.ok)

@@ -101,7 +101,7 @@ def reflection(scene: Scene, prepared: Prepared, store: Store) -> Reflection:
     shines = metal or bool((relative_index(table.ior[known], table.specular[known]) != 1).any())
     alpha = MIN_ALPHA if smooth else max(float(table.roughness[known].min(initial=1.0)) ** 2, MIN_ALPHA)
     # The lobes of strands (core/light/hair.py) have no bound here, nor have their pieces that are out of focus.
-    blurred = prepared.blurred is not None and any(geometry.lines is not None for geometry in scene.geometries)
+    blurred = prepared.blurred is not None and any(geometry.strands is not None for geometry in scene.geometries)
     strands = len(prepared.lines) > 0 or blurred
     lobe = np.inf if strands else most_scattered() / (np.pi * alpha**3) if shines else 0.0
     media = any(points.cloud.extinction is not None for points in _sets(prepared))
@@ -135,7 +135,7 @@ def _used(scene: Scene, prepared: Prepared, store: Store) -> tuple[set[int], flo
         albedo = np.inf if "base_color" in channels else albedo
         smooth |= bool(channels & {"roughness", "metallic"})
     for row in prepared.lines:
-        lines = scene.geometries[row].lines
+        lines = scene.geometries[row].strands
         rows |= set() if lines is None else set(lines.materials)
         albedo = np.inf
     return {row for row in rows if row < len(scene.materials)}, albedo, smooth

@@ -9,19 +9,22 @@ import numpy as np
 
 from ...core.lens import dicing
 from ...core.lens.strand_splats import SHARE, sharp_ends, splats
-from ...core.lod.area_share import shares
-from ...core.lod.cut import forest, fully, select
-from ...core.lod.instances import joined
+from ...core.lod.area_share import area_shares
+from ...core.lod.cut import cut_of_all_points, select_cut
+from ...core.lod.instances import joined_cuts
+from ...core.lod.node_table import node_table
 from ...core.numeric.linear import largest_singular_value
+from ...core.scene.bounds import mesh_centre
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, finite
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
-from ...core.scene.strands import Lines
-from ...core.splat.blur import BLURRED, IN_FOCUS, Blur
-from ...core.strand.selection import Segments, Strands
-from ...core.surface import sampling
+from ...core.scene.strands import Strands
+from ...core.splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
+from ...core.strand.levels import StrandLevels
+from ...core.strand.segments import Segments
 from ...core.surface.appearance import digest, point_cloud
+from ...core.surface.evaluation import evaluate
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .point_sets import Layer, PointSet
@@ -60,14 +63,14 @@ class Focus:
         reach = radius * largest_singular_value(matrix[:, :3, :3])
         near = self.camera.nearest
         least, most = self.blur.bounds(np.maximum(depth - reach, near), np.maximum(depth + reach, near))
-        return least < BLURRED, most > IN_FOCUS
+        return least < OUT_OF_FOCUS, most > IN_FOCUS
 
     def add_points(self, instance: np.ndarray, points: PointSet, areas: Callable[[], np.ndarray] | None) -> None:
         """Points and their nodes. `areas`: (N,) what each point stands for; None: it is not known."""
         key = self._add(instance, points)
         made = self.store.lookup(
             Key(Kind.AREA_SHARES, points.key, other=areas is not None),
-            lambda: shares(points.hierarchy or points.cloud, areas),
+            lambda: area_shares(points.hierarchy or points.cloud, areas),
         )
         self.shares[key] = made
 
@@ -85,7 +88,7 @@ class Focus:
     def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh, ok: np.ndarray) -> None:
         """Triangles, cut for this view."""
         rows = np.flatnonzero(ok)
-        origin, table = sampling.centre(mesh), self.scene.materials
+        origin, table = mesh_centre(mesh), self.scene.materials
         look = digest(mesh, table)
         for i in instance.tolist():
             matrix = self.view_from_object[i]
@@ -93,11 +96,11 @@ class Focus:
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 samples = dicing.cut(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
-                return finite(point_cloud(mesh, samples, sampling.evaluate(mesh, samples, origin, ok), table))[0]
+                return finite(point_cloud(mesh, samples, evaluate(mesh, samples, origin, ok), table))[0]
 
             self._add_pieces(i, key, make, dicing.SHARE)
 
-    def add_lines(self, geometry: Geometry, lines: Lines, strands: Strands, segments: Segments) -> Segments:
+    def add_lines(self, geometry: Geometry, lines: Strands, strands: StrandLevels, segments: Segments) -> Segments:
         """What of the segments of a view may be out of focus; returns those that may be in it."""
         kept = np.zeros(len(segments), bool)
         for i in np.unique(segments.instance).tolist():
@@ -135,13 +138,15 @@ class Focus:
         counts = np.zeros(len(self.sets) + 1, np.int64)
         for key, points in bare.items():
             counts[key] = len(points.cloud)
-        cuts = [fully(counts, self.set_of_instance)]
+        cuts = [cut_of_all_points(counts, self.set_of_instance)]
         trees = {key: points.hierarchy for key, points in self.sets.items() if points.hierarchy is not None}
         if trees:
             known = Key(Kind.FOREST, tuple((key, self.sets[key].key) for key in trees))
-            found = self.store.lookup(known, lambda: forest(trees))
+            found = self.store.lookup(known, lambda: node_table(trees))
             own = np.where(np.isin(self.set_of_instance, list(trees)), self.set_of_instance, -1)
             cuts.append(
-                select(found, own, self.view_from_object, self.camera, self.tolerance, blur=self.blur, wanted="BLURRED")
+                select_cut(
+                    found, own, self.view_from_object, self.camera, self.tolerance, blur=self.blur, wanted="BLURRED"
+                )
             )
-        return Blurred(self.sets, self.set_of_instance, joined(cuts), self.shares)
+        return Blurred(self.sets, self.set_of_instance, joined_cuts(cuts), self.shares)

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...core.lod.cut import Cut
-from ...core.lod.foliage import apart
+from ...core.lod.foliage import disconnected_splats
 from ...core.lod.hierarchy import Hierarchy
-from ...core.lod.instances import visible
+from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import largest_singular_value
 from ...core.numeric.vectors import dot, each_block
+from ...core.scene.bounds import bounding_box
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, coherent, finite
 from ...core.scene.scene import Geometry
-from ...core.strand.selection import NEAREST
-from ...core.surface.sampling import bounding_box
+from ...core.strand.projection import NEAREST
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .view import View
@@ -51,7 +51,7 @@ def given(cloud: PointCloud) -> tuple[PointCloud, int]:
     """What is finite of a cloud, in coherent order, and how many points were dropped."""
     cloud, dropped = finite(cloud)
     cloud = coherent(cloud)
-    strewn = apart(cloud)
+    strewn = disconnected_splats(cloud)
     return cloud if strewn is None else replace(cloud, apart=strewn), dropped
 
 
@@ -128,7 +128,7 @@ def largest_radius(
     for key, points in point_sets.items():
         matrix = view_from_object[set_of_instance == key]
         middle, reach, radius = set_ball(points, store)
-        matrix = matrix[visible(matrix, middle, reach + radius, camera)]
+        matrix = matrix[visible_instances(matrix, middle, reach + radius, camera)]
         scale = largest_singular_value(matrix[:, :3, :3])
         depth = 1.0
         if camera.perspective:

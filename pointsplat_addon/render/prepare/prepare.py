@@ -12,13 +12,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...core.lod.cost import DEFAULT, Costs
-from ...core.lod.cut import fully
+from ...core.lod.cut import cut_of_all_points
 from ...core.numeric.linear import all_finite
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
-from ...core.splat.blur import COARSEST, NODE, blur_of
-from ...core.strand.selection import Segments, clean, select, together
+from ...core.splat.blur import COARSEST_TOLERANCE, NODE_SIZE, defocus_blur
+from ...core.strand.cleaning import clean
+from ...core.strand.segments import Segments, concatenate_segments
+from ...core.strand.selection import select
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .hierarchies import where_blurred, where_it_pays
@@ -62,7 +64,7 @@ def prepare(
     interactive: bool = False,
     check: Callable[[], None] = lambda: None,
     costs: Costs = DEFAULT,
-    node: float = NODE,
+    node: float = NODE_SIZE,
     coarse: bool = False,
 ) -> Prepared:
     """Choose, sample and cut everything that `camera` sees.
@@ -75,11 +77,11 @@ def prepare(
     with np.errstate(all="ignore"):
         view_from_object = camera.view_from_world @ scene.instances.world_from_object
         usable = all_finite(view_from_object.astype(np.float32))  # as the device has them
-    blur = blur_of(camera, node) if settings.dof_method == "SPLAT" else None
+    blur = defocus_blur(camera, node) if settings.dof_method == "SPLAT" else None
     view = View(scene, camera, settings, samples, interactive, store, check, costs, blur, coarse)
     focus = None
     if blur is not None:
-        focus = Focus(scene, camera, blur, min(settings.tolerance, COARSEST), store, view_from_object)
+        focus = Focus(scene, camera, blur, min(settings.tolerance, COARSEST_TOLERANCE), store, view_from_object)
     # Parts of meshes are all points or all polygons where either may be out of focus.
     divided = {} if focus else choose_parts(view, view_from_object, usable)
     lines = _lines(view, view_from_object, usable, focus)
@@ -97,7 +99,7 @@ def prepare(
         layer.set_of_instance,
         layer.cut,
         behind,
-        Layer(balls.sets, balls.of_instance, fully(counts(balls.sets), balls.of_instance)),
+        Layer(balls.sets, balls.of_instance, cut_of_all_points(counts(balls.sets), balls.of_instance)),
         drawn.polygons,
         view_from_object,
         max(largest, settings.tolerance if layer.cut.nodes else 0.0),
@@ -140,7 +142,7 @@ def _drawn(
     drawn = _Drawn(opaque, translucent, spheres, polygons[0])
     for row, geometry in enumerate(scene.geometries):
         where = np.flatnonzero(usable & (instances.geometry == row))
-        if len(where) == 0 or geometry.lines is not None:
+        if len(where) == 0 or geometry.strands is not None:
             continue
         view.check()
         found = _primitives(view, geometry, view_from_object[where], divided.get(row))
@@ -193,7 +195,7 @@ def _lines(view: View, view_from_object: np.ndarray, usable: np.ndarray, focus: 
     """The segments of strands that this view draws, by geometry row; what is out of focus goes to `focus`."""
     found: dict[int, Segments] = {}
     for row, geometry in enumerate(view.scene.geometries):
-        lines = geometry.lines
+        lines = geometry.strands
         where = np.flatnonzero(usable & (view.scene.instances.geometry == row))
         if lines is None or len(where) == 0:
             continue
@@ -206,7 +208,7 @@ def _lines(view: View, view_from_object: np.ndarray, usable: np.ndarray, focus: 
         parts = [select(strands, view_from_object[i], i, view.camera, tolerance) for i in where.tolist()]
         parts = [part for part in parts if len(part)]
         if parts:
-            found[row] = together(parts)
+            found[row] = concatenate_segments(parts)
             if focus is not None:
                 found[row] = focus.add_lines(geometry, lines, strands, found[row])
                 found = {row: segments for row, segments in found.items() if len(segments)}

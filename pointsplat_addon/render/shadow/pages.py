@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.numeric.segments import starts
 from ...core.shadow.casters import KINDS
 from ...core.shadow.table import SHAPES, Level, ShadowTable
 from ..device.packing import PAGE_WIDTH
@@ -89,7 +90,7 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
         for level, texel in zip(() if table is None else table.levels, record, strict=False):
             blocks = _blocks(level, colored)
             sizes = np.array([len(b) for b in blocks])
-            base = texels + np.cumsum(sizes) - sizes
+            base = texels + starts(sizes)
             texel[0] = level.grid.low, level.grid.step, len(level.grid.count), KINDS.index(level.kind)
             texel[1] = coded(base * (1, 1, 4, 1 if colored else 2))
             texel[2, 0] = level.grid.wraps

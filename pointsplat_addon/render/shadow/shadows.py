@@ -12,21 +12,23 @@ import numpy as np
 
 from ...core.light.lighting import in_rows
 from ...core.lod.hierarchy import build
-from ...core.lod.instances import make_levels
+from ...core.lod.levels import make_levels
 from ...core.numeric.linear import all_finite, largest_singular_value
 from ...core.scene.cloud import PointCloud, finite
 from ...core.scene.lights import Light
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
+from ...core.scene.validation import valid_triangles
 from ...core.shadow import builder
 from ...core.shadow.casters import Pieces, pieces
 from ...core.shadow.floor import FLAT, box_corners, lowest, lowest_corner, plane_of, shines_from
 from ...core.shadow.grid import NARROW, rotation
 from ...core.shadow.samples import Outline, leaves, outline, places, sampled
-from ...core.strand.selection import Strands, clean
-from ...core.surface import sampling
+from ...core.strand.cleaning import clean
+from ...core.strand.levels import StrandLevels
 from ...core.surface.appearance import digest, hiding
+from ...core.surface.spacing import quantise_spacing
 from ..cache.keys import Key, Kind
 from ..cache.keys import digest as hashed
 from ..cache.store import Store
@@ -266,7 +268,7 @@ def _box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
         widest = 0.0 if cloud.radii is None else float(cloud.radii.max(initial=0.0))
         low, high = (np.array([f(column, initial=start) for column in cloud.position.T], float) for f, start in ENDS)
         return cloud.origin + low - widest, cloud.origin + high + widest
-    if geometry.lines is not None and len(strands := _strands(geometry, store)):
+    if geometry.strands is not None and len(strands := _strands(geometry, store)):
         widest = float(strands.radius.max())
         low, high = strands.position.min(axis=0) - widest, strands.position.max(axis=0) + widest
         return strands.origin + low, strands.origin + high
@@ -274,7 +276,7 @@ def _box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _outline(geometry: Geometry, mesh: Mesh, store: Store) -> Outline:
-    valid, _ = store.lookup(Key(Kind.VALID_TRIANGLES, geometry.key), lambda: sampling.validate(mesh))
+    valid, _ = store.lookup(Key(Kind.VALID_TRIANGLES, geometry.key), lambda: valid_triangles(mesh))
     return store.lookup(Key(Kind.CASTER_OUTLINE, geometry.key), lambda: outline(mesh, valid))
 
 
@@ -287,7 +289,7 @@ def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
     elif cloud is not None and len(cloud):
         position, origin = _reached(finite(cloud)[0]).position, cloud.origin
         low, high = (np.array([f(column, initial=start) for column in position.T], float) for f, start in ENDS)
-    elif geometry.lines is not None and len(strands := _strands(geometry, store)):
+    elif geometry.strands is not None and len(strands := _strands(geometry, store)):
         origin, widest = strands.origin, float(strands.radius.max())
         low, high = strands.position.min(axis=0) - widest, strands.position.max(axis=0) + widest
     else:
@@ -297,8 +299,8 @@ def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
     return origin + (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 
 
-def _strands(geometry: Geometry, store: Store) -> Strands:
-    lines = geometry.lines
+def _strands(geometry: Geometry, store: Store) -> StrandLevels:
+    lines = geometry.strands
     assert lines is not None
     return store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: clean(lines))
 
@@ -308,7 +310,7 @@ def _pieces(casters: list[_Caster], spacing: list[float], store: Store) -> list[
     return [
         pieces(_strands(caster.geometry, store), matrix, length)
         for caster, length in zip(casters, spacing, strict=True)
-        if caster.geometry.lines is not None and length > 0
+        if caster.geometry.strands is not None and length > 0
         for matrix in caster.matrices
     ]
 
@@ -319,7 +321,7 @@ def _spacings(
     """How far apart the samples of each mesh may lie, in object units: cells of the table that tells most apart. 0 for
     clouds, which have their points, and for floors. Of strands how long their pieces are."""
     meshes = [caster.geometry.mesh is not None for caster in casters]
-    if not any(mesh or caster.geometry.lines is not None for mesh, caster in zip(meshes, casters, strict=True)):
+    if not any(mesh or caster.geometry.strands is not None for mesh, caster in zip(meshes, casters, strict=True)):
         return [0.0] * len(casters)
     balls = [_balls(caster, store, len(casters)) for caster in casters]
     centre, radius = (np.concatenate(parts) for parts in zip(*balls, strict=True))
@@ -347,15 +349,12 @@ def _spacings(
     many = samples[some] / _share(samples[some], MOST_SAMPLES)
     # Down to an octave; where there are too many, to the nearest.
     spacing[some] *= np.where(many > 1, np.sqrt(2 * many), 1)
-    return [
-        sampling.quantise_spacing(s) if ok else other
-        for s, ok, other in zip(spacing.tolist(), some, strands, strict=True)
-    ]
+    return [quantise_spacing(s) if ok else other for s, ok, other in zip(spacing.tolist(), some, strands, strict=True)]
 
 
 def _length(caster: _Caster, store: Store) -> float:
     """Of all strands of all instances, in units of the object."""
-    if caster.geometry.lines is None:
+    if caster.geometry.strands is None:
         return 0.0
     strands = _strands(caster.geometry, store)
     step = np.linalg.norm(np.diff(strands.position, axis=0), axis=1)

@@ -1,4 +1,4 @@
-// The material table: four texels a row. Layout: render/passes/shade.py. PS_HAS_GLOW: some material emits light.
+// The material table: four texels a row. Layout: render/passes/shading/shade.py. PS_HAS_GLOW: some material emits light.
 // PS_ONE_SURFACE: all are alike beyond their colours, which lib/light/brdf.glsl reads elsewhere.
 
 PsSurface ps_material(int row)

@@ -1,4 +1,4 @@
-// Splats in pages of 4,096-wide textures, and the blocks that a view draws. Layout: render/passes/points.py.
+// Splats in pages of 4,096-wide textures, and the blocks that a view draws. Layout: render/passes/image_space/projection.py.
 
 #include "lib/geometry/instance.glsl"
 #include "lib/data/pack.glsl"

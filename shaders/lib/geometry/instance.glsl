@@ -1,5 +1,5 @@
 // Instances, and pages of 4,096-wide textures. PS_ONE_INSTANCE: its matrix is a uniform; else `ps_instances` has three
-// rows for each, and a fourth: holdout, scale of lengths (only of strands). Layout: render/passes/points.py.
+// rows for each, and a fourth: holdout, scale of lengths (only of strands). Layout: render/passes/image_space/projection.py.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/direction.glsl"

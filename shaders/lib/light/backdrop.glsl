@@ -1,4 +1,4 @@
-// The world out of focus, as render/passes/backdrop.py left it. frame.previous.xy: texels of it that a pixel spans.
+// The world out of focus, as render/passes/shading/backdrop.py left it. frame.previous.xy: texels of it that a pixel spans.
 
 #ifdef PS_BACKDROP
 

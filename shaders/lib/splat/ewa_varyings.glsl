@@ -1,4 +1,4 @@
-// What both vertex shaders of EWA hand on of a projected splat. Layout: render/passes/ewa.py.
+// What both vertex shaders of EWA hand on of a projected splat. Layout: render/passes/ewa/ewa.py.
 
 // Where the projected splat is that is drawn as the number `index`.
 ivec2 ps_listed(int index)

@@ -9,7 +9,7 @@ from pointsplat_addon.core.lens import backdrop
 from pointsplat_addon.core.lens.defocus import PIXEL
 from pointsplat_addon.core.light import environment
 from pointsplat_addon.core.scene.camera import Aperture
-from tests.support.scenes import camera
+from scripts.scenes.cameras import camera
 
 SEEN = camera(resolution=(96, 64))
 

@@ -7,14 +7,20 @@ import pytest
 
 from pointsplat_addon.core.lens import defocus, dicing, strand_splats
 from pointsplat_addon.core.lens.thin_lens import confusion, lens_points, through
-from pointsplat_addon.core.lod import area_share, cut
+from pointsplat_addon.core.lod import area_share, cut, node_table
 from pointsplat_addon.core.lod.hierarchy import build
 from pointsplat_addon.core.scene.camera import Aperture, Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.validation import valid_triangles
 from pointsplat_addon.core.splat import blur as blur_module
-from pointsplat_addon.core.strand.selection import clean
-from pointsplat_addon.core.surface import sampling
-from tests.support.scenes import camera, flat_mesh, moved, plane_mesh, sphere_mesh, strand_lines
+from pointsplat_addon.core.strand.cleaning import clean
+from pointsplat_addon.core.surface.evaluation import evaluate
+from pointsplat_addon.core.surface.sample_areas import sample_areas
+from pointsplat_addon.core.surface.sampling import sample_mesh
+from pointsplat_addon.core.surface.triangles import measure_triangles
+from scripts.scenes.build import moved, strand_lines
+from scripts.scenes.cameras import camera
+from scripts.scenes.meshes import flat_mesh, plane_mesh, sphere_mesh
 
 
 def lens(radius: float = 0.1, focus: float = 4.0, **more) -> Camera:
@@ -22,7 +28,7 @@ def lens(radius: float = 0.1, focus: float = 4.0, **more) -> Camera:
 
 
 def blur(of: Camera) -> blur_module.Blur:
-    found = blur_module.blur_of(of)
+    found = blur_module.defocus_blur(of)
     assert found is not None
     return found
 
@@ -59,7 +65,7 @@ def test_depths_of_a_radius_are_its_inverse(parallel):
 
 def test_what_is_no_lens_blurs_nothing():
     for aperture in (None, Aperture(0.0, 4.0), Aperture(np.nan, 4.0), Aperture(0.1, 0.0), Aperture(np.inf, 4.0)):
-        assert blur_module.blur_of(replace(camera(), aperture=aperture)) is None
+        assert blur_module.defocus_blur(replace(camera(), aperture=aperture)) is None
 
 
 def test_extreme_depths_have_finite_or_infinite_disks_and_no_nan():
@@ -236,13 +242,13 @@ def test_cuts_of_what_is_sharp_and_of_what_is_blurred_hold_all_points(parallel):
     """And nodes that are blurred are no larger than their disks allow, and stand for the more the wider the lens is."""
     tree = build(grid(128))
     seen = camera((0, -4, 1), parallel=parallel)
-    trees, zero, view = cut.forest({0: tree}), np.zeros(1, int), seen.view_from_world[None]
+    trees, zero, view = node_table.node_table({0: tree}), np.zeros(1, int), seen.view_from_world[None]
     stands_for = []
     for radius in (0.1, 0.5, 1.5):
         of = blur(replace(seen, aperture=Aperture(radius, 4.0)))
         held = np.zeros(len(tree.cloud), bool)
         for wanted in ("SHARP", "BLURRED"):
-            found = cut.select(trees, zero, view, seen, blur=of, wanted=wanted)
+            found = cut.select_cut(trees, zero, view, seen, blur=of, wanted=wanted)
             for first, count in zip(found.first, found.count, strict=True):
                 for row in range(first, first + count):
                     if row < len(held):
@@ -251,7 +257,7 @@ def test_cuts_of_what_is_sharp_and_of_what_is_blurred_hold_all_points(parallel):
                         node = row - len(held)
                         begin = tree.tree.first_point[node]
                         held[begin : begin + tree.tree.point_count[node]] = True
-        whole = cut.select(trees, zero, view, seen)
+        whole = cut.select_cut(trees, zero, view, seen)
         inside = np.zeros(len(held), bool)
         for first, count in zip(whole.first, whole.count, strict=True):
             for row in range(first, first + count):
@@ -277,7 +283,7 @@ def test_pieces_of_triangles_have_their_area_and_moments():
     seen = lens(0.05, 2.0)
     matrix = seen.view_from_world
     samples = dicing.cut(mesh, np.arange(len(mesh.triangles)), matrix, seen, 1.0, blur(seen))
-    found = sampling.evaluate(mesh, samples)
+    found = evaluate(mesh, samples)
     assert found.axis is not None
     area = np.pi * found.radii.prod(axis=1).astype(float) * dicing.SHARE
     assert len(samples) > 100
@@ -324,7 +330,7 @@ def test_facets_of_balls_cover_their_disks():
 def test_pieces_of_strands_have_their_area():
     u = np.linspace(-1, 1, 9)
     strand = np.stack([u, 0.2 * np.sin(3 * u), 0.3 * u], axis=1)
-    given = strand_lines("in pieces", [strand], 0.01).lines
+    given = strand_lines("in pieces", [strand], 0.01).strands
     assert given is not None
     strands = clean(given)
     ends = np.stack([np.arange(8), np.arange(1, 9)], axis=1)
@@ -349,7 +355,7 @@ def test_pieces_of_a_tube_cover_what_is_seen_of_it(bend, tolerance):
     unit of length."""
     along = np.stack([np.sin(u := np.arange(-3, 4) * max(bend, 1e-6)), 0 * u, np.cos(u)], axis=1) / max(bend, 1e-6)
     along -= along[3]
-    given = strand_lines(f"tube bent by {bend}", [along], 0.3).lines
+    given = strand_lines(f"tube bent by {bend}", [along], 0.3).strands
     assert given is not None
     strands = clean(given)
     seen = lens(0.5, 3.0, parallel=20.0)
@@ -373,7 +379,7 @@ def test_points_of_a_plane_cover_their_cells_whatever_their_radii_are(wide):
     cloud = grid(64)
     assert cloud.radii is not None
     tree = build(replace(cloud, radii=cloud.radii * np.float32(wide)))
-    share = np.asarray(area_share.shares(tree))
+    share = np.asarray(area_share.area_shares(tree))
     assert tree.cloud.radii is not None
     area = np.pi * tree.cloud.radii[:, 0].astype(float) ** 2 * share[: len(cloud)]
     assert abs(area.sum() / 16 - 1) < 1e-3  # measured 7e-5 and 1.4e-4
@@ -382,13 +388,13 @@ def test_points_of_a_plane_cover_their_cells_whatever_their_radii_are(wide):
 
 def test_samples_of_a_mesh_cover_what_they_stand_for():
     mesh = sphere_mesh("covered sphere", 48)
-    ok, _ = sampling.validate(mesh)
-    samples = sampling.sample(mesh, 0.05, "AREA", ok, sampling.measure(mesh, ok))
-    found = sampling.evaluate(mesh, samples, ok=ok)
+    ok, _ = valid_triangles(mesh)
+    samples = sample_mesh(mesh, 0.05, "AREA", ok, measure_triangles(mesh, ok))
+    found = evaluate(mesh, samples, ok=ok)
     cloud = PointCloud(found.position, found.origin, normal=found.plane, axis=found.axis, radii=found.radii)
     tree = build(cloud)
-    share = np.asarray(area_share.shares(tree, lambda: sampling.areas(mesh, samples, ok)))
+    share = np.asarray(area_share.area_shares(tree, lambda: sample_areas(mesh, samples, ok)))
     assert tree.cloud.radii is not None
     area = np.pi * tree.cloud.radii.astype(float).prod(axis=1) * share[: len(cloud)]
-    whole = sampling.measure(mesh, ok).area
+    whole = measure_triangles(mesh, ok).area
     assert abs(area.sum() / whole - 1) < 1e-6  # measured 5e-10

@@ -7,7 +7,7 @@ import pytest
 
 from pointsplat_addon.core.lens.thin_lens import confusion, lens_points, through, widened
 from pointsplat_addon.core.scene.camera import Aperture, Camera
-from pointsplat_addon.render.frame.filtering import offsets
+from pointsplat_addon.render.frame.sample_positions import offsets
 
 
 def camera(parallel: bool = False, **aperture) -> Camera:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lod.cost import FEWER, OVERLAP, Costs, choose, runs
+from pointsplat_addon.core.lod.cost import MAX_SAMPLES_RATIO, OVERLAP, Costs, choose_primitives, mask_runs
 
 COSTS = Costs(point=10.0, pixel=1.0, triangle=100.0, fragment=1.0, draw=1.0).again_and_again()
 INF = np.inf
@@ -14,7 +14,9 @@ INF = np.inf
 def chosen(needed, spacing, samples, triangles=None, costs=COSTS):
     needed = np.asarray(needed, float)
     triangles = np.full(len(needed), 10.0) if triangles is None else np.asarray(triangles, float)
-    return choose(costs, needed, np.asarray(spacing), np.asarray(samples, float), triangles, np.zeros(len(needed)))
+    return choose_primitives(
+        costs, needed, np.asarray(spacing), np.asarray(samples, float), triangles, np.zeros(len(needed))
+    )
 
 
 def test_a_part_is_what_costs_less():
@@ -84,7 +86,7 @@ def test_a_mesh_is_uploaded_as_a_whole_where_any_triangle_is_drawn():
 
 def test_points_of_many_samples_have_to_be_cheaper_than_triangles_of_fewer():
     costs = Costs(point=10.0, triangle=100.0, draw=1.0, prepared=1e-9, uploaded=1e-9)
-    for samples, factor in ((1, 1), (2, 2), (4, FEWER), (64, FEWER)):
+    for samples, factor in ((1, 1), (2, 2), (4, MAX_SAMPLES_RATIO), (64, MAX_SAMPLES_RATIO)):
         assert chosen([1.0], [1.0], [[99 / factor]], costs=costs.of_picture(samples)).points.all()
         assert not chosen([1.0], [1.0], [[101 / factor]], costs=costs.of_picture(samples)).points.any()
     assert chosen([1.0], [1.0], [[99]], costs=costs.again_and_again()).points.all()
@@ -92,7 +94,11 @@ def test_points_of_many_samples_have_to_be_cheaper_than_triangles_of_fewer():
 
 def test_what_is_done_once_is_shared_by_samples_and_instances():
     costs = Costs(prepared=600.0, uploaded=800.0)
-    one, many, instances = costs.of_picture(FEWER), costs.of_picture(16 * FEWER), costs.of_picture(FEWER, 16)
+    one, many, instances = (
+        costs.of_picture(MAX_SAMPLES_RATIO),
+        costs.of_picture(16 * MAX_SAMPLES_RATIO),
+        costs.of_picture(MAX_SAMPLES_RATIO, 16),
+    )
     assert one.prepared == 600
     assert many.prepared == instances.prepared == 600 / 16
     assert many.uploaded == instances.uploaded == 800 / 16
@@ -112,10 +118,10 @@ def test_the_choice_is_never_dearer_than_triangles_alone(octaves):
 
 
 def test_runs_of_a_mask():
-    first, count = runs(np.array([1, 1, 0, 0, 1, 0, 1, 1, 1], bool))
+    first, count = mask_runs(np.array([1, 1, 0, 0, 1, 0, 1, 1, 1], bool))
     assert first.tolist() == [0, 4, 6]
     assert count.tolist() == [2, 1, 3]
-    assert len(runs(np.zeros(3, bool))[0]) == 0
+    assert len(mask_runs(np.zeros(3, bool))[0]) == 0
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pointsplat_addon.core.lod import depth_order, hierarchy
-from pointsplat_addon.core.lod.cut import Cut, fully
+from pointsplat_addon.core.lod import depth_order, hierarchy, node_splats
+from pointsplat_addon.core.lod.cut import Cut, cut_of_all_points
 from pointsplat_addon.core.scene.cloud import PointCloud
 
 
@@ -126,8 +126,8 @@ def test_opaque_splats_have_thinner_slices() -> None:
     position = rng.random((400, 3), np.float32)
     position[:, 1] = 0.25 * 0.05 * (np.arange(400) % 2)
     cloud = PointCloud(position, radii=np.full((400, 1), 0.05, np.float32))
-    cut = fully(np.array([400]), np.zeros(1, int))
-    found = depth_order.sort(cut, {0: cloud}, np.zeros(1, int), np.eye(4)[None], looking((0, 1, 0)))
+    cut = cut_of_all_points(np.array([400]), np.zeros(1, int))
+    found = depth_order.sort_cut(cut, {0: cloud}, np.zeros(1, int), np.eye(4)[None], looking((0, 1, 0)))
     assert found.thickness == pytest.approx(0.05 * depth_order.OPAQUE_SLICES, rel=1e-6)
     assert (np.diff(view_depth(cloud, np.eye(4), looking((0, 1, 0)))[found.index]) <= 1e-6).all()
 
@@ -139,9 +139,9 @@ def test_instances_of_several_clouds_share_one_order() -> None:
     world[1, :3, 3] = [-10, 1, 5]
     world[2, :3, 3] = [0.3, 0.1, 0.2]
     geometry = np.array([0, 0, 2, 1])
-    cut = fully(np.array([300, 50, 200]), geometry)
+    cut = cut_of_all_points(np.array([300, 50, 200]), geometry)
     view = looking((1, 2, -0.5))
-    found = depth_order.sort(cut, clouds, geometry, world, view)
+    found = depth_order.sort_cut(cut, clouds, geometry, world, view)
     depth = np.concatenate(
         [*(view_depth(clouds[g], world[i], view) for i, g in enumerate((0, 0, 2))), np.full(50, np.nan)]
     )
@@ -155,11 +155,11 @@ def test_instances_of_several_clouds_share_one_order() -> None:
 
 def test_nodes_and_ranges_of_a_cut_are_sorted_by_their_own_depth() -> None:
     built = hierarchy.build(smoke(500))
-    splats = hierarchy.splats(built)
+    splats = node_splats.points_and_nodes(built)
     cut = Cut(np.zeros(3, np.int32), np.array([3, 100, 510]), np.array([40, 60, 9]))
     rows = np.concatenate([np.arange(3, 43), np.arange(100, 160), np.arange(510, 519)])
     view = looking((0, 0, -1))
-    found = depth_order.sort(cut, {0: built}, np.zeros(1, int), np.eye(4)[None], view)
+    found = depth_order.sort_cut(cut, {0: built}, np.zeros(1, int), np.eye(4)[None], view)
     depth = view_depth(splats.take(rows), np.eye(4), view)
     np.testing.assert_array_equal(np.sort(found.index), np.arange(109))
     assert np.diff(depth[found.index]).max() < found.thickness
@@ -168,23 +168,27 @@ def test_nodes_and_ranges_of_a_cut_are_sorted_by_their_own_depth() -> None:
 def test_transforms_that_are_not_finite_have_no_order() -> None:
     world = np.stack([np.eye(4)] * 3)
     world[0, 0, 0], world[1, :3, :3] = np.nan, 0.0
-    cut = fully(np.array([10]), np.zeros(3, int))
-    found = depth_order.sort(cut, {0: smoke(10)}, np.zeros(3, int), world, np.eye(4))
+    cut = cut_of_all_points(np.array([10]), np.zeros(3, int))
+    found = depth_order.sort_cut(cut, {0: smoke(10)}, np.zeros(3, int), world, np.eye(4))
     np.testing.assert_array_equal(np.sort(found.index), np.arange(10, 30))
-    empty = depth_order.sort(
-        fully(np.zeros(1, int), np.zeros(1, int)), {0: smoke(0)}, np.zeros(1, int), np.eye(4)[None], np.eye(4)
+    empty = depth_order.sort_cut(
+        cut_of_all_points(np.zeros(1, int), np.zeros(1, int)),
+        {0: smoke(0)},
+        np.zeros(1, int),
+        np.eye(4)[None],
+        np.eye(4),
     )
     assert len(empty.index) == 0
 
 
 def test_an_order_is_stale_only_where_a_splat_may_change_its_slice() -> None:
     cloud, geometry, world = smoke(2000), np.zeros(1, int), np.eye(4)[None]
-    cut = fully(np.array([2000]), geometry)
-    found = depth_order.sort(cut, {0: cloud}, geometry, world, looking((0, 0, -1)))
+    cut = cut_of_all_points(np.array([2000]), geometry)
+    found = depth_order.sort_cut(cut, {0: cloud}, geometry, world, looking((0, 0, -1)))
     assert not found.stale(looking((0, 0, -1), (5, -3, 100)), replace(cut, culled=7))
     rolled = np.diag([-1.0, -1, 1, 1]) @ looking((0, 0, -1))
     assert not found.stale(rolled, cut)
-    assert found.stale(looking((0, 0, -1)), fully(np.array([1999]), geometry))
+    assert found.stale(looking((0, 0, -1)), cut_of_all_points(np.array([1999]), geometry))
     assert found.stale(looking((0, 0, 1)), cut)
     # The largest turn that it lets pass moves no splat by more than a slice against the centre.
     angle = 0.999 * found.thickness / found.radius

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lod import hierarchy as h
-from pointsplat_addon.core.lod.foliage import apart, leafy
+from pointsplat_addon.core.lod import hierarchy, node_splats
+from pointsplat_addon.core.lod.foliage import disconnected_splats, is_foliage
 from pointsplat_addon.core.scene.cloud import PointCloud
+from scripts.scenes.meshes import plane_mesh, sphere_mesh
 from tests.core.lod.test_optics import levels, mean_transmittance
-from tests.support.scenes import plane_mesh, sphere_mesh
 
 
 def leaves(count: int, depth: float, flat: float = 0.0) -> PointCloud:
@@ -90,30 +90,30 @@ CLOSED: dict[str, Callable[[], PointCloud]] = {
 
 @pytest.mark.parametrize("name", CLOSED)
 def test_no_splat_of_a_surface_stands_apart(name: str) -> None:
-    assert apart(CLOSED[name]()) is None
+    assert disconnected_splats(CLOSED[name]()) is None
 
 
 def test_leaves_stand_apart_and_their_trunk_does_not() -> None:
     crown, trunk = leaves(20000, 1.0), sphere(4000, 0.2)
     trunk = replace(trunk, position=trunk.position - np.float32([0, 0, 2]))
-    found = apart(together(crown, trunk))
+    found = disconnected_splats(together(crown, trunk))
     assert found[:20000].mean() > 0.99
     assert not found[20000:].any()
 
 
 def test_light_passes_what_is_not_of_opaque_disks() -> None:
     cloud = leaves(5000, 1.0)
-    assert apart(cloud) is not None
-    assert apart(replace(cloud, opacity=np.ones(5000, np.float32))) is None
-    assert apart(replace(cloud, normal=None)) is None
-    assert apart(cloud.take(slice(0))) is None
+    assert disconnected_splats(cloud) is not None
+    assert disconnected_splats(replace(cloud, opacity=np.ones(5000, np.float32))) is None
+    assert disconnected_splats(replace(cloud, normal=None)) is None
+    assert disconnected_splats(cloud.take(slice(0))) is None
 
 
 @pytest.mark.parametrize(("depth", "flat"), [(0.5, 0.0), (1.5, 0.0), (0.5, 1.0)])
 def test_a_crown_of_leaves_is_as_dark_from_afar(depth: float, flat: float) -> None:
     cloud = leaves(40000, depth, flat)
-    built = h.build(replace(cloud, apart=apart(cloud)))
-    splats, cuts = h.splats(built), list(levels(built, 2000))
+    built = hierarchy.build(replace(cloud, apart=disconnected_splats(cloud)))
+    splats, cuts = node_splats.points_and_nodes(built), list(levels(built, 2000))
     assert len(cuts) >= 2
     for view in ((0.0, 0.0, 1.0), (1.0, 0.4, 0.7)):
         near = mean_transmittance(cloud, 1.15, view, pixels=384, hard=True)
@@ -125,10 +125,10 @@ def test_a_crown_of_leaves_is_as_dark_from_afar(depth: float, flat: float) -> No
 
 def test_poses_of_leaves_are_refitted_to_the_same_nodes() -> None:
     cloud = leaves(3000, 1.0)
-    cloud = replace(cloud, apart=apart(cloud), color=np.full((3000, 3), 0.5, np.float32))
-    built = h.build(cloud)
+    cloud = replace(cloud, apart=disconnected_splats(cloud), color=np.full((3000, 3), 0.5, np.float32))
+    built = hierarchy.build(cloud)
     painted = replace(cloud, color=np.full((3000, 3), 0.2, np.float32))
-    for again in (h.refit(built, cloud), h.recolor(built, painted)):
+    for again in (hierarchy.refit(built, cloud), hierarchy.recolor(built, painted)):
         np.testing.assert_array_equal(again.section, built.section)
         np.testing.assert_array_equal(again.apart, built.apart)
 
@@ -142,13 +142,15 @@ def strips(count: int, cells: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_meshes_are_of_leaves_where_many_edges_are_open() -> None:
-    assert leafy(*strips(100, 1))
-    assert leafy(*strips(100, 8))
+    assert is_foliage(*strips(100, 1))
+    assert is_foliage(*strips(100, 8))
     closed = sphere_mesh("closed", 20)
-    assert not leafy(closed.position, closed.triangles)
+    assert not is_foliage(closed.position, closed.triangles)
     # Each triangle with vertices of its own, as some files have them.
-    assert not leafy(closed.position[closed.triangles].reshape(-1, 3), np.arange(closed.triangles.size).reshape(-1, 3))
+    assert not is_foliage(
+        closed.position[closed.triangles].reshape(-1, 3), np.arange(closed.triangles.size).reshape(-1, 3)
+    )
     grid = plane_mesh("grid", cells=40)
-    assert not leafy(grid.position, grid.triangles)
+    assert not is_foliage(grid.position, grid.triangles)
     both = np.concatenate([closed.position, strips(400, 1)[0]])
-    assert leafy(both, np.concatenate([closed.triangles, strips(400, 1)[1] + len(closed.position)]))
+    assert is_foliage(both, np.concatenate([closed.triangles, strips(400, 1)[1] + len(closed.position)]))

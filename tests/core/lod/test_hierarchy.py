@@ -10,10 +10,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lod import hierarchy as h
-from pointsplat_addon.core.lod import octree
-from pointsplat_addon.core.lod.octree import MAX_DEPTH, Tree
+from pointsplat_addon.core.lod import hierarchy, node_splats
+from pointsplat_addon.core.lod.nodes import octree
+from pointsplat_addon.core.lod.nodes import tree as tree_module
+from pointsplat_addon.core.lod.nodes.tree import MAX_DEPTH, Tree
 from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.splat import ellipsoids
 
 
 def unit(v: np.ndarray) -> np.ndarray:
@@ -47,8 +49,8 @@ CLOUDS = {"sphere": sphere_cloud, "ellipses": ellipse_cloud, "balls": ball_cloud
 
 
 @pytest.fixture(params=CLOUDS, scope="module")
-def built(request: pytest.FixtureRequest) -> h.Hierarchy:
-    return h.build(CLOUDS[request.param]())
+def built(request: pytest.FixtureRequest) -> hierarchy.Hierarchy:
+    return hierarchy.build(CLOUDS[request.param]())
 
 
 def check_links(tree: Tree, points: int) -> None:
@@ -74,7 +76,7 @@ def descendants(tree: Tree, node: int) -> slice:
 
 def rims(cloud: PointCloud, which: slice, steps: int = 24) -> np.ndarray:
     """Points (n * steps, 3) on the rims of disks and ellipses, or on the surface of balls."""
-    normal, axis, radii = (a.T for a in h.frames(cloud, which))
+    normal, axis, radii = (a.T for a in ellipsoids.splat_frames(cloud, which))
     third = np.cross(normal, axis)
     t = np.linspace(0, 2 * np.pi, steps, endpoint=False)[:, None, None]
     p = cloud.position[which].astype(np.float64)
@@ -84,7 +86,7 @@ def rims(cloud: PointCloud, which: slice, steps: int = 24) -> np.ndarray:
     return (p + np.cos(t) * axis * radii[:, :1] + np.sin(t) * third * radii[:, 1:2]).reshape(-1, 3)
 
 
-def test_partition_is_a_breadth_first_tree_over_a_permutation(built: h.Hierarchy) -> None:
+def test_partition_is_a_breadth_first_tree_over_a_permutation(built: hierarchy.Hierarchy) -> None:
     n = len(built.cloud)
     np.testing.assert_array_equal(np.sort(built.order), np.arange(n))
     check_links(built.tree, n)
@@ -92,7 +94,7 @@ def test_partition_is_a_breadth_first_tree_over_a_permutation(built: h.Hierarchy
 
 
 def test_children_lie_in_different_octants_about_the_mean() -> None:
-    built = h.build(sphere_cloud())
+    built = hierarchy.build(sphere_cloud())
     tree = built.tree
     for node in np.flatnonzero(tree.child_count)[:50]:
         mean = built.cloud.position[descendants(tree, node)].mean(axis=0)
@@ -116,24 +118,24 @@ def test_blocks_join_into_the_same_tree_as_one_pass(monkeypatch: pytest.MonkeyPa
 
 
 def test_chunks_do_not_change_the_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    built = h.build(sphere_cloud())
-    monkeypatch.setattr(h, "CHUNK", 50)
-    again = h.build(sphere_cloud())
+    built = hierarchy.build(sphere_cloud())
+    monkeypatch.setattr(tree_module, "CHUNK", 50)
+    again = hierarchy.build(sphere_cloud())
     for name in ("center", "radii", "bound", "cone", "color"):
         np.testing.assert_array_equal(getattr(again, name), getattr(built, name))
 
 
 @pytest.mark.parametrize("points", [0, 1, 2, 12, 13])
 def test_small_clouds(points: int) -> None:
-    built = h.build(sphere_cloud(points))
+    built = hierarchy.build(sphere_cloud(points))
     check_links(built.tree, points) if points else None
     assert len(built) == (0 if points == 0 else len(built.tree))
-    assert len(h.splats(built)) == points + len(built)
+    assert len(node_splats.points_and_nodes(built)) == points + len(built)
 
 
 def test_one_point_is_its_own_node() -> None:
     cloud = sphere_cloud(1)
-    built = h.build(cloud)
+    built = hierarchy.build(cloud)
     np.testing.assert_allclose(built.center, cloud.position)
     np.testing.assert_allclose(built.normal, cloud.normal, atol=1e-7)  # measured 0
     np.testing.assert_allclose(built.radii[:, :2], cloud.radii.repeat(2, 1), rtol=1e-6)  # measured 0
@@ -142,7 +144,7 @@ def test_one_point_is_its_own_node() -> None:
 
 def test_coincident_points_stop_the_split() -> None:
     cloud = PointCloud(np.full((1000, 3), 0.3, np.float32), radii=np.full((1000, 1), 0.1, np.float32))
-    built = h.build(cloud)
+    built = hierarchy.build(cloud)
     assert len(built) == 1
     np.testing.assert_allclose(built.radii, 0.1, rtol=1e-5)  # measured 2e-7
     for array in (built.bound, built.sphere, built.cone, built.smallest):
@@ -152,7 +154,7 @@ def test_coincident_points_stop_the_split() -> None:
 def test_collinear_points_make_a_line() -> None:
     p = np.zeros((1024, 3), np.float32)
     p[:, 1] = np.linspace(-1, 1, 1024)
-    built = h.build(PointCloud(p))
+    built = hierarchy.build(PointCloud(p))
     check_links(built.tree, 1024)
     assert built.tree.child_count.max() == 2
     np.testing.assert_allclose(np.abs(built.axis[0]), [0, 1, 0], atol=1e-6)
@@ -163,7 +165,7 @@ def test_collinear_points_make_a_line() -> None:
 def test_depth_is_capped_on_geometric_sequences() -> None:
     p = np.zeros((140, 3), np.float32)
     p[:, 0] = 0.5 ** np.arange(140)
-    built = h.build(PointCloud(p), leaf_size=1)
+    built = hierarchy.build(PointCloud(p), leaf_size=1)
     check_links(built.tree, 140)
     assert len(built.tree.levels) - 2 <= MAX_DEPTH
     np.testing.assert_array_equal(np.sort(built.order), np.arange(140))
@@ -175,19 +177,19 @@ def test_bad_values_are_refused(name: str) -> None:
     bad = getattr(cloud, name).copy()
     bad[7, 0] = np.nan
     with pytest.raises(ValueError, match=name):
-        h.build(replace(cloud, **{name: bad}))
+        hierarchy.build(replace(cloud, **{name: bad}))
 
 
 def test_negative_radii_are_refused() -> None:
     with pytest.raises(ValueError, match="negative"):
-        h.build(sphere_cloud(2, radii=np.array([[1], [-1]], np.float32)))
+        hierarchy.build(sphere_cloud(2, radii=np.array([[1], [-1]], np.float32)))
 
 
 def direct_covariance(cloud: PointCloud, which: slice) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of disks, summed about their own mean in extended precision."""
-    normal, axis, radii = (a.T.astype(np.longdouble) for a in h.frames(cloud, which))
+    normal, axis, radii = (a.T.astype(np.longdouble) for a in ellipsoids.splat_frames(cloud, which))
     third = np.cross(normal, axis)
-    w = h.splat_weight(cloud, which).astype(np.longdouble)
+    w = ellipsoids.splat_weight(cloud, which).astype(np.longdouble)
     p = cloud.position[which].astype(np.longdouble)
     mean = (w[:, None] * p).sum(axis=0) / w.sum()
     d = p - mean
@@ -196,8 +198,8 @@ def direct_covariance(cloud: PointCloud, which: slice) -> tuple[np.ndarray, np.n
     return mean, sum(np.einsum("n,ni,nj->ij", w * s, v, v) for v, s in frames) / w.sum()
 
 
-def test_moments_equal_direct_sums_about_each_nodes_mean(built: h.Hierarchy) -> None:
-    weight, mean, covariance = h.moments(built)
+def test_moments_equal_direct_sums_about_each_nodes_mean(built: hierarchy.Hierarchy) -> None:
+    weight, mean, covariance = hierarchy.moments(built)
     worst = 0.0
     for node in range(len(built)):
         expected_mean, expected = direct_covariance(built.cloud, descendants(built.tree, node))
@@ -212,14 +214,14 @@ def test_far_coordinates_keep_their_moments() -> None:
     far = np.array([1e7, -2e7, 3e6]) + sphere_cloud().position.astype(np.float64)
     origin = far.mean(axis=0)
     cloud = replace(sphere_cloud(), position=(far - origin).astype(np.float32), origin=origin)
-    built = h.build(cloud)
-    _, mean, covariance = h.moments(built)
+    built = hierarchy.build(cloud)
+    _, mean, covariance = hierarchy.moments(built)
     worst = 0.0
     for node in range(0, len(built), 7):
         which = descendants(built.tree, node)
         world = built.cloud.position[which].astype(np.longdouble) + origin
         _, expected = direct_covariance(built.cloud, which)
-        w = h.splat_weight(built.cloud, which).astype(np.longdouble)
+        w = ellipsoids.splat_weight(built.cloud, which).astype(np.longdouble)
         np.testing.assert_allclose(mean[node] + origin, ((w @ world) / w.sum()).astype(float), rtol=1e-15)
         worst = max(worst, float(np.abs(covariance[node] - expected).max() / np.abs(expected).max()))
     assert worst < 1e-9  # measured 2e-15
@@ -230,14 +232,16 @@ def test_kernel_of_a_filled_square() -> None:
     g = (np.arange(64) + 0.5) / 32 - 1
     p = np.stack([*np.meshgrid(g, g), np.zeros((64, 64))], axis=-1).reshape(-1, 3).astype(np.float32)
     normal = np.broadcast_to(np.array([0, 0, 1], np.float32), p.shape).copy()
-    built = h.build(PointCloud(p, normal=normal, radii=np.full((len(p), 1), 1 / 64 / np.sqrt(3) * 2, np.float32)))
+    built = hierarchy.build(
+        PointCloud(p, normal=normal, radii=np.full((len(p), 1), 1 / 64 / np.sqrt(3) * 2, np.float32))
+    )
     # Each sample's disk has the variance of its own cell, so the sum is exact at any depth.
     np.testing.assert_allclose(built.radii[0], [2 / np.sqrt(3)] * 2 + [0], rtol=1e-6, atol=1e-7)  # measured 1e-7
     np.testing.assert_allclose(built.cone[0], [1, 0], atol=1e-4)
 
 
-def test_kernel_axes_are_principal_axes(built: h.Hierarchy) -> None:
-    _, _, covariance = h.moments(built)
+def test_kernel_axes_are_principal_axes(built: hierarchy.Hierarchy) -> None:
+    _, _, covariance = hierarchy.moments(built)
     axis, normal = built.axis.astype(np.float64), built.normal.astype(np.float64)
     third = np.cross(normal, axis)
     scale = np.maximum(built.radii.max(axis=1).astype(np.float64) ** 2 / 4, 1e-30)
@@ -250,7 +254,7 @@ def test_kernel_axes_are_principal_axes(built: h.Hierarchy) -> None:
     assert (built.radii[:, 0] >= built.radii[:, 1]).all()
 
 
-def test_bounds_contain_every_descendant_disk(built: h.Hierarchy) -> None:
+def test_bounds_contain_every_descendant_disk(built: hierarchy.Hierarchy) -> None:
     third = np.cross(built.normal, built.axis).astype(np.float64)
     for node in range(len(built)):
         d = rims(built.cloud, descendants(built.tree, node)) - built.center[node].astype(np.float64)
@@ -263,7 +267,7 @@ def test_bounds_contain_every_descendant_disk(built: h.Hierarchy) -> None:
 
 def test_bounds_are_not_loose() -> None:
     """The ball of a node of the sphere is at most twice the farthest of its disks' rims."""
-    built = h.build(sphere_cloud())
+    built = hierarchy.build(sphere_cloud())
     ratio = []
     for node in range(len(built)):
         d = rims(built.cloud, descendants(built.tree, node)) - built.center[node].astype(np.float64)
@@ -273,7 +277,7 @@ def test_bounds_are_not_loose() -> None:
 
 
 def test_cones_contain_every_descendant_normal() -> None:
-    built = h.build(sphere_cloud())
+    built = hierarchy.build(sphere_cloud())
     for node in range(len(built)):
         n = built.cloud.normal[descendants(built.tree, node)].astype(np.float64)
         angle = 2 * np.arcsin(np.minimum(np.linalg.norm(n - built.normal[node], axis=1) / 2, 1))
@@ -287,7 +291,7 @@ def test_cones_contain_every_descendant_normal() -> None:
 def test_opposite_normals_fall_back_to_principal_axes() -> None:
     p = np.random.default_rng(5).random((8, 3)).astype(np.float32) * np.array([1, 1, 1e-3], np.float32)
     normal = np.tile(np.array([[1, 0, 0], [-1, 0, 0]], np.float32), (4, 1))
-    built = h.build(PointCloud(p, normal=normal))
+    built = hierarchy.build(PointCloud(p, normal=normal))
     np.testing.assert_allclose(np.abs(built.normal[0]), [0, 0, 1], atol=0.01)
     assert built.cone[0, 0] == -1
 
@@ -296,7 +300,7 @@ def test_averages_are_weighted_by_area() -> None:
     cloud = sphere_cloud(
         700, value=np.arange(700, dtype=np.float32), surface=np.random.default_rng(0).random((700, 2), np.float32)
     )
-    built = h.build(cloud)
+    built = hierarchy.build(cloud)
     w = cloud.radii[:, 0].astype(np.float64) ** 2
     for name in ("color", "surface", "value"):
         expected = np.average(getattr(cloud, name).astype(np.float64), axis=0, weights=w)
@@ -310,7 +314,7 @@ def test_material_is_that_of_the_heaviest_splat() -> None:
     radii = np.full((9, 1), 0.01, np.float32)
     radii[4] = 0.1
     cloud = sphere_cloud(9, radii=radii, material=np.arange(9, dtype=np.uint16))
-    assert h.build(cloud).material[0] == 4
+    assert hierarchy.build(cloud).material[0] == 4
 
 
 def test_nodes_of_sheer_surfaces_are_as_sheer() -> None:
@@ -319,14 +323,14 @@ def test_nodes_of_sheer_surfaces_are_as_sheer() -> None:
     normal = np.broadcast_to(np.array([0, 0, 1], np.float32), p.shape).copy()
     # Disks of the area of the square's kernel ellipse together.
     r = np.full((len(p), 1), np.sqrt(4 / 3 / len(p)), np.float32)
-    sheer = h.build(PointCloud(p, normal=normal, radii=r, opacity=np.full(len(p), 0.3, np.float32)))
+    sheer = hierarchy.build(PointCloud(p, normal=normal, radii=r, opacity=np.full(len(p), 0.3, np.float32)))
     assert sheer.opacity[0] == pytest.approx(0.3, rel=2e-3)
 
 
 def test_optical_mass_is_kept_on_every_level() -> None:
     rng = np.random.default_rng(0)
     cloud = replace(ball_cloud(), extinction=rng.random(1500, np.float32))
-    built = h.build(cloud)
+    built = hierarchy.build(cloud)
     r, s = cloud.radii[:, 0].astype(np.float64), cloud.extinction.astype(np.float64)
     total = (4 / 3 * np.pi * r**3 * s).sum()
     np.testing.assert_allclose(built.mass[0], total, rtol=1e-6)
@@ -338,28 +342,28 @@ def test_optical_mass_is_kept_on_every_level() -> None:
 
 def test_refit_of_the_same_points_changes_nothing() -> None:
     cloud = sphere_cloud()
-    built = h.build(cloud)
-    again = h.refit(built, cloud)
+    built = hierarchy.build(cloud)
+    again = hierarchy.refit(built, cloud)
     for name in ("center", "normal", "axis", "radii", "bound", "sphere", "cone", "smallest", "color"):
         np.testing.assert_array_equal(getattr(again, name), getattr(built, name))
-    np.testing.assert_array_equal(h.refit(built, built.cloud, in_tree_order=True).bound, built.bound)
+    np.testing.assert_array_equal(hierarchy.refit(built, built.cloud, in_tree_order=True).bound, built.bound)
     with pytest.raises(ValueError, match="points"):
-        h.refit(built, sphere_cloud(10))
+        hierarchy.refit(built, sphere_cloud(10))
 
 
 def test_refit_after_a_rotation_rotates_the_nodes() -> None:
     cloud = sphere_cloud()
-    built = h.build(cloud)
+    built = hierarchy.build(cloud)
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.float32)
-    moved = h.refit(built, replace(cloud, position=cloud.position @ turn.T, normal=cloud.normal @ turn.T))
+    moved = hierarchy.refit(built, replace(cloud, position=cloud.position @ turn.T, normal=cloud.normal @ turn.T))
     np.testing.assert_allclose(moved.center, built.center @ turn.T, atol=1e-7)  # measured 0
     np.testing.assert_allclose(moved.radii[:, 0], built.radii[:, 0], rtol=1e-5)  # measured 1.2e-7
     np.testing.assert_allclose(moved.sphere, built.sphere, rtol=1e-5)  # measured 1.2e-7
 
 
 def test_splats_are_points_then_nodes() -> None:
-    built = h.build(sphere_cloud(100))
-    all_ = h.splats(built)
+    built = hierarchy.build(sphere_cloud(100))
+    all_ = node_splats.points_and_nodes(built)
     assert all_.normal is not None
     assert all_.axis is not None
     assert all_.radii is not None
@@ -370,7 +374,7 @@ def test_splats_are_points_then_nodes() -> None:
 
 
 def test_smallest_is_the_least_size_below() -> None:
-    built = h.build(sphere_cloud())
+    built = hierarchy.build(sphere_cloud())
     tree = built.tree
     size = np.where(tree.point_count > 1, built.size, np.inf)
     for node in range(len(built) - 1, -1, -1):

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.lod import cut as cut_module
-from pointsplat_addon.core.lod import hierarchy as h
-from pointsplat_addon.core.lod import instances as many
+from pointsplat_addon.core.lod import hierarchy, instances, node_splats, node_table
+from pointsplat_addon.core.lod import levels as levels_module
 from pointsplat_addon.core.numeric import linear
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.splat import ellipsoids
 
 
 def ball(n: int = 6000) -> PointCloud:
@@ -50,26 +51,26 @@ def field(count: int, seed: int = 0) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def built() -> h.Hierarchy:
-    return h.build(ball())
+def built() -> hierarchy.Hierarchy:
+    return hierarchy.build(ball())
 
 
 @pytest.fixture(scope="module")
-def levels(built: h.Hierarchy) -> many.Levels:
-    made = many.make_levels(built)
+def levels(built: hierarchy.Hierarchy) -> levels_module.Levels:
+    made = levels_module.make_levels(built)
     assert made is not None
     return made
 
 
-def test_each_level_is_the_cut_of_a_parallel_view(built: h.Hierarchy, levels: many.Levels) -> None:
+def test_each_level_is_the_cut_of_a_parallel_view(built: hierarchy.Hierarchy, levels: levels_module.Levels) -> None:
     place = np.eye(4)
     place[2, 3] = -100.0
     camera = Camera(np.eye(4), np.diag([1e-2, 1e-2, -2e-5, 1.0]), (640, 480), near=0.1, far=1e5)
     focal = max(camera.pixel_from_view()[:2])
-    every = h.splats(built)
+    every = node_splats.points_and_nodes(built)
     for size, first, count, nodes in zip(levels.size, levels.first, levels.count, levels.nodes, strict=True):
-        found = cut_module.select(
-            cut_module.forest({0: built}), np.zeros(1, int), place[None], camera, 2 * focal * size * (1 + 1e-12)
+        found = cut_module.select_cut(
+            node_table.node_table({0: built}), np.zeros(1, int), place[None], camera, 2 * focal * size * (1 + 1e-12)
         )
         rows = np.concatenate([np.arange(a, a + n) for a, n in zip(found.first, found.count, strict=True)])
         assert count == found.splats
@@ -81,25 +82,25 @@ def test_each_level_is_the_cut_of_a_parallel_view(built: h.Hierarchy, levels: ma
             np.testing.assert_array_equal(getattr(held, name), theirs)
 
 
-def test_levels_go_from_a_few_splats_to_half_the_points(levels: many.Levels) -> None:
-    assert many.COARSEST <= levels.count[0] < 4 * many.COARSEST
+def test_levels_go_from_a_few_splats_to_half_the_points(levels: levels_module.Levels) -> None:
+    assert levels_module.MIN_LEVEL_SPLATS <= levels.count[0] < 4 * levels_module.MIN_LEVEL_SPLATS
     assert 6000 / 5 < levels.count[-1] <= 3000
-    np.testing.assert_allclose(levels.size[1:] / levels.size[:-1], 2 ** (-1 / many.STEPS))
+    np.testing.assert_allclose(levels.size[1:] / levels.size[:-1], 2 ** (-1 / levels_module.LEVELS_PER_OCTAVE))
     assert not levels.cut_short
 
 
 def test_few_points_have_no_levels() -> None:
-    assert many.make_levels(h.build(ball(12))) is None
-    assert many.make_levels(h.build(ball(0))) is None
+    assert levels_module.make_levels(hierarchy.build(ball(12))) is None
+    assert levels_module.make_levels(hierarchy.build(ball(0))) is None
 
 
 @pytest.mark.parametrize("perspective", [True, False])
-def test_a_level_is_the_first_that_is_fine_enough(levels: many.Levels, perspective: bool) -> None:
+def test_a_level_is_the_first_that_is_fine_enough(levels: levels_module.Levels, perspective: bool) -> None:
     camera, matrix = lens(perspective), field(4000)
     if not perspective:
         matrix[:, :3, 3] *= [1e-3, 1e-3, 1]
         matrix[:, :3, :3] *= np.logspace(-4, -1, 4000)[:, None, None]
-    choice = many.choose(levels, matrix, np.arange(4000), camera, 1.0)
+    choice = instances.choose_levels(levels, matrix, np.arange(4000), camera, 1.0)
     some = np.flatnonzero(choice.level >= 0)
     assert len(some) > 500
     assert len(np.unique(choice.level[some])) > 10
@@ -113,19 +114,19 @@ def test_a_level_is_the_first_that_is_fine_enough(levels: many.Levels, perspecti
     pixels = 2 * focal * size * stretch / near * slope
     assert (pixels <= 1 + 1e-6).all()
     coarser = choice.level[some] > 0
-    assert (pixels[coarser] * 2 ** (1 / many.STEPS) > 1 - 1e-6).all()
+    assert (pixels[coarser] * 2 ** (1 / levels_module.LEVELS_PER_OCTAVE) > 1 - 1e-6).all()
 
 
-def test_what_is_near_has_a_cut_of_its_own_or_all_points(levels: many.Levels) -> None:
+def test_what_is_near_has_a_cut_of_its_own_or_all_points(levels: levels_module.Levels) -> None:
     matrix = np.tile(np.eye(4), (3, 1, 1))
     matrix[:, 2, 3] = [-3.5, -8.0, -800.0]
-    choice = many.choose(levels, matrix, np.arange(3), lens(), 1.0)
-    assert choice.level[0] == many.OWN
-    assert choice.level[1] == many.ALL
+    choice = instances.choose_levels(levels, matrix, np.arange(3), lens(), 1.0)
+    assert choice.level[0] == instances.OWN_CUT
+    assert choice.level[1] == instances.ALL_POINTS
     assert choice.level[2] >= 0
 
 
-def test_what_is_broken_or_out_of_view_draws_nothing(levels: many.Levels) -> None:
+def test_what_is_broken_or_out_of_view_draws_nothing(levels: levels_module.Levels) -> None:
     good = field(1)[0]
     bad = np.tile(good, (7, 1, 1))
     bad[0, 0, 3] = np.nan
@@ -136,9 +137,9 @@ def test_what_is_broken_or_out_of_view_draws_nothing(levels: many.Levels) -> Non
     bad[5, :3, :3] *= 1e-300  # squares underflow
     bad[6, :3, 0] = 0  # flat, but not nothing
     with np.errstate(all="raise", under="ignore"):
-        choice = many.choose(levels, bad, np.zeros(7, int), lens(), 1.0)
-    assert (choice.level[:5] == many.NONE).all()
-    assert choice.level[6] != many.NONE
+        choice = instances.choose_levels(levels, bad, np.zeros(7, int), lens(), 1.0)
+    assert (choice.level[:5] == instances.NOTHING).all()
+    assert choice.level[6] != instances.NOTHING
     assert np.isfinite(choice.scale).all()
 
 
@@ -146,7 +147,7 @@ def test_visible_leaves_out_no_point_in_the_window() -> None:
     matrix, cloud = field(3000, 3), ball(200)
     matrix[:, :2, 3] *= 3
     for camera in (lens(), lens(region=(100, 200, 80, 60))):
-        kept = many.visible(matrix, cloud.origin, 1.0, camera)
+        kept = instances.visible_instances(matrix, cloud.origin, 1.0, camera)
         view = (cloud.position + cloud.origin) @ matrix[:, :3, :3].transpose(0, 2, 1) + matrix[:, None, :3, 3]
         fx, fy, cx, cy = camera.pixel_from_view()
         x, y = cx - fx * view[..., 0] / view[..., 2], cy - fy * view[..., 1] / view[..., 2]
@@ -158,16 +159,16 @@ def test_visible_leaves_out_no_point_in_the_window() -> None:
 @pytest.mark.parametrize("share", [1.0, 0.9, 0.5, 0.3, 0.01, 1e-6])
 def test_thinning_keeps_the_area(share: float) -> None:
     at = (np.arange(1_000_000) + 0.5) / 1e6
-    factor = many.area_factor(np.full(len(at), share), at)
+    factor = instances.area_factor(np.full(len(at), share), at)
     # The middle of each of a million steps: 4e-7 off at 1e-6, where two of them stay.
     assert abs(factor.mean() - 1) < 1e-6 if share > 1e-5 else abs(factor.mean() - 1) < 0.2
-    assert factor.max() <= (1 - many.FADE) / (1 - many.FADE / 2) / share + many.FADE
+    assert factor.max() <= (1 - instances.FADE) / (1 - instances.FADE / 2) / share + instances.FADE
 
 
 def test_instances_fade_and_come_once() -> None:
     """As an instance grows, it appears once, from no area, and its size on the screen never jumps."""
     share, at = np.geomspace(1e-3, 1, 4000), np.linspace(0, 0.999, 50)
-    drawn = share[:, None] * many.area_factor(share[:, None], at)  # of the area at which thinning begins
+    drawn = share[:, None] * instances.area_factor(share[:, None], at)  # of the area at which thinning begins
     there = drawn > 0
     assert (there[1:] >= there[:-1]).all()
     assert (
@@ -177,19 +178,19 @@ def test_instances_fade_and_come_once() -> None:
 
 
 def test_the_number_of_an_instance_is_its_own_and_evenly_spread() -> None:
-    found = many.number(np.arange(100_000))
+    found = instances.number(np.arange(100_000))
     assert found.min() >= 0
     assert found.max() < 1
     # A hundred bins of a thousand, and of ten where a hundred instances follow one another.
     assert np.abs(np.histogram(found, 100, (0, 1))[0] - 1000).max() <= 2  # 1 measured
     for start in (0, 777, 54_321):
         assert np.abs(np.histogram(found[start : start + 100], 10, (0, 1))[0] - 10).max() <= 2  # 1 measured
-    np.testing.assert_array_equal(found[500:600], many.number(np.arange(500, 600)))
+    np.testing.assert_array_equal(found[500:600], instances.number(np.arange(500, 600)))
 
 
 def test_enlarged_instances_keep_their_middle() -> None:
     matrix, center, scale = field(20), np.array([1.0, 2.0, -0.5]), np.linspace(0.1, 3, 20)
-    larger = many.enlarged(matrix, center, scale)
+    larger = instances.scaled_about(matrix, center, scale)
     middle = matrix[:, :3, :3] @ center + matrix[:, :3, 3]
     np.testing.assert_allclose(larger[:, :3, :3] @ center + larger[:, :3, 3], middle, rtol=1e-12)
     np.testing.assert_allclose(larger[:, :3, :3], matrix[:, :3, :3] * scale[:, None, None])
@@ -198,7 +199,7 @@ def test_enlarged_instances_keep_their_middle() -> None:
 def test_joined_cuts_are_in_the_order_of_instances() -> None:
     one = cut_module.Cut(np.array([1, 1, 5], np.int32), np.array([0, 7, 3]), np.array([2, 1, 4]), nodes=3, points=4)
     two = cut_module.Cut(np.array([0, 3], np.int32), np.array([9, 9]), np.array([1, 2]), nodes=0, points=3, culled=6)
-    cut = many.joined([one, two])
+    cut = instances.joined_cuts([one, two])
     np.testing.assert_array_equal(cut.instance, [0, 1, 1, 3, 5])
     np.testing.assert_array_equal(cut.first, [9, 0, 7, 9, 3])
     np.testing.assert_array_equal(cut.count, [1, 2, 1, 2, 4])
@@ -225,7 +226,7 @@ def test_nodes_know_how_much_of_them_is_turned_where() -> None:
     walls = wall.take(np.tile(np.arange(len(wall)), 2))
     walls.position[:, 1] += np.repeat(np.array([-1, 1], np.float32), len(wall))
     for cloud, sides in ((walls, 2), (box(20_000, (1.0, 1.0, 1.0)), 3)):
-        made = many.make_levels(h.build(cloud))
+        made = levels_module.make_levels(hierarchy.build(cloud))
         assert made is not None
         assert made.drawn.facets is not None
         facets = made.drawn.facets[: made.count[0]].astype(float) / 127
@@ -242,7 +243,7 @@ def test_nodes_know_how_much_of_them_is_turned_where() -> None:
 def test_what_is_turned_to_one_side_has_no_facets() -> None:
     flat = box(4000, (1.0, 1.0, 1e-3))
     assert flat.normal is not None
-    made = many.make_levels(h.build(flat.take(np.flatnonzero(flat.normal[:, 2] > 0))))
+    made = levels_module.make_levels(hierarchy.build(flat.take(np.flatnonzero(flat.normal[:, 2] > 0))))
     assert made is not None
     assert made.drawn.facets is None
 
@@ -255,47 +256,47 @@ def test_silhouettes_of_points_and_of_ellipses_have_their_area() -> None:
         sides = 4 * np.prod(half) / np.array(half)
         shapes.append((box(60_000, half), lambda normal, sides=sides: float(np.abs(normal) @ sides)))
     for cloud, area in shapes:
-        for plane in many._planes():
+        for plane in levels_module._view_planes():
             np.testing.assert_allclose(plane @ plane.T, np.eye(2), atol=1e-12)
-            found = many._silhouette(cloud, plane)
+            found = levels_module._silhouette_area(cloud, plane)
             off.append(found / area(np.cross(*plane)) - 1)
     assert np.abs(off).max() < 0.04  # measured 0.030
     one = np.zeros((3, 1))
     ends = np.array([[0.5, 0, 0], [0, 2.0, 0]])[:, :, None]
     plane = np.eye(3)[:2]
-    np.testing.assert_allclose(many._shadow(one, ends, plane), np.pi, rtol=0.02)
+    np.testing.assert_allclose(levels_module._ellipses_area(one, ends, plane), np.pi, rtol=0.02)
     apart = np.array([[0.0, 0, 0], [0, 0, 5]]).T  # one behind the other: the same shadow
-    np.testing.assert_allclose(many._shadow(apart, np.repeat(ends, 2, axis=2), plane), np.pi, rtol=0.02)
+    np.testing.assert_allclose(levels_module._ellipses_area(apart, np.repeat(ends, 2, axis=2), plane), np.pi, rtol=0.02)
 
 
 def test_coarse_levels_are_drawn_as_large_as_what_they_stand_for() -> None:
     cloud = box(60_000, (0.3, 0.3, 1.5))
-    made = many.make_levels(h.build(cloud))
+    made = levels_module.make_levels(hierarchy.build(cloud))
     assert made is not None
     assert made.cloud.radii is not None
     assert made.drawn.radii is not None
-    planes = many._planes()
-    covered = sum(many._silhouette(cloud, plane) for plane in planes)
+    planes = levels_module._view_planes()
+    covered = sum(levels_module._silhouette_area(cloud, plane) for plane in planes)
     worst = {}
     for name, splats in (("given", made.cloud), ("drawn", made.drawn)):
         ratio = []
         for first, count in zip(made.first, made.count, strict=True):
-            if count > many.MEASURED:
+            if count > levels_module.MEASURED_SPLATS:
                 break
             level = slice(first, first + count)
-            normal, axis, radii = h.frames(splats, level)
+            normal, axis, radii = ellipsoids.splat_frames(splats, level)
             ends = np.stack([axis * radii[0], np.cross(normal, axis, axis=0) * radii[1]])
             at = splats.position[level].T.astype(np.float64)
-            ratio.append(sum(many._shadow(at, ends, plane) for plane in planes) / covered)
+            ratio.append(sum(levels_module._ellipses_area(at, ends, plane) for plane in planes) / covered)
         worst[name] = np.abs(np.array(ratio) - 1).max()
     assert worst["given"] > 0.1  # measured 0.14
     assert worst["drawn"] < 0.01  # measured 0.0024
     grown = made.drawn.radii / made.cloud.radii
     assert (grown >= 1).all()
-    assert (grown <= many.LARGEST * (1 + 1e-6)).all()
+    assert (grown <= levels_module.MAX_GROWTH * (1 + 1e-6)).all()
 
 
-def test_levels_together_are_a_few_times_the_finest(levels: many.Levels) -> None:
+def test_levels_together_are_a_few_times_the_finest(levels: levels_module.Levels) -> None:
     """A quarter of an octave apart, levels of a surface shrink by 2^-0.5: together they are 3.4 times the finest."""
     finest = levels.drawn.take(slice(levels.first[-1], levels.first[-1] + levels.count[-1]))
     assert levels.nbytes < 5 * finest.nbytes  # measured 4.64: coarse levels of few splats are alike

@@ -11,9 +11,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lod import hierarchy as h
+from pointsplat_addon.core.lod import hierarchy, node_splats
+from pointsplat_addon.core.lod.nodes import optics
+from pointsplat_addon.core.lod.nodes import rows as rows_module
+from pointsplat_addon.core.numeric import vectors
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.splat.kernel import EVEN, SUPPORT, kernel
+from pointsplat_addon.core.splat import ellipsoids
+from pointsplat_addon.core.splat.kernel import EVEN_SPACING, SUPPORT, kernel
 
 VIEWS = ((0.0, 0.0, 1.0), (1.0, 0.4, 0.7))
 
@@ -24,7 +28,7 @@ def projected(cloud: PointCloud, direction: tuple[float, float, float]) -> tuple
     u = np.cross(d, [0.3, 0.5, 0.8])
     u /= np.linalg.norm(u)
     plane = np.stack([u, np.cross(d, u)])
-    normal, axis, radii = h.frames(cloud, slice(None))
+    normal, axis, radii = ellipsoids.splat_frames(cloud, slice(None))
     halves = np.stack([axis, np.cross(normal.T, axis.T).T, normal]) * radii[:, None] / 2
     flat = np.einsum("xi,kin->nkx", plane, halves)
     covariance = np.einsum("nkx,nky->nxy", flat, flat) + 1e-12 * radii.max() ** 2 * np.eye(2)
@@ -39,9 +43,9 @@ def mean_transmittance(
     place, covariance = projected(cloud, direction)
     determinant, conic = np.linalg.det(covariance), np.linalg.inv(covariance)
     if hard:
-        middle = np.full(len(cloud), h.OPAQUE)
+        middle = np.full(len(cloud), optics.OPAQUE_DEPTH)
     elif cloud.extinction is not None:
-        volume = 4 / 3 * np.pi * np.prod(h.frames(cloud, slice(None))[2], axis=0)
+        volume = 4 / 3 * np.pi * np.prod(ellipsoids.splat_frames(cloud, slice(None))[2], axis=0)
         middle = cloud.extinction * volume / (2 * np.pi * np.sqrt(determinant))
     else:
         # The mass is the depth times the seen area, which is that of the projected ellipse.
@@ -62,7 +66,7 @@ def mean_transmittance(
     return float(np.exp(-tau).mean())
 
 
-def levels(built: h.Hierarchy, least: int) -> Iterator[np.ndarray]:
+def levels(built: hierarchy.Hierarchy, least: int) -> Iterator[np.ndarray]:
     """Cuts of at least this many splats: each level of the tree, and the leaves above it; rows of `splats`."""
     tree = built.tree
     for first, last in zip(tree.levels[:-1], tree.levels[1:], strict=True):
@@ -74,8 +78,8 @@ def levels(built: h.Hierarchy, least: int) -> Iterator[np.ndarray]:
 
 def worst_change(cloud: PointCloud, half: float, least: int) -> float:
     """How far the mean transmittance of any cut is from that of the points."""
-    built = h.build(cloud, 8)
-    splats, worst = h.splats(built), 0.0
+    built = hierarchy.build(cloud, 8)
+    splats, worst = node_splats.points_and_nodes(built), 0.0
     cuts = list(levels(built, least))
     assert cuts
     for view in VIEWS:
@@ -94,7 +98,7 @@ def voxel_ball(diameter: int, fraction: float = 1.0) -> np.ndarray:
 
 def medium(position: np.ndarray, extinction: float | np.ndarray, **attributes: np.ndarray) -> PointCloud:
     """Voxels of edge 1 and true extinction, as balls."""
-    radius = 2 * EVEN
+    radius = 2 * EVEN_SPACING
     share = np.float32(1 / (4 / 3 * np.pi * radius**3)) * np.float32(extinction)
     own = np.broadcast_to(share, (len(position), *np.shape(share)[1:])).astype(np.float32).copy()
     return PointCloud(position, radii=np.full((len(position), 1), radius, np.float32), extinction=own, **attributes)
@@ -108,7 +112,7 @@ MEDIA: dict[str, tuple[Callable[[], PointCloud], int, float]] = {
     "opaque": (lambda: medium(voxel_ball(32), 50.0), 4000, 0.02),  # measured 0.015
     "sparse": (lambda: medium(voxel_ball(40, 0.03), 1.0), 200, 0.01),
     "sparse and thick": (lambda: medium(voxel_ball(40, 0.03), 10.0), 200, 0.01),
-    "sparse and opaque": (lambda: medium(voxel_ball(40, 0.03), 50 * 2 * np.pi * EVEN**2), 200, 0.01),
+    "sparse and opaque": (lambda: medium(voxel_ball(40, 0.03), 50 * 2 * np.pi * EVEN_SPACING**2), 200, 0.01),
     "half full": (lambda: medium(voxel_ball(32, 0.2), 1.0), 1000, 0.01),
 }
 
@@ -128,7 +132,7 @@ def cards(count: int, alpha: float, side: float, samples: int, seed: int = 0) ->
     middle *= np.cbrt(rng.random((count, 1))) / np.linalg.norm(middle, axis=1, keepdims=True)
     normal = rng.standard_normal((count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    u, v = h.basis(normal.T)
+    u, v = vectors.basis(normal.T)
     line = ((np.arange(samples) + 0.5) / samples - 0.5) * side
     x, y = (g.reshape(-1, 1) for g in np.meshgrid(line, line))
     position = (middle[:, None] + u.T[:, None] * x + v.T[:, None] * y).reshape(-1, 3)
@@ -155,8 +159,8 @@ def test_where_a_medium_is_even_its_mass_is_kept_in_what_is_drawn() -> None:
         1e-4 * rng.random((len(voxel_ball(20)), 3)),
         emission=rng.random((len(voxel_ball(20)), 3), np.float32),
     )
-    built = h.build(cloud)
-    splats = h.splats(built)
+    built = hierarchy.build(cloud)
+    splats = node_splats.points_and_nodes(built)
     volume = 4 / 3 * np.pi * splats.radii[:, :1].astype(np.float64) ** 3
     mass, emission = volume * np.asarray(splats.extinction), volume * np.asarray(splats.emission)
     n, tree = len(cloud), built.tree
@@ -173,7 +177,7 @@ def test_albedo_is_weighted_by_mass() -> None:
     p = voxel_ball(3)
     extinction, color = np.zeros(len(p)), np.zeros((len(p), 3), np.float32)
     extinction[:2], color[0], color[1] = [1e6, 3e6], [1, 0, 0], [0, 1, 0]
-    built = h.build(medium(p, extinction, color=color), 100)
+    built = hierarchy.build(medium(p, extinction, color=color), 100)
     np.testing.assert_allclose(built.color[0], [0.25, 0.75, 0], rtol=1e-6)  # measured 6e-8
 
 
@@ -183,8 +187,10 @@ def test_cross_sections_of_kernels() -> None:
     q = (q[1:] + q[:-1]) / 2
     for depth in (1e-8, 1e-3, 0.1, 1.0, 10.0, 1e3):
         rings = -np.expm1(-2 * depth * kernel(q)).sum() * (q[1] - q[0]) / 4
-        assert h.absorbed(depth) == pytest.approx(rings, rel=1e-5)  # measured 2e-6
-        assert h.absorbed(h.even(depth)) == pytest.approx(-np.expm1(-depth), rel=1e-5)  # measured 1e-7
+        assert optics.kernel_cross_section(depth) == pytest.approx(rings, rel=1e-5)  # measured 2e-6
+        assert optics.kernel_cross_section(optics.kernel_depth(depth)) == pytest.approx(
+            -np.expm1(-depth), rel=1e-5
+        )  # measured 1e-7
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e4])
@@ -193,11 +199,11 @@ def test_extremes_stay_finite(scale: float) -> None:
     strength = np.where(np.arange(len(p)) % 2, 1e6, 1e-6) / scale
     cloud = medium(p, strength)
     cloud = replace(cloud, position=cloud.position * np.float32(scale), radii=cloud.radii * np.float32(scale))
-    built = h.build(cloud, 4)
+    built = hierarchy.build(cloud, 4)
     for array in (built.extinction, built.mass, built.covered, built.radii):
         assert np.isfinite(array).all()
     assert (built.extinction > 0).all()
-    clear = h.build(medium(np.zeros((9, 3), np.float32), 0.0, color=np.full((9, 3), 0.5, np.float32)))
+    clear = hierarchy.build(medium(np.zeros((9, 3), np.float32), 0.0, color=np.full((9, 3), 0.5, np.float32)))
     np.testing.assert_array_equal(clear.extinction, 0)
     np.testing.assert_allclose(clear.color, 0.5)
 
@@ -225,22 +231,22 @@ def test_recoloured_equals_a_fresh_build(kind: str) -> None:
         material=np.arange(n, dtype=np.uint16),
     )
     changed |= {"color": rng.random((n, 3), np.float32), "value": rng.random(n, np.float32)}
-    old, new = h.build(cloud), replace(cloud, **changed)
-    fresh = h.build(new)
-    for found in (h.recolor(old, new), h.recolor(old, new.take(old.order), in_tree_order=True)):
+    old, new = hierarchy.build(cloud), replace(cloud, **changed)
+    fresh = hierarchy.build(new)
+    for found in (hierarchy.recolor(old, new), hierarchy.recolor(old, new.take(old.order), in_tree_order=True)):
         for name in ("center", "radii", "bound", "smallest", "material"):
             np.testing.assert_array_equal(getattr(found, name), getattr(fresh, name))
-        for name in (*h.AVERAGED, "mass", "covered"):
+        for name in (*rows_module.AVERAGED, "mass", "covered"):
             if getattr(fresh, name) is not None:
                 np.testing.assert_allclose(getattr(found, name), getattr(fresh, name), rtol=2e-6)  # measured 3e-7
         np.testing.assert_array_equal(found.cloud.color, fresh.cloud.color)
 
 
 def test_recolouring_with_other_attributes_or_points_is_refused() -> None:
-    built = h.build(medium(voxel_ball(4), 1.0))
+    built = hierarchy.build(medium(voxel_ball(4), 1.0))
     with pytest.raises(ValueError, match="attributes"):
-        h.recolor(built, replace(built.cloud, value=np.zeros(len(built.cloud), np.float32)))
+        hierarchy.recolor(built, replace(built.cloud, value=np.zeros(len(built.cloud), np.float32)))
     with pytest.raises(ValueError, match="points"):
-        h.recolor(built, built.cloud.take(slice(3)))
+        hierarchy.recolor(built, built.cloud.take(slice(3)))
     with pytest.raises(ValueError, match="NaN"):
-        h.recolor(built, replace(built.cloud, extinction=built.cloud.extinction * np.float32(np.nan)))
+        hierarchy.recolor(built, replace(built.cloud, extinction=built.cloud.extinction * np.float32(np.nan)))

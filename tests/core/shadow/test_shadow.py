@@ -7,7 +7,7 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
 from pointsplat_addon.core.shadow.builder import Casters
-from pointsplat_addon.core.splat.kernel import EVEN
+from pointsplat_addon.core.splat.kernel import EVEN_SPACING
 
 DOWN = np.array([0.0, 0.0, -1.0])
 ZERO = np.zeros(3)
@@ -26,7 +26,7 @@ def smoke(size, voxel: float, extinction: float = 1.0) -> PointCloud:
     """A box about the origin, of voxels."""
     axes = [(np.arange(round(s / voxel)) + 0.5) * voxel - s / 2 for s in size]
     position = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
-    radius = 2 * EVEN * voxel
+    radius = 2 * EVEN_SPACING * voxel
     share = extinction * voxel**3 / (4 / 3 * np.pi * radius**3)
     count = len(position)
     return PointCloud(

@@ -5,21 +5,21 @@ import pytest
 
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.validation import valid_triangles
 from pointsplat_addon.core.shadow.floor import lowest, lowest_corner, plane_of, shines_from
 from pointsplat_addon.core.shadow.samples import outline
-from pointsplat_addon.core.surface import sampling
-from tests.support import scenes
+from scripts.scenes import build, meshes
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
 def plane(mesh: Mesh) -> tuple[np.ndarray, np.ndarray] | None:
-    return plane_of(mesh, outline(mesh, sampling.validate(mesh)[0]))
+    return plane_of(mesh, outline(mesh, valid_triangles(mesh)[0]))
 
 
 def flat(key: str) -> Mesh:
     """A grid in XY."""
-    mesh = scenes.plane_mesh(key, cells=5)
+    mesh = meshes.plane_mesh(key, cells=5)
     return Mesh(key, key, np.ascontiguousarray(mesh.position[:, [0, 2, 1]]), mesh.triangles)
 
 
@@ -44,7 +44,7 @@ def test_what_is_not_flat_has_no_plane():
     bumpy = flat("bumpy floor")
     position = bumpy.position.copy()
     position[7, 2] += 1e-3
-    assert plane(scenes.cube_mesh("no floor")) is None
+    assert plane(meshes.cube_mesh("no floor")) is None
     assert plane(Mesh("bumpy", "bumpy", position, bumpy.triangles)) is None
     assert plane(Mesh("none", "none", np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32))) is None
 
@@ -52,9 +52,9 @@ def test_what_is_not_flat_has_no_plane():
 @pytest.mark.parametrize(
     ("light", "above"),
     [
-        (scenes.sun(direction=(0.5, 0, -1)), True),
-        (scenes.sun(direction=(0.5, 0, 1)), False),
-        (scenes.sun(direction=(1, 0, 0)), False),
+        (build.sun(direction=(0.5, 0, -1)), True),
+        (build.sun(direction=(0.5, 0, 1)), False),
+        (build.sun(direction=(1, 0, 0)), False),
         (Light("SUN", np.ones(3), np.zeros(3), np.array([0.6, 0, -0.8]), radius=0.9), True),  # 0.927 high
         (Light("SUN", np.ones(3), np.zeros(3), np.array([0.6, 0, -0.8]), radius=1.0), False),
         (Light("POINT", np.ones(3), np.array([9.0, 9.0, 1.5]), -UP, radius=0.4), True),
@@ -70,7 +70,7 @@ def test_a_lamp_shines_from_above_where_all_of_it_is_above(light, above):
 def test_heights_of_boxes_are_below_those_of_what_they_hold():
     rng = np.random.default_rng(11)
     position = rng.normal(size=(50, 3))
-    matrices = np.stack([scenes.moved(rng.normal(size=3), rng.uniform(0.5, 2)) for _ in range(4)])
+    matrices = np.stack([build.moved(rng.normal(size=3), rng.uniform(0.5, 2)) for _ in range(4)])
     matrices[:, :3, :3] @= np.linalg.qr(rng.normal(size=(4, 3, 3)))[0]
     normal, point = np.array([0.36, 0.48, 0.8]), rng.normal(size=3)
     world = np.einsum("iab,nb->ina", matrices[:, :3, :3], position) + matrices[:, None, :3, 3]

@@ -8,8 +8,11 @@ import pytest
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.materials import default_materials
 from pointsplat_addon.core.scene.mesh import Mesh
+from pointsplat_addon.core.scene.validation import valid_triangles
 from pointsplat_addon.core.shadow.samples import MANY, PLACES, Outline, outline, places, sampled
-from pointsplat_addon.core.surface import sampling
+from pointsplat_addon.core.surface.area_sampling import sample_area
+from pointsplat_addon.core.surface.evaluation import evaluate
+from pointsplat_addon.core.surface.sampling import choose_method
 
 STEPS = 300  # squares along a side: more than MANY triangles
 SIDE = 1 / STEPS
@@ -34,7 +37,7 @@ def radii(cloud: PointCloud) -> np.ndarray:
 
 
 def shape(mesh: Mesh) -> Outline:
-    return outline(mesh, sampling.validate(mesh)[0])
+    return outline(mesh, valid_triangles(mesh)[0])
 
 
 def test_an_outline_leaves_out_what_is_no_triangle():
@@ -72,10 +75,10 @@ def test_many_small_triangles_cast_from_their_vertices():
     # The diagonals are longer than one sample serves.
     spacing = np.sqrt(2) * SIDE / 1.2
     (cloud,) = sampled(mesh, shape(mesh), spacing, TABLE)
-    valid = sampling.validate(mesh)[0]
-    assert sampling.choose(mesh, spacing, valid) == "AREA"
+    valid = valid_triangles(mesh)[0]
+    assert choose_method(mesh, spacing, valid) == "AREA"
     assert len(cloud) == len(mesh.position)
-    area = sampling.evaluate(mesh, sampling.sample_area(mesh, spacing))
+    area = evaluate(mesh, sample_area(mesh, spacing))
     assert len(area.position) >= 1.9 * len(cloud)
     # As fine as samples at the spacing are promised to be.
     assert radii(cloud).max() <= spacing / np.sqrt(2)

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.splat.ewa import CUTOFF, KEPT, SHARE, WITHIN, covariance, coverage, low_pass, weights
+from pointsplat_addon.core.splat.ewa import (
+    CELL_SHARE,
+    CUTOFF,
+    KEPT_MASS,
+    WITHIN,
+    covariance,
+    coverage,
+    low_pass,
+    weights,
+)
 
 
 def pixels(count: int) -> np.ndarray:
@@ -21,19 +30,19 @@ def test_a_kernels_sum_over_the_pixels_is_the_pixels_that_the_splat_stands_for(v
     centres = np.random.default_rng(0).uniform(31.5, 32.5, (200, 2))
     for centre in centres:
         total = weights(pixels(64), centre[None], moments, v).sum()
-        expected = SHARE * np.pi * radii[0] * radii[1]
+        expected = CELL_SHARE * np.pi * radii[0] * radii[1]
         # The kernel ends with a step of exp(-CUTOFF / 2) = 8 %, over which pixel centres hop.
         assert abs(total / expected - 1) < (0.03 if v == 1.0 else 0.09)  # measured 0.0229 and 0.0743
 
 
 def test_a_kernel_ends_where_so_much_of_it_is_kept():
     inside = 1 - np.exp(-CUTOFF / 2)
-    assert pytest.approx(inside, abs=1e-15) == KEPT
+    assert pytest.approx(inside, abs=1e-15) == KEPT_MASS
     x = np.linspace(-12, 12, 2401)
     place = np.stack(np.meshgrid(x, x), -1).reshape(-1, 2)
     one = weights(place, np.zeros((1, 2)), 4 * np.eye(2)[None], 0.5)
     integral = one.sum() * (x[1] - x[0]) ** 2
-    assert integral == pytest.approx(SHARE * 16 * np.pi, rel=1e-3)  # radius 4; measured 3e-5
+    assert integral == pytest.approx(CELL_SHARE * 16 * np.pi, rel=1e-3)  # radius 4; measured 3e-5
 
 
 @pytest.mark.parametrize(("v", "ripple"), [(1, 0.05), (1 / 4, 0.09), (1 / 16, 0.13), (low_pass(16), 0.30)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointsplat_addon.core.lod import hierarchy as h
+from pointsplat_addon.core.lod import hierarchy, node_splats
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.splat.kernel import MASS, PROFILES, STEPS, SUPPORT, kernel
 
@@ -34,8 +34,8 @@ def test_nodes_of_a_hierarchy_have_the_default_kernel():
         rng.random((200, 3), np.float32), radii=np.full((200, 1), 0.05, np.float32),
         extinction=np.ones(200, np.float32), kernel=rng.integers(0, 4, 200).astype(np.uint8),
     )  # fmt: skip
-    built = h.build(cloud)
-    found = h.splats(built).kernel
+    built = hierarchy.build(cloud)
+    found = node_splats.points_and_nodes(built).kernel
     assert cloud.kernel is not None
     assert found is not None
     np.testing.assert_array_equal(found[:200], cloud.kernel[built.order])

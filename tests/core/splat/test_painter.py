@@ -86,7 +86,7 @@ def test_what_stands_apart_hides_as_much_where_it_is_widened():
     """The integral of alpha over the picture, of splats from a tenth of a pixel to several, at one sample a pixel."""
     steps = (np.arange(600) + 0.5) / 600 * 12 - 6
     places = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    hard = np.pi * painter.SUPPORT * painter.covered(painter.DEPTH)
+    hard = np.pi * painter.SUPPORT * painter.hidden_share(painter.DEPTH)
     for size in (0.02, 0.1, 0.3, 0.6, 1.2):
         moments = np.diag([size**2, 0.25 * size**2])[None]
         found = {a: painter.weights(places, np.zeros((1, 2)), moments, apart=a).mean() * 144 for a in (True, False)}

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.material import hair_color
-from pointsplat_addon.core.scene.strands import Lines
-from pointsplat_addon.core.strand import curves as core
-from pointsplat_addon.core.strand.selection import clean
+from pointsplat_addon.core.scene.strands import Strands
+from pointsplat_addon.core.strand import curves, evaluation, normals
+from pointsplat_addon.core.strand.cleaning import clean
 
 
 def curve(points, kind, *, cyclic=False, resolution=12, **more):
     points = np.asarray(points, float)
-    return core.Curves(
+    return curves.Curves(
         points,
         np.array([0, len(points)]),
         np.array([kind], np.uint8),
@@ -30,7 +30,7 @@ def strands(*parts, radius: Any = 0.01, **more):
     position = np.concatenate([np.asarray(p, np.float32).reshape(-1, 3) for p in parts])
     start = np.concatenate([[0], np.cumsum([len(p) for p in parts])])
     width = np.full(len(position), radius, np.float32) if np.isscalar(radius) else np.asarray(radius, np.float32)
-    return Lines("strands of test_lines", "Hair", position, start, width, **more)
+    return Strands("strands of test_lines", "Hair", position, start, width, **more)
 
 
 def helix(n=1000, turns=3.0):
@@ -47,8 +47,8 @@ def test_a_nurbs_circle_is_a_circle():
     corner = np.array([[0, -1], [root, -1], [root / 2, 0.5], [0, 2], [-root / 2, 0.5], [-root, -1], [0, -1]])
     points = np.column_stack([corner, np.zeros(7)])
     weight = np.array([1, 0.5, 1, 0.5, 1, 0.5, 1])
-    made = curve(points, core.NURBS, order=np.array([3]), knots=np.array([3]), weight=weight, resolution=50)
-    found = core.evaluate(made)
+    made = curve(points, curves.NURBS, order=np.array([3]), knots=np.array([3]), weight=weight, resolution=50)
+    found = evaluation.evaluate_curves(made)
     assert len(found) == 3 * 50 + 1
     assert np.abs(np.linalg.norm(found.position, axis=1) - 1).max() < 1e-14  # measured 2.2e-16
 
@@ -57,9 +57,9 @@ def test_a_bezier_quarter_is_its_polynomial_and_vectors_are_straight():
     points = np.array([[0.0, 0, 0], [1, 1, 0], [2, 1, 0]])
     left, right = moved(points, -0.5), moved(points, 0.5)
     straight = np.array([False, True, True])
-    made = curve(points, core.BEZIER, handle_left=left, handle_right=right, vector_left=straight,
+    made = curve(points, curves.BEZIER, handle_left=left, handle_right=right, vector_left=straight,
                  vector_right=straight, resolution=4)  # fmt: skip
-    found = core.evaluate(made)
+    found = evaluation.evaluate_curves(made)
     t = np.arange(4)[:, None] / 4
     expected = 3 * t * (1 - t) ** 2 * right[0] + 3 * t**2 * (1 - t) * left[1] + t**3 * points[1]
     assert len(found) == 4 + 1 + 1
@@ -70,24 +70,27 @@ def test_a_bezier_quarter_is_its_polynomial_and_vectors_are_straight():
 
 def test_catmull_rom_goes_through_its_points_and_repeats_a_quadratic():
     x = np.arange(6.0)
-    found = core.evaluate(curve(np.stack([x, x**2, 0 * x], axis=1), core.CATMULL_ROM, resolution=8))
+    found = evaluation.evaluate_curves(curve(np.stack([x, x**2, 0 * x], axis=1), curves.CATMULL_ROM, resolution=8))
     np.testing.assert_allclose(found.position[::8, 0], x, atol=1e-15)
     inner = found.position[8:-8]
     np.testing.assert_allclose(inner[:, 1], inner[:, 0] ** 2, atol=1e-13)  # Catmull-Rom has quadratic precision
 
 
-@pytest.mark.parametrize("kind", [core.POLY, core.CATMULL_ROM, core.NURBS])
+@pytest.mark.parametrize("kind", [curves.POLY, curves.CATMULL_ROM, curves.NURBS])
 def test_cyclic_curves_end_as_they_begin_and_their_neighbours_do_not_matter(kind):
     random = np.random.default_rng(2)
     loop, other = random.random((7, 3)), random.random((4, 3))
-    both = core.Curves(
+    both = curves.Curves(
         np.concatenate([other, loop, other]),
         np.array([0, 4, 11, 15]),
         np.full(3, kind, np.uint8),
         np.array([False, True, False]),
         np.full(3, 5),
     )
-    found, alone = core.evaluate(both), core.evaluate(curve(loop, kind, cyclic=True, resolution=5))
+    found, alone = (
+        evaluation.evaluate_curves(both),
+        evaluation.evaluate_curves(curve(loop, kind, cyclic=True, resolution=5)),
+    )
     middle = slice(found.start[1], found.start[2])
     np.testing.assert_array_equal(found.position[middle], alone.position)
     np.testing.assert_array_equal(alone.position[0], alone.position[-1])
@@ -96,7 +99,7 @@ def test_cyclic_curves_end_as_they_begin_and_their_neighbours_do_not_matter(kind
 
 def test_steps_follow_the_bend_and_the_radius():
     bent, straight = helix(16, 0.5), np.linspace([0, 0, 0], [1, 0, 0], 16)
-    made = core.Curves(
+    made = curves.Curves(
         np.concatenate([bent, straight, bent]),
         np.array([0, 16, 32, 48]),
         np.zeros(3, np.uint8),
@@ -104,17 +107,18 @@ def test_steps_follow_the_bend_and_the_radius():
         np.zeros(3, int),
         radius=np.repeat([1e-3, 1e-3, 1e-1], 16),
     )
-    found = core.evaluate(made)
+    found = evaluation.evaluate_curves(made)
     count = np.diff(found.start)
     assert count[1] == 16
     assert count[0] > count[2] > 16
     thick = found.position[found.start[2] :]
     assert (
-        distance(core.evaluate(curve(bent, core.CATMULL_ROM, resolution=200)).position, thick) < core.SAG * np.pi / 15
+        distance(evaluation.evaluate_curves(curve(bent, curves.CATMULL_ROM, resolution=200)).position, thick)
+        < evaluation.SAG * np.pi / 15
     )
-    fine = core.evaluate(curve(bent, core.CATMULL_ROM, resolution=200)).position
+    fine = evaluation.evaluate_curves(curve(bent, curves.CATMULL_ROM, resolution=200)).position
     line = found.position[: found.start[1]]
-    assert distance(fine, line) < core.CHORD * 1e-3  # 2.5e-4; measured 2.3e-4
+    assert distance(fine, line) < evaluation.CHORD * 1e-3  # 2.5e-4; measured 2.3e-4
 
 
 def moved(points, x):
@@ -130,9 +134,9 @@ def distance(points, line):
 
 
 def test_normals_do_not_twist_along_a_helix_and_close_on_a_loop():
-    found = core.evaluate(curve(helix(), core.POLY))
-    normal = core.normals(found, np.array([False]), np.array([core.MINIMUM_TWIST]))
-    tangent = core.tangents(found.position, found.open, np.array([False]))
+    found = evaluation.evaluate_curves(curve(helix(), curves.POLY))
+    normal = normals.curve_normals(found, np.array([False]), np.array([curves.MINIMUM_TWIST]))
+    tangent = normals.curve_tangents(found.position, found.open, np.array([False]))
     assert np.abs(np.einsum("ij,ij->i", normal, tangent)).max() < 1e-12  # measured 2e-15
     # A sequential transport, one step after another
     expected = [normal[0]]
@@ -143,8 +147,8 @@ def test_normals_do_not_twist_along_a_helix_and_close_on_a_loop():
     np.testing.assert_allclose(normal, expected, atol=1e-12)  # measured 3e-15
     t = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     knot = np.stack([np.sin(t) + 2 * np.sin(2 * t), np.cos(t) - 2 * np.cos(2 * t), -np.sin(3 * t)], axis=1)
-    closed = core.evaluate(curve(knot, core.POLY, cyclic=True))
-    normal = core.normals(closed, np.array([True]), np.array([core.MINIMUM_TWIST]))
+    closed = evaluation.evaluate_curves(curve(knot, curves.POLY, cyclic=True))
+    normal = normals.curve_normals(closed, np.array([True]), np.array([curves.MINIMUM_TWIST]))
     np.testing.assert_array_equal(normal[0], normal[-1])
     assert np.einsum("ij,ij->i", normal[1:], normal[:-1]).min() > 0.9  # measured 0.958; a jump of half a turn is -1
 
@@ -181,7 +185,9 @@ def test_what_cannot_be_drawn_is_left_out_and_counted():
 def test_a_wiggle_shorter_than_the_radius_does_not_turn_the_end_of_a_strand():
     straight = np.array([[0.0, 0, z] for z in (0, -0.01, 0.02, 0.5, 1, 1.5, 1.48, 1.51, 1.5)], np.float32)
     bent = np.array([[1.0, 0, 0], [1, 0.05, 0.05], [1, 0.3, 0.1], [1, 0.6, 0.1]], np.float32)
-    lines = Lines("ends", "ends", np.concatenate([straight, bent]), np.array([0, 9, 13]), np.full(13, 0.1, np.float32))
+    lines = Strands(
+        "ends", "ends", np.concatenate([straight, bent]), np.array([0, 9, 13]), np.full(13, 0.1, np.float32)
+    )
     tangent = clean(lines).tangent
     np.testing.assert_array_equal(tangent[[0, 8]], [[0, 0, 1]] * 2)
     # Where the strand leads on it keeps its own direction
@@ -210,9 +216,9 @@ def test_points_with_a_value_that_is_not_finite_are_left_out():
 def test_a_strand_of_a_million_points_is_evaluated_and_cleaned():
     n = 1_000_000
     position = np.stack([np.linspace(0, 100, n), np.sin(np.linspace(0, 50, n)), np.zeros(n)], axis=1)
-    found = core.evaluate(curve(position, core.POLY))
+    found = evaluation.evaluate_curves(curve(position, curves.POLY))
     assert len(found) == n
-    normal = core.normals(found, np.array([False]), np.array([core.MINIMUM_TWIST]))
+    normal = normals.curve_normals(found, np.array([False]), np.array([curves.MINIMUM_TWIST]))
     assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-12  # measured 4.4e-16
     lines = clean(strands(found.position))
     assert len(lines) == n

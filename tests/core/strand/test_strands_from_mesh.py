@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.strand.fit.from_mesh import find, parts_of
+from pointsplat_addon.core.strand.fit.from_mesh import connected_parts, fit_strands
 
 
 def branch(sides, rings, *, tip=False, bend=0.0):
@@ -48,7 +48,7 @@ CUBE = (
 @pytest.mark.parametrize("tip", [False, True])
 def test_rings_become_a_tube_through_their_middles(sides, tip):
     vertices, faces, middle = branch(sides, 7, tip=tip, bend=0.01)
-    found = find(vertices, faces)
+    found = fit_strands(vertices, faces)
     assert len(found) == found.parts == 1
     assert not found.left.any()
     assert not found.ribbon.any()
@@ -65,7 +65,7 @@ def test_leaves_of_two_to_four_triangles_become_ribbons_of_their_area():
     kite = np.concatenate([QUAD[0], [[0.05, 1.5, 0]]])
     parts = QUAD, (four, np.array([[0, 1, 2], [0, 2, 3], [3, 2, 4], [3, 4, 5]])), (kite, np.array(
         [[0, 1, 2], [0, 2, 3], [3, 2, 4]]))  # fmt: skip
-    found = find(*joined(*parts))
+    found = fit_strands(*joined(*parts))
     assert found.ribbon.tolist() == [True] * 3
     assert not found.left.any()
     points = [found.position[a:b] for a, b in zip(found.start[:-1], found.start[1:], strict=True)]
@@ -82,7 +82,7 @@ def test_leaves_of_two_to_four_triangles_become_ribbons_of_their_area():
 
 def test_what_has_no_structure_stays_and_is_counted():
     single = np.eye(3), np.array([[0, 1, 2]])
-    found = find(*joined(CUBE, QUAD, single, branch(5, 4)[:2]))
+    found = fit_strands(*joined(CUBE, QUAD, single, branch(5, 4)[:2]))
     assert found.parts == 4
     assert len(found) == 2
     assert found.left.sum() == 12 + 1
@@ -109,7 +109,7 @@ def sleeve(sides):
 
 def test_a_sleeve_whose_vertices_make_no_rings_is_cut_across():
     vertices, faces, middle = sleeve(8)
-    found = find(vertices, faces)
+    found = fit_strands(vertices, faces)
     assert len(found) == 1
     assert not found.left.any()
     ends = found.position[[0, -1]]
@@ -119,16 +119,16 @@ def test_a_sleeve_whose_vertices_make_no_rings_is_cut_across():
     expected *= 8 * np.sin(np.pi / 8) / np.pi
     assert np.abs(found.radius / expected - 1).max() < 1e-6  # measured 1.7e-8
     # Pressed flat it is no tube
-    assert find(vertices * np.array([1, 0.01, 1]), faces).ribbon.tolist() == [True]
+    assert fit_strands(vertices * np.array([1, 0.01, 1]), faces).ribbon.tolist() == [True]
 
 
 def test_a_sleeve_with_angular_sections_is_a_tube_only_where_it_is_thin_beside_the_mesh():
     vertices, faces, _ = sleeve(3)
-    alone = find(vertices, faces)
+    alone = fit_strands(vertices, faces)
     assert alone.left.all()
     assert alone.stay == 1
     far = QUAD[0] + np.array([200.0, 0, 0]), QUAD[1]  # the tube's radius is 0.06
-    assert find(*joined((vertices, faces), far)).ribbon.tolist() == [False, True]
+    assert fit_strands(*joined((vertices, faces), far)).ribbon.tolist() == [False, True]
 
 
 @pytest.mark.parametrize("sides", [3, 4, 7])
@@ -136,7 +136,7 @@ def test_a_tube_that_is_closed_at_its_ends_and_within_is_the_same_tube(sides):
     vertices, faces, middle = branch(sides, 5)
     fan = np.stack([np.zeros(sides - 2, int), np.arange(1, sides - 1), np.arange(2, sides)], axis=1)
     walls = [fan + sides * ring for ring in ((0, 2, 4) if sides == 3 else (0, 4))]
-    found, open_ = find(vertices, np.concatenate([faces, *walls])), find(vertices, faces)
+    found, open_ = fit_strands(vertices, np.concatenate([faces, *walls])), fit_strands(vertices, faces)
     assert len(found) == 1
     assert not found.left.any()
     np.testing.assert_allclose(found.radius, open_.radius, rtol=1e-12)
@@ -151,7 +151,7 @@ def test_parts_are_found_in_any_order_of_triangles():
     triangles = np.concatenate([c + f for c, f in zip(chains, first, strict=True)])
     shuffled = random.permutation(543)
     triangles = shuffled[triangles][random.permutation(len(triangles))]
-    label = parts_of(triangles, 543)
+    label = connected_parts(triangles, 543)
     groups = [np.unique(label[shuffled[f : f + n]]) for f, n in zip(first, (3, 500, 40), strict=True)]
     assert [len(g) for g in groups] == [1, 1, 1]
     assert len(np.unique(label)) == 3
@@ -172,7 +172,7 @@ def star(lobes, sides=1):
 @pytest.mark.parametrize("sides", [1, 2])
 def test_a_flat_leaf_of_many_triangles_becomes_a_ribbon_of_its_area(sides):
     vertices, faces = star(7, sides)
-    found = find(vertices, faces)
+    found = fit_strands(vertices, faces)
     assert found.ribbon.tolist() == [True]
     assert not found.left.any()
     corner = vertices[faces[: len(faces) // sides]]
@@ -204,7 +204,7 @@ def finer(vertices, faces):
 def test_a_leaf_with_lobes_becomes_a_ribbon_for_each_and_one_between_them(lobes, sides):
     flat = finer(*star(lobes))
     vertices, faces = flat[0], np.concatenate([flat[1], flat[1][:, ::-1]][:sides])
-    found = find(vertices, faces)
+    found = fit_strands(vertices, faces)
     assert found.ribbon.tolist() == [True] * (lobes + 1)
     assert (np.diff(found.start) == 2).all()
     assert not found.left.any()
@@ -232,10 +232,10 @@ def test_what_is_thick_or_full_of_gaps_is_no_leaf():
     rim = 1 + np.arange(14)
     after = 1 + (np.arange(14) + 1) % 14
     wall = np.concatenate([np.stack([rim, after, rim + 15], axis=1), np.stack([after, after + 15, rim + 15], axis=1)])
-    assert find(thick, np.concatenate([faces, faces[:, ::-1] + 15, wall])).left.all()
+    assert fit_strands(thick, np.concatenate([faces, faces[:, ::-1] + 15, wall])).left.all()
     # A ring, most of whose breadth is empty
     angle = np.arange(24) * 2 * np.pi / 24
     inner, outer = (r * np.stack([2 * np.cos(angle), np.sin(angle), 0 * angle], axis=1) for r in (0.9, 1.0))
     low, following = np.arange(24), (np.arange(24) + 1) % 24
     band = [np.stack([low, following, low + 24], axis=1), np.stack([following, following + 24, low + 24], axis=1)]
-    assert find(np.concatenate([inner, outer]), np.concatenate(band)).left.all()
+    assert fit_strands(np.concatenate([inner, outer]), np.concatenate(band)).left.all()

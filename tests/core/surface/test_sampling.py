@@ -8,10 +8,17 @@ import pytest
 from pointsplat_addon.core.numeric.vectors import each_block
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.mesh import Mesh
-from pointsplat_addon.core.surface import sampling
+from pointsplat_addon.core.scene.validation import DroppedCounts, valid_triangles
+from pointsplat_addon.core.surface.area_sampling import estimate_by_part, sample_area
 from pointsplat_addon.core.surface.density import PART, make_parts, required_spacing
+from pointsplat_addon.core.surface.evaluation import evaluate
+from pointsplat_addon.core.surface.samples import Samples, corner_of_sample, interpolate, material_ids
+from pointsplat_addon.core.surface.sampling import choose_method, sample_mesh
+from pointsplat_addon.core.surface.spacing import limit_spacing, quantise_spacing
+from pointsplat_addon.core.surface.triangles import measure_triangles
+from pointsplat_addon.core.surface.vertex_sampling import sample_vertices
 
-METHODS = ("VERTICES", "AREA", "GRID")
+METHODS = ("VERTICES", "AREA")
 
 
 # --- Shapes -------------------------------------------------------------------------------------------------
@@ -96,7 +103,7 @@ for exponent in (3, 4, 6, 8):
 def points_on(mesh: Mesh, origin: np.ndarray, per_triangle: int, seed: int = 0):
     """Random points on valid triangles (n, 3), their triangles' unit normals and indices: half of them on edges."""
     rng = np.random.default_rng(seed)
-    rows = np.repeat(np.flatnonzero(sampling.validate(mesh)[0]), per_triangle)
+    rows = np.repeat(np.flatnonzero(valid_triangles(mesh)[0]), per_triangle)
     weights = rng.dirichlet((1, 1, 1), len(rows))
     weights[::2, 0] = 0
     weights[::6] = np.eye(3)[rng.integers(0, 3, len(weights[::6]))]
@@ -107,14 +114,14 @@ def points_on(mesh: Mesh, origin: np.ndarray, per_triangle: int, seed: int = 0):
     return np.einsum("nk,nkc->nc", weights, corners), normal / np.linalg.norm(normal, axis=1)[:, None], rows
 
 
-def worst_cover(mesh: Mesh, samples: sampling.Samples) -> float:
+def worst_cover(mesh: Mesh, samples: Samples) -> float:
     """Largest elliptical distance (1 is the rim) of a point on the mesh from the splat that covers it best.
 
     Splats whose plane misses the point by more than 1e-4 of their major half-axis and a rounding error do not
     count. Disks at vertices are tilted against the triangle: they count where the triangle's normal through the
     point meets them.
     """
-    e = sampling.evaluate(mesh, samples)
+    e = evaluate(mesh, samples)
     points, normals, _ = points_on(mesh, e.origin, max(1, 2000 // len(mesh.triangles)))
     position, plane, radii = (a.astype(np.float64) for a in (e.position, e.plane, e.radii))
     worst = 0.0
@@ -140,14 +147,14 @@ def worst_cover(mesh: Mesh, samples: sampling.Samples) -> float:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_splats_cover_every_triangle(shape, method):
     mesh, spacing = SHAPES[shape]
-    samples = sampling.sample(mesh, spacing, method)
+    samples = sample_mesh(mesh, spacing, method)
     assert worst_cover(mesh, samples) <= 1  # measured 0.999998: rounding is part of the radii
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_splats_still_cover_a_deformed_mesh(method):
     mesh = wave(9)
-    samples = sampling.sample(mesh, 0.1, method)
+    samples = sample_mesh(mesh, 0.1, method)
     # Stretched, sheared and bent: triangles of up to four times their length.
     x, y, z = mesh.position.T
     bent = replace(mesh, position=np.stack([3 * x + y, 0.4 * y, z + x * x], 1).astype(np.float32))
@@ -159,7 +166,7 @@ def test_splats_still_cover_a_deformed_mesh(method):
 )
 def test_vertex_disks_are_the_least_that_cover(corners):
     mesh = soup(np.array([[(*c, 0.0) for c in corners]]))
-    radius = sampling.evaluate(mesh, sampling.sample_vertices(mesh)).radii.max()
+    radius = evaluate(mesh, sample_vertices(mesh)).radii.max()
     grid = np.linspace(0, 1, 1001)
     u, v = (a.ravel() for a in np.meshgrid(grid, grid))
     u, v = u[u + v <= 1], v[u + v <= 1]
@@ -172,11 +179,8 @@ def test_vertex_disks_are_the_least_that_cover(corners):
 
 def test_radii_keep_to_the_spacing():
     for mesh, spacing in SHAPES.values():
-        area = sampling.evaluate(mesh, sampling.sample_area(mesh, spacing)).radii.max()
-        grid = sampling.evaluate(mesh, sampling.sample_grid(mesh, spacing)).radii.max()
+        area = evaluate(mesh, sample_area(mesh, spacing)).radii.max()
         assert area <= spacing * np.sqrt(0.5) * (1 + 1e-4)  # measured 1 + 3.2e-5, from the slack for float32 weights
-        # The steepest slope against the nearest axis has cosine 1 / sqrt(3).
-        assert grid <= spacing * np.sqrt(1.5) * (1 + 1e-4)  # measured 0.933 of the bound
 
 
 # --- Counts -------------------------------------------------------------------------------------------------
@@ -187,19 +191,18 @@ def area_of(mesh: Mesh) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-@pytest.mark.parametrize("method", ["AREA", "GRID"])
-def test_finer_spacing_gives_more_samples_and_about_one_per_cell(method):
+def test_finer_spacing_gives_more_samples_and_about_one_per_cell():
     mesh = cube()
-    counts = np.array([len(sampling.sample(mesh, 0.5**k, method)) for k in range(-2, 8)])
+    counts = np.array([len(sample_area(mesh, 0.5**k)) for k in range(-2, 8)])
     assert np.all(np.diff(counts) >= 0)
     per_cell = counts[-1] * (0.5**7) ** 2 / area_of(mesh)
-    assert per_cell == pytest.approx(1, abs=0.02)  # measured 1.014 AREA, 1 GRID
+    assert per_cell == pytest.approx(1, abs=0.02)  # measured 1.014
 
 
 def test_area_count_is_bounded_by_area_and_edges():
     for mesh, spacing in SHAPES.values():
-        m = sampling.measure(mesh)
-        count = len(sampling.sample_area(mesh, spacing))
+        m = measure_triangles(mesh)
+        count = len(sample_area(mesh, spacing))
         # Each row of cells rounds up once along itself, each triangle once across its rows.
         bound = (m.base * m.height / 2 + (m.base + m.height) * spacing) / spacing**2 + 1
         assert len(m.triangle) <= count <= bound.sum()
@@ -209,48 +212,38 @@ def test_area_count_is_bounded_by_area_and_edges():
 
 def test_slivers_are_sampled_along_their_length_only():
     mesh = needles(1e5)
-    assert len(sampling.sample_area(mesh, 0.01)) == pytest.approx(5 * 100, abs=5)  # one more where 1 / 0.01 rounds up
+    assert len(sample_area(mesh, 0.01)) == pytest.approx(5 * 100, abs=5)  # one more where 1 / 0.01 rounds up
 
 
 def test_triangles_smaller_than_a_splat_give_one_sample_each():
     mesh = wave(20)
-    for method in ("AREA", "GRID"):
-        samples = sampling.sample(mesh, 1.0, method)
-        assert np.array_equal(samples.triangle, np.arange(len(mesh.triangles)))
-    vertices = sampling.sample_vertices(mesh)
+    assert np.array_equal(sample_area(mesh, 1.0).triangle, np.arange(len(mesh.triangles)))
+    vertices = sample_vertices(mesh)
     assert len(vertices) == len(mesh.position)
-    assert np.array_equal(mesh.position, mesh.position[mesh.triangles[vertices.triangle, sampling._corner(vertices)]])
+    assert np.array_equal(mesh.position, mesh.position[mesh.triangles[vertices.triangle, corner_of_sample(vertices)]])
 
 
 def test_auto_takes_vertices_only_of_dense_connected_meshes():
-    assert sampling.choose(wave(20), 1.0) == "VERTICES"
-    assert sampling.choose(wave(20), 0.01) == "AREA"
-    assert sampling.choose(random_soup(50, 0), 1e3) == "AREA"  # three vertices for each triangle
-    assert sampling.sample(wave(20), 1.0).method == "VERTICES"
+    assert choose_method(wave(20), 1.0) == "VERTICES"
+    assert choose_method(wave(20), 0.01) == "AREA"
+    assert choose_method(random_soup(50, 0), 1e3) == "AREA"  # three vertices for each triangle
+    assert sample_mesh(wave(20), 1.0).method == "VERTICES"
 
 
-def test_a_grid_point_on_an_edge_within_a_plane_is_sampled_once():
-    mesh = cube()
-    e = sampling.evaluate(mesh, sampling.sample_grid(mesh, 0.25))
-    # 8 x 8 grid points on each of six faces, the diagonals' among them.
-    assert len(np.unique(e.position, axis=0)) == len(e.position) == 6 * 64
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_estimates(method):
+def test_estimates_by_part_add_up_to_about_the_count():
     for mesh, spacing in SHAPES.values():
-        count = len(sampling.sample(mesh, spacing, method))
-        estimate = sampling.estimate_count(mesh, spacing, method)
-        if method == "VERTICES":
-            assert estimate == count
-        else:
-            assert count / 1.2 <= estimate <= 2 * count  # measured 0.954 (GRID, soup) and 1.43 (GRID, cube)
+        measures = measure_triangles(mesh)
+        part = np.arange(len(measures.triangle)) % 3
+        estimate = estimate_by_part(measures, spacing, part, 3)
+        assert estimate.shape == (3,)
+        count = len(sample_area(mesh, spacing))
+        assert count <= estimate.sum() <= 2 * count  # measured 1.43 at most
 
 
 def test_sampling_is_deterministic():
     mesh = random_soup(60, 4)
     for method in METHODS:
-        a, b = (sampling.sample(mesh, 0.1, method) for _ in range(2))
+        a, b = (sample_mesh(mesh, 0.1, method) for _ in range(2))
         assert np.array_equal(a.triangle, b.triangle)
         assert np.array_equal(a.barycentric, b.barycentric)
         assert np.all(np.diff(a.triangle) >= 0)
@@ -259,7 +252,7 @@ def test_sampling_is_deterministic():
 def test_weights_lie_within_the_triangle():
     for mesh, spacing in SHAPES.values():
         for method in METHODS:
-            w = sampling.sample(mesh, spacing, method).barycentric
+            w = sample_mesh(mesh, spacing, method).barycentric
             assert w.min() >= 0
             assert w.sum(axis=1).max() <= 1 + 2e-7  # measured 1
 
@@ -277,12 +270,12 @@ def bad_mesh() -> tuple[Mesh, list[int]]:
 
 def test_bad_triangles_are_dropped_and_counted():
     mesh, good = bad_mesh()
-    ok, dropped = sampling.validate(mesh)
+    ok, dropped = valid_triangles(mesh)
     assert np.flatnonzero(ok).tolist() == good
-    assert dropped == sampling.DroppedCounts(bad_index=2, non_finite=2, huge=1, tiny=2, degenerate=2)
+    assert dropped == DroppedCounts(bad_index=2, non_finite=2, huge=1, tiny=2, degenerate=2)
     assert dropped.total == len(mesh.triangles) - 1
     assert dropped.message("Suzanne").startswith("Suzanne: 9 triangles are not drawn (2 with an index out of range")
-    assert sampling.validate(cube())[1].message("Cube") == ""
+    assert valid_triangles(cube())[1].message("Cube") == ""
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -290,7 +283,7 @@ def test_bad_triangles_leave_the_rest_right(method):
     mesh, _ = bad_mesh()
     alone = make(mesh.position[:3], [[0, 1, 2]])
     with np.errstate(all="raise", under="ignore"):
-        bad, good = (sampling.evaluate(m, sampling.sample(m, 0.2, method)) for m in (mesh, alone))
+        bad, good = (evaluate(m, sample_mesh(m, 0.2, method)) for m in (mesh, alone))
     assert np.allclose(bad.position + bad.origin, good.position + good.origin, atol=1e-7)  # measured 3e-8
     assert np.allclose(bad.radii, good.radii, rtol=2e-6)  # measured 5e-7
     assert np.allclose(bad.normal, (0, 0, 1))
@@ -299,33 +292,29 @@ def test_bad_triangles_leave_the_rest_right(method):
 @pytest.mark.parametrize("method", ["AUTO", *METHODS])
 @pytest.mark.parametrize("mesh", [make([], []), make([(0, 0, 0)], []), soup(np.zeros((3, 3, 3)))])
 def test_nothing_to_draw(mesh, method):
-    samples = sampling.sample(mesh, 0.1, method)
-    e = sampling.evaluate(mesh, samples)
+    samples = sample_mesh(mesh, 0.1, method)
+    e = evaluate(mesh, samples)
     assert len(samples) == len(e.position) == len(e.radii) == 0
-    assert sampling.estimate_count(mesh, 0.1) == 0
-    assert sampling.interpolate(mesh, samples, np.zeros((len(mesh.triangles), 3, 2), np.float32)).shape == (0, 2)
+    assert interpolate(mesh, samples, np.zeros((len(mesh.triangles), 3, 2), np.float32)).shape == (0, 2)
     assert required_spacing(mesh, np.eye(4), camera()) == np.inf
 
 
 @pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan, np.inf])
 def test_spacing_must_be_a_positive_number(spacing):
     with pytest.raises(ValueError, match="spacing"):
-        sampling.sample_area(cube(), spacing)
-    with pytest.raises(ValueError, match="spacing"):
-        sampling.sample_grid(cube(), spacing)
+        sample_area(cube(), spacing)
 
 
 def test_too_many_samples_are_refused_before_memory_is_taken():
-    for method in ("AREA", "GRID"):
-        with pytest.raises(ValueError, match="larger spacing"):
-            sampling.sample(cube(), 1e-7, method)
+    with pytest.raises(ValueError, match="larger spacing"):
+        sample_area(cube(), 1e-7)
 
 
 def test_a_pose_without_area_gives_finite_splats():
     mesh = wave(5)
     flat = replace(mesh, position=np.zeros_like(mesh.position))
     for method in METHODS:
-        e = sampling.evaluate(flat, sampling.sample(mesh, 0.2, method))
+        e = evaluate(flat, sample_mesh(mesh, 0.2, method))
         for array in (e.position, e.normal, e.plane, e.radii, *([] if e.axis is None else [e.axis])):
             assert np.isfinite(array).all()
         assert np.allclose(np.linalg.norm(e.normal, axis=1), 1)
@@ -334,10 +323,10 @@ def test_a_pose_without_area_gives_finite_splats():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_pose_with_a_nan_loses_only_what_touches_it(method):
     mesh = wave(6)
-    samples = sampling.sample(mesh, 0.1, method)
+    samples = sample_mesh(mesh, 0.1, method)
     broken = mesh.position.copy()
     broken[14] = np.nan
-    e, whole = (sampling.evaluate(m, samples) for m in (replace(mesh, position=broken), mesh))
+    e, whole = (evaluate(m, samples) for m in (replace(mesh, position=broken), mesh))
     lost = np.isnan(e.position).any(axis=1)
     if method == "VERTICES":
         assert np.flatnonzero(lost).tolist() == [14]
@@ -350,7 +339,7 @@ def test_a_pose_with_a_nan_loses_only_what_touches_it(method):
 # --- Attributes ---------------------------------------------------------------------------------------------
 
 
-def exact(mesh: Mesh, samples: sampling.Samples, per_corner: np.ndarray) -> np.ndarray:
+def exact(mesh: Mesh, samples: Samples, per_corner: np.ndarray) -> np.ndarray:
     w = samples.barycentric.astype(np.float64)
     weights = np.column_stack([1 - w.sum(axis=1), w])
     return np.einsum("nk,nkc->nc", weights, per_corner.astype(np.float64)[samples.triangle])
@@ -363,13 +352,13 @@ def test_attributes_are_interpolated_linearly(method):
     count = len(mesh.triangles)
     corner_normal = rng.normal((0, 0, 4), 1, (count, 3, 3)).astype(np.float32)
     mesh = replace(mesh, corner_normal=corner_normal, material=np.arange(count, dtype=np.uint16))
-    samples = sampling.sample(mesh, 0.2, method)
+    samples = sample_mesh(mesh, 0.2, method)
     colors = rng.random((count, 3, 4)).astype(np.float32)
-    error = np.abs(sampling.interpolate(mesh, samples, colors) - exact(mesh, samples, colors)).max()
+    error = np.abs(interpolate(mesh, samples, colors) - exact(mesh, samples, colors)).max()
     assert error < 2e-7  # measured 1.1e-7
-    assert np.array_equal(sampling.material_ids(mesh, samples), samples.triangle)
+    assert np.array_equal(material_ids(mesh, samples), samples.triangle)
 
-    e = sampling.evaluate(mesh, samples)
+    e = evaluate(mesh, samples)
     place = exact(mesh, samples, mesh.position[mesh.triangles])
     assert np.abs(e.position + e.origin - place).max() < 1e-7  # measured 3e-8
     if method != "VERTICES":
@@ -381,20 +370,20 @@ def test_attributes_are_interpolated_linearly(method):
 def test_vertex_normals_are_the_mesh_s_own():
     mesh = sphere(10)
     mesh = replace(mesh, vertex_normal=mesh.position / np.linalg.norm(mesh.position, axis=1, keepdims=True))
-    samples = sampling.sample_vertices(mesh)
-    e = sampling.evaluate(mesh, samples)
+    samples = sample_vertices(mesh)
+    e = evaluate(mesh, samples)
     assert np.allclose(e.normal, e.position + e.origin, atol=1e-6)  # the unit sphere; measured 2e-7
     assert np.einsum("nk,nk->n", e.normal, e.plane).min() > 0.97  # the one-ring's mean; measured 0.985
 
 
 def test_a_mesh_without_material_indices_takes_its_only_material():
     mesh = replace(cube(), materials=(7,))
-    assert sampling.material_ids(mesh, sampling.sample_vertices(mesh)).tolist() == [7] * 8
+    assert material_ids(mesh, sample_vertices(mesh)).tolist() == [7] * 8
 
 
 def test_axes_are_unit_and_in_the_plane():
     for mesh, spacing in SHAPES.values():
-        e = sampling.evaluate(mesh, sampling.sample_area(mesh, spacing))
+        e = evaluate(mesh, sample_area(mesh, spacing))
         assert e.axis is not None
         assert np.allclose(np.linalg.norm(e.axis, axis=1), 1, atol=2e-7)  # measured 6e-8
         assert np.abs(np.einsum("nk,nk->n", e.axis, e.plane)).max() < 2e-7  # measured 9e-8
@@ -404,12 +393,12 @@ def test_axes_are_unit_and_in_the_plane():
 
 def test_coordinates_far_from_zero_keep_the_mesh_s_precision():
     mesh, spacing = SHAPES["far"]
-    samples = sampling.sample_area(mesh, spacing)
-    e = sampling.evaluate(mesh, samples)
+    samples = sample_area(mesh, spacing)
+    e = evaluate(mesh, samples)
     place = exact(mesh, samples, mesh.position[mesh.triangles])
     # float32 at 1e7 has a spacing of 1; relative to the origin the error is that of float32 at 50.
     assert np.abs(e.position + e.origin - place).max() < 4e-6  # measured 1.9e-6
-    held = sampling.evaluate(mesh, samples, origin=e.origin + 8)
+    held = evaluate(mesh, samples, origin=e.origin + 8)
     assert np.allclose(held.position + 8, e.position, atol=1e-5)  # measured 3.8e-6
 
 
@@ -419,13 +408,13 @@ def test_coordinates_far_from_zero_keep_the_mesh_s_precision():
 def test_octaves_only_refine():
     values = 10 ** np.random.default_rng(0).uniform(-9, 9, 500)
     for value in (*values, 1.0, 0.5, 2.0**-30):
-        octave = sampling.quantise_spacing(value)
+        octave = quantise_spacing(value)
         assert octave <= value < 2 * octave
         assert np.log2(octave) == np.round(np.log2(octave))
-        assert sampling.quantise_spacing(octave) == octave
-    assert sampling.quantise_spacing(np.inf) == np.inf
+        assert quantise_spacing(octave) == octave
+    assert quantise_spacing(np.inf) == np.inf
     with pytest.raises(ValueError, match="positive"):
-        sampling.quantise_spacing(np.nan)
+        quantise_spacing(np.nan)
 
 
 def camera(perspective=True, shift=(0.0, 0.0), near=0.1, far=100.0, focal=1.4, resolution=(320, 200)) -> Camera:
@@ -518,17 +507,17 @@ def test_parts_follow_the_mesh_unless_its_triangles_lie_scattered():
 
 def test_measures_spare_the_work_and_change_nothing():
     mesh = soup(np.random.default_rng(8).normal(size=(500, 3, 3)))
-    ok = sampling.validate(mesh)[0]
-    measures = sampling.measure(mesh, ok)
+    ok = valid_triangles(mesh)[0]
+    measures = measure_triangles(mesh, ok)
     edges = np.linalg.norm(mesh.position[mesh.triangles] - mesh.position[mesh.triangles[:, [1, 2, 0]]], axis=2)
     assert measures.longest == pytest.approx(edges.max(), rel=1e-6)
     assert np.allclose(measures.base, edges.max(axis=1), rtol=1e-6)
     assert measures.vertices == len(mesh.position)
     for method in METHODS:
-        one, other = sampling.sample(mesh, 0.3, method), sampling.sample(mesh, 0.3, method, ok, measures)
+        one, other = sample_mesh(mesh, 0.3, method), sample_mesh(mesh, 0.3, method, ok, measures)
         assert np.array_equal(one.triangle, other.triangle)
         assert np.array_equal(one.barycentric, other.barycentric)
-    assert sampling.limit_spacing(mesh, 1e-3, 10_000) == sampling.limit_spacing(mesh, 1e-3, 10_000, ok, measures)
+    assert limit_spacing(mesh, 1e-3, 10_000) == limit_spacing(mesh, 1e-3, 10_000, ok, measures)
 
 
 @pytest.mark.parametrize("count", [0, 1, 9, 10, 11, 1000])
@@ -606,9 +595,9 @@ def test_a_camera_inside_is_limited_by_the_number_of_samples():
     m[2, 3] = 0.9999  # the eye is 1e-4 from the face that it looks at
     for limit in (1000, 100_000):
         spacing = required_spacing(mesh, m, cam, max_samples=limit)
-        count = len(sampling.sample_area(mesh, spacing))
+        count = len(sample_area(mesh, spacing))
         assert limit / 8 < count <= limit  # an octave is a factor of four in samples
-        assert spacing == sampling.quantise_spacing(spacing)
-    assert sampling.limit_spacing(mesh, 0.5, 1) <= 4  # one sample for each triangle is the least
+        assert spacing == quantise_spacing(spacing)
+    assert limit_spacing(mesh, 0.5, 1) <= 4  # one sample for each triangle is the least
     dense = wave(30)
-    assert len(sampling.sample_area(dense, sampling.limit_spacing(dense, 1e-3, 10))) == len(dense.triangles)
+    assert len(sample_area(dense, limit_spacing(dense, 1e-3, 10))) == len(dense.triangles)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.volume import Medium, Transfer, Volume
-from pointsplat_addon.core.splat.kernel import EVEN, kernel
+from pointsplat_addon.core.splat.kernel import EVEN_SPACING, kernel
 from pointsplat_addon.core.volume import voxels
 
 WHITE = Medium(color=np.ones(3))
@@ -285,6 +285,6 @@ def test_shear_and_flat_voxels_make_ellipsoids_of_their_mass():
     axes = cloud.radii[0] / 2
     frame = np.stack([cloud.axis[0], np.cross(cloud.normal[0], cloud.axis[0]), cloud.normal[0]], axis=1)
     linear = matrix[:3, :3]
-    covariance = EVEN**2 * linear @ linear.T
+    covariance = EVEN_SPACING**2 * linear @ linear.T
     np.testing.assert_allclose(frame @ np.diag(axes**2) @ frame.T, covariance, atol=1e-6)
     assert point_cloud(block((2, 2, 2), scaled(1, 1, 1.02)), WHITE)[0].normal is None

@@ -8,19 +8,21 @@ import pytest
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.splat.blur import NODE
+from pointsplat_addon.core.splat.blur import NODE_SIZE
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.budget import budget
-from pointsplat_addon.render.budget.budget import Moving, Pacer, Refining
+from pointsplat_addon.render.budget import budgeted, error
+from pointsplat_addon.render.budget.pacing import Pacer
+from pointsplat_addon.render.budget.viewport import Moving, Refining
 from pointsplat_addon.render.frame import translucent
-from pointsplat_addon.render.frame.filtering import offsets
 from pointsplat_addon.render.frame.frame import Frame
+from pointsplat_addon.render.frame.sample_positions import offsets
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from scripts import defocus_pictures
-from tests.support import scenes
-from tests.support.scenes import CASES, Case
-from tests.support.store import STORE
+from scripts.scenes import cameras, drawing
+from scripts.scenes.case import Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
+from scripts.studies import defocus_pictures
 
 COMBINED = frozenset({"combined"})
 # ms: what comes once, a sample, and both per splat; splats at the tolerance of one pixel; the budget.
@@ -101,7 +103,7 @@ def test_a_picture_stops_in_time(milliseconds, aperture):
     request, times = replace(request, camera=replace(request.camera, aperture=aperture)), []
     for _ in range(4):
         before = len(device.calls)
-        result = budget.kept(renderer, scene, request, lambda *_: None, lambda: False, clock)
+        result = budgeted.kept(renderer, scene, request, lambda *_: None, lambda: False, clock)
         times.append(len(device.calls) - before)
         assert result.report["estimate"]["seconds"] == pytest.approx(times[-1] / 1000)
     # Whole samples: 0.075 at most, of 40 draws, and 0.005, of 200.
@@ -114,7 +116,7 @@ def test_a_view_that_moves_keeps_its_time():
     scene, request = asked("mixed", 16, budget="TIME", time_budget=100.0)
     request, times = replace(request, interactive=True), []
     for step in range(6):
-        moved = replace(request, camera=scenes.camera(eye=(0.1 * step, -4, 0)))
+        moved = replace(request, camera=cameras.camera(eye=(0.1 * step, -4, 0)))
         keeper, before = Moving(renderer, scene, moved, clock), len(device.calls)
         drawn = renderer.start(scene, keeper.request)
         assert not keeper.sample(drawn)
@@ -126,7 +128,7 @@ def test_a_view_that_moves_keeps_its_time():
 def test_a_viewport_that_stands_still_ends_below_its_error():
     scene, request = asked("mixed", budget="ERROR", error_budget=0.02)
     keeper = Refining(replace(request, interactive=True))
-    drawn = scenes.opengl().start(scene, keeper.request)
+    drawn = drawing.opengl().start(scene, keeper.request)
     while keeper.sample(drawn):
         pass
     assert drawn.complete
@@ -162,16 +164,16 @@ def ratios(case: Case, monkeypatch: pytest.MonkeyPatch, limits=(0.03, 0.01, 0.00
     found = []
     for limit in limits:
         asked = replace(request, settings=replace(case.settings, budget="ERROR", error_budget=limit))
-        found.append(scenes.opengl().render(case.scene, asked))
+        found.append(drawing.opengl().render(case.scene, asked))
         report = found[-1].report
         # More samples than MOST_SAMPLES are not drawn.
         assert report["estimate"]["rmse"] <= limit or "samples" not in {entry["name"] for entry in report["skipped"]}
     settings = replace(case.settings, tolerance=case.settings.tolerance / 4, use_adaptive_sampling=False)
     monkeypatch.setattr(translucent, "RELIT", CONVERGED)
-    best = Request(case.camera, settings, COMBINED, CONVERGED, node=NODE / 4)
-    truth = scenes.opengl().render(case.scene, best).pixels["combined"]
+    best = Request(case.camera, settings, COMBINED, CONVERGED, node=NODE_SIZE / 4)
+    truth = drawing.opengl().render(case.scene, best).pixels["combined"]
     estimates = [result.report["estimate"]["rmse"] for result in found]
-    distances = [budget.distance(result.pixels["combined"], truth) for result in found]
+    distances = [error.distance(result.pixels["combined"], truth) for result in found]
     return [e / d for e, d in zip(estimates, distances, strict=True)]
 
 
@@ -219,7 +221,7 @@ def test_an_error_that_is_one_number_is_not_taken_for_less(monkeypatch):
 
 @pytest.mark.parametrize("number", range(4))
 def test_the_estimate_holds_for_scenes_that_its_factors_were_not_fitted_to(number, monkeypatch):
-    """The pictures of docs/depth_of_field.md, at a quarter of their size."""
+    """The pictures of docs/notes/depth_of_field.md, at a quarter of their size."""
     made = (defocus_pictures.floor, lambda: defocus_pictures.shell(False), lambda: defocus_pictures.shell(True),
             defocus_pictures.strands)  # fmt: skip
     scene, camera = made[number]()
@@ -233,28 +235,28 @@ def test_what_no_sample_met_is_told_from_steps_beside_a_pixel():
     """Nothing of an even slope; of a step what an edge covers at most unseen, less with more samples."""
     across = np.arange(8.0)
     slope = np.repeat(np.broadcast_to(0.1 * across, (6, 8))[..., None], 3, axis=-1)
-    assert budget.unseen(slope, 5).max() < 1e-30
+    assert error.unseen(slope, 5).max() < 1e-30
     step = np.repeat(np.broadcast_to((across > 3) * 0.5, (6, 8))[..., None], 3, axis=-1)
-    found = budget.unseen(step, 5)
-    np.testing.assert_allclose(found[:, 3:5], (0.5 * budget.MOST_UNSEEN) ** 2)
+    found = error.unseen(step, 5)
+    np.testing.assert_allclose(found[:, 3:5], (0.5 * error.MOST_UNSEEN) ** 2)
     assert not np.delete(found, (3, 4), axis=1).any()
     counts = np.full((6, 8, 1), 5.0)
     counts[3:] = 129.0
-    few, many = budget.unseen(step, counts)[[0, 5], 3]
-    assert many == pytest.approx((0.5 * budget.UNSEEN / 129) ** 2)
+    few, many = error.unseen(step, counts)[[0, 5], 3]
+    assert many == pytest.approx((0.5 * error.UNSEEN / 129) ** 2)
     assert many < few
 
 
 def test_of_what_is_out_of_focus_no_edge_is_missed():
     """Only samples can miss one: nothing where they decide nothing, up to the pixels beside what they do."""
     step = np.repeat(np.broadcast_to((np.arange(8.0) > 3) * 0.5, (6, 8))[..., None], 3, axis=-1)
-    everywhere = budget.unseen(step, 5)
+    everywhere = error.unseen(step, 5)
     sharp = np.zeros((6, 8, 1))
     sharp[0, 4] = 0.5
-    found = budget.unseen(step, 5, sharp)
+    found = error.unseen(step, 5, sharp)
     np.testing.assert_allclose(found[:2, 3:5], 0.25 * everywhere[:2, 3:5])
     assert not found[2:].any()
-    np.testing.assert_array_equal(budget.unseen(step, 5, np.ones((6, 8, 1))), everywhere)
+    np.testing.assert_array_equal(error.unseen(step, 5, np.ones((6, 8, 1))), everywhere)
 
 
 def test_where_samples_alone_would_do_the_cut_gets_finer():
@@ -262,7 +264,7 @@ def test_where_samples_alone_would_do_the_cut_gets_finer():
     case = through_lens(CASES["emission"]())
     STORE.clear()
     settings = replace(case.settings, budget="ERROR", error_budget=0.003)
-    report = scenes.opengl().render(case.scene, replace(case.request(COMBINED, 16), settings=settings)).report
+    report = drawing.opengl().render(case.scene, replace(case.request(COMBINED, 16), settings=settings)).report
     assert report["estimate"]["rmse"] <= 0.003  # measured 0.0026; 0.0034 with the first cut
 
 
@@ -276,24 +278,24 @@ def test_an_edge_leaves_a_pixel_that_no_sample_met_it_in_as_little_as_is_taken()
             places = np.linspace(0, 1, 201)
             share = 1 - np.searchsorted(np.sort(along), places) / len(every)
             covered.append(share[places > along[:count].max()])
-        used = min(budget.MOST_UNSEEN, budget.UNSEEN / count)
+        used = min(error.MOST_UNSEEN, error.UNSEEN / count)
         assert 0.6 < np.sqrt((np.concatenate(covered) ** 2).mean()) / used < 1.2  # measured 0.68 (17) and 1.03 (65)
 
 
 def test_tiles_with_edges_go_on_where_an_error_is_asked_for():
     """Edges along the pixels' sides, which the first samples all miss: the tile would end, and be wrong."""
     scene, request = asked("moving", budget="ERROR", error_budget=0.003)
-    result = scenes.opengl().render(scene, request)
+    result = drawing.opengl().render(scene, request)
     exact = replace(request, settings=replace(request.settings, budget="NONE", use_adaptive_sampling=False))
-    truth = scenes.opengl().render(scene, replace(exact, samples=CONVERGED)).pixels["combined"]
-    assert budget.distance(result.pixels["combined"], truth) < 0.003  # measured 0.0012; 0.0045 where tiles just end
+    truth = drawing.opengl().render(scene, replace(exact, samples=CONVERGED)).pixels["combined"]
+    assert error.distance(result.pixels["combined"], truth) < 0.003  # measured 0.0012; 0.0045 where tiles just end
 
 
 def test_a_cut_is_compared_without_touching_what_the_picture_uses():
     """Another frame sorts translucent splats and lights them, and this one goes on with its own."""
     case = under_wide_lamps(CASES["panes"]())
     scene, request = case.scene, case.request(COMBINED, 9)
-    renderer = scenes.opengl()
+    renderer = drawing.opengl()
     STORE.clear()
     alone = renderer.render(scene, request).pixels["combined"]
     STORE.clear()
@@ -311,7 +313,7 @@ def test_a_cut_is_compared_without_touching_what_the_picture_uses():
 def test_what_is_exact_takes_no_more_samples():
     for name in ("empty", "unlit"):
         scene, request = asked(name, budget="ERROR", error_budget=0.001)
-        report = scenes.opengl().render(scene, request).report
+        report = drawing.opengl().render(scene, request).report
         assert report["estimate"]["rmse"] == 0.0
         assert report["points"]["drawn"] <= 5 * report["points"]["cut"]
 
@@ -326,7 +328,7 @@ def test_without_a_budget_nothing_changes():
         assert "estimate" not in report
         calls.append([(call.interface.name, call.count) for call in device.calls])
         assert sum(name == "shade" for name, _ in calls[-1]) == 8
-        pictures.append(scenes.opengl().render(scene, request).pixels["combined"])
+        pictures.append(drawing.opengl().render(scene, request).pixels["combined"])
     assert calls[0] == calls[1]
     np.testing.assert_array_equal(*pictures)
 
@@ -338,5 +340,5 @@ def test_the_default_is_no_budget():
 def test_a_cancelled_picture_ends():
     scene, request = asked("mixed", budget="ERROR", error_budget=0.001)
     asks = iter(range(100))
-    result = scenes.opengl().render(scene, request, cancelled=lambda: next(asks) > 3)
+    result = drawing.opengl().render(scene, request, cancelled=lambda: next(asks) > 3)
     assert result.cancelled

@@ -10,17 +10,17 @@ import pytest
 from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.budget.budget import Moving
+from pointsplat_addon.render.budget.viewport import Moving
 from pointsplat_addon.render.cache.keys import Kind
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.parts import parted
 from pointsplat_addon.render.prepare.prepare import Prepared, prepare
 from pointsplat_addon.render.renderer import Renderer
-from tests.render.frame.test_quality import with_smooth_normals
-from tests.support import scenes
-from tests.support.scenes import CASES
-from tests.support.store import STORE
+from scripts.scenes import build, cameras, drawing
+from scripts.scenes.cases import CASES
+from scripts.scenes.meshes import with_smooth_normals
+from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 POINT, TRIANGLE, PIXEL = 65e-9, 240e-9, 20e-9  # seconds, of a device that is told what things cost
@@ -165,14 +165,14 @@ def bumps(count: int = 300) -> Scene:
         np.stack([at, at + 1, at + count + 2], axis=1), np.stack([at, at + count + 2, at + count + 1], axis=1)
     ])  # fmt: skip
     mesh = with_smooth_normals("coarse bumps", p, triangles)
-    return scenes.scene((scenes.mesh(mesh), scenes.moved()), lights=[scenes.sun(2.5, (0.3, 1.0, -0.4))])
+    return build.scene((build.mesh(mesh), build.moved()), lights=[build.sun(2.5, (0.3, 1.0, -0.4))])
 
 
 def picture(scene: Scene, camera, coarser: float) -> np.ndarray:
     """(H, W, 4): one sample, with nodes where it is coarser."""
     settings = Settings(tolerance=coarser, budget="TIME" if coarser > 1 else "NONE")
     request = Request(camera, settings, COMBINED, 1, interactive=True, coarse=coarser > 1)
-    renderer = scenes.opengl()
+    renderer = drawing.opengl()
     for _ in range(3):
         frame = renderer.start(scene, request)
         frame.release()
@@ -189,7 +189,7 @@ def picture(scene: Scene, camera, coarser: float) -> np.ndarray:
 @pytest.mark.parametrize("coarser", [8.0, 16.0])
 def test_coarse_nodes_do_not_lie_in_the_shadow_of_what_they_stand_for(coarser):
     STORE.clear()
-    camera = scenes.camera((0, -3.2, 0), resolution=(192, 192))
+    camera = cameras.camera((0, -3.2, 0), resolution=(192, 192))
     scene = bumps()
     fine, coarse = picture(scene, camera, 1.0), picture(scene, camera, coarser)
     y, x = np.mgrid[:192, :192] - 95.5

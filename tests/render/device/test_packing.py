@@ -9,10 +9,10 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.keys import Key, Kind
 from pointsplat_addon.render.device.packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged, unpack_normal
-from pointsplat_addon.render.passes.common import Variant
-from pointsplat_addon.render.passes.points import Page, PointOptions
+from pointsplat_addon.render.passes.gbuffer import Variant
+from pointsplat_addon.render.passes.pages.point_page import Page, PointOptions
 from pointsplat_addon.render.prepare.point_sets import PointSet
-from tests.support import scenes
+from scripts.scenes import build
 
 
 def directions(count=20000):
@@ -101,7 +101,7 @@ def test_a_page_holds_its_clouds_one_after_another():
             made[next(names)] = data.reshape(size[0] * size[1], -1)
             return super().texture(size, format, data)
 
-    table = scenes.materials(base_color=[[0.1 * i, 0.2, 0.3] for i in range(5)])
+    table = build.materials(base_color=[[0.1 * i, 0.2, 0.3] for i in range(5)])
     sets = [PointSet(Key(Kind.CLOUD, "first"), first), PointSet(Key(Kind.CLOUD, "second"), second)]
     page = Page(Recorder(), sets, Variant(color=True), PointOptions(shading_normal=True), table)
     assert page.first == {Key(Kind.CLOUD, "first"): 0, Key(Kind.CLOUD, "second"): 40_000}

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.render.frame.filtering import FILTER_WIDTH, cryptomatte, offsets
+from pointsplat_addon.render.frame.cryptomatte import cryptomatte
+from pointsplat_addon.render.frame.sample_positions import FILTER_WIDTH, offsets
 
 
 def blackman_harris(x):

@@ -9,13 +9,15 @@ import pytest
 from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
 from pointsplat_addon.core.scene.world import Mist, World
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.frame.filtering import offsets
+from pointsplat_addon.render.frame.sample_positions import offsets
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
 from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes import build, cameras, drawing, meshes, solid_cases
+from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.drawing import render
+from scripts.scenes.store import STORE
 from tests.reference import opaque
-from tests.support import scenes
-from tests.support.scenes import ALL_PASSES, CASES, Case, render
-from tests.support.store import STORE
 
 POLYGONS = ("cube", "culled")  # only polygons are seen
 
@@ -104,8 +106,8 @@ def test_a_mesh_drawn_as_points_looks_as_its_polygons(samples):
     """Same shading: away from the silhouette the pictures agree, and there is no hole."""
     pictures = []
     for primitive in ("POINTS", "POLYGONS"):
-        thing = scenes.mesh(scenes.sphere_mesh("compared sphere", 60), primitive)
-        case = Case(scenes.scene((thing, scenes.moved()), transparent=True), scenes.camera(resolution=(96, 96)))
+        thing = build.mesh(meshes.sphere_mesh("compared sphere", 60), primitive)
+        case = Case(build.scene((thing, build.moved()), transparent=True), cameras.camera(resolution=(96, 96)))
         pictures.append(render(case, frozenset({"combined"}), samples).pixels["combined"])
     points, polygons = pictures
     covered = polygons[..., 3] == 1
@@ -119,7 +121,7 @@ def test_a_mesh_drawn_as_points_looks_as_its_polygons(samples):
 
 
 def test_a_transparent_film_is_empty_where_nothing_is_and_opaque_where_something_is():
-    case = scenes.mixed()
+    case = solid_cases.mixed()
     clear = replace(case, scene=replace(case.scene, transparent=True))
     result, solid = render(clear), render(case)
     combined, seen = result.pixels["combined"], there(result)
@@ -133,7 +135,7 @@ def test_a_transparent_film_is_empty_where_nothing_is_and_opaque_where_something
 
 @pytest.mark.parametrize("transparent", [True, False])
 def test_a_holdout_hides_what_is_behind_it_and_leaves_alpha_empty(transparent):
-    case = scenes.holdout()
+    case = solid_cases.holdout()
     case = replace(case, scene=replace(case.scene, transparent=transparent))
     held = case.scene.instances.holdout
     assert held is not None
@@ -149,13 +151,13 @@ def test_a_holdout_hides_what_is_behind_it_and_leaves_alpha_empty(transparent):
 def test_a_world_without_objects_is_its_picture():
     image = np.zeros((8, 16, 3), np.float32)
     image[:] = np.linspace(0, 1, 16)[:, None]
-    case = Case(scenes.scene(world=World(np.zeros(3), image)), scenes.camera())
+    case = Case(build.scene(world=World(np.zeros(3), image)), cameras.camera())
     expected = opaque.picture(case.scene, case.camera)
     assert np.abs(render(case).pixels["combined"] - expected.combined).max() < 1e-5  # measured 2.8e-7
 
 
 def test_an_empty_scene_has_every_pass():
-    case = scenes.empty()
+    case = solid_cases.empty()
     result = render(case)
     np.testing.assert_allclose(result.pixels["combined"], np.broadcast_to([0.1, 0.12, 0.15, 1], (40, 48, 4)), atol=1e-7)
     assert (result.pixels["depth"] == BACKGROUND_DEPTH).all()
@@ -208,7 +210,7 @@ def test_normals_face_the_eye_and_are_unit_or_nothing():
 
 @pytest.mark.parametrize(("falloff", "power"), [("LINEAR", 1.0), ("QUADRATIC", 2.0), ("INVERSE_QUADRATIC", 0.5)])
 def test_mist_follows_the_distance_to_the_eye(falloff, power):
-    case = scenes.cube()
+    case = solid_cases.cube()
     case = replace(case, scene=replace(case.scene, mist=Mist(3.5, 2.0, falloff)))
     result, seen = render(case), there(render(case))
     eye = np.linalg.inv(case.camera.view_from_world)[:3, 3]
@@ -221,7 +223,7 @@ def test_mist_follows_the_distance_to_the_eye(falloff, power):
 
 def test_motion_is_in_pixels_from_now_to_before():
     """As Cycles has it: X, Y to where the point was a frame before; Z, W from where it will be, assumed alike."""
-    case = scenes.moving()
+    case = solid_cases.moving()
     result = render(case)
     seen, owner = there(result), flat(result, "object_index").astype(int) - 1
     assert {0, 1} == set(owner[seen].tolist())
@@ -243,12 +245,12 @@ def test_motion_is_in_pixels_from_now_to_before():
 
 
 def test_nothing_moves_where_nothing_is_said_to_move():
-    result = render(scenes.mixed())
+    result = render(solid_cases.mixed())
     assert np.abs(result.pixels["vector"]).max() < 1e-3
 
 
 def test_a_border_moves_no_motion():
-    case = scenes.moving()
+    case = solid_cases.moving()
     part = replace(case, camera=replace(case.camera, region=(5, 6, 20, 18)))
     whole, cropped = render(case).pixels["vector"][6:24, 5:25], render(part).pixels["vector"]
     same = (whole != 0).any(axis=2) & (cropped != 0).any(axis=2)
@@ -256,9 +258,9 @@ def test_a_border_moves_no_motion():
 
 
 def test_indices_are_the_instances_and_materials_own():
-    case = scenes.mixed()
+    case = solid_cases.mixed()
     indices = np.array([7, 32000], np.int32)
-    table = scenes.materials(2, pass_index=[5, 30])
+    table = build.materials(2, pass_index=[5, 30])
     block = case.scene.geometries[1]
     assert block.mesh is not None
     mesh = replace(block.mesh, key="second row", material=np.ones(12, np.uint16), materials=(1,))
@@ -276,7 +278,7 @@ def test_indices_are_the_instances_and_materials_own():
 
 
 def test_a_scene_without_indices_or_hashes_has_zeros():
-    case = scenes.mixed()
+    case = solid_cases.mixed()
     bare = replace(case.scene.instances, pass_index=None, object_hash=None)
     result = render(replace(case, scene=replace(case.scene, instances=bare)))
     assert not result.pixels["object_index"].any()
@@ -285,7 +287,7 @@ def test_a_scene_without_indices_or_hashes_has_zeros():
 
 
 def test_cryptomatte_coverages_add_up_to_what_is_covered():
-    case = scenes.mixed()
+    case = solid_cases.mixed()
     hashes = np.array([cryptomatte_hash("Sphere"), cryptomatte_hash("Cube")], np.uint32)
     case = replace(
         case, scene=replace(case.scene, instances=replace(case.scene.instances, object_hash=hashes), transparent=True)
@@ -321,21 +323,21 @@ def test_many_samples_are_the_mean_of_single_ones(name):
 
 
 def test_data_passes_are_those_of_the_pixels_centres():
-    case = scenes.mixed()
+    case = solid_cases.mixed()
     one, many = render(case).pixels, render(case, samples=4).pixels
     for key in ("depth", "position", "vector", "object_index", "material_index"):
         np.testing.assert_array_equal(one[key], many[key])
 
 
 def test_a_render_is_repeatable():
-    case = scenes.mixed()
+    case = solid_cases.mixed()
     first, second = render(case, samples=3).pixels, render(case, samples=3).pixels
     for key in first:
         np.testing.assert_array_equal(first[key].view(np.uint32), second[key].view(np.uint32))
 
 
 def test_cancelling_stops_between_samples_and_frees_the_frame():
-    renderer, case, seen = scenes.opengl(), scenes.mixed(), []
+    renderer, case, seen = drawing.opengl(), solid_cases.mixed(), []
     render(case)  # what stays for the next frame is there
     kept = renderer.device.bytes_allocated()
     result = renderer.render(
@@ -352,14 +354,16 @@ def test_cancelling_stops_between_samples_and_frees_the_frame():
 
 def test_progress_rises_to_one():
     seen = []
-    scenes.opengl().render(
-        scenes.mixed().scene, scenes.mixed().request(samples=4), progress=lambda fraction, text: seen.append(fraction)
+    drawing.opengl().render(
+        solid_cases.mixed().scene,
+        solid_cases.mixed().request(samples=4),
+        progress=lambda fraction, text: seen.append(fraction),
     )
     assert seen == [0.0, 0.25, 0.5, 0.75, 1.0]
 
 
 def test_releasing_a_renderer_frees_everything():
-    case = scenes.plain_sphere()
+    case = solid_cases.plain_sphere()
 
     def bytes_while_and_after():
         device = OpenGLDevice()
@@ -380,5 +384,5 @@ def test_releasing_a_renderer_frees_everything():
 
 @pytest.mark.parametrize("asked", sorted(ALL_PASSES))
 def test_each_pass_can_be_asked_for_alone(asked):
-    result = render(scenes.mixed(), frozenset({asked}))
+    result = render(solid_cases.mixed(), frozenset({asked}))
     assert any(key.startswith(asked) for key in result.pixels)

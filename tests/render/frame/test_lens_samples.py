@@ -10,13 +10,14 @@ from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame import frame
-from pointsplat_addon.render.frame.lens_samples import prepared_for
+from pointsplat_addon.render.plan.lens_view import prepared_for
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
-from tests.support import scenes
-from tests.support.scenes import ALL_PASSES, CASES, Case
-from tests.support.store import STORE
+from scripts.scenes import drawing
+from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 PENTAGON = Aperture(0.15, 4.0, 5, 0.3)
@@ -26,7 +27,7 @@ LENS = Settings(dof_method="LENS_SAMPLES")
 def seen(case: Case, samples: int, passes: frozenset[str] = COMBINED, renderer: Renderer | None = None, **settings):
     settings = {"dof_method": "LENS_SAMPLES", "use_adaptive_sampling": False, **settings}
     request = Request(case.camera, replace(case.settings, **settings), passes, samples)
-    return (renderer or scenes.opengl()).render(case.scene, request)
+    return (renderer or drawing.opengl()).render(case.scene, request)
 
 
 def with_aperture(name: str, aperture: Aperture | None = PENTAGON) -> Case:

@@ -3,73 +3,36 @@
 The worst cases in the comments are over all shapes and views of the test.
 """
 
-import gzip
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from scripts.compare import compare, directions
-from tests.support import scenes
-from tests.support.scenes import Case, render
-from tests.support.store import STORE
+from scripts.common.images import compare, directions
+from scripts.scenes import build, cameras
+from scripts.scenes.case import Case
+from scripts.scenes.drawing import render
+from scripts.scenes.meshes import SHAPES, shape
+from scripts.scenes.store import STORE
 
-SPOT = Path(__file__).resolve().parents[3] / "assets" / "spot" / "spot_triangulated.obj.gz"
 SIZE = 192
 VIEWS = directions(2)
 
 
-def with_smooth_normals(key: str, position: np.ndarray, triangles: np.ndarray) -> Mesh:
-    a, b, c = position[triangles].transpose(1, 0, 2)
-    normal = np.zeros_like(position)
-    np.add.at(normal, triangles, np.cross(b - a, c - a)[:, None])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return Mesh(key, key, position.astype(np.float32), triangles.astype(np.int32), normal.astype(np.float32))
-
-
-def torus() -> Mesh:
-    """Radii 0.7 and 0.3: a silhouette with a hole, and parts that hide others."""
-    count = 96, 48
-    i, j = (a.ravel() for a in np.meshgrid(*map(np.arange, count), indexing="ij"))
-    u, v = 2 * np.pi * i / count[0], 2 * np.pi * j / count[1]
-    ring = 0.7 + 0.3 * np.cos(v)
-    position = np.stack([ring * np.cos(u), ring * np.sin(u), 0.3 * np.sin(v)], axis=1)
-    right, up = (i + 1) % count[0], (j + 1) % count[1]
-    a, b, c, d = (x * count[1] + y for x, y in ((i, j), (right, j), (right, up), (i, up)))
-    return with_smooth_normals("torus", position, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]))
-
-
-def spot() -> Mesh:
-    lines = [line.split() for line in gzip.decompress(SPOT.read_bytes()).decode().splitlines()]
-    position = np.array([line[1:4] for line in lines if line and line[0] == "v"], float)
-    corners = [[c.partition("/")[0] for c in line[1:4]] for line in lines if line and line[0] == "f"]
-    position = np.stack([position[:, 0], -position[:, 2], position[:, 1]], axis=1)
-    position -= (position.min(0) + position.max(0)) / 2
-    return with_smooth_normals("spot", position / np.linalg.norm(position, axis=1).max(), np.array(corners, int) - 1)
-
-
 # Decibels at tolerance 2, 1, 0.5, mean of all views. Measured 42.5, 45.6, 46.0; 38.1, 41.1, 41.1; 29.9, 35.1, 38.1.
 LEAST_PSNR = {"sphere": (41.8, 45.0, 45.3), "torus": (37.5, 40.4, 40.4), "spot": (29.8, 34.5, 37.5)}
-SHAPES = {"sphere": lambda: scenes.sphere_mesh("unit sphere", 64), "torus": torus, "spot": spot}
-
-
-@cache
-def shape(name: str) -> Mesh:
-    return SHAPES[name]()
 
 
 def picture(geometry, view: int, tolerance: float = 1.0, samples: int = 8) -> np.ndarray:
     """As on a table: the sun over the left shoulder, nothing behind."""
     eye = VIEWS[view] * 3.5
-    camera = scenes.camera(eye, resolution=(SIZE, SIZE), field_of_view=35)
-    sun = scenes.sun(4.0, camera.view_from_world[:3, :3].T @ (0.45, -0.5, -1.0))
-    table = scenes.materials(base_color=[[0.55, 0.42, 0.30]])
-    scene = scenes.scene(
-        (geometry, scenes.moved()), lights=[sun], world=World(np.zeros(3)), table=table, transparent=True
+    camera = cameras.camera(eye, resolution=(SIZE, SIZE), field_of_view=35)
+    sun = build.sun(4.0, camera.view_from_world[:3, :3].T @ (0.45, -0.5, -1.0))
+    table = build.materials(base_color=[[0.55, 0.42, 0.30]])
+    scene = build.scene(
+        (geometry, build.moved()), lights=[sun], world=World(np.zeros(3)), table=table, transparent=True
     )
     case = Case(scene, camera, Settings(tolerance=tolerance, use_shadows=False))
     return render(case, frozenset({"combined"}), samples).pixels["combined"]
@@ -77,14 +40,14 @@ def picture(geometry, view: int, tolerance: float = 1.0, samples: int = 8) -> np
 
 @cache
 def polygons(name: str, view: int, samples: int) -> np.ndarray:
-    return picture(scenes.mesh(shape(name), "POLYGONS"), view, samples=samples)
+    return picture(build.mesh(shape(name), "POLYGONS"), view, samples=samples)
 
 
 @cache
 def figures(name: str, tolerance: float, samples: int = 8) -> list[dict[str, float]]:
     """Of each view, of points that are chosen for this tolerance."""
     STORE.clear()
-    points = scenes.mesh(shape(name), "POINTS")
+    points = build.mesh(shape(name), "POINTS")
     return [
         compare(picture(points, view, tolerance, samples), polygons(name, view, samples)) for view in range(len(VIEWS))
     ]

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support import scenes
-from tests.support.scenes import Case, Mesh
+from pointsplat_addon.core.scene.mesh import Mesh
+from scripts.scenes import build, cameras, drawing, meshes
+from scripts.scenes.case import Case
 
 DEPTH = frozenset({"depth"})
 BEHIND = 0.1  # depth by which a speck lies behind all pixels beside it
@@ -15,7 +16,7 @@ SPACING = 0.008  # 1.5 pixels where the surface is nearest: as far as splats lie
 
 def bumpy_sphere(key: str, rings: int) -> Mesh:
     """Many slopes that are seen at grazing angles, in front of others."""
-    mesh = scenes.sphere_mesh(key, rings)
+    mesh = meshes.sphere_mesh(key, rings)
     x, y, z = mesh.position.T
     position = mesh.position * (1 + 0.04 * np.sin(9 * x) * np.cos(7 * y) + 0.02 * np.sin(31 * z))[:, None]
     corners = position[mesh.triangles]
@@ -36,8 +37,8 @@ def specks(depth: np.ndarray) -> int:
 @pytest.mark.parametrize("eye", [(0, -4, 0), (2.5, -3, 1), (0.3, -3, 2.6)])
 def test_one_sample_shows_hardly_a_speck(eye):
     mesh = bumpy_sphere("specks", 60)
-    scene = scenes.scene((scenes.mesh(mesh, "POINTS", spacing=SPACING), np.eye(4)))
-    camera = scenes.camera(eye=eye, resolution=(400, 400))
-    depth = scenes.render(Case(scene, camera), DEPTH).pixels["depth"][..., 0]
+    scene = build.scene((build.mesh(mesh, "POINTS", spacing=SPACING), np.eye(4)))
+    camera = cameras.camera(eye=eye, resolution=(400, 400))
+    depth = drawing.render(Case(scene, camera), DEPTH).pixels["depth"][..., 0]
     assert (depth < 100).sum() > 60000
     assert specks(depth) <= 2  # measured 1; 50 where only what splats touch counts as hidden

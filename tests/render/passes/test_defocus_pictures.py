@@ -14,28 +14,20 @@ from pointsplat_addon.core.scene.scene import Geometry, Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat import blur as blur_module
-from pointsplat_addon.core.splat.ewa import SHARE
+from pointsplat_addon.core.splat.ewa import CELL_SHARE
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.lens_samples import LensSamples
-from pointsplat_addon.render.passes import defocus as defocus_pass
+from pointsplat_addon.render.passes.defocus import tile_lists
 from pointsplat_addon.render.plan.request import Request, Result
 from pointsplat_addon.render.renderer import Renderer
-from tests.support import scenes
-from tests.support.scenes import (
-    ALL_PASSES,
-    CASES,
-    Case,
-    camera,
-    cube_mesh,
-    materials,
-    mesh,
-    moved,
-    plane_mesh,
-    points,
-    strand_lines,
-)
-from tests.support.store import STORE
+from scripts.scenes import build, cameras, clouds, drawing, meshes
+from scripts.scenes.build import materials, mesh, moved, points, strand_lines
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.meshes import cube_mesh, plane_mesh
+from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 SPLAT, LENS = Settings(use_shadows=False), Settings(use_shadows=False, dof_method="LENS_SAMPLES")
@@ -48,7 +40,7 @@ def asked(case: Case, aperture: Aperture | None, samples: int = 16, passes=COMBI
 
 
 def drawn(case: Case, aperture: Aperture | None, samples: int = 16, passes=COMBINED, **settings) -> Result:
-    return scenes.opengl().render(case.scene, asked(case, aperture, samples, passes, **settings))
+    return drawing.opengl().render(case.scene, asked(case, aperture, samples, passes, **settings))
 
 
 def glowing(key: str, position, radius: float, color=(1.0, 1.0, 1.0)):
@@ -62,7 +54,7 @@ def glowing(key: str, position, radius: float, color=(1.0, 1.0, 1.0)):
 
 
 def dark(*things, **more) -> Scene:
-    return scenes.scene(*things, lights=(), world=BLACK, **more)
+    return build.scene(*things, lights=(), world=BLACK, **more)
 
 
 def rms(error: np.ndarray) -> float:
@@ -78,7 +70,7 @@ def test_the_shader_is_the_reference(name):
     case = CASES[name]()
     # Nothing is in focus.
     aperture = Aperture(0.1, 1.5) if case.camera.perspective else Aperture(0.5, 10.0)
-    frame = Frame(scenes.opengl(), replace(case.scene, transparent=True), asked(case, aperture, 1))
+    frame = Frame(drawing.opengl(), replace(case.scene, transparent=True), asked(case, aperture, 1))
     frame.sample()
     found = frame.pixels()["combined"].astype(float)
     assert frame.out_of_focus is not None
@@ -129,7 +121,7 @@ def test_a_splats_energy_is_kept_and_half_of_it_lies_within_its_share_of_the_dis
     """Křivánek's radius of half the energy is that of Cycles' disk, C / sqrt 2."""
     seen = camera(resolution=(128, 128), parallel=parallel)
     aperture = Aperture(radius, focus)
-    blur = blur_module.blur_of(replace(seen, aperture=aperture))
+    blur = blur_module.defocus_blur(replace(seen, aperture=aperture))
     assert blur is not None
     disk = float(blur.radius(np.array(4.0)))
     assert 8 < disk < 60
@@ -145,7 +137,7 @@ def test_a_splats_energy_is_kept_and_half_of_it_lies_within_its_share_of_the_dis
         energies.append(found.sum())
         halves.append(np.interp(found.sum() / 2, np.cumsum(found.ravel()[order]), r.ravel()[order]))
     # A disk alone covers the cell that it goes around.
-    area = np.pi * (0.02 * pixel) ** 2 * SHARE
+    area = np.pi * (0.02 * pixel) ** 2 * CELL_SHARE
     assert np.abs(np.array(energies) / area - 1).max() < 0.01  # measured 0.0036
     assert np.abs(np.array(halves) / (disk / np.sqrt(2)) - 1).max() < 0.03  # measured 0.015
 
@@ -174,13 +166,13 @@ def test_what_is_in_focus_is_as_sharp_as_without_a_lens(primitive):
     """A pattern in the plane of focus, alone and before what is blurred."""
     table = materials(2, base_color=[[0.9, 0.9, 0.9], [0.1, 0.1, 0.1]])
     board = chequered_board(primitive)
-    case = Case(scenes.scene((board, moved()), table=table), camera(resolution=(96, 96)), SPLAT)
+    case = Case(build.scene((board, moved()), table=table), camera(resolution=(96, 96)), SPLAT)
     # First with a lens: nodes that were built for it are used without one, too.
     seen, sharp = (drawn(case, aperture) for aperture in (Aperture(0.1, 4.0), None))
     assert {"name": "defocus", "because": "nothing is out of focus"} in seen.report["skipped"]
     assert np.abs(seen.pixels["combined"] - sharp.pixels["combined"]).max() <= 2 / 255  # measured 0
     far = glowing(f"far behind {primitive}", [[0.0, 3.0, 0.0]], 0.5)
-    case = replace(case, scene=scenes.scene((board, moved()), (far, moved()), table=table))
+    case = replace(case, scene=build.scene((board, moved()), (far, moved()), table=table))
     # In image space a wide disk behind asks for a pyramid of more levels.
     seen, sharp = (drawn(case, aperture, technique="EWA") for aperture in (Aperture(0.3, 4.0), None))
     inner = (slice(24, 72), slice(24, 72))
@@ -202,7 +194,7 @@ def test_nothing_leaks_through_what_is_sharp_and_sharp_things_do_not_leak(primit
     table = materials(2, base_color=[[0.9, 0.9, 0.9], [0.02, 0.02, 0.02]], roughness=np.ones(2), specular=np.zeros(2))
     card = replace(plane_mesh(f"card {near} {primitive}", 0.6, 32), material=None, materials=(near,))
     wall = squares(f"wall behind {primitive}", 6.0, 32)
-    scene = scenes.scene((mesh(card, primitive), moved()), (mesh(wall, primitive), moved((0, 4, 0))), table=table)
+    scene = build.scene((mesh(card, primitive), moved()), (mesh(wall, primitive), moved((0, 4, 0))), table=table)
     case, aperture = Case(scene, camera(resolution=(96, 96)), SPLAT), Aperture(0.3, 4.0)
     pixels = case.camera.pixel_from_view()[0] / 4.0
     low, high = (int(np.ceil(48 - 0.6 * pixels)) + 3, int(48 + 0.6 * pixels) - 3)
@@ -223,7 +215,7 @@ def test_what_is_blurred_before_something_sharp_lets_it_through_at_its_rim_alone
     table = materials(2, base_color=[[0.9, 0.9, 0.9], [0.02, 0.02, 0.02]], roughness=np.ones(2), specular=np.zeros(2))
     card = replace(plane_mesh(f"near card {primitive}", 0.5, 32), material=None, materials=(1,))
     wall = squares(f"sharp wall {primitive}", 2.0, 16)
-    scene = scenes.scene((mesh(card, primitive), moved((0, -1.5, 0))), (mesh(wall, primitive), moved()), table=table)
+    scene = build.scene((mesh(card, primitive), moved((0, -1.5, 0))), (mesh(wall, primitive), moved()), table=table)
     case, aperture = Case(scene, camera(resolution=(96, 96)), SPLAT), Aperture(0.3, 4.0)
     focal = case.camera.pixel_from_view()[0]
     disk = focal * 0.3 * (1 / 2.5 - 1 / 4)
@@ -251,7 +243,7 @@ def test_what_is_blurred_before_something_sharp_lets_it_through_at_its_rim_alone
 def test_pictures_are_nearer_to_many_samples_through_the_lens_than_four_are(name):
     case = CASES[name]()
     size = case.camera.resolution
-    if size == scenes.RESOLUTION:
+    if size == cameras.RESOLUTION:
         case = replace(case, camera=replace(case.camera, resolution=(2 * size[0], 2 * size[1])))
     aperture = Aperture(0.5, 2.5)
     splat, few, many, sharp = (
@@ -278,7 +270,7 @@ def test_a_coarse_cut_has_no_holes(primitive):
     flat[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     floor = mesh(plane_mesh(f"floor without holes {primitive}", 30.0, 64), primitive)
     seen = camera((0, -4, 1.5), (0, 0, 0.4), (96, 64))
-    case = Case(scenes.scene((floor, flat), world=BLACK), seen, SPLAT)
+    case = Case(build.scene((floor, flat), world=BLACK), seen, SPLAT)
     # The lower rows are blurred by 1 to 3 pixels.
     coarse, fine = (drawn(case, Aperture(0.1, 8.0), 1, tolerance=t).pixels["combined"][:24, :, 0] for t in (16.0, 1.0))
     assert np.abs(coarse / fine - 1).max() < 0.01  # measured 4.2e-4; 0.8 of splats as wide as 16 pixels
@@ -358,7 +350,7 @@ def test_alpha_is_one_where_a_world_is_behind_and_never_more():
 def test_a_picture_that_is_shown_between_samples_ends_as_the_finished_one():
     case = CASES["mixed"]()
     request = Request(replace(case.camera, aperture=Aperture(0.3, 2.0)), case.settings, COMBINED, 8, interactive=True)
-    renderer = scenes.opengl()
+    renderer = drawing.opengl()
     frame = renderer.start(case.scene, request)
     try:
         while frame.sample():
@@ -375,14 +367,14 @@ def test_a_ball_of_few_points_that_is_partly_in_focus_keeps_its_outline(radius):
     """In image space points are seen together with those around them. Through a wide lens the outline is that of the
     ball itself, from which samples of so few points, larger by their radii, differ by 0.064."""
     points_of, of_mesh = (
-        points("few points, partly in focus", scenes.sphere_cloud()),
-        mesh(scenes.sphere_mesh("ball of those points", 96), "POLYGONS"),
+        points("few points, partly in focus", clouds.sphere_cloud()),
+        mesh(meshes.sphere_mesh("ball of those points", 96), "POLYGONS"),
     )
     table = materials(base_color=[[0.0, 0.0, 0.0]], specular=[0.0])
     splat, lens = (
         drawn(
             Case(
-                scenes.scene((of, moved((0, 0, 0), 0.7)), table=table, lights=(), world=World(np.ones(3))),
+                build.scene((of, moved((0, 0, 0), 0.7)), table=table, lights=(), world=World(np.ones(3))),
                 camera((0, -4, 0.6), (0, 0, 0.3), (96, 64)), replace(SPLAT, technique="IMAGE_SPACE"),
             ), Aperture(radius, 4.0), samples, dof_method=method,
         ).pixels["combined"][..., 0]
@@ -400,7 +392,7 @@ BEND = 0.8 * np.stack([np.cos(TURN), 0.3 * np.sin(TURN), np.sin(TURN) - 0.5], ax
 # With their sizes, and by how much at most their areas may differ; measured at most 0.0050, 0.0014, 0.0041 and 0.017.
 SILHOUETTES = {
     "cube": (mesh(cube_mesh("dark cube", 0.5), "POLYGONS"), 1.0, 0.01),
-    "ball": (mesh(scenes.sphere_mesh("dark ball", 48), "POLYGONS"), 0.7, 0.005),
+    "ball": (mesh(meshes.sphere_mesh("dark ball", 48), "POLYGONS"), 0.7, 0.005),
     "card": (mesh(plane_mesh("dark card", 0.6, 4), "POLYGONS"), 1.0, 0.01),
     "bent tube": (strand_lines("dark tube", [BEND], 0.08), 1.0, 0.025),
 }
@@ -412,7 +404,7 @@ def test_silhouettes_out_of_focus_are_those_of_lens_samples(name, aperture):
     """Dark bodies before a white world: how much of the picture they cover, the difference, and what leaks through."""
     of, size, area = SILHOUETTES[name]
     table = materials(base_color=[[0.0, 0.0, 0.0]], specular=[0.0], roughness=[1.0])
-    scene = scenes.scene((of, moved((0, 0, 0), size)), table=table, lights=(), world=World(np.ones(3)))
+    scene = build.scene((of, moved((0, 0, 0), size)), table=table, lights=(), world=World(np.ones(3)))
     case = Case(scene, camera((1.2, -3.6, 1.1), (0, 0, 0), (160, 120)), SPLAT)
     splat, lens = (
         1 - drawn(case, aperture, samples, dof_method=method).pixels["combined"][..., 0].astype(float)
@@ -428,7 +420,7 @@ def test_silhouettes_out_of_focus_are_those_of_lens_samples(name, aperture):
 def test_ends_of_wide_tubes_are_closed_where_they_are_out_of_focus(far, focus):
     axis = np.linspace((-0.5, -1.2, -0.3), far, 3)
     tube = strand_lines(f"closed tube to {far}", [axis], 0.45)
-    case = Case(scenes.scene((tube, moved())), camera(resolution=(96, 72)), SPLAT)
+    case = Case(build.scene((tube, moved())), camera(resolution=(96, 72)), SPLAT)
     splat, lens = (
         drawn(case, Aperture(0.25, focus), n, dof_method=m).pixels["combined"]
         for n, m in ((16, "SPLAT"), (96, "LENS_SAMPLES"))
@@ -454,7 +446,7 @@ def before_the_world(parallel: float | None = None) -> Case:
     """A card in focus before it."""
     table = materials(2, base_color=[[0.9, 0.9, 0.9], [0.1, 0.1, 0.1]])
     board = replace(chequered_board("POLYGONS"), key="board before the world")
-    scene = scenes.scene((board, moved((0, 0, 0), 0.4)), table=table, world=hills())
+    scene = build.scene((board, moved((0, 0, 0), 0.4)), table=table, world=hills())
     return Case(scene, camera(resolution=(96, 64), parallel=parallel), SPLAT)
 
 
@@ -488,7 +480,7 @@ def test_what_is_out_of_focus_lets_a_blurred_world_through():
 @pytest.mark.parametrize("aperture", [Aperture(0.02, 4.0), Aperture(0.4, 4.0), Aperture(0.4, 4.0, ratio=0.5)])
 def test_the_blurred_world_is_the_references(aperture):
     case = before_the_world()
-    frame = Frame(scenes.opengl(), case.scene, asked(case, aperture, 1))
+    frame = Frame(drawing.opengl(), case.scene, asked(case, aperture, 1))
     frame.sample()
     assert frame.backdrop is not None
     found, grid = frame.device.read(frame.backdrop.texture)[..., :3], frame.backdrop.grid
@@ -522,7 +514,7 @@ def test_a_world_that_is_not_blurred_takes_no_pass_for_it():
 @pytest.mark.parametrize("most", [1 << 24, 300])
 def test_tiles_list_the_splats_whose_kernels_reach_their_pixels(most, monkeypatch):
     """From the front; tiles are larger where there would be too many entries. Against each pixel's own sum."""
-    monkeypatch.setattr(defocus_pass, "MOST_ENTRIES", most)
+    monkeypatch.setattr(tile_lists, "MOST_ENTRIES", most)
     rng = np.random.default_rng(1)
     count, size, k = 60, (37, 22), 1.0
     wide = rng.uniform(0.3, 30, (count, 2))
@@ -536,7 +528,7 @@ def test_tiles_list_the_splats_whose_kernels_reach_their_pixels(most, monkeypatc
     shape = np.stack([conic[:, 0, 0], conic[:, 0, 1], conic[:, 1, 1], np.full(count, k + 8)], axis=1)
     middle = np.array([18.0, 11.0])
     focal = np.array([1.0, 1.0, *middle])
-    lists = defocus_pass.tile_lists(place.astype(np.float32), shape.astype(np.float32), focal, size)
+    lists = tile_lists.tile_lists(place.astype(np.float32), shape.astype(np.float32), focal, size)
     y, x = np.mgrid[: size[1], : size[0]] + 0.5
     offset = np.stack([x, y], axis=-1)[:, :, None] - middle - place[:, :2]
     with np.errstate(invalid="ignore"):

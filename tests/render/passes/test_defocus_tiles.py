@@ -1,10 +1,10 @@
-"""Tiles list every splat that one of their pixels shows, the nearest first (render/passes/defocus.py)."""
+"""Tiles list every splat that one of their pixels shows, the nearest first (render/passes/defocus/gather.py)."""
 
 import numpy as np
 import pytest
 
 from pointsplat_addon.core.lens import defocus
-from pointsplat_addon.render.passes.defocus import tile_lists
+from pointsplat_addon.render.passes.defocus.tile_lists import tile_lists
 
 SIZE = (61, 43)  # neither is a multiple of a tile
 

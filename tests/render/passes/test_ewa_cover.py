@@ -9,11 +9,12 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.passes import ewa, ewa_cover
+from pointsplat_addon.render.passes.ewa import cover, ewa
 from pointsplat_addon.render.renderer import Renderer
-from tests.support import scenes
-from tests.support.scenes import Case, render
-from tests.support.store import STORE
+from scripts.scenes import build, cameras, solid_cases
+from scripts.scenes.case import Case
+from scripts.scenes.drawing import render
+from scripts.scenes.store import STORE
 
 ONLY_COMBINED = frozenset({"combined"})
 COUNT = 60_000
@@ -35,10 +36,10 @@ def case(key: str, *things: tuple[np.ndarray, ...]) -> Case:
     """Splats that glow, over nothing."""
     position, normal, radii, color = (np.concatenate(part).astype(np.float32) for part in zip(*things, strict=True))
     cloud = PointCloud(position, normal=normal, radii=radii[:, None], emission=color)
-    table = scenes.materials(base_color=[[0, 0, 0]], specular=[0])
-    scene = scenes.scene((scenes.points(key, cloud), scenes.moved()), lights=(), world=World(), table=table,
+    table = build.materials(base_color=[[0, 0, 0]], specular=[0])
+    scene = build.scene((build.points(key, cloud), build.moved()), lights=(), world=World(), table=table,
                          transparent=True)  # fmt: skip
-    camera = scenes.camera((0, -4, 0), resolution=(300, 300), parallel=2.3)
+    camera = cameras.camera((0, -4, 0), resolution=(300, 300), parallel=2.3)
     return Case(scene, camera, Settings(technique="EWA", use_shadows=False, use_adaptive_sampling=False))
 
 
@@ -86,7 +87,7 @@ def test_pictures_are_the_same_with_fewer_splats(name, samples, drawn, monkeypat
     found = picture(thing, samples)
     assert drawn["blended"] < blended * total
     assert drawn["first"] + drawn["then"] < seen * total
-    monkeypatch.setattr(ewa_cover, "LEAST_SPLATS", 1 << 30)
+    monkeypatch.setattr(cover, "LEAST_SPLATS", 1 << 30)
     whole = picture(thing, samples)
     assert "blended" not in drawn
     assert drawn["first"] + drawn["then"] == total
@@ -110,7 +111,7 @@ def test_what_is_full_of_holes_leaves_nothing_out(drawn):
 def test_thinning_leaves_no_pattern_of_the_numbers():
     """Numbers of rows and spirals: each part of them keeps its share."""
     index = np.arange(1 << 18)
-    kept = np.isin(index, ewa_cover.thinned(index, 0.25))
+    kept = np.isin(index, cover.thinned(index, 0.25))
     for period in (2, 3, 8, 64, 610, 4096):
         share = np.bincount(index % period, kept) / np.bincount(index % period)
         deviation = np.sqrt(0.25 * 0.75 / (len(index) / period))
@@ -122,6 +123,6 @@ def test_thinning_leaves_no_pattern_of_the_numbers():
 
 def test_few_splats_compile_none_of_it():
     device = NullDevice()
-    few = replace(scenes.sphere(), settings=Settings(technique="EWA", use_shadows=False))
+    few = replace(solid_cases.sphere(), settings=Settings(technique="EWA", use_shadows=False))
     Renderer(device, STORE).render(few.scene, few.request(ONLY_COMBINED, 1))
     assert not PROGRAMS & {interface.name for interface in device.interfaces}

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat import ewa
@@ -13,13 +14,15 @@ from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from scripts import technique_error
-from scripts.compare import compare, eroded
+from scripts.common.images import compare, eroded
+from scripts.scenes import awkward_cases, build, cameras, clouds, drawing, meshes, solid_cases
+from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.drawing import render
+from scripts.scenes.store import STORE
+from scripts.studies import technique_error
 from tests.reference import opaque
 from tests.render.frame import test_quality
-from tests.support import scenes
-from tests.support.scenes import ALL_PASSES, CASES, Case, render
-from tests.support.store import STORE
 
 EWA = Settings(technique="EWA", use_shadows=False)
 ONLY_COMBINED = frozenset({"combined"})
@@ -28,7 +31,7 @@ IMAGE_SPACE = {"project", "identify", "resolve", "pull", "push"}
 NORMALS = (0, -1, 0), (0.5, -1, 0.3), (0, -1, 3), (0.2, 1, 0.1)  # of lone splats
 
 
-def splats(key: str, position, normal, radii, color=None, axis=None) -> scenes.Geometry:
+def splats(key: str, position, normal, radii, color=None, axis=None) -> Geometry:
     """Splats that glow in their colours."""
     position = np.atleast_2d(np.asarray(position, np.float32))
     count = len(position)
@@ -39,13 +42,13 @@ def splats(key: str, position, normal, radii, color=None, axis=None) -> scenes.G
     axis = None if axis is None else np.broadcast_to(np.asarray(axis, np.float32), (count, 3)).copy()
     cloud = PointCloud(position, normal=normal.astype(np.float32).copy(), radii=radii.copy(), axis=axis,
                        emission=color.astype(np.float32))  # fmt: skip
-    return scenes.points(key, cloud)
+    return build.points(key, cloud)
 
 
 def dark(*things, camera, settings=EWA, transparent=True) -> Case:
-    table = scenes.materials(base_color=[[0, 0, 0]], specular=[0])
-    scene = scenes.scene(
-        *((thing, scenes.moved()) for thing in things), lights=(), world=World(), table=table, transparent=transparent
+    table = build.materials(base_color=[[0, 0, 0]], specular=[0])
+    scene = build.scene(
+        *((thing, build.moved()) for thing in things), lights=(), world=World(), table=table, transparent=transparent
     )
     return Case(scene, camera, settings)
 
@@ -76,7 +79,7 @@ def lone(key: str, normal, radii, parallel: float | None, settings=EWA) -> tuple
     axis /= np.linalg.norm(axis)
     color = np.array([0.9, 0.5, 0.2])
     thing = splats(f"{key} {normal} {radii}", (0.013, 0.02, -0.017), normal, radii, color, axis)
-    return dark(thing, camera=scenes.camera(parallel=parallel), settings=settings), color
+    return dark(thing, camera=cameras.camera(parallel=parallel), settings=settings), color
 
 
 def closed_form(case: Case, samples: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +120,7 @@ def test_splats_of_one_surface_are_the_normalised_sum():
     place = rng.uniform(-0.6, 0.6, (40, 2))
     position = np.stack([place[:, 0], np.zeros(40), place[:, 1]], axis=1)
     thing = splats("on a plane", position, (0, -1, 0), [0.2], rng.uniform(0, 1, (40, 3)))
-    case = dark(thing, camera=scenes.camera((0.5, -4, 1)))
+    case = dark(thing, camera=cameras.camera((0.5, -4, 1)))
     weight, _ = closed_form(case)
     found = picture(case)
     cloud = thing.cloud
@@ -141,7 +144,7 @@ def test_surfaces_one_radius_apart_do_not_mix(turn):
     radius = 0.08
     front = splats(f"front {turn}", plane, normal, [radius], (1, 0, 0))
     behind = splats(f"behind {turn}", plane - radius * normal, normal, [radius], (0, 0, 1))
-    camera = scenes.camera(resolution=(144, 120))
+    camera = cameras.camera(resolution=(144, 120))
     alone = picture(dark(front, camera=camera))
     both = picture(dark(front, behind, camera=camera))
     inside = alone[..., 3] == 1
@@ -163,7 +166,7 @@ def test_a_wall_behind_a_panel_does_not_show(samples):
         splats("panel", panel, (0, -1, 0), [radius], (1, 0, 0)),
         splats("wall", wall, (1, 0, 0), [radius], (0, 0, 1)),
     )
-    camera = scenes.camera((2, -3, 0.5), resolution=(96, 80))
+    camera = cameras.camera((2, -3, 0.5), resolution=(96, 80))
     found = picture(dark(*scene, camera=camera), samples)
     inside = picture(dark(scene[0], camera=camera), samples)[..., 3] == 1
     assert inside.sum() > 500
@@ -174,7 +177,7 @@ def test_a_wall_behind_a_panel_does_not_show(samples):
 def test_near_splats_lie_where_the_rays_meet_them():
     """A wide tilted disk close to the eye, whose outline is far from an affine one's."""
     thing = splats("near disk", (0.1, 0, 0), (0.5, -1, 0.6), [0.55])
-    camera = scenes.camera((0, -0.9, 0.1), (0, 0, 0), field_of_view=70, near=0.05, resolution=(96, 96))
+    camera = cameras.camera((0, -0.9, 0.1), (0, 0, 0), field_of_view=70, near=0.05, resolution=(96, 96))
     case = dark(thing, camera=camera)
     result = render(case, frozenset({"combined", "depth"}))
     expected = opaque.picture(case.scene, camera)
@@ -208,7 +211,7 @@ def test_extreme_splats_are_finite_and_do_not_flash(name, parallel):
     """No more than the pixels that their outline has, each up to the end of its kernel."""
     given = {"position": (0, 0, 0), **EXTREMES[name]}
     thing = splats(f"extreme {name}", **given)
-    camera = scenes.camera(parallel=parallel, near=-10.0 if parallel else 0.1)
+    camera = cameras.camera(parallel=parallel, near=-10.0 if parallel else 0.1)
     result = render(replace(dark(thing, camera=camera), settings=EWA), ALL_PASSES)
     for key, array in result.pixels.items():
         assert np.isfinite(array if not key.startswith("crypto") else array[..., 1::2]).all(), key
@@ -223,7 +226,7 @@ def test_extreme_splats_are_finite_and_do_not_flash(name, parallel):
 
 def test_a_disk_larger_than_the_screen_fills_it():
     thing = splats("huge", (0, 0, 0), (0, -1, 0), [500.0], (0.3, 0.6, 0.9))
-    found = picture(dark(thing, camera=scenes.camera()))
+    found = picture(dark(thing, camera=cameras.camera()))
     assert np.abs(found - (0.3, 0.6, 0.9, 1)).max() < 1e-3  # measured 5.9e-4: half floats
 
 
@@ -266,7 +269,7 @@ def with_technique(case: Case, technique: str) -> Case:
 
 @pytest.mark.parametrize("technique", ["AUTO", "IMAGE_SPACE", "EWA"])
 def test_the_other_technique_compiles_nothing_and_says_why(technique):
-    device, result = record(with_technique(scenes.sphere(), technique))
+    device, result = record(with_technique(solid_cases.sphere(), technique))
     names = {interface.name for interface in device.interfaces}
     used, unused = (PROGRAMS, IMAGE_SPACE) if technique == "EWA" else (IMAGE_SPACE, PROGRAMS)
     assert used <= names
@@ -280,7 +283,7 @@ def test_the_other_technique_compiles_nothing_and_says_why(technique):
 
 
 def test_polygons_alone_know_nothing_of_ewa():
-    device, _ = record(with_technique(scenes.cube(), "EWA"))
+    device, _ = record(with_technique(solid_cases.cube(), "EWA"))
     assert not (PROGRAMS | IMAGE_SPACE) & {interface.name for interface in device.interfaces}
     assert not any("PS_COVERAGE" in dict(interface.defines) for interface in device.interfaces)
 
@@ -289,24 +292,24 @@ def test_only_near_and_wide_splats_are_met_by_rays_and_only_balls_have_round_nor
     def defines(case):
         return {name for interface in record(case)[0].interfaces for name, _ in interface.defines}
 
-    few = Case(scenes.scene((scenes.points("few far", scenes.sphere_cloud(4000)), scenes.moved())),
-               scenes.camera((0, -30, 0)), EWA)  # fmt: skip
+    few = Case(build.scene((build.points("few far", clouds.sphere_cloud(4000)), build.moved())),
+               cameras.camera((0, -30, 0)), EWA)  # fmt: skip
     assert "PS_LARGE" not in defines(few)
-    assert "PS_LARGE" in defines(with_technique(scenes.inside(), "EWA"))
+    assert "PS_LARGE" in defines(with_technique(awkward_cases.inside(), "EWA"))
     assert "PS_BALLS" not in defines(few)
-    cloud = replace(scenes.sphere_cloud(4000), normal=None)
-    balls = Case(scenes.scene((scenes.points("far balls", cloud), scenes.moved())), scenes.camera((0, -60, 0)), EWA)
+    cloud = replace(clouds.sphere_cloud(4000), normal=None)
+    balls = Case(build.scene((build.points("far balls", cloud), build.moved())), cameras.camera((0, -60, 0)), EWA)
     assert "PS_BALLS" in defines(balls)
 
 
 def test_splats_are_projected_once_for_all_samples():
-    device, _ = record(with_technique(scenes.sphere(), "EWA"), samples=4)
+    device, _ = record(with_technique(solid_cases.sphere(), "EWA"), samples=4)
     assert device.names.count("splats") == 1
     assert device.names.count("normalise") == 4
 
 
 def test_without_blending_of_floats_image_space_takes_over_and_says_so():
-    device, result = record(with_technique(scenes.sphere(), "EWA"), NullDevice(replace(LIMITS, float_blend=False)))
+    device, result = record(with_technique(solid_cases.sphere(), "EWA"), NullDevice(replace(LIMITS, float_blend=False)))
     assert not PROGRAMS & set(device.names)
     assert any("EWA" in warning for warning in result.report["warnings"])
 
@@ -314,14 +317,14 @@ def test_without_blending_of_floats_image_space_takes_over_and_says_so():
 # Silhouettes and minification
 
 
-@pytest.mark.parametrize("name", test_quality.SHAPES)
+@pytest.mark.parametrize("name", meshes.SHAPES)
 @pytest.mark.parametrize("samples", [1, 16])
 def test_silhouettes_do_not_thicken_and_surfaces_have_no_holes(name, samples):
-    mesh = test_quality.shape(name)
+    mesh = meshes.shape(name)
     for view in range(len(test_quality.VIEWS)):
-        truth = shape_picture(scenes.mesh(mesh, "POLYGONS"), view, "AUTO", 64)
+        truth = shape_picture(build.mesh(mesh, "POLYGONS"), view, "AUTO", 64)
         STORE.clear()
-        found = compare(shape_picture(scenes.mesh(mesh, "POINTS"), view, "EWA", samples), truth)
+        found = compare(shape_picture(build.mesh(mesh, "POINTS"), view, "EWA", samples), truth)
         assert found["inside"] > 5000
         assert found["holes"] == 0
         assert abs(found["thickening"] - 1) < 0.01  # measured 0.0086 with one sample, 0.0031 with 16
@@ -331,24 +334,24 @@ def test_silhouettes_do_not_thicken_and_surfaces_have_no_holes(name, samples):
 @pytest.mark.parametrize("tolerance", [1.0, 2.0])
 def test_surfaces_are_nearer_to_the_polygons_than_in_image_space(tolerance):
     """In decibels, without the edges."""
-    mesh = test_quality.shape("torus")
-    truth = shape_picture(scenes.mesh(mesh, "POLYGONS"), 0, "AUTO", 64)
+    mesh = meshes.shape("torus")
+    truth = shape_picture(build.mesh(mesh, "POLYGONS"), 0, "AUTO", 64)
     STORE.clear()
     found = {
-        technique: compare(shape_picture(scenes.mesh(mesh, "POINTS"), 0, technique, 16, tolerance), truth)
+        technique: compare(shape_picture(build.mesh(mesh, "POINTS"), 0, technique, 16, tolerance), truth)
         for technique in ("IMAGE_SPACE", "EWA")
     }
     assert found["EWA"]["interior_psnr"] - found["IMAGE_SPACE"]["interior_psnr"] > 3  # measured 7.3
 
 
-@pytest.mark.parametrize("name", test_quality.SHAPES)
+@pytest.mark.parametrize("name", meshes.SHAPES)
 def test_many_samples_are_nearer_to_the_polygons_than_those_of_any_other_technique(name):
     """In decibels, with the edges."""
-    mesh = test_quality.shape(name)
-    truth = shape_picture(scenes.mesh(mesh, "POLYGONS"), 0, "AUTO", 64)
+    mesh = meshes.shape(name)
+    truth = shape_picture(build.mesh(mesh, "POLYGONS"), 0, "AUTO", 64)
     STORE.clear()
     found = {
-        technique: compare(shape_picture(scenes.mesh(mesh, "POINTS"), 0, technique, 16), truth)
+        technique: compare(shape_picture(build.mesh(mesh, "POINTS"), 0, technique, 16), truth)
         for technique in ("IMAGE_SPACE", "PAINTER", "EWA")
     }
     for other in ("IMAGE_SPACE", "PAINTER"):
@@ -359,7 +362,7 @@ def test_many_samples_are_nearer_to_the_polygons_than_those_of_any_other_techniq
 @pytest.mark.parametrize("view", technique_error.VIEWS)
 def test_a_textured_plane_errs_less_than_by_painting(view):
     """At equal numbers of points."""
-    renderer, plane = scenes.opengl(), technique_error.plane(technique_error.VIEWS[view])
+    renderer, plane = drawing.opengl(), technique_error.plane(technique_error.VIEWS[view])
     truth, _, _ = technique_error.picture(renderer, plane, "POLYGONS", "IMAGE_SPACE", 1.0, 64)
     found = []
     for technique in ("EWA", "PAINTER"):
@@ -380,13 +383,13 @@ def test_nodes_of_an_octree_close_what_their_points_close(tolerance):
 def of_nodes(settings: Settings, tolerance: float) -> tuple[dict[str, float], float]:
     """A sphere of 200,000 points by nodes: figures against all of its points, and how much of 255 shines through the
     worst pixel within."""
-    cloud = scenes.sphere_cloud(200000, color=(scenes.sphere_points(200000) * 0.4 + 0.5).astype(np.float32))
-    scene = scenes.scene((scenes.points("nodes of a sphere", cloud), scenes.moved()), transparent=True)
-    camera, found = scenes.camera(resolution=(96, 96)), []
+    cloud = clouds.sphere_cloud(200000, color=(clouds.sphere_points(200000) * 0.4 + 0.5).astype(np.float32))
+    scene = build.scene((build.points("nodes of a sphere", cloud), build.moved()), transparent=True)
+    camera, found = cameras.camera(resolution=(96, 96)), []
     for t in (0.05, tolerance):
         STORE.clear()
         request = Request(camera, replace(settings, tolerance=t), ONLY_COMBINED, 16)
-        found.append(scenes.opengl().render(scene, request))
+        found.append(drawing.opengl().render(scene, request))
     fine, coarse = found
     assert fine.report["points"]["cut"] == 200000
     assert coarse.report["points"]["cut"] < 0.6 * 200000
@@ -398,10 +401,10 @@ def of_nodes(settings: Settings, tolerance: float) -> tuple[dict[str, float], fl
 def shape_picture(geometry, view: int, technique: str, samples: int, tolerance: float = 1.0) -> np.ndarray:
     """As test_quality's, over nothing."""
     eye = test_quality.VIEWS[view] * 3.5
-    camera = scenes.camera(eye, resolution=(test_quality.SIZE, test_quality.SIZE), field_of_view=35)
-    sun = scenes.sun(4.0, camera.view_from_world[:3, :3].T @ (0.45, -0.5, -1.0))
-    scene = scenes.scene(
-        (geometry, scenes.moved()), lights=[sun], world=World(np.zeros(3)), table=scenes.materials(), transparent=True
+    camera = cameras.camera(eye, resolution=(test_quality.SIZE, test_quality.SIZE), field_of_view=35)
+    sun = build.sun(4.0, camera.view_from_world[:3, :3].T @ (0.45, -0.5, -1.0))
+    scene = build.scene(
+        (geometry, build.moved()), lights=[sun], world=World(np.zeros(3)), table=build.materials(), transparent=True
     )
     settings = Settings(technique=technique, tolerance=tolerance, use_shadows=False)
     return render(Case(scene, camera, settings), ONLY_COMBINED, samples).pixels["combined"]
@@ -417,7 +420,7 @@ def checkerboard(technique: str, samples: int, step: float = 0.04) -> tuple[np.n
     position = np.stack([x, y, np.zeros_like(x)], axis=1)
     color = np.repeat(((np.floor(x / CELL) + np.floor(y / CELL)) % 2)[:, None], 3, axis=1)
     thing = splats(f"checkerboard {step}", position, (0, 0, 1), [step * np.sqrt(0.5)], color)
-    camera = scenes.camera((0, 0, 0.5), (0, 3, 0.2), resolution=(160, 100), field_of_view=60, near=0.05)
+    camera = cameras.camera((0, 0, 0.5), (0, 3, 0.2), resolution=(160, 100), field_of_view=60, near=0.05)
     case = dark(thing, camera=camera, settings=Settings(technique=technique, use_shadows=False), transparent=False)
     _, fy, _, _ = camera.pixel_from_view()
     rows = np.arange(100) + 0.5
@@ -444,8 +447,8 @@ def test_a_checkerboard_to_the_horizon_becomes_its_mean_without_moire():
 
 
 def test_tiles_that_are_done_draw_no_splats_and_the_others_miss_none():
-    case = with_technique(scenes.sphere(), "EWA")
-    case = replace(case, camera=scenes.camera(resolution=(160, 128)))
+    case = with_technique(solid_cases.sphere(), "EWA")
+    case = replace(case, camera=cameras.camera(resolution=(160, 128)))
     found = {}
     for adaptive in (False, True):
         settings = replace(case.settings, use_adaptive_sampling=adaptive, adaptive_threshold=0.02)

@@ -7,22 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lod.hierarchy import basis
+from pointsplat_addon.core.numeric.vectors import basis
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes import build, clouds, detailed_cases, drawing, meshes, solid_cases
+from scripts.scenes.build import moved, points
+from scripts.scenes.cameras import camera
+from scripts.scenes.clouds import leaves
+from scripts.scenes.store import STORE
 from tests.core.lod.test_optics import cards, mean_transmittance, medium, voxel_ball
-from tests.support import scenes
-from tests.support.scenes import camera, leaves, moved, points
-from tests.support.store import STORE
 
 COMBINED = frozenset({"combined"})
 
 
 def crown(count, depth):
-    return scenes.scene((points(f"crown {count} {depth}", leaves(count, depth)), moved()), lights=(), transparent=True)
+    return build.scene((points(f"crown {count} {depth}", leaves(count, depth)), moved()), lights=(), transparent=True)
 
 
 def let_through(renderer, seen, diameter, samples):
@@ -54,7 +56,7 @@ def rasterising():
 def test_a_crown_of_leaves_lets_as_much_light_through_at_any_distance(diameter, samples, depth):
     count = 20000
     exact = mean_transmittance(leaves(count, depth), 1.15, (0.0, 1.0, 0.0), pixels=768, hard=True)
-    found, cut = let_through(scenes.opengl(), crown(count, depth), diameter, samples)
+    found, cut = let_through(drawing.opengl(), crown(count, depth), diameter, samples)
     assert found == pytest.approx(exact, abs=0.01)  # measured 0.0088
     assert (cut < count) == (diameter == 10)
 
@@ -62,7 +64,7 @@ def test_a_crown_of_leaves_lets_as_much_light_through_at_any_distance(diameter, 
 @pytest.mark.parametrize("diameter", [160, 20])
 def test_devices_without_image_atomics_let_as_much_through(rasterising, diameter):
     found, _ = let_through(rasterising, crown(5000, 1.0), diameter, 8)
-    expected, _ = let_through(scenes.opengl(), crown(5000, 1.0), diameter, 8)
+    expected, _ = let_through(drawing.opengl(), crown(5000, 1.0), diameter, 8)
     assert found == pytest.approx(expected, abs=1e-3)  # measured 0
 
 
@@ -74,15 +76,15 @@ def card_mesh(count, depth):
     corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     position = cloud.position[:, None] + half * (u * corner[:, :1] + v * corner[:, 1:])
     triangles = 4 * np.arange(count)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
-    return scenes.flat_mesh(f"cards {count} {depth}", position.reshape(-1, 3).astype("f4"), triangles.reshape(-1, 3))
+    return meshes.flat_mesh(f"cards {count} {depth}", position.reshape(-1, 3).astype("f4"), triangles.reshape(-1, 3))
 
 
 @pytest.mark.parametrize("diameter", [240, 60, 15])
 def test_a_mesh_of_cards_lets_as_much_light_through_at_any_distance(diameter):
     count, depth = 5000, 1.0
     exact = mean_transmittance(leaves(count, depth), 1.15, (0.0, 1.0, 0.0), pixels=768, hard=True)
-    crown_of_cards = scenes.scene((scenes.mesh(card_mesh(count, depth)), moved()), lights=(), transparent=True)
-    found, _ = let_through(scenes.opengl(), crown_of_cards, diameter, 16)
+    crown_of_cards = build.scene((build.mesh(card_mesh(count, depth)), moved()), lights=(), transparent=True)
+    found, _ = let_through(drawing.opengl(), crown_of_cards, diameter, 16)
     assert found == pytest.approx(exact, abs=0.01)  # measured 0.0043
 
 
@@ -98,13 +100,13 @@ def test_what_is_translucent_lets_as_much_light_through_at_any_distance(kind, di
         cloud = replace(cloud, extinction=cloud.extinction * np.float32(24))
     exact = mean_transmittance(cloud, 1.15, (0.0, 1.0, 0.0), pixels=512)
     geometry = replace(points(f"translucent {kind}", cloud), lattice=lattice)
-    seen = scenes.scene((geometry, moved()), lights=(), transparent=True)
-    found, _ = let_through(scenes.opengl(), seen, diameter, 16)
+    seen = build.scene((geometry, moved()), lights=(), transparent=True)
+    found, _ = let_through(drawing.opengl(), seen, diameter, 16)
     assert found == pytest.approx(exact, abs=0.005)  # measured 0.0023; 0.046 with splats at least 0.2 pixels wide
 
 
 def test_surfaces_have_no_variant_for_it():
-    for case, there in ((scenes.plain_sphere(), False), (scenes.foliage(), True)):
+    for case, there in ((solid_cases.plain_sphere(), False), (detailed_cases.foliage(), True)):
         device = NullDevice()
         Renderer(device, STORE).render(case.scene, case.request(COMBINED))
         names = {name for interface in device.interfaces for name, _ in interface.defines}
@@ -113,9 +115,9 @@ def test_surfaces_have_no_variant_for_it():
 
 def test_what_is_seen_through_leaves_is_closed():
     """A crown before a wall hides parts of it, and nothing is seen between the two."""
-    wall = points("wall behind leaves", scenes.plane_cloud(60, 2.0))
-    made = scenes.scene((points("leaves before a wall", leaves(2000, 0.7)), moved((0, -2, 0))), (wall, moved()))
-    result = scenes.opengl().render(
+    wall = points("wall behind leaves", clouds.plane_cloud(60, 2.0))
+    made = build.scene((points("leaves before a wall", leaves(2000, 0.7)), moved((0, -2, 0))), (wall, moved()))
+    result = drawing.opengl().render(
         replace(made, transparent=True),
         Request(camera((0, -6, 0), field_of_view=30), Settings(use_shadows=False), COMBINED, 4),
     )

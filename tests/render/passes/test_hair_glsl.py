@@ -7,10 +7,10 @@ import pytest
 
 from pointsplat_addon.core.light import hair, lighting
 from pointsplat_addon.core.light.hair import Fibre
-from pointsplat_addon.core.scene.strands import Lines
+from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.shading.interface import Interface
-from tests.support.scenes import opengl
+from scripts.scenes.drawing import opengl
 
 moderngl = pytest.importorskip("moderngl")
 COUNT = 4096
@@ -210,11 +210,11 @@ def test_lines_of_sight_through_a_ball_of_strands_are_counted():
     way = unit(rng, 4000)
     middle = unit(rng, 4000) * rng.random((4000, 1)) ** (1 / 3)
     points = np.stack([middle - 0.05 * way, middle + 0.05 * way], axis=1).reshape(-1, 3).astype(np.float32)
-    lines = Lines("ball", "ball", points, np.arange(0, 8001, 2), np.full(8000, 0.005, np.float32))
+    lines = Strands("ball", "ball", points, np.arange(0, 8001, 2), np.full(8000, 0.005, np.float32))
     # All that they cover over what the ball does: 4000 times 0.01 times 0.1 times pi / 4, over pi.
     assert (
         abs(hair.crossed(lines) / (4000 * 0.01 * 0.1 / 4) - 1) < 0.04
     )  # measured 0.030; the box is wider by their length
-    bad = Lines("bad", "bad", np.full((2, 3), np.nan, np.float32), np.array([0, 2]), np.ones(2, np.float32))
+    bad = Strands("bad", "bad", np.full((2, 3), np.nan, np.float32), np.array([0, 2]), np.ones(2, np.float32))
     assert hair.crossed(bad) == 0
     assert hair.escape(np.array([0.0, 1e9])).tolist() == [1, hair.LEAST_ESCAPE]

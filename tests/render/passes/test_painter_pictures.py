@@ -13,9 +13,15 @@ from pointsplat_addon.core.splat import ewa, painter
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from scripts import technique_error
-from scripts.compare import compare, eroded
-from scripts.transitions import levels
+from scripts.common.images import compare, eroded
+from scripts.scenes import build, cameras, clouds, drawing, solid_cases
+from scripts.scenes.case import Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.changes import levels
+from scripts.scenes.drawing import render
+from scripts.scenes.meshes import SHAPES, plane_mesh, shape, sphere_mesh
+from scripts.scenes.store import STORE
+from scripts.studies import technique_error
 from tests.core.lod.test_optics import mean_transmittance
 from tests.reference import opaque
 from tests.render.frame import test_quality
@@ -31,9 +37,6 @@ from tests.render.passes.test_ewa_pictures import (
     splats,
 )
 from tests.render.prepare import test_hybrid
-from tests.support import scenes
-from tests.support.scenes import CASES, Case, render
-from tests.support.store import STORE
 
 PAINTER = Settings(technique="PAINTER", use_shadows=False)
 ONLY_COMBINED = frozenset({"combined"})
@@ -86,7 +89,7 @@ def test_many_splats_lie_over_each_other_as_they_are_sorted():
     rng = np.random.default_rng(2)
     position = rng.uniform(-0.7, 0.7, (60, 3))
     thing = splats("strewn", position, rng.normal(size=(60, 3)), [0.2], rng.uniform(0, 1, (60, 3)))
-    case = painted(thing, scenes.camera((0.5, -4, 1)))
+    case = painted(thing, cameras.camera((0.5, -4, 1)))
     weight = closed_form(case)
     found = picture(case)
     assert thing.cloud is not None
@@ -101,16 +104,16 @@ def test_many_splats_lie_over_each_other_as_they_are_sorted():
 def test_spheres_that_intersect_are_told_apart_splat_by_splat():
     """No second pass over depth is needed: colours change within two splats of where the polygons' do."""
     colors, centres = ((1, 0, 0), (0, 0, 1)), ((-0.4, 0, 0), (0.4, 0.2, 0))
-    table = scenes.materials(2, base_color=np.zeros((2, 3)), emission=colors, specular=[0, 0])
+    table = build.materials(2, base_color=np.zeros((2, 3)), emission=colors, specular=[0, 0])
     found = {}
     for primitive, technique, samples in (("POLYGONS", "IMAGE_SPACE", 64), ("POINTS", "PAINTER", 4)):
         STORE.clear()
-        meshes = [replace(scenes.sphere_mesh(f"meets {row} {primitive}", 48), materials=(row,)) for row in (0, 1)]
-        scene = scenes.scene(
-            *((scenes.mesh(m, primitive), scenes.moved(c, 0.6)) for m, c in zip(meshes, centres, strict=True)),
+        meshes = [replace(sphere_mesh(f"meets {row} {primitive}", 48), materials=(row,)) for row in (0, 1)]
+        scene = build.scene(
+            *((build.mesh(m, primitive), build.moved(c, 0.6)) for m, c in zip(meshes, centres, strict=True)),
             lights=(), world=World(), table=table, transparent=True,
         )  # fmt: skip
-        case = Case(scene, scenes.camera(resolution=(160, 128)), replace(PAINTER, technique=technique))
+        case = Case(scene, cameras.camera(resolution=(160, 128)), replace(PAINTER, technique=technique))
         found[technique] = picture(case, samples)
     truth, drawn = found["IMAGE_SPACE"], found["PAINTER"]
     for channel in (0, 2):
@@ -130,7 +133,7 @@ def test_the_nearer_of_two_sheets_a_quarter_of_a_splat_apart_is_seen():
     colors = np.repeat([[1, 0, 0], [0, 0, 1]], len(plane), axis=0)
     for turn in (1, -1):
         thing = splats(f"two sheets {turn}", both * (1, turn, 1), (0, -1, 0), [0.08], colors)
-        found = picture(painted(thing, scenes.camera(resolution=(96, 80))))
+        found = picture(painted(thing, cameras.camera(resolution=(96, 80))))
         inside = eroded(eroded(eroded(found[..., 3] > 0.999)))
         assert inside.sum() > 1000
         assert found[inside][:, 1 + turn].max() < painter.LEAK  # measured 2.2e-5
@@ -146,15 +149,15 @@ def test_mixed_scenes_are_near_those_of_image_space(name):
 
 def test_smoke_lies_before_and_behind_what_is_painted():
     """A wall of points in the middle of a ball of smoke hides its far half, and shines through the near one."""
-    cloud = replace(scenes.smoke_cloud(), color=np.ones((len(scenes.smoke_cloud()), 3), np.float32))
-    smoke = scenes.points("smoke about a wall", cloud)
+    cloud = replace(clouds.smoke_cloud(), color=np.ones((len(clouds.smoke_cloud()), 3), np.float32))
+    smoke = build.points("smoke about a wall", cloud)
     lamp = Light("SUN", np.full(3, 1.0), np.zeros(3), np.array([0.0, 1, 0]))
     found = []
     for technique, primitive in (("PAINTER", "POINTS"), ("IMAGE_SPACE", "POLYGONS")):
         STORE.clear()
-        wall = scenes.mesh(scenes.plane_mesh(f"wall in smoke {primitive}", 1.5, cells=8), primitive)
-        scene = scenes.scene((smoke, scenes.moved()), (wall, scenes.moved()), lights=[lamp])
-        found.append(picture(Case(scene, scenes.camera(), replace(PAINTER, technique=technique)), 4))
+        wall = build.mesh(plane_mesh(f"wall in smoke {primitive}", 1.5, cells=8), primitive)
+        scene = build.scene((smoke, build.moved()), (wall, build.moved()), lights=[lamp])
+        found.append(picture(Case(scene, cameras.camera(), replace(PAINTER, technique=technique)), 4))
     assert np.ptp(found[1][..., 0]) > 0.1
     assert np.abs(found[0] - found[1]).mean() < 5e-3  # measured 1.7e-4
     assert np.abs(found[0] - found[1])[4:-4, 4:-4].max() < 0.05  # measured 6.5e-4
@@ -162,10 +165,10 @@ def test_smoke_lies_before_and_behind_what_is_painted():
 
 def test_surfaces_receive_shadows_as_in_image_space():
     """A ball over a plane under a sun: the same umbra, and no shade where there is light."""
-    ball = scenes.mesh(scenes.sphere_mesh("ball over a floor", 32), "POINTS")
-    floor = scenes.mesh(scenes.plane_mesh("floor", 2.0, cells=16), "POINTS")
-    scene = scenes.scene((ball, scenes.moved((0, -1.2, 0), 0.4)), (floor, scenes.moved()), lights=[scenes.sun()])
-    camera = scenes.camera((0, -6, 0), resolution=(96, 80))
+    ball = build.mesh(sphere_mesh("ball over a floor", 32), "POINTS")
+    floor = build.mesh(plane_mesh("floor", 2.0, cells=16), "POINTS")
+    scene = build.scene((ball, build.moved((0, -1.2, 0), 0.4)), (floor, build.moved()), lights=[build.sun()])
+    camera = cameras.camera((0, -6, 0), resolution=(96, 80))
     found = [picture(Case(scene, camera, Settings(technique=technique)), 8) for technique in ("IMAGE_SPACE", "PAINTER")]
     shadow = found[0][..., 0] < 0.5 * np.median(found[0][..., 0])
     assert shadow.sum() > 100
@@ -192,7 +195,7 @@ def test_extreme_splats_are_finite_and_do_not_flash(name, parallel):
     """No more than the pixels that their outline has, and a pixel around it."""
     given = {"position": (0, 0, 0), **EXTREMES[name]}
     thing = splats(f"painted {name}", **given)
-    camera = scenes.camera(parallel=parallel, near=-10.0 if parallel else 0.1)
+    camera = cameras.camera(parallel=parallel, near=-10.0 if parallel else 0.1)
     case = painted(thing, camera)
     alpha = picture(case)
     assert np.isfinite(alpha).all()
@@ -204,7 +207,7 @@ def test_extreme_splats_are_finite_and_do_not_flash(name, parallel):
 
 def test_a_disk_larger_than_the_screen_fills_it():
     thing = splats("huge, painted", (0, 0, 0), (0, -1, 0), [500.0], (0.3, 0.6, 0.9))
-    found = picture(painted(thing, scenes.camera()))
+    found = picture(painted(thing, cameras.camera()))
     assert np.abs(found - (0.3, 0.6, 0.9, 1)).max() < 1e-3  # measured 2.4e-8
 
 
@@ -221,14 +224,14 @@ def test_every_pass_of_every_scene_is_finite(name):
 # Surfaces
 
 
-@pytest.mark.parametrize("name", test_quality.SHAPES)
+@pytest.mark.parametrize("name", SHAPES)
 @pytest.mark.parametrize("samples", [1, 16])
 def test_silhouettes_are_those_of_the_polygons_and_surfaces_are_closed(name, samples):
-    mesh = test_quality.shape(name)
+    mesh = shape(name)
     for view in range(len(test_quality.VIEWS)):
-        truth = shape_picture(scenes.mesh(mesh, "POLYGONS"), view, "AUTO", 64)
+        truth = shape_picture(build.mesh(mesh, "POLYGONS"), view, "AUTO", 64)
         STORE.clear()
-        found = shape_picture(scenes.mesh(mesh, "POINTS"), view, "PAINTER", samples)
+        found = shape_picture(build.mesh(mesh, "POINTS"), view, "PAINTER", samples)
         figures = compare(found, truth)
         inside = eroded(truth[..., 3] > 0.9999)
         assert figures["inside"] > 5000
@@ -239,7 +242,7 @@ def test_silhouettes_are_those_of_the_polygons_and_surfaces_are_closed(name, sam
 
 def test_on_a_textured_plane_it_is_nearer_to_the_polygons_than_disks_and_farther_than_ewa():
     """At equal numbers of points, four pixels each, with one sample a pixel."""
-    renderer = scenes.opengl()
+    renderer = drawing.opengl()
     plane = technique_error.plane(technique_error.VIEWS["plane, facing"])
     STORE.clear()
     truth, _, _ = technique_error.picture(renderer, plane, "POLYGONS", "IMAGE_SPACE", 1.0, 16)
@@ -264,7 +267,7 @@ def test_nodes_of_an_octree_close_what_their_points_close(tolerance):
 @pytest.mark.parametrize(("name", "samples"), [("plane", 1), ("plane", 16), ("shuffled", 1), ("bumps", 16)])
 def test_where_splats_and_triangles_of_a_split_mesh_meet_no_seam_is_seen(name, samples, tolerance):
     """The painter draws the points of some parts over the triangles of the others, and each hides what lies behind."""
-    renderer, found = scenes.opengl(), []
+    renderer, found = drawing.opengl(), []
     before, renderer.costs = renderer.costs, test_hybrid.COSTS
     try:
         for primitive, technique in (("POLYGONS", "IMAGE_SPACE"), ("AUTO", "PAINTER")):
@@ -284,11 +287,11 @@ def test_where_splats_and_triangles_of_a_split_mesh_meet_no_seam_is_seen(name, s
 
 def test_a_crown_of_leaves_lets_as_much_light_through_as_it_should():
     """From leaves of pixels to a tenth of one, and at one sample as at many: what is widened hides no more."""
-    exact = mean_transmittance(scenes.leaves(20000, 0.5), 1.15, (0.0, 1.0, 0.0), pixels=768, hard=True)
+    exact = mean_transmittance(clouds.leaves(20000, 0.5), 1.15, (0.0, 1.0, 0.0), pixels=768, hard=True)
     seen = test_foliage_pictures.crown(20000, 0.5)
     for diameter, samples in ((320, 1), (80, 1), (20, 1), (80, 16), (10, 96)):
         size = round(1.15 * diameter) + 8
-        eye = scenes.camera((0, -5, 0), resolution=(size, size), parallel=2 * size / diameter)
+        eye = cameras.camera((0, -5, 0), resolution=(size, size), parallel=2 * size / diameter)
         alpha = picture(Case(seen, eye, PAINTER), samples)[..., 3]
         found = 1 - alpha.sum() * (2 / diameter) ** 2 / 2.3**2
         assert found == pytest.approx(exact, abs=0.01)  # measured 0.0086; 0.35 without `thinned`
@@ -296,13 +299,13 @@ def test_a_crown_of_leaves_lets_as_much_light_through_as_it_should():
 
 def test_backs_that_are_culled_are_not_painted():
     """A sphere whose material is seen from the front only, cut open towards the eye: nothing is left."""
-    cloud = scenes.sphere_cloud(800)
+    cloud = clouds.sphere_cloud(800)
     far = cloud.take(cloud.position[:, 1] > 0)
-    table = scenes.materials(cull=[True])
-    scene = scenes.scene((scenes.points("open sphere", far), scenes.moved()), table=table, transparent=True)
-    camera = scenes.camera((0, -40, 0), field_of_view=4)
+    table = build.materials(cull=[True])
+    scene = build.scene((build.points("open sphere", far), build.moved()), table=table, transparent=True)
+    camera = cameras.camera((0, -40, 0), field_of_view=4)
     assert picture(Case(scene, camera, PAINTER))[..., 3].max() == 0
-    scene = replace(scene, materials=scenes.materials())
+    scene = replace(scene, materials=build.materials())
     assert picture(Case(scene, camera, PAINTER))[..., 3].max() > 0.99
 
 
@@ -317,14 +320,14 @@ def record(case: Case, device=None, samples: int = 1, passes=ONLY_COMBINED):
 
 @pytest.mark.parametrize("technique", ["AUTO", "IMAGE_SPACE", "EWA"])
 def test_other_techniques_know_nothing_of_the_painter(technique):
-    device, _ = record(with_technique(scenes.sphere(), technique))
+    device, _ = record(with_technique(solid_cases.sphere(), technique))
     assert not {"light", "translucent", "add"} & {interface.name for interface in device.interfaces}
     smoke, _ = record(with_technique(CASES["smoke"](), technique))
     assert not any("PS_FUZZY" in dict(interface.defines) for interface in smoke.interfaces)
 
 
 def test_the_picture_needs_neither_projection_nor_pyramid_and_the_report_says_why():
-    device, result = record(with_technique(scenes.sphere(), "PAINTER"), samples=3)
+    device, result = record(with_technique(solid_cases.sphere(), "PAINTER"), samples=3)
     names = [interface.name for interface in device.interfaces]
     assert not (IMAGE_SPACE | EWA) & set(names)
     assert [device.names.count(name) for name in ("light", "translucent", "add")] == [1, 3, 3]
@@ -334,7 +337,7 @@ def test_the_picture_needs_neither_projection_nor_pyramid_and_the_report_says_wh
 
 
 def test_passes_beside_the_picture_are_drawn_in_image_space_as_often_as_they_need():
-    case = with_technique(scenes.sphere(), "PAINTER")
+    case = with_technique(solid_cases.sphere(), "PAINTER")
     depth, _ = record(case, samples=3, passes=frozenset({"combined", "depth"}))
     assert [depth.names.count(name) for name in ("project", "data", "shade")] == [1, 1, 0]
     normal, _ = record(case, samples=3, passes=frozenset({"combined", "normal"}))
@@ -342,7 +345,7 @@ def test_passes_beside_the_picture_are_drawn_in_image_space_as_often_as_they_nee
 
 
 def test_a_viewport_knows_how_far_what_is_painted_is():
-    case = with_technique(scenes.sphere(), "PAINTER")
+    case = with_technique(solid_cases.sphere(), "PAINTER")
     device = NullDevice()
     frame = Renderer(device, STORE).start(case.scene, case.request(ONLY_COMBINED, 4))
     frame.sample()
@@ -356,20 +359,22 @@ def test_a_viewport_knows_how_far_what_is_painted_is():
 
 
 def test_polygons_alone_know_nothing_of_it():
-    device, _ = record(with_technique(scenes.cube(), "PAINTER"))
+    device, _ = record(with_technique(solid_cases.cube(), "PAINTER"))
     names = {interface.name for interface in device.interfaces}
     assert not ({"light", "translucent", "add"} | IMAGE_SPACE) & names
 
 
 def test_without_blending_of_floats_image_space_takes_over_and_says_so():
-    device, result = record(with_technique(scenes.sphere(), "PAINTER"), NullDevice(replace(LIMITS, float_blend=False)))
+    device, result = record(
+        with_technique(solid_cases.sphere(), "PAINTER"), NullDevice(replace(LIMITS, float_blend=False))
+    )
     assert "push" in device.names
     assert any("painter" in warning for warning in result.report["warnings"])
 
 
 def test_a_view_that_moves_shows_surfaces_in_full():
     """Unlike smoke, whose first sample may be coarse."""
-    case = with_technique(scenes.sphere(), "PAINTER")
+    case = with_technique(solid_cases.sphere(), "PAINTER")
     device = NullDevice()
     request = Request(case.camera, case.settings, ONLY_COMBINED, 2, interactive=True)
     Renderer(device, STORE).render(case.scene, request)

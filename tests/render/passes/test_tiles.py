@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.frame.filtering import offsets
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.report import report
-from pointsplat_addon.render.passes.tiles import FIRST_CHECK, LEAST_SAMPLES, TILE, dilated
+from pointsplat_addon.render.frame.sample_positions import offsets
+from pointsplat_addon.render.passes.output.adaptive import FIRST_CHECK, LEAST_SAMPLES, dilated
+from pointsplat_addon.render.passes.tiles import TILE
 from pointsplat_addon.render.renderer import Renderer
-from tests.support import scenes
-from tests.support.scenes import CASES, Case
-from tests.support.store import STORE
+from scripts.scenes import build, cameras, clouds, drawing
+from scripts.scenes.case import Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 
 SAMPLES = 24
 COMBINED = frozenset({"combined"})
@@ -37,7 +39,7 @@ def large(name: str) -> Case:
 def drawn(case: Case, **settings) -> tuple[np.ndarray, np.ndarray]:
     """The picture, and how many samples each of its pixels has."""
     request = replace(case.request(COMBINED, SAMPLES), settings=replace(case.settings, **settings))
-    frame = Frame(scenes.opengl(), case.scene, request)
+    frame = Frame(drawing.opengl(), case.scene, request)
     while frame.sample():
         pass
     combined = frame.pixels()["combined"]
@@ -86,12 +88,12 @@ def test_the_threshold_bounds_the_error():
 
 
 def test_a_picture_of_one_colour_ends_at_the_first_check():
-    case = replace(CASES["empty"](), camera=scenes.camera(resolution=(64, 48)))
+    case = replace(CASES["empty"](), camera=cameras.camera(resolution=(64, 48)))
     case = replace(case, scene=replace(case.scene, world=CASES["environment"]().scene.world))
     case = replace(
         case, scene=replace(case.scene, world=replace(case.scene.world, image=np.ones((4, 8, 3), np.float32)))
     )
-    frame = Frame(scenes.opengl(), case.scene, case.request(COMBINED, SAMPLES))
+    frame = Frame(drawing.opengl(), case.scene, case.request(COMBINED, SAMPLES))
     while frame.sample():
         pass
     assert frame.done == FIRST_CHECK
@@ -122,9 +124,9 @@ def test_where_all_samples_are_needed_nothing_asks(case, passes, samples, settin
 
 def test_blocks_of_points_that_no_tile_needs_are_not_projected():
     """Rows of a plane, of which only the rim still changes."""
-    cloud = scenes.points("tiles plane", scenes.plane_cloud(300))
-    case = Case(scenes.scene((cloud, np.eye(4))), scenes.camera(eye=(0, -1, 4), resolution=(256, 256)))
-    frame = Frame(scenes.opengl(), case.scene, case.request(COMBINED, SAMPLES))
+    cloud = build.points("tiles plane", clouds.plane_cloud(300))
+    case = Case(build.scene((cloud, np.eye(4))), cameras.camera(eye=(0, -1, 4), resolution=(256, 256)))
+    frame = Frame(drawing.opengl(), case.scene, case.request(COMBINED, SAMPLES))
     before = sum(draw.count for draw in frame.uploads.draws)
     while frame.sample():
         pass
@@ -149,7 +151,7 @@ def test_odd_numbers_of_samples_lie_around_the_centre():
 
 def test_tiles_are_as_wide_as_they_say():
     case = large("mixed")
-    frame = Frame(scenes.opengl(), case.scene, case.request(COMBINED, SAMPLES))
+    frame = Frame(drawing.opengl(), case.scene, case.request(COMBINED, SAMPLES))
     assert frame.adaptive is not None
     width, height = frame.view.window[2:]
     assert frame.adaptive.counts.shape == (-(-height // TILE), -(-width // TILE))

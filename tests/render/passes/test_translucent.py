@@ -12,15 +12,17 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.core.splat.kernel import EVEN, PROFILES
+from pointsplat_addon.core.splat.kernel import EVEN_SPACING, PROFILES
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.parts import parted
 from pointsplat_addon.render.renderer import Renderer
-from tests.support import scenes
-from tests.support.scenes import camera, moved, points
-from tests.support.store import STORE
+from scripts.scenes import build, cases, clouds, drawing, meshes, translucent_cases
+from scripts.scenes.build import moved, points
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import ALL_PASSES
+from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 WHITE = World(np.ones(3))
@@ -41,7 +43,7 @@ def voxels(
     position = np.stack(np.meshgrid(side, depth, side, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
     if seen is not None:
         position = position[seen(position)]
-    count, radius = len(position), 2 * EVEN * edge
+    count, radius = len(position), 2 * EVEN_SPACING * edge
     share = edge**3 / (4 / 3 * np.pi * radius**3)
     strength = np.broadcast_to(np.asarray(extinction, np.float32) * share, (count, *np.shape(extinction)))
     black = np.zeros((count, 3), np.float32)
@@ -53,7 +55,7 @@ def voxels(
 
 
 def draw(scene, eye_camera, samples=1, settings=None):
-    return scenes.opengl().render(
+    return drawing.opengl().render(
         scene, Request(eye_camera, settings or Settings(use_shadows=False), COMBINED, samples)
     )
 
@@ -63,7 +65,7 @@ def picture(scene, eye_camera, samples=1):
 
 
 def alone(cloud, key, **more):
-    return scenes.scene((points(key, cloud), moved()), **{"lights": (), "world": WHITE, **more})
+    return build.scene((points(key, cloud), moved()), **{"lights": (), "world": WHITE, **more})
 
 
 def from_angle(degrees, distance=30.0, field=0.6):
@@ -113,15 +115,15 @@ def test_halving_the_spacing_changes_no_radiance():
 def stacked(order, alphas, colors):
     """Squares of unlit emission one behind the other, and a grey world."""
     count = len(alphas)
-    table = scenes.materials(
+    table = build.materials(
         count, base_color=np.zeros((count, 3)), specular=np.zeros(count), emission=colors, alpha=alphas,
         translucent=np.ones(count, bool),
     )  # fmt: skip
     things = []
     for place, row in enumerate(order):
-        plane = replace(scenes.plane_mesh(f"stacked {row}"), materials=(row,), topology=f"stacked {row}")
-        things.append((scenes.mesh(plane), moved((0, 0.3 * place, 0))))
-    return scenes.scene(*things, lights=(), world=World(np.full(3, 0.5)), table=table)
+        plane = replace(meshes.plane_mesh(f"stacked {row}"), materials=(row,), topology=f"stacked {row}")
+        things.append((build.mesh(plane), moved((0, 0.3 * place, 0))))
+    return build.scene(*things, lights=(), world=World(np.full(3, 0.5)), table=table)
 
 
 @pytest.mark.parametrize("eye", [(0, -5, 0), (3, -4, 0.5)])
@@ -167,10 +169,10 @@ def test_what_emits_and_absorbs_tends_to_emission_over_extinction():
 @pytest.mark.parametrize("angle", [0, 60])
 def test_a_thin_medium_scatters_by_henyey_and_greenstein(g, angle):
     depth, albedo = 0.5, np.array([0.9, 0.5, 0.2])
-    sun = replace(scenes.sun(3.0, (0, 1, 0)), shadow=False)
+    sun = replace(build.sun(3.0, (0, 1, 0)), shadow=False)
     made = alone(
         voxels(2.4, 0.5, 8, depth / 0.5 * np.cos(np.radians(angle)), color=albedo), f"scattering {angle}",
-        lights=(sun,), world=World(), table=scenes.materials(anisotropy=np.array([g], np.float32)),
+        lights=(sun,), world=World(), table=build.materials(anisotropy=np.array([g], np.float32)),
     )  # fmt: skip
     found = picture(made, from_angle(angle), 2)[..., :3].mean(axis=(0, 1))
     cosine = -np.cos(np.radians(angle))  # the sun shines along +Y, and light reaches the eye along about -Y
@@ -185,9 +187,9 @@ def test_a_thin_medium_scatters_by_henyey_and_greenstein(g, angle):
 @pytest.mark.parametrize("place", [-0.2, 0.0, 0.125])
 def test_what_is_opaque_hides_what_of_a_medium_lies_behind_it(primitive, place):
     depth = 2.0
-    wall = scenes.mesh(scenes.plane_mesh(f"wall {primitive}", 1.5), primitive)
-    table = scenes.materials(base_color=np.zeros((1, 3)), specular=[0], emission=np.ones((1, 3)))
-    made = scenes.scene(
+    wall = build.mesh(meshes.plane_mesh(f"wall {primitive}", 1.5), primitive)
+    table = build.materials(base_color=np.zeros((1, 3)), specular=[0], emission=np.ones((1, 3)))
+    made = build.scene(
         (wall, moved((0, place, 0))), (points("fog", voxels(1.2, 0.5, 12, depth / 0.5)), moved()),
         lights=(), world=World(), table=table,
     )  # fmt: skip
@@ -214,7 +216,7 @@ def test_media_out_of_all_proportion_are_finite(strength):
     assert cloud.extinction is not None
     odd = cloud.extinction.copy()
     odd[::3] = strength
-    made = alone(replace(cloud, extinction=odd), f"odd {strength}", lights=(scenes.sun(),))
+    made = alone(replace(cloud, extinction=odd), f"odd {strength}", lights=(build.sun(),))
     found = picture(made, camera())
     assert np.isfinite(found).all()
     assert found.min() >= 0
@@ -225,7 +227,7 @@ def test_media_out_of_all_proportion_are_finite(strength):
 def test_voxels_of_any_size_let_the_same_light_through(scale):
     """Extinction is per object unit: under a scaled instance it stays what it is across the object."""
     cloud = voxels(1.2, 0.5, 8, 2.0)
-    scaled = scenes.scene((points("scaled", cloud), moved(scale=scale)), lights=(), world=WHITE)
+    scaled = build.scene((points("scaled", cloud), moved(scale=scale)), lights=(), world=WHITE)
     eye = camera((0, -30 * scale, 0), field_of_view=0.6, resolution=(16, 12), near=1e-2 * scale, far=1e3 * scale)
     assert picture(scaled, eye, 2)[..., 0].mean() == pytest.approx(np.exp(-1.0), rel=5e-3)
 
@@ -236,16 +238,16 @@ def test_a_medium_that_holds_out_takes_of_color_and_alpha_what_it_hides(depth, p
     """Before glow, or an opaque wall; and behind other glow, of which it takes nothing."""
     behind = points("glow behind", voxels(1.2, 0.5, 8, 2.0, emission=(2.0, 2.0, 2.0)))
     if primitive:
-        behind = scenes.mesh(scenes.plane_mesh(f"wall behind {primitive}", 1.5), primitive)
+        behind = build.mesh(meshes.plane_mesh(f"wall behind {primitive}", 1.5), primitive)
     things = [
         (points("glow before", voxels(1.2, 0.5, 8, 1.0, emission=(3.0, 3.0, 3.0))), moved((0, -1, 0))),
         (points(f"hole {np.size(depth)}", voxels(1.2, 0.5, 8, depth / 0.5, emission=(9.0, 9.0, 9.0))), moved()),
         (behind, moved((0, 1, 0))),
     ]
-    table = scenes.materials(base_color=np.zeros((1, 3)), specular=[0], emission=np.ones((1, 3)))
+    table = build.materials(base_color=np.zeros((1, 3)), specular=[0], emission=np.ones((1, 3)))
 
     def mean(which, holdout):
-        made = scenes.scene(
+        made = build.scene(
             *(things[i] for i in which), lights=(), world=World(), table=table, transparent=True, holdout=holdout
         )
         return picture(made, from_angle(0), 2).mean(axis=(0, 1))
@@ -260,9 +262,9 @@ def test_a_medium_that_holds_out_takes_of_color_and_alpha_what_it_hides(depth, p
 
 
 def test_holdouts_cost_only_where_they_are_translucent():
-    fog, ball = (points("fog held", voxels(1, 1, 4)), moved()), (points("ball", scenes.sphere_cloud(50)), moved())
+    fog, ball = (points("fog held", voxels(1, 1, 4)), moved()), (points("ball", clouds.sphere_cloud(50)), moved())
     for holdout, cut in (([True, False], True), ([False, True], False)):
-        device, _ = record(scenes.scene(fog, ball, holdout=holdout, transparent=True))
+        device, _ = record(build.scene(fog, ball, holdout=holdout, transparent=True))
         assert ("ps_cut" in {name for i in device.interfaces for _, name in i.samplers}) == cut
 
 
@@ -276,8 +278,8 @@ def lit_floor(*things, lamp=LAMP, table=None):
     level = np.eye(4)
     level[1:3, 1:3] = [[0, -1], [1, 0]]
     level[2, 3] = -1
-    floor = scenes.mesh(scenes.plane_mesh("floor", 2.0), "POLYGONS")
-    return scenes.scene((floor, level), *things, lights=(lamp,), world=World(), table=table)
+    floor = build.mesh(meshes.plane_mesh("floor", 2.0), "POLYGONS")
+    return build.scene((floor, level), *things, lights=(lamp,), world=World(), table=table)
 
 
 def shaded(made, shadows=True):
@@ -306,7 +308,7 @@ def test_shadows_of_tinted_media_are_tinted():
 
 @pytest.mark.parametrize("primitive", ["POLYGONS", "POINTS"])
 def test_opaque_things_cast_whatever_they_are_drawn_as(primitive):
-    block = scenes.mesh(scenes.cube_mesh(f"block {primitive}", 0.5), primitive)
+    block = build.mesh(meshes.cube_mesh(f"block {primitive}", 0.5), primitive)
     made = lit_floor((block, moved((0, 0, 0.5))))
     assert shaded(made).max() < 1e-6  # measured 5e-10
     assert shaded(made, False).min() > 0.05
@@ -315,18 +317,18 @@ def test_opaque_things_cast_whatever_they_are_drawn_as(primitive):
 
 
 def test_a_translucent_surface_shades_by_its_alpha():
-    table = scenes.materials(2, alpha=[1, 0.7], translucent=np.array([False, True]))
-    pane = replace(scenes.plane_mesh("pane", 1.0), materials=(1,))
+    table = build.materials(2, alpha=[1, 0.7], translucent=np.array([False, True]))
+    pane = replace(meshes.plane_mesh("pane", 1.0), materials=(1,))
     level = np.eye(4)
     level[1:3, 1:3] = [[0, -1], [1, 0]]
-    made = lit_floor((scenes.mesh(pane), level), table=table)
+    made = lit_floor((build.mesh(pane), level), table=table)
     np.testing.assert_allclose(shaded(made) / shaded(made, False), np.full(3, 0.3), rtol=2e-2)
 
 
 def test_a_medium_shades_itself():
     """Seen from the lamp's side and thin across the ray: single scattering of light that has come through."""
     depth, albedo = 2.0, 0.8
-    sun = scenes.sun(3.0, (0, 1, 0))
+    sun = build.sun(3.0, (0, 1, 0))
     made = alone(voxels(1.2, 0.5, 12, depth / 0.5, color=np.full(3, albedo)), "self", lights=(sun,), world=World())
     found = draw(made, from_angle(0), 2, Settings(shadow_resolution=256)).pixels["combined"][..., :3].mean()
     # The light that comes to a depth t of the medium and back is exp(-2 t).
@@ -443,14 +445,14 @@ def record(made, eye_camera=None, passes=COMBINED, samples=1, shadows=False):
     return device, result
 
 
-@pytest.mark.parametrize("name", scenes.CASES)
+@pytest.mark.parametrize("name", cases.CASES)
 def test_scenes_with_nothing_translucent_sort_and_composite_nothing(name):
-    case = scenes.CASES[name]()
+    case = cases.CASES[name]()
     if parted(case.scene, Store())[0] is case.scene and not any(
         g.cloud is not None and (g.cloud.opacity is not None or g.cloud.extinction is not None)
         for g in case.scene.geometries
     ):
-        device, result = record(case.scene, case.camera, scenes.ALL_PASSES, 2)
+        device, result = record(case.scene, case.camera, ALL_PASSES, 2)
         assert not {"light", "translucent", "add", "opaque depth"} & set(device.names)
         assert {"order", "light", "translucent", "add"} <= {entry["name"] for entry in result.report["skipped"]}
         # As many pictures as before: the sums alone.
@@ -466,7 +468,7 @@ def test_what_is_translucent_is_lit_once_and_drawn_for_every_sample():
 
 
 def test_a_view_that_moves_shows_a_coarse_layer_first():
-    case = scenes.smoke()
+    case = translucent_cases.smoke()
     request = Request(case.camera, case.settings, COMBINED, 3, interactive=True)
     device = NullDevice()
     Renderer(device, STORE).render(case.scene, request)
@@ -481,7 +483,7 @@ def test_a_view_that_moves_shows_a_coarse_layer_first():
         instances=replace(case.scene.instances, world_from_object=np.stack([moved(), *2 * [moved(scale=0)]])),
     )
     first = [
-        scenes.opengl().render(alone, replace(request, samples=1, interactive=moving)).pixels["combined"]
+        drawing.opengl().render(alone, replace(request, samples=1, interactive=moving)).pixels["combined"]
         for moving in (False, True)
     ]
     assert np.abs(first[0] - first[1]).max() < 0.15 * first[0].max()
@@ -510,11 +512,11 @@ def test_splats_are_sorted_again_only_for_other_directions():
 
 
 def test_a_mesh_of_two_materials_is_drawn_in_two_ways():
-    cube = scenes.cube_mesh("half glass")
+    cube = meshes.cube_mesh("half glass")
     rows = np.repeat(np.array([0, 1], np.uint16), 6)
-    table = scenes.materials(2, alpha=[1, 0.5], translucent=np.array([False, True]))
-    made = scenes.scene((scenes.mesh(replace(cube, material=rows, materials=(0, 1))), moved()), table=table)
-    device, result = record(made, passes=scenes.ALL_PASSES)
+    table = build.materials(2, alpha=[1, 0.5], translucent=np.array([False, True]))
+    made = build.scene((build.mesh(replace(cube, material=rows, materials=(0, 1))), moved()), table=table)
+    device, result = record(made, passes=ALL_PASSES)
     assert {"polygons", "light", "translucent"} <= set(device.names)
     assert result.report["triangles"] == 6
     assert result.report["points"]["total"] > 0
@@ -524,8 +526,8 @@ def test_a_volume_is_drawn_as_translucent_points():
     index = np.stack(np.meshgrid(*3 * [np.arange(4)], indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
     volume = Volume("v", "v", index, np.diag([0.25, 0.25, 0.25, 1.0]), {"density": np.ones(64, np.float32)})
     geometry = replace(points("v", voxels(1, 1, 1)), cloud=None, volume=volume)
-    table = replace(scenes.materials(), media=(Medium(),))
-    _, result = record(scenes.scene((geometry, moved()), table=table))
+    table = replace(build.materials(), media=(Medium(),))
+    _, result = record(build.scene((geometry, moved()), table=table))
     assert result.report["points"]["total"] == 64
 
 
@@ -542,7 +544,7 @@ def test_cards_let_as_much_light_through_as_coarse_nodes_of_them(alpha):
         opacity=np.full(count, alpha, np.float32),
         color=np.zeros((count, 3), np.float32),
     )
-    made = alone(cards, f"cards {alpha}", table=scenes.materials(1, specular=[0]))
+    made = alone(cards, f"cards {alpha}", table=build.materials(1, specular=[0]))
     seen = {}
     for tolerance in (0.05, 4.0, 8.0):
         # So many samples that a hierarchy pays for itself.

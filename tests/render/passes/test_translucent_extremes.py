@@ -12,9 +12,10 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat.kernel import PEAK
+from scripts.scenes import build, clouds, drawing, meshes
+from scripts.scenes.build import moved, points
+from scripts.scenes.cameras import camera
 from tests.render.passes.test_translucent import COMBINED, Request, voxels
-from tests.support import scenes
-from tests.support.scenes import camera, moved, points
 
 SIZE = (64, 48)
 EYE = camera((0, -6, 1.5), (0, 0, 0), resolution=SIZE)
@@ -35,7 +36,7 @@ def balls(position, radius: float | None = 0.3, extinction: float | list[float] 
 
 def draw(made, eye_camera=EYE, shadows=True, samples=1):
     settings = Settings(use_shadows=shadows, shadow_resolution=128)
-    result = scenes.opengl().render(made, Request(eye_camera, settings, COMBINED, samples))
+    result = drawing.opengl().render(made, Request(eye_camera, settings, COMBINED, samples))
     found = result.pixels["combined"].astype(np.float64)
     assert np.isfinite(found).all()
     assert found.min() >= 0
@@ -48,10 +49,10 @@ def room(*things, lights=None, **more):
     level = np.eye(4)
     level[1:3, 1:3] = [[0, -1], [1, 0]]
     level[2, 3] = -1.2
-    floor = scenes.mesh(scenes.plane_mesh("room's floor", 3.0), "POLYGONS")
-    post = scenes.mesh(scenes.cube_mesh("room's post", 0.3), "POINTS")
+    floor = build.mesh(meshes.plane_mesh("room's floor", 3.0), "POLYGONS")
+    post = build.mesh(meshes.cube_mesh("room's post", 0.3), "POINTS")
     given = (lamp(),) if lights is None else lights
-    return scenes.scene((floor, level), (post, moved((-1.5, 0, -0.5))), *things, lights=given, world=World(), **more)
+    return build.scene((floor, level), (post, moved((-1.5, 0, -0.5))), *things, lights=given, world=World(), **more)
 
 
 def left(picture):
@@ -103,7 +104,7 @@ def test_extinction_of_a_million_beside_a_millionth():
     none = draw(room())
     thick = np.abs(found - none)[:, : SIZE[0] * 7 // 10, :3]
     assert thick.max() > 0.05
-    bare = scenes.scene((points("far apart", cloud), moved()), lights=(), world=World(np.ones(3)))
+    bare = build.scene((points("far apart", cloud), moved()), lights=(), world=World(np.ones(3)))
     seen = draw(bare, camera((0, -6, 0), resolution=SIZE))
     columns = [round(SIZE[0] / 2 + at / 6 * SIZE[0] / 2 / np.tan(np.radians(20))) for at in (-0.4, 0.4)]
     assert seen[SIZE[1] // 2, columns[0], 0] < 1e-6
@@ -113,7 +114,7 @@ def test_extinction_of_a_million_beside_a_millionth():
 @pytest.mark.parametrize("shadows", [False, True])
 def test_one_point_has_the_optical_depth_of_its_ball(shadows):
     radius, strength = 0.5, 1.5
-    made = scenes.scene(
+    made = build.scene(
         (points("one", balls([[0, 0, 0]], radius, strength)), moved()), lights=(lamp(),), world=World(),
         transparent=True,
     )  # fmt: skip
@@ -128,7 +129,7 @@ def test_points_in_one_place_add_up(count):
     """Their optical depths do, as those of one point of all their extinction."""
     many, one = balls(np.zeros((count, 3)), 0.5, 2.0 / count), balls(np.zeros((1, 3)), 0.5, 2.0)
     pictures = [
-        draw(scenes.scene((points(f"together {len(c)} {count}", c), moved()), lights=(), world=World(np.ones(3))))
+        draw(build.scene((points(f"together {len(c)} {count}", c), moved()), lights=(), world=World(np.ones(3))))
         for c in (many, one)
     ]
     np.testing.assert_allclose(*pictures, rtol=2e-3)
@@ -151,10 +152,10 @@ def test_splats_without_extent_take_nothing(radius, shell):
 @pytest.mark.parametrize("opacity", [0.0, 1.0, np.nan, -1.0, 2.0, np.inf])
 def test_opacities_at_and_beyond_their_ends(opacity):
     """Nothing at 0 and less; opaque at 1 and more; what is no number takes nothing."""
-    cloud = scenes.plane_cloud(12, 0.8, color=np.tile(GREY, (144, 1)), opacity=np.full(144, opacity, np.float32))
+    cloud = clouds.plane_cloud(12, 0.8, color=np.tile(GREY, (144, 1)), opacity=np.full(144, opacity, np.float32))
     thing = points(f"opacity {opacity}", cloud), RIGHT
     assert_room_is_right(thing)
-    found = draw(scenes.scene((thing[0], moved()), lights=(), world=World(np.ones(3))), samples=2)
+    found = draw(build.scene((thing[0], moved()), lights=(), world=World(np.ones(3))), samples=2)
     middle = found[20:28, 28:36, 0]
     if opacity <= 0 or not np.isfinite(opacity):
         np.testing.assert_allclose(middle, 1, atol=1e-6)
@@ -187,7 +188,7 @@ def test_voxels_of_any_size_with_shadows(edge):
             (0, -12 * size, 3 * size), (0, 0, 0), resolution=SIZE, near=1e-2 * size, far=1e3 * size
         )  # fmt: skip
         light = lamp((3 * size, -4 * size, 6 * size), strength=60 * size**2)
-        made = scenes.scene((points(f"voxels of {size}", fog), moved()), lights=(light,), world=World(GREY * 0.5))
+        made = build.scene((points(f"voxels of {size}", fog), moved()), lights=(light,), world=World(GREY * 0.5))
         return draw(made, eye)
 
     np.testing.assert_allclose(seen(edge), seen(1.0), rtol=1e-2, atol=1e-3)
@@ -258,7 +259,7 @@ ODD_INSTANCES = {
 @pytest.mark.parametrize("name", ODD_INSTANCES)
 @pytest.mark.parametrize("kind", ["medium", "shell"])
 def test_odd_instances_leave_the_rest(name, kind):
-    plane = scenes.plane_cloud(8, 0.5, color=np.tile(GREY, (64, 1)), opacity=np.full(64, 0.5, np.float32))
+    plane = clouds.plane_cloud(8, 0.5, color=np.tile(GREY, (64, 1)), opacity=np.full(64, 0.5, np.float32))
     thing = points(f"instance of {kind}", FOG if kind == "medium" else plane)
     assert_room_is_right((thing, ODD_INSTANCES[name]))
 
@@ -267,7 +268,7 @@ def test_a_mirrored_medium_is_the_mirror_of_its_picture():
     cloud = balls([[0.3, 0, 0], [0.5, 0.2, 0.3]], 0.3, [1.0, 2.0])
     eye = camera((0, -6, 0), resolution=SIZE)
     plain, mirrored = (
-        draw(scenes.scene((points("handed", cloud), moved(scale=(x, 1, 1))), lights=(), world=World(np.ones(3))), eye)
+        draw(build.scene((points("handed", cloud), moved(scale=(x, 1, 1))), lights=(), world=World(np.ones(3))), eye)
         for x in (1, -1)
     )
     np.testing.assert_allclose(mirrored, plain[:, ::-1], atol=1e-5)
@@ -280,15 +281,15 @@ def test_shearing_a_medium_shears_its_picture():
     fog = points("slab to shear", voxels(1.6, 0.5, 8, 2.0))
     eye = camera((0, -30, 0), field_of_view=0.6, resolution=(16, 12))
     for matrix in (np.eye(4), shear):
-        found = draw(scenes.scene((fog, matrix), lights=(), world=World(np.ones(3))), eye, samples=4)
+        found = draw(build.scene((fog, matrix), lights=(), world=World(np.ones(3))), eye, samples=4)
         assert found[..., 0].mean() == pytest.approx(np.exp(-1.0), rel=5e-3)
 
 
 @pytest.mark.parametrize("opaque", [False, True])
 def test_a_translucent_holdout_of_odd_things_is_finite(opaque):
     cloud = balls(np.zeros((5, 3)), 0.4, [1e6, np.nan, 1e-6, 0.0, 1.0])
-    made = scenes.scene(
-        (points("odd hole", cloud), moved()), *([(scenes.mesh(scenes.plane_mesh("behind it", 1.0)), moved((0, 1, 0)))]
+    made = build.scene(
+        (points("odd hole", cloud), moved()), *([(build.mesh(meshes.plane_mesh("behind it", 1.0)), moved((0, 1, 0)))]
         if opaque else []), transparent=True, holdout=[True, *([False] if opaque else [])],
     )  # fmt: skip
     found = draw(made)

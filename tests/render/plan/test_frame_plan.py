@@ -11,8 +11,9 @@ from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.device.clock import Cancelled, Clock
 from pointsplat_addon.render.plan.frame_plan import Shot, make_shot
 from pointsplat_addon.render.plan.request import Request
-from tests.support.scenes import ALL_PASSES, CASES, Case
-from tests.support.store import STORE
+from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 

@@ -1,15 +1,16 @@
 """What each scene takes on the device is what its pixels read: passes, targets, textures, attributes, programs.
 
-docs/leave_out.md holds the exact lists; `python tests/support/leave_out.py --write-docs` rewrites them.
+docs/notes/leave_out.md holds the exact lists; `python tests/support/leave_out.py --write-docs` rewrites them.
 """
 
 import numpy as np
 import pytest
 
 from pointsplat_addon.render.plan.reasons import PASSES
-from tests.support import leave_out, scenes
+from scripts.scenes import drawing, solid_cases
+from scripts.scenes.store import STORE
+from tests.support import leave_out
 from tests.support.leave_out import ROWS, active, found, idle_defines, read, words, written
-from tests.support.store import STORE
 
 IMAGE = "project resolve pull push "
 EWA = "splats visibility blend normalise "
@@ -298,7 +299,7 @@ def test_the_viewport_presents_without_a_depth_where_nothing_has_one():
 
 
 def test_the_viewport_presents_a_world_of_one_colour_from_one_texel():
-    case, device = scenes.empty(), leave_out.NullDevice()
+    case, device = solid_cases.empty(), leave_out.NullDevice()
     request = leave_out.Request(case.camera, case.settings, leave_out.COMBINED, 2, interactive=True)
     frame = leave_out.Renderer(device, STORE).start(case.scene, request)
     for _ in range(2):
@@ -317,7 +318,7 @@ def test_every_scene_is_drawn_by_a_device_as_it_is_planned(name):
     row = ROWS[name]
     case = row.case()
     request = leave_out.Request(case.camera, case.settings, row.passes, row.samples, interactive=row.interactive)
-    renderer = scenes.opengl()
+    renderer = drawing.opengl()
     renderer.kept.release()  # orders and light of pictures before
     result = renderer.render(case.scene, request)
     assert {entry["name"] for entry in result.report["passes"]} == set(found(name).ran)

@@ -11,9 +11,10 @@ from pointsplat_addon.core.material.graph import MaterialGraph
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.renderer import Renderer
-from tests.support import scenes
-from tests.support.scenes import ALL_PASSES, CASES, Case
-from tests.support.store import STORE
+from scripts.scenes import build, cameras, clouds, detailed_cases, lit_cases, meshes, solid_cases
+from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 
 ONLY_COMBINED = frozenset({"combined"})
 POINT_PROGRAMS = {"project", "identify", "resolve", "pull", "push", "fill"}
@@ -39,14 +40,14 @@ def skipped(result):
 
 
 def test_an_empty_scene_touches_the_device_not_at_all():
-    device, result = record(scenes.empty(), ALL_PASSES, 16)
+    device, result = record(solid_cases.empty(), ALL_PASSES, 16)
     assert device.textures == device.targets == device.calls == device.interfaces == []
     assert skipped(result)["project"] == skipped(result)["resolve"] == "nothing is drawn as points"
     assert skipped(result)["polygons"] == "nothing is drawn as polygons"
 
 
 def test_a_cube_allocates_no_point_buffers_and_compiles_no_point_program():
-    device, result = record(scenes.cube())
+    device, result = record(solid_cases.cube())
     assert not POINT_PROGRAMS & {interface.name for interface in device.interfaces}
     assert all(not interface.compute for interface in device.interfaces)
     assert "R32UI" not in {texture.format for texture in device.textures}
@@ -58,14 +59,14 @@ def test_a_cube_allocates_no_point_buffers_and_compiles_no_point_program():
 
 
 def test_pictures_are_baked_once_for_all_meshes_and_poses_that_show_them():
-    device, table = NullDevice(), scenes.textured().scene.materials
+    device, table = NullDevice(), solid_cases.textured().scene.materials
     renderer = Renderer(device, STORE)
     for pose in range(2):
         planes = (
-            (scenes.mesh(scenes.plane_mesh(f"shared pictures {x} {pose}"), "POLYGONS"), scenes.moved((x, 0, 0)))
+            (build.mesh(meshes.plane_mesh(f"shared pictures {x} {pose}"), "POLYGONS"), build.moved((x, 0, 0)))
             for x in (-1.1, 1.1)
         )
-        case = scenes.Case(scenes.scene(*planes, table=table), scenes.camera((0.5, -5, 1)))
+        case = Case(build.scene(*planes, table=table), cameras.camera((0.5, -5, 1)))
         renderer.render(case.scene, case.request(ONLY_COMBINED, 1))
     drawn = [call.textures for call in device.calls if call.interface.name == "polygons"]
     assert len(drawn) == 4
@@ -76,7 +77,7 @@ def test_pictures_are_baked_once_for_all_meshes_and_poses_that_show_them():
 
 
 def test_a_cloud_compiles_no_polygon_program_and_has_no_depth_buffer():
-    device, result = record(scenes.plain_sphere())
+    device, result = record(solid_cases.plain_sphere())
     assert "polygons" not in device.names
     assert not any(target.depth for target in device.targets)
     assert "PS_DEPTH" not in defines(device)
@@ -85,7 +86,7 @@ def test_a_cloud_compiles_no_polygon_program_and_has_no_depth_buffer():
 
 
 def test_points_among_polygons_share_their_depth_buffer():
-    device, _ = record(scenes.mixed())
+    device, _ = record(solid_cases.mixed())
     assert any(target.depth for target in device.targets)
     assert "PS_DEPTH" in defines(device)
 
@@ -132,8 +133,8 @@ def test_programs_read_only_samplers_that_they_declare_for_any_single_pass(name,
 
 
 def test_passes_that_nobody_asks_for_have_no_outputs():
-    plain, _ = record(scenes.mixed())
-    full, _ = record(scenes.mixed(), ALL_PASSES)
+    plain, _ = record(solid_cases.mixed())
+    full, _ = record(solid_cases.mixed(), ALL_PASSES)
     outputs = [{name for i in device.interfaces for _, name in i.outputs} for device in (plain, full)]
     extra = {"out_normal_pass", "out_albedo", "out_mist", "out_position", "out_index", "out_vector"}
     assert not extra & outputs[0]
@@ -142,9 +143,9 @@ def test_passes_that_nobody_asks_for_have_no_outputs():
 
 
 def test_the_data_passes_run_once_unless_identities_are_averaged():
-    device, _ = record(scenes.mixed(), frozenset({"depth", "vector", "object_index"}), samples=5)
+    device, _ = record(solid_cases.mixed(), frozenset({"depth", "vector", "object_index"}), samples=5)
     assert device.names.count("data") == 1
-    device, _ = record(scenes.mixed(), frozenset({"crypto_object"}), samples=5)
+    device, _ = record(solid_cases.mixed(), frozenset({"crypto_object"}), samples=5)
     assert device.names.count("data") == 5
 
 
@@ -152,52 +153,52 @@ def test_lights_and_world_cost_only_what_shines():
     def on(case):
         return {name for name in defines(record(case)[0]) if name.startswith("PS_HAS_")}
 
-    shining = on(scenes.lights())
+    shining = on(lit_cases.lights())
     assert {"PS_HAS_WORLD"} | {f"PS_HAS_{kind}S" for kind in KINDS} <= shining
-    assert not shining & on(scenes.unlit())
-    assert shining & on(scenes.cube()) == {"PS_HAS_SUNS", "PS_HAS_WORLD"}
-    assert "PS_HAS_ENVIRONMENT" in on(scenes.environment())
-    assert not shining & on(scenes.environment())
-    assert "ps_lights" not in samplers(record(scenes.unlit())[0])
+    assert not shining & on(solid_cases.unlit())
+    assert shining & on(solid_cases.cube()) == {"PS_HAS_SUNS", "PS_HAS_WORLD"}
+    assert "PS_HAS_ENVIRONMENT" in on(lit_cases.environment())
+    assert not shining & on(lit_cases.environment())
+    assert "ps_lights" not in samplers(record(solid_cases.unlit())[0])
 
 
 def test_a_transparent_film_draws_no_world():
-    case = scenes.environment()
+    case = lit_cases.environment()
     clear = replace(case, scene=replace(case.scene, transparent=True))
     assert skipped(record(clear)[1])["background"] == "the film is transparent"
-    empty = Case(scenes.scene(world=World(np.zeros(3), np.ones((4, 8, 3), np.float32)), transparent=True), case.camera)
+    empty = Case(build.scene(world=World(np.zeros(3), np.ones((4, 8, 3), np.float32)), transparent=True), case.camera)
     assert "PS_HAS_ENVIRONMENT" not in defines(record(empty)[0])
 
 
 def test_one_instance_needs_no_table_of_instances():
-    device, _ = record(scenes.plain_sphere())
+    device, _ = record(solid_cases.plain_sphere())
     assert "PS_ONE_INSTANCE" in defines(device)
     assert "ps_instances" not in samplers(device)
-    case = scenes.plain_sphere()
-    two = scenes.scene(*((case.scene.geometries[0], scenes.moved((x, 0, 0))) for x in (-1, 1)))
+    case = solid_cases.plain_sphere()
+    two = build.scene(*((case.scene.geometries[0], build.moved((x, 0, 0))) for x in (-1, 1)))
     device, _ = record(replace(case, scene=two))
     assert "PS_ONE_INSTANCE" not in defines(device)
     assert "ps_instances" in samplers(device)
 
 
 def test_holdouts_and_culling_are_variants():
-    assert "PS_HOLDOUT" in defines(record(scenes.holdout())[0])
-    assert "PS_CULL" in defines(record(scenes.culled())[0])
-    plain = defines(record(scenes.mixed())[0])
+    assert "PS_HOLDOUT" in defines(record(solid_cases.holdout())[0])
+    assert "PS_CULL" in defines(record(solid_cases.culled())[0])
+    plain = defines(record(solid_cases.mixed())[0])
     assert not {"PS_HOLDOUT", "PS_CULL"} & plain
 
 
 def test_an_emission_that_only_points_have_is_known_to_polygons_too():
     """They share one G-buffer: what one kind has, the other must fill from its table."""
     graph = MaterialGraph(emission=ex.Color(ex.UV()))
-    glowing = scenes.mesh(scenes.plane_mesh("glowing plane"), "POLYGONS")
+    glowing = build.mesh(meshes.plane_mesh("glowing plane"), "POLYGONS")
     case = Case(
-        scenes.scene(
-            (glowing, scenes.moved()),
-            (scenes.points("unlit sphere", scenes.sphere_cloud()), scenes.moved()),
-            table=scenes.materials(graphs=(graph,)),
+        build.scene(
+            (glowing, build.moved()),
+            (build.points("unlit sphere", clouds.sphere_cloud()), build.moved()),
+            table=build.materials(graphs=(graph,)),
         ),
-        scenes.camera(),
+        cameras.camera(),
     )
     device, _ = record(case)
     named = {i.name: {name for name, _ in i.defines} for i in device.interfaces}
@@ -206,7 +207,7 @@ def test_an_emission_that_only_points_have_is_known_to_polygons_too():
 
 def test_many_materials_have_identities_that_halves_cannot_hold():
     few, many = (
-        record(replace(scenes.cube(), scene=replace(scenes.cube().scene, materials=scenes.materials(n))))[0]
+        record(replace(solid_cases.cube(), scene=replace(solid_cases.cube().scene, materials=build.materials(n))))[0]
         for n in (100, 3000)
     )
 
@@ -218,7 +219,7 @@ def test_many_materials_have_identities_that_halves_cannot_hold():
 
 
 def test_without_image_atomics_points_are_rasterised():
-    device, _ = record(scenes.plain_sphere(), device=NullDevice(replace(LIMITS, image_atomics=False)))
+    device, _ = record(solid_cases.plain_sphere(), device=NullDevice(replace(LIMITS, image_atomics=False)))
     assert all(not interface.compute for interface in device.interfaces)
     assert any(call.interface.name == "project" and call.primitive == "POINTS" for call in device.calls)
     assert "identify" not in device.names
@@ -240,7 +241,7 @@ def test_every_pass_that_is_asked_for_is_there_in_every_scene():
     expected = (ALL_PASSES - {"crypto_object", "crypto_material"}) | {
         f"crypto_{kind}{i:02d}" for kind in ("object", "material") for i in range(3)
     }
-    lone_world = Case(scenes.scene(world=World(np.zeros(3), np.ones((4, 8, 3), np.float32))), scenes.camera())
+    lone_world = Case(build.scene(world=World(np.zeros(3), np.ones((4, 8, 3), np.float32))), cameras.camera())
     for case in (*(make() for make in CASES.values()), lone_world):
         _, result = record(case, ALL_PASSES)
         assert set(result.pixels) == expected
@@ -256,7 +257,7 @@ def test_the_second_frame_uploads_only_small_tables(name):
     first, pages = device.uploaded_bytes, len(device.textures)
     turned = replace(
         case.camera,
-        view_from_world=scenes.look_at((0, 0, 0), (0.05, 0.03, -1), (0, 1, 0)) @ case.camera.view_from_world,
+        view_from_world=cameras.look_at((0, 0, 0), (0.05, 0.03, -1), (0, 1, 0)) @ case.camera.view_from_world,
     )
     renderer.render(case.scene, replace(case, camera=turned).request(ALL_PASSES))
     again = [texture for texture in device.textures[pages:] if texture.uploaded]
@@ -268,8 +269,8 @@ def test_the_second_frame_uploads_only_small_tables(name):
 
 
 def test_a_large_static_cloud_is_uploaded_once():
-    cloud = scenes.sphere_cloud(200_000)
-    case = Case(scenes.scene((scenes.points("large", cloud), scenes.moved())), scenes.camera())
+    cloud = clouds.sphere_cloud(200_000)
+    case = Case(build.scene((build.points("large", cloud), build.moved())), cameras.camera())
     device = NullDevice()
     renderer = Renderer(device, STORE)
     renderer.render(case.scene, case.request(ONLY_COMBINED))
@@ -291,11 +292,11 @@ def test_a_scene_without_strands_compiles_nothing_for_them(technique):
 
 @pytest.mark.parametrize("technique", ["IMAGE_SPACE", "EWA", "PAINTER"])
 def test_strands_alone_need_neither_points_nor_a_pyramid(technique):
-    case = scenes.strands()
+    case = detailed_cases.strands()
     only = [
-        (g, m) for g, m in zip(case.scene.geometries, case.scene.instances.world_from_object, strict=True) if g.lines
+        (g, m) for g, m in zip(case.scene.geometries, case.scene.instances.world_from_object, strict=True) if g.strands
     ]
-    alone = replace(case, scene=scenes.scene(*only), settings=replace(case.settings, technique=technique))
+    alone = replace(case, scene=build.scene(*only), settings=replace(case.settings, technique=technique))
     device, result = record(alone, samples=8)
     assert not POINT_PROGRAMS & set(device.names)
     assert "polygons" not in device.names
@@ -313,8 +314,8 @@ def test_strands_alone_need_neither_points_nor_a_pyramid(technique):
 
 def test_wide_strands_leave_out_what_thin_ones_need():
     turn = np.linspace(0, 6, 20)
-    tube = scenes.strand_lines("wide only", [np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=1)], 0.2)
-    device, result = record(Case(scenes.scene((tube, scenes.moved())), scenes.camera()), samples=8)
+    tube = build.strand_lines("wide only", [np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=1)], 0.2)
+    device, result = record(Case(build.scene((tube, build.moved())), cameras.camera()), samples=8)
     assert "PS_THIN" not in defines(device)
     assert "adapt" not in skipped(result)
     assert all(call.primitive == "TRIANGLES" for call in device.calls if call.interface.name == "lines")

@@ -9,9 +9,9 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.plan.technique import choose
 from pointsplat_addon.render.renderer import Renderer
-from tests.support import scenes
-from tests.support.scenes import Case
-from tests.support.store import STORE
+from scripts.scenes import build, cameras, cases, clouds
+from scripts.scenes.case import Case
+from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 EWA = {"splats", "visibility", "blend", "normalise"}
@@ -19,11 +19,11 @@ IMAGE_SPACE = {"project", "identify", "resolve", "pull", "push"}
 
 
 def case(key: str, color=None, technique: str = "AUTO", instances: int = 1, cloud=None) -> Case:
-    cloud = scenes.sphere_cloud(500) if cloud is None else cloud
+    cloud = clouds.sphere_cloud(500) if cloud is None else cloud
     cloud = cloud if color is None else replace(cloud, color=np.full((len(cloud), 3), color, np.float32))
-    ball = scenes.points(key, cloud)
-    placed = ((ball, scenes.moved((0.1 * i, 0, 0))) for i in range(instances))
-    return Case(scenes.scene(*placed), scenes.camera(), Settings(technique=technique, use_shadows=False))
+    ball = build.points(key, cloud)
+    placed = ((ball, build.moved((0.1 * i, 0, 0))) for i in range(instances))
+    return Case(build.scene(*placed), cameras.camera(), Settings(technique=technique, use_shadows=False))
 
 
 def drawn(case: Case, samples: int, interactive: bool = False, float_blend: bool = True) -> tuple[str, set[str], dict]:
@@ -58,7 +58,7 @@ def test_instances_that_share_nodes_are_drawn_in_image_space():
 
 
 def test_leaves_are_drawn_in_image_space():
-    name, programs, report = drawn(case("leaves in colour", 0.5, cloud=scenes.leaves(2000, 0.7)), 16)
+    name, programs, report = drawn(case("leaves in colour", 0.5, cloud=clouds.leaves(2000, 0.7)), 16)
     assert name == "IMAGE_SPACE"
     assert "apart" in report["technique"]["because"]
     assert not programs & EWA
@@ -81,7 +81,7 @@ def test_what_cannot_be_done_is_said(technique):
 
 
 def test_textured_meshes_count_as_coloured_and_polygons_do_not():
-    textured = scenes.CASES["textured"]().scene
+    textured = cases.CASES["textured"]().scene
     assert choose(Settings(), textured, 16, False, True).name == "EWA"
     solid = replace(textured, geometries=tuple(replace(g, primitive="POLYGONS") for g in textured.geometries))
     assert choose(Settings(), solid, 16, False, True).name == "IMAGE_SPACE"

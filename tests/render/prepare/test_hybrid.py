@@ -17,10 +17,11 @@ from pointsplat_addon.render.budget.calibrate import calibrate
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
-from scripts.compare import eroded
-from scripts.transitions import levels
-from tests.render.frame.test_quality import with_smooth_normals
-from tests.support import scenes
+from scripts.common.images import eroded
+from scripts.scenes import build, cameras, clouds, drawing, meshes
+from scripts.scenes.case import Case
+from scripts.scenes.changes import levels
+from scripts.scenes.meshes import with_smooth_normals
 
 SETTINGS = Settings(use_shadows=False, use_adaptive_sampling=False)
 # Points need not pay for their passes and for being sampled: the pictures are small, and of few samples.
@@ -30,9 +31,9 @@ SIZE = 128
 
 def plane() -> tuple[Mesh, Camera]:
     """A field of triangles that reaches from the camera's feet to a horizon."""
-    camera = scenes.camera((0, -1.2, -19.5), resolution=(SIZE, SIZE), field_of_view=50, near=0.05)
-    view = scenes.look_at((0, -1.2, -19.5), (0, 0, -10), (0, -1, 0))
-    return scenes.plane_mesh("split plane", 20.0, 450), replace(camera, view_from_world=view)
+    camera = cameras.camera((0, -1.2, -19.5), resolution=(SIZE, SIZE), field_of_view=50, near=0.05)
+    view = cameras.look_at((0, -1.2, -19.5), (0, 0, -10), (0, -1, 0))
+    return meshes.plane_mesh("split plane", 20.0, 450), replace(camera, view_from_world=view)
 
 
 def bumps() -> tuple[Mesh, Camera]:
@@ -64,10 +65,10 @@ SHAPES = {f.__name__: cache(f) for f in (plane, bumps, two_materials, shuffled)}
 
 def scene(name: str, primitive: str = "AUTO") -> Scene:
     mesh, camera = SHAPES[name]()
-    light = scenes.sun(2.5, camera.view_from_world[:3, :3].T @ (0.45, -0.5, -1.0))
-    table = scenes.materials(2, base_color=[[0.55, 0.42, 0.30], [0.2, 0.4, 0.5]])
-    return scenes.scene(
-        (scenes.mesh(mesh, primitive), scenes.moved()), lights=[light], world=World(np.full(3, 0.35)), table=table
+    light = build.sun(2.5, camera.view_from_world[:3, :3].T @ (0.45, -0.5, -1.0))
+    table = build.materials(2, base_color=[[0.55, 0.42, 0.30], [0.2, 0.4, 0.5]])
+    return build.scene(
+        (build.mesh(mesh, primitive), build.moved()), lights=[light], world=World(np.full(3, 0.35)), table=table
     )
 
 
@@ -77,7 +78,7 @@ def prepared(name: str):
 
 @cache
 def picture(name: str, primitive: str, samples: int, technique: str = SETTINGS.technique) -> np.ndarray:
-    renderer = scenes.opengl()
+    renderer = drawing.opengl()
     before, renderer.costs = renderer.costs, COSTS
     try:
         settings = replace(SETTINGS, technique=technique)
@@ -147,7 +148,7 @@ def test_the_same_figures_give_the_same_picture():
 
 
 def test_few_triangles_are_not_worth_the_passes_over_all_pixels():
-    case = scenes.Case(scene("bumps"), replace(SHAPES["bumps"]()[1], region=None), SETTINGS)
+    case = Case(scene("bumps"), replace(SHAPES["bumps"]()[1], region=None), SETTINGS)
     found = prepare(case.scene, case.camera, SETTINGS, 1, Store(), costs=replace(COSTS, pixel=1e6))
     assert found.cut.splats == 0
     assert found.polygons.tolist() == [0]
@@ -155,8 +156,8 @@ def test_few_triangles_are_not_worth_the_passes_over_all_pixels():
 
 def test_points_beside_a_cloud_need_no_passes_of_their_own():
     mesh, camera = SHAPES["bumps"]()
-    beside = scenes.points("beside", scenes.sphere_cloud(100))
-    both = scenes.scene((scenes.mesh(mesh), scenes.moved()), (beside, scenes.moved((3, 0, 0))))
+    beside = build.points("beside", clouds.sphere_cloud(100))
+    both = build.scene((build.mesh(mesh), build.moved()), (beside, build.moved((3, 0, 0))))
     found = prepare(both, camera, SETTINGS, 1, Store(), costs=replace(COSTS, pixel=1e6))
     assert found.cut.splats > 1000
 
@@ -164,8 +165,8 @@ def test_points_beside_a_cloud_need_no_passes_of_their_own():
 def test_leaves_beside_are_polygons_and_make_no_points_cheaper():
     mesh, camera = SHAPES["bumps"]()
     position = np.random.default_rng(0).normal(0, 0.3, (600, 3)).astype(np.float32)
-    leaves = scenes.flat_mesh("leaves", position, np.arange(600, dtype=np.int32).reshape(-1, 3))
-    both = scenes.scene((scenes.mesh(mesh), scenes.moved()), (scenes.mesh(leaves), scenes.moved((0, 0, 0.5))))
+    leaves = meshes.flat_mesh("leaves", position, np.arange(600, dtype=np.int32).reshape(-1, 3))
+    both = build.scene((build.mesh(mesh), build.moved()), (build.mesh(leaves), build.moved((0, 0, 0.5))))
     found = prepare(both, camera, SETTINGS, 1, Store(), costs=replace(COSTS, pixel=1e6))
     assert found.cut.splats == 0
     assert found.polygons.tolist() == [0, 1]
@@ -187,6 +188,6 @@ def test_what_is_kept_from_pictures_before_changes_no_choice():
 
 
 def test_a_device_can_be_calibrated():
-    costs = calibrate(scenes.opengl())
+    costs = calibrate(drawing.opengl())
     assert costs.valid()
     assert costs.triangle > 1  # nanoseconds: no device that runs this test draws a billion a second

@@ -8,10 +8,10 @@ import pytest
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from scripts.compare import eroded
-from scripts.transitions import levels
-from tests.support import scenes
-from tests.support.scenes import Case
+from scripts.common.images import eroded
+from scripts.scenes import build, cameras, drawing, meshes
+from scripts.scenes.case import Case
+from scripts.scenes.changes import levels
 
 SETTINGS = Settings(use_shadows=False, use_adaptive_sampling=False)
 SIZE = 128
@@ -19,7 +19,7 @@ SIZE = 128
 
 def halves() -> tuple[Mesh, Mesh, Mesh]:
     """All of a sphere, what of it lies left of a slanted plane, and the rest."""
-    whole = scenes.sphere_mesh("seam", 64)
+    whole = meshes.sphere_mesh("seam", 64)
     middle = whole.position[whole.triangles].astype(float).mean(axis=1)
     left = middle @ (1.0, 0.0, 0.4) < 0.0
 
@@ -30,12 +30,12 @@ def halves() -> tuple[Mesh, Mesh, Mesh]:
 
 
 def picture(samples: int, *parts: tuple[Mesh, str], technique: str = "IMAGE_SPACE") -> tuple[np.ndarray, np.ndarray]:
-    camera = scenes.camera((0, -3.2, 0), resolution=(SIZE, SIZE))
-    held = [(scenes.mesh(mesh, primitive), scenes.moved()) for mesh, primitive in parts]
-    light = scenes.sun(2.5, (0.4, 0.7, -0.5))
-    scene = scenes.scene(*held, lights=[light], world=World(np.full(3, 0.35)), transparent=True)
+    camera = cameras.camera((0, -3.2, 0), resolution=(SIZE, SIZE))
+    held = [(build.mesh(mesh, primitive), build.moved()) for mesh, primitive in parts]
+    light = build.sun(2.5, (0.4, 0.7, -0.5))
+    scene = build.scene(*held, lights=[light], world=World(np.full(3, 0.35)), transparent=True)
     case = Case(scene, camera, replace(SETTINGS, technique=technique))
-    pixels = scenes.render(case, frozenset({"combined", "object_index"}), samples).pixels
+    pixels = drawing.render(case, frozenset({"combined", "object_index"}), samples).pixels
     return np.dstack([levels(pixels["combined"]), 255 * pixels["combined"][..., 3:]]), pixels["object_index"][..., 0]
 
 

@@ -15,12 +15,12 @@ from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
-from scripts.tower import COLORS
-from tests.support import scenes
-from tests.support.scenes import Case
-from tests.support.store import STORE
+from scripts.common.tower import COLORS
+from scripts.scenes import build, cameras, clouds, drawing, meshes
+from scripts.scenes.case import Case
+from scripts.scenes.store import STORE
 
-BALL = replace(scenes.sphere_cloud(3000), radii=np.full((3000, 1), 0.05, np.float32))
+BALL = replace(clouds.sphere_cloud(3000), radii=np.full((3000, 1), 0.05, np.float32))
 
 
 def field(side: int, spacing: float = 6.0, name: str = "field of balls") -> Case:
@@ -28,14 +28,14 @@ def field(side: int, spacing: float = 6.0, name: str = "field of balls") -> Case
     x, y = (a.ravel() * spacing for a in np.meshgrid(*[np.arange(side) - (side - 1) / 2] * 2))
     matrices = np.tile(np.eye(4), (side * side, 1, 1))
     matrices[:, 0, 3], matrices[:, 1, 3] = x, y
-    case = Case(scenes.scene((scenes.points(name, BALL), scenes.moved()), lights=(scenes.sun(),)), scenes.camera())
+    case = Case(build.scene((build.points(name, BALL), build.moved()), lights=(build.sun(),)), cameras.camera())
     made = replace(case.scene, instances=Instances(np.zeros(len(x), np.int32), matrices), transparent=True)
     return replace(case, scene=made)
 
 
 def seen_from(case: Case, distance: float, angle: float = 0.3, resolution: tuple[int, int] = (96, 72)) -> Case:
     eye = distance * np.array([np.sin(angle), -np.cos(angle), 0.8])
-    camera = scenes.camera(eye, resolution=resolution, field_of_view=20.0, near=1.0, far=1e5)
+    camera = cameras.camera(eye, resolution=resolution, field_of_view=20.0, near=1.0, far=1e5)
     return replace(case, camera=camera)
 
 
@@ -44,7 +44,7 @@ def prepared(case: Case, store: Store | None = None):
 
 
 def picture(case: Case, samples: int = 16) -> np.ndarray:
-    return scenes.render(case, frozenset({"combined"}), samples).pixels["combined"]
+    return drawing.render(case, frozenset({"combined"}), samples).pixels["combined"]
 
 
 def test_forty_thousand_instances_are_one_point_set_and_a_range_each():
@@ -128,7 +128,7 @@ def test_the_mean_of_a_far_field_is_that_of_a_near_one(distance, spacing, alpha_
 def bodies(name: str, primitive: str, tolerance: float, against: bool) -> Case:
     """64 towers or boxes at random places and turns, 16 pixels high, from above at 36 degrees in parallel. As many
     splats as of a body of 16 pixels over the tolerance, so that samples of pixels do not count."""
-    side, of = 8, scenes.small_tower("towers at random") if name == "towers" else scenes.cube_mesh("boxes at random")
+    side, of = 8, meshes.small_tower("towers at random") if name == "towers" else meshes.cube_mesh("boxes at random")
     rng = np.random.default_rng(5)
     tall = float(np.ptp(of.position[:, 2]))
     x, y = (a.ravel() for a in np.meshgrid(*[np.arange(side) - (side - 1) / 2] * 2))
@@ -141,10 +141,10 @@ def bodies(name: str, primitive: str, tolerance: float, against: bool) -> Case:
     width, angle = (side + 2) * gap, np.radians(36)
     size = round(16 * width / tall)
     eye = 20 * tall * np.array([0, -np.cos(angle), np.sin(angle)])
-    camera = scenes.camera(eye, (0, 0, 0), (size, size), parallel=width, near=tall, far=60 * tall)
-    light = scenes.sun(direction=(0.3, -0.7 if against else 0.7, -0.6))
-    table = scenes.materials(4, base_color=np.array(COLORS, np.float32))
-    made = scenes.scene((scenes.mesh(of, primitive), scenes.moved()), lights=(light,), table=table)
+    camera = cameras.camera(eye, (0, 0, 0), (size, size), parallel=width, near=tall, far=60 * tall)
+    light = build.sun(direction=(0.3, -0.7 if against else 0.7, -0.6))
+    table = build.materials(4, base_color=np.array(COLORS, np.float32))
+    made = build.scene((build.mesh(of, primitive), build.moved()), lights=(light,), table=table)
     made = replace(made, instances=Instances(np.zeros(side**2, np.int32), matrix), transparent=True)
     return Case(made, camera, Settings(tolerance=tolerance, use_shadows=False))
 
@@ -217,11 +217,9 @@ def test_an_orbit_is_as_steady_as_the_picture_of_all():
 
 
 def test_near_instances_are_polygons_and_far_ones_points():
-    cube = scenes.cube_mesh("cubes near and far")
+    cube = meshes.cube_mesh("cubes near and far")
     places = [(0, 0, 0), *((2.0 * i, 300.0, 0.0) for i in range(-10, 10))]
-    case = Case(
-        scenes.scene(*((scenes.mesh(cube), scenes.moved(place)) for place in places)), scenes.camera(far=1000.0)
-    )
+    case = Case(build.scene(*((build.mesh(cube), build.moved(place)) for place in places)), cameras.camera(far=1000.0))
     geometry = case.scene.geometries[0]
     case = replace(
         case,
@@ -240,9 +238,9 @@ def test_colours_of_materials_mix_in_coarse_nodes():
     """Half of the points red, half green: a far field is yellow, whatever its nodes' heaviest child is."""
     rng = np.random.default_rng(0)
     cloud = replace(BALL, material=rng.integers(0, 2, len(BALL)).astype(np.uint16))
-    table = scenes.materials(2, base_color=np.array([[1, 0, 0], [0, 1, 0]], np.float32))
+    table = build.materials(2, base_color=np.array([[1, 0, 0], [0, 1, 0]], np.float32))
     case = field(10, name="field of two colours")
-    geometry = scenes.points("field of two colours", cloud)
+    geometry = build.points("field of two colours", cloud)
     case = seen_from(replace(case, scene=replace(case.scene, geometries=(geometry,), materials=table)), 1000.0)
     found = prepared(case)
     (points,) = found.point_sets.values()
@@ -260,7 +258,7 @@ def test_the_tolerance_decides_how_much_is_drawn(tolerance):
 
 def test_a_parallel_camera_sees_the_same_field():
     case = field(24, 2.5)
-    camera: Camera = scenes.camera((0, -400, 320), resolution=(96, 72), parallel=200.0, near=1.0, far=1e4)
+    camera: Camera = cameras.camera((0, -400, 320), resolution=(96, 72), parallel=200.0, near=1.0, far=1e4)
     found = prepared(replace(case, camera=camera))
     assert len(np.unique(found.cut.count)) == 1
     assert len(found.cut.instance) == 576
@@ -270,12 +268,12 @@ def test_bodies_of_twenty_pixels_are_closed():
     """What stood apart let far sides show between its splats, as dots."""
     found = []
     for primitive in ("POINTS", "POLYGONS"):
-        ball = scenes.mesh(scenes.sphere_mesh("closed bodies", 120), primitive)
-        placed = [(ball, scenes.moved((0.22 * (i % 5) - 0.44, 0.22 * (i // 5) - 0.44, 0.2), 0.08)) for i in range(25)]
-        scene = scenes.scene(*placed, lights=[scenes.sun(3.0, (0.3, 0.2, -1.0))])
-        camera = scenes.camera((0, -2.5, 2.5), resolution=(160, 120))
+        ball = build.mesh(meshes.sphere_mesh("closed bodies", 120), primitive)
+        placed = [(ball, build.moved((0.22 * (i % 5) - 0.44, 0.22 * (i // 5) - 0.44, 0.2), 0.08)) for i in range(25)]
+        scene = build.scene(*placed, lights=[build.sun(3.0, (0.3, 0.2, -1.0))])
+        camera = cameras.camera((0, -2.5, 2.5), resolution=(160, 120))
         case = Case(scene, camera, Settings(use_shadows=False))
-        found.append(scenes.render(case, frozenset({"combined"}), 4).pixels["combined"][..., :3].astype(float))
+        found.append(drawing.render(case, frozenset({"combined"}), 4).pixels["combined"][..., :3].astype(float))
     difference = np.abs(found[0] - found[1])
     assert np.sqrt((difference**2).mean()) < 0.01  # measured 0.0080; 0.0161 where they stood apart
     assert (difference.max(axis=2) > 0.2).sum() <= 4  # measured 2; 11 where they stood apart

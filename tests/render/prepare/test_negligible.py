@@ -15,9 +15,9 @@ from pointsplat_addon.render.prepare.in_view import CLEAR, OUT_OF_VIEW, drawn_ba
 from pointsplat_addon.render.prepare.negligible import EMISSION, LIGHTS, MEASURABLE, WORLD, reflection
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.shadow import shadows
-from tests.support import scenes
-from tests.support.scenes import Case
-from tests.support.store import STORE
+from scripts.scenes import build, cameras, cases, clouds, drawing, lit_cases, solid_cases
+from scripts.scenes.case import Case
+from scripts.scenes.store import STORE
 
 KINDS = ("SUN", "POINT", "SPOT", "AREA")
 COMBINED = frozenset({"combined"})
@@ -47,19 +47,19 @@ def test_no_light_adds_more_than_its_bound(kind):
     rng = np.random.default_rng(KINDS.index(kind))
     worst = 0.0
     for _ in range(60):
-        table = scenes.materials(
+        table = build.materials(
             base_color=rng.uniform(0, 1.5, (1, 3)), roughness=[rng.random()], metallic=[rng.choice([0, rng.random()])],
             ior=[rng.uniform(0.7, 2.5)], specular=[rng.choice([0.0, 0.5, 1.0])],
         )  # fmt: skip
-        case = Case(scenes.scene((scenes.points("faint: bounds", scenes.sphere_cloud(200)), np.eye(4)), table=table),
-                    scenes.camera())  # fmt: skip
+        case = Case(build.scene((build.points("faint: bounds", clouds.sphere_cloud(200)), np.eye(4)), table=table),
+                    cameras.camera())  # fmt: skip
         prepared = prepare(case.scene, case.camera, Settings(), 1, STORE)
         light = lamp(rng, kind, rng.uniform(0.0, 8))
         centre, radius = drawn_ball(case.scene, prepared, STORE)
         middle = np.linalg.inv(case.camera.view_from_world)[:3] @ np.append(centre, 1)
         nearest = max(float(np.linalg.norm(light.position - middle)) - radius, 0.0)
         bound = reflection(case.scene, prepared, STORE).of(light, lighting.light_irradiance(light, nearest))
-        position, normal = scenes.sphere_points(200), rng.standard_normal((200, 3))
+        position, normal = clouds.sphere_points(200), rng.standard_normal((200, 3))
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         to_light = np.where(kind == "SUN", -light.direction, light.position - position)
         to_light = to_light / np.maximum(np.linalg.norm(to_light, axis=1, keepdims=True), 1e-9)
@@ -83,10 +83,10 @@ def without_leaving_out(monkeypatch):
 
 def both(case: Case, monkeypatch, samples: int = 1):
     """The result as it is, and the picture of everything."""
-    result = scenes.render(case, COMBINED, samples)
+    result = drawing.render(case, COMBINED, samples)
     with monkeypatch.context() as patched:
         without_leaving_out(patched)
-        full = scenes.render(case, COMBINED, samples).pixels["combined"]
+        full = drawing.render(case, COMBINED, samples).pixels["combined"]
     return result, full
 
 
@@ -95,7 +95,7 @@ def why(result) -> dict[str, str]:
 
 
 def with_lights(*lights: Light) -> Case:
-    case = scenes.plain_sphere()
+    case = solid_cases.plain_sphere()
     return replace(case, scene=replace(case.scene, lights=lights), settings=Settings(shadow_resolution=64))
 
 
@@ -111,9 +111,9 @@ def test_a_lamp_far_away_is_left_out_with_its_shadow_and_nobody_sees_it(monkeypa
 
 
 def test_many_faint_lamps_are_left_out_only_as_long_as_all_of_them_are_faint(monkeypatch):
-    case = scenes.plain_sphere()
+    case = solid_cases.plain_sphere()
     bounds = reflection(case.scene, prepare(case.scene, case.camera, case.settings, 1, STORE), STORE)
-    one = scenes.sun(LIGHTS / 9.5 / bounds.of(scenes.sun(1.0), 1.0))
+    one = build.sun(LIGHTS / 9.5 / bounds.of(build.sun(1.0), 1.0))
     few, many = (both(with_lights(*[one] * n), monkeypatch) for n in (2, 50))
     assert why(few[0])["lights"].startswith("2 of 2")
     assert why(many[0])["lights"].startswith("9 of 50")
@@ -123,14 +123,14 @@ def test_many_faint_lamps_are_left_out_only_as_long_as_all_of_them_are_faint(mon
 
 def test_a_lamp_that_is_off_has_no_table_of_shadows(monkeypatch):
     monkeypatch.setattr(shadows.shadow, "build", lambda *_: pytest.fail("a table was built"))
-    result = scenes.render(with_lights(replace(scenes.sun(), color=np.zeros(3))), COMBINED)
+    result = drawing.render(with_lights(replace(build.sun(), color=np.zeros(3))), COMBINED)
     assert why(result)["lights"].startswith("1 of 1")
 
 
 @pytest.mark.parametrize("image", [False, True])
 @pytest.mark.parametrize("transparent", [False, True])
 def test_a_world_is_left_out_just_below_what_it_may_add(image, transparent, monkeypatch):
-    case = scenes.plain_sphere()
+    case = solid_cases.plain_sphere()
     for factor in (0.999, 1.001):
         prepared = prepare(case.scene, case.camera, case.settings, 1, STORE)
         radiance = factor * WORLD / reflection(case.scene, prepared, STORE).world
@@ -148,15 +148,15 @@ def test_a_world_is_left_out_just_below_what_it_may_add(image, transparent, monk
 def test_one_bright_texel_keeps_an_environment_picture():
     image = np.zeros((256, 512, 3), np.float32)
     image[101, 203] = 1000.0
-    case = scenes.plain_sphere()
-    result = scenes.render(replace(case, scene=replace(case.scene, world=World(np.zeros(3), image))), COMBINED)
+    case = solid_cases.plain_sphere()
+    result = drawing.render(replace(case, scene=replace(case.scene, world=World(np.zeros(3), image))), COMBINED)
     assert "world" not in why(result)
 
 
 @pytest.mark.parametrize("factor", [0.999, 1.001])
 def test_emission_is_left_out_just_below_what_it_may_add(factor, monkeypatch):
-    case = scenes.cube()
-    table = scenes.materials(emission=np.full((1, 3), factor * EMISSION))
+    case = solid_cases.cube()
+    table = build.materials(emission=np.full((1, 3), factor * EMISSION))
     result, full = both(replace(case, scene=replace(case.scene, materials=table)), monkeypatch)
     assert ("emission" in why(result)) == (factor < 1)
     difference = np.abs(result.pixels["combined"] - full).max()
@@ -169,8 +169,8 @@ def test_all_that_may_be_left_out_together_is_not_measurable():
 
 
 def test_what_reflects_nothing_is_shown_as_if_it_were_lit(monkeypatch):
-    case = scenes.emission()
-    lit = replace(case, scene=replace(case.scene, lights=(scenes.sun(100.0),), world=World(np.ones(3))))
+    case = lit_cases.emission()
+    lit = replace(case, scene=replace(case.scene, lights=(build.sun(100.0),), world=World(np.ones(3))))
     black = replace(lit.scene.materials, specular=np.zeros(2, np.float32))
     result, full = both(replace(lit, scene=replace(lit.scene, materials=black)), monkeypatch)
     assert why(result)["lights"] == "1 of 1: nothing that is drawn reflects light"
@@ -180,19 +180,19 @@ def test_what_reflects_nothing_is_shown_as_if_it_were_lit(monkeypatch):
 
 def test_materials_that_nothing_has_reflect_nothing():
     """Row 0 is Blender's default material, whether or not anything has it."""
-    case = scenes.emission()
+    case = lit_cases.emission()
     table = replace(case.scene.materials, base_color=np.array([[0.8] * 3, [0, 0, 0]], np.float32))
-    cloud = replace(scenes.sphere_cloud(), material=np.ones(400, np.uint16))
-    scene = scenes.scene((scenes.points("faint: second material", cloud), np.eye(4)), table=table)
+    cloud = replace(clouds.sphere_cloud(), material=np.ones(400, np.uint16))
+    scene = build.scene((build.points("faint: second material", cloud), np.eye(4)), table=table)
     assert reflection(scene, prepare(scene, case.camera, case.settings, 1, STORE), STORE).black
-    plain = scenes.scene((scenes.points("faint: first material", scenes.sphere_cloud()), np.eye(4)), table=table)
+    plain = build.scene((build.points("faint: first material", clouds.sphere_cloud()), np.eye(4)), table=table)
     assert not reflection(plain, prepare(plain, case.camera, case.settings, 1, STORE), STORE).black
 
 
 @pytest.mark.parametrize("name", ["mixed", "wide_balls", "smoke", "panes", "foliage", "strands", "many_towers"])
 def test_turning_away_changes_no_pixel(name, monkeypatch):
     """Cameras that turn until nothing is in view: pictures are the same as with all that is beside them."""
-    case = scenes.CASES[name]()
+    case = cases.CASES[name]()
     left = 0
     for angle in np.linspace(0, np.pi, 7):
         turn = np.array(
@@ -206,8 +206,8 @@ def test_turning_away_changes_no_pixel(name, monkeypatch):
 
 
 def test_with_an_aperture_nothing_is_out_of_view():
-    case = scenes.mixed()
-    away = scenes.camera((0, -8, 0), (0, -16, 0))
+    case = solid_cases.mixed()
+    away = cameras.camera((0, -8, 0), (0, -16, 0))
     prepared = prepare(case.scene, away, case.settings, 1, STORE)
     left, gone = in_view(case.scene, prepared, away, STORE)
     assert gone["polygons"] == OUT_OF_VIEW
@@ -216,11 +216,11 @@ def test_with_an_aperture_nothing_is_out_of_view():
 
 
 def test_clear_matter_is_left_out_and_what_glows_in_it_is_not(monkeypatch):
-    smoke = scenes.smoke_cloud(8, 0.0)
+    smoke = clouds.smoke_cloud(8, 0.0)
     glow = replace(smoke, emission=np.full((len(smoke), 3), 0.1, np.float32))
-    ball = scenes.points("faint: behind", scenes.sphere_cloud())
+    ball = build.points("faint: behind", clouds.sphere_cloud())
     for key, cloud, clear in (("faint: clear", smoke, True), ("faint: glows", glow, False)):
-        things = ((scenes.points(key, cloud), scenes.moved((0, -2, 0))), (ball, scenes.moved()))
-        result, full = both(Case(scenes.scene(*things), scenes.camera((0, -6, 0))), monkeypatch)
+        things = ((build.points(key, cloud), build.moved((0, -2, 0))), (ball, build.moved()))
+        result, full = both(Case(build.scene(*things), cameras.camera((0, -6, 0))), monkeypatch)
         assert (why(result).get("light") == CLEAR) == clear
         np.testing.assert_array_equal(result.pixels["combined"], full)

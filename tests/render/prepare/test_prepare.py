@@ -10,13 +10,15 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Transfer, Volume
-from pointsplat_addon.core.surface import sampling
 from pointsplat_addon.render.cache.keys import Key, Kind
 from pointsplat_addon.render.cache.store import Store
+from pointsplat_addon.render.prepare import meshes
 from pointsplat_addon.render.prepare.parts import parted
 from pointsplat_addon.render.prepare.prepare import prepare
-from tests.support import scenes
-from tests.support.scenes import CASES, Case
+from scripts.scenes import build, cameras, clouds
+from scripts.scenes.case import Case
+from scripts.scenes.cases import CASES
+from scripts.scenes.meshes import cube_mesh, flat_mesh, sphere_mesh
 
 
 def prepared(case, store=None, samples=1, costs=DEFAULT):
@@ -24,25 +26,25 @@ def prepared(case, store=None, samples=1, costs=DEFAULT):
 
 
 def at_distance(case, distance):
-    camera = scenes.camera((0, -distance, 0), far=10 * distance)
+    camera = cameras.camera((0, -distance, 0), far=10 * distance)
     return replace(case, camera=camera)
 
 
 def of(mesh, primitive="AUTO", distance=4.0, spacing=0.0):
     return at_distance(
-        Case(scenes.scene((scenes.mesh(mesh, primitive, spacing), scenes.moved())), scenes.camera()), distance
+        Case(build.scene((build.mesh(mesh, primitive, spacing), build.moved())), cameras.camera()), distance
     )
 
 
 def test_auto_draws_large_triangles_as_polygons_and_small_ones_as_points():
-    assert len(prepared(of(scenes.cube_mesh("auto cube"))).polygons) == 1
-    fine = scenes.sphere_mesh("auto sphere", 200)
+    assert len(prepared(of(cube_mesh("auto cube"))).polygons) == 1
+    fine = sphere_mesh("auto sphere", 200)
     assert len(prepared(of(fine)).polygons) == 0
     assert prepared(of(fine)).cut.splats > 0
 
 
 def test_auto_draws_the_same_triangles_as_polygons_near_and_as_points_far_where_triangles_are_dear():
-    dear, cube = replace(DEFAULT, triangle=1e5), scenes.cube_mesh("dear cube")
+    dear, cube = replace(DEFAULT, triangle=1e5), cube_mesh("dear cube")
     assert len(prepared(of(cube), costs=dear).polygons) == 1
     assert len(prepared(of(cube, distance=2000), costs=dear).polygons) == 0
 
@@ -50,11 +52,11 @@ def test_auto_draws_the_same_triangles_as_polygons_near_and_as_points_far_where_
 @pytest.mark.parametrize(("primitive", "polygons"), [("POINTS", 0), ("POLYGONS", 1)])
 def test_an_objects_own_choice_wins(primitive, polygons):
     for distance in (4, 2000):
-        assert len(prepared(of(scenes.cube_mesh("chosen cube"), primitive, distance)).polygons) == polygons
+        assert len(prepared(of(cube_mesh("chosen cube"), primitive, distance)).polygons) == polygons
 
 
 def test_samples_follow_the_distance_in_octaves_and_are_only_refined():
-    store, mesh = Store(), scenes.cube_mesh("refined cube")
+    store, mesh = Store(), cube_mesh("refined cube")
     keys = {}
     for distance in (40.0, 39.0, 10.0, 38.0):
         found = prepared(of(mesh, "POINTS", distance), store)
@@ -65,7 +67,7 @@ def test_samples_follow_the_distance_in_octaves_and_are_only_refined():
 
 
 def test_an_objects_spacing_is_used_as_it_is():
-    mesh = scenes.cube_mesh("spaced cube")
+    mesh = cube_mesh("spaced cube")
     for spacing in (0.5, 0.3):
         cloud = prepared(of(mesh, "POINTS", spacing=spacing)).point_sets[0].cloud
         assert cloud.radii is not None
@@ -84,9 +86,9 @@ def test_the_cut_of_small_clouds_is_all_of_each_usable_instance():
 
 
 def test_a_tree_is_built_where_it_leaves_out_most_points_and_pays_by_many_samples():
-    cloud = scenes.sphere_cloud(20000)
+    cloud = clouds.sphere_cloud(20000)
     cloud = replace(cloud, radii=np.full((20000, 1), 1e-2, np.float32))
-    near = Case(scenes.scene((scenes.points("dense", cloud), scenes.moved())), scenes.camera())
+    near = Case(build.scene((build.points("dense", cloud), build.moved())), cameras.camera())
     far = at_distance(near, 4000.0)
     assert prepared(near, samples=1000).point_sets[0].hierarchy is None
     assert prepared(far, samples=1).point_sets[0].hierarchy is None
@@ -96,8 +98,8 @@ def test_a_tree_is_built_where_it_leaves_out_most_points_and_pays_by_many_sample
 
 def test_a_tree_that_is_there_is_used():
     store = Store()
-    cloud = replace(scenes.sphere_cloud(20000), radii=np.full((20000, 1), 1e-2, np.float32))
-    near = Case(scenes.scene((scenes.points("dense again", cloud), scenes.moved())), scenes.camera())
+    cloud = replace(clouds.sphere_cloud(20000), radii=np.full((20000, 1), 1e-2, np.float32))
+    near = Case(build.scene((build.points("dense again", cloud), build.moved())), cameras.camera())
     prepared(at_distance(near, 4000.0), store, samples=1000)
     assert prepared(near, store).point_sets[0].hierarchy is not None
 
@@ -124,9 +126,9 @@ def test_no_drawn_splat_is_wider_than_what_the_pyramid_is_built_for(name):
 
 
 def test_an_instance_at_infinity_is_left_out():
-    good, bad = scenes.moved(), scenes.moved(scale=np.inf)
-    ball = scenes.points("ball at infinity", scenes.sphere_cloud())
-    found = prepared(Case(scenes.scene((ball, good), (ball, bad)), scenes.camera()))
+    good, bad = build.moved(), build.moved(scale=np.inf)
+    ball = build.points("ball at infinity", clouds.sphere_cloud())
+    found = prepared(Case(build.scene((ball, good), (ball, bad)), cameras.camera()))
     assert found.cut.splats == 400
     assert np.isfinite(found.largest)
 
@@ -140,10 +142,10 @@ def test_what_is_dropped_is_said_once_with_the_objects_name():
 
 def test_nothing_is_drawn_of_empty_things():
     nothing = PointCloud(np.zeros((0, 3), np.float32))
-    flat = scenes.flat_mesh("no faces", np.zeros((3, 3), np.float32), np.zeros((0, 3), np.int32))
+    flat = flat_mesh("no faces", np.zeros((3, 3), np.float32), np.zeros((0, 3), np.int32))
     case = Case(
-        scenes.scene((scenes.points("no points", nothing), scenes.moved()), (scenes.mesh(flat), scenes.moved())),
-        scenes.camera(),
+        build.scene((build.points("no points", nothing), build.moved()), (build.mesh(flat), build.moved())),
+        cameras.camera(),
     )
     found = prepared(case)
     assert found.cut.splats == 0
@@ -152,7 +154,7 @@ def test_nothing_is_drawn_of_empty_things():
 
 
 def test_a_coarser_tolerance_needs_fewer_samples():
-    case = of(scenes.cube_mesh("tolerant cube"), "POINTS", 20.0)
+    case = of(cube_mesh("tolerant cube"), "POINTS", 20.0)
     counts = [prepared(replace(case, settings=Settings(tolerance=t))).total for t in (1, 2, 4)]
     assert counts[0] > counts[1] > counts[2]
 
@@ -163,9 +165,9 @@ class Item:
 
 
 def test_a_finer_tolerance_may_have_more_samples(monkeypatch):
-    monkeypatch.setattr(sampling, "MAX_SAMPLES", 3000)
-    monkeypatch.setattr(sampling, "MOST_SAMPLES", 20_000)
-    case = of(scenes.sphere_mesh("budget", 8), "POINTS", distance=1.6)
+    monkeypatch.setattr(meshes, "MAX_SAMPLES", 3000)
+    monkeypatch.setattr(meshes, "MOST_SAMPLES", 20_000)
+    case = of(sphere_mesh("budget", 8), "POINTS", distance=1.6)
     counts = []
     for tolerance in (1.0, 0.5, 0.01):
         found = prepare(case.scene, case.camera, replace(case.settings, tolerance=tolerance), 1, Store())
@@ -175,14 +177,14 @@ def test_a_finer_tolerance_may_have_more_samples(monkeypatch):
 
 
 def test_a_view_that_needs_nothing_finer_samples_nothing(monkeypatch):
-    store, mesh = Store(), scenes.sphere_mesh("orbited", 64)
+    store, mesh = Store(), sphere_mesh("orbited", 64)
     first = prepared(of(mesh, "POINTS", distance=4.0), store)
 
     def unwanted(*args, **kwargs):
         raise AssertionError("nothing had to be looked at again")
 
-    for name in ("validate", "measure", "sample", "evaluate", "limit_spacing"):
-        monkeypatch.setattr(sampling, name, unwanted)
+    for name in ("valid_triangles", "measure_triangles", "sample_mesh", "evaluate", "limit_spacing"):
+        monkeypatch.setattr(meshes, name, unwanted)
     second = prepared(of(mesh, "POINTS", distance=4.1), store)
     assert second.point_sets[0] is not None
     assert second.point_sets[0].cloud is first.point_sets[0].cloud
@@ -228,9 +230,9 @@ def test_another_transfer_function_keeps_the_tree_and_the_kernels():
     def seen(high):
         transfer = Transfer("density", 0.0, high, np.linspace([0, 0, 0, 0], [1, 1, 1, 1], 8).astype(np.float32))
         volume = Volume("lattice of noise", "Noise", index, np.eye(4), {"density": values}, transfer=transfer)
-        made = scenes.scene((Geometry(f"noise up to {high}", "Noise", volume=volume), scenes.moved(scale=0.01)))
+        made = build.scene((Geometry(f"noise up to {high}", "Noise", volume=volume), build.moved(scale=0.01)))
         made, _ = parted(made, store)
-        layer = prepare(made, scenes.camera((0, -40, 0)), Settings(), 1000, store).translucent
+        layer = prepare(made, cameras.camera((0, -40, 0)), Settings(), 1000, store).translucent
         (points,) = layer.point_sets.values()
         assert points.hierarchy is not None
         return points.hierarchy
@@ -245,11 +247,11 @@ def test_another_transfer_function_keeps_the_tree_and_the_kernels():
 
 def test_a_mesh_whose_box_alone_reaches_into_the_picture_is_not_drawn():
     """A sphere beside the frustum, turned so that a corner of its box lies within."""
-    mesh, turn = scenes.sphere_mesh("sphere beside the picture", 24), np.eye(4)
+    mesh, turn = sphere_mesh("sphere beside the picture", 24), np.eye(4)
     turn[:3, :3] = [[np.sqrt(0.5), 0, -np.sqrt(0.5)], [0, 1, 0], [np.sqrt(0.5), 0, np.sqrt(0.5)]]
-    beside = scenes.moved((12.0 * np.tan(np.radians(20)) + 1.15, 8.0, 0)) @ turn
-    shown = scenes.points("sphere in the picture", scenes.sphere_cloud())
-    case = Case(scenes.scene((scenes.mesh(mesh), beside), (shown, scenes.moved())), scenes.camera())
+    beside = build.moved((12.0 * np.tan(np.radians(20)) + 1.15, 8.0, 0)) @ turn
+    shown = build.points("sphere in the picture", clouds.sphere_cloud())
+    case = Case(build.scene((build.mesh(mesh), beside), (shown, build.moved())), cameras.camera())
     found = prepared(case)
     assert set(found.cut.instance) == {1}
     assert len(found.polygons) == 0

@@ -13,9 +13,9 @@ from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.shadow import shadows
 from pointsplat_addon.render.shadow.shadows import Shadows, _share
-from tests.support import scenes
-from tests.support.scenes import Case
-from tests.support.store import STORE
+from scripts.scenes import build, cameras, clouds, drawing, meshes
+from scripts.scenes.case import Case
+from scripts.scenes.store import STORE
 
 
 def test_small_meshes_keep_their_samples_and_large_ones_share_the_rest():
@@ -33,16 +33,16 @@ def test_where_all_fit_none_is_coarser():
 
 
 def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
-    ball = scenes.mesh(scenes.sphere_mesh("many casters", 120), "POLYGONS")
-    floor = scenes.mesh(scenes.plane_mesh("floor of many casters"), "POLYGONS")
-    placed = [(ball, scenes.moved((0.22 * (i % 5) - 0.44, 0.22 * (i // 5) - 0.44, 0.2), 0.08)) for i in range(25)]
-    scene = scenes.scene(*placed, (floor, scenes.moved()), lights=[scenes.sun(3.0, (0.3, 0.2, -1.0))])
-    case = Case(scene, scenes.camera((0, -2.5, 2.5), resolution=(160, 120)), Settings(shadow_resolution=512))
+    ball = build.mesh(meshes.sphere_mesh("many casters", 120), "POLYGONS")
+    floor = build.mesh(meshes.plane_mesh("floor of many casters"), "POLYGONS")
+    placed = [(ball, build.moved((0.22 * (i % 5) - 0.44, 0.22 * (i // 5) - 0.44, 0.2), 0.08)) for i in range(25)]
+    scene = build.scene(*placed, (floor, build.moved()), lights=[build.sun(3.0, (0.3, 0.2, -1.0))])
+    case = Case(scene, cameras.camera((0, -2.5, 2.5), resolution=(160, 120)), Settings(shadow_resolution=512))
     found = []
     for limit in (1 << 60, 0):
         STORE.clear()
         monkeypatch.setattr(shadows, "MOST_TOGETHER", limit)
-        renderer = Renderer(scenes.opengl().device, STORE)  # what others keep is of other tables
+        renderer = Renderer(drawing.opengl().device, STORE)  # what others keep is of other tables
         pixels = renderer.render(case.scene, case.request(frozenset({"combined"}), 4)).pixels["combined"]
         renderer.release()
         found.append(pixels[..., :3].astype(float))
@@ -52,20 +52,20 @@ def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
 
 
 def test_shadows_are_those_of_alphas_whatever_the_colours():
-    store, plane = Store(), (scenes.mesh(scenes.plane_mesh("coloured caster", cells=4)), scenes.moved())
-    below = scenes.mesh(scenes.cube_mesh("in the shadow of colours", 0.1)), scenes.moved((0, 0, -0.5))
+    store, plane = Store(), (build.mesh(meshes.plane_mesh("coloured caster", cells=4)), build.moved())
+    below = build.mesh(meshes.cube_mesh("in the shadow of colours", 0.1)), build.moved((0, 0, -0.5))
 
     def tables(table: MaterialTable) -> Shadows:
-        scene = scenes.scene(plane, below, lights=[scenes.sun()], table=table)
+        scene = build.scene(plane, below, lights=[build.sun()], table=table)
         found, _ = shadows.cast(scene, Settings(shadow_resolution=64), store)
         assert found is not None
         return found
 
     def of(**graphs: ex.Expression) -> MaterialTable:
-        return scenes.materials(graphs=(MaterialGraph(**graphs),))
+        return build.materials(graphs=(MaterialGraph(**graphs),))
 
-    texture = ex.ImageTexture(ex.UV(), scenes.picture())
-    plain, red = tables(scenes.materials()), tables(scenes.materials(base_color=np.array([[1, 0, 0]], np.float32)))
+    texture = ex.ImageTexture(ex.UV(), build.picture())
+    plain, red = tables(build.materials()), tables(build.materials(base_color=np.array([[1, 0, 0]], np.float32)))
     coloured = tables(of(base_color=ex.Color(texture), roughness=ex.Component(texture, 0)))
     assert red is plain
     assert coloured is plain
@@ -78,11 +78,11 @@ LAID = np.array([[2.0, 0, 0, 0], [0, 0, -2, 0], [0, 2, 0, 0], [0, 0, 0, 1]])  # 
 
 def floored(*more, lights=None, sunk: float = 0.0) -> Case:
     """A ball above a floor, in the view of both."""
-    ball = scenes.mesh(scenes.sphere_mesh("ball above a floor", 40), "POLYGONS"), scenes.moved((0, 0, 0.4 - sunk), 0.4)
-    floor = scenes.mesh(scenes.plane_mesh("floor below a ball"), "POLYGONS"), LAID
-    lights = lights or [scenes.sun(3.0, (0.3, 0.2, -1.0))]
-    scene = scenes.scene(ball, floor, *more, lights=lights)
-    return Case(scene, scenes.camera((0, -4, 2.5), resolution=(160, 120)), Settings(shadow_resolution=512))
+    ball = build.mesh(meshes.sphere_mesh("ball above a floor", 40), "POLYGONS"), build.moved((0, 0, 0.4 - sunk), 0.4)
+    floor = build.mesh(meshes.plane_mesh("floor below a ball"), "POLYGONS"), LAID
+    lights = lights or [build.sun(3.0, (0.3, 0.2, -1.0))]
+    scene = build.scene(ball, floor, *more, lights=lights)
+    return Case(scene, cameras.camera((0, -4, 2.5), resolution=(160, 120)), Settings(shadow_resolution=512))
 
 
 def casting(case: Case) -> set[str]:
@@ -98,7 +98,7 @@ def test_a_floor_with_nothing_behind_it_casts_nothing_and_looks_the_same(monkeyp
         STORE.clear()
         if keep:
             monkeypatch.setattr(shadows, "_floors", lambda scene, casters, store: (False,) * len(casters))
-        renderer = Renderer(scenes.opengl().device, STORE)
+        renderer = Renderer(drawing.opengl().device, STORE)
         pixels = renderer.render(case.scene, case.request(frozenset({"combined"}), 4)).pixels["combined"]
         renderer.release()
         pictures.append(pixels[..., :3].astype(float))
@@ -108,9 +108,9 @@ def test_a_floor_with_nothing_behind_it_casts_nothing_and_looks_the_same(monkeyp
 
 def test_what_may_have_something_behind_it_casts():
     ball, floor = "ball above a floor", "floor below a ball"
-    cellar = scenes.mesh(scenes.cube_mesh("in the cellar", 0.1), "POLYGONS"), scenes.moved((0, 0, -1.0))
-    cloud = scenes.points("cloud", scenes.sphere_cloud()), scenes.moved((0, 0, 0.9))
-    above, below = (scenes.sun(3.0, (0.3, 0.2, z)) for z in (-1.0, 1.0))
+    cellar = build.mesh(meshes.cube_mesh("in the cellar", 0.1), "POLYGONS"), build.moved((0, 0, -1.0))
+    cloud = build.points("cloud", clouds.sphere_cloud()), build.moved((0, 0, 0.9))
+    above, below = (build.sun(3.0, (0.3, 0.2, z)) for z in (-1.0, 1.0))
     assert casting(floored()) == {ball}
     assert casting(floored(lights=[below, replace(above, shadow=False)])) == {ball, floor}
     assert casting(floored(lights=[above, below])) == {ball, floor}
@@ -120,6 +120,6 @@ def test_what_may_have_something_behind_it_casts():
 
 
 def test_where_only_floors_could_cast_there_are_no_tables():
-    floor = scenes.mesh(scenes.plane_mesh("only a floor"), "POLYGONS"), LAID
-    scene = scenes.scene(floor, lights=[scenes.sun(3.0, (0.3, 0.2, -1.0))])
+    floor = build.mesh(meshes.plane_mesh("only a floor"), "POLYGONS"), LAID
+    scene = build.scene(floor, lights=[build.sun(3.0, (0.3, 0.2, -1.0))])
     assert shadows.cast(scene, Settings(), Store()) == (None, "there is nothing in the shadow of anything")

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...numeric.segments import offsets, owners, ranges, starts
+
 MOST_RINGS = 4096
 FLAT = 0.02  # a section whose variances across and along are in a smaller ratio is none of a tube
 AREA = 0.2  # by which a ribbon's area may differ from its triangles'
@@ -34,7 +36,7 @@ NUDGE = 1e-6  # of a section's distance from the next, so that no cut goes throu
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FittedStrands:
     """Strands of a mesh: P points in S strands, tubes and ribbons one after another."""
 
     position: np.ndarray  # (P, 3) float64
@@ -51,7 +53,7 @@ class Found:
         return len(self.start) - 1
 
 
-def parts_of(triangles: np.ndarray, vertices: int) -> np.ndarray:
+def connected_parts(triangles: np.ndarray, vertices: int) -> np.ndarray:
     """(V,) int64: the lowest vertex that triangles (T, 3) connect each one with."""
     label = np.arange(vertices)
     while True:
@@ -64,10 +66,10 @@ def parts_of(triangles: np.ndarray, vertices: int) -> np.ndarray:
         label = following
 
 
-def find(position: np.ndarray, triangles: np.ndarray) -> Found:
+def fit_strands(position: np.ndarray, triangles: np.ndarray) -> FittedStrands:
     """The strands of a mesh with vertices (V, 3) and triangles (T, 3)."""
     position, triangles = np.asarray(position, np.float64), np.asarray(triangles, np.int64)
-    label = parts_of(triangles, len(position))
+    label = connected_parts(triangles, len(position))
     names, part = np.unique(label[triangles[:, 0]], return_inverse=True)
     open_ = ~_caps(position, triangles, part, len(names))
     tubes = _tubes(position, triangles[open_], label, names, part[open_])
@@ -86,11 +88,11 @@ def find(position: np.ndarray, triangles: np.ndarray) -> Found:
     np.minimum.at(first, part, np.arange(len(triangles)))
     left = np.ones(len(names), bool)
     left[chosen] = False
-    return Found(
+    return FittedStrands(
         np.concatenate([b[0] for b in both]),
         np.concatenate([b[1] for b in both]),
         np.concatenate([b[2] for b in both]),
-        np.concatenate([[0], np.cumsum(count)]).astype(np.int64),
+        offsets(count),
         np.repeat([False, False, True, True, True], [len(b[3]) for b in both]),
         first[chosen],
         left[part],
@@ -127,9 +129,9 @@ def _caps(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, count: 
     along = axes[:, :, 2]
     height = np.einsum("tki,ti->tk", off, along[part]).mean(axis=1)
     order = np.lexsort((height, part))
-    ends = np.cumsum(many)
+    start = starts(many)
     caps = np.zeros(len(triangles), bool)
-    for last in (order[ends - many], order[ends - 1]):
+    for last in (order[start], order[start + many - 1]):
         facing = _crossed(corner[last])
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
         away = np.einsum("tki,ti->tk", corner - corner[last, 0][part][:, None], facing[part])
@@ -163,10 +165,10 @@ def _tubes(
         return _none()
     rings = np.zeros(count, np.int64)
     np.maximum.at(rings, owner[vertex], level[vertex] + 1)
-    start = np.concatenate([[0], np.cumsum(rings)])
+    start = offsets(rings)
     ring = start[owner[vertex]] + level[vertex]
     size = np.bincount(ring, minlength=start[-1])
-    strand = np.repeat(np.arange(count), rings)
+    strand = owners(rings)
     last = np.arange(start[-1]) == start[strand + 1] - 1
     first = np.arange(start[-1]) == start[strand]
 
@@ -220,7 +222,7 @@ def _round(
     point = np.zeros(total, bool)
     point[at] = True
     bad = ~point & ((short**2 < FLAT * long**2) | (around <= 0))
-    strand = np.repeat(np.arange(count), np.diff(start))
+    strand = owners(np.diff(start))
     fits = fits & (np.bincount(strand[bad], minlength=count) == 0)
     if np.isfinite(thick):
         off = np.abs(np.linalg.norm(away, axis=2).mean(axis=1) - radius[section])
@@ -308,8 +310,7 @@ def _sleeves(
     low = np.ceil(value.min(axis=1) * whole - 0.5 - NUDGE).astype(np.int64)
     high = np.floor(value.max(axis=1) * whole - 0.5 - NUDGE).astype(np.int64)
     cuts = np.maximum(high - low + 1, 0)
-    which = np.repeat(np.arange(len(rows)), cuts)
-    cut = low[which] + np.arange(len(which)) - (np.cumsum(cuts) - cuts)[which]
+    which, cut = owners(cuts), ranges(low, cuts)
     above = value[which] - ((cut + 0.5 + NUDGE) / whole[which])[:, None]
     corner = position[triangles[rows[which]]]
     ahead = np.roll(above, -1, axis=1)
@@ -319,7 +320,7 @@ def _sleeves(
     ends = np.take_along_axis(point, np.argsort(~crossed, axis=1, kind="stable")[:, :2, None], axis=1)
 
     # The rims are the first and the last section
-    start = np.concatenate([[0], np.cumsum(np.where(fits, sections + 2, 0))])
+    start = offsets(np.where(fits, sections + 2, 0))
     own = rim[fits[owner[rim[:, 0]]]]
     last = loop[own[:, 0]] != begin[owner[own[:, 0]]]
     at = np.where(last, start[owner[own[:, 0]] + 1] - 1, start[owner[own[:, 0]]])
@@ -332,13 +333,13 @@ def _sleeves(
 
 def _connected(edges: np.ndarray, vertices: int) -> np.ndarray:
     """(V,) the lowest vertex that edges (E, 2) connect each one with."""
-    return parts_of(np.column_stack([edges, edges[:, :1]]), vertices) if len(edges) else np.arange(vertices)
+    return connected_parts(np.column_stack([edges, edges[:, :1]]), vertices) if len(edges) else np.arange(vertices)
 
 
 def _ribbons(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, count: int) -> Strands:
     number = np.bincount(part, minlength=count)
     order = np.argsort(part, kind="stable")
-    first = np.cumsum(number) - number
+    first = starts(number)
     found = []
     for size, cuts in ((2, ((),)), (3, ((0,), (1,))), (4, ((1,),))):
         rows = np.flatnonzero(number == size)
@@ -480,7 +481,7 @@ def _lobes(flat: _Flat) -> Strands:
         for a, b in zip((ends, radius, normal), middle, strict=True)
     )
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    row = np.repeat(np.arange(count), number + 1)
+    row = owners(number + 1)
     points[..., :2] += hub[row][:, None]
     points = flat.middle[row][:, None] + np.einsum("nki,nij->nkj", points, flat.axes[row])
     return points.reshape(-1, 3), radius.ravel(), np.repeat(normal, 2, axis=0), np.full(len(row), 2), flat.part[row]

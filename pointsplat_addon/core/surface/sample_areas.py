@@ -1,0 +1,39 @@
+"""Computes the area of a mesh that each of its samples stands for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..numeric.vectors import blocks
+from ..scene.mesh import Mesh
+from ..scene.validation import valid_triangles
+from .area_sampling import cell_areas
+from .samples import Samples, corner_of_sample
+from .triangles import triangle_areas
+
+
+def sample_areas(mesh: Mesh, samples: Samples, ok: np.ndarray | None = None) -> np.ndarray:
+    """(N,) float64: the area, in object units squared, that each sample stands for on this pose of its mesh.
+
+    A vertex stands for a third of each valid triangle around it. The others share their own triangle, by what of it
+    lies in their cells (AREA) or by the sizes of their ellipses (PATCHES): the areas of a triangle's samples add up to
+    the triangle's, and where a pose only stretches it, each keeps its share. `ok` is what `validate` returned.
+    """
+    if samples.ellipse is None:
+        rows = np.flatnonzero(valid_triangles(mesh)[0] if ok is None else ok)
+        area, vertices = triangle_areas(mesh, rows), len(mesh.position)
+        ring = sum((np.bincount(corner, area / 3, vertices) for corner in mesh.triangles[rows].T), np.zeros(vertices))
+        return ring[mesh.triangles[samples.triangle, corner_of_sample(samples)]]
+    share = np.empty(len(samples))
+    for block in blocks(len(samples)):
+        shape = samples.ellipse[block].transpose(1, 2, 0).astype(np.float64)
+        share[block] = np.abs(shape[0, 0] * shape[1, 1] - shape[0, 1] * shape[1, 0])
+        if samples.method == "AREA":
+            weights = samples.barycentric[block].T.astype(np.float64)
+            # What is nothing but rounding still counts.
+            share[block] = np.maximum(cell_areas(weights, shape), 1e-6 * share[block])
+    total = np.bincount(samples.triangle, share, len(mesh.triangles))
+    used = np.flatnonzero(total)
+    per_share = np.zeros(len(total))
+    per_share[used] = triangle_areas(mesh, used) / total[used]
+    return share * per_share[samples.triangle]

@@ -1,0 +1,45 @@
+"""What pictures within a budget need of the renderer, and of a clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from ...core.scene.scene import Scene
+from ..device.protocol import Device
+from ..frame.frame import Frame
+from ..plan.request import Request, Result
+from .pacing import Pacers
+from .watch import Watch
+
+Progress = Callable[[float, str], None]  # called with the finished fraction and a text for the user
+Seconds = Callable[[], float]  # a clock, such as time.perf_counter
+
+
+class SampleRenderer(Protocol):
+    """Draws pictures on one device, with as many samples as a watch asks for."""
+
+    @property
+    def device(self) -> Device:
+        """The device that draws."""
+        ...
+
+    @property
+    def pacers(self) -> Pacers:
+        """What was measured of the scenes that were drawn within a budget of time."""
+        ...
+
+    def draw(
+        self,
+        scene: Scene,
+        request: Request,
+        progress: Progress,
+        cancelled: Callable[[], bool],
+        watch: Watch | None = None,
+    ) -> Result:
+        """Draws samples of a picture until there are enough, or `watch` says so."""
+        ...
+
+    def start(self, scene: Scene, request: Request) -> Frame:
+        """Prepares a picture that is then drawn sample by sample."""
+        ...

@@ -1,0 +1,43 @@
+"""Where in a pixel the samples lie, and how many of them agree on an identity."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ...core.numeric.sequences import around
+
+FILTER_WIDTH = 1.5  # pixels: Cycles' default
+R2 = np.array([0.7548776662466927, 0.5698402909980532])  # 1 / p and 1 / p^2 of the plastic number (Roberts 2018)
+
+
+@lru_cache(maxsize=8)
+def _blackman_harris(width: float) -> tuple[np.ndarray, np.ndarray]:
+    """The filter's cumulative distribution and where it is tabulated, in pixels from the centre."""
+    x = np.linspace(-0.5, 0.5, 2049)
+    t = 2 * np.pi * (x + 0.5)
+    weight = 0.35875 - 0.48829 * np.cos(t) + 0.14128 * np.cos(2 * t) - 0.01168 * np.cos(3 * t)
+    cumulative = np.concatenate([[0.0], np.cumsum((weight[1:] + weight[:-1]) / 2)])
+    return cumulative / cumulative[-1], x * width
+
+
+@lru_cache(maxsize=64)
+def offsets(count: int, width: float = FILTER_WIDTH) -> np.ndarray:
+    """(count, 2) float64: sample positions in pixels from the centre, distributed as the Blackman-Harris filter.
+
+    The first is the centre itself; then come pairs that face each other across it, the first of each pair from a
+    rank-one sequence. Any number of first samples fills the pixel evenly, and all together lie around its centre (but
+    for two): what changes linearly over a pixel is exact at once, and edges are a third closer to the filter's integral
+    than with the sequence alone.
+    """
+    first = (0.5 + np.arange(count // 2 + 1)[:, None] * R2) % 1.0
+    cumulative, x = _blackman_harris(width)
+    result = around(np.interp(first, cumulative, x), np.interp(1.0 - first, cumulative, x), count)
+    result.setflags(write=False)
+    return result
+
+
+def checkpoint(samples: int) -> bool:
+    """Whether a picture is looked at after so many: 1, 3, 5, 9, 17 ..., one and pairs that face each other."""
+    return samples == 1 or (samples > 2 and not (samples - 1) & (samples - 2))

@@ -1,0 +1,76 @@
+"""What is out of focus, and what is translucent before and behind it: each pixel goes through the splats of its tile
+from the front (core/lens/defocus.py), once for all samples of the picture.
+
+The pass `light` (passes/translucent.py) leaves of each splat, one texel each:
+  place   centre in pixels from the principal point, depth, kernel's middle: share of the lens; optical depth
+  shape   inverse of the covariance (xx, xy, yy); exponent of the kernel, plus what kind it is (lib/splat/defocus.glsl)
+  source  radiance, reach in depth
+  tint    as in passes/translucent.py
+Tiles hold the column and the row at which their entries begin in the list, and their number.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....shading.interface import Interface
+from ...device.packing import PAGE_WIDTH, paged
+from ...device.protocol import Device, Target, Texture, whole
+from ..shading.lighting import lighting_defines, lighting_samplers
+from ..tiles import TILE_DEFINE
+from ..uniforms import FRAME
+from .tile_lists import TileLists
+
+
+def defocus_program(
+    lighting: tuple[str, ...], transparent: bool, tint: bool, holdout: bool, adaptive: bool, tile: int
+) -> Interface:
+    """`lighting`: of which what the world is is used. `adaptive`: pixels differ in how many samples they have."""
+    world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT", "PS_BACKDROP"))
+    named = {
+        "PS_BACKGROUND": not transparent and "PS_BACKDROP" not in world,
+        "PS_TINT": tint,
+        "PS_HOLDOUT": holdout,
+        "PS_ADAPTIVE": adaptive,
+    }
+    read = ["splat_place", "shape", "source", "list", "tiles", "focused", "focus"]
+    read += ["tint"] * tint + ["counts"] * adaptive
+    return Interface(
+        "defocus", fragment="defocus/gather.frag", block=FRAME, outputs=(("vec4", "out_combined"),),
+        samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(world)),
+        defines=(*lighting_defines(world), ("PS_TILE_SIZE", str(tile)), *((TILE_DEFINE,) if adaptive else ()),
+                 *((name, "1") for name, on in named.items() if on)),
+    )  # fmt: skip
+
+
+class Defocus:
+    """The tiles of one view on the device."""
+
+    @whole
+    def __init__(self, device: Device, lists: TileLists) -> None:
+        self.device, self.tile = device, lists.tile
+        size, data = paged(lists.entries[:, None].astype(np.float32), 1)
+        self.list = device.texture(size, "R32F", data)
+        rows, columns, _ = lists.tiles.shape
+        texels = np.zeros((rows, columns, 4), np.float32)
+        texels[..., 0] = lists.tiles[..., 0] % PAGE_WIDTH
+        texels[..., 1] = lists.tiles[..., 0] // PAGE_WIDTH
+        texels[..., 2] = lists.tiles[..., 1]
+        self.tiles = device.texture((columns, rows), "RGBA32F", texels.reshape(-1))
+
+    def draw(
+        self,
+        program: Interface,
+        target: Target,
+        record: np.ndarray,
+        lit: dict[str, Texture],
+        textures: dict[str, Texture],
+    ) -> None:
+        """`lit`: what `light` left; `textures`: the picture of what is in focus, and the world's."""
+        read = {"ps_splat_place": lit["ps_place"], **{k: v for k, v in lit.items() if k != "ps_place"}, **textures}
+        read |= {"ps_list": self.list, "ps_tiles": self.tiles}
+        self.device.draw(program, target, uniforms=record, textures=read)
+
+    def release(self) -> None:
+        self.list.release()
+        self.tiles.release()

@@ -1,0 +1,181 @@
+"""EWA splatting: splats as elliptical Gaussians that are blended and normalised (Zwicker et al. 2001, Ren et al. 2002).
+
+Four passes. `splats` projects every splat once for all samples of a view; then, sample by sample, `visibility` finds
+the nearest surface under each pixel's centre, `blend` adds up the attributes of all splats of that surface, weighted by
+their kernels, and `normalise` divides by the sum of the weights, into the G-buffer that polygons and spheres share.
+
+What `splats` leaves of each drawn element, one texel each:
+  place     centre in pixels from the principal point; depth; 1 + 2 instance (small), 2 + 2 instance (large), 0: not
+            drawn; negative where the splat shows its back
+  shape     covariance in pixels^2 (xx, xy, yy) without low-pass, its rim at 2 sigma; material (-1 - m: a holdout)
+  front     change of depth per pixel (x, y); share of the ellipse that the splat stands for; depth within which it is
+            one surface with others
+  normal    in view space, (0, 0, 0) for a ball; roughness   \\
+  color     base colour, metallic                            | where the G-buffer has them
+  emission                                                   /
+What `visibility` leaves of each pixel: depth beyond the near plane (0: nothing), depth up to which splats belong to it,
+material, 2 instance (and 1 where it shows its back).
+What `blend` sums, times weights: depth, material, 1 for front faces, 1; normal; color; emission.
+
+Small splats are squares around points, projected affinely. Large ones are rectangles, whose fragments meet the splat's
+plane exactly; only views that may have any draw them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....shading.interface import Interface
+from ...device.protocol import Device, Target, Texture
+from ..gbuffer import GBuffer, Variant
+from ..pages.point_page import PageDraw, PointOptions
+from ..tiles import Region
+from . import cover as ewa_cover
+from .options import WIDEST_POINT, EwaOptions
+from .programs import _blended, programs
+from .projected import Splats
+
+JITTER = 1.0  # pixels that samples shift the picture by at most
+CHUNK = 1 << 20  # splats of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
+
+
+class Ewa:
+    """From the splats of a view to a G-buffer: the textures between them."""
+
+    def __init__(
+        self, device: Device, variant: Variant, points: PointOptions, ewa: EwaOptions, size: tuple[int, int]
+    ) -> None:
+        self.device, self.options, self.size = device, ewa, size
+        self.programs = programs(variant, points, ewa)
+        self.nearest = device.texture(size, "RGBA32F")
+        self.nearest_target: Target = device.target([self.nearest], depth=True)
+        self.sums: dict[str, Texture] = {
+            f"ps_sum_{name}": device.texture(size, "RGBA32F") for name in ("place", *_blended(variant))
+        }
+        self.sum_target: Target = device.target(list(self.sums.values()))
+        self._splats: list[Splats] = []
+        self.draws: list[PageDraw] | None = None  # of which the splats are projected
+        self._mask: Texture | None = None  # of the region that they are listed for
+        self._left = False  # some are left out
+        self._begun = False  # visibility has drawn what comes first
+
+    def project(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
+        """Project the splats of a view and list those that are drawn; `record`: of the sample that is drawn next."""
+        self._forget()
+        self.draws = draws
+        record["lens"][0, 3] = self.options.low_pass
+        for draw in draws:
+            splats = Splats(self.device, self.programs.splats, draw)
+            self._splats.append(splats)
+            textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks}
+            self.device.draw(self.programs.splats, splats.target, uniforms=draw.fill(record), textures=textures)
+            splats.find(self.device, record, self.options.reach(WIDEST_POINT) + JITTER)
+        self._leave_out(record, shared)
+        for splats in self._splats:
+            splats.list_found(self.device)
+
+    def _leave_out(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
+        """Of many splats, leave out those that passes/ewa_cover.py finds not needed."""
+        device = self.device
+        facing, turned = (sum(len(splats.found[name]) for splats in self._splats) for name in ("first", "then"))
+        if facing == 0 or facing + turned < ewa_cover.LEAST_SPLATS:
+            return
+        record["lens"][0, 3] = self.options.low_pass
+        for splats in self._splats:
+            splats.list_first(device, splats.found["first"])
+        pages = [({**splats.textures, "ps_list": texture}, total)
+                 for splats in self._splats for texture, total in (splats.lists["first"],) if total]  # fmt: skip
+        sizes = ewa_cover.measure(device, pages, record)
+        if not sizes.pays(facing, turned):
+            return
+        drawn = [ewa_cover.thinned(splats.found["first"], sizes.share) for splats in self._splats]
+        if sizes.thin:
+            for splats, index in zip(self._splats, drawn, strict=True):
+                splats.list_first(device, index)
+        device.clear(self.nearest_target)
+        self._see(("first",), record, shared)
+        if ewa_cover.closed(device, self.nearest, sizes) < ewa_cover.ENOUGH:
+            self._begun = not sizes.thin
+            return
+        margin = 0.0 if self.options.low_pass == 1 else JITTER
+        cover = ewa_cover.Cover(device, self.nearest, sizes, margin, record)
+        for splats, index in zip(self._splats, drawn, strict=True):
+            splats.keep(index, cover.needed(splats.textures, record))
+        cover.release()
+        self._begun = self._left = True
+
+    def narrow(self, region: Region) -> None:
+        """List the splats for what `region` shows; it names tiles as far around as kernels reach."""
+        if region.mask is self._mask:
+            return
+        self._mask = region.mask
+        tiles = None if region.mask is None else self.device.read(region.mask)[..., 0] != 0
+        for splats in self._splats:
+            splats.list_found(self.device, tiles)
+
+    def see(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
+        """The nearest surface under each pixel's centre."""
+        if not self._begun:
+            self.device.clear(self.nearest_target)
+            self._see(("first",), record, shared)
+        self._begun = False
+        self._see(("then", "large"), record, shared)
+
+    def _see(self, names: tuple[str, ...], record: np.ndarray, shared: dict[str, Texture]) -> None:
+        self._draw(self.programs.visibility, names, self.nearest_target, record, shared, depth_test=True)
+
+    def blend(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
+        """Attributes of that surface's splats times their kernels."""
+        self.device.clear(self.sum_target)
+        textures = {**shared, "ps_nearest": self.nearest}
+        names = ("blended",) if self._left else ("first", "then")
+        self._draw(self.programs.blend, (*names, "large"), self.sum_target, record, textures, blend=True)
+
+    def normalise(self, record: np.ndarray, out: GBuffer, region: Region) -> None:
+        """Sums over weights, into the G-buffer; pixels that nothing reaches stay as they are."""
+        program = self.programs.normalise
+        textures = {**self.sums, "ps_nearest": self.nearest}
+        region.draw(self.device, program, out.target, uniforms=record, textures=textures, depth_test=program.depth)
+
+    def _draw(
+        self,
+        kinds: tuple[Interface, ...],
+        names: tuple[str, ...],
+        target: Target,
+        record: np.ndarray,
+        shared: dict[str, Texture],
+        depth_test: bool = False,
+        blend: bool = False,
+    ) -> None:
+        """Draw lists of splats; `kinds`: programs of small ones and, where there are any, of large ones."""
+        record["lens"][0, 3] = self.options.low_pass
+        for splats in self._splats:
+            draw = splats.draw
+            textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks, **splats.textures}
+            draw.fill(record)
+            for name in names:
+                large = name == "large"
+                if name not in splats.lists or large >= len(kinds):
+                    continue
+                textures["ps_list"], total = splats.lists[name]
+                for first in range(0, max(total, 1), CHUNK):
+                    record["page"][0, 0] = first
+                    count = min(CHUNK, total - first)
+                    self.device.draw(
+                        kinds[large], target, uniforms=record, textures=textures, vertices=count * (6 if large else 1),
+                        primitive="TRIANGLES" if large else "POINTS", depth_test=depth_test, blend=blend,
+                    )  # fmt: skip
+
+    def _forget(self) -> None:
+        for splats in self._splats:
+            splats.release()
+        self._splats.clear()
+        self.draws = self._mask = None
+        self._begun = self._left = False
+
+    def release(self) -> None:
+        self._forget()
+        self.nearest_target.release()
+        self.sum_target.release()
+        for texture in (self.nearest, *self.sums.values()):
+            texture.release()

@@ -1,0 +1,87 @@
+"""TODO: say what this module is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ....shading.interface import Interface
+from ..gbuffer import Variant
+from ..pages.point_page import PointOptions, attributes
+from ..uniforms import FRAME
+from .options import EwaOptions
+
+ATTRIBUTES = ("normal", "color", "emission")  # of the G-buffer, that are blended
+
+
+@dataclass(frozen=True)
+class EwaPrograms:
+    """Interfaces of one variant."""
+
+    splats: Interface
+    visibility: tuple[Interface, ...]  # of small splats, and of large ones
+    blend: tuple[Interface, ...]
+    normalise: Interface
+
+
+def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaPrograms:
+    """The programs of one variant."""
+    named = tuple((name, "1") for name in variant.defines if name != "PS_OWNER")
+    flags = {"PS_CULL": points.cull, "PS_ELLIPSES": points.ellipses}
+    flagged = tuple((name, "1") for name, on in flags.items() if on)
+    samplers, defines = attributes(variant, points)
+    cull = (("FLOAT_2D", "ps_materials"),) if points.cull else ()
+    blended = _blended(variant)
+    splats = Interface(
+        "splats", fragment="ewa/project.frag", block=FRAME, samplers=(*samplers, *cull),
+        outputs=tuple(("vec4", f"out_{name}") for name in ("place", "shape", "front", *blended)),
+        defines=(*named, *flagged, *defines),
+    )  # fmt: skip
+    hard = (("PS_HARD", "1"),) if ewa.hard else ()
+    normalise = Interface(
+        "normalise", fragment="ewa/normalise.frag", block=FRAME,
+        samplers=tuple(("FLOAT_2D", name) for name in ("ps_nearest", *(f"ps_sum_{n}" for n in ("place", *blended)))),
+        outputs=variant.front_outputs, depth=points.depth,
+        defines=(*variant.front_defines, *((("PS_DEPTH", "1"),) if points.depth else ()), *hard),
+    )  # fmt: skip
+    kinds = (False, True) if ewa.large else (False,)
+    return EwaPrograms(
+        splats,
+        tuple(_drawn(variant, points, ewa, False, large) for large in kinds),
+        tuple(_drawn(variant, points, ewa, True, large) for large in kinds),
+        normalise,
+    )
+
+
+def _blended(variant: Variant) -> tuple[str, ...]:
+    return tuple(name for name, _, _ in variant.channels if name in ATTRIBUTES)
+
+
+def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool, large: bool) -> Interface:
+    """Splats on the screen: `blend` their kernels, else their ellipses."""
+    blended = _blended(variant) if blend else ()
+    samplers = [
+        ("FLOAT_2D", name) for name in ("ps_list", *(f"ps_splat_{n}" for n in ("place", "shape", "front", *blended)))
+    ]
+    names = ["v_place", "v_conic", "v_front", "v_material", *(f"v_{name}" for name in blended)]
+    defines: list[tuple[str, str]] = []
+    if blend:
+        samplers.append(("FLOAT_2D", "ps_nearest"))
+        defines += [("PS_BLEND", "1"), *((name, "1") for name in variant.defines if name != "PS_OWNER")]
+        defines += [("PS_BALLS", "1")] if ewa.balls and variant.normal else []
+        defines += [("PS_HARD", "1")] if ewa.hard else []
+        outputs = tuple(("vec4", f"out_{name}") for name in ("place", *blended))
+    else:
+        outputs = (("vec4", "out_nearest"),)
+    if large:
+        pages = ("ps_blocks", "ps_place", "ps_extent", *(() if points.one_instance else ("ps_instances",)))
+        samplers += [("FLOAT_2D", name) for name in pages]
+        names += ["v_u", "v_v", "v_plane"]
+        flags = {"PS_LARGE": True, "PS_ELLIPSES": points.ellipses, "PS_ONE_INSTANCE": points.one_instance}
+        defines += [(name, "1") for name, on in flags.items() if on]
+    return Interface(
+        "blend" if blend else "visibility",
+        vertex="ewa/large.vert" if large else "ewa/blend.vert",
+        fragment="ewa/blend.frag", block=FRAME, samplers=tuple(samplers),
+        varyings=tuple(("flat", "vec4", name) for name in names),
+        outputs=outputs, defines=tuple(defines), depth=not blend,
+    )  # fmt: skip

@@ -1,0 +1,140 @@
+"""TODO: say what this module is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....core.numeric.segments import owners, ranks
+from ....core.scene.materials import MaterialTable
+from ...device.packing import PAGE_WIDTH
+from ...device.protocol import Device, Texture
+from ...prepare.point_sets import Layer, PointSet
+from ..gbuffer import Variant
+from .splat_page import SplatPage, extent, facets, filled, place, shading_normal
+
+LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
+POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_place"), ("FLOAT_2D", "ps_extent"))
+
+
+@dataclass(frozen=True)
+class PointOptions:
+    """Shader variants of the point passes."""
+
+    shading_normal: bool = False
+    facets: bool = False  # some splats have several normals
+    cull: bool = False
+    holdout: bool = False
+    ellipses: bool = False  # some splats are not round
+    one_instance: bool = False
+    apart: bool = False  # some splats close no surface with others
+    depth: bool = False  # polygons share the G-buffer
+    coarse: bool = False  # nodes are so wide that gaps between them show
+
+
+class Page(SplatPage):
+    """Splats of opaque points."""
+
+    def __init__(
+        self, device: Device, sets: list[PointSet], variant: Variant, options: PointOptions, table: MaterialTable
+    ) -> None:
+        super().__init__(device, sets)
+        clouds = self.clouds
+        self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
+        self.upload("extent", "RGBA32F", 4, [
+            extent(c, points=len(points.cloud)) for c, points in zip(clouds, sets, strict=True)
+        ])  # fmt: skip
+        if variant.color:
+            self.upload("color", "RGBA16F", 4, [filled(c, "color", table.base_color) for c in clouds])
+        if variant.surface:
+            constants = np.stack([table.roughness, table.metallic], axis=1)
+            self.upload("surface", "RG32F", 2, [filled(c, "surface", constants) for c in clouds])
+        if variant.emission:
+            self.upload("emission", "RGBA16F", 4, [filled(c, "emission", table.emission) for c in clouds])
+        if options.facets:
+            self.upload("facets", "RGBA32F", 4, [facets(c) for c in clouds])
+        if options.shading_normal:
+            self.upload("shading_normal", "R32F", 1, [shading_normal(c) for c in clouds])
+        self.clouds = []
+
+
+def blocks(layer: Layer, first: dict[int, int]) -> tuple[np.ndarray, int]:
+    """The cut as blocks, (B, 4) float32, and the log2 of a block's size. `first` is each point set's first splat in the
+    page; sets that it lacks are skipped."""
+    cut = layer.cut
+    base = np.full(max(layer.point_sets, default=-1) + 2, -1)
+    base[list(first)] = list(first.values())
+    start = base[layer.set_of_instance[cut.instance]]
+    mine = start >= 0
+    instance, begin, count = cut.instance[mine], start[mine] + cut.first[mine], cut.count[mine]
+    mean = count.mean() if len(count) else 0.0
+    shift = LONG_BLOCK if mean >= 1 << (LONG_BLOCK - 1) else SHORT_BLOCK
+    number = (count + (1 << shift) - 1) >> shift
+    owner = owners(number)
+    step = ranks(number) << shift
+    at = begin[owner] + step
+    rows = np.empty((len(owner), 4), np.float32)
+    rows[:, 0], rows[:, 1] = at % PAGE_WIDTH, at // PAGE_WIDTH
+    rows[:, 2] = np.minimum(count[owner] - step, 1 << shift)
+    rows[:, 3] = instance[owner]
+    return rows, shift
+
+
+def instance_rows(view_from_object: np.ndarray, origin: np.ndarray, holdout: np.ndarray | None) -> np.ndarray:
+    """(4 I, 4) float32: three rows of each matrix, with the origin (I, 3) of its cloud taken in; holdout."""
+    rows = np.zeros((len(view_from_object), 4, 4))
+    rows[:, :3] = with_origin(view_from_object, origin)[:, :3]
+    if holdout is not None:
+        rows[:, 3, 0] = holdout
+    return np.nan_to_num(rows, nan=0.0, posinf=0.0, neginf=0.0).reshape(-1, 4).astype(np.float32)
+
+
+def with_origin(view_from_object: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Matrices (I, 4, 4) that take positions relative to `origin` (I, 3); in float64, so that nothing cancels."""
+    moved = view_from_object.copy()
+    moved[:, :3, 3] += np.einsum("iab,ib->ia", view_from_object[:, :3, :3], origin)
+    return moved
+
+
+def attributes(
+    variant: Variant, options: PointOptions
+) -> tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...]]:
+    """Samplers and defines of a program that brings splats with their attributes into a G-buffer."""
+    samplers = [*POINT_SAMPLERS]
+    if not options.one_instance:
+        samplers.append(("FLOAT_2D", "ps_instances"))
+    has = {"ps_color": variant.color, "ps_surface": variant.surface, "ps_emission": variant.emission}
+    samplers += [("FLOAT_2D", name) for name, on in has.items() if on]
+    if variant.normal:
+        kinds = {"ps_shading_normal": options.shading_normal, "ps_facets": options.facets}
+        samplers += [("FLOAT_2D", name) for name, on in kinds.items() if on]
+    named = {
+        "PS_SHADING_NORMAL": options.shading_normal and variant.normal,
+        "PS_FACETS": options.facets and variant.normal,
+        "PS_HOLDOUT": options.holdout,
+        "PS_ONE_INSTANCE": options.one_instance,
+    }
+    return tuple(samplers), tuple((name, "1") for name, on in named.items() if on)
+
+
+@dataclass
+class PageDraw:
+    """What one view draws of one page."""
+
+    page: Page
+    blocks: Texture
+    count: int  # blocks
+    shift: int
+    first_index: int  # of this page's splats among all that are drawn
+    uniforms: dict[str, object]
+
+    @property
+    def elements(self) -> int:
+        return self.count << self.shift
+
+    def fill(self, record: np.ndarray) -> np.ndarray:
+        record["page"][0, :3] = self.first_index, self.count, self.shift
+        for name, value in self.uniforms.items():
+            record[name][0] = value
+        return record

@@ -1,0 +1,142 @@
+"""Splats on the device: pages of 4,096-wide float textures, one texel a splat, texture by texture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ....core.lod.node_splats import points_and_nodes
+from ....core.numeric.vectors import basis, each_block
+from ....core.scene.cloud import PointCloud
+from ...cache.keys import Key
+from ...device.packing import FACET_SHARE, FACET_STEPS, NO_NORMAL, PAGE_WIDTH, octahedral
+from ...device.protocol import Device, Texture
+from ...prepare.point_sets import PointSet
+
+NODE = 0.25  # tells nodes from points beside a material row, which is whole
+SMALLEST_NORMAL = 1e-6  # of shading: what is shorter has no direction
+Write = Callable[[np.ndarray, slice], None]  # an attribute of the splats in a slice, into an array (n, channels)
+
+
+class SplatPage:
+    """The splats of several point sets, one set after the other.
+
+    `first` is where each set begins, by its key; `textures` has what was uploaded, by sampler name.
+    """
+
+    def __init__(self, device: Device, sets: list[PointSet]) -> None:
+        self.clouds = [points_and_nodes(points.hierarchy) if points.hierarchy else points.cloud for points in sets]
+        ends = np.cumsum([len(cloud) for cloud in self.clouds]).tolist()
+        self.first: dict[Key, int] = dict(zip((points.key for points in sets), [0, *ends], strict=False))
+        self.count: int = ends[-1]
+        self.textures: dict[str, Texture] = {}
+        self._device = device
+
+    def upload(self, name: str, format: str, channels: int, rows: list[Write | np.ndarray]) -> None:
+        """One attribute of each cloud: what writes it, or rows (n, C <= channels).
+
+        DeviceError: more splats than a texture holds.
+        """
+        height = max(1, -(-self.count // PAGE_WIDTH))
+        data = np.empty((height * PAGE_WIDTH, channels), np.float32)
+        at = 0
+        for cloud, values in zip(self.clouds, rows, strict=True):
+            write = _copy(values) if isinstance(values, np.ndarray) else values
+            out = data[at : at + len(cloud)]
+            each_block(len(cloud), lambda block, write=write, out=out: write(out[block], block))
+            at += len(cloud)
+        data[at:] = 0
+        self.textures[f"ps_{name}"] = self._device.texture((PAGE_WIDTH, height), format, data.reshape(-1))
+
+    def release(self) -> None:
+        for texture in self.textures.values():
+            texture.release()
+
+
+def _copy(values: np.ndarray) -> Write:
+    """Rows (N,) or (N, C) as they are; zeros in further channels."""
+    columns = values.T if values.ndim > 1 else values[None]
+
+    def write(out: np.ndarray, block: slice) -> None:
+        # Column by column: NumPy copies rows of three several times more slowly.
+        for channel in range(out.shape[1]):
+            out[:, channel] = columns[channel, block] if channel < len(columns) else 0
+
+    return write
+
+
+def place(cloud: PointCloud) -> Write:
+    """(N, 4): position relative to the cloud's origin, packed normal (NO_NORMAL: a ball)."""
+
+    def write(out: np.ndarray, block: slice) -> None:
+        for channel, column in enumerate(cloud.position.T):
+            out[:, channel] = column[block]
+        out[:, 3] = NO_NORMAL if cloud.normal is None else octahedral(cloud.normal[block])
+
+    return write
+
+
+def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = None) -> Write:
+    """(N, 4): half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too. The minor
+    half-axis of splats that stand apart is negative. `points`: what follows after so many are nodes, whose material row
+    has NODE added."""
+
+    def write(out: np.ndarray, block: slice) -> None:
+        out[:, :2] = 0
+        if cloud.radii is not None:
+            out[:, 0] = cloud.radii[block, 0]
+            out[:, 1] = cloud.radii[block, min(1, cloud.radii.shape[1] - 1)]
+        if cloud.apart is not None:
+            out[cloud.apart[block], 1] *= -1
+        out[:, 2] = 0
+        if cloud.axis is not None:
+            out[:, 2] = octahedral(cloud.axis[block])
+        elif always_axis and cloud.normal is not None:
+            out[:, 2] = octahedral(basis(cloud.normal[block].T.astype(np.float64))[0].T)
+        out[:, 3] = 0 if cloud.material is None else cloud.material[block]
+        if points is not None:
+            out[max(points - block.start, 0) :, 3] += NODE
+
+    return write
+
+
+def filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:
+    """(N, C): an attribute, or its material's constant (M, C) where the cloud has none."""
+    own = getattr(cloud, name)
+    if own is not None:
+        return own
+    if cloud.material is None:
+        return np.broadcast_to(constants[0], (len(cloud), constants.shape[1]))
+    return constants.take(cloud.material, axis=0)
+
+
+def shading_normal(cloud: PointCloud) -> Write:
+    """(N, 1): packed shading normals, NO_NORMAL where there is none."""
+    own = cloud.shading_normal
+
+    def write(out: np.ndarray, block: slice) -> None:
+        if own is None:
+            out[:, 0] = NO_NORMAL
+        else:
+            x, y, z = own[block].T
+            out[:, 0] = octahedral(own[block])
+            out[np.abs(x) + np.abs(y) + np.abs(z) < SMALLEST_NORMAL, 0] = NO_NORMAL
+
+    return write
+
+
+def facets(cloud: PointCloud) -> Write:
+    """(N, 4): packed normal in 18 bits, and above it the share of the area in 6; 0 where there is no facet."""
+    own = cloud.facets
+
+    def write(out: np.ndarray, block: slice) -> None:
+        if own is None:
+            out[:] = 0
+            return
+        for i in range(own.shape[1]):
+            facet = own[block, i].astype(np.float32)
+            share = np.minimum(np.rint(np.sqrt((facet * facet).sum(axis=1)) * (63 / 127)), 63)
+            out[:, i] = share * FACET_SHARE + octahedral(facet, FACET_STEPS)
+
+    return write

@@ -1,0 +1,22 @@
+"""TODO: say what this module is."""
+
+from __future__ import annotations
+
+from ..outputs import BY_KEY
+
+AVERAGED = {"normal": ("PS_OUT_NORMAL", "out_normal_pass"), "albedo": ("PS_OUT_ALBEDO", "out_albedo"),
+            "mist": ("PS_OUT_MIST", "out_mist")}  # fmt: skip
+
+
+def averaged(passes: frozenset[str]) -> tuple[str, ...]:
+    """Accumulators beyond Combined."""
+    return tuple(key for key in AVERAGED if key in passes and BY_KEY[key].averaged)
+
+
+def _averaged_outputs(passes: frozenset[str], combined: bool) -> tuple[tuple[str, str], ...]:
+    first = (("vec4", "out_combined"),) if combined else ()
+    return (*first, *(("vec4", AVERAGED[key][1]) for key in averaged(passes)))
+
+
+def _averaged_defines(passes: frozenset[str]) -> tuple[str, ...]:
+    return tuple(AVERAGED[key][0] for key in averaged(passes))

@@ -1,0 +1,49 @@
+"""The world out of focus, once for a view: sharp on a coarse grid, and blurred there by the disk of confusion of what
+is infinitely far (core/lens/backdrop.py). Whoever draws the background looks it up (lib/light/backdrop.glsl)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.lens.backdrop import Grid
+from ....shading.interface import Interface
+from ...device.protocol import Device, Texture
+from ..uniforms import FRAME
+
+SHARP = Interface(
+    "backdrop", fragment="shading/backdrop.frag", block=FRAME, outputs=(("vec4", "out_color"),),
+    samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in ("lights", "environment", "levels")),
+    defines=(("PS_HAS_ENVIRONMENT", "1"),),
+)  # fmt: skip
+BLUR = Interface(
+    "backdrop_blur", fragment="shading/backdrop_blur.frag", block=FRAME, outputs=(("vec4", "out_color"),),
+    samplers=(("FLOAT_2D", "ps_sharp"),),
+)  # fmt: skip
+
+
+class Backdrop:
+    """The world behind one view. Floats: the sun is brighter than half floats are."""
+
+    def __init__(self, device: Device, grid: Grid) -> None:
+        self.device, self.grid = device, grid
+        self.texture: Texture = device.texture(grid.size, "RGBA32F")
+
+    @property
+    def texels(self) -> tuple[float, float]:
+        """That a pixel spans."""
+        return 1 / self.grid.step[0], 1 / self.grid.step[1]
+
+    def draw(self, record: np.ndarray, textures: dict[str, Texture]) -> None:
+        """`record`: of a ray through each pixel's centre; it is written to. `textures`: what SHARP reads."""
+        device, grid = self.device, self.grid
+        sharp = device.texture(grid.larger, "RGBA32F")
+        larger, blurred = device.target([sharp]), device.target([self.texture])
+        record["previous"][0] = *grid.step, *grid.radius
+        record["size"][0, 2] = grid.margin
+        device.draw(SHARP, larger, uniforms=record, textures=textures)
+        device.draw(BLUR, blurred, uniforms=record, textures={"ps_sharp": sharp})
+        for item in (larger, blurred, sharp):
+            item.release()
+
+    def release(self) -> None:
+        self.texture.release()

@@ -1,0 +1,27 @@
+"""TODO: say what this module is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.light.hair import texel
+from ....core.light.lighting import relative_index
+from ....core.scene.materials import MaterialTable
+
+LEAST_SPREAD = 0.99  # of |g|: lobes narrower than this would alias between splats
+
+
+def material_rows(table: MaterialTable, escape: np.ndarray) -> np.ndarray:
+    """(M, 4, 4) float32, one row of texels a material; escape: (M,), of hair."""
+    rows = np.zeros((len(table), 4, 4), np.float32)
+    rows[:, 0, :3], rows[:, 0, 3] = table.base_color, table.alpha
+    rows[:, 1, :3] = table.emission
+    if table.anisotropy is not None:
+        rows[:, 1, 3] = np.clip(table.anisotropy, -LEAST_SPREAD, LEAST_SPREAD)
+    if table.hair is not None:
+        of = table.hair
+        rows[:, 3] = texel(of.used, of.radial, of.coat, of.tilt, of.lobes, escape)
+    rows[:, 2] = np.stack(
+        [table.cull, table.roughness, table.metallic, relative_index(table.ior, table.specular)], axis=1
+    )
+    return rows

@@ -1,0 +1,84 @@
+"""TODO: say what this module is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.splat import painter
+from ....core.splat.kernel import SUPPORT
+from ....shading.interface import Interface
+from ...device.packing import PAGE_WIDTH
+from ..shading.lighting import MOST_LAMP_POINTS, lighting_defines, lighting_samplers
+from ..uniforms import FRAME
+from .options import TranslucentOptions
+
+MOST_REACHED = 4  # lights whose shares are kept
+
+
+def draw_list(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
+    """(N, 2) float32 of splats' places in the page, counted texel by texel, and their instances."""
+    rows = np.empty((len(texel), 2), np.float32)
+    rows[:, 0] = texel & (PAGE_WIDTH * PAGE_WIDTH - 1)
+    rows[:, 1] = 4 * instance.astype(np.int64) + (texel >> 24)
+    return rows
+
+
+def light_program(
+    options: TranslucentOptions, lighting: tuple[str, ...], materials: tuple[str, ...], reached: int = 0
+) -> Interface:
+    """Every splat of the draw list, lit. `reached`: of so many lights the share that reaches each splat is known."""
+    colored = "PS_SHADOW_COLORED" in lighting
+    known: tuple[tuple[str, str], ...] = ()
+    if reached:
+        lighting = tuple(name for name in lighting if not name.startswith("PS_SHADOW"))
+        known = ("PS_REACHED", str(reached)), *((("PS_REACHED_COLORED", "1"),) if colored else ())
+    read = ("order", "instances", "place", "extent", "optics", "materials")
+    read += tuple(name for name, on in options.attributes if on)
+    read += ("share",) if options.defocus and options.fuzzy else ()
+    read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
+    named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.opaque and not options.defocus}
+    named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
+    named |= {"PS_FUZZY_APART": options.apart, "PS_DEFOCUS": options.defocus, "PS_LINES": options.strands}
+    named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
+    outputs = [
+        "place",
+        "shape",
+        "source",
+        *(["front"] if options.opaque and not options.defocus else []),
+        *(["tint"] if options.tint else []),
+    ]
+    return Interface(
+        "light", fragment="translucent/light.frag", block=FRAME,
+        samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
+        outputs=tuple(("vec4", f"out_{name}") for name in outputs),
+        defines=(*lighting_defines(lighting), *known, *_fuzzy_defines(options, lighting),
+                 *((name, "1") for name in (*materials, *(name for name, on in named.items() if on)))),
+    )  # fmt: skip
+
+
+def reach_program(options: TranslucentOptions, lighting: tuple[str, ...], lights: int) -> Interface:
+    """The share of each light that reaches every splat of a page, by a list of all of them in their own order."""
+    colored = "PS_SHADOW_COLORED" in lighting
+    read = ("order", "instances", "place", "extent", "optics", "materials")
+    read += ("shading_normal",) if options.shading_normal else ()
+    defines = (*_fuzzy_defines(options, lighting), *((("PS_SHADING_NORMAL", "1"),) if options.shading_normal else ()))
+    return Interface(
+        "reach", fragment="translucent/light.frag", block=FRAME,
+        samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
+        outputs=tuple(("vec4", f"out_reach_{i}") for i in range(_reach_textures(lights, colored))),
+        defines=(*lighting_defines(lighting), ("PS_REACH", str(lights)), *defines),
+    )  # fmt: skip
+
+
+def _fuzzy_defines(options: TranslucentOptions, lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """One point of each wide lamp a sample is enough for splats that overlap, and blur what they receive; opaque ones
+    do not."""
+    points = MOST_LAMP_POINTS if options.fuzzy else 1
+    taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOWS" in lighting else ()
+    narrow = float(np.sqrt(4 * painter.SUPPORT / SUPPORT))
+    return (*taps, *((("PS_FUZZY", repr(narrow)),) if options.fuzzy else ()))
+
+
+def _reach_textures(lights: int, colored: bool) -> int:
+    """Shares without a colour of all lights lie in one."""
+    return lights if colored else min(lights, 1)

@@ -1,0 +1,64 @@
+"""TODO: say what this module is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ....core.splat.kernel import PROFILES
+from ....shading.interface import Interface
+from ...device.packing import PAGE_WIDTH
+from ...device.protocol import Device, Target, Texture, whole
+from .blend import CHANNELS, draw_program
+from .options import TranslucentOptions
+
+CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
+
+
+class LitSplats:
+    """The draw list of one view after lighting, and the draws that read it."""
+
+    @whole
+    def __init__(
+        self, device: Device, options: TranslucentOptions, program: Interface, count: int, samples: int = 1
+    ) -> None:
+        """`samples`: of the picture. DeviceError: more splats than a texture holds."""
+        self.device, self.count, self.program, self.samples = device, count, program, samples
+        size = (PAGE_WIDTH, max(1, -(-count // PAGE_WIDTH)))
+        self.textures: dict[str, Texture] = {}
+        for _, name in program.outputs:
+            format = "RGBA16F" if name == "out_tint" else "RGBA32F"
+            self.textures[name.replace("out_", "ps_")] = device.texture(size, format)
+        self.target: Target = device.target(list(self.textures.values()))
+        self._profiles: dict[str, Texture] = {}
+        if options.kernels:
+            kernels, steps = PROFILES.shape
+            self._profiles["ps_profiles"] = device.texture((steps, kernels), "R32F", PROFILES.reshape(-1))
+        channels = () if options.defocus else CHANNELS if options.tint else ("",)
+        self.draws = [(draw_program(options, channel), channel or "RGBA") for channel in channels]
+
+    def light(self, record: np.ndarray, textures: Mapping[str, Texture]) -> None:
+        """Light all of them, seen from the middle of the pixel."""
+        record["page"][0, 1] = self.count
+        record["mist"][0, 3] = 1 / self.samples**2
+        self.device.draw(self.program, self.target, uniforms=record, textures=dict(textures))
+
+    def draw(self, target: Target, record: np.ndarray, depth: Texture | None, pixels: int = 1) -> None:
+        """Over what `target` holds, of which a pixel spans `pixels` of the picture; `depth` is that of what is opaque,
+        in pixels of the picture."""
+        record["lens"][0, 3] = 1 / pixels
+        record["size"][0, :2] = target.colors[0].size
+        textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth})}
+        for program, mask in self.draws:
+            for first in range(0, self.count, CHUNK):
+                record["page"][0, 0] = first
+                vertices = 6 * min(CHUNK, self.count - first)
+                self.device.draw(
+                    program, target, uniforms=record, textures=textures, vertices=vertices, over=True, mask=mask
+                )
+
+    def release(self) -> None:
+        self.target.release()
+        for texture in (*self.textures.values(), *self._profiles.values()):
+            texture.release()

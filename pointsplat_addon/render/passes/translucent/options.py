@@ -1,0 +1,63 @@
+"""TODO: say what this module is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ....core.scene.cloud import PointCloud
+from ....core.scene.materials import MaterialTable
+
+
+@dataclass(frozen=True)
+class TranslucentOptions:
+    """What translucent splats have beyond geometry and optical depth."""
+
+    media: bool = False  # some fill a volume
+    color: bool = False
+    surface: bool = False
+    emission: bool = False
+    tint: bool = False  # some extinction differs between the channels
+    shading_normal: bool = False
+    kernels: bool = False  # some have another kernel than the default
+    holdout: bool = False  # some cut holes
+    opaque: bool = False  # something opaque may hide them
+    fuzzy: bool = False  # some are opaque: core/splat/painter.py
+    cull: bool = False  # and some of these are not drawn where they show their backs
+    apart: bool = False  # and some of these stand apart: core/lod/foliage.py
+    defocus: bool = False  # for the pass of what is out of focus: passes/defocus.py
+    strands: bool = False  # some of these splats are pieces of strands: core/lens/strand_splats.py
+
+    @property
+    def attributes(self) -> tuple[tuple[str, bool], ...]:
+        names = ("color", "surface", "emission", "tint", "shading_normal")
+        return tuple((name, getattr(self, name)) for name in names)
+
+
+def options(
+    clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdout: bool = False, defocus: bool = False
+) -> TranslucentOptions:
+    """What these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of them cuts a hole.
+    `defocus`: for what is out of focus."""
+    fuzzy = any(is_fuzzy(c) for c in clouds)
+    return TranslucentOptions(
+        media=any(c.extinction is not None for c in clouds),
+        color=any(c.color is not None for c in clouds),
+        surface=any(c.surface is not None for c in clouds),
+        emission=any(c.emission is not None for c in clouds)
+        or (any(c.extinction is None for c in clouds) and bool((table.emission > 0).any())),
+        tint=any(c.extinction is not None and c.extinction.ndim == 2 for c in clouds),
+        shading_normal=any(c.shading_normal is not None for c in clouds),
+        kernels=not defocus and any(c.kernel is not None for c in clouds),
+        holdout=holdout,
+        opaque=opaque,
+        fuzzy=fuzzy,
+        cull=fuzzy and bool(table.cull.any()),
+        apart=not defocus and any(is_fuzzy(c) and c.apart is not None for c in clouds),
+        defocus=defocus,
+        strands=defocus and any(is_fuzzy(c) and c.kernel is not None for c in clouds),
+    )
+
+
+def is_fuzzy(cloud: PointCloud) -> bool:
+    """Whether the splats of a cloud are opaque, but for their rims."""
+    return cloud.extinction is None and cloud.opacity is None

@@ -1,0 +1,135 @@
+"""Translucent splats: lit for a view, then drawn back to front over the opaque picture of every sample.
+
+A page holds the splats of all translucent point sets, one texel a splat:
+  place           xyz relative to the set's origin; packed normal (-1: a ball)
+  extent          half-axes (major, minor), packed major axis, material row
+  optics          media: extinction per object unit, half-axis along the normal, 1 (voxels: 2); shells: optical depth of
+                  the splat's own area, half-axis along the normal, 0; opaque splats: the same, -1; row of
+                  core.kernel.PROFILES
+  color           base colour of shells, albedo of media          \\
+  surface         roughness, metallic                              |
+  emission        shells: radiance; media: radiance per unit       | where any set has them
+  tint            extinction by channel over `optics`' first       |
+  shading_normal  packed normal, -1: none                         /
+The draw list, sorted, holds two floats a splat: column + 4096 (row % 4096), and 4 instance + row / 4096.
+
+What lighting leaves of each splat of the list, one texel each:
+  place   centre in pixels from the principal point, depth, optical depth at the centre
+  shape   covariance in pixels^2 (xx, xy, yy)
+  source  radiance of what is opaque in it (rgb): the splat's is this times 1 - T; the kernel's row k, -1 - k where
+          the splat only cuts a hole
+  front   standard deviation of depth along a ray, change of depth per pixel (x, y); where something opaque is drawn
+  tint    as above
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ....core.scene.cloud import PointCloud
+from ....core.scene.materials import MaterialTable
+from ....core.splat import painter
+from ....core.splat.kernel import PEAK, PROFILES
+from ...cache.keys import Key
+from ...device.protocol import Device
+from ...prepare.point_sets import PointSet
+from ..pages.splat_page import SplatPage, extent, filled, place, shading_normal
+from .options import TranslucentOptions, is_fuzzy
+
+OPAQUE = 100.0  # optical depth of what is opaque
+
+
+class TranslucentPage(SplatPage):
+    """Translucent splats on the device."""
+
+    def __init__(
+        self,
+        device: Device,
+        sets: list[PointSet],
+        options: TranslucentOptions,
+        table: MaterialTable,
+        shares: Mapping[Key, np.ndarray | float] | None = None,
+    ) -> None:
+        """`shares`: by key, what of its ellipse each opaque splat covers; with `options.defocus`."""
+        super().__init__(device, sets)
+        clouds = self.clouds
+        if not options.defocus:
+            clouds = [_reaching(c, len(points.cloud)) for c, points in zip(clouds, sets, strict=True)]
+        self.clouds = clouds
+        if options.defocus and options.fuzzy:
+            held = [(shares or {}).get(points.key, 1.0) for points in sets]
+            self.upload("share", "R32F", 1, [
+                np.broadcast_to(np.float32(share), len(cloud)) for share, cloud in zip(held, clouds, strict=True)
+            ])  # fmt: skip
+        self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
+        self.upload("extent", "RGBA32F", 4, [extent(c, always_axis=True) for c in clouds])
+        self.upload("optics", "RGBA32F", 4, [
+            _optics(c, points.is_lattice) for c, points in zip(clouds, sets, strict=True)
+        ])  # fmt: skip
+        if options.color:
+            self.upload("color", "RGBA16F", 4, [filled(c, "color", table.base_color) for c in clouds])
+        if options.surface:
+            constants = np.stack([table.roughness, table.metallic], axis=1)
+            self.upload("surface", "RG32F", 2, [filled(c, "surface", constants) for c in clouds])
+        if options.emission:
+            dark = np.zeros_like(table.emission)
+            self.upload("emission", "RGBA32F", 4, [
+                filled(c, "emission", table.emission if c.extinction is None else dark) for c in clouds
+            ])  # fmt: skip
+        if options.tint:
+            self.upload("tint", "RGBA16F", 4, [_tint(c) for c in clouds])
+        if options.shading_normal:
+            self.upload("shading_normal", "R32F", 1, [shading_normal(c) for c in clouds])
+        self.clouds = []
+
+
+def _reaching(cloud: PointCloud, points: int) -> PointCloud:
+    """A page's splats of one set. Nodes of opaque surfaces, which follow after the points, reach the corners of what
+    they stand for, as points do."""
+    if not is_fuzzy(cloud) or len(cloud) == points or cloud.radii is None:
+        return cloud
+    radii = cloud.radii.copy()
+    closed = True if cloud.apart is None else ~cloud.apart[points:, None]
+    np.multiply(radii[points:], np.float32(painter.NODE_REACH), out=radii[points:], where=closed)
+    return replace(cloud, radii=radii)
+
+
+def _optics(cloud: PointCloud, lattice: bool) -> np.ndarray:
+    rows = np.zeros((len(cloud), 4), np.float32)
+    if cloud.extinction is not None:
+        rows[:, 0] = _strength(cloud.extinction)
+        rows[:, 2] = 2.0 if lattice else 1.0
+        if cloud.radii is not None:
+            thick = cloud.normal is not None and cloud.radii.shape[1] == 3
+            # A flat splat of a medium stands for a slab as thick as it is wide.
+            rows[:, 1] = (
+                cloud.radii[:, 2] if thick else np.sqrt(np.abs(cloud.radii[:, 0])) * np.sqrt(np.abs(cloud.radii[:, -1]))
+            )
+    elif cloud.opacity is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = -np.log1p(-np.clip(cloud.opacity.astype(np.float64), 0, 1))
+        rows[:, 0] = np.minimum(depth, OPAQUE)
+    else:
+        # The peak of a kernel is twice what its splat has over its own area.
+        rows[:, 0], rows[:, 2] = painter.DEPTH / (2 * PEAK), -1.0
+    if cloud.extinction is None and cloud.radii is not None and cloud.radii.shape[1] == 3:
+        # Coarse nodes of surfaces that do not lie in a plane, as of a tree's leaves.
+        rows[:, 1] = cloud.radii[:, 2]
+    if cloud.kernel is not None:
+        rows[:, 3] = np.where(cloud.kernel < len(PROFILES), cloud.kernel, 0)
+    return rows
+
+
+def _strength(extinction: np.ndarray) -> np.ndarray:
+    """(N,) what the channels are relative to."""
+    return extinction if extinction.ndim == 1 else extinction.max(axis=1)
+
+
+def _tint(cloud: PointCloud) -> np.ndarray:
+    if cloud.extinction is None or cloud.extinction.ndim == 1:
+        return np.ones((len(cloud), 3), np.float32)
+    positive = np.maximum(cloud.extinction, 0)
+    return positive / np.maximum(_strength(positive), np.finfo(np.float32).tiny)[:, None]

@@ -1,0 +1,95 @@
+"""Polygons: corners of triangles in textures, one draw for each material of each instance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.surface.density import PART
+from ....shading.interface import Interface
+from ...device.protocol import Device, Texture
+from ..gbuffer import GBuffer, Variant
+from ..uniforms import FRAME
+from .polygon_mesh import CORNERS, Group, PartList, PolygonMesh
+
+
+def _needed(variant: Variant, group: Group) -> tuple[str, ...]:
+    """Defines of a group's shader in a G-buffer of this variant."""
+    held = {"PS_BAKED_NORMAL": variant.normal}
+    for kind, on in (("COLOR", variant.color), ("SURFACE", variant.surface), ("EMISSION", variant.emission)):
+        held |= {f"PS_BAKED_{kind}": on, f"PS_CORNER_{kind}": on}
+    # Alpha is a colour's.
+    held["PS_BAKED_COLOR"] |= "PS_BAKED_ALPHA" in group.defines
+    held["PS_CORNER_COLOR"] |= "PS_CORNER_ALPHA" in group.defines
+    names = [name for name in group.defines if held.get(name, True)]
+    pictures = any(name.startswith("PS_BAKED") for name in names)
+    return tuple(name for name in names if name != "PS_UV" or pictures)
+
+
+def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
+    """The program that draws a group, or some of its parts."""
+    names = _needed(variant, group)
+    samplers = [("FLOAT_2D", "ps_corner")]
+    varyings = [("smooth", "vec3", "v_position")]
+    if variant.normal:
+        varyings.append(("smooth", "vec3", "v_normal"))
+    if "PS_UV" in names:
+        samplers.append(("FLOAT_2D", "ps_corner_uv"))
+        varyings.append(("smooth", "vec2", "v_uv"))
+    for sampler, (glsl, varying) in CORNERS.items():
+        if sampler.upper() in names:
+            samplers.append(("FLOAT_2D", sampler))
+            varyings.append(("smooth", glsl, varying))
+    samplers += [("FLOAT_2D", name) for name in group.textures if name.upper() in names]
+    kinds = {"COLOR": variant.color, "SURFACE": variant.surface, "EMISSION": variant.emission}
+    if any(on and not {f"PS_BAKED_{kind}", f"PS_CORNER_{kind}"} & set(names) for kind, on in kinds.items()):
+        samplers.append(("FLOAT_2D", "ps_materials"))
+    if parted:
+        samplers.append(("FLOAT_2D", "ps_parts"))
+    more = ((("PS_CULL", "1"),) if group.cull else ()) + ((("PS_PARTS", str(3 * PART)),) if parted else ())
+    return Interface(
+        "polygons",
+        vertex="visibility/polygon.vert",
+        fragment="visibility/polygon.frag",
+        block=FRAME,
+        samplers=tuple(samplers),
+        varyings=tuple(varyings),
+        outputs=variant.front_outputs,
+        defines=(*variant.front_defines, *((name, "1") for name in names), *more),
+        depth=True,
+    )
+
+
+def draw(
+    device: Device,
+    variant: Variant,
+    mesh: PolygonMesh,
+    view_from_object: np.ndarray,
+    instance: int,
+    holdout: bool,
+    record: np.ndarray,
+    shared: dict[str, Texture],
+    out: GBuffer,
+    parts: list[PartList | None] | None = None,
+) -> None:
+    """One instance of a mesh into the G-buffer; `parts`: only some of each group, where it is not None."""
+    matrix = view_from_object.copy()
+    matrix[:3, 3] += matrix[:3, :3] @ mesh.origin
+    record["view_from_object"][0] = matrix.T.reshape(-1)
+    record["lens"][0, 3] = -1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0
+    record["size"][0, 3] = instance
+    for i, group in enumerate(mesh.groups):
+        some = None if parts is None else parts[i]
+        if parts is not None and some is None:
+            continue
+        textures = {**shared, **mesh.textures, **group.textures}
+        record["page"][0, :3] = group.first, group.material, int(holdout)
+        if some is not None:
+            textures["ps_parts"] = some.texture
+        device.draw(
+            program(variant, group, some is not None),
+            out.target,
+            uniforms=record,
+            textures=textures,
+            vertices=group.count if some is None else 3 * PART * some.count,
+            depth_test=True,
+        )

@@ -1,0 +1,50 @@
+"""Balls that are wide on the screen, each met by the pixels' rays: into the G-buffer as polygons are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....shading.interface import Interface
+from ...device.protocol import Device, Texture
+from ..gbuffer import GBuffer, Variant
+from ..pages.point_page import PageDraw, PointOptions, attributes
+from ..uniforms import FRAME
+
+VERTICES = 6  # of a rectangle
+
+
+def program(variant: Variant, options: PointOptions) -> Interface:
+    """The program for one variant of the G-buffer."""
+    samplers, defines = attributes(variant, options)
+    rows = tuple(("flat", "vec3", name) for name in ("v_centre", "v_row0", "v_row1", "v_row2", "v_element"))
+    return Interface(
+        "spheres",
+        vertex="visibility/sphere.vert",
+        fragment="visibility/sphere.frag",
+        block=FRAME,
+        samplers=samplers,
+        varyings=rows,
+        outputs=variant.front_outputs,
+        defines=(*variant.front_defines, *defines),
+        depth=True,
+    )
+
+
+def draw(
+    device: Device,
+    program: Interface,
+    draws: list[PageDraw],
+    record: np.ndarray,
+    shared: dict[str, Texture],
+    out: GBuffer,
+) -> None:
+    """All wide balls of the cut."""
+    for part in draws:
+        device.draw(
+            program,
+            out.target,
+            uniforms=part.fill(record),
+            textures={**shared, **part.page.textures, "ps_blocks": part.blocks},
+            vertices=VERTICES * part.elements,
+            depth_test=True,
+        )

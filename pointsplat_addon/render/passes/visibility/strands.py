@@ -1,0 +1,75 @@
+"""Strands: control points in textures, segments of them into the G-buffer as polygons are (Marroquim et al. 2008, 4).
+
+A page holds the points of one geometry, texture by texture, one texel a point:
+  point     xyz relative to the geometry's origin; radius
+  tangent   unit, along the strand
+  side      unit, across a ribbon
+  color, surface, emission   as in pages of splats, where the scene has them
+Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of thin ones share
+of the raster line's width at both ends, phase; of wide ones the points where the strand ends, as far as they are near,
+or -1: tubes end there in a plane. Lists hold the texel of each segment that is drawn. Thin ones are raster lines
+of one pixel and have a list for each sample: core/strand/selection.py says which. The others have one for all samples: tubes
+that may be seen to be round are met by the pixels' rays; narrower ones are strips that face the eye, as ribbons are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....shading.interface import Interface
+from ...device.protocol import Device, Texture
+from ..gbuffer import GBuffer, Variant
+from ..uniforms import FRAME
+from .strand_page import LineDraw
+
+CHUNK = 1 << 20  # segments of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
+
+
+def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
+    """The program for one variant of the G-buffer and one kind of segments: THIN, STRIP or TUBE."""
+    thin, tube = kind == "THIN", kind == "TUBE"
+    fetched = ["ps_list", "ps_segments", "ps_point", "ps_instances"]
+    strip = kind == "STRIP" and not ribbon  # faces the eye, across its tangent
+    fetched += ["ps_tangent"] if variant.normal or tube or strip else []
+    fetched += ["ps_side"] if ribbon else []
+    fetched += ["ps_materials"] if tube and variant.normal else []
+    named = {"color": variant.color, "surface": variant.surface, "emission": variant.emission}
+    fetched += [f"ps_{name}" for name, on in named.items() if on]
+    varyings = [("flat", "vec4", "v_segment")]
+    if tube:
+        varyings += [("flat", "vec4", name) for name in ("v_from", "v_to", "v_begin", "v_end")]
+    else:
+        varyings += [("smooth", "vec3", "v_position"), ("smooth", "float", "v_along")]
+        varyings += [("smooth", "vec3", "v_normal")] if variant.normal else []
+        varyings += [("smooth", "vec2", "v_share")] if thin else []
+    kinds = {"PS_THIN": thin, "PS_RIBBON": ribbon, "PS_TUBE": tube}
+    return Interface(
+        "lines", vertex="visibility/strands.vert", fragment="visibility/strands.frag", block=FRAME,
+        samplers=tuple(("FLOAT_2D", name) for name in fetched),
+        varyings=tuple(varyings), outputs=variant.front_outputs, depth=True,
+        defines=(*variant.front_defines, *((name, "1") for name, on in kinds.items() if on)),
+    )  # fmt: skip
+
+
+def draw(
+    device: Device,
+    variant: Variant,
+    draws: list[LineDraw],
+    record: np.ndarray,
+    shared: dict[str, Texture],
+    out: GBuffer,
+) -> None:
+    """All strands of one sample into the G-buffer."""
+    for part in draws:
+        record["lens"][0, 3] = part.turn
+        for kind, listed in part.lists().items():
+            thin = kind == "THIN"
+            texture, total = listed
+            textures = {**shared, **part.page.textures, "ps_segments": part.texture, "ps_list": texture}
+            for first in range(0, total, CHUNK):
+                record["page"][0, 0] = first
+                device.draw(
+                    program(variant, part.page.ribbon, kind), out.target, uniforms=record, textures=textures,
+                    vertices=min(CHUNK, total - first) * (2 if thin else 6),
+                    primitive="LINES" if thin else "TRIANGLES", depth_test=True,
+                )  # fmt: skip

@@ -1,0 +1,159 @@
+"""Pictures of Cycles, EEVEE and VTK for scripts/error_vs_time/measure.py, of the scene that is open in Blender."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.render.frame.sample_positions import FILTER_WIDTH
+from scripts.benchmarks import frame
+from scripts.error_vs_time.curves import Row, errors
+from scripts.error_vs_time.scenes import CLOUD, KINDS, SCAN_FILE, SCAN_RADIUS, disk_radius, scan, sphere, subject
+from scripts.error_vs_time.truths import EXTINCTION, VOXELS, voxel_field
+from scripts.error_vs_time.vtk_volume import VolumeView
+
+CYCLES = (1, 4, 16, 64, 256)
+CYCLES_LIMIT = 512  # samples, with other random numbers: what Cycles comes to
+EEVEE = (1, 16)  # samples, beside the default
+FINE = (1, 2, 4)  # times as many pixels a side of VTK's, averaged
+
+
+def other(name: str, program: str, samples: int, seconds: float, **more: object) -> Row:
+    plain = {"technique": None, "tolerance": None, "shadow_resolution": None, "dof_method": None, "points": None}
+    return {"scene": name, "program": program, "series": "other", **plain, "samples": samples, "seconds": seconds,
+            "prepare": None, "passes": {}, "bytes": None, **more}  # fmt: skip
+
+
+def blender_picture(path: Path) -> tuple[np.ndarray, float]:
+    """The picture (H, W, 4) of the scene as it is set up, scene-linear, bottom row first; seconds of the processor."""
+    import bpy
+
+    scene = bpy.context.scene
+    scene.render.filepath = str(path)
+    start = time.process_time()
+    bpy.ops.render.render(write_still=True)
+    seconds = time.process_time() - start
+    image = bpy.data.images.load(scene.render.filepath)
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    width, height = image.size
+    bpy.data.images.remove(image)
+    return pixels.reshape(height, width, -1), seconds
+
+
+def cycles(name: str, truth: np.ndarray, folder: Path, counts: tuple[int, ...], limit: int) -> list[Row]:
+    """Direct light only, as PointSplat has it, and the same filter; errors against the truth and, as `own`, against
+    what Cycles itself comes to."""
+    import bpy
+
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    settings = scene.cycles
+    settings.device, settings.use_adaptive_sampling, settings.use_denoising = "CPU", False, False
+    settings.max_bounces, settings.pixel_filter_type = 0, "BLACKMAN_HARRIS"
+    settings.filter_width = FILTER_WIDTH / 2  # Cycles doubles it for this window
+    path = folder / "cycles.exr"
+
+    def draw(samples: int, seed: int) -> tuple[np.ndarray, float]:
+        settings.samples, settings.seed = samples, seed
+        return blender_picture(path)
+
+    draw(1, 0)  # loads kernels
+    limited = draw(limit, 1)[0]
+    rows = []
+    for samples in counts:
+        pixels, seconds = draw(samples, 0)
+        own = errors(pixels, limited)["rmse"]
+        rows.append(other(name, "Cycles", samples, seconds, own=own, **errors(pixels, truth)))
+    return rows
+
+
+def eevee(name: str, truth: np.ndarray, folder: Path) -> list[Row]:
+    """At its defaults, and with fewer samples. A picture before compiles shaders."""
+    bench_blender = importlib.import_module("scripts.benchmarks.blender")
+    bench_blender.choose_engine("EEVEE")
+    import bpy
+
+    bpy.context.scene.render.filter_size = FILTER_WIDTH
+    settings = bpy.context.scene.eevee
+    counts = *EEVEE, settings.taa_render_samples
+    rows = []
+    for samples in (1, *counts):
+        settings.taa_render_samples = samples
+        pixels, seconds = blender_picture(folder / "eevee.exr")
+        rows.append(other(name, "EEVEE", samples, seconds, **errors(pixels, truth)))
+    return rows[1:]
+
+
+def vtk(name: str, truth: np.ndarray, folder: Path, data: Path, size: int, counts: tuple[int, ...]) -> list[Row]:
+    """Opaque disks that face the camera, from one to sixteen samples a pixel: pictures of so many more pixels,
+    averaged. `counts`: costs of one sample of so many points of the sphere."""
+    if KINDS[name].build is not None:
+        return vtk_points(name, truth, folder, size, scan((data / SCAN_FILE).resolve()), SCAN_RADIUS)
+    rows = vtk_points(name, truth, folder, size, sphere(CLOUD), disk_radius(CLOUD))
+    for count in counts:
+        one = vtk_points("counts", truth, folder, size, sphere(count), disk_radius(count), (1,))
+        rows += [row | {"series": "count"} for row in one]
+    return rows
+
+
+def vtk_points(
+    name: str, truth: np.ndarray, folder: Path, size: int, cloud: tuple, radius: float, times: tuple[int, ...] = FINE
+) -> list[Row]:
+    """Rows of a cloud: positions and colours (N, 3), of disks of one radius. None where VTK cannot draw."""
+    across = radius / frame.radius(1.0, size)
+    rows = []
+    for fine in times:
+        theirs = frame.Theirs(cloud, size * fine)
+        path = folder / "vtk.png"
+        try:
+            theirs.frame("disk", across * fine, 0.0)
+            # A window's radius in pixels is that of its own size.
+            _, seconds = theirs.times("disk", across * fine, 0.0)
+            theirs.frame("disk", across * fine, 0.0, str(path))
+        except (EOFError, OSError):
+            return []
+        finally:
+            theirs.close()
+        pixels = np.asarray(Image.open(path).convert("RGB"), float)[::-1] / 255
+        pixels = pixels.reshape(size, fine, size, fine, 3).mean(axis=(1, 3))
+        rows.append(other(name, "VTK", fine**2, seconds, **errors(pixels, truth)) | {"points": len(cloud[0])})
+    return rows
+
+
+def vtk_volume(name: str, truth: np.ndarray, camera: Camera) -> list[Row]:
+    """The voxels of the open scene, with so many more pixels averaged. Nothing where VTK is missing."""
+    if not find_spec("vtk"):
+        return []
+    values, world_from_index = voxel_field()
+    rows = []
+    for fine in (1, 2, 4):
+        focal = float(camera.clip_from_view[1, 1])
+        view = VolumeView(values, world_from_index, EXTINCTION, camera.view_from_world, focal, VOXELS * fine)
+        view.frame()  # what is made once
+        pixels, seconds = view.frame()
+        view.close()
+        pixels = pixels.reshape(VOXELS, fine, VOXELS, fine, 3).mean(axis=(1, 3))
+        rows.append(other(name, "VTK", fine**2, seconds, **errors(pixels, truth)))
+    return rows
+
+
+def theirs(
+    name: str, truth: np.ndarray, size: int, data: Path, folder: Path, counts: tuple[int, ...], with_eevee: bool
+) -> list[Row]:
+    """Rows of the other programs, or of EEVEE alone."""
+    kind = KINDS[name]
+    rows = vtk(name, truth, folder, data, size, counts) if kind.vtk == "points" and not with_eevee else []
+    if kind.build is None:
+        return rows
+    seen = subject(name, size, data, folder)
+    if with_eevee:
+        return eevee(name, truth, folder)
+    rows += vtk_volume(name, truth, seen.camera) if kind.vtk == "voxels" else []
+    return rows + cycles(name, truth, folder, CYCLES, CYCLES_LIMIT)

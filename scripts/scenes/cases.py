@@ -1,0 +1,67 @@
+"""All named cases, each made once in a process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+from scripts.scenes.awkward_cases import far_away, inside, not_finite, scales
+from scripts.scenes.case import Case
+from scripts.scenes.detailed_cases import foliage, many_towers, split_mesh, strands
+from scripts.scenes.lit_cases import emission, environment, lights
+from scripts.scenes.solid_cases import (
+    balls,
+    cube,
+    culled,
+    empty,
+    holdout,
+    instances,
+    mixed,
+    moving,
+    parallel,
+    parallel_balls,
+    plain_sphere,
+    region,
+    sphere,
+    textured,
+    unlit,
+    wide_balls,
+)
+from scripts.scenes.translucent_cases import in_smoke, panes, smoke, tinted_smoke
+
+CASES: dict[str, Callable[[], Case]] = {
+    function.__name__: cache(function)
+    for function in (
+        empty,
+        cube,
+        sphere,
+        plain_sphere,
+        mixed,
+        textured,
+        instances,
+        balls,
+        wide_balls,
+        parallel_balls,
+        emission,
+        holdout,
+        environment,
+        lights,
+        inside,
+        far_away,
+        scales,
+        not_finite,
+        parallel,
+        region,
+        unlit,
+        moving,
+        culled,
+        smoke,
+        tinted_smoke,
+        panes,
+        in_smoke,
+        foliage,
+        many_towers,
+        split_mesh,
+        strands,
+    )
+}

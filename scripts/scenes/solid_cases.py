@@ -1,0 +1,189 @@
+"""Cases of opaque points and polygons: plain, textured, instanced, held out, moving and culled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pointsplat_addon.core.material import expressions as ex
+from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.scene.cloud import PointCloud
+from pointsplat_addon.core.scene.world import World
+from scripts.scenes.build import materials, mesh, moved, picture, points, scene
+from scripts.scenes.cameras import camera, look_at
+from scripts.scenes.case import Case
+from scripts.scenes.clouds import plane_cloud, sphere_cloud, sphere_points
+from scripts.scenes.meshes import cube_mesh, plane_mesh
+
+
+def empty() -> Case:
+    return Case(scene(), camera())
+
+
+def cube() -> Case:
+    return Case(scene((mesh(cube_mesh("cube")), moved())), camera((2, -4, 1.5)))
+
+
+def sphere() -> Case:
+    color = (sphere_points() * 0.4 + 0.5).astype(np.float32)
+    return Case(scene((points("sphere", sphere_cloud(color=color)), moved())), camera())
+
+
+def plain_sphere() -> Case:
+    """Nothing varies: material constants only."""
+    return Case(scene((points("plain sphere", sphere_cloud()), moved())), camera())
+
+
+def mixed() -> Case:
+    """A cube that cuts through a sphere of points."""
+    return Case(
+        scene(
+            (points("mixed sphere", sphere_cloud()), moved((-0.4, 0, 0))),
+            (mesh(cube_mesh("mixed cube", 0.7), "POLYGONS"), moved((0.5, 0, 0))),
+        ),
+        camera((1, -4, 1)),
+    )
+
+
+def textured() -> Case:
+    """A plane whose base colour is a picture, seen obliquely, beside the same as points."""
+    graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), picture())))
+    return Case(
+        scene(
+            (mesh(plane_mesh("textured polygons"), "POLYGONS"), moved((-1.05, 0, 0))),
+            (mesh(plane_mesh("textured points", cells=16), "POINTS"), moved((1.05, 0, 0))),
+            table=materials(graphs=(graph,)),
+        ),
+        camera((0.5, -5, 1)),
+    )
+
+
+def instances() -> Case:
+    """Points and polygons, each plain, mirrored, sheared, of zero scale, and nowhere."""
+    cloud, block = points("instanced sphere", sphere_cloud(200)), mesh(cube_mesh("instanced cube"), "POLYGONS")
+    sheared = moved((0, 0, 0), 0.3)
+    sheared[0, 2] = 0.2
+    lost = moved()
+    lost[0, 3] = np.nan
+    things = []
+    for geometry, z in ((cloud, 0.6), (block, -0.6)):
+        for x, matrix in (
+            (-1.0, moved(scale=0.3)),
+            (-0.3, moved(scale=(-0.3, 0.3, 0.2))),
+            (0.4, sheared),
+            (1.0, moved(scale=0.0)),
+            (1.1, moved(scale=(0.3, 0.3, 0.0))),
+            (0.0, lost),
+        ):
+            matrix = matrix.copy()
+            matrix[:3, 3] += x, 0, z
+            things.append((geometry, matrix))
+    return Case(scene(*things), camera())
+
+
+def balls() -> Case:
+    """A cloud without normals."""
+    cloud = replace(sphere_cloud(60), normal=None, radii=np.full((60, 1), 0.25, np.float32))
+    return Case(scene((points("balls", cloud), moved())), camera())
+
+
+def wide_balls() -> Case:
+    """Balls of many pixels that overlap, also turned to ellipsoids, mirrored, around the eye and beyond the frame."""
+    rng = np.random.default_rng(5)
+    color = rng.random((40, 3), np.float32)
+    radius = rng.uniform(0.1, 0.5, (40, 1)).astype(np.float32)
+    position = rng.uniform(-1, 1, (40, 3)).astype(np.float32)
+    geometry = points("wide balls", PointCloud(position, radii=radius, color=color))
+    sheared = moved((1, 1.5, 0.5), (0.6, -0.9, 0.4))
+    sheared[0, 2] = 0.5
+    around = points(
+        "around the eye", PointCloud(np.array([[0.0, -4.5, 0.0]], np.float32), radii=np.full((1, 1), 2.0, "f4"))
+    )
+    block = mesh(cube_mesh("cut cube", 0.7), "POLYGONS")
+    things = ((geometry, moved()), (geometry, sheared), (around, moved((-3, 0, 1))), (block, moved((-0.5, 0.3, -0.4))))
+    return Case(scene(*things), camera())
+
+
+def parallel_balls() -> Case:
+    """The same in a parallel view."""
+    return replace(wide_balls(), camera=camera((0.5, -5, 1), parallel=4.0))
+
+
+def holdout() -> Case:
+    """Spheres and cubes, of which one each cuts a hole, before a plane; on a transparent film."""
+    ball, block = points("cut sphere", sphere_cloud(200)), mesh(cube_mesh("cut cube"), "POLYGONS")
+    return Case(
+        scene(
+            (mesh(plane_mesh("cut plane", 1.2), "POLYGONS"), moved((0, 1, 0))),
+            (ball, moved((-0.6, 0, 0.6), 0.4)),
+            (ball, moved((0.6, 0, 0.6), 0.4)),
+            (block, moved((-0.6, 0, -0.6), 0.3)),
+            (block, moved((0.6, 0, -0.6), 0.3)),
+            holdout=(False, True, False, False, True),
+            transparent=True,
+        ),
+        camera(),
+    )
+
+
+def parallel() -> Case:
+    """An orthographic camera within the scene, whose clip start lies behind it."""
+    return Case(
+        scene(
+            (points("parallel sphere", sphere_cloud()), moved((-0.6, 0, 0))),
+            (mesh(cube_mesh("parallel cube", 0.6), "POLYGONS"), moved((0.9, 0.5, 0))),
+        ),
+        camera((0.5, -0.2, 0.3), (0, 0.5, 0), parallel=4.0, near=-10.0, far=10.0, shift=(0.05, -0.1)),
+    )
+
+
+def region() -> Case:
+    """A border around a part of `mixed`."""
+    case = mixed()
+    return replace(case, camera=replace(case.camera, region=(7, 9, 30, 21)))
+
+
+def unlit() -> Case:
+    """No light at all: everything is black, and there."""
+    case = mixed()
+    return replace(case, scene=replace(case.scene, lights=(), world=World()))
+
+
+def moving() -> Case:
+    """A cube of polygons, one of points and the camera, all in motion."""
+    case = Case(
+        scene(
+            (mesh(plane_mesh("moving polygons", 0.8), "POLYGONS"), moved((-1, 0, 0))),
+            (points("moving points", plane_cloud(12, 0.8)), moved((1, 0, 0))),
+        ),
+        camera(),
+    )
+    here = case.scene.instances
+    before = here.world_from_object.copy()
+    before[0, :3, 3] += 0.2, 0.1, -0.1
+    before[1, :3, 3] -= 0.1, 0.3, 0.2
+    previous = look_at((0.1, -4.2, 0.1), (0, 0, 0.2))
+    return replace(
+        case,
+        scene=replace(case.scene, instances=replace(here, previous=before)),
+        camera=replace(case.camera, previous_view_from_world=previous),
+    )
+
+
+def culled() -> Case:
+    """Half a sphere of each kind, whose material hides back faces, seen from behind."""
+    cloud = sphere_cloud(400)
+    table = materials(cull=[True])
+    return Case(
+        scene(
+            (points("open sphere", cloud.take(cloud.position[:, 1] > 0)), moved((-1, 0, 0))),
+            (
+                mesh(plane_mesh("back of a plane", 0.8), "POLYGONS"),
+                moved((1, 0, 0), (1, -1, 1)) @ np.diag([-1.0, 1, 1, 1]),
+            ),
+            (mesh(cube_mesh("closed cube", 0.4), "POLYGONS"), moved((1, 1, 0))),
+            table=table,
+        ),
+        camera(),
+    )

@@ -1,0 +1,68 @@
+"""Cases of smoke and of glass."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.settings import Settings
+from scripts.scenes.build import materials, mesh, moved, points, scene, sun
+from scripts.scenes.cameras import camera
+from scripts.scenes.case import Case
+from scripts.scenes.clouds import smoke_cloud, sphere_cloud
+from scripts.scenes.meshes import cube_mesh, plane_mesh
+
+
+def smoke() -> Case:
+    """A ball of smoke with a lamp in it, through which a cube of polygons and a sphere of points stick."""
+    cloud = smoke_cloud()
+    lamp = Light("POINT", np.full(3, 3.0), np.array([0.1, -0.3, 0.2]), np.array([0.0, 0, -1]))
+    return Case(
+        scene(
+            (points("smoke", replace(cloud, color=np.abs(cloud.position))), moved()),
+            (mesh(cube_mesh("cube in smoke", 0.5), "POLYGONS"), moved((0.8, 0, 0))),
+            (points("sphere in smoke", sphere_cloud(200)), moved((-0.8, 0, 0), 0.5)),
+            lights=(lamp, sun(1.0)),
+            table=materials(anisotropy=np.array([0.4], np.float32)),
+        ),
+        camera(),
+        Settings(shadow_resolution=64),
+    )
+
+
+def tinted_smoke() -> Case:
+    """A ball whose extinction is coloured and that glows, before a plane on which its shadow falls."""
+    cloud = smoke_cloud(10, (0.5, 1.0, 3.0))
+    return Case(
+        scene(
+            (points("tinted smoke", replace(cloud, emission=0.1 * np.abs(cloud.position))), moved()),
+            (mesh(plane_mesh("plane behind smoke", 2.0), "POLYGONS"), moved((0, 1.5, 0))),
+        ),
+        camera(),
+        Settings(shadow_resolution=64),
+    )
+
+
+def panes() -> Case:
+    """Coloured panes of glass, one behind the other, and a cube of which half is glass."""
+    colors, alphas = [[0.8, 0.8, 0.8], [0.9, 0.2, 0.1], [0.1, 0.3, 0.9]], [1.0, 0.4, 0.7]
+    table = materials(3, base_color=colors, alpha=alphas, translucent=np.array([False, True, True]))
+    half = replace(cube_mesh("half a cube", 0.4), material=np.repeat(np.array([0, 2], np.uint16), 6), materials=(0, 2))
+    front, back = (replace(plane_mesh(f"pane {row}", 0.7), materials=(row,)) for row in (1, 2))
+    return Case(
+        scene(
+            (mesh(front), moved((-0.3, -0.5, 0.2))),
+            (mesh(back), moved((0.3, 0.5, -0.2))),
+            (mesh(half, "POLYGONS"), moved((0.5, 0, 0.5))),
+            table=table,
+        ),
+        camera((0.5, -4, 0.5)),
+        Settings(shadow_resolution=64),
+    )
+
+
+def in_smoke() -> Case:
+    """The camera stands in a ball of smoke."""
+    return Case(scene((points("around the camera", smoke_cloud(10)), moved(scale=2))), camera((0.2, 0, 0), (0, 1, 0)))

@@ -1,7 +1,0 @@
-"""What the tests' renderers share of prepared scenes, so that the same scene is not prepared again for each device."""
-
-from __future__ import annotations
-
-from pointsplat_addon.render.cache.store import Store
-
-STORE = Store()
