@@ -2,7 +2,7 @@
 """Makes the environment and runs what a developer needs, with nothing but a plain Python.
 
     python3 scripts/dev.py render     the demo scene, drawn by PointSplat: out/demo.png and out/demo.json
-    python3 scripts/dev.py test       the tests (--python 3.11|3.13|all, --long, then pytest's own arguments)
+    python3 scripts/dev.py test       the tests (--python 3.11|3.13|all, --long, --jobs N, then pytest's own arguments)
     python3 scripts/dev.py build      the extension: dist/pointsplat-<version>.zip
     python3 scripts/dev.py lint       ruff and pyright
     python3 scripts/dev.py benchmark  every benchmark (scripts/benchmarks), with what it compares against
@@ -17,17 +17,30 @@ import ctypes
 import glob
 import hashlib
 import os
-import shlex
 import shutil
 import signal
 import subprocess
 import sys
+import tempfile
+import time
 
 # ruff: noqa: RUF005, UP031 (this file is read by whatever Python a machine has, so it keeps to what 3.8 understands)
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 BLENDER_FOR_PYTHON = {"3.11": "4.5 LTS", "3.13": "5.2 LTS"}
 PASSED, NO_TESTS = 0, 5  # pytest's exit codes
 LIMIT, LONG_LIMIT = 1800, 4 * 3600  # seconds that a process of tests may take
+# Seconds that groups of tests take on one core, where they are many: which to begin first.
+SECONDS = {
+    "tests/render/passes": 300,
+    "tests/extreme": 260,
+    "tests/render/budget": 220,
+    "tests/render/prepare": 190,
+    "tests/core": 150,
+    "tests/render/frame": 150,
+    "tests/blender/test_lens_cycles.py": 50,
+    "tests/render/plan": 30,
+    "tests/render/shadow": 15,
+}
 
 # What bpy links to, and what it and moderngl open at run time, with the Debian package of each.
 LIBRARIES = {
@@ -259,11 +272,16 @@ def lint(args, rest):
     return 1 if failed else 0
 
 
-def test_groups(arguments):
-    """Split pytest's arguments into options and groups of paths, each group for one process.
+def cost_of(paths):
+    """Seconds that a group of tests takes, roughly: long ones are begun first."""
+    return sum(SECONDS.get(path.replace(os.sep, "/"), 10) for path in paths)
 
-    The folders of the whole suite have one each, so that none needs the memory of two; the extreme cases always have
-    their own, of which they measure the memory. So has every file that loads bpy: Blender's state cannot be reset.
+
+def test_groups(arguments):
+    """Split pytest's arguments into options and groups of paths, each group for one process; the longest come first.
+
+    The rooms of tests/render have one each, so that none needs the memory of two; the extreme cases always have their
+    own, of which they measure the memory. So has every file that loads bpy: Blender's state cannot be reset.
     """
     is_path = [os.path.exists(os.path.join(ROOT, a.split("::")[0])) and not a.startswith("-") for a in arguments]
     options = [a for a, path in zip(arguments, is_path) if not path]  # noqa: B905 (Python 3.8 has no strict)
@@ -272,32 +290,82 @@ def test_groups(arguments):
     for path in paths:
         name = os.path.relpath(os.path.join(ROOT, path), ROOT)
         whole = name == "tests"
-        folders = ["core", "formats", "reference", "scripts", "render", "extreme", "blender"] if whole else []
-        for part in [os.path.join(name, folder) for folder in folders] or [name]:
+        parts = [name]
+        if whole:
+            folders = sorted(
+                set(map(os.path.dirname, glob.glob(os.path.join(ROOT, "tests", "render", "*", "test_*.py"))))
+            )
+            parts = [os.path.relpath(folder, ROOT) for folder in folders]
+            parts += [os.path.join(name, f) for f in ("core", "formats", "reference", "scripts", "extreme", "blender")]
+        for part in parts:
             if part.startswith(os.path.join("tests", "blender")):
                 is_folder = os.path.isdir(os.path.join(ROOT, part))
                 files = glob.glob(os.path.join(part, "**", "test_*.py"), recursive=True) if is_folder else [part]
                 groups += [[file] for file in sorted(files)]
-            elif whole or part.startswith(os.path.join("tests", "extreme")):
+            elif part.startswith((os.path.join("tests", "extreme"), os.path.join("tests", "render"))):
                 groups.append([part])
             else:
                 plain.append(part)
-    return options, ([plain] if plain else []) + groups
+    groups += [plain] if plain else []
+    return options, sorted(groups, key=cost_of, reverse=True)
 
 
-def run_tests(python, options, paths, limit):
-    """One pytest process over some paths; its exit code. A process that outlives `limit` seconds is killed."""
-    command = [python, "-m", "pytest", "-o", "faulthandler_timeout=%d" % (limit // 2)] + options + paths
-    process = subprocess.Popen(command, cwd=ROOT, start_new_session=True)
+class Process:
+    """One pytest process over a group of paths, whose output is kept until it ends."""
+
+    def __init__(self, python, options, paths, limit, environment):
+        self.name = "%s %s" % (os.path.relpath(python, ROOT), " ".join(paths))
+        self.limit, self.begin = limit, time.monotonic()
+        self.output = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the process)
+        command = [python, "-m", "pytest", "-o", "faulthandler_timeout=%d" % (limit // 2)] + options + paths
+        self.process = subprocess.Popen(
+            command, cwd=ROOT, env=environment, stdout=self.output, stderr=subprocess.STDOUT, start_new_session=True
+        )
+
+    def ended(self):
+        """Its exit code, or None while it runs. A process that outlives its limit is killed."""
+        code = self.process.poll()
+        if code is None and time.monotonic() - self.begin > self.limit:
+            self.kill()
+            say("killed after %d s: %s" % (self.limit, self.name))
+            return 1
+        return code
+
+    def kill(self):
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+
+    def print_output(self):
+        say("%s (%d s)" % (self.name, time.monotonic() - self.begin))
+        self.output.seek(0)
+        sys.stdout.write(self.output.read().decode(errors="replace"))
+        sys.stdout.flush()
+        self.output.close()
+
+
+def run_all(tasks, jobs, limit):
+    """Run (python, options, paths) in so many processes at a time; (name, exit code) of each, as they end."""
+    # llvmpipe draws with all cores; processes side by side would fight for them.
+    threads = max(1, (os.cpu_count() or 1) // jobs)
+    environment = dict(os.environ, LP_NUM_THREADS=os.environ.get("LP_NUM_THREADS", str(threads)))
+    waiting, running, found = list(tasks), [], []
     try:
-        return process.wait(limit)
-    except subprocess.TimeoutExpired:
-        say("killed after %d s: %s" % (limit, " ".join(shlex.quote(word) for word in command)))
-        return 1
+        while waiting or running:
+            while waiting and len(running) < jobs:
+                python, options, paths = waiting.pop(0)
+                running.append(Process(python, options, paths, limit, environment))
+            time.sleep(0.1)
+            for process in list(running):
+                code = process.ended()
+                if code is not None:
+                    running.remove(process)
+                    process.print_output()
+                    found.append((process.name, code))
     finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+        for process in running:
+            process.kill()
+    return found
 
 
 def test(args, rest):
@@ -307,17 +375,16 @@ def test(args, rest):
     if not args.long and "-m" not in options:
         options = ["-m", "not long"] + options
         say("tests that take minutes are deselected: --long runs them too")
-    limit = args.limit or (LONG_LIMIT if args.long else LIMIT)
-    failed, ran = [], False
-    for python in pythons:
-        for paths in groups:
-            say("%s: %s" % (os.path.relpath(python, ROOT), " ".join(paths)))
-            code = run_tests(python, options, paths, limit)
-            ran = ran or code == PASSED
-            # A file whose tests are all deselected is no failure, as long as some other ran.
-            if code not in (PASSED, NO_TESTS):
-                failed.append("%s %s (exit code %d)" % (os.path.relpath(python, ROOT), " ".join(paths), code))
-    for line in failed:
+    shares = [[] for _ in pythons]
+    if not args.long and len(pythons) > 1:
+        shares = [["--share", "%d/%d" % (i, len(pythons))] for i in range(len(pythons))]
+        say("tests of drawing that do not depend on Blender run with one Python each: --long runs all with each")
+    tasks = [(python, options + share, paths) for paths in groups for python, share in zip(pythons, shares)]  # noqa: B905
+    found = run_all(tasks, args.jobs or min(2, os.cpu_count() or 1), args.limit or (LONG_LIMIT if args.long else LIMIT))
+    # A file whose tests are all deselected is no failure, as long as some other ran.
+    failed = ["%s (exit code %d)" % (name, code) for name, code in found if code not in (PASSED, NO_TESTS)]
+    ran = any(code == PASSED for _, code in found)
+    for line in sorted(failed):
         say("FAILED " + line)
     if not failed:
         say("all passed" if ran else "no test ran")
@@ -344,6 +411,7 @@ def main():
     parser.add_argument("verb", choices=sorted(VERBS), help="what to do; further arguments are handed on")
     parser.add_argument("--python", choices=sorted(BLENDER_FOR_PYTHON) + ["all"], help="default: the first there is")
     parser.add_argument("--long", action="store_true", help="test: also the tests that take minutes")
+    parser.add_argument("--jobs", type=int, help="test: processes at a time (default: 2, or 1 on one core)")
     parser.add_argument("--limit", type=int, help="test: seconds until a test process is killed")
     args, rest = parser.parse_known_args()
     try:

@@ -1,6 +1,34 @@
-"""Puts the repository's root on the path, so that tests import the package as it lies there."""
+"""Puts the repository's root on the path, so that tests import the package as it lies there; shares tests out."""
 
 import sys
+import zlib
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+# What these tests check does not depend on Blender, and hardly on the version of Python.
+SHARED = ROOT / "tests" / "render", ROOT / "tests" / "extreme"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--share",
+        metavar="I/N",
+        help="of the tests in tests/render and tests/extreme, only those whose names' hash is I modulo N",
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not config.getoption("--share"):
+        return
+    index, count = map(int, config.getoption("--share").split("/"))
+    kept, rest = [], []
+    for item in items:
+        # The hash depends on the test's own name alone: other tests may come and go.
+        shared = any(folder in item.path.parents for folder in SHARED)
+        (rest if shared and zlib.crc32(item.nodeid.encode()) % count != index else kept).append(item)
+    config.hook.pytest_deselected(items=rest)
+    items[:] = kept

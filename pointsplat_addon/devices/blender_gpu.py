@@ -22,7 +22,7 @@ import gpu
 import numpy as np
 
 from ..render.device import protocol as checks
-from ..render.device.protocol import CHANNELS, DEPTH_BYTES, DeviceError, Limits, Target, Texture, Timer, half
+from ..render.device.protocol import CHANNELS, DEPTH_BYTES, DeviceError, Limits, Target, Texture, Timer, to_half
 from ..shading import sources
 from ..shading.interface import Interface
 from .probe import capabilities
@@ -52,7 +52,7 @@ class BlenderTexture:
     def __init__(self, device: BlenderDevice, size: tuple[int, int], format: str, data: np.ndarray | None):
         self.size, self.format = size, format
         if data is not None and format == "RGBA16F":
-            data = half(data)  # exact for any driver then: Blender 4.5 would round towards zero
+            data = to_half(data)  # exact for any driver then: Blender 4.5 would round towards zero
         content = {} if data is None else {"data": _buffer(data)}
         self.handle: Any = gpu.types.GPUTexture(size, format=format, **content)
         if hasattr(self.handle, "filter_mode"):

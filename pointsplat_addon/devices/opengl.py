@@ -16,7 +16,7 @@ import moderngl
 import numpy as np
 
 from ..render.device import protocol as checks
-from ..render.device.protocol import CHANNELS, DEPTH_BYTES, EMPTY, DeviceError, Limits, Target, Texture, Timer, half
+from ..render.device.protocol import CHANNELS, DEPTH_BYTES, EMPTY, DeviceError, Limits, Target, Texture, Timer, to_half
 from ..shading import sources
 from ..shading.interface import Interface
 from .probe import capabilities
@@ -125,7 +125,7 @@ class OpenGLDevice:
     def texture(self, size: tuple[int, int], format: str, data: np.ndarray | None = None) -> OpenGLTexture:
         checks.check_texture(size, format, data, self.limits)
         if data is not None:
-            data = half(data) if format == "RGBA16F" else np.ascontiguousarray(data, np.float32)
+            data = to_half(data) if format == "RGBA16F" else np.ascontiguousarray(data, np.float32)
         return OpenGLTexture(self, size, format, data)
 
     def target(self, colors: Sequence[Texture], depth: bool = False) -> OpenGLTarget:

@@ -1,8 +1,10 @@
-"""Packed hierarchies in a folder, one file per content key.
+"""Keeps packed hierarchies in a folder, one file for each content key.
 
 A file holds, little-endian: magic (8 bytes), version (uint32), length of the header (uint32), blake2b digest
 of all that follows (32 bytes), the header (JSON: layout, counts, origin, longest length), then the records of
 points, of nodes, and the order (int32). Nothing is allocated before the claimed sizes agree with the file's.
+
+The content key holds VERSION: files of another version are not found under it, and the hierarchy is built again.
 """
 
 from __future__ import annotations
@@ -19,16 +21,13 @@ import numpy as np
 
 from ..core.lod.hierarchy import Hierarchy
 from ..core.lod.quantisation import Layout, Packed, pack, unpack
-from ..core.numeric.segments import offsets
-from ..core.scene.cloud import ATTRIBUTES, PointCloud
+from ..core.scene.cloud import PointCloud
 
 MAGIC = b"PSPLAT\r\n"
-VERSION = 2
+VERSION = 3
 SUFFIX = ".pshier"
 FIXED = struct.Struct("<8sII32s")
 HEADER_LIMIT = 1 << 16  # bytes; a header has a few hundred
-COLUMNS_LIMIT = 64  # values of one attribute of one splat
-NODE_ATTRIBUTES = ("mass", "covered")
 
 
 class CacheError(ValueError):
@@ -36,7 +35,7 @@ class CacheError(ValueError):
 
 
 def content_key(cloud: PointCloud, leaf_size: int) -> str:
-    """A key that clouds share only if all their attributes are equal, bit by bit (blake2b, hexadecimal)."""
+    """A hexadecimal key (blake2b) that two clouds share only if all their attributes are equal, bit by bit."""
     digest = hashlib.blake2b(f"{VERSION} {leaf_size}".encode(), digest_size=20)
     digest.update(np.ascontiguousarray(cloud.origin, "<f8").tobytes())
     for name, array in cloud.arrays().items():
@@ -46,14 +45,14 @@ def content_key(cloud: PointCloud, leaf_size: int) -> str:
 
 
 def path_of(folder: Path | str, key: str) -> Path:
-    """Where a key's file lies. Any text is a key: its hash is the file's name."""
+    """The path of a key's file. Any text may be a key: its hash is the file's name."""
     return Path(folder) / (hashlib.blake2b(key.encode(), digest_size=20).hexdigest() + SUFFIX)
 
 
 def write(folder: Path | str, key: str, hierarchy: Hierarchy) -> Path:
-    """Write the packed hierarchy, making the folder if need be. Readers see the whole file or none.
+    """Writes a hierarchy under `key`, quantised, and returns the file's path. Readers see the whole file or none.
 
-    Raises OSError where the folder cannot be written.
+    The folder is made if it is missing. Raises OSError where it cannot be written.
     """
     packed = pack(hierarchy)
     header = _header(packed)
@@ -75,7 +74,10 @@ def write(folder: Path | str, key: str, hierarchy: Hierarchy) -> Path:
 
 
 def read(folder: Path | str, key: str) -> Hierarchy | None:
-    """The hierarchy of a key, None where there is no file. Raises CacheError, or OSError where reading fails."""
+    """The hierarchy under `key`; returns None if there is no file.
+
+    Raises CacheError for a file that is damaged or of another kind, OSError where reading fails.
+    """
     path = path_of(folder, key)
     try:
         with path.open("rb") as file:
@@ -89,7 +91,7 @@ def read(folder: Path | str, key: str) -> Hierarchy | None:
 
 
 def trim(folder: Path | str, most: int) -> int:
-    """Delete the files that were read or written longest ago until at most `most` bytes remain; bytes deleted."""
+    """Deletes the least recently used files until at most `most` bytes remain; returns how many bytes were deleted."""
     files = []
     for path in Path(folder).glob("*" + SUFFIX):
         with contextlib.suppress(OSError):
@@ -120,8 +122,11 @@ def _header(packed: Packed) -> bytes:
 
 
 def _parse(content: memoryview) -> Packed:
-    """Raises ValueError, KeyError, TypeError, OverflowError or RecursionError for anything that `write` would not have
-    written."""
+    """The records in a file's bytes.
+
+    Raises ValueError, KeyError, TypeError, OverflowError or RecursionError for anything that `write` would not have
+    written.
+    """
     if len(content) < FIXED.size:
         raise ValueError("truncated")
     magic, version, length, digest = FIXED.unpack_from(content)
@@ -142,7 +147,7 @@ def _parse(content: memoryview) -> Packed:
     sizes = [kind.itemsize * n for kind, n in zip(kinds, (*counts, counts[0]), strict=True)]
     if length + sum(sizes) != len(body):
         raise ValueError(f"{len(body) - length} bytes of records, expected {sum(sizes)}")
-    ends = length + offsets(sizes)
+    ends = length + np.cumsum([0, *sizes])
     points, nodes, order = (np.frombuffer(body[a:b], k) for k, a, b in zip(kinds, ends[:-1], ends[1:], strict=True))
     origin, longest = np.array(header["origin"], np.float64), float(header["longest"])
     if origin.shape != (3,) or not np.isfinite(origin).all() or not 0 < longest < 3e38:
@@ -151,15 +156,11 @@ def _parse(content: memoryview) -> Packed:
 
 
 def _layout(header: dict) -> Layout:
-    attributes = tuple((name, tuple(shape)) for name, shape in header["attributes"])
-    for name, shape in attributes:
-        if name not in NODE_ATTRIBUTES and (name not in ATTRIBUTES or name in ("position", "normal", "axis", "radii")):
-            raise ValueError(f"unknown attribute {name!r}")
-        if not all(type(n) is int and 0 < n <= COLUMNS_LIMIT for n in shape) or len(shape) > 1:
-            raise ValueError(f"impossible shape {shape} of {name}")
-    if header["radii"] not in (0, 1, 2, 3) or len({name for name, _ in attributes}) < len(attributes):
+    """Raises ValueError, TypeError or KeyError for a layout that no hierarchy has."""
+    if type(header["radii"]) is not int:
         raise ValueError("impossible layout")
-    return Layout(bool(header["normal"]), bool(header["axis"]), int(header["radii"]), attributes)
+    attributes = tuple((name, tuple(shape)) for name, shape in header["attributes"])
+    return Layout(bool(header["normal"]), bool(header["axis"]), header["radii"], attributes)
 
 
 def _digest(parts: list) -> bytes:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..core.numeric.segments import owners, ranks
-from ..core.volume.voxels import bounds, keys
+from ..core.volume.lattice import index_bounds, lattice_keys
 
 BLOCK = 1 << 18  # voxels that are copied together whatever of them is active
 SPARSE = 16  # so many voxels for each active one are still copied rather than searched
@@ -120,7 +120,7 @@ def sparse(openvdb: Any, grid: Any) -> tuple[Grid | None, list[str]]:
     messages = [f'{lost} voxels of the grid "{name}" are not a number and are left out'] if lost else []
     if len(index) == 0:
         return None, messages
-    key = keys(index, *bounds(index))
+    key = lattice_keys(index, *index_bounds(index))
     if (key[1:] < key[:-1]).any():
         order = np.argsort(key)
         index, value = index[order], value[order]
@@ -280,8 +280,8 @@ def _same_transform(a: Grid, b: Grid) -> bool:
 
 def _union(indices: list[np.ndarray]) -> np.ndarray:
     every = np.concatenate(indices)
-    low, extent = bounds(every)
-    key = np.unique(keys(every, low, extent))
+    low, extent = index_bounds(every)
+    key = np.unique(lattice_keys(every, low, extent))
     x, rest = np.divmod(key, extent[1] * extent[2])
     y, z = np.divmod(rest, extent[2])
     return (np.stack([x, y, z], axis=1) + low).astype(np.int32)
@@ -291,17 +291,17 @@ def _spread(grid: Grid, index: np.ndarray) -> np.ndarray:
     """The grid's values at a lexicographic superset of its voxels, 0 elsewhere."""
     if len(grid.index) == len(index):
         return grid.value
-    low, extent = bounds(index)
+    low, extent = index_bounds(index)
     result = np.zeros((len(index), *grid.value.shape[1:]), np.float32)
-    result[np.searchsorted(keys(index, low, extent), keys(grid.index, low, extent))] = grid.value
+    result[np.searchsorted(lattice_keys(index, low, extent), lattice_keys(grid.index, low, extent))] = grid.value
     return result
 
 
 def _resampled(grid: Grid, index: np.ndarray, object_from_index: np.ndarray) -> np.ndarray:
     """Trilinear values (N,) or (N, 3) at voxels of another lattice."""
     own_from_other = np.linalg.inv(grid.object_from_index) @ object_from_index
-    low, extent = bounds(grid.index, margin=1)
-    key = keys(grid.index, low, extent)
+    low, extent = index_bounds(grid.index, margin=1)
+    key = lattice_keys(grid.index, low, extent)
     result = np.zeros((len(index), *grid.value.shape[1:]), np.float32)
     for i in range(0, len(index), ROWS):
         place = index[i : i + ROWS] @ own_from_other[:3, :3].T + own_from_other[:3, 3]
@@ -311,7 +311,7 @@ def _resampled(grid: Grid, index: np.ndarray, object_from_index: np.ndarray) -> 
         part = place - corner
         for offset in np.ndindex(2, 2, 2):
             weight = np.prod(np.where(offset, part, 1 - part), axis=1)
-            wanted = keys(corner + offset, low, extent)
+            wanted = lattice_keys(corner + offset, low, extent)
             at = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
             weight = np.where(key[at] == wanted, weight, 0)
             result[i : i + ROWS] += grid.value[at] * (weight if grid.value.ndim == 1 else weight[:, None])

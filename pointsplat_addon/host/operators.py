@@ -10,7 +10,8 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..core.numeric.segments import ranges
 from ..core.strand.curves import FREE
-from ..core.strand.fit.from_mesh import FittedStrands, fit_strands
+from ..core.strand.fit.from_mesh import fit_strands
+from ..core.strand.fit.result import FittedStrands
 from ..formats import dense, hierarchy_cache, vdb
 from ..render.device.protocol import DeviceError
 from . import caches, device_costs, gl_thread, main_gpu, preferences
@@ -165,12 +166,12 @@ class POINTSPLAT_OT_mesh_to_strands(bpy.types.Operator):
                 made = bpy.data.objects.new(data.name, data)
                 ob.users_collection[0].objects.link(made)
                 made.parent, made.pointsplat.ribbons = ob, ribbon
-        _keep_polygons(mesh, np.unique(polygon[found.left]))
+        _keep_polygons(mesh, np.unique(polygon[found.remaining]))
         ribbons = int(found.ribbon.sum())
         self.report(
             {"INFO"},
             f"{ob.name}: {len(found) - ribbons} tubes, {ribbons} ribbons, "
-            f"{found.stay} of {found.parts} parts stay polygons",
+            f"{found.remaining_parts} of {found.parts} parts stay polygons",
         )
         return {"FINISHED"}
 

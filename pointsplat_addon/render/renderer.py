@@ -43,7 +43,7 @@ class Renderer:
     ) -> Result:
         """All samples of a picture, or what its budget allows. DeviceError, ShaderError: the device cannot draw it."""
         if request.settings.budget != "NONE":
-            return budgeted.kept(self, scene, request, progress, cancelled)
+            return budgeted.render_within_budget(self, scene, request, progress, cancelled)
         return self.draw(scene, request, progress, cancelled)
 
     def draw(

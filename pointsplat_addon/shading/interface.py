@@ -6,6 +6,7 @@ OpenGL; a device with its own way of declaring (Blender's GPUShaderCreateInfo) r
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +36,7 @@ class Block:
     name: str
     fields: tuple[tuple[str, str], ...]  # (GLSL type, field name)
 
+    @functools.cache  # noqa: B019 - blocks are constants
     def dtype(self) -> np.dtype:
         """The std140 layout as a numpy record; mat4 fields are (16,) column-major."""
         names, formats, offsets, end = [], [], [], 0
@@ -47,6 +49,17 @@ class Block:
             end += 4 * count
         size = max(16, -(-end // 16) * 16)
         return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
+
+    def extended(self, name: str, *fields: tuple[str, str]) -> Block:
+        """A block with further fields at its end. `name`: what the name of its struct type adds."""
+        return Block(self.type + name, self.name, self.fields + fields)
+
+    def extend(self, record: np.ndarray, **values: object) -> np.ndarray:
+        """A record of this block from one of the block that it extends, and `values` of the further fields."""
+        extended = self.record(**values)
+        for name in record.dtype.names or ():
+            extended[name] = record[name]
+        return extended
 
     def record(self, **values: object) -> np.ndarray:
         """A (1,) record with `values` set; (4, 4) matrices are stored column by column.

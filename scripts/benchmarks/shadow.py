@@ -15,6 +15,7 @@ import numpy as np
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
 from pointsplat_addon.core.splat.kernel import EVEN_SPACING
+from tests.reference.shadow import optical_depth
 
 DOWN = np.array([0.0, 0.0, -1.0])
 LAMP = Light("POINT", np.ones(3), np.array([0.1, 0.2, 3.0]), DOWN)
@@ -48,10 +49,10 @@ def row(name: str, value: float, unit: str, target: str, note: str = "") -> dict
 def against_sort(count: int, light: Light, name: str, times: int) -> list[dict]:
     """Building, and sorting as many random 64-bit keys as the table has entries, in turn."""
     batch = smoke(count)
-    table = builder.build(light, [batch], RESOLUTION)
+    table = builder.build_table(light, [batch], RESOLUTION)
     keys = np.random.default_rng(0).integers(0, 2**62, table.entries).astype(np.uint64)
     pairs = [
-        (seconds(lambda: builder.build(light, [batch], RESOLUTION)), seconds(lambda: keys.argsort(kind="stable")))
+        (seconds(lambda: builder.build_table(light, [batch], RESOLUTION)), seconds(lambda: keys.argsort(kind="stable")))
         for _ in range(times)
     ]
     ours, theirs = np.min(pairs, axis=0)
@@ -67,8 +68,8 @@ def growth(count: int, times: int) -> dict:
     few, many = smoke(count // 2), smoke(count)
     pairs = [
         (
-            seconds(lambda: [builder.build(LAMP, [few], RESOLUTION) for _ in range(2)]),
-            seconds(lambda: builder.build(LAMP, [many], RESOLUTION)),
+            seconds(lambda: [builder.build_table(LAMP, [few], RESOLUTION) for _ in range(2)]),
+            seconds(lambda: builder.build_table(LAMP, [many], RESOLUTION)),
         )
         for _ in range(times)
     ]
@@ -82,8 +83,8 @@ def one_ray(count: int, times: int) -> dict:
     line, cube = smoke(count, ray=True), smoke(count)
     pairs = [
         (
-            seconds(lambda: builder.build(LAMP, [line], RESOLUTION)),
-            seconds(lambda: builder.build(LAMP, [cube], RESOLUTION)),
+            seconds(lambda: builder.build_table(LAMP, [line], RESOLUTION)),
+            seconds(lambda: builder.build_table(LAMP, [cube], RESOLUTION)),
         )
         for _ in range(times)
     ]
@@ -92,19 +93,19 @@ def one_ray(count: int, times: int) -> dict:
 
 
 def colored(count: int) -> dict:
-    table = builder.build(LAMP, [smoke(count, colored=True)], RESOLUTION)
+    table = builder.build_table(LAMP, [smoke(count, colored=True)], RESOLUTION)
     return row("shadow table, colored", table.nbytes / table.entries, "B/entry", "<= 20")
 
 
 def many(count: int) -> dict:
     """More points than float32 has integers: the table holds all their mass."""
-    table = builder.build(LAMP, [smoke(count)], RESOLUTION)
+    table = builder.build_table(LAMP, [smoke(count)], RESOLUTION)
     behind = LAMP.position + 2 * (np.random.default_rng(0).uniform(-0.3, 0.3, (1000, 3)) - LAMP.position)
     # The chord through the cube, whose extinction is 1.
     ray = (behind - LAMP.position) / np.linalg.norm(behind - LAMP.position, axis=1, keepdims=True)
     near, far = (np.sort([(side - LAMP.position) / ray for side in (-1, 1)], axis=0)[k] for k in (0, 1))
     chord = far.min(axis=1) - near.max(axis=1)
-    depth = table.optical_depth(behind)
+    depth = optical_depth(table, behind)
     note = f"{count} points, {table.entries} entries"
     return row("shadow table, mean depth of many points", depth.mean() / chord.mean(), "x", "<= 1.005", note)
 

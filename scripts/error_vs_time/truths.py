@@ -108,7 +108,7 @@ def voxel_truth() -> np.ndarray:
     steps of less than a voxel."""
     import bpy
 
-    from tests.reference import media as reference
+    from scripts.common import media_truth as reference
 
     values, world_from_index = voxel_field()
     field = reference.voxels(values, world_from_index, EXTINCTION)

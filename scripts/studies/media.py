@@ -5,7 +5,7 @@
 
 Scenes are made by this script and drawn from one file by both engines.
   sphere  a uniform ball of smoke, lit by a lamp outside and by one inside: absorbing over a floor that the lamp lights,
-          and scattering once. Truth: tests/reference/media.py. The RMSE leaves out rays that pass a lamp in scattering
+          and scattering once. Truth: scripts/common/media_truth.py. The RMSE leaves out rays that pass a lamp in scattering
           smoke at less than 0.1 of the ball's radius.
   slab    what a uniform slab lets through of a bright background, by angle, extinction and voxel size: exp(-s d).
   shadow  the same for the light of a sun that falls through the slab on a floor.
@@ -27,6 +27,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from scripts.common import media_truth as ref
 from scripts.common.images import displayed
 from scripts.common.process import run
 from scripts.common.volume_objects import (
@@ -37,7 +38,6 @@ from scripts.common.volume_objects import (
     volumes_last,
     write_vdb,
 )
-from tests.reference import media as ref
 
 GAIN = 8.0  # of the difference pictures
 FLOOR = -1.5  # height of the floor below a ball of radius 1

@@ -25,7 +25,9 @@ from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.scene import Geometry, Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.strands import Strands
-from pointsplat_addon.core.strand.fit.from_mesh import FittedStrands, connected_parts, fit_strands
+from pointsplat_addon.core.strand.fit.from_mesh import fit_strands
+from pointsplat_addon.core.strand.fit.graph import connected_parts
+from pointsplat_addon.core.strand.fit.result import FittedStrands
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
@@ -125,7 +127,7 @@ def strands(key: str, tree: Tree, found: FittedStrands, kept: np.ndarray) -> lis
 
 def vertices(tree: Tree, found: FittedStrands) -> tuple[int, int]:
     """How many points of strands and vertices of polygons the tree takes as lines, and how many vertices it has."""
-    return len(found.position) + len(np.unique(tree.triangles[found.left])), len(np.unique(tree.triangles))
+    return len(found.position) + len(np.unique(tree.triangles[found.remaining])), len(np.unique(tree.triangles))
 
 
 def leaf_length(tree: Tree) -> float:
@@ -166,7 +168,7 @@ def pair(tree: Tree, found: FittedStrands, only: int | None = None) -> tuple[lis
     every = np.ones(len(tree.triangles), bool) if only is None else tree.material == only
     key = f"maple {only}"
     lines = strands(key, tree, found, every[found.triangle])
-    return mesh(key, tree, every), lines + mesh(f"{key} rest", tree, every & found.left)
+    return mesh(key, tree, every), lines + mesh(f"{key} rest", tree, every & found.remaining)
 
 
 def compared(

@@ -1,5 +1,5 @@
 // What the lens sees at a pixel: the splats of its tile from the front, and the picture of what is in focus where its
-// depth is. Layout: render/passes/defocus/gather.py; reference: core/lens/defocus.py, `composite`.
+// depth is. Layout: render/passes/defocus/gather.py; reference: tests/reference/defocus.py, `composite`.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/splat/defocus.glsl"
@@ -81,7 +81,7 @@ void main()
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   vec3 tile = texelFetch(ps_tiles, pixel / PS_TILE_SIZE, 0).xyz;
   int first = int(tile.x) + 4096 * int(tile.y), count = int(tile.z);
-  float weight = frame.mist.w;
+  float weight = u.sample_weight;
 #ifdef PS_ADAPTIVE
   float samples = texelFetch(ps_counts, pixel / PS_TILE, 0).x;
   weight = samples > 0.0 ? 1.0 / samples : weight;
@@ -97,26 +97,26 @@ void main()
     int entry = first + i;
     int index = int(texelFetch(ps_list, ivec2(entry & 4095, entry >> 12), 0).x);
     ivec2 at = ivec2(index & 4095, index >> 12);
-    vec4 place = texelFetch(ps_splat_place, at, 0), shape = texelFetch(ps_shape, at, 0);
-    if (pending && place.z > focused.depth) {
+    vec4 centre = texelFetch(ps_splat_centre, at, 0), shape = texelFetch(ps_shape, at, 0);
+    if (pending && centre.z > focused.depth) {
       ps_cover(seen, focused.color, focused.covered, false, focused.depth, thick);
       pending = false;
     }
-    vec2 v = gl_FragCoord.xy - place.xy - frame.focal.zw;
+    vec2 v = gl_FragCoord.xy - centre.xy - u.principal_point;
     float q = shape.x * v.x * v.x + 2.0 * shape.y * v.x * v.y + shape.z * v.y * v.y;
     int kind = int(shape.w * 0.125);
     float k = shape.w - 8.0 * float(kind);
     float share = q / (2.0 * (k + 2.0));
     // A pixel is as wide as the rim.
     float rim = clamp(length(v) * (inversesqrt(max(share, 1e-12)) - 1.0) + 0.5, 0.0, 1.0);
-    float amount = place.w * pow(max(1.0 - share, 0.002), k) * rim;
-    if (amount > PS_DEFOCUS_FAINT * min(place.w, 1.0)) {
+    float amount = centre.w * pow(max(1.0 - share, 0.002), k) * rim;
+    if (amount > PS_DEFOCUS_FAINT * min(centre.w, 1.0)) {
       vec4 source = texelFetch(ps_source, at, 0), color = vec4(source.rgb, 1.0);
 #ifdef PS_HOLDOUT
       color *= (kind & 4) != 0 ? 0.0 : 1.0;
 #endif
       if ((kind & 10) == 0) {
-        ps_cover(seen, color, amount, (kind & 1) != 0, place.z, source.w);
+        ps_cover(seen, color, amount, (kind & 1) != 0, centre.z, source.w);
       } else if ((kind & 8) != 0) {
         ps_pass(seen, color, vec3(1.0 - min(amount, 1.0)));
       } else {

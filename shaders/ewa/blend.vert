@@ -6,13 +6,13 @@
 #ifdef PS_BLEND
 // Whether the middle and the four corners of a square with the given half side lie behind what was seen there. What shows
 // of a splat between them at most is narrower than half the square, and belongs to splats that have their middle there.
-bool ps_hidden(vec4 place, float side)
+bool ps_hidden(vec4 centre, float side)
 {
   ivec2 last = textureSize(ps_nearest, 0) - 1;
-  float front = place.z - v_front.w - side * (abs(v_front.x) + abs(v_front.y));
+  float front = centre.z - v_front.w - side * (abs(v_front.x) + abs(v_front.y));
   for (int i = 0; i < 5; i++) {
     vec2 corner = i == 4 ? vec2(0.0) : vec2(i & 1, i >> 1) * 2.0 - 1.0;
-    vec2 seen = texelFetch(ps_nearest, clamp(ivec2(floor(v_place.xy + side * corner)), ivec2(0), last), 0).xy;
+    vec2 seen = texelFetch(ps_nearest, clamp(ivec2(floor(v_centre.xy + side * corner)), ivec2(0), last), 0).xy;
     if (seen.x == 0.0 || front <= seen.y) {
       return false;
     }
@@ -23,13 +23,13 @@ bool ps_hidden(vec4 place, float side)
 
 void main()
 {
-  ivec2 at = ps_listed(frame.page.x + gl_VertexID);
-  vec4 place = texelFetch(ps_splat_place, at, 0);
+  ivec2 at = ps_listed(u.first + gl_VertexID);
+  vec4 centre = texelFetch(ps_splat_centre, at, 0);
   gl_PointSize = 1.0;
-  vec3 c = ps_splat(at, place);
+  vec3 c = ps_splat(at, centre);
 #ifdef PS_BLEND
   float side = PS_EWA_CUTOFF_SIGMA * sqrt(max(c.x, c.z));
-  if (ps_hidden(place, side)) {
+  if (ps_hidden(centre, side)) {
     gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
     return;
   }
@@ -37,5 +37,5 @@ void main()
   float side = sqrt(v_conic.w * max(c.x, c.z));
 #endif
   gl_PointSize = max(2.0 * side, 1.0);
-  gl_Position = vec4(v_place.xy / vec2(frame.size.xy) * 2.0 - 1.0, 0.0, 1.0);
+  gl_Position = vec4(v_centre.xy / vec2(u.size) * 2.0 - 1.0, 0.0, 1.0);
 }

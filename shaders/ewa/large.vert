@@ -2,7 +2,7 @@
 // plane goes along, for fragments to meet. Layout: render/passes/ewa/ewa.py.
 
 #include "lib/data/splat.glsl"
-#include "lib/data/reach.glsl"
+#include "lib/geometry/ellipsoid_bounds.glsl"
 #include "lib/splat/ewa.glsl"
 #include "lib/splat/ewa_varyings.glsl"
 
@@ -31,12 +31,12 @@ void ps_half_axes(ivec3 element, vec3 p, float normal_code, out vec3 a, out vec3
 void main()
 {
   int corner = gl_VertexID % 6;
-  ivec2 at = ps_listed(frame.page.x + gl_VertexID / 6);
-  ps_splat(at, texelFetch(ps_splat_place, at, 0));
+  ivec2 at = ps_listed(u.first + gl_VertexID / 6);
+  ps_splat(at, texelFetch(ps_splat_centre, at, 0));
   v_u = v_v = v_plane = vec4(0.0);
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   ivec3 element = ps_element((at.y << PS_PAGE_SHIFT) + at.x);
-  vec4 head = texelFetch(ps_place, element.xy, 0);
+  vec4 head = texelFetch(ps_position, element.xy, 0);
   vec3 p = ps_view_from_point(element.z, head.xyz), a, b;
   ps_half_axes(element, p, head.w, a, b);
   // Twice, since squares of areas are no floats where lengths are below 1e-9.
@@ -48,22 +48,22 @@ void main()
   }
   plane /= area;
   area *= longer;
-  // Of a point h of the plane, u . (h - p) and v . (h - p) are coordinates in which the rim is the unit circle.
-  vec3 u = cross(b / longer, plane) / area, v = cross(plane, a / longer) / area;
-  v_u = vec4(u, dot(u, p));
-  v_v = vec4(v, dot(v, p));
+  // Of a point h of the plane, along_a . (h - p) and along_b . (h - p) are coordinates in which the rim is the unit circle.
+  vec3 along_a = cross(b / longer, plane) / area, along_b = cross(plane, a / longer) / area;
+  v_u = vec4(along_a, dot(along_a, p));
+  v_v = vec4(along_b, dot(along_b, p));
   v_plane = vec4(plane, dot(plane, p));
 #ifdef PS_BLEND
-  float rim = 0.5 * PS_EWA_CUTOFF_SIGMA, margin = PS_EWA_CUTOFF_SIGMA * sqrt(frame.lens.w) + 1.0;
+  float rim = 0.5 * PS_EWA_CUTOFF_SIGMA, margin = PS_EWA_CUTOFF_SIGMA * sqrt(u.low_pass) + 1.0;
 #else
   float rim = 0.5 * sqrt(v_conic.w), margin = 1.0;
 #endif
   mat3 spread = rim * rim * (outerProduct(a, a) + outerProduct(b, b));
-  vec2 x = ps_reach(p, spread, 0) * frame.focal.x + frame.focal.z;
-  vec2 y = ps_reach(p, spread, 1) * frame.focal.y + frame.focal.w;
+  vec2 x = ps_ellipsoid_bounds(p, spread, 0) * u.focal.x + u.principal_point.x;
+  vec2 y = ps_ellipsoid_bounds(p, spread, 1) * u.focal.y + u.principal_point.y;
   vec2 low = vec2(min(x.x, x.y), min(y.x, y.y)) - margin, high = vec2(max(x.x, x.y), max(y.x, y.y)) + margin;
   bool right = corner == 1 || corner == 2 || corner == 4, top = corner == 2 || corner >= 4;
-  vec2 size = vec2(frame.size.xy);
+  vec2 size = vec2(u.size);
   vec2 pixel = clamp(vec2(right ? high.x : low.x, top ? high.y : low.y), vec2(-1.0), size + 1.0);
   gl_Position = vec4(pixel / size * 2.0 - 1.0, 0.0, 1.0);
 }

@@ -8,7 +8,7 @@
 #include "lib/data/store.glsl"
 
 // What is seen around a pixel whose centre no ellipse holds, fronts before backs; (0, 0, 0, 0): nothing.
-vec4 ps_beside(ivec2 pixel)
+vec4 ps_seen_around(ivec2 pixel)
 {
   ivec2 last = textureSize(ps_nearest, 0) - 1;
   vec4 found = vec4(0.0);
@@ -25,7 +25,7 @@ vec4 ps_beside(ivec2 pixel)
 void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
-  vec4 sum = texelFetch(ps_sum_place, pixel, 0);
+  vec4 sum = texelFetch(ps_sum_depth, pixel, 0);
   vec4 nearest = texelFetch(ps_nearest, pixel, 0);
   bool covers = nearest.x > 0.0;
 #ifdef PS_HARD
@@ -37,14 +37,14 @@ void main()
     discard;
   }
   float scale = 1.0 / sum.w;
-  float d = sum.x * scale, reach = max(nearest.y - frame.lens.x - nearest.x, 1e-30);
+  float d = sum.x * scale, reach = max(nearest.y - u.near - nearest.x, 1e-30);
   PsSurfel s = ps_empty();
-  s.place = vec4(d, 0.0, 0.0, covers ? reach : -reach);
+  s.centre = vec4(d, 0.0, 0.0, covers ? reach : -reach);
   float front = sum.z, back = (sum.w - sum.z) / (ps_back_seen(nearest) ? 1.0 : PS_EWA_BACK);
   s.shape.x = PS_EWA_WITHIN * max(front, back);
   s.shape.w = nearest.z;
   if (!covers) {
-    vec4 beside = ps_beside(pixel);
+    vec4 beside = ps_seen_around(pixel);
     bool alone = beside.x == 0.0;
     s.shape.w = alone ? floor(sum.y * scale + 0.5) : beside.z;
     // What is seen from one side is not widened by its other side.

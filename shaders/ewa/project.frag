@@ -18,7 +18,7 @@ void main()
   ivec3 element = ps_element((at.y << PS_PAGE_SHIFT) + at.x);
   bool drawn = element.x >= 0;
   element = max(element, ivec3(0));
-  vec4 head = texelFetch(ps_place, element.xy, 0);
+  vec4 head = texelFetch(ps_position, element.xy, 0);
   vec4 extent = texelFetch(ps_extent, element.xy, 0);
   vec3 p = ps_view_from_point(element.z, head.xyz);
   mat3 linear = ps_linear(element.z);
@@ -45,20 +45,20 @@ void main()
   vec2 gradient = vec2(0.0);
   if (!ball) {
     float slope = -(perspective ? d : 1.0) / (abs(facing) > 1e-4 ? facing : 1e-4);
-    gradient = slope * normal.xy / frame.focal.xy;
+    gradient = slope * normal.xy / u.focal;
     float steep = length(gradient);
     gradient *= steep > steepest ? steepest / steep : 1.0;
   }
   // Depths within which neighbours on one surface differ, since surfaces bend, and the low-pass is as wide as it is.
-  float same = ball ? 0.45 * across : 0.05 * across + 0.06 * reach + 0.25 * sqrt(frame.lens.w) * length(gradient);
+  float same = ball ? 0.45 * across : 0.05 * across + 0.06 * reach + 0.25 * sqrt(u.low_pass) * length(gradient);
 
   vec3 pixel = ps_pixel_from_view(p);
   vec3 covariance = ps_moments(element.z, p, head.w, extent);
   float wide = 2.0 * sqrt(max(covariance.x, covariance.z));
   // Half the change in size from the near to the far rim.
   float bent = perspective ? wide * reach / d : 0.0;
-  bool large = wide > PS_WIDEST || bent > PS_AFFINE_ERROR || d <= frame.lens.x;
-  drawn = drawn && d + reach > frame.lens.x && d - reach < frame.lens.y && extent.x > 0.0 &&
+  bool large = wide > PS_WIDEST || bent > PS_AFFINE_ERROR || d <= u.near;
+  drawn = drawn && d + reach > u.near && d - reach < u.far && extent.x > 0.0 &&
           wide >= 0.0 && (large || wide <= PS_WIDEST);  // neither where something is not a number
 
   PsSurfel s = ps_empty();
@@ -69,7 +69,7 @@ void main()
 #endif
   s = ps_attributed(s, element);
   float kind = float(element.z) * 2.0 + (large ? 2.0 : 1.0);
-  out_place = vec4(pixel.xy - frame.focal.zw, d, drawn ? (turned ? -kind : kind) : 0.0);
+  out_centre = vec4(pixel.xy - u.principal_point, d, drawn ? (turned ? -kind : kind) : 0.0);
   out_shape = vec4(covariance, s.shape.w);
   // Alone, a splat stands for all of its ellipse.
   float share = fract(extent.w) > 0.0 && !ball ? PS_EWA_NODE_SHARE : PS_EWA_SHARE;

@@ -7,17 +7,17 @@
 void main()
 {
   ivec2 parent = ivec2(gl_FragCoord.xy);
-  ivec2 last = textureSize(ps_place, 0) - 1;
-  float half_child = float(1 << frame.size.z) * 0.25;  // half a child's side; frame.size.z is the level written
-  vec4 place[4];
+  ivec2 last = textureSize(ps_centre, 0) - 1;
+  float half_child = float(1 << u.level) * 0.25;  // half a child's side; u.level is the level written
+  vec4 centre[4];
   float front = 1e38, nearest = 1e38;
   for (int i = 0; i < 4; i++) {
     ivec2 child = 2 * parent + ivec2(i & 1, i >> 1);
-    place[i] = all(lessThanEqual(child, last)) ? texelFetch(ps_place, child, 0) : vec4(0.0);
-    place[i].w = place[i].w <= PS_POLYGON ? 0.0 : abs(place[i].w);
-    if (place[i].w > 0.0 && place[i].x < nearest) {
-      nearest = place[i].x;
-      front = place[i].x + place[i].w;
+    centre[i] = all(lessThanEqual(child, last)) ? texelFetch(ps_centre, child, 0) : vec4(0.0);
+    centre[i].w = centre[i].w <= PS_POLYGON ? 0.0 : abs(centre[i].w);
+    if (centre[i].w > 0.0 && centre[i].x < nearest) {
+      nearest = centre[i].x;
+      front = centre[i].x + centre[i].w;
     }
   }
   if (nearest >= 1e38) {
@@ -29,21 +29,21 @@ void main()
     vec3 second = vec3(0.0);
     vec2 first = vec2(0.0);
     for (int i = 0; i < 4; i++) {
-      if (place[i].w > 0.0 && place[i].x - place[i].w <= front) {
+      if (centre[i].w > 0.0 && centre[i].x - centre[i].w <= front) {
         ivec2 child = 2 * parent + ivec2(i & 1, i >> 1);
-        vec2 offset = place[i].yz + (vec2(i & 1, i >> 1) * 2.0 - 1.0) * half_child;
+        vec2 offset = centre[i].yz + (vec2(i & 1, i >> 1) * 2.0 - 1.0) * half_child;
         vec4 shape = texelFetch(ps_shape, child, 0);
         count += 1.0;
         first += offset;
         second += ps_covariance(shape.xyz) + vec3(offset.x * offset.x, offset.x * offset.y, offset.y * offset.y);
-        near_end = min(near_end, place[i].x - place[i].w);
-        far_end = max(far_end, place[i].x + place[i].w);
-        s.place.x += place[i].x;
+        near_end = min(near_end, centre[i].x - centre[i].w);
+        far_end = max(far_end, centre[i].x + centre[i].w);
+        s.centre.x += centre[i].x;
 #ifdef PS_NORMAL
         s.normal += texelFetch(ps_normal, child, 0);
 #endif
         // Identities cannot be mixed: the nearest splat's.
-        bool best = place[i].x == nearest;
+        bool best = centre[i].x == nearest;
         s.shape.w = best ? shape.w : s.shape.w;
 #ifdef PS_COLOR
         s.color += texelFetch(ps_color, child, 0);
@@ -59,8 +59,8 @@ void main()
     float weight = 1.0 / count;
     first *= weight;
     second = second * weight - vec3(first.x * first.x, first.x * first.y, first.y * first.y);
-    float d = s.place.x * weight;
-    s.place = vec4(d, first, max(far_end - d, d - near_end));
+    float d = s.centre.x * weight;
+    s.centre = vec4(d, first, max(far_end - d, d - near_end));
     s.shape.xyz = ps_cholesky(second);
 #ifdef PS_NORMAL
     s.normal *= weight;

@@ -38,7 +38,7 @@ int ps_enclosed(ivec2 pixel, float own_front)
                    texelFetch(ps_front, ivec2(min(pixel.x + 1, last.x), pixel.y), 0).x,
                    texelFetch(ps_front, ivec2(pixel.x, min(pixel.y + 1, last.y)), 0).x);
   vec2 farther = max(near.xy, near.zw), nearer = min(near.xy, near.zw);
-  float own = own_front - frame.lens.x;
+  float own = own_front - u.near;
   bvec2 linked = lessThan(2.0 * farther - nearer, vec2(own));
   bool between = (nearer.x > 0.0 && linked.x) || (nearer.y > 0.0 && linked.y);
   float sides = dot(vec4(greaterThan(near, vec4(0.0))) * vec4(lessThan(near, vec4(own))), vec4(1.0));
@@ -50,19 +50,19 @@ void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   float own_front = texelFetch(ps_front, pixel, 0).x;
-  own_front = own_front == 0.0 ? 1e38 : own_front + frame.lens.x;
+  own_front = own_front == 0.0 ? 1e38 : own_front + u.near;
 
   // The four coarser pixels around this one: the parent, and its neighbours on this pixel's side.
   ivec2 parent = pixel >> 1;
   ivec2 toward = (pixel & 1) * 2 - 1;
-  ivec2 last = textureSize(ps_coarse_place, 0) - 1;
+  ivec2 last = textureSize(ps_coarse_centre, 0) - 1;
   ivec2 beside = clamp(parent + toward, ivec2(0), last);
   ivec2 at[4] = ivec2[4](parent, ivec2(beside.x, parent.y), ivec2(parent.x, beside.y), beside);
-  vec4 place[4];
+  vec4 centre[4];
   float front = 1e38;
   for (int i = 0; i < 4; i++) {
-    place[i] = texelFetch(ps_coarse_place, at[i], 0);
-    front = place[i].w > 0.0 ? min(front, place[i].x + place[i].w) : front;
+    centre[i] = texelFetch(ps_coarse_centre, at[i], 0);
+    front = centre[i].w > 0.0 ? min(front, centre[i].x + centre[i].w) : front;
   }
   if (front >= own_front) {
     discard;
@@ -70,10 +70,10 @@ void main()
 
   // Between levels a splat must not miss a pixel that it touches. At the end, where the pixel's centre is what counts,
   // splats may be too small to reach it from all sides: a surface goes on between the centres of its splats.
-  float side = float(1 << frame.size.z);
+  float side = float(1 << u.level);
 #ifdef PS_FINEST
   // Where it does so on all four sides, it goes on however thin its splats are.
-  bool inside = ps_surrounded(place[0], place[1], place[2], place[3], vec2(toward));
+  bool inside = ps_surrounded(centre[0], centre[1], centre[2], centre[3], vec2(toward));
   int enclosed = ps_enclosed(pixel, own_front);
   float slack = enclosed == 2 ? 1.0 : inside || enclosed == 1 ? 0.25 : 0.0;
 #else
@@ -88,18 +88,18 @@ void main()
     // At the picture's rim a neighbour is the parent again.
     bool again = (i == 1 && at[1] == at[0]) || (i == 2 && at[2] == at[0]) ||
                  (i == 3 && (at[3] == at[1] || at[3] == at[2]));
-    if (place[i].w > 0.0 && !again) {
+    if (centre[i].w > 0.0 && !again) {
       shape[i] = texelFetch(ps_coarse_shape, at[i], 0);
       // From the splat's centre to this pixel's.
-      vec2 v = (vec2(pixel) + 0.5) * side - (vec2(at[i]) + 0.5) * 2.0 * side - place[i].yz;
+      vec2 v = (vec2(pixel) + 0.5) * side - (vec2(at[i]) + 0.5) * 2.0 * side - centre[i].yz;
       vec3 c = ps_covariance(shape[i].xyz);
       c.xz += slack;
       float m = (c.z * v.x * v.x - 2.0 * c.y * v.x * v.y + c.x * v.y * v.y) / max(c.x * c.z - c.y * c.y, 1e-12);
       if (m <= PS_RIM) {
         weight[i] = exp(-0.5 * m);
-        if (place[i].x < nearest) {
-          nearest = place[i].x;
-          front = place[i].x + place[i].w;
+        if (centre[i].x < nearest) {
+          nearest = centre[i].x;
+          front = centre[i].x + centre[i].w;
         }
       }
     }
@@ -111,13 +111,13 @@ void main()
   PsSurfel s = ps_empty();
   float total = 0.0, best = 0.0, near_end = 1e38, far_end = -1e38;
   for (int i = 0; i < 4; i++) {
-    if (weight[i] > 0.0 && place[i].x - place[i].w <= front) {
+    if (weight[i] > 0.0 && centre[i].x - centre[i].w <= front) {
       float w = weight[i];
       total += w;
-      vec2 offset = place[i].yz + (vec2(at[i]) + 0.5) * 2.0 * side - (vec2(pixel) + 0.5) * side;
-      s.place.xyz += w * vec3(place[i].x, offset);
-      near_end = min(near_end, place[i].x - place[i].w);
-      far_end = max(far_end, place[i].x + place[i].w);
+      vec2 offset = centre[i].yz + (vec2(at[i]) + 0.5) * 2.0 * side - (vec2(pixel) + 0.5) * side;
+      s.centre.xyz += w * vec3(centre[i].x, offset);
+      near_end = min(near_end, centre[i].x - centre[i].w);
+      far_end = max(far_end, centre[i].x + centre[i].w);
       // Means of Cholesky factors are factors again.
       s.shape.xyz += w * shape[i].xyz;
 #ifdef PS_NORMAL
@@ -139,8 +139,8 @@ void main()
     }
   }
   float scale = 1.0 / total;
-  s.place.xyz *= scale;
-  s.place.w = max(far_end - s.place.x, s.place.x - near_end);
+  s.centre.xyz *= scale;
+  s.centre.w = max(far_end - s.centre.x, s.centre.x - near_end);
   s.shape.xyz *= scale;
 #ifdef PS_NORMAL
   s.normal *= scale;

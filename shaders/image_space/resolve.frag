@@ -10,15 +10,15 @@
 
 void main()
 {
-  ivec2 place = ivec2(gl_FragCoord.xy);
-  uint found = texelFetch(ps_ids, place, 0).x;
-  uint id = found & ~PS_BESIDE;
-  int index = int(id - uint(frame.page.x));
-  if (found == 0xFFFFFFFFu || id < uint(frame.page.x) || (index >> frame.page.z) >= frame.page.y) {
+  ivec2 texel = ivec2(gl_FragCoord.xy);
+  uint found = texelFetch(ps_ids, texel, 0).x;
+  uint id = found & ~PS_OFF_CENTRE;
+  int index = int(id - uint(u.first_index));
+  if (found == 0xFFFFFFFFu || id < uint(u.first_index) || (index >> u.block_shift) >= u.block_count) {
     discard;
   }
   ivec3 element = ps_element(index);
-  vec4 head = texelFetch(ps_place, element.xy, 0);
+  vec4 head = texelFetch(ps_position, element.xy, 0);
   vec4 extent = texelFetch(ps_extent, element.xy, 0);
   vec3 p = ps_view_from_point(element.z, head.xyz);
   vec3 pixel = ps_pixel_from_view(p);
@@ -40,10 +40,10 @@ void main()
   bool covers = found == id;
 
   PsSurfel s = ps_empty();
-  s.place = vec4(pixel.z, pixel.xy - (vec2(place) + 0.5), covers ? max(reach, 1e-30) : -max(reach, 1e-30));
-#ifdef PS_APART
+  s.centre = vec4(pixel.z, pixel.xy - (vec2(texel) + 0.5), covers ? max(reach, 1e-30) : -max(reach, 1e-30));
+#ifdef PS_DISCONNECTED
   if (ps_alone(covariance, extent)) {
-    s.place = vec4(pixel.z, 0.0, 0.0, PS_POLYGON);
+    s.centre = vec4(pixel.z, 0.0, 0.0, PS_POLYGON);
   }
 #endif
   s.shape = vec4(ps_cholesky(covariance), floor(extent.w));

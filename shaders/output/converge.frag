@@ -10,7 +10,7 @@ void main()
   float before = texelFetch(ps_counts, tile, 0).x;
   ivec2 corner = tile * PS_TILE;
   ivec2 end = min(corner + PS_TILE, textureSize(ps_combined, 0));
-  float done = float(frame.size.z);
+  float done = float(u.samples);
   float worst = 0.0;
   if (before == 0.0) {
     for (int y = corner.y; y < end.y; y++) {
@@ -23,5 +23,5 @@ void main()
     }
   }
   // A difference that is no number never converges.
-  out_count = before != 0.0 ? before : worst <= frame.tile.z ? done : 0.0;
+  out_count = before != 0.0 ? before : worst <= u.threshold ? done : 0.0;
 }

@@ -1,5 +1,6 @@
 // The world behind a picture on the grid of core/lens/backdrop.py, sharp: each texel is its mean over the texel's area.
-// frame.previous.xy: pixels that a texel spans. frame.size.z: texels around the blurred picture. Reference: `sharp`.
+// u.texel_size: pixels that a texel spans. u.margin: texels around the blurred picture. Reference:
+// tests/reference/backdrop.py, `sharp_backdrop`.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/light/lights.glsl"
@@ -19,8 +20,8 @@ vec3 ps_pyramid(vec2 uv, int level)
 
 void main()
 {
-  vec2 span = frame.previous.xy, texel = gl_FragCoord.xy - float(frame.size.z) - 1.0;
-  vec2 apart = PS_WIDE * 2.0 * PS_TAP * span / abs(frame.focal.xy);
+  vec2 span = u.texel_size, texel = gl_FragCoord.xy - float(u.margin) - 1.0;
+  vec2 apart = PS_WIDE * 2.0 * PS_TAP * span / abs(u.focal);
   int width = textureSize(ps_environment, 0).x;
   float coarsest = log2(float(width) / 32.0);
   vec3 sum = vec3(0.0);

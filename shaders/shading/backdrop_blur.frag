@@ -1,10 +1,10 @@
-// The mean of a sharp picture over the disk of confusion. frame.previous.zw: its radii in texels. frame.size.z: texels
-// around the blurred picture. Reference: core/lens/backdrop.py, `blurred`.
+// The mean of a sharp picture over the disk of confusion. u.radius: its radii in texels. u.margin: texels
+// around the blurred picture. Reference: tests/reference/backdrop.py, `blur_backdrop`.
 
 void main()
 {
-  vec2 radius = frame.previous.zw;
-  ivec2 middle = ivec2(gl_FragCoord.xy) + frame.size.z;
+  vec2 radius = u.radius;
+  ivec2 middle = ivec2(gl_FragCoord.xy) + u.margin;
   int rows = int(radius.y) + 1;
   vec4 sum = vec4(0.0);
   for (int y = -rows; y <= rows; y++) {

@@ -1,12 +1,12 @@
 // The world where nothing else is, added to what earlier samples left. PS_EVERYWHERE: that is all of the picture.
-// PS_BESIDE: only passes beside Combined are drawn.
+// PS_AUXILIARY_ONLY: only passes beside Combined are drawn.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/light/lights.glsl"
 #include "lib/light/backdrop.glsl"
 #include "lib/geometry/finite.glsl"
 #ifndef PS_EVERYWHERE
-#include "lib/data/place.glsl"
+#include "lib/geometry/surfel_kind.glsl"
 #include "lib/geometry/coverage.glsl"
 #endif
 
@@ -16,7 +16,7 @@ void main()
   const float open = 1.0;
 #else
   ivec2 pixel = ivec2(gl_FragCoord.xy);
-  float open = 1.0 - ps_coverage(pixel, texelFetch(ps_place, pixel, 0));
+  float open = 1.0 - ps_coverage(pixel, texelFetch(ps_centre, pixel, 0));
   if (open == 0.0) {
     discard;
   }
@@ -25,7 +25,7 @@ void main()
   out_combined = open * vec4(ps_finite(ps_backdrop_at(gl_FragCoord.xy)), 1.0);
 #elif defined(PS_BACKGROUND)
   out_combined = open * vec4(ps_finite(ps_background(ps_ray(gl_FragCoord.xy))), 1.0);
-#elif !defined(PS_BESIDE)
+#elif !defined(PS_AUXILIARY_ONLY)
   out_combined = vec4(0.0);
 #endif
 #ifdef PS_OUT_NORMAL

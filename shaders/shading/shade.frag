@@ -1,14 +1,14 @@
 // Deferred shading: the G-buffer to scene-linear radiance, premultiplied, added to what earlier samples left. Pixels
-// that show nothing are left to background.frag. PS_BESIDE: only passes beside Combined are drawn.
+// that show nothing are left to background.frag. PS_AUXILIARY_ONLY: only passes beside Combined are drawn.
 
 #include "lib/geometry/camera.glsl"
-#include "lib/data/place.glsl"
+#include "lib/geometry/surfel_kind.glsl"
 #include "lib/light/lights.glsl"
 #include "lib/data/materials.glsl"
 #include "lib/geometry/geometry.glsl"
 #include "lib/geometry/finite.glsl"
 #include "lib/geometry/coverage.glsl"
-#ifdef PS_LINES
+#ifdef PS_STRANDS
 #include "lib/light/hair.glsl"
 #endif
 #ifdef PS_FOCUS
@@ -18,11 +18,11 @@
 void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
-  vec4 place = texelFetch(ps_place, pixel, 0);
-  float covered = ps_coverage(pixel, place);
+  vec4 centre = texelFetch(ps_centre, pixel, 0);
+  float covered = ps_coverage(pixel, centre);
 #ifdef PS_FOCUS
   // The rest is left to defocus.frag.
-  covered *= ps_sharp(ps_confusion(place.x));
+  covered *= ps_sharp(ps_confusion(centre.x));
 #endif
   if (covered == 0.0) {
     discard;
@@ -30,20 +30,20 @@ void main()
   vec4 shape = texelFetch(ps_shape, pixel, 0);
 #ifdef PS_NORMAL
   vec4 bent = texelFetch(ps_normal, pixel, 0);
-  vec3 normal = ps_surface_normal(bent.xyz, place, shape, gl_FragCoord.xy);
-  vec3 position = ps_surface_position(normal, bent.xyz, place, gl_FragCoord.xy);
+  vec3 normal = ps_surface_normal(bent.xyz, centre, shape, gl_FragCoord.xy);
+  vec3 position = ps_surface_position(normal, bent.xyz, centre, gl_FragCoord.xy);
 #else
   vec3 normal = vec3(0.0, 0.0, 1.0);
-  vec3 position = ps_view_from_pixel(gl_FragCoord.xy, place.x);
+  vec3 position = ps_view_from_pixel(gl_FragCoord.xy, centre.x);
 #endif
 #ifdef PS_COARSE
   // A coarse node lies below the surface that it stands for, which casts shadows as fine as ever: it is lit above that.
-  float radius = place.w > PS_POLYGON ? 2.0 * max(abs(shape.x), length(shape.yz)) : 0.0;  // pixels
-  position += normal * (radius * ps_pixel_size(place.x));
+  float radius = centre.w > PS_POLYGON ? 2.0 * max(abs(shape.x), length(shape.yz)) : 0.0;  // pixels
+  position += normal * (radius * ps_pixel_size(centre.x));
 #endif
   vec3 to_eye = -ps_ray(gl_FragCoord.xy);
-#ifdef PS_LINES
-  bool strand = ps_is_strand(place);
+#ifdef PS_STRANDS
+  bool strand = ps_is_strand(centre);
   vec3 tangent = normal;
   vec3 outward = to_eye - dot(to_eye, tangent) * tangent;
   normal = strand ? normalize(dot(outward, outward) > 1e-12 ? outward : to_eye) : normal;
@@ -63,36 +63,36 @@ void main()
 #ifdef PS_EMISSION
   surface.emission = texelFetch(ps_emission, pixel, 0).rgb;
 #endif
-#ifndef PS_BESIDE
-#ifdef PS_LINES
+#ifndef PS_AUXILIARY_ONLY
+#ifdef PS_STRANDS
   // Loops of one turn or none, since some devices run both sides of every branch.
   vec3 radiance = vec3(0.0);
   for (int i = 0; i < (strand ? 0 : 1); i++) {
-    radiance = ps_shade(position, normal, to_eye, surface, frame.page.w);
+    radiance = ps_shade(position, normal, to_eye, surface, u.light_count);
   }
   for (int i = 0; i < (strand ? 1 : 0); i++) {
     vec4 fibre = texelFetch(ps_materials, ivec2(3, material), 0);
-    radiance = ps_shade_strand(position, tangent, to_eye, surface, fibre, frame.page.w);
+    radiance = ps_shade_strand(position, tangent, to_eye, surface, fibre, u.light_count);
   }
 #else
-  vec3 radiance = ps_shade(position, normal, to_eye, surface, frame.page.w);
+  vec3 radiance = ps_shade(position, normal, to_eye, surface, u.light_count);
 #endif
 #ifdef PS_FOCUS
-  out_focus = covered * vec4(place.x, 1.0, 0.0, 0.0);
+  out_focus = covered * vec4(centre.x, 1.0, 0.0, 0.0);
 #endif
   out_combined = holdout ? vec4(0.0) : covered * vec4(ps_finite(radiance), 1.0);
 #endif
 
 #ifdef PS_OUT_NORMAL
   vec3 facing = dot(normal, to_eye) < 0.0 ? -normal : normal;
-  out_normal_pass = covered * vec4(mat3(frame.world_from_view) * facing, 1.0);
+  out_normal_pass = covered * vec4(mat3(u.world_from_view) * facing, 1.0);
 #endif
 #ifdef PS_OUT_ALBEDO
   out_albedo = covered * vec4(surface.base * (1.0 - surface.metallic), 1.0);
 #endif
 #ifdef PS_OUT_MIST
   float d = ps_is_perspective() ? length(position) : -position.z;
-  float mist = clamp((d - frame.mist.x) * frame.mist.y, 0.0, 1.0);
-  out_mist = vec4(covered * (frame.mist.z == 1.0 ? mist : pow(mist, frame.mist.z)));
+  float mist = clamp((d - u.mist_start) * u.mist_scale, 0.0, 1.0);
+  out_mist = vec4(covered * (u.mist_exponent == 1.0 ? mist : pow(mist, u.mist_exponent)));
 #endif
 }

@@ -27,7 +27,7 @@ void main()
   float depth = v_source.w * ps_kernel(q);
 #endif
 #ifdef PS_AMONG_OPAQUE
-  float opaque = texelFetch(ps_depth, ivec2(gl_FragCoord.xy / frame.lens.w), 0).x;
+  float opaque = texelFetch(ps_depth, ivec2(gl_FragCoord.xy / u.scale), 0).x;
   float x = (opaque - v_front.x - dot(v_front.zw, v)) * v_front.y;
   depth *= ps_below(clamp(x, -6.0, 6.0));
 #endif

@@ -7,17 +7,17 @@
 
 void main()
 {
-  int index = frame.page.x + gl_VertexID / 6;
+  int index = u.first + gl_VertexID / 6;
   ivec2 at = ivec2(index & 4095, index >> 12);
-  vec4 place = texelFetch(ps_place, at, 0), shape = texelFetch(ps_shape, at, 0);
+  vec4 centre = texelFetch(ps_centre, at, 0), shape = texelFetch(ps_shape, at, 0);
   // In a coarser picture's pixels, of which splats are not to miss any either.
-  float scale = frame.lens.w;
+  float scale = u.scale;
   vec3 c = scale * scale * shape.xyz + (scale < 1.0 ? vec3(PS_LOW_PASS, 0.0, PS_LOW_PASS) : vec3(0.0));
   float det = c.x * c.z - c.y * c.y;
   float kept = scale < 1.0 ? scale * scale * sqrt((shape.x * shape.z - shape.y * shape.y) / det) : 1.0;
-  v_centre = scale * (place.xy + frame.focal.zw);
+  v_centre = scale * (centre.xy + u.principal_point);
   vec4 source = texelFetch(ps_source, at, 0);
-  v_source = vec4(source.rgb, kept * place.w);
+  v_source = vec4(source.rgb, kept * centre.w);
 #ifdef PS_CHANNEL
   v_source.w *= texelFetch(ps_tint, at, 0)[PS_CHANNEL];
 #endif
@@ -28,7 +28,7 @@ void main()
 #endif
 #ifdef PS_AMONG_OPAQUE
   vec4 front = texelFetch(ps_front, at, 0);
-  v_front = vec4(place.z, 1.0 / front.x, front.yz / scale);
+  v_front = vec4(centre.z, 1.0 / front.x, front.yz / scale);
 #endif
 
   // Along the ellipse's axes where that saves much; else along the picture's, which rasterisers fill faster.
@@ -41,6 +41,6 @@ void main()
   vec2 side = vec2(corner == 1 || corner == 2 || corner == 4 ? 1.0 : -1.0, corner == 2 || corner >= 4 ? 1.0 : -1.0);
   side.x = corner == 5 ? -1.0 : side.x;
   vec2 pixel = v_centre + side.x * size.x * axis + side.y * size.y * vec2(-axis.y, axis.x);
-  vec2 clip = pixel / vec2(frame.size.xy) * 2.0 - 1.0;
-  gl_Position = place.w > 0.0 ? vec4(clip, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+  vec2 clip = pixel / vec2(u.size) * 2.0 - 1.0;
+  gl_Position = centre.w > 0.0 ? vec4(clip, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }

@@ -1,10 +1,10 @@
 // One translucent splat of the draw list: its ellipse in pixels, its optical depth and the light that it sends to the
-// eye. Texel by texel; layouts: render/passes/translucent/page.py. Reference: tests/reference/media.py.
+// eye. Texel by texel; layouts: render/passes/translucent/page.py. Reference: scripts/common/media_truth.py.
 // PS_REACH: of every splat of a page instead, the shares of this many lights that reach it; PS_REACHED: they are known.
 // PS_KERNELS: some have a kernel of their own. PS_HOLDOUT: instances may cut holes instead.
 // PS_FUZZY: some are opaque (core/splat/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
-// drawn where they show their backs, PS_FUZZY_APART: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
-// render/passes/defocus/gather.py, PS_LINES: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
+// drawn where they show their backs, PS_FUZZY_DISCONNECTED: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
+// render/passes/defocus/gather.py, PS_STRANDS: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
 // opaque may stand among them.
 
 #include "lib/geometry/camera.glsl"
@@ -17,7 +17,7 @@
 #ifdef PS_DEFOCUS
 #include "lib/splat/defocus.glsl"
 #endif
-#ifdef PS_LINES
+#ifdef PS_STRANDS
 #include "lib/light/hair.glsl"
 #endif
 
@@ -41,8 +41,8 @@ vec4 ps_instance_row(int instance, int row)
 // Slopes of the ray through p, no steeper than those a little beyond the picture.
 vec2 ps_slope(vec3 p)
 {
-  vec2 size = vec2(frame.size.xy);
-  vec2 reach = PS_VIEW * max(abs(frame.focal.zw), abs(size - frame.focal.zw)) / abs(frame.focal.xy);
+  vec2 size = vec2(u.size);
+  vec2 reach = PS_VIEW * max(abs(u.principal_point), abs(size - u.principal_point)) / abs(u.focal);
   return ps_is_perspective() ? clamp(p.xy / -p.z, -reach, reach) : vec2(0.0);
 }
 
@@ -55,7 +55,7 @@ vec3 ps_cofactor(mat3 m, vec3 n)
 void main()
 {
   ivec2 here = ivec2(gl_FragCoord.xy);
-  if (here.x + 4096 * here.y >= frame.page.y) {
+  if (here.x + 4096 * here.y >= u.count) {
     discard;
   }
   vec2 entry = texelFetch(ps_order, here, 0).xy;
@@ -64,7 +64,7 @@ void main()
   ivec2 at = ivec2(low & 4095, (low >> 12) + ((high & 3) << 12));
 
   // Half-axes in view space.
-  vec4 head = texelFetch(ps_place, at, 0), extent = texelFetch(ps_extent, at, 0);
+  vec4 head = texelFetch(ps_position, at, 0), extent = texelFetch(ps_extent, at, 0);
   vec4 optics = texelFetch(ps_optics, at, 0);
   vec4 rows[3] = vec4[3](ps_instance_row(instance, 0), ps_instance_row(instance, 1), ps_instance_row(instance, 2));
   vec4 q = vec4(head.xyz, 1.0);
@@ -84,12 +84,12 @@ void main()
 #endif
 
   // A medium that shines like a surface is steep there, and the lattice near it would show as rings.
-  vec3 place = p + (medium ? 3.0 * extent.x * length(linear[0]) * facing : vec3(0.0));
+  vec3 lit_position = p + (medium ? 3.0 * extent.x * length(linear[0]) * facing : vec3(0.0));
 #ifdef PS_REACH
   // How much of each light comes here does not depend on the camera.
   vec3 share[4] = vec3[4](vec3(1.0), vec3(1.0), vec3(1.0), vec3(1.0));
   for (int i = 0; i < PS_REACH; i++) {
-    share[i] = ps_transmittance(i, place, facing, true);
+    share[i] = ps_transmittance(i, lit_position, facing, true);
   }
 #ifdef PS_SHADOW_COLORED
   out_reach_0 = vec4(share[0], 1.0);
@@ -141,7 +141,7 @@ void main()
   // Of what reaches before the near plane, the splat that has the moments of the part beyond: for a Gaussian, those of
   // the truncated normal distribution, and as many optical depths as are left.
   vec3 deep = -0.5 * vec3(a.z, b.z, c.z);
-  float spread = max(length(deep), 1e-20), inside = (-p.z - frame.lens.x) / spread, beyond = 1.0;
+  float spread = max(length(deep), 1e-20), inside = (-p.z - u.near) / spread, beyond = 1.0;
   if (inside < PS_RIM_SIGMA && inside > -PS_RIM_SIGMA) {
     float share = ps_below(inside);
     float hazard = 0.39894228 * exp(-0.5 * inside * inside) / share;
@@ -159,18 +159,18 @@ void main()
   // Covariance in pixels, and with depth (Zwicker et al. 2001).
   float d = -p.z;
   vec2 slope = ps_slope(p);
-  vec2 scale = 0.5 * frame.focal.xy * (ps_is_perspective() ? 1.0 / d : 1.0);
+  vec2 scale = 0.5 * u.focal * (ps_is_perspective() ? 1.0 / d : 1.0);
   vec2 ua = scale * (a.xy + slope * a.z), ub = scale * (b.xy + slope * b.z), uc = scale * (c.xy + slope * c.z);
   vec3 own = vec3(ua.x * ua.x + ub.x * ub.x + uc.x * uc.x, ua.x * ua.y + ub.x * ub.y + uc.x * uc.y,
                   ua.y * ua.y + ub.y * ub.y + uc.y * uc.y);
   // What is widened hides more, the deeper it is: only particles are, which would flicker. Voxels and samples of surfaces
   // add up evenly, and what they let through is right in the mean of all samples; wide needles must keep an inverse.
-  float low_pass = optics.z == PS_PARTICLE ? PS_LOW_PASS : max(PS_LOW_PASS * frame.mist.w, 1e-4 * (own.x + own.z));
+  float low_pass = optics.z == PS_PARTICLE ? PS_LOW_PASS : max(PS_LOW_PASS * u.low_pass_scale, 1e-4 * (own.x + own.z));
 #ifdef PS_DEFOCUS
   // A sample stands for a pixel, and each splat for all that the lens makes of it.
   float confusion = ps_confusion(d);
   low_pass = max(PS_DEFOCUS_PIXEL, low_pass);
-  vec2 half_disk = confusion * vec2(frame.focus.w, 1.0);
+  vec2 half_disk = confusion * vec2(u.aperture_aspect, 1.0);
   vec2 lean = ball || medium ? vec2(0.0) : half_disk * ps_lean(p, normal);
   vec3 disk = vec3(0.25 * half_disk.x * half_disk.x - lean.x * lean.x, -lean.x * lean.y,
                    0.25 * half_disk.y * half_disk.y - lean.y * lean.y);
@@ -205,14 +205,14 @@ void main()
 #endif
 
   // Outside of the picture?
-  vec2 centre = frame.focal.xy * p.xy * (ps_is_perspective() ? 1.0 / d : 1.0);
+  vec2 centre = u.focal * p.xy * (ps_is_perspective() ? 1.0 / d : 1.0);
 #ifdef PS_DEFOCUS
-  centre += d * frame.focus.y < 1.0 ? -lean : lean;
+  centre += d * u.inverse_focus_distance < 1.0 ? -lean : lean;
 #endif
   vec2 margin = PS_RIM_SIGMA * sqrt(wide.xz) + 2.0;
-  vec2 pixel = centre + frame.focal.zw;
-  bool seen = d > frame.lens.x && d < frame.lens.y && all(greaterThan(pixel + margin, vec2(0.0))) &&
-              all(lessThan(pixel - margin, vec2(frame.size.xy))) && peak >= 0.0 && peak < 1e30 && det < 1e30;
+  vec2 pixel = centre + u.principal_point;
+  bool seen = d > u.near && d < u.far && all(greaterThan(pixel + margin, vec2(0.0))) &&
+              all(lessThan(pixel - margin, vec2(u.size))) && peak >= 0.0 && peak < 1e30 && det < 1e30;
 #ifdef PS_CULL
   bool back = dot(normal, ps_is_perspective() ? p : vec3(0.0, 0.0, -1.0)) > 0.0;
   seen = seen && !(fuzzy && back && texelFetch(ps_materials, ivec2(2, int(extent.w + 0.5)), 0).x > 0.5);
@@ -238,7 +238,7 @@ void main()
   vec3 source = vec3(0.0);
 #ifdef PS_MEDIA
   if (!lit_as_surface) {
-    source = ps_shade_medium(p, to_eye, texelFetch(ps_materials, ivec2(1, material), 0).w, surface.base, frame.page.w);
+    source = ps_shade_medium(p, to_eye, texelFetch(ps_materials, ivec2(1, material), 0).w, surface.base, u.light_count);
   }
   // What emits per unit of length has this radiance where it is opaque.
   source += medium ? emission / (strength * tint) : vec3(0.0);
@@ -246,21 +246,21 @@ void main()
   surface.emission = medium ? vec3(0.0) : emission;
   if (lit_as_surface) {
     facing = dot(facing, facing) > 0.5 ? facing : to_eye;
-#ifdef PS_LINES
+#ifdef PS_STRANDS
     bool strand = fuzzy && optics.w > 0.5;
     for (int i = 0; i < (strand ? 1 : 0); i++) {
-      source += ps_shade_strand(place, normalize(a), to_eye, surface, texelFetch(ps_materials, ivec2(3, material), 0),
-                                frame.page.w);
+      source += ps_shade_strand(lit_position, normalize(a), to_eye, surface, texelFetch(ps_materials, ivec2(3, material), 0),
+                                u.light_count);
     }
     for (int i = 0; i < (strand ? 0 : 1); i++) {
-      source += ps_shade(place, facing, to_eye, surface, frame.page.w);
+      source += ps_shade(lit_position, facing, to_eye, surface, u.light_count);
     }
 #else
-    source += ps_shade(place, facing, to_eye, surface, frame.page.w);
+    source += ps_shade(lit_position, facing, to_eye, surface, u.light_count);
 #endif
   }
 
-#ifdef PS_FUZZY_APART
+#ifdef PS_FUZZY_DISCONNECTED
   // What stands apart hides as much as if it were not widened: core/splat/painter.py, `thinned`.
   if (fuzzy && extent.y < 0.0) {
     float deepest = peak * PS_PEAK, most = 1.0 - PS_GAMMA * pow(deepest, -0.25);
@@ -271,7 +271,7 @@ void main()
 #endif
 
 #if defined(PS_AMONG_OPAQUE) || defined(PS_DEFOCUS)
-  // Regression of depth on the place in the picture.
+  // Regression of depth on the position in the picture.
 #ifdef PS_DEFOCUS
   vec3 seen_as = wide - disk;
 #else
@@ -290,7 +290,7 @@ void main()
   if (fuzzy) {
     amount = covers * texelFetch(ps_share, at, 0).x * (1.0 - ps_sharp(confusion));
     bool turned = !ball && dot(normal, ps_is_perspective() ? p : vec3(0.0, 0.0, -1.0)) > 0.0;
-    kind = extent.y < 0.0 || optics.w > 0.5 ? PS_DEFOCUS_APART : turned ? PS_DEFOCUS_BACK : 0.0;
+    kind = extent.y < 0.0 || optics.w > 0.5 ? PS_DEFOCUS_DISCONNECTED : turned ? PS_DEFOCUS_BACK : 0.0;
   }
 #endif
   float k = ps_defocus_exponent((disk.x + disk.z) / (wide.x + wide.z), kind <= PS_DEFOCUS_BACK);
@@ -300,11 +300,11 @@ void main()
   // How far before and behind its middle the surface may lie that it shows in a pixel: as far as its plane reaches, and
   // its neighbours do, within the disk.
   float reach = length(gradient) * sqrt(2.0 * (k + 2.0) * max(wide.x, wide.z)) + 2.0 * length(deep);
-  out_place = seen ? vec4(centre, d, amount * ps_defocus_peak(k, det)) : vec4(0.0);
+  out_centre = seen ? vec4(centre, d, amount * ps_defocus_peak(k, det)) : vec4(0.0);
   out_shape = seen ? vec4(vec3(wide.z, -wide.y, wide.x) / det, k + kind) : vec4(1.0, 0.0, 1.0, 0.0);
   out_source = vec4(ps_finite(source), reach);
 #else
-  out_place = seen ? vec4(centre, d, peak * kept * PS_PEAK) : vec4(0.0);
+  out_centre = seen ? vec4(centre, d, peak * kept * PS_PEAK) : vec4(0.0);
   out_shape = seen ? vec4(wide, 0.0) : vec4(1.0, 0.0, 1.0, 0.0);
   out_source = vec4(ps_finite(source), 0.0);
 #ifdef PS_KERNELS

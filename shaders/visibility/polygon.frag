@@ -44,15 +44,15 @@ void main()
   }
 #endif
 #ifdef PS_CULL
-  if (gl_FrontFacing != (frame.lens.w > 0.0)) {
+  if (gl_FrontFacing == (u.mirrored == 1)) {
     discard;
   }
 #endif
   float d = -v_position.z;
-  float material = float(frame.page.y);
+  float material = float(u.material);
   PsSurfel s = ps_empty();
-  s.place = vec4(d, 0.0, 0.0, PS_POLYGON);
-  s.shape = vec4(0.0, 0.0, 0.0, frame.page.z == 1 ? -1.0 - material : material);
+  s.centre = vec4(d, 0.0, 0.0, PS_POLYGON);
+  s.shape = vec4(0.0, 0.0, 0.0, u.holdout == 1 ? -1.0 - material : material);
 #ifdef PS_NORMAL
   s.normal.xyz = normalize(v_normal);
 #ifdef PS_BAKED_NORMAL
@@ -65,7 +65,7 @@ void main()
 #elif defined(PS_CORNER_COLOR)
   s.color.rgb = v_color.rgb;
 #else
-  s.color.rgb = texelFetch(ps_materials, ivec2(0, frame.page.y), 0).rgb;
+  s.color.rgb = texelFetch(ps_materials, ivec2(0, u.material), 0).rgb;
 #endif
 #endif
 #ifdef PS_SURFACE
@@ -74,7 +74,7 @@ void main()
 #elif defined(PS_CORNER_SURFACE)
   vec2 surface = v_surface;
 #else
-  vec2 surface = texelFetch(ps_materials, ivec2(2, frame.page.y), 0).yz;
+  vec2 surface = texelFetch(ps_materials, ivec2(2, u.material), 0).yz;
 #endif
   s.normal.w = surface.x;
   s.color.w = surface.y;
@@ -85,11 +85,11 @@ void main()
 #elif defined(PS_CORNER_EMISSION)
   s.emission = vec4(v_emission, 0.0);
 #else
-  s.emission = vec4(texelFetch(ps_materials, ivec2(1, frame.page.y), 0).rgb, 0.0);
+  s.emission = vec4(texelFetch(ps_materials, ivec2(1, u.material), 0).rgb, 0.0);
 #endif
 #endif
 #ifdef PS_OWNER
-  s.owner = uint(frame.size.w);
+  s.owner = uint(u.instance);
 #endif
   ps_store_front(s, true);
   gl_FragDepth = ps_buffer_depth(d);

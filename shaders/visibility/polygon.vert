@@ -12,7 +12,7 @@ ivec2 ps_texel(int index)
 
 vec3 ps_turn(vec3 n)
 {
-  mat3 m = mat3(frame.view_from_object);
+  mat3 m = mat3(u.view_from_object);
   return cross(m[1], m[2]) * n.x + cross(m[2], m[0]) * n.y + cross(m[0], m[1]) * n.z;
 }
 
@@ -23,10 +23,10 @@ void main()
   int corner_of_part = gl_VertexID % PS_PARTS;
   ivec2 texel = ps_texel((int(part.y) << 12) + int(part.x) + min(corner_of_part, int(part.z) - 1));
 #else
-  ivec2 texel = ps_texel(frame.page.x + gl_VertexID);
+  ivec2 texel = ps_texel(u.first + gl_VertexID);
 #endif
   vec4 corner = texelFetch(ps_corner, texel, 0);
-  v_position = (frame.view_from_object * vec4(corner.xyz, 1.0)).xyz;
+  v_position = (u.view_from_object * vec4(corner.xyz, 1.0)).xyz;
 #ifdef PS_NORMAL
   v_normal = ps_direction(ps_turn(ps_unpack_normal(corner.w)), vec3(0.0, 0.0, 1.0));
 #endif

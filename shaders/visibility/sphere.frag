@@ -24,12 +24,12 @@ void main()
   float half_chord = sqrt(outside / a);
   float d = middle - half_chord;
   // Cut open by the near plane, a ball shows its inside.
-  d = d < frame.lens.x ? middle + half_chord : d;
-  if (d < frame.lens.x || d > frame.lens.y) {
+  d = d < u.near ? middle + half_chord : d;
+  if (d < u.near || d > u.far) {
     discard;
   }
   PsSurfel s = ps_empty();
-  s.place = vec4(d, 0.0, 0.0, PS_POLYGON);
+  s.centre = vec4(d, 0.0, 0.0, PS_POLYGON);
   ivec3 element = ivec3(v_element);
   s.shape.w = texelFetch(ps_extent, element.xy, 0).w;
 #ifdef PS_NORMAL

@@ -23,7 +23,7 @@ struct PsRay {
 // Takes what lies in the picture, between the ends of the strand, and before all that was found.
 void ps_meet(inout PsHit hit, PsRay ray, float d, float along, vec3 normal, bool there)
 {
-  if (there && d >= frame.lens.x && d < hit.d) {
+  if (there && d >= u.near && d < hit.d) {
     vec3 p = ray.eye + d * ray.direction;
     if (dot(v_begin.xyz, p) + v_begin.w >= 0.0 && dot(v_end.xyz, p) + v_end.w >= 0.0) {
       hit = PsHit(d, along, normal);
@@ -38,7 +38,7 @@ void ps_meet_end(inout PsHit hit, PsRay ray, vec3 middle, float radius, vec4 pla
   float through = dot(plane.xyz, ray.direction), d = -(dot(plane.xyz, ray.eye) + plane.w) / through;
   vec3 to = ray.eye + d * ray.direction - middle;
   if (through != 0.0 && abs(dot(plane.xyz, middle) + plane.w) <= 1e-3 * radius && dot(to, to) <= radius * radius &&
-      d >= frame.lens.x && d < hit.d) {
+      d >= u.near && d < hit.d) {
     hit = PsHit(d, along, -plane.xyz);
   }
 }
@@ -116,23 +116,23 @@ void main()
 #else
 #ifdef PS_THIN
   // In the share of the samples that is the strand's of the line's width.
-  if (fract(v_share.y + frame.lens.w) >= v_share.x) {
+  if (fract(v_share.y + u.sample_offset) >= v_share.x) {
     discard;
   }
 #endif
   float d = -v_position.z, along = v_along;
 #endif
-  if (!(d >= frame.lens.x && d <= frame.lens.y)) {
+  if (!(d >= u.near && d <= u.far)) {
     discard;
   }
   PsSurfel s = ps_empty();
-  s.place = vec4(d, 0.0, 0.0, PS_POLYGON);
+  s.centre = vec4(d, 0.0, 0.0, PS_POLYGON);
   s.shape.w = v_segment.w;
 #ifdef PS_NORMAL
 #ifndef PS_TUBE
   s.normal.xyz = normalize(v_normal);
 #ifndef PS_RIBBON
-  s.place.y = PS_STRAND;
+  s.centre.y = PS_STRAND;
 #endif
 #else
   mat3 linear = ps_linear(instance);
@@ -142,7 +142,7 @@ void main()
   // Round along the strand as well: across its own tangent, not the segment's.
   vec3 outward = along > 0.0 && along < 1.0 ? hit.normal - dot(hit.normal, tangent) * tangent : hit.normal;
   s.normal.xyz = fibre ? tangent : normalize(outward);
-  s.place.y = fibre ? PS_STRAND : 0.0;
+  s.centre.y = fibre ? PS_STRAND : 0.0;
 #endif
 #endif
 #ifdef PS_COLOR

@@ -10,18 +10,18 @@
 // lies before the eye.
 float ps_ball_reach(vec4 ball)
 {
-  float focal = max(abs(frame.focal.x), abs(frame.focal.y));
+  float focal = max(abs(u.focal.x), abs(u.focal.y));
   if (!ps_is_perspective()) {
     return focal * ball.w;
   }
-  float middle = max(-ball.z, frame.lens.x), nearest = max(-ball.z - ball.w, frame.lens.x);
+  float middle = max(-ball.z, u.near), nearest = max(-ball.z - ball.w, u.near);
   return focal * (ball.w / nearest + length(ball.xy) * max(1.0 / nearest - 1.0 / middle, 0.0));
 }
 
 // Where the part of the axis ends, from a towards b, that has balls before the near plane.
 vec4 ps_before_eye(vec4 a, vec4 b)
 {
-  float from = -a.z + a.w - frame.lens.x, to = -b.z + b.w - frame.lens.x;
+  float from = -a.z + a.w - u.near, to = -b.z + b.w - u.near;
   return from < 0.0 && to > 0.0 ? mix(a, b, from / (from - to)) : a;
 }
 #endif
@@ -46,7 +46,7 @@ void main()
 #else
   int index = gl_VertexID / 6, corner = gl_VertexID - 6 * index;
 #endif
-  ivec2 at = ivec2(texelFetch(ps_list, ps_texel(frame.page.x + index), 0).xy);
+  ivec2 at = ivec2(texelFetch(ps_list, ps_texel(u.first + index), 0).xy);
   vec4 segment = texelFetch(ps_segments, at, 0);
   int instance = int(segment.z);
   ivec2 texel[2] = ivec2[2](ps_texel(int(segment.x)), ps_texel(int(segment.y)));
@@ -64,12 +64,12 @@ void main()
   v_end = ps_end_plane(instance, ends.y, -1.0);
   vec4 near_a = ps_is_perspective() ? ps_before_eye(a, b) : a, near_b = ps_is_perspective() ? ps_before_eye(b, a) : b;
   // What balls at the near plane are cut to may reach farther than at either end.
-  bool cut = ps_is_perspective() && min(-a.z - a.w, -b.z - b.w) < frame.lens.x;
+  bool cut = ps_is_perspective() && min(-a.z - a.w, -b.z - b.w) < u.near;
   float around = max(ps_ball_reach(near_a), ps_ball_reach(near_b)) * (cut ? 1.5 : 1.0) + 0.01;
-  float low = frame.lens.x;
+  float low = u.near;
   vec2 p = ps_pixel_from_view(vec3(near_a.xy, ps_is_perspective() ? min(near_a.z, -low) : near_a.z)).xy;
   vec2 q = ps_pixel_from_view(vec3(near_b.xy, ps_is_perspective() ? min(near_b.z, -low) : near_b.z)).xy;
-  vec2 size = vec2(frame.size.xy), along = q - p;
+  vec2 size = vec2(u.size), along = q - p;
   float len = length(along);
   along = len > 1e-6 ? along / len : vec2(1.0, 0.0);
   vec2 across = vec2(-along.y, along.x);
@@ -82,7 +82,7 @@ void main()
     pixel = clamp(mix(least, most, 0.5 * side + 0.5), vec2(-1.0), size + 1.0);
   }
   bool nothing = any(greaterThan(least, size)) || any(lessThan(most, vec2(0.0))) || !(around < 1e30) ||
-                 (ps_is_perspective() && max(-a.z + a.w, -b.z + b.w) <= frame.lens.x);
+                 (ps_is_perspective() && max(-a.z + a.w, -b.z + b.w) <= u.near);
   gl_Position = nothing ? vec4(2.0, 2.0, 2.0, 1.0) : vec4(pixel / size * 2.0 - 1.0, 0.0, 1.0);
 #else
 #ifdef PS_THIN
@@ -110,13 +110,13 @@ void main()
 #ifndef PS_RIBBON
   // A segment that stands for several has their area: their share of the raster's line, which is what they are drawn
   // with where they are thinner. Where it hardly has a length that may be any width.
-  float near = ps_is_perspective() ? frame.lens.x : -1e30;
+  float near = ps_is_perspective() ? u.near : -1e30;
   if (-p[0].z > near && -p[1].z > near) {
     vec4 share = texelFetch(ps_segments, at + ivec2(1, 0), 0);
     vec2 chord = abs(ps_pixel_from_view(p[1]).xy - ps_pixel_from_view(p[0]).xy);
     float line = max(chord.x, chord.y) / max(length(chord), 1e-6);
     for (int i = 0; i < 2; i++) {
-      float width = 2.0 * radius[i] * sqrt(abs(frame.focal.x * frame.focal.y)) / (ps_is_perspective() ? -p[i].z : 1.0);
+      float width = 2.0 * radius[i] * sqrt(abs(u.focal.x * u.focal.y)) / (ps_is_perspective() ? -p[i].z : 1.0);
       float wanted = (i == 0 ? share.x : share.y) * line;
       sides[i] *= width > 1e-6 ? clamp(wanted / width, 0.5, 2.0) : 1.0;
     }

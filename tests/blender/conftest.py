@@ -1,4 +1,4 @@
-"""Ends a process that has loaded bpy without the interpreter's own shutdown.
+"""Blender's fixtures, and an end of processes that have loaded bpy without the interpreter's own shutdown.
 
 Blender 4.5 as a Python package hangs there while an engine, a handler or a timer is still registered;
 a test that fails half-way may leave one behind.
@@ -6,7 +6,10 @@ a test that fails half-way may leave one behind.
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -42,3 +45,39 @@ def empty_file() -> Iterator[None]:
     pointsplat_addon.register()
     yield
     pointsplat_addon.unregister()
+
+
+@pytest.fixture(scope="module")
+def blender() -> Iterator[Any]:
+    """A renderer on Blender's gpu."""
+    from pointsplat_addon.devices.blender_gpu import BlenderDevice
+    from pointsplat_addon.render.renderer import Renderer
+    from tests.support.blender.devices import start_gpu
+
+    start_gpu()
+    renderer = Renderer(BlenderDevice())
+    yield renderer
+    renderer.release()
+    assert renderer.device.bytes_allocated() == 0
+    renderer.device.release()
+
+
+@pytest.fixture(scope="module")
+def opengl() -> Iterator[Callable[[Any, bool], Any]]:
+    """A function that draws a case with moderngl, on a thread of its own as in a render; its second argument says
+    whether with image atomics."""
+    from pointsplat_addon.devices.opengl import OpenGLDevice
+    from pointsplat_addon.render.renderer import Renderer
+    from tests.support.blender.devices import pictures
+
+    with ThreadPoolExecutor(1) as thread:
+        renderer = thread.submit(lambda: Renderer(OpenGLDevice())).result()
+        limits = renderer.device.limits
+
+        def draw(case: Any, atomics: bool) -> Any:
+            renderer.device.limits = replace(limits, image_atomics=atomics)
+            return pictures(renderer, case)
+
+        yield lambda case, atomics: thread.submit(draw, case, atomics).result()
+        thread.submit(renderer.release).result()
+        thread.submit(renderer.device.release).result()

@@ -6,6 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from tests.support.blender.devices import start_gpu
+
 bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
@@ -18,34 +20,6 @@ from pointsplat_addon.shading.interface import Interface
 from tests.support import devices_suite as suite
 
 SOLID = Interface("solid", fragment=suite.path("solid.frag"), block=suite.SOLID, outputs=(("vec4", "color"),))
-
-
-def start_gpu() -> None:
-    """Blender 4.5 in the background makes its GPU context only for an engine that asks for it, while it renders."""
-    if hasattr(gpu, "init"):
-        gpu.init()
-        return
-
-    class Starter(bpy.types.RenderEngine):
-        bl_idname = "POINTSPLAT_TEST_STARTER"
-        bl_label = "Starter"
-        bl_use_gpu_context = True
-
-        def render(self, depsgraph):
-            pass
-
-    # A scene of its own: other tests may have left one without a camera.
-    scene = bpy.data.scenes.new("starter")
-    scene.camera = bpy.data.objects.new("starter", bpy.data.cameras.new("starter"))
-    scene.collection.objects.link(scene.camera)
-    bpy.utils.register_class(Starter)
-    try:
-        scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = Starter.bl_idname, 8, 8
-        bpy.ops.render.render(scene=scene.name)
-    finally:
-        bpy.data.cameras.remove(scene.camera.data)
-        bpy.data.scenes.remove(scene)
-        bpy.utils.unregister_class(Starter)
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,11 @@
 """Cameras: known vertices projected by the Camera against where Cycles draws small glowing objects."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
+from tests.support.blender.scenes import glowing, picture
 
 bpy = pytest.importorskip("bpy")
 
@@ -101,30 +102,6 @@ def pixels_from_world(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, n
     fx, fy, cx, cy = camera.pixel_from_view()
     depth = -view[:, 2:] if camera.perspective else 1.0
     return by_matrix, np.array([cx, cy]) + np.array([fx, fy]) * view[:, :2] / depth
-
-
-def glowing(scene, count):
-    """`count` materials, each of one red, green or blue, so that neighbours can be told apart."""
-    materials = []
-    for i in range(count):
-        material = bpy.data.materials.new(f"glow {i}")
-        if not material.node_tree:
-            material.use_nodes = True
-        tree = material.node_tree
-        node = tree.nodes.new("ShaderNodeEmission")
-        node.inputs["Color"].default_value = (*np.eye(3)[i], 1)
-        tree.links.new(node.outputs[0], tree.get_output_node("ALL").inputs["Surface"])
-        materials.append(material)
-    return materials
-
-
-def picture(scene, folder: Path) -> np.ndarray:
-    scene.render.filepath = str(folder / "cycles.exr")
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(scene.render.filepath)
-    pixels = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(pixels)
-    return pixels.reshape(image.size[1], image.size[0], -1)
 
 
 @pytest.mark.parametrize("set_up", VIEWS)

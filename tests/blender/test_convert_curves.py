@@ -11,7 +11,7 @@ import pytest
 from pointsplat_addon.core.material import hair_color
 from pointsplat_addon.core.strand import curves, normals
 from pointsplat_addon.core.strand.cleaning import clean
-from tests.support.nodes import new_material, node
+from tests.support.blender.scenes import new_material, node
 
 pytestmark = pytest.mark.usefixtures("empty_file")
 

@@ -21,10 +21,7 @@ from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
 from pointsplat_addon.host.convert import images
 from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key
 from pointsplat_addon.host.convert.nodes import curve_table
-from tests.support.nodes import (
-    new_material,
-    node,
-)
+from tests.support.blender.scenes import new_material, node
 
 TILE = 24  # pixels along a side of each case's plane
 CORNERS = np.array([(-0.5, -0.5, 0), (0.5, -0.5, 0), (0.5, 0.5, 0), (-0.5, 0.5, 0)], np.float32)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pointsplat_addon
-from tests.support import exr
+from tests.support import files
 
 NEW_NAMES = bpy.app.version >= (5, 0, 0)
 
@@ -52,7 +52,7 @@ def layers(scene, tmp_path) -> dict[str, np.ndarray]:
     image.exr_codec = "NONE"
     scene.render.filepath = str(tmp_path / "out.exr")
     bpy.ops.render.render(write_still=True)
-    return exr.read(tmp_path / "out.exr")
+    return files.read_exr(tmp_path / "out.exr")
 
 
 def passes(scene, tmp_path) -> dict[str, np.ndarray]:

@@ -6,15 +6,12 @@ import pytest
 bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
-from tests.blender.test_devices_agree import blender, opengl, pictures  # noqa: F401
-from tests.render.passes.test_ewa_cover import (
-    SCENES,
-    case,
-)
+from tests.support.blender.devices import pictures
+from tests.support.hidden_splats import SCENES, case
 
 
 @pytest.mark.parametrize("name", ["with a hole", "wide, behind wires"])
-def test_blenders_gpu_and_moderngl_leave_out_the_same(blender, opengl, name):  # noqa: F811 - fixtures
+def test_blenders_gpu_and_moderngl_leave_out_the_same(blender, opengl, name):
     things = SCENES[name][0]
     thing = case(f"left out {name}", *things)
     here, there = opengl(thing, True), pictures(blender, thing)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cloud import FARTHEST
-from tests.blender.test_sync import mesh_object, pointcloud, sync
+from tests.support.blender.scenes import mesh_object, pointcloud, sync
 
 pytestmark = pytest.mark.usefixtures("empty_file")
 

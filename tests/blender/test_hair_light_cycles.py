@@ -8,7 +8,7 @@ import pytest
 from mathutils import Vector
 
 from pointsplat_addon.core.light.hair import Fibre, scattered
-from tests.support.nodes import new_material, node
+from tests.support.blender.scenes import new_material, node
 
 pytestmark = pytest.mark.usefixtures("empty_file")
 COLOR = np.array([[0.5, 0.3, 0.15]])

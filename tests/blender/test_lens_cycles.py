@@ -10,10 +10,10 @@ bpy = pytest.importorskip("bpy")
 from mathutils import Euler, Matrix
 
 import pointsplat_addon
-from pointsplat_addon.core.lens.thin_lens import confusion
+from pointsplat_addon.core.lens.thin_lens import circle_of_confusion
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.host.convert import camera as cameras
-from tests.blender.test_camera import glowing, picture
+from tests.support.blender.scenes import glowing, picture
 
 WIDTH, HEIGHT, FOCUS = 96, 72, 5.0
 
@@ -133,7 +133,7 @@ def test_half_the_energy_of_a_point_lies_within_its_share_of_the_disk(scene, tmp
     camera = emitter(scene, 0.0, 0.0, depth, pixels=1.0)
     scene.render.engine = "POINTSPLAT"
     energy, _, half, _ = moments(picture(scene, tmp_path)[..., 0].astype(float))
-    assert abs(half / (confusion(camera, depth) / np.sqrt(2)) - 1) < 0.02  # measured 0.0066
+    assert abs(half / (circle_of_confusion(camera, depth) / np.sqrt(2)) - 1) < 0.02  # measured 0.0066
     assert abs(energy / np.pi - 1) < 0.03  # measured 0.017: the sphere is a polyhedron
 
 
@@ -157,7 +157,7 @@ def test_splats_of_an_emitter_out_of_focus_are_blurred_as_by_cycles(scene, tmp_p
     scene.pointsplat.dof_method, scene.pointsplat.samples = "SPLAT", 16
     at = 0.05 * depth, -0.02 * depth, depth
     camera = emitter(scene, *at, pixels=2.5) if shape == "sphere" else disk(scene, *at, pixels=2.5)
-    assert confusion(camera, depth) > 4
+    assert circle_of_confusion(camera, depth) > 4
     (energy, centre, half, second), (ours, our_centre, our_half, our_second) = map(moments, both(scene, tmp_path))
     # What of a sphere faces the eye is nearer than its outline, and blurred otherwise.
     flat = shape == "disk"

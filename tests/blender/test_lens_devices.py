@@ -10,12 +10,12 @@ gpu = pytest.importorskip("gpu")
 
 from pointsplat_addon.core.scene.camera import Aperture
 from scripts.scenes.cases import CASES
-from tests.blender.test_devices_agree import blender, opengl, pictures  # noqa: F401
+from tests.support.blender.devices import pictures
 
 
 @pytest.mark.parametrize("technique", ["IMAGE_SPACE", "EWA", "PAINTER"])
 @pytest.mark.parametrize("name", ["mixed", "parallel", "strands", "smoke", "environment", "many_towers"])
-def test_blenders_gpu_and_moderngl_agree_on_what_is_blurred(blender, opengl, name, technique):  # noqa: F811 - fixtures
+def test_blenders_gpu_and_moderngl_agree_on_what_is_blurred(blender, opengl, name, technique):
     case = CASES[name]()
     camera = replace(case.camera, aperture=Aperture(0.15, 4.0, 5, 0.3))
     settings = replace(case.settings, technique=technique, dof_method="LENS_SAMPLES")

@@ -10,7 +10,7 @@ bpy = pytest.importorskip("bpy")
 import pointsplat_addon
 from pointsplat_addon.core.strand.curves import FREE
 from scripts.common.images import iou
-from tests.blender.test_silhouettes import alpha
+from tests.support.blender.scenes import alpha
 
 
 @pytest.fixture

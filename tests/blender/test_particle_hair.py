@@ -11,8 +11,8 @@ import pytest
 
 from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
 from scripts.common.images import iou
-from tests.support import exr
-from tests.support.nodes import new_material, node
+from tests.support import files
+from tests.support.blender.scenes import new_material, node
 
 NEW_NAMES = bpy.app.version >= (5, 0, 0)
 ALIKE = 0.95  # IoU of silhouettes; measured 0.971 and more
@@ -240,7 +240,7 @@ def test_indices_and_cryptomatte_name_strands_and_their_material(scene, tmp_path
     settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR_MULTILAYER", "32", "NONE"
     scene.render.engine, scene.render.filepath = "POINTSPLAT", str(tmp_path / "passes.exr")
     bpy.ops.render.render(write_still=True)
-    found = {name.rpartition(".")[2]: array for name, array in exr.read(tmp_path / "passes.exr").items()}
+    found = {name.rpartition(".")[2]: array for name, array in files.read_exr(tmp_path / "passes.exr").items()}
     alpha = found["Combined"][..., 3]
     assert np.mean(alpha == 1) > 0.02
     for name, index in ((("IndexOB", "Object Index"), 7), (("IndexMA", "Material Index"), 3)):

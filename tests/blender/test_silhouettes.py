@@ -1,9 +1,9 @@
 """Silhouettes by points and by polygons where Cycles draws them, for every kind of camera."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+
+from tests.support.blender.scenes import alpha
 
 bpy = pytest.importorskip("bpy")
 
@@ -53,19 +53,6 @@ def shifted(scene, camera):
 
 def portrait(scene, camera):
     scene.render.resolution_x, scene.render.resolution_y = 200, 300
-
-
-def alpha(scene, folder: Path, engine: str) -> np.ndarray:
-    """(H, W) float32."""
-    scene.render.engine = engine
-    scene.render.filepath = str(folder / f"{engine}.exr")
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(scene.render.filepath)
-    pixels = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(pixels)
-    width, height = image.size
-    bpy.data.images.remove(image)
-    return pixels.reshape(height, width, 4)[..., 3]
 
 
 @pytest.mark.parametrize("set_up", [perspective, orthographic, shifted, portrait])

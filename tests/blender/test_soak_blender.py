@@ -15,7 +15,7 @@ from gpu_extras.batch import batch_for_shader
 from pointsplat_addon.devices.blender_gpu import BlenderDevice
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes.store import STORE
-from tests.blender.test_blender_gpu import start_gpu
+from tests.support.blender.devices import start_gpu
 from tests.support.soak import (
     KEPT,
     draw,

@@ -2,31 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import bpy
 import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
+from tests.support.blender.scenes import mesh_object, pointcloud, sync
 
 pytestmark = pytest.mark.usefixtures("empty_file")
-
-
-def sync(synchronizer=None, **options) -> Any:
-    from pointsplat_addon.host.sync import Synchronizer
-
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    depsgraph.update()
-    return (synchronizer or Synchronizer()).scene(depsgraph, **options)
-
-
-def mesh_object(name, vertices, faces, edges=()):
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(vertices, edges, faces)
-    ob = bpy.data.objects.new(name, mesh)
-    bpy.context.collection.objects.link(ob)
-    return ob
 
 
 def square(name="Square"):
@@ -55,21 +38,6 @@ def instance_on_points(target, source):
     tree.links.new(start.outputs[0], join.inputs[0])
     tree.links.new(join.outputs[0], end.inputs[0])
     target.modifiers.new("Instances", "NODES").node_group = tree
-
-
-def pointcloud(name, positions, **attributes):
-    """A PointCloud object. Attributes: name to (type, key, array)."""
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(positions, [], [])
-    for attribute, (kind, key, values) in attributes.items():
-        mesh.attributes.new(attribute, kind, "POINT").data.foreach_set(key, np.asarray(values, np.float32).ravel())
-    ob = bpy.data.objects.new(name, mesh)
-    bpy.context.collection.objects.link(ob)
-    with bpy.context.temp_override(active_object=ob, object=ob, selected_objects=[ob], selected_editable_objects=[ob]):
-        bpy.context.view_layer.objects.active = ob
-        ob.select_set(True)
-        bpy.ops.object.convert(target="POINTCLOUD")
-    return bpy.context.view_layer.objects.active
 
 
 # Geometry

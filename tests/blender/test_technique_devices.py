@@ -9,14 +9,19 @@ bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
 from scripts.scenes.cases import CASES
-from tests.blender.test_devices_agree import COLORS, EDGES, blender, differences, opengl, pictures  # noqa: F401
+from tests.support.blender.devices import (
+    COLORS,
+    EDGES,
+    differences,
+    pictures,
+)
 
 AGREE = 2 / 255
 
 
 @pytest.mark.parametrize("technique", ["EWA", "PAINTER"])
 @pytest.mark.parametrize("name", CASES)
-def test_blenders_gpu_and_moderngl_agree(blender, opengl, name, technique):  # noqa: F811 - fixtures
+def test_blenders_gpu_and_moderngl_agree(blender, opengl, name, technique):
     case = CASES[name]()
     case = replace(case, settings=replace(case.settings, technique=technique))
     here, there = opengl(case, True), pictures(blender, case)

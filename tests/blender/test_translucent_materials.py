@@ -15,10 +15,7 @@ from pointsplat_addon.core.material.graph import (
 )
 from pointsplat_addon.core.splat.kernel import PEAK
 from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key
-from tests.support.nodes import (
-    new_material,
-    node,
-)
+from tests.support.blender.scenes import new_material, node
 
 FRESNEL = 0.04  # of glass with an index of refraction of 1.5, at normal incidence
 

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -79,3 +80,75 @@ def test_the_package_is_imported_relatively_inside_itself() -> None:
         or (isinstance(node, ast.Import) and any(below(a.name, "pointsplat_addon") for a in node.names))
     }
     assert absolute == {}
+
+
+# The rooms of a layer, in the order in which they may import each other: each only those before it.
+ORDERS = {
+    "core": ("numeric", "scene", "material", "light", "splat", "surface", "strand", "volume", "lod", "shadow", "lens"),
+    "render": ("device", "cache", "prepare", "shadow", "passes", "plan", "frame", "budget", "renderer"),
+}
+MOST_FILES = 13  # of a folder: an outline of it fits a screen
+# Names that told nobody what was in the file.
+ODD_NAMES = {
+    "sound", "places", "apart", "covers", "pieces", "pigment", "faint", "blurred", "shot", "last", "leaving",
+}  # fmt: skip
+
+
+def module_graph() -> dict[str, set[str]]:
+    """The modules of the package that each of them imports: at the top, for types only, and inside functions."""
+    names = {}
+    for file in FILES:
+        parts = file.relative_to(ROOT).with_suffix("").parts
+        names[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    graph = {}
+    for name, file in names.items():
+        found = {imported for imported in imported_names(file) if imported in names}
+        # `from .a import b` names the package a beside its module b: what is meant is the module.
+        packages = {n for n in found if names[n].name == "__init__.py" and any(below(m, n) and m != n for m in found)}
+        graph[name] = found - packages - {name}
+    return graph
+
+
+def reached(graph: dict[str, set[str]], name: str) -> set[str]:
+    """The modules that one of them imports, itself or by way of others."""
+    found: set[str] = set()
+    new = set(graph[name])
+    while new:
+        found |= new
+        new = set().union(*(graph[n] for n in new)) - found
+    return found
+
+
+def circles(graph: dict[str, set[str]]) -> set[str]:
+    """The modules that import themselves by way of others."""
+    return {name for name in graph if name in reached(graph, name)}
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == {"b", "c"}
+    assert sorted(circles(module_graph())) == []
+
+
+@pytest.mark.parametrize("layer", ORDERS)
+def test_rooms_import_only_rooms_before_them(layer: str) -> None:
+    order = {f"pointsplat_addon.{layer}.{room}": number for number, room in enumerate(ORDERS[layer])}
+
+    def rank(name: str) -> int | None:
+        return next((number for room, number in order.items() if below(name, room)), None)
+
+    rooms = {p.stem for p in (PACKAGE / layer).iterdir() if p.name not in ("__init__.py", "__pycache__")}
+    assert rooms <= set(ORDERS[layer])
+    upward = [
+        f"{name} imports {imported}"
+        for name, imports in module_graph().items()
+        for imported in imports
+        if (here := rank(name)) is not None and (there := rank(imported)) is not None and there > here
+    ]
+    assert sorted(upward) == []
+
+
+def test_folders_are_small_and_files_have_names_that_say_what_they_hold() -> None:
+    files = [f for top in (PACKAGE, ROOT / "shaders") for f in top.rglob("*") if f.is_file() and f.suffix != ".pyc"]
+    number = Counter(str(f.parent.relative_to(ROOT)) for f in files if f.name != "__init__.py")
+    assert {folder: count for folder, count in number.items() if count > MOST_FILES} == {}
+    assert [str(f.relative_to(ROOT)) for f in files if f.stem in ODD_NAMES] == []

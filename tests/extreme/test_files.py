@@ -23,7 +23,7 @@ from pointsplat_addon.core.lod import hierarchy
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.formats import dense, hierarchy_cache
 from scripts.scenes.clouds import sphere_cloud
-from tests.formats.test_dense import nifti
+from tests.support.files import nifti
 
 SMALL = 1 << 24  # bytes that Python, NumPy and zlib take for themselves
 ARRAY = np.arange(60, dtype=np.int16).reshape(3, 4, 5)

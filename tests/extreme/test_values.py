@@ -21,7 +21,7 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.render.device.protocol import half
+from pointsplat_addon.render.device.protocol import to_half
 from scripts.scenes import build, drawing, lit_cases, meshes
 from scripts.scenes.build import materials, mesh, moved, points, scene
 from scripts.scenes.cameras import camera
@@ -326,7 +326,7 @@ def test_what_shines_brighter_than_half_floats_is_white_and_not_black(strength, 
 def test_half_floats_hold_the_nearest_of_what_they_can():
     given_values = np.array([0, 1, -65504, 65519, 7e4, -1e30, np.inf, -np.inf, np.nan, 1e-8], np.float32)
     expected = [0, 1, -65504, 65504, 65504, -65504, 65504, -65504, 0, 0]
-    np.testing.assert_array_equal(half(given_values), expected)
+    np.testing.assert_array_equal(to_half(given_values), expected)
 
 
 def test_nothing_that_is_sound_is_changed():

@@ -7,7 +7,7 @@ from scipy import integrate
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.splat.kernel import EVEN_SPACING, kernel
-from tests.reference import media as ref
+from scripts.common import media_truth as ref
 
 Z = np.array([0.0, 0, 1])
 

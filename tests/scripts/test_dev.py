@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -69,16 +70,55 @@ def test_each_file_that_loads_bpy_has_a_process_of_its_own(dev: ModuleType, monk
     monkeypatch.chdir(ROOT)
     options, groups = dev.test_groups(["-k", "word", "--tb=short"])
     assert options == ["-k", "word", "--tb=short"]
-    assert groups[:3] == [[os.path.join("tests", folder)] for folder in ("core", "render", "extreme")]
     files = sorted(str(p.relative_to(ROOT)) for p in (ROOT / "tests" / "blender").rglob("test_*.py"))
-    assert groups[3:] == [[file] for file in files]
+    assert sorted(g for g in groups if "blender" in g[0]) == [[file] for file in files]
+
+
+def test_the_groups_of_the_whole_suite_hold_every_test_file_once(
+    dev: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    paths = [ROOT / path for group in dev.test_groups([])[1] for path in group]
+    found = [file for path in paths for file in ([path] if path.is_file() else path.rglob("test_*.py"))]
+    assert sorted(found) == sorted((ROOT / "tests").rglob("test_*.py"))
+    assert dev.test_groups([])[1][0] == [os.path.join("tests", "render", "passes")]  # which takes longest
+
+
+def test_processes_run_side_by_side_and_one_that_hangs_is_killed(
+    dev: ModuleType, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Each waits for the other's file: one after the other, both would hang."""
+    for own, other in (("a", "b"), ("b", "a")):
+        wait = f"open({str(tmp_path / own)!r}, 'w')\n    while not os.path.exists({str(tmp_path / other)!r}): pass\n"
+        (tmp_path / f"test_{own}.py").write_text(f"import os\ndef test_{own}():\n    {wait}")
+    (tmp_path / "test_hangs.py").write_text("def test_hangs():\n    while True: pass\n")
+    tasks = [(sys.executable, ["-p", "no:cacheprovider"], [str(tmp_path / f"test_{n}.py")]) for n in ("a", "b")]
+    assert [code for _, code in dev.run_all(tasks, 2, 300)] == [0, 0]
+    hanging = [(sys.executable, [], [str(tmp_path / "test_hangs.py")])]
+    assert [code for _, code in dev.run_all(hanging, 1, 4)] == [1]
+    assert "killed after 4 s" in capfd.readouterr().out
+
+
+def test_shares_of_the_drawing_tests_have_no_test_twice_and_leave_none_out() -> None:
+    def names(*options: str) -> list[str]:
+        command = [sys.executable, "-m", "pytest", "--collect-only", "-qq", "-o", "addopts=", *options]
+        paths = ["tests/render/plan/test_technique.py", "tests/core/splat/test_kernel.py"]
+        out = subprocess.run([*command, "-v", *paths], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        return sorted(line for line in out.splitlines() if "::" in line)
+
+    whole, shares = names(), [names("--share", f"{i}/2") for i in range(2)]
+    both = [name for name in whole if "tests/core" in name]
+    assert both
+    assert set(shares[0]) & set(shares[1]) == set(both)
+    assert sorted(set(shares[0]) | set(shares[1])) == whole
+    assert all(len(share) < len(whole) for share in shares)
 
 
 def test_named_paths_replace_the_whole_suite(dev: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     options, groups = dev.test_groups(["tests/scripts/test_dev.py", "tests/blender/test_extension.py::test_x", "-x"])
     assert options == ["-x"]
-    assert groups == [
-        [os.path.join("tests", "core", "test_dev.py")],
+    assert sorted(groups) == [
         [os.path.join("tests", "blender", "test_extension.py::test_x")],
+        [os.path.join("tests", "scripts", "test_dev.py")],
     ]

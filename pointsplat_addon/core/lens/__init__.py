@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Depth of field: the thin lens, the kernel of splats out of focus, dicing of geometry, and the blurred world."""

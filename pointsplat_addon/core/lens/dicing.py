@@ -18,17 +18,17 @@ from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
 from ..surface.area_sampling import STEINER
 from ..surface.samples import Samples
 
-MOST = 1 << 21  # pieces of one mesh: beyond it they stay as large as they are
-ROUND = 0.7  # sides of facets over those of pieces of what is flat
+MOST_PATCHES = 1 << 21  # pieces of one mesh: beyond it they stay as large as they are
+BALL_FACET_SIZE = 0.7  # sides of facets over those of pieces of what is flat
 LEAST_FACETS = 4  # of a ball
-STEEPEST = 0.97  # of a ball's squared radius: facets nearer to its rim would be seen edge-on
+MOST_FACET_OFFSET = 0.97  # of a ball's squared radius: facets nearer to its rim would be seen edge-on
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 DISK_SHARE = 3 / np.pi  # of the disk that stands for a cell with the same moments, that the cell covers
 # Of the ellipse with a triangle's own moments the triangle covers so much: sqrt(108) / 4 pi.
-SHARE = np.sqrt(108) / (4 * np.pi)
+TRIANGLE_SHARE = np.sqrt(108) / (4 * np.pi)
 
 
-def cut(
+def dice_triangles(
     mesh: Mesh, rows: np.ndarray, view_from_object: np.ndarray, camera: Camera, tolerance: float, blur: Blur
 ) -> Samples:
     """One sample, with the moments of its piece, for each piece of the triangles `rows` that may be out of focus and in
@@ -46,8 +46,8 @@ def cut(
     total = 0
     while len(owner):
         depth = -corners[:, :, 2]
-        least, most = blur.bounds(np.maximum(depth.min(axis=1), near), np.maximum(depth.max(axis=1), near))
-        keep = _seen(corners, camera, blur) & (most > IN_FOCUS) & np.isfinite(corners).all(axis=(1, 2))
+        least, most = blur.radius_range(np.maximum(depth.min(axis=1), near), np.maximum(depth.max(axis=1), near))
+        keep = _may_be_seen(corners, camera, blur) & (most > IN_FOCUS) & np.isfinite(corners).all(axis=(1, 2))
         corners, weights, owner, depth, least = (a[keep] for a in (corners, weights, owner, depth, least))
         scale = 1 / np.maximum(depth, 1e-300) if camera.perspective else np.ones_like(depth)
         pixel = corners[:, :, :2] * (scale[:, :, None] * focal)
@@ -56,9 +56,9 @@ def cut(
         before = depth.min(axis=1) <= near
         space = np.linalg.norm(corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]], axis=2)
         edges[before] = space[before] * (focal.max() / (near if camera.perspective else 1.0))
-        fine = edges.max(axis=1) <= blur.widest(least, tolerance)
+        fine = edges.max(axis=1) <= blur.largest_splat(least, tolerance)
         total += len(owner)
-        fine |= total > MOST
+        fine |= total > MOST_PATCHES
         done.append((owner[fine], weights[fine]))
         corners, weights, owner = _halved(corners[~fine], weights[~fine], owner[~fine], edges[~fine].argmax(axis=1))
     owner = np.concatenate([np.empty(0, np.int64), *(o for o, _ in done)])
@@ -72,7 +72,9 @@ def cut(
     )
 
 
-def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, tolerance: float, blur: Blur) -> PointCloud:
+def dice_balls(
+    cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, tolerance: float, blur: Blur
+) -> PointCloud:
     """The sides of balls that face the eye, as disks of equal areas in the picture, of which each covers DISK_SHARE:
     balls of an instance with the transform (4, 4) that may be out of focus, in as many as their sizes in the picture
     ask for, at least LEAST_FACETS."""
@@ -83,16 +85,16 @@ def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, toler
     depth = -(place @ matrix[2, :3] + matrix[2, 3])
     scale = float(largest_singular_value(matrix[None, :3, :3])[0])
     low, high = (np.maximum(depth + side * radius * scale, camera.nearest) for side in (-1, 1))
-    least, most = blur.bounds(low, high)
+    least, most = blur.radius_range(low, high)
     rows = np.flatnonzero((most > IN_FOCUS) & (high > camera.nearest))
     pixels = radius * scale * max(abs(f) for f in camera.pixel_from_view()[:2]) / (low if camera.perspective else 1.0)
     pixels = np.minimum(pixels, max(camera.resolution))  # of what is wider, a part is seen
-    count = np.pi * (pixels / (ROUND * blur.widest(least, tolerance)))[rows] ** 2
-    count = np.clip(np.ceil(np.minimum(count, MOST / max(len(rows), 1))), LEAST_FACETS, None).astype(np.int64)
+    count = np.pi * (pixels / (BALL_FACET_SIZE * blur.largest_splat(least, tolerance)))[rows] ** 2
+    count = np.clip(np.ceil(np.minimum(count, MOST_PATCHES / max(len(rows), 1))), LEAST_FACETS, None).astype(np.int64)
     of = np.repeat(rows, count)
     number = ranks(count)
     # Spirals fill a disk evenly; their places on the ball are right above.
-    share = np.minimum((number + 0.5) / np.repeat(count, count), STEEPEST)
+    share = np.minimum((number + 0.5) / np.repeat(count, count), MOST_FACET_OFFSET)
     angle = number * GOLDEN_ANGLE
     inverse = np.linalg.inv(matrix[:3, :3])
     toward = -(inverse @ matrix[:3, 3]) - place[of] if camera.perspective else np.tile(inverse[:, 2], (len(of), 1))
@@ -114,7 +116,7 @@ def balls(cloud: PointCloud, view_from_object: np.ndarray, camera: Camera, toler
     )  # fmt: skip
 
 
-def _seen(corners: np.ndarray, camera: Camera, blur: Blur) -> np.ndarray:
+def _may_be_seen(corners: np.ndarray, camera: Camera, blur: Blur) -> np.ndarray:
     """(n,) bool: triangles (n, 3, 3) in view space of which a corner, blurred, may lie on each side of the window."""
     depth = -corners[:, :, 2]
     fx, fy, cx, cy = camera.pixel_from_view()

@@ -1,4 +1,4 @@
-"""Strands that are out of focus, as splats: each piece of one a flat ellipse that faces the eye (core/lens/defocus.py)."""
+"""Strands that are out of focus, as splats: each piece of one a flat ellipse that faces the eye (core/lens/kernel.py)."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
 from ..strand.levels import StrandLevels
 from ..strand.projection import tube_radius_scale
 
-MOST_BENT = 0.5  # cosine of half the sharpest bend whose sides meet
-MOST_ACROSS = 16  # strips of a wide tube
+LEAST_BEND_COSINE = 0.5  # cosine of half the sharpest bend whose sides meet
+MOST_STRIPS = 16  # strips of a wide tube
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
-FINER = 2.0  # so many times as narrow as strips are the pieces of ends, which have an outline of their own
-MOST = 1 << 21  # pieces of one instance: beyond it they stay as long as they are
-SHARE = 3 / np.pi  # of the ellipse with its moments, that a rectangle covers
+END_FINENESS = 2.0  # so many times as narrow as strips are the pieces of ends, which have an outline of their own
+MOST_PATCHES = 1 << 21  # pieces of one instance: beyond it they stay as long as they are
+RECTANGLE_SHARE = 3 / np.pi  # of the ellipse with its moments, that a rectangle covers
 
 
-def splats(
+def dice_strands(
     strands: StrandLevels,
     lines: Strands,
     ends: np.ndarray,
@@ -34,21 +34,21 @@ def splats(
     says what is shaded as a whole strand, whose tangents are the major axes (1), and what as a surface (0): ribbons,
     and tubes that are wider than their pieces may be, in strips along them, with disks that close their ends.
 
-    Pieces are at most as long as their disks of confusion allow (`Blur.widest`).
+    Pieces are at most as long as their disks of confusion allow (`Blur.largest_splat`).
     """
     matrix = np.asarray(view_from_object, np.float64)
     linear = matrix[:3, :3]
     scale = float(tube_radius_scale(matrix[None])[0])
     place = strands.position.astype(np.float64) + strands.origin
     low, high = _depths(strands, ends, matrix, camera)
-    least, most = blur.bounds(low, high)
+    least, most = blur.radius_range(low, high)
     keep = (most > IN_FOCUS) & (high > camera.nearest)
     ends, least, low = ends[keep], least[keep], low[keep]
     per_pixel = (low if camera.perspective else 1.0) / max(abs(f) for f in camera.pixel_from_view()[:2])
-    largest = blur.widest(least, tolerance) * per_pixel  # view space
+    largest = blur.largest_splat(least, tolerance) * per_pixel  # view space
     along = (place[ends[:, 1]] - place[ends[:, 0]]) @ linear.T
     count = np.ceil(np.linalg.norm(along, axis=1) / largest)
-    count = np.maximum(np.minimum(count, MOST / max(len(ends), 1)), 1).astype(np.int64)
+    count = np.maximum(np.minimum(count, MOST_PATCHES / max(len(ends), 1)), 1).astype(np.int64)
     of, number = owners(count), ranks(count)
     part = ((number + 0.5) / count[of])[:, None]
     first, second = ends[of].T
@@ -64,7 +64,7 @@ def splats(
     if strands.side is None:
         facing = _normalised(toward - (toward * unit).sum(axis=1, keepdims=True) * unit)
         side = np.cross(facing, unit)
-        across = np.clip(np.ceil(2 * radius * scale / largest[of]), 1, MOST_ACROSS).astype(np.int64)
+        across = np.clip(np.ceil(2 * radius * scale / largest[of]), 1, MOST_STRIPS).astype(np.int64)
     else:
         side = _normalised(strands.side[first] * (1 - part) + strands.side[second] * part)
         side = _normalised(side - (side * unit).sum(axis=1, keepdims=True) * unit)
@@ -80,7 +80,9 @@ def splats(
     if round_:
         begin, end = (
             np.where(
-                wide & (number == last)[strip], radius[strip] * _mitre(strands, at[strip], unit[strip], normal), 0.0
+                wide & (number == last)[strip],
+                radius[strip] * _mitre_length(strands, at[strip], unit[strip], normal),
+                0.0,
             )
             for at, last in ((first, 0), (second, count[of] - 1))
         )
@@ -99,7 +101,7 @@ def splats(
     major[whole] = unit[strip][whole]
     points, part = np.stack([first, second], axis=1)[strip], part[strip]
     if round_:
-        closing, at, outward, wide = _closing(strands, ends, largest / scale)
+        closing, at, outward, wide = _end_disks(strands, ends, largest / scale)
         # What faces away closes nothing that is seen.
         eye = -(inverse @ matrix[:3, 3]) - at if camera.perspective else inverse[:, 2]
         seen = (outward * eye).sum(axis=1) > 0
@@ -118,14 +120,14 @@ def splats(
         axis=np.ascontiguousarray(major, np.float32),
         radii=-np.sort(-half, axis=1).astype(np.float32),
         material=strands.material[strands.strand[points[:, 0]]].astype(np.uint16),
-        color=_mixed(lines.color, rows, part),
-        surface=_mixed(lines.surface, rows, part),
-        emission=_mixed(lines.emission, rows, part),
+        color=_interpolate(lines.color, rows, part),
+        surface=_interpolate(lines.surface, rows, part),
+        emission=_interpolate(lines.emission, rows, part),
         kernel=whole.astype(np.uint8) if whole.any() else None,
     )
 
 
-def _closing(
+def _end_disks(
     strands: StrandLevels, ends: np.ndarray, largest: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The disks across both ends of tubes that are drawn in strips, in pieces as wide as `largest` (K,), in object
@@ -137,7 +139,7 @@ def _closing(
     of, side = np.nonzero((ends == outer) & (2 * strands.radius[ends] > largest[:, None]) & ~closed[:, None])
     point = ends[of, side]
     radius = strands.radius[point].astype(np.float64)
-    count = np.clip(np.ceil((FINER * 2 * radius / largest[of]) ** 2), 1, MOST_ACROSS**2).astype(np.int64)
+    count = np.clip(np.ceil((END_FINENESS * 2 * radius / largest[of]) ** 2), 1, MOST_STRIPS**2).astype(np.int64)
     which, number = owners(count), ranks(count)
     # An even spiral; a single disk lies in its middle.
     away = np.where(count[which] > 1, np.sqrt((number + 0.5) / count[which]), 0) * radius[which]
@@ -146,22 +148,24 @@ def _closing(
     angle = GOLDEN_ANGLE * number
     middle = (strands.position[point].astype(np.float64) + strands.origin)[which]
     middle += away[:, None] * (np.cos(angle)[:, None] * right[which] + np.sin(angle)[:, None] * up[which])
-    return point[which], middle, outward[which], radius[which] / np.sqrt(SHARE * count[which])
+    return point[which], middle, outward[which], radius[which] / np.sqrt(RECTANGLE_SHARE * count[which])
 
 
-def _mitre(strands: StrandLevels, point: np.ndarray, unit: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _mitre_length(strands: StrandLevels, point: np.ndarray, unit: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(n,): how far, in radii, the side of a tube with this normal (n, 3) goes on along its segment (n, 3) where that
     ends at a point (n,): to the plane through the point whose normal is the tangent of the strand there. Farther on the
     outer side of a bend, and less far on the inner one."""
     tangent = strands.tangent[point].astype(np.float64)
-    return -(normal * tangent).sum(axis=1) / np.maximum((unit * tangent).sum(axis=1), MOST_BENT)
+    return -(normal * tangent).sum(axis=1) / np.maximum((unit * tangent).sum(axis=1), LEAST_BEND_COSINE)
 
 
-def sharp_ends(
+def may_be_in_focus(
     strands: StrandLevels, ends: np.ndarray, view_from_object: np.ndarray, camera: Camera, blur: Blur
 ) -> np.ndarray:
     """(K,) bool: which segments may be in focus somewhere."""
-    return blur.bounds(*_depths(strands, ends, np.asarray(view_from_object, np.float64), camera))[0] < OUT_OF_FOCUS
+    return (
+        blur.radius_range(*_depths(strands, ends, np.asarray(view_from_object, np.float64), camera))[0] < OUT_OF_FOCUS
+    )
 
 
 def _depths(
@@ -174,7 +178,7 @@ def _depths(
     return low.min(axis=1), high.max(axis=1)
 
 
-def _mixed(values: np.ndarray | None, rows: np.ndarray, part: np.ndarray) -> np.ndarray | None:
+def _interpolate(values: np.ndarray | None, rows: np.ndarray, part: np.ndarray) -> np.ndarray | None:
     if values is None:
         return None
     return (values[rows[:, 0]] * (1 - part) + values[rows[:, 1]] * part).astype(np.float32)

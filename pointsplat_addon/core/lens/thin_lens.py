@@ -17,7 +17,7 @@ from ..scene.settings import Settings
 R4 = np.array([0.6287067210378087, 0.5385972572236101])
 
 
-def confusion(camera: Camera, depth: np.ndarray | float) -> np.ndarray:
+def circle_of_confusion(camera: Camera, depth: np.ndarray | float) -> np.ndarray:
     """(...) float64: radius in pixels of the circle of confusion of what lies at `depth` (...) along the view.
 
     A point is seen through all of the aperture, of radius r, and through each place of it elsewhere in the picture
@@ -77,13 +77,13 @@ def _polygon(disk: np.ndarray, sides: int, rotation: float) -> np.ndarray:
     return np.stack([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y], axis=1)
 
 
-def sampled(camera: Camera, settings: Settings) -> bool:
+def uses_lens_samples(camera: Camera, settings: Settings) -> bool:
     """Whether the samples of a picture are drawn through places on the lens."""
     aperture = camera.aperture
     return aperture is not None and aperture.radius > 0.0 and settings.dof_method == "LENS_SAMPLES"
 
 
-def through(camera: Camera, point: np.ndarray) -> Camera:
+def camera_through(camera: Camera, point: np.ndarray) -> Camera:
     """The camera as it is seen from `point` (2,) of the aperture, in world units: sharp everywhere.
 
     What lies at the depth of focus keeps its place in the picture. A perspective camera moves, and its principal point
@@ -126,7 +126,7 @@ def _towards(slope: np.ndarray) -> np.ndarray:
     ])  # fmt: skip
 
 
-def widened(camera: Camera, nearest: float, farthest: float) -> Camera:
+def widened_camera(camera: Camera, nearest: float, farthest: float) -> Camera:
     """The camera with a larger picture, of which the old one is the middle: of what lies between these depths it shows
     all that any place on the aperture does. Pixels keep their size.
 
@@ -137,7 +137,7 @@ def widened(camera: Camera, nearest: float, farthest: float) -> Camera:
         return camera
     side = max(camera.resolution)
     fx, fy = np.abs(camera.pixel_from_view()[:2])
-    blur = confusion(camera, np.array([nearest, farthest])) * max(1 / aperture.ratio, fy / fx)
+    blur = circle_of_confusion(camera, np.array([nearest, farthest])) * max(1 / aperture.ratio, fy / fx)
     margin = int(np.ceil(min(np.nan_to_num(blur, nan=0.0, posinf=side).max(), side)))
     size = np.array(camera.resolution)
     larger = size + 2 * margin

@@ -38,13 +38,13 @@ def area_shares(entry: Hierarchy | PointCloud, areas: Callable[[], np.ndarray] |
         area = areas() if tree is None else areas()[tree.order]
     else:
         area = ellipse * CELL_SHARE if tree is None else np.minimum(_densities(tree), ellipse)
-    if cloud.apart is not None:
-        area = np.where(cloud.apart, ellipse, area)
+    if cloud.disconnected is not None:
+        area = np.where(cloud.disconnected, ellipse, area)
     share = area / np.maximum(ellipse, 1e-300)
     if tree is not None:
         below = sum_over_nodes(tree.tree, len(cloud), lambda which: area[None, which])[0]
         nodes = np.minimum(below / np.maximum(np.pi * _product(tree.radii[:, :2]), 1e-300), NODE_SHARE)
-        nodes = nodes if tree.apart is None else np.where(tree.apart, 1.0, nodes)
+        nodes = nodes if tree.disconnected is None else np.where(tree.disconnected, 1.0, nodes)
         share = np.concatenate([share, nodes])
     return share.astype(np.float32)
 

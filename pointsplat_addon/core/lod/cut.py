@@ -4,7 +4,7 @@ A cut holds, for every instance, the coarsest nodes whose projected size is with
 replaced only by all of its children, or by all of its points, so no cut has holes. The frontier of all
 instances goes down one level at a time, as arrays of (instance, node).
 
-Splats are counted per geometry as `hierarchy.splats` lays them out: N points in tree order, then M nodes.
+Splats are counted per geometry as `node_splats.points_and_nodes` lays them out: N points in tree order, then M nodes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
 from .criteria import (
     Criteria,
     InstanceViews,
-    _pick,
     against_cone,
     against_frustum,
     blur_extent,
@@ -44,24 +43,28 @@ class Cut:
     points: int = 0  # points drawn
     culled: int = 0  # points below nodes that are out of view or face away
 
-    def of(self, rows: np.ndarray) -> Cut:
-        """The same, where instances were counted among `rows`, in rising order."""
+    def renumbered(self, rows: np.ndarray) -> Cut:
+        """The cut with instance i called rows[i]; `rows` (I,) rises."""
         return replace(self, instance=rows[self.instance].astype(np.int32))
 
     @property
     def splats(self) -> int:
+        """How many splats are drawn."""
         return self.nodes + self.points
 
 
 def cut_of_all_points(points: np.ndarray, geometry: np.ndarray) -> Cut:
-    """The cut of all points: `points` (G,) per geometry, `geometry` (I,) per instance. Needs no hierarchy."""
+    """The cut that draws all points of all instances and needs no hierarchy.
+
+    `points` (G,): how many each geometry has; `geometry` (I,): the geometry of each instance.
+    """
     count = np.asarray(points, np.int64)[geometry] if len(geometry) else np.empty(0, np.int64)
     instance = np.flatnonzero(count)
     return Cut(instance.astype(np.int32), np.zeros(len(instance), np.int64), count[instance], points=int(count.sum()))
 
 
 def select_cut(
-    forest: NodeTable,
+    table: NodeTable,
     geometry: np.ndarray,
     view_from_object: np.ndarray,
     camera: Camera,
@@ -72,47 +75,78 @@ def select_cut(
     blur: Blur | None = None,
     wanted: str = "ALL",
 ) -> Cut:
-    """The cut of one view.
+    """Selects the cut of one view.
 
-    `geometry` (I,) holds geometry indices (those that the forest lacks are skipped), `view_from_object`
+    `geometry` (I,) holds geometry indices (instances of those that the table lacks are skipped), `view_from_object`
     (I, 4, 4) float64. A node is drawn where its projected diameter is at most `tolerance` pixels, or up to `band`
-    octaves less, a share that each node keeps (`staggered`). `cull` (I,) bool allows to leave out what faces away.
-    Whatever reaches into the camera's window, widened by `margin` pixels, is kept. Instances whose transform is not
-    finite, or zero, have no splats. `blur`: nodes may be as large as their disks of confusion allow (core/lens/defocus.py);
-    `wanted`: ALL, only what may be out of focus (BLURRED), or only what may be in it, in usual nodes (SHARP).
+    octaves less, by a share that each node keeps (`criteria.transition_band`). `cull` (I,) bool: where back faces may
+    be left out. Everything that extends into the camera's window, widened by `margin` pixels, is kept. Instances whose
+    transform is not finite, or zero, have no splats.
+
+    With a `blur`, nodes may be as large as their circles of confusion allow (core/lens/kernel.py), and `wanted` is ALL,
+    BLURRED (only what may be out of focus) or SHARP (only what may be in focus, in nodes of the usual size).
     """
     geometry = np.asarray(geometry, np.int64)
-    known = (geometry >= 0) & (geometry < len(forest.root))
-    place = np.where(known, geometry, 0)
-    drawable = known & (forest.points[place] > 0) if len(forest.root) else np.zeros(len(geometry), bool)
+    known = (geometry >= 0) & (geometry < len(table.root))
+    row = np.where(known, geometry, 0)
+    drawable = known & (table.points[row] > 0) if len(table.root) else np.zeros(len(geometry), bool)
     drawable &= all_finite(view_from_object) & view_from_object[:, :3, :3].any(axis=(1, 2))
     instance = np.flatnonzero(drawable)
-    root = forest.root[place[instance]]
-    views = instance_views(
-        view_from_object, forest.origin[place] if len(forest.root) else np.zeros((0, 3)), cull, drawable
-    )
+    root = table.root[row[instance]]
+    views = instance_views(view_from_object, table.origin[row] if len(table.root) else np.zeros((0, 3)), cull, drawable)
 
-    found = _Found(forest, place)
+    found = _Found(table, row)
     bare = instance[root < 0]
-    found.add_points(bare, np.zeros(len(bare), np.int64), forest.points[place[bare]])
-    instance, node = instance[root >= 0], root[root >= 0]
-    inside = np.zeros(len(node), bool)
-    lens = replace(criteria_of(camera, tolerance, margin), band=band, blur=blur, wanted=wanted)
-    while len(node):
-        pieces = [
-            _step(forest, views, lens, instance[i : i + CHUNK], node[i : i + CHUNK], inside[i : i + CHUNK], found)
-            for i in range(0, len(node), CHUNK)
-        ]
-        instance, node, inside = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
+    found.add_points(bare, np.zeros(len(bare), np.int64), table.points[row[bare]])
+    inner = root >= 0
+    front = _Front(instance[inner], root[inner], np.zeros(np.count_nonzero(inner), bool))
+    criteria = replace(criteria_of(camera, tolerance, margin), band=band, blur=blur, wanted=wanted)
+    while len(front.node):
+        chunks = [slice(i, i + CHUNK) for i in range(0, len(front.node), CHUNK)]
+        front = _Front.joined([_descend(table, views, criteria, front.take(chunk), found) for chunk in chunks])
     return found.cut()
+
+
+@dataclass(frozen=True)
+class _Front:
+    """Nodes of one level that are to be decided about."""
+
+    instance: np.ndarray  # (n,) int64
+    node: np.ndarray  # (n,) int64, rows of the table
+    inside: np.ndarray  # (n,) bool: whether an ancestor lies in the frustum as a whole
+
+    def take(self, which: slice) -> _Front:
+        return _Front(self.instance[which], self.node[which], self.inside[which])
+
+    @staticmethod
+    def joined(fronts: list[_Front]) -> _Front:
+        names = ("instance", "node", "inside")
+        return _Front(*(np.concatenate([getattr(front, name) for front in fronts]) for name in names))
+
+
+@dataclass(frozen=True)
+class _Ranges:
+    """Ranges of splats, sorted by (instance, first); int64 all, (R,)."""
+
+    instance: np.ndarray
+    first: np.ndarray
+    count: np.ndarray
+
+    def merged(self) -> _Ranges:
+        """Each range joined with its predecessor where it continues it."""
+        instance, first, count = self.instance, self.first.astype(np.int64), self.count
+        new = np.ones(len(first), bool)
+        new[1:] = (first[1:] != first[:-1] + count[:-1]) | (instance[1:] != instance[:-1])
+        at = np.flatnonzero(new)
+        return _Ranges(instance[at].astype(np.int64), first[at], np.add.reduceat(count, at, dtype=np.int64))
 
 
 class _Found:
     """Collects what is drawn and makes the cut of it."""
 
-    def __init__(self, forest: NodeTable, geometry: np.ndarray) -> None:
-        self.forest, self.geometry = forest, geometry
-        self.instance, self.first, self.count = [], [], []
+    def __init__(self, table: NodeTable, geometry: np.ndarray) -> None:
+        self.table, self.geometry = table, geometry
+        self.ranges: list[_Ranges] = []
         self.nodes = self.points = self.culled = 0
 
     def add_points(self, instance: np.ndarray, first: np.ndarray, count: np.ndarray) -> None:
@@ -122,83 +156,61 @@ class _Found:
     def add_nodes(self, instance: np.ndarray, node: np.ndarray) -> None:
         self.nodes += len(node)
         geometry = self.geometry[instance]
-        first = node - self.forest.root[geometry] + self.forest.points[geometry]
+        first = node - self.table.root[geometry] + self.table.points[geometry]
         self._add(instance, first, np.ones(len(node), np.int64))
 
     def _add(self, instance: np.ndarray, first: np.ndarray, count: np.ndarray) -> None:
         if len(instance):
-            for held, array in zip(
-                (self.instance, self.first, self.count), _merge(instance, first, count), strict=True
-            ):
-                held.append(array)
+            self.ranges.append(_Ranges(instance, first, count).merged())
 
     def cut(self) -> Cut:
-        if not self.instance:
+        if not self.ranges:
             none = np.empty(0, np.int64)
             return Cut(none.astype(np.int32), none, none, culled=self.culled)
-        instance, first, count = (np.concatenate(a) for a in (self.instance, self.first, self.count))
+        names = ("instance", "first", "count")
+        instance, first, count = (np.concatenate([getattr(r, name) for r in self.ranges]) for name in names)
         # Each level is sorted already: a stable sort only has to merge them.
         order = (instance << 32 | first).argsort(kind="stable")
-        instance, first, count = _merge(instance[order], first[order], count[order])
-        return Cut(instance.astype(np.int32), first, count, self.nodes, self.points, self.culled)
+        merged = _Ranges(instance[order], first[order], count[order]).merged()
+        return Cut(merged.instance.astype(np.int32), merged.first, merged.count, self.nodes, self.points, self.culled)
 
 
-def _merge(instance: np.ndarray, first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Join each range with its predecessor where it continues it; int64 all."""
-    first = first.astype(np.int64)
-    new = np.ones(len(first), bool)
-    new[1:] = (first[1:] != first[:-1] + count[:-1]) | (instance[1:] != instance[:-1])
-    at = np.flatnonzero(new)
-    return instance[at].astype(np.int64), first[at], np.add.reduceat(count, at, dtype=np.int64)
-
-
-def _step(
-    forest: NodeTable,
-    views: InstanceViews,
-    lens: Criteria,
-    instance: np.ndarray,
-    node: np.ndarray,
-    inside: np.ndarray,
-    found: _Found,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decide about some nodes of one level; what is drawn goes to `found`, the children of the rest come back.
-
-    `inside` says which nodes have an ancestor that lies in the frustum as a whole.
-    """
-    view = _pick(views, instance)
-    center = forest.center.take(node, axis=1)
-    sphere = forest.sphere.take(node)
+def _descend(table: NodeTable, views: InstanceViews, criteria: Criteria, front: _Front, found: _Found) -> _Front:
+    """Decides about some nodes of one level: what is drawn goes to `found`, the children of the rest are returned."""
+    instance, node = front.instance, front.node
+    view = views.take(instance)
+    center = table.center.take(node, axis=1)
+    sphere = table.sphere.take(node)
     position = np.stack([m[0] * center[0] + m[1] * center[1] + m[2] * center[2] + m[3] for m in view.matrix])
-    reach = sphere * view.scale
+    radius = sphere * view.scale
 
     # What is out of view or faces away is left out; `safe` are nodes of which no part can be.
-    away, least, most = blur_extent(lens, position, reach)
-    gone, inside = against_frustum(lens, position, reach + away, inside)
+    blurred = blur_extent(criteria, position, radius)
+    gone, inside = against_frustum(criteria, position, radius + blurred.beyond, front.inside)
     safe = inside
-    if lens.blur is not None:
-        outside = {"BLURRED": most <= IN_FOCUS, "SHARP": least >= OUT_OF_FOCUS}.get(lens.wanted)
+    if criteria.blur is not None:
+        outside = {"BLURRED": blurred.most <= IN_FOCUS, "SHARP": blurred.least >= OUT_OF_FOCUS}.get(criteria.wanted)
         if outside is not None:
-            gone, safe = gone | outside, inside & (most < OUT_OF_FOCUS)
+            gone, safe = gone | outside, inside & (blurred.most < OUT_OF_FOCUS)
     if view.culls.any():
-        away, toward = against_cone(forest, view, lens, node, center, sphere)
+        away, toward = against_cone(table, view, criteria, node, center, sphere)
         gone, safe = gone | away, inside & toward
-    count = forest.point_count.take(node)
+    count = table.point_count.take(node)
     found.culled += int(count[gone].sum(dtype=np.int64))
 
     # A node small enough is drawn; one whose descendants are all too large shows all its points, as do leaves.
-    small, large = within_tolerance(
-        forest, lens, node, position, forest.size.take(node) * view.scale, reach, view.scale
-    )
+    size = table.size.take(node) * view.scale
+    small, large = within_tolerance(table, criteria, node, position, size, radius, view.scale)
     drawn = ~gone & small & (count > 1)
-    children = forest.child_count.take(node)
+    children = table.child_count.take(node)
     whole = ~gone & ~drawn & ((children == 0) | (safe & large))
     found.add_nodes(instance[drawn], node[drawn])
-    found.add_points(instance[whole], forest.first_point.take(node[whole]), count[whole])
+    found.add_points(instance[whole], table.first_point.take(node[whole]), count[whole])
 
     rest = np.flatnonzero(~(gone | drawn | whole))
     children = children[rest]
-    return (
+    return _Front(
         np.repeat(instance[rest], children),
-        ranges(forest.first_child.take(node[rest]), children),
+        ranges(table.first_child.take(node[rest]), children),
         np.repeat(inside[rest], children),
     )

@@ -100,7 +100,7 @@ CELL_SURFACE = 4.5 / np.pi  # surface of a cube over that of the ellipsoid that 
 
 
 def disconnected_nodes(cloud: PointCloud, tree: Tree, radii: np.ndarray) -> dict[str, np.ndarray]:
-    """Hierarchy.apart and .section of nodes of these kernels (3, M), from points in tree order.
+    """Hierarchy.disconnected and .section of nodes of these kernels (3, M), from points in tree order.
 
     Disks of area s that are strewn over a cell of surface 2 S hide S (1 - exp(-s / S)) as one disk does, more by
     s_i^2 / 2 S, in the second order, since none hides itself.
@@ -110,8 +110,8 @@ def disconnected_nodes(cloud: PointCloud, tree: Tree, radii: np.ndarray) -> dict
     def columns(which: slice) -> np.ndarray:
         _, _, axes = splat_frames(cloud, which)
         area = np.pi * axes[0] * axes[1]
-        return np.stack([area, area**2, area * cloud.apart[which]])  # type: ignore[index]
+        return np.stack([area, area**2, area * cloud.disconnected[which]])  # type: ignore[index]
 
     area, square, strewn = sum_over_nodes(tree, len(cloud), columns)
     section = np.minimum(cell * -np.expm1(-area / cell) + square / (2 * cell), area)
-    return {"apart": strewn > 0.5 * area, "section": section.astype(np.float32)}
+    return {"disconnected": strewn > 0.5 * area, "section": section.astype(np.float32)}

@@ -22,7 +22,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ..numeric.vectors import as_columns, as_rows
-from ..scene.cloud import PointCloud
+from ..scene.cloud import ATTRIBUTES, PointCloud
 from ..splat.ellipsoids import splat_frames, splat_weight
 from .foliage import disconnected_nodes
 from .nodes.merging import merge_nodes
@@ -32,6 +32,17 @@ from .nodes.rows import AVERAGED
 from .nodes.tree import CHUNK, Tree, sum_over_nodes
 
 LEAF_SIZE = 12  # points: balances the nodes' memory against the points that a cut must show instead
+
+# What describes the shape of every point; nodes have center, normal, axis and radii instead.
+GEOMETRY = ("position", "normal", "axis", "radii")
+# Further columns of nodes, name: (shape of one node's value, dtype), as in ATTRIBUTES; memory, disk and device follow
+# this table. Those that points have too are in ATTRIBUTES under the same name.
+NODE_ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
+    **{name: ATTRIBUTES[name] for name in (*AVERAGED, "material", "kernel", "disconnected")},
+    "mass": (None, np.float32),
+    "covered": ((), np.float32),
+    "section": ((), np.float32),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +81,7 @@ class Hierarchy:
     covered: np.ndarray | None = None  # (M,) float32: fraction of the kernel's volume (shells: ellipse) that is filled
     # Of opaque clouds with splats that stand apart, all (M,): whether most of the node's do, and then, the area of the
     # disk that hides as much as they.
-    apart: np.ndarray | None = None  # bool
+    disconnected: np.ndarray | None = None  # bool
     section: np.ndarray | None = None  # float32
 
     def __len__(self) -> int:
@@ -166,7 +177,7 @@ def _evaluate(cloud: PointCloud, order: np.ndarray, tree: Tree) -> Hierarchy:
     named = _averages(cloud, rows.averages)
     if len(rows.sums):
         named |= node_optics(cloud, rows.radii, rows.sums)
-    if cloud.apart is not None:
+    if cloud.disconnected is not None:
         named |= disconnected_nodes(cloud, tree, rows.radii)
     return Hierarchy(
         cloud, order, tree,

@@ -58,19 +58,19 @@ def choose_levels(
     `row` (I,) are the numbers by which instances are told apart when they are thinned, and by which each keeps a share
     of the `band` of octaves that levels are finer than asked for (`cut.staggered`).
     """
-    lens = criteria_of(camera, tolerance, margin)
-    seen, position, scale = _bounding_balls(lens, view_from_object, levels.center, levels.reach)
+    criteria = criteria_of(camera, tolerance, margin)
+    seen, position, scale = _bounding_balls(criteria, view_from_object, levels.center, levels.reach)
     reach = levels.reach * scale
 
     deep = np.zeros(len(seen), bool)
-    allowed = np.full(len(seen), lens.limit)  # view-space size
-    if lens.perspective:
+    allowed = np.full(len(seen), criteria.limit)  # view-space size
+    if criteria.perspective:
         near = -position[2] - reach
-        deep = (reach > -MAX_RELATIVE_RADIUS * position[2]) | (near <= lens.near) | (lens.limit >= 1)
+        deep = (reach > -MAX_RELATIVE_RADIUS * position[2]) | (near <= criteria.near) | (criteria.limit >= 1)
         near = np.maximum(near, 1e-300)
         # `cut.select` has r sqrt(D^2 - r^2) <= limit (z^2 - r^2), with D / z at most the slope of the ball's rim.
         slope = np.hypot(1.0, (np.hypot(position[0], position[1]) + reach) / near)
-        allowed = lens.limit * max(1 - lens.limit**2, 0.0) * near / slope
+        allowed = criteria.limit * max(1 - criteria.limit**2, 0.0) * near / slope
     with np.errstate(all="ignore"):
         finer = np.log2(levels.size[0] * scale / allowed)  # octaves
     finer = np.nan_to_num(np.where(seen, finer, 0.0), nan=0.0, posinf=1e3, neginf=-1e3)
@@ -93,7 +93,7 @@ def visible_instances(
 
 
 def _bounding_balls(
-    lens: Criteria, view_from_object: np.ndarray, center: np.ndarray, reach: float
+    criteria: Criteria, view_from_object: np.ndarray, center: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of instances of a ball: whether they may be seen (I,), their centres in view space (3, I), their scale (I,)."""
     good = all_finite(view_from_object)
@@ -102,7 +102,7 @@ def _bounding_balls(
     linear = view_from_object[:, :3, :3]
     scale = largest_singular_value(linear)
     position = (linear.reshape(-1, 3) @ center).reshape(-1, 3).T + view_from_object[:, :3, 3].T
-    gone, _ = against_frustum(lens, position, reach * scale, np.zeros(len(scale), bool))
+    gone, _ = against_frustum(criteria, position, reach * scale, np.zeros(len(scale), bool))
     return good & ~gone & (scale > 0), position, scale
 
 

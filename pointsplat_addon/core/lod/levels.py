@@ -88,9 +88,9 @@ def make_levels(hierarchy: Hierarchy) -> Levels | None:
     if cloud.normal is not None and cloud.radii is not None and cloud.opacity is None and cloud.extinction is None:
         # Small bodies are what stands apart: surfaces that are closed in the picture would join neighbours.
         small = np.repeat(hierarchy.sphere[0] < SMALL_BODY * np.array(limits), count)
-        cloud = replace(cloud, apart=small if cloud.apart is None else small | cloud.apart)
+        cloud = replace(cloud, disconnected=small if cloud.disconnected is None else small | cloud.disconnected)
         drawn = cloud
-        if hierarchy.cloud.apart is None:
+        if hierarchy.cloud.disconnected is None:
             radii, facets = _radii_true_to_area(hierarchy.cloud, cloud, count), _facets(hierarchy, np.concatenate(rows))
             drawn = replace(cloud, radii=radii, facets=facets)
     center = hierarchy.cloud.origin + hierarchy.center[0]

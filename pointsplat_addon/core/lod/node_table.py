@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The nodes of all hierarchies of a scene in one table of columns, as level-of-detail selection reads them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from .hierarchy import Hierarchy
 
 @dataclass(frozen=True, eq=False)
 class NodeTable:
-    """Of several geometries' nodes, one after the other, what a cut reads. Made once per set of hierarchies.
+    """What a cut reads of M nodes of several geometries, one geometry after the other; made once per set of hierarchies.
 
-    Columns are contiguous; `root` and `points` have a row for each geometry index up to the largest.
+    Columns are contiguous. G is the largest geometry index plus one.
     """
 
-    root: np.ndarray  # (G,) int64: the geometry's first node; -1 for a cloud without nodes
+    root: np.ndarray  # (G,) int64: row of the geometry's root node; -1 for a cloud without nodes
     points: np.ndarray  # (G,) int64; 0 for geometries that are not drawn as points
     origin: np.ndarray  # (G, 3) float64
-    first_child: np.ndarray  # (M,) int64, in the forest
+    first_child: np.ndarray  # (M,) int64, row in this table
     child_count: np.ndarray  # (M,) uint8
     first_point: np.ndarray  # (M,) int32
     point_count: np.ndarray  # (M,) int32
@@ -33,11 +33,11 @@ class NodeTable:
     sphere: np.ndarray  # (M,) float32
     size: np.ndarray  # (M,) float32
     smallest: np.ndarray  # (M,) float32
-    lot: np.ndarray  # (M,) float32 in [0, 1): each node's own, whatever else the forest holds
+    jitter: np.ndarray  # (M,) float32 in [0, 1): a fixed number of each node, whatever else the table holds
 
 
 def node_table(hierarchies: Mapping[int, Hierarchy | PointCloud]) -> NodeTable:
-    """Hierarchies by geometry index. A PointCloud stands for one without nodes, which is always drawn whole."""
+    """The table of hierarchies, given by geometry index. A PointCloud has no nodes and is always drawn whole."""
     geometries = max(hierarchies, default=-1) + 1
     root, points, origin = np.full(geometries, -1), np.zeros(geometries, np.int64), np.zeros((geometries, 3))
     trees: list[Hierarchy] = []
@@ -67,5 +67,5 @@ def node_table(hierarchies: Mapping[int, Hierarchy | PointCloud]) -> NodeTable:
         sphere=joined([h.sphere for h in trees], np.float32),
         size=joined([h.size for h in trees], np.float32),
         smallest=joined([h.smallest for h in trees], np.float32),
-        lot=joined([number(np.arange(len(h))) for h in trees], np.float32),
+        jitter=joined([number(np.arange(len(h))) for h in trees], np.float32),
     )  # fmt: skip

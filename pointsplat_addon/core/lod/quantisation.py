@@ -1,9 +1,8 @@
-"""The packed form of a hierarchy, for disk and device: about 40 bytes per point with the nodes included.
+"""Packs a hierarchy for the disk: about 40 bytes per point with the nodes included.
 
-Positions stay float32. Normals are octahedral (Meyer et al. 2010) in 2 x 16 bit, the major axis is an angle about
-the normal, lengths are 16-bit logarithms, colours share an exponent (RGB9E5). Of the links only the number of
-children and of a leaf's points is kept: breadth-first order gives the others. Bounds are rounded outwards, far
-enough to hold the disks as they are unpacked.
+Positions stay float32; `encoding.py` has the formats of normals, axes, lengths and colours. Of the links only the
+number of children of each node and of points in each leaf is stored: breadth-first order gives the others. Bounds are
+rounded outwards, far enough to hold the disks as they are unpacked.
 """
 
 from __future__ import annotations
@@ -26,25 +25,41 @@ from .encoding import (
     encode_normal,
     encode_rgb,
 )
-from .hierarchy import Hierarchy, require_finite
-from .nodes.rows import AVERAGED
+from .hierarchy import GEOMETRY, NODE_ATTRIBUTES, Hierarchy, require_finite
 from .nodes.tree import smallest_below, tree_from_counts
 
-# How an attribute is kept: "unorm" (2 bytes in [0, 1]), "byte" (1 byte in [0, 1]), "rgb" (RGB9E5), or as it is.
+# All columns that points or nodes may have beside their geometry.
+COLUMNS = {name: spec for name, spec in ATTRIBUTES.items() if name not in GEOMETRY} | NODE_ATTRIBUTES
+# How a column is stored: "unorm" (2 bytes in [0, 1]), "byte" (1 byte in [0, 1]), "rgb" (RGB9E5), else in its own type.
 CODES = {"color": "rgb", "emission": "rgb", "opacity": "unorm", "covered": "unorm", "surface": "byte"}
+MAX_COLUMN_WIDTH = 64  # values of one column of one splat, where the table of attributes sets no shape
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Which attributes are there; the record types follow from it."""
+    """Which attributes are present; the types of the records follow from it.
 
-    normal: bool
+    Raises ValueError for attributes that neither points nor nodes have, and for shapes that they cannot have.
+    """
+
+    normal: bool  # whether points have one; nodes always do
     axis: bool
-    radii: int  # columns of the points' half-axes; 0: none
-    attributes: tuple[tuple[str, tuple[int, ...]], ...]  # name and the shape of one value
+    radii: int  # half-axes of a point; 0: none
+    attributes: tuple[tuple[str, tuple[int, ...]], ...]  # names in COLUMNS, and the shape of one value
+
+    def __post_init__(self) -> None:
+        for name, shape in self.attributes:
+            if name not in COLUMNS:
+                raise ValueError(f"unknown attribute {name!r}")
+            expected = COLUMNS[name][0]
+            fits = len(shape) <= 1 and all(type(n) is int and 0 < n <= MAX_COLUMN_WIDTH for n in shape)
+            if not fits if expected is None else shape != expected:
+                raise ValueError(f"impossible shape {shape} of {name}")
+        if self.radii not in (0, 1, 2, 3) or len({name for name, _ in self.attributes}) < len(self.attributes):
+            raise ValueError("impossible layout")
 
     def dtype(self, nodes: bool) -> np.dtype:
-        """Record of a point or of a node."""
+        """The record of a point or, with `nodes`, of a node; little-endian."""
         record: list[Any] = [("position", "<f4", (3,))]
         if self.normal or nodes:
             record.append(("normal", "<u2", (2,)))
@@ -60,9 +75,8 @@ class Layout:
                 ("children", "u1"),
                 ("points", "<u4"),
             ]
-        for name, shape in self.attributes:
-            if nodes or name not in ("mass", "covered", "section"):
-                record.append((name, *_stored(name, shape)))
+        held = NODE_ATTRIBUTES if nodes else ATTRIBUTES
+        record += [(name, *_stored(name, shape)) for name, shape in self.attributes if name in held]
         return np.dtype(record)
 
 
@@ -75,7 +89,7 @@ class Packed:
     nodes: np.ndarray  # (M,)
     order: np.ndarray  # (N,) int32
     origin: np.ndarray  # (3,) float64
-    longest: float  # the length of the largest code
+    longest: float  # object units: the largest length that the codes of this hierarchy stand for
 
     @property
     def nbytes(self) -> int:
@@ -83,18 +97,16 @@ class Packed:
 
 
 def pack(hierarchy: Hierarchy) -> Packed:
-    """Quantise. Colours and emission below 0 become 0, and unit-range attributes are clipped to [0, 1]."""
+    """Quantises a hierarchy. Colours and emission below 0 become 0; opacity, covered fraction and surface are clipped to
+    [0, 1]."""
     cloud, tree = hierarchy.cloud, hierarchy.tree
-    names = [
-        name
-        for name in (*AVERAGED, "material", "kernel", "mass", "covered", "apart", "section")
-        if getattr(hierarchy, name) is not None
-    ]
+    held = {name: getattr(hierarchy, name) for name in NODE_ATTRIBUTES if getattr(hierarchy, name) is not None}
+    held |= {name: array for name, array in cloud.arrays().items() if name not in GEOMETRY}
     layout = Layout(
         normal=cloud.normal is not None,
         axis=cloud.normal is not None and cloud.axis is not None,
         radii=0 if cloud.radii is None else cloud.radii.shape[1],
-        attributes=tuple((name, getattr(hierarchy, name).shape[1:]) for name in names),
+        attributes=tuple((name, array.shape[1:]) for name, array in held.items()),
     )
     points, nodes = np.zeros(len(cloud), layout.dtype(False)), np.zeros(len(tree), layout.dtype(True))
     bound, sphere = _rounded_bounds(hierarchy)
@@ -116,16 +128,18 @@ def pack(hierarchy: Hierarchy) -> Packed:
     nodes["cone"] = np.ceil(np.minimum(angle / np.pi, 1) * 65535)
     nodes["children"] = tree.child_count
     nodes["points"] = np.where(tree.child_count == 0, tree.point_count, 0)
-    for name in names:
-        nodes[name] = _encode(name, getattr(hierarchy, name))
-        if name in (points.dtype.names or ()):
-            points[name] = _encode(name, getattr(cloud, name))
+    for records, owner in ((points, cloud), (nodes, hierarchy)):
+        for name in held.keys() & set(records.dtype.names or ()):
+            records[name] = _encode(name, getattr(owner, name))
     return Packed(layout, points, nodes, hierarchy.order, cloud.origin, longest)
 
 
 def unpack(packed: Packed) -> Hierarchy:
-    """The hierarchy again, but for quantisation. Raises ValueError where the links make no tree over the points,
-    the order is no permutation, or a value is not finite."""
+    """The hierarchy that was packed, up to quantisation.
+
+    Raises ValueError where the links make no tree over the points, the order is no permutation, or a value is not
+    finite: records may come from a damaged file.
+    """
     points, nodes, layout = packed.points, packed.nodes, packed.layout
     tree = tree_from_counts(nodes["children"], nodes["points"], len(points))
     _check_order(packed.order)
@@ -136,14 +150,12 @@ def unpack(packed: Packed) -> Hierarchy:
         arrays["axis"] = decode_axis(points["normal"], points["angle"])
     if layout.radii:
         arrays["radii"] = decode_length(points["radii"], packed.longest)
-    averages: dict[str, np.ndarray] = {}
-    for name, _ in layout.attributes:
-        averages[name] = _decode(name, nodes[name])
-        if name in (points.dtype.names or ()):
-            arrays[name] = _decode(name, points[name])
+    held = [name for name, _ in layout.attributes]
+    arrays |= {name: _decode(name, points[name]) for name in held if name in ATTRIBUTES}
+    columns = {name: _decode(name, nodes[name]) for name in held if name in NODE_ATTRIBUTES}
     center = _plain(nodes["position"])
-    for held in (center, *averages.values()):
-        if not np.isfinite(held).all():
+    for array in (center, *columns.values()):
+        if not np.isfinite(array).all():
             raise ValueError("a node holds a NaN or an infinity")
     cloud = PointCloud(origin=packed.origin, **arrays)
     require_finite(cloud)
@@ -153,11 +165,12 @@ def unpack(packed: Packed) -> Hierarchy:
         cloud, packed.order, tree, center=center, normal=decode_normal(nodes["normal"]),
         axis=decode_axis(nodes["normal"], nodes["angle"]), radii=decode_length(nodes["radii"], packed.longest),
         bound=bound, sphere=sphere, cone=np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(np.float32),
-        smallest=smallest_below(tree, bound, sphere), **averages,
+        smallest=smallest_below(tree, bound, sphere), **columns,
     )  # fmt: skip
 
 
 def _check_order(order: np.ndarray) -> None:
+    """Raises ValueError where `order` (N,) is no permutation of 0 to N - 1."""
     seen = np.zeros(len(order), bool)
     if len(order) and (order.min() < 0 or order.max() >= len(order)):
         raise ValueError("the order of points leaves their range")
@@ -167,7 +180,7 @@ def _check_order(order: np.ndarray) -> None:
 
 
 def _rounded_bounds(hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds (M, 3) and (M,) grown by how far quantisation moves the rims of disks and the frame of the node."""
+    """The bounds (M, 3) and spheres (M,) grown by as much as quantisation may move rims of disks and frames of nodes."""
     bound, sphere = hierarchy.bound.astype(np.float64), hierarchy.sphere.astype(np.float64)
     moved = (np.maximum(bound[:, 0], bound[:, 1]) + bound[:, 2]) * (2 * TILT + LENGTH_ERROR)
     narrow = np.maximum(bound[:, :2].min(axis=1), np.finfo(float).tiny)
@@ -177,11 +190,11 @@ def _rounded_bounds(hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _stored(name: str, shape: tuple[int, ...]) -> tuple[str, tuple[int, ...]]:
-    """Type and shape of an attribute in a record."""
+    """The type and shape of a column in a record."""
     kind = CODES.get(name)
     if kind == "rgb":
         return "<u4", ()
-    plain = np.dtype(ATTRIBUTES[name][1] if name in ATTRIBUTES else np.float32).newbyteorder("<").str
+    plain = np.dtype(COLUMNS[name][1]).newbyteorder("<").str
     return {"unorm": "<u2", "byte": "u1"}.get(kind or "", plain), shape
 
 
@@ -202,5 +215,5 @@ def _decode(name: str, code: np.ndarray) -> np.ndarray:
 
 
 def _plain(column: np.ndarray) -> np.ndarray:
-    """A column of records on its own, in native byte order."""
+    """A contiguous copy of a column of records, in native byte order."""
     return np.ascontiguousarray(column, column.dtype.newbyteorder("="))

@@ -21,8 +21,8 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     "material": ((), np.uint16),
     "value": ((), np.float32),
     "kernel": ((), np.uint8),
-    "apart": ((), np.bool_),
-    "facets": (None, np.int8),
+    "disconnected": ((), np.bool_),
+    "facets": ((4, 3), np.int8),
 }
 
 FARTHEST = 1e18  # of lengths: their squares fit float32
@@ -55,7 +55,7 @@ class PointCloud:
     kernel: np.ndarray | None = (
         None  # (N,) uint8, row of core.kernel.PROFILES: shape of splats that light passes through
     )
-    apart: np.ndarray | None = None  # (N,) bool: an opaque splat that closes no surface with its neighbours (leaves)
+    disconnected: np.ndarray | None = None  # (N,) bool: foliage: closes no surface with its neighbours
     # (N, 4, 3) int8, 127 times normals of which a splat shows one that faces the viewer, where it stands for a surface
     # that is turned to several sides: as long as the shares that these have in its area. Zeros: its own.
     facets: np.ndarray | None = None

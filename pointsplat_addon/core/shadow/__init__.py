@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Translucent shadow tables (Gunjee et al. 2007): casters, grids of directions, how tables are built, and what they hold."""

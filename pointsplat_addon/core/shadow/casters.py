@@ -7,18 +7,13 @@ from functools import cached_property, reduce
 
 import numpy as np
 
-from ..numeric.segments import owners, ranks
 from ..numeric.vectors import cross, each_block
 from ..scene.cloud import PointCloud
-from ..scene.lights import Light
-from ..strand.levels import StrandLevels
-from ..strand.projection import tube_radius_scale
 
 OPAQUE_DEPTH = 100.0  # optical depth that stands for no light at all
 KINDS = ("OPAQUE", "SHELL", "VOLUME")
-TYPICAL = 0.9  # quantile of the radii of a surface's samples
-ASKED = 1 << 16  # of them are asked
-MOST_ACROSS = 64  # pieces across a strand
+TYPICAL_QUANTILE = 0.9  # quantile of the radii of a surface's samples
+QUANTILE_SAMPLES = 1 << 16  # of them are asked
 CHUNK = 1 << 14  # splats that are handled together, so that scratch arrays stay in the cache
 
 
@@ -90,7 +85,7 @@ def casters(cloud: PointCloud, world_from_object: np.ndarray) -> Casters:
             else:
                 axes = radii[:, :1, None] * linear.T.astype(np.float32)
         else:
-            axes = turned(_half_axes(cloud, radii, solid), linear.T.astype(np.float32))
+            axes = rotate_vectors(_half_axes(cloud, radii, solid), linear.T.astype(np.float32))
         mass = None
         if cloud.extinction is not None:
             volume = 4 / 3 * np.pi * (radii[:, :3].prod(axis=1) if solid else radii[:, 0] ** 3)
@@ -111,10 +106,10 @@ def casters(cloud: PointCloud, world_from_object: np.ndarray) -> Casters:
     return result if good.all() else result.take(good)
 
 
-def typical(radii: np.ndarray) -> float:
+def typical_radius(radii: np.ndarray) -> float:
     """A wide one among the radii (N,) of splats."""
-    step = len(radii) // ASKED | 1  # odd: out of step with what repeats
-    return float(np.quantile(radii[::step], TYPICAL))
+    step = len(radii) // QUANTILE_SAMPLES | 1  # odd: out of step with what repeats
+    return float(np.quantile(radii[::step], TYPICAL_QUANTILE))
 
 
 def _finite(values: np.ndarray) -> np.ndarray:
@@ -146,79 +141,8 @@ def _half_axes(cloud: PointCloud, radii: np.ndarray, solid: bool) -> np.ndarray:
     return axes.transpose(2, 1, 0)
 
 
-def turned(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+def rotate_vectors(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """Vectors (N, K, 3), each times a (3, 3). In memory they are rows of coordinates, which NumPy handles several times
     faster than vectors one by one."""
     rows = vectors.transpose(2, 1, 0)
     return (matrix.T @ rows.reshape(3, -1)).reshape(rows.shape).transpose(2, 1, 0)
-
-
-@dataclass(frozen=True, eq=False)
-class Pieces:
-    """Strands in world space, cut into pieces that are no longer than what shadows tell apart."""
-
-    origin: np.ndarray  # (3,) float64
-    position: np.ndarray  # (N, 3) float32, relative to origin
-    along: np.ndarray  # (N, 3) float32, unit
-    side: np.ndarray | None  # (N, 3) float32, half the width of ribbons; None: tubes
-    radius: np.ndarray  # (N,) float32
-    length: np.ndarray  # (N,) float32
-    step: float  # length of a piece: wide strands are cut along, too
-
-    def toward(self, light: Light) -> Casters:
-        """Opaque balls that stand apart, as leaves do, each of the area that its piece of a strand shows to the light:
-        2 r L times the sine of the angle between them. Pieces as wide as long are closed among each other."""
-        to_light = np.broadcast_to(-np.asarray(light.direction, np.float32), self.position.shape)
-        if light.kind != "SUN":
-            to_light = (light.position - self.origin).astype(np.float32) - self.position
-            to_light = to_light / np.maximum(np.linalg.norm(to_light, axis=1, keepdims=True), np.float32(1e-30))
-        if self.side is None:
-            side = np.cross(self.along, to_light)
-            shown = np.linalg.norm(side, axis=1)
-            side *= (self.radius / np.maximum(shown, np.float32(1e-6)))[:, None]
-        else:
-            side = self.side
-            shown = np.abs(np.einsum("nc,nc->n", np.cross(self.along, side), to_light))
-            shown /= np.maximum(self.radius, np.float32(1e-30))
-        area = 2 * self.radius * self.length * shown
-        across = np.clip(np.ceil(2 * self.radius / np.float32(self.step)), 1, MOST_ACROSS).astype(np.int64)
-        which, number = owners(across), ranks(across)
-        off = (2 * number + 1) / across[which] - 1
-        position = self.position[which] + off[:, None].astype(np.float32) * side[which]
-        # What is wide is closed, as a surface: there balls cover the cells that they stand for.
-        wide = np.clip(self.radius / np.float32(self.step) - 0.5, 0, 1)
-        tile = (2 * self.radius / across) ** 2 + self.length**2
-        squared = (area / (np.pi * across)) * (1 - wide) + np.where(shown > 0, 0.25 * tile, 0) * wide
-        radius = np.sqrt(squared[which]).astype(np.float32)
-        return Casters("OPAQUE", self.origin, position, radius).take(np.flatnonzero(radius > 0))
-
-
-def pieces(strands: StrandLevels, world_from_object: np.ndarray, step: float) -> Pieces:
-    """Strands of an instance, (4, 4) float64, in pieces of at most `step` object units."""
-    last = np.ones(len(strands), bool)
-    last[strands.start[1:] - 1] = False
-    a = np.flatnonzero(last)
-    b = a + 1
-    linear = np.asarray(world_from_object[:3, :3], float)
-    axis = strands.position[b] - strands.position[a]
-    count = np.maximum(np.ceil(np.linalg.norm(axis, axis=1) / np.float32(step)), 1).astype(np.int64)
-    which, number = owners(count), ranks(count)
-    part = ((number + 0.5) / count[which]).astype(np.float32)
-    first, second = a[which], b[which]
-    turn = linear.T.astype(np.float32)
-    scale = np.float32(tube_radius_scale(world_from_object[None])[0])
-    along = axis[which] @ turn
-    length = np.linalg.norm(along, axis=1)
-    along /= np.maximum(length, np.float32(1e-30))[:, None]
-    radius = strands.radius[first] * (1 - part) + strands.radius[second] * part
-    side = None
-    if strands.side is not None:
-        mixed = strands.side[first] * (1 - part)[:, None] + strands.side[second] * part[:, None]
-        side = (mixed * radius[:, None]) @ turn
-        radius = np.linalg.norm(side, axis=1)
-    else:
-        radius = radius * scale
-    position = (strands.position[first] + part[:, None] * axis[which]) @ turn
-    origin = linear @ strands.origin + world_from_object[:3, 3]
-    length /= count[which].astype(np.float32)
-    return Pieces(origin, position, along, side, radius, length, max(step * float(scale), 1e-30))

@@ -1,4 +1,4 @@
-"""The cells of a shadow table: directions around a lamp, or places across a sun's rays."""
+"""The cells of a shadow table: directions around a light, or positions across a sun's rays."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from ..numeric.segments import starts
 from ..scene.lights import Light
 from .casters import CHUNK, Casters
 
-STEEPEST = 0.1  # cosine: surfaces closer to edge-on are treated as this one
-NARROW = 0.8  # radians: casters within this angle about one direction get a grid about it, without poles
-FINEST = 1e-6  # radians: a cell that float32 still resolves
-FINER = 2  # octaves by which the finest cells may be narrower than the frame's
+LEAST_COSINE = 0.1  # cosine: surfaces closer to edge-on are treated as this one
+NARROW_ANGLE = 0.8  # radians: casters within this angle about one direction get a grid about it, without poles
+FINEST_STEP = 1e-6  # radians: a cell that float32 still resolves
+FINER_OCTAVES = 2  # octaves by which the finest cells may be narrower than the frame's
 # The grid of a sun is turned about its direction where volumes cast: cells that run along a lattice of voxels, under a
 # sun along one of its axes, would all hold the same share of them. By so many radians, no multiple of which is a right
 # angle or a simple slope.
 TILT = 0.3
-COARSEST = 0.5  # radians: the widest cell of a grid without poles
+COARSEST_STEP = 0.5  # radians: the widest cell of a grid without poles
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Where a lamp's cells lie. Local coordinates: for suns (x, y, distance), else a polar axis z.
+    """The coordinates of a light's cells. Local coordinates: for suns (x, y, distance), else a polar axis z.
 
-    Angles are radians for lamps and lengths for suns: `latitude` is y, `longitude` is x.
+    Angles are lengths for suns and radians for other lights: `latitude` is y, `longitude` is x.
     """
 
     parallel: bool
     light_from_world: np.ndarray  # (3, 3) float64, a rotation
-    origin: np.ndarray  # (3,) float64, world: the lamp, or a point of the plane from which a sun's distances count
+    origin: np.ndarray  # (3,) float64, world: the light, or a point of the plane from which a sun's distances count
     full: bool  # all directions, with poles and without a seam
     low: np.ndarray  # (2,) least latitude and longitude where not full
     high: np.ndarray  # (2,)
@@ -84,7 +84,7 @@ def cell_grids(frame: Frame, coarser: float) -> list[Grid]:
     """Finest first, of `coarser` times the frame's step, each of twice the step of the one before; as many for all
     `coarser` from 2^-FINER to 2."""
     grids = []
-    for level in range(frame.rows.bit_length() + FINER):
+    for level in range(frame.rows.bit_length() + FINER_OCTAVES):
         if frame.full:
             rows = max(1, int(frame.rows / coarser) >> level)
             step, low, count = np.pi / rows, -np.pi / 2, rows + 1
@@ -93,11 +93,11 @@ def cell_grids(frame: Frame, coarser: float) -> list[Grid]:
             density, column0 = columns / (2 * np.pi), np.zeros(count, np.int64)
         else:
             step = frame.step * coarser * 2**level
-            if level and not frame.parallel and frame.step * 2.0 ** (level - FINER) > COARSEST:
+            if level and not frame.parallel and frame.step * 2.0 ** (level - FINER_OCTAVES) > COARSEST_STEP:
                 break
             low = frame.low[0] - step
             latitude = low + step * np.arange(int(np.ceil((frame.high[0] - frame.low[0]) / step)) + 3)
-            shrink = np.ones(len(latitude)) if frame.parallel else np.maximum(np.cos(latitude), STEEPEST)
+            shrink = np.ones(len(latitude)) if frame.parallel else np.maximum(np.cos(latitude), LEAST_COSINE)
             density = shrink / step
             column0 = np.floor(frame.low[1] * density).astype(np.int64) - 1
             columns = np.ceil(frame.high[1] * density).astype(np.int64) + 2 - column0
@@ -107,12 +107,12 @@ def cell_grids(frame: Frame, coarser: float) -> list[Grid]:
 
 
 def fit_frame(light: Light, batches: Sequence[Casters], resolution: int) -> Frame:
-    """A grid about the casters, as far as the lamp shines on them."""
+    """The frame of a light whose grids hold all casters that it shines on, `resolution` cells high."""
     rows = max(int(resolution), 1)
     low, high = np.min([b.box[0] for b in batches], axis=0), np.max([b.box[1] for b in batches], axis=0)
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3)
     if light.kind == "SUN":
-        turn = rotation(light.direction)[[1, 2, 0]]
+        turn = rotation_to(light.direction)[[1, 2, 0]]
         if any(batch.kind == "VOLUME" for batch in batches):
             cosine, sine = np.cos(TILT), np.sin(TILT)
             turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]]) @ turn
@@ -125,15 +125,15 @@ def fit_frame(light: Light, batches: Sequence[Casters], resolution: int) -> Fram
         origin = corners.mean(axis=0) + np.append(ends.mean(axis=0), local[:, 2].min()) @ turn
         return Frame(True, turn, origin, False, -half[::-1], half[::-1], rows)
     direction, angle = _cone(light, corners.mean(axis=0), batches)
-    if angle > NARROW:
-        # The poles lie across the lamp's own direction: a spot or area light has nothing there but at its rim.
-        return Frame(False, rotation(light.direction), light.position, True, np.zeros(2), np.zeros(2), rows)
-    angle = max(angle, FINEST * rows / 2)
-    return Frame(False, rotation(direction), light.position, False, np.full(2, -angle), np.full(2, angle), rows)
+    if angle > NARROW_ANGLE:
+        # The poles lie across the light's own direction: a spot or area light has nothing there but at its rim.
+        return Frame(False, rotation_to(light.direction), light.position, True, np.zeros(2), np.zeros(2), rows)
+    angle = max(angle, FINEST_STEP * rows / 2)
+    return Frame(False, rotation_to(direction), light.position, False, np.full(2, -angle), np.full(2, angle), rows)
 
 
 def _across(batches: Sequence[Casters], middle: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """(2, K) float64: how far the splats reach along unit vectors (K, 3), down and up from `middle`."""
+    """(2, K) float64: the least and greatest extent of the splats along unit vectors (K, 3), relative to `middle`."""
     ends = np.array([np.full(len(axes), np.inf), np.full(len(axes), -np.inf)])
     for batch in batches:
         offset = axes @ (batch.origin - middle)
@@ -146,7 +146,7 @@ def _across(batches: Sequence[Casters], middle: np.ndarray, axes: np.ndarray) ->
 
 
 def _cone(light: Light, middle: np.ndarray, batches: Sequence[Casters]) -> tuple[np.ndarray, float]:
-    """A direction, and the angle about it that holds all splats that are lit; pi where the lamp is among them."""
+    """A direction, and the angle about it that holds all splats that are lit; pi if the light is among them."""
     direction, angle = _unit(middle - light.position), 0.0
     for batch in batches:
         for start in range(0, len(batch), CHUNK):
@@ -155,7 +155,7 @@ def _cone(light: Light, middle: np.ndarray, batches: Sequence[Casters]) -> tuple
             distance = np.maximum(np.sqrt(np.einsum("nc,nc->n", seen, seen)), np.float32(1e-30))
             cosine = seen @ direction.astype(np.float32) / distance
             angle = max(angle, float((np.arccos(np.clip(cosine, -1, 1)) + part.reach / distance).max()))
-            if angle > NARROW:
+            if angle > NARROW_ANGLE:
                 break
     if light.kind == "SPOT" and light.axis_u is None:
         lit = float(np.arccos(np.clip(light.spot_cos, -1, 1)))
@@ -168,7 +168,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
 
 
-def rotation(direction: np.ndarray) -> np.ndarray:
+def rotation_to(direction: np.ndarray) -> np.ndarray:
     """(3, 3) float64 rotation whose first row is `direction`."""
     first = _unit(np.asarray(direction, float))
     if not first.any():
@@ -177,8 +177,8 @@ def rotation(direction: np.ndarray) -> np.ndarray:
     return np.stack([first, second, np.cross(first, second)])
 
 
-def lit_part(light: Light, batch: Casters) -> Casters:
-    """Without the casters that a spot or area lamp does not shine at."""
+def lit_casters(light: Light, batch: Casters) -> Casters:
+    """The casters of a batch that a spot or area light shines on; all of them for other lights."""
     if light.kind not in ("SPOT", "AREA"):
         return batch
     seen = batch.position + (batch.origin - light.position).astype(np.float32)
@@ -197,7 +197,7 @@ def lit_part(light: Light, batch: Casters) -> Casters:
 
 
 def directions(frame: Frame, latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unit vectors (N, 3) away from the lamp, along growing latitude and along growing longitude; local."""
+    """Unit vectors (N, 3) away from the light, along growing latitude and along growing longitude; local."""
     if frame.parallel:
         shape = (len(latitude), 3)
         return tuple(np.broadcast_to(np.eye(3, dtype=latitude.dtype)[k], shape) for k in (2, 1, 0))  # type: ignore[return-value]
@@ -219,18 +219,18 @@ def plane_distance(
         slope = slopes(normal)
         return distance - slope[0] * to_cell[0] - slope[1] * to_cell[1]
     facing, there = np.einsum("nc,nc->n", normal, ray), np.einsum("nc,nc->n", normal, middle)
-    least = STEEPEST * np.sqrt(np.einsum("nc,nc->n", normal, normal))
+    least = LEAST_COSINE * np.sqrt(np.einsum("nc,nc->n", normal, normal))
     # A plane that turns its other side to the cell never meets it.
     there = np.where((there > 0) == (facing > 0), there, facing)
-    return distance * (at_least(facing, least) / at_least(there, least))
+    return distance * (clamp_magnitude(facing, least) / clamp_magnitude(there, least))
 
 
 def slopes(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How much nearer to a sun (N,) planes with a local normal (N, 3) come along x and along y."""
-    facing = at_least(normal[:, 2], STEEPEST * np.sqrt(np.einsum("nc,nc->n", normal, normal)))
+    """Slopes (N,) along x and along y, towards a sun, of planes with local normals (N, 3)."""
+    facing = clamp_magnitude(normal[:, 2], LEAST_COSINE * np.sqrt(np.einsum("nc,nc->n", normal, normal)))
     return normal[:, 0] / facing, normal[:, 1] / facing
 
 
-def at_least(value: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """With its sign, and not nearer to 0 than `least`; never 0."""
+def clamp_magnitude(value: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """Values with their sign whose magnitude is at least `least`, and never 0."""
     return np.copysign(np.maximum(np.maximum(np.abs(value), least), np.float32(1e-30)), value)

@@ -19,17 +19,19 @@ from ..surface.samples import Samples
 from ..surface.sampling import choose_method, sample_mesh
 from ..surface.spacing import limit_spacing
 from ..surface.triangles import Measures, measure_triangles, used_vertices
-from .casters import typical
+from .casters import typical_radius
 
-MANY = 1 << 17  # triangles: of fewer, samples cost little
-DENSE = 3.0  # spacings: longest edge of triangles whose vertices serve, though finer samples would be somewhat sharper
-PLACES = 4096  # that stand for a mesh
+FEW_TRIANGLES = 1 << 17  # triangles: of fewer, samples cost little
+DENSE_EDGE = (
+    3.0  # spacings: longest edge of triangles whose vertices serve, though finer samples would be somewhat sharper
+)
+SURFACE_POINTS = 4096  # that stand for a mesh
 # Additive recurrence in two dimensions (Roberts 2018).
 PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
+class MeshExtents:
     """What one look at all triangles of a mesh tells."""
 
     valid: np.ndarray  # (T,) bool, see validate; the rest counts valid triangles alone
@@ -48,7 +50,7 @@ class Outline:
         return float(self.area.sum())
 
 
-def outline(mesh: Mesh, valid: np.ndarray) -> Outline:
+def mesh_extents(mesh: Mesh, valid: np.ndarray) -> MeshExtents:
     """The outline of a mesh; `valid` (T,) bool is what validate returned."""
     rows = np.flatnonzero(valid)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -62,23 +64,23 @@ def outline(mesh: Mesh, valid: np.ndarray) -> Outline:
         normal = cross(edges[0], edges[2])
         area[some] = np.sqrt(dot(normal, normal)) / 2
         longest[some] = np.sqrt(np.maximum(np.maximum(*(dot(e, e) for e in edges[:2])), dot(edges[2], edges[2])))
-    return Outline(valid, low, high, area, longest)
+    return MeshExtents(valid, low, high, area, longest)
 
 
-def places(mesh: Mesh, outline: Outline) -> np.ndarray:
+def surface_points(mesh: Mesh, outline: MeshExtents) -> np.ndarray:
     """(PLACES, 3) float64, object space, spread evenly over a mesh; one in the origin where it has no triangle."""
     ends = np.cumsum(outline.area)
     if len(ends) == 0 or ends[-1] == 0:
         return np.zeros((1, 3))
-    triangle = np.searchsorted(ends, (np.arange(PLACES) + 0.5) / PLACES * ends[-1])
+    triangle = np.searchsorted(ends, (np.arange(SURFACE_POINTS) + 0.5) / SURFACE_POINTS * ends[-1])
     corners = mesh.position[mesh.triangles[np.minimum(triangle, len(ends) - 1)]].astype(np.float64)
-    weights = (0.5 + np.arange(PLACES)[:, None] * PLASTIC) % 1
+    weights = (0.5 + np.arange(SURFACE_POINTS)[:, None] * PLASTIC) % 1
     # The unit square, folded over its diagonal.
     weights = np.where(weights.sum(axis=1, keepdims=True) > 1, 1 - weights, weights)
     return corners[:, 0] + np.einsum("nk,nkc->nc", weights, corners[:, 1:] - corners[:, :1])
 
 
-def leaves(mesh: Mesh, outline: Outline) -> bool:
+def mesh_is_foliage(mesh: Mesh, outline: MeshExtents) -> bool:
     """Whether a mesh is of leaves or blades: of triangles with open edges."""
     count = np.count_nonzero(outline.valid)
     return bool(len(mesh.position) >= FOLIAGE_VERTICES * count) and is_foliage(
@@ -86,7 +88,7 @@ def leaves(mesh: Mesh, outline: Outline) -> bool:
     )
 
 
-def _fitted(evaluated: Evaluated, samples: Samples, area: np.ndarray) -> Evaluated:
+def _fit_disks_to_area(evaluated: Evaluated, samples: Samples, area: np.ndarray) -> Evaluated:
     """The disks of each triangle with its `area` (T,) in all.
 
     They would else reach over the edges of leaves, which close no surface, and hide more than the leaves do.
@@ -99,8 +101,8 @@ def _fitted(evaluated: Evaluated, samples: Samples, area: np.ndarray) -> Evaluat
     return replace(evaluated, radii=radii * np.sqrt(share).astype(np.float32).take(samples.triangle)[:, None])
 
 
-def sampled(
-    mesh: Mesh, outline: Outline, spacing: float, table: MaterialTable, leafy: bool | None = None
+def caster_clouds(
+    mesh: Mesh, outline: MeshExtents, spacing: float, table: MaterialTable, leafy: bool | None = None
 ) -> list[PointCloud]:
     """The splats of a mesh for tables that tell `spacing` (object units) apart. `leafy`: what `leaves` says of it,
     where it is at hand.
@@ -108,23 +110,23 @@ def sampled(
     Where triangles are many and small, their vertices are taken: half as many splats, no wider than samples may be.
     """
     valid = outline.valid
-    if not _turned(mesh, table):
+    if not _needs_normals(mesh, table):
         mesh = replace(mesh, vertex_normal=None, corner_normal=None)  # splats cast by their planes alone
-    if leaves(mesh, outline) if leafy is None else leafy:
+    if mesh_is_foliage(mesh, outline) if leafy is None else leafy:
         # As fine as most of them: they are seen one by one where tables tell them apart, for half as many samples more.
         finest = max(float(np.median(outline.longest[valid])), np.sqrt(2 * outline.size / np.count_nonzero(valid)))
         measures = measure_triangles(mesh, valid)
         spacing = limit_spacing(mesh, min(spacing, finest), ok=valid, measures=measures)
         return [_splats(mesh, "AREA", valid, spacing, table, outline.area, measures)]
-    dense = valid & (outline.longest <= DENSE * spacing)
+    dense = valid & (outline.longest <= DENSE_EDGE * spacing)
     # A vertex of a translucent mesh stands for all the triangles around it.
-    if np.count_nonzero(dense) < MANY or (passing(mesh, table) is not None and not dense[valid].all()):
+    if np.count_nonzero(dense) < FEW_TRIANGLES or (passing(mesh, table) is not None and not dense[valid].all()):
         spacing = limit_spacing(mesh, spacing, ok=valid)
         return [_splats(mesh, choose_method(mesh, spacing, valid), valid, spacing, table)]
     if np.count_nonzero(used_vertices(mesh, dense)) <= np.count_nonzero(dense):
         found = _splats(mesh, "VERTICES", dense, spacing, table)
         assert found.radii is not None
-        if typical(found.radii[:, 0]) <= typical(outline.longest[dense]) / np.sqrt(3):
+        if typical_radius(found.radii[:, 0]) <= typical_radius(outline.longest[dense]) / np.sqrt(3):
             rest = valid & ~dense
             if not rest.any():
                 return [found]
@@ -133,7 +135,7 @@ def sampled(
     return [_splats(mesh, "AREA", valid, limit_spacing(mesh, spacing, ok=valid), table)]
 
 
-def _turned(mesh: Mesh, table: MaterialTable) -> bool:
+def _needs_normals(mesh: Mesh, table: MaterialTable) -> bool:
     """Whether what some material lets through depends on its normals."""
     return any(wanted.normal or wanted.tangent for wanted in map(needs, graphs_of(mesh, table).values()))
 
@@ -152,5 +154,5 @@ def _splats(
     samples = sample_mesh(mesh, spacing, method, rows, measures)
     evaluated = evaluate(mesh, samples, mesh_centre(mesh), rows)
     if area is not None and passing(mesh, table) is None:
-        evaluated = _fitted(evaluated, samples, area)  # before what is cut out is gone
+        evaluated = _fit_disks_to_area(evaluated, samples, area)  # before what is cut out is gone
     return finite(point_cloud(mesh, samples, evaluated, table))[0]

@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Splats: their kernels, what they stand for and hide, their ellipsoids, and how a lens blurs them."""

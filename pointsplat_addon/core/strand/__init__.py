@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Strands: curves evaluated to polylines, cleaned polylines with levels of detail, and the segments that a view draws."""

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Strands without the points that cannot be drawn, with unit tangents and sides at those that remain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Points on Catmull-Rom, poly, Bezier and NURBS curves, at Blender's parameters, as weighted sums of control points."""
 
 from __future__ import annotations
 

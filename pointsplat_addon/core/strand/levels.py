@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Cleaned strands with levels of detail: each level leaves out every other of the inner points that are left."""
 
 from __future__ import annotations
 

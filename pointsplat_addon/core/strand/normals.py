@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Tangents and normals of evaluated curves, as Blender defines them: minimum twist, Z up or given, turned by a tilt."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Knots and basis functions of Blender's NURBS curves (Piegl and Tiller 1997)."""
 
 from __future__ import annotations
 

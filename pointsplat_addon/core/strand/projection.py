@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Points of strands as one view sees them: pixel positions, widths, areas, and which segments may be visible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The segments of strands that a view draws, and in which samples of a picture each of the thin ones is drawn."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Participating media as splats: voxels, their optics, transfer functions and normals."""

@@ -19,7 +19,7 @@ from ...core.scene.materials import MaterialTable
 from ...core.scene.volume import Medium, Volume
 from ...core.splat.kernel import PROFILES
 from ...core.surface.appearance import CLIP, ball_extinction
-from ...core.volume.voxels import optics
+from ...core.volume.optics import voxel_optics
 from . import arrays
 from .mesh import COLOR_TYPES, as_color
 
@@ -155,7 +155,7 @@ def _filled(cloud: PointCloud, points: Points, material: CloudMaterial) -> Point
         medium = replace(medium, density_grid="")
     # Points are voxels without places: what is read of them does not depend on where they are.
     voxels = Volume("", "", np.empty((len(cloud), 0), np.int32), np.eye(4), points.grids)
-    found, _ = optics(voxels, medium, material.extinction)
+    found, _ = voxel_optics(voxels, medium, material.extinction)
     return replace(cloud, normal=None, color=found.albedo, emission=found.emission, extinction=found.extinction)
 
 

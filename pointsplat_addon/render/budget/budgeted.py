@@ -1,7 +1,6 @@
-"""What a picture may cost: a time to keep, or an error to stay below (docs/notes/budgets.md).
+"""Draws a picture within a budget: a time to keep, or an error to stay below (docs/notes/budgets.md).
 
-TIME chooses how many samples a picture gets, and how coarse its cut is, from what earlier pictures of the scene took:
-t(n, s) = p(s) + n q(s), with p what comes once and q what each sample takes, both linear in the splats s of the cut.
+TIME chooses how many samples a picture gets, and how coarse its cut is, from what earlier pictures of the scene took.
 ERROR measures how far the mean of all samples still moves, and how far another cut lies from this one.
 """
 
@@ -26,7 +25,7 @@ RATIOS = (2.0, 4.0)  # of a tolerance to the finer one that it is compared with
 TILES_PART = 0.25  # of the error budget: difference at which tiles end
 
 
-def kept(
+def render_within_budget(
     renderer: SampleRenderer,
     scene: Scene,
     request: Request,
@@ -36,7 +35,7 @@ def kept(
 ) -> Result:
     """A picture within its budget. Its report tells the "estimate": the error "rmse" and the "seconds" that it took."""
     began = clock()
-    keep = in_time if request.settings.budget == "TIME" else below_error
+    keep = render_in_time if request.settings.budget == "TIME" else render_below_error
     result, rmse = keep(renderer, scene, request, progress, cancelled, clock)
     if not result.report:
         return result
@@ -45,7 +44,7 @@ def kept(
     return replace(result, report={**result.report, "seconds": seconds, "estimate": estimate})
 
 
-def in_time(
+def render_in_time(
     renderer: SampleRenderer,
     scene: Scene,
     request: Request,
@@ -70,7 +69,7 @@ def _chosen(request: Request, choice: Choice, most: int) -> Request:
     return replace(request, settings=settings, samples=samples, coarse=choice.coarse)
 
 
-def below_error(
+def render_below_error(
     renderer: SampleRenderer,
     scene: Scene,
     request: Request,

@@ -1,11 +1,11 @@
-"""TODO: say what this module is."""
+"""Estimates the error of a picture from how far the mean of its samples still moves (docs/notes/budgets.md)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..frame.frame import Frame
-from ..frame.sample_positions import checkpoint
+from ..frame.sample_positions import is_checkpoint
 
 MOST_OF_ALL = 0.6  # of all samples, of which the mean is compared with that of all
 EVENLY = 0.7  # of the error of independent samples: these are spread evenly
@@ -29,7 +29,7 @@ class Errors:
     def look(self, frame: Frame) -> bool:
         """After a sample; True where there is a new estimate."""
         n = frame.done
-        if not checkpoint(n) and not frame.complete:
+        if not is_checkpoint(n) and not frame.complete:
             return False
         mean = frame.mean()
         earlier = [(m, picture) for m, picture in self._means if m <= MOST_OF_ALL * n]
@@ -39,8 +39,8 @@ class Errors:
             fresh = np.broadcast_to(np.asarray(counts) > self._counted, (*mean.shape[:2], 1))[..., 0]
             squares = ((mean - before)[..., :3].astype(np.float64) ** 2).mean(axis=-1) * (m / (n - m))
             self._squares = squares if self._squares is None else np.where(fresh, squares, self._squares)
-            self._counted, self._unseen = counts, unseen(mean, counts, frame.in_focus())
-        if checkpoint(n):
+            self._counted, self._unseen = counts, missed_edge_error(mean, counts, frame.in_focus())
+        if is_checkpoint(n):
             self._means = [*self._means[-2:], (n, mean)]
         return bool(earlier)
 
@@ -57,7 +57,7 @@ class Errors:
         return float(np.sqrt(self.squares.mean()))
 
 
-def unseen(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.ndarray | None = None) -> np.ndarray:
+def missed_edge_error(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.ndarray | None = None) -> np.ndarray:
     """(H, W) squared error of what no sample has met in pixels of a picture (H, W, 3 or more) that had so many each.
 
     An edge beside a pixel may reach into its filter where none of its samples lies. What it covers of it then was
@@ -79,6 +79,6 @@ def unseen(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.ndarray | N
     return steps * share**2
 
 
-def distance(a: np.ndarray, b: np.ndarray) -> float:
+def rms_difference(a: np.ndarray, b: np.ndarray) -> float:
     """Root mean square difference of two pictures (H, W, 3 or more) over pixels and colours."""
     return float(np.sqrt(np.nan_to_num((a - b)[..., :3].astype(np.float64) ** 2).mean()))

@@ -1,4 +1,8 @@
-"""TODO: say what this module is."""
+"""Chooses samples and tolerance so that pictures take a given time (docs/notes/budgets.md).
+
+The time of a picture is modelled as t(n, s) = p(s) + n q(s), with p what comes once and q what each of n samples takes,
+both linear in the splats s of the cut; both are fitted to the latest pictures of the scene.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Budgets in a viewport: pictures while the view moves, and one that is refined while it stands still."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Decides after each sample of a picture whether it has enough: for a budget of time, or one of error."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ..frame.frame import Frame
-from ..frame.sample_positions import checkpoint
-from .error import Errors, distance
+from ..frame.sample_positions import is_checkpoint
+from .error import Errors, rms_difference
 
 EARLY = 5  # samples by which two cuts are compared: with fewer, edges that are not averaged differ more than the cuts
 BLENDED = 9  # least samples where translucent splats are drawn: all pixels of one agree in how shadows are met
@@ -85,10 +85,10 @@ class BelowError(Watch):
         self._least = BLENDED if frame.blends else EARLY
         if frame.done == EARLY:
             ratio, mean = self._finer(frame)
-            self.cut_error = LEFT.get(ratio, 1.0) * distance(mean, frame.mean())
+            self.cut_error = LEFT.get(ratio, 1.0) * rms_difference(mean, frame.mean())
             self.too_coarse = ratio > 1 and self.cut_error > CUT_PART * self._limit
         found = super().enough(frame)
-        if checkpoint(frame.done) and not found:
+        if is_checkpoint(frame.done) and not found:
             frame.hold(self.errors.squares, HELD_PART * self._limit)
         return found
 

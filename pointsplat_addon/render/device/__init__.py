@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""The protocol that every device offers, checks of what is asked of it, and numbers packed as shaders read them."""

@@ -152,7 +152,7 @@ S = TypeVar("S")
 
 
 @contextlib.contextmanager
-def undone(device: Device) -> Iterator[None]:
+def released_on_failure(device: Device) -> Iterator[None]:
     """Where what it encloses fails, all that this had put on the device is released: nobody else knows of it yet."""
     before = set(device.alive)
     try:
@@ -163,12 +163,12 @@ def undone(device: Device) -> Iterator[None]:
         raise
 
 
-def whole(init: Callable[Concatenate[S, Device, P], None]) -> Callable[Concatenate[S, Device, P], None]:
+def releases_on_failure(init: Callable[Concatenate[S, Device, P], None]) -> Callable[Concatenate[S, Device, P], None]:
     """A constructor (self, device, ...) that leaves nothing on the device where it fails, as where memory is full."""
 
     @functools.wraps(init)
     def made(self: S, device: Device, *args: P.args, **named: P.kwargs) -> None:
-        with undone(device):
+        with released_on_failure(device):
             init(self, device, *args, **named)
 
     return made
@@ -226,7 +226,7 @@ def check_call(
         raise DeviceError(f"{name}: a texture is both read and drawn into")
 
 
-def half(data: np.ndarray) -> np.ndarray:
+def to_half(data: np.ndarray) -> np.ndarray:
     """`data` as float16, to the nearest; what is too large, infinities too, becomes the largest number there is, and
     what is no number 0: light that is too bright for a texture stays bright, where infinities would be drawn black."""
     with np.errstate(over="ignore"):

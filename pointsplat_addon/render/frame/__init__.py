@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""One image: its samples drawn, averaged, presented and read back."""

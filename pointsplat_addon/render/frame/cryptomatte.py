@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Cryptomatte: ranked coverage of identities from samples."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from ..plan.request import Request
 from .cryptomatte import cryptomatte
 
 
-class Data:
+class DataPasses:
     """What the pass `data` has left of one picture."""
 
     def __init__(self, scene: Scene, request: Request) -> None:

@@ -18,6 +18,7 @@ from ..passes.defocus.tile_lists import tile_lists
 from ..passes.output.adaptive import Adaptive
 from ..passes.translucent.light import light_program
 from ..passes.translucent.lit_splats import LitSplats
+from ..passes.uniforms import SampleView
 from ..plan.plan import Plan
 from .targets import Targets
 from .uploads import Uploads
@@ -28,7 +29,7 @@ def in_focus(camera: Camera, plan: Plan, largest: float) -> tuple[float, float]:
     radius of splats in pixels."""
     blur = defocus_blur(camera)
     assert blur is not None
-    near, far = blur.depths(OUT_OF_FOCUS)
+    near, far = blur.depth_range(OUT_OF_FOCUS)
     if plan.points and plan.ewa is None:
         reach = (NEIGHBOUR_EXTENT - 1) * largest / abs(camera.pixel_from_view()[0])
         near -= reach * (near if camera.perspective else 1.0)
@@ -57,18 +58,23 @@ class OutOfFocus:
         program = light_program(plan.translucent, plan.lighting, plan.materials)
         self.lit = LitSplats(device, plan.translucent, program, uploads.listed)
 
-    def gather(self, done: int, record: np.ndarray, behind: dict[str, Texture], adaptive: Adaptive | None) -> None:
-        """The picture after `done` samples of what is in focus. `record`: of rays through pixels' centres; it is
-        written to. `behind`: the world out of focus, by sampler name. `adaptive`: where pixels differ in how many
+    def gather(
+        self,
+        done: int,
+        view: SampleView,
+        behind: dict[str, Texture],
+        backdrop_texels: tuple[float, float] | None,
+        adaptive: Adaptive | None,
+    ) -> None:
+        """The picture after `done` samples of what is in focus. `view`: of rays through pixels' centres. `behind`: the world out of focus, by sampler name. `adaptive`: where pixels differ in how many
         samples they have."""
         if self.gathered == done or (self.gathered and not self.plan.solid):
             return
         self.gathered = done
         assert self.plan.translucent is not None
-        record["mist"][0, 3] = 1 / done
         if self.tiles is None:
-            self._run("light", lambda: self._light(record.copy()))
-            self._run("tiles", lambda: self._list(record))
+            self._run("light", lambda: self._light(view))
+            self._run("tiles", lambda: self._list(view))
         tiles = self.tiles
         assert tiles is not None
         program = defocus_program(
@@ -79,18 +85,19 @@ class OutOfFocus:
         textures = {**self.uploads.shading, **behind, **sharp}
         if adaptive is not None:
             textures["ps_counts"] = adaptive.known
+        record = view.record_of(program.block, sample_weight=1 / done, backdrop_texels=backdrop_texels)
         self._run("defocus", lambda: tiles.draw(program, self.targets.seen_target, record, self.lit.textures, textures))
 
-    def _light(self, record: np.ndarray) -> None:
-        self.lit.light(record, {**self.uploads.splats, **self.uploads.shading})
+    def _light(self, view: SampleView) -> None:
+        self.lit.light(view, len(self.uploads.scene.lights), {**self.uploads.splats, **self.uploads.shading})
 
-    def _list(self, record: np.ndarray) -> None:
+    def _list(self, view: SampleView) -> None:
         """By the tiles of the picture."""
         lit = self.lit
         place, shape = (
-            self.device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_place", "ps_shape")
+            self.device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_centre", "ps_shape")
         )
-        focal = record["focal"][0].astype(np.float64)
+        focal = np.array([*view.camera.pixel_from_view()[:2], *view.principal_point], np.float32).astype(np.float64)
         self.tiles = Defocus(self.device, tile_lists(place, shape, focal, self.targets.seen.size))
 
     def release(self) -> None:

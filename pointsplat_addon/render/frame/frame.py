@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ...core.lens.backdrop import grid_of
+from ...core.lens.backdrop import backdrop_grid
 from ...core.scene.scene import Scene
-from ...core.splat.blur import defocus_blur
 from ...core.strand.segments import sample_offsets
 from ...shading.interface import Interface
 from ..device.clock import Clock
@@ -21,17 +21,17 @@ from ..passes.outputs import BY_KEY, CRYPTO, empty_pixels
 from ..passes.shading import averages, background, data, shade
 from ..passes.shading.backdrop import Backdrop
 from ..passes.tiles import EVERYWHERE
-from ..passes.uniforms import frame_record
+from ..passes.uniforms import SampleView, view_of
 from ..plan.frame_plan import make_shot
 from ..plan.request import Request
-from .data import Data
+from .data import DataPasses
 from .defocus import OutOfFocus, in_focus
 from .lens_samples import LensSamples
 from .resources import FrameResources
-from .sample_positions import checkpoint, offsets
+from .sample_positions import is_checkpoint, offsets
 from .surfels import Surfels
 from .targets import Targets
-from .translucent import Translucent, lighting
+from .translucent import Translucent, lighting_of_sample
 from .uploads import Uploads
 
 
@@ -67,7 +67,7 @@ class Frame:
         self.translucent: Translucent | None = None
         self.out_of_focus: OutOfFocus | None = None
         self._turns = sample_offsets(self.shot.request.samples)
-        self._data = Data(self.shot.scene, self.shot.request)
+        self._data = DataPasses(self.shot.scene, self.shot.request)
         self._owned: list[Any] = []
         self._lent: tuple[tuple, Targets] | None = None
         try:
@@ -102,7 +102,7 @@ class Frame:
         )
         self.clock.spent |= self.uploads.spent
         if plan.backdrop:
-            self.backdrop = self._own(Backdrop(device, grid_of(shot.view, device.limits.texture_size)))
+            self.backdrop = self._own(Backdrop(device, backdrop_grid(shot.view, device.limits.texture_size)))
         count = levels(shot.prepared.largest, shot.view.resolution)
         self._lent = self.renderer.pool.borrow(plan, request.passes, shot.view.window[2:], count)
         self.targets = self._lent[1]
@@ -110,7 +110,7 @@ class Frame:
             device.clear(self.targets.sum_target)
         if not shot.everywhere:
             shown = self.presented and not plan.defocus and self.targets.surfels is not None
-            place = _bound(self.targets.surfels).get("ps_place") if shown else None
+            place = _bound(self.targets.surfels).get("ps_centre") if shown else None
             threshold = request.settings.adaptive_threshold
             gather = 2 << count  # two pixels of the coarsest level on either side
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, place))
@@ -152,7 +152,7 @@ class Frame:
         if self.adaptive is not None and self.done < self.shot.request.samples:
             adaptive = self.adaptive
             self.clock.run("adapt", lambda: self._adapt(adaptive))
-        if self.presented and (self.complete or checkpoint(self.done)) and not self.hurried:
+        if self.presented and (self.complete or is_checkpoint(self.done)) and not self.hurried:
             self._gather()
         return not self.complete
 
@@ -172,24 +172,25 @@ class Frame:
         plan = self.shot.plan
         if self.lens is not None:
             self.view = self.lens.view(self.done, self.uploads)
-        record = self._record(self.done)
+        view = self._sample_view(self.done)
         if plan.defocus:
-            record["lens"][0, :2] = in_focus(self.view, plan, self.shot.prepared.largest)
+            near, far = in_focus(self.view, plan, self.shot.prepared.largest)
+            view = replace(view, near=near, far=far)
         if first and self.backdrop is not None:
             self.clock.run("backdrop", self._draw_backdrop)
-        self._draw_surfels(record, first)
+        self._draw_surfels(view, first)
         if self.translucent is not None:
             self.device.clear(self.targets.layer_target)
         if self.targets.surfels is not None and plan.shades:
-            self.clock.run("shade", lambda: self._shade(record))
+            self.clock.run("shade", lambda: self._shade(view))
         if plan.background and plan.shades:
-            self.clock.run("background", lambda: self._draw_background(record))
+            self.clock.run("background", lambda: self._draw_background(view))
         if self.translucent is not None:
-            self._draw_translucent(self.translucent, record.copy(), first)
+            self._draw_translucent(self.translucent, view, first)
         if self.beside is not None:
             self.beside.sample()
 
-    def _draw_surfels(self, record: np.ndarray, first: bool) -> None:
+    def _draw_surfels(self, view: SampleView, first: bool) -> None:
         """What is opaque into G-buffers, and of these the passes that no light changes."""
         plan, uploads, run = self.shot.plan, self.uploads, self.clock.run
         surfels, data_surfels = self.targets.surfels, self.targets.data_surfels
@@ -198,42 +199,33 @@ class Frame:
             lines.list_thin(float(self._turns[self.done]))
         beside = first or self._data.every_sample or bool(self.averages)
         if projection is not None and (beside or not plan.painter):
-            run("project", lambda: projection.run(uploads.draws, record.copy(), uploads.shared))
+            run("project", lambda: projection.run(uploads.draws, view, uploads.shared))
         if surfels is not None:
             region = self.adaptive.gathered if self.adaptive else EVERYWHERE
-            surfels.draw(uploads, None if plan.painter else projection, record, run, region)
+            surfels.draw(uploads, None if plan.painter else projection, view, run, region)
         if beside and data_surfels is not None and data_surfels is not surfels:
-            data_surfels.draw(uploads, projection, record, run)
+            data_surfels.draw(uploads, projection, view, run)
         if self.lens is not None and first and self.presented and data_surfels is not None:
-            self.lens.keep(data_surfels.buffer.textures["place"], record)
+            self.lens.keep(data_surfels.buffer.textures["centre"])
         if plan.data and (first or self._data.every_sample):
-            run("data", lambda: self._draw_data(record))
+            run("data", lambda: self._draw_data(view))
             self._data.read(self.targets.data, self._cropped, first)
         if self.averages:
-            run("averages", lambda: self._average(record))
+            run("averages", lambda: self._average(view))
 
-    def _record(self, index: int) -> np.ndarray:
-        """The uniform block of one sample."""
-        scene, samples, plan = self.shot.scene, self.shot.request.samples, self.shot.plan
-        camera, mist = self.view, scene.mist
+    def _sample_view(self, index: int) -> SampleView:
+        """The view of one sample."""
+        samples = self.shot.request.samples
         x, y = offsets(samples)[index] if samples > 1 else (0.0, 0.0)
-        record = frame_record(camera, (float(x), float(y)))
-        record["mist"][0] = mist.start, 1 / max(mist.depth, 1e-6), shade.MIST_EXPONENT[mist.falloff], 0.0
-        record["page"][0, 3] = len(scene.lights)
-        if self.backdrop is not None:
-            record["previous"][0, :2] = self.backdrop.texels
-        if plan.defocus:
-            blur, aperture = defocus_blur(camera), camera.aperture
-            assert blur is not None
-            assert aperture is not None
-            record["focus"][0] = blur.scale, 1 / blur.focus, 0.0, 1 / aperture.ratio
-        return record
+        return view_of(self.view, (float(x), float(y)), index)
 
-    def _centred(self) -> np.ndarray:
-        """The same for rays through pixels' centres."""
-        record = self._record(0)
-        record["focal"][0] = self.view.pixel_from_view()
-        return record
+    def _centred(self) -> SampleView:
+        """The view of rays through pixels' centres."""
+        return view_of(self.view)
+
+    @property
+    def _backdrop_texels(self) -> tuple[float, float] | None:
+        return None if self.backdrop is None else self.backdrop.texels
 
     @property
     def _behind(self) -> dict[str, Texture]:
@@ -245,56 +237,63 @@ class Frame:
         assert self.uploads.levels is not None
         self.backdrop.draw(self._centred(), {**self.uploads.shading, "ps_levels": self.uploads.levels})
 
-    def _draw_data(self, record: np.ndarray) -> None:
-        shot, record = self.shot, record.copy()
-        x0, y0, _, _ = self.view.window
-        record["previous"][0] = *self.view.resolution, x0, y0
+    def _draw_data(self, view: SampleView) -> None:
+        shot = self.shot
         textures = _bound(self.targets.data_surfels)
         if self.uploads.previous is not None:
             textures["ps_previous"] = self.uploads.previous
         program = data.data_program(shot.plan.data_variant, shot.request.passes)
+        record = view.record_of(program.block, resolution=self.view.resolution, corner=self.view.window[:2])
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 
-    def _average(self, record: np.ndarray) -> None:
+    def _average(self, view: SampleView) -> None:
         """Passes of what is painted that are averaged: of its G-buffer, without light."""
         textures = _bound(self.targets.data_surfels) | self.uploads.shading
         for program in self.averages:
             self.device.draw(
-                program, self.targets.averages_target, uniforms=record.copy(), textures=textures, blend=True
+                program,
+                self.targets.averages_target,
+                uniforms=self._record(program, view),
+                textures=textures,
+                blend=True,
             )
 
-    def _shade(self, record: np.ndarray) -> None:
-        record = record.copy()
-        record["size"][0, 2] = self.done
-        self._add(self.shade, record, _bound(self.targets.surfels) | self.uploads.shading)
+    def _shade(self, view: SampleView) -> None:
+        self._add(self.shade, view, _bound(self.targets.surfels) | self.uploads.shading)
 
-    def _draw_background(self, record: np.ndarray) -> None:
+    def _draw_background(self, view: SampleView) -> None:
         textures = _bound(self.targets.surfels) | self.uploads.shading | self._behind
-        self._add(self.background, record.copy(), textures)
+        self._add(self.background, view, textures)
 
-    def _add(self, program: Interface, record: np.ndarray, textures: dict[str, Texture]) -> None:
+    def _add(self, program: Interface, view: SampleView, textures: dict[str, Texture]) -> None:
         region = self.adaptive.shown if self.adaptive else EVERYWHERE
+        record = self._record(program, view)
         region.draw(self.device, program, self.targets.shade_target, uniforms=record, textures=textures, blend=True)
 
-    def _draw_translucent(self, translucent: Translucent, record: np.ndarray, first: bool) -> None:
+    def _record(self, program: Interface, view: SampleView) -> np.ndarray:
+        """The uniforms of a program that shades or draws the background."""
+        values = shade.shade_values(self.shot.scene)
+        return view.record_of(program.block, backdrop_texels=self._backdrop_texels, **values)
+
+    def _draw_translucent(self, translucent: Translucent, view: SampleView, first: bool) -> None:
         # Their light is the same for all samples, but for the lens, and for the shadows of wide lamps, which they blur
         # among each other.
         shadows = self.shot.shadows
-        points = lighting(self.shot.request, self.done) if shadows is not None and shadows.wide else 0
+        points = lighting_of_sample(self.shot.request, self.done) if shadows is not None and shadows.wide else 0
         if first or points != translucent.lit_by or self.lens is not None:
             translucent.light(points, self._centred())
-        translucent.draw(record, _bound(self.targets.surfels), coarse=first and self.shot.plan.coarse)
+        translucent.draw(view, _bound(self.targets.surfels), coarse=first and self.shot.plan.coarse)
 
     def _adapt(self, adaptive: Adaptive) -> None:
         """Leave out what no tile needs any more."""
-        record, projection, uploads = self._record(0), self.targets.projection, self.uploads
-        if adaptive.check(self.done, record) and projection is not None and not adaptive.finished:
-            uploads.narrow(projection.within(uploads.draws, record, uploads.shared, adaptive.gathered))
+        view, projection, uploads = self._sample_view(0), self.targets.projection, self.uploads
+        if adaptive.check(self.done) and projection is not None and not adaptive.finished:
+            uploads.narrow(projection.within(uploads.draws, view, uploads.shared, adaptive.gathered))
 
     def _gather(self) -> None:
         """What is out of focus into the picture so far."""
         if self.out_of_focus is not None:
-            self.out_of_focus.gather(self.done, self._centred(), self._behind, self.adaptive)
+            self.out_of_focus.gather(self.done, self._centred(), self._behind, self._backdrop_texels, self.adaptive)
 
     # Between samples
 
@@ -333,19 +332,16 @@ class Frame:
             self._present_constant()
             return
         camera = self.shot.request.camera
-        m = camera.clip_from_view
-        record = self._record(0)
-        record["size"][0, :2] = camera.window[2:]
-        record["page"][0, :2] = self.shot.corner
-        record["mist"][0, 3] = 1.0 if self.out_of_focus is not None else 1 / max(self.done, 1)
-        record["previous"][0] = m[2, 2], m[2, 3], m[3, 2], m[3, 3]
+        weight = 1.0 if self.out_of_focus is not None else 1 / max(self.done, 1)
         textures = {"ps_combined": self.color}
         adaptive = self.adaptive if self.out_of_focus is None else None
         if adaptive is not None:
             textures["ps_counts"] = adaptive.known
         if (place := self._place) is not None:
-            textures["ps_place"] = place
+            textures["ps_centre"] = place
         program = present.present_program(place is not None, adaptive is not None)
+        _, _, width, height = camera.window
+        record = present.present_record(place is not None, camera, (width, height), self.shot.corner, weight)
         self.device.draw(program, None, uniforms=record, textures=textures)
 
     @property
@@ -356,14 +352,12 @@ class Frame:
         if self.adaptive is not None and self.out_of_focus is None:
             return self.adaptive.place
         drawn = self if self.beside is None or self.beside.shot.trivial else self.beside
-        return _bound(drawn.targets.data_surfels).get("ps_place")
+        return _bound(drawn.targets.data_surfels).get("ps_centre")
 
     def _present_constant(self) -> None:
         """A world of one colour needs no picture: one texel does."""
         texel = self.device.texture((1, 1), "RGBA32F", self.shot.constant.astype(np.float32))
-        record = self._record(0)
-        record["mist"][0, 3] = 1.0
-        record["size"][0, :2] = 1, 1
+        record = present.present_record(False, self.shot.request.camera, (1, 1), (0, 0), 1.0)
         program = present.present_program(False)
         self.device.draw(program, None, uniforms=record, textures={"ps_combined": texel})
         texel.release()

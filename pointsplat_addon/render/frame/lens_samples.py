@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.lens.thin_lens import lens_points, through
+from ...core.lens.thin_lens import camera_through, lens_points
 from ...core.scene.camera import Camera
 from ..device.protocol import Device, Texture
 from ..passes.output.adaptive import KEEP
@@ -30,17 +30,17 @@ class LensSamples:
 
     def view(self, sample: int, uploads: Uploads) -> Camera:
         """The camera of a sample, for which `uploads` are moved."""
-        seen = through(self.camera, self.points[sample])
+        seen = camera_through(self.camera, self.points[sample])
         if sample:
             still = replace(self.camera, view_from_world=np.eye(4))
-            uploads.move(through(still, self.points[sample]).view_from_world, seen)
+            uploads.move(camera_through(still, self.points[sample]).view_from_world, seen)
         return seen
 
-    def keep(self, place: Texture, record: np.ndarray) -> None:
+    def keep(self, place: Texture) -> None:
         """Remember the depths that the middle of the lens sees: what else is drawn in a viewport is hidden by them."""
         self.place = self.device.texture(place.size, "RGBA32F")
         self._target = self.device.target([self.place])
-        self.device.draw(KEEP, self._target, uniforms=record.copy(), textures={"ps_combined": place})
+        self.device.draw(KEEP, self._target, textures={"ps_combined": place})
 
     def release(self) -> None:
         if self.place is not None:

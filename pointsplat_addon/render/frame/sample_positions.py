@@ -38,6 +38,6 @@ def offsets(count: int, width: float = FILTER_WIDTH) -> np.ndarray:
     return result
 
 
-def checkpoint(samples: int) -> bool:
+def is_checkpoint(samples: int) -> bool:
     """Whether a picture is looked at after so many: 1, 3, 5, 9, 17 ..., one and pairs that face each other."""
     return samples == 1 or (samples > 2 and not (samples - 1) & (samples - 2))

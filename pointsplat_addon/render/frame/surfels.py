@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from ..device.protocol import Device, Texture
 from ..passes.ewa.ewa import Ewa
 from ..passes.gbuffer import GBuffer, Variant
@@ -13,6 +11,7 @@ from ..passes.image_space.projection import Projection, programs
 from ..passes.image_space.pyramid import Pyramid
 from ..passes.image_space.resolve import resolve
 from ..passes.tiles import EVERYWHERE, Region
+from ..passes.uniforms import SampleView
 from ..passes.visibility import polygons, strands
 from ..passes.visibility import spheres as sphere_pass
 from ..plan.plan import Plan
@@ -35,7 +34,7 @@ class Surfels:
         self,
         uploads: Uploads,
         projection: Projection | None,
-        record: np.ndarray,
+        view: SampleView,
         run: Callable[[str, Callable[[], None]], None],
         region: Region = EVERYWHERE,
     ) -> None:
@@ -49,7 +48,7 @@ class Surfels:
                 self.resolve_program,
                 ids,
                 uploads.draws,
-                record.copy(),
+                view,
                 uploads.shared,
                 self.buffer,
                 region,
@@ -59,33 +58,31 @@ class Surfels:
             self.buffer.clear()
         else:
             run("resolve", lambda: resolve_points(projection.ids))
-        self._draw_solids(uploads, record, run)
+        self._draw_solids(uploads, view, run)
         if self.pyramid is not None:
             pyramid = self.pyramid
-            run("pull", lambda: pyramid.pull(record.copy(), region))
-            run("push", lambda: pyramid.push(record.copy(), region))
+            run("pull", lambda: pyramid.pull(view, region))
+            run("push", lambda: pyramid.push(view, region))
 
-    def _draw_solids(
-        self, uploads: Uploads, record: np.ndarray, run: Callable[[str, Callable[[], None]], None]
-    ) -> None:
+    def _draw_solids(self, uploads: Uploads, view: SampleView, run: Callable[[str, Callable[[], None]], None]) -> None:
         if self.plan.polygons:
-            run("polygons", lambda: self._draw_polygons(uploads, record.copy()))
+            run("polygons", lambda: self._draw_polygons(uploads, view))
         if self.plan.spheres:
-            run("spheres", lambda: self._draw_spheres(uploads, record.copy()))
+            run("spheres", lambda: self._draw_spheres(uploads, view))
 
         if self.plan.lines:
-            run("lines", lambda: self._draw_lines(uploads, record.copy()))
+            run("lines", lambda: self._draw_lines(uploads, view))
 
-    def _draw_lines(self, uploads: Uploads, record: np.ndarray) -> None:
+    def _draw_lines(self, uploads: Uploads, view: SampleView) -> None:
         assert uploads.line_instances is not None
         shared = {**uploads.shared, "ps_instances": uploads.line_instances}
-        strands.draw(self.device, self.variant, uploads.lines, record, shared, self.buffer)
+        strands.draw(self.device, self.variant, uploads.lines, view, shared, self.buffer)
 
-    def _draw_spheres(self, uploads: Uploads, record: np.ndarray) -> None:
+    def _draw_spheres(self, uploads: Uploads, view: SampleView) -> None:
         program = sphere_pass.program(self.variant, self.plan.options)
-        sphere_pass.draw(self.device, program, uploads.balls, record, uploads.shared, self.buffer)
+        sphere_pass.draw(self.device, program, uploads.balls, view, uploads.shared, self.buffer)
 
-    def _draw_polygons(self, uploads: Uploads, record: np.ndarray) -> None:
+    def _draw_polygons(self, uploads: Uploads, view: SampleView) -> None:
         instances = uploads.scene.instances
         for instance in uploads.prepared.polygons.tolist():
             polygons.draw(
@@ -95,7 +92,7 @@ class Surfels:
                 uploads.prepared.view_from_object[instance],
                 instance,
                 bool(instances.holdout is not None and instances.holdout[instance]),
-                record,
+                view,
                 uploads.shared,
                 self.buffer,
                 uploads.part_lists.get(instance),
@@ -119,7 +116,7 @@ class EwaSurfels(Surfels):
         self,
         uploads: Uploads,
         projection: Projection | None,
-        record: np.ndarray,
+        view: SampleView,
         run: Callable[[str, Callable[[], None]], None],
         region: Region = EVERYWHERE,
     ) -> None:
@@ -128,15 +125,15 @@ class EwaSurfels(Surfels):
 
         def normalise() -> None:
             self.buffer.clear()
-            ewa.normalise(record.copy(), self.buffer, region)
+            ewa.normalise(view, self.buffer, region)
 
         if ewa.draws is not uploads.draws:
-            run("splats", lambda: ewa.project(uploads.draws, record.copy(), shared))
+            run("splats", lambda: ewa.project(uploads.draws, view, shared))
         ewa.narrow(region)
-        run("visibility", lambda: ewa.see(record.copy(), shared))
-        run("blend", lambda: ewa.blend(record.copy(), shared))
+        run("visibility", lambda: ewa.see(view, shared))
+        run("blend", lambda: ewa.blend(view, shared))
         run("normalise", normalise)
-        self._draw_solids(uploads, record, run)
+        self._draw_solids(uploads, view, run)
 
     def release(self) -> None:
         super().release()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..device.protocol import Device, Target, Texture, whole
+from ..device.protocol import Device, Target, Texture, releases_on_failure
 from ..passes.image_space.projection import Projection
 from ..passes.shading import averages, data
 from ..passes.translucent.blend import COARSE
@@ -15,7 +15,7 @@ from .surfels import Surfels, make_surfels
 class Targets:
     """Everything that one sample writes, and the sums over samples."""
 
-    @whole
+    @releases_on_failure
     def __init__(self, device: Device, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
         """`count`: levels of the pyramid above the G-buffer."""
         self._owned: list[Any] = []

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-
-import numpy as np
+from dataclasses import replace
 
 from ...shading.interface import Interface
 from ..device.protocol import Device, Target, Texture
 from ..passes.translucent.blend import COARSE, ENLARGE, add_program, depth_program
 from ..passes.translucent.light import light_program
 from ..passes.translucent.lit_splats import LitSplats
+from ..passes.uniforms import SampleView
 from ..plan.plan import Plan
 from ..plan.request import Request
 from .targets import Targets
 from .uploads import Uploads
 
-RELIT = 4  # times that translucent splats are lit in one picture, where lamps are wide
+LIGHTINGS = 4  # times that translucent splats are lit in one picture, where lamps are wide
 
 
-def lighting(request: Request, sample: int) -> int:
+def lighting_of_sample(request: Request, sample: int) -> int:
     """Which points of wide lamps light translucent splats in a sample: RELIT times in a picture; where an error
     decides how many samples there are, for each pair."""
     if request.settings.budget == "ERROR":
         return (sample + 1) // 2
-    return sample // max(request.samples // RELIT, 1)
+    return sample // max(request.samples // LIGHTINGS, 1)
 
 
 class Translucent:
@@ -45,27 +45,28 @@ class Translucent:
         self.lit_by = 0  # which points of wide lamps
         program = light_program(plan.translucent, plan.lighting, plan.materials, uploads.reach_lights)
         variant = plan.variant
-        channels = variant.samplers(only=("place", "shape", "normal") if variant.normal else ("place",))
+        channels = variant.samplers(only=("centre", "shape", "normal") if variant.normal else ("centre",))
         self._add = add_program(plan.translucent)
         self._depth = depth_program(channels, variant.normal)
         self.lit = LitSplats(device, plan.translucent, program, uploads.listed, samples)
 
-    def light(self, points: int, record: np.ndarray) -> None:
-        """By these points of wide lamps. `record`: of rays through pixels' centres; it is written to."""
+    def light(self, points: int, view: SampleView) -> None:
+        """By these points of wide lamps. `view`: of rays through pixels' centres."""
         self.lit_by = points
-        record["size"][0, 2] = points
+        view = replace(view, sample=points)
         textures = {**self.uploads.splats, **self.uploads.shading}
         if self.uploads.reach_lights:
-            textures |= self.uploads.reach(points, record, self._run)
-        self._run("light", lambda: self.lit.light(record, textures))
+            textures |= self.uploads.reach(points, view, self._run)
+        self._run("light", lambda: self.lit.light(view, len(self.uploads.scene.lights), textures))
 
-    def draw(self, record: np.ndarray, surfels: dict[str, Texture], coarse: bool) -> None:
+    def draw(self, view: SampleView, surfels: dict[str, Texture], coarse: bool) -> None:
         """Blend them over what is opaque, whose G-buffer `surfels` is, and add the sample. `coarse`: in a picture of
-        fewer pixels, which is then enlarged. `record` is written to."""
+        fewer pixels, which is then enlarged."""
         targets, run, lit = self.targets, self._run, self.lit
         assert targets.layer is not None
 
         def draw(program: Interface, target: Target, textures: dict[str, Texture], mode: str = "") -> None:
+            record = None if program.block is None else view.record(program.block)
             self.device.draw(
                 program, target, uniforms=record, textures=textures, blend=mode == "blend", over=mode == "over"
             )
@@ -74,11 +75,11 @@ class Translucent:
             run("opaque depth", lambda: draw(self._depth, targets.depth_target, surfels))
         if coarse:
             self.device.clear(targets.coarse_target)
-            few = record.copy(), targets.depth, COARSE
+            few = view, targets.depth, COARSE
             run("translucent", lambda: lit.draw(targets.coarse_target, *few))
             run("enlarge", lambda: draw(ENLARGE, targets.layer_target, {"ps_coarse": targets.coarse}, "over"))
         else:
-            run("translucent", lambda: lit.draw(targets.layer_target, record.copy(), targets.depth))
+            run("translucent", lambda: lit.draw(targets.layer_target, view, targets.depth))
         layer = {"ps_layer": targets.layer, **({} if targets.cut is None else {"ps_cut": targets.cut})}
         run("add", lambda: draw(self._add, targets.combined_target, layer, "blend"))
 

@@ -34,6 +34,7 @@ from ..passes.shading import lighting, materials
 from ..passes.translucent import light as light_pass
 from ..passes.translucent import light_shares
 from ..passes.translucent.page import TranslucentPage
+from ..passes.uniforms import SampleView, Values
 from ..passes.visibility import polygon_mesh, strand_page
 from ..plan.plan import Plan
 from ..prepare.point_sets import Layer, PointSet
@@ -64,7 +65,7 @@ class Uploads:
         self._owned: list[Any] = []
         self._of_view: list[Texture] = []
         self._packed = None if shadows is None else shadows.packed
-        self._one: dict[str, Any] = {}  # the only instance of points, as uniforms
+        self._one: Values = {}  # the only instance of points, as uniforms
         self.shared: dict[str, Texture] = {}
         self.lights: Texture | None = None
         self.environment: Texture | None = None
@@ -76,7 +77,7 @@ class Uploads:
         self.meshes: dict[int, polygon_mesh.PolygonMesh] = {}
         # Of each group, by instance, where it draws only some parts.
         self.part_lists: dict[int, list[polygon_mesh.PartList | None]] = {}
-        self.lines: list[strand_page.LineDraw] = []
+        self.lines: list[strand_page.StrandDraw] = []
         self.line_instances: Texture | None = None
         self.splats: dict[str, Texture] = {}  # translucent ones, and their draw list
         self.listed = 0  # how many
@@ -94,7 +95,7 @@ class Uploads:
     def shading(self) -> dict[str, Texture]:
         """Textures that shading reads, by sampler name."""
         tables, records = self.shadows
-        return lighting.textures(
+        return lighting.bound_textures(
             materials=self.shared.get("ps_materials"), lights=self.lights, environment=self.environment,
             shadow_tables=tables, shadow_lights=records,
         )  # fmt: skip
@@ -233,7 +234,7 @@ class Uploads:
         rows = instance_rows(prepared.view_from_object, origin, instances.holdout)
         self.shared["ps_instances"] = self._for_view(rows)
 
-    def _point_draws(self, layer: Layer, uniforms: dict[str, Any]) -> list[PageDraw]:
+    def _point_draws(self, layer: Layer, transform: Values) -> list[PageDraw]:
         draws, index = [], 0
         for group in _pages(layer.point_sets, self.device.limits.texture_size):
             page = self._page(group)
@@ -243,7 +244,7 @@ class Uploads:
                 continue
             size, data = paged(rows, 4)
             texture = self._own(self.device.texture(size, "RGBA32F", data))
-            draws.append(PageDraw(page, texture, len(rows), shift, index, uniforms))
+            draws.append(PageDraw(page, texture, len(rows), shift, index, transform))
             index += len(rows) << shift
         return draws
 
@@ -276,12 +277,12 @@ class Uploads:
             key = Key(Kind.STRAND_PAGE, geometry.key, other=(variant, _fill_key(scene)))
             self.used.add(key)
 
-            def make(lines: Strands = lines, geometry: Geometry = geometry) -> strand_page.LinePage:
+            def make(lines: Strands = lines, geometry: Geometry = geometry) -> strand_page.StrandPage:
                 strands = self.store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: clean(lines))
-                return strand_page.LinePage(self.device, lines, strands, variant, scene.materials)
+                return strand_page.StrandPage(self.device, lines, strands, variant, scene.materials)
 
             page = self.kept.lookup(key, make)
-            self.lines.append(self._own(strand_page.LineDraw(self.device, page, segments, scene.instances.holdout)))
+            self.lines.append(self._own(strand_page.StrandDraw(self.device, page, segments, scene.instances.holdout)))
 
     def _draw_list(self) -> None:
         """Translucent splats, and the order in which this view draws them."""
@@ -317,14 +318,14 @@ class Uploads:
     def _unsorted(self, page: TranslucentPage, layer: Layer) -> tuple[Texture, int]:
         """The splats of a cut as they come, and how many."""
         texel, instance = listed(page, layer)
-        size, data = paged(light_pass.draw_list(texel, instance), 2)
+        size, data = paged(light_pass.draw_list_rows(texel, instance), 2)
         return self._own(self.device.texture(size, "RG32F", data)), len(texel)
 
     def _remember(self, page: TranslucentPage, key: Key, layer: Layer, world_from_object: np.ndarray) -> None:
         """What it needs to know the light that reaches each splat for all cameras: one instance for each splat."""
         shown = layer.set_of_instance[layer.set_of_instance >= 0]
         lights = len(self.scene.lights)
-        if self.shadows[0] is None or len(np.unique(shown)) < len(shown) or lights > light_pass.MOST_REACHED:
+        if self.shadows[0] is None or len(np.unique(shown)) < len(shown) or lights > light_pass.MOST_SHARED_LIGHTS:
             return
         instance = np.zeros(page.count, np.int64)
         for row in np.flatnonzero(layer.set_of_instance >= 0):
@@ -334,18 +335,17 @@ class Uploads:
         self.reach_key = (key, self._shadow_key, layer.set_of_instance.tobytes(), world_from_object.tobytes())
         self.reach_lights, self.reach_instances = lights, instance
 
-    def reach(self, tap: int, record: np.ndarray, run: Callable[[str, Callable[[], None]], None]) -> dict[str, Texture]:
+    def reach(self, tap: int, view: SampleView, run: Callable[[str, Callable[[], None]], None]) -> dict[str, Texture]:
         """How much of each light reaches the translucent splats, by sampler name; `tap`: which point of wide lamps."""
         device, options = self.device, self.plan.translucent
         assert options is not None
-        program = light_pass.reach_program(options, self.plan.lighting, self.reach_lights)
+        program = light_pass.light_shares_program(options, self.plan.lighting, self.reach_lights)
         count = len(self.reach_instances)
 
         def light(target: Target) -> None:
-            size, data = paged(light_pass.draw_list(np.arange(count), self.reach_instances), 2)
+            size, data = paged(light_pass.draw_list_rows(np.arange(count), self.reach_instances), 2)
             order = device.texture(size, "RG32F", data)
-            every = record.copy()
-            every["page"][0, 1] = count
+            every = view.record_of(program.block, count=count)
             textures = {**self.splats, **self.shading, "ps_order": order}
             try:
                 run("reach", lambda: device.draw(program, target, uniforms=every, textures=textures))
@@ -353,8 +353,8 @@ class Uploads:
                 order.release()
 
         self.used.add(self._reach_key)
-        kept: light_shares.Reach = self.kept.lookup(self._reach_key, lambda: light_shares.Reach(device))
-        return kept.textures(self.reach_key, tap, program, self.splats["ps_place"].size, light)
+        kept: light_shares.LightShares = self.kept.lookup(self._reach_key, lambda: light_shares.LightShares(device))
+        return kept.textures(self.reach_key, tap, program, self.splats["ps_position"].size, light)
 
     def _polygon_meshes(self) -> dict[int, polygon_mesh.PolygonMesh]:
         scene, plan, meshes = self.scene, self.plan, {}
@@ -442,7 +442,7 @@ class DrawList:
         texel, instance = listed(page, layer)
         index = self._order.index
         self.count = len(index)
-        size, data = paged(light_pass.draw_list(texel[index], instance[index]), 2)
+        size, data = paged(light_pass.draw_list_rows(texel[index], instance[index]), 2)
         self.release()
         self.texture = device.texture(size, "RG32F", data)
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The G-buffer: a texel of surface attributes for each pixel. Layout: shaders/lib/geometry/surfel.glsl."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Variant:
     def channels(self) -> tuple[tuple[str, str, str], ...]:
         """(name, texture format, GLSL type) of each texture."""
         found = [
-            ("place", "RGBA32F", "vec4"),
+            ("centre", "RGBA32F", "vec4"),
             ("shape", "RGBA32F" if self.wide else "RGBA16F", "vec4"),
         ]
         if self.normal:
@@ -74,7 +74,7 @@ class GBuffer:
         near_ends = [device.texture(size, "R32F")] if variant.front else []
         self.target: Target = device.target([*self.textures.values(), *near_ends], depth=depth)
         # Where place and front are zero nothing else is read.
-        self._cleared = self.target if depth else device.target([self.textures["place"], *near_ends])
+        self._cleared = self.target if depth else device.target([self.textures["centre"], *near_ends])
         self._owned: list[Target | Texture] = [self.target, *self.textures.values(), *near_ends]
         self._owned += [] if depth else [self._cleared]
         if variant.front:

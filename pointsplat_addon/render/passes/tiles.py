@@ -1,10 +1,4 @@
-"""Adaptive sampling: tiles of the picture whose samples agree get no more of them.
-
-After 5, 9, 17 ... samples each tile is asked how far the mean of its samples lies from the mean of their first half,
-in its worst pixel; where that is below the threshold the tile is done. The measure is Cycles' (difference of two
-estimates over the square root of the brightness), but both are means of a fixed sequence of sample positions: no random
-numbers, and the same picture every time.
-"""
+"""Full-screen passes over only some tiles of the picture."""
 
 from __future__ import annotations
 
@@ -13,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...shading.interface import Interface
+from ...shading.interface import Block, Interface
 from ..device.protocol import Device, Target, Texture
 
 TILE = 16  # pixels on a side
@@ -23,7 +17,14 @@ FINEST_LEVELS = 4  # coarser levels of a pyramid have pixels wider than a tile, 
 
 def tiled(program: Interface) -> Interface:
     """The same full-screen pass over the tiles that a mask names."""
-    return replace(program, vertex="common/tiles.vert", samplers=(*program.samplers, ("FLOAT_2D", "ps_tiles")))
+    assert program.block is not None
+    samplers = (*program.samplers, ("FLOAT_2D", "ps_tiles"))
+    return replace(program, vertex="common/tiles.vert", block=_tiled_block(program.block), samplers=samplers)
+
+
+def _tiled_block(block: Block) -> Block:
+    """With the side of a tile as a part of the target's sides."""
+    return block.extended("Tiles", ("vec2", "tile_size"))
 
 
 @dataclass(frozen=True)
@@ -49,11 +50,12 @@ class Region:
             return
         columns, rows = self.mask.size
         side = TILE / (1 << level)
-        uniforms["tile"][0, :2] = [side / pixels for pixels in target.colors[0].size]
+        assert program.block is not None
+        tile_size = [side / pixels for pixels in target.colors[0].size]
         device.draw(
             tiled(program),
             target,
-            uniforms=uniforms,
+            uniforms=_tiled_block(program.block).extend(uniforms, tile_size=tile_size),
             textures={**textures, "ps_tiles": self.mask},
             vertices=6 * columns * rows,
             **state,

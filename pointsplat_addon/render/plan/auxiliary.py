@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The auxiliary picture without a lens, for passes that know no depth of field."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.lens.backdrop import why_sharp
-from ...core.lens.thin_lens import sampled
+from ...core.lens.backdrop import why_not_blurred
+from ...core.lens.thin_lens import uses_lens_samples
 from ...core.lod.cost import Costs
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
@@ -141,7 +141,7 @@ def make_shot(
     request = request if camera is request.camera else replace(request, camera=camera)
     technique = choose(request.settings, scene, request.samples, request.interactive, limits.float_blend)
     warnings += (*nothing_seen, *unseen_lens, *_not_blended(technique, request))
-    through_lens = sampled(camera, request.settings) and request.samples > 1
+    through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
     prepared = prepare(
         scene,
         prepared_for(scene, camera, store) if through_lens else camera,
@@ -173,7 +173,7 @@ def make_shot(
 
     blended = (camera, request.samples) if technique.name == "EWA" else None
     in_focus = "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus"
-    sharp_world = "each sample sees it through a place on the lens" if through_lens else why_sharp(scene, camera)
+    sharp_world = "each sample sees it through a place on the lens" if through_lens else why_not_blurred(scene, camera)
     plan = make_plan(
         scene, prepared, request.passes, shadows, unshadowed, request.interactive, blended, paints,
         reflects, unseen, in_focus, sharp_world, picture,

@@ -1,10 +1,10 @@
-"""TODO: say what this module is."""
+"""The camera for which a picture through many points of a lens is prepared."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ...core.lens.thin_lens import widened
+from ...core.lens.thin_lens import widened_camera
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
 from ..cache.keys import Key, Kind
@@ -13,7 +13,7 @@ from ..cache.store import Store
 
 def prepared_for(scene: Scene, camera: Camera, store: Store) -> Camera:
     """The camera whose cut holds what any place on the lens sees."""
-    return widened(camera, *_depths(scene, camera, store))
+    return widened_camera(camera, *_depths(scene, camera, store))
 
 
 def _depths(scene: Scene, camera: Camera, store: Store) -> tuple[float, float]:

@@ -152,7 +152,7 @@ def make_plan(
         holdout=holdout,
         ellipses=any(p.hierarchy is not None or p.cloud.axis is not None for p in sets),
         one_instance=one,
-        apart=any(p.cloud.apart is not None for p in sets),
+        disconnected=any(p.cloud.disconnected is not None for p in sets),
         depth=polygons or spheres or lines,
     )
     plan = Plan(

@@ -23,9 +23,7 @@ class Request:
     crypto_levels: int = 6
     interactive: bool = False  # drawn again and again, and at once: see prepare
     coarse: bool = False  # a budget of time has no room for one sample at the tolerance that was asked for
-    node: float = (
-        NODE_SIZE  # largest nodes of what is out of focus, over the radii of their disks: core/lens/defocus.py
-    )
+    node: float = NODE_SIZE  # largest nodes of what is out of focus, over the radii of their disks: core/lens/kernel.py
 
 
 @dataclass(frozen=True)

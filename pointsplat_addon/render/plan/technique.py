@@ -25,7 +25,7 @@ class Technique(NamedTuple):
 NAMES = {"EWA": "EWA", "PAINTER": "The painter"}  # those that need float_blend
 ASKED = "the settings say so"
 NO_BLENDING = "this GPU cannot blend floats"
-STANDS_APART = Technique("IMAGE_SPACE", "points that stand apart let light pass")
+DISCONNECTED = Technique("IMAGE_SPACE", "light passes between disconnected points")
 
 
 def choose(settings: Settings, scene: Scene, samples: int, interactive: bool, float_blend: bool) -> Technique:
@@ -48,9 +48,9 @@ def choose(settings: Settings, scene: Scene, samples: int, interactive: bool, fl
 
 
 def reconsidered(found: Technique, prepared: Prepared) -> Technique:
-    """The technique, now that it is known which points stand apart."""
-    apart = any(points.cloud.apart is not None for points in prepared.point_sets.values())
-    return STANDS_APART if apart and found.name == "EWA" and found.because != ASKED else found
+    """The technique, now that it is known which points are disconnected (foliage)."""
+    foliage = any(points.cloud.disconnected is not None for points in prepared.point_sets.values())
+    return DISCONNECTED if foliage and found.name == "EWA" and found.because != ASKED else found
 
 
 def _colored(geometry: Geometry, table: MaterialTable) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.lens.thin_lens import sampled
+from ...core.lens.thin_lens import uses_lens_samples
 from ...core.lod.criteria import transition_band
 from ...core.lod.cut import Cut, cut_of_all_points, select_cut
 from ...core.lod.instances import (
@@ -63,7 +63,7 @@ def cut_layer(
         own[where[choice.level != OWN_CUT]] = -1
         set_of_instance[where[choice.level == NOTHING]] = -1
         every = where[choice.level == ALL_POINTS]
-        shared.append(cut_of_all_points(np.array([len(points.cloud)]), np.zeros(len(every), int)).of(every))
+        shared.append(cut_of_all_points(np.array([len(points.cloud)]), np.zeros(len(every), int)).renumbered(every))
         some = np.flatnonzero(choice.level >= 0)
         if len(some):
             at = len(view.scene.geometries) + max(sets) + 1
@@ -101,7 +101,7 @@ def _cut(
     scene, tolerance = view.scene, view.settings.tolerance
     cull = np.array([bool(scene.materials.cull.take(_materials(g), mode="clip").all()) for g in scene.geometries], bool)
     # What turns its back to the middle of the lens may face its rim.
-    cull = cull[scene.instances.geometry] & (not sampled(view.camera, view.settings))
+    cull = cull[scene.instances.geometry] & (not uses_lens_samples(view.camera, view.settings))
     return select_cut(
         trees,
         set_of_instance,

@@ -1,4 +1,4 @@
-"""What of a view is out of focus, as splats of one layer (core/lens/defocus.py); what is in focus is drawn as always."""
+"""What of a view is out of focus, as splats of one layer (core/lens/kernel.py); what is in focus is drawn as always."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...core.lens import dicing
-from ...core.lens.strand_splats import SHARE, sharp_ends, splats
+from ...core.lens.strand_splats import RECTANGLE_SHARE, dice_strands, may_be_in_focus
 from ...core.lod.area_share import area_shares
 from ...core.lod.cut import cut_of_all_points, select_cut
 from ...core.lod.instances import joined_cuts
@@ -62,7 +62,7 @@ class Focus:
         depth = -(matrix[:, 2, :3] @ middle + matrix[:, 2, 3])
         reach = radius * largest_singular_value(matrix[:, :3, :3])
         near = self.camera.nearest
-        least, most = self.blur.bounds(np.maximum(depth - reach, near), np.maximum(depth + reach, near))
+        least, most = self.blur.radius_range(np.maximum(depth - reach, near), np.maximum(depth + reach, near))
         return least < OUT_OF_FOCUS, most > IN_FOCUS
 
     def add_points(self, instance: np.ndarray, points: PointSet, areas: Callable[[], np.ndarray] | None) -> None:
@@ -81,7 +81,7 @@ class Focus:
             key = Key(Kind.DICED, points.key, other=self._seen(matrix))
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
-                return dicing.balls(points.cloud, matrix, self.camera, self.tolerance, self.blur)
+                return dicing.dice_balls(points.cloud, matrix, self.camera, self.tolerance, self.blur)
 
             self._add_pieces(i, key, make, dicing.DISK_SHARE)
 
@@ -95,10 +95,10 @@ class Focus:
             key = Key(Kind.DICED, geometry.key, look, other=self._seen(matrix))
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
-                samples = dicing.cut(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
+                samples = dicing.dice_triangles(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
                 return finite(point_cloud(mesh, samples, evaluate(mesh, samples, origin, ok), table))[0]
 
-            self._add_pieces(i, key, make, dicing.SHARE)
+            self._add_pieces(i, key, make, dicing.TRIANGLE_SHARE)
 
     def add_lines(self, geometry: Geometry, lines: Strands, strands: StrandLevels, segments: Segments) -> Segments:
         """What of the segments of a view may be out of focus; returns those that may be in it."""
@@ -106,13 +106,13 @@ class Focus:
         for i in np.unique(segments.instance).tolist():
             mine = np.flatnonzero(segments.instance == i)
             ends, matrix = segments.ends[mine], self.view_from_object[i]
-            kept[mine] = sharp_ends(strands, ends, matrix, self.camera, self.blur)
+            kept[mine] = may_be_in_focus(strands, ends, matrix, self.camera, self.blur)
             key = Key(Kind.DICED, geometry.key, other=self._seen(matrix))
 
             def make(ends: np.ndarray = ends, matrix: np.ndarray = matrix) -> PointCloud:
-                return splats(strands, lines, ends, matrix, self.camera, self.tolerance, self.blur)
+                return dice_strands(strands, lines, ends, matrix, self.camera, self.tolerance, self.blur)
 
-            self._add_pieces(i, key, make, SHARE)
+            self._add_pieces(i, key, make, RECTANGLE_SHARE)
         return segments if kept.all() else segments.take(np.flatnonzero(kept))
 
     def _seen(self, matrix: np.ndarray) -> tuple:

@@ -75,7 +75,7 @@ def _volume(geometry: Geometry, volume: Volume, table: MaterialTable, store: Sto
     key = f"{geometry.key} as {_digest(medium, volume.transfer, geometry.extinction, geometry.spacing)}"
 
     def make() -> Points:
-        return Points(*voxels.point_cloud(volume, medium, geometry.extinction, geometry.spacing))
+        return Points(*voxels.volume_splats(volume, medium, geometry.extinction, geometry.spacing))
 
     points = store.lookup(Key(Kind.VOXELS, key), make)
     warnings += points.warnings

@@ -51,8 +51,8 @@ def given(cloud: PointCloud) -> tuple[PointCloud, int]:
     """What is finite of a cloud, in coherent order, and how many points were dropped."""
     cloud, dropped = finite(cloud)
     cloud = coherent(cloud)
-    strewn = disconnected_splats(cloud)
-    return cloud if strewn is None else replace(cloud, apart=strewn), dropped
+    disconnected = disconnected_splats(cloud)
+    return cloud if disconnected is None else replace(cloud, disconnected=disconnected), dropped
 
 
 def given_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:

@@ -71,7 +71,7 @@ def prepare(
 
     `samples` tells how often the result will be drawn. `interactive`: again and again, and at once; what takes long is
     then built on another thread and used when it is there. `check` is called between geometries, and may raise to stop.
-    `costs`: what drawing costs on the device. `node`: of what is out of focus, see core/lens/defocus.py.
+    `costs`: what drawing costs on the device. `node`: of what is out of focus, see core/lens/kernel.py.
     `coarse`: there is no time for one sample at the tolerance that was asked for.
     """
     with np.errstate(all="ignore"):

@@ -9,7 +9,8 @@ import numpy as np
 
 from ...core.numeric.segments import starts
 from ...core.shadow.casters import KINDS
-from ...core.shadow.table import SHAPES, Level, ShadowTable
+from ...core.shadow.level import TableLevel
+from ...core.shadow.table import SHAPES, ShadowTable
 from ..device.packing import PAGE_WIDTH
 
 HEAD = 8  # texels of a lamp's record before its levels
@@ -115,7 +116,7 @@ def coded(integers: np.ndarray) -> np.ndarray:
     return (np.asarray(integers, np.int64) + 0x00800000).astype(np.int32).view(np.float32)
 
 
-def _blocks(level: Level, colored: bool) -> list[np.ndarray]:
+def _blocks(level: TableLevel, colored: bool) -> list[np.ndarray]:
     """Rows, masks, links and entries as texels (n, 4) float32."""
     grid = level.grid
     rows = np.stack([coded(grid.first), grid.column0, grid.count, grid.density], axis=1).astype(np.float32)

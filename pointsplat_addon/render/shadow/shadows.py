@@ -21,10 +21,10 @@ from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
 from ...core.scene.validation import valid_triangles
 from ...core.shadow import builder
-from ...core.shadow.casters import Pieces, pieces
-from ...core.shadow.floor import FLAT, box_corners, lowest, lowest_corner, plane_of, shines_from
-from ...core.shadow.grid import NARROW, rotation
-from ...core.shadow.samples import Outline, leaves, outline, places, sampled
+from ...core.shadow.floor import FLATNESS, box_corners, light_is_above, lowest_box_height, lowest_height, plane_of_mesh
+from ...core.shadow.grid import NARROW_ANGLE, rotation_to
+from ...core.shadow.samples import MeshExtents, caster_clouds, mesh_extents, mesh_is_foliage, surface_points
+from ...core.shadow.strand_casters import StrandSegments, cut_strands
 from ...core.strand.cleaning import clean
 from ...core.strand.levels import StrandLevels
 from ...core.surface.appearance import digest, hiding
@@ -123,7 +123,7 @@ def cast(
 
     def make() -> Shadows:
         batches: list[builder.Casters] = []
-        strands: list[Pieces] = []
+        strands: list[StrandSegments] = []
         warnings: list[str] = []
         tables: list[builder.ShadowTable | None] = []
         for light, key in zip(lights, keys, strict=True):
@@ -138,7 +138,7 @@ def cast(
                     strands.extend(_pieces(casters, spacing, store))
                 try:
                     every = [*batches, *(one.toward(light) for one in strands)]
-                    return builder.build(light, every, settings.shadow_resolution, around)
+                    return builder.build_table(light, every, settings.shadow_resolution, around)
                 except ValueError as error:
                     warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")
                     return None
@@ -210,7 +210,8 @@ def _is_floor(scene: Scene, caster: _Caster, store: Store) -> bool:
     if mesh is None or len(caster.matrices) > FEW_FLOORS:
         return False
     found = store.lookup(
-        Key(Kind.CASTER_PLANE, caster.geometry.key), lambda: (plane_of(mesh, _outline(caster.geometry, mesh, store)),)
+        Key(Kind.CASTER_PLANE, caster.geometry.key),
+        lambda: (plane_of_mesh(mesh, _outline(caster.geometry, mesh, store)),),
     )[0]
     if found is None:
         return False
@@ -228,9 +229,9 @@ def _nothing_behind(scene: Scene, point: np.ndarray, normal: np.ndarray, matrix:
         return False
     normal = normal / length
     lights = [light for light in scene.lights if light.shadow]
-    if not all(shines_from(light, point, normal) for light in lights):
+    if not all(light_is_above(light, point, normal) for light in lights):
         normal = -normal
-        if not all(shines_from(light, point, normal) for light in lights):
+        if not all(light_is_above(light, point, normal) for light in lights):
             return False
     with np.errstate(all="ignore"):
         drawn = all_finite(scene.instances.world_from_object.astype(np.float32))  # no others are
@@ -248,13 +249,13 @@ def _above(geometry: Geometry, matrices: np.ndarray, point: np.ndarray, normal: 
         return True
     with np.errstate(all="ignore"):
         reach = np.abs(matrices[:, :3, 3]).max() + np.abs(matrices[:, :3, :3]).max() * np.abs([low, high]).max()
-        slack = FLAT * (reach + np.abs(point).max())
-    if lowest_corner(low, high, matrices, point, normal) >= -slack:
+        slack = FLATNESS * (reach + np.abs(point).max())
+    if lowest_box_height(low, high, matrices, point, normal) >= -slack:
         return True
     mesh = geometry.mesh
     if mesh is None or len(matrices) * len(mesh.position) > MOST_HEIGHTS:
         return False
-    return lowest(mesh.position[mesh.triangles.reshape(-1)], matrices, point, normal) >= -slack
+    return lowest_height(mesh.position[mesh.triangles.reshape(-1)], matrices, point, normal) >= -slack
 
 
 def _box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
@@ -275,9 +276,9 @@ def _box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
     return np.full(3, np.inf), np.full(3, -np.inf)
 
 
-def _outline(geometry: Geometry, mesh: Mesh, store: Store) -> Outline:
+def _outline(geometry: Geometry, mesh: Mesh, store: Store) -> MeshExtents:
     valid, _ = store.lookup(Key(Kind.VALID_TRIANGLES, geometry.key), lambda: valid_triangles(mesh))
-    return store.lookup(Key(Kind.CASTER_OUTLINE, geometry.key), lambda: outline(mesh, valid))
+    return store.lookup(Key(Kind.CASTER_OUTLINE, geometry.key), lambda: mesh_extents(mesh, valid))
 
 
 def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
@@ -305,10 +306,10 @@ def _strands(geometry: Geometry, store: Store) -> StrandLevels:
     return store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: clean(lines))
 
 
-def _pieces(casters: list[_Caster], spacing: list[float], store: Store) -> list[Pieces]:
+def _pieces(casters: list[_Caster], spacing: list[float], store: Store) -> list[StrandSegments]:
     """Strands of everything that casts, in world space."""
     return [
-        pieces(_strands(caster.geometry, store), matrix, length)
+        cut_strands(_strands(caster.geometry, store), matrix, length)
         for caster, length in zip(casters, spacing, strict=True)
         if caster.geometry.strands is not None and length > 0
         for matrix in caster.matrices
@@ -368,7 +369,7 @@ def _balls(caster: _Caster, store: Store, casters: int) -> tuple[np.ndarray, np.
     if mesh is None or max(len(caster.matrices), casters) > FEW_INSTANCES:
         return caster.centre, caster.radius
     shape = _outline(caster.geometry, mesh, store)
-    found = store.lookup(Key(Kind.CASTER_POSITIONS, caster.geometry.key), lambda: places(mesh, shape))
+    found = store.lookup(Key(Kind.CASTER_POSITIONS, caster.geometry.key), lambda: surface_points(mesh, shape))
     world = (
         np.einsum("iab,nb->ina", caster.matrices[:, :3, :3], found[:: len(caster.matrices)])
         + caster.matrices[:, None, :3, 3]
@@ -389,13 +390,13 @@ def _away(light: Light, points: np.ndarray) -> np.ndarray:
 def _step(light: Light, centre: np.ndarray, radius: np.ndarray, middle: np.ndarray, resolution: int) -> float:
     """Side of the finest cells of a lamp's table over balls about `middle`: radians, of suns units; see fit_frame."""
     if light.kind == "SUN":
-        along, half = (centre - middle) @ rotation(light.direction)[1:].T, radius[:, None]
+        along, half = (centre - middle) @ rotation_to(light.direction)[1:].T, radius[:, None]
         return float(((along + half).max(axis=0) - (along - half).min(axis=0)).max()) / resolution
     axis, seen, away = middle - light.position, centre - light.position, np.maximum(_away(light, centre), 1e-30)
     cosine = seen @ axis / (away * max(float(np.linalg.norm(axis)), 1e-30))
     angle = np.arccos(np.clip(cosine, -1, 1)) + np.arcsin(np.clip(radius / away, 0, 1))
     widest = float(angle.max())
-    return (2 * widest if widest <= NARROW else np.pi) / resolution
+    return (2 * widest if widest <= NARROW_ANGLE else np.pi) / resolution
 
 
 def _share(samples: np.ndarray, most: float) -> float:
@@ -488,8 +489,8 @@ def _sampled(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store
 
     def make() -> tuple[PointCloud, ...]:
         leafy = store.lookup(
-            Key(Kind.IS_FOLIAGE, geometry.key), lambda: leaves(mesh, shape)
+            Key(Kind.IS_FOLIAGE, geometry.key), lambda: mesh_is_foliage(mesh, shape)
         )  # as render/prepare/meshes.py keeps it
-        return tuple(sampled(mesh, shape, spacing, hiding(scene.materials), leafy))
+        return tuple(caster_clouds(mesh, shape, spacing, hiding(scene.materials), leafy))
 
     return store.lookup(key, make)

@@ -9,7 +9,7 @@ PsSurface ps_material(int row)
 #else
   vec3 emission = vec3(0.0);
 #endif
-#if defined(PS_ONE_SURFACE) && !defined(PS_LINES)
+#if defined(PS_ONE_SURFACE) && !defined(PS_STRANDS)
   vec4 rest = vec4(0.0);
 #else
   vec4 rest = texelFetch(ps_materials, ivec2(2, row), 0);

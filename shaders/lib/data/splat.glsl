@@ -6,12 +6,12 @@
 // Which splat the drawn element `index` is: texel of its attributes, and its instance. x < 0: none.
 ivec3 ps_element(int index)
 {
-  int block = index >> frame.page.z;
-  if (block >= frame.page.y) {
+  int block = index >> u.block_shift;
+  if (block >= u.block_count) {
     return ivec3(-1);
   }
   vec4 record = texelFetch(ps_blocks, ps_texel(block), 0);
-  int lane = index & ((1 << frame.page.z) - 1);
+  int lane = index & ((1 << u.block_shift) - 1);
   if (lane >= int(record.z)) {
     return ivec3(-1);
   }

@@ -6,7 +6,7 @@
 
 void ps_store(PsSurfel s)
 {
-  out_place = s.place;
+  out_centre = s.centre;
   out_shape = s.shape;
 #ifdef PS_NORMAL
   out_normal = s.normal;
@@ -27,7 +27,7 @@ void ps_store_front(PsSurfel s, bool covers)
 {
   ps_store(s);
 #ifdef PS_FRONT
-  float front = (s.place.w > 0.0 ? s.place.x - s.place.w : s.place.x) - frame.lens.x;
+  float front = (s.centre.w > 0.0 ? s.centre.x - s.centre.w : s.centre.x) - u.near;
   out_front = covers ? max(front, 1e-30) : 0.0;
 #endif
 }

@@ -8,7 +8,7 @@
 #define PS_COARSE_AREA 2.0
 #define PS_COARSE_SIGMA 0.5  // pixels
 #define PS_ALONE_SIGMA 4.0  // pixels
-#define PS_BESIDE 0x80000000u  // of a depth or an index: the splat does not hold its pixel's centre
+#define PS_OFF_CENTRE 0x80000000u  // of a depth or an index: the splat does not hold its pixel's centre
 
 // Rows of the matrix that takes offsets in the object to half pixels: the perspective Jacobian (Zwicker et al. 2001)
 // times the instance's linear part.
@@ -17,8 +17,8 @@ mat2x3 ps_half_pixels(int instance, vec3 p)
   mat3 rows = transpose(ps_linear(instance));
   float scale = ps_is_perspective() ? -1.0 / p.z : 1.0;
   vec2 slope = ps_is_perspective() ? p.xy * scale : vec2(0.0);
-  return mat2x3(0.5 * scale * frame.focal.x * (rows[0] + slope.x * rows[2]),
-                0.5 * scale * frame.focal.y * (rows[1] + slope.y * rows[2]));
+  return mat2x3(0.5 * scale * u.focal.x * (rows[0] + slope.x * rows[2]),
+                0.5 * scale * u.focal.y * (rows[1] + slope.y * rows[2]));
 }
 
 // Covariance (xx, xy, yy) of the splat at `p` in view space; its rim lies at 2 sigma. With M from ps_half_pixels, a ball
@@ -44,8 +44,8 @@ vec3 ps_footprint(int instance, vec3 p, float normal_code, vec4 extent)
   float mean = 0.5 * (covariance.x + covariance.z);
   float least = mean - length(vec2(0.5 * (covariance.x - covariance.z), covariance.y));
   float wider = max(PS_LEAST_SIGMA * PS_LEAST_SIGMA - least, 0.0);
-#ifdef PS_APART
-  // Of what stands apart the area counts.
+#ifdef PS_DISCONNECTED
+  // Of disconnected splats the area counts.
   wider = extent.y < 0.0 ? 0.0 : wider;
 #endif
   covariance.xz += wider;
@@ -56,8 +56,8 @@ vec3 ps_footprint(int instance, vec3 p, float normal_code, vec4 extent)
   return covariance;
 }
 
-#ifdef PS_APART
-// Whether a splat shows where it covers pixels' centres, and nowhere else: it stands apart, and is not so wide that to
+#ifdef PS_DISCONNECTED
+// Whether a splat shows where it covers pixels' centres, and nowhere else: it is disconnected, and is not so wide that to
 // fill it from its middle costs less.
 bool ps_alone(vec3 covariance, vec4 extent)
 {
@@ -65,9 +65,9 @@ bool ps_alone(vec3 covariance, vec4 extent)
 }
 #endif
 
-// PS_BESIDE where the ellipse around a centre that is `v` pixels from its pixel's centre does not hold that.
-uint ps_beside(vec3 c, vec2 v)
+// PS_OFF_CENTRE where the ellipse around a centre that is `v` pixels from its pixel's centre does not hold that.
+uint ps_off_centre(vec3 c, vec2 v)
 {
   float det = max(c.x * c.z - c.y * c.y, 1e-12);
-  return c.z * v.x * v.x - 2.0 * c.y * v.x * v.y + c.x * v.y * v.y <= 4.0 * det ? 0u : PS_BESIDE;
+  return c.z * v.x * v.x - 2.0 * c.y * v.x * v.y + c.x * v.y * v.y <= 4.0 * det ? 0u : PS_OFF_CENTRE;
 }

@@ -16,12 +16,12 @@ ivec2 ps_texel(int index)
 
 vec3 ps_view_from_point(int instance, vec3 p)
 {
-  return (frame.view_from_object * vec4(p, 1.0)).xyz;
+  return (u.view_from_object * vec4(p, 1.0)).xyz;
 }
 
 mat3 ps_linear(int instance)
 {
-  return mat3(frame.view_from_object);
+  return mat3(u.view_from_object);
 }
 
 #else

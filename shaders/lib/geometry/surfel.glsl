@@ -1,5 +1,5 @@
 // What a pixel of the G-buffer and of its pyramid knows: one splat, or a mean of several.
-//   place   depth d; offset of the splat's centre from the pixel's, in pixels of the picture; half extent in depth:
+//   centre   depth d; offset of the splat's centre from the pixel's, in pixels of the picture; half extent in depth:
 //           0 empty, PS_POLYGON a polygon (extends over its own pixel only), > 0 a splat, < 0 a splat beside the
 //           pixel's centre, which only its neighbours and coarser levels know
 //   shape   Cholesky factor l11, l21, l22 of the splat's covariance in pixels^2, and its material (-1 - m: a holdout).
@@ -9,10 +9,10 @@
 // PS_NORMAL: something shines, or a pass asks. PS_COLOR: colours come with the points; else the material table has
 // them; so do PS_SURFACE roughness and metallic, and PS_EMISSION. PS_OWNER: which instance, for passes that ask.
 
-#include "lib/data/place.glsl"
+#include "lib/geometry/surfel_kind.glsl"
 
 struct PsSurfel {
-  vec4 place;
+  vec4 centre;
   vec4 shape;
 #ifdef PS_NORMAL
   vec4 normal;
@@ -33,7 +33,7 @@ struct PsSurfel {
 PsSurfel ps_empty()
 {
   PsSurfel s;
-  s.place = vec4(0.0);
+  s.centre = vec4(0.0);
   s.shape = vec4(0.0);
 #ifdef PS_NORMAL
   s.normal = vec4(0.0);

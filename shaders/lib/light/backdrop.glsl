@@ -1,10 +1,10 @@
-// The world out of focus, as render/passes/shading/backdrop.py left it. frame.previous.xy: texels of it that a pixel spans.
+// The world out of focus, as render/passes/shading/backdrop.py left it. u.backdrop_texels: texels of it that a pixel spans.
 
 #ifdef PS_BACKDROP
 
 vec3 ps_backdrop_at(vec2 pixel)
 {
-  vec2 place = pixel * frame.previous.xy + 0.5;
+  vec2 place = pixel * u.backdrop_texels + 0.5;
   vec2 part = fract(place);
   ivec2 low = ivec2(floor(place)), last = textureSize(ps_backdrop, 0) - 1;
   ivec2 a = clamp(low, ivec2(0), last), b = clamp(low + 1, ivec2(0), last);

@@ -229,14 +229,14 @@ vec2 ps_cone_means(PsCone cone, vec3 ray, float radius, vec3 normal)
   // Aligned with the cone, so that the camera's turning changes nothing.
   vec3 to_light = -ray * inversesqrt(max(dot(ray, ray), 1e-24));
   bool aside = abs(dot(to_light, cone.direction)) < 0.999;
-  vec3 u = normalize(cross(aside ? cone.direction : cone.axis_u.xyz, to_light));
-  vec3 v = cross(to_light, u);
+  vec3 side_u = normalize(cross(aside ? cone.direction : cone.axis_u.xyz, to_light));
+  vec3 side_v = cross(to_light, side_u);
   float step = abs(radius) * PS_DISK_RADIUS;
   int count = radius == 0.0 ? 1 : 7;
   vec2 azimuth = vec2(0.0), total = vec2(0.0), weights = vec2(0.0);
   float part = 0.25;
   for (int i = 0; i < count; i++) {
-    vec3 from_point = ray - step * (azimuth.x * u + azimuth.y * v);
+    vec3 from_point = ray - step * (azimuth.x * side_u + azimuth.y * side_v);
     vec2 weight = part * vec2(1.0, max(-dot(from_point, normal), 0.0));
     total += ps_cone(cone, from_point) * weight;
     weights += weight;

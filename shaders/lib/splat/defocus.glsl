@@ -1,5 +1,5 @@
-// Disks of confusion, and the kernel of splats that are out of focus. Reference: core/lens/defocus.py.
-// frame.focus: scale, 1 / distance of focus, unused, width of the aperture over its height.
+// Disks of confusion, and the kernel of splats that are out of focus. Model: core/lens/kernel.py; reference: tests/reference/defocus.py.
+// u.confusion_scale, u.inverse_focus_distance, u.aperture_aspect: render/passes/uniforms.py, LENS_FIELDS.
 
 #define PS_IN_FOCUS 0.3  // pixels of radius
 #define PS_BLURRED 0.45
@@ -13,22 +13,22 @@
 #define PS_DEFOCUS_BACK 8.0
 #define PS_DEFOCUS_TRANSLUCENT 16.0
 #define PS_DEFOCUS_HOLDOUT 32.0
-#define PS_DEFOCUS_APART 64.0
+#define PS_DEFOCUS_DISCONNECTED 64.0
 
 // Radius in pixels, along the picture's y, of the disk of confusion at depth d.
 float ps_confusion(float d)
 {
-  float relative = d * frame.focus.y;
-  return frame.focus.x * abs(ps_is_perspective() ? 1.0 - 1.0 / max(relative, PS_NEAREST) : relative - 1.0);
+  float relative = d * u.inverse_focus_distance;
+  return u.confusion_scale * abs(ps_is_perspective() ? 1.0 - 1.0 / max(relative, PS_NEAREST) : relative - 1.0);
 }
 
 // Where, in half-axes of the disk about a splat at p with the normal n (view space, of either length), the middle of its
-// kernel lies. Reference: core/lens/defocus.py, `lean`.
+// kernel lies. Reference: tests/reference/defocus.py, `lens_mean`.
 vec2 ps_lean(vec3 p, vec3 n)
 {
-  float lens = frame.focus.x / frame.focal.y;  // radius of the lens over the distance of focus, or the radius itself
-  float facing = ps_is_perspective() ? -dot(n, p) * frame.focus.y : n.z / frame.focus.y;
-  vec2 slope = lens * vec2(frame.focus.w, 1.0) * n.xy * (facing < 0.0 ? -1.0 : 1.0);
+  float lens = u.confusion_scale / u.focal.y;  // radius of the lens over the distance of focus, or the radius itself
+  float facing = ps_is_perspective() ? -dot(n, p) * u.inverse_focus_distance : n.z / u.inverse_focus_distance;
+  vec2 slope = lens * vec2(u.aperture_aspect, 1.0) * n.xy * (facing < 0.0 ? -1.0 : 1.0);
   return 0.25 * slope / max(max(abs(facing), length(slope)), 1e-30);
 }
 

@@ -7,26 +7,26 @@ ivec2 ps_listed(int index)
 }
 
 // Sets the varyings; the covariance of what is drawn of it: PS_BLEND its kernel, else the ellipse.
-vec3 ps_splat(ivec2 at, vec4 place)
+vec3 ps_splat(ivec2 at, vec4 centre)
 {
   vec4 shape = texelFetch(ps_splat_shape, at, 0);
   vec3 c = shape.xyz;
   float of = c.x * c.z - c.y * c.y;
 #ifdef PS_BLEND
-  c.xz += frame.lens.w;
+  c.xz += u.low_pass;
 #else
   float middle = 0.5 * (c.x + c.z), least = middle - length(vec2(0.5 * (c.x - c.z), c.y));
   c.xz += max(max(PS_EWA_LEAST, PS_EWA_THINNEST * middle) - least, 0.0);
 #endif
   float with = c.x * c.z - c.y * c.y;
-  v_place = vec4(place.xy + frame.focal.zw, place.z, sign(place.w));
+  v_centre = vec4(centre.xy + u.principal_point, centre.z, sign(centre.w));
   v_front = texelFetch(ps_splat_front, at, 0);
 #ifdef PS_BLEND
   v_conic = vec4(vec3(c.z, -c.y, c.x) / with, ps_ewa_peak(v_front.z, of, with));
 #else
   v_conic = vec4(vec3(c.z, -c.y, c.x) / with, ps_ewa_rim(v_front.z));
 #endif
-  v_material = vec4(shape.w, float((int(abs(place.w)) - 1) >> 1), sqrt(c.xz));
+  v_material = vec4(shape.w, float((int(abs(centre.w)) - 1) >> 1), sqrt(c.xz));
 #ifdef PS_BLEND
 #ifdef PS_NORMAL
   v_normal = texelFetch(ps_splat_normal, at, 0);

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lens import defocus, dicing, strand_splats
-from pointsplat_addon.core.lens.thin_lens import confusion, lens_points, through
+from pointsplat_addon.core.lens import dicing, strand_splats
+from pointsplat_addon.core.lens.thin_lens import camera_through, circle_of_confusion, lens_points
 from pointsplat_addon.core.lod import area_share, cut, node_table
 from pointsplat_addon.core.lod.hierarchy import build
 from pointsplat_addon.core.scene.camera import Aperture, Camera
@@ -21,6 +21,7 @@ from pointsplat_addon.core.surface.triangles import measure_triangles
 from scripts.scenes.build import moved, strand_lines
 from scripts.scenes.cameras import camera
 from scripts.scenes.meshes import flat_mesh, plane_mesh, sphere_mesh
+from tests.reference import defocus
 
 
 def lens(radius: float = 0.1, focus: float = 4.0, **more) -> Camera:
@@ -40,7 +41,7 @@ def blur(of: Camera) -> blur_module.Blur:
 def test_disks_are_the_thin_lens(parallel):
     seen = lens(parallel=parallel)
     depth = np.geomspace(0.2, 1e6, 50)
-    np.testing.assert_allclose(blur(seen).radius(depth), confusion(seen, depth), rtol=1e-10)  # measured 0
+    np.testing.assert_allclose(blur(seen).radius(depth), circle_of_confusion(seen, depth), rtol=1e-10)  # measured 0
 
 
 @pytest.mark.parametrize("parallel", [None, 5.0])
@@ -48,7 +49,7 @@ def test_bounds_hold_all_depths_between_and_are_met(parallel):
     of = blur(lens(parallel=parallel))
     rng = np.random.default_rng(0)
     near, far = np.sort(rng.uniform(0.1, 12.0, (2, 1000)), axis=0)
-    least, most = of.bounds(near, far)
+    least, most = of.radius_range(near, far)
     between = of.radius(near + (far - near) * np.linspace(0, 1, 101)[:, None])
     assert (between >= least * (1 - 1e-12)).all()
     assert (between <= most * (1 + 1e-12)).all()
@@ -59,8 +60,8 @@ def test_bounds_hold_all_depths_between_and_are_met(parallel):
 def test_depths_of_a_radius_are_its_inverse(parallel):
     of = blur(lens(parallel=parallel))
     for radius in (0.1, 0.5, 1.0):
-        np.testing.assert_allclose(of.radius(np.array(of.depths(radius))), radius, rtol=1e-9)
-    assert of.depths(1e9)[1] == np.inf or parallel  # all that is far
+        np.testing.assert_allclose(of.radius(np.array(of.depth_range(radius))), radius, rtol=1e-9)
+    assert of.depth_range(1e9)[1] == np.inf or parallel  # all that is far
 
 
 def test_what_is_no_lens_blurs_nothing():
@@ -86,7 +87,7 @@ def test_the_middle_of_what_leans_is_where_the_lens_sees_most_of_it(parallel, ra
     world = (place - seen.view_from_world[:3, 3]) @ seen.view_from_world[:3, :3]
     moved_to, seen_as = [], []
     for point in lens_points(4097, seen.aperture):
-        of = through(seen, point)
+        of = camera_through(seen, point)
         view = world @ of.view_from_world[:3, :3].T + of.view_from_world[:3, 3]
         fx, fy, cx, cy = of.pixel_from_view()
         moved_to.append(view[:, :2] * [fx, fy] / (np.abs(view[:, 2:]) if parallel is None else 1.0) + [cx, cy])
@@ -100,7 +101,7 @@ def test_the_middle_of_what_leans_is_where_the_lens_sees_most_of_it(parallel, ra
     spread = (share[..., None] * (places - middle) ** 2).sum(axis=0)
     depth = -place[:, 2]
     disk = (blur(seen).radius(depth) * np.where(depth < 4.0, -1.0, 1.0))[:, None] / np.array([ratio, 1.0])
-    lean = defocus.lean(seen, place, normal)
+    lean = defocus.lens_mean(seen, place, normal)
     error = (middle - places[0] - disk * lean) / np.abs(disk)
     assert np.abs(error[one_side]).max() < 2e-3  # measured 8.5e-4, of the lens's 4,097 places
     error = spread / disk**2 - (0.25 - lean**2)
@@ -138,7 +139,7 @@ def test_kernels_are_nearer_to_the_convolved_disk_than_gaussians_are(radius, var
     disk = (r < radius) / np.sum(r < radius) / step**2
     exact = np.fft.ifft2(np.fft.fft2(disk) * low_pass).real
     total = radius**2 / 4 + variance
-    k = defocus.exponent(np.array(float(radius)), np.array(variance))
+    k = defocus.kernel_exponent(np.array(float(radius)), np.array(variance))
     ours = defocus.kernel(r**2 / total, k, np.array(total**2))
     wide = radius**2 / (2 * np.log(4)) + variance
     gauss = np.exp(-0.5 * r**2 / wide) / (2 * np.pi * wide)
@@ -162,7 +163,7 @@ def splats(count: int = 1, **more) -> defocus.Splats:
         "centre": np.zeros((count, 2)), "depth": np.arange(count, dtype=float), "covariance": wide,
         "exponent": np.zeros(count), "weight": np.ones(count), "color": np.eye(4)[:count, :3],
         "reach": np.full(count, 0.1), "back": np.zeros(count, bool), "translucent": np.zeros(count, bool),
-        "apart": np.zeros(count, bool),
+        "disconnected": np.zeros(count, bool),
     }  # fmt: skip
     given |= more
     given["weight"] = np.asarray(given["weight"], float) * np.pi * 4e4
@@ -221,7 +222,7 @@ def test_translucent_splats_follow_beers_law_before_within_and_behind_a_surface(
 
 
 def test_leaves_cover_on_their_own_however_near_they_are():
-    found = shares(splats(2, weight=[0.5, 0.4], reach=np.full(2, 5.0), apart=np.ones(2, bool)))
+    found = shares(splats(2, weight=[0.5, 0.4], reach=np.full(2, 5.0), disconnected=np.ones(2, bool)))
     np.testing.assert_allclose(found[:2], [0.5, 0.5 * 0.4], rtol=1e-9)
 
 
@@ -273,7 +274,7 @@ def test_cuts_of_what_is_sharp_and_of_what_is_blurred_hold_all_points(parallel):
         depth = -(tree.center[nodes] @ view[0, 2, :3] + view[0, 2, 3])
         size = tree.size[nodes]
         pixels = 2 * size * seen.pixel_from_view()[0] / (depth if parallel is None else 1.0)
-        assert (pixels <= of.widest(of.radius(depth), 1.0) * 1.0001).all()  # measured 0.966 of it
+        assert (pixels <= of.largest_splat(of.radius(depth), 1.0) * 1.0001).all()  # measured 0.966 of it
     assert stands_for[2] > stands_for[1] > stands_for[0]
 
 
@@ -282,10 +283,10 @@ def test_pieces_of_triangles_have_their_area_and_moments():
     mesh = flat_mesh("plane in pieces", plane_mesh("in pieces").position, plane_mesh("in pieces").triangles)
     seen = lens(0.05, 2.0)
     matrix = seen.view_from_world
-    samples = dicing.cut(mesh, np.arange(len(mesh.triangles)), matrix, seen, 1.0, blur(seen))
+    samples = dicing.dice_triangles(mesh, np.arange(len(mesh.triangles)), matrix, seen, 1.0, blur(seen))
     found = evaluate(mesh, samples)
     assert found.axis is not None
-    area = np.pi * found.radii.prod(axis=1).astype(float) * dicing.SHARE
+    area = np.pi * found.radii.prod(axis=1).astype(float) * dicing.TRIANGLE_SHARE
     assert len(samples) > 100
     assert abs(area.sum() / 4 - 1) < 5e-5  # measured 1.2e-5: half-axes are rounded outwards
     place = found.position.astype(float) + found.origin
@@ -301,14 +302,14 @@ def test_pieces_of_triangles_have_their_area_and_moments():
     np.testing.assert_allclose(np.diag(second), expected, atol=1e-5)  # measured 5.7e-7
     depth = -(place @ matrix[2, :3] + matrix[2, 3])
     widest = 4 / np.sqrt(3) * found.radii[:, 0] * seen.pixel_from_view()[0] / depth
-    assert (widest <= blur(seen).widest(blur(seen).radius(depth), 1.0)).all()  # measured 0.76 of it
+    assert (widest <= blur(seen).largest_splat(blur(seen).radius(depth), 1.0)).all()  # measured 0.76 of it
 
 
 def test_pieces_of_what_reaches_behind_the_eye_are_finite_and_few():
     mesh = plane_mesh("floor in pieces", 50.0)
     matrix = lens().view_from_world @ moved((0, 0, -0.5)) @ np.diag([1.0, 1, 1, 1])[[0, 2, 1, 3]]
     seen = lens(0.05, 5.0)
-    samples = dicing.cut(mesh, np.arange(2), matrix, seen, 1.0, blur(seen))
+    samples = dicing.dice_triangles(mesh, np.arange(2), matrix, seen, 1.0, blur(seen))
     assert np.isfinite(samples.barycentric).all()
     assert 0 < len(samples) < 100_000
 
@@ -318,7 +319,7 @@ def test_facets_of_balls_cover_their_disks():
     position = rng.uniform(-0.5, 0.5, (20, 3)).astype(np.float32)
     radii = rng.uniform(0.01, 0.3, (20, 1)).astype(np.float32)
     seen = lens(0.5, 2.0, parallel=5.0)
-    found = dicing.balls(PointCloud(position, radii=radii), seen.view_from_world, seen, 1.0, blur(seen))
+    found = dicing.dice_balls(PointCloud(position, radii=radii), seen.view_from_world, seen, 1.0, blur(seen))
     assert found.radii is not None
     assert found.normal is not None
     facing = found.normal @ seen.view_from_world[2, :3]
@@ -338,11 +339,11 @@ def test_pieces_of_strands_have_their_area():
         lines = replace(given, radius=np.full(9, size, np.float32))
         strands = clean(lines)
         seen = lens(0.05, 2.0)
-        found = strand_splats.splats(strands, lines, ends, seen.view_from_world, seen, 1.0, blur(seen))
+        found = strand_splats.dice_strands(strands, lines, ends, seen.view_from_world, seen, 1.0, blur(seen))
         assert found.radii is not None
         assert (found.kernel is None or not found.kernel.any()) == strips
         assert np.isfinite(found.position).all()
-        area = np.pi * found.radii.astype(float).prod(axis=1) * strand_splats.SHARE
+        area = np.pi * found.radii.astype(float).prod(axis=1) * strand_splats.RECTANGLE_SHARE
         length = np.linalg.norm(np.diff(strand, axis=0), axis=1).sum()
         if not strips:
             assert abs(area.sum() / (2 * size * length) - 1) < 1e-6  # measured 5.4e-8
@@ -360,13 +361,13 @@ def test_pieces_of_a_tube_cover_what_is_seen_of_it(bend, tolerance):
     strands = clean(given)
     seen = lens(0.5, 3.0, parallel=20.0)
     ends = np.stack([np.arange(6), np.arange(1, 7)], axis=1)
-    found = strand_splats.splats(strands, given, ends, seen.view_from_world, seen, tolerance, blur(seen))
+    found = strand_splats.dice_strands(strands, given, ends, seen.view_from_world, seen, tolerance, blur(seen))
     assert found.radii is not None
     assert found.normal is not None
     assert (found.kernel is None) == (tolerance < 1)
     facing = found.normal @ seen.view_from_world[2, :3]
     inner = facing > 0.05  # without what closes the ends
-    area = np.pi * found.radii.astype(float).prod(axis=1) * strand_splats.SHARE * facing
+    area = np.pi * found.radii.astype(float).prod(axis=1) * strand_splats.RECTANGLE_SHARE * facing
     length = np.linalg.norm(np.diff(along, axis=0), axis=1).sum()
     assert abs(area[inner].sum() / (0.6 * length) - 1) < 1e-6  # measured 3.2e-8
 

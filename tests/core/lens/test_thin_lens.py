@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lens.thin_lens import confusion, lens_points, through, widened
+from pointsplat_addon.core.lens.thin_lens import camera_through, circle_of_confusion, lens_points, widened_camera
 from pointsplat_addon.core.scene.camera import Aperture, Camera
 from pointsplat_addon.render.frame.sample_positions import offsets
 
@@ -45,7 +45,7 @@ PARALLEL = pytest.mark.parametrize("parallel", [False, True])
 def test_what_is_in_focus_keeps_its_place_from_everywhere_on_the_lens(parallel):
     middle = camera(parallel)
     for point in lens_points(16, middle.aperture):
-        moved = pixels(through(middle, point), at_depth(middle, 4.0)) - pixels(middle, at_depth(middle, 4.0))
+        moved = pixels(camera_through(middle, point), at_depth(middle, 4.0)) - pixels(middle, at_depth(middle, 4.0))
         assert np.abs(moved).max() < 1e-11  # measured 5e-13
 
 
@@ -56,9 +56,9 @@ def test_seen_from_the_rim_a_point_lies_on_its_circle_of_confusion(parallel, dep
     world = at_depth(middle, depth)
     for angle in np.linspace(0, 6, 7):
         rim = 0.3 * np.array([np.cos(angle), np.sin(angle)])
-        moved = pixels(through(middle, rim), world) - pixels(middle, world)
+        moved = pixels(camera_through(middle, rim), world) - pixels(middle, world)
         # Pixels of this camera are as wide as high.
-        found = np.hypot(*moved.T) / confusion(middle, depth)
+        found = np.hypot(*moved.T) / circle_of_confusion(middle, depth)
         assert np.abs(found - 1).max() < 1e-12  # measured 9e-15
 
 
@@ -66,27 +66,29 @@ def test_confusion_in_closed_form():
     focal = 300.0  # 2 * 300 / 2 pixels
     depth = np.array([0.5, 4.0, 8.0, np.inf])
     expected = focal * 0.3 * np.array([1 / 0.5 - 1 / 4, 0, 1 / 4 - 1 / 8, 1 / 4])
-    np.testing.assert_allclose(confusion(camera(), depth), expected, rtol=1e-12)
-    np.testing.assert_allclose(confusion(camera(True), depth[:3]), focal * 0.3 * np.array([7 / 8, 0, 1]), rtol=1e-12)
+    np.testing.assert_allclose(circle_of_confusion(camera(), depth), expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        circle_of_confusion(camera(True), depth[:3]), focal * 0.3 * np.array([7 / 8, 0, 1]), rtol=1e-12
+    )
 
 
 @PARALLEL
 def test_confusion_of_what_has_no_sharp_picture(parallel):
     far = camera(parallel, focus=np.inf)
     if parallel:
-        np.testing.assert_array_equal(confusion(far, np.array([0.0, 1.0])), [90.0, 90.0])
+        np.testing.assert_array_equal(circle_of_confusion(far, np.array([0.0, 1.0])), [90.0, 90.0])
     else:
-        np.testing.assert_array_equal(confusion(far, np.array([0.0, 1.0, np.inf])), [np.inf, 90.0, 0.0])
-    assert confusion(camera(parallel, radius=0.0), 0.0) == 0.0
-    assert confusion(replace(far, aperture=None), 0.0) == 0.0
-    assert np.isfinite(confusion(camera(parallel), -3.0))
-    assert confusion(camera(parallel), np.ones((3, 2))).shape == (3, 2)
+        np.testing.assert_array_equal(circle_of_confusion(far, np.array([0.0, 1.0, np.inf])), [np.inf, 90.0, 0.0])
+    assert circle_of_confusion(camera(parallel, radius=0.0), 0.0) == 0.0
+    assert circle_of_confusion(replace(far, aperture=None), 0.0) == 0.0
+    assert np.isfinite(circle_of_confusion(camera(parallel), -3.0))
+    assert circle_of_confusion(camera(parallel), np.ones((3, 2))).shape == (3, 2)
 
 
 @PARALLEL
 def test_seen_from_the_lens_at_infinite_focus_everything_is_shifted(parallel):
     far = camera(parallel, focus=np.inf)
-    seen = through(far, np.array([0.1, -0.2]))
+    seen = camera_through(far, np.array([0.1, -0.2]))
     moved = pixels(seen, at_depth(far, 2.0)) - pixels(far, at_depth(far, 2.0))
     expected = np.array([-0.1, 0.2]) * 300 / (1 if parallel else 2)
     np.testing.assert_allclose(moved, np.broadcast_to(expected, moved.shape), atol=1e-10)  # measured 6e-14
@@ -95,7 +97,7 @@ def test_seen_from_the_lens_at_infinite_focus_everything_is_shifted(parallel):
 @PARALLEL
 def test_the_middle_of_the_lens_is_the_camera_without_one(parallel):
     middle = camera(parallel)
-    seen = through(middle, lens_points(5, middle.aperture)[0])
+    seen = camera_through(middle, lens_points(5, middle.aperture)[0])
     assert seen.view_from_world is middle.view_from_world
     assert seen.clip_from_view is middle.clip_from_view
     assert seen.aperture is None
@@ -105,21 +107,21 @@ def test_only_parallel_cameras_are_seen_askew_and_little():
     for parallel, most in ((False, 1e-12), (True, 0.3**2 / 4**2 / 2)):  # measured 4e-16, 2.4e-3
         middle = camera(parallel)
         for point in lens_points(64, middle.aperture):
-            turn = through(middle, point).view_from_world[:3, :3]
+            turn = camera_through(middle, point).view_from_world[:3, :3]
             assert np.abs(turn @ turn.T - np.eye(3)).max() <= most
 
 
 @PARALLEL
 def test_the_wide_picture_shows_what_any_place_of_the_lens_does(parallel):
     middle = camera(parallel)
-    wide = widened(middle, 1.0, 12.0)
+    wide = widened_camera(middle, 1.0, 12.0)
     margin = (wide.window[2] - middle.window[2]) // 2
     assert margin > 0
     assert pixels(wide, at_depth(middle, 3.0)) - pixels(middle, at_depth(middle, 3.0)) == pytest.approx(margin)
     low, high = np.zeros(2), np.array(middle.window[2:])
     for depth in (1.0, 4.0, 12.0):
         for point in lens_points(64, middle.aperture):
-            seen = pixels(through(middle, point), at_depth(middle, depth))
+            seen = pixels(camera_through(middle, point), at_depth(middle, depth))
             inside = ((seen >= low) & (seen <= high)).all(axis=1)
             place = pixels(wide, at_depth(middle, depth))[inside]
             assert (place >= 0).all()
@@ -127,9 +129,9 @@ def test_the_wide_picture_shows_what_any_place_of_the_lens_does(parallel):
 
 
 def test_the_wide_picture_is_bounded():
-    assert widened(camera(radius=1e6), 0.1, 100.0).resolution == (900, 800)
+    assert widened_camera(camera(radius=1e6), 0.1, 100.0).resolution == (900, 800)
     pinhole = replace(camera(), aperture=None)
-    assert widened(pinhole, 0.1, 100.0) is pinhole
+    assert widened_camera(pinhole, 0.1, 100.0) is pinhole
 
 
 # Places on the aperture

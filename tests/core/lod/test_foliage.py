@@ -15,7 +15,7 @@ from pointsplat_addon.core.lod import hierarchy, node_splats
 from pointsplat_addon.core.lod.foliage import disconnected_splats, is_foliage
 from pointsplat_addon.core.scene.cloud import PointCloud
 from scripts.scenes.meshes import plane_mesh, sphere_mesh
-from tests.core.lod.test_optics import levels, mean_transmittance
+from tests.support.transmittance import levels, mean_transmittance
 
 
 def leaves(count: int, depth: float, flat: float = 0.0) -> PointCloud:
@@ -112,7 +112,7 @@ def test_light_passes_what_is_not_of_opaque_disks() -> None:
 @pytest.mark.parametrize(("depth", "flat"), [(0.5, 0.0), (1.5, 0.0), (0.5, 1.0)])
 def test_a_crown_of_leaves_is_as_dark_from_afar(depth: float, flat: float) -> None:
     cloud = leaves(40000, depth, flat)
-    built = hierarchy.build(replace(cloud, apart=disconnected_splats(cloud)))
+    built = hierarchy.build(replace(cloud, disconnected=disconnected_splats(cloud)))
     splats, cuts = node_splats.points_and_nodes(built), list(levels(built, 2000))
     assert len(cuts) >= 2
     for view in ((0.0, 0.0, 1.0), (1.0, 0.4, 0.7)):
@@ -125,12 +125,12 @@ def test_a_crown_of_leaves_is_as_dark_from_afar(depth: float, flat: float) -> No
 
 def test_poses_of_leaves_are_refitted_to_the_same_nodes() -> None:
     cloud = leaves(3000, 1.0)
-    cloud = replace(cloud, apart=disconnected_splats(cloud), color=np.full((3000, 3), 0.5, np.float32))
+    cloud = replace(cloud, disconnected=disconnected_splats(cloud), color=np.full((3000, 3), 0.5, np.float32))
     built = hierarchy.build(cloud)
     painted = replace(cloud, color=np.full((3000, 3), 0.2, np.float32))
     for again in (hierarchy.refit(built, cloud), hierarchy.recolor(built, painted)):
         np.testing.assert_array_equal(again.section, built.section)
-        np.testing.assert_array_equal(again.apart, built.apart)
+        np.testing.assert_array_equal(again.disconnected, built.disconnected)
 
 
 def strips(count: int, cells: int) -> tuple[np.ndarray, np.ndarray]:

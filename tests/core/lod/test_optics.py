@@ -5,7 +5,7 @@
 # Attributes may be None by type; the clouds here have those that are asked for.
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,66 +14,11 @@ import pytest
 from pointsplat_addon.core.lod import hierarchy, node_splats
 from pointsplat_addon.core.lod.nodes import optics
 from pointsplat_addon.core.lod.nodes import rows as rows_module
-from pointsplat_addon.core.numeric import vectors
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.splat import ellipsoids
 from pointsplat_addon.core.splat.kernel import EVEN_SPACING, SUPPORT, kernel
+from tests.support.transmittance import cards, levels, mean_transmittance, medium, voxel_ball
 
 VIEWS = ((0.0, 0.0, 1.0), (1.0, 0.4, 0.7))
-
-
-def projected(cloud: PointCloud, direction: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (N, 2) and covariances (N, 2, 2) of splats in the plane across a direction."""
-    d = np.array(direction) / np.linalg.norm(direction)
-    u = np.cross(d, [0.3, 0.5, 0.8])
-    u /= np.linalg.norm(u)
-    plane = np.stack([u, np.cross(d, u)])
-    normal, axis, radii = ellipsoids.splat_frames(cloud, slice(None))
-    halves = np.stack([axis, np.cross(normal.T, axis.T).T, normal]) * radii[:, None] / 2
-    flat = np.einsum("xi,kin->nkx", plane, halves)
-    covariance = np.einsum("nkx,nky->nxy", flat, flat) + 1e-12 * radii.max() ** 2 * np.eye(2)
-    return cloud.position.astype(np.float64) @ plane.T, covariance
-
-
-def mean_transmittance(
-    cloud: PointCloud, half: float, direction: tuple[float, float, float], pixels: int = 96, hard: bool = False
-) -> float:
-    """Over the square about the origin with this half side: exp(-tau) of all splats.
-    `hard`: opaque over their ellipses instead."""
-    place, covariance = projected(cloud, direction)
-    determinant, conic = np.linalg.det(covariance), np.linalg.inv(covariance)
-    if hard:
-        middle = np.full(len(cloud), optics.OPAQUE_DEPTH)
-    elif cloud.extinction is not None:
-        volume = 4 / 3 * np.pi * np.prod(ellipsoids.splat_frames(cloud, slice(None))[2], axis=0)
-        middle = cloud.extinction * volume / (2 * np.pi * np.sqrt(determinant))
-    else:
-        # The mass is the depth times the seen area, which is that of the projected ellipse.
-        middle = -2 * np.log1p(-np.minimum(cloud.opacity.astype(np.float64), 1 - 1e-16))
-    step, tau = 2 * half / pixels, np.zeros(pixels * pixels)
-    reach = (2 if hard else np.sqrt(SUPPORT)) * np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
-    spans, home = np.ceil(reach / step).astype(int) + 1, np.floor((place + half) / step).astype(int)
-    for span in np.unique(spans):
-        rows = np.flatnonzero(spans == span)
-        window = np.stack(np.meshgrid(*[np.arange(-span, span + 1)] * 2), axis=-1).reshape(-1, 2)
-        for some in np.array_split(rows, 1 + len(rows) * len(window) // 500_000):
-            cell = home[some, None] + window
-            x = (cell + 0.5) * step - half - place[some, None]
-            q = np.einsum("nwx,nxy,nwy->nw", x, conic[some], x)
-            seen = (q <= (4 if hard else SUPPORT)) & ((cell >= 0) & (cell < pixels)).all(axis=-1)
-            depth = middle[some, None] * (np.ones_like(q) if hard else kernel(q))
-            tau += np.bincount((cell[..., 1] * pixels + cell[..., 0])[seen], depth[seen], pixels * pixels)
-    return float(np.exp(-tau).mean())
-
-
-def levels(built: hierarchy.Hierarchy, least: int) -> Iterator[np.ndarray]:
-    """Cuts of at least this many splats: each level of the tree, and the leaves above it; rows of `splats`."""
-    tree = built.tree
-    for first, last in zip(tree.levels[:-1], tree.levels[1:], strict=True):
-        leaves = np.flatnonzero(tree.child_count[:first] == 0)
-        nodes = np.concatenate([leaves, np.arange(first, last)])
-        if len(nodes) >= least:
-            yield np.where(tree.point_count[nodes] > 1, len(built.cloud) + nodes, tree.first_point[nodes])
 
 
 def worst_change(cloud: PointCloud, half: float, least: int) -> float:
@@ -86,22 +31,6 @@ def worst_change(cloud: PointCloud, half: float, least: int) -> float:
         near = mean_transmittance(cloud, half, view)
         worst = max(worst, *(abs(mean_transmittance(splats.take(cut), half, view) - near) for cut in cuts))
     return worst
-
-
-def voxel_ball(diameter: int, fraction: float = 1.0) -> np.ndarray:
-    """Centres (N, 3) of the voxels in a ball, or of a random part of them."""
-    line = np.arange(diameter) - (diameter - 1) / 2
-    p = np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3)
-    p = p[(p**2).sum(axis=1) <= diameter**2 / 4]
-    return p[np.random.default_rng(0).random(len(p)) < fraction].astype(np.float32)
-
-
-def medium(position: np.ndarray, extinction: float | np.ndarray, **attributes: np.ndarray) -> PointCloud:
-    """Voxels of edge 1 and true extinction, as balls."""
-    radius = 2 * EVEN_SPACING
-    share = np.float32(1 / (4 / 3 * np.pi * radius**3)) * np.float32(extinction)
-    own = np.broadcast_to(share, (len(position), *np.shape(share)[1:])).astype(np.float32).copy()
-    return PointCloud(position, radii=np.full((len(position), 1), radius, np.float32), extinction=own, **attributes)
 
 
 # Cloud, least splats of a cut, tolerance: one percent, but where the outlines of opaque voxels are Gaussians, too.
@@ -123,25 +52,6 @@ def test_media_let_as_much_light_through_from_afar(name: str) -> None:
     cloud = make()
     half = 1.1 * float(np.abs(cloud.position).max())
     assert worst_change(cloud, half, least) < tolerance
-
-
-def cards(count: int, alpha: float, side: float, samples: int, seed: int = 0) -> PointCloud:
-    """Square cards in all directions in the unit ball, each of samples^2 disks that overlap and add up to alpha."""
-    rng = np.random.default_rng(seed)
-    middle = rng.standard_normal((count, 3))
-    middle *= np.cbrt(rng.random((count, 1))) / np.linalg.norm(middle, axis=1, keepdims=True)
-    normal = rng.standard_normal((count, 3))
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    u, v = vectors.basis(normal.T)
-    line = ((np.arange(samples) + 0.5) / samples - 0.5) * side
-    x, y = (g.reshape(-1, 1) for g in np.meshgrid(line, line))
-    position = (middle[:, None] + u.T[:, None] * x + v.T[:, None] * y).reshape(-1, 3)
-    n, radius = len(position), 1.3 / np.sqrt(2) * side / samples
-    depth = -np.log(1 - alpha) * (side / samples) ** 2 / (np.pi * radius**2)
-    return PointCloud(
-        position.astype(np.float32), normal=np.repeat(normal, samples**2, axis=0).astype(np.float32),
-        radii=np.full((n, 1), radius, np.float32), opacity=np.full(n, -np.expm1(-depth), np.float32),
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize("alpha", [0.3, 0.9])

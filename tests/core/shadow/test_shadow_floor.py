@@ -6,15 +6,15 @@ import pytest
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.validation import valid_triangles
-from pointsplat_addon.core.shadow.floor import lowest, lowest_corner, plane_of, shines_from
-from pointsplat_addon.core.shadow.samples import outline
+from pointsplat_addon.core.shadow.floor import light_is_above, lowest_box_height, lowest_height, plane_of_mesh
+from pointsplat_addon.core.shadow.samples import mesh_extents
 from scripts.scenes import build, meshes
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
 def plane(mesh: Mesh) -> tuple[np.ndarray, np.ndarray] | None:
-    return plane_of(mesh, outline(mesh, valid_triangles(mesh)[0]))
+    return plane_of_mesh(mesh, mesh_extents(mesh, valid_triangles(mesh)[0]))
 
 
 def flat(key: str) -> Mesh:
@@ -64,7 +64,7 @@ def test_what_is_not_flat_has_no_plane():
     ],
 )
 def test_a_lamp_shines_from_above_where_all_of_it_is_above(light, above):
-    assert shines_from(light, UP, UP) == above  # a plane at height 1
+    assert light_is_above(light, UP, UP) == above  # a plane at height 1
 
 
 def test_heights_of_boxes_are_below_those_of_what_they_hold():
@@ -75,7 +75,7 @@ def test_heights_of_boxes_are_below_those_of_what_they_hold():
     normal, point = np.array([0.36, 0.48, 0.8]), rng.normal(size=3)
     world = np.einsum("iab,nb->ina", matrices[:, :3, :3], position) + matrices[:, None, :3, 3]
     expected = ((world - point) @ normal).min()
-    assert lowest(position, matrices, point, normal) == pytest.approx(expected, abs=1e-12)  # measured 9e-16
-    assert lowest_corner(position.min(axis=0), position.max(axis=0), matrices, point, normal) <= expected
+    assert lowest_height(position, matrices, point, normal) == pytest.approx(expected, abs=1e-12)  # measured 9e-16
+    assert lowest_box_height(position.min(axis=0), position.max(axis=0), matrices, point, normal) <= expected
     matrices[2, 0, 0] = np.nan
-    assert not lowest(position, matrices, point, normal) >= 0
+    assert not lowest_height(position, matrices, point, normal) >= 0

@@ -7,8 +7,8 @@ import pytest
 
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
-from pointsplat_addon.core.shadow.table import LOOSE, SHARP
 from pointsplat_addon.render.shadow.pages import pack
+from tests.reference.shadow import LOOSE, SHARP, receiver_of, transmittance
 
 DOWN = np.array([0.0, 0.0, -1.0])
 LIGHTS = {
@@ -38,7 +38,7 @@ def cells(level) -> tuple[np.ndarray, ...]:
 
 @pytest.mark.parametrize("name", LIGHTS)
 def test_no_entry_that_a_look_up_reads_is_nearer(name):
-    table = builder.build(LIGHTS[name], [disks(300, 0.004, 1), disks(60, 0.04, 2)], 256)
+    table = builder.build_table(LIGHTS[name], [disks(300, 0.004, 1), disks(60, 0.04, 2)], 256)
     assert len({level.grid.step for level in table.levels}) >= 2
     rng = np.random.default_rng(3)
     receiver = rng.uniform(-1, 1, (400, 3)) @ table.frame.light_from_world.T
@@ -68,20 +68,22 @@ def test_where_nothing_is_near_soft_shadows_are_looked_up_as_hard_ones():
     ball = disks(300, 0.03, 0)
     ball = replace(ball, position=ball.position * 0.2 + np.array([0, 0, 2], np.float32))
     light = replace(LIGHTS["sun"], radius=np.radians(0.526) / 2)  # Blender's
-    table = builder.build(light, [builder.Casters("OPAQUE", np.zeros(3), floor, axes=axes), ball], 256)
+    table = builder.build_table(light, [builder.Casters("OPAQUE", np.zeros(3), floor, axes=axes), ball], 256)
     up = np.tile([0.0, 0, 1], (len(floor), 1))
-    spread = table.receiver(floor.astype(float), up).reach(table) * table.emitter.radius / table.frame.step
+    spread = (
+        receiver_of(table, floor.astype(float), up).spread_at_nearest(table) * table.emitter.radius / table.frame.step
+    )
     # Measured 0.84.
     assert (spread <= SHARP).mean() > 0.8
-    shaded = table.transmittance(floor.astype(float), up) < 0.9
+    shaded = transmittance(table, floor.astype(float), up) < 0.9
     assert shaded.any()
     assert (spread[shaded] > SHARP).all()
 
 
 def test_lamps_without_a_size_carry_no_squares():
     casters = [disks(300, 0.02, 0)]
-    soft = builder.build(LIGHTS["outside"], casters, 64)
-    hard = builder.build(replace(LIGHTS["outside"], radius=0.0), casters, 64)
+    soft = builder.build_table(LIGHTS["outside"], casters, 64)
+    hard = builder.build_table(replace(LIGHTS["outside"], radius=0.0), casters, 64)
     assert len(hard.nearest.distance) == 1 < len(soft.nearest.distance)
     assert pack([hard]).squares.tolist() == [0]
     assert pack([soft]).squares[0] > 0

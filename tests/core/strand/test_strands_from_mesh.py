@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.strand.fit.from_mesh import connected_parts, fit_strands
+from pointsplat_addon.core.strand.fit.from_mesh import fit_strands
+from pointsplat_addon.core.strand.fit.graph import connected_parts
 
 
 def branch(sides, rings, *, tip=False, bend=0.0):
@@ -50,7 +51,7 @@ def test_rings_become_a_tube_through_their_middles(sides, tip):
     vertices, faces, middle = branch(sides, 7, tip=tip, bend=0.01)
     found = fit_strands(vertices, faces)
     assert len(found) == found.parts == 1
-    assert not found.left.any()
+    assert not found.remaining.any()
     assert not found.ribbon.any()
     order = slice(None) if np.allclose(found.position[0], middle[0]) else slice(None, None, -1)
     np.testing.assert_allclose(found.position[order], middle, atol=1e-12)
@@ -67,7 +68,7 @@ def test_leaves_of_two_to_four_triangles_become_ribbons_of_their_area():
         [[0, 1, 2], [0, 2, 3], [3, 2, 4]]))  # fmt: skip
     found = fit_strands(*joined(*parts))
     assert found.ribbon.tolist() == [True] * 3
-    assert not found.left.any()
+    assert not found.remaining.any()
     points = [found.position[a:b] for a, b in zip(found.start[:-1], found.start[1:], strict=True)]
     assert sorted(len(p) for p in points) == [2, 3, 3]
     for p in points:
@@ -85,8 +86,8 @@ def test_what_has_no_structure_stays_and_is_counted():
     found = fit_strands(*joined(CUBE, QUAD, single, branch(5, 4)[:2]))
     assert found.parts == 4
     assert len(found) == 2
-    assert found.left.sum() == 12 + 1
-    assert found.left[:12].all()
+    assert found.remaining.sum() == 12 + 1
+    assert found.remaining[:12].all()
 
 
 def split_edge(vertices, faces, a, b):
@@ -111,7 +112,7 @@ def test_a_sleeve_whose_vertices_make_no_rings_is_cut_across():
     vertices, faces, middle = sleeve(8)
     found = fit_strands(vertices, faces)
     assert len(found) == 1
-    assert not found.left.any()
+    assert not found.remaining.any()
     ends = found.position[[0, -1]]
     np.testing.assert_allclose(ends[np.argsort(ends[:, 2])], middle[[0, -1]], atol=1e-12)
     assert np.abs(found.position[:, :2]).max() < 1e-12  # measured 4e-18
@@ -125,8 +126,8 @@ def test_a_sleeve_whose_vertices_make_no_rings_is_cut_across():
 def test_a_sleeve_with_angular_sections_is_a_tube_only_where_it_is_thin_beside_the_mesh():
     vertices, faces, _ = sleeve(3)
     alone = fit_strands(vertices, faces)
-    assert alone.left.all()
-    assert alone.stay == 1
+    assert alone.remaining.all()
+    assert alone.remaining_parts == 1
     far = QUAD[0] + np.array([200.0, 0, 0]), QUAD[1]  # the tube's radius is 0.06
     assert fit_strands(*joined((vertices, faces), far)).ribbon.tolist() == [False, True]
 
@@ -138,7 +139,7 @@ def test_a_tube_that_is_closed_at_its_ends_and_within_is_the_same_tube(sides):
     walls = [fan + sides * ring for ring in ((0, 2, 4) if sides == 3 else (0, 4))]
     found, open_ = fit_strands(vertices, np.concatenate([faces, *walls])), fit_strands(vertices, faces)
     assert len(found) == 1
-    assert not found.left.any()
+    assert not found.remaining.any()
     np.testing.assert_allclose(found.radius, open_.radius, rtol=1e-12)
     order = slice(None) if np.allclose(found.position[0], middle[0]) else slice(None, None, -1)
     np.testing.assert_allclose(found.position[order], middle, atol=1e-12)
@@ -174,7 +175,7 @@ def test_a_flat_leaf_of_many_triangles_becomes_a_ribbon_of_its_area(sides):
     vertices, faces = star(7, sides)
     found = fit_strands(vertices, faces)
     assert found.ribbon.tolist() == [True]
-    assert not found.left.any()
+    assert not found.remaining.any()
     corner = vertices[faces[: len(faces) // sides]]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     area = np.linalg.norm(normal, axis=1).sum() / 2
@@ -207,8 +208,8 @@ def test_a_leaf_with_lobes_becomes_a_ribbon_for_each_and_one_between_them(lobes,
     found = fit_strands(vertices, faces)
     assert found.ribbon.tolist() == [True] * (lobes + 1)
     assert (np.diff(found.start) == 2).all()
-    assert not found.left.any()
-    assert found.stay == 0
+    assert not found.remaining.any()
+    assert found.remaining_parts == 0
     points, radius = found.position.reshape(-1, 2, 3), found.radius.reshape(-1, 2)
     # All its area, in its plane
     corner = vertices[flat[1]]
@@ -232,10 +233,10 @@ def test_what_is_thick_or_full_of_gaps_is_no_leaf():
     rim = 1 + np.arange(14)
     after = 1 + (np.arange(14) + 1) % 14
     wall = np.concatenate([np.stack([rim, after, rim + 15], axis=1), np.stack([after, after + 15, rim + 15], axis=1)])
-    assert fit_strands(thick, np.concatenate([faces, faces[:, ::-1] + 15, wall])).left.all()
+    assert fit_strands(thick, np.concatenate([faces, faces[:, ::-1] + 15, wall])).remaining.all()
     # A ring, most of whose breadth is empty
     angle = np.arange(24) * 2 * np.pi / 24
     inner, outer = (r * np.stack([2 * np.cos(angle), np.sin(angle), 0 * angle], axis=1) for r in (0.9, 1.0))
     low, following = np.arange(24), (np.arange(24) + 1) % 24
     band = [np.stack([low, following, low + 24], axis=1), np.stack([following, following + 24, low + 24], axis=1)]
-    assert fit_strands(np.concatenate([inner, outer]), np.concatenate(band)).left.all()
+    assert fit_strands(np.concatenate([inner, outer]), np.concatenate(band)).remaining.all()

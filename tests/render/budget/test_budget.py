@@ -103,7 +103,7 @@ def test_a_picture_stops_in_time(milliseconds, aperture):
     request, times = replace(request, camera=replace(request.camera, aperture=aperture)), []
     for _ in range(4):
         before = len(device.calls)
-        result = budgeted.kept(renderer, scene, request, lambda *_: None, lambda: False, clock)
+        result = budgeted.render_within_budget(renderer, scene, request, lambda *_: None, lambda: False, clock)
         times.append(len(device.calls) - before)
         assert result.report["estimate"]["seconds"] == pytest.approx(times[-1] / 1000)
     # Whole samples: 0.075 at most, of 40 draws, and 0.005, of 200.
@@ -169,11 +169,11 @@ def ratios(case: Case, monkeypatch: pytest.MonkeyPatch, limits=(0.03, 0.01, 0.00
         # More samples than MOST_SAMPLES are not drawn.
         assert report["estimate"]["rmse"] <= limit or "samples" not in {entry["name"] for entry in report["skipped"]}
     settings = replace(case.settings, tolerance=case.settings.tolerance / 4, use_adaptive_sampling=False)
-    monkeypatch.setattr(translucent, "RELIT", CONVERGED)
+    monkeypatch.setattr(translucent, "LIGHTINGS", CONVERGED)
     best = Request(case.camera, settings, COMBINED, CONVERGED, node=NODE_SIZE / 4)
     truth = drawing.opengl().render(case.scene, best).pixels["combined"]
     estimates = [result.report["estimate"]["rmse"] for result in found]
-    distances = [error.distance(result.pixels["combined"], truth) for result in found]
+    distances = [error.rms_difference(result.pixels["combined"], truth) for result in found]
     return [e / d for e, d in zip(estimates, distances, strict=True)]
 
 
@@ -235,14 +235,14 @@ def test_what_no_sample_met_is_told_from_steps_beside_a_pixel():
     """Nothing of an even slope; of a step what an edge covers at most unseen, less with more samples."""
     across = np.arange(8.0)
     slope = np.repeat(np.broadcast_to(0.1 * across, (6, 8))[..., None], 3, axis=-1)
-    assert error.unseen(slope, 5).max() < 1e-30
+    assert error.missed_edge_error(slope, 5).max() < 1e-30
     step = np.repeat(np.broadcast_to((across > 3) * 0.5, (6, 8))[..., None], 3, axis=-1)
-    found = error.unseen(step, 5)
+    found = error.missed_edge_error(step, 5)
     np.testing.assert_allclose(found[:, 3:5], (0.5 * error.MOST_UNSEEN) ** 2)
     assert not np.delete(found, (3, 4), axis=1).any()
     counts = np.full((6, 8, 1), 5.0)
     counts[3:] = 129.0
-    few, many = error.unseen(step, counts)[[0, 5], 3]
+    few, many = error.missed_edge_error(step, counts)[[0, 5], 3]
     assert many == pytest.approx((0.5 * error.UNSEEN / 129) ** 2)
     assert many < few
 
@@ -250,13 +250,13 @@ def test_what_no_sample_met_is_told_from_steps_beside_a_pixel():
 def test_of_what_is_out_of_focus_no_edge_is_missed():
     """Only samples can miss one: nothing where they decide nothing, up to the pixels beside what they do."""
     step = np.repeat(np.broadcast_to((np.arange(8.0) > 3) * 0.5, (6, 8))[..., None], 3, axis=-1)
-    everywhere = error.unseen(step, 5)
+    everywhere = error.missed_edge_error(step, 5)
     sharp = np.zeros((6, 8, 1))
     sharp[0, 4] = 0.5
-    found = error.unseen(step, 5, sharp)
+    found = error.missed_edge_error(step, 5, sharp)
     np.testing.assert_allclose(found[:2, 3:5], 0.25 * everywhere[:2, 3:5])
     assert not found[2:].any()
-    np.testing.assert_array_equal(error.unseen(step, 5, np.ones((6, 8, 1))), everywhere)
+    np.testing.assert_array_equal(error.missed_edge_error(step, 5, np.ones((6, 8, 1))), everywhere)
 
 
 def test_where_samples_alone_would_do_the_cut_gets_finer():
@@ -288,7 +288,9 @@ def test_tiles_with_edges_go_on_where_an_error_is_asked_for():
     result = drawing.opengl().render(scene, request)
     exact = replace(request, settings=replace(request.settings, budget="NONE", use_adaptive_sampling=False))
     truth = drawing.opengl().render(scene, replace(exact, samples=CONVERGED)).pixels["combined"]
-    assert error.distance(result.pixels["combined"], truth) < 0.003  # measured 0.0012; 0.0045 where tiles just end
+    assert (
+        error.rms_difference(result.pixels["combined"], truth) < 0.003
+    )  # measured 0.0012; 0.0045 where tiles just end
 
 
 def test_a_cut_is_compared_without_touching_what_the_picture_uses():

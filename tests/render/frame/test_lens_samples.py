@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lens.thin_lens import lens_points, through
+from pointsplat_addon.core.lens.thin_lens import camera_through, lens_points
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
@@ -46,7 +46,7 @@ def test_a_picture_is_the_mean_of_those_of_cameras_at_places_on_the_lens(name, t
     case = with_aperture(name)
     found = seen(case, 5, technique=technique).pixels["combined"]
     alone = [
-        seen(replace(case, camera=through(case.camera, point)), 5, technique=technique).pixels["combined"]
+        seen(replace(case, camera=camera_through(case.camera, point)), 5, technique=technique).pixels["combined"]
         for point in lens_points(5, PENTAGON)
     ]
     error = np.abs(found - np.mean(alone, axis=0))
@@ -147,7 +147,7 @@ def test_a_viewport_keeps_the_depths_that_the_middle_of_the_lens_sees():
             pass
         picture.present()
         assert device.names.count("keep") == kept
-        place, data = device.calls[-1].textures["ps_place"], picture.targets.data_surfels
+        place, data = device.calls[-1].textures["ps_centre"], picture.targets.data_surfels
         assert data is not None
-        assert (place is data.buffer.textures["place"]) == (aperture is None)
+        assert (place is data.buffer.textures["centre"]) == (aperture is None)
         picture.release()

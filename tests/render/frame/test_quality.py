@@ -10,16 +10,13 @@ import pytest
 
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from scripts.common.images import compare, directions
+from scripts.common.images import compare
 from scripts.scenes import build, cameras
 from scripts.scenes.case import Case
 from scripts.scenes.drawing import render
 from scripts.scenes.meshes import SHAPES, shape
 from scripts.scenes.store import STORE
-
-SIZE = 192
-VIEWS = directions(2)
-
+from tests.support.splats import SIZE, VIEWS
 
 # Decibels at tolerance 2, 1, 0.5, mean of all views. Measured 42.5, 45.6, 46.0; 38.1, 41.1, 41.1; 29.9, 35.1, 38.1.
 LEAST_PSNR = {"sphere": (41.8, 45.0, 45.3), "torus": (37.5, 40.4, 40.4), "spot": (29.8, 34.5, 37.5)}

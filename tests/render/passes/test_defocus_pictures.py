@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lens import backdrop, defocus
 from pointsplat_addon.core.light import environment
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
@@ -28,6 +27,7 @@ from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
 from scripts.scenes.meshes import cube_mesh, plane_mesh
 from scripts.scenes.store import STORE
+from tests.reference import backdrop, defocus
 
 COMBINED = frozenset({"combined"})
 SPLAT, LENS = Settings(use_shadows=False), Settings(use_shadows=False, dof_method="LENS_SAMPLES")
@@ -81,7 +81,7 @@ def test_the_shader_is_the_reference(name):
     corner = frame.shot.corner
     frame.release()
 
-    place, shape, source = kept["ps_place"], kept["ps_shape"], kept["ps_source"]
+    place, shape, source = kept["ps_centre"], kept["ps_shape"], kept["ps_source"]
     order = np.argsort(place[:, 2], kind="stable")
     order = order[place[order, 3] > 0]
     place, shape, source = place[order], shape[order], source[order]
@@ -91,7 +91,7 @@ def test_the_shader_is_the_reference(name):
     peak = defocus.kernel(np.zeros(len(k)), k, np.linalg.det(covariance))
     splats = defocus.Splats(
         place[:, :2], place[:, 2], covariance, k, place[:, 3] / peak, source[:, :3], source[:, 3],
-        back=kind % 2 == 1, translucent=kind // 2 % 2 == 1, apart=kind // 8 % 2 == 1,
+        back=kind % 2 == 1, translucent=kind // 2 % 2 == 1, disconnected=kind // 8 % 2 == 1,
     )  # fmt: skip
     height, width, _ = found.shape
     y, x = np.mgrid[:height, :width]
@@ -487,8 +487,8 @@ def test_the_blurred_world_is_the_references(aperture):
     frame.release()
     image, turn = case.scene.world.image, case.scene.world.world_rotation
     assert image is not None
-    picture = backdrop.sharp(environment.build_atlas(image), grid, frame.view, turn)
-    error = np.abs(found - backdrop.blurred(picture, grid))
+    picture = backdrop.sharp_backdrop(environment.build_atlas(image), grid, frame.view, turn)
+    error = np.abs(found - backdrop.blur_backdrop(picture, grid))
     assert error.max() < 0.003 * picture.max()  # measured 0.0012
     assert found.std() > 0.02
 

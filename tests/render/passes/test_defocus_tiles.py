@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lens import defocus
+from pointsplat_addon.core.lens import kernel
 from pointsplat_addon.render.passes.defocus.tile_lists import tile_lists
+from tests.reference import defocus
 
 SIZE = (61, 43)  # neither is a multiple of a tile
 
@@ -42,7 +43,7 @@ def test_no_pixel_misses_a_splat(seed: int) -> None:
     )  # fmt: skip
     peak = defocus.kernel(np.zeros(count), k, np.linalg.det(covariance))
     with np.errstate(invalid="ignore"):
-        shown = defocus.drawn_kernel(pixels, of) > defocus.FAINT * peak / np.maximum(place[:, 3], 1)
+        shown = defocus.drawn_kernel(pixels, of) > kernel.NEGLIGIBLE * peak / np.maximum(place[:, 3], 1)
     shown &= place[:, 3] > 0
     assert shown.any(axis=1).mean() > 0.9
     owner = np.zeros((len(lists.tiles) * lists.tiles.shape[1], count), bool)

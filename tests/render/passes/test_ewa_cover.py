@@ -5,52 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.passes.ewa import cover, ewa
 from pointsplat_addon.render.renderer import Renderer
-from scripts.scenes import build, cameras, solid_cases
+from scripts.scenes import solid_cases
 from scripts.scenes.case import Case
 from scripts.scenes.drawing import render
 from scripts.scenes.store import STORE
+from tests.support.hidden_splats import COUNT, SCENES, ball, case
 
 ONLY_COMBINED = frozenset({"combined"})
-COUNT = 60_000
 PROGRAMS = {"sizes", "open", "needed"}
-
-
-def ball(radius: float, hole: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, normals, radii and colours of splats that lie evenly on the unit sphere, but for a hole toward -Y."""
-    i = np.arange(COUNT) + 0.5
-    y, turn = 1 - 2 * i / COUNT, np.pi * (1 + 5**0.5) * i
-    side = np.sqrt(1 - y * y)
-    normal = np.stack([side * np.cos(turn), y, side * np.sin(turn)], axis=1)
-    color = np.random.default_rng(5).random((COUNT, 3))
-    kept = (normal[:, 1] > 0) | (np.hypot(normal[:, 0] - 0.2, normal[:, 2]) > hole)
-    return normal[kept], normal[kept], np.full(kept.sum(), radius), color[kept]
-
-
-def case(key: str, *things: tuple[np.ndarray, ...]) -> Case:
-    """Splats that glow, over nothing."""
-    position, normal, radii, color = (np.concatenate(part).astype(np.float32) for part in zip(*things, strict=True))
-    cloud = PointCloud(position, normal=normal, radii=radii[:, None], emission=color)
-    table = build.materials(base_color=[[0, 0, 0]], specular=[0])
-    scene = build.scene((build.points(key, cloud), build.moved()), lights=(), world=World(), table=table,
-                         transparent=True)  # fmt: skip
-    camera = cameras.camera((0, -4, 0), resolution=(300, 300), parallel=2.3)
-    return Case(scene, camera, Settings(technique="EWA", use_shadows=False, use_adaptive_sampling=False))
-
-
-def wires() -> tuple[np.ndarray, ...]:
-    """Rows of fine splats in front of the ball."""
-    along = np.linspace(-0.8, 0.8, 400)
-    position = np.concatenate(
-        [np.stack([along, np.full(400, -1.2), np.full(400, z)], axis=1) for z in (-0.31, 0.02, 0.44)]
-    )
-    count = len(position)
-    return position, np.tile([0.0, -1.0, 0.0], (count, 1)), np.full(count, 0.006), np.tile([1.0, 0.0, 0.0], (count, 1))
 
 
 @pytest.fixture
@@ -67,15 +33,6 @@ def drawn(monkeypatch):
 
     monkeypatch.setattr(ewa.Ewa, "see", counting)
     return counts
-
-
-SCENES = {  # the things; the share of all splats that is blended at most, and drawn for visibility
-    "closed": ((ball(0.014),), 0.66, 0.66),  # measured 0.63, 0.63
-    "with a hole": ((ball(0.014, hole=0.3),), 0.68, 0.68),  # measured 0.65, 0.65
-    "wide": ((ball(0.055),), 0.71, 0.59),  # measured 0.69, 0.57; with one sample 0.42
-    "wide, with a hole": ((ball(0.055, hole=0.3),), 0.74, 0.61),  # measured 0.71, 0.59
-    "wide, behind wires": ((ball(0.055), wires()), 0.72, 0.6),  # measured 0.69, 0.58
-}
 
 
 @pytest.mark.parametrize("samples", [1, 4])
@@ -111,7 +68,7 @@ def test_what_is_full_of_holes_leaves_nothing_out(drawn):
 def test_thinning_leaves_no_pattern_of_the_numbers():
     """Numbers of rows and spirals: each part of them keeps its share."""
     index = np.arange(1 << 18)
-    kept = np.isin(index, cover.thinned(index, 0.25))
+    kept = np.isin(index, cover.hashed_share(index, 0.25))
     for period in (2, 3, 8, 64, 610, 4096):
         share = np.bincount(index % period, kept) / np.bincount(index % period)
         deviation = np.sqrt(0.25 * 0.75 / (len(index) / period))

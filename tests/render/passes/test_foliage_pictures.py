@@ -18,13 +18,9 @@ from scripts.scenes.build import moved, points
 from scripts.scenes.cameras import camera
 from scripts.scenes.clouds import leaves
 from scripts.scenes.store import STORE
-from tests.core.lod.test_optics import cards, mean_transmittance, medium, voxel_ball
+from tests.support.transmittance import cards, crown, mean_transmittance, medium, voxel_ball
 
 COMBINED = frozenset({"combined"})
-
-
-def crown(count, depth):
-    return build.scene((points(f"crown {count} {depth}", leaves(count, depth)), moved()), lights=(), transparent=True)
 
 
 def let_through(renderer, seen, diameter, samples):
@@ -110,7 +106,7 @@ def test_surfaces_have_no_variant_for_it():
         device = NullDevice()
         Renderer(device, STORE).render(case.scene, case.request(COMBINED))
         names = {name for interface in device.interfaces for name, _ in interface.defines}
-        assert ("PS_APART" in names) == there
+        assert ("PS_DISCONNECTED" in names) == there
 
 
 def test_what_is_seen_through_leaves_is_closed():

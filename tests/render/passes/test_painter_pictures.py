@@ -9,7 +9,6 @@ from pointsplat_addon.core.lod import depth_order
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.core.splat import ewa, painter
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
@@ -22,21 +21,10 @@ from scripts.scenes.drawing import render
 from scripts.scenes.meshes import SHAPES, plane_mesh, shape, sphere_mesh
 from scripts.scenes.store import STORE
 from scripts.studies import technique_error
-from tests.core.lod.test_optics import mean_transmittance
-from tests.reference import opaque
-from tests.render.frame import test_quality
-from tests.render.passes import test_foliage_pictures
-from tests.render.passes.test_ewa_pictures import (
-    EXTREMES,
-    NORMALS,
-    dark,
-    lone,
-    of_nodes,
-    on_screen,
-    shape_picture,
-    splats,
-)
-from tests.render.prepare import test_hybrid
+from tests.reference import ewa, opaque, painter
+from tests.support import divided_meshes, transmittance
+from tests.support.splats import EXTREMES, NORMALS, VIEWS, dark, lone, of_nodes, on_screen, shape_picture, splats
+from tests.support.transmittance import mean_transmittance
 
 PAINTER = Settings(technique="PAINTER", use_shadows=False)
 ONLY_COMBINED = frozenset({"combined"})
@@ -60,7 +48,7 @@ def closed_form(case: Case) -> np.ndarray:
     """(H, W, N) how much of each splat of the only cloud is seen, from one sample."""
     width, height = case.camera.resolution
     centre, a, b, middle, pixels = on_screen(case)
-    moments = 4 * ewa.covariance(centre, a, b, case.camera.pixel_from_view()[:2], case.camera.perspective)
+    moments = 4 * ewa.projected_covariance(centre, a, b, case.camera.pixel_from_view()[:2], case.camera.perspective)
     cloud = case.scene.geometries[0].cloud
     assert cloud is not None
     assert cloud.radii is not None
@@ -228,7 +216,7 @@ def test_every_pass_of_every_scene_is_finite(name):
 @pytest.mark.parametrize("samples", [1, 16])
 def test_silhouettes_are_those_of_the_polygons_and_surfaces_are_closed(name, samples):
     mesh = shape(name)
-    for view in range(len(test_quality.VIEWS)):
+    for view in range(len(VIEWS)):
         truth = shape_picture(build.mesh(mesh, "POLYGONS"), view, "AUTO", 64)
         STORE.clear()
         found = shape_picture(build.mesh(mesh, "POINTS"), view, "PAINTER", samples)
@@ -258,7 +246,7 @@ def test_on_a_textured_plane_it_is_nearer_to_the_polygons_than_disks_and_farther
 @pytest.mark.parametrize("tolerance", [2.0, 4.0])
 def test_nodes_of_an_octree_close_what_their_points_close(tolerance):
     figures, leaks = of_nodes(PAINTER, tolerance)
-    assert leaks < 1  # measured 0.014; 38 without NODE_REACH
+    assert leaks < 1  # measured 0.014; 38 without NODE_SCALE
     assert figures["interior_psnr"] > 45  # measured 48.8; 35 without
     assert abs(figures["thickening"] - 1) < 0.001  # measured 0.0002
 
@@ -268,12 +256,12 @@ def test_nodes_of_an_octree_close_what_their_points_close(tolerance):
 def test_where_splats_and_triangles_of_a_split_mesh_meet_no_seam_is_seen(name, samples, tolerance):
     """The painter draws the points of some parts over the triangles of the others, and each hides what lies behind."""
     renderer, found = drawing.opengl(), []
-    before, renderer.costs = renderer.costs, test_hybrid.COSTS
+    before, renderer.costs = renderer.costs, divided_meshes.COSTS
     try:
         for primitive, technique in (("POLYGONS", "IMAGE_SPACE"), ("AUTO", "PAINTER")):
-            settings = replace(test_hybrid.SETTINGS, technique=technique, tolerance=tolerance)
-            request = Request(test_hybrid.SHAPES[name]()[1], settings, frozenset({"combined", "depth"}), samples)
-            found.append(renderer.render(test_hybrid.scene(name, primitive), request))
+            settings = replace(divided_meshes.SETTINGS, technique=technique, tolerance=tolerance)
+            request = Request(divided_meshes.SHAPES[name]()[1], settings, frozenset({"combined", "depth"}), samples)
+            found.append(renderer.render(divided_meshes.scene(name, primitive), request))
     finally:
         renderer.costs = before
     truth, drawn = (levels(result.pixels["combined"]) for result in found)
@@ -288,7 +276,7 @@ def test_where_splats_and_triangles_of_a_split_mesh_meet_no_seam_is_seen(name, s
 def test_a_crown_of_leaves_lets_as_much_light_through_as_it_should():
     """From leaves of pixels to a tenth of one, and at one sample as at many: what is widened hides no more."""
     exact = mean_transmittance(clouds.leaves(20000, 0.5), 1.15, (0.0, 1.0, 0.0), pixels=768, hard=True)
-    seen = test_foliage_pictures.crown(20000, 0.5)
+    seen = transmittance.crown(20000, 0.5)
     for diameter, samples in ((320, 1), (80, 1), (20, 1), (80, 16), (10, 96)):
         size = round(1.15 * diameter) + 8
         eye = cameras.camera((0, -5, 0), resolution=(size, size), parallel=2 * size / diameter)
@@ -354,7 +342,7 @@ def test_a_viewport_knows_how_far_what_is_painted_is():
     frame.present()
     data = frame.targets.data_surfels
     assert data is not None
-    assert device.calls[-1].textures["ps_place"] is data.buffer.textures["place"]
+    assert device.calls[-1].textures["ps_centre"] is data.buffer.textures["centre"]
     frame.release()
 
 

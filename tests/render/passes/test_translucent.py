@@ -1,6 +1,5 @@
 """Light through splats: closed forms, opaque things among them, and what is drawn and sorted when."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import permutations
 
@@ -12,7 +11,7 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.core.splat.kernel import EVEN_SPACING, PROFILES
+from pointsplat_addon.core.splat.kernel import PROFILES
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
@@ -23,35 +22,10 @@ from scripts.scenes.build import moved, points
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import ALL_PASSES
 from scripts.scenes.store import STORE
+from tests.support.transmittance import voxels
 
 COMBINED = frozenset({"combined"})
 WHITE = World(np.ones(3))
-
-
-def voxels(
-    across: float,
-    thick: float,
-    cells: int,
-    extinction: float | np.ndarray = 1.0,
-    seen: Callable[[np.ndarray], np.ndarray] | None = None,
-    **more,
-) -> PointCloud:
-    """A slab about the origin, `thick` along y and `across` along x and z, of `cells` voxels through it."""
-    edge = thick / cells
-    side = (np.arange(round(across / edge)) + 0.5) * edge - across / 2
-    depth = (np.arange(cells) + 0.5) * edge - thick / 2
-    position = np.stack(np.meshgrid(side, depth, side, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
-    if seen is not None:
-        position = position[seen(position)]
-    count, radius = len(position), 2 * EVEN_SPACING * edge
-    share = edge**3 / (4 / 3 * np.pi * radius**3)
-    strength = np.broadcast_to(np.asarray(extinction, np.float32) * share, (count, *np.shape(extinction)))
-    black = np.zeros((count, 3), np.float32)
-    given = {name: np.broadcast_to(np.float32(value), (count, 3)) for name, value in more.items()}
-    if "emission" in given:
-        given["emission"] = given["emission"] * np.float32(share)
-    radii = np.full((count, 1), radius, np.float32)
-    return PointCloud(position, radii=radii, extinction=strength.astype(np.float32), **{"color": black, **given})
 
 
 def draw(scene, eye_camera, samples=1, settings=None):

@@ -12,10 +12,13 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat.kernel import PEAK
+from pointsplat_addon.render.plan.request import Request
 from scripts.scenes import build, clouds, drawing, meshes
 from scripts.scenes.build import moved, points
 from scripts.scenes.cameras import camera
-from tests.render.passes.test_translucent import COMBINED, Request, voxels
+from tests.support.transmittance import voxels
+
+COMBINED = frozenset({"combined"})
 
 SIZE = (64, 48)
 EYE = camera((0, -6, 1.5), (0, 0, 0), resolution=SIZE)

@@ -1,6 +1,6 @@
 """What each scene takes on the device is what its pixels read: passes, targets, textures, attributes, programs.
 
-docs/notes/leave_out.md holds the exact lists; `python tests/support/leave_out.py --write-docs` rewrites them.
+docs/notes/leave_out.md holds the exact lists; `python -m tests.support.leave_out.tables --write-docs` rewrites them.
 """
 
 import numpy as np
@@ -9,8 +9,9 @@ import pytest
 from pointsplat_addon.render.plan.reasons import PASSES
 from scripts.scenes import drawing, solid_cases
 from scripts.scenes.store import STORE
-from tests.support import leave_out
-from tests.support.leave_out import ROWS, active, found, idle_defines, read, words, written
+from tests.support.leave_out import rows, shaders, tables
+from tests.support.leave_out.rows import ROWS, found, read, written
+from tests.support.leave_out.shaders import active, idle_defines, words
 
 IMAGE = "project resolve pull push "
 EWA = "splats visibility blend normalise "
@@ -25,7 +26,7 @@ EXPECTED = {
     "one cube": "polygons " + SEEN,
     "one cube, unlit": "polygons " + SEEN,
     "one cube, shadows": "shadows polygons " + SEEN,
-    "one cube, shadows of a wide lamp": "shadows polygons " + SEEN,
+    "one cube, shadows of a wide light": "shadows polygons " + SEEN,
     "one cube, transparent film": "polygons shade",
     "dense mesh": IMAGE + SEEN,
     "mesh of points and polygons": "polygons " + IMAGE + SEEN,
@@ -42,7 +43,7 @@ EXPECTED = {
     "points, shading normals": IMAGE + SEEN,
     "points, shading normals, unlit": IMAGE + SEEN,
     "points, shadows of a sun": "shadows " + IMAGE + SEEN,
-    "points, shadows of a wide lamp": "shadows " + IMAGE + SEEN,
+    "points, shadows of a wide light": "shadows " + IMAGE + SEEN,
     "points that only glow": IMAGE + SEEN,
     "points and polygons, backs culled": "polygons " + IMAGE + SEEN,
     "leaves": IMAGE + SEEN,
@@ -59,7 +60,7 @@ EXPECTED = {
     "emission of points and polygons": "polygons " + IMAGE + SEEN,
     "mixed materials": "polygons " + SEEN,
     "holdouts": "polygons shade " + IMAGE,
-    "every kind of lamp": "polygons " + IMAGE + SEEN,
+    "every kind of light": "polygons " + IMAGE + SEEN,
     "points in an environment picture": IMAGE + SEEN,
     "pane": "order background " + BLENDED,
     "panes and a cube": "shadows order reach opaque+depth polygons " + SEEN + BLENDED,
@@ -88,8 +89,8 @@ EXPECTED = {
     "points, Cryptomatte": "data " + IMAGE + SEEN,
     "points and polygons, motion": "polygons data " + IMAGE + SEEN,
     "smoke, depth and motion": "order background " + BLENDED,
-    "a lamp that is off": "shadows " + IMAGE + SEEN,
-    "a lamp too far to matter": "shadows " + IMAGE + SEEN,
+    "a light that is off": "shadows " + IMAGE + SEEN,
+    "a light too far to matter": "shadows " + IMAGE + SEEN,
     "a world too dark to matter": IMAGE + SEEN,
     "a black environment picture": IMAGE + SEEN,
     "an emission too weak to matter": IMAGE + SEEN,
@@ -178,16 +179,16 @@ def test_no_two_programs_are_the_same(name):
     """Neither twice the same code, nor one program by two names."""
     seen = set()
     for interface in found(name).device.interfaces:
-        text = "\n".join(active(part, dict(interface.defines)) for part in leave_out.stages(interface))
+        text = "\n".join(active(part, dict(interface.defines)) for part in shaders.stages(interface))
         key = (text, interface.defines, interface.samplers, interface.outputs, interface.varyings)
         assert key not in seen, interface.name
         seen.add(key)
 
 
 def test_the_page_says_what_is():
-    """Otherwise: python tests/support/leave_out.py --write-docs"""
-    page = leave_out.DOCS.read_text(encoding="utf-8")
-    assert page == leave_out.with_tables(page)
+    """Otherwise: python -m tests.support.leave_out.tables --write-docs"""
+    page = tables.DOCS.read_text(encoding="utf-8")
+    assert page == tables.with_tables(page)
 
 
 def test_the_page_and_the_tests_know_the_same_scenes():
@@ -264,7 +265,7 @@ def test_where_nothing_opaque_is_drawn_there_is_no_g_buffer():
         outputs = {output for interface in device.interfaces for _, output in interface.outputs}
         assert not {"out_normal", "out_front"} & outputs
         assert "shade" not in device.names
-        assert "ps_place" not in {s for i in device.interfaces if i.name == "background" for _, s in i.samplers}
+        assert "ps_centre" not in {s for i in device.interfaces if i.name == "background" for _, s in i.samplers}
 
 
 def test_without_a_pyramid_no_near_ends_are_kept():
@@ -285,23 +286,23 @@ def test_the_viewport_presents_without_a_depth_where_nothing_has_one():
     for name, reads in (("smoke, interactive", False), ("points and polygons, interactive", True)):
         row = ROWS[name]
         case = row.case()
-        device = leave_out.NullDevice()
-        request = leave_out.Request(case.camera, case.settings, row.passes, 2, interactive=True)
-        frame = leave_out.Renderer(device, STORE).start(case.scene, request)
+        device = rows.NullDevice()
+        request = rows.Request(case.camera, case.settings, row.passes, 2, interactive=True)
+        frame = rows.Renderer(device, STORE).start(case.scene, request)
         frame.sample()
         frame.present()
         present = device.calls[-1].interface
         assert present.name == "present"
-        assert ("ps_place" in {sampler for _, sampler in present.samplers}) == reads
+        assert ("ps_centre" in {sampler for _, sampler in present.samplers}) == reads
         assert {declared for _, declared in present.samplers} <= words(present)
         assert not idle_defines(present)
         frame.release()
 
 
 def test_the_viewport_presents_a_world_of_one_colour_from_one_texel():
-    case, device = solid_cases.empty(), leave_out.NullDevice()
-    request = leave_out.Request(case.camera, case.settings, leave_out.COMBINED, 2, interactive=True)
-    frame = leave_out.Renderer(device, STORE).start(case.scene, request)
+    case, device = solid_cases.empty(), rows.NullDevice()
+    request = rows.Request(case.camera, case.settings, rows.COMBINED, 2, interactive=True)
+    frame = rows.Renderer(device, STORE).start(case.scene, request)
     for _ in range(2):
         frame.present()
         (read,) = device.calls[-1].textures.values()
@@ -317,7 +318,7 @@ def test_every_scene_is_drawn_by_a_device_as_it_is_planned(name):
     decides: which tiles still differ."""
     row = ROWS[name]
     case = row.case()
-    request = leave_out.Request(case.camera, case.settings, row.passes, row.samples, interactive=row.interactive)
+    request = rows.Request(case.camera, case.settings, row.passes, row.samples, interactive=row.interactive)
     renderer = drawing.opengl()
     renderer.kept.release()  # orders and light of pictures before
     result = renderer.render(case.scene, request)

@@ -285,7 +285,7 @@ def test_a_scene_without_strands_compiles_nothing_for_them(technique):
         case = CASES[name]()
         device, result = record(replace(case, settings=replace(case.settings, technique=technique)), ALL_PASSES)
         assert "lines" not in device.names
-        assert not {"PS_LINES", "PS_THIN", "PS_TUBE", "PS_RIBBON"} & defines(device)
+        assert not {"PS_STRANDS", "PS_THIN", "PS_TUBE", "PS_RIBBON"} & defines(device)
         assert skipped(result)["lines"] == "nothing is drawn as lines"
         assert result.report["lines"] == {"strands": 0, "segments": 0, "drawn": 0}
 

@@ -60,7 +60,7 @@ def test_instances_that_share_nodes_are_drawn_in_image_space():
 def test_leaves_are_drawn_in_image_space():
     name, programs, report = drawn(case("leaves in colour", 0.5, cloud=clouds.leaves(2000, 0.7)), 16)
     assert name == "IMAGE_SPACE"
-    assert "apart" in report["technique"]["because"]
+    assert "disconnected" in report["technique"]["because"]
     assert not programs & EWA
 
 

@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""What is out of focus, gathered once for all samples of a picture."""

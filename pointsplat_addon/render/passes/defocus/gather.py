@@ -1,11 +1,11 @@
-"""What is out of focus, and what is translucent before and behind it: each pixel goes through the splats of its tile
-from the front (core/lens/defocus.py), once for all samples of the picture.
+"""Gathers what is out of focus, and what is translucent before and behind it: each pixel goes through the splats of its
+tile from the front (core/lens/kernel.py), once for all samples of the picture.
 
-The pass `light` (passes/translucent.py) leaves of each splat, one texel each:
-  place   centre in pixels from the principal point, depth, kernel's middle: share of the lens; optical depth
+The pass `light` (passes/translucent/light.py) leaves of each splat, one texel each:
+  centre  in pixels from the principal point, depth, kernel's middle: share of the lens; optical depth
   shape   inverse of the covariance (xx, xy, yy); exponent of the kernel, plus what kind it is (lib/splat/defocus.glsl)
-  source  radiance, reach in depth
-  tint    as in passes/translucent.py
+  source  radiance, half extent in depth
+  tint    as in passes/translucent/light.py
 Tiles hold the column and the row at which their entries begin in the list, and their number.
 """
 
@@ -15,10 +15,11 @@ import numpy as np
 
 from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH, paged
-from ...device.protocol import Device, Target, Texture, whole
+from ...device.protocol import Device, Target, Texture, releases_on_failure
+from ..shading.background import world_block
 from ..shading.lighting import lighting_defines, lighting_samplers
 from ..tiles import TILE_DEFINE
-from ..uniforms import FRAME
+from ..uniforms import LENS_FIELDS
 from .tile_lists import TileLists
 
 
@@ -33,10 +34,10 @@ def defocus_program(
         "PS_HOLDOUT": holdout,
         "PS_ADAPTIVE": adaptive,
     }
-    read = ["splat_place", "shape", "source", "list", "tiles", "focused", "focus"]
+    read = ["splat_centre", "shape", "source", "list", "tiles", "focused", "focus"]
     read += ["tint"] * tint + ["counts"] * adaptive
     return Interface(
-        "defocus", fragment="defocus/gather.frag", block=FRAME, outputs=(("vec4", "out_combined"),),
+        "defocus", fragment="defocus/gather.frag", block=world_block("Gather", world, LENS_FIELDS, (("float", "sample_weight"),)), outputs=(("vec4", "out_combined"),),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(world)),
         defines=(*lighting_defines(world), ("PS_TILE_SIZE", str(tile)), *((TILE_DEFINE,) if adaptive else ()),
                  *((name, "1") for name, on in named.items() if on)),
@@ -46,7 +47,7 @@ def defocus_program(
 class Defocus:
     """The tiles of one view on the device."""
 
-    @whole
+    @releases_on_failure
     def __init__(self, device: Device, lists: TileLists) -> None:
         self.device, self.tile = device, lists.tile
         size, data = paged(lists.entries[:, None].astype(np.float32), 1)
@@ -67,7 +68,7 @@ class Defocus:
         textures: dict[str, Texture],
     ) -> None:
         """`lit`: what `light` left; `textures`: the picture of what is in focus, and the world's."""
-        read = {"ps_splat_place": lit["ps_place"], **{k: v for k, v in lit.items() if k != "ps_place"}, **textures}
+        read = {"ps_splat_centre": lit["ps_centre"], **{k: v for k, v in lit.items() if k != "ps_centre"}, **textures}
         read |= {"ps_list": self.list, "ps_tiles": self.tiles}
         self.device.draw(program, target, uniforms=record, textures=read)
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Lists which out-of-focus splats each tile of a picture shows, the nearest first."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....core.lens.defocus import FAINT, RIM
+from ....core.lens.kernel import NEGLIGIBLE, SOFT_RIM
 from ....core.numeric.segments import owners, ranges, starts
 
 TILE = 4  # pixels on a side of tiles
@@ -32,9 +32,9 @@ def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tu
     cx, cy = (values[seen] + middle for values, middle in zip((x, y), focal[2:].astype(np.float32), strict=True))
     k = code[seen] % 8
     # Where splats end. The rims of disks are as soft as a pixel is wide.
-    faint = FAINT / np.maximum(peak[seen], 1)
+    faint = NEGLIGIBLE / np.maximum(peak[seen], 1)
     support = 2 * (k + 2) * (1 - faint ** (1 / np.maximum(k, 1e-3)))
-    rim = np.where(RIM**k > faint, np.float32(0.5), np.float32(0))
+    rim = np.where(SOFT_RIM**k > faint, np.float32(0.5), np.float32(0))
     # Halves of the box around xx dx^2 + 2 xy dx dy + yy dy^2 = support.
     xx, xy, yy = (values[seen] for values in (xx, xy, yy))
     determinant = np.maximum(xx * yy - xy * xy, np.finfo(np.float32).tiny)

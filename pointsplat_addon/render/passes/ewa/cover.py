@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....shading.interface import Interface
-from ...device.protocol import Device, Target, Texture, whole
+from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..tiles import TILE
-from ..uniforms import FRAME
+from ..uniforms import SampleView, block
 
 LEAST_SPLATS = 1 << 15  # with fewer there is little to save
 CLOSED = (
@@ -34,18 +34,35 @@ LOOKED_AT = 2048  # of them, for what is open around them
 ENOUGH = 0.5  # share with nothing open around them, below which too few are hidden
 HIDDEN, COVERED = 0.0, 1.0  # what shaders/ewa/needed.frag says of a splat
 
+SIZES_BLOCK = block("Sizes", (
+    ("vec2", "principal_point"), ("float", "low_pass"),
+    ("int", "count"),  # of the listed splats
+    ("int", "probes"),  # of them that are measured
+))  # fmt: skip
+WINDOW_BLOCK = block("Open", (("int", "step"),))  # from one of four texels to the next
+NEEDED_BLOCK = block("Needed", (
+    ("vec2", "principal_point"), ("ivec2", "size"), ("float", "near"), ("float", "low_pass"),
+    ("float", "margin"),  # pixels that samples may move the picture by
+    ("float", "tolerance"),  # of the depth within which splats are one surface
+    ("int", "window"),  # side of a window in texels of `ps_open`
+    ("int", "shift"),  # log2 of the pixels along a side of such a texel
+))  # fmt: skip
 SIZES = Interface(
-    "sizes", fragment="ewa/sizes.frag", block=FRAME, outputs=(("vec4", "out_size"),),
-    samplers=(("FLOAT_2D", "ps_list"), ("FLOAT_2D", "ps_splat_place"), ("FLOAT_2D", "ps_splat_shape")),
+    "sizes", fragment="ewa/sizes.frag", block=SIZES_BLOCK, outputs=(("vec4", "out_size"),),
+    samplers=(("FLOAT_2D", "ps_list"), ("FLOAT_2D", "ps_splat_centre"), ("FLOAT_2D", "ps_splat_shape")),
 )  # fmt: skip
 WINDOW = Interface(
-    "open", fragment="ewa/open.frag", block=FRAME, samplers=(("FLOAT_2D", "ps_open"),), outputs=(("float", "out_open"),)
+    "open",
+    fragment="ewa/open.frag",
+    block=WINDOW_BLOCK,
+    samplers=(("FLOAT_2D", "ps_open"),),
+    outputs=(("float", "out_open"),),
 )
 FIRST = WINDOW.with_defines("PS_FIRST")
 NEEDED = Interface(
-    "needed", fragment="ewa/needed.frag", block=FRAME, outputs=(("float", "out_needed"),),
+    "needed", fragment="ewa/needed.frag", block=NEEDED_BLOCK, outputs=(("float", "out_needed"),),
     samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in
-                   ("splat_place", "splat_shape", "splat_front", "nearest", "open")),
+                   ("splat_centre", "splat_shape", "splat_front", "nearest", "open")),
 )  # fmt: skip
 THINNED = NEEDED.with_defines("PS_THIN")
 
@@ -73,19 +90,21 @@ class Sizes:
         return self.layers >= CLOSED and (self.thin or turned >= LEAST_TURNED * (facing + turned))
 
 
-def measure(device: Device, lists: list[tuple[dict[str, Texture], int]], record: np.ndarray) -> Sizes:
+def measure_sizes(
+    device: Device, lists: list[tuple[dict[str, Texture], int]], view: SampleView, low_pass: float
+) -> Sizes:
     """`lists`: of each page with splats, its textures with the list of them, and how many they are."""
     target = device.texture((PROBES, PROBES), "RGBA32F")
     drawn = device.target([target])
     found, weights = [], []
     for textures, total in lists:
-        record["page"][0, :2] = total, PROBES * PROBES
+        record = view.record(SIZES_BLOCK, count=total, probes=PROBES * PROBES, low_pass=low_pass)
         device.draw(SIZES, drawn, uniforms=record, textures=textures)
         found.append(device.read(target).reshape(-1, 4).copy())
         weights.append(total)
     drawn.release()
     target.release()
-    width, height = record["size"][0, :2]
+    width, height = np.array(view.size, np.int32)
     area = sum(w * f[:, 1].mean(dtype=np.float64) for w, f in zip(weights, found, strict=True))
     columns = int(width) // TILE + 1
     places = np.concatenate(found)[:, 2:]
@@ -97,7 +116,7 @@ def measure(device: Device, lists: list[tuple[dict[str, Texture], int]], record:
     return Sizes(kernel, max(area / max(tiles * TILE * TILE, 1), 1e-9), within[:: max(len(within) // LOOKED_AT, 1)])
 
 
-def closed(device: Device, nearest: Texture, sizes: Sizes) -> float:
+def closed_share(device: Device, nearest: Texture, sizes: Sizes) -> float:
     """Share of some kernels in which visibility, which left `nearest`, found nothing open."""
     there = device.read(nearest)[..., 0] > 0
     aside = np.linspace(-sizes.kernel, sizes.kernel, int(np.clip(2 * sizes.kernel + 1, 2, 8)))
@@ -110,7 +129,7 @@ def closed(device: Device, nearest: Texture, sizes: Sizes) -> float:
     return float(found.mean()) if len(found) else 0.0
 
 
-def thinned(index: np.ndarray, share: float) -> np.ndarray:
+def hashed_share(index: np.ndarray, share: float) -> np.ndarray:
     """A share of the elements (N,), the same in each frame: by a hash, since what is regular in their numbers, as rows
     and spirals are, may be so in their places."""
     if share >= 1:
@@ -125,8 +144,8 @@ def thinned(index: np.ndarray, share: float) -> np.ndarray:
 class Cover:
     """What visibility found of the splats that are drawn first."""
 
-    @whole
-    def __init__(self, device: Device, nearest: Texture, sizes: Sizes, margin: float, record: np.ndarray) -> None:
+    @releases_on_failure
+    def __init__(self, device: Device, nearest: Texture, sizes: Sizes, margin: float) -> None:
         """`nearest`: passes/ewa.py; `margin`: pixels that samples may move the picture by."""
         self._device, self._nearest, self._margin, self._thin = device, nearest, margin, sizes.thin
         # Narrow kernels look at pixels, wider ones at halves of the picture, which cost a quarter.
@@ -137,24 +156,30 @@ class Cover:
         size = -(-width // step), -(-height // step)
         self._textures: list[Texture] = [device.texture(size, "R32F") for _ in range(2)]
         self._targets: list[Target] = [device.target([texture]) for texture in self._textures]
-        record["page"][0, 0] = step
+        record = WINDOW_BLOCK.record(step=step)
         device.draw(FIRST, self._targets[0], uniforms=record, textures={"ps_open": nearest})
         self._window = 2 // step
         # Two, side by side, are to hold a kernel.
         while 2 * self._window * step < 2 * kernel + 1 + step:
-            record["page"][0, 0] = self._window
+            record = WINDOW_BLOCK.record(step=self._window)
             device.draw(WINDOW, self._targets[1], uniforms=record, textures={"ps_open": self._textures[0]})
             self._textures.reverse()
             self._targets.reverse()
             self._window *= 2
 
-    def needed(self, splats: dict[str, Texture], record: np.ndarray) -> np.ndarray:
+    def needed(self, splats: dict[str, Texture], view: SampleView, low_pass: float) -> np.ndarray:
         """(elements,) float32, one for each projected splat: HIDDEN, COVERED, or more."""
-        device, size = self._device, splats["ps_splat_place"].size
+        device, size = self._device, splats["ps_splat_centre"].size
         out = device.texture(size, "R32F")
         target = device.target([out])
-        record["page"][0, :2] = self._window, self._shift
-        record["tile"][0, :2] = self._margin, TOLERANCE
+        record = view.record(
+            NEEDED_BLOCK,
+            window=self._window,
+            shift=self._shift,
+            margin=self._margin,
+            tolerance=TOLERANCE,
+            low_pass=low_pass,
+        )
         textures = {**splats, "ps_nearest": self._nearest, "ps_open": self._textures[0]}
         device.draw(THINNED if self._thin else NEEDED, target, uniforms=record, textures=textures)
         found = device.read(out).reshape(-1)

@@ -30,10 +30,11 @@ from ...device.protocol import Device, Target, Texture
 from ..gbuffer import GBuffer, Variant
 from ..pages.point_page import PageDraw, PointOptions
 from ..tiles import Region
+from ..uniforms import SampleView
 from . import cover as ewa_cover
 from .options import WIDEST_POINT, EwaOptions
-from .programs import _blended, programs
-from .projected import Splats
+from .programs import NORMALISE, blended_attributes, programs
+from .projected import ProjectedSplats
 
 JITTER = 1.0  # pixels that samples shift the picture by at most
 CHUNK = 1 << 20  # splats of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
@@ -50,57 +51,58 @@ class Ewa:
         self.nearest = device.texture(size, "RGBA32F")
         self.nearest_target: Target = device.target([self.nearest], depth=True)
         self.sums: dict[str, Texture] = {
-            f"ps_sum_{name}": device.texture(size, "RGBA32F") for name in ("place", *_blended(variant))
+            f"ps_sum_{name}": device.texture(size, "RGBA32F") for name in ("depth", *blended_attributes(variant))
         }
         self.sum_target: Target = device.target(list(self.sums.values()))
-        self._splats: list[Splats] = []
+        self._splats: list[ProjectedSplats] = []
         self.draws: list[PageDraw] | None = None  # of which the splats are projected
         self._mask: Texture | None = None  # of the region that they are listed for
         self._left = False  # some are left out
         self._begun = False  # visibility has drawn what comes first
 
-    def project(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
+    def project(self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture]) -> None:
         """Project the splats of a view and list those that are drawn; `record`: of the sample that is drawn next."""
         self._forget()
         self.draws = draws
-        record["lens"][0, 3] = self.options.low_pass
+        program = self.programs.splats
+        assert program.block is not None
         for draw in draws:
-            splats = Splats(self.device, self.programs.splats, draw)
+            splats = ProjectedSplats(self.device, self.programs.splats, draw)
             self._splats.append(splats)
             textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks}
-            self.device.draw(self.programs.splats, splats.target, uniforms=draw.fill(record), textures=textures)
-            splats.find(self.device, record, self.options.reach(WIDEST_POINT) + JITTER)
-        self._leave_out(record, shared)
+            record = draw.record(view, program.block, low_pass=self.options.low_pass)
+            self.device.draw(program, splats.target, uniforms=record, textures=textures)
+            splats.find(self.device, view, self.options.reach(WIDEST_POINT) + JITTER)
+        self._leave_out(view, shared)
         for splats in self._splats:
             splats.list_found(self.device)
 
-    def _leave_out(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
+    def _leave_out(self, view: SampleView, shared: dict[str, Texture]) -> None:
         """Of many splats, leave out those that passes/ewa_cover.py finds not needed."""
         device = self.device
         facing, turned = (sum(len(splats.found[name]) for splats in self._splats) for name in ("first", "then"))
         if facing == 0 or facing + turned < ewa_cover.LEAST_SPLATS:
             return
-        record["lens"][0, 3] = self.options.low_pass
         for splats in self._splats:
             splats.list_first(device, splats.found["first"])
         pages = [({**splats.textures, "ps_list": texture}, total)
                  for splats in self._splats for texture, total in (splats.lists["first"],) if total]  # fmt: skip
-        sizes = ewa_cover.measure(device, pages, record)
+        sizes = ewa_cover.measure_sizes(device, pages, view, self.options.low_pass)
         if not sizes.pays(facing, turned):
             return
-        drawn = [ewa_cover.thinned(splats.found["first"], sizes.share) for splats in self._splats]
+        drawn = [ewa_cover.hashed_share(splats.found["first"], sizes.share) for splats in self._splats]
         if sizes.thin:
             for splats, index in zip(self._splats, drawn, strict=True):
                 splats.list_first(device, index)
         device.clear(self.nearest_target)
-        self._see(("first",), record, shared)
-        if ewa_cover.closed(device, self.nearest, sizes) < ewa_cover.ENOUGH:
+        self._see(("first",), view, shared)
+        if ewa_cover.closed_share(device, self.nearest, sizes) < ewa_cover.ENOUGH:
             self._begun = not sizes.thin
             return
         margin = 0.0 if self.options.low_pass == 1 else JITTER
-        cover = ewa_cover.Cover(device, self.nearest, sizes, margin, record)
+        cover = ewa_cover.Cover(device, self.nearest, sizes, margin)
         for splats, index in zip(self._splats, drawn, strict=True):
-            splats.keep(index, cover.needed(splats.textures, record))
+            splats.keep(index, cover.needed(splats.textures, view, self.options.low_pass))
         cover.release()
         self._begun = self._left = True
 
@@ -113,58 +115,70 @@ class Ewa:
         for splats in self._splats:
             splats.list_found(self.device, tiles)
 
-    def see(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
+    def see(self, view: SampleView, shared: dict[str, Texture]) -> None:
         """The nearest surface under each pixel's centre."""
         if not self._begun:
             self.device.clear(self.nearest_target)
-            self._see(("first",), record, shared)
+            self._see(("first",), view, shared)
         self._begun = False
-        self._see(("then", "large"), record, shared)
+        self._see(("then", "large"), view, shared)
 
-    def _see(self, names: tuple[str, ...], record: np.ndarray, shared: dict[str, Texture]) -> None:
-        self._draw(self.programs.visibility, names, self.nearest_target, record, shared, depth_test=True)
+    def _see(self, names: tuple[str, ...], view: SampleView, shared: dict[str, Texture]) -> None:
+        self._draw(self.programs.visibility, names, self.nearest_target, view, shared, depth_test=True)
 
-    def blend(self, record: np.ndarray, shared: dict[str, Texture]) -> None:
+    def blend(self, view: SampleView, shared: dict[str, Texture]) -> None:
         """Attributes of that surface's splats times their kernels."""
         self.device.clear(self.sum_target)
         textures = {**shared, "ps_nearest": self.nearest}
         names = ("blended",) if self._left else ("first", "then")
-        self._draw(self.programs.blend, (*names, "large"), self.sum_target, record, textures, blend=True)
+        self._draw(self.programs.blend, (*names, "large"), self.sum_target, view, textures, blend=True)
 
-    def normalise(self, record: np.ndarray, out: GBuffer, region: Region) -> None:
+    def normalise(self, view: SampleView, out: GBuffer, region: Region) -> None:
         """Sums over weights, into the G-buffer; pixels that nothing reaches stay as they are."""
         program = self.programs.normalise
         textures = {**self.sums, "ps_nearest": self.nearest}
-        region.draw(self.device, program, out.target, uniforms=record, textures=textures, depth_test=program.depth)
+        region.draw(
+            self.device,
+            program,
+            out.target,
+            uniforms=view.record(NORMALISE),
+            textures=textures,
+            depth_test=program.depth,
+        )
 
     def _draw(
         self,
         kinds: tuple[Interface, ...],
         names: tuple[str, ...],
         target: Target,
-        record: np.ndarray,
+        view: SampleView,
         shared: dict[str, Texture],
         depth_test: bool = False,
         blend: bool = False,
     ) -> None:
         """Draw lists of splats; `kinds`: programs of small ones and, where there are any, of large ones."""
-        record["lens"][0, 3] = self.options.low_pass
         for splats in self._splats:
             draw = splats.draw
             textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks, **splats.textures}
-            draw.fill(record)
             for name in names:
                 large = name == "large"
                 if name not in splats.lists or large >= len(kinds):
                     continue
                 textures["ps_list"], total = splats.lists[name]
                 for first in range(0, max(total, 1), CHUNK):
-                    record["page"][0, 0] = first
+                    record = self._record(kinds[large], draw, view, first)
                     count = min(CHUNK, total - first)
                     self.device.draw(
                         kinds[large], target, uniforms=record, textures=textures, vertices=count * (6 if large else 1),
                         primitive="TRIANGLES" if large else "POINTS", depth_test=depth_test, blend=blend,
                     )  # fmt: skip
+
+    def _record(self, program: Interface, draw: PageDraw, view: SampleView, first: int) -> np.ndarray:
+        """The uniforms of a pass that draws the list of a page's splats from `first` on."""
+        assert program.block is not None
+        names = {name for _, name in program.block.fields}
+        own = {"first": first} | ({"low_pass": self.options.low_pass} if "low_pass" in names else {})
+        return draw.record(view, program.block, **own) if "block_count" in names else view.record(program.block, **own)
 
     def _forget(self) -> None:
         for splats in self._splats:

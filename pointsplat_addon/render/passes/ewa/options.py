@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Options of EWA splatting that follow from the camera and from how wide splats are on the screen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Splats of one view after projection, and lists of those that are drawn."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ import numpy as np
 
 from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH, paged
-from ...device.protocol import Device, Target, Texture, whole
+from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..pages.point_page import PageDraw
 from ..tiles import TILE
+from ..uniforms import SampleView
 from . import cover as ewa_cover
 
 
-class Splats:
+class ProjectedSplats:
     """The projected splats of one page of one view."""
 
-    @whole
+    @releases_on_failure
     def __init__(self, device: Device, program: Interface, draw: PageDraw) -> None:
         """DeviceError: more splats than a texture holds."""
         self.draw = draw
         size = (PAGE_WIDTH, max(1, -(-draw.elements // PAGE_WIDTH)))
-        exact = ("out_place", "out_shape", "out_front")
+        exact = ("out_centre", "out_shape", "out_front")
         self.textures: dict[str, Texture] = {
             name.replace("out_", "ps_splat_"): device.texture(size, "RGBA32F" if name in exact else "RGBA16F")
             for _, name in program.outputs
@@ -32,14 +33,14 @@ class Splats:
         self.lists: dict[str, tuple[Texture, int]] = {}  # their texels, and how many
         self._corner = np.zeros(2, np.float32)  # of the picture from the principal point, in pixels
 
-    def find(self, device: Device, record: np.ndarray, margin: float) -> None:
+    def find(self, device: Device, view: SampleView, margin: float) -> None:
         """Find the splats that are drawn: not the small ones that lie `margin` pixels outside the picture, since
         vertices cost more than looking once which of them are needed. Those that show their backs come second."""
-        x, y, _, kind = device.read(self.textures["ps_splat_place"]).reshape(-1, 4).T
-        self._corner = -record["focal"][0, 2:]
+        x, y, _, kind = device.read(self.textures["ps_splat_centre"]).reshape(-1, 4).T
+        self._corner = -np.array(view.principal_point, np.float32)
         odd = np.abs(kind).astype(np.int32) & 1 == 1
         small, turned = odd.copy(), kind < 0
-        for at, low, size in zip((x, y), self._corner, record["size"][0, :2], strict=True):
+        for at, low, size in zip((x, y), self._corner, np.array(view.size, np.int32), strict=True):
             small &= (at > low - margin) & (at < low + size + margin)
         first, then = np.flatnonzero(small & ~turned), np.flatnonzero(small & turned)
         self.found = {"first": first, "then": then, "large": np.flatnonzero(~odd & (kind != 0))}
@@ -57,7 +58,7 @@ class Splats:
         """List these elements as those that visibility draws first."""
         if "first" in self.lists:
             self.lists.pop("first")[0].release()
-        self.lists["first"] = listed(device, index)
+        self.lists["first"] = upload_list(device, index)
 
     def list_found(self, device: Device, tiles: np.ndarray | None = None) -> None:
         """List what was found; of small splats only those whose middles lie in the tiles (rows, columns) bool."""
@@ -65,10 +66,10 @@ class Splats:
         within = None if tiles is None else self._within(device, tiles)
         for name, index in self.found.items():
             shown = index if within is None or name == "large" else index[within[index]]
-            self.lists[name] = listed(device, shown)
+            self.lists[name] = upload_list(device, shown)
 
     def _within(self, device: Device, tiles: np.ndarray) -> np.ndarray:
-        middle = device.read(self.textures["ps_splat_place"]).reshape(-1, 4)[:, :2] - self._corner
+        middle = device.read(self.textures["ps_splat_centre"]).reshape(-1, 4)[:, :2] - self._corner
         rows, columns = tiles.shape
         column, row = np.clip(middle / TILE, 0, (columns - 1, rows - 1)).astype(np.int32).T
         return tiles[row, column]
@@ -85,7 +86,7 @@ class Splats:
             texture.release()
 
 
-def listed(device: Device, index: np.ndarray) -> tuple[Texture, int]:
+def upload_list(device: Device, index: np.ndarray) -> tuple[Texture, int]:
     """The texels of elements (N,), and how many they are."""
     size, data = paged(np.stack([index % PAGE_WIDTH, index // PAGE_WIDTH], axis=1), 2)
     return device.texture(size, "RG32F", data), len(index)

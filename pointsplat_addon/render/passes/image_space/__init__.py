@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Image-space reconstruction: one pixel per point, then pull-push over a pyramid (Marroquim et al. 2008)."""

@@ -1,14 +1,4 @@
-"""Points: uploaded once as pages of textures, sent to pixels as blocks of consecutive splats.
-
-A page holds the splats of several point sets. Texture by texture, one texel a splat:
-  place           xyz relative to the set's origin; packed normal (pack_normal; -1: a ball)
-  extent          half-axes (major, minor; negative: stands apart), packed major axis, material row
-  color           base colour                    \\  where any set of the scene has them
-  surface         roughness, metallic             |
-  emission        emitted radiance                |
-  shading_normal  packed normal, -1: the splat's  /
-A block is up to 2^shift consecutive splats of one instance: texel (x, y) of the first one, count, instance.
-"""
+"""Projects splats to pixels and finds the nearest splat of each pixel (Marroquim et al. 2008, section 3)."""
 
 from __future__ import annotations
 
@@ -16,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
 from ...device.packing import paged
 from ...device.protocol import EMPTY, Device, Target, Texture
 from ..gbuffer import Variant
-from ..pages.point_page import POINT_SAMPLERS, PageDraw, PointOptions, attributes
+from ..pages.point_page import POINT_SAMPLERS, PageDraw, PointOptions, attributes, page_block
 from ..tiles import TILE_DEFINE, Region
-from ..uniforms import FRAME
+from ..uniforms import SampleView
 
 DRAWN_LIMIT = 2**31 - 2**20  # indices of drawn splats are 32-bit
 
@@ -47,14 +37,14 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         ("PS_ONE_INSTANCE", options.one_instance),
         ("PS_CULL", options.cull),
         ("PS_ELLIPSES", options.ellipses),
-        ("PS_APART", options.apart),
+        ("PS_DISCONNECTED", options.disconnected),
         ("PS_COARSE", options.coarse),
     )
     defines = tuple((name, "1") for name, on in names if on)
     nearest = Interface(
         "project",
         compute="image_space/project.comp",
-        block=FRAME,
+        block=page_block("Project", options),
         samplers=(*common, *cull),
         images=(("R32UI", "depth"),),
         defines=defines,
@@ -62,7 +52,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     identify = Interface(
         "identify",
         compute="image_space/project.comp",
-        block=FRAME,
+        block=_indexed(options),
         samplers=(*common, *cull, ("UINT_2D", "ps_depth")),
         images=(("R32UI", "ids"),),
         defines=(*defines, ("PS_IDENTIFY", "1")),
@@ -70,7 +60,7 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     mark = Interface(
         "mark",
         compute="image_space/project.comp",
-        block=FRAME,
+        block=page_block("Project", options),
         samplers=(*common, *cull, ("FLOAT_2D", "ps_tiles")),
         images=(("R32UI", "marks"),),
         defines=(*defines, ("PS_MARK", "1"), TILE_DEFINE),
@@ -79,12 +69,12 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
         "project",
         vertex="image_space/project.vert",
         fragment="image_space/project.frag",
-        block=FRAME,
+        block=_indexed(options),
         samplers=(*common, *cull),
         varyings=(
             ("flat", "uint", "ps_id"),
             ("flat", "float", "ps_order"),
-            *((("flat", "vec3", "ps_ellipse"), ("flat", "vec2", "ps_centre")) if options.apart else ()),
+            *((("flat", "vec3", "ps_ellipse"), ("flat", "vec2", "ps_centre")) if options.disconnected else ()),
         ),
         outputs=(("uint", "id"),),
         depth=True,
@@ -94,19 +84,32 @@ def programs(variant: Variant, options: PointOptions) -> PointPrograms:
     flags = {
         "PS_DEPTH": options.depth,
         "PS_ELLIPSES": options.ellipses,
-        "PS_APART": options.apart,
+        "PS_DISCONNECTED": options.disconnected,
         "PS_COARSE": options.coarse,
     }
     resolve = Interface(
         "resolve",
         fragment="image_space/resolve.frag",
-        block=FRAME,
+        block=_indexed(options),
         samplers=(*samplers, ("UINT_2D", "ps_ids")),
         outputs=variant.front_outputs,
         defines=(*variant.front_defines, *named, *((name, "1") for name, on in flags.items() if on)),
         depth=options.depth,
     )
     return PointPrograms(nearest, identify, mark, raster, resolve)
+
+
+def _indexed(options: PointOptions) -> Block:
+    """With the index of the page's first splat among all that are drawn."""
+    return page_block("ProjectIndexed", options, (("int", "first_index"),))
+
+
+def record_of(program: Interface, draw: PageDraw, view: SampleView) -> np.ndarray:
+    """The uniforms of one of these passes."""
+    assert program.block is not None
+    own = {"first_index": draw.first_index}
+    names = {name for _, name in program.block.fields}
+    return draw.record(view, program.block, **{name: value for name, value in own.items() if name in names})
 
 
 class Projection:
@@ -118,9 +121,9 @@ class Projection:
         self.depth = device.texture(size, "R32UI") if device.limits.image_atomics else None
         self.raster_target: Target | None = None if self.depth else device.target([self.ids], depth=True)
 
-    def run(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
+    def run(self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture]) -> None:
         if self.depth is None:
-            self._rasterise(draws, record, shared)
+            self._rasterise(draws, view, shared)
             return
         self.device.fill(self.depth)
         self.device.fill(self.ids)
@@ -130,13 +133,13 @@ class Projection:
                 self.device.dispatch(
                     program,
                     -(-draw.elements // program.local_size),
-                    uniforms=draw.fill(record),
+                    uniforms=record_of(program, draw, view),
                     textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks, "ps_depth": self.depth},
                     images=images,
                 )
 
     def within(
-        self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture], region: Region
+        self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture], region: Region
     ) -> list[PageDraw]:
         """The draws without the blocks that have no splat in the region; the caller frees their `blocks`.
 
@@ -151,7 +154,7 @@ class Projection:
             self.device.dispatch(
                 program,
                 -(-draw.elements // program.local_size),
-                uniforms=draw.fill(record),
+                uniforms=record_of(program, draw, view),
                 textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks, "ps_tiles": region.mask},
                 images={"marks": marks},
             )
@@ -165,7 +168,7 @@ class Projection:
                 index += found[-1].elements
         return found
 
-    def _rasterise(self, draws: list[PageDraw], record: np.ndarray, shared: dict[str, Texture]) -> None:
+    def _rasterise(self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture]) -> None:
         """Without image atomics: one-pixel points through the depth test."""
         assert self.raster_target is not None
         self.device.clear(self.raster_target)
@@ -173,7 +176,7 @@ class Projection:
             self.device.draw(
                 self.programs.raster,
                 self.raster_target,
-                uniforms=draw.fill(record),
+                uniforms=record_of(self.programs.raster, draw, view),
                 textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks},
                 vertices=draw.elements,
                 primitive="POINTS",

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ....shading.interface import Interface
 from ...device.protocol import Device
 from ..gbuffer import GBuffer, Variant
 from ..tiles import Region
-from ..uniforms import FRAME
+from ..uniforms import SampleView, block
 
+# `level`: that is written, of which a pixel spans 2^level pixels of the picture along each side.
+PULL = block("Pull", (("float", "near"), ("int", "level")))
+PUSH = block("Push", (("float", "near"), ("int", "level")))
 FINEST_LEVELS = 2  # even sub-pixel splats leave some pixels without a centre
 
 
@@ -30,29 +31,29 @@ class Pyramid:
         sides = [tuple(-(-side // (1 << level)) for side in base.size) for level in range(1, count + 1)]
         self.levels = [base, *(GBuffer(device, variant, (width, height)) for width, height in sides)]
         self.pull_program = Interface(
-            "pull", fragment="image_space/pull.frag", block=FRAME, samplers=variant.samplers(), outputs=variant.front_outputs,
+            "pull", fragment="image_space/pull.frag", block=PULL, samplers=variant.samplers(), outputs=variant.front_outputs,
             defines=tuple(entry for entry in variant.front_defines if entry[0] != "PS_SURFACE"),
         )  # fmt: skip
         self.fill_program = Interface(
-            "push", fragment="image_space/push.frag", block=FRAME, outputs=variant.outputs(),
+            "push", fragment="image_space/push.frag", block=PUSH, outputs=variant.outputs(),
             samplers=(("FLOAT_2D", "ps_front"), *variant.samplers("ps_coarse_")),
             defines=tuple((name, "1") for name in variant.defines if name != "PS_SURFACE"),
         )  # fmt: skip
         self.finest_program = self.fill_program.with_defines("PS_FINEST")
 
-    def pull(self, record: np.ndarray, region: Region) -> None:
+    def pull(self, view: SampleView, region: Region) -> None:
         """Each level from the next finer one."""
         for level in range(1, len(self.levels)):
-            record["size"][0, 2] = level
+            record = view.record(PULL, level=level)
             coarse = self.levels[level]
             coarse.clear()
             textures = self.levels[level - 1].bound()
             region.draw(self.device, self.pull_program, coarse.target, uniforms=record, textures=textures, level=level)
 
-    def push(self, record: np.ndarray, region: Region) -> None:
+    def push(self, view: SampleView, region: Region) -> None:
         """Each level's holes from the next coarser one."""
         for level in range(len(self.levels) - 2, -1, -1):
-            record["size"][0, 2] = level
+            record = view.record(PUSH, level=level)
             fine, coarse = self.levels[level], self.levels[level + 1]
             region.draw(
                 self.device,

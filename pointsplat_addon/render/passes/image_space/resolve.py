@@ -1,14 +1,14 @@
-"""TODO: say what this module is."""
+"""Writes the ellipse and the attributes of each pixel's splat into the G-buffer."""
 
 from __future__ import annotations
-
-import numpy as np
 
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer
 from ..pages.point_page import PageDraw
 from ..tiles import Region
+from ..uniforms import SampleView
+from .projection import record_of
 
 
 def resolve(
@@ -16,7 +16,7 @@ def resolve(
     program: Interface,
     ids: Texture,
     draws: list[PageDraw],
-    record: np.ndarray,
+    view: SampleView,
     shared: dict[str, Texture],
     out: GBuffer,
     region: Region,
@@ -27,7 +27,7 @@ def resolve(
             device,
             program,
             out.target,
-            uniforms=draw.fill(record),
+            uniforms=record_of(program, draw, view),
             textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks, "ps_ids": ids},
             depth_test=program.depth,
         )

@@ -1,4 +1,10 @@
-"""TODO: say what this module is."""
+"""Adaptive sampling: tiles of the picture whose samples agree get no more of them.
+
+After 5, 9, 17 ... samples each tile is asked how far the mean of its samples lies from the mean of their first half, in
+its worst pixel; where that is below the threshold the tile is done. The measure is Cycles' (difference of two estimates
+over the square root of the brightness), but both are means of a fixed sequence of sample positions: the picture is the
+same every time.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +14,24 @@ import numpy as np
 
 from ....core.scene.settings import Settings
 from ....shading.interface import Interface
-from ...device.protocol import Device, Texture, whole
+from ...device.protocol import Device, Texture, releases_on_failure
 from ..tiles import EVERYWHERE, TILE, TILE_DEFINE, Region
-from ..uniforms import FRAME
+from ..uniforms import block
 
 FIRST_CHECK = 5  # samples, one and pairs that face each other; fewer say too little about edges between them
 LEAST_SAMPLES = 8  # of a picture: with fewer there is little to save
 KEEP = Interface(
     "keep",
     fragment="output/keep.frag",
-    block=FRAME,
     samplers=(("FLOAT_2D", "ps_combined"),),
     outputs=(("vec4", "out_color"),),
 )
+CONVERGE_BLOCK = block("Converge", (
+    ("int", "samples"),  # of the picture so far
+    ("float", "threshold"),  # of the difference at which a tile is done
+))  # fmt: skip
 CONVERGE = Interface(
-    "converge", fragment="output/converge.frag", block=FRAME, outputs=(("float", "out_count"),),
+    "converge", fragment="output/converge.frag", block=CONVERGE_BLOCK, outputs=(("float", "out_count"),),
     samplers=(("FLOAT_2D", "ps_combined"), ("FLOAT_2D", "ps_half"), ("FLOAT_2D", "ps_counts")), defines=(TILE_DEFINE,),
 )  # fmt: skip
 
@@ -47,7 +56,7 @@ def why_everywhere(
 class Adaptive:
     """Which tiles of one picture still take samples, and how many each of them got."""
 
-    @whole
+    @releases_on_failure
     def __init__(
         self, device: Device, sums: Texture, threshold: float, gather: int, place: Texture | None = None
     ) -> None:
@@ -73,19 +82,18 @@ class Adaptive:
         """Every tile has enough."""
         return bool(self.counts.all())
 
-    def check(self, done: int, record: np.ndarray) -> bool:
+    def check(self, done: int) -> bool:
         """After `done` samples; True where tiles were finished by it."""
         if done <= FIRST_CHECK // 2 or (done - 1) & (done - 2):
             return False
-        finished = done >= FIRST_CHECK and self._converge(done, record.copy())
-        self.device.draw(KEEP, self._half_target, uniforms=record, textures={"ps_combined": self._sums})
+        finished = done >= FIRST_CHECK and self._converge(done)
+        self.device.draw(KEEP, self._half_target, textures={"ps_combined": self._sums})
         return finished
 
-    def _converge(self, done: int, record: np.ndarray) -> bool:
-        record["size"][0, 2] = done
-        record["tile"][0, 2] = self.threshold
+    def _converge(self, done: int) -> bool:
+        uniforms = CONVERGE_BLOCK.record(samples=done, threshold=self.threshold)
         textures = {"ps_combined": self._sums, "ps_half": self._half, "ps_counts": self.known}
-        self.device.draw(CONVERGE, self._count_target, uniforms=record, textures=textures)
+        self.device.draw(CONVERGE, self._count_target, uniforms=uniforms, textures=textures)
         counts = self.device.read(self._count)[..., 0]
         counts = np.where(self._held & (self.counts == 0), np.float32(0), counts)
         if np.array_equal(counts, self.counts):
@@ -93,7 +101,7 @@ class Adaptive:
         if self._place is not None and not self._places:
             kept = self.device.texture(self._place.size, "RGBA32F")
             self._places = [self.device.target([kept]), kept]
-            self.device.draw(KEEP, self._places[0], uniforms=record, textures={"ps_combined": self._place})
+            self.device.draw(KEEP, self._places[0], textures={"ps_combined": self._place})
         self.counts = counts
         active = counts == 0
         self._release_masks()

@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Splats on the device: pages of textures, and the blocks of splats that a view draws."""

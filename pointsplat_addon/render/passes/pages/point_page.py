@@ -1,4 +1,14 @@
-"""TODO: say what this module is."""
+"""Pages of opaque splats, and the blocks of consecutive splats that a view draws of them.
+
+A page holds the splats of several point sets. Texture by texture, one texel a splat:
+  position        xyz relative to the set's origin; packed normal (pack_normal; -1: a ball)
+  extent          half-axes (major, minor; negative: a disconnected splat), packed major axis, material row
+  color           base colour                    \\  where any set of the scene has them
+  surface         roughness, metallic             |
+  emission        emitted radiance                |
+  shading_normal  packed normal, -1: the splat's  /
+A block is up to 2^shift consecutive splats of one instance: texel (x, y) of the first one, count, instance.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +18,21 @@ import numpy as np
 
 from ....core.numeric.segments import owners, ranks
 from ....core.scene.materials import MaterialTable
+from ....shading.interface import Block
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Texture
 from ...prepare.point_sets import Layer, PointSet
 from ..gbuffer import Variant
-from .splat_page import SplatPage, extent, facets, filled, place, shading_normal
+from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
+from .splat_page import SplatPage, extent, facets, filled, position_and_normal, shading_normal
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
-POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_place"), ("FLOAT_2D", "ps_extent"))
+# What lib/data/splat.glsl reads.
+BLOCK_FIELDS: Fields = (
+    ("int", "block_count"),
+    ("int", "block_shift"),  # log2 of the splats in a block
+)
+POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_position"), ("FLOAT_2D", "ps_extent"))
 
 
 @dataclass(frozen=True)
@@ -28,7 +45,7 @@ class PointOptions:
     holdout: bool = False
     ellipses: bool = False  # some splats are not round
     one_instance: bool = False
-    apart: bool = False  # some splats close no surface with others
+    disconnected: bool = False  # some splats close no surface with others
     depth: bool = False  # polygons share the G-buffer
     coarse: bool = False  # nodes are so wide that gaps between them show
 
@@ -41,7 +58,7 @@ class Page(SplatPage):
     ) -> None:
         super().__init__(device, sets)
         clouds = self.clouds
-        self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
+        self.upload("position", "RGBA32F", 4, [position_and_normal(c) for c in clouds])
         self.upload("extent", "RGBA32F", 4, [
             extent(c, points=len(points.cloud)) for c, points in zip(clouds, sets, strict=True)
         ])  # fmt: skip
@@ -118,6 +135,12 @@ def attributes(
     return tuple(samplers), tuple((name, "1") for name, on in named.items() if on)
 
 
+def page_block(name: str, options: PointOptions, *groups: Fields) -> Block:
+    """The uniform block of a pass that draws the blocks of a page, with further fields. `name`: as for `block`."""
+    transform = ONE_INSTANCE_FIELDS if options.one_instance else ()
+    return block(name, CAMERA_FIELDS, BLOCK_FIELDS, transform, *groups)
+
+
 @dataclass
 class PageDraw:
     """What one view draws of one page."""
@@ -127,14 +150,12 @@ class PageDraw:
     count: int  # blocks
     shift: int
     first_index: int  # of this page's splats among all that are drawn
-    uniforms: dict[str, object]
+    transform: Values  # of ONE_INSTANCE_FIELDS, where there is only one instance; else none
 
     @property
     def elements(self) -> int:
         return self.count << self.shift
 
-    def fill(self, record: np.ndarray) -> np.ndarray:
-        record["page"][0, :3] = self.first_index, self.count, self.shift
-        for name, value in self.uniforms.items():
-            record[name][0] = value
-        return record
+    def record(self, view: SampleView, block: Block, **own: object) -> np.ndarray:
+        """The record of a pass whose block is a `page_block`."""
+        return view.record(block, block_count=self.count, block_shift=self.shift, **self.transform, **own)

@@ -1,4 +1,4 @@
-"""Splats on the device: pages of 4,096-wide float textures, one texel a splat, texture by texture."""
+"""Pages of splats on the device: 4,096-wide float textures, one for each attribute, one texel a splat."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _copy(values: np.ndarray) -> Write:
     return write
 
 
-def place(cloud: PointCloud) -> Write:
+def position_and_normal(cloud: PointCloud) -> Write:
     """(N, 4): position relative to the cloud's origin, packed normal (NO_NORMAL: a ball)."""
 
     def write(out: np.ndarray, block: slice) -> None:
@@ -79,7 +79,7 @@ def place(cloud: PointCloud) -> Write:
 
 def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = None) -> Write:
     """(N, 4): half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too. The minor
-    half-axis of splats that stand apart is negative. `points`: what follows after so many are nodes, whose material row
+    half-axis of disconnected splats is negative. `points`: what follows after so many are nodes, whose material row
     has NODE added."""
 
     def write(out: np.ndarray, block: slice) -> None:
@@ -87,8 +87,8 @@ def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = No
         if cloud.radii is not None:
             out[:, 0] = cloud.radii[block, 0]
             out[:, 1] = cloud.radii[block, min(1, cloud.radii.shape[1] - 1)]
-        if cloud.apart is not None:
-            out[cloud.apart[block], 1] *= -1
+        if cloud.disconnected is not None:
+            out[cloud.disconnected[block], 1] *= -1
         out[:, 2] = 0
         if cloud.axis is not None:
             out[:, 2] = octahedral(cloud.axis[block])

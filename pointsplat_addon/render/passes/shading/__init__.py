@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Deferred shading of the G-buffer, the world behind it, and the passes that no light changes."""

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The passes beyond Combined that are averaged over samples, and where shaders write them."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ def averaged(passes: frozenset[str]) -> tuple[str, ...]:
     return tuple(key for key in AVERAGED if key in passes and BY_KEY[key].averaged)
 
 
-def _averaged_outputs(passes: frozenset[str], combined: bool) -> tuple[tuple[str, str], ...]:
+def averaged_outputs(passes: frozenset[str], combined: bool) -> tuple[tuple[str, str], ...]:
     first = (("vec4", "out_combined"),) if combined else ()
     return (*first, *(("vec4", AVERAGED[key][1]) for key in averaged(passes)))
 
 
-def _averaged_defines(passes: frozenset[str]) -> tuple[str, ...]:
+def averaged_defines(passes: frozenset[str]) -> tuple[str, ...]:
     return tuple(AVERAGED[key][0] for key in averaged(passes))

@@ -3,20 +3,21 @@ is infinitely far (core/lens/backdrop.py). Whoever draws the background looks it
 
 from __future__ import annotations
 
-import numpy as np
-
-from ....core.lens.backdrop import Grid
+from ....core.lens.backdrop import BackdropGrid
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
-from ..uniforms import FRAME
+from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
 
+MARGIN: Fields = (("int", "margin"),)  # texels around the blurred picture that the sharp one has
+SHARP_BLOCK = block("Backdrop", CAMERA_FIELDS, (("vec2", "texel_size"),), MARGIN)  # pixels
+BLUR_BLOCK = block("BackdropBlur", (("vec2", "radius"),), MARGIN)  # of the disk of confusion in texels
 SHARP = Interface(
-    "backdrop", fragment="shading/backdrop.frag", block=FRAME, outputs=(("vec4", "out_color"),),
+    "backdrop", fragment="shading/backdrop.frag", block=SHARP_BLOCK, outputs=(("vec4", "out_color"),),
     samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in ("lights", "environment", "levels")),
     defines=(("PS_HAS_ENVIRONMENT", "1"),),
 )  # fmt: skip
 BLUR = Interface(
-    "backdrop_blur", fragment="shading/backdrop_blur.frag", block=FRAME, outputs=(("vec4", "out_color"),),
+    "backdrop_blur", fragment="shading/backdrop_blur.frag", block=BLUR_BLOCK, outputs=(("vec4", "out_color"),),
     samplers=(("FLOAT_2D", "ps_sharp"),),
 )  # fmt: skip
 
@@ -24,7 +25,7 @@ BLUR = Interface(
 class Backdrop:
     """The world behind one view. Floats: the sun is brighter than half floats are."""
 
-    def __init__(self, device: Device, grid: Grid) -> None:
+    def __init__(self, device: Device, grid: BackdropGrid) -> None:
         self.device, self.grid = device, grid
         self.texture: Texture = device.texture(grid.size, "RGBA32F")
 
@@ -33,15 +34,15 @@ class Backdrop:
         """That a pixel spans."""
         return 1 / self.grid.step[0], 1 / self.grid.step[1]
 
-    def draw(self, record: np.ndarray, textures: dict[str, Texture]) -> None:
-        """`record`: of a ray through each pixel's centre; it is written to. `textures`: what SHARP reads."""
+    def draw(self, view: SampleView, textures: dict[str, Texture]) -> None:
+        """`view`: of a ray through each pixel's centre. `textures`: what SHARP reads."""
         device, grid = self.device, self.grid
         sharp = device.texture(grid.larger, "RGBA32F")
         larger, blurred = device.target([sharp]), device.target([self.texture])
-        record["previous"][0] = *grid.step, *grid.radius
-        record["size"][0, 2] = grid.margin
-        device.draw(SHARP, larger, uniforms=record, textures=textures)
-        device.draw(BLUR, blurred, uniforms=record, textures={"ps_sharp": sharp})
+        uniforms = view.record(SHARP_BLOCK, texel_size=grid.step, margin=grid.margin)
+        device.draw(SHARP, larger, uniforms=uniforms, textures=textures)
+        uniforms = BLUR_BLOCK.record(radius=grid.radius, margin=grid.margin)
+        device.draw(BLUR, blurred, uniforms=uniforms, textures={"ps_sharp": sharp})
         for item in (larger, blurred, sharp):
             item.release()
 

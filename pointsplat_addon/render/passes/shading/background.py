@@ -1,11 +1,16 @@
-"""TODO: say what this module is."""
+"""Draws the world where nothing else is, and adds it to the sums over samples."""
 
 from __future__ import annotations
 
-from ....shading.interface import Interface
-from ..uniforms import FRAME
-from .averages import _averaged_defines, _averaged_outputs
+from ....shading.interface import Block, Interface
+from ..uniforms import BACKDROP_FIELDS, CAMERA_FIELDS, Fields, block
+from .averages import averaged_defines, averaged_outputs
 from .lighting import lighting_samplers
+
+
+def world_block(name: str, world: tuple[str, ...], *groups: Fields) -> Block:
+    """The uniforms of a pass that draws the world, with further fields."""
+    return block(name, CAMERA_FIELDS, BACKDROP_FIELDS if "PS_BACKDROP" in world else (), *groups)
 
 
 def background_program(
@@ -21,11 +26,11 @@ def background_program(
     it."""
     drawn = not transparent and "PS_BACKDROP" not in world
     named = {"PS_BACKGROUND": drawn, "PS_COVERAGE": coverage, "PS_EVERYWHERE": everywhere,
-             "PS_BESIDE": not combined}  # fmt: skip
-    names = (*world, *_averaged_defines(passes), *(name for name, on in named.items() if on))
-    read = () if everywhere else ("ps_place", "ps_shape") if coverage else ("ps_place",)
+             "PS_AUXILIARY_ONLY": not combined}  # fmt: skip
+    names = (*world, *averaged_defines(passes), *(name for name, on in named.items() if on))
+    read = () if everywhere else ("ps_centre", "ps_shape") if coverage else ("ps_centre",)
     return Interface(
-        "background", fragment="shading/background.frag", block=FRAME, outputs=_averaged_outputs(passes, combined),
+        "background", fragment="shading/background.frag", block=world_block("Background", world), outputs=averaged_outputs(passes, combined),
         samplers=(*(("FLOAT_2D", name) for name in read), *lighting_samplers(world)),
         defines=tuple((name, "1") for name in names),
     )  # fmt: skip

@@ -1,10 +1,10 @@
-"""TODO: say what this module is."""
+"""Passes that are not averaged: position, depth, motion and indices under the pixels' centres."""
 
 from __future__ import annotations
 
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
 from ..gbuffer import Variant
-from ..uniforms import FRAME
+from ..uniforms import CAMERA_FIELDS, Fields, block
 
 # Each output serves several passes: channels of one texture.
 DATA = {
@@ -20,14 +20,22 @@ def data(passes: frozenset[str]) -> tuple[str, ...]:
     return tuple(name for name, (_, _, serves) in DATA.items() if passes & set(serves))
 
 
+def _block(wanted: tuple[str, ...]) -> Block:
+    """The uniforms of the pass `data` with these textures."""
+    position: Fields = (("mat4", "world_from_view"),)
+    # Of the whole picture, of which this may be a region: its size and the region's corner in pixels.
+    vector: Fields = (("vec2", "resolution"), ("vec2", "corner"))
+    return block("Data", CAMERA_FIELDS, position if "position" in wanted else (), vector if "vector" in wanted else ())
+
+
 def data_program(variant: Variant, passes: frozenset[str]) -> Interface:
     wanted = data(passes)
-    samplers = list(variant.samplers(only=("place", "shape", "normal", "owner")))
+    samplers = list(variant.samplers(only=("centre", "shape", "normal", "owner")))
     if "vector" in wanted:
         samplers.append(("FLOAT_2D", "ps_previous"))
     names = [DATA[name][0] for name in wanted] + (["PS_OWNER"] if variant.owner else [])
     return Interface(
-        "data", fragment="shading/data.frag", block=FRAME, samplers=tuple(samplers),
+        "data", fragment="shading/data.frag", block=_block(wanted), samplers=tuple(samplers),
         outputs=tuple(("vec4", DATA[name][1]) for name in wanted),
         defines=tuple((name, "1") for name in names),
     )  # fmt: skip

@@ -1,16 +1,20 @@
-"""TODO: say what this module is."""
+"""What shaders of lib/light and lib/shadow read: defines, samplers, uniforms, and textures by sampler name."""
 
 from __future__ import annotations
 
 from ...device.protocol import Texture
+from ..uniforms import Fields
 
-LAMP_POINTS, MOST_LAMP_POINTS = 32, 4  # of a wide lamp: in a picture, and in one of its samples
+LIGHT_POINTS, MOST_LIGHT_POINTS = 32, 4  # of a wide lamp: in a picture, and in one of its samples
 ENOUGH_CELLS = 16  # samples that, each with a shadow cell of its own, make the mean of four between which it lies
+# What lib/light and lib/shadow read: how many lights there are, and with shadows of wide lights the sample's number.
+LIGHT_FIELDS: Fields = (("int", "light_count"),)
+SAMPLE_FIELDS: Fields = (("int", "sample_index"),)
 
 
 def lighting_defines(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """Shadows of wide lamps differ from sample to sample: PS_SHADOW_SAMPLE is where the shader finds its number."""
-    return tuple((name, "frame.size.z" if name == "PS_SHADOW_SAMPLE" else "1") for name in lighting)
+    return tuple((name, "u.sample_index" if name == "PS_SHADOW_SAMPLE" else "1") for name in lighting)
 
 
 def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
@@ -25,6 +29,6 @@ def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     return tuple(("FLOAT_2D", name) for name, needed in wanted if needed)
 
 
-def textures(**named: Texture | None) -> dict[str, Texture]:
+def bound_textures(**named: Texture | None) -> dict[str, Texture]:
     """Those that are there, by sampler name."""
     return {f"ps_{name}": texture for name, texture in named.items() if texture is not None}

@@ -1,4 +1,8 @@
-"""TODO: say what this module is."""
+"""The material table on the device: four texels for each material.
+
+They hold: base colour, alpha; emission, anisotropy; 1 where back faces are culled, roughness, metallic, the index of
+refraction that stands for IOR and specular level; further parameters of hair (core.light.hair.texel).
+"""
 
 from __future__ import annotations
 

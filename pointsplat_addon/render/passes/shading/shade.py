@@ -1,18 +1,48 @@
-"""Deferred shading into accumulators, the passes that are not averaged, and what shading reads.
-
-Material table, four texels a row: base colour, alpha; emission, anisotropy; culls, roughness, metallic, index of
-refraction that stands for IOR and specular level; what hair is besides (core.hair.texel).
-"""
+"""Deferred shading: the G-buffer to scene-linear radiance and averaged passes, added to the sums over samples."""
 
 from __future__ import annotations
 
-from ....shading.interface import Interface
+from ....core.scene.scene import Scene
+from ....shading.interface import Block, Interface
 from ..gbuffer import Variant
-from ..uniforms import FRAME
-from .averages import _averaged_defines, _averaged_outputs
-from .lighting import ENOUGH_CELLS, LAMP_POINTS, MOST_LAMP_POINTS, lighting_defines, lighting_samplers
+from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, Values, block
+from .averages import averaged, averaged_defines, averaged_outputs
+from .lighting import (
+    ENOUGH_CELLS,
+    LIGHT_FIELDS,
+    LIGHT_POINTS,
+    MOST_LIGHT_POINTS,
+    SAMPLE_FIELDS,
+    lighting_defines,
+    lighting_samplers,
+)
 
 MIST_EXPONENT = {"LINEAR": 1.0, "QUADRATIC": 2.0, "INVERSE_QUADRATIC": 0.5}
+MIST_FIELDS: Fields = (("float", "mist_start"), ("float", "mist_scale"), ("float", "mist_exponent"))
+WORLD_FIELDS: Fields = (("mat4", "world_from_view"),)
+
+
+def _block(passes: frozenset[str], lighting: tuple[str, ...], focus: bool, combined: bool) -> Block:
+    """The uniforms of one variant."""
+    wanted = (
+        (LIGHT_FIELDS, combined),
+        (SAMPLE_FIELDS, "PS_SHADOW_SAMPLE" in lighting),
+        (LENS_FIELDS, focus),
+        (MIST_FIELDS, "mist" in averaged(passes)),
+        (WORLD_FIELDS, "normal" in averaged(passes)),
+    )
+    return block("Shade", CAMERA_FIELDS, *(fields for fields, on in wanted if on))
+
+
+def shade_values(scene: Scene) -> Values:
+    """Values of the fields that depend on the scene."""
+    mist = scene.mist
+    return {
+        "light_count": len(scene.lights),
+        "mist_start": mist.start,
+        "mist_scale": 1 / max(mist.depth, 1e-6),
+        "mist_exponent": MIST_EXPONENT[mist.falloff],
+    }
 
 
 def shade_program(
@@ -31,17 +61,17 @@ def shade_program(
     from as many points as the `samples` of a picture leave over from LAMP_POINTS. `coverage`: edges are soft.
     `lines`: there are strands. `focus`: only what is in focus, with its depth. `combined`: the picture, not only passes
     beside it. `coarse`: nodes are so wide that they would lie in the shadow of what they stand for."""
-    read = variant.samplers(only=("place", "shape", "normal", "color", "emission"))
-    flags = {"PS_COVERAGE": coverage, "PS_LINES": lines and variant.normal, "PS_FOCUS": focus,
-             "PS_BESIDE": not combined,
+    read = variant.samplers(only=("centre", "shape", "normal", "color", "emission"))
+    flags = {"PS_COVERAGE": coverage, "PS_STRANDS": lines and variant.normal, "PS_FOCUS": focus,
+             "PS_AUXILIARY_ONLY": not combined,
              "PS_COARSE": coarse and any("SHADOW" in name for name in lighting)}  # fmt: skip
-    names = (*variant.defines, *materials, *_averaged_defines(passes), *(name for name, on in flags.items() if on))
-    points = min(max(LAMP_POINTS // samples, 1), MOST_LAMP_POINTS)
+    names = (*variant.defines, *materials, *averaged_defines(passes), *(name for name, on in flags.items() if on))
+    points = min(max(LIGHT_POINTS // samples, 1), MOST_LIGHT_POINTS)
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
     return Interface(
-        "shade", fragment="shading/shade.frag", block=FRAME,
-        outputs=(*_averaged_outputs(passes, combined), *((("vec4", "out_focus"),) if focus else ())),
+        "shade", fragment="shading/shade.frag", block=_block(passes, lighting, focus, combined),
+        outputs=(*averaged_outputs(passes, combined), *((("vec4", "out_focus"),) if focus else ())),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
         defines=(*lighting_defines(lighting), *taps, *((name, "1") for name in names)),
     )  # fmt: skip

@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Translucent splats: lit once for a view, then blended over the opaque picture of every sample."""

@@ -1,19 +1,27 @@
-"""TODO: say what this module is."""
+"""Blends lit splats over the picture of one sample, and adds that to the sums."""
 
 from __future__ import annotations
 
 from ....core.splat.kernel import PROFILES
 from ....shading.interface import Interface
-from ..uniforms import FRAME
+from ..uniforms import CAMERA_FIELDS, block
 from .options import TranslucentOptions
 
 COARSE = 2  # pixels of the picture along a side of the coarse one's
 CHANNELS = ("R", "GA", "B")  # drawn one after the other where extinction is coloured
 
+BLEND = block("Blend", (
+    ("vec2", "principal_point"),  # pixels of the whole picture
+    ("ivec2", "size"),  # of the target
+    ("float", "scale"),  # pixels of the target along a pixel of the picture
+    ("int", "first"),  # splat of the list
+))  # fmt: skip
+OPAQUE_DEPTH = block("OpaqueDepth", CAMERA_FIELDS)
+
 
 def draw_program(options: TranslucentOptions, channel: str) -> Interface:
     """Splats over the picture. `channel`: one of CHANNELS, or "" where all are alike."""
-    read = ["place", "shape", "source", *(["front", "depth"] if options.opaque else [])]
+    read = ["centre", "shape", "source", *(["front", "depth"] if options.opaque else [])]
     varyings = [("flat", "vec4", "v_conic"), ("flat", "vec4", "v_source"), ("flat", "vec2", "v_centre")]
     defines = []
     if options.opaque:
@@ -30,7 +38,7 @@ def draw_program(options: TranslucentOptions, channel: str) -> Interface:
         read.append("tint")
         defines.append(("PS_CHANNEL", str("RGB".index(channel[0]))))
     return Interface(
-        "translucent", vertex="translucent/blend.vert", fragment="translucent/blend.frag", block=FRAME,
+        "translucent", vertex="translucent/blend.vert", fragment="translucent/blend.frag", block=BLEND,
         samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),
         varyings=tuple(varyings), outputs=tuple(outputs), defines=tuple(defines),
     )  # fmt: skip
@@ -39,14 +47,14 @@ def draw_program(options: TranslucentOptions, channel: str) -> Interface:
 def depth_program(samplers: tuple[tuple[str, str], ...], normal: bool) -> Interface:
     """Depth of the opaque surface under each pixel's centre."""
     return Interface(
-        "opaque depth", fragment="translucent/depth.frag", block=FRAME, samplers=samplers,
+        "opaque depth", fragment="translucent/depth.frag", block=OPAQUE_DEPTH, samplers=samplers,
         outputs=(("float", "out_depth"),), defines=(("PS_NORMAL", "1"),) if normal else (),
     )  # fmt: skip
 
 
 # The coarse picture of a view that moves, over the fine one.
 ENLARGE = Interface(
-    "enlarge", fragment="translucent/enlarge.frag", block=FRAME, samplers=(("FLOAT_2D", "ps_coarse"),),
+    "enlarge", fragment="translucent/enlarge.frag", samplers=(("FLOAT_2D", "ps_coarse"),),
     outputs=(("vec4", "out_color"),),
 )  # fmt: skip
 
@@ -54,7 +62,7 @@ ENLARGE = Interface(
 def add_program(options: TranslucentOptions) -> Interface:
     """One sample's picture to the sums."""
     return Interface(
-        "add", fragment="translucent/add.frag", block=FRAME,
+        "add", fragment="translucent/add.frag",
         samplers=(("FLOAT_2D", "ps_layer"), *((("FLOAT_2D", "ps_cut"),) if options.holdout else ())),
         outputs=(("vec4", "out_combined"),), defines=(("PS_HOLDOUT", "1"),) if options.holdout else (),
     )  # fmt: skip

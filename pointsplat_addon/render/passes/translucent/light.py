@@ -1,4 +1,14 @@
-"""TODO: say what this module is."""
+"""Lights every translucent splat of a draw list, and finds the share of each light that reaches the splats of a page.
+
+The sorted draw list holds two floats a splat: column + 4096 (row % 4096) of its page, and 4 instance + row / 4096.
+What the pass `light` leaves of each splat of the list, one texel each:
+  centre  in pixels from the principal point, depth, optical depth at the centre
+  shape   covariance in pixels^2 (xx, xy, yy)
+  source  radiance of what is opaque in it (rgb): the splat's is this times 1 - T; the kernel's row k, -1 - k where
+          the splat only cuts a hole
+  front   standard deviation of depth along a ray, change of depth per pixel (x, y); where something opaque is drawn
+  tint    extinction by channel over that of the strongest
+"""
 
 from __future__ import annotations
 
@@ -6,21 +16,40 @@ import numpy as np
 
 from ....core.splat import painter
 from ....core.splat.kernel import SUPPORT
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
-from ..shading.lighting import MOST_LAMP_POINTS, lighting_defines, lighting_samplers
-from ..uniforms import FRAME
+from ..shading.lighting import LIGHT_FIELDS, MOST_LIGHT_POINTS, SAMPLE_FIELDS, lighting_defines, lighting_samplers
+from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, block
 from .options import TranslucentOptions
 
-MOST_REACHED = 4  # lights whose shares are kept
+MOST_SHARED_LIGHTS = 4  # lights whose shares are kept
 
 
-def draw_list(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
+def draw_list_rows(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
     """(N, 2) float32 of splats' places in the page, counted texel by texel, and their instances."""
     rows = np.empty((len(texel), 2), np.float32)
     rows[:, 0] = texel & (PAGE_WIDTH * PAGE_WIDTH - 1)
     rows[:, 1] = 4 * instance.astype(np.int64) + (texel >> 24)
     return rows
+
+
+def _sample_fields(lighting: tuple[str, ...]) -> Fields:
+    return SAMPLE_FIELDS if "PS_SHADOW_SAMPLE" in lighting else ()
+
+
+def _light_block(options: TranslucentOptions, lighting: tuple[str, ...]) -> Block:
+    """The uniforms of the pass `light`."""
+    own: Fields = (
+        ("int", "count"),  # of the splats in the list
+        ("float", "low_pass_scale"),  # of the low-pass of splats that are not particles
+    )
+    lens = LENS_FIELDS if options.defocus else ()
+    return block("Light", CAMERA_FIELDS, own, LIGHT_FIELDS, lens, _sample_fields(lighting))
+
+
+def _reach_block(lighting: tuple[str, ...]) -> Block:
+    """The uniforms of the pass `reach`."""
+    return block("Reach", CAMERA_FIELDS, (("int", "count"),), _sample_fields(lighting))
 
 
 def light_program(
@@ -32,23 +61,27 @@ def light_program(
     if reached:
         lighting = tuple(name for name in lighting if not name.startswith("PS_SHADOW"))
         known = ("PS_REACHED", str(reached)), *((("PS_REACHED_COLORED", "1"),) if colored else ())
-    read = ("order", "instances", "place", "extent", "optics", "materials")
+    read = ("order", "instances", "position", "extent", "optics", "materials")
     read += tuple(name for name, on in options.attributes if on)
     read += ("share",) if options.defocus and options.fuzzy else ()
     read += tuple(f"reach_{i}" for i in range(_reach_textures(reached, colored)))
     named = {"PS_MEDIA": options.media, "PS_AMONG_OPAQUE": options.opaque and not options.defocus}
     named |= {"PS_KERNELS": options.kernels, "PS_HOLDOUT": options.holdout, "PS_CULL": options.cull}
-    named |= {"PS_FUZZY_APART": options.apart, "PS_DEFOCUS": options.defocus, "PS_LINES": options.strands}
+    named |= {
+        "PS_FUZZY_DISCONNECTED": options.disconnected,
+        "PS_DEFOCUS": options.defocus,
+        "PS_STRANDS": options.strands,
+    }
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
     outputs = [
-        "place",
+        "centre",
         "shape",
         "source",
         *(["front"] if options.opaque and not options.defocus else []),
         *(["tint"] if options.tint else []),
     ]
     return Interface(
-        "light", fragment="translucent/light.frag", block=FRAME,
+        "light", fragment="translucent/light.frag", block=_light_block(options, lighting),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_{name}") for name in outputs),
         defines=(*lighting_defines(lighting), *known, *_fuzzy_defines(options, lighting),
@@ -56,14 +89,14 @@ def light_program(
     )  # fmt: skip
 
 
-def reach_program(options: TranslucentOptions, lighting: tuple[str, ...], lights: int) -> Interface:
+def light_shares_program(options: TranslucentOptions, lighting: tuple[str, ...], lights: int) -> Interface:
     """The share of each light that reaches every splat of a page, by a list of all of them in their own order."""
     colored = "PS_SHADOW_COLORED" in lighting
-    read = ("order", "instances", "place", "extent", "optics", "materials")
+    read = ("order", "instances", "position", "extent", "optics", "materials")
     read += ("shading_normal",) if options.shading_normal else ()
     defines = (*_fuzzy_defines(options, lighting), *((("PS_SHADING_NORMAL", "1"),) if options.shading_normal else ()))
     return Interface(
-        "reach", fragment="translucent/light.frag", block=FRAME,
+        "reach", fragment="translucent/light.frag", block=_reach_block(lighting),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
         outputs=tuple(("vec4", f"out_reach_{i}") for i in range(_reach_textures(lights, colored))),
         defines=(*lighting_defines(lighting), ("PS_REACH", str(lights)), *defines),
@@ -73,7 +106,7 @@ def reach_program(options: TranslucentOptions, lighting: tuple[str, ...], lights
 def _fuzzy_defines(options: TranslucentOptions, lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """One point of each wide lamp a sample is enough for splats that overlap, and blur what they receive; opaque ones
     do not."""
-    points = MOST_LAMP_POINTS if options.fuzzy else 1
+    points = MOST_LIGHT_POINTS if options.fuzzy else 1
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOWS" in lighting else ()
     narrow = float(np.sqrt(4 * painter.SUPPORT / SUPPORT))
     return (*taps, *((("PS_FUZZY", repr(narrow)),) if options.fuzzy else ()))

@@ -1,16 +1,16 @@
-"""TODO: say what this module is."""
+"""Shares of light that reach the splats of a page; they hold for all cameras and are kept from frame to frame."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from ....shading.interface import Interface
-from ...device.protocol import Device, Target, Texture, undone
+from ...device.protocol import Device, Target, Texture, released_on_failure
 
 MOST_KEPT = 7  # points of wide lamps whose shares are kept
 
 
-class Reach:
+class LightShares:
     """How much of each light reaches the splats of a page: the same for all cameras."""
 
     def __init__(self, device: Device) -> None:
@@ -28,7 +28,7 @@ class Reach:
             self._key = key
         slot = min(tap, MOST_KEPT)
         if slot not in self._kept:
-            with undone(self.device):
+            with released_on_failure(self.device):
                 textures = {
                     name.replace("out_", "ps_"): self.device.texture(size, "RGBA16F") for _, name in program.outputs
                 }

@@ -1,16 +1,15 @@
-"""TODO: say what this module is."""
+"""The lit splats of one view, and the draws that blend them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from ....core.splat.kernel import PROFILES
 from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH
-from ...device.protocol import Device, Target, Texture, whole
-from .blend import CHANNELS, draw_program
+from ...device.protocol import Device, Target, Texture, releases_on_failure
+from ..uniforms import SampleView
+from .blend import BLEND, CHANNELS, draw_program
 from .options import TranslucentOptions
 
 CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
@@ -19,7 +18,7 @@ CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empt
 class LitSplats:
     """The draw list of one view after lighting, and the draws that read it."""
 
-    @whole
+    @releases_on_failure
     def __init__(
         self, device: Device, options: TranslucentOptions, program: Interface, count: int, samples: int = 1
     ) -> None:
@@ -38,21 +37,20 @@ class LitSplats:
         channels = () if options.defocus else CHANNELS if options.tint else ("",)
         self.draws = [(draw_program(options, channel), channel or "RGBA") for channel in channels]
 
-    def light(self, record: np.ndarray, textures: Mapping[str, Texture]) -> None:
+    def light(self, view: SampleView, light_count: int, textures: Mapping[str, Texture]) -> None:
         """Light all of them, seen from the middle of the pixel."""
-        record["page"][0, 1] = self.count
-        record["mist"][0, 3] = 1 / self.samples**2
+        record = view.record_of(
+            self.program.block, count=self.count, low_pass_scale=1 / self.samples**2, light_count=light_count
+        )
         self.device.draw(self.program, self.target, uniforms=record, textures=dict(textures))
 
-    def draw(self, target: Target, record: np.ndarray, depth: Texture | None, pixels: int = 1) -> None:
+    def draw(self, target: Target, view: SampleView, depth: Texture | None, pixels: int = 1) -> None:
         """Over what `target` holds, of which a pixel spans `pixels` of the picture; `depth` is that of what is opaque,
         in pixels of the picture."""
-        record["lens"][0, 3] = 1 / pixels
-        record["size"][0, :2] = target.colors[0].size
         textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth})}
         for program, mask in self.draws:
             for first in range(0, self.count, CHUNK):
-                record["page"][0, 0] = first
+                record = view.record(BLEND, size=target.colors[0].size, scale=1 / pixels, first=first)
                 vertices = 6 * min(CHUNK, self.count - first)
                 self.device.draw(
                     program, target, uniforms=record, textures=textures, vertices=vertices, over=True, mask=mask

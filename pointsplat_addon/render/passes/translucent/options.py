@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Which attributes the translucent splats of a view have: shader variants of their passes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class TranslucentOptions:
     opaque: bool = False  # something opaque may hide them
     fuzzy: bool = False  # some are opaque: core/splat/painter.py
     cull: bool = False  # and some of these are not drawn where they show their backs
-    apart: bool = False  # and some of these stand apart: core/lod/foliage.py
+    disconnected: bool = False  # and some of these stand apart: core/lod/foliage.py
     defocus: bool = False  # for the pass of what is out of focus: passes/defocus.py
     strands: bool = False  # some of these splats are pieces of strands: core/lens/strand_splats.py
 
@@ -52,7 +52,7 @@ def options(
         opaque=opaque,
         fuzzy=fuzzy,
         cull=fuzzy and bool(table.cull.any()),
-        apart=not defocus and any(is_fuzzy(c) and c.apart is not None for c in clouds),
+        disconnected=not defocus and any(is_fuzzy(c) and c.disconnected is not None for c in clouds),
         defocus=defocus,
         strands=defocus and any(is_fuzzy(c) and c.kernel is not None for c in clouds),
     )

@@ -1,25 +1,16 @@
-"""Translucent splats: lit for a view, then drawn back to front over the opaque picture of every sample.
+"""Pages of translucent splats on the device.
 
 A page holds the splats of all translucent point sets, one texel a splat:
-  place           xyz relative to the set's origin; packed normal (-1: a ball)
+  position        xyz relative to the set's origin; packed normal (-1: a ball)
   extent          half-axes (major, minor), packed major axis, material row
   optics          media: extinction per object unit, half-axis along the normal, 1 (voxels: 2); shells: optical depth of
                   the splat's own area, half-axis along the normal, 0; opaque splats: the same, -1; row of
-                  core.kernel.PROFILES
+                  core.splat.kernel.PROFILES
   color           base colour of shells, albedo of media          \\
   surface         roughness, metallic                              |
   emission        shells: radiance; media: radiance per unit       | where any set has them
   tint            extinction by channel over `optics`' first       |
   shading_normal  packed normal, -1: none                         /
-The draw list, sorted, holds two floats a splat: column + 4096 (row % 4096), and 4 instance + row / 4096.
-
-What lighting leaves of each splat of the list, one texel each:
-  place   centre in pixels from the principal point, depth, optical depth at the centre
-  shape   covariance in pixels^2 (xx, xy, yy)
-  source  radiance of what is opaque in it (rgb): the splat's is this times 1 - T; the kernel's row k, -1 - k where
-          the splat only cuts a hole
-  front   standard deviation of depth along a ray, change of depth per pixel (x, y); where something opaque is drawn
-  tint    as above
 """
 
 from __future__ import annotations
@@ -36,7 +27,7 @@ from ....core.splat.kernel import PEAK, PROFILES
 from ...cache.keys import Key
 from ...device.protocol import Device
 from ...prepare.point_sets import PointSet
-from ..pages.splat_page import SplatPage, extent, filled, place, shading_normal
+from ..pages.splat_page import SplatPage, extent, filled, position_and_normal, shading_normal
 from .options import TranslucentOptions, is_fuzzy
 
 OPAQUE = 100.0  # optical depth of what is opaque
@@ -64,7 +55,7 @@ class TranslucentPage(SplatPage):
             self.upload("share", "R32F", 1, [
                 np.broadcast_to(np.float32(share), len(cloud)) for share, cloud in zip(held, clouds, strict=True)
             ])  # fmt: skip
-        self.upload("place", "RGBA32F", 4, [place(c) for c in clouds])
+        self.upload("position", "RGBA32F", 4, [position_and_normal(c) for c in clouds])
         self.upload("extent", "RGBA32F", 4, [extent(c, always_axis=True) for c in clouds])
         self.upload("optics", "RGBA32F", 4, [
             _optics(c, points.is_lattice) for c, points in zip(clouds, sets, strict=True)
@@ -92,8 +83,8 @@ def _reaching(cloud: PointCloud, points: int) -> PointCloud:
     if not is_fuzzy(cloud) or len(cloud) == points or cloud.radii is None:
         return cloud
     radii = cloud.radii.copy()
-    closed = True if cloud.apart is None else ~cloud.apart[points:, None]
-    np.multiply(radii[points:], np.float32(painter.NODE_REACH), out=radii[points:], where=closed)
+    closed = True if cloud.disconnected is None else ~cloud.disconnected[points:, None]
+    np.multiply(radii[points:], np.float32(painter.NODE_SCALE), out=radii[points:], where=closed)
     return replace(cloud, radii=radii)
 
 

@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Polygons, wide balls and strands, rasterised exactly into the G-buffer that points share."""

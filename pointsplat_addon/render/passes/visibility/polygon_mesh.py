@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Meshes on the device: corners of triangles in textures, in groups by material, and baked material pictures."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class PartList:
     count: int
 
 
-def _baked_names(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
+def baked_defines(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
     """Defines of shaders that read the pictures of a graph."""
     on = graph.channels.keys()
     names = {
@@ -75,7 +75,7 @@ class Pictures:
     def __init__(self, device: Device, graph: MaterialGraph, table: MaterialTable, row: int, emission: bool) -> None:
         picture = baked(graph, LARGEST_PICTURE)
         height, width = next(iter(picture.values())).shape[:2]
-        names = _baked_names(graph, emission)
+        names = baked_defines(graph, emission)
         self.textures: dict[str, Texture] = {}
 
         def add(name: str, format: str, *channels: str) -> None:
@@ -164,7 +164,7 @@ class PolygonMesh:
             graph = shown.get(row)
             if graph is not None:
                 uv[start:end] = uv_of(mesh, graph)[corners[start:end]]
-                defines = _baked_names(graph, variant.emission)
+                defines = baked_defines(graph, variant.emission)
             elif row in flat:
                 defines = at_each_corner
             begins = None

@@ -1,4 +1,4 @@
-"""Polygons: corners of triangles in textures, one draw for each material of each instance."""
+"""Draws polygons into the G-buffer, one draw for each material of each instance."""
 
 from __future__ import annotations
 
@@ -8,8 +8,17 @@ from ....core.surface.density import PART
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
-from ..uniforms import FRAME
+from ..uniforms import CAMERA_FIELDS, SampleView, block
 from .polygon_mesh import CORNERS, Group, PartList, PolygonMesh
+
+POLYGONS = block("Polygons", CAMERA_FIELDS, (
+    ("mat4", "view_from_object"),
+    ("int", "mirrored"),  # 1 where the transform turns triangles over
+    ("int", "first"),  # corner of the group
+    ("int", "material"),
+    ("int", "holdout"),  # 0 or 1
+    ("int", "instance"),
+))  # fmt: skip
 
 
 def _needed(variant: Variant, group: Group) -> tuple[str, ...]:
@@ -50,7 +59,7 @@ def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
         "polygons",
         vertex="visibility/polygon.vert",
         fragment="visibility/polygon.frag",
-        block=FRAME,
+        block=POLYGONS,
         samplers=tuple(samplers),
         varyings=tuple(varyings),
         outputs=variant.front_outputs,
@@ -66,7 +75,7 @@ def draw(
     view_from_object: np.ndarray,
     instance: int,
     holdout: bool,
-    record: np.ndarray,
+    view: SampleView,
     shared: dict[str, Texture],
     out: GBuffer,
     parts: list[PartList | None] | None = None,
@@ -74,21 +83,26 @@ def draw(
     """One instance of a mesh into the G-buffer; `parts`: only some of each group, where it is not None."""
     matrix = view_from_object.copy()
     matrix[:3, 3] += matrix[:3, :3] @ mesh.origin
-    record["view_from_object"][0] = matrix.T.reshape(-1)
-    record["lens"][0, 3] = -1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0
-    record["size"][0, 3] = instance
+    mirrored = bool(np.linalg.det(matrix[:3, :3]) < 0)
     for i, group in enumerate(mesh.groups):
         some = None if parts is None else parts[i]
         if parts is not None and some is None:
             continue
         textures = {**shared, **mesh.textures, **group.textures}
-        record["page"][0, :3] = group.first, group.material, int(holdout)
         if some is not None:
             textures["ps_parts"] = some.texture
         device.draw(
             program(variant, group, some is not None),
             out.target,
-            uniforms=record,
+            uniforms=view.record(
+                POLYGONS,
+                view_from_object=matrix,
+                mirrored=mirrored,
+                first=group.first,
+                material=group.material,
+                holdout=holdout,
+                instance=instance,
+            ),
             textures=textures,
             vertices=group.count if some is None else 3 * PART * some.count,
             depth_test=True,

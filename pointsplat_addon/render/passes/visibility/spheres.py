@@ -1,14 +1,12 @@
-"""Balls that are wide on the screen, each met by the pixels' rays: into the G-buffer as polygons are."""
+"""Draws balls that are wide on the screen into the G-buffer: each pixel's ray meets them exactly."""
 
 from __future__ import annotations
-
-import numpy as np
 
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
-from ..pages.point_page import PageDraw, PointOptions, attributes
-from ..uniforms import FRAME
+from ..pages.point_page import PageDraw, PointOptions, attributes, page_block
+from ..uniforms import SampleView
 
 VERTICES = 6  # of a rectangle
 
@@ -21,7 +19,7 @@ def program(variant: Variant, options: PointOptions) -> Interface:
         "spheres",
         vertex="visibility/sphere.vert",
         fragment="visibility/sphere.frag",
-        block=FRAME,
+        block=page_block("Spheres", options),
         samplers=samplers,
         varyings=rows,
         outputs=variant.front_outputs,
@@ -34,16 +32,17 @@ def draw(
     device: Device,
     program: Interface,
     draws: list[PageDraw],
-    record: np.ndarray,
+    view: SampleView,
     shared: dict[str, Texture],
     out: GBuffer,
 ) -> None:
     """All wide balls of the cut."""
+    assert program.block is not None
     for part in draws:
         device.draw(
             program,
             out.target,
-            uniforms=part.fill(record),
+            uniforms=part.record(view, program.block),
             textures={**shared, **part.page.textures, "ps_blocks": part.blocks},
             vertices=VERTICES * part.elements,
             depth_test=True,

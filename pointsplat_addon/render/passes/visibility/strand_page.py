@@ -1,4 +1,14 @@
-"""TODO: say what this module is."""
+"""Strands on the device: pages of control points, and the segments that a view draws of them.
+
+A page holds the points of one geometry, texture by texture, one texel a point:
+  point     xyz relative to the geometry's origin; radius
+  tangent   unit, along the strand
+  side      unit, across a ribbon
+  color, surface, emission   as in pages of splats, where the scene has them
+Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of thin ones share
+of the raster line's width at both ends, phase; of wide ones the points where the strand ends, as far as they are near,
+or -1: tubes end there in a plane.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +19,13 @@ from ....core.scene.strands import Strands
 from ....core.strand.levels import StrandLevels
 from ....core.strand.segments import Segments
 from ...device.packing import PAGE_WIDTH, paged
-from ...device.protocol import Device, Texture, whole
+from ...device.protocol import Device, Texture, releases_on_failure
 from ..gbuffer import Variant
 
 TEXELS = 2  # of a segment
 
 
-class LinePage:
+class StrandPage:
     """The control points of one geometry on the device."""
 
     def __init__(
@@ -46,11 +56,11 @@ class LinePage:
             texture.release()
 
 
-class LineDraw:
+class StrandDraw:
     """What one view draws of one geometry."""
 
-    @whole
-    def __init__(self, device: Device, page: LinePage, segments: Segments, holdout: np.ndarray | None = None) -> None:
+    @releases_on_failure
+    def __init__(self, device: Device, page: StrandPage, segments: Segments, holdout: np.ndarray | None = None) -> None:
         """holdout: (I,) bool, of all instances."""
         self.device, self.page, self.segments = device, page, segments
         rows = np.zeros((len(segments), TEXELS, 4), np.float32)

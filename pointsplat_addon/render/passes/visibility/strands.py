@@ -1,28 +1,23 @@
-"""Strands: control points in textures, segments of them into the G-buffer as polygons are (Marroquim et al. 2008, 4).
+"""Draws segments of strands into the G-buffer, as polygons are (Marroquim et al. 2008, section 4).
 
-A page holds the points of one geometry, texture by texture, one texel a point:
-  point     xyz relative to the geometry's origin; radius
-  tangent   unit, along the strand
-  side      unit, across a ribbon
-  color, surface, emission   as in pages of splats, where the scene has them
-Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of thin ones share
-of the raster line's width at both ends, phase; of wide ones the points where the strand ends, as far as they are near,
-or -1: tubes end there in a plane. Lists hold the texel of each segment that is drawn. Thin ones are raster lines
-of one pixel and have a list for each sample: core/strand/selection.py says which. The others have one for all samples: tubes
-that may be seen to be round are met by the pixels' rays; narrower ones are strips that face the eye, as ribbons are.
+Lists hold the texel of each segment that is drawn. Thin segments are raster lines of one pixel and have a list for each
+sample (core/strand/segments.py says which). The others have one list for all samples: tubes that may be seen to be round
+are met by the pixels' rays; narrower ones are strips that face the eye, as ribbons are.
 """
 
 from __future__ import annotations
 
-import numpy as np
-
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
-from ..uniforms import FRAME
-from .strand_page import LineDraw
+from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
+from .strand_page import StrandDraw
 
 CHUNK = 1 << 20  # segments of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
+
+FIRST: Fields = (("int", "first"),)  # entry of the list
+STRANDS = block("Strands", CAMERA_FIELDS, FIRST)
+THIN = block("ThinStrands", CAMERA_FIELDS, FIRST, (("float", "sample_offset"),))
 
 
 def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
@@ -44,7 +39,7 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
         varyings += [("smooth", "vec2", "v_share")] if thin else []
     kinds = {"PS_THIN": thin, "PS_RIBBON": ribbon, "PS_TUBE": tube}
     return Interface(
-        "lines", vertex="visibility/strands.vert", fragment="visibility/strands.frag", block=FRAME,
+        "lines", vertex="visibility/strands.vert", fragment="visibility/strands.frag", block=THIN if thin else STRANDS,
         samplers=tuple(("FLOAT_2D", name) for name in fetched),
         varyings=tuple(varyings), outputs=variant.front_outputs, depth=True,
         defines=(*variant.front_defines, *((name, "1") for name, on in kinds.items() if on)),
@@ -54,20 +49,20 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
 def draw(
     device: Device,
     variant: Variant,
-    draws: list[LineDraw],
-    record: np.ndarray,
+    draws: list[StrandDraw],
+    view: SampleView,
     shared: dict[str, Texture],
     out: GBuffer,
 ) -> None:
     """All strands of one sample into the G-buffer."""
     for part in draws:
-        record["lens"][0, 3] = part.turn
         for kind, listed in part.lists().items():
             thin = kind == "THIN"
             texture, total = listed
             textures = {**shared, **part.page.textures, "ps_segments": part.texture, "ps_list": texture}
             for first in range(0, total, CHUNK):
-                record["page"][0, 0] = first
+                own = {"sample_offset": part.turn} if thin else {}
+                record = view.record(THIN if thin else STRANDS, first=first, **own)
                 device.draw(
                     program(variant, part.page.ribbon, kind), out.target, uniforms=record, textures=textures,
                     vertices=min(CHUNK, total - first) * (2 if thin else 6),

@@ -1,27 +1,4 @@
-"""Depth of field by splat convolution (Křivánek 2003, chapter 5), in float64: what shaders/defocus/gather.frag is measured
-against, and which nodes its cut needs.
-
-A point at depth d is seen as the disk of confusion, whose radius in pixels is (equations 6 to 8)
-
-    C(d) = f r |1/d - 1/D|,                 of parallel cameras    C(d) = f r |1 - d/D|,
-
-f: pixels per unit at depth 1, r: radius of the aperture, D: distance of the plane of focus. A splat is that disk
-convolved with its own footprint. Křivánek takes a Gaussian for both, of as much variance as holds half its energy in
-the same radius; it reaches 1.8 times as far as the disk does, and no highlight is a disk. Here
-
-    K(q) = (k + 1) / (pi S sqrt(det M)) (1 - q / S)^k,    S = 2 (k + 2),    q = v^T M^-1 v,
-
-whose integral is one and whose covariance is M = J V J^T + p I + C^2/4 I for every k: the splat's own, the pixel's and
-the disk's. k = 0 is the disk itself. k is chosen such that the fourth moment, too, is that of the convolution: with b
-the disk's share of the variance, k = 3 (1 - b^2) / b^2, at most that of core/splat/kernel.py, which stands for a Gaussian;
-SMOOTHER times that where neighbours add up to a surface.
-
-A splat that leans is seen larger from one side of the lens than from the other, so that the middle of its kernel lies
-beside its place (`lean`): otherwise what curves away ends too early or too late.
-
-What is blurred by less than IN_FOCUS pixels is drawn as without depth of field, what is blurred by more than BLURRED
-by such splats, and between the two a part by each: `sharp`.
-"""
+"""Depth of field by splats, in float64 (model: core/lens/kernel.py): what shaders/defocus/gather.frag computes."""
 
 from __future__ import annotations
 
@@ -29,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.camera import Camera
-from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS
-from ..splat.kernel import POWER
+from pointsplat_addon.core.lens.kernel import NEGLIGIBLE, SOFT_RIM
+from pointsplat_addon.core.scene.camera import Camera
+from pointsplat_addon.core.splat.blur import IN_FOCUS, OUT_OF_FOCUS
+from pointsplat_addon.core.splat.kernel import POWER
 
 # Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/frame/sample_positions.py).
 PIXEL = 0.11
@@ -41,18 +19,16 @@ SMOOTHER = 2.0
 # Sums of kernels over a surface are uneven by some percent still (`evened`).
 EVEN = 0.05
 # Of what backs cover where fronts of the same surface are: sums are uneven, and closed bodies end with fronts alone.
-BESIDE = 0.8
-FAINT = 1e-3  # of a kernel's middle, and of the lens: where splats end
-RIM = 0.002  # of 1 - q / S: where the rim is drawn softer than it is
+BACK_SHARE = 0.8
 
 
-def sharp(radius: np.ndarray) -> np.ndarray:
+def in_focus_share(radius: np.ndarray) -> np.ndarray:
     """How much of what has disks of this radius is drawn as if it were in focus, in [0, 1]."""
     t = np.clip((radius - IN_FOCUS) / (OUT_OF_FOCUS - IN_FOCUS), 0, 1)
     return 1 - t * t * (3 - 2 * t)
 
 
-def lean(camera: Camera, place: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def lens_mean(camera: Camera, place: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(N, 2): where within their disks of confusion the middle of flat splats lies, in half-axes of the disks (those to
     the right are `radius` over the aperture's ratio); of what lies before the focus, the other way.
 
@@ -67,13 +43,13 @@ def lean(camera: Camera, place: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return slope / np.maximum(4 * np.maximum(np.abs(facing), np.linalg.norm(slope, axis=1)), 1e-300)[:, None]
 
 
-def evened(sums: np.ndarray) -> np.ndarray:
+def evened_coverage(sums: np.ndarray) -> np.ndarray:
     """What a surface covers, for the sum s <= 1 of its splats: s + EVEN s^8, at most 1. What is almost whole lets
     nothing through, and edges keep their slope."""
     return np.minimum(sums + EVEN * sums**8, 1)
 
 
-def exponent(radius: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def kernel_exponent(radius: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """k for disks of confusion of a `radius`, and the variance along an axis, pixels^2, of what else is in a splat."""
     disk = np.asarray(radius, np.float64) ** 2 / 4
     share = disk / (disk + variance)
@@ -101,7 +77,7 @@ class Splats:
     reach: np.ndarray  # (N,) how far before and behind its depth an opaque one's surface may lie in its kernel
     back: np.ndarray  # (N,) bool: shows its back
     translucent: np.ndarray  # (N,) bool
-    apart: np.ndarray  # (N,) bool: opaque, but of no surface
+    disconnected: np.ndarray  # (N,) bool: opaque, but of no surface
 
 
 def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
@@ -115,8 +91,8 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     """
     middle = splats.weight * kernel(np.zeros(len(splats.weight)), splats.exponent, np.linalg.det(splats.covariance))
     amount = splats.weight * drawn_kernel(pixels, splats)
-    amount = np.where(amount > FAINT * np.minimum(middle, 1), amount, 0.0)
-    surface = ~(splats.translucent | splats.apart)
+    amount = np.where(amount > NEGLIGIBLE * np.minimum(middle, 1), amount, 0.0)
+    surface = ~(splats.translucent | splats.disconnected)
     there = (amount > 0) & surface
     # A surface goes on while the next splat's near end lies before the farthest end so far.
     farthest = np.maximum.accumulate(np.where(there, splats.depth + splats.reach, -np.inf), axis=1)
@@ -125,11 +101,11 @@ def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     number = np.cumsum(begins, axis=1)  # of the surface that is being gathered; 0: none yet
 
     front = _within(np.where(there & ~splats.back, amount, 0.0), begins)
-    back = _within(np.where(there & splats.back, np.where(front > 0, BESIDE, 1.0) * amount, 0.0), begins)
+    back = _within(np.where(there & splats.back, np.where(front > 0, BACK_SHARE, 1.0) * amount, 0.0), begins)
     sums = np.minimum(np.maximum(front, back), 1)
     was = np.where(begins, 0.0, np.concatenate([np.zeros((len(pixels), 1)), sums[:, :-1]], axis=1))
     # What a surface as a whole covers, for its sum so far; at its end, and for what lies within it.
-    covers = evened(sums)
+    covers = evened_coverage(sums)
     ends = np.concatenate([begins[:, 1:], np.ones((len(pixels), 1), bool)], axis=1)
     last = _last(np.where(ends, covers, 0.0), ends)
     total = _last(np.where(ends, sums, 0.0), ends)
@@ -152,7 +128,7 @@ def drawn_kernel(pixels: np.ndarray, splats: Splats) -> np.ndarray:
     share = np.maximum(q / (2 * (k + 2)), 1e-12)
     rim = np.clip(np.linalg.norm(offset, axis=-1) * (1 / np.sqrt(share) - 1) + 0.5, 0, 1)
     peak = kernel(np.zeros(len(k)), k, np.linalg.det(splats.covariance))
-    return peak * np.maximum(1 - share, RIM) ** k * rim
+    return peak * np.maximum(1 - share, SOFT_RIM) ** k * rim
 
 
 def _last(values: np.ndarray, ends: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ FLOAT = 2
 LETTERS = "RGBA", "XYZW", "V"
 
 
-def read(path: Path) -> dict[str, np.ndarray]:
+def read_exr(path: Path) -> dict[str, np.ndarray]:
     """Pass name (with its view layer: Layer.Pass) to (H, W, C) float32, bottom row first."""
     raw = path.read_bytes()
     multipart = bool(struct.unpack_from("<I", raw, 4)[0] & MULTIPART)
@@ -66,3 +66,22 @@ def _channels(data: bytes) -> list[str]:
 
 def _place(letter: str) -> int:
     return next(letters.index(letter) for letters in LETTERS if letter in letters)
+
+
+def nifti(array, order="<", code=4, *, slope=0.0, inter=0.0, sform=None, qform=None, pixdim=(1, 1, 1), units=2, qfac=1):
+    """A file in NIfTI-1's layout, written field by field."""
+    header = bytearray(352)
+    struct.pack_into(order + "i", header, 0, 348)
+    struct.pack_into(order + "8h", header, 40, array.ndim, *array.shape, *[1] * (7 - array.ndim))
+    struct.pack_into(order + "2h", header, 70, code, 8 * array.itemsize)
+    struct.pack_into(order + "8f", header, 76, qfac, *pixdim, 1, 1, 1, 1)
+    struct.pack_into(order + "3f", header, 108, 352, slope, inter)
+    header[123] = units
+    if qform is not None:
+        struct.pack_into(order + "h", header, 252, 1)
+        struct.pack_into(order + "6f", header, 256, *qform)
+    if sform is not None:
+        struct.pack_into(order + "h", header, 254, 1)
+        struct.pack_into(order + "12f", header, 280, *np.ravel(sform))
+    header[344:348] = b"n+1\0"
+    return bytes(header) + array.astype(array.dtype.newbyteorder(order)).tobytes(order="F")

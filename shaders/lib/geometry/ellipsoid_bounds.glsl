@@ -1,9 +1,9 @@
-// How far an ellipsoid reaches on the screen.
+// The bounds of an ellipsoid on the screen.
 
 // Where planes through the eye and the picture's y axis (`axis` 0; x axis: 1) touch the ellipsoid with the centre p and
-// the shape S = r^2 L L^T: those with (n . p)^2 = n^T S n. Slopes, or places in a parallel view; all where it reaches the
+// the shape S = r^2 L L^T: those with (n . p)^2 = n^T S n. Slopes, or positions in a parallel view; everything where it reaches the
 // eye.
-vec2 ps_reach(vec3 p, mat3 shape, int axis)
+vec2 ps_ellipsoid_bounds(vec3 p, mat3 shape, int axis)
 {
   if (!ps_is_perspective()) {
     float half_width = sqrt(shape[axis][axis]);

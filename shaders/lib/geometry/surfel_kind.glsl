@@ -1,0 +1,16 @@
+// The kind of a surfel: its half extent in depth, centre.w, tells it: lib/geometry/surfel.glsl.
+
+#define PS_POLYGON -1e30
+// Of what extends over its own pixel only, centre.y says whether it is a strand, whose normal is its tangent.
+#define PS_STRAND 1.0
+
+// Whether something covers the pixel's centre.
+bool ps_is_there(vec4 centre)
+{
+  return centre.w > 0.0 || centre.w <= PS_POLYGON;
+}
+
+bool ps_is_strand(vec4 centre)
+{
+  return centre.w <= PS_POLYGON && centre.y > 0.5 * PS_STRAND;
+}

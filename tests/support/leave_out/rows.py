@@ -1,0 +1,220 @@
+"""What scenes cost on the device, feature by feature: each row is drawn on the device that only records (devices/null.py)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from pointsplat_addon.core.scene.camera import Aperture
+from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.devices.null import NullDevice
+from pointsplat_addon.render.plan.request import Request
+from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes import (
+    build,
+    cameras,
+    detailed_cases,
+    drawing,
+    lit_cases,
+    solid_cases,
+    translucent_cases,
+)
+from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.store import STORE
+from tests.support.leave_out.scenes import (
+    before_a_picture,
+    clear_smoke,
+    corner_colors,
+    dense_mesh,
+    far_light,
+    further_lights,
+    glow,
+    hair,
+    held_smoke,
+    looking_away,
+    many_instances,
+    mixed_materials,
+    normals,
+    one_light,
+    painted_picture,
+    pane,
+    picture_only,
+    ribbon,
+    rough_picture,
+    small_balls,
+    through_a_lens,
+    tube,
+    two_smokes,
+    unlit,
+    with_scene,
+    with_settings,
+    world_only,
+)
+
+COMBINED = frozenset({"combined"})
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A scene with one thing more, or less, than another row."""
+
+    case: Callable[[], Case]
+    passes: frozenset[str] = COMBINED
+    samples: int = 1
+    interactive: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a picture took."""
+
+    device: NullDevice
+    ran: tuple[str, ...]  # passes, in order of first run
+    skipped: dict[str, str]  # the others, and why
+    bytes: int  # on the device while it was drawn
+    report: dict
+
+
+ROWS: dict[str, Row] = {
+    "nothing": Row(solid_cases.empty),
+    "world of one colour": Row(world_only),
+    "environment picture": Row(picture_only),
+    "environment picture, 16 samples": Row(picture_only, samples=16),
+    "environment picture, transparent film": Row(lambda: with_scene(picture_only(), transparent=True)),
+    "one cube": Row(solid_cases.cube),
+    "one cube, unlit": Row(lambda: unlit(solid_cases.cube())),
+    "one cube, shadows": Row(lambda: with_settings(solid_cases.cube(), use_shadows=True, shadow_resolution=64)),
+    "one cube, shadows of a wide light": Row(lambda: one_light(solid_cases.cube(), 0.3)),
+    "one cube, transparent film": Row(lambda: with_scene(solid_cases.cube(), transparent=True)),
+    "dense mesh": Row(dense_mesh),
+    "mesh of points and polygons": Row(detailed_cases.split_mesh),
+    "polygons, colours from a picture": Row(lambda: painted_picture("POLYGONS")),
+    "points, colours from a picture": Row(lambda: painted_picture("POINTS")),
+    "polygons, roughness from a picture": Row(lambda: rough_picture("POLYGONS")),
+    "points, roughness from a picture": Row(lambda: rough_picture("POINTS")),
+    "polygons, colours from a picture, depth": Row(lambda: painted_picture("POLYGONS"), COMBINED | {"depth"}),
+    "polygons, colours at corners": Row(corner_colors),
+    "polygons, colours at corners, depth": Row(corner_colors, COMBINED | {"depth"}),
+    "points": Row(solid_cases.plain_sphere),
+    "points, unlit": Row(lambda: unlit(solid_cases.plain_sphere())),
+    "points, colours": Row(solid_cases.sphere),
+    "points, shading normals": Row(normals),
+    "points, shading normals, unlit": Row(lambda: unlit(normals())),
+    "points, shadows of a sun": Row(lambda: with_settings(solid_cases.plain_sphere(), use_shadows=True, shadow_resolution=64)),
+    "points, shadows of a wide light": Row(lambda: one_light(solid_cases.plain_sphere(), 0.3)),
+    "points that only glow": Row(glow),
+    "points and polygons, backs culled": Row(solid_cases.culled),
+    "leaves": Row(detailed_cases.foliage),
+    "small balls": Row(small_balls),
+    "wide balls": Row(solid_cases.wide_balls),
+    "many instances": Row(many_instances),
+    "many instances that share levels": Row(detailed_cases.many_towers),
+    "points and polygons": Row(solid_cases.mixed),
+    "points and polygons, unlit": Row(solid_cases.unlit),
+    "points and polygons, border": Row(solid_cases.region),
+    "points and polygons, parallel camera": Row(solid_cases.parallel),
+    "points and polygons, interactive": Row(solid_cases.mixed, interactive=True),
+    "points and polygons, adaptive": Row(solid_cases.mixed, samples=16),
+    "emission of points and polygons": Row(lit_cases.emission),
+    "mixed materials": Row(mixed_materials),
+    "holdouts": Row(solid_cases.holdout),
+    "every kind of light": Row(lit_cases.lights),
+    "points in an environment picture": Row(lit_cases.environment),
+    "pane": Row(pane),
+    "panes and a cube": Row(translucent_cases.panes),
+    "smoke": Row(translucent_cases.in_smoke),
+    "smoke, transparent film": Row(lambda: with_scene(translucent_cases.in_smoke(), transparent=True)),
+    "smoke, interactive": Row(translucent_cases.in_smoke, interactive=True),
+    "smoke twice, shadows": Row(two_smokes),
+    "smoke among points and polygons, shadows": Row(translucent_cases.smoke),
+    "coloured smoke, shadows": Row(translucent_cases.tinted_smoke),
+    "smoke that is held out": Row(held_smoke),
+    "tube": Row(tube),
+    "ribbon": Row(ribbon),
+    "hair, shadows": Row(hair, samples=8),
+    "strands and a cube, shadows": Row(detailed_cases.strands, samples=4),
+    "EWA": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA")),
+    "EWA, adaptive": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA"), samples=16),
+    "EWA among polygons": Row(lambda: with_settings(solid_cases.mixed(), technique="EWA")),
+    "painter": Row(lambda: with_settings(solid_cases.sphere(), technique="PAINTER")),
+    "painter among polygons": Row(lambda: with_settings(solid_cases.mixed(), technique="PAINTER")),
+    "painter among polygons, normal and depth": Row(
+        lambda: with_settings(solid_cases.mixed(), technique="PAINTER"), COMBINED | {"normal", "depth"}
+    ),
+    "points, depth and position": Row(solid_cases.plain_sphere, COMBINED | {"depth", "position"}),
+    "points, normal and colour": Row(solid_cases.plain_sphere, COMBINED | {"normal", "albedo"}),
+    "points, mist": Row(solid_cases.plain_sphere, COMBINED | {"mist"}),
+    "points, mist, transparent film": Row(
+        lambda: with_scene(solid_cases.plain_sphere(), transparent=True), COMBINED | {"mist"}
+    ),
+    "points, indices": Row(solid_cases.plain_sphere, COMBINED | {"object_index", "material_index"}),
+    "points, Cryptomatte": Row(solid_cases.plain_sphere, COMBINED | {"crypto_object"}, samples=4),
+    "points and polygons, motion": Row(solid_cases.moving, COMBINED | {"vector"}),
+    "smoke, depth and motion": Row(translucent_cases.in_smoke, COMBINED | {"depth", "vector"}),
+    "a light that is off": Row(lambda: further_lights(replace(far_light(), color=np.zeros(3)))),
+    "a light too far to matter": Row(lambda: further_lights(far_light())),
+    "a world too dark to matter": Row(lambda: with_scene(solid_cases.plain_sphere(), world=World(np.full(3, 1e-5)))),
+    "a black environment picture": Row(
+        lambda: with_scene(solid_cases.plain_sphere(), world=World(np.zeros(3), np.zeros((4, 8, 3), np.float32)))
+    ),
+    "an emission too weak to matter": Row(
+        lambda: with_scene(solid_cases.plain_sphere(), materials=build.materials(emission=np.full((1, 3), 1e-4)))
+    ),
+    "points and polygons out of view": Row(lambda: looking_away(solid_cases.mixed())),
+    "smoke out of view": Row(lambda: looking_away(two_smokes())),
+    "smoke without density": Row(clear_smoke),
+    "points and polygons, out of focus": Row(lambda: through_a_lens("SPLAT"), samples=4),
+    "points and polygons, out of focus, depth": Row(lambda: through_a_lens("SPLAT"), COMBINED | {"depth"}, samples=4),
+    "points and polygons, samples of the lens": Row(lambda: through_a_lens("LENS_SAMPLES"), samples=4),
+    "environment picture, out of focus": Row(
+        lambda: replace(picture_only(), camera=replace(cameras.camera(), aperture=Aperture(0.3, 3.0))), samples=4
+    ),
+    "points in focus in an environment picture": Row(before_a_picture, samples=4),
+    "nothing, every pass": Row(solid_cases.empty, ALL_PASSES),
+    "points and polygons, every pass": Row(solid_cases.mixed, ALL_PASSES),
+}  # fmt: skip
+
+
+def draw(row: Row, device: NullDevice | None = None) -> Found:
+    """The row's picture, recorded, with nothing kept from others."""
+    STORE.clear()
+    device = device or NullDevice()
+    case = row.case()
+    request = Request(case.camera, case.settings, row.passes, row.samples, interactive=row.interactive)
+    renderer = Renderer(device)
+    renderer.costs = drawing.FREE_POINTS
+    report = renderer.render(case.scene, request).report
+    size = device.peak_bytes
+    renderer.release()
+    ran = tuple(entry["name"] for entry in report["passes"])
+    return Found(device, ran, {entry["name"]: entry["because"] for entry in report["skipped"]}, size, report)
+
+
+@cache
+def found(name: str) -> Found:
+    """The picture of ROWS[name]; drawn once in a process."""
+    return draw(ROWS[name])
+
+
+# What shaders use
+
+
+def read(device: NullDevice) -> set[int]:
+    """Ids of the textures that shaders or the host read."""
+    ids = set(device.seen)
+    for call in device.calls:
+        ids |= {id(call.textures[name]) for _, name in call.interface.samplers}
+        ids |= {id(image) for image in call.images.values()}
+    return ids
+
+
+def written(device: NullDevice) -> set[int]:
+    """Ids of the textures that shaders write."""
+    ids = {id(image) for call in device.calls for image in call.images.values()}
+    return ids | {id(texture) for call in device.calls if call.target for texture in call.target.colors}
+
+
+# docs/notes/leave_out.md
