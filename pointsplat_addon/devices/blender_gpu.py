@@ -30,7 +30,7 @@ from .probe import capabilities
 MODES = {"TRIANGLES": "TRIS", "LINES": "LINES", "POINTS": "POINTS"}
 IMAGE_TYPES = {"R32UI": "UINT_2D_ATOMIC", "RGBA32F": "FLOAT_2D"}
 LOG_STAGE = re.compile(r"pyGPU_Shader\W+(vert|frag|comp)", re.IGNORECASE)
-LOG_PLACE = re.compile(r"python_shader\.glsl:(\d+)")  # from Blender 5 on; 4.5 prints no line that can be relied on
+LOG_LINE = re.compile(r"python_shader\.glsl:(\d+)")  # from Blender 5 on; 4.5 prints no line that can be relied on
 
 
 def available() -> tuple[bool, str]:
@@ -86,7 +86,7 @@ class BlenderTarget:
 
 
 class BlenderTimer:
-    """Wall clock."""
+    """A timer that measures the wall clock."""
 
     def __init__(self) -> None:
         self._start = time.perf_counter()
@@ -227,7 +227,7 @@ class BlenderDevice:
         return self._programs[interface]
 
     def _batch(self, primitive: str, vertices: int) -> gpu.types.GPUBatch:
-        """A batch of at least `vertices`. Blender wants a vertex buffer, although shaders count with gl_VertexID."""
+        """Returns a batch of at least `vertices`. Blender wants a vertex buffer, although shaders count with gl_VertexID."""
         size, batch = self._batches.get(primitive, (0, None))
         if batch is None or size < vertices:
             size = 1 << max(6, (vertices - 1).bit_length())
@@ -259,14 +259,14 @@ class BlenderDevice:
 
 
 def _buffer(array: np.ndarray) -> gpu.types.Buffer:
-    """float32 numbers for the gpu module, which checks neither type nor layout."""
+    """Returns float32 numbers for the gpu module, which checks neither type nor layout."""
     flat = np.ascontiguousarray(array, np.float32).reshape(-1)
     return gpu.types.Buffer("FLOAT", flat.size, flat)
 
 
 @contextlib.contextmanager
 def _saved_state() -> Iterator[None]:
-    """Put back what drawing changes. What cannot be asked for goes back to Blender's default."""
+    """Restores the state that drawing changes. What cannot be asked for goes back to Blender's default."""
     state = gpu.state
     blend, depth_test, depth_mask = state.blend_get(), state.depth_test_get(), state.depth_mask_get()
     line_width = state.line_width_get()
@@ -300,7 +300,7 @@ def _compile(interface: Interface) -> gpu.types.GPUShader:
 
 
 def _create_info(interface: Interface) -> gpu.types.GPUShaderCreateInfo:
-    """The same declarations that Interface.header prints."""
+    """Returns Blender's description of a shader, with the declarations that Interface.header prints."""
     info = gpu.types.GPUShaderCreateInfo()
     for name, value in interface.defines:
         info.define(name, value)
@@ -327,7 +327,7 @@ def _create_info(interface: Interface) -> gpu.types.GPUShaderCreateInfo:
 
 
 def _log_of(info: gpu.types.GPUShaderCreateInfo) -> str:
-    """What Blender prints when `info` fails to compile: the exception itself says nothing."""
+    """Returns what Blender prints when `info` fails to compile: the exception itself says nothing."""
     with tempfile.TemporaryFile() as file:
         try:
             saved = os.dup(1), os.dup(2)
@@ -349,11 +349,11 @@ def _log_of(info: gpu.types.GPUShaderCreateInfo) -> str:
 
 
 def _explain(log: str, loaded: Mapping[str, sources.Source]) -> str:
-    """Blender's log with the lines of the joined text replaced by those of the files."""
+    """Returns Blender's log with the lines of the joined text replaced by those of the files."""
     lines, stage = [], next(iter(loaded))
     for line in log.splitlines():
         heading = LOG_STAGE.search(line)
         if heading:
             stage = next((s for s in loaded if s.startswith(heading.group(1).lower())), stage)
-        lines.append(LOG_PLACE.sub(lambda match, s=stage: loaded[s].place(int(match.group(1))), line))
+        lines.append(LOG_LINE.sub(lambda match, s=stage: loaded[s].location(int(match.group(1))), line))
     return "\n".join(lines).strip()

@@ -8,6 +8,7 @@ import bpy
 
 from ..render.passes.outputs import PASSES
 from . import last_render
+from .convert.mesh import is_scattered
 
 ENGINE = "POINTSPLAT"
 DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT", "POINTCLOUD", "VOLUME", "CURVES"}  # objects that are drawn
@@ -201,6 +202,8 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
         row = layout.row()
         row.active = ob.pointsplat.primitive != "POLYGONS"
         row.prop(ob.pointsplat, "spacing")
+        if ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_scattered(ob.data)):
+            layout.prop(ob.pointsplat, "radius")
         if ob.type in FILLED or len(ob.particle_systems):
             layout.prop(ob.pointsplat, "extinction")
         self._visibility(ob, layout)

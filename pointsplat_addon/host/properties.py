@@ -174,6 +174,18 @@ class PointSplatObject(bpy.types.PropertyGroup):
         subtype="DISTANCE",
         update=changed,
     )
+    radius: FloatProperty(
+        name="Radius",
+        description="Radius of the points of a point cloud or of a mesh without edges and faces, before the object's "
+        "scale; zero takes their radius attribute, else 0.01 for point clouds and half the median distance between "
+        "neighbours for meshes",
+        default=0.0,
+        min=0.0,
+        soft_max=1.0,
+        precision=4,
+        subtype="DISTANCE",
+        update=changed,
+    )
     extinction: FloatProperty(
         name="Extinction",
         description="How much the object's points absorb and scatter per unit of length; zero asks the material",

@@ -17,13 +17,14 @@ from ..core.scene import mesh as mesh_module
 from ..core.scene import scene
 from ..core.scene import volume as volume_module
 from ..core.scene import world as world_module
+from ..core.scene.cloud import PointCloud
 from ..core.scene.cryptomatte import cryptomatte_hash
 from .convert import curves
 from .convert.lights import convert_lights
 from .convert.materials import convert_materials
-from .convert.mesh import read_mesh
+from .convert.mesh import is_scattered, read_mesh
 from .convert.objects import Collected, Source, collect
-from .convert.pointcloud import cloud_material, read_pointcloud, splats
+from .convert.pointcloud import CloudMaterial, cloud_material, read_pointcloud, splats
 from .convert.volume import Voxels, convert_volume, digest, read_voxels, source_key, wanted_grids
 from .convert.world import convert_world
 
@@ -201,7 +202,15 @@ class Synchronizer:
         for source in sources:
             rows = tuple(self.cache.row(m) for m in source.materials)
             reads = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
-            key = source.data.session_uid, rows, reads, source.primitive, source.spacing, source.extinction
+            key = (
+                source.data.session_uid,
+                rows,
+                reads,
+                source.primitive,
+                source.spacing,
+                source.extinction,
+                source.radius,
+            )
             if source.smoke:
                 key = (*key, source.smoke.key)
             if isinstance(source.data, bpy.types.Volume):
@@ -209,7 +218,7 @@ class Synchronizer:
                 key = (*source_key(source.data), *key, names, source.transfer and digest(source.transfer))
             if source.particles:
                 key = (*key, source.particles.key)
-            if source.particles or isinstance(source.data, bpy.types.PointCloud):
+            if source.particles or isinstance(source.data, bpy.types.PointCloud) or _is_scattered(source):
                 key = (*key, cloud_material(table, rows[0]).key)
             if source.strands:
                 looks = tuple((cloud_material(table, row).key, *table.base_color[row].tolist()) for row in rows)
@@ -244,12 +253,15 @@ class Synchronizer:
             if source.particles:
                 key, cloud = splats(source.particles, material, lookup)
             else:
-                found = read_pointcloud(source.data, material, lookup)  # pyright: ignore[reportArgumentType]
+                found = read_pointcloud(source.data, material, lookup, source.radius)  # pyright: ignore[reportArgumentType]
                 key, cloud = found or ("", None)
         else:
-            wanted = _attributes(table, rows)
-            mesh = _read_evaluated(source, rows, wanted, self.cache.lookup)
-            key = mesh.key if mesh else ""
+            material = cloud_material(table, rows[0], source.extinction)
+            found = _read_evaluated(source, rows, _attributes(table, rows), material, self.cache.lookup)
+            if isinstance(found, mesh_module.Mesh):
+                mesh, key = found, found.key
+            else:
+                key, cloud = found or ("", None)
         if mesh is None and cloud is None:
             return None
         primitive, spacing, extinction = source.primitive, source.spacing, source.extinction
@@ -313,14 +325,32 @@ def _attributes(table: materials_module.MaterialTable, rows: tuple[int, ...]) ->
     return frozenset().union(*(needs(graph).colors for graph in graphs))
 
 
+def _is_scattered(source: Source) -> bool:
+    """Whether a source is a mesh that is drawn as points."""
+    return isinstance(source.data, bpy.types.Mesh) and not source.strands and is_scattered(source.data)
+
+
 def _read_evaluated(
-    source: Source, rows: tuple[int, ...], wanted: frozenset[str | None], lookup: Callable
-) -> mesh_module.Mesh | None:
-    """The mesh of a source. In edit mode Blender's evaluated mesh holds no arrays, and a copy is made."""
+    source: Source,
+    rows: tuple[int, ...],
+    wanted: frozenset[str | None],
+    material: CloudMaterial,
+    lookup: Callable,
+) -> mesh_module.Mesh | tuple[str, PointCloud] | None:
+    """The mesh of a source, or the key and points of one without edges and faces; None where there is nothing to draw.
+
+    In edit mode Blender's evaluated mesh holds no arrays, and a copy is made.
+    """
+
+    def read(data: bpy.types.Mesh) -> mesh_module.Mesh | tuple[str, PointCloud] | None:
+        if is_scattered(data):
+            return read_pointcloud(data, material, lookup, source.radius)
+        return read_mesh(data, source.name, rows, wanted, lookup)
+
     if source.editing is None:
-        return read_mesh(source.data, source.name, rows, wanted, lookup)  # pyright: ignore[reportArgumentType]
+        return read(source.data)  # pyright: ignore[reportArgumentType]
     try:
-        return read_mesh(source.editing.to_mesh(), source.name, rows, wanted, lookup)
+        return read(source.editing.to_mesh())
     finally:
         source.editing.to_mesh_clear()
 

@@ -15,7 +15,7 @@ from pathlib import Path
 FOLDER = Path(__file__).resolve().parent.parent.parent / "shaders"
 INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 # Source number and line, as Mesa: "0:15(3): error"; NVIDIA: "0(15) : error"; others: "ERROR: 0:15:".
-PLACE = re.compile(r"(?<![\w.:])\d+(?::(\d+)(?:\(\d+\))?|\((\d+)\))")
+LINE_NUMBER = re.compile(r"(?<![\w.:])\d+(?::(\d+)(?:\(\d+\))?|\((\d+)\))")
 # The joined text starts at this line, so that the declarations before it are not taken for it.
 FIRST_LINE = 1001
 
@@ -29,42 +29,42 @@ class Source:
     """A file with its includes."""
 
     text: str
-    places: tuple[tuple[str, int], ...]  # file and line (from 1) of each line of text
+    lines: tuple[tuple[str, int], ...]  # file and line (from 1) of each line of text
 
     @property
     def body(self) -> str:
         """The text as it follows the declarations that Interface.header prints."""
         return f"#line {FIRST_LINE}\n{self.text}"
 
-    def place(self, line: int) -> str:
-        """FILE:LINE of a line (from 1) of `text`."""
-        if not 1 <= line <= len(self.places):
+    def location(self, line: int) -> str:
+        """Returns FILE:LINE of a line (from 1) of `text`."""
+        if not 1 <= line <= len(self.lines):
             return f"declarations:{line}"
-        file, number = self.places[line - 1]
+        file, number = self.lines[line - 1]
         return f"{file}:{number}"
 
     def explain(self, log: str) -> str:
-        """A driver's log about declarations and `body`, with files and their lines in place of its own numbers."""
+        """Returns a driver's log about declarations and `body`, with files and their lines instead of its own numbers."""
 
         def name(match: re.Match[str]) -> str:
             line = int(match.group(1) or match.group(2))
-            return self.place(line - FIRST_LINE + 1) if line >= FIRST_LINE else f"declarations:{line}"
+            return self.location(line - FIRST_LINE + 1) if line >= FIRST_LINE else f"declarations:{line}"
 
-        return PLACE.sub(name, log)
+        return LINE_NUMBER.sub(name, log)
 
 
 @cache
 def load(file: str) -> Source:
-    """The text of `file` in shaders/ (or at an absolute path) with its includes, each of which is taken once.
+    """Loads the text of `file` in shaders/ (or at an absolute path) with its includes, each of which is taken once.
 
     Included files are named from shaders/ too, wherever the including file lies. ShaderError: no such file.
     """
-    lines, places = [], []
-    _expand(file, file, set(), lines, places)
-    return Source("".join(lines), tuple(places))
+    text, lines = [], []
+    _expand(file, file, set(), text, lines)
+    return Source("".join(text), tuple(lines))
 
 
-def _expand(file: str, wanted_by: str, seen: set[str], lines: list[str], places: list[tuple[str, int]]) -> None:
+def _expand(file: str, wanted_by: str, seen: set[str], out: list[str], lines: list[tuple[str, int]]) -> None:
     seen.add(file)
     try:
         text = (FOLDER / file).read_text(encoding="utf-8")
@@ -73,7 +73,7 @@ def _expand(file: str, wanted_by: str, seen: set[str], lines: list[str], places:
     for number, line in enumerate(text.splitlines(), start=1):
         match = INCLUDE.match(line)
         if not match:
-            lines.append(line + "\n")
-            places.append((file, number))
+            out.append(line + "\n")
+            lines.append((file, number))
         elif match.group(1) not in seen:
-            _expand(match.group(1), f"{file}:{number}", seen, lines, places)
+            _expand(match.group(1), f"{file}:{number}", seen, out, lines)

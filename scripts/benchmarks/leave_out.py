@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.scene.settings import Settings
@@ -42,7 +42,9 @@ def opaque(points: int) -> tuple[list, dict]:
     """A sphere of coloured points, a cube of triangles, a plane with a picture on it; a sun and a dim world."""
     color = (0.5 + 0.4 * clouds.sphere_points(points)).astype(np.float32)
     ball = build.points("bench: ball", clouds.sphere_cloud(points, color=color))
-    graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), build.picture(512, 256))))
+    graph = MaterialGraph(
+        base_color=color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV(), build.picture(512, 256)))
+    )
     wall = replace(meshes.plane_mesh("bench: wall", 2.5), materials=(1,))
     things = [
         (ball, build.moved((-0.8, 0, 0), 0.7)),

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pointsplat_addon.core.material import expressions as ex
+from pointsplat_addon.core.material.image import Image
 from pointsplat_addon.core.numeric.segments import offsets
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
@@ -84,11 +84,11 @@ def mesh(of: Mesh, primitive: str = "AUTO", spacing: float = 0.0) -> Geometry:
     return Geometry(of.key, of.name, mesh=of, primitive=primitive, spacing=spacing)
 
 
-def picture(width: int = 16, height: int = 8) -> ex.Image:
+def picture(width: int = 16, height: int = 8) -> Image:
     """Smooth colours, so that a texel's share of a pixel matters little."""
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     texels = np.stack([u, v, 1 - u * v, np.ones_like(u)], axis=-1)
-    return ex.Image(texels.astype(np.float32))
+    return Image(texels.astype(np.float32))
 
 
 def strand_lines(key: str, strands: Sequence[np.ndarray], radius: float | np.ndarray, **more) -> Geometry:

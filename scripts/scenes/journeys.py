@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from pointsplat_addon.core.lod.cost import MAX_SAMPLES_RATIO, Costs
-from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.image import Image
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
 from pointsplat_addon.core.scene.settings import Settings
@@ -123,7 +124,9 @@ def hills(start: float, stop: float, step: float, size: int) -> Journey:
     v, u = (6.0 * a.ravel() / 512 for a in np.indices((512, 512)))
     texels = np.concatenate([pattern(np.stack([u, v, np.full_like(u, 0.4)], axis=1)), np.ones((512**2, 1))], axis=1)
     graph = MaterialGraph(
-        base_color=ex.Color(ex.ImageTexture(ex.UV(), ex.Image(texels.reshape(512, 512, 4).astype(np.float32))))
+        base_color=color_nodes.Color(
+            texture_nodes.ImageTexture(input_nodes.UV(), Image(texels.reshape(512, 512, 4).astype(np.float32)))
+        )
     )
     cameras = along((0.2, -1, 0.25), start, stop, step, size, field_of_view=50, near=0.05)
     return Journey(lit(build.mesh(mesh), cameras[0], graph), cameras, costs=COSTS)

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.world import World
 from scripts.scenes.build import materials, mesh, moved, picture, points, scene
@@ -48,7 +48,7 @@ def mixed() -> Case:
 
 def textured() -> Case:
     """A plane whose base colour is a picture, seen obliquely, beside the same as points."""
-    graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), picture())))
+    graph = MaterialGraph(base_color=color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV(), picture())))
     return Case(
         scene(
             (mesh(plane_mesh("textured polygons"), "POLYGONS"), moved((-1.05, 0, 0))),

@@ -22,8 +22,9 @@ from unittest import mock
 import numpy as np
 from PIL import Image
 
-from pointsplat_addon.core.material import expressions as ex
+from pointsplat_addon.core.material import image
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.scene import Scene
@@ -81,18 +82,18 @@ class Subject:
         return replace(self.scene, geometries=geometries)
 
 
-def texture() -> ex.Image:
+def texture() -> image.Image:
     """Waves, a checkerboard and squares of random values, in the three channels."""
     side = 256
     y, x = np.mgrid[0:side, 0:side] / side
     waves = 0.5 + 0.4 * np.sin(2 * np.pi * (10 * x + 3 * y))
     checker = (np.floor(16 * x) + np.floor(16 * y)) % 2 * 0.8 + 0.1
     squares = np.kron(np.random.default_rng(1).random((32, 32)), np.ones((8, 8)))
-    return ex.Image(np.stack([waves, checker, squares, np.ones_like(x)], axis=-1).astype(np.float32))
+    return image.Image(np.stack([waves, checker, squares, np.ones_like(x)], axis=-1).astype(np.float32))
 
 
 def plane(eye: tuple[float, float, float]) -> Subject:
-    graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), texture())))
+    graph = MaterialGraph(base_color=color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV(), texture())))
     direction = np.array([0.2, 0.9, -0.3])
     sun = Light("SUN", np.full(3, 3.0), np.zeros(3), direction / np.linalg.norm(direction))
     scene = build.scene(

@@ -89,7 +89,7 @@ def test_strands_of_one_point_are_counted_and_the_others_drawn(tmp_path, kind):
     curves(np.concatenate([GOOD, [[-1, 0, 1]], BESIDE]), [6, 1, 6], kind=kind)
     area, warnings = drawn(tmp_path)
     assert area == pytest.approx(2 * AREA, rel=0.1)
-    assert warnings == ["Mop: 1 strand has less than two places and is left out"]
+    assert warnings == ["Mop: 1 strand has less than two positions and is left out"]
 
 
 @THROUGH
@@ -122,7 +122,7 @@ def test_points_in_one_place_cut_nothing_off(tmp_path, kind, times, noise):
 @KINDS
 def test_strands_of_one_place_are_counted(tmp_path, kind):
     curves(np.ones((5, 3)), kind=kind)
-    assert drawn(tmp_path) == (0, ["Mop: 1 strand has less than two places and is left out"])
+    assert drawn(tmp_path) == (0, ["Mop: 1 strand has less than two positions and is left out"])
 
 
 @pytest.mark.parametrize("kind", ["CATMULL_ROM", "POLY"])  # Blender itself takes minutes for such a NURBS curve
@@ -151,7 +151,7 @@ def test_bad_tubes_and_bad_fur_are_named(tmp_path):
     assert sorted(warnings) == [
         "Fur.003: all control points are not numbers",
         "Fur: 20 strands have no radius and are left out",
-        "Pipe.001: 1 strand has less than two places and is left out",
+        "Pipe.001: 1 strand has less than two positions and is left out",
         "Pipe.002: 1 strand has no radius and is left out",
-        "Pipe: 1 strand has less than two places and is left out",
+        "Pipe: 1 strand has less than two positions and is left out",
     ]

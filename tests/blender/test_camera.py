@@ -14,7 +14,7 @@ from mathutils import Euler, Matrix
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.materials import default_materials
 from pointsplat_addon.core.scene.scene import Instances, Scene
-from pointsplat_addon.core.scene.validation import shown
+from pointsplat_addon.core.scene.validation import validate
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.host.convert import camera as cameras
 
@@ -162,8 +162,8 @@ def test_a_camera_that_is_nowhere_sees_nothing_as_in_cycles(scene, tmp_path, pla
 
     made = Scene((), Instances(np.zeros(1, np.int32), np.eye(4)[None]), default_materials(), (), World())
     camera = cameras.from_camera_object(obj, bpy.context.evaluated_depsgraph_get(), 160, 120)
-    seen, _, warnings = shown(made, camera)
-    assert (len(seen.instances), len(warnings)) == ((1, 0) if there else (0, 1))
+    seen, _ = validate(made, camera)
+    assert (len(seen.instances), len(seen.warnings)) == ((1, 0) if there else (0, 1))
 
 
 def test_clip_range_is_read_back_from_both_projections(scene):

@@ -5,18 +5,16 @@ import math
 import numpy as np
 import pytest
 
+from pointsplat_addon.core.material import expression, expressions
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, math_functions, ramp_nodes, texture_nodes
+
 bpy = pytest.importorskip("bpy")
 
-from pointsplat_addon.core.material import expressions as ex
-from pointsplat_addon.core.material.graph import (
-    SampleInputs,
-    bake,
-    bakeable,
-    evaluate_samples,
-    needs,
-    suggested_resolution,
-    triangle_tangents,
-)
+
+from pointsplat_addon.core.material.baking import bake, bakeable, suggested_resolution
+from pointsplat_addon.core.material.evaluation import evaluate_samples, triangle_tangents
+from pointsplat_addon.core.material.expression import SampleInputs
+from pointsplat_addon.core.material.graph import needs
 from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
 from pointsplat_addon.host.convert import images
 from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key
@@ -187,11 +185,13 @@ def range_case(kind, vector):
     case(build, f"range {kind} {'vector' if vector else 'float'}")
 
 
-for operation in ex.MATH:
+for operation in math_functions.MATH:
     math_case(operation)
-for operation in sorted(set(ex.VECTOR_MATH) - ({"POWER", "SIGN", "ROUND"} if bpy.app.version < (5,) else set())):
+for operation in sorted(
+    set(math_functions.VECTOR_MATH) - ({"POWER", "SIGN", "ROUND"} if bpy.app.version < (5,) else set())
+):
     vector_case(operation)
-for blend in ex.BLEND:
+for blend in color_nodes.BLEND:
     blend_case(blend)
 for kind in ("POINT", "TEXTURE", "VECTOR", "NORMAL"):
     mapping_case(kind)
@@ -463,7 +463,7 @@ def emitted(material, position):
         return np.tile(row.constants["emission"], (len(position), 1)), row
     emission = graph_of(row).emission
     assert emission is not None
-    return ex.evaluate(emission, samples(position)), row
+    return expression.evaluate(emission, samples(position)), row
 
 
 @pytest.mark.parametrize("name", list(CASES))
@@ -498,15 +498,15 @@ def test_color_ramps_are_blenders(stops, interpolation, mode, hue):
     x = np.linspace(-0.2, 1.2, 300, dtype=np.float32)
     expected = np.array([tuple(ramp.evaluate(v)) for v in x.tolist()])
     stops_read = sorted(ramp.elements, key=lambda e: e.position)
-    mine = ex.ColorRamp(
-        ex.ColorAttribute(),
+    mine = ramp_nodes.ColorRamp(
+        input_nodes.ColorAttribute(),
         np.array([e.position for e in stops_read], np.float32),
         np.array([tuple(e.color) for e in stops_read], np.float32),
         interpolation,
         mode,
         hue,
     )
-    found = ex.evaluate(mine, SampleInputs(colors={"x": np.repeat(x[:, None], 4, axis=1)}))
+    found = expression.evaluate(mine, SampleInputs(colors={"x": np.repeat(x[:, None], 4, axis=1)}))
     assert np.abs(found - expected).max() < 2e-6  # measured 7.5e-7
 
 
@@ -755,7 +755,7 @@ def test_a_picture_baked_at_its_own_resolution_is_the_picture():
     assert bakeable(graph)
     assert needs(graph).uv == {None}
     assert suggested_resolution(graph) == (5, 3)
-    image = next(n.image for n in ex.walk(graph.base_color) if isinstance(n, ex.ImageTexture))
-    expected = ex.linear_from_srgb(image.texels[..., :3] / np.float32(255))
+    image = next(n.image for n in expression.walk(graph.base_color) if isinstance(n, texture_nodes.ImageTexture))
+    expected = expressions.linear_from_srgb(image.texels[..., :3] / np.float32(255))
     # measured 0; the texel centres are rounded to float32
     np.testing.assert_allclose(bake(graph, (5, 3))["base_color"], expected, atol=2e-6)

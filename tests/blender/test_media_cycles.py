@@ -1,4 +1,4 @@
-"""Translucency against Cycles, ray marching and closed forms: small pictures of the scenes of scripts/studies/media.py."""
+"""Translucency against Cycles, ray marching and closed forms: small pictures of scripts/studies/media.py's scenes."""
 
 import itertools
 import math

@@ -112,7 +112,7 @@ def test_kinks_and_children_are_where_cycles_has_them(scene, tmp_path, settings)
 
 @pytest.mark.parametrize("children", [{}, {"child_type": "SIMPLE", "child_percent": 10}])
 def test_the_viewport_shows_a_share_of_the_hair_and_finds_nothing_wrong_with_it(children):
-    from pointsplat_addon.core.strand.cleaning import clean
+    from pointsplat_addon.core.scene.valid_geometry import valid_strands
 
     whole = furry(count=100, **children)
     every = strands(sync())
@@ -122,7 +122,7 @@ def test_the_viewport_shows_a_share_of_the_hair_and_finds_nothing_wrong_with_it(
     # Blender hides parents by chance, and counts children
     assert abs(some / every[0] - 0.4) < 0.12  # measured 0.03
     assert found.warnings == ()
-    assert [clean(g.strands).messages for g in found.geometries if g.strands] == [()]
+    assert [valid_strands(g.strands)[1] for g in found.geometries if g.strands] == [()]
 
 
 def instanced(ob, *places, scale=0.7):

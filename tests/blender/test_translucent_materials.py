@@ -9,10 +9,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from pointsplat_addon.core.material.graph import (
-    SampleInputs,
-    evaluate_samples,
-)
+from pointsplat_addon.core.material.evaluation import evaluate_samples
+from pointsplat_addon.core.material.expression import SampleInputs
 from pointsplat_addon.core.splat.kernel import PEAK
 from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key
 from tests.support.blender.scenes import new_material, node

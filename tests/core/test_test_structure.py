@@ -1,4 +1,4 @@
-"""What tests and scripts share lies in tests/support and scripts/scenes: no test module is imported, none by scripts."""
+"""No test module is imported, and no script imports tests: what they share lies in tests/support and scripts/scenes."""
 
 import ast
 from pathlib import Path

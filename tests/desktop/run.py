@@ -5,8 +5,8 @@
 
 Facts decide the exit status; times are printed as figures, because they are the machine's.
 Without --zip the checkout is registered as it lies. With --scene, a file is orbited in the Rendered viewport, and that
-is all (`python -m scripts.demos.translucent --scene outdoor` makes one that mixes everything). Pictures of the window go
-to the output folder. Under X11, xdotool presses Esc and ImageMagick takes the pictures; without xdotool, Esc is left
+is all (`python -m scripts.demos.translucent --scene outdoor` makes one that mixes everything). Pictures of the window
+go to the output folder. Under X11, xdotool presses Esc and ImageMagick takes the pictures; without xdotool, Esc is left
 out, and said so.
 """
 

@@ -1,7 +1,7 @@
 """Stiff and extreme cases: what each has to hold, and what was measured.
 
-`pytest tests/extreme --stability=docs/notes/stability.md` writes the table of cases, bounds and worst errors into that file,
-between the markers that it has for it.
+`pytest tests/extreme --stability=docs/notes/stability.md` writes the table of cases, bounds and worst errors into that
+file, between the markers that it has for it.
 """
 
 from __future__ import annotations

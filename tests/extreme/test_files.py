@@ -1,8 +1,8 @@
 """Files from anywhere: truncated, with flipped bits, and with headers that claim what is not there.
 
 A reader gives what the file holds or an error that it is said to raise; it takes no longer, and no more memory, than
-the bytes that are there account for. `tests/formats/test_hierarchy_cache.py` and `tests/formats/test_dense.py` have the named
-cases.
+the bytes that are there account for. `tests/formats/test_hierarchy_cache.py` and `tests/formats/test_dense.py` have the
+named cases.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.scene import Geometry
@@ -151,7 +151,9 @@ def test_nodes_of_points_of_rows_that_no_table_has():
     assert 0 < drawing.render(case, samples=128).report["points"]["cut"] < len(cloud) / 4
 
 
-PICTURE = materials(graphs=(MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), build.picture()))),))
+PICTURE = materials(
+    graphs=(MaterialGraph(base_color=color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV(), build.picture()))),)
+)
 
 
 @pytest.mark.parametrize("primitive", ["POINTS", "POLYGONS"])
@@ -329,13 +331,17 @@ def test_half_floats_hold_the_nearest_of_what_they_can():
     np.testing.assert_array_equal(to_half(given_values), expected)
 
 
-def test_nothing_that_is_sound_is_changed():
+def test_what_is_valid_is_not_copied():
     """Neither scenes, nor clouds, that have nothing odd in them are copied."""
-    from pointsplat_addon.core.scene.cloud import finite
-    from pointsplat_addon.core.scene.validation import sound
+    from pointsplat_addon.core.scene.valid_geometry import valid_points
+    from pointsplat_addon.core.scene.validation import validate
 
     case = lit_cases.lights()
-    assert sound(case.scene) == (case.scene, ())
+    scene, camera = validate(case.scene, case.camera)
+    assert camera is case.camera
+    assert validate(scene, camera)[0] is scene
+    for name in ("geometries", "instances", "materials", "lights", "world", "warnings"):
+        assert getattr(scene, name) is getattr(case.scene, name)
     cloud = whole_cloud()
-    assert finite(cloud)[0] is cloud
+    assert valid_points(cloud)[0] is cloud
     assert {f.name for f in fields(cloud)} >= set(CLOUD)

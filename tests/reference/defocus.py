@@ -11,7 +11,7 @@ from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.splat.blur import IN_FOCUS, OUT_OF_FOCUS
 from pointsplat_addon.core.splat.kernel import POWER
 
-# Pixels^2 of variance, along each axis, of the filter that samples are distributed by (render/frame/sample_positions.py).
+# Pixels^2 of variance, along each axis, of the filter by which render/frame/sample_positions.py distributes samples.
 PIXEL = 0.11
 # Of splats that add up with their neighbours, over the exponent whose fourth moment is right: the smoother kernels are,
 # the more even are their sums, and what is alone is all disk, whose exponent is 0 either way.

@@ -26,7 +26,8 @@ WITHIN = np.sqrt(2)  # where an ellipse holds the pixel's centre the lower sums 
 def projected_covariance(
     centre: np.ndarray, a: np.ndarray, b: np.ndarray, focal: tuple[float, float], perspective: bool
 ) -> np.ndarray:
-    """J V J^T (N, 2, 2) in pixels^2 of ellipses with centres (N, 3) and conjugate half-axes a, b (N, 3) in view space."""
+    """J V J^T (N, 2, 2) in pixels^2 of ellipses with centres (N, 3) and conjugate half-axes a, b (N, 3) in view
+    space."""
     depth = -centre[:, 2]
     scale = 1 / depth if perspective else np.ones(len(centre))
     slope = centre[:, :2] / depth[:, None] if perspective else np.zeros((len(centre), 2))
@@ -39,8 +40,8 @@ def projected_covariance(
 
 
 def resampling_weights(pixels: np.ndarray, centre: np.ndarray, moments: np.ndarray, v: float) -> np.ndarray:
-    """Resampling kernels (P, N) at positions (P, 2) of splats with centres (N, 2) in pixels, moments = J V J^T (N, 2, 2)
-    and the low-pass variance v, pixels^2."""
+    """Resampling kernels (P, N) at positions (P, 2) of splats with centres (N, 2) in pixels, moments = J V J^T
+    (N, 2, 2) and the low-pass variance v, pixels^2."""
     wide = moments + v * np.eye(2)
     offset = pixels[:, None] - centre
     q = np.einsum("pni,nij,pnj->pn", offset, np.linalg.inv(wide), offset)

@@ -17,11 +17,11 @@ import numpy as np
 from pointsplat_addon.core.light import environment
 from pointsplat_addon.core.light.lighting import Surface, shade
 from pointsplat_addon.core.scene.camera import Camera
-from pointsplat_addon.core.scene.cloud import PointCloud, finite
+from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.materials import MaterialTable
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.scene import Scene
-from pointsplat_addon.core.scene.validation import valid_triangles
+from pointsplat_addon.core.scene.valid_geometry import valid_points, valid_triangles
 from pointsplat_addon.core.surface.appearance import CLIP, at_samples, corner_normals
 from pointsplat_addon.core.surface.evaluation import Evaluated
 from pointsplat_addon.core.surface.samples import Samples
@@ -87,7 +87,7 @@ def picture(scene: Scene, camera: Camera) -> Picture:
             continue
         for rays in _blocks(len(x), _count(geometry.cloud, geometry.mesh)):
             if geometry.cloud is not None:
-                cloud = finite(geometry.cloud)[0]
+                cloud = valid_points(geometry.cloud)[0]
                 found = _splats(cloud, matrix, start[rays], direction[rays], camera, scene.materials)
             elif geometry.mesh is not None:
                 found = _triangles(geometry.mesh, matrix, start[rays], direction[rays], camera, scene.materials)

@@ -126,7 +126,8 @@ def _transmittance(table: ShadowTable, points: np.ndarray, normals: np.ndarray, 
 def _from_many_points(
     table: ShadowTable, receiver: Receiver, spread: np.ndarray, segments: int, taps: int
 ) -> np.ndarray:
-    """(P, C): the mean transmittance from `taps` points of a light with a size, along rays that are cut into segments."""
+    """(P, C): the mean transmittance from `taps` points of a light with a size, along rays that are cut into
+    segments."""
     sum_ = 0.0
     for k in range(taps):
         x, y, row, column, cut = (0.5 + k * SEQUENCE) % 1

@@ -27,6 +27,7 @@ KEPT = 8 << 20  # bytes that the stores may keep, so that they are full, and let
 # Frames, after which the scene and its views come again, as new objects: by then the stores are full and all shaders
 # compiled, by PointSplat and by the driver, which keeps its own for each state that it meets.
 PERIOD = 180
+SHORT = 36  # frames in which each technique has met each kind of frame
 SIZES = ((40, 30), (24, 32), (33, 17))
 
 
@@ -84,17 +85,19 @@ def draw(renderer: Renderer, number: int) -> None:
     assert np.isfinite(found).all()
 
 
-def soak(renderer: Renderer, frames: int, beside: Callable[[], None] = lambda: None) -> tuple[Memory, Memory]:
-    """Memory after the first PERIOD frames, and after so many more. `beside` is called after each."""
+def soak(
+    renderer: Renderer, frames: int, beside: Callable[[], None] = lambda: None, warm: int = PERIOD
+) -> tuple[Memory, Memory]:
+    """Memory after the first `warm` frames, and after so many more. `beside` is called after each."""
     store, kept = renderer.store, renderer.kept
     limits = store.limit, kept.limit
     store.limit = kept.limit = KEPT
     seen = []
     try:
-        for number in range(PERIOD + frames):
+        for number in range(warm + frames):
             draw(renderer, number)
             beside()
-            if number + 1 in (PERIOD, PERIOD + frames):
+            if number + 1 in (warm, warm + frames):
                 seen.append(Memory(resident(), renderer.device.bytes_allocated()))
     finally:
         store.limit, kept.limit = limits

@@ -112,7 +112,6 @@ def dice_strands(
         points = np.concatenate([points, np.stack([closing, closing], axis=1)])
         part = np.concatenate([part, np.zeros((len(closing), 1))])
         whole = np.concatenate([whole, np.zeros(len(closing), bool)])
-    rows = strands.source[points]
     return PointCloud(
         (middle - strands.origin).astype(np.float32),
         strands.origin,
@@ -120,9 +119,9 @@ def dice_strands(
         axis=np.ascontiguousarray(major, np.float32),
         radii=-np.sort(-half, axis=1).astype(np.float32),
         material=strands.material[strands.strand[points[:, 0]]].astype(np.uint16),
-        color=_interpolate(lines.color, rows, part),
-        surface=_interpolate(lines.surface, rows, part),
-        emission=_interpolate(lines.emission, rows, part),
+        color=_interpolate(lines.color, points, part),
+        surface=_interpolate(lines.surface, points, part),
+        emission=_interpolate(lines.emission, points, part),
         kernel=whole.astype(np.uint8) if whole.any() else None,
     )
 

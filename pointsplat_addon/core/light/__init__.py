@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Light: BSDFs of surfaces and hair, the tables that shaders read of lights, and prefiltered environments."""

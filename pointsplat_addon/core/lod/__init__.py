@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Level of detail: hierarchies of splats over points, cuts through them, instances, depth order and costs."""

@@ -1,4 +1,7 @@
-"""TODO: say what this module is."""
+"""Compact codes: octahedral normals, axes as angles about them, logarithmic lengths, colours with a shared exponent.
+
+Normals take 2 x 16 bits (Meyer et al. 2010), axes 16, lengths 16, colours 32 (RGB9E5).
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ def decode_normal(code: np.ndarray) -> np.ndarray:
 
 
 def encode_axis(normal_code: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Axes (n, 3), whose sign does not matter, as (n,) uint16: the angle from the first vector of `basis`, over pi."""
+    """Axes (n, 3), up to their sign, as (n,) uint16 angles about the decoded normals, from the first vector of `basis`."""
     u, v = basis(decode_normal(normal_code).T.astype(np.float64))
     angle = np.arctan2((v * axis.T).sum(axis=0), (u * axis.T).sum(axis=0))
     return (np.round(angle * (65536 / np.pi)).astype(np.int64) & 65535).astype(np.uint16)
@@ -45,8 +48,10 @@ def decode_axis(normal_code: np.ndarray, code: np.ndarray) -> np.ndarray:
 
 
 def encode_length(length: np.ndarray, longest: float, up: bool = False) -> np.ndarray:
-    """Lengths in [0, longest] as uint16 logarithms, nearest or rounded up; what is too short for the range becomes 0,
-    or the shortest length where rounded up."""
+    """Lengths in [0, longest] as uint16 logarithms, rounded to the nearest or `up`.
+
+    Lengths below the range of OCTAVES become 0, or the shortest length when rounded up.
+    """
     with np.errstate(divide="ignore"):
         code = 65535 + STEPS * np.log2(length.astype(np.float64) / longest)
     code = np.ceil(code) if up else np.round(code)
@@ -55,13 +60,13 @@ def encode_length(length: np.ndarray, longest: float, up: bool = False) -> np.nd
 
 
 def decode_length(code: np.ndarray, longest: float) -> np.ndarray:
-    """float32, of any shape."""
+    """Lengths, float32, of codes of any shape (see `encode_length`)."""
     length = longest * np.exp2((code.astype(np.float64) - 65535) / STEPS)
     return np.where(code > 0, length * (1 + 1e-7), 0).astype(np.float32)
 
 
 def encode_rgb(color: np.ndarray) -> np.ndarray:
-    """(n, 3) of at least 0 to (n,) uint32 RGB9E5 (OpenGL's GL_UNSIGNED_INT_5_9_9_9_REV)."""
+    """Colours (n, 3) as (n,) uint32 RGB9E5 (GL_UNSIGNED_INT_5_9_9_9_REV), clipped to [0, 65408]."""
     c = np.clip(color.astype(np.float64), 0, 65408)
     exponent = np.maximum(np.frexp(c.max(axis=1))[1], -15)
     # Rounding may carry the largest mantissa to 512.
@@ -72,6 +77,6 @@ def encode_rgb(color: np.ndarray) -> np.ndarray:
 
 
 def decode_rgb(code: np.ndarray) -> np.ndarray:
-    """(n,) uint32 RGB9E5 to (n, 3) float32."""
+    """Colours (n, 3) float32 of RGB9E5 codes (n,) uint32."""
     mantissa = np.stack([code & 511, code >> 9 & 511, code >> 18 & 511], axis=1).astype(np.float32)
     return np.ldexp(mantissa, (code >> 27).astype(np.int32)[:, None] - 24)

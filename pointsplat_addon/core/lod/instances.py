@@ -1,14 +1,13 @@
-"""Many instances of one hierarchy: what each of them draws, found for all of them at once.
+"""Chooses a level of detail for each of many instances of one hierarchy, for all of them at once.
 
-A field of instances that are small on the screen needs no cut of its own for each. `Levels` are the cuts of one
-hierarchy at fixed sizes of nodes, copied so that each is one run of splats (the levels of detail of Coconu and Hege
-2002, section 5.1, in steps of a quarter of an octave). An instance takes the first level that is fine enough all over
-it: one range, whatever the level holds. Near instances, whose parts differ much in depth, keep a cut of their own.
+Instances that are small on the screen share the fixed levels of detail of `levels.py`. Each takes the coarsest level
+that is fine enough all over it: one range of splats, whatever the level holds. Near instances, whose parts differ much
+in depth, get a cut of their own.
 
-Instances on which even the coarsest level is much finer than the tolerance are thinned (the randomised z-buffer of
-Wand et al. 2001, as Křivánek 2003 tells of it): of those that project to the share p of the area at which thinning
-begins, p stay, and are enlarged by 1 / p in area. The expected area of the field, and with it its mean colour
-and optical mass, stay as they are. Which ones stay depends on the instance's row alone, and each fades from no area, so
+Instances on which even the coarsest level is much finer than the tolerance are thinned out (the randomised z-buffer of
+Wand et al. 2001, described by Křivánek 2003): where they project to a share p of the area at which thinning begins, a
+share p of them is drawn, enlarged by 1 / p in area. The expected area of the field, and with it its mean colour and
+optical mass, stay as they are. Which instances stay depends on their number alone, and each fades in from no area, so
 that nothing jumps as the camera moves.
 """
 
@@ -25,12 +24,11 @@ from .criteria import Criteria, against_frustum, criteria_of
 from .cut import Cut
 from .levels import Levels
 
-MAX_RELATIVE_RADIUS = (
-    0.3  # reach over depth: of nearer instances a cut of their own leaves out more than it costs to find
-)
-THINNING_TOLERANCE = 0.25  # of the tolerance: where the coarsest nodes are smaller than that, instances are thinned
-FADE = 0.5  # share of the instances that stay which are not at their full size
-# Instead of a level: a cut of its own; all points; nothing, since it is out of view or thinned away.
+# Radius over depth; for nearer instances, a cut of their own leaves out more than it costs to find.
+MAX_RELATIVE_RADIUS = 0.3
+THINNING_TOLERANCE = 0.25  # of the tolerance: instances are thinned out where the coarsest nodes are smaller than that
+FADE = 0.5  # share of the remaining instances that are not at their full size
+# Instead of a level: a cut of its own; all points; nothing, since it is out of view or thinned out.
 OWN_CUT, ALL_POINTS, NOTHING = -1, -2, -3
 
 
@@ -38,8 +36,8 @@ OWN_CUT, ALL_POINTS, NOTHING = -1, -2, -3
 class LevelChoice:
     """What each of I instances draws."""
 
-    level: np.ndarray  # (I,) int64: a row of the levels, or OWN, ALL, NONE
-    scale: np.ndarray  # (I,) float64: enlarged about the levels' centre; 1 where it is not thinned
+    level: np.ndarray  # (I,) int64: a row of the levels, or OWN_CUT, ALL_POINTS, NOTHING
+    scale: np.ndarray  # (I,) float64: factor of its size about the levels' centre; 1 where instances are not thinned
 
 
 def choose_levels(
@@ -51,31 +49,32 @@ def choose_levels(
     margin: float = 1.0,
     band: float = 0.0,
 ) -> LevelChoice:
-    """The level for each instance of one geometry, `view_from_object` (I, 4, 4) float64.
+    """Chooses the level of each instance of one geometry, `view_from_object` (I, 4, 4) float64.
 
-    No node of it spans more than `tolerance` pixels anywhere on the instance, as `cut.select` has it. Instances that
-    lie outside the camera's window, widened by `margin` pixels, or whose matrix is not finite or zero, draw nothing.
-    `row` (I,) are the numbers by which instances are told apart when they are thinned, and by which each keeps a share
-    of the `band` of octaves that levels are finer than asked for (`cut.staggered`).
+    No node of the level spans more than `tolerance` pixels anywhere on the instance, by the measure of `cut.select_cut`.
+    Instances outside the camera's window, widened by `margin` pixels, and those whose matrix is not finite, or zero,
+    draw nothing. `row` (I,): persistent numbers of the instances, which decide whom thinning leaves out and at which
+    share of the `band` (octaves, `criteria.transition_band`) each instance changes its level.
     """
     criteria = criteria_of(camera, tolerance, margin)
-    seen, position, scale = _bounding_balls(criteria, view_from_object, levels.center, levels.reach)
-    reach = levels.reach * scale
+    balls = _bounding_balls(criteria, view_from_object, levels.center, levels.radius)
+    seen, position, scale = balls.visible, balls.position, balls.scale
+    radius = levels.radius * scale
 
     deep = np.zeros(len(seen), bool)
     allowed = np.full(len(seen), criteria.limit)  # view-space size
     if criteria.perspective:
-        near = -position[2] - reach
-        deep = (reach > -MAX_RELATIVE_RADIUS * position[2]) | (near <= criteria.near) | (criteria.limit >= 1)
+        near = -position[2] - radius
+        deep = (radius > -MAX_RELATIVE_RADIUS * position[2]) | (near <= criteria.near) | (criteria.limit >= 1)
         near = np.maximum(near, 1e-300)
-        # `cut.select` has r sqrt(D^2 - r^2) <= limit (z^2 - r^2), with D / z at most the slope of the ball's rim.
-        slope = np.hypot(1.0, (np.hypot(position[0], position[1]) + reach) / near)
+        # `cut.select_cut` has r sqrt(D^2 - r^2) <= limit (z^2 - r^2), with D / z at most the slope of the ball's rim.
+        slope = np.hypot(1.0, (np.hypot(position[0], position[1]) + radius) / near)
         allowed = criteria.limit * max(1 - criteria.limit**2, 0.0) * near / slope
     with np.errstate(all="ignore"):
         finer = np.log2(levels.size[0] * scale / allowed)  # octaves
     finer = np.nan_to_num(np.where(seen, finer, 0.0), nan=0.0, posinf=1e3, neginf=-1e3)
     level = np.searchsorted(-np.log2(levels.size / levels.size[0]), finer + band * number(row) - 1e-9)
-    # Beyond the finest level a cut of its own would hardly leave out any points, unless the levels end at MOST.
+    # Beyond the finest level a cut of its own would hardly leave out any points, unless the levels end at MAX_LEVEL_SPLATS.
     level[level >= len(levels.size)] = OWN_CUT if levels.cut_short else ALL_POINTS
     level[deep] = OWN_CUT
     factor = area_factor(4.0 ** np.clip(finer - np.log2(THINNING_TOLERANCE), -500, 0), number(row))
@@ -85,32 +84,42 @@ def choose_levels(
 
 
 def visible_instances(
-    view_from_object: np.ndarray, center: np.ndarray, reach: float, camera: Camera, margin: float = 1.0
+    view_from_object: np.ndarray, center: np.ndarray, radius: float, camera: Camera, margin: float = 1.0
 ) -> np.ndarray:
-    """(I,) bool: which instances of a ball about `center` (3,), in object space, may reach into the camera's window,
-    widened by `margin` pixels."""
-    return _bounding_balls(criteria_of(camera, 1.0, margin), view_from_object, center, reach)[0]
+    """Which instances of a ball may extend into the camera's window, widened by `margin` pixels: (I,) bool.
+
+    `view_from_object` (I, 4, 4); `center` (3,) and `radius` of the ball in object space.
+    """
+    return _bounding_balls(criteria_of(camera, 1.0, margin), view_from_object, center, radius).visible
 
 
-def _bounding_balls(
-    criteria: Criteria, view_from_object: np.ndarray, center: np.ndarray, reach: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of instances of a ball: whether they may be seen (I,), their centres in view space (3, I), their scale (I,)."""
+@dataclass(frozen=True)
+class _Balls:
+    """Balls around I instances."""
+
+    visible: np.ndarray  # (I,) bool: whether they may be seen
+    position: np.ndarray  # (3, I) float64: their centres in view space
+    scale: np.ndarray  # (I,) float64: by how much the instances are enlarged
+
+
+def _bounding_balls(criteria: Criteria, view_from_object: np.ndarray, center: np.ndarray, radius: float) -> _Balls:
+    """The images of a ball in object space under the instances' matrices (I, 4, 4)."""
     good = all_finite(view_from_object)
     if not good.all():
         view_from_object = np.where(good[:, None, None], view_from_object, 0.0)
     linear = view_from_object[:, :3, :3]
     scale = largest_singular_value(linear)
     position = (linear.reshape(-1, 3) @ center).reshape(-1, 3).T + view_from_object[:, :3, 3].T
-    gone, _ = against_frustum(criteria, position, reach * scale, np.zeros(len(scale), bool))
-    return good & ~gone & (scale > 0), position, scale
+    gone, _ = against_frustum(criteria, position, radius * scale, np.zeros(len(scale), bool))
+    return _Balls(good & ~gone & (scale > 0), position, scale)
 
 
 def area_factor(share: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """By how much the area of an instance grows that stays with probability `share` (I,) in [0, 1]; 0: it does not.
+    """The factor by which thinning enlarges the area of each instance, 0 for those that are left out: (I,) float64.
 
-    `at` (I,) in [0, 1) is the instance's own number. The mean over `at` is 1. Instances shrink to nothing before they
-    are left out: with t = share / (1 - FADE), the weight is clip((t - at) / (FADE t), 0, 1) over its mean.
+    `share` (I,) in [0, 1]: the probability that an instance stays; `at` (I,) in [0, 1): the instance's persistent
+    number. The mean over `at` is 1. Instances shrink to nothing before they are left out: with t = share / (1 - FADE),
+    the factor is clip((t - at) / (FADE t), 0, 1) over its mean.
     """
     t = np.maximum(share, 1e-300) / (1 - FADE)
     weight = np.clip((t - at) / (FADE * t), 0.0, 1.0)
@@ -119,7 +128,7 @@ def area_factor(share: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def scaled_about(view_from_object: np.ndarray, center: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Matrices (I, 4, 4) of instances that are `scale` (I,) times as large about `center` (3,) of their object."""
+    """The matrices (I, 4, 4) of instances enlarged by `scale` (I,) about the point `center` (3,) of their object."""
     result = view_from_object.copy()
     result[:, :3, :3] *= scale[:, None, None]
     middle = (view_from_object[:, :3, :3].reshape(-1, 3) @ center).reshape(-1, 3)
@@ -128,13 +137,13 @@ def scaled_about(view_from_object: np.ndarray, center: np.ndarray, scale: np.nda
 
 
 def cut_from_levels(levels: Levels, instance: np.ndarray, level: np.ndarray) -> Cut:
-    """One range for each of the instances (I,), rows of all instances, which draw `level` (I,) >= 0."""
+    """The cut of instances (I,) that draw `level` (I,), rows of the levels: one range of splats for each."""
     nodes, count = int(levels.nodes[level].sum()), levels.count[level]
     return Cut(instance.astype(np.int32), levels.first[level], count, nodes, int(count.sum()) - nodes)
 
 
 def joined_cuts(cuts: list[Cut]) -> Cut:
-    """Cuts of different instances as one."""
+    """One cut of several, which have no instance in common."""
     cuts = [cut for cut in cuts if len(cut.count)] or cuts[:1]
     if len(cuts) == 1:
         return cuts[0]

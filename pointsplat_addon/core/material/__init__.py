@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Materials: expression graphs, their evaluation and baking, images and their filtering, the colour of hair."""

@@ -1,4 +1,4 @@
-"""What colours hair: absorption by melanin or from a colour, as Cycles' Principled Hair BSDF has it.
+"""The colour of hair: absorption by melanin or from a colour, as in Cycles' Principled Hair BSDF.
 
 Chiang et al. 2016, "A practical and controllable hair and fur model for production path tracing", equation 9 relates
 absorption to the colour that a head of such hair has; d'Eon et al. 2011 give the melanins.
@@ -6,11 +6,7 @@ absorption to the colour that a head of such hair has; d'Eon et al. 2011 give th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-
-from .expressions import Expression, SampleInputs
 
 EUMELANIN = (0.506, 0.841, 1.653)  # absorption of a concentration of 1, per fibre radius
 PHEOMELANIN = (0.343, 0.733, 1.924)
@@ -18,12 +14,12 @@ LEAST = 1e-6  # colours below this are black, and their absorption is finite; fl
 
 
 def strand_attribute(name: str) -> str:
-    """The attribute under which strands give their materials what Blender's Curves Info node tells."""
+    """Name of the attribute of strands that holds an output of Blender's Curves Info node, such as "Random"."""
     return f"strand:{name}"
 
 
 def roughness_scale(radial: np.ndarray | float) -> np.ndarray:
-    """The polynomial of equation 9 in the radial roughness (...)."""
+    """Denominator of equation 9 of Chiang et al. 2016: a polynomial in the radial roughness (...), float64."""
     x = np.asarray(radial, np.float64)
     return ((((0.245 * x + 5.574) * x - 10.73) * x + 2.532) * x - 0.215) * x + 5.969
 
@@ -42,30 +38,6 @@ def absorption_from_melanin(melanin: np.ndarray, redness: np.ndarray) -> np.ndar
     """Absorption (N, 3) float64 from Blender's melanin (N, 1), 0 white and 1 black, and the share of pheomelanin."""
     amount = -np.log(np.maximum(1 - np.asarray(melanin, np.float64), 1e-4))
     return amount * ((1 - redness) * np.array(EUMELANIN) + redness * np.array(PHEOMELANIN))
-
-
-@dataclass(frozen=True, eq=False)
-class Pigment(Expression):
-    """The colour (N, 3) that hair of some absorption has, whatever the absorption is given by."""
-
-    value: Expression  # ABSORPTION: (N, 3); MELANIN: (N, 1); COLOR: (N, 3)
-    redness: Expression
-    tint: Expression
-    random_color: Expression
-    random: Expression
-    radial: Expression
-    parametrization: str = "COLOR"  # or ABSORPTION, MELANIN
-
-    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
-        value, redness, tint, amount, random, radial = values
-        radial = np.clip(radial, 0.001, 1)
-        if self.parametrization == "COLOR":
-            return np.clip(value[:, :3], LEAST, 1)
-        if self.parametrization == "ABSORPTION":
-            return color_from_absorption(value[:, :3], radial)
-        melanin = value * (1 + 2 * (random - 0.5) * np.clip(amount, 0, 1))
-        absorption = absorption_from_melanin(melanin, redness) + absorption_from_color(tint[:, :3], radial)
-        return color_from_absorption(absorption, radial)
 
 
 def random_of_strands(count: int, first: int = 0) -> np.ndarray:

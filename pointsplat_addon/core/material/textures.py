@@ -168,9 +168,3 @@ def uniform_b_spline(t: np.ndarray) -> tuple[np.ndarray, ...]:
     """Weights of four neighbours of the uniform cubic B-spline at t in [0, 1]."""
     t2, t3 = t * t, t * t * t
     return (1 - t) ** 3 / 6, (3 * t3 - 6 * t2 + 4) / 6, (-3 * t3 + 3 * t2 + 3 * t + 1) / 6, t3 / 6
-
-
-def linear_from_srgb(encoded: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1 decoding; values below 0 stay linear."""
-    high = ((np.maximum(encoded, 0) + 0.055) / 1.055) ** 2.4
-    return np.where(encoded < 0.04045, encoded / 12.92, high).astype(encoded.dtype)

@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Mathematics on arrays that knows nothing of scenes: vectors, segments, sample sequences, small matrices."""

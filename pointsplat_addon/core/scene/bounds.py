@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from .mesh import Mesh
-from .validation import LARGEST
 
 
 def mesh_centre(mesh: Mesh) -> np.ndarray:
-    """(3,) float64: the middle of the finite vertices' bounding box, rounded to float32: a sum is then exact."""
+    """(3,) float64: the middle of the vertices' bounding box, rounded to float32: a sum is then exact."""
     low, high = bounding_box(mesh.position)
-    if not max(np.abs(low).max(), np.abs(high).max()) <= LARGEST:
-        low, high = bounding_box(mesh.position[(np.abs(mesh.position) <= LARGEST).all(axis=1)])
     return ((low + high) / 2).astype(np.float32).astype(np.float64)
 
 

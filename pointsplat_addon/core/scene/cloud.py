@@ -95,21 +95,6 @@ class PointCloud:
         return replace(self, **{name: np.take(array, rows, axis=0) for name, array in self.arrays().items()})
 
 
-def finite(cloud: PointCloud) -> tuple[PointCloud, int]:
-    """The cloud without points that hold a NaN or an infinity in any attribute, or a length beyond FARTHEST, and how
-    many were dropped."""
-    good = np.ones(len(cloud), bool)
-    for name, array in cloud.arrays().items():
-        if array.dtype.kind != "f" or array.size == 0:
-            continue
-        most = FARTHEST if name in LENGTHS else np.finfo(np.float32).max
-        # Row by row only where there is something to find: that takes many times as long. NaN compares as false.
-        if not (array.min() >= -most and array.max() <= most):
-            good &= (np.abs(array) <= most).all(axis=tuple(range(1, array.ndim)))
-    dropped = len(cloud) - int(np.count_nonzero(good))
-    return (cloud if dropped == 0 else cloud.take(good)), dropped
-
-
 def coherent(cloud: PointCloud) -> PointCloud:
     """The points in an order in which those that follow one another lie close together: what neighbouring pixels show
     then lies side by side in memory.

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..numeric.vectors import dot
+
+SMALLEST, LARGEST = 1e-18, 1e18  # edge length and coordinate whose squares float32 still holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +33,17 @@ class Mesh:
         arrays = [self.position, self.triangles, self.vertex_normal, self.corner_normal, self.material]
         arrays += [*self.uv.values(), *self.colors.values()]
         return sum(a.nbytes for a in arrays if a is not None)
+
+    def take(self, rows: np.ndarray) -> Mesh:
+        """Returns the mesh with the triangles `rows` (n,) int alone, in their order; vertices and keys stay."""
+        return replace(
+            self,
+            triangles=self.triangles[rows],
+            corner_normal=None if self.corner_normal is None else self.corner_normal[rows],
+            uv={name: array[rows] for name, array in self.uv.items()},
+            colors={name: array[rows] for name, array in self.colors.items()},
+            material=None if self.material is None else self.material[rows],
+        )
 
 
 def triangle_corners(mesh: Mesh, rows: np.ndarray | slice, origin: np.ndarray | float = 0.0) -> np.ndarray:

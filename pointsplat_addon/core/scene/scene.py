@@ -64,3 +64,4 @@ class Scene:
     transparent: bool = False  # film: the world is not drawn, only shines
     mist: Mist = field(default_factory=Mist)
     warnings: tuple[str, ...] = ()
+    validated: bool = False  # core/scene/validation.py has seen it

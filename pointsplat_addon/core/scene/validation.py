@@ -1,237 +1,281 @@
-"""What of a scene is no number, or none that float32 can square, is left out or put into its range before it is drawn.
+"""Validates a scene and its camera once, where they enter the renderer: RULES says what must hold of each field.
 
-One such value in a sum would take the rest of the sum with it: a lamp without a place would put out all the others.
-Points, triangles and strands are looked through where they are prepared.
+A single NaN in a sum takes the rest of the sum with it, and squares beyond float32 are infinite. Nothing below
+validates again, but for products that can overflow although their factors are valid; these ask `valid_points` and
+`drawable_transforms` where they are formed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ..numeric.vectors import cross, dot, each_block
-from .camera import Camera
-from .cloud import FARTHEST
+from ..numeric.linear import all_finite
+from .camera import Aperture, Camera
+from .cloud import FARTHEST, LENGTHS, PointCloud
 from .lights import Light
-from .materials import MaterialTable, default_materials
-from .mesh import Mesh, squared_edges, triangle_corners
-from .scene import Instances, Scene
-from .world import World
+from .materials import HairTable, MaterialTable, default_materials
+from .mesh import LARGEST, Mesh
+from .scene import Geometry, Instances, Scene
+from .strands import Strands
+from .valid_geometry import valid_mesh, valid_points, valid_strands
+from .volume import Medium, Transfer, Volume
+from .world import Mist, World
 
+FLOAT32 = float(np.finfo(np.float32).max)
 BRIGHTEST = 65504.0  # of half floats
-# Of a table's columns: the range. What is no number becomes the default material's value.
-RANGES: dict[str, tuple[float, float]] = {
-    "base_color": (-BRIGHTEST, BRIGHTEST),
-    "roughness": (0, 1),
-    "metallic": (0, 1),
-    "ior": (0, 1e6),
-    "specular": (0, 1e6),
-    "emission": (-1e9, 1e9),
-    "alpha": (0, 1),
-    "anisotropy": (-1, 1),
-}
-HAIR_RANGES = {"radial": (0, 1), "coat": (0, 1), "tilt": (-np.pi, np.pi), "lobes": (0, BRIGHTEST)}
-# Lenses without a size blur nothing, and focus is as good as at infinity where it is farther than all else.
-LENS_RANGES = {"radius": (-np.inf, FARTHEST), "focus": (1e-30, np.inf), "ratio": (1e-9, 1e9), "rotation": (-1e6, 1e6)}
-LIGHT_FIELDS = ("position", "direction", "radius", "spot_cos", "spot_blend", "axis_u", "axis_v", "spread", "diffuse",
-                "specular")  # fmt: skip
-STRONGEST = 1e30  # of a lamp's colour; float32 holds it with the factors of a lamp's formula
+STRONGEST = 1e30  # of a light's colour; float32 holds it with the factors of a light's formula
+
+# What is done with a value that does not fit.
+REMOVE = "the point, triangle or strand is removed"
+CLAMP = "it is clamped to the range, and NaN becomes the default"
+DEFAULT = "the default takes its place"
+LEAVE_OUT = "what it belongs to is left out, and said to be"
+WORLD_ONLY = "only the world is seen, and that is said"
+LATER = "what is made of it is checked instead"  # the reason why stands beside the rule
 
 
-def sound(scene: Scene) -> tuple[Scene, tuple[str, ...]]:
-    """The scene with such values alone, and warnings; the scene itself where there are none others."""
+@dataclass(frozen=True)
+class Rule:
+    """The range that a field's numbers must lie in (NaN lies in none), and what is done where they do not."""
+
+    action: str
+    low: float = -np.inf
+    high: float = np.inf
+
+
+_DISTANCE = -FARTHEST, FARTHEST
+_VOXELS = Rule(LATER)  # core/volume counts values of grids and media that are no numbers as 0, and names the grid
+_CORNER = Rule(LATER)  # evaluation of materials gives finite values; normals without direction become the triangle's
+
+RULES: dict[type, dict[str, Rule]] = {
+    Light: {
+        **dict.fromkeys(
+            ("position", "direction", "radius", "spot_cos", "spot_blend", "axis_u", "axis_v", "spread", "diffuse",
+             "specular"), Rule(LEAVE_OUT, *_DISTANCE)),
+        "color": Rule(LEAVE_OUT, -STRONGEST, STRONGEST),
+    },
+    MaterialTable: {
+        "base_color": Rule(CLAMP, -BRIGHTEST, BRIGHTEST),
+        "roughness": Rule(CLAMP, 0, 1),
+        "metallic": Rule(CLAMP, 0, 1),
+        "ior": Rule(CLAMP, 0, 1e6),
+        "specular": Rule(CLAMP, 0, 1e6),
+        "emission": Rule(CLAMP, -1e9, 1e9),
+        "alpha": Rule(CLAMP, 0, 1),
+        "anisotropy": Rule(CLAMP, -1, 1),
+    },
+    HairTable: {
+        "radial": Rule(CLAMP, 0, 1),
+        "coat": Rule(CLAMP, 0, 1),
+        "tilt": Rule(CLAMP, -np.pi, np.pi),
+        "lobes": Rule(CLAMP, 0, BRIGHTEST),
+    },
+    World: {
+        "color": Rule(CLAMP, *_DISTANCE),  # -inf becomes 0
+        "image": Rule(LATER),  # the environment's importance ignores texels that are no numbers
+        "world_rotation": Rule(DEFAULT, -1.01, 1.01),  # float32's rounding, and no more
+    },
+    Mist: dict.fromkeys(("start", "depth"), Rule(LATER)),  # it changes a pass of its own alone
+    Camera: {
+        "view_from_world": Rule(WORLD_ONLY, *_DISTANCE),  # and it must be rigid
+        "clip_from_view": Rule(WORLD_ONLY, *_DISTANCE),  # and both scales must not be 0
+        "near": Rule(LATER),  # comparisons with it are false
+        "far": Rule(LATER),
+        "previous_view_from_world": Rule(DEFAULT, *_DISTANCE),  # without them nothing moves
+        "previous_clip_from_view": Rule(DEFAULT, *_DISTANCE),
+    },
+    # A lens without a size blurs nothing; focus is as good as at infinity where it is farther than all else.
+    Aperture: {
+        "radius": Rule(LEAVE_OUT, -np.inf, FARTHEST),
+        "focus": Rule(LEAVE_OUT, 1e-30, np.inf),
+        "ratio": Rule(LEAVE_OUT, 1e-9, 1e9),
+        "rotation": Rule(LEAVE_OUT, -1e6, 1e6),
+    },
+    Instances: {
+        "world_from_object": Rule(LATER),  # its product with the view can overflow, too: `drawable_transforms`
+        "previous": Rule(DEFAULT, *_DISTANCE),  # the instance has not moved
+    },
+    Geometry: {"spacing": Rule(DEFAULT, 0, FARTHEST), "extinction": Rule(DEFAULT, 0, FLOAT32)},
+    PointCloud: {
+        "origin": Rule(REMOVE, *_DISTANCE),
+        **{name: Rule(REMOVE, *_DISTANCE) for name in LENGTHS},
+        **dict.fromkeys(
+            ("color", "opacity", "surface", "emission", "extinction", "value"), Rule(REMOVE, -FLOAT32, FLOAT32)),
+    },
+    Mesh: {
+        "position": Rule(REMOVE, -LARGEST, LARGEST),
+        **dict.fromkeys(("vertex_normal", "corner_normal", "uv", "colors"), _CORNER),
+    },
+    Strands: {
+        "position": Rule(REMOVE, *_DISTANCE),
+        "origin": Rule(REMOVE, *_DISTANCE),
+        "radius": Rule(REMOVE, *_DISTANCE),  # negative ones are 0
+        **dict.fromkeys(("color", "surface", "emission"), Rule(REMOVE, -FLOAT32, FLOAT32)),
+        "normal": Rule(LATER),  # what is no direction becomes some side of the strand
+        "uv": Rule(LATER),  # only read when materials are evaluated
+    },
+    Volume: {"object_from_index": Rule(LATER), "grids": _VOXELS},  # its points are valid: `valid_points`
+    Transfer: dict.fromkeys(("low", "high", "ramp", "density"), _VOXELS),
+    Medium: dict.fromkeys(
+        ("density", "color", "absorption", "anisotropy", "emission", "blackbody", "blackbody_tint", "temperature"),
+        _VOXELS),
+}  # fmt: skip
+
+Lookup = Callable[[str, Callable[[], Any]], Any]  # what is kept for a content key, made where there is nothing
+
+
+def validate(scene: Scene, camera: Camera, lookup: Lookup = lambda key, make: make()) -> tuple[Scene, Camera]:
+    """Returns a scene and a camera all of whose values can be drawn, by RULES; warnings are in the scene's.
+
+    What is valid is returned itself, not copied, and a scene that was validated before is not looked at again.
+    `lookup`: keeps what was found of each geometry by its content key.
+    """
     warnings: list[str] = []
-    lights = tuple(light for light in scene.lights if _shines(light, warnings))
-    materials = _in_range(scene.materials, warnings)
-    world, instances = _around(scene.world), _known_before(scene.instances)
-    same = materials is scene.materials and world is scene.world and instances is scene.instances
-    if len(lights) == len(scene.lights) and same:
-        return scene, ()
-    changed = replace(scene, lights=lights, materials=materials, world=world, instances=instances)
-    return changed, tuple(warnings)
-
-
-def sound_camera(camera: Camera) -> tuple[Camera, tuple[str, ...]]:
-    """The same for a camera: without a lens that is none, and without a place before that is none."""
+    camera, visible = _valid_camera(camera, warnings)
+    if not visible:
+        nothing = Instances(np.zeros(0, np.int32), np.zeros((0, 4, 4)))
+        scene = replace(scene, geometries=(), instances=nothing, lights=())
     changed: dict[str, Any] = {}
-    warnings: tuple[str, ...] = ()
-    lens = camera.aperture
-    if lens is not None:
-        wrong = [name for name, (low, high) in LENS_RANGES.items() if not _within(getattr(lens, name), low, high)]
-        if wrong:
-            changed["aperture"] = None
-            warnings = (f"Camera: its lens's {' and '.join(wrong)} cannot be drawn, so nothing is out of focus",)
-    before = "previous_view_from_world", "previous_clip_from_view"
-    given = [matrix for name in before if (matrix := getattr(camera, name)) is not None]
-    if not all(_within(matrix, -FARTHEST, FARTHEST) for matrix in given):
-        changed |= dict.fromkeys(before)
-    return (replace(camera, **changed) if changed else camera), warnings
+    if not scene.validated:
+        fields = {
+            "geometries": tuple(_valid_geometry(geometry, warnings, lookup) for geometry in scene.geometries),
+            "instances": _valid_instances(scene.instances),
+            "materials": _valid_materials(scene.materials, warnings),
+            "lights": tuple(light for light in scene.lights if _valid_light(light, warnings)),
+            "world": _valid_world(scene.world),
+        }
+        changed = {name: value for name, value in fields.items() if not _same(value, getattr(scene, name))}
+        changed["validated"] = True
+    if warnings:
+        changed["warnings"] = (*scene.warnings, *warnings)
+    return (replace(scene, **changed) if changed else scene), camera
 
 
-def shown(scene: Scene, camera: Camera) -> tuple[Scene, Camera, tuple[str, ...]]:
-    """The scene and its camera, and warnings. A camera that is nowhere, has no directions or projects all onto a line
-    shows the world alone, as it does in Cycles: every ray of it is no number, and meets nothing."""
-    wrong = [] if _turns(camera.view_from_world) else ["place or directions"]
-    wrong += [] if _projects(camera.clip_from_view) else ["projection"]
-    if not wrong:
-        return scene, camera, ()
-    camera = replace(camera, view_from_world=np.eye(4), clip_from_view=np.diag([1.0, 1.0, -1.0, 1.0]), aperture=None)
-    nothing = replace(scene, geometries=(), instances=Instances(np.zeros(0, np.int32), np.zeros((0, 4, 4))), lights=())
-    return nothing, camera, (f"Camera: its {' and '.join(wrong)} cannot be drawn, so only the world is seen",)
+def drawable_transforms(view_from_object: np.ndarray) -> np.ndarray:
+    """Finds which transforms (I, 4, 4) float32 can hold, (I,) bool: instances with others draw nothing."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return all_finite(view_from_object.astype(np.float32))
 
 
-def _turns(matrix: np.ndarray) -> bool:
-    return _within(matrix, -FARTHEST, FARTHEST) and bool(abs(np.linalg.det(matrix[:3, :3])) > 0.5)  # it is rigid
+def _same(a: Any, b: Any) -> bool:
+    return a is b or (isinstance(a, tuple) and len(a) == len(b) and all(x is y for x, y in zip(a, b, strict=True)))
 
 
-def _projects(matrix: np.ndarray) -> bool:
-    return _within(matrix, -FARTHEST, FARTHEST) and bool(matrix[0, 0] and matrix[1, 1])
+def _within(value: np.ndarray | float, rule: Rule) -> bool:
+    """Whether all numbers lie within the rule's range; NaN lies in none."""
+    array = np.asarray(value)
+    return array.size == 0 or bool(array.min() >= rule.low and array.max() <= rule.high)
 
 
-def _around(world: World) -> World:
-    color = np.nan_to_num(world.color, nan=0.0, posinf=FARTHEST, neginf=0.0)
-    if not np.array_equal(color, world.color):
-        world = replace(world, color=color)
-    turned = _within(world.world_rotation, -1.01, 1.01)  # float32's rounding, and no more
-    return world if turned else replace(world, world_rotation=np.eye(3))
+def _wrong(owner: Any, action: str) -> list[str]:
+    """Names of the fields whose values call for this action."""
+    rules = {name: rule for name, rule in RULES[type(owner)].items() if rule.action == action}
+    values = {name: getattr(owner, name) for name in rules}
+    return [name for name, value in values.items() if value is not None and not _within(value, rules[name])]
 
 
-def _known_before(instances: Instances) -> Instances:
-    """What was nowhere a frame before has not moved."""
-    before = instances.previous
-    if before is None or _within(before, -FARTHEST, FARTHEST):
+def _valid_geometry(geometry: Geometry, warnings: list[str], lookup: Lookup) -> Geometry:
+    """The geometry without what of it cannot be drawn."""
+    data = geometry.mesh or geometry.cloud or geometry.strands
+    if wrong := _wrong(geometry, DEFAULT):
+        geometry = replace(geometry, **dict.fromkeys(wrong, 0.0))
+    if data is None:
+        return geometry
+    changed, messages = lookup(geometry.key, lambda: _valid_data(data))
+    warnings += [f"{geometry.name}: {message}" for message in messages]
+    return geometry if changed is None else replace(geometry, **{changed.name: changed.data})
+
+
+@dataclass(frozen=True, eq=False)
+class _Changed:
+    """Data of a geometry that had to be changed, and the name of its field."""
+
+    name: str
+    data: Mesh | PointCloud | Strands
+
+    @property
+    def nbytes(self) -> int:
+        return self.data.nbytes
+
+
+def _valid_data(data: Mesh | PointCloud | Strands) -> tuple[_Changed | None, tuple[str, ...]]:
+    """What takes the place of a geometry's data, None where these are valid, and messages."""
+    if isinstance(data, Mesh):
+        name = "mesh"
+        found, dropped = valid_mesh(data)
+        messages = (dropped.message,) if dropped.total else ()
+    elif isinstance(data, PointCloud):
+        name = "cloud"
+        found, count = valid_points(data)
+        messages = (f"{count} points that are not finite were left out",) if count else ()
+    else:
+        name = "strands"
+        found, messages = valid_strands(data)
+    return (None if found is data else _Changed(name, found)), messages
+
+
+def _valid_instances(instances: Instances) -> Instances:
+    """The instances; those with a transform a frame before that is none have not moved."""
+    before, rule = instances.previous, RULES[Instances]["previous"]
+    if before is None or _within(before, rule):
         return instances
-    good = (np.abs(before) <= FARTHEST).all(axis=(1, 2), keepdims=True)
+    good = (np.abs(before) <= rule.high).all(axis=(1, 2), keepdims=True)
     return replace(instances, previous=np.where(good, before, instances.world_from_object))
 
 
-def _shines(light: Light, warnings: list[str]) -> bool:
-    given = {name: getattr(light, name) for name in LIGHT_FIELDS}
-    wrong = [name for name, value in given.items() if value is not None and not _within(value, -FARTHEST, FARTHEST)]
-    wrong += [] if _within(light.color, -STRONGEST, STRONGEST) else ["color"]
+def _valid_light(light: Light, warnings: list[str]) -> bool:
+    wrong = _wrong(light, LEAVE_OUT)
     if wrong:
         warnings.append(f'Light "{light.name}": its {" and ".join(wrong)} cannot be drawn, so it gives no light')
     return not wrong
 
 
-def _in_range(table: MaterialTable, warnings: list[str]) -> MaterialTable:
-    default = default_materials()
-    changed: dict[str, Any] = _clipped(table, RANGES, {name: getattr(default, name) for name in RANGES})
-    hair = {} if table.hair is None else _clipped(table.hair, HAIR_RANGES, {})
-    if hair and table.hair is not None:
+def _valid_materials(table: MaterialTable, warnings: list[str]) -> MaterialTable:
+    changed: dict[str, Any] = _clamped(table, default_materials())
+    if table.hair is not None and (hair := _clamped(table.hair, None)):
         changed["hair"] = replace(table.hair, **hair)
     if changed:
         warnings.append(f"Materials: values of {', '.join(changed)} that cannot be drawn were put into their range")
     return replace(table, **changed) if changed else table
 
 
-def _clipped(owner: Any, ranges: dict[str, tuple[float, float]], defaults: dict[str, Any]) -> dict[str, Any]:
-    """The columns (M, ...) of `owner` that have to change."""
+def _clamped(owner: Any, default: Any) -> dict[str, Any]:
+    """The columns (M, ...) of a table that have to change, clamped; NaN becomes the default's first row, else 0."""
     changed = {}
-    for name, (low, high) in ranges.items():
-        column = getattr(owner, name)
-        if column is None or _within(column, low, high):
-            continue
-        default = defaults.get(name)
-        missing = 0.0 if default is None else default[:1]
-        changed[name] = np.clip(np.where(np.isnan(column), missing, column), low, high).astype(column.dtype)
+    for name in _wrong(owner, CLAMP):
+        column, rule = getattr(owner, name), RULES[type(owner)][name]
+        other = getattr(default, name, None)
+        missing = 0.0 if other is None else other[:1]
+        changed[name] = np.clip(np.where(np.isnan(column), missing, column), rule.low, rule.high).astype(column.dtype)
     return changed
 
 
-def _within(value: np.ndarray | float, low: float, high: float) -> bool:
-    """Whether all lie within the range; NaN lies in none."""
-    array = np.asarray(value)
-    return array.size == 0 or bool(array.min() >= low and array.max() <= high)
+def _valid_world(world: World) -> World:
+    if _wrong(world, CLAMP):
+        color = np.nan_to_num(world.color, nan=0.0, posinf=FARTHEST, neginf=0.0)
+        world = replace(world, color=np.clip(color, -FARTHEST, FARTHEST))
+    return replace(world, world_rotation=np.eye(3)) if _wrong(world, DEFAULT) else world
 
 
-SMALLEST, LARGEST = 1e-18, 1e18  # edge length and coordinate whose squares float32 still holds
-
-
-@dataclass(frozen=True)
-class DroppedCounts:
-    """Triangles that are not drawn, by reason. Each is counted once, under the first reason that holds."""
-
-    bad_index: int = 0  # a corner refers to no vertex
-    non_finite: int = 0  # a corner holds a NaN or an infinity
-    huge: int = 0  # a coordinate beyond LARGEST
-    tiny: int = 0  # all edges below SMALLEST
-    degenerate: int = 0  # no area, or a height that is rounding noise
-
-    @property
-    def total(self) -> int:
-        return self.bad_index + self.non_finite + self.huge + self.tiny + self.degenerate
-
-    def message(self, name: str) -> str:
-        """One warning that names the object, or "" where nothing was dropped."""
-        reasons = {
-            "with an index out of range": self.bad_index,
-            "with NaN or infinite coordinates": self.non_finite,
-            "too large": self.huge,
-            "too small": self.tiny,
-            "without area": self.degenerate,
-        }
-        parts = [f"{count} {reason}" for reason, count in reasons.items() if count]
-        if not parts:
-            return ""
-        noun = "triangle is" if self.total == 1 else "triangles are"
-        return f"{name}: {self.total} {noun} not drawn ({', '.join(parts)})"
-
-
-def valid_triangles(mesh: Mesh) -> tuple[np.ndarray, DroppedCounts]:
-    """Which triangles can be drawn, (T,) bool, and how many were dropped for which reason.
-
-    A triangle is degenerate when a quarter of the spacing of float32 numbers, at its corner opposite the longest
-    edge and along each coordinate axis, is enough to flatten it. Needles that are exactly representable stay,
-    whatever their aspect ratio; so do triangles a few such spacings large, far from the origin.
-    """
-    triangles, vertices = mesh.triangles, len(mesh.position)
-    count = len(triangles)
-    ok = np.ones(count, bool)
-    if count == 0:
-        return ok, DroppedCounts()
-    if triangles.min() < 0 or triangles.max() >= vertices:
-        ok &= ((triangles >= 0) & (triangles < vertices)).all(axis=1)
-    bad_index = count - int(np.count_nonzero(ok))
-
-    dropped: list[list[int]] = []  # appending is safe from any thread
-
-    def look(block: slice) -> None:
-        rows = np.arange(block.start, block.stop)[ok[block]] if bad_index else block
-        corners = triangle_corners(mesh, rows)
-        extent = np.abs(corners).max(axis=0)  # per coordinate; NaN spreads
-        largest = extent.max(axis=0)
-        finite = np.isfinite(largest)
-        small = largest <= LARGEST
-        with np.errstate(invalid="ignore", over="ignore"):
-            squared = squared_edges(corners)
-            long_enough = squared.max(axis=0) >= SMALLEST**2
-            flat = _degenerate(corners, squared, extent)
-        kinds = ~finite, finite & ~small, small & ~long_enough, small & long_enough & flat
-        dropped.append([int(np.count_nonzero(kind)) for kind in kinds])
-        ok[rows] = small & long_enough & ~flat
-
-    each_block(count, look)
-    return ok, DroppedCounts(bad_index, *(sum(kind) for kind in zip(*dropped, strict=True)))
-
-
-def _degenerate(corners: np.ndarray, squared: np.ndarray, extent: np.ndarray) -> np.ndarray:
-    """(n,) bool: moving the apex by a quarter of a float32 spacing flattens the triangle."""
-    normal = cross(corners[1] - corners[0], corners[2] - corners[0])
-    longest = squared.max(axis=0)
-    # Most triangles are far from flat. The cross product of a shift and the base is at most shift times base.
-    shift = 0.25 * np.finfo(np.float32).eps * extent.max(axis=0)
-    flat = ~(dot(normal, normal) > 9 * shift * shift * longest)
-    rows = np.flatnonzero(flat)
-    if len(rows):
-        corners, extent, normal = corners[:, :, rows], extent[:, rows], normal[:, rows]
-        apex = squared[:, rows].argmax(axis=0)
-        every = np.arange(len(rows))
-        base = np.abs(corners[(apex + 2) % 3, :, every] - corners[(apex + 1) % 3, :, every]).T
-        shift = 0.25 * np.finfo(np.float32).eps * extent
-        noise = np.stack(
-            [shift[(c + 1) % 3] * base[(c + 2) % 3] + shift[(c + 2) % 3] * base[(c + 1) % 3] for c in (0, 1, 2)]
-        )
-        flat[rows] = (np.abs(normal) <= noise).all(axis=0)
-    return flat
+def _valid_camera(camera: Camera, warnings: list[str]) -> tuple[Camera, bool]:
+    """The camera, and whether it sees objects. One that is nowhere, has no directions or projects all onto a line sees
+    the world alone, as in Cycles: its rays are no numbers and meet nothing."""
+    changed: dict[str, Any] = {}
+    wrong = _wrong(camera, WORLD_ONLY)
+    turned, scales = np.linalg.det(camera.view_from_world[:3, :3]), np.diag(camera.clip_from_view)[:2]
+    unseen = [] if "view_from_world" not in wrong and abs(turned) > 0.5 else ["position or directions"]
+    unseen += [] if "clip_from_view" not in wrong and scales.all() else ["projection"]
+    if unseen:
+        warnings.append(f"Camera: its {' and '.join(unseen)} cannot be drawn, so only the world is seen")
+        plain = np.diag([1.0, 1.0, -1.0, 1.0])
+        changed |= {"view_from_world": np.eye(4), "clip_from_view": plain, "aperture": None}
+    elif camera.aperture is not None and (lens := _wrong(camera.aperture, LEAVE_OUT)):
+        changed["aperture"] = None
+        warnings.append(f"Camera: its lens's {' and '.join(lens)} cannot be drawn, so nothing is out of focus")
+    if _wrong(camera, DEFAULT):
+        changed |= {"previous_view_from_world": None, "previous_clip_from_view": None}
+    return (replace(camera, **changed) if changed else camera), not unseen

@@ -12,9 +12,9 @@ FLATNESS = 1e-6  # of a mesh's size, and of the distances at hand: float32 tells
 
 
 def plane_of_mesh(mesh: Mesh, outline: MeshExtents) -> tuple[np.ndarray, np.ndarray] | None:
-    """A point (3,) and the unit normal (3,) float64, object space, of the plane that holds all valid triangles of a
+    """A point (3,) and the unit normal (3,) float64, object space, of the plane that holds all triangles of a
     mesh; None if there is no such plane."""
-    if not outline.valid.any() or not outline.size > 0:
+    if len(mesh.triangles) == 0 or not outline.size > 0:
         return None
     a, b, c = mesh.position[mesh.triangles[outline.area.argmax()]].astype(np.float64)
     normal = np.cross(b - a, c - a)
@@ -22,7 +22,7 @@ def plane_of_mesh(mesh: Mesh, outline: MeshExtents) -> tuple[np.ndarray, np.ndar
     slack = FLATNESS * (
         np.linalg.norm(outline.high - outline.low) + np.abs(box_corners(outline.low, outline.high)).max()
     )
-    used = mesh.position[np.unique(mesh.triangles[outline.valid])].astype(np.float64)
+    used = mesh.position[np.unique(mesh.triangles)].astype(np.float64)
     return (a, normal) if np.abs((used - a) @ normal).max() <= slack else None
 
 

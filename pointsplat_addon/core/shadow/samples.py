@@ -10,7 +10,7 @@ from ..lod.foliage import FOLIAGE_VERTICES, is_foliage
 from ..material.graph import needs
 from ..numeric.vectors import blocks, cross, dot
 from ..scene.bounds import mesh_centre
-from ..scene.cloud import PointCloud, finite
+from ..scene.cloud import PointCloud
 from ..scene.materials import MaterialTable
 from ..scene.mesh import Mesh
 from ..surface.appearance import graphs_of, passing, point_cloud
@@ -34,7 +34,6 @@ PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 class MeshExtents:
     """What one look at all triangles of a mesh tells."""
 
-    valid: np.ndarray  # (T,) bool, see validate; the rest counts valid triangles alone
     low: np.ndarray  # (3,) float64, corners of their box, object space
     high: np.ndarray  # (3,) float64
     area: np.ndarray  # (T,) float64
@@ -42,7 +41,7 @@ class MeshExtents:
 
     @property
     def nbytes(self) -> int:
-        return self.valid.nbytes + self.area.nbytes + self.longest.nbytes
+        return self.area.nbytes + self.longest.nbytes
 
     @property
     def size(self) -> float:
@@ -50,21 +49,20 @@ class MeshExtents:
         return float(self.area.sum())
 
 
-def mesh_extents(mesh: Mesh, valid: np.ndarray) -> MeshExtents:
-    """The outline of a mesh; `valid` (T,) bool is what validate returned."""
-    rows = np.flatnonzero(valid)
+def mesh_extents(mesh: Mesh) -> MeshExtents:
+    """Measures all triangles of a mesh."""
+    count = len(mesh.triangles)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    area, longest = np.zeros(len(valid)), np.zeros(len(valid), np.float32)
-    for block in blocks(len(rows)):
-        some = rows[block]
-        a, b, c = (mesh.position.take(v, axis=0).T.astype(np.float64) for v in mesh.triangles.take(some, axis=0).T)
+    area, longest = np.zeros(count), np.zeros(count, np.float32)
+    for some in blocks(count):
+        a, b, c = (mesh.position.take(v, axis=0).T.astype(np.float64) for v in mesh.triangles[some].T)
         low = np.minimum(low, np.minimum(np.minimum(a, b), c).min(axis=1))
         high = np.maximum(high, np.maximum(np.maximum(a, b), c).max(axis=1))
         edges = b - a, c - b, a - c
         normal = cross(edges[0], edges[2])
         area[some] = np.sqrt(dot(normal, normal)) / 2
         longest[some] = np.sqrt(np.maximum(np.maximum(*(dot(e, e) for e in edges[:2])), dot(edges[2], edges[2])))
-    return MeshExtents(valid, low, high, area, longest)
+    return MeshExtents(low, high, area, longest)
 
 
 def surface_points(mesh: Mesh, outline: MeshExtents) -> np.ndarray:
@@ -82,10 +80,8 @@ def surface_points(mesh: Mesh, outline: MeshExtents) -> np.ndarray:
 
 def mesh_is_foliage(mesh: Mesh, outline: MeshExtents) -> bool:
     """Whether a mesh is of leaves or blades: of triangles with open edges."""
-    count = np.count_nonzero(outline.valid)
-    return bool(len(mesh.position) >= FOLIAGE_VERTICES * count) and is_foliage(
-        mesh.position, mesh.triangles[outline.valid]
-    )
+    count = len(mesh.triangles)
+    return bool(len(mesh.position) >= FOLIAGE_VERTICES * count) and is_foliage(mesh.position, mesh.triangles)
 
 
 def _fit_disks_to_area(evaluated: Evaluated, samples: Samples, area: np.ndarray) -> Evaluated:
@@ -109,30 +105,29 @@ def caster_clouds(
 
     Where triangles are many and small, their vertices are taken: half as many splats, no wider than samples may be.
     """
-    valid = outline.valid
     if not _needs_normals(mesh, table):
         mesh = replace(mesh, vertex_normal=None, corner_normal=None)  # splats cast by their planes alone
     if mesh_is_foliage(mesh, outline) if leafy is None else leafy:
         # As fine as most of them: they are seen one by one where tables tell them apart, for half as many samples more.
-        finest = max(float(np.median(outline.longest[valid])), np.sqrt(2 * outline.size / np.count_nonzero(valid)))
-        measures = measure_triangles(mesh, valid)
-        spacing = limit_spacing(mesh, min(spacing, finest), ok=valid, measures=measures)
-        return [_splats(mesh, "AREA", valid, spacing, table, outline.area, measures)]
-    dense = valid & (outline.longest <= DENSE_EDGE * spacing)
+        finest = max(float(np.median(outline.longest)), np.sqrt(2 * outline.size / len(mesh.triangles)))
+        measures = measure_triangles(mesh)
+        spacing = limit_spacing(mesh, min(spacing, finest), measures=measures)
+        return [_splats(mesh, "AREA", None, spacing, table, outline.area, measures)]
+    dense = outline.longest <= DENSE_EDGE * spacing
     # A vertex of a translucent mesh stands for all the triangles around it.
-    if np.count_nonzero(dense) < FEW_TRIANGLES or (passing(mesh, table) is not None and not dense[valid].all()):
-        spacing = limit_spacing(mesh, spacing, ok=valid)
-        return [_splats(mesh, choose_method(mesh, spacing, valid), valid, spacing, table)]
+    if np.count_nonzero(dense) < FEW_TRIANGLES or (passing(mesh, table) is not None and not dense.all()):
+        spacing = limit_spacing(mesh, spacing)
+        return [_splats(mesh, choose_method(mesh, spacing), None, spacing, table)]
     if np.count_nonzero(used_vertices(mesh, dense)) <= np.count_nonzero(dense):
         found = _splats(mesh, "VERTICES", dense, spacing, table)
         assert found.radii is not None
         if typical_radius(found.radii[:, 0]) <= typical_radius(outline.longest[dense]) / np.sqrt(3):
-            rest = valid & ~dense
+            rest = ~dense
             if not rest.any():
                 return [found]
-            spacing = limit_spacing(mesh, spacing, ok=rest)
+            spacing = limit_spacing(mesh, spacing, which=rest)
             return [found, _splats(mesh, "AREA", rest, spacing, table)]
-    return [_splats(mesh, "AREA", valid, limit_spacing(mesh, spacing, ok=valid), table)]
+    return [_splats(mesh, "AREA", None, limit_spacing(mesh, spacing), table)]
 
 
 def _needs_normals(mesh: Mesh, table: MaterialTable) -> bool:
@@ -143,16 +138,16 @@ def _needs_normals(mesh: Mesh, table: MaterialTable) -> bool:
 def _splats(
     mesh: Mesh,
     method: str,
-    rows: np.ndarray,
+    which: np.ndarray | None,
     spacing: float,
     table: MaterialTable,
     area: np.ndarray | None = None,
     measures: Measures | None = None,
 ) -> PointCloud:
-    """Those of some triangles (T,) bool, with their `measures` where these are at hand. `area`: of all triangles (T,),
+    """Those of the triangles `which` (T,) bool, None: all, with their `measures` where these are at hand. `area`: of all triangles (T,),
     which are leaves."""
-    samples = sample_mesh(mesh, spacing, method, rows, measures)
-    evaluated = evaluate(mesh, samples, mesh_centre(mesh), rows)
+    samples = sample_mesh(mesh, spacing, method, which, measures)
+    evaluated = evaluate(mesh, samples, mesh_centre(mesh), which)
     if area is not None and passing(mesh, table) is None:
         evaluated = _fit_disks_to_area(evaluated, samples, area)  # before what is cut out is gone
-    return finite(point_cloud(mesh, samples, evaluated, table))[0]
+    return point_cloud(mesh, samples, evaluated, table)

@@ -1,7 +1,7 @@
-"""Blender's curves as polylines: Catmull-Rom, poly, Bezier and NURBS curves at the points that Blender evaluates.
+"""Catmull-Rom, poly, Bezier and NURBS curves by their control points, and their points where Blender evaluates them.
 
-Control points stay where they are in memory; what each evaluated point takes of them is a few indices and weights, with
-which positions, radii and attributes are interpolated alike. Cyclic curves end with the point that they begin with.
+Control points stay where they are in memory; each evaluated point is a weighted sum of a few of them, for
+positions, radii and attributes alike. Cyclic curves end with a copy of their first point.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from ..numeric.segments import owners
 
 CATMULL_ROM, POLY, BEZIER, NURBS = range(4)  # Blender's numbers for kinds of curves
 MINIMUM_TWIST, Z_UP, FREE = range(3)  # and for normals
-AUTO = 0  # as a resolution of Catmull-Rom curves: as many steps as the radius asks for
+AUTO = 0  # a resolution of Catmull-Rom curves: as many steps as their radius requires
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
     """C curves of P control points, one curve after another, none of them empty.
 
-    What is None is not needed by the kinds in use. Knots follow Blender's modes: 0 uniform, 1 endpoint, 2 Bezier,
+    Attributes that no curve's kind needs are None. Knots follow Blender's modes: 0 uniform, 1 endpoint, 2 Bezier,
     3 both. Orders and numbers of points that fit no knots make a curve the polyline of its control points, as in
     Blender.
     """
@@ -32,7 +32,7 @@ class Curves:
     kind: np.ndarray  # (C,) uint8: CATMULL_ROM, POLY, BEZIER or NURBS
     cyclic: np.ndarray  # (C,) bool
     resolution: np.ndarray  # (C,) int: evaluated points in a segment or span; AUTO
-    radius: np.ndarray | None = None  # (P,): what AUTO measures by
+    radius: np.ndarray | None = None  # (P,): the radius that AUTO uses
     handle_left: np.ndarray | None = None  # (P, 3)
     handle_right: np.ndarray | None = None  # (P, 3)
     vector_left: np.ndarray | None = None  # (P,) bool: handles of type VECTOR, between which a segment is straight
@@ -49,12 +49,12 @@ class Curves:
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedCurves:
-    """E points on C curves."""
+    """E evaluated points on C curves, as weighted sums of control points."""
 
     start: np.ndarray  # (C + 1,) int64
     position: np.ndarray  # (E, 3) float64
     parts: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]  # rows (e,), control points (e, K), weights (e, K)
-    rows: np.ndarray | None  # (E,) int64: which of the points before closing each one is; None: itself
+    rows: np.ndarray | None  # (E,) int64: the point, before closing, that each one copies; None: each itself
     open: np.ndarray  # (C + 1,) int64: `start` before closing
 
     def __len__(self) -> int:

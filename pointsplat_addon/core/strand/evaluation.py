@@ -10,19 +10,20 @@ from .normals import unit
 from .nurbs import NurbsSpans
 
 MOST_STEPS = 12  # that AUTO takes in a segment, Blender's default resolution
-CHORD = 0.25  # how far AUTO lets a chord lie from its curve, in radii
-SAG = 0.01  # the same in lengths of the segment: what is thick has no corners either
+CHORD = 0.25  # largest deviation of a chord from its curve under AUTO, in radii
+SAG = 0.01  # and in lengths of the segment, so that thick curves show no corners either
 
 
 def evaluate_curves(curves: Curves) -> EvaluatedCurves:
-    """The points of curves (Blender 5.2's numbers; 4.5 spaces those of NURBS curves otherwise, on the same curve)."""
+    """Evaluates curves at the parameters of Blender 5.2 (Blender 4.5 spaces the points of NURBS curves differently, on the
+    same curve)."""
     count, start = curves.count, np.asarray(curves.start, np.int64)
     spans = NurbsSpans(curves)
     kind = np.where(spans.fits | (curves.kind != NURBS), curves.kind, POLY)
     owner = owners(count)
     inside = np.arange(start[-1]) - start[owner]
 
-    # How many points each control point gives, the last one of an open curve itself alone
+    # Points from each control point on; the last control point of an open curve gives one
     steps = np.where(kind == POLY, 1, np.maximum(curves.resolution, 1))[owner]
     last = inside == count[owner] - 1
     following = np.where(last, start[owner], np.arange(start[-1]) + 1)
@@ -37,7 +38,7 @@ def evaluate_curves(curves: Curves) -> EvaluatedCurves:
     total = np.where(spans.fits, spans.total, total)
     opened = offsets(total)
 
-    # Points of segments: where they lie between their control points
+    # Points of segments: parameters between their control points
     point, along, before = owners(steps), ranks(steps), starts(steps)
     t = along / steps[point]
     rows = opened[owner[point]] + (before - before[start[owner]])[point] + along
@@ -52,7 +53,7 @@ def evaluate_curves(curves: Curves) -> EvaluatedCurves:
     parts.append((rows[part], *_catmull_rom(point[part], t[part], start, owner, inside, following, curves.cyclic)))
     parts += spans.parts(opened)
 
-    # The same for all curves: their ends
+    # Cyclic curves end with a copy of their first point
     repeated = None
     start_closed = opened
     if (closed := curves.cyclic & (total > 1)).any():
@@ -74,7 +75,7 @@ def _positions(
     rows: np.ndarray,
     t: np.ndarray,
 ) -> np.ndarray:
-    """(E, 3) float64: interpolated, those of Bezier curves by their handles."""
+    """(E, 3) float64 positions of evaluated points: interpolated, and by the handles on Bezier curves."""
     position = found.interpolate(np.asarray(curves.position, np.float64))
     bent = np.flatnonzero((kind == BEZIER)[owner[point]] & (t > 0))
     if len(bent) == 0 or curves.handle_left is None or curves.handle_right is None:
@@ -100,7 +101,7 @@ def _catmull_rom(
     following: np.ndarray,
     cyclic: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Control points (e, 4) and weights (e, 4)."""
+    """The control points (e, 4) and weights (e, 4) of points at parameters t (e,) of Catmull-Rom segments."""
     index = np.stack(_neighbours(point, start, owner, inside, following, cyclic), axis=1)
     s = 1 - t
     weight = 0.5 * np.stack(
@@ -118,7 +119,7 @@ def _neighbours(
     following: np.ndarray,
     cyclic: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The four control points of the segments that begin at `point`; ends of open curves count twice, and so do both
+    """The four control points of the segments that begin at `point`. Ends of open curves are repeated, and so are both
     points of a cyclic curve of two."""
     curve = owner[point]
     end = start[curve + 1] - 1
@@ -133,8 +134,8 @@ def _neighbours(
 
 
 def _automatic_steps(curves: Curves, owner: np.ndarray, inside: np.ndarray, following: np.ndarray) -> np.ndarray:
-    """(P,) steps of each segment whose chords lie within CHORD radii of the curve, and within SAG of its length: they
-    are off by |p''| / 8 n^2 at most."""
+    """(P,) int64: steps of each segment such that chords deviate from the curve by at most CHORD radii and SAG of the
+    segment's length; n steps deviate by at most |p''| / 8 n^2."""
     every = np.arange(len(owner))
     a, b, c, d = _neighbours(every, curves.start, owner, inside, following, curves.cyclic)
     p = np.asarray(curves.position, np.float64)

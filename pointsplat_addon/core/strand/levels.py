@@ -9,17 +9,16 @@ import numpy as np
 
 from ..numeric.segments import owners, ranks, starts
 
-BLOCK = 64  # strands that follow one another, of which each sample shows its share
-VISIBLE_CHANGE = 1 / 64  # of colours and of surface values between the points that are kept
+BLOCK = 64  # consecutive strands, of which each sample draws its share
+VISIBLE_CHANGE = 1 / 64  # largest change of colours and surface values that leaving out points may cause
 
 
 @dataclass(frozen=True, eq=False)
 class StrandLevels:
-    """The points of strands that can be drawn: finite ones, no two in one place, at least two to a strand, which has a
-    radius."""
+    """Strands that can be drawn: all points are finite, consecutive ones differ, and every strand has at least two points
+    and a radius. P points in S strands, one after another."""
 
     origin: np.ndarray  # (3,) float64
-    source: np.ndarray  # (P,) int64: rows of the scene.strands.Strands that they come from
     position: np.ndarray  # (P, 3) float32
     radius: np.ndarray  # (P,) float32, at least 0
     start: np.ndarray  # (S + 1,) int64
@@ -27,64 +26,63 @@ class StrandLevels:
     side: np.ndarray | None  # (P, 3) float32, unit: across a ribbon; None: tubes
     material: np.ndarray  # (S,) int64
     levels: tuple[Level, ...]
-    detail: np.ndarray  # (S,) int8: up to this level, attributes change too little to be seen
-    messages: tuple[str, ...]  # what was left out, counted
+    detail: np.ndarray  # (S,) int8: the coarsest level at which attributes change too little to be seen
 
     def __len__(self) -> int:
-        """How many points."""
+        """The number of points, P."""
         return len(self.position)
 
     @property
     def nbytes(self) -> int:
-        arrays = [self.source, self.position, self.radius, self.start, self.tangent, self.material, self.detail]
+        arrays = [self.position, self.radius, self.start, self.tangent, self.material, self.detail]
         arrays += [] if self.side is None else [self.side]
         arrays += [a for level in self.levels for a in (level.middle, level.low, level.high, level.first, level.strand)]
         return sum(a.nbytes for a in arrays)
 
     @cached_property
     def phase(self) -> np.ndarray:
-        """(S,) float64 in [0, 1): evenly spread over each BLOCK of strands, and without order within it. A sequence
-        with one, as multiples of the golden ratio, may be that in which the strands were laid out: then those that a
-        sample shows would lie side by side."""
+        """(S,) float64 in [0, 1): evenly spread over each BLOCK of strands, in random order within it. A sequence
+        with an order, such as multiples of the golden ratio, may be the one in which the strands were laid out: those
+        that a sample draws would then lie side by side."""
         count = len(self.start) - 1
         block = np.arange(count) // BLOCK
-        lot, off = np.random.default_rng(count).random((2, count))
+        rank_key, jitter = np.random.default_rng(count).random((2, count))
         rank = np.empty(count)
-        rank[np.lexsort((lot, block))] = np.arange(count) - BLOCK * block
-        return (rank + off) / np.minimum(BLOCK, count - BLOCK * block)
+        rank[np.lexsort((rank_key, block))] = np.arange(count) - BLOCK * block
+        return (rank + jitter) / np.minimum(BLOCK, count - BLOCK * block)
 
     @cached_property
     def strand(self) -> np.ndarray:
-        """(P,) int32: which strand each point belongs to."""
+        """(P,) int32: the strand of each point."""
         return owners(np.diff(self.start), np.int32)
 
     @cached_property
-    def reached(self) -> np.ndarray:
-        """(P,) float64: object units along strands from the first point of all, without what is between strands."""
+    def arc_length(self) -> np.ndarray:
+        """(P,) float64: length along all strands before each point, in object units; gaps between strands count 0."""
         step = np.linalg.norm(np.diff(self.position, axis=0, prepend=self.position[:1]), axis=1).astype(np.float64)
         step[self.start[:-1]] = 0
         return np.cumsum(step)
 
     def ends_near(self, ends: np.ndarray) -> np.ndarray:
-        """(K, 2) int64: of segments (K, 2), the first and the last point of the strand where balls along the segment
-        may reach beyond it, else -1. Closed strands have no ends."""
+        """(K, 2) int64: the first and the last point of the strand of each segment (K, 2) that is within a radius of it,
+        where its tube may extend beyond the end of the strand; else -1. Closed strands have no ends."""
         strand = self.strand[ends[:, 0]]
         outer = np.stack([self.start[strand], self.start[strand + 1] - 1], axis=1)
         closed = (self.position[outer[:, 0]] == self.position[outer[:, 1]]).all(axis=1)
         reach = np.maximum(*self.radius[ends.T])[:, None]
-        near = (np.abs(self.reached[ends] - self.reached[outer]) <= reach) & (reach > 0) & ~closed[:, None]
+        near = (np.abs(self.arc_length[ends] - self.arc_length[outer]) <= reach) & (reach > 0) & ~closed[:, None]
         return np.where(near, outer, -1)
 
-    def total(self, length: np.ndarray) -> np.ndarray:
-        """(S,) float32: sums over strands of what lies between each point and the next (P - 1,) float32."""
+    def sum_over_strands(self, length: np.ndarray) -> np.ndarray:
+        """(S,) float32: sums over each strand of values (P - 1,) float32 between consecutive points."""
         if len(self.start) < 2:
             return np.zeros(0, np.float32)
         length = np.append(length, np.float32(0))
         return np.add.reduceat(length, self.start[:-1]) - length[self.start[1:] - 1]
 
     @cached_property
-    def every(self) -> np.ndarray:
-        """(K, 2) int32: all segments, none left out."""
+    def segment_ends(self) -> np.ndarray:
+        """(K, 2) int32: the ends of all segments at full detail."""
         first = np.delete(np.arange(len(self), dtype=np.int32), self.start[1:] - 1)
         return np.stack([first, first + 1], axis=1)
 
@@ -98,41 +96,41 @@ class StrandLevels:
         return StrandBounds(
             self.origin + middle,
             float(away.max()),
-            float(self.total(step).max()),
+            float(self.sum_over_strands(step).max()),
             float(2 * widest.max()),
             float(2 * np.median(widest)),
         )
 
     @cached_property
-    def local(self) -> np.ndarray:
-        """(P,) int32: the how manieth of its strand each point is."""
+    def index_in_strand(self) -> np.ndarray:
+        """(P,) int32: index of each point within its strand."""
         return (np.arange(len(self)) - self.start[self.strand]).astype(np.int32)
 
 
 @dataclass(frozen=True)
 class StrandBounds:
-    """Of all strands of one geometry, in its units."""
+    """The extents of all strands of one geometry, in object units."""
 
-    middle: np.ndarray  # (3,) float64, of a ball that holds them
+    center: np.ndarray  # (3,) float64, of a ball around all strands
     radius: float  # of that ball
-    longest: float
-    widest: float
-    typical: float  # half of the strands are wider somewhere
+    longest: float  # length of the longest strand
+    widest: float  # greatest diameter
+    typical: float  # median over strands of the greatest diameter
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """The points that one halving leaves out, each between two that stay."""
+    """The points that one level leaves out of the level before, each between two that stay."""
 
-    middle: np.ndarray  # (N,) int32
-    low: np.ndarray  # (N,) int32
-    high: np.ndarray  # (N,) int32
-    first: np.ndarray  # (R,) int64: rows where another strand begins
-    strand: np.ndarray  # (R,) int32: which
+    middle: np.ndarray  # (N,) int32: points that are left out
+    low: np.ndarray  # (N,) int32: the points before them
+    high: np.ndarray  # (N,) int32: the points after them
+    first: np.ndarray  # (R,) int64: rows of the above where each of R strands begins
+    strand: np.ndarray  # (R,) int32: these strands
 
 
 def halving_levels(start: np.ndarray) -> tuple[Level, ...]:
-    """Level k leaves out points whose number in their strand is an odd multiple of 2^k; ends stay."""
+    """The levels of strands (S,): level k leaves out points whose index in their strand is an odd multiple of 2^k."""
     longest = int(np.diff(start).max(initial=0))
     found, step = [], 1
     while 2 * step <= longest:
@@ -149,7 +147,7 @@ def halving_levels(start: np.ndarray) -> tuple[Level, ...]:
 
 
 def coarsest_attribute_level(values: np.ndarray | None, levels: tuple[Level, ...], strands: int) -> np.ndarray:
-    """(S,) int8: the level up to which values (P, C) are linear enough."""
+    """(S,) int8: the coarsest level of each strand at which values (P, C) change by less than VISIBLE_CHANGE."""
     if values is None:
         return np.full(strands, 127, np.int8)
     largest = np.maximum(np.abs(values).max(axis=0, initial=0), 1)

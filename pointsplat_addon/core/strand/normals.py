@@ -17,7 +17,7 @@ def curve_normals(
     tilt: np.ndarray | None = None,
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """(E, 3) float64 unit normals as Blender has them.
+    """(E, 3) float64 unit normals of evaluated curves, as Blender defines them.
 
     cyclic, mode (C,): MINIMUM_TWIST, Z_UP or FREE. tilt (E,): angles in radians by which they are turned around the
     tangents. free (E, 3): the normals of curves whose mode is FREE; without any they have minimum
@@ -43,7 +43,7 @@ def curve_normals(
 
 
 def _unrepeated(evaluated: EvaluatedCurves) -> np.ndarray:
-    """The rows of all points but those that close a curve."""
+    """Indices of all points except those that repeat a cyclic curve's first point."""
     return ranges(evaluated.start[:-1], np.diff(evaluated.open))
 
 
@@ -51,7 +51,7 @@ def curve_tangents(position: np.ndarray, start: np.ndarray, cyclic: np.ndarray) 
     """(E, 3) float64 unit tangents: bisectors of the two segments that meet at a point.
 
     Points that coincide with both neighbours have the tangent before them, or the first that there is. cyclic (C,): the
-    last point's next is the first. Curves of one place alone have +Z.
+    last point's next is the first. Curves whose points all coincide have +Z.
     """
     count = len(position)
     if count == 0:
@@ -64,7 +64,7 @@ def curve_tangents(position: np.ndarray, start: np.ndarray, cyclic: np.ndarray) 
     behind = np.zeros_like(ahead)
     moved = following != every
     behind[following[moved]] = ahead[moved]
-    # A place that coincides with one neighbour takes the other's direction
+    # A point that coincides with one neighbour takes the direction to the other
     missing = ~ahead.any(axis=1)
     alone = ~behind.any(axis=1)
     both = unit(np.where(missing[:, None], behind, ahead) + np.where(alone[:, None], ahead, behind))
@@ -79,7 +79,7 @@ def curve_tangents(position: np.ndarray, start: np.ndarray, cyclic: np.ndarray) 
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Normalised rows; zero stays zero."""
+    """Vectors (n, 3) divided by their lengths; zero vectors stay zero."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.divide(vectors, length, out=np.zeros_like(vectors, float), where=length > 0)
 
@@ -87,8 +87,8 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 def _minimum_twist(
     normal: np.ndarray, along: np.ndarray, start: np.ndarray, owner: np.ndarray, cyclic: np.ndarray
 ) -> np.ndarray:
-    """The first normal of each curve carried on by the rotations from tangent to tangent; cyclic curves spread what is
-    left when they come round over all their points."""
+    """Normals of minimum twist: the first normal of each curve, carried along by the rotations from tangent to tangent.
+    Cyclic curves distribute the angle that remains after one turn over all their points."""
     every = np.arange(len(along))
     first = start[:-1][owner]
     before = np.where(every > first, every - 1, every)
@@ -125,20 +125,21 @@ def _rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Quaternions: first b, then a."""
+    """The products of quaternions (n, 4): the rotation b followed by a."""
     w, v, x, u = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
     real = w * x - np.einsum("ij,ij->i", v, u)[:, None]
     return np.concatenate([real, w * u + x * v + np.cross(v, u)], axis=1)
 
 
 def _rotate(vector: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """Rotates vectors (n, 3) by unit quaternions (n, 4)."""
     w, v = quaternion[:, :1], quaternion[:, 1:]
     twice = 2 * np.cross(v, vector)
     return vector + w * twice + np.cross(v, twice)
 
 
 def _rotate_about(vector: np.ndarray, axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Vectors turned around unit axes by angles (n,)."""
+    """Rotates vectors (n, 3) about unit axes (n, 3) by angles (n,) in radians."""
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
     along = np.einsum("ij,ij->i", axis, vector)[:, None] * axis
     return along + (vector - along) * cosine + np.cross(axis, vector) * sine

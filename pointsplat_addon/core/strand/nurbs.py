@@ -9,7 +9,7 @@ from .curves import NURBS, Curves
 
 
 class NurbsSpans:
-    """Knots of the NURBS curves among C curves, all in one array."""
+    """Knots and evaluated spans of the NURBS curves among C curves, in flat arrays."""
 
     def __init__(self, curves: Curves) -> None:
         none = np.zeros(len(curves.count), np.int64)
@@ -27,7 +27,9 @@ class NurbsSpans:
 
         # Blender's knots: `head` equal ones, then each `inner` times, then a tail that repeats the head's steps
         order, count, cyclic, ends, bezier = order[row], count[row], curves.cyclic[row], ends[row], bezier[row]
-        self.last = count + np.where(cyclic, order - 1, 0)  # control points, those that come again included
+        self.last = count + np.where(
+            cyclic, order - 1, 0
+        )  # control points, including those that a cyclic curve repeats
         size = self.last + order
         inner = np.where(bezier, order - 1, 1)
         head = np.where(ends, order - cyclic, np.where(bezier, np.minimum(2, inner), 1))
@@ -60,7 +62,7 @@ class NurbsSpans:
         self.total[row] = number * self.resolution + ~cyclic
 
     def parts(self, opened: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """For each order in use: rows, control points and weights of its evaluated points."""
+        """Rows, control points and weights of the evaluated points, for each order in use. opened (C + 1,): EvaluatedCurves.open."""
         if len(self.row) == 0:
             return []
         total, first_span = self.total[self.row], starts(self.number)
@@ -77,7 +79,7 @@ class NurbsSpans:
         return found
 
     def _basis(self, degree: int, owner: np.ndarray, span: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The basis functions that do not vanish in a span and their points (Piegl and Tiller 1997, algorithm A2.2)."""
+        """Control points and the values of the basis functions that do not vanish in a span (Piegl and Tiller 1997, A2.2)."""
         basis = np.zeros((len(u), degree + 1))
         basis[:, 0] = 1
         left = [u - self.knots[span + 1 - j] for j in range(1, degree + 1)]

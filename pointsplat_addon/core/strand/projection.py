@@ -10,22 +10,23 @@ from ..scene.camera import Camera
 from .levels import StrandLevels
 
 SHORTEST_DIRECTED = 1e-3  # pixels: shorter segments have no direction on the screen
-NEAREST = 1e-12  # units from the eye: what is nearer is drawn as if there, for squares of pixels to fit float32
+NEAREST = 1e-12  # units from the eye: points nearer are projected from there, so that squares of pixels fit float32
 
 
 @dataclass(frozen=True, eq=False)
 class ProjectedStrands:
-    """Points of strands as one view sees them."""
+    """The P points of strands as one view sees them."""
 
-    place: np.ndarray  # (P, 2) float32, pixels; of what lies before the near plane as if it lay in it
+    pixel: np.ndarray  # (P, 2) float32; points before the near plane are projected as if they lay in it
     depth: np.ndarray  # (P,) float32
-    reach: np.ndarray  # (P,) float32: radius in view space
-    width: np.ndarray  # (P,) float32, pixels
+    radius: np.ndarray  # (P,) float32, in view space
+    width: np.ndarray  # (P,) float32: diameter in pixels
     across: np.ndarray | None  # (P, 2) float32, pixels: from a ribbon's middle to its edge; None: tubes
     length: np.ndarray  # (P - 1,) float32: pixels from each point to the next
 
 
 def project(strands: StrandLevels, view_from_object: np.ndarray, camera: Camera) -> ProjectedStrands:
+    """Projects the points of strands; view_from_object: (4, 4) float64."""
     linear = view_from_object[:3, :3]
     with np.errstate(all="ignore"):
         shift = (linear @ strands.origin + view_from_object[:3, 3]).astype(np.float32)
@@ -43,7 +44,7 @@ def project(strands: StrandLevels, view_from_object: np.ndarray, camera: Camera)
         else:
             side = (strands.side * strands.radius[:, None]) @ linear.T.astype(np.float32)
             reach = np.sqrt(np.einsum("nc,nc->n", side, side))
-            # How the picture of a ribbon's edge lies beside that of its middle.
+            # The offset in the picture from a ribbon's middle to its edge.
             nearer = side[:, 2] * inverse if camera.perspective else np.zeros_like(depth)
             columns = [f * inverse * (side[:, i] + p[:, i] * nearer) for i, f in enumerate((fx, fy))]
             across = np.stack(columns, axis=1).astype(np.float32)
@@ -54,38 +55,38 @@ def project(strands: StrandLevels, view_from_object: np.ndarray, camera: Camera)
 
 
 def _cumulative_area(strands: StrandLevels, picture: ProjectedStrands) -> np.ndarray:
-    """(P,) float64: pixels^2 from the first point to each."""
+    """(P,) float64: area in pixels^2 of all strands before each point."""
     width, across = picture.width, picture.across
     if across is None:
         area = picture.length * (0.5 * (width[1:] + width[:-1]))
     else:
-        x, y = np.diff(picture.place, axis=0).T
+        x, y = np.diff(picture.pixel, axis=0).T
         area = np.abs(across[:-1, 0] * y - across[:-1, 1] * x) + np.abs(across[1:, 0] * y - across[1:, 1] * x)
     area[strands.start[1:-1] - 1] = 0  # between strands
     return np.concatenate([[0.0], np.cumsum(area, dtype=np.float64)])
 
 
 def in_picture(picture: ProjectedStrands, first: np.ndarray, last: np.ndarray, camera: Camera) -> np.ndarray:
-    """(K,) bool: segments from `first` to `last` that may be in the picture."""
+    """(K,) bool: which segments, between points `first` (K,) and `last` (K,), may be in the picture."""
     margin = 0.5 * np.maximum(picture.width[first], picture.width[last]) + 2
     seen = np.ones(len(first), bool)
     # Coordinate by coordinate: along a short axis NumPy takes many times as long.
-    for place, most in zip(picture.place.T, camera.window[2:], strict=True):
+    for place, most in zip(picture.pixel.T, camera.window[2:], strict=True):
         x, y = place[first], place[last]
         seen &= (np.minimum(x, y) < most + margin) & (np.maximum(x, y) > -margin)
     a, b = picture.depth[first], picture.depth[last]
     nearest, farthest = np.minimum(a, b), np.maximum(a, b)
     seen |= nearest < camera.near  # what is behind the eye has no picture
-    reach = np.maximum(picture.reach[first], picture.reach[last])
+    reach = np.maximum(picture.radius[first], picture.radius[last])
     return seen & (farthest + reach > camera.near) & (nearest - reach < camera.far)
 
 
 def line_shares(
-    strands: StrandLevels, picture: ProjectedStrands, first: np.ndarray, last: np.ndarray, thinned: np.ndarray
+    strands: StrandLevels, picture: ProjectedStrands, first: np.ndarray, last: np.ndarray, simplified: np.ndarray
 ) -> np.ndarray:
-    """(K, 2) float32: widths at the ends of segments over that of the raster's line, which is one pixel along the
-    nearer axis. Segments that stand for several (`thinned`) have the area of these."""
-    chord = picture.place[last] - picture.place[first]
+    """(K, 2) float32: widths at both ends of segments over the width of the raster's line, which is one pixel high
+    along its minor axis. Segments that replace several (`simplified`) keep the area of those."""
+    chord = picture.pixel[last] - picture.pixel[first]
     size = np.sqrt(np.einsum("nc,nc->n", chord, chord))
     line = np.where(size > SHORTEST_DIRECTED, np.maximum(*np.abs(chord.T)) / np.maximum(size, SHORTEST_DIRECTED), 1)
     across = picture.across
@@ -94,18 +95,19 @@ def line_shares(
     else:
         x, y = (chord / np.maximum(size, SHORTEST_DIRECTED)[:, None]).T
         wide = 2 * np.stack([np.abs(across[i, 0] * y - across[i, 1] * x) for i in (first, last)], axis=1)
-    if thinned.any():
+    if simplified.any():
         area = _cumulative_area(strands, picture)
         covers = (area[last] - area[first]).astype(np.float32)
         straight = 0.5 * (wide[:, 0] + wide[:, 1]) * size
-        alike = thinned & (straight > 0.25 * covers)
+        alike = simplified & (straight > 0.25 * covers)
         wide[alike] *= (covers[alike] / straight[alike])[:, None]
-        other = thinned & ~alike
+        other = simplified & ~alike
         wide[other] = (covers[other] / np.maximum(size[other], SHORTEST_DIRECTED))[:, None]
     return np.nan_to_num(wide / line[:, None], posinf=1e30).astype(np.float32)
 
 
 def tube_radius_scale(view_from_object: np.ndarray) -> np.ndarray:
-    """(I,) float64: by how much matrices (I, 4, 4) scale the radii of tubes; 0 where they are not finite."""
+    """(I,) float64: factors by which matrices (I, 4, 4) scale the radii of tubes, the cube roots of their determinants;
+    0 where a matrix is not finite."""
     with np.errstate(all="ignore"):
         return np.nan_to_num(np.cbrt(np.abs(np.linalg.det(view_from_object[:, :3, :3]))), posinf=0.0)

@@ -10,60 +10,60 @@ import numpy as np
 from .levels import StrandLevels
 
 ROUND = 2.0  # widths of the raster's line: below it a segment has one shade across
-THIN = 1.0  # widths of the raster's line: below it a segment is one
+THIN = 1.0  # widths of the raster's line: below it a segment is drawn as that line, in some samples
 
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """What one view draws of the strands of one geometry."""
+    """The segments of one geometry's strands that one view draws, K of them."""
 
-    ends: np.ndarray  # (K, 2) int32: points of `Strands`
+    ends: np.ndarray  # (K, 2) int32: points of StrandLevels
     instance: np.ndarray  # (K,) int32: rows of Scene.instances
     material: np.ndarray  # (K,) int32
-    phase: np.ndarray  # (K,) float32 in [0, 1): evenly spread over strands
-    share: np.ndarray  # (K, 2) float32: of the raster line's width, at both ends
-    strands: int  # that have a segment in the list
+    phase: np.ndarray  # (K,) float32 in [0, 1): by strand, evenly spread over strands
+    share: np.ndarray  # (K, 2) float32: width at both ends over that of the raster's line
+    strands: int  # number of strands with a segment in the list
 
     def __len__(self) -> int:
         return len(self.ends)
 
     def take(self, index: np.ndarray) -> Segments:
-        """Some of them."""
+        """The segments at an index array."""
         named = {name: getattr(self, name)[index] for name in ("ends", "instance", "material", "phase", "share")}
         return replace(self, **named)
 
     @cached_property
-    def most(self) -> np.ndarray:
+    def greatest_share(self) -> np.ndarray:
         """(K,) float32: the greater share of the two ends."""
         return np.maximum(self.share[:, 0], self.share[:, 1])  # several times as fast as along the short axis
 
     @cached_property
     def wide(self) -> np.ndarray:
-        """(K,) int64: segments that are drawn with their outlines in every sample, and may be seen to be round."""
-        return np.flatnonzero(self.most >= ROUND)
+        """(n,) int64: segments that are drawn with their outlines in every sample, wide enough to look round."""
+        return np.flatnonzero(self.greatest_share >= ROUND)
 
     @cached_property
     def narrow(self) -> np.ndarray:
-        """(K,) int64: segments that are drawn with their outlines in every sample, and are too narrow for more."""
-        return np.flatnonzero((self.most >= THIN) & (self.most < ROUND))
+        """(n,) int64: segments that are drawn with their outlines in every sample, too narrow to look round."""
+        return np.flatnonzero((self.greatest_share >= THIN) & (self.greatest_share < ROUND))
 
     @cached_property
     def thin(self) -> np.ndarray:
-        """(K,) int64: segments that are lines of one pixel in some samples."""
-        return np.flatnonzero((self.most < THIN) & (self.most > 0))
+        """(n,) int64: segments that are drawn as lines of one pixel, in some samples."""
+        return np.flatnonzero((self.greatest_share < THIN) & (self.greatest_share > 0))
 
     def drawn(self, turn: float) -> np.ndarray:
-        """(N,) int64: the thin ones of a sample, whose `turn` is one of `turns`."""
+        """(n,) int64: the thin segments of a sample, whose offset `turn` is one of `sample_offsets`."""
         index = self.thin
         if len(index) == 0:
             return index
         phase = (self.phase[index] + np.float32(turn)) % np.float32(1)
-        return index[phase < self.most[index]]
+        return index[phase < self.greatest_share[index]]
 
 
 def sample_offsets(count: int) -> np.ndarray:
-    """(count,) float64: k / count in an order in which any first ones lie evenly. With frac(phase + turn) < a, a strand
-    of share a is drawn in floor or ceil(a count) samples of all, and so in the first half of them."""
+    """(count,) float64: the multiples of 1 / count in an order whose beginnings are evenly spread. With frac(phase +
+    offset) < a, a strand of share a is drawn in floor or ceil(a count) samples of all, and likewise in the first half."""
     index, inverse = np.arange(count), np.zeros(count)
     base = 0.5
     while index.any():
@@ -76,7 +76,8 @@ def sample_offsets(count: int) -> np.ndarray:
 
 
 def all_segments(strands: StrandLevels, instance: int) -> Segments:
-    ends = strands.every
+    """All segments of an instance, drawn with their outlines in every sample."""
+    ends = strands.segment_ends
     count = len(ends)
     return Segments(
         ends,
@@ -89,12 +90,13 @@ def all_segments(strands: StrandLevels, instance: int) -> Segments:
 
 
 def no_segments() -> Segments:
+    """An empty list of segments."""
     none = np.zeros(0, np.int32)
     return Segments(np.zeros((0, 2), np.int32), none, none, np.zeros(0, np.float32), np.zeros((0, 2), np.float32), 0)
 
 
 def concatenate_segments(parts: list[Segments]) -> Segments:
-    """The segments of several instances as one list."""
+    """The segments of several instances in one list, in the order given."""
     if len(parts) == 1:
         return parts[0]
     ends, instance, material, phase, share = (

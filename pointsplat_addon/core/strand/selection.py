@@ -19,21 +19,24 @@ from .projection import ProjectedStrands, in_picture, line_shares, project
 from .segments import ROUND, THIN, Segments, all_segments, no_segments
 
 GOLDEN = (5**0.5 - 1) / 2
-OUTLINE_ERROR = 0.25  # of the tolerance: how far an outline may move where inner points are left out
-INVISIBLE_LENGTH = 1.0  # pixels: below it no change along a segment is seen
-UNBROKEN_LENGTH = 16.0  # pixels: strands that are no longer are not seen to be broken
-LEAST_OUTLINED = 0.25  # widths of the raster's line: from here on they are drawn with their outlines
-LEAST_WIDTH = 0.1  # pixels: below this width, drawing a few strands in each sample saves more than choosing them takes
-FEW_POINTS = 3  # of a strand in the mean: there is little that could be left out
+OUTLINE_ERROR = 0.25  # of the tolerance: how far leaving out inner points may move an outline
+INVISIBLE_LENGTH = 1.0  # pixels: changes along shorter segments are not seen
+UNBROKEN_LENGTH = 16.0  # pixels: shorter strands do not look broken where samples leave out some of their segments
+LEAST_OUTLINED = 0.25  # widths of the raster's line: wider short strands are drawn with their outlines
+LEAST_WIDTH = (
+    0.1  # pixels: below this width drawing few strands in each sample saves more time than choosing them costs
+)
+FEW_POINTS = 3  # mean number of points of a strand up to which little could be left out
 MARGIN = 2.0  # pixels beyond the picture that lines of one pixel may come from
 BELOW_ONE = 1 - 2.0**-24  # the largest float32
-LEAST_SIMPLIFIED = 0.02  # of the strands: what they alone would save costs more to find
+LEAST_SIMPLIFIED = 0.02  # share of the strands: simplifying fewer saves less time than it costs
 
 
 def select(
     strands: StrandLevels, view_from_object: np.ndarray, instance: int, camera: Camera, tolerance: float
 ) -> Segments:
-    """The segments of one instance (its row in Scene.instances) that `camera` may see; (4, 4) float64 matrix.
+    """The segments of one instance that a camera may see. view_from_object: (4, 4) float64; instance: its row in
+    Scene.instances; tolerance: pixels.
 
     Widths of tubes scale with the cube root of the instance's volume; ribbons are scaled as surfaces are.
     """
@@ -43,11 +46,11 @@ def select(
     if _all_outlined(strands, scale):
         return all_segments(strands, instance)
     picture = project(strands, view_from_object, camera)
-    first, last = strands.every.T
+    first, last = strands.segment_ends.T
     level = np.zeros(len(strands.start) - 1, np.int32)
     if strands.levels:
         level = _choose_levels(strands, picture, OUTLINE_ERROR * tolerance)
-        kept = strands.local & ((np.int32(1) << level) - 1)[strands.strand] == 0
+        kept = strands.index_in_strand & ((np.int32(1) << level) - 1)[strands.strand] == 0
         kept[strands.start[1:] - 1] = True
         index = np.flatnonzero(kept)
         first, last = index[:-1], index[1:]
@@ -58,7 +61,7 @@ def select(
         first, last = first[seen], last[seen]
     strand = strands.strand[first]
     share = line_shares(strands, picture, first, last, level[strand] > 0)
-    exact = (strands.total(picture.length) <= UNBROKEN_LENGTH) & (level == 0)
+    exact = (strands.sum_over_strands(picture.length) <= UNBROKEN_LENGTH) & (level == 0)
     most = np.maximum(*share.T)
     share[exact[strand] & (most >= LEAST_OUTLINED) & (most < THIN)] = THIN
     visible = (share[:, 0] > 0) | (share[:, 1] > 0)
@@ -76,21 +79,21 @@ def select(
 
 @dataclass(frozen=True)
 class _Scale:
-    """How large a view shows one instance."""
+    """The range of sizes at which a view shows one instance."""
 
-    fewest: float  # pixels of a unit that faces the eye; 0 where that is not known
-    most: float  # infinite where something may reach the near plane
-    inside: bool  # all of it lies in the picture
+    least: float  # pixels per object unit across the view, at least; 0 if that is not known
+    most: float  # pixels per object unit, at most; infinite if part of the instance may lie at the near plane
+    inside: bool  # the whole instance lies in the picture
 
 
 def _scale(bounds: StrandBounds, view_from_object: np.ndarray, camera: Camera) -> _Scale | None:
-    """None where the ball lies outside the picture."""
+    """The range of sizes of an instance with these bounds; None if it lies outside the picture."""
     linear = view_from_object[:3, :3]
-    x, y, z = linear @ bounds.middle + view_from_object[:3, 3]
+    x, y, z = linear @ bounds.center + view_from_object[:3, 3]
     if not (np.isfinite(linear).all() and np.isfinite([x, y, z]).all()):
         return _Scale(0.0, np.inf, False)
     scales = np.linalg.svd(linear, compute_uv=False)
-    # Radii of tubes are scaled by the mean of the three, which is no more.
+    # Radii of tubes are scaled by the geometric mean of the three, which is no greater.
     reach = bounds.radius * float(scales[0])
     nearest, farthest = -z - reach, -z + reach
     if farthest <= camera.near or nearest >= camera.far:
@@ -106,31 +109,31 @@ def _scale(bounds: StrandBounds, view_from_object: np.ndarray, camera: Camera) -
             return None
         inside &= min(sides) >= 0 and max(sides) <= most
     f = float(np.sqrt(abs(fx * fy)))
-    # Away from the middle of the picture perspective stretches what leads away from the eye.
+    # Away from the centre of the picture, perspective stretches segments that lead away from the eye.
     slope = (np.array([x, y]) + reach * np.sign([x, y])) / nearest if camera.perspective else np.zeros(2)
     stretched = float(np.sqrt(1 + slope @ slope))
     return _Scale(f * float(scales[2]) / depths[1], stretched * f * float(scales[0]) / depths[0], bool(inside))
 
 
 def _all_outlined(strands: StrandLevels, scale: _Scale) -> bool:
-    """Whether all of a geometry may be drawn with its outlines without a look at each segment: strands of few points
-    that are short in the picture and mostly not too thin."""
+    """Whether all segments of a geometry may be drawn with their outlines without a decision for each: strands have few
+    points, are short in the picture and mostly not too thin."""
     bounds = strands.bounds
     few = len(strands) <= FEW_POINTS * (len(strands.start) - 1)
     flat = strands.side is not None or bounds.widest * scale.most < ROUND
     return (
-        few and flat and bounds.longest * scale.most <= UNBROKEN_LENGTH and bounds.typical * scale.fewest >= LEAST_WIDTH
+        few and flat and bounds.longest * scale.most <= UNBROKEN_LENGTH and bounds.typical * scale.least >= LEAST_WIDTH
     )
 
 
 def _choose_levels(strands: StrandLevels, picture: ProjectedStrands, allowed: float) -> np.ndarray:
-    """(S,) int32: the level that each strand is drawn at, with outlines that are off by at most `allowed` pixels."""
-    q, length = picture.place, picture.length
+    """(S,) int32: the coarsest level of each strand whose outline is off by at most `allowed` pixels."""
+    q, length = picture.pixel, picture.length
     beside = 0.5 * picture.width[:, None] if picture.across is None else picture.across
     count = len(strands.start) - 1
     level, off = np.zeros(count, np.int32), np.zeros(count, np.float32)
-    total = strands.total(length)
-    # Segments of the next level are half as many.
+    total = strands.sum_over_strands(length)
+    # Each level has half as many segments as the one before.
     short = np.floor(np.log2(np.maximum(INVISIBLE_LENGTH * np.diff(strands.start) / np.maximum(total, 1e-20), 1)))
     most = np.maximum(strands.detail, np.minimum(short, 126))
     fine = np.ones(count, bool)
@@ -147,6 +150,6 @@ def _choose_levels(strands: StrandLevels, picture: ProjectedStrands, allowed: fl
         fine &= (off <= allowed) & (most >= number)
         if np.count_nonzero(fine) <= LEAST_SIMPLIFIED * count:
             break
-        # A strand that has nothing left to leave out is no coarser.
+        # A strand without inner points left to leave out gets no coarser level.
         level[part.strand[fine[part.strand]]] = number
     return level

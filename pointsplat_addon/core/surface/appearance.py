@@ -6,19 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..material.expressions import SampleInputs
-from ..material.graph import (
-    MaterialGraph,
-    bake,
-    bakeable,
-    evaluate_samples,
-    needs,
-    suggested_resolution,
-    triangle_tangents,
-)
+from ..material.baking import bake, bakeable, suggested_resolution
+from ..material.evaluation import evaluate_samples, triangle_tangents
+from ..material.expression import SampleInputs
+from ..material.graph import MaterialGraph, needs
 from ..scene.cloud import PointCloud
 from ..scene.materials import MaterialTable
 from ..scene.mesh import Mesh
+from ..scene.valid_geometry import valid_points
 from ..splat.kernel import PEAK
 from .evaluation import Evaluated
 from .sample_areas import sample_areas
@@ -103,17 +98,13 @@ def _part(mesh: Mesh, rows: tuple[int, ...]) -> Mesh | None:
         return mesh
     if not rows or mesh.material is None:
         return None
-    which = np.flatnonzero(np.isin(mesh.material, rows))
+    part = mesh.take(np.flatnonzero(np.isin(mesh.material, rows)))
     name = f" of {','.join(map(str, rows))}"
     return replace(
-        mesh,
+        part,
         key=mesh.key + name,
         topology=mesh.topology and mesh.topology + name,
-        triangles=mesh.triangles[which],
-        corner_normal=None if mesh.corner_normal is None else mesh.corner_normal[which],
-        uv={n: a[which] for n, a in mesh.uv.items()},
-        colors={n: a[which] for n, a in mesh.colors.items()},
-        material=mesh.material[which] if len(rows) > 1 else None,
+        material=part.material if len(rows) > 1 else None,
         materials=rows,
     )
 
@@ -142,8 +133,10 @@ def point_cloud(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: Mater
     cloud = replace(cloud, color=look.color, surface=look.surface, emission=look.emission)
     passes = passing(mesh, table)
     if passes is not None:
-        return _with_opacity(cloud, passes[cloud.material], look.alpha, sample_areas(mesh, samples), table)
-    return cloud if look.alpha is None else cloud.take(look.alpha >= CLIP)
+        cloud = _with_opacity(cloud, passes[cloud.material], look.alpha, sample_areas(mesh, samples), table)
+    elif look.alpha is not None:
+        cloud = cloud.take(look.alpha >= CLIP)
+    return valid_points(cloud)[0]  # ellipses around triangles may be larger than these
 
 
 def _with_opacity(
@@ -303,10 +296,10 @@ def _inputs(
         bitangent_sign=sign,
         count=len(samples),
     )
-    return replace(inputs, aside=_aside(mesh, samples, inputs)) if wide and wanted.pictures else inputs
+    return replace(inputs, displaced=_displaced(mesh, samples, inputs)) if wide and wanted.images else inputs
 
 
-def _aside(mesh: Mesh, samples: Samples, inputs: SampleInputs) -> tuple[SampleInputs, SampleInputs]:
+def _displaced(mesh: Mesh, samples: Samples, inputs: SampleInputs) -> tuple[SampleInputs, SampleInputs]:
     """The inputs at the ends of two half-diameters of each sample's splat, as far as pictures are mapped by them."""
     steps = {name: difference_along_half_axes(samples, mesh.uv[name]) for name in inputs.uv}
     places = {"position": inputs.position, "generated": inputs.generated}

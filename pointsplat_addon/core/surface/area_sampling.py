@@ -23,7 +23,9 @@ _WEIGHT_SLACK = 4e-7
 STEINER = np.array([[2 / 3, -1 / 3], [0, 1 / math.sqrt(3)]]) * (1 + 4 * _WEIGHT_SLACK)
 
 
-def sample_area(mesh: Mesh, spacing: float, ok: np.ndarray | None = None, measures: Measures | None = None) -> Samples:
+def sample_area(
+    mesh: Mesh, spacing: float, which: np.ndarray | None = None, measures: Measures | None = None
+) -> Samples:
     """Samples at most `spacing` apart, one ellipse with half-axes of at most spacing / sqrt(2) for each cell.
 
     A triangle is cut into rows parallel to its longest edge and each row into equal columns, so that a sliver
@@ -31,7 +33,7 @@ def sample_area(mesh: Mesh, spacing: float, ok: np.ndarray | None = None, measur
     Raises ValueError for a spacing that is not a positive number, or for more than 2^31 samples.
     """
     check_spacing(spacing)
-    return _area_samples(measure_triangles(mesh, ok) if measures is None else measures, spacing)
+    return _area_samples(measure_triangles(mesh, which) if measures is None else measures, spacing)
 
 
 def _area_samples(m: Measures, spacing: float) -> Samples:

@@ -13,9 +13,7 @@ from ..numeric.vectors import blocks, clip, cross, dot, each_block
 from ..scene.bounds import bounding_box
 from ..scene.camera import Camera
 from ..scene.mesh import Mesh
-from ..scene.validation import valid_triangles
 from .spacing import MAX_SAMPLES, limit_spacing
-from .triangles import used_vertices
 
 EXACT_INSTANCES = 64  # beyond these the next instance's bounding box speaks for all others: finer, never coarser
 PART = 128  # triangles
@@ -55,10 +53,9 @@ class Parts:
         return result
 
 
-def make_parts(mesh: Mesh, ok: np.ndarray | None = None) -> Parts:
+def make_parts(mesh: Mesh) -> Parts:
     """Triangles in the mesh's own order, or in Morton order where that one jumps about."""
-    ok = valid_triangles(mesh)[0] if ok is None else ok
-    triangles = mesh.triangles if ok.all() else mesh.triangles[ok]
+    triangles = mesh.triangles
     low, high = _boxes(mesh.position, triangles)
     if len(low) == 0:
         return Parts(triangles, low, high)
@@ -110,7 +107,6 @@ def required_spacing(
     camera: Camera,
     pixels: float = 1.0,
     max_samples: int | None = MAX_SAMPLES,
-    ok: np.ndarray | None = None,
     parts: Parts | None = None,
 ) -> float:
     """The object-space distance that nowhere on the visible mesh projects to more than `pixels`; inf: not visible.
@@ -128,17 +124,15 @@ def required_spacing(
     The result is not quantised otherwise. `parts` is what `make_parts` returned, where many views ask: the result is
     the same, and only the triangles near the eye are looked at.
     """
-    ok = valid_triangles(mesh)[0] if ok is None else ok
     matrices = np.reshape(view_from_object, (-1, 4, 4))
     matrices = matrices[all_finite(matrices)]
     stretch = largest_singular_value(matrices[:, :3, :3])
     matrices, stretch = matrices[stretch > 1e-30], stretch[stretch > 1e-30]
-    triangles = np.count_nonzero(ok) if parts is None else len(parts.triangles)
-    if len(matrices) == 0 or triangles == 0:
+    if len(matrices) == 0 or len(mesh.triangles) == 0:
         return math.inf
     if parts is None:
-        look = _whole(mesh, ok, camera)
-        low, high = bounding_box(mesh.position if ok.all() else mesh.position[used_vertices(mesh, ok)])
+        look = _whole(mesh, camera)
+        low, high = bounding_box(mesh.position)
     else:
         look = _by_parts(mesh, parts, camera)
         low, high = parts.low.min(axis=0), parts.high.max(axis=0)
@@ -154,7 +148,7 @@ def required_spacing(
             break
         spacing = min(spacing, look(matrices[i]) / stretch[i])
     spacing = float(pixels * spacing)
-    return spacing if math.isinf(spacing) or max_samples is None else limit_spacing(mesh, spacing, max_samples, ok)
+    return spacing if math.isinf(spacing) or max_samples is None else limit_spacing(mesh, spacing, max_samples)
 
 
 def part_spacings(parts: Parts, view_from_object: np.ndarray, camera: Camera, pixels: float = 1.0) -> np.ndarray:
@@ -165,10 +159,10 @@ def part_spacings(parts: Parts, view_from_object: np.ndarray, camera: Camera, pi
     return pixels * _box_spacing(parts.low, parts.high, view_from_object, camera) / stretch
 
 
-def _whole(mesh: Mesh, ok: np.ndarray, camera: Camera) -> Callable[[np.ndarray], float]:
+def _whole(mesh: Mesh, camera: Camera) -> Callable[[np.ndarray], float]:
     """`_view_spacing` of all triangles at once."""
     position = mesh.position.T.astype(np.float64, order="C")
-    triangles = (mesh.triangles if ok.all() else mesh.triangles[ok]).T.astype(np.intp, order="C")
+    triangles = mesh.triangles.T.astype(np.intp, order="C")
     return lambda view_from_object: _view_spacing(position, triangles, view_from_object, camera)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from ..numeric.vectors import cross, dot, each_block
 from ..scene.bounds import mesh_centre
 from ..scene.mesh import Mesh, copy_to_columns, copy_to_rows, triangle_corners
-from ..scene.validation import valid_triangles
 from .samples import Samples, corner_of_sample
 from .vertex_sampling import normalised, one_rings
 
@@ -28,17 +27,18 @@ class Evaluated:
     axis: np.ndarray | None = None  # (N, 3) float32, unit, perpendicular to `plane`: the major half-axis
 
 
-def evaluate(mesh: Mesh, samples: Samples, origin: np.ndarray | None = None, ok: np.ndarray | None = None) -> Evaluated:
-    """Positions, normals and splats of `samples` on `mesh`: the mesh that was sampled, in this or another pose.
+def evaluate(
+    mesh: Mesh, samples: Samples, origin: np.ndarray | None = None, which: np.ndarray | None = None
+) -> Evaluated:
+    """Evaluates positions, normals and ellipses of samples on their mesh, in the pose that was sampled or another one.
 
-    `origin` (3,) float64 is what positions are relative to; None takes `centre(mesh)`, so that coordinates far
-    from zero keep the precision of the mesh. `ok` is what `validate` returned for this pose, where it is at hand.
-    Samples at vertices that the pose made non-finite are non-finite (`cloud.finite` drops them); those of triangles
-    that lost their area have a radius of rounding size and some unit normal.
+    `origin` (3,) float64 is what positions are relative to; None takes `mesh_centre`, so that coordinates far from
+    zero keep the precision of the mesh. `which` (T,) bool: the triangles that were sampled; None: all. Samples of
+    triangles that lost their area in this pose have a radius of rounding size and some unit normal.
     """
     origin = mesh_centre(mesh) if origin is None else np.asarray(origin, np.float64)
     if samples.ellipse is None:
-        return _evaluate_vertices(mesh, samples, origin, valid_triangles(mesh)[0] if ok is None else ok)
+        return _evaluate_vertices(mesh, samples, origin, which)
     return _evaluate_ellipses(mesh, samples, samples.ellipse, origin)
 
 
@@ -147,9 +147,9 @@ def _major_half_axis(
     return major, np.sqrt(dot(major, major))
 
 
-def _evaluate_vertices(mesh: Mesh, samples: Samples, origin: np.ndarray, ok: np.ndarray) -> Evaluated:
+def _evaluate_vertices(mesh: Mesh, samples: Samples, origin: np.ndarray, which: np.ndarray | None) -> Evaluated:
     vertex = mesh.triangles[samples.triangle, corner_of_sample(samples)]
-    mean, radius = one_rings(mesh, ok)
+    mean, radius = one_rings(mesh, which)
     plane = mean[vertex]
     normal = plane
     if mesh.vertex_normal is not None:

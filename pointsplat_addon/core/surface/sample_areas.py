@@ -6,21 +6,21 @@ import numpy as np
 
 from ..numeric.vectors import blocks
 from ..scene.mesh import Mesh
-from ..scene.validation import valid_triangles
 from .area_sampling import cell_areas
 from .samples import Samples, corner_of_sample
-from .triangles import triangle_areas
+from .triangles import rows_of, triangle_areas
 
 
-def sample_areas(mesh: Mesh, samples: Samples, ok: np.ndarray | None = None) -> np.ndarray:
+def sample_areas(mesh: Mesh, samples: Samples, which: np.ndarray | None = None) -> np.ndarray:
     """(N,) float64: the area, in object units squared, that each sample stands for on this pose of its mesh.
 
     A vertex stands for a third of each valid triangle around it. The others share their own triangle, by what of it
     lies in their cells (AREA) or by the sizes of their ellipses (PATCHES): the areas of a triangle's samples add up to
-    the triangle's, and where a pose only stretches it, each keeps its share. `ok` is what `validate` returned.
+    the triangle's, and where a pose only stretches it, each keeps its share. `which` (T,) bool: the
+    triangles that were sampled; None: all.
     """
     if samples.ellipse is None:
-        rows = np.flatnonzero(valid_triangles(mesh)[0] if ok is None else ok)
+        rows = rows_of(mesh, which)
         area, vertices = triangle_areas(mesh, rows), len(mesh.position)
         ring = sum((np.bincount(corner, area / 3, vertices) for corner in mesh.triangles[rows].T), np.zeros(vertices))
         return ring[mesh.triangles[samples.triangle, corner_of_sample(samples)]]

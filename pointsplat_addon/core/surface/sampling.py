@@ -20,7 +20,6 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene.mesh import Mesh
-from ..scene.validation import valid_triangles
 from .area_sampling import ONE_SAMPLE, check_spacing, sample_area
 from .samples import Samples
 from .triangles import Measures, measure_triangles
@@ -33,26 +32,25 @@ def sample_mesh(
     mesh: Mesh,
     spacing: float,
     method: str = "AUTO",
-    ok: np.ndarray | None = None,
+    which: np.ndarray | None = None,
     measures: Measures | None = None,
 ) -> Samples:
-    """Samples of `mesh` by one of METHODS. `ok` (T,) bool and `measures` are what `validate` and `measure` returned,
+    """Samples the triangles `which` (T,) bool of a mesh, None: all, by one of METHODS. `measures`: of these triangles,
     where they are at hand.
 
     Raises ValueError for an unknown method, a spacing that is not a positive number, or more than 2^31 samples.
     """
     if method not in METHODS:
         raise ValueError(f"unknown sampling method {method!r}, expected one of {', '.join(METHODS)}")
-    ok = valid_triangles(mesh)[0] if ok is None else ok
     if method == "AUTO":
-        method = choose_method(mesh, spacing, ok, measures)
+        method = choose_method(mesh, spacing, which, measures)
     if method == "VERTICES":
-        return sample_vertices(mesh, ok)
-    return sample_area(mesh, spacing, ok, measures)
+        return sample_vertices(mesh, which)
+    return sample_area(mesh, spacing, which, measures)
 
 
-def choose_method(mesh: Mesh, spacing: float, ok: np.ndarray | None = None, measures: Measures | None = None) -> str:
+def choose_method(mesh: Mesh, spacing: float, which: np.ndarray | None = None, measures: Measures | None = None) -> str:
     """VERTICES where AREA would give no triangle more than one sample and vertices are fewer; else AREA."""
     check_spacing(spacing)
-    m = measure_triangles(mesh, ok) if measures is None else measures
+    m = measure_triangles(mesh, which) if measures is None else measures
     return "VERTICES" if m.longest <= ONE_SAMPLE * spacing and m.vertices <= len(m.triangle) else "AREA"

@@ -28,14 +28,14 @@ def limit_spacing(
     mesh: Mesh,
     spacing: float,
     max_samples: int = MAX_SAMPLES,
-    ok: np.ndarray | None = None,
+    which: np.ndarray | None = None,
     measures: Measures | None = None,
 ) -> float:
     """`spacing`, or the finest octave above it at which AREA makes at most `max_samples` samples.
 
     Where the mesh has more triangles than that, the finest octave that gives each triangle one sample.
     """
-    m = measure_triangles(mesh, ok) if measures is None else measures
+    m = measure_triangles(mesh, which) if measures is None else measures
     if len(m.triangle) == 0 or most_samples(m, spacing) <= max_samples:
         return spacing
     one_each = m.longest / ONE_SAMPLE

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..numeric.vectors import blocks, cross, dot, each_block
 from ..scene.mesh import Mesh, squared_edges, triangle_corners
-from ..scene.validation import valid_triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +32,14 @@ class Measures:
         return sum(a.nbytes for a in (self.triangle, self.apex, self.base, self.height, self.foot))
 
 
-def measure_triangles(mesh: Mesh, ok: np.ndarray | None = None) -> Measures:
-    """What sampling asks of a mesh. `ok` (T,) bool is what `validate` returned, where it is at hand."""
-    ok = valid_triangles(mesh)[0] if ok is None else ok
-    rows = np.flatnonzero(ok).astype(np.int32)
+def rows_of(mesh: Mesh, which: np.ndarray | None) -> np.ndarray:
+    """(n,) int64: the rows of the triangles `which` (T,) bool; None: of all."""
+    return np.arange(len(mesh.triangles)) if which is None else np.flatnonzero(which)
+
+
+def measure_triangles(mesh: Mesh, which: np.ndarray | None = None) -> Measures:
+    """Measures the triangles `which` (T,) bool of a mesh; None: all of them."""
+    rows = rows_of(mesh, which).astype(np.int32)
     count = len(rows)
     apex = np.empty(count, np.uint8)
     base, height, foot = np.empty((3, count))
@@ -58,7 +61,7 @@ def measure_triangles(mesh: Mesh, ok: np.ndarray | None = None) -> Measures:
         foot[block] = np.clip(0.5 + (from_start - from_end) / (2 * longest), 0.0, 1.0)
 
     each_block(count, look)
-    vertices = int(np.count_nonzero(used_vertices(mesh, ok)))
+    vertices = int(np.count_nonzero(used_vertices(mesh, which)))
     return Measures(rows, apex, base, height, foot, float(base.max(initial=0.0)), vertices)
 
 
@@ -82,8 +85,8 @@ def measures_of_some(m: Measures, which: np.ndarray) -> Measures:
     return replace(part, longest=float(part.base.max(initial=0.0)), vertices=math.ceil(share * m.vertices))
 
 
-def used_vertices(mesh: Mesh, ok: np.ndarray) -> np.ndarray:
+def used_vertices(mesh: Mesh, which: np.ndarray | None = None) -> np.ndarray:
     """(V,) bool: vertices of valid triangles."""
     used = np.zeros(len(mesh.position), bool)
-    used[(mesh.triangles if ok.all() else mesh.triangles[ok]).reshape(-1)] = True
+    used[(mesh.triangles if which is None else mesh.triangles[which]).reshape(-1)] = True
     return used

@@ -8,17 +8,16 @@ import numpy as np
 
 from ..numeric.vectors import blocks, cross, dot
 from ..scene.mesh import Mesh, squared_edges, triangle_corners
-from ..scene.validation import valid_triangles
 from .samples import Samples
+from .triangles import rows_of
 
 
-def sample_vertices(mesh: Mesh, ok: np.ndarray | None = None) -> Samples:
+def sample_vertices(mesh: Mesh, which: np.ndarray | None = None) -> Samples:
     """One sample at each vertex that a valid triangle uses, in the order of vertices.
 
     The sample belongs to the first of its triangles, whose corner gives its UV and colour.
     """
-    ok = valid_triangles(mesh)[0] if ok is None else ok
-    rows = np.flatnonzero(ok)
+    rows = rows_of(mesh, which)
     # The last assignment to a place stays; backwards, that is the first corner.
     corners = (rows[:, None] * 3 + np.arange(3))[::-1, ::-1].ravel()
     corner_of_vertex = np.full(len(mesh.position), -1, np.int64)
@@ -37,14 +36,14 @@ def normalised(vectors: np.ndarray, length: np.ndarray, fallback: np.ndarray | i
     return np.where(good, vectors / np.where(good, length, 1), other)
 
 
-def one_rings(mesh: Mesh, ok: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def one_rings(mesh: Mesh, which: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """For each vertex, from its valid triangles: area-weighted mean normal (V, 3) and disk radius (V,), float32.
 
     The disks of a triangle's corners cover it: the radius is that of `_covering_radius`, over the cosine between
     the triangle's normal and the disk's (up to 60 degrees), because seen along the triangle's normal the disk is
     that much narrower.
     """
-    rows = np.flatnonzero(ok)
+    rows = rows_of(mesh, which)
     vertex_of_corner = mesh.triangles.take(rows, axis=0).T.astype(np.intp, order="C")  # (3, M)
     count, vertices = len(rows), len(mesh.position)
     covering = np.empty(count)

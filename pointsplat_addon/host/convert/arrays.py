@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.material.textures import linear_from_srgb
+from ...core.material.color_models import linear_from_srgb
 
 CTYPES = {np.float32: ctypes.c_float, np.int32: ctypes.c_int32, np.uint8: ctypes.c_uint8}
 

@@ -14,9 +14,11 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.material.graph import Needs, SampleInputs, evaluate_samples, needs
+from ...core.material.color_models import linear_from_srgb
+from ...core.material.evaluation import evaluate_samples
+from ...core.material.expression import SampleInputs
+from ...core.material.graph import Needs, needs
 from ...core.material.hair_color import random_of_strands, strand_attribute
-from ...core.material.textures import linear_from_srgb
 from ...core.numeric.segments import offsets, owners
 from ...core.scene.strands import Strands
 from ...core.strand.curves import AUTO, BEZIER, CATMULL_ROM, MINIMUM_TWIST, NURBS, POLY, Curves, EvaluatedCurves

@@ -1,4 +1,4 @@
-"""Blender's images to core.expressions.Image, cached by content."""
+"""Blender's images as core images, cached by content."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 import bpy
 import numpy as np
 
-from ...core.material.expressions import Image
+from ...core.material.image import Image
 from ...render.cache.cache import Cache
 from ...render.cache.keys import Key, Kind
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...core.material import expressions as ex
+from ...core.material.nodes import input_nodes
 from ...core.scene.lights import Light
 from .nodes import Path, Walker, resolve
 
@@ -132,4 +132,4 @@ def constant(socket: bpy.types.NodeSocket, path: Path) -> tuple[float, ...] | No
     """The value of an input if it is the same everywhere, else None."""
     walker = Walker("")
     value = walker.read(socket, path)
-    return tuple(value.value) if isinstance(value, ex.Constant) and not walker.warnings else None
+    return tuple(value.value) if isinstance(value, input_nodes.Constant) and not walker.warnings else None

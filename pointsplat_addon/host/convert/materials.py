@@ -14,21 +14,24 @@ from dataclasses import dataclass, fields, replace
 import bpy
 import numpy as np
 
-from ...core.material import expressions as ex
-from ...core.material.graph import CHANNELS, MaterialGraph, is_mask
-from ...core.material.hair_color import Pigment
+from ...core.material.evaluation import CHANNELS
+from ...core.material.expression import Expression, constant
+from ...core.material.graph import MaterialGraph
+from ...core.material.masks import is_mask
+from ...core.material.nodes import color_nodes, input_nodes, math_nodes
+from ...core.material.nodes.hair_nodes import HairColor
 from ...core.scene.cryptomatte import cryptomatte_hash
 from ...core.scene.materials import HairTable, MaterialTable, default_materials
 from ...core.scene.volume import Medium
 from .media import medium_of
 from .nodes import Hair, Path, Reader, UnsupportedNodeError, Walker, default, of_strand, resolve
 
-BLACK = ex.Constant((0.0, 0.0, 0.0))
-ZERO, ONE = ex.Constant((0.0,)), ex.Constant((1.0,))
-GLASS = ex.Constant((1.5,))  # Principled's default index of refraction
+BLACK = input_nodes.Constant((0.0, 0.0, 0.0))
+ZERO, ONE = input_nodes.Constant((0.0,)), input_nodes.Constant((1.0,))
+GLASS = input_nodes.Constant((1.5,))  # Principled's default index of refraction
 DEFAULT_SURFACE = "default_surface"  # what Cycles calls the surface of faces without a material
-CLEAR = ex.Constant((1.0, 1.0, 1.0))
-FACING = ex.Coordinates("normal")
+CLEAR = input_nodes.Constant((1.0, 1.0, 1.0))
+FACING = input_nodes.Coordinates("normal")
 PLACEHOLDER = {  # the table's constant of a channel that varies
     "base_color": (0.8, 0.8, 0.8),
     "roughness": (0.5,),
@@ -42,14 +45,14 @@ PLACEHOLDER = {  # the table's constant of a channel that varies
 class Surface:
     """A surface as the Principled model has it. The defaults are a black body that shows nothing."""
 
-    base_color: ex.Expression = BLACK
-    roughness: ex.Expression = ONE
-    metallic: ex.Expression = ZERO
-    alpha: ex.Expression = ONE
-    emission: ex.Expression = BLACK
-    normal: ex.Expression = FACING
-    ior: ex.Expression = GLASS
-    specular: ex.Expression = ZERO
+    base_color: Expression = BLACK
+    roughness: Expression = ONE
+    metallic: Expression = ZERO
+    alpha: Expression = ONE
+    emission: Expression = BLACK
+    normal: Expression = FACING
+    ior: Expression = GLASS
+    specular: Expression = ZERO
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,10 +158,10 @@ def convert_material(material: bpy.types.Material) -> Row:
     )
 
 
-def _is_translucent(alpha: ex.Expression, material: bpy.types.Material) -> bool:
+def _is_translucent(alpha: Expression, material: bpy.types.Material) -> bool:
     """Whether alpha is neither 1 nor a mask, whose edges alone lie between 0 and 1: those are cut out, which is sharp
     and fast. Materials that ask to be blended have their edges as they are."""
-    value = ex.constant(alpha)
+    value = constant(alpha)
     if value is not None:
         return bool(value[0] < 1 - 1e-6)
     return not is_mask(alpha, edges=material.surface_render_method != "BLENDED")
@@ -193,10 +196,10 @@ def _surface_of(material: bpy.types.Material, output: bpy.types.Node | None, wal
 
 def _viewport_surface(material: bpy.types.Material) -> Surface:
     return Surface(
-        base_color=ex.Constant(tuple(material.diffuse_color)[:3]),
-        roughness=ex.Constant((material.roughness,)),
-        metallic=ex.Constant((material.metallic,)),
-        specular=ex.Constant((material.specular_intensity,)),
+        base_color=input_nodes.Constant(tuple(material.diffuse_color)[:3]),
+        roughness=input_nodes.Constant((material.roughness,)),
+        metallic=input_nodes.Constant((material.metallic,)),
+        specular=input_nodes.Constant((material.specular_intensity,)),
     )
 
 
@@ -215,12 +218,12 @@ def _shader(walker: Walker, socket: bpy.types.NodeSocket, path: Path) -> Surface
     return build(Reader(walker, output.node, path))
 
 
-def _scaled(color: ex.Expression, factor: ex.Expression) -> ex.Expression:
-    return ex.VectorMath(color, BLACK, BLACK, factor, "SCALE")
+def _scaled(color: Expression, factor: Expression) -> Expression:
+    return math_nodes.VectorMath(color, BLACK, BLACK, factor, "SCALE")
 
 
-def _product(a: ex.Expression, b: ex.Expression) -> ex.Expression:
-    return ex.Math(a, b, ZERO, "MULTIPLY")
+def _product(a: Expression, b: Expression) -> Expression:
+    return math_nodes.Math(a, b, ZERO, "MULTIPLY")
 
 
 def _principled(node: Reader) -> Surface:
@@ -233,41 +236,43 @@ def _principled(node: Reader) -> Surface:
         ior=_constant_input(node, "IOR"),
         specular=_constant_input(node, "Specular IOR Level"),
     )
-    weight = ex.Clamp(node["Transmission Weight"], ZERO, ONE)
+    weight = math_nodes.Clamp(node["Transmission Weight"], ZERO, ONE)
     if _is_constant(weight, 0):
         return replace(solid, alpha=node["Alpha"])
     # Metals reflect all the same (OpenPBR's and Blender's order of layers)
-    weight = _product(weight, ex.Math(ONE, solid.metallic, ZERO, "SUBTRACT"))
+    weight = _product(weight, math_nodes.Math(ONE, solid.metallic, ZERO, "SUBTRACT"))
     # Light crosses two faces of a solid, hence the root
-    tint = ex.VectorMath(ex.Clamp(solid.base_color, ZERO, ONE), ex.Constant((0.5,) * 3), BLACK, ZERO, "POWER")
+    tint = math_nodes.VectorMath(
+        math_nodes.Clamp(solid.base_color, ZERO, ONE), input_nodes.Constant((0.5,) * 3), BLACK, ZERO, "POWER"
+    )
     mixed = _mixed(solid, _glass_surface(tint, solid), weight)
     # Glass shines as much as what it takes the place of, however little of it shows
     shines = replace(mixed, emission=_over(solid.emission, mixed.alpha))
     return replace(shines, alpha=_product(node["Alpha"], mixed.alpha))
 
 
-def _over(color: ex.Expression, weight: ex.Expression) -> ex.Expression:
+def _over(color: Expression, weight: Expression) -> Expression:
     """color / weight; black where the weight is 0."""
-    return color if _is_constant(color, 0) else _scaled(color, ex.Math(ONE, weight, ZERO, "DIVIDE"))
+    return color if _is_constant(color, 0) else _scaled(color, math_nodes.Math(ONE, weight, ZERO, "DIVIDE"))
 
 
-def _glass_surface(tint: ex.Expression, like: Surface, *, reflects: bool = True) -> Surface:
+def _glass_surface(tint: Expression, like: Surface, *, reflects: bool = True) -> Surface:
     """Thin glass whose transmittance is `tint`: its alpha and what that covers (see above)."""
-    passing = ex.Gray(tint, mean=True)
-    absorbed = ex.Math(ONE, passing, ZERO, "SUBTRACT")
-    beyond = ex.VectorMath(tint, ex.Color(passing), BLACK, ZERO, "SUBTRACT")
-    painted = _over(ex.VectorMath(beyond, BLACK, BLACK, ZERO, "MAXIMUM"), absorbed)
+    passing = color_nodes.Gray(tint, mean=True)
+    absorbed = math_nodes.Math(ONE, passing, ZERO, "SUBTRACT")
+    beyond = math_nodes.VectorMath(tint, color_nodes.Color(passing), BLACK, ZERO, "SUBTRACT")
+    painted = _over(math_nodes.VectorMath(beyond, BLACK, BLACK, ZERO, "MAXIMUM"), absorbed)
     paint = replace(like, base_color=painted, metallic=ZERO, emission=BLACK, alpha=absorbed)
-    index = ex.constant(like.ior)
+    index = constant(like.ior)
     if not reflects or index is None:
         return paint
     # The paint reflects by itself
-    fresnel = ex.Constant((float((index[0] - 1) / (index[0] + 1)) ** 2,))
+    fresnel = input_nodes.Constant((float((index[0] - 1) / (index[0] + 1)) ** 2,))
     mirror = replace(like, base_color=CLEAR, metallic=ONE, emission=BLACK)
     return _mixed(paint, mirror, _product(fresnel, passing))
 
 
-def _constant_input(node: Reader, identifier: str) -> ex.Expression:
+def _constant_input(node: Reader, identifier: str) -> Expression:
     """An input that the table holds only as a constant: its own value where something that varies is linked."""
     if not node[identifier].varies:
         return node[identifier]
@@ -288,7 +293,7 @@ def _emission(node: Reader) -> Surface:
 
 
 def _transparent(node: Reader) -> Surface:
-    tint = ex.Clamp(node["Color"], ZERO, ONE)
+    tint = math_nodes.Clamp(node["Color"], ZERO, ONE)
     return Surface(alpha=ZERO) if _is_constant(tint, 1) else _glass_surface(tint, Surface(), reflects=False)
 
 
@@ -298,9 +303,9 @@ def _glass(node: Reader) -> Surface:
         roughness=node["Roughness"],
         normal=node["Normal"],
         ior=_constant_input(node, "IOR"),
-        specular=ex.Constant((0.5 if reflects else 0.0,)),
+        specular=input_nodes.Constant((0.5 if reflects else 0.0,)),
     )
-    return _glass_surface(ex.Clamp(node["Color"], ZERO, ONE), like, reflects=reflects)
+    return _glass_surface(math_nodes.Clamp(node["Color"], ZERO, ONE), like, reflects=reflects)
 
 
 def _translucent(node: Reader) -> Surface:
@@ -316,11 +321,11 @@ def _principled_hair(node: Reader) -> Surface:
     if huang:
         node.warn("uses Huang's model, which is shown as a round fibre")
     random = node["Random"] if node.linked("Random") else of_strand("random")
-    amount = ex.Clamp(node["Random Roughness"], ZERO, ONE)
+    amount = math_nodes.Clamp(node["Random Roughness"], ZERO, ONE)
     roughness = node["Roughness"]
     if not _is_constant(amount, 0):
-        off = ex.Math(_product(ex.Constant((2.0,)), random), ONE, ZERO, "SUBTRACT")
-        roughness = _product(roughness, ex.Math(ONE, _product(off, amount), ZERO, "ADD"))
+        off = math_nodes.Math(_product(input_nodes.Constant((2.0,)), random), ONE, ZERO, "SUBTRACT")
+        roughness = _product(roughness, math_nodes.Math(ONE, _product(off, amount), ZERO, "ADD"))
     radial = _constant_input(node, "Roughness" if huang else "Radial Roughness")
     names = {"COLOR": "Color", "MELANIN": "Melanin", "ABSORPTION": "Absorption Coefficient"}
     kind = node.node.parametrization
@@ -329,25 +334,25 @@ def _principled_hair(node: Reader) -> Surface:
     use = {name: node[name] if melanin else ZERO for name in ("Melanin Redness", "Tint", "Random Color")}
     varied = melanin and not _is_constant(use["Random Color"], 0)
     value = node[names[kind]]
-    color = Pigment(
+    color = HairColor(
         value, use["Melanin Redness"], use["Tint"], use["Random Color"], random if varied else ZERO, radial, kind
     )
     numbers = {name: _number(node, name) for name in ("Coat", "IOR", "Offset", "R lobe", "TT lobe", "TRT lobe")}
     lobes = tuple(max(numbers[f"{name} lobe"], 0.0) if huang else 1.0 for name in ("R", "TT", "TRT"))
-    fibre = ex.constant(radial)
+    fibre = constant(radial)
     node.walker.hair = Hair(
         radial=0.3 if fibre is None else float(np.clip(fibre[0], 0, 1)),
         coat=0.0 if huang else min(max(numbers["Coat"], 0.0), 1.0),
         tilt=numbers["Offset"],
         lobes=lobes,
     )
-    ior, specular = ex.Constant((numbers["IOR"],)), ex.Constant((0.5,))
+    ior, specular = input_nodes.Constant((numbers["IOR"],)), input_nodes.Constant((0.5,))
     return Surface(base_color=color, roughness=roughness, ior=ior, specular=specular)
 
 
 def _number(node: Reader, identifier: str) -> float:
     """An input that is a constant."""
-    value = ex.constant(_constant_input(node, identifier))
+    value = constant(_constant_input(node, identifier))
     return 0.0 if value is None else float(np.nan_to_num(value[0]))
 
 
@@ -358,30 +363,30 @@ def _hair(node: Reader) -> Surface:
 
 def _mix_shader(node: Reader) -> Surface:
     a, b = (_shader(node.walker, node.socket(name), node.path) for name in ("Shader", "Shader_001"))
-    return _mixed(a, b, ex.Clamp(node["Fac"], ZERO, ONE))
+    return _mixed(a, b, math_nodes.Clamp(node["Fac"], ZERO, ONE))
 
 
-def _mixed(a: Surface, b: Surface, second: ex.Expression) -> Surface:
+def _mixed(a: Surface, b: Surface, second: Expression) -> Surface:
     """(1 - f) A + f B: opacities mix by f, everything else by f weighted with the opacities."""
-    first = ex.Math(ONE, second, ZERO, "SUBTRACT")
+    first = math_nodes.Math(ONE, second, ZERO, "SUBTRACT")
     a_weight, b_weight = _product(a.alpha, first), _product(b.alpha, second)
     if _is_constant(b_weight, 0):
         return replace(a, alpha=a_weight)
     if _is_constant(a_weight, 0):
         return replace(b, alpha=b_weight)
-    alpha = ex.Math(a_weight, b_weight, ZERO, "ADD")
+    alpha = math_nodes.Math(a_weight, b_weight, ZERO, "ADD")
     both_opaque = _is_constant(a.alpha, 1) and _is_constant(b.alpha, 1)
-    t = second if both_opaque else ex.Math(b_weight, alpha, ZERO, "DIVIDE")
+    t = second if both_opaque else math_nodes.Math(b_weight, alpha, ZERO, "DIVIDE")
     mixed = {f.name: _blend(t, getattr(a, f.name), getattr(b, f.name)) for f in fields(Surface)}
     return Surface(**{**mixed, "alpha": ONE if both_opaque else alpha})
 
 
-def _blend(t: ex.Expression, a: ex.Expression, b: ex.Expression) -> ex.Expression:
-    return a if a.digest == b.digest else ex.Mix(t, a, b)
+def _blend(t: Expression, a: Expression, b: Expression) -> Expression:
+    return a if a.digest == b.digest else color_nodes.Mix(t, a, b)
 
 
-def _is_constant(value: ex.Expression, number: float) -> bool:
-    found = ex.constant(value)
+def _is_constant(value: Expression, number: float) -> bool:
+    found = constant(value)
     return found is not None and bool(np.all(found == number))
 
 
@@ -394,7 +399,7 @@ def _add_shader(node: Reader) -> Surface:
         raise UnsupportedNodeError(f'node "{node.node.label or node.node.name}" adds two reflecting shaders')
     if not _is_constant(a.alpha, 1):
         raise UnsupportedNodeError(f'node "{node.node.label or node.node.name}" adds light to a transparent shader')
-    return replace(a, emission=ex.VectorMath(a.emission, b.emission, BLACK, ZERO, "ADD"))
+    return replace(a, emission=math_nodes.VectorMath(a.emission, b.emission, BLACK, ZERO, "ADD"))
 
 
 def _only_shines(surface: Surface) -> bool:
@@ -425,22 +430,22 @@ SHADERS: dict[str, Callable[[Reader], Surface]] = {
 def _split(surface: Surface, walker: Walker) -> tuple[dict[str, tuple[float, ...]], MaterialGraph | None]:
     """Constant inputs for the table, all others for the graph."""
     constants: dict[str, tuple[float, ...]] = {}
-    varying: dict[str, ex.Expression] = {}
+    varying: dict[str, Expression] = {}
     for name, (_, top) in CHANNELS.items():
         expression = getattr(surface, name)
         if name == "normal":
             # A normal that is the same everywhere comes from an empty or broken input
-            if expression is not FACING and expression.varies and not isinstance(expression, ex.Coordinates):
+            if expression is not FACING and expression.varies and not isinstance(expression, input_nodes.Coordinates):
                 varying[name] = expression
             continue
-        value = ex.constant(expression)
+        value = constant(expression)
         if value is None:
             varying[name] = expression
             constants[name] = PLACEHOLDER[name]
         else:
             constants[name] = tuple(np.clip(np.nan_to_num(value), 0, top).tolist())
     for name, fallback in (("ior", 1.5), ("specular", 0.5)):
-        value = ex.constant(getattr(surface, name))
+        value = constant(getattr(surface, name))
         if value is None:
             walker.warnings.append(f'Material "{walker.material_name}": varying {name} is replaced by {fallback}')
         constants[name] = (fallback,) if value is None else (max(float(value[0]), 0.0),)

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 import bpy
 import numpy as np
 
-from ...core.material import expressions as ex
+from ...core.material import expression
+from ...core.material.expression import Expression
+from ...core.material.nodes import color_nodes, input_nodes, math_nodes
 from ...core.scene.volume import Medium
 from .nodes import Path, Reader, UnsupportedNodeError, Walker, default, resolve
 
@@ -70,17 +72,21 @@ def _volume(walker: Walker, socket: bpy.types.NodeSocket, path: Path) -> Coeffic
 # Inputs
 
 
-def _linear(value: ex.Expression) -> tuple[np.ndarray, str] | None:
+def _linear(value: Expression) -> tuple[np.ndarray, str] | None:
     """(factor, grid): the value as a constant (3,) float64 times a grid; no name: the same everywhere. Else None."""
-    constant = ex.constant(value)
+    constant = expression.constant(value)
     if constant is not None:
         return np.broadcast_to(constant.astype(np.float64), (3,)), ""
-    if isinstance(value, ex.Attribute):
+    if isinstance(value, input_nodes.Attribute):
         return np.ones(3), value.name
-    if isinstance(value, ex.Color | ex.Component | ex.Gray):
+    if isinstance(value, color_nodes.Color | color_nodes.Component | color_nodes.Gray):
         return _linear(value.source)
-    product = isinstance(value, ex.Math | ex.VectorMath) and value.operation in ("MULTIPLY", "SCALE", "DIVIDE")
-    product |= isinstance(value, ex.Mix) and value.blend == "MULTIPLY" and _is_one(value.factor)
+    product = isinstance(value, math_nodes.Math | math_nodes.VectorMath) and value.operation in (
+        "MULTIPLY",
+        "SCALE",
+        "DIVIDE",
+    )
+    product |= isinstance(value, color_nodes.Mix) and value.blend == "MULTIPLY" and _is_one(value.factor)
     if not product or getattr(value, "clamp", False):
         return None
     a = _linear(value.a)  # pyright: ignore[reportAttributeAccessIssue]
@@ -92,8 +98,8 @@ def _linear(value: ex.Expression) -> tuple[np.ndarray, str] | None:
     return None if b[1] or not b[0].all() else (a[0] / b[0], a[1])
 
 
-def _is_one(value: ex.Expression) -> bool:
-    found = ex.constant(value)
+def _is_one(value: Expression) -> bool:
+    found = expression.constant(value)
     return found is not None and bool((found == 1).all())
 
 
@@ -103,7 +109,7 @@ def _input(node: Reader, identifier: str) -> tuple[np.ndarray, str]:
     if found is not None:
         return found
     node.warn(f'has a "{identifier}" that is not a grid times a constant; its own value is used')
-    constant = ex.constant(default(node.socket(identifier)))
+    constant = expression.constant(default(node.socket(identifier)))
     assert constant is not None
     return np.broadcast_to(constant.astype(np.float64), (3,)), ""
 

@@ -76,6 +76,11 @@ def read_mesh(
     return lookup(key, build)
 
 
+def is_scattered(mesh: bpy.types.Mesh) -> bool:
+    """Whether a mesh is nothing but vertices, as importers make of scans: it is drawn as points."""
+    return len(mesh.polygons) == 0 and len(mesh.edges) == 0 and len(mesh.vertices) > 0
+
+
 def _slots(mesh: bpy.types.Mesh, count: int) -> np.ndarray | None:
     """(P,) int32 material slot of each polygon, within the slots there are; None where all are the first."""
     attribute = mesh.attributes.get("material_index")

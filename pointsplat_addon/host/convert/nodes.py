@@ -8,12 +8,21 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...core.material import expressions as ex
+from ...core.material.expression import Expression
 from ...core.material.hair_color import strand_attribute
+from ...core.material.nodes import (
+    color_nodes,
+    input_nodes,
+    math_functions,
+    math_nodes,
+    normal_nodes,
+    ramp_nodes,
+    texture_nodes,
+)
 from .images import convert_image
 
 Path = tuple[bpy.types.Node, ...]  # the group nodes that lead to a tree, outermost first
-Outputs = dict[str, ex.Expression]  # output identifier to its value
+Outputs = dict[str, Expression]  # output identifier to its value
 
 SCALARS = ("VALUE", "INT", "BOOLEAN")
 CURVE_STEPS = 256  # Blender keeps its own curves as tables of this many steps
@@ -50,7 +59,7 @@ class Walker:
             self._warned.add(pointer)
             self.warnings.append(f'Material "{self.material_name}": node "{node.label or node.name}" {text}')
 
-    def read(self, socket: bpy.types.NodeSocket, path: Path) -> ex.Expression:
+    def read(self, socket: bpy.types.NodeSocket, path: Path) -> Expression:
         """The value of an input: what is linked to it, converted to its type, else its own value."""
         found = resolve(socket, path)
         if found is None:
@@ -62,7 +71,7 @@ class Walker:
         # A group's or a muted node's input that is not linked
         return converted(default(output), output.type, socket.type)
 
-    def _output(self, output: bpy.types.NodeSocket, path: Path) -> ex.Expression | None:
+    def _output(self, output: bpy.types.NodeSocket, path: Path) -> Expression | None:
         """The value of a node's output, None (and a warning) where it cannot be evaluated."""
         node = output.node
         key = (*(group.as_pointer() for group in path), node.as_pointer())
@@ -93,7 +102,7 @@ class Reader:
     def __init__(self, walker: Walker, node: bpy.types.Node, path: Path) -> None:
         self.walker, self.node, self.path = walker, node, path
 
-    def __getitem__(self, identifier: str) -> ex.Expression:
+    def __getitem__(self, identifier: str) -> Expression:
         return self.walker.read(self.socket(identifier), self.path)
 
     def socket(self, identifier: str) -> bpy.types.NodeSocket:
@@ -137,24 +146,24 @@ def resolve(socket: bpy.types.NodeSocket, path: Path) -> tuple[bpy.types.NodeSoc
     return output, path
 
 
-def default(socket: bpy.types.NodeSocket) -> ex.Expression:
+def default(socket: bpy.types.NodeSocket) -> Expression:
     """The value of an input that is not linked; an empty normal is the surface's."""
     if socket.identifier == "Normal":
-        return ex.Coordinates("normal")
+        return input_nodes.Coordinates("normal")
     value = getattr(socket, "default_value", 0.0)
     if socket.type in SCALARS:
-        return ex.Constant((float(value),))
+        return input_nodes.Constant((float(value),))
     if socket.type in ("VECTOR", "RGBA"):
-        return ex.Constant(tuple(np.array(value, float)[:3].tolist()))
-    return ex.Constant((0.0, 0.0, 0.0))
+        return input_nodes.Constant(tuple(np.array(value, float)[:3].tolist()))
+    return input_nodes.Constant((0.0, 0.0, 0.0))
 
 
-def converted(value: ex.Expression, source: str, target: str) -> ex.Expression:
+def converted(value: Expression, source: str, target: str) -> Expression:
     """Blender's implicit conversion between socket types."""
     if target in SCALARS and source not in SCALARS:
-        return ex.Gray(value, mean=source == "VECTOR")
+        return color_nodes.Gray(value, mean=source == "VECTOR")
     if target not in SCALARS and source in SCALARS:
-        return ex.Color(value)
+        return color_nodes.Color(value)
     return value
 
 
@@ -164,32 +173,37 @@ def converted(value: ex.Expression, source: str, target: str) -> ex.Expression:
 def _uv(node: Reader) -> Outputs:
     if node.node.from_instancer:
         raise UnsupportedNodeError("reads the instancer")
-    return {"UV": ex.UV(node.node.uv_map or None)}
+    return {"UV": input_nodes.UV(node.node.uv_map or None)}
 
 
 def _color_attribute(node: Reader) -> Outputs:
-    color = ex.ColorAttribute(node.node.layer_name or None)
-    return {"Color": ex.Color(color), "Alpha": ex.Component(color, 3)}
+    color = input_nodes.ColorAttribute(node.node.layer_name or None)
+    return {"Color": color_nodes.Color(color), "Alpha": color_nodes.Component(color, 3)}
 
 
 def _attribute(node: Reader) -> Outputs:
     if node.node.attribute_type != "GEOMETRY":
         raise UnsupportedNodeError(f"reads an attribute of the {node.node.attribute_type.lower()}")
-    value = ex.Attribute(node.node.attribute_name)
-    color = ex.Color(value)
-    return {"Color": color, "Vector": color, "Fac": ex.Component(value, 4), "Alpha": ex.Component(value, 3)}
+    value = input_nodes.Attribute(node.node.attribute_name)
+    color = color_nodes.Color(value)
+    return {
+        "Color": color,
+        "Vector": color,
+        "Fac": color_nodes.Component(value, 4),
+        "Alpha": color_nodes.Component(value, 3),
+    }
 
 
 def _coordinates(node: Reader) -> Outputs:
     if node.node.from_instancer:
         raise UnsupportedNodeError("reads the instancer")
     out: Outputs = {
-        "Generated": ex.Coordinates("generated"),
-        "Normal": ex.Coordinates("normal"),
-        "UV": ex.UV(),
+        "Generated": input_nodes.Coordinates("generated"),
+        "Normal": input_nodes.Coordinates("normal"),
+        "UV": input_nodes.UV(),
     }
     if node.node.object is None:
-        out["Object"] = ex.Coordinates("position")
+        out["Object"] = input_nodes.Coordinates("position")
     return out
 
 
@@ -201,19 +215,22 @@ def _image(node: Reader) -> Outputs:
     if problem is not None:
         node.warn(problem)
     interpolation = "Cubic" if texture.interpolation == "Smart" else texture.interpolation
-    uv = node["Vector"] if node.linked("Vector") else ex.UV()
-    value = ex.ImageTexture(uv, image, interpolation, texture.extension, straight=node.used("Alpha"))
-    return {"Color": ex.Color(value), "Alpha": ex.Component(value, 3)}
+    uv = node["Vector"] if node.linked("Vector") else input_nodes.UV()
+    value = texture_nodes.ImageTexture(uv, image, interpolation, texture.extension, straight=node.used("Alpha"))
+    return {"Color": color_nodes.Color(value), "Alpha": color_nodes.Component(value, 3)}
 
 
 def _volume_info(node: Reader) -> Outputs:
-    color: Outputs = {"Color": ex.Color(ex.Attribute("color"))}
-    return color | {name: ex.Component(ex.Attribute(name.lower()), 4) for name in ("Density", "Flame", "Temperature")}
+    color: Outputs = {"Color": color_nodes.Color(input_nodes.Attribute("color"))}
+    return color | {
+        name: color_nodes.Component(input_nodes.Attribute(name.lower()), 4)
+        for name in ("Density", "Flame", "Temperature")
+    }
 
 
-def of_strand(name: str) -> ex.Expression:
+def of_strand(name: str) -> Expression:
     """What strands tell of themselves (host.convert.curves); 0 on everything else."""
-    return ex.Component(ex.Attribute(strand_attribute(name)), 4)
+    return color_nodes.Component(input_nodes.Attribute(strand_attribute(name)), 4)
 
 
 def _hair_info(node: Reader) -> Outputs:
@@ -224,15 +241,15 @@ def _hair_info(node: Reader) -> Outputs:
 def _light_path(node: Reader) -> Outputs:
     """Rays that come from the camera and have met nothing yet."""
     names = (s.identifier for s in node.node.outputs)
-    return {name: ex.Constant((float(name == "Is Camera Ray"),)) for name in names if name != "Ray Length"}
+    return {name: input_nodes.Constant((float(name == "Is Camera Ray"),)) for name in names if name != "Ray Length"}
 
 
 def _value(node: Reader) -> Outputs:
-    return {"Value": ex.Constant((float(node.node.outputs[0].default_value),))}
+    return {"Value": input_nodes.Constant((float(node.node.outputs[0].default_value),))}
 
 
 def _rgb(node: Reader) -> Outputs:
-    return {"Color": ex.Constant(tuple(float(v) for v in node.node.outputs[0].default_value)[:3])}
+    return {"Color": input_nodes.Constant(tuple(float(v) for v in node.node.outputs[0].default_value)[:3])}
 
 
 # Mathematics
@@ -245,15 +262,15 @@ def _known(operation: str, table: dict) -> str:
 
 
 def _math(node: Reader) -> Outputs:
-    operation = _known(node.node.operation, ex.MATH)
+    operation = _known(node.node.operation, math_functions.MATH)
     a, b, c = (node[name] for name in ("Value", "Value_001", "Value_002"))
-    return {"Value": ex.Math(a, b, c, operation, node.node.use_clamp)}
+    return {"Value": math_nodes.Math(a, b, c, operation, node.node.use_clamp)}
 
 
 def _vector_math(node: Reader) -> Outputs:
-    operation = _known(node.node.operation, ex.VECTOR_MATH)
+    operation = _known(node.node.operation, math_functions.VECTOR_MATH)
     a, b, c, scale = (node[name] for name in ("Vector", "Vector_001", "Vector_002", "Scale"))
-    value = ex.VectorMath(a, b, c, scale, operation)
+    value = math_nodes.VectorMath(a, b, c, scale, operation)
     return {"Value" if operation in ("DOT_PRODUCT", "DISTANCE", "LENGTH") else "Vector": value}
 
 
@@ -267,19 +284,19 @@ def _mix(node: Reader) -> Outputs:
         node[name] for name in ("Factor_Float" if uniform else "Factor_Vector", f"A_{suffix}", f"B_{suffix}")
     )
     color = kind == "RGBA"
-    blend = _known(node.node.blend_type, ex.BLEND) if color else "MIX"
-    mixed = ex.Mix(factor, a, b, blend, node.node.clamp_factor, color and node.node.clamp_result)
+    blend = _known(node.node.blend_type, color_nodes.BLEND) if color else "MIX"
+    mixed = color_nodes.Mix(factor, a, b, blend, node.node.clamp_factor, color and node.node.clamp_result)
     return {f"Result_{suffix}": mixed}
 
 
 def _mix_rgb(node: Reader) -> Outputs:
-    blend = _known(node.node.blend_type, ex.BLEND)
-    return {"Color": ex.Mix(node["Fac"], node["Color1"], node["Color2"], blend, True, node.node.use_clamp)}
+    blend = _known(node.node.blend_type, color_nodes.BLEND)
+    return {"Color": color_nodes.Mix(node["Fac"], node["Color1"], node["Color2"], blend, True, node.node.use_clamp)}
 
 
 def _clamp(node: Reader) -> Outputs:
     ordered = node.node.clamp_type == "RANGE"
-    return {"Result": ex.Clamp(node["Value"], node["Min"], node["Max"], ordered)}
+    return {"Result": math_nodes.Clamp(node["Value"], node["Min"], node["Max"], ordered)}
 
 
 def _map_range(node: Reader) -> Outputs:
@@ -289,19 +306,19 @@ def _map_range(node: Reader) -> Outputs:
         names = ["Vector", *(f"{name.replace(' ', '_')}_FLOAT3" for name in names[1:])]
     value, low, high, to_low, to_high, steps = (node[name] for name in names)
     kind = node.node.interpolation_type
-    mapped = ex.MapRange(value, low, high, to_low, to_high, steps, kind, node.node.clamp, vector)
+    mapped = math_nodes.MapRange(value, low, high, to_low, to_high, steps, kind, node.node.clamp, vector)
     return {"Vector" if vector else "Result": mapped}
 
 
 def _mapping(node: Reader) -> Outputs:
     vector, location, rotation, scale = (_input_or_zero(node, n) for n in ("Vector", "Location", "Rotation", "Scale"))
-    return {"Vector": ex.Mapping(vector, location, rotation, scale, node.node.vector_type)}
+    return {"Vector": math_nodes.Mapping(vector, location, rotation, scale, node.node.vector_type)}
 
 
-def _input_or_zero(node: Reader, identifier: str) -> ex.Expression:
+def _input_or_zero(node: Reader, identifier: str) -> Expression:
     """Types without translation hide their location socket."""
     found = any(s.identifier == identifier for s in node.node.inputs)
-    return node[identifier] if found else ex.Constant((0.0, 0.0, 0.0))
+    return node[identifier] if found else input_nodes.Constant((0.0, 0.0, 0.0))
 
 
 # Colour
@@ -310,7 +327,7 @@ def _input_or_zero(node: Reader, identifier: str) -> ex.Expression:
 def _ramp(node: Reader) -> Outputs:
     ramp = node.node.color_ramp
     stops = sorted(ramp.elements, key=lambda e: e.position)
-    value = ex.ColorRamp(
+    value = ramp_nodes.ColorRamp(
         node["Fac"],
         np.array([e.position for e in stops], np.float32),
         np.array([tuple(e.color) for e in stops], np.float32),
@@ -318,17 +335,17 @@ def _ramp(node: Reader) -> Outputs:
         ramp.color_mode,
         ramp.hue_interpolation,
     )
-    return {"Color": ex.Color(value), "Alpha": ex.Component(value, 3)}
+    return {"Color": color_nodes.Color(value), "Alpha": color_nodes.Component(value, 3)}
 
 
-def curve_table(mapping: bpy.types.CurveMapping, index: int) -> ex.CurveTable:
+def curve_table(mapping: bpy.types.CurveMapping, index: int) -> ramp_nodes.CurveTable:
     """One curve of a mapping, which has been initialised, at the abscissas of Blender's own table."""
     curve = mapping.curves[index]
     ends = [p.location[0] for p in curve.points]
     low, high = min(mapping.clip_min_x, *ends), max(mapping.clip_max_x, *ends)
     values = [mapping.evaluate(curve, x) for x in np.linspace(low, high, CURVE_STEPS + 1).tolist()]
     slopes = values[0] - mapping.evaluate(curve, low - 1), mapping.evaluate(curve, high + 1) - values[-1]
-    return ex.CurveTable(low, high, tuple(values), slopes)
+    return ramp_nodes.CurveTable(low, high, tuple(values), slopes)
 
 
 def _curves(value: str, factor: str, output: str, channels: int) -> Callable[[Reader], Outputs]:
@@ -337,7 +354,7 @@ def _curves(value: str, factor: str, output: str, channels: int) -> Callable[[Re
         mapping.initialize()
         tables = tuple(curve_table(mapping, i) for i in range(channels))
         combined = curve_table(mapping, 3) if len(mapping.curves) > 3 else None
-        return {output: ex.Curves(node[factor], node[value], tables, combined)}
+        return {output: ramp_nodes.Curves(node[factor], node[value], tables, combined)}
 
     return build
 
@@ -347,8 +364,8 @@ def _separate(model: str, names: tuple[str, str, str], source: str) -> Callable[
         mode = getattr(node.node, "mode", model)
         value = node[source]
         if mode != "RGB":
-            value = ex.ColorModel(value, f"{mode}_FROM_RGB")
-        return {name: ex.Component(value, i) for i, name in enumerate(names)}
+            value = color_nodes.ColorModel(value, f"{mode}_FROM_RGB")
+        return {name: color_nodes.Component(value, i) for i, name in enumerate(names)}
 
     return build
 
@@ -356,14 +373,14 @@ def _separate(model: str, names: tuple[str, str, str], source: str) -> Callable[
 def _combine(model: str, names: tuple[str, str, str], output: str) -> Callable[[Reader], Outputs]:
     def build(node: Reader) -> Outputs:
         mode = getattr(node.node, "mode", model)
-        value: ex.Expression = ex.Combine(*(node[name] for name in names))
-        return {output: value if mode == "RGB" else ex.ColorModel(value, f"RGB_FROM_{mode}")}
+        value: Expression = color_nodes.Combine(*(node[name] for name in names))
+        return {output: value if mode == "RGB" else color_nodes.ColorModel(value, f"RGB_FROM_{mode}")}
 
     return build
 
 
 def _hue_saturation(node: Reader) -> Outputs:
-    return {"Color": ex.HueSaturation(*(node[n] for n in ("Hue", "Saturation", "Value", "Fac", "Color")))}
+    return {"Color": color_nodes.HueSaturation(*(node[n] for n in ("Hue", "Saturation", "Value", "Fac", "Color")))}
 
 
 # Normals
@@ -378,8 +395,8 @@ def _normal_map(node: Reader) -> Outputs:
         flip = (1.0, -1.0, -1.0)
     elif getattr(node.node, "convention", "OPENGL") == "DIRECTX":
         flip = (1.0, -1.0, 1.0)
-    uv = ex.UV(node.node.uv_map or None) if space == "TANGENT" else None
-    return {"Normal": ex.NormalMap(node["Strength"], node["Color"], uv, flip)}
+    uv = input_nodes.UV(node.node.uv_map or None) if space == "TANGENT" else None
+    return {"Normal": normal_nodes.NormalMap(node["Strength"], node["Color"], uv, flip)}
 
 
 def _bump(node: Reader) -> Outputs:
@@ -418,11 +435,11 @@ NODES: dict[str, Callable[[Reader], Outputs]] = {
     "ShaderNodeCombineXYZ": _combine("RGB", XYZ, "Vector"),
     "ShaderNodeCombineRGB": _combine("RGB", ("R", "G", "B"), "Image"),
     "ShaderNodeCombineHSV": _combine("HSV", HSV, "Color"),
-    "ShaderNodeRGBToBW": lambda node: {"Val": ex.Gray(node["Color"])},
-    "ShaderNodeInvert": lambda node: {"Color": ex.Invert(node["Fac"], node["Color"])},
-    "ShaderNodeGamma": lambda node: {"Color": ex.Gamma(node["Color"], node["Gamma"])},
+    "ShaderNodeRGBToBW": lambda node: {"Val": color_nodes.Gray(node["Color"])},
+    "ShaderNodeInvert": lambda node: {"Color": color_nodes.Invert(node["Fac"], node["Color"])},
+    "ShaderNodeGamma": lambda node: {"Color": color_nodes.Gamma(node["Color"], node["Gamma"])},
     "ShaderNodeBrightContrast": lambda node: {
-        "Color": ex.BrightContrast(node["Color"], node["Bright"], node["Contrast"])
+        "Color": color_nodes.BrightContrast(node["Color"], node["Bright"], node["Contrast"])
     },
     "ShaderNodeHueSaturation": _hue_saturation,
     "ShaderNodeNormalMap": _normal_map,

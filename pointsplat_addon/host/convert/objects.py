@@ -34,6 +34,7 @@ class Source:
     primitive: str
     spacing: float
     extinction: float
+    radius: float  # of points, in object units; 0 takes their attribute, else a default
     pass_index: int
     holdout: bool
     casts: bool  # shadows
@@ -128,6 +129,7 @@ def _source(ob: bpy.types.Object, override: bpy.types.Material | None, visible: 
         primitive="AUTO" if ob.pointsplat.primitive == "LINES" else ob.pointsplat.primitive,
         spacing=ob.pointsplat.spacing,
         extinction=ob.pointsplat.extinction,
+        radius=ob.pointsplat.radius,
         pass_index=ob.pass_index,
         holdout=visible.holdout,
         casts=visible.casts,

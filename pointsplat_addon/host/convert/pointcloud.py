@@ -1,4 +1,4 @@
-"""Points of an evaluated PointCloud object, or of a particle system, to splats.
+"""Points of an evaluated PointCloud object, of a particle system, or of a mesh without edges and faces, to splats.
 
 Points without normals are balls. Those that light passes through become Gaussians: by the object's own extinction, by
 the medium of a material that has a volume and no surface, or such that a ray through a ball's centre meets its alpha.
@@ -13,12 +13,15 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.material.graph import MaterialGraph, Needs, SampleInputs, evaluate_samples, needs
+from ...core.material.evaluation import evaluate_samples
+from ...core.material.expression import SampleInputs
+from ...core.material.graph import MaterialGraph, Needs, needs
 from ...core.scene.cloud import PointCloud
 from ...core.scene.materials import MaterialTable
 from ...core.scene.volume import Medium, Volume
 from ...core.splat.kernel import PROFILES
 from ...core.surface.appearance import CLIP, ball_extinction
+from ...core.surface.nearest import median_spacing
 from ...core.volume.optics import voxel_optics
 from . import arrays
 from .mesh import COLOR_TYPES, as_color
@@ -29,6 +32,7 @@ OPACITY_NAMES = ("opacity", "alpha")
 CAPTURED = "f_dc_0"  # an attribute of captured splats, whose opacities are logits
 NUMBERS = {"FLOAT": ("value", 1), "FLOAT2": ("vector", 2), "FLOAT_VECTOR": ("vector", 3)}
 Lookup = Callable[[str, Callable[[], PointCloud]], PointCloud]
+Data = bpy.types.PointCloud | bpy.types.Mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +81,7 @@ class Points:
     """Arrays of N points as Blender has them."""
 
     position: np.ndarray  # (N, 3) float32
-    radius: np.ndarray  # (N,) float32
+    radius: np.ndarray | None  # (N,) float32; None: half the median distance to the nearest neighbour
     normal: np.ndarray | None = None  # (N, 3) float32
     opacity: np.ndarray | None = None  # (N,) float32
     kernel: np.ndarray | None = None  # (N,) uint8, rows of core.kernel.PROFILES
@@ -92,16 +96,23 @@ class Points:
 
 
 def read_pointcloud(
-    data: bpy.types.PointCloud, material: CloudMaterial, lookup: Lookup
+    data: Data, material: CloudMaterial, lookup: Lookup, radius: float = 0.0
 ) -> tuple[str, PointCloud] | None:
-    """(content key, cloud) of a point cloud in object space, or None where it is empty."""
-    if "position" not in data.attributes or len(data.points) == 0:
+    """(content key, cloud) of a point cloud, or of the vertices of a mesh, in object space; None where it is empty.
+
+    `radius`: of all points, in object units; 0 takes their attribute. Without that, points of a point cloud have
+    Blender's radius and vertices one by how far apart they lie.
+    """
+    count = len(data.vertices if isinstance(data, bpy.types.Mesh) else data.points)
+    if "position" not in data.attributes or count == 0:
         return None
     wanted, imported = needs(material.graph) if material.graph else Needs(), material.row == 0
-    radius = _read(data, "radius", "FLOAT")
+    radii = np.full(count, radius, np.float32) if radius > 0 else _read(data, "radius", "FLOAT")
+    if radii is None and isinstance(data, bpy.types.PointCloud):
+        radii = np.full(count, DEFAULT_RADIUS, np.float32)
     points = Points(
         arrays.read(data.attributes["position"].data, "vector", 3, np.float32),
-        np.full(len(data.points), DEFAULT_RADIUS, np.float32) if radius is None else radius,
+        radii,
         _read(data, "normal", "FLOAT_VECTOR"),
         _opacity(data) if imported else None,
         _kernel(data),
@@ -131,7 +142,7 @@ def _build(points: Points, material: CloudMaterial) -> PointCloud:
     cloud = PointCloud(
         position=points.position,
         normal=None if facing is None or normal is None else unit(facing),
-        radii=points.radius[:, None],
+        radii=_radii(points)[:, None],
         color=contiguous(varying.get("base_color")),
         surface=surface_of(varying, material, count),
         emission=contiguous(varying.get("emission")),
@@ -144,6 +155,14 @@ def _build(points: Points, material: CloudMaterial) -> PointCloud:
     if points.opacity is not None:
         alpha = alpha * points.opacity
     return _seen(cloud, alpha, material)
+
+
+def _radii(points: Points) -> np.ndarray:
+    """(N,) float32 in object units."""
+    if points.radius is not None:
+        return points.radius
+    radius = 0.5 * median_spacing(points.position) or DEFAULT_RADIUS
+    return np.full(len(points.position), radius, np.float32)
 
 
 def _filled(cloud: PointCloud, points: Points, material: CloudMaterial) -> PointCloud:
@@ -185,15 +204,15 @@ def _seen(cloud: PointCloud, alpha: np.ndarray, material: CloudMaterial) -> Poin
 # Attributes
 
 
-def _read(data: bpy.types.PointCloud, name: str, kind: str) -> np.ndarray | None:
+def _read(data: Data, name: str, kind: str) -> np.ndarray | None:
     """A point attribute, or None where there is none of that name and type."""
     attribute = data.attributes.get(name)
-    if attribute is None or attribute.data_type != kind:
+    if attribute is None or attribute.data_type != kind or attribute.domain != "POINT":
         return None
     return arrays.read(attribute.data, *NUMBERS[kind], np.float32)
 
 
-def _opacity(data: bpy.types.PointCloud) -> np.ndarray | None:
+def _opacity(data: Data) -> np.ndarray | None:
     """(N,) in [0, 1]; what is no number counts as opaque."""
     if CAPTURED in data.attributes:
         return None
@@ -201,7 +220,7 @@ def _opacity(data: bpy.types.PointCloud) -> np.ndarray | None:
     return None if found is None else np.clip(np.nan_to_num(found, nan=1.0), 0, 1)
 
 
-def _kernel(data: bpy.types.PointCloud) -> np.ndarray | None:
+def _kernel(data: Data) -> np.ndarray | None:
     """(N,) uint8 shapes of splats by an attribute of integers, if any; numbers that name none are the default, 0."""
     attribute = data.attributes.get("kernel")
     if attribute is None or attribute.data_type != "INT":
@@ -215,7 +234,7 @@ def _grid_names(medium: Medium | None) -> set[str]:
     return names - {""}
 
 
-def _grid(data: bpy.types.PointCloud, name: str) -> np.ndarray | None:
+def _grid(data: Data, name: str) -> np.ndarray | None:
     """(N,) of a number, (N, 3) of a vector or colour; None where there is no such attribute."""
     attribute = data.attributes.get(name)
     if attribute is None or attribute.data_type not in ("FLOAT", "FLOAT_VECTOR", *COLOR_TYPES):
@@ -228,15 +247,15 @@ def _present(named: Iterable[tuple[str, np.ndarray | None]]) -> dict[str, np.nda
     return {name: array for name, array in named if array is not None}
 
 
-def _color_attributes(data: bpy.types.PointCloud, wanted: Needs, imported: bool) -> list[Any]:
+def _color_attributes(data: Data, wanted: Needs, imported: bool) -> list[Any]:
     """Attributes that give colours: those that the material reads, or the one that importers make."""
-    colors = [a for a in data.attributes if a.data_type in COLOR_TYPES]
+    colors = [a for a in data.attributes if a.data_type in COLOR_TYPES and a.domain == "POINT"]
     colors.sort(key=lambda a: COLOR_NAMES.index(a.name) if a.name in COLOR_NAMES else len(COLOR_NAMES))
     if imported:
         return colors[:1]
     readable = (*COLOR_TYPES, "FLOAT", "FLOAT_VECTOR")
     named = (data.attributes.get(name) for name in sorted(n for n in wanted.colors if n is not None))
-    found = [a for a in named if a is not None and a.data_type in readable]
+    found = [a for a in named if a is not None and a.data_type in readable and a.domain == "POINT"]
     # The first one is what a node without a name reads.
     return [*colors[:1], *found] if None in wanted.colors else found
 

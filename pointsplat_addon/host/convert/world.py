@@ -6,8 +6,8 @@ import bpy
 import numpy as np
 from mathutils import Euler
 
-from ...core.material.expressions import Image
-from ...core.material.textures import linear_from_srgb
+from ...core.material.color_models import linear_from_srgb
+from ...core.material.image import Image
 from ...core.scene.world import World
 from .images import convert_image
 from .lights import constant

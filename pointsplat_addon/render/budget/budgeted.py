@@ -33,7 +33,7 @@ def render_within_budget(
     cancelled: Callable[[], bool],
     clock: Seconds = time.perf_counter,
 ) -> Result:
-    """A picture within its budget. Its report tells the "estimate": the error "rmse" and the "seconds" that it took."""
+    """Draws a picture within its budget. Its report tells the "estimate": the error "rmse" and the "seconds" that it took."""
     began = clock()
     keep = render_in_time if request.settings.budget == "TIME" else render_below_error
     result, rmse = keep(renderer, scene, request, progress, cancelled, clock)
@@ -52,7 +52,8 @@ def render_in_time(
     cancelled: Callable[[], bool],
     clock: Seconds,
 ) -> tuple[Result, float]:
-    """A picture that takes as long as it may, and its error by samples; that of its cut would take more time."""
+    """Draws a picture that takes as long as it may; returns it and its error by samples. To find the error of its cut would
+    take more time."""
     settings, pacer = request.settings, renderer.pacers.of(scene, request)
     choice = pacer.choose(settings.time_budget, settings.tolerance)
     watch = InTime(settings.time_budget, pacer.after, clock)
@@ -63,7 +64,7 @@ def render_in_time(
 
 
 def _chosen(request: Request, choice: Choice, most: int) -> Request:
-    """With room for half as many samples more, where a picture turns out faster than those before: InTime ends it."""
+    """Returns the request for a choice, with room for half as many samples more, where a picture turns out faster than those before: InTime ends it."""
     settings = replace(request.settings, tolerance=choice.tolerance)
     samples = min(choice.samples + -(-choice.samples // 2), most)
     return replace(request, settings=settings, samples=samples, coarse=choice.coarse)
@@ -77,7 +78,7 @@ def render_below_error(
     cancelled: Callable[[], bool],
     clock: Seconds,
 ) -> tuple[Result, float]:
-    """A picture whose error is at most what it may be, as far as MOST_SAMPLES and FINEST reach, and that error.
+    """Draws a picture whose error is at most what it may be, within MOST_SAMPLES and FINEST; returns it and that error.
 
     After EARLY samples as many of a finer cut tell what the tolerance does. Where that is too much, the finer one is
     drawn instead; what it was sampled with is kept. So it is where all samples together leave too much, and the cut has
@@ -87,13 +88,14 @@ def render_below_error(
     tolerance = settings.tolerance
 
     def at(value: float) -> Request:
-        """What is out of focus is cut as much finer as what is in it."""
+        """Returns the request at a tolerance; what is out of focus is cut as much finer as what is in focus."""
         asked = replace(settings, tolerance=value, adaptive_threshold=_threshold(settings))
         node = request.node * value / settings.tolerance
         return replace(request, settings=asked, samples=MOST_SAMPLES, node=node)
 
     def finer(frame: Frame) -> tuple[float, np.ndarray]:
-        """Finer samples of a mesh that are there already serve coarser cuts too: the first cut that differs."""
+        """Returns the ratio and mean of the first finer cut that differs: finer samples of a mesh that are there already serve
+        coarser cuts too."""
         for ratio in RATIOS:
             value = tolerance / ratio
             if value < FINEST * settings.tolerance * 0.999:
@@ -111,5 +113,5 @@ def render_below_error(
 
 
 def _threshold(settings: Settings) -> float:
-    """Of adaptive sampling: tiles must not end before their error is well below the budget."""
+    """Returns the threshold of adaptive sampling: tiles must not end before their error is well below the budget."""
     return min(settings.adaptive_threshold, TILES_PART * settings.error_budget)

@@ -35,7 +35,7 @@ LEAST = 1e-3  # nanoseconds: differences below the clock's resolution are no cos
 
 
 def calibrate(renderer: SampleRenderer, clock: Callable[[], float] = time.perf_counter) -> Costs:
-    """Measured on the renderer's device, on the thread that it belongs to. Once shaders are compiled it takes 1.4 s of
+    """Measures the costs of the renderer's device, on the thread that it belongs to. Once shaders are compiled it takes 1.4 s of
     processor time of the software renderer. `clock` in seconds.
     DeviceError: it cannot draw."""
     scenes = {
@@ -66,7 +66,7 @@ def calibrate(renderer: SampleRenderer, clock: Callable[[], float] = time.perf_c
 
 
 def _once(renderer: SampleRenderer, clock: Callable[[], float]) -> tuple[float, float]:
-    """Nanoseconds of all that is done for a splat of a mesh, and for a triangle, before the first sample is drawn."""
+    """Returns the nanoseconds of all that is done for a splat of a mesh, and for a triangle, before the first sample is drawn."""
     request, turns = _request(), []
     for _ in range(TURNS):
         mesh = _triangles(MADE, LEGS, f"{next(NUMBER)}").geometries[0]
@@ -81,7 +81,7 @@ def _once(renderer: SampleRenderer, clock: Callable[[], float]) -> tuple[float, 
 def _started(
     renderer: SampleRenderer, geometry: Geometry, request: Request, clock: Callable[[], float]
 ) -> tuple[int, float]:
-    """How many points a picture has, and the seconds until the first sample of it can be drawn."""
+    """Returns how many points a picture has, and the seconds until the first sample of it can be drawn."""
     start = clock()
     frame = renderer.start(_scene(geometry, np.zeros(1)), request)
     try:
@@ -92,7 +92,7 @@ def _started(
 
 
 def _seconds(renderer: SampleRenderer, scenes: dict[str, Scene], clock: Callable[[], float]) -> dict[str, float]:
-    """One more sample of each scene that is on the device already, until it is finished. They take turns, so that what
+    """Times one more sample of each scene that is on the device already, until it is finished. They take turns, so that what
     else the machine does slows all of them."""
     request = _request()
     frames: dict[str, Frame] = {}
@@ -140,8 +140,8 @@ def _scene(geometry: Geometry, depth: np.ndarray) -> Scene:
     )
 
 
-def _places(count: int) -> np.ndarray:
-    """(count, 3) float32, row by row over the square, as the parts of a surface lie."""
+def _grid_points(count: int) -> np.ndarray:
+    """Returns points (count, 3) float32, row by row over the square."""
     side = int(np.ceil(np.sqrt(count)))
     i = np.arange(count)
     return (np.stack([(i % side + 0.5) / side, (i // side + 0.5) / side, 0 * i], axis=1) * 2 - [1, 1, 0]).astype("f4")
@@ -149,14 +149,14 @@ def _places(count: int) -> np.ndarray:
 
 def _points(count: int) -> Scene:
     normal = np.tile(np.array([0, 0, 1], np.float32), (count, 1))
-    cloud = PointCloud(_places(count), normal=normal, radii=np.full((count, 1), 1.5 / SIZE, np.float32))
+    cloud = PointCloud(_grid_points(count), normal=normal, radii=np.full((count, 1), 1.5 / SIZE, np.float32))
     return _scene(Geometry(f"calibration {count} points", "Calibration", cloud=cloud), np.zeros(1))
 
 
 def _triangles(count: int, legs: float = 0.5, name: str = "") -> Scene:
-    """Triangles with `legs` of so many pixels."""
+    """Returns a scene of right triangles with legs of so many pixels."""
     corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32) * np.float32(2 * legs / SIZE)
-    position = (_places(count)[:, None] + corner).reshape(-1, 3)
+    position = (_grid_points(count)[:, None] + corner).reshape(-1, 3)
     triangles = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
     mesh = Mesh(f"calibration {count} triangles {name}", "Calibration", position, triangles)
     return _scene(Geometry(mesh.key, mesh.name, mesh=mesh, primitive="POLYGONS"), np.zeros(1))

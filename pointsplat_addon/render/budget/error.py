@@ -13,7 +13,7 @@ MOST_UNSEEN, UNSEEN = 0.015, 0.28  # of a pixel, that an edge beside it covers w
 
 
 class Errors:
-    """How far the mean of all samples lies from that of very many, by how far it moved since half of them.
+    """Estimates how far the mean of all samples lies from that of very many, by how far it moved since half of them.
 
     Where samples have the variance v, the means of all n and of the first m differ by v (1 / m - 1 / n), and the
     former lies v / n from the limit: that is m / (n - m) of the difference. Samples that are spread evenly do better
@@ -27,7 +27,7 @@ class Errors:
         self._unseen: np.ndarray = np.zeros((1, 1))
 
     def look(self, frame: Frame) -> bool:
-        """After a sample; True where there is a new estimate."""
+        """Takes a picture after a sample; returns whether there is a new estimate."""
         n = frame.done
         if not is_checkpoint(n) and not frame.complete:
             return False
@@ -46,7 +46,7 @@ class Errors:
 
     @property
     def squares(self) -> np.ndarray:
-        """(H, W) float64: error of each pixel, squared; infinite where nothing is known yet."""
+        """Squared error of each pixel, (H, W) float64; infinite where nothing is known yet."""
         if self._squares is None:
             return np.full((1, 1), np.inf)
         return np.maximum(EVENLY**2 * np.nan_to_num(self._squares), self._unseen)
@@ -58,7 +58,7 @@ class Errors:
 
 
 def missed_edge_error(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.ndarray | None = None) -> np.ndarray:
-    """(H, W) squared error of what no sample has met in pixels of a picture (H, W, 3 or more) that had so many each.
+    """Returns the squared error (H, W) of what no sample has met in pixels of a picture (H, W, 3 or more) that had so many each.
 
     An edge beside a pixel may reach into its filter where none of its samples lies. What it covers of it then was
     measured for edges in all directions: MOST_UNSEEN at first, later UNSEEN / n. `in_focus` (H, W, 1): the share of
@@ -80,5 +80,5 @@ def missed_edge_error(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.
 
 
 def rms_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Root mean square difference of two pictures (H, W, 3 or more) over pixels and colours."""
+    """Returns the root mean square difference of two pictures (H, W, 3 or more) over pixels and colours."""
     return float(np.sqrt(np.nan_to_num((a - b)[..., :3].astype(np.float64) ** 2).mean()))

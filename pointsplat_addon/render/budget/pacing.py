@@ -52,7 +52,7 @@ class Line:
         self._seen.append((max(splats, 1.0), max(ms, 1e-6)))
 
     def fitted(self) -> tuple[float, float]:
-        """(constant, slope): ms, and ms per splat. (0, 0) where nothing was measured."""
+        """Returns (constant in ms, slope in ms per splat); (0, 0) where nothing was measured."""
         if not self._seen:
             return 0.0, 0.0
         splats, ms = np.array(self._seen, float).T
@@ -75,7 +75,7 @@ class Pacer:
     _cuts: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=CUTS))  # of the latest ones
 
     def measured(self, tolerance: float, splats: float, once: float, each: float, after: float = 0.0) -> None:
-        """A picture took `once` ms before its first sample, `each` ms for one sample in the mean, and `after` ms after
+        """Records a picture that took `once` ms before its first sample, `each` ms for one sample in the mean, and `after` ms after
         the last one."""
         self._last, self.after = (tolerance, max(splats, 1.0)), after
         self._cuts.append(self._last)
@@ -83,7 +83,7 @@ class Pacer:
         self.each.add(splats, each)
 
     def choose(self, budget: float, tolerance: float, most: int = MOST_SAMPLES) -> Choice:
-        """For `budget` ms; no finer than `tolerance` pixels, no more than `most` samples.
+        """Chooses for `budget` ms; no finer than `tolerance` pixels, no more than `most` samples.
 
         As many samples as fit at that tolerance; one more where a cut that is up to STRETCH coarser makes room for it.
         Where not even one fits, the tolerance at which it does: splats go with the inverse square of it.
@@ -109,7 +109,7 @@ class Pacer:
         return Choice(max(tolerance, last / MOST_MORE**0.5), count)
 
     def _curve(self) -> tuple[np.ndarray, np.ndarray]:
-        """Logarithms of tolerances, rising, and of splats, falling: the latest cut, and those that lie so far from the
+        """Returns logarithms of tolerances, rising, and of splats, falling: the latest cut, and those that lie so far from the
         inverse square that not the view has changed: meshes take triangles where they are near, and nodes not at all.
         """
         assert self._last is not None
@@ -128,21 +128,21 @@ class Pacer:
         return tolerances, cuts
 
     def _splats_at(self, tolerance: float) -> float:
-        """Of a cut: between those that are known, of which the scene decides; beyond, by the inverse square."""
+        """Returns how many splats a cut at a tolerance has: interpolated between known cuts; beyond, by the inverse square."""
         x, y = self._curve()
         at = np.log(tolerance)
         beyond = 2 * (max(x[0] - at, 0.0) - max(at - x[-1], 0.0))
         return float(np.exp(np.interp(at, x, y) + beyond))
 
     def _tolerance_of(self, splats: float) -> float:
-        """The reverse."""
+        """Returns the tolerance of a cut with so many splats: the inverse of `_splats_at`."""
         x, y = self._curve()
         at = np.log(splats)
         beyond = 0.5 * (max(y[-1] - at, 0.0) - max(at - y[0], 0.0))
         return float(np.exp(np.interp(at, y[::-1], x[::-1]) + beyond))
 
     def _steady(self, tolerance: float, budget: float, samples: int) -> float:
-        """The latest tolerance where that is predicted to do as well."""
+        """Returns the latest tolerance where that is predicted to take about the budget, else `tolerance`."""
         assert self._last is not None
         last, splats = self._last
         (p0, p1), (q0, q1) = self.once.fitted(), self.each.fitted()
@@ -157,7 +157,8 @@ class Pacers:
         self._known: OrderedDict[tuple, Pacer] = OrderedDict()
 
     def of(self, scene: Scene, request: Request) -> Pacer:
-        """Of a scene with the same objects, at the same size and by the same technique: what moves keeps its own."""
+        """Returns the pacer of scenes with the same objects, at the same size and by the same technique: a scene whose objects
+        move keeps its pacer."""
         names = frozenset(geometry.name for geometry in scene.geometries)
         key = (names, request.camera.window[2:], request.settings.technique, request.interactive)
         self._known[key] = pacer = self._known.pop(key, None) or Pacer()

@@ -18,7 +18,7 @@ from .watch import BelowError, InTime
 
 
 class Moving:
-    """The pictures of a viewport while its view moves, each as good as there is time for."""
+    """Draws the pictures of a viewport while its view moves, each as good as there is time for."""
 
     def __init__(
         self, renderer: SampleRenderer, scene: Scene, request: Request, clock: Seconds = time.perf_counter
@@ -31,7 +31,7 @@ class Moving:
         self._watch = InTime(settings.time_budget, self._pacer.after, clock, measure=False)
 
     def sample(self, frame: Frame) -> bool:
-        """Draw all samples at once; False: there are no more."""
+        """Draws all samples at once; returns False: there are no more."""
         watch = self._watch
         watch.ready(frame)
         frame.hurried = True
@@ -48,7 +48,7 @@ class Moving:
 
 
 class Refining:
-    """A picture of a viewport that stands still, until its error by samples is small enough; its cut is what it is."""
+    """Refines the picture of a viewport that stands still until its error by samples is small enough, at a fixed cut."""
 
     def __init__(self, request: Request, clock: Seconds = time.perf_counter) -> None:
         settings = request.settings
@@ -57,7 +57,7 @@ class Refining:
         self._watch = BelowError(settings.error_budget, lambda frame: (1.0, frame.mean()), clock)
 
     def sample(self, frame: Frame) -> bool:
-        """Draw one sample; False when there were enough."""
+        """Draws one sample; returns False when there were enough."""
         if frame.complete:
             return False
         frame.sample()
@@ -67,7 +67,7 @@ class Refining:
 
 
 def _wait(device: Device) -> None:
-    """Until the device has done what it was told: reading waits for that on every device."""
+    """Waits until the device has finished its work: reading a texture does so on every device."""
     texel = device.texture((1, 1), "R32F", np.zeros(1, np.float32))
     device.read(texel)
     texel.release()

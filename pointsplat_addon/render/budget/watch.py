@@ -20,7 +20,7 @@ HELD_PART = 0.5  # and error up to which they may
 
 
 class Watch:
-    """Asked after each sample of a picture whether there are enough."""
+    """Decides after each sample of a picture whether it has enough samples."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.errors, self._clock = Errors(), clock
@@ -33,13 +33,13 @@ class Watch:
         self._measure = True
 
     def ready(self, frame: Frame) -> None:
-        """The picture is prepared."""
+        """Tells that the picture is prepared and its first sample comes next."""
         self._ready = self._clock()
         self.prepared = 1000 * (self._ready - self._began)
         self.splats = frame.shot.work(frame.renderer.costs)
 
     def enough(self, frame: Frame) -> bool:
-        """Whether the picture needs no more samples."""
+        """Returns whether the picture needs no more samples."""
         if self._measure:
             self.errors.look(frame)
         self.done = frame.done
@@ -48,19 +48,20 @@ class Watch:
         return self.stops()
 
     def finished(self) -> None:
-        """The picture is there."""
+        """Tells that the picture is finished."""
         self.after = 1000 * (self._clock() - self._latest)
 
     def stops(self) -> bool:
+        """Returns whether what was measured so far is enough."""
         raise NotImplementedError
 
 
 class InTime(Watch):
-    """Until the next sample would end later than it may, by more than half of it."""
+    """Stops where the next sample would exceed the time by more than half of it."""
 
     def __init__(self, milliseconds: float, after: float, clock: Callable[[], float], measure: bool = True) -> None:
-        """`after`: of the milliseconds, those that what follows the samples is taken to need. `measure`: the error
-        too, which takes reading the picture back."""
+        """`after`: milliseconds that are left for what follows the samples. `measure`: estimate the error too, for which
+        the picture is read back."""
         super().__init__(clock)
         self._milliseconds, self._measure = milliseconds - after, measure
 
@@ -69,7 +70,7 @@ class InTime(Watch):
 
 
 class BelowError(Watch):
-    """Until the error is small enough, or the cut proves too coarse for that: then after EARLY samples."""
+    """Stops where the error is small enough, or, after EARLY samples, where the cut proves too coarse for that."""
 
     def __init__(
         self, limit: float, finer: Callable[[Frame], tuple[float, np.ndarray]], clock: Callable[[], float]

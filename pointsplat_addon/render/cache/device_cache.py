@@ -6,7 +6,7 @@ from collections.abc import Callable
 from itertools import count
 from typing import Any
 
-from ..device.protocol import Device, undone
+from ..device.protocol import Device, released_on_failure
 from .cache import Cache
 from .keys import Key, Kind
 
@@ -48,7 +48,7 @@ class DeviceCache(Cache):
         """Returns what is on the device for `key`; uploads it with `make` if it is not. Nothing stays if that fails."""
 
         def make_whole() -> Any:
-            with undone(self.device):
+            with released_on_failure(self.device):
                 return make()
 
         return super().lookup(key, make_whole)

@@ -11,8 +11,9 @@ from enum import Enum, auto
 class Kind(Enum):
     """What a cached item is. The comment says of what; `Key.content` names that by its content key or its own key."""
 
+    # Of any geometry
+    VALIDATED = auto()  # data without what cannot be drawn, and what was wrong with it
     # Of a mesh
-    VALID_TRIANGLES = auto()  # which triangles can be drawn, and what is wrong with the others
     TYPICAL_EDGE = auto()
     BOUNDING_BALL = auto()  # of the valid triangles
     PARTS = auto()  # runs of triangles with bounds

@@ -17,7 +17,7 @@ class Cancelled(Exception):  # noqa: N818 - not an error
 
 @dataclass
 class Clock:
-    """Time by pass; each reading waits for the device. Whoever has one releases it: timers are the device's."""
+    """Measures time by pass; each reading waits for the device. It must be released: timers are the device's."""
 
     device: Device
     cancelled: Callable[[], bool] = lambda: False
@@ -26,6 +26,7 @@ class Clock:
     _open: deque[tuple[str, Timer]] = field(default_factory=deque)
 
     def run(self, name: str, work: Callable[[], None]) -> None:
+        """Runs one pass and times it. Cancelled: the picture is not wanted any more."""
         timer = self.device.start_timer()
         self._open.append((name, timer))
         try:
@@ -37,18 +38,18 @@ class Clock:
             self.check()
 
     def check(self) -> None:
-        """Raise Cancelled where the picture is not wanted any more."""
+        """Raises Cancelled where the picture is not wanted any more."""
         if self.cancelled():
             raise Cancelled
 
     def settle(self, left: int = 0) -> None:
-        """Read all timers but the last `left`."""
+        """Reads all timers but the last `left`."""
         while len(self._open) > left:
             name, timer = self._open.popleft()
             self.spent[name] = self.spent.get(name, 0.0) + timer.milliseconds()
 
     def release(self) -> None:
-        """Time is not asked for any more."""
+        """Gives the unread timers back."""
         for _, timer in self._open:
             timer.release()
         self._open.clear()

@@ -17,7 +17,7 @@ NO_NORMAL = -1.0  # code of a splat without a normal: a ball
 
 
 def pack_normal(normal: np.ndarray) -> np.ndarray:
-    """Octahedral code (Meyer et al. 2010), 12 bits each way, of directions (N, 3), whatever their length: (N,) float32.
+    """Returns octahedral codes (Meyer et al. 2010), 12 bits each way, of directions (N, 3), whatever their length: (N,) float32.
 
     The decoded direction is within 0.06 degrees; that of a zero vector is +Z.
     """
@@ -31,7 +31,7 @@ def pack_normal(normal: np.ndarray) -> np.ndarray:
 
 
 def octahedral(normal: np.ndarray, steps: int = OCT_STEPS) -> np.ndarray:
-    """The same for as many as fit the cache, in `steps` each way."""
+    """Returns octahedral codes (N,) of directions (N, 3) in `steps` each way; for as many as fit the cache."""
     # One after another, coordinates are read much faster than as rows of a transposed array.
     x, y, z = (np.array(column, np.float32) for column in normal.T)
     with np.errstate(over="ignore"):
@@ -50,7 +50,7 @@ def octahedral(normal: np.ndarray, steps: int = OCT_STEPS) -> np.ndarray:
 
 
 def unpack_normal(code: np.ndarray) -> np.ndarray:
-    """Unit vectors (N, 3) float64 of codes (N,): the reference for ps_unpack_normal."""
+    """Returns unit vectors (N, 3) float64 of codes (N,): the reference for ps_unpack_normal."""
     row = np.floor(np.asarray(code, np.float64) / 4096)
     x, y = (code - 4096 * row) / OCT_STEPS * 2 - 1, row / OCT_STEPS * 2 - 1
     z = 1 - np.abs(x) - np.abs(y)
@@ -60,13 +60,13 @@ def unpack_normal(code: np.ndarray) -> np.ndarray:
 
 
 def paged(values: np.ndarray, channels: int) -> tuple[tuple[int, int], np.ndarray]:
-    """Rows (N, C <= channels) laid out as a texture: its (width, height) and flat float32 data, zero padded.
+    """Lays out rows (N, C <= channels) as a texture: returns its (width, height) and flat float32 data, zero padded.
 
     A page of fewer than 4,096 rows is one row high and as wide as a page all the same: shaders shift and mask.
     """
     height = max(1, -(-len(values) // PAGE_WIDTH))
     flat = values.reshape(len(values), values[:1].size if len(values) else channels)
-    with np.errstate(over="ignore"):  # of instances that float32 has no place for, which are not drawn
+    with np.errstate(over="ignore"):  # of instances that float32 cannot hold, which are not drawn
         if flat.shape[1] == channels and len(values) == height * PAGE_WIDTH:
             return (PAGE_WIDTH, height), np.ascontiguousarray(flat, np.float32).reshape(-1)
         data = np.zeros((height * PAGE_WIDTH, channels), np.float32)

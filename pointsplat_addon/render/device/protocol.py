@@ -153,7 +153,7 @@ S = TypeVar("S")
 
 @contextlib.contextmanager
 def released_on_failure(device: Device) -> Iterator[None]:
-    """Where what it encloses fails, all that this had put on the device is released: nobody else knows of it yet."""
+    """Releases everything that the enclosed block had put on the device where it raises: nobody else knows of it yet."""
     before = set(device.alive)
     try:
         yield
@@ -164,7 +164,7 @@ def released_on_failure(device: Device) -> Iterator[None]:
 
 
 def releases_on_failure(init: Callable[Concatenate[S, Device, P], None]) -> Callable[Concatenate[S, Device, P], None]:
-    """A constructor (self, device, ...) that leaves nothing on the device where it fails, as where memory is full."""
+    """Decorates a constructor (self, device, ...) so that it leaves nothing on the device where it raises."""
 
     @functools.wraps(init)
     def made(self: S, device: Device, *args: P.args, **named: P.kwargs) -> None:
@@ -175,7 +175,7 @@ def releases_on_failure(init: Callable[Concatenate[S, Device, P], None]) -> Call
 
 
 def check_texture(size: tuple[int, int], format: str, data: np.ndarray | None, limits: Limits) -> None:
-    """DeviceError: a texture that no device can make, or data of another size."""
+    """Checks a texture. DeviceError: no device can make it, or the data have another size."""
     width, height = size
     if format not in CHANNELS:
         raise DeviceError(f"no texture format {format}; there are {', '.join(CHANNELS)}")
@@ -188,7 +188,7 @@ def check_texture(size: tuple[int, int], format: str, data: np.ndarray | None, l
 
 
 def check_target(colors: Sequence[Texture]) -> None:
-    """DeviceError: textures that cannot be written together."""
+    """Checks a target. DeviceError: these textures cannot be written together."""
     if not 1 <= len(colors) <= MAX_OUTPUTS:
         raise DeviceError(f"a target of {len(colors)} textures; 1 to {MAX_OUTPUTS} are possible")
     if len({tuple(texture.size) for texture in colors}) > 1:
@@ -203,7 +203,7 @@ def check_call(
     images: Mapping[str, Texture],
     blend: bool = False,
 ) -> None:
-    """DeviceError: a draw or dispatch that does not fit its interface, or reads what it writes."""
+    """Checks a draw or dispatch. DeviceError: it does not fit its interface, or reads what it writes."""
     name = interface.name
     if interface.block and (uniforms is None or uniforms.dtype != interface.block.dtype() or uniforms.size != 1):
         raise DeviceError(f"{name}: uniforms are not one record of {interface.block.type}")
@@ -227,8 +227,8 @@ def check_call(
 
 
 def to_half(data: np.ndarray) -> np.ndarray:
-    """`data` as float16, to the nearest; what is too large, infinities too, becomes the largest number there is, and
-    what is no number 0: light that is too bright for a texture stays bright, where infinities would be drawn black."""
+    """Converts `data` to float16, to the nearest. What is too large, infinities too, becomes the largest float16, and NaN
+    becomes 0: light that is too bright for a texture stays bright, where infinities would be drawn black."""
     with np.errstate(over="ignore"):
         found = np.ascontiguousarray(data, np.float16)
     bits = found.view(np.uint16)
@@ -239,6 +239,6 @@ def to_half(data: np.ndarray) -> np.ndarray:
 
 
 def layout_groups(groups: int) -> tuple[int, int]:
-    """(columns, rows) of at least `groups` work groups, as few more as rows of equal length allow."""
+    """Returns (columns, rows) of at least `groups` work groups, as few more as rows of equal length allow."""
     rows = max(1, -(-groups // MAX_GROUPS))
     return -(-groups // rows), rows

@@ -15,12 +15,12 @@ def cryptomatte(hashes: np.ndarray, levels: int) -> list[np.ndarray]:
     ordered = np.sort(hashes.reshape(samples, -1), axis=0)
     begins = np.ones(ordered.shape, bool)
     begins[1:] = ordered[1:] != ordered[:-1]
-    # Length of the run that starts at each place: distance to the next begin.
-    place = np.arange(samples)[:, None]
-    following = np.where(begins, place, samples)
+    # Length of the run that starts at each row: distance to the next begin.
+    row = np.arange(samples)[:, None]
+    following = np.where(begins, row, samples)
     following = np.minimum.accumulate(following[::-1], axis=0)[::-1]
     end = np.vstack([following[1:], np.full((1, ordered.shape[1]), samples)])
-    length = np.where(begins & (ordered != 0), end - place, 0)
+    length = np.where(begins & (ordered != 0), end - row, 0)
     pictures = []
     for _ in range(pairs):
         picture = np.zeros((ordered.shape[1], 4), np.float32)

@@ -94,11 +94,11 @@ class OutOfFocus:
     def _list(self, view: SampleView) -> None:
         """By the tiles of the picture."""
         lit = self.lit
-        place, shape = (
+        centre, shape = (
             self.device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_centre", "ps_shape")
         )
         focal = np.array([*view.camera.pixel_from_view()[:2], *view.principal_point], np.float32).astype(np.float64)
-        self.tiles = Defocus(self.device, tile_lists(place, shape, focal, self.targets.seen.size))
+        self.tiles = Defocus(self.device, tile_lists(centre, shape, focal, self.targets.seen.size))
 
     def release(self) -> None:
         self.lit.release()

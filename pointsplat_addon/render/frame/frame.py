@@ -11,14 +11,13 @@ import numpy as np
 from ...core.lens.backdrop import backdrop_grid
 from ...core.scene.scene import Scene
 from ...core.strand.segments import sample_offsets
-from ...shading.interface import Interface
 from ..device.clock import Clock
 from ..device.protocol import Texture
 from ..passes.image_space.pyramid import levels
 from ..passes.output import present
 from ..passes.output.adaptive import Adaptive
 from ..passes.outputs import BY_KEY, CRYPTO, empty_pixels
-from ..passes.shading import averages, background, data, shade
+from ..passes.shading import averages, data
 from ..passes.shading.backdrop import Backdrop
 from ..passes.tiles import EVERYWHERE
 from ..passes.uniforms import SampleView, view_of
@@ -29,7 +28,8 @@ from .defocus import OutOfFocus, in_focus
 from .lens_samples import LensSamples
 from .resources import FrameResources
 from .sample_positions import is_checkpoint, offsets
-from .surfels import Surfels
+from .shading import Shading
+from .surfels import gbuffer_textures
 from .targets import Targets
 from .translucent import Translucent, lighting_of_sample
 from .uploads import Uploads
@@ -110,35 +110,16 @@ class Frame:
             device.clear(self.targets.sum_target)
         if not shot.everywhere:
             shown = self.presented and not plan.defocus and self.targets.surfels is not None
-            place = _bound(self.targets.surfels).get("ps_centre") if shown else None
+            centre = gbuffer_textures(self.targets.surfels).get("ps_centre") if shown else None
             threshold = request.settings.adaptive_threshold
             gather = 2 << count  # two pixels of the coarsest level on either side
-            self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, place))
-        self._make_programs()
+            self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, centre))
+        self.shading = Shading(device, shot.scene, plan, request, self.uploads, self.targets, self.backdrop)
         if plan.defocus:
             transparent = shot.scene.transparent
             self.out_of_focus = self._own(OutOfFocus(device, plan, self.uploads, self.targets, transparent, run))
         elif plan.translucent is not None:
             self.translucent = self._own(Translucent(device, plan, self.uploads, self.targets, request.samples, run))
-
-    def _make_programs(self) -> None:
-        """What shades, draws the background, and averages passes of what is painted."""
-        plan, request, transparent = self.shot.plan, self.shot.request, self.shot.scene.transparent
-        passes, coverage = request.passes, plan.ewa is not None
-        self.averages: tuple[Interface, ...] = ()
-        if plan.painter and plan.points and averages.averaged(passes):
-            self.averages = (
-                shade.shade_program(plan.data_variant, (), plan.materials, passes, lines=plan.lines, combined=False),
-                background.background_program((), True, passes, combined=False),
-            )
-            passes = frozenset({"combined"})
-        self.shade = shade.shade_program(
-            plan.variant, plan.lighting, plan.materials, passes, request.samples, coverage, plan.lines, plan.defocus,
-            plan.picture, coarse=request.coarse,
-        )  # fmt: skip
-        self.background = background.background_program(
-            plan.behind, transparent, passes, coverage, everywhere=not plan.shaded.solid, combined=plan.picture
-        )
 
     # Drawing
 
@@ -177,14 +158,15 @@ class Frame:
             near, far = in_focus(self.view, plan, self.shot.prepared.largest)
             view = replace(view, near=near, far=far)
         if first and self.backdrop is not None:
-            self.clock.run("backdrop", self._draw_backdrop)
+            self.clock.run("backdrop", lambda: self.shading.draw_backdrop(self._centred()))
         self._draw_surfels(view, first)
+        shown = self.adaptive.shown if self.adaptive else EVERYWHERE
         if self.translucent is not None:
             self.device.clear(self.targets.layer_target)
         if self.targets.surfels is not None and plan.shades:
-            self.clock.run("shade", lambda: self._shade(view))
+            self.clock.run("shade", lambda: self.shading.shade(view, shown))
         if plan.background and plan.shades:
-            self.clock.run("background", lambda: self._draw_background(view))
+            self.clock.run("background", lambda: self.shading.draw_background(view, shown))
         if self.translucent is not None:
             self._draw_translucent(self.translucent, view, first)
         if self.beside is not None:
@@ -197,7 +179,7 @@ class Frame:
         projection = self.targets.projection
         for lines in uploads.lines:
             lines.list_thin(float(self._turns[self.done]))
-        beside = first or self._data.every_sample or bool(self.averages)
+        beside = first or self._data.every_sample or self.shading.averages
         if projection is not None and (beside or not plan.painter):
             run("project", lambda: projection.run(uploads.draws, view, uploads.shared))
         if surfels is not None:
@@ -210,8 +192,8 @@ class Frame:
         if plan.data and (first or self._data.every_sample):
             run("data", lambda: self._draw_data(view))
             self._data.read(self.targets.data, self._cropped, first)
-        if self.averages:
-            run("averages", lambda: self._average(view))
+        if self.shading.averages:
+            run("averages", lambda: self.shading.average(view))
 
     def _sample_view(self, index: int) -> SampleView:
         """The view of one sample."""
@@ -223,57 +205,14 @@ class Frame:
         """The view of rays through pixels' centres."""
         return view_of(self.view)
 
-    @property
-    def _backdrop_texels(self) -> tuple[float, float] | None:
-        return None if self.backdrop is None else self.backdrop.texels
-
-    @property
-    def _behind(self) -> dict[str, Texture]:
-        """The world out of focus, by sampler name."""
-        return {} if self.backdrop is None else {"ps_backdrop": self.backdrop.texture}
-
-    def _draw_backdrop(self) -> None:
-        assert self.backdrop is not None
-        assert self.uploads.levels is not None
-        self.backdrop.draw(self._centred(), {**self.uploads.shading, "ps_levels": self.uploads.levels})
-
     def _draw_data(self, view: SampleView) -> None:
         shot = self.shot
-        textures = _bound(self.targets.data_surfels)
+        textures = gbuffer_textures(self.targets.data_surfels)
         if self.uploads.previous is not None:
             textures["ps_previous"] = self.uploads.previous
         program = data.data_program(shot.plan.data_variant, shot.request.passes)
         record = view.record_of(program.block, resolution=self.view.resolution, corner=self.view.window[:2])
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
-
-    def _average(self, view: SampleView) -> None:
-        """Passes of what is painted that are averaged: of its G-buffer, without light."""
-        textures = _bound(self.targets.data_surfels) | self.uploads.shading
-        for program in self.averages:
-            self.device.draw(
-                program,
-                self.targets.averages_target,
-                uniforms=self._record(program, view),
-                textures=textures,
-                blend=True,
-            )
-
-    def _shade(self, view: SampleView) -> None:
-        self._add(self.shade, view, _bound(self.targets.surfels) | self.uploads.shading)
-
-    def _draw_background(self, view: SampleView) -> None:
-        textures = _bound(self.targets.surfels) | self.uploads.shading | self._behind
-        self._add(self.background, view, textures)
-
-    def _add(self, program: Interface, view: SampleView, textures: dict[str, Texture]) -> None:
-        region = self.adaptive.shown if self.adaptive else EVERYWHERE
-        record = self._record(program, view)
-        region.draw(self.device, program, self.targets.shade_target, uniforms=record, textures=textures, blend=True)
-
-    def _record(self, program: Interface, view: SampleView) -> np.ndarray:
-        """The uniforms of a program that shades or draws the background."""
-        values = shade.shade_values(self.shot.scene)
-        return view.record_of(program.block, backdrop_texels=self._backdrop_texels, **values)
 
     def _draw_translucent(self, translucent: Translucent, view: SampleView, first: bool) -> None:
         # Their light is the same for all samples, but for the lens, and for the shadows of wide lamps, which they blur
@@ -282,7 +221,7 @@ class Frame:
         points = lighting_of_sample(self.shot.request, self.done) if shadows is not None and shadows.wide else 0
         if first or points != translucent.lit_by or self.lens is not None:
             translucent.light(points, self._centred())
-        translucent.draw(view, _bound(self.targets.surfels), coarse=first and self.shot.plan.coarse)
+        translucent.draw(view, gbuffer_textures(self.targets.surfels), coarse=first and self.shot.plan.coarse)
 
     def _adapt(self, adaptive: Adaptive) -> None:
         """Leave out what no tile needs any more."""
@@ -293,7 +232,8 @@ class Frame:
     def _gather(self) -> None:
         """What is out of focus into the picture so far."""
         if self.out_of_focus is not None:
-            self.out_of_focus.gather(self.done, self._centred(), self._behind, self._backdrop_texels, self.adaptive)
+            behind, texels = self.shading.backdrop_textures, self.shading.backdrop_texels
+            self.out_of_focus.gather(self.done, self._centred(), behind, texels, self.adaptive)
 
     # Between samples
 
@@ -331,35 +271,26 @@ class Frame:
         if self.shot.trivial:
             self._present_constant()
             return
-        camera = self.shot.request.camera
         weight = 1.0 if self.out_of_focus is not None else 1 / max(self.done, 1)
-        textures = {"ps_combined": self.color}
         adaptive = self.adaptive if self.out_of_focus is None else None
-        if adaptive is not None:
-            textures["ps_counts"] = adaptive.known
-        if (place := self._place) is not None:
-            textures["ps_centre"] = place
-        program = present.present_program(place is not None, adaptive is not None)
-        _, _, width, height = camera.window
-        record = present.present_record(place is not None, camera, (width, height), self.shot.corner, weight)
-        self.device.draw(program, None, uniforms=record, textures=textures)
+        counts = None if adaptive is None else adaptive.known
+        camera = self.shot.request.camera
+        present.draw_picture(self.device, camera, self.shot.corner, self.color, weight, self._centre, counts)
 
     @property
-    def _place(self) -> Texture | None:
+    def _centre(self) -> Texture | None:
         """Depths, of what nothing blurs, that hide what Blender draws."""
-        if self.lens is not None and self.lens.place is not None:
-            return self.lens.place
+        if self.lens is not None and self.lens.centre is not None:
+            return self.lens.centre
         if self.adaptive is not None and self.out_of_focus is None:
-            return self.adaptive.place
+            return self.adaptive.centre
         drawn = self if self.beside is None or self.beside.shot.trivial else self.beside
-        return _bound(drawn.targets.data_surfels).get("ps_centre")
+        return gbuffer_textures(drawn.targets.data_surfels).get("ps_centre")
 
     def _present_constant(self) -> None:
         """A world of one colour needs no picture: one texel does."""
         texel = self.device.texture((1, 1), "RGBA32F", self.shot.constant.astype(np.float32))
-        record = present.present_record(False, self.shot.request.camera, (1, 1), (0, 0), 1.0)
-        program = present.present_program(False)
-        self.device.draw(program, None, uniforms=record, textures={"ps_combined": texel})
+        present.draw_picture(self.device, self.shot.request.camera, (0, 0), texel, 1.0, size=(1, 1))
         texel.release()
 
     # Results
@@ -424,8 +355,3 @@ class Frame:
     def _own(self, item: Any) -> Any:
         self._owned.append(item)
         return item
-
-
-def _bound(surfels: Surfels | None) -> dict[str, Texture]:
-    """Textures of a G-buffer by sampler name; none where there is no G-buffer."""
-    return {} if surfels is None else surfels.buffer.bound()

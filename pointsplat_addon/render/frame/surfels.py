@@ -143,3 +143,8 @@ class EwaSurfels(Surfels):
 def make_surfels(device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> Surfels:
     """A G-buffer, and how the plan's technique fills it."""
     return (EwaSurfels if plan.ewa else Surfels)(device, plan, variant, size, count)
+
+
+def gbuffer_textures(surfels: Surfels | None) -> dict[str, Texture]:
+    """Returns the textures of a G-buffer by sampler name; none where there is no G-buffer."""
+    return {} if surfels is None else surfels.buffer.bound()

@@ -19,8 +19,7 @@ from ...core.scene.camera import Camera
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.strands import Strands
-from ...core.scene.validation import valid_triangles
-from ...core.strand.cleaning import clean
+from ...core.strand.preparation import with_levels
 from ...core.strand.projection import tube_radius_scale
 from ...core.surface.appearance import digest
 from ...core.surface.density import Parts, make_parts
@@ -278,7 +277,7 @@ class Uploads:
             self.used.add(key)
 
             def make(lines: Strands = lines, geometry: Geometry = geometry) -> strand_page.StrandPage:
-                strands = self.store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: clean(lines))
+                strands = self.store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: with_levels(lines))
                 return strand_page.StrandPage(self.device, lines, strands, variant, scene.materials)
 
             page = self.kept.lookup(key, make)
@@ -362,17 +361,16 @@ class Uploads:
             geometry = scene.geometries[row]
             mesh = geometry.mesh
             assert mesh is not None
-            ok, _ = self.store.lookup(Key(Kind.VALID_TRIANGLES, geometry.key), lambda mesh=mesh: valid_triangles(mesh))
             look = digest(mesh, scene.materials)
             parts = None
             if geometry.primitive == "AUTO":
-                parts = self.store.lookup(Key(Kind.PARTS, geometry.key), lambda mesh=mesh, ok=ok: make_parts(mesh, ok))
+                parts = self.store.lookup(Key(Kind.PARTS, geometry.key), lambda mesh=mesh: make_parts(mesh))
             more = (plan.variant, _fill_key(scene), scene.materials.cull.tobytes(), parts is not None)
             key = Key(Kind.POLYGON_MESH, geometry.key, look, other=more)
             self.used.add(key)
 
-            def make(mesh: Mesh = mesh, ok: np.ndarray = ok, parts: Parts | None = parts) -> polygon_mesh.PolygonMesh:
-                return polygon_mesh.PolygonMesh(self.device, mesh, ok, scene.materials, plan.variant, parts)
+            def make(mesh: Mesh = mesh, parts: Parts | None = parts) -> polygon_mesh.PolygonMesh:
+                return polygon_mesh.PolygonMesh(self.device, mesh, scene.materials, plan.variant, parts)
 
             meshes[row] = self.kept.lookup(key, make)
             meshes[row].hang(self._pictures)

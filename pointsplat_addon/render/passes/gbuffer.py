@@ -29,7 +29,7 @@ class Variant:
 
     @property
     def channels(self) -> tuple[tuple[str, str, str], ...]:
-        """(name, texture format, GLSL type) of each texture."""
+        """The (name, texture format, GLSL type) of each texture."""
         found = [
             ("centre", "RGBA32F", "vec4"),
             ("shape", "RGBA32F" if self.wide else "RGBA16F", "vec4"),
@@ -45,11 +45,12 @@ class Variant:
         return tuple(found)
 
     def outputs(self) -> tuple[tuple[str, str], ...]:
+        """Returns (GLSL type, name) of the fragment outputs of all channels."""
         return tuple((glsl, f"out_{name}") for name, _, glsl in self.channels)
 
     @property
     def front_outputs(self) -> tuple[tuple[str, str], ...]:
-        """With the depth of the near end, for the passes that write a level anew."""
+        """The outputs of passes that write a level anew: the channels and the depth of the near end."""
         return (*self.outputs(), *((("float", "out_front"),) if self.front else ()))
 
     @property
@@ -73,7 +74,7 @@ class GBuffer:
         self.textures: dict[str, Texture] = {name: device.texture(size, format) for name, format, _ in variant.channels}
         near_ends = [device.texture(size, "R32F")] if variant.front else []
         self.target: Target = device.target([*self.textures.values(), *near_ends], depth=depth)
-        # Where place and front are zero nothing else is read.
+        # Where centre and front are zero nothing else is read.
         self._cleared = self.target if depth else device.target([self.textures["centre"], *near_ends])
         self._owned: list[Target | Texture] = [self.target, *self.textures.values(), *near_ends]
         self._owned += [] if depth else [self._cleared]
@@ -84,11 +85,11 @@ class GBuffer:
         self._device = device
 
     def clear(self) -> None:
-        """Nothing anywhere."""
+        """Empties all pixels."""
         self._device.clear(self._cleared)
 
     def bound(self, prefix: str = "ps_") -> dict[str, Texture]:
-        """Textures by sampler name."""
+        """Returns the textures by sampler name."""
         return {prefix + name: texture for name, texture in self.textures.items()}
 
     def release(self) -> None:

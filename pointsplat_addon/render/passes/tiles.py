@@ -16,7 +16,7 @@ FINEST_LEVELS = 4  # coarser levels of a pyramid have pixels wider than a tile, 
 
 
 def tiled(program: Interface) -> Interface:
-    """The same full-screen pass over the tiles that a mask names."""
+    """Returns a full-screen program that draws over the tiles of a mask only."""
     assert program.block is not None
     samplers = (*program.samplers, ("FLOAT_2D", "ps_tiles"))
     return replace(program, vertex="common/tiles.vert", block=_tiled_block(program.block), samplers=samplers)
@@ -44,7 +44,7 @@ class Region:
         level: int = 0,
         **state: Any,
     ) -> None:
-        """Device.draw; `target` is `level` levels of a pyramid above the picture."""
+        """Draws a full-screen pass in the region. `level`: of the pyramid that `target` is; 0 is the picture."""
         if self.mask is None or level > FINEST_LEVELS:
             device.draw(program, target, uniforms=uniforms, textures=textures, **state)
             return

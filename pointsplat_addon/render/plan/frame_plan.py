@@ -13,8 +13,9 @@ from ...core.lens.thin_lens import uses_lens_samples
 from ...core.lod.cost import Costs
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
-from ...core.scene.validation import shown, sound_camera
+from ...core.scene.validation import validate
 from ...core.splat.blur import defocus_blur
+from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from ..device.clock import Clock
 from ..device.protocol import Limits
@@ -135,12 +136,14 @@ def make_shot(
 ) -> Shot:
     """`limits`, `costs`: of the device. `clock`: is told what shadows take. `presented`: between samples too.
     `picture`: with Combined, not passes beside it alone. Cancelled: the clock says so."""
-    scene, camera, nothing_seen = shown(scene, request.camera)
-    scene, warnings = parted(scene, store)
-    camera, unseen_lens = sound_camera(camera)
+    scene, camera = validate(
+        scene, request.camera, lambda content, make: store.lookup(Key(Kind.VALIDATED, content), make)
+    )
+    warnings = scene.warnings
+    scene, of_parts = parted(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
     technique = choose(request.settings, scene, request.samples, request.interactive, limits.float_blend)
-    warnings += (*nothing_seen, *unseen_lens, *_not_blended(technique, request))
+    warnings += (*of_parts, *_not_blended(technique, request))
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
     prepared = prepare(
         scene,

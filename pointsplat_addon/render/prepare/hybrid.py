@@ -10,7 +10,7 @@ import numpy as np
 from ...core.lod.cost import Costs, PrimitiveChoice, choose_primitives, mask_runs
 from ...core.scene.bounds import mesh_centre
 from ...core.scene.camera import Camera
-from ...core.scene.cloud import PointCloud, finite
+from ...core.scene.cloud import PointCloud
 from ...core.scene.materials import MaterialTable
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry
@@ -43,7 +43,6 @@ class Divided:
     """A mesh's parts, and what the choice between points and triangles asks of each."""
 
     mesh: Mesh
-    ok: np.ndarray  # (T,) bool: valid triangles
     parts: Parts
     measures: Measures
     _samples: dict[float, np.ndarray] = field(default_factory=dict)
@@ -65,13 +64,13 @@ class Divided:
 
     @property
     def nbytes(self) -> int:
-        return self.parts.nbytes + self.measures.nbytes + self.ok.nbytes + 4 * len(self.parts.triangles)
+        return self.parts.nbytes + self.measures.nbytes + 4 * len(self.parts.triangles)
 
     def samples(self, spacing: float) -> np.ndarray:
         """(B,) float64: about how many samples each part has."""
         if spacing not in self._samples:
             m = self.measures
-            if choose_method(self.mesh, spacing, self.ok, m) == "VERTICES":
+            if choose_method(self.mesh, spacing, measures=m) == "VERTICES":
                 found = self.parts.counts * (m.vertices / len(m.triangle))
             else:
                 found = estimate_by_part(m, spacing, self.number, len(self.parts))
@@ -82,7 +81,7 @@ class Divided:
         """About how many samples the mesh has where all of it is points that are dense enough for `needed`: vertices
         where they are at most `slack` times as far apart, else the octave of spacing."""
         m = self.measures
-        if choose_method(self.mesh, max(slack * needed, self.octave(needed)), self.ok, m) == "VERTICES":
+        if choose_method(self.mesh, max(slack * needed, self.octave(needed)), measures=m) == "VERTICES":
             return float(m.vertices)
         return float(self.samples(self.octave(needed)).sum())
 
@@ -126,21 +125,17 @@ class PartSamples:
 
 def sample_parts(divided: Divided, spacing: float, which: np.ndarray) -> PartSamples:
     """The samples of the parts `which` (B,) bool."""
-    mesh, ok, number = divided.mesh, divided.ok, divided.number
+    mesh, number = divided.mesh, divided.number
     mine = which[number]
     m = divided.measures if mine.all() else measures_of_some(divided.measures, mine)
-    inside = ok.copy()
-    inside[ok] = mine
-    method = choose_method(mesh, spacing, inside, m)
-    samples = sample_mesh(mesh, spacing, method, inside, m)
-    of_triangle = np.full(len(mesh.triangles), -1, np.int32)
-    of_triangle[ok] = number
-    part = of_triangle[samples.triangle]
+    method = choose_method(mesh, spacing, mine, m)
+    samples = sample_mesh(mesh, spacing, method, mine, m)
+    part = number[samples.triangle]
     if (np.diff(part) < 0).any():
         order = np.argsort(part, kind="stable")
         samples, part = take_samples(samples, order), part[order]
     start = np.searchsorted(part, np.arange(len(divided.parts) + 1))
-    border = _border(mesh, samples, part, of_triangle, inside) if method == "VERTICES" else None
+    border = _border(mesh, samples, part, number, mine) if method == "VERTICES" else None
     return PartSamples(samples, start, border)
 
 
@@ -255,9 +250,7 @@ def _choosable(view: View, geometry: Geometry, instances: int) -> tuple[Measured
 
 
 def _division(of: Measured) -> Divided:
-    return of.store.lookup(
-        Key(Kind.DIVIDED_MESH, of.geometry.key), lambda: Divided(of.mesh, of.ok, of.parts, of.measures)
-    )
+    return of.store.lookup(Key(Kind.DIVIDED_MESH, of.geometry.key), lambda: Divided(of.mesh, of.parts, of.measures))
 
 
 def _costs(view: View, instances: int) -> Costs:
@@ -327,7 +320,7 @@ def _sampled(
     of: Measured, divided: Divided, spacing: float, worth: np.ndarray, table: MaterialTable
 ) -> tuple[PointSet, PartSamples]:
     """The samples of all parts that are points in some view, `worth` (B,) bool."""
-    mesh, ok, store = of.mesh, of.ok, of.store
+    mesh, store = of.mesh, of.store
     look, first = digest(mesh, table), mesh_centre(mesh)
     # Parts that lie in the mesh's own order, all of them, depend on its topology alone.
     same = of.shape if worth.all() and divided.parts.order is None else (of.geometry.key, worth.tobytes())
@@ -337,8 +330,8 @@ def _sampled(
     key = Key(Kind.POINTS_OF_PARTS, (of.geometry.key, same), look, spacing=spacing)
 
     def make() -> PointCloud:
-        evaluated = evaluate(mesh, sampled.samples, origin, ok)
-        return finite(point_cloud(mesh, sampled.samples, evaluated, table))[0]
+        evaluated = evaluate(mesh, sampled.samples, origin)
+        return point_cloud(mesh, sampled.samples, evaluated, table)
 
     family = Key(Kind.SHARED_HIERARCHY, same, look, "PARTS", spacing)
     return PointSet(key, store.lookup(key, make), family=family), sampled

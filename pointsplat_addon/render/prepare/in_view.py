@@ -12,7 +12,6 @@ from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import all_finite, largest_singular_value
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
-from ...core.scene.validation import valid_triangles
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .meshes import mesh_ball
@@ -59,8 +58,7 @@ def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ba
     for row in np.unique(geometry).tolist():
         mesh = scene.geometries[row].mesh
         if mesh is not None:
-            ok, _ = store.lookup(Key(Kind.VALID_TRIANGLES, mesh.key), lambda mesh=mesh: valid_triangles(mesh))
-            middle, reach = mesh_ball(mesh, ok, store)
+            middle, reach = mesh_ball(mesh, store)
             yield prepared.view_from_object[prepared.polygons[geometry == row]], middle, reach
 
 

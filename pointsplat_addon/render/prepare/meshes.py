@@ -16,10 +16,9 @@ from ...core.lod.foliage import is_foliage
 from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import largest_singular_value
 from ...core.scene.bounds import mesh_centre
-from ...core.scene.cloud import PointCloud, finite
+from ...core.scene.cloud import PointCloud
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry
-from ...core.scene.validation import valid_triangles
 from ...core.surface.appearance import digest, point_cloud
 from ...core.surface.density import EXACT_INSTANCES, Parts, make_parts, required_spacing
 from ...core.surface.evaluation import evaluate
@@ -50,7 +49,6 @@ class Measured:
 
     geometry: Geometry
     mesh: Mesh
-    ok: np.ndarray  # (T,) bool: valid triangles
     store: Store
 
     @property
@@ -61,25 +59,25 @@ class Measured:
     @property
     def edge(self) -> float:
         """The side of the square of the mean triangle's area."""
-        return self._kept(Kind.TYPICAL_EDGE, lambda: _typical_edge(self.mesh, self.ok))
+        return self._kept(Kind.TYPICAL_EDGE, lambda: _typical_edge(self.mesh))
 
     @property
     def ball(self) -> tuple[np.ndarray, float]:
         """Centre (3,) and radius in object space of a ball that holds the valid triangles."""
-        return self._kept(Kind.BOUNDING_BALL, lambda: _bounds(self.mesh, self.ok))
+        return self._kept(Kind.BOUNDING_BALL, lambda: _bounds(self.mesh))
 
     @property
     def parts(self) -> Parts:
-        return self._kept(Kind.PARTS, lambda: make_parts(self.mesh, self.ok))
+        return self._kept(Kind.PARTS, lambda: make_parts(self.mesh))
 
     @property
     def measures(self) -> Measures:
-        return self._kept(Kind.MEASURES, lambda: measure_triangles(self.mesh, self.ok))
+        return self._kept(Kind.MEASURES, lambda: measure_triangles(self.mesh))
 
     def leaves(self, instances: int) -> bool:
         """Whether so many instances of it are leaves, few enough to be polygons from any distance."""
         return instances * len(self.mesh.triangles) <= MOST_LEAVES and self._kept(
-            Kind.IS_FOLIAGE, lambda: is_foliage(self.mesh.position, self.mesh.triangles[self.ok])
+            Kind.IS_FOLIAGE, lambda: is_foliage(self.mesh.position, self.mesh.triangles)
         )
 
     def _kept(self, kind: Kind, make: Callable[[], Any]) -> Any:
@@ -87,31 +85,26 @@ class Measured:
 
 
 def measured(view: View, geometry: Geometry) -> Measured | None:
-    """The mesh of a geometry; None where nothing of it can be drawn. Says what is dropped."""
+    """The mesh of a geometry; None where it has no triangles."""
     mesh = geometry.mesh
-    if mesh is None or len(mesh.triangles) == 0:
-        return None
-    ok, dropped = view.store.lookup(Key(Kind.VALID_TRIANGLES, geometry.key), lambda: valid_triangles(mesh))
-    if dropped.total:
-        view.warnings.append(dropped.message(geometry.name))
-    return Measured(geometry, mesh, ok, view.store) if ok.any() else None
+    return None if mesh is None or len(mesh.triangles) == 0 else Measured(geometry, mesh, view.store)
 
 
-def mesh_ball(mesh: Mesh, ok: np.ndarray, store: Store) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius in object space of a ball that holds the triangles `ok` (T,) of a mesh."""
-    if not ok.any():
+def mesh_ball(mesh: Mesh, store: Store) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius in object space of a ball that holds the triangles of a mesh."""
+    if len(mesh.triangles) == 0:
         return np.zeros(3), 0.0
-    return store.lookup(Key(Kind.BOUNDING_BALL, mesh.key), lambda: _bounds(mesh, ok))
+    return store.lookup(Key(Kind.BOUNDING_BALL, mesh.key), lambda: _bounds(mesh))
 
 
-def _bounds(mesh: Mesh, ok: np.ndarray) -> tuple[np.ndarray, float]:
-    used = mesh.position[np.unique(mesh.triangles[ok])].astype(np.float64)
+def _bounds(mesh: Mesh) -> tuple[np.ndarray, float]:
+    used = mesh.position[np.unique(mesh.triangles)].astype(np.float64)
     middle = (used.min(axis=0) + used.max(axis=0)) / 2
     return middle, float(np.sqrt(((used - middle) ** 2).sum(axis=1).max()))
 
 
-def _typical_edge(mesh: Mesh, ok: np.ndarray) -> float:
-    a, b, c = mesh.position[mesh.triangles[ok]].astype(np.float64).transpose(1, 0, 2)
+def _typical_edge(mesh: Mesh) -> float:
+    a, b, c = mesh.position[mesh.triangles].astype(np.float64).transpose(1, 0, 2)
     return float(np.sqrt(np.linalg.norm(np.cross(b - a, c - a), axis=1).mean()))
 
 
@@ -190,7 +183,7 @@ def _needed(view: View, of: Measured, view_from_object: np.ndarray) -> float:
     """The spacing that one or more instances need in this view."""
     parts = of.parts if len(of.mesh.triangles) >= MANY_TRIANGLES else None
     return required_spacing(
-        of.mesh, view_from_object, view.camera, view.settings.tolerance, max_samples=None, ok=of.ok, parts=parts
+        of.mesh, view_from_object, view.camera, view.settings.tolerance, max_samples=None, parts=parts
     )
 
 
@@ -240,7 +233,7 @@ def _coarsest(of: Measured) -> float:
 
 def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
     """Samples so many octaves coarser than `needed`, or than what was needed before: they are only ever refined."""
-    geometry, mesh, ok, shape, store = of.geometry, of.mesh, of.ok, of.shape, view.store
+    geometry, mesh, shape, store = of.geometry, of.mesh, of.shape, view.store
     spacing = geometry.spacing if geometry.spacing > 0 else needed
     asked = Key(Kind.FINEST_SPACING, shape, spacing=geometry.spacing)
     known = store.finest_spacing(asked, np.inf)
@@ -249,7 +242,7 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
         octave_of, most = quantise_spacing(spacing), most_samples(view.settings.tolerance)
         spacing = store.lookup(
             Key(Kind.LIMITED_SPACING, shape, spacing=octave_of, other=most),
-            lambda: limit_spacing(mesh, octave_of, most, ok, measures),
+            lambda: limit_spacing(mesh, octave_of, most, measures=measures),
         )
     spacing = store.finest_spacing(asked, spacing) * 2.0**octave
     needed *= 2.0**octave
@@ -257,7 +250,7 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
     look = digest(mesh, view.scene.materials)
     loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
     method = store.lookup(
-        Key(Kind.SAMPLING_METHOD, shape, spacing=loose), lambda: choose_method(mesh, loose, ok, measures)
+        Key(Kind.SAMPLING_METHOD, shape, spacing=loose), lambda: choose_method(mesh, loose, measures=measures)
     )
     if view.coarse and geometry.spacing <= 0 and method != "VERTICES":
         # Finer samples than a budget of time leaves room for are drawn once their nodes can stand for them.
@@ -271,25 +264,26 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
 def fewest(view: View, of: Measured) -> PointSet:
     """The fewest samples that cover a mesh: its vertices, or one on each triangle."""
     spacing = quantise_spacing(2 * of.measures.longest)
-    return _samples(view, of, choose_method(of.mesh, spacing, of.ok, of.measures), spacing, spacing)
+    return _samples(view, of, choose_method(of.mesh, spacing, measures=of.measures), spacing, spacing)
 
 
 def _samples(view: View, of: Measured, method: str, spacing: float, loose: float) -> PointSet:
     """Samples by one method, so far apart; vertices where they may be `loose` apart."""
-    geometry, mesh, ok, shape, store, table = of.geometry, of.mesh, of.ok, of.shape, view.store, view.scene.materials
+    geometry, mesh, shape, store, table = of.geometry, of.mesh, of.shape, view.store, view.scene.materials
     look = digest(mesh, table)
     spacing = 0.0 if method == "VERTICES" else spacing
     at = Key(Kind.SAMPLES, shape, method=method, spacing=spacing)
     at = Key(Kind.SAMPLES, shape, method=method, spacing=spacing)
+    at = Key(Kind.SAMPLES, shape, method=method, spacing=spacing)
     samples, origin = store.lookup(
         at,
-        lambda: (sample_mesh(mesh, spacing or loose, method, ok, of.measures), mesh_centre(mesh)),
+        lambda: (sample_mesh(mesh, spacing or loose, method, measures=of.measures), mesh_centre(mesh)),
     )
     key = Key(Kind.MESH_POINTS, geometry.key, look, method, spacing)
 
     def make() -> PointCloud:
-        evaluated = evaluate(mesh, samples, origin, ok)
-        return finite(point_cloud(mesh, samples, evaluated, table))[0]
+        evaluated = evaluate(mesh, samples, origin)
+        return point_cloud(mesh, samples, evaluated, table)
 
     family = Key(Kind.SHARED_HIERARCHY, shape, look, method, spacing)
     return PointSet(key, store.lookup(key, make), family=family, samples=at)
@@ -303,4 +297,4 @@ def areas(view: View, geometry: Geometry, points: PointSet) -> Callable[[], np.n
     samples, _ = view.store.lookup(points.samples, lambda: None)
     if len(samples) != len(points.cloud):
         return None
-    return lambda: sample_areas(of.mesh, samples, of.ok)
+    return lambda: sample_areas(of.mesh, samples)

@@ -16,7 +16,7 @@ from ...core.lod.node_table import node_table
 from ...core.numeric.linear import largest_singular_value
 from ...core.scene.bounds import mesh_centre
 from ...core.scene.camera import Camera
-from ...core.scene.cloud import PointCloud, finite
+from ...core.scene.cloud import PointCloud
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.strands import Strands
@@ -85,9 +85,9 @@ class Focus:
 
             self._add_pieces(i, key, make, dicing.DISK_SHARE)
 
-    def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh, ok: np.ndarray) -> None:
+    def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh) -> None:
         """Triangles, cut for this view."""
-        rows = np.flatnonzero(ok)
+        rows = np.arange(len(mesh.triangles))
         origin, table = mesh_centre(mesh), self.scene.materials
         look = digest(mesh, table)
         for i in instance.tolist():
@@ -96,7 +96,7 @@ class Focus:
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 samples = dicing.dice_triangles(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
-                return finite(point_cloud(mesh, samples, evaluate(mesh, samples, origin, ok), table))[0]
+                return point_cloud(mesh, samples, evaluate(mesh, samples, origin), table)
 
             self._add_pieces(i, key, make, dicing.TRIANGLE_SHARE)
 

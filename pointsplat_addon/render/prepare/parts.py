@@ -11,7 +11,7 @@ import numpy as np
 from ...core.scene.cloud import PointCloud
 from ...core.scene.materials import MaterialTable
 from ...core.scene.scene import Geometry, Instances, Scene
-from ...core.scene.validation import sound
+from ...core.scene.valid_geometry import valid_points
 from ...core.scene.volume import Volume
 from ...core.surface.appearance import digest, passing, split_translucent
 from ...core.volume import voxels
@@ -20,13 +20,12 @@ from ..cache.store import Store
 
 
 def parted(scene: Scene, store: Store) -> tuple[Scene, tuple[str, ...]]:
-    """The scene in parts and without what cannot be drawn, and warnings; the scene itself where nothing has to change.
+    """The validated scene in parts, and warnings; the scene itself where nothing has to change.
 
     Instances keep their rows. A translucent part beside an opaque one is a further geometry with instances of its own,
     which follow after all others.
     """
-    scene, wrong = sound(scene)
-    warnings = list(wrong)
+    warnings: list[str] = []
     geometries: list[Geometry] = []
     extra: list[tuple[int, Geometry]] = []
     for row, geometry in enumerate(scene.geometries):
@@ -75,7 +74,11 @@ def _volume(geometry: Geometry, volume: Volume, table: MaterialTable, store: Sto
     key = f"{geometry.key} as {_digest(medium, volume.transfer, geometry.extinction, geometry.spacing)}"
 
     def make() -> Points:
-        return Points(*voxels.volume_splats(volume, medium, geometry.extinction, geometry.spacing))
+        made, found = voxels.volume_splats(volume, medium, geometry.extinction, geometry.spacing)
+        # Transforms can take voxels out of range that float32 has.
+        cloud, dropped = valid_points(made)
+        found += [f"{geometry.name}: {dropped} points that are not finite were left out"] if dropped else []
+        return Points(cloud, found)
 
     points = store.lookup(Key(Kind.VOXELS, key), make)
     warnings += points.warnings

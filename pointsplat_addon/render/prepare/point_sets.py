@@ -14,7 +14,7 @@ from ...core.numeric.linear import largest_singular_value
 from ...core.numeric.vectors import dot, each_block
 from ...core.scene.bounds import bounding_box
 from ...core.scene.camera import Camera
-from ...core.scene.cloud import PointCloud, coherent, finite
+from ...core.scene.cloud import PointCloud, coherent
 from ...core.scene.scene import Geometry
 from ...core.strand.projection import NEAREST
 from ..cache.keys import Key, Kind
@@ -47,19 +47,16 @@ class Layer:
     cut: Cut
 
 
-def given(cloud: PointCloud) -> tuple[PointCloud, int]:
-    """What is finite of a cloud, in coherent order, and how many points were dropped."""
-    cloud, dropped = finite(cloud)
+def given(cloud: PointCloud) -> PointCloud:
+    """The cloud in coherent order, its foliage marked."""
     cloud = coherent(cloud)
     disconnected = disconnected_splats(cloud)
-    return cloud if disconnected is None else replace(cloud, disconnected=disconnected), dropped
+    return cloud if disconnected is None else replace(cloud, disconnected=disconnected)
 
 
 def given_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:
-    """The points of a geometry that is a cloud; says what is dropped."""
-    points, dropped = view.store.lookup(Key(Kind.GIVEN_POINTS, geometry.key), lambda: given(cloud))
-    if dropped:
-        view.warnings.append(f"{geometry.name}: {dropped} points that are not finite were left out")
+    """The points of a geometry that is a cloud."""
+    points = view.store.lookup(Key(Kind.GIVEN_POINTS, geometry.key), lambda: given(cloud))
     family = None
     if geometry.lattice:
         family = Key(Kind.SHARED_HIERARCHY, geometry.lattice, other=(len(points), *points.arrays()))

@@ -13,12 +13,12 @@ import numpy as np
 
 from ...core.lod.cost import DEFAULT, Costs
 from ...core.lod.cut import cut_of_all_points
-from ...core.numeric.linear import all_finite
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
+from ...core.scene.validation import drawable_transforms
 from ...core.splat.blur import COARSEST_TOLERANCE, NODE_SIZE, defocus_blur
-from ...core.strand.cleaning import clean
+from ...core.strand.preparation import with_levels
 from ...core.strand.segments import Segments, concatenate_segments
 from ...core.strand.selection import select
 from ..cache.keys import Key, Kind
@@ -76,7 +76,7 @@ def prepare(
     """
     with np.errstate(all="ignore"):
         view_from_object = camera.view_from_world @ scene.instances.world_from_object
-        usable = all_finite(view_from_object.astype(np.float32))  # as the device has them
+    usable = drawable_transforms(view_from_object)
     blur = defocus_blur(camera, node) if settings.dof_method == "SPLAT" else None
     view = View(scene, camera, settings, samples, interactive, store, check, costs, blur, coarse)
     focus = None
@@ -200,8 +200,7 @@ def _lines(view: View, view_from_object: np.ndarray, usable: np.ndarray, focus: 
         if lines is None or len(where) == 0:
             continue
         view.check()
-        strands = view.store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda lines=lines: clean(lines))
-        view.warnings.extend(f"{geometry.name}: {message}" for message in strands.messages)
+        strands = view.store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda lines=lines: with_levels(lines))
         if len(strands) == 0:
             continue
         tolerance = view.settings.tolerance
@@ -238,7 +237,7 @@ def _sort_by_focus(view: View, focus: Focus, drawn: _Drawn) -> None:
         assert of is not None
         inside, outside = focus.reaches(where, *of.ball)
         view.check()
-        focus.add_mesh(where[outside], of.geometry, of.mesh, of.ok)
+        focus.add_mesh(where[outside], of.geometry, of.mesh)
         kept.append(where[inside])
     drawn.polygons = np.concatenate(kept)
 

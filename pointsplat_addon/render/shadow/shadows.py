@@ -14,19 +14,31 @@ from ...core.light.lighting import in_rows
 from ...core.lod.hierarchy import build
 from ...core.lod.levels import make_levels
 from ...core.numeric.linear import all_finite, largest_singular_value
-from ...core.scene.cloud import PointCloud, finite
+from ...core.scene.cloud import PointCloud
 from ...core.scene.lights import Light
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
-from ...core.scene.validation import valid_triangles
 from ...core.shadow import builder
-from ...core.shadow.floor import FLATNESS, box_corners, light_is_above, lowest_box_height, lowest_height, plane_of_mesh
+from ...core.shadow.floor import (
+    FLATNESS,
+    box_corners,
+    light_is_above,
+    lowest_box_height,
+    lowest_height,
+    plane_of_mesh,
+)
 from ...core.shadow.grid import NARROW_ANGLE, rotation_to
-from ...core.shadow.samples import MeshExtents, caster_clouds, mesh_extents, mesh_is_foliage, surface_points
+from ...core.shadow.samples import (
+    MeshExtents,
+    caster_clouds,
+    mesh_extents,
+    mesh_is_foliage,
+    surface_points,
+)
 from ...core.shadow.strand_casters import StrandSegments, cut_strands
-from ...core.strand.cleaning import clean
 from ...core.strand.levels import StrandLevels
+from ...core.strand.preparation import with_levels
 from ...core.surface.appearance import digest, hiding
 from ...core.surface.spacing import quantise_spacing
 from ..cache.keys import Key, Kind
@@ -265,7 +277,6 @@ def _box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
         found = _outline(geometry, mesh, store)
         return found.low, found.high
     if cloud is not None and len(cloud):
-        cloud = finite(cloud)[0]
         widest = 0.0 if cloud.radii is None else float(cloud.radii.max(initial=0.0))
         low, high = (np.array([f(column, initial=start) for column in cloud.position.T], float) for f, start in ENDS)
         return cloud.origin + low - widest, cloud.origin + high + widest
@@ -277,8 +288,7 @@ def _box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _outline(geometry: Geometry, mesh: Mesh, store: Store) -> MeshExtents:
-    valid, _ = store.lookup(Key(Kind.VALID_TRIANGLES, geometry.key), lambda: valid_triangles(mesh))
-    return store.lookup(Key(Kind.CASTER_OUTLINE, geometry.key), lambda: mesh_extents(mesh, valid))
+    return store.lookup(Key(Kind.CASTER_OUTLINE, geometry.key), lambda: mesh_extents(mesh))
 
 
 def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
@@ -288,7 +298,7 @@ def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
         found = _outline(geometry, mesh, store)
         low, high, origin = found.low, found.high, np.zeros(3)
     elif cloud is not None and len(cloud):
-        position, origin = _reached(finite(cloud)[0]).position, cloud.origin
+        position, origin = cloud.position, cloud.origin
         low, high = (np.array([f(column, initial=start) for column in position.T], float) for f, start in ENDS)
     elif geometry.strands is not None and len(strands := _strands(geometry, store)):
         origin, widest = strands.origin, float(strands.radius.max())
@@ -303,7 +313,7 @@ def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
 def _strands(geometry: Geometry, store: Store) -> StrandLevels:
     lines = geometry.strands
     assert lines is not None
-    return store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: clean(lines))
+    return store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: with_levels(lines))
 
 
 def _pieces(casters: list[_Caster], spacing: list[float], store: Store) -> list[StrandSegments]:
@@ -419,8 +429,7 @@ def _batches(
         cloud, mesh = caster.geometry.cloud, caster.geometry.mesh
         clouds = []
         if cloud is not None:
-            cloud, _ = store.lookup(Key(Kind.GIVEN_POINTS, caster.geometry.key), lambda cloud=cloud: given(cloud))
-            clouds = [_reached(cloud)]
+            clouds = [store.lookup(Key(Kind.GIVEN_POINTS, caster.geometry.key), lambda cloud=cloud: given(cloud))]
         if mesh is not None and length > 0:
             clouds = _sampled(scene, caster.geometry, mesh, length, store)
         for cloud in clouds:
@@ -473,13 +482,6 @@ def _repeated(cloud: PointCloud, matrices: np.ndarray) -> PointCloud:
         axis=None if cloud.axis is None else turned(cloud.axis, linear),
         radii=(scale[:, None, None] * cloud.radii).reshape(-1, cloud.radii.shape[1]).astype(np.float32),
     )
-
-
-def _reached(cloud: PointCloud) -> PointCloud:
-    """The points that are not farther away than numbers reach."""
-    if len(cloud) == 0 or max(-float(cloud.position.min()), float(cloud.position.max())) < FARTHEST:
-        return cloud
-    return cloud.take(np.flatnonzero((np.abs(cloud.position) < FARTHEST).all(axis=1)))
 
 
 def _sampled(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store: Store) -> tuple[PointCloud, ...]:

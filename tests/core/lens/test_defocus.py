@@ -11,9 +11,8 @@ from pointsplat_addon.core.lod import area_share, cut, node_table
 from pointsplat_addon.core.lod.hierarchy import build
 from pointsplat_addon.core.scene.camera import Aperture, Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.core.scene.validation import valid_triangles
 from pointsplat_addon.core.splat import blur as blur_module
-from pointsplat_addon.core.strand.cleaning import clean
+from pointsplat_addon.core.strand.preparation import with_levels
 from pointsplat_addon.core.surface.evaluation import evaluate
 from pointsplat_addon.core.surface.sample_areas import sample_areas
 from pointsplat_addon.core.surface.sampling import sample_mesh
@@ -333,11 +332,11 @@ def test_pieces_of_strands_have_their_area():
     strand = np.stack([u, 0.2 * np.sin(3 * u), 0.3 * u], axis=1)
     given = strand_lines("in pieces", [strand], 0.01).strands
     assert given is not None
-    strands = clean(given)
+    strands = with_levels(given)
     ends = np.stack([np.arange(8), np.arange(1, 9)], axis=1)
     for size, strips in ((0.01, False), (0.3, True)):
         lines = replace(given, radius=np.full(9, size, np.float32))
-        strands = clean(lines)
+        strands = with_levels(lines)
         seen = lens(0.05, 2.0)
         found = strand_splats.dice_strands(strands, lines, ends, seen.view_from_world, seen, 1.0, blur(seen))
         assert found.radii is not None
@@ -358,7 +357,7 @@ def test_pieces_of_a_tube_cover_what_is_seen_of_it(bend, tolerance):
     along -= along[3]
     given = strand_lines(f"tube bent by {bend}", [along], 0.3).strands
     assert given is not None
-    strands = clean(given)
+    strands = with_levels(given)
     seen = lens(0.5, 3.0, parallel=20.0)
     ends = np.stack([np.arange(6), np.arange(1, 7)], axis=1)
     found = strand_splats.dice_strands(strands, given, ends, seen.view_from_world, seen, tolerance, blur(seen))
@@ -389,13 +388,12 @@ def test_points_of_a_plane_cover_their_cells_whatever_their_radii_are(wide):
 
 def test_samples_of_a_mesh_cover_what_they_stand_for():
     mesh = sphere_mesh("covered sphere", 48)
-    ok, _ = valid_triangles(mesh)
-    samples = sample_mesh(mesh, 0.05, "AREA", ok, measure_triangles(mesh, ok))
-    found = evaluate(mesh, samples, ok=ok)
+    samples = sample_mesh(mesh, 0.05, "AREA")
+    found = evaluate(mesh, samples)
     cloud = PointCloud(found.position, found.origin, normal=found.plane, axis=found.axis, radii=found.radii)
     tree = build(cloud)
-    share = np.asarray(area_share.area_shares(tree, lambda: sample_areas(mesh, samples, ok)))
+    share = np.asarray(area_share.area_shares(tree, lambda: sample_areas(mesh, samples)))
     assert tree.cloud.radii is not None
     area = np.pi * tree.cloud.radii.astype(float).prod(axis=1) * share[: len(cloud)]
-    whole = measure_triangles(mesh, ok).area
+    whole = measure_triangles(mesh).area
     assert abs(area.sum() / whole - 1) < 1e-6  # measured 5e-10

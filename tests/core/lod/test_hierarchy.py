@@ -129,7 +129,8 @@ def test_chunks_do_not_change_the_nodes(monkeypatch: pytest.MonkeyPatch) -> None
 def test_small_clouds(points: int) -> None:
     built = hierarchy.build(sphere_cloud(points))
     check_links(built.tree, points) if points else None
-    assert len(built) == (0 if points == 0 else len(built.tree))
+    # A leaf holds up to twelve.
+    assert len(built) == {0: 0, 1: 1, 2: 1, 12: 1, 13: 6}[points]
     assert len(node_splats.points_and_nodes(built)) == points + len(built)
 
 

@@ -107,7 +107,7 @@ def test_a_level_is_the_first_that_is_fine_enough(levels: levels_module.Levels, 
     stretch = np.linalg.norm(matrix[some, :3, :3], 2, axis=(1, 2))
     middle = matrix[some, :3, :3] @ levels.center + matrix[some, :3, 3]
     focal, size = max(camera.pixel_from_view()[:2]), levels.size[choice.level[some]]
-    reach = levels.reach * stretch
+    reach = levels.radius * stretch
     # A ball of that size, where on the instance it is seen largest: nearest, and farthest from the axis.
     near = -middle[:, 2] - reach if perspective else np.ones(len(some))
     slope = np.hypot(1, (np.hypot(*middle[:, :2].T) + reach) / near) if perspective else 1.0

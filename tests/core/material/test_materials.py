@@ -8,24 +8,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.material import expressions as ex
-from pointsplat_addon.core.material.graph import (
-    MaterialGraph,
-    Needs,
-    SampleInputs,
-    bake,
-    bakeable,
-    evaluate,
-    evaluate_samples,
-    needs,
-    suggested_resolution,
-    triangle_tangents,
+from pointsplat_addon.core.material.baking import bake, bakeable, suggested_resolution
+from pointsplat_addon.core.material.evaluation import evaluate_samples, triangle_tangents
+from pointsplat_addon.core.material.expression import CHUNK, SampleInputs, evaluate
+from pointsplat_addon.core.material.graph import MaterialGraph, Needs, needs
+from pointsplat_addon.core.material.image import Image
+from pointsplat_addon.core.material.nodes import (
+    color_nodes,
+    input_nodes,
+    math_functions,
+    math_nodes,
+    normal_nodes,
+    ramp_nodes,
+    texture_nodes,
 )
 from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash, murmur3
 
-ZERO = ex.Constant((0.0,))
-ORIGIN = ex.Constant((0.0, 0.0, 0.0))
-UNIT = ex.Constant((1.0, 1.0, 1.0))
+ZERO = input_nodes.Constant((0.0,))
+ORIGIN = input_nodes.Constant((0.0, 0.0, 0.0))
+UNIT = input_nodes.Constant((1.0, 1.0, 1.0))
 
 
 def f32(values):
@@ -39,12 +40,12 @@ def random(shape, low=0.0, high=1.0):
 def given(**arrays):
     """Expressions for arrays (N, 3 | 4), and the samples that hold them."""
     padded = {k: np.pad(f32(a), ((0, 0), (0, 4 - a.shape[1]))) for k, a in arrays.items()}
-    return SampleInputs(colors=padded), {k: ex.Color(ex.ColorAttribute(k)) for k in arrays}
+    return SampleInputs(colors=padded), {k: color_nodes.Color(input_nodes.ColorAttribute(k)) for k in arrays}
 
 
 def noise(width, height, dtype=np.float32):
     texels = np.random.default_rng(5).random((height, width, 4))
-    return ex.Image(np.rint(texels * 255).astype(np.uint8) if dtype is np.uint8 else texels.astype(dtype))
+    return Image(np.rint(texels * 255).astype(np.uint8) if dtype is np.uint8 else texels.astype(dtype))
 
 
 # Arithmetic
@@ -97,8 +98,8 @@ MATH = {
 def test_math_is_the_textbooks(operation):
     values = random((200, 3), -1.9, 1.9)
     inputs, x = given(v=values)
-    a, b, c = (ex.Component(x["v"], i) for i in range(3))
-    found = evaluate(ex.Math(a, b, c, operation), inputs)[:, 0]
+    a, b, c = (color_nodes.Component(x["v"], i) for i in range(3))
+    found = evaluate(math_nodes.Math(a, b, c, operation), inputs)[:, 0]
     expected = [MATH[operation](*row) for row in values.astype(float).tolist()]
     # measured 2e-7 (1e-4 of the largest, 1e3, near the tangent's poles)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
@@ -106,58 +107,60 @@ def test_math_is_the_textbooks(operation):
 
 @pytest.mark.parametrize("operation", ["DIVIDE", "MODULO", "FLOORED_MODULO", "SNAP", "PINGPONG"])
 def test_division_by_zero_is_zero(operation):
-    assert evaluate(ex.Math(ex.Constant((3.0,)), ZERO, ZERO, operation), SampleInputs(count=1)) == 0
+    assert evaluate(math_nodes.Math(input_nodes.Constant((3.0,)), ZERO, ZERO, operation), SampleInputs(count=1)) == 0
 
 
 @pytest.mark.parametrize("k", [0.0, 0.5])
 def test_smooth_extrema_touch_the_sharp_ones_beyond_their_width(k):
     values = random((200, 2), -2, 2)
     inputs, x = given(v=values)
-    a, b = ex.Component(x["v"], 0), ex.Component(x["v"], 1)
-    low = evaluate(ex.Math(a, b, ex.Constant((k,)), "SMOOTH_MIN"), inputs)[:, 0]
-    high = evaluate(ex.Math(a, b, ex.Constant((k,)), "SMOOTH_MAX"), inputs)[:, 0]
+    a, b = color_nodes.Component(x["v"], 0), color_nodes.Component(x["v"], 1)
+    low = evaluate(math_nodes.Math(a, b, input_nodes.Constant((k,)), "SMOOTH_MIN"), inputs)[:, 0]
+    high = evaluate(math_nodes.Math(a, b, input_nodes.Constant((k,)), "SMOOTH_MAX"), inputs)[:, 0]
     apart = np.abs(values[:, 0] - values[:, 1]) >= k
     np.testing.assert_array_equal(low[apart], values.min(axis=1)[apart])
     np.testing.assert_array_equal(high[apart], values.max(axis=1)[apart])
     assert np.all(low <= values.min(axis=1))
     # Blending two equal values lowers them by k / 6
-    same = ex.Math(ex.Constant((1.0,)), ex.Constant((1.0,)), ex.Constant((k,)), "SMOOTH_MIN")
+    same = math_nodes.Math(
+        input_nodes.Constant((1.0,)), input_nodes.Constant((1.0,)), input_nodes.Constant((k,)), "SMOOTH_MIN"
+    )
     assert evaluate(same, SampleInputs(count=1))[0, 0] == pytest.approx(1 - k / 6)
 
 
 def test_reflection_and_refraction_obey_snell():
-    incident = np.stack([ex.normalize(random((50, 3), -1, 1)), np.tile(f32([0, 0, 2]), (50, 1))])
+    incident = np.stack([math_functions.normalize_rows(random((50, 3), -1, 1)), np.tile(f32([0, 0, 2]), (50, 1))])
     incident[0, :, 2] = -np.abs(incident[0, :, 2])
     inputs, x = given(i=incident[0], n=incident[1])
     ratio = 1 / 1.5
-    mirrored = evaluate(ex.VectorMath(x["i"], x["n"], ORIGIN, ZERO, "REFLECT"), inputs)
+    mirrored = evaluate(math_nodes.VectorMath(x["i"], x["n"], ORIGIN, ZERO, "REFLECT"), inputs)
     np.testing.assert_allclose(mirrored, incident[0] * [1, 1, -1], atol=1e-6)  # measured 0
-    bent = evaluate(ex.VectorMath(x["i"], x["n"], ORIGIN, ex.Constant((ratio,)), "REFRACT"), inputs)
+    bent = evaluate(math_nodes.VectorMath(x["i"], x["n"], ORIGIN, input_nodes.Constant((ratio,)), "REFRACT"), inputs)
     np.testing.assert_allclose(bent[:, :2], incident[0, :, :2] * ratio, atol=1e-6)  # measured 0
     np.testing.assert_allclose(np.linalg.norm(bent, axis=1), 1, atol=1e-6)  # measured 1e-7
 
 
 def test_mapping_texture_undoes_point():
     inputs, x = given(p=random((100, 3), -2, 2))
-    move, turn, scale = (ex.Constant(v) for v in ((0.3, -0.2, 0.9), (0.4, 1.1, -0.7), (2.0, 0.5, -1.5)))
-    there = ex.Mapping(x["p"], move, turn, scale, "POINT")
-    back = ex.Mapping(there, move, turn, scale, "TEXTURE")
+    move, turn, scale = (input_nodes.Constant(v) for v in ((0.3, -0.2, 0.9), (0.4, 1.1, -0.7), (2.0, 0.5, -1.5)))
+    there = math_nodes.Mapping(x["p"], move, turn, scale, "POINT")
+    back = math_nodes.Mapping(there, move, turn, scale, "TEXTURE")
     np.testing.assert_allclose(evaluate(back, inputs), inputs.colors["p"][:, :3], atol=5e-6)  # measured 1e-6
 
 
 def test_mapping_turns_about_x_then_y_then_z():
-    rotation = ex.Constant((math.pi / 2, 0.0, math.pi / 2))
+    rotation = input_nodes.Constant((math.pi / 2, 0.0, math.pi / 2))
     # X turns +Y into +Z, which Z leaves; +Z becomes -Y, which Z turns into +X
     for start, end in (((0.0, 1.0, 0.0), (0, 0, 1)), ((0.0, 0.0, 1.0), (1, 0, 0))):
-        found = evaluate(ex.Mapping(ex.Constant(start), ORIGIN, rotation, UNIT), SampleInputs(count=1))
+        found = evaluate(math_nodes.Mapping(input_nodes.Constant(start), ORIGIN, rotation, UNIT), SampleInputs(count=1))
         np.testing.assert_allclose(found[0], end, atol=1e-6)  # measured 4e-8
 
 
 def test_normals_map_by_the_inverse_scale():
     # The plane z = x is mapped by scale (2, 1, 1) to z = x / 2
-    normal = ex.Constant((-1.0, 0.0, 1.0))
-    scale = ex.Constant((2.0, 1.0, 1.0))
-    found = evaluate(ex.Mapping(normal, ORIGIN, ORIGIN, scale, "NORMAL"), SampleInputs(count=1))
+    normal = input_nodes.Constant((-1.0, 0.0, 1.0))
+    scale = input_nodes.Constant((2.0, 1.0, 1.0))
+    found = evaluate(math_nodes.Mapping(normal, ORIGIN, ORIGIN, scale, "NORMAL"), SampleInputs(count=1))
     np.testing.assert_allclose(found[0], f32([-0.5, 0, 1]) / math.sqrt(1.25), atol=1e-6)  # measured 0
 
 
@@ -177,7 +180,9 @@ def test_color_models_are_the_standard_librarys(model, convert):
     colors = np.concatenate([random((200, 3)), f32([[0, 0, 0], [1, 1, 1], [0.5, 0.5, 0.5], [1, 0, 0], [1, 0, 1]])])
     inputs, x = given(c=colors)
     expected = [convert(*row) for row in colors.astype(float).tolist()]
-    np.testing.assert_allclose(evaluate(ex.ColorModel(x["c"], model), inputs), expected, atol=5e-6)  # measured 2e-7
+    np.testing.assert_allclose(
+        evaluate(color_nodes.ColorModel(x["c"], model), inputs), expected, atol=5e-6
+    )  # measured 2e-7
 
 
 FULL_BLEND = {  # the result of blending b over a with factor 1
@@ -202,52 +207,61 @@ FULL_BLEND = {  # the result of blending b over a with factor 1
 @pytest.mark.parametrize("blend", sorted(FULL_BLEND))
 def test_blending_fully_is_the_blend_mode(blend):
     inputs, x = given(a=random((100, 3), 0.05, 0.95), b=random((200, 3), 0.05, 0.95)[100:])
-    found = evaluate(ex.Mix(ex.Constant((1.0,)), x["a"], x["b"], blend), inputs)
+    found = evaluate(color_nodes.Mix(input_nodes.Constant((1.0,)), x["a"], x["b"], blend), inputs)
     a, b = (inputs.colors[k][:, :3].astype(float) for k in "ab")
     np.testing.assert_allclose(found, np.vectorize(FULL_BLEND[blend])(a, b), rtol=1e-5, atol=1e-6)  # measured 3e-7
 
 
-@pytest.mark.parametrize("blend", sorted(ex.BLEND))
+@pytest.mark.parametrize("blend", sorted(color_nodes.BLEND))
 def test_blending_with_factor_zero_changes_nothing(blend):
     inputs, x = given(a=random((100, 3), 0.05, 0.95), b=random((200, 3), 0.05, 0.95)[100:])
-    found = evaluate(ex.Mix(ZERO, x["a"], x["b"], blend), inputs)
+    found = evaluate(color_nodes.Mix(ZERO, x["a"], x["b"], blend), inputs)
     np.testing.assert_allclose(found, inputs.colors["a"][:, :3], atol=1e-6)  # measured 2e-7
 
 
 def test_mixing_hue_takes_the_hue_and_keeps_the_rest():
     a, b = (0.8, 0.3, 0.2), (0.1, 0.4, 0.9)
-    found = evaluate(ex.Mix(ex.Constant((1.0,)), ex.Constant(a), ex.Constant(b), "HUE"), SampleInputs(count=1))[0]
+    found = evaluate(
+        color_nodes.Mix(input_nodes.Constant((1.0,)), input_nodes.Constant(a), input_nodes.Constant(b), "HUE"),
+        SampleInputs(count=1),
+    )[0]
     h, s, v = colorsys.rgb_to_hsv(*found.tolist())
     assert (h, s, v) == pytest.approx((colorsys.rgb_to_hsv(*b)[0], *colorsys.rgb_to_hsv(*a)[1:]), abs=1e-6)
 
 
 def test_mixing_clamps_factor_and_result():
-    two = ex.Constant((2.0,))
-    a, b = ex.Constant((0.0,)), ex.Constant((3.0,))
+    two = input_nodes.Constant((2.0,))
+    a, b = input_nodes.Constant((0.0,)), input_nodes.Constant((3.0,))
     once = SampleInputs(count=1)
-    assert evaluate(ex.Mix(two, a, b), once) == 3
-    assert evaluate(ex.Mix(two, a, b, clamp_factor=False), once) == 6
-    assert evaluate(ex.Mix(two, a, b, clamp_result=True), once) == 1
+    assert evaluate(color_nodes.Mix(two, a, b), once) == 3
+    assert evaluate(color_nodes.Mix(two, a, b, clamp_factor=False), once) == 6
+    assert evaluate(color_nodes.Mix(two, a, b, clamp_result=True), once) == 1
 
 
 def test_invert_gamma_contrast_and_hue_shift():
     inputs, x = given(c=random((50, 3)))
     c = inputs.colors["c"][:, :3].astype(float)
-    one = ex.Constant((1.0,))
-    np.testing.assert_allclose(evaluate(ex.Invert(one, x["c"]), inputs), 1 - c, atol=1e-6)  # measured 3e-8
-    np.testing.assert_allclose(evaluate(ex.Gamma(x["c"], ex.Constant((2.2,))), inputs), c**2.2, atol=1e-6)
-    contrast = ex.BrightContrast(x["c"], ex.Constant((0.1,)), ex.Constant((0.5,)))
+    one = input_nodes.Constant((1.0,))
+    np.testing.assert_allclose(evaluate(color_nodes.Invert(one, x["c"]), inputs), 1 - c, atol=1e-6)  # measured 3e-8
+    np.testing.assert_allclose(
+        evaluate(color_nodes.Gamma(x["c"], input_nodes.Constant((2.2,))), inputs), c**2.2, atol=1e-6
+    )
+    contrast = color_nodes.BrightContrast(x["c"], input_nodes.Constant((0.1,)), input_nodes.Constant((0.5,)))
     np.testing.assert_allclose(
         evaluate(contrast, inputs), np.maximum(1.5 * (c - 0.5) + 0.6, 0), atol=1e-6
     )  # measured 8e-8
     # Half a turn of hue on saturated colours
-    third = ex.HueSaturation(ex.Constant((0.5 + 1 / 3,)), one, one, one, ex.Constant((0.9, 0.2, 0.2)))
+    third = color_nodes.HueSaturation(
+        input_nodes.Constant((0.5 + 1 / 3,)), one, one, one, input_nodes.Constant((0.9, 0.2, 0.2))
+    )
     np.testing.assert_allclose(evaluate(third, SampleInputs(count=1))[0], (0.2, 0.9, 0.2), atol=1e-6)  # measured 3e-7
 
 
 @pytest.mark.parametrize(("ordered", "expected"), [(False, 0.3), (True, 0.5)])
 def test_clamping_between_exchanged_limits(ordered, expected):
-    clamp = ex.Clamp(ex.Constant((0.5,)), ex.Constant((0.7,)), ex.Constant((0.3,)), ordered)
+    clamp = math_nodes.Clamp(
+        input_nodes.Constant((0.5,)), input_nodes.Constant((0.7,)), input_nodes.Constant((0.3,)), ordered
+    )
     assert evaluate(clamp, SampleInputs(count=1))[0, 0] == np.float32(expected)
 
 
@@ -262,8 +276,8 @@ def test_clamping_between_exchanged_limits(ordered, expected):
 )
 def test_map_range(kind, shape):
     inputs, x = given(v=random((300, 1), -0.5, 2.5))
-    low, high, to_low, to_high, steps = (ex.Constant((v,)) for v in (0.2, 1.7, 3.0, -1.0, 4.0))
-    mapped = ex.MapRange(ex.Component(x["v"], 0), low, high, to_low, to_high, steps, kind)
+    low, high, to_low, to_high, steps = (input_nodes.Constant((v,)) for v in (0.2, 1.7, 3.0, -1.0, 4.0))
+    mapped = math_nodes.MapRange(color_nodes.Component(x["v"], 0), low, high, to_low, to_high, steps, kind)
     found = evaluate(mapped, inputs)[:, 0]
     t = np.clip((inputs.colors["v"][:, 0].astype(float) - 0.2) / 1.5, 0, 1)
     np.testing.assert_allclose(found, [3 - 4 * shape(s) for s in t], atol=1e-5)  # measured 3e-6
@@ -273,15 +287,15 @@ def test_a_ramp_meets_its_stops_and_jumps_at_constant_ones():
     positions, colors = f32([0.2, 0.5, 0.8]), random((3, 4))
     at_stops = SampleInputs(colors={"x": np.repeat(positions[:, None], 4, axis=1)})
     for kind in ("LINEAR", "EASE", "CONSTANT", "CARDINAL"):
-        found = evaluate(ex.ColorRamp(ex.ColorAttribute(), positions, colors, kind), at_stops)
+        found = evaluate(ramp_nodes.ColorRamp(input_nodes.ColorAttribute(), positions, colors, kind), at_stops)
         np.testing.assert_allclose(found, colors, atol=1e-6)  # measured 0
     before = SampleInputs(colors={"x": np.full((1, 4), np.nextafter(np.float32(0.5), np.float32(0)))})
-    found = evaluate(ex.ColorRamp(ex.ColorAttribute(), positions, colors, "CONSTANT"), before)
+    found = evaluate(ramp_nodes.ColorRamp(input_nodes.ColorAttribute(), positions, colors, "CONSTANT"), before)
     np.testing.assert_array_equal(found[0], colors[0])
 
 
 def test_curve_tables_interpolate_and_continue():
-    curve = ex.CurveTable(-1.0, 1.0, (0.0, 2.0, 3.0), slopes=(0.5, -1.0))
+    curve = ramp_nodes.CurveTable(-1.0, 1.0, (0.0, 2.0, 3.0), slopes=(0.5, -1.0))
     x = f32([-3, -1, -0.5, 0, 0.5, 1, 2])
     np.testing.assert_allclose(curve(x), [-1, 0, 1, 2, 2.5, 3, 2], atol=1e-7)  # measured 0
 
@@ -290,7 +304,7 @@ def test_curve_tables_interpolate_and_continue():
 
 
 def look_up(image, uv, **properties):
-    texture = ex.ImageTexture(ex.UV(), image, **properties)
+    texture = texture_nodes.ImageTexture(input_nodes.UV(), image, **properties)
     return evaluate(texture, SampleInputs(uv={"": f32(uv)}, active_uv=""))
 
 
@@ -307,7 +321,7 @@ def test_linear_look_up_reproduces_planes_between_the_outer_centres():
     height, width = 7, 5
     v, u = np.mgrid[:height, :width]
     plane = 0.3 * (u + 0.5) / width - 0.2 * (v + 0.5) / height + 0.5
-    image = ex.Image(f32(np.repeat(plane[..., None], 4, axis=2)))
+    image = Image(f32(np.repeat(plane[..., None], 4, axis=2)))
     uv = random((500, 2)) * [1 - 1 / width, 1 - 1 / height] + [0.5 / width, 0.5 / height]
     expected = 0.3 * uv[:, 0] - 0.2 * uv[:, 1] + 0.5
     for interpolation in ("Linear", "Cubic"):
@@ -338,14 +352,14 @@ def test_outside_the_picture_stands_what_its_extension_says(extension, origin):
 
 
 def test_clipped_pictures_fade_out_over_half_a_texel():
-    image = ex.Image(np.ones((2, 2, 4), np.float32))
+    image = Image(np.ones((2, 2, 4), np.float32))
     u = f32([-0.3, -0.25, -0.125, 0.0, 0.25, 1.0, 1.125, 1.3])
     found = look_up(image, np.stack([u, np.full_like(u, 0.5)], axis=1), extension="CLIP")
     np.testing.assert_allclose(found[:, 3], [0, 0, 0.25, 0.5, 1, 0.5, 0.25, 0], atol=1e-6)  # measured 0
 
 
 def test_bytes_are_decoded_after_interpolation():
-    image = ex.Image(np.array([[[0] * 4, [255] * 4]], np.uint8), srgb=True)
+    image = Image(np.array([[[0] * 4, [255] * 4]], np.uint8), srgb=True)
     found = look_up(image, [(0.5, 0.5)])[0]
     # IEC 61966-2-1 at one half; alpha is not encoded
     np.testing.assert_allclose(found, [((0.5 + 0.055) / 1.055) ** 2.4] * 3 + [0.5], atol=1e-6)  # measured 3e-9
@@ -353,7 +367,7 @@ def test_bytes_are_decoded_after_interpolation():
 
 def test_straight_colour_does_not_bleed_from_transparent_texels():
     texels = f32([[[1, 0.5, 0.25, 1], [0, 0, 0, 0]]])
-    image = ex.Image(texels, associated=True)
+    image = Image(texels, associated=True)
     np.testing.assert_allclose(
         look_up(image, [(0.5, 0.5)], straight=True)[0], [1, 0.5, 0.25, 0.5], atol=1e-7
     )  # measured 0
@@ -365,7 +379,7 @@ def test_straight_colour_does_not_bleed_from_transparent_texels():
 )
 def test_images_refuse_other_texels(texels):
     with pytest.raises(ValueError, match="texels"):
-        ex.Image(texels)
+        Image(texels)
 
 
 def test_uvs_that_are_no_numbers_read_some_texel():
@@ -379,17 +393,17 @@ def test_uvs_that_are_no_numbers_read_some_texel():
 
 
 def test_a_flat_normal_map_changes_nothing_and_a_tilted_one_leans_along_the_tangent():
-    normal, tangent = ex.normalize(random((50, 3), -1, 1)), random((100, 3), -1, 1)[50:]
-    tangent = ex.normalize(tangent - normal * (normal * tangent).sum(axis=1, keepdims=True))
+    normal, tangent = math_functions.normalize_rows(random((50, 3), -1, 1)), random((100, 3), -1, 1)[50:]
+    tangent = math_functions.normalize_rows(tangent - normal * (normal * tangent).sum(axis=1, keepdims=True))
     inputs = SampleInputs(uv={"m": np.zeros((50, 2))}, normal=normal, tangent=tangent, bitangent_sign=-np.ones(50))
-    one = ex.Constant((1.0,))
-    flat = ex.NormalMap(one, ex.Constant((0.5, 0.5, 1.0)), ex.UV("m"))
+    one = input_nodes.Constant((1.0,))
+    flat = normal_nodes.NormalMap(one, input_nodes.Constant((0.5, 0.5, 1.0)), input_nodes.UV("m"))
     np.testing.assert_allclose(evaluate(flat, inputs), normal, atol=1e-6)  # measured 6e-8
-    along_u = ex.NormalMap(one, ex.Constant((1.0, 0.5, 0.5)), ex.UV("m"))
+    along_u = normal_nodes.NormalMap(one, input_nodes.Constant((1.0, 0.5, 0.5)), input_nodes.UV("m"))
     np.testing.assert_allclose(evaluate(along_u, inputs), tangent, atol=1e-6)  # measured 6e-8
-    along_v = ex.NormalMap(one, ex.Constant((0.5, 1.0, 0.5)), ex.UV("m"))
+    along_v = normal_nodes.NormalMap(one, input_nodes.Constant((0.5, 1.0, 0.5)), input_nodes.UV("m"))
     np.testing.assert_allclose(evaluate(along_v, inputs), np.cross(tangent, normal), atol=1e-6)  # measured 2e-7
-    off = ex.NormalMap(ZERO, ex.Constant((1.0, 0.2, 0.5)), ex.UV("m"))
+    off = normal_nodes.NormalMap(ZERO, input_nodes.Constant((1.0, 0.2, 0.5)), input_nodes.UV("m"))
     np.testing.assert_allclose(evaluate(off, inputs), normal, atol=1e-6)  # measured 6e-8
 
 
@@ -418,21 +432,28 @@ def test_degenerate_uvs_still_give_a_unit_tangent():
 
 def test_missing_inputs_read_as_zero():
     inputs = SampleInputs(count=3)
-    sources = (ex.UV(), ex.UV("absent"), ex.ColorAttribute("absent"), ex.Coordinates("generated"))
+    sources = (
+        input_nodes.UV(),
+        input_nodes.UV("absent"),
+        input_nodes.ColorAttribute("absent"),
+        input_nodes.Coordinates("generated"),
+    )
     for source in sources:
         assert not evaluate(source, inputs).any()
-    np.testing.assert_array_equal(evaluate(ex.Attribute("absent"), inputs), [[0, 0, 0, 1, 0]] * 3)
+    np.testing.assert_array_equal(evaluate(input_nodes.Attribute("absent"), inputs), [[0, 0, 0, 1, 0]] * 3)
 
 
 def test_samples_without_arrays_need_a_count():
     with pytest.raises(ValueError, match="count"):
-        evaluate(ex.UV(), SampleInputs())
+        evaluate(input_nodes.UV(), SampleInputs())
 
 
 def test_long_arrays_are_evaluated_in_parts_that_join():
-    count = 2 * ex.CHUNK + 17
+    count = 2 * CHUNK + 17
     inputs = SampleInputs(position=random((count, 3)), colors={"Col": random((count, 4))})
-    total = ex.VectorMath(ex.Coordinates("position"), ex.Color(ex.ColorAttribute()), ORIGIN, ZERO, "ADD")
+    total = math_nodes.VectorMath(
+        input_nodes.Coordinates("position"), color_nodes.Color(input_nodes.ColorAttribute()), ORIGIN, ZERO, "ADD"
+    )
     assert inputs.position is not None
     np.testing.assert_array_equal(evaluate(total, inputs), inputs.position + inputs.colors["Col"][:, :3])
     assert evaluate(total, inputs.take(slice(0, 0))).shape == (0, 3)
@@ -440,8 +461,8 @@ def test_long_arrays_are_evaluated_in_parts_that_join():
 
 def test_channels_are_finite_and_in_range():
     inputs, x = given(v=f32([[np.nan, np.inf, -np.inf], [2, -3, 0.5]]))
-    scalar = ex.Component(x["v"], 0)
-    graph = MaterialGraph(x["v"], scalar, scalar, ex.Component(x["v"], 1), x["v"], x["v"])
+    scalar = color_nodes.Component(x["v"], 0)
+    graph = MaterialGraph(x["v"], scalar, scalar, color_nodes.Component(x["v"], 1), x["v"], x["v"])
     out = evaluate_samples(graph, inputs)
     np.testing.assert_array_equal(out["base_color"], [[0, 0, 0], [2, 0, 0.5]])
     np.testing.assert_array_equal(out["roughness"], [0, 1])
@@ -452,50 +473,63 @@ def test_channels_are_finite_and_in_range():
 
 def test_needs_name_what_is_read():
     image = noise(2, 2)
-    normal_map = ex.NormalMap(ex.Constant((1.0,)), ex.Color(ex.ImageTexture(ex.UV("a"), image)), ex.UV())
-    graph = MaterialGraph(base_color=ex.Color(ex.ColorAttribute("Col")), normal=normal_map)
+    normal_map = normal_nodes.NormalMap(
+        input_nodes.Constant((1.0,)),
+        color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV("a"), image)),
+        input_nodes.UV(),
+    )
+    graph = MaterialGraph(base_color=color_nodes.Color(input_nodes.ColorAttribute("Col")), normal=normal_map)
     expected = Needs(
-        uv=frozenset({"a", None}), colors=frozenset({"Col"}), normal=True, tangent=frozenset({None}), pictures=True
+        uv=frozenset({"a", None}), colors=frozenset({"Col"}), normal=True, tangent=frozenset({None}), images=True
     )
     assert needs(graph) == expected
-    named = MaterialGraph(roughness=ex.Component(ex.Attribute("x"), 4), emission=ex.Coordinates("position"))
+    named = MaterialGraph(
+        roughness=color_nodes.Component(input_nodes.Attribute("x"), 4), emission=input_nodes.Coordinates("position")
+    )
     assert needs(named) == Needs(uv=frozenset({"x"}), colors=frozenset({"x"}), position=True)
 
 
 def test_digests_depend_on_content_alone():
     def graph(seed, factor):
         texels = np.random.default_rng(seed).random((2, 2, 4)).astype(np.float32)
-        color = ex.Color(ex.ImageTexture(ex.UV(), ex.Image(texels)))
-        return MaterialGraph(base_color=ex.Mix(ex.Constant((factor,)), color, UNIT))
+        color = color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV(), Image(texels)))
+        return MaterialGraph(base_color=color_nodes.Mix(input_nodes.Constant((factor,)), color, UNIT))
 
     assert graph(1, 0.5).digest == graph(1, 0.5).digest
     assert len({graph(1, 0.5).digest, graph(2, 0.5).digest, graph(1, 0.25).digest}) == 3
 
 
 def scaled(scale, angle=0.0):
-    return ex.Mapping(ex.UV(), ex.Constant((0.2, 0.1, 0.0)), ex.Constant((0.0, 0.0, angle)), ex.Constant((*scale, 1.0)))
+    return math_nodes.Mapping(
+        input_nodes.UV(),
+        input_nodes.Constant((0.2, 0.1, 0.0)),
+        input_nodes.Constant((0.0, 0.0, angle)),
+        input_nodes.Constant((*scale, 1.0)),
+    )
 
 
 @pytest.mark.parametrize(
     ("uv", "extension", "expected"),
     [
-        (ex.UV(), "REPEAT", True),
-        (ex.UV("map"), "REPEAT", True),
-        (ex.UV(), "MIRROR", False),
-        (ex.UV(), "CLIP", False),
+        (input_nodes.UV(), "REPEAT", True),
+        (input_nodes.UV("map"), "REPEAT", True),
+        (input_nodes.UV(), "MIRROR", False),
+        (input_nodes.UV(), "CLIP", False),
         (scaled((3.0, 2.0)), "REPEAT", True),
         (scaled((3.0, 2.0)), "MIRROR", False),
         (scaled((4.0, 2.0)), "MIRROR", True),
         (scaled((1.5, 2.0)), "REPEAT", False),
         (scaled((2.0, 3.0), math.pi / 2), "REPEAT", True),
         (scaled((1.0, 1.0), 0.3), "REPEAT", False),
-        (ex.Coordinates("generated"), "REPEAT", False),
+        (input_nodes.Coordinates("generated"), "REPEAT", False),
     ],
 )
 def test_baking_asks_for_whole_periods(uv, extension, expected):
-    graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(uv, noise(4, 4), extension=extension)))
+    graph = MaterialGraph(
+        base_color=color_nodes.Color(texture_nodes.ImageTexture(uv, noise(4, 4), extension=extension))
+    )
     assert bakeable(graph) is expected
-    assert bakeable(graph, unit_square=True) is not isinstance(uv, ex.Coordinates)
+    assert bakeable(graph, unit_square=True) is not isinstance(uv, input_nodes.Coordinates)
     if expected:
         # A period further the graph shows the same
         uv_here = random((50, 2))
@@ -508,7 +542,9 @@ def test_baking_asks_for_whole_periods(uv, extension, expected):
 
 def test_two_names_of_one_map_are_one_map():
     image = noise(4, 4)
-    first, second = (ex.Color(ex.ImageTexture(uv, image)) for uv in (ex.UV(), ex.UV("map")))
+    first, second = (
+        color_nodes.Color(texture_nodes.ImageTexture(uv, image)) for uv in (input_nodes.UV(), input_nodes.UV("map"))
+    )
     graph = MaterialGraph(base_color=first, emission=second)
     assert not bakeable(graph)
     assert bakeable(graph, active_uv="map")
@@ -516,18 +552,22 @@ def test_two_names_of_one_map_are_one_map():
 
 @pytest.mark.parametrize(
     ("uv", "expected"),
-    [(ex.UV(), (6, 4)), (scaled((3.0, 2.0)), (18, 8)), (scaled((2.0, 3.0), math.pi / 2), (8, 18))],
+    [(input_nodes.UV(), (6, 4)), (scaled((3.0, 2.0)), (18, 8)), (scaled((2.0, 3.0), math.pi / 2), (8, 18))],
 )
 def test_the_suggested_resolution_keeps_every_texel(uv, expected):
-    graph = MaterialGraph(alpha=ex.Component(ex.ImageTexture(uv, noise(6, 4)), 3))
+    graph = MaterialGraph(alpha=color_nodes.Component(texture_nodes.ImageTexture(uv, noise(6, 4)), 3))
     assert suggested_resolution(graph) == expected
     assert suggested_resolution(graph, largest=7) == tuple(min(s, 7) for s in expected)
 
 
 def test_baking_evaluates_at_texel_centres_with_normals_in_tangent_space():
     image = noise(8, 4)
-    tilted = ex.NormalMap(ex.Constant((1.0,)), ex.Constant((1.0, 0.5, 0.5)), ex.UV())
-    graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), image)), normal=tilted)
+    tilted = normal_nodes.NormalMap(
+        input_nodes.Constant((1.0,)), input_nodes.Constant((1.0, 0.5, 0.5)), input_nodes.UV()
+    )
+    graph = MaterialGraph(
+        base_color=color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV(), image)), normal=tilted
+    )
     baked = bake(graph, (8, 4))
     np.testing.assert_array_equal(baked["base_color"], image.texels[..., :3])
     np.testing.assert_allclose(baked["normal"], np.broadcast_to([1, 0, 0], (4, 8, 3)), atol=1e-7)  # measured 0
@@ -541,11 +581,11 @@ def test_texels_that_are_read_are_those_that_would_be_interpolated(straight, int
     width, height = 300, 231  # more samples than are evaluated at once
     texels = np.random.default_rng(5).integers(64, 256, (height, width, 4)).astype(np.uint8)
     texels[..., :3] = texels[..., :3].astype(np.uint16) * texels[..., 3:] // 255
-    image = ex.Image(texels if bytewise else texels / np.float32(255), srgb, associated)
-    direct = ex.ImageTexture(ex.UV(), image, interpolation, straight=straight)
-    mapped = replace(direct, uv=ex.Mapping(ex.UV(), ORIGIN, ORIGIN, UNIT))
+    image = Image(texels if bytewise else texels / np.float32(255), srgb, associated)
+    direct = texture_nodes.ImageTexture(input_nodes.UV(), image, interpolation, straight=straight)
+    mapped = replace(direct, uv=math_nodes.Mapping(input_nodes.UV(), ORIGIN, ORIGIN, UNIT))
     found, expected = (
-        bake(MaterialGraph(base_color=ex.Color(node), alpha=ex.Component(node, 3)), (width, height))
+        bake(MaterialGraph(base_color=color_nodes.Color(node), alpha=color_nodes.Component(node, 3)), (width, height))
         for node in (direct, mapped)
     )
     # Places that are interpolated at are rounded (by 1e-5 of a texel): measured 8.4e-5

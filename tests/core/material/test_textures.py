@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.material import expressions as ex
-from pointsplat_addon.core.material.expressions import SampleInputs, evaluate
+from pointsplat_addon.core.material.expression import SampleInputs, evaluate
+from pointsplat_addon.core.material.image import Image
+from pointsplat_addon.core.material.nodes import input_nodes, math_nodes, texture_nodes
 from pointsplat_addon.core.material.textures import MOST_ASPECT, SPREAD, Pyramid, axes
 
 SIZE = 512
@@ -14,21 +15,21 @@ def pyramid(texels: np.ndarray) -> Pyramid:
     return Pyramid(lambda rows: texels[rows], (texels.shape[1], texels.shape[0]))
 
 
-def picture(values: np.ndarray) -> ex.Image:
+def picture(values: np.ndarray) -> Image:
     """Grey floats (H, W) as a picture."""
-    return ex.Image(np.repeat(values[..., None], 4, axis=2).astype(np.float32))
+    return Image(np.repeat(values[..., None], 4, axis=2).astype(np.float32))
 
 
 def inputs_with(uv: np.ndarray, footprint: np.ndarray) -> SampleInputs:
     """Samples at `uv` (N, 2) of splats with the half-diameters `footprint` (N, 2, 2)."""
     first, second = (SampleInputs(uv={"map": uv + footprint[:, k]}) for k in range(2))
-    return SampleInputs(uv={"map": uv}, aside=(first, second))
+    return SampleInputs(uv={"map": uv}, displaced=(first, second))
 
 
-def shown(image: ex.Image, uv: np.ndarray, footprint: np.ndarray, **node) -> np.ndarray:
+def shown(image: Image, uv: np.ndarray, footprint: np.ndarray, **node) -> np.ndarray:
     """(N,) of the first channel: the picture at splats whose half-diameters are `footprint` (N, 2, 2)."""
     inputs = inputs_with(uv.astype(np.float32), footprint.astype(np.float32))
-    return evaluate(ex.ImageTexture(ex.UV("map"), image, **node), inputs)[:, 0]
+    return evaluate(texture_nodes.ImageTexture(input_nodes.UV("map"), image, **node), inputs)[:, 0]
 
 
 @pytest.mark.parametrize("size", [(8, 8), (7, 13), (1, 5), (600, 513), (514, 3)])
@@ -94,8 +95,10 @@ def test_magnified_pictures_are_interpolated_as_ever(interpolation):
     image = picture(rng.random((16, 16)))
     uv = rng.random((200, 2))
     footprint = np.broadcast_to(np.eye(2) * 0.5 / 16, (200, 2, 2))
-    name = ex.UV("map")
-    plain = evaluate(ex.ImageTexture(name, image, interpolation), SampleInputs(uv={"map": uv.astype(np.float32)}))[:, 0]
+    name = input_nodes.UV("map")
+    plain = evaluate(
+        texture_nodes.ImageTexture(name, image, interpolation), SampleInputs(uv={"map": uv.astype(np.float32)})
+    )[:, 0]
     np.testing.assert_array_equal(shown(image, uv, footprint, interpolation=interpolation), plain)
 
 
@@ -104,7 +107,7 @@ def test_colours_are_decoded_before_they_are_averaged():
     texels = np.zeros((64, 64, 4), np.uint8)
     texels[:, ::2] = 255
     uv = np.full((1, 2), 0.5)
-    found = shown(ex.Image(texels, srgb=True), uv, np.eye(2)[None] * 0.2)
+    found = shown(Image(texels, srgb=True), uv, np.eye(2)[None] * 0.2)
     np.testing.assert_allclose(found, 0.5, atol=1e-6)  # measured 0
 
 
@@ -116,9 +119,9 @@ def test_footprints_go_through_the_mapping():
     inputs = inputs_with(uv, step)
     spread = {}
     for scale in (1.0, 20.0):
-        none = ex.Constant((0.0, 0.0, 0.0))
-        scaled = ex.Mapping(ex.UV("map"), none, none, ex.Constant((scale, scale, scale)))
-        spread[scale] = evaluate(ex.ImageTexture(scaled, picture(board)), inputs)[:, 0].std()
+        none = input_nodes.Constant((0.0, 0.0, 0.0))
+        scaled = math_nodes.Mapping(input_nodes.UV("map"), none, none, input_nodes.Constant((scale, scale, scale)))
+        spread[scale] = evaluate(texture_nodes.ImageTexture(scaled, picture(board)), inputs)[:, 0].std()
     assert spread[1.0] > 0.45  # measured 0.48
     assert spread[20.0] < 1e-3  # measured 3e-8
 

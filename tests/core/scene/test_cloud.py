@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointsplat_addon.core.scene.cloud import SCATTERED, PointCloud, coherent, finite
+from pointsplat_addon.core.scene.cloud import SCATTERED, PointCloud, coherent
+from pointsplat_addon.core.scene.valid_geometry import valid_points
 
 
 def scattered(count: int) -> PointCloud:
@@ -27,7 +28,7 @@ def test_points_with_a_value_that_is_not_finite_are_dropped_whole():
     cloud = scattered(20)
     cloud.position[4, 1] = np.nan
     cloud.arrays()["normal"][7, 2] = np.inf
-    found, dropped = finite(cloud)
+    found, dropped = valid_points(cloud)
     assert dropped == 2
     np.testing.assert_array_equal(found.arrays()["radii"], np.delete(cloud.arrays()["radii"], [4, 7], axis=0))
 

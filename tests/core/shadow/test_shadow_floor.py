@@ -5,8 +5,12 @@ import pytest
 
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.mesh import Mesh
-from pointsplat_addon.core.scene.validation import valid_triangles
-from pointsplat_addon.core.shadow.floor import light_is_above, lowest_box_height, lowest_height, plane_of_mesh
+from pointsplat_addon.core.shadow.floor import (
+    light_is_above,
+    lowest_box_height,
+    lowest_height,
+    plane_of_mesh,
+)
 from pointsplat_addon.core.shadow.samples import mesh_extents
 from scripts.scenes import build, meshes
 
@@ -14,7 +18,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def plane(mesh: Mesh) -> tuple[np.ndarray, np.ndarray] | None:
-    return plane_of_mesh(mesh, mesh_extents(mesh, valid_triangles(mesh)[0]))
+    return plane_of_mesh(mesh, mesh_extents(mesh))
 
 
 def flat(key: str) -> Mesh:

@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.materials import default_materials
 from pointsplat_addon.core.scene.mesh import Mesh
-from pointsplat_addon.core.scene.validation import valid_triangles
+from pointsplat_addon.core.scene.valid_geometry import valid_mesh
 from pointsplat_addon.core.shadow.samples import (
     FEW_TRIANGLES,
     SURFACE_POINTS,
@@ -44,7 +44,7 @@ def radii(cloud: PointCloud) -> np.ndarray:
 
 
 def shape(mesh: Mesh) -> MeshExtents:
-    return mesh_extents(mesh, valid_triangles(mesh)[0])
+    return mesh_extents(mesh)
 
 
 def test_an_outline_leaves_out_what_is_no_triangle():
@@ -52,12 +52,12 @@ def test_an_outline_leaves_out_what_is_no_triangle():
     position = np.append(mesh.position, [[np.nan, 0, 0], [9, 9, 9]], axis=0).astype(np.float32)
     last = len(position) - 1
     bad = np.array([[0, 1, last - 1], [last, last, last]], np.int32)
-    found = shape(replace(mesh, position=position, triangles=np.append(mesh.triangles, bad, axis=0)))
+    whole = replace(mesh, position=position, triangles=np.append(mesh.triangles, bad, axis=0))
+    found = shape(valid_mesh(whole)[0])
     assert found.size == pytest.approx(1, rel=1e-6)
     assert (found.low == [0, 0, 0]).all()
     assert (found.high == [1, 1, 0]).all()
-    assert found.longest[:32] == pytest.approx(np.sqrt(2) / 4, rel=1e-6)
-    assert (found.longest[32:] == 0).all()
+    assert found.longest == pytest.approx(np.full(32, np.sqrt(2) / 4), rel=1e-6)
 
 
 def test_places_are_spread_evenly_whatever_the_triangles():
@@ -82,8 +82,7 @@ def test_many_small_triangles_cast_from_their_vertices():
     # The diagonals are longer than one sample serves.
     spacing = np.sqrt(2) * SIDE / 1.2
     (cloud,) = caster_clouds(mesh, shape(mesh), spacing, TABLE)
-    valid = valid_triangles(mesh)[0]
-    assert choose_method(mesh, spacing, valid) == "AREA"
+    assert choose_method(mesh, spacing) == "AREA"
     assert len(cloud) == len(mesh.position)
     area = evaluate(mesh, sample_area(mesh, spacing))
     assert len(area.position) >= 1.9 * len(cloud)

@@ -6,7 +6,7 @@ import pytest
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.shadow.strand_casters import StrandSegments, cut_strands
-from pointsplat_addon.core.strand.cleaning import clean
+from pointsplat_addon.core.strand.preparation import with_levels
 
 
 def cut(points: np.ndarray, radius: float, step: float, matrix: np.ndarray | None = None, **more) -> StrandSegments:
@@ -14,7 +14,7 @@ def cut(points: np.ndarray, radius: float, step: float, matrix: np.ndarray | Non
     lines = Strands(
         "cast", "cast", points.astype(np.float32), np.array([0, count]), np.full(count, radius, "f4"), **more
     )
-    return cut_strands(clean(lines), np.eye(4) if matrix is None else matrix, step)
+    return cut_strands(with_levels(lines), np.eye(4) if matrix is None else matrix, step)
 
 
 def sun(direction) -> Light:

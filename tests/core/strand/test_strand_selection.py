@@ -10,7 +10,7 @@ import pytest
 
 from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.strand import levels, projection, selection
-from pointsplat_addon.core.strand.cleaning import clean
+from pointsplat_addon.core.strand.preparation import with_levels
 from pointsplat_addon.core.strand.segments import Segments
 from pointsplat_addon.core.strand.selection import select
 from scripts.scenes import build, cameras
@@ -30,7 +30,7 @@ def tuft(points: int, length: float, radius: float, ribbon: bool, count: int = 3
     normal = random.normal(size=(len(position), 3)).astype(np.float32) if ribbon else None
     start = np.arange(count + 1) * points
     widths = np.full(len(position), radius, np.float32)
-    return clean(Strands("tuft", "tuft", position, start, widths, normal=normal))
+    return with_levels(Strands("tuft", "tuft", position, start, widths, normal=normal))
 
 
 def views() -> list[np.ndarray]:
@@ -75,7 +75,7 @@ def test_the_scale_of_a_whole_bounds_that_of_each_segment(camera):
         assert scale is not None
         assert (picture.length[::2] <= scale.most * steps * (1 + 1e-5)).all()
         assert (picture.width <= 2 * scale.most * strands.radius * (1 + 1e-5)).all()
-        assert scale.fewest < scale.most
+        assert scale.least < scale.most
 
 
 def test_short_strands_of_few_points_are_drawn_whole():
@@ -99,11 +99,13 @@ def test_a_short_thin_strand_has_its_outline_and_a_long_one_is_a_line_of_one_pix
     for length, width, thin in ((10, 0.5, 0), (10, 0.1, 1), (40, 0.5, 1)):
         position = np.array([[0, 0, 0], [length * pixel, 0, 0]], np.float32)
         radius = np.full(2, 0.5 * width * pixel, np.float32)
-        strands = clean(Strands("one", "one", position, np.array([0, 2]), radius))
+        strands = with_levels(Strands("one", "one", position, np.array([0, 2]), radius))
         found = select(strands, CAMERA.view_from_world, 0, CAMERA, 1.0)
         assert (len(found.thin), len(found.narrow)) == (thin, 1 - thin)
 
 
 def test_a_geometry_without_strands_has_no_segments():
-    none = clean(Strands("none", "none", np.zeros((0, 3), np.float32), np.zeros(1, np.int64), np.zeros(0, np.float32)))
+    none = with_levels(
+        Strands("none", "none", np.zeros((0, 3), np.float32), np.zeros(1, np.int64), np.zeros(0, np.float32))
+    )
     assert len(select(none, CAMERA.view_from_world, 0, CAMERA, 1.0)) == 0

@@ -10,8 +10,9 @@ import pytest
 
 from pointsplat_addon.core.material import hair_color
 from pointsplat_addon.core.scene.strands import Strands
+from pointsplat_addon.core.scene.valid_geometry import valid_strands
 from pointsplat_addon.core.strand import curves, evaluation, normals
-from pointsplat_addon.core.strand.cleaning import clean
+from pointsplat_addon.core.strand.preparation import with_levels
 
 
 def curve(points, kind, *, cyclic=False, resolution=12, **more):
@@ -170,16 +171,17 @@ def test_what_cannot_be_drawn_is_left_out_and_counted():
         uv=np.arange(14, dtype=np.float32).reshape(7, 2),
         material=np.arange(7, dtype=np.uint16),
     )
-    found = clean(lines)
-    assert found.messages == (
+    found, messages = valid_strands(lines)
+    assert messages == (
         "3 points are not finite and are left out",
-        "4 strands have less than two places and are left out",
+        "4 strands have less than two positions and are left out",
         "1 strand has no radius and is left out",
     )
     np.testing.assert_array_equal(found.start, [0, 3, 5])
     np.testing.assert_array_equal(found.position[3:], [[5, 0, 0], [5, 0, 1]])
     np.testing.assert_array_equal(found.material, [0, 5])
-    np.testing.assert_array_equal(found.source, [0, 1, 2, 13, 15])
+    np.testing.assert_array_equal(found.position, lines.position[[0, 1, 2, 13, 15]])
+    np.testing.assert_array_equal(found.uv, lines.uv[[0, 5]])
 
 
 def test_a_wiggle_shorter_than_the_radius_does_not_turn_the_end_of_a_strand():
@@ -188,29 +190,27 @@ def test_a_wiggle_shorter_than_the_radius_does_not_turn_the_end_of_a_strand():
     lines = Strands(
         "ends", "ends", np.concatenate([straight, bent]), np.array([0, 9, 13]), np.full(13, 0.1, np.float32)
     )
-    tangent = clean(lines).tangent
+    tangent = with_levels(lines).tangent
     np.testing.assert_array_equal(tangent[[0, 8]], [[0, 0, 1]] * 2)
     # Where the strand leads on it keeps its own direction
     np.testing.assert_allclose(tangent[9], [0, 0.5**0.5, 0.5**0.5], atol=1e-6)
 
 
-def test_nothing_sound_is_nothing_and_what_is_sound_stays_as_it_is():
-    assert len(clean(strands([[1, 0, 0]]))) == 0
-    assert len(clean(strands([[1, 0, 0], [1, 0, np.nan]]))) == 0
-    assert len(clean(strands(np.zeros((0, 3))))) == 0
+def test_strands_that_cannot_be_drawn_leave_nothing_and_valid_ones_are_returned_themselves():
+    assert len(valid_strands(strands([[1, 0, 0]]))[0]) == 0
+    assert len(valid_strands(strands([[1, 0, 0], [1, 0, np.nan]]))[0]) == 0
+    assert len(with_levels(valid_strands(strands(np.zeros((0, 3))))[0])) == 0
     lines = strands(helix())
-    found = clean(lines)
-    assert found.messages == ()
-    np.testing.assert_array_equal(found.position, lines.position)
-    np.testing.assert_array_equal(found.start, lines.start)
+    assert valid_strands(lines) == (lines, ())
 
 
 def test_points_with_a_value_that_is_not_finite_are_left_out():
     color = np.full((5, 3), 0.5, np.float32)
     color[1] = np.nan
-    found = clean(strands(np.arange(15).reshape(5, 3), color=color))
-    np.testing.assert_array_equal(found.source, [2, 3, 4])
-    assert found.messages == ("1 point is not finite and is left out",)
+    given = strands(np.arange(15).reshape(5, 3), color=color)
+    found, messages = valid_strands(given)
+    np.testing.assert_array_equal(found.position, given.position[2:])
+    assert messages == ("1 point is not finite and is left out",)
 
 
 def test_a_strand_of_a_million_points_is_evaluated_and_cleaned():
@@ -220,9 +220,9 @@ def test_a_strand_of_a_million_points_is_evaluated_and_cleaned():
     assert len(found) == n
     normal = normals.curve_normals(found, np.array([False]), np.array([curves.MINIMUM_TWIST]))
     assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-12  # measured 4.4e-16
-    lines = clean(strands(found.position))
-    assert len(lines) == n
-    assert lines.messages == ()
+    lines, messages = valid_strands(strands(found.position))
+    assert len(with_levels(lines)) == n
+    assert messages == ()
 
 
 # Hair

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.material import expressions as ex
-from pointsplat_addon.core.material.graph import MaterialGraph, is_mask
+from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.image import Image
+from pointsplat_addon.core.material.masks import is_mask
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, math_nodes, ramp_nodes, texture_nodes
 from pointsplat_addon.core.scene.materials import default_materials
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.splat.kernel import PEAK, SUPPORT, kernel
@@ -53,7 +55,7 @@ def table(*graphs, translucent=None, **columns):
 
 def ramp():
     """Colour (u, v, 0)."""
-    return ex.Color(ex.UV())
+    return color_nodes.Color(input_nodes.UV())
 
 
 def samples_of(mesh, spacing=0.05, method="AREA"):
@@ -81,7 +83,7 @@ def test_a_graph_is_evaluated_at_the_samples_own_place():
 def test_each_material_has_its_own_graph_and_constants_fill_the_rest():
     mesh = square(material=np.array([0, 1], np.uint16), materials=(0, 1))
     samples, evaluated = samples_of(mesh)
-    graphs = MaterialGraph(base_color=ramp()), MaterialGraph(roughness=ex.Constant((0.25,)))
+    graphs = MaterialGraph(base_color=ramp()), MaterialGraph(roughness=input_nodes.Constant((0.25,)))
     colors = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], np.float32)
     look = at_samples(mesh, samples, evaluated, table(*graphs, base_color=colors, metallic=[0.0, 1.0]))
     first = samples.triangle == 0
@@ -97,7 +99,9 @@ def test_each_material_has_its_own_graph_and_constants_fill_the_rest():
 def test_samples_are_cut_out_where_alpha_is_below_a_half():
     mesh = square()
     samples, evaluated = samples_of(mesh)
-    cloud = point_cloud(mesh, samples, evaluated, table(MaterialGraph(alpha=ex.Component(ex.UV(), 0))))
+    cloud = point_cloud(
+        mesh, samples, evaluated, table(MaterialGraph(alpha=color_nodes.Component(input_nodes.UV(), 0)))
+    )
     x = cloud.position[:, 0] + cloud.origin[0]
     assert 0.4 < len(cloud) / len(samples) < 0.6
     assert x.min() >= 0.5 - 1e-6
@@ -217,7 +221,12 @@ def test_a_pose_keeps_each_samples_share_of_its_triangle():
 def test_opaque_samples_of_a_translucent_material_have_the_largest_depth_and_clear_ones_are_left_out():
     mesh = square()
     samples, evaluated = samples_of(mesh)
-    stripes = ex.Math(ex.Component(ex.UV(), 0), ex.Constant((0.5,)), ex.Constant((0.0,)), "GREATER_THAN")
+    stripes = math_nodes.Math(
+        color_nodes.Component(input_nodes.UV(), 0),
+        input_nodes.Constant((0.5,)),
+        input_nodes.Constant((0.0,)),
+        "GREATER_THAN",
+    )
     cloud = point_cloud(mesh, samples, evaluated, table(MaterialGraph(alpha=stripes), translucent=[True]))
     assert cloud.opacity is not None
     x = cloud.position[:, 0] + cloud.origin[0]
@@ -229,7 +238,12 @@ def test_opaque_samples_of_a_translucent_material_have_the_largest_depth_and_cle
 def test_alpha_is_evaluated_at_each_sample():
     mesh = square()
     samples, evaluated = samples_of(mesh, 0.01)
-    half = ex.Math(ex.Component(ex.UV(), 0), ex.Constant((0.5,)), ex.Constant((0.0,)), "MULTIPLY")
+    half = math_nodes.Math(
+        color_nodes.Component(input_nodes.UV(), 0),
+        input_nodes.Constant((0.5,)),
+        input_nodes.Constant((0.0,)),
+        "MULTIPLY",
+    )
     cloud = point_cloud(mesh, samples, evaluated, table(MaterialGraph(alpha=half), translucent=[True]))
     # The integral of -ln(1 - x/2) from 0 to 1.
     assert masses(cloud).sum() == pytest.approx(1 - np.log(2), rel=1e-4)  # measured 6.8e-6
@@ -267,7 +281,7 @@ def test_parts_by_material_hold_all_triangles_and_have_keys_of_their_own():
 
 
 def test_an_alpha_that_varies_from_zero_is_not_dropped():
-    mesh, graph = square(), MaterialGraph(alpha=ex.Component(ex.UV(), 0))
+    mesh, graph = square(), MaterialGraph(alpha=color_nodes.Component(input_nodes.UV(), 0))
     assert split_translucent(mesh, table(graph, alpha=[1.0], translucent=[True])) == (None, mesh)
 
 
@@ -320,22 +334,25 @@ def test_masks_are_told_from_gradients():
     def picture(alpha):
         texels = np.ones((8, 8, 4), np.float32)
         texels[..., 3] = alpha
-        return ex.Component(ex.ImageTexture(ex.UV(), ex.Image(texels)), 3)
+        return color_nodes.Component(texture_nodes.ImageTexture(input_nodes.UV(), Image(texels)), 3)
 
     hole, edge, fog = np.eye(8), np.where(np.arange(64) < 4, 0.5, 1).reshape(8, 8), np.full((8, 8), 0.5)
-    vertex = ex.Component(ex.ColorAttribute("Col"), 3)
-    half, one, zero = (ex.Constant((v,)) for v in (0.5, 1.0, 0.0))
+    vertex = color_nodes.Component(input_nodes.ColorAttribute("Col"), 3)
+    half, one, zero = (input_nodes.Constant((v,)) for v in (0.5, 1.0, 0.0))
     assert is_mask(picture(hole))
     assert is_mask(picture(edge))
     assert not is_mask(picture(edge), edges=False)
     assert not is_mask(picture(fog))
     assert not is_mask(vertex)
-    assert is_mask(ex.Math(vertex, half, zero, "GREATER_THAN"))
-    assert is_mask(ex.Math(one, picture(hole), zero, "SUBTRACT"))
-    assert not is_mask(ex.Math(half, picture(hole), zero, "MULTIPLY"))
-    assert is_mask(ex.Mix(picture(hole), one, zero))
-    assert not is_mask(ex.Mix(vertex, one, zero))
+    assert is_mask(math_nodes.Math(vertex, half, zero, "GREATER_THAN"))
+    assert is_mask(math_nodes.Math(one, picture(hole), zero, "SUBTRACT"))
+    assert not is_mask(math_nodes.Math(half, picture(hole), zero, "MULTIPLY"))
+    assert is_mask(color_nodes.Mix(picture(hole), one, zero))
+    assert not is_mask(color_nodes.Mix(vertex, one, zero))
     stops = np.array([0, 0.5], np.float32)
     for interpolation, expected in (("CONSTANT", True), ("LINEAR", False)):
         colors = np.array([[0, 0, 0, 1], [1, 1, 1, 1]], np.float32)
-        assert is_mask(ex.Gray(ex.Color(ex.ColorRamp(vertex, stops, colors, interpolation)))) == expected
+        assert (
+            is_mask(color_nodes.Gray(color_nodes.Color(ramp_nodes.ColorRamp(vertex, stops, colors, interpolation))))
+            == expected
+        )

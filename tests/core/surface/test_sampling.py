@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core.numeric.vectors import each_block
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.mesh import Mesh
-from pointsplat_addon.core.scene.validation import DroppedCounts, valid_triangles
+from pointsplat_addon.core.scene.valid_geometry import DroppedTriangles, valid_mesh, valid_triangles
 from pointsplat_addon.core.surface.area_sampling import estimate_by_part, sample_area
 from pointsplat_addon.core.surface.density import PART, make_parts, required_spacing
 from pointsplat_addon.core.surface.evaluation import evaluate
@@ -103,7 +103,7 @@ for exponent in (3, 4, 6, 8):
 def points_on(mesh: Mesh, origin: np.ndarray, per_triangle: int, seed: int = 0):
     """Random points on valid triangles (n, 3), their triangles' unit normals and indices: half of them on edges."""
     rng = np.random.default_rng(seed)
-    rows = np.repeat(np.flatnonzero(valid_triangles(mesh)[0]), per_triangle)
+    rows = np.repeat(np.arange(len(mesh.triangles)), per_triangle)
     weights = rng.dirichlet((1, 1, 1), len(rows))
     weights[::2, 0] = 0
     weights[::6] = np.eye(3)[rng.integers(0, 3, len(weights[::6]))]
@@ -272,10 +272,10 @@ def test_bad_triangles_are_dropped_and_counted():
     mesh, good = bad_mesh()
     ok, dropped = valid_triangles(mesh)
     assert np.flatnonzero(ok).tolist() == good
-    assert dropped == DroppedCounts(bad_index=2, non_finite=2, huge=1, tiny=2, degenerate=2)
+    assert dropped == DroppedTriangles(bad_index=2, non_finite=2, huge=1, tiny=2, degenerate=2)
     assert dropped.total == len(mesh.triangles) - 1
-    assert dropped.message("Suzanne").startswith("Suzanne: 9 triangles are not drawn (2 with an index out of range")
-    assert valid_triangles(cube())[1].message("Cube") == ""
+    assert dropped.message.startswith("9 triangles are not drawn (2 with an index out of range")
+    assert valid_triangles(cube())[1].message == ""
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -283,7 +283,7 @@ def test_bad_triangles_leave_the_rest_right(method):
     mesh, _ = bad_mesh()
     alone = make(mesh.position[:3], [[0, 1, 2]])
     with np.errstate(all="raise", under="ignore"):
-        bad, good = (evaluate(m, sample_mesh(m, 0.2, method)) for m in (mesh, alone))
+        bad, good = (evaluate(m, sample_mesh(m, 0.2, method)) for m in (valid_mesh(mesh)[0], alone))
     assert np.allclose(bad.position + bad.origin, good.position + good.origin, atol=1e-7)  # measured 3e-8
     assert np.allclose(bad.radii, good.radii, rtol=2e-6)  # measured 5e-7
     assert np.allclose(bad.normal, (0, 0, 1))
@@ -292,6 +292,7 @@ def test_bad_triangles_leave_the_rest_right(method):
 @pytest.mark.parametrize("method", ["AUTO", *METHODS])
 @pytest.mark.parametrize("mesh", [make([], []), make([(0, 0, 0)], []), soup(np.zeros((3, 3, 3)))])
 def test_nothing_to_draw(mesh, method):
+    mesh, _ = valid_mesh(mesh)
     samples = sample_mesh(mesh, 0.1, method)
     e = evaluate(mesh, samples)
     assert len(samples) == len(e.position) == len(e.radii) == 0
@@ -312,28 +313,27 @@ def test_too_many_samples_are_refused_before_memory_is_taken():
 
 def test_a_pose_without_area_gives_finite_splats():
     mesh = wave(5)
-    flat = replace(mesh, position=np.zeros_like(mesh.position))
-    for method in METHODS:
-        e = evaluate(flat, sample_mesh(mesh, 0.2, method))
-        for array in (e.position, e.normal, e.plane, e.radii, *([] if e.axis is None else [e.axis])):
-            assert np.isfinite(array).all()
-        assert np.allclose(np.linalg.norm(e.normal, axis=1), 1)
+    e = evaluate(replace(mesh, position=np.zeros_like(mesh.position)), sample_area(mesh, 0.2))
+    assert e.axis is not None
+    for array in (e.position, e.normal, e.plane, e.radii, e.axis):
+        assert np.isfinite(array).all()
+    assert np.allclose(np.linalg.norm(e.normal, axis=1), 1)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_a_pose_with_a_nan_loses_only_what_touches_it(method):
-    mesh = wave(6)
-    samples = sample_mesh(mesh, 0.1, method)
+def test_a_pose_with_a_nan_loses_only_what_touches_it():
+    mesh = replace(wave(6), topology="wave")
     broken = mesh.position.copy()
     broken[14] = np.nan
-    e, whole = (evaluate(m, samples) for m in (replace(mesh, position=broken), mesh))
-    lost = np.isnan(e.position).any(axis=1)
-    if method == "VERTICES":
-        assert np.flatnonzero(lost).tolist() == [14]
-    else:
-        assert np.array_equal(lost, (mesh.triangles == 14).any(axis=1)[samples.triangle])
-    assert np.array_equal(e.position[~lost], whole.position[~lost])
-    assert np.isfinite(e.radii[~lost]).all()
+    found, dropped = valid_mesh(replace(mesh, position=broken))
+    touched = (mesh.triangles == 14).any(axis=1)
+    assert dropped == DroppedTriangles(non_finite=int(touched.sum()))
+    assert np.array_equal(found.triangles, mesh.triangles[~touched])
+    assert np.isfinite(found.position).all()
+    # Samples of poses with other triangles are others; the same ones are shared.
+    assert found.topology not in ("", "wave")
+    again, _ = valid_mesh(replace(mesh, position=2 * broken))
+    assert again.topology == found.topology
+    assert valid_mesh(mesh)[0] is mesh
 
 
 # --- Attributes ---------------------------------------------------------------------------------------------
@@ -507,17 +507,17 @@ def test_parts_follow_the_mesh_unless_its_triangles_lie_scattered():
 
 def test_measures_spare_the_work_and_change_nothing():
     mesh = soup(np.random.default_rng(8).normal(size=(500, 3, 3)))
-    ok = valid_triangles(mesh)[0]
-    measures = measure_triangles(mesh, ok)
+    every = np.ones(len(mesh.triangles), bool)
+    measures = measure_triangles(mesh, every)
     edges = np.linalg.norm(mesh.position[mesh.triangles] - mesh.position[mesh.triangles[:, [1, 2, 0]]], axis=2)
     assert measures.longest == pytest.approx(edges.max(), rel=1e-6)
     assert np.allclose(measures.base, edges.max(axis=1), rtol=1e-6)
     assert measures.vertices == len(mesh.position)
     for method in METHODS:
-        one, other = sample_mesh(mesh, 0.3, method), sample_mesh(mesh, 0.3, method, ok, measures)
+        one, other = sample_mesh(mesh, 0.3, method), sample_mesh(mesh, 0.3, method, every, measures)
         assert np.array_equal(one.triangle, other.triangle)
         assert np.array_equal(one.barycentric, other.barycentric)
-    assert limit_spacing(mesh, 1e-3, 10_000) == limit_spacing(mesh, 1e-3, 10_000, ok, measures)
+    assert limit_spacing(mesh, 1e-3, 10_000) == limit_spacing(mesh, 1e-3, 10_000, every, measures)
 
 
 @pytest.mark.parametrize("count", [0, 1, 9, 10, 11, 1000])

@@ -142,7 +142,11 @@ def long(*names: str) -> list:
 
 
 # "empty", "unlit" and "in_smoke", below 1e-5, have no error to compare; "many_towers" takes too long.
-SHOWN = tuple(name for name in CASES if name not in {"empty", "unlit", "in_smoke", "many_towers"})
+SLOW = ("panes", "split_mesh", "textured", "tinted_smoke")
+SHOWN = (
+    *(name for name in CASES if name not in {"empty", "unlit", "in_smoke", "many_towers", *SLOW}),
+    *long(*SLOW),
+)
 # Those whose ratios are the least and the largest come first. The rest are alike, and take minutes.
 LENSES = (
     "cube", "instances", "mixed", "textured",

@@ -69,7 +69,7 @@ def test_includes_are_taken_once_and_lines_lead_back_to_their_files(folder):
     source = sources.load("main.frag")
     assert source.text.split() == ["M1", "B1", "B2", "A", "M4"]
     places = ["main.frag:1", "lib/b.glsl:2", "lib/b.glsl:3", "lib/a.glsl:2", "main.frag:4"]
-    assert [source.place(line) for line in range(1, 6)] == places
+    assert [source.location(line) for line in range(1, 6)] == places
 
 
 @pytest.mark.parametrize(

@@ -238,7 +238,7 @@ def test_what_is_blurred_before_something_sharp_lets_it_through_at_its_rim_alone
 
 @pytest.mark.parametrize("name", [
     "cube", "sphere", "mixed", "textured", "instances", "balls", "environment", "lights", "parallel", "culled", "smoke",
-    "panes", "foliage", "split_mesh", "strands",
+    "panes", "foliage", pytest.param("split_mesh", marks=pytest.mark.long), "strands",
 ])  # fmt: skip
 def test_pictures_are_nearer_to_many_samples_through_the_lens_than_four_are(name):
     case = CASES[name]()

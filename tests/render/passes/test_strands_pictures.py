@@ -8,8 +8,9 @@ import pytest
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.strands import Strands
+from pointsplat_addon.core.scene.valid_geometry import valid_strands
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.core.strand.cleaning import clean
+from pointsplat_addon.core.strand.preparation import with_levels
 from pointsplat_addon.core.strand.segments import sample_offsets
 from scripts.scenes import build, cameras, clouds, meshes, solid_cases
 from scripts.scenes.case import Case
@@ -254,10 +255,10 @@ def test_what_is_no_strand_is_left_out_and_the_rest_is_drawn():
     result = render(case(lines, cameras.camera()), COMBINED)
     assert result.report["warnings"] == [
         "bad: 1 point is not finite and is left out",
-        "bad: 2 strands have less than two places and are left out",
+        "bad: 2 strands have less than two positions and are left out",
         "bad: 1 strand has no radius and is left out",
     ]
-    strands = clean(lines)
+    strands = with_levels(valid_strands(lines)[0])
     assert list(np.diff(strands.start)) == [5, 2, 2]
     left = made("good", [good, bad[:2], bad[3:]], 0.05)
     assert np.array_equal(result.pixels["combined"][..., 3], alpha(case(left, cameras.camera())))
@@ -355,7 +356,7 @@ def test_strands_take_as_much_light_from_a_plane_as_they_cover(width):
 def test_strands_that_a_sample_shows_lie_all_over_however_they_were_laid_out():
     """Hair on a Fibonacci sphere, whose azimuths are multiples of the golden ratio."""
     root = clouds.sphere_points(4000)
-    lines = clean(made("fibonacci", [np.stack([p, 1.2 * p]) for p in root], 0.01))
+    lines = with_levels(made("fibonacci", [np.stack([p, 1.2 * p]) for p in root], 0.01))
     shown = (lines.phase + sample_offsets(16)[3]) % 1 < 0.1
     assert abs(shown.mean() - 0.1) < 0.01  # measured 0.0005
     sector = np.floor((np.arctan2(root[:, 1], root[:, 0]) / (2 * np.pi) % 1) * 8).astype(int)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.light.lighting import FIRST_LIGHT, KINDS, WIDTH
-from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.renderer import Renderer
@@ -190,7 +190,7 @@ def test_holdouts_and_culling_are_variants():
 
 def test_an_emission_that_only_points_have_is_known_to_polygons_too():
     """They share one G-buffer: what one kind has, the other must fill from its table."""
-    graph = MaterialGraph(emission=ex.Color(ex.UV()))
+    graph = MaterialGraph(emission=color_nodes.Color(input_nodes.UV()))
     glowing = build.mesh(meshes.plane_mesh("glowing plane"), "POLYGONS")
     case = Case(
         build.scene(

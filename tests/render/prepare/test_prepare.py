@@ -183,7 +183,7 @@ def test_a_view_that_needs_nothing_finer_samples_nothing(monkeypatch):
     def unwanted(*args, **kwargs):
         raise AssertionError("nothing had to be looked at again")
 
-    for name in ("valid_triangles", "measure_triangles", "sample_mesh", "evaluate", "limit_spacing"):
+    for name in ("measure_triangles", "sample_mesh", "evaluate", "limit_spacing"):
         monkeypatch.setattr(meshes, name, unwanted)
     second = prepared(of(mesh, "POINTS", distance=4.1), store)
     assert second.point_sets[0] is not None

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.material import expressions as ex
+from pointsplat_addon.core.material.expression import Expression
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
 from pointsplat_addon.core.scene.materials import MaterialTable
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.render.cache.store import Store
@@ -61,15 +62,17 @@ def test_shadows_are_those_of_alphas_whatever_the_colours():
         assert found is not None
         return found
 
-    def of(**graphs: ex.Expression) -> MaterialTable:
+    def of(**graphs: Expression) -> MaterialTable:
         return build.materials(graphs=(MaterialGraph(**graphs),))
 
-    texture = ex.ImageTexture(ex.UV(), build.picture())
+    texture = texture_nodes.ImageTexture(input_nodes.UV(), build.picture())
     plain, red = tables(build.materials()), tables(build.materials(base_color=np.array([[1, 0, 0]], np.float32)))
-    coloured = tables(of(base_color=ex.Color(texture), roughness=ex.Component(texture, 0)))
+    coloured = tables(of(base_color=color_nodes.Color(texture), roughness=color_nodes.Component(texture, 0)))
     assert red is plain
     assert coloured is plain
-    half = tables(of(base_color=ex.Color(texture), alpha=ex.Component(texture, 0)))  # cut out where u < 1/2
+    half = tables(
+        of(base_color=color_nodes.Color(texture), alpha=color_nodes.Component(texture, 0))
+    )  # cut out where u < 1/2
     assert half.entries < plain.entries
 
 

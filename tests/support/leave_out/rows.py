@@ -1,4 +1,4 @@
-"""What scenes cost on the device, feature by feature: each row is drawn on the device that only records (devices/null.py)."""
+"""What scenes cost, feature by feature: each row is drawn on the device that only records (devices/null.py)."""
 
 from __future__ import annotations
 
@@ -103,7 +103,9 @@ ROWS: dict[str, Row] = {
     "points, colours": Row(solid_cases.sphere),
     "points, shading normals": Row(normals),
     "points, shading normals, unlit": Row(lambda: unlit(normals())),
-    "points, shadows of a sun": Row(lambda: with_settings(solid_cases.plain_sphere(), use_shadows=True, shadow_resolution=64)),
+    "points, shadows of a sun": Row(
+        lambda: with_settings(solid_cases.plain_sphere(), use_shadows=True, shadow_resolution=64)
+    ),
     "points, shadows of a wide light": Row(lambda: one_light(solid_cases.plain_sphere(), 0.3)),
     "points that only glow": Row(glow),
     "points and polygons, backs culled": Row(solid_cases.culled),

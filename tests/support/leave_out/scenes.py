@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pointsplat_addon.core.material import expressions as ex
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
@@ -56,21 +56,21 @@ def dense_mesh() -> Case:
 
 def painted_picture(primitive: str) -> Case:
     """A plane with a picture on it: only its colours vary."""
-    graph = MaterialGraph(base_color=ex.Color(ex.ImageTexture(ex.UV(), build.picture())))
+    graph = MaterialGraph(base_color=color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV(), build.picture())))
     plane = build.mesh(meshes.plane_mesh(f"leave out: picture, {primitive}", cells=16), primitive)
     return Case(build.scene((plane, build.moved()), table=build.materials(graphs=(graph,))), cameras.camera())
 
 
 def corner_colors() -> Case:
     """A cube whose colours do not repeat over its maps: from where its corners lie."""
-    graph = MaterialGraph(base_color=ex.Color(ex.Coordinates("position")))
+    graph = MaterialGraph(base_color=color_nodes.Color(input_nodes.Coordinates("position")))
     block = build.mesh(meshes.cube_mesh("leave out: corners"), "POLYGONS")
     return Case(build.scene((block, build.moved()), table=build.materials(graphs=(graph,))), cameras.camera())
 
 
 def rough_picture(primitive: str) -> Case:
     """The same, but only its roughness varies."""
-    red = ex.Gray(ex.ImageTexture(ex.UV(), build.picture()))
+    red = color_nodes.Gray(texture_nodes.ImageTexture(input_nodes.UV(), build.picture()))
     plane = build.mesh(meshes.plane_mesh(f"leave out: rough, {primitive}", cells=16), primitive)
     graph = MaterialGraph(roughness=red)
     return Case(build.scene((plane, build.moved()), table=build.materials(graphs=(graph,))), cameras.camera())

@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""The nodes of a hierarchy: links, partition of points, merging of splats, their bounds and optics."""

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Bounds of nodes: the smallest elliptic cylinder about a node's kernel, and ball, that hold those of its children."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ def bounds_of_runs(
     axis: np.ndarray,
     radii: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Grow the kernel until its cylinder holds those of the rows: (3, n) half-axes; and the ball: (n,) radius."""
+    """Bounds of nodes that each merge a run of rows: cylinders' half-axes (3, n) and balls' radii (n,), float32.
+
+    The kernel of a node (`center`, `normal`, `axis`, `radii`, (3, n) each) is enlarged until its cylinder holds those of
+    its rows. `begin` (n,) is the first row of each run, `owner` (m,) the node of each row. Rounded outwards.
+    """
     binormal = cross(normal, axis).astype(np.float64)
     major = np.maximum(radii[0].astype(np.float64), 1e-30)
     minor = np.maximum(radii[1], MIN_ASPECT * major)
@@ -37,8 +41,8 @@ def bounds_of_runs(
     trace = a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1
     determinant = a0 * b1 - a1 * b0
     largest = np.sqrt((trace + np.sqrt(np.maximum(trace * trace - 4 * determinant * determinant, 0))) / 2)
-    reach = np.minimum(largest + np.hypot(a2, b2), rows.sphere / minor.take(owner))
-    scale = np.maximum.reduceat(np.hypot(dot(a, step), dot(b, step)) + reach, begin)
+    extent = np.minimum(largest + np.hypot(a2, b2), rows.sphere / minor.take(owner))
+    scale = np.maximum.reduceat(np.hypot(dot(a, step), dot(b, step)) + extent, begin)
 
     n0, n1, n2 = dot(n, e0), dot(n, e1), dot(n, e2)
     height = np.abs(dot(n, step)) + np.minimum(np.hypot(n0, n1) + np.abs(n2), rows.sphere)

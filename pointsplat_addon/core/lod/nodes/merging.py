@@ -1,6 +1,12 @@
-"""TODO: say what this module is."""
+"""Merges splats into nodes, bottom up: moments, kernels, bounds, normal cones, means and sums (Pajarola 2003, section 4).
+
+A uniform disk of radius r has the variance r^2 / 4 along each axis of its plane, hence half-axes are
+2 sqrt(eigenvalue), with eigenvalues from l^2 - tr l + det = 0.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +21,7 @@ from .tree import CHUNK, Tree, leaves_in_tree_order
 
 
 def _merge_runs(rows: NodeRows, count: np.ndarray, cloud: PointCloud) -> NodeRows:
-    """Merge consecutive runs of `count` rows of a cloud into one row each."""
+    """Merges consecutive runs of rows, of `count` (n,) each, into one row each."""
     begin = starts(count)
     owner = owners(count)
 
@@ -27,9 +33,10 @@ def _merge_runs(rows: NodeRows, count: np.ndarray, cloud: PointCloud) -> NodeRow
 
     # The kernel, in the plane of the mean normal where there is one.
     facing = np.add.reduceat(rows.weight * rows.facing, begin, axis=1) / weight
-    normal, axis, radii, flat = _fit_kernel(second / weight, facing)
+    fitted = _fit_kernel(second / weight, facing)
+    normal, axis, radii = fitted.normal, fitted.axis, fitted.radii
 
-    # Bounds: about the rounded center and in the rounded frame that they will be used with.
+    # Bounds refer to the rounded center and the rounded frame, with which they will be used.
     center = mean.astype(np.float32)
     bound, sphere = bounds_of_runs(rows, begin, owner, center, normal, axis, radii)
     angle = 2 * np.arcsin(np.minimum(lengths(rows.normal - normal.take(owner, axis=1)) / 2, 1))
@@ -41,7 +48,7 @@ def _merge_runs(rows: NodeRows, count: np.ndarray, cloud: PointCloud) -> NodeRow
 
     return NodeRows(
         weight, mean, second, facing, center, normal, axis, radii, bound, sphere,
-        angle=np.where(flat, np.minimum(angle, np.pi), np.pi),
+        angle=np.where(fitted.faces, np.minimum(angle, np.pi), np.pi),
         smallest=np.where(single, np.inf, np.minimum(smallest, size)),
         averages=np.add.reduceat(rows.weight * rows.averages, begin, axis=1) / weight,
         sums=merged_shells(cloud, sums, radii) if len(sums) and cloud.extinction is None else sums,
@@ -49,8 +56,18 @@ def _merge_runs(rows: NodeRows, count: np.ndarray, cloud: PointCloud) -> NodeRow
     )  # fmt: skip
 
 
-def _fit_kernel(covariance: np.ndarray, facing: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Normal, major axis and half-axes (3, n) float32 of covariances (6, n), and where a mean normal exists (n,).
+@dataclass(frozen=True)
+class _Kernels:
+    """Ellipses of n nodes."""
+
+    normal: np.ndarray  # (3, n) float32, unit
+    axis: np.ndarray  # (3, n) float32, unit: the major axis
+    radii: np.ndarray  # (3, n) float32: half-axes along axis, across it, along normal
+    faces: np.ndarray  # (n,) bool: whether there is a mean normal
+
+
+def _fit_kernel(covariance: np.ndarray, facing: np.ndarray) -> _Kernels:
+    """The ellipses of covariances (6, n) in the planes of the mean normals `facing` (3, n), not normalised.
 
     In the plane of the mean normal the eigenvalues are those of the projected covariance (Pajarola 2003,
     section 4, with the sign of equation 5 corrected); where normals cancel or are absent, of all three dimensions.
@@ -58,7 +75,7 @@ def _fit_kernel(covariance: np.ndarray, facing: np.ndarray) -> tuple[np.ndarray,
     length = lengths(facing)
     flat = length > 1e-3
     if not flat.any():
-        return *principal_axes(covariance), flat
+        return _Kernels(*principal_axes(covariance), flat)
     normal = np.where(flat, facing / np.maximum(length, 1e-3), [[0.0], [0.0], [1.0]]).astype(np.float32)
     u, v = basis(normal.astype(np.float64))
     uu, uv, vv = bilinear_form(covariance, u, u), bilinear_form(covariance, u, v), bilinear_form(covariance, v, v)
@@ -74,11 +91,11 @@ def _fit_kernel(covariance: np.ndarray, facing: np.ndarray) -> tuple[np.ndarray,
     rest = np.flatnonzero(~flat)
     if len(rest):
         normal[:, rest], axis[:, rest], radii[:, rest] = principal_axes(covariance[:, rest])
-    return normal, axis, radii, flat
+    return _Kernels(normal, axis, radii, flat)
 
 
 def _heaviest_material(rows: NodeRows, begin: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """The material of the heaviest row of each run, the first of them where several are."""
+    """The material of the heaviest row of each run, (1, n); the first of them where several are as heavy."""
     if len(rows.material) == 0:
         return np.empty((0, len(begin)), np.uint16)
     top = np.flatnonzero(rows.weight == np.maximum.reduceat(rows.weight, begin).take(owner))
@@ -87,7 +104,7 @@ def _heaviest_material(rows: NodeRows, begin: np.ndarray, owner: np.ndarray) -> 
 
 
 def merge_nodes(cloud: PointCloud, tree: Tree) -> NodeRows:
-    """The rows of all nodes: leaves from their points, then level above level, in pieces that fit the cache."""
+    """The rows of all nodes over points in tree order: leaves from their points, then one level after the other."""
     nodes = NodeRows.empty(rows_of_points(cloud, slice(0, 0)), len(tree))
     leaves = leaves_in_tree_order(tree, len(cloud))
     begin = np.append(tree.first_point[leaves], len(cloud))

@@ -19,17 +19,17 @@ BLOCK = 1 << 17  # points that are partitioned down to the leaves together: thei
 
 @dataclass
 class _Front:
-    """Nodes of one level that are still to be split, and their points, packed in the nodes' order."""
+    """Nodes of one level that are still to be split, and their points, in the nodes' order."""
 
     position: list[np.ndarray]  # x, y, z: (n,) float32 each
     index: np.ndarray  # (n,) int32, original index
-    first: np.ndarray  # (k,) int64, place of the node's points in tree order
+    first: np.ndarray  # (k,) int64, index of the node's first point in tree order
     count: np.ndarray  # (k,) int64
 
 
 @dataclass
 class _Piece:
-    """Neighbouring nodes of one level."""
+    """Nodes of one level whose points follow one another in tree order."""
 
     child_count: np.ndarray  # (k,) uint8
     first: np.ndarray  # (k,) int64
@@ -38,7 +38,7 @@ class _Piece:
 
 @dataclass
 class _Root:
-    """A node whose subtree is still to be made: node `at` of `piece`."""
+    """A node whose subtree is still to be built: node `at` of `piece`."""
 
     piece: _Piece
     at: int
@@ -54,9 +54,9 @@ class _Root:
 
 
 def partition(position: np.ndarray, leaf_size: int) -> tuple[np.ndarray, Tree]:
-    """Split points (N, 3) at their mean, eight octants at a time; the tree order (N,) int32 and the links.
+    """Splits points (N, 3) at their mean into eight octants, again and again, until leaves hold at most `leaf_size`.
 
-    Nodes of more than BLOCK points are split one by one, in passes over memory. Below, neighbouring subtrees are
+    Returns the tree order, (N,) int32 original indices, and the links. Nodes of more than BLOCK points are split one by one, in passes over memory. Below, neighbouring subtrees are
     finished together, all nodes of a level at once, with working arrays that stay in the processor's cache.
     """
     n = len(position)
@@ -73,6 +73,7 @@ def partition(position: np.ndarray, leaf_size: int) -> tuple[np.ndarray, Tree]:
 
 
 def _piece(first: np.ndarray, count: np.ndarray) -> _Piece:
+    """Nodes without children as yet."""
     return _Piece(np.zeros(len(first), np.uint8), first, count)
 
 
@@ -85,7 +86,7 @@ def _add(levels: list[list[_Piece]], depth: int, piece: _Piece) -> None:
 def _descend_large(
     coordinates: list[np.ndarray], order: np.ndarray, root: _Root, levels: list[list[_Piece]], leaf_size: int
 ) -> list[_Root]:
-    """Split until no node has more than BLOCK points; what is to be split further, in tree order."""
+    """Splits nodes of more than BLOCK points; returns the smaller ones that are to be split further, in tree order."""
     waiting, done = [root], []
     while waiting:
         root = waiting.pop()
@@ -105,7 +106,7 @@ def _descend_large(
 
 
 def _regroup(coordinates: list[np.ndarray], order: np.ndarray, node: slice) -> np.ndarray:
-    """Sort the points of one node by octant in place, a block at a time; the number of points in each (8,)."""
+    """Sorts the points of one node by octant in place, a block at a time; returns the points in each octant (8,)."""
     means = [x[node].mean() for x in coordinates]
     blocks = [slice(i, min(i + BLOCK, node.stop)) for i in range(node.start, node.stop, BLOCK)]
     octants = []
@@ -133,13 +134,13 @@ def _regroup(coordinates: list[np.ndarray], order: np.ndarray, node: slice) -> n
 
 
 def _neighbours(roots: list[_Root]) -> Iterator[list[_Root]]:
-    """Runs of roots of one depth whose points follow each other, of at most BLOCK points together."""
+    """Groups roots of one depth whose points follow one another, of at most BLOCK points together."""
     group: list[_Root] = []
     points = 0
     for root in roots:
         points += root.count
-        apart = group and (root.depth != group[-1].depth or root.first != group[-1].first + group[-1].count)
-        if group and (apart or points > BLOCK):
+        gap = group and (root.depth != group[-1].depth or root.first != group[-1].first + group[-1].count)
+        if group and (gap or points > BLOCK):
             yield group
             group, points = [], root.count
         group.append(root)
@@ -150,7 +151,7 @@ def _neighbours(roots: list[_Root]) -> Iterator[list[_Root]]:
 def _descend_block(
     coordinates: list[np.ndarray], order: np.ndarray, group: list[_Root], levels: list[list[_Piece]], leaf_size: int
 ) -> None:
-    """Split level after level until only leaves are left."""
+    """Splits the subtrees of a group of roots, all nodes of a level at once, until only leaves are left."""
     points = slice(group[0].first, group[-1].first + group[-1].count)
     first, count = np.array([root.first for root in group]), np.array([root.count for root in group])
     depth = group[0].depth
@@ -169,7 +170,7 @@ def _descend_block(
 
 
 def _split(front: _Front, order: np.ndarray, leaf_size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, _Front]:
-    """Split every node of the front at its mean.
+    """Splits every node of the front at its mean.
 
     Returns each node's number of children (0 where all its points fell into one octant), the children's first
     point and count, and the front of those children with more than `leaf_size` points. The points of
@@ -194,19 +195,19 @@ def _split(front: _Front, order: np.ndarray, leaf_size: int) -> tuple[np.ndarray
     size, source = size[occupied], source[occupied]
     first = np.repeat(front.first - begin, children) + starts(size)
 
-    # Finished groups go to their place in tree order, the others become the next front.
+    # Finished groups are written in tree order, the others become the next front.
     stuck = np.repeat(children == 1, children)
     open_ = ~stuck & (size > leaf_size)
     order[ranges(first[~open_], size[~open_])] = front.index[by_octant[ranges(source[~open_], size[~open_])]]
-    kept = by_octant[ranges(source[open_], size[open_])]
+    left = by_octant[ranges(source[open_], size[open_])]
     del by_octant
-    rest = _Front([x[kept] for x in front.position], front.index[kept], first[open_], size[open_])
+    rest = _Front([x[left] for x in front.position], front.index[left], first[open_], size[open_])
     children[children == 1] = 0
     return children, first[~stuck], size[~stuck], rest
 
 
 def _join(levels: list[list[_Piece]]) -> Tree:
-    """Concatenate breadth first: within a level, pieces hold separate ranges of the tree order."""
+    """Joins all pieces breadth first; within a level, they hold separate ranges of the tree order."""
     pieces = [piece for level in levels for piece in sorted(level, key=lambda piece: piece.first[0])]
     sizes = [sum(len(piece.first) for piece in level) for level in levels]
     child_count = np.concatenate([piece.child_count for piece in pieces])

@@ -1,4 +1,10 @@
-"""TODO: say what this module is."""
+"""Optics of merged splats: nodes of translucent clouds transmit as much light as the splats below them do.
+
+All are drawn by the same law, T = exp(-tau). Where splats fill a node evenly, optical masses (the integral of extinction
+over volume) add up. Where they are scattered at random, their cross-sections do (`kernel_cross_section`: the area whose
+light a splat alone takes away), since light passes between them, however dense they are. *Media* have an extinction;
+*shells* are surfaces with an opacity.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +18,17 @@ from ...splat.ellipsoids import half_surface
 from ...splat.kernel import SUPPORT, kernel
 
 OPAQUE_DEPTH = 100.0  # optical depth of an opaque splat
-# Kernels of media are drawn wider than their moments: those of cells side by side then add up to an even medium (a
-# standard deviation of 0.29 of the cell leaves ripples of 28 %, one of 0.33 of 12 %), and outlines grow no more than
-# the thickness at which they are seen shrinks.
+# Kernels of media are drawn wider than their moments, so that those of adjacent cells add up to an even medium (a
+# standard deviation of 0.29 of the cell leaves ripples of 28 %, one of 0.33 of 12 %). Outlines grow no more by this than
+# they shrink where the medium becomes too thin to be seen.
 MEDIUM_KERNEL_SCALE = 1.15
 
 
 def optical_sums(cloud: PointCloud, which: slice, radii: np.ndarray) -> np.ndarray:
-    """Quantities (B, n) of points that add up, none for clouds that are simply opaque.
+    """Summands (B, n) float64 of a range of points with half-axes `radii` (3, n); B is 0 for opaque clouds.
 
-    Of media the optical mass squared over the volume, the mass and the cross-section of each channel, a weight and the
-    colour times it, and the volume times the emission. Of shells the area, the optical mass and the cross-section.
+    Media: squared optical mass over volume, mass and cross-section of each channel, a weight and the colour times it,
+    and the volume times the emission. Shells: area, optical mass and cross-section.
     """
     if cloud.radii is None or (cloud.extinction is None and cloud.opacity is None):
         return np.empty((0, radii.shape[1]))
@@ -37,7 +43,7 @@ def optical_sums(cloud: PointCloud, which: slice, radii: np.ndarray) -> np.ndarr
     mean = mass.mean(axis=0)
     rows = [(mean**2 / np.maximum(volume, 1e-150))[None], mass, area * kernel_cross_section(mass / area)]
     if cloud.color is not None:
-        # What is not there has a colour, too: one that only counts among its like.
+        # Splats without mass have a colour, too, which only counts among their like.
         weight = np.maximum(mean, 1e-60)
         rows += [weight[None], weight * as_rows(cloud.color, which)]
     if cloud.emission is not None:
@@ -46,15 +52,18 @@ def optical_sums(cloud: PointCloud, which: slice, radii: np.ndarray) -> np.ndarr
 
 
 def optical_area(cloud: PointCloud, radii: np.ndarray) -> np.ndarray:
-    """(n,) area of ellipsoids of half-axes (3, n): of media that of a disk as wide as the ball of the same volume; of
-    shells half the surface, which is twice what is seen of it on average, and of flat ones their area."""
+    """The area (n,) that the optical mass of ellipsoids with half-axes (3, n) is spread over.
+
+    Media: the silhouette of the ball of the same volume. Shells: half the surface, which for flat splats is their area
+    (and twice the mean silhouette).
+    """
     if cloud.extinction is not None:
         return np.pi * np.cbrt(np.prod(np.maximum(radii.astype(np.float64), 1e-30), axis=0)) ** 2
     return half_surface(radii)
 
 
 def drawn_radii(cloud: PointCloud, radii: np.ndarray) -> np.ndarray:
-    """Half-axes (3, n) by which nodes of these kernels are drawn: as they are where they are opaque."""
+    """Half-axes (3, n) by which nodes with the kernels `radii` (3, n) are drawn; unchanged in opaque clouds."""
     if cloud.extinction is None and cloud.opacity is None:
         return radii
     if cloud.normal is None:
@@ -63,16 +72,18 @@ def drawn_radii(cloud: PointCloud, radii: np.ndarray) -> np.ndarray:
 
 
 def kernel_cross_section(depth: np.ndarray) -> np.ndarray:
-    """The cross-section of a kernel, the integral of 1 - exp(-tau) over the plane, in areas of its ellipse (rim at
-    2 sigma), float64. `depth` is its optical mass in the same unit: the mean depth of the ellipse."""
+    """The cross-section of kernels: the integral of 1 - exp(-tau) over the plane, in areas of their ellipse (rim at
+    2 sigma), float64. `depth`: their optical mass in the same unit, which is the mean depth of the ellipse."""
     x, y = _cross_section_table()
     thin = np.asarray(depth, np.float64)
     return np.where(thin < x[0], thin, np.exp(np.interp(np.log(np.maximum(thin, x[0])), np.log(x), np.log(y))))
 
 
 def kernel_depth(depth: np.ndarray) -> np.ndarray:
-    """The mean depth of the kernel that has the cross-section of an ellipse of an even depth: equal to it in the
-    first two orders, and less than 2.2 where the ellipse is opaque."""
+    """The mean depth of the kernel with the same cross-section as an ellipse of the uniform optical depth `depth`.
+
+    Equal to it in the first two orders, and less than 2.2 where the ellipse is opaque.
+    """
     x, y = _cross_section_table()
     wanted = -np.expm1(-np.asarray(depth, np.float64))
     return np.where(wanted < y[0], depth, np.exp(np.interp(np.log(np.maximum(wanted, y[0])), np.log(y), np.log(x))))
@@ -80,7 +91,7 @@ def kernel_depth(depth: np.ndarray) -> np.ndarray:
 
 @cache
 def _cross_section_table() -> tuple[np.ndarray, np.ndarray]:
-    """Mean depths, evenly spaced in the logarithm, and `absorbed` of them, by Simpson's rule."""
+    """Mean depths, evenly spaced in the logarithm, and their `kernel_cross_section`, by Simpson's rule."""
     depth = np.geomspace(1e-5, 1e9, 2801)
     # With q = SUPPORT (1 - x^4), dx dy is pi a b dq / 4; the fourth power spreads the rim, where deep kernels end.
     x = np.linspace(0, 1, 513)
@@ -90,7 +101,10 @@ def _cross_section_table() -> tuple[np.ndarray, np.ndarray]:
 
 
 def node_optics(cloud: PointCloud, radii: np.ndarray, sums: np.ndarray) -> dict[str, np.ndarray]:
-    """Optical mass, filled fraction, and the attributes by which nodes of these kernels (3, n) are drawn."""
+    """Hierarchy's columns mass, covered, and opacity or extinction, color and emission, by name, float32.
+
+    `radii` (3, n): the nodes' kernels; `sums` (B, n): of `optical_sums`, merged.
+    """
     drawn = drawn_radii(cloud, radii)
     area = optical_area(cloud, drawn)
     if cloud.extinction is None:
@@ -113,27 +127,32 @@ def node_optics(cloud: PointCloud, radii: np.ndarray, sums: np.ndarray) -> dict[
     return named | {"covered": covered.astype(np.float32)}
 
 
-def _mixed_depth(filled: np.ndarray, strewn: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """The depth of nodes that are filled over a part of their area, by the mean of the transmittances."""
-    filled, strewn = np.minimum(filled, OPAQUE_DEPTH), np.minimum(strewn, np.minimum(filled, OPAQUE_DEPTH))
-    apart = strewn - filled
-    # The first form keeps the digits of small differences, the second what is left of the largest.
-    return strewn - np.where(
-        apart > -1, np.log1p(covered * np.expm1(apart)), np.log((1 - covered) + covered * np.exp(apart))
+def _mixed_depth(filled: np.ndarray, scattered: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """The optical depth of nodes of which the fraction `covered` is filled evenly, and the rest with scattered splats.
+
+    It has the mean of the transmittances of both parts, whose depths are `filled` and `scattered`.
+    """
+    filled, scattered = np.minimum(filled, OPAQUE_DEPTH), np.minimum(scattered, np.minimum(filled, OPAQUE_DEPTH))
+    difference = scattered - filled
+    # The first form keeps the digits of small differences, the second those of large ones.
+    return scattered - np.where(
+        difference > -1,
+        np.log1p(covered * np.expm1(difference)),
+        np.log((1 - covered) + covered * np.exp(difference)),
     )
 
 
 def _tiled_fraction(area: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """(n,) how far sheets of this area close a plane, instead of lying far apart in it, or behind one another.
+    """The degree (n,), 0 to 1, to which sheets of a total `area` (n,) tile a plane instead of leaving gaps or overlapping.
 
-    With the cube, opaque ones that cover a fraction f of a plane without overlap stop f of the light, within 0.032.
+    The cube makes opaque sheets that cover a fraction f of a plane without overlap absorb f of the light, within 0.032.
     """
     a, b, c = np.maximum(radii.astype(np.float64), 1e-30)
     return np.minimum(area / (np.pi * a * b), 1) ** 3 * np.clip(1 - 2 * c / b, 0, 1)
 
 
 def merged_shells(cloud: PointCloud, sums: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Area, optical mass and cross-section of merged shells, whose parts count once where they overlap."""
+    """The sums (3, n) of merged shells: area, optical mass and cross-section; parts that overlap count once."""
     area, mass, section = sums
     ellipse = optical_area(cloud, drawn_radii(cloud, radii))
     covered = _tiled_fraction(area, radii)

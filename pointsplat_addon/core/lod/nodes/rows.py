@@ -1,4 +1,9 @@
-"""TODO: say what this module is."""
+"""Splats as rows of a table that merging works on, points and nodes alike.
+
+Second moments follow Pajarola's generic homogeneous covariance, M' = T M T^T, in float64. Each M is held about its own
+mean, where the first-order row of M vanishes; what remains of a translation is S' = S + w d d^T with d the step between
+the means. Sums about a far origin, which cancel, never occur.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +17,19 @@ from ...scene.cloud import PointCloud
 from ...splat.ellipsoids import splat_frames, splat_weight
 from .optics import optical_sums
 
+# Attributes of nodes that are weighted means of those of their points
 AVERAGED = ("color", "opacity", "surface", "emission", "shading_normal", "extinction", "value")
 
 
 @dataclass
 class NodeRows:
-    """Splats to be merged, points and nodes alike, one column each."""
+    """Splats to be merged, one column of every array for each."""
 
     weight: np.ndarray  # (n,) float64
     mean: np.ndarray  # (3, n) float64
     second: np.ndarray  # (6, n) float64: xx, xy, xz, yy, yz, zz of sum w (p - mean)(p - mean)^T
     facing: np.ndarray  # (3, n) float32: mean normal, not normalised; (0, n) without normals
-    center: np.ndarray  # (3, n) float32
+    center: np.ndarray  # (3, n) float32: the rounded mean
     normal: np.ndarray  # (3, n) float32
     axis: np.ndarray  # (3, n) float32
     radii: np.ndarray  # (3, n) float32
@@ -32,12 +38,12 @@ class NodeRows:
     angle: np.ndarray  # (n,) float32: half-angle of the normal cone
     smallest: np.ndarray  # (n,) float32
     averages: np.ndarray  # (A, n) float32
-    sums: np.ndarray  # (B, n) float64: what adds up, see `_sums`
+    sums: np.ndarray  # (B, n) float64: what adds up, see `optics.optical_sums`
     material: np.ndarray  # (1, n) uint16; (0, n) without materials
 
     @staticmethod
     def empty(like: NodeRows, n: int) -> NodeRows:
-        """Room for n columns of the same kinds."""
+        """Uninitialised rows for n splats with the attributes of `like`."""
         given = {f.name: getattr(like, f.name) for f in fields(NodeRows)}
         return NodeRows(**{name: np.empty((*a.shape[:-1], n), a.dtype) for name, a in given.items()})
 
@@ -50,7 +56,7 @@ class NodeRows:
 
 
 def rows_of_points(cloud: PointCloud, which: slice) -> NodeRows:
-    """Points as the rows below the leaves."""
+    """The rows of a range of points of a cloud."""
     position = np.ascontiguousarray(cloud.position[which].T)
     normal, axis, radii = splat_frames(cloud, which)
     weight = splat_weight(cloud, which)

@@ -26,7 +26,7 @@ from .tile_lists import TileLists
 def defocus_program(
     lighting: tuple[str, ...], transparent: bool, tint: bool, holdout: bool, adaptive: bool, tile: int
 ) -> Interface:
-    """`lighting`: of which what the world is is used. `adaptive`: pixels differ in how many samples they have."""
+    """Returns the program that gathers. `lighting`: the names of what shines, of which those of the world are used. `adaptive`: pixels differ in how many samples they have."""
     world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT", "PS_BACKDROP"))
     named = {
         "PS_BACKGROUND": not transparent and "PS_BACKDROP" not in world,

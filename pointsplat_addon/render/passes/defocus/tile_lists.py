@@ -22,10 +22,10 @@ class TileLists:
     entries: np.ndarray  # (E,) int64, rows of the splats
 
 
-def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tuple[int, int]) -> TileLists:
+def tile_lists(centre: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tuple[int, int]) -> TileLists:
     """Of splats (N, 4) each, as the pass `light` left them; focal: fx, fy, cx, cy; size: of the picture in pixels."""
     # Columns one by one: reducing rows of four takes several times as long.
-    x, y, depth, peak = np.ascontiguousarray(place.T)
+    x, y, depth, peak = np.ascontiguousarray(centre.T)
     xx, xy, yy, code = np.ascontiguousarray(shape.T)
     with np.errstate(all="ignore"):
         seen = np.flatnonzero((peak > 0) & np.isfinite(x + y + depth + peak) & np.isfinite(xx + xy + yy + code))
@@ -47,7 +47,7 @@ def tile_lists(place: np.ndarray, shape: np.ndarray, focal: np.ndarray, size: tu
     seen, cx, cy, xx, xy, yy, determinant, support, rim, wide, tall = (values[inside] for values in names)
 
     def tiles_between(low: np.ndarray, high: np.ndarray, last: float) -> tuple[np.ndarray, np.ndarray]:
-        """The first tile, and the number of tiles, of which the middle of a pixel lies between two places."""
+        """The first tile, and the number of tiles, of which the middle of a pixel lies between two coordinates."""
         first = np.ceil((np.maximum(low, 0.5) + 0.5) / tile).astype(np.int32) - 1
         end = np.floor((np.minimum(high, last) - 0.5) / tile).astype(np.int32) + 1
         return first, np.maximum(end - first, 0)

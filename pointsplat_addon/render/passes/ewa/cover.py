@@ -69,11 +69,11 @@ THINNED = NEEDED.with_defines("PS_THIN")
 
 @dataclass(frozen=True)
 class Sizes:
-    """Of the splats that face the eye."""
+    """Sizes of the splats that face the eye."""
 
     kernel: float  # half the width in pixels of the wider kernels
     layers: float  # how many times their ellipses cover what they cover of the picture
-    places: np.ndarray  # (N, 2) pixels: some of their middles
+    middles: np.ndarray  # (N, 2) pixels: of some of them
 
     @property
     def share(self) -> float:
@@ -93,7 +93,8 @@ class Sizes:
 def measure_sizes(
     device: Device, lists: list[tuple[dict[str, Texture], int]], view: SampleView, low_pass: float
 ) -> Sizes:
-    """`lists`: of each page with splats, its textures with the list of them, and how many they are."""
+    """Measures the splats of a view that face the eye. `lists`: of each page with splats, its textures with the list of
+    them, and how many they are."""
     target = device.texture((PROBES, PROBES), "RGBA32F")
     drawn = device.target([target])
     found, weights = [], []
@@ -107,31 +108,31 @@ def measure_sizes(
     width, height = np.array(view.size, np.int32)
     area = sum(w * f[:, 1].mean(dtype=np.float64) for w, f in zip(weights, found, strict=True))
     columns = int(width) // TILE + 1
-    places = np.concatenate(found)[:, 2:]
-    inside = ((places >= 0) & (places < (width, height))).all(axis=1)
-    column, row = (places[inside] / TILE).astype(np.int32).T
+    middles = np.concatenate(found)[:, 2:]
+    inside = ((middles >= 0) & (middles < (width, height))).all(axis=1)
+    column, row = (middles[inside] / TILE).astype(np.int32).T
     tiles = len(np.unique(row * columns + column))
-    within = places[inside]
+    within = middles[inside]
     kernel = float(np.quantile(np.concatenate([f[:, 0] for f in found]), WIDER))
     return Sizes(kernel, max(area / max(tiles * TILE * TILE, 1), 1e-9), within[:: max(len(within) // LOOKED_AT, 1)])
 
 
 def closed_share(device: Device, nearest: Texture, sizes: Sizes) -> float:
-    """Share of some kernels in which visibility, which left `nearest`, found nothing open."""
+    """Returns the share of some kernels in which visibility, which left `nearest`, found nothing open."""
     there = device.read(nearest)[..., 0] > 0
     aside = np.linspace(-sizes.kernel, sizes.kernel, int(np.clip(2 * sizes.kernel + 1, 2, 8)))
     height, width = there.shape
     column, row = (
-        np.clip(place[:, None] + aside, 0, last - 1).astype(np.int32)
-        for place, last in zip(sizes.places.T, (width, height), strict=True)
+        np.clip(middle[:, None] + aside, 0, last - 1).astype(np.int32)
+        for middle, last in zip(sizes.middles.T, (width, height), strict=True)
     )
     found = there[row[:, :, None], column[:, None]].all(axis=(1, 2))
     return float(found.mean()) if len(found) else 0.0
 
 
 def hashed_share(index: np.ndarray, share: float) -> np.ndarray:
-    """A share of the elements (N,), the same in each frame: by a hash, since what is regular in their numbers, as rows
-    and spirals are, may be so in their places."""
+    """Returns a share of the elements (N,), the same in each frame: by a hash, since what is regular in their numbers, as rows
+    and spirals are, may be so in their positions."""
     if share >= 1:
         return index
     mixed = index.astype(np.uint32)
@@ -168,7 +169,7 @@ class Cover:
             self._window *= 2
 
     def needed(self, splats: dict[str, Texture], view: SampleView, low_pass: float) -> np.ndarray:
-        """(elements,) float32, one for each projected splat: HIDDEN, COVERED, or more."""
+        """Returns (elements,) float32, one for each projected splat: HIDDEN, COVERED, or more."""
         device, size = self._device, splats["ps_splat_centre"].size
         out = device.texture(size, "R32F")
         target = device.target([out])

@@ -5,7 +5,7 @@ the nearest surface under each pixel's centre, `blend` adds up the attributes of
 their kernels, and `normalise` divides by the sum of the weights, into the G-buffer that polygons and spheres share.
 
 What `splats` leaves of each drawn element, one texel each:
-  place     centre in pixels from the principal point; depth; 1 + 2 instance (small), 2 + 2 instance (large), 0: not
+  centre    centre in pixels from the principal point; depth; 1 + 2 instance (small), 2 + 2 instance (large), 0: not
             drawn; negative where the splat shows its back
   shape     covariance in pixels^2 (xx, xy, yy) without low-pass, its rim at 2 sigma; material (-1 - m: a holdout)
   front     change of depth per pixel (x, y); share of the ellipse that the splat stands for; depth within which it is
@@ -61,7 +61,7 @@ class Ewa:
         self._begun = False  # visibility has drawn what comes first
 
     def project(self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture]) -> None:
-        """Project the splats of a view and list those that are drawn; `record`: of the sample that is drawn next."""
+        """Project the splats of a view and list those that are drawn; `view`: of the sample that is drawn next."""
         self._forget()
         self.draws = draws
         program = self.programs.splats
@@ -116,7 +116,7 @@ class Ewa:
             splats.list_found(self.device, tiles)
 
     def see(self, view: SampleView, shared: dict[str, Texture]) -> None:
-        """The nearest surface under each pixel's centre."""
+        """Finds the nearest surface under each pixel's centre."""
         if not self._begun:
             self.device.clear(self.nearest_target)
             self._see(("first",), view, shared)
@@ -127,14 +127,14 @@ class Ewa:
         self._draw(self.programs.visibility, names, self.nearest_target, view, shared, depth_test=True)
 
     def blend(self, view: SampleView, shared: dict[str, Texture]) -> None:
-        """Attributes of that surface's splats times their kernels."""
+        """Sums the attributes of the nearest surface's splats times their kernels."""
         self.device.clear(self.sum_target)
         textures = {**shared, "ps_nearest": self.nearest}
         names = ("blended",) if self._left else ("first", "then")
         self._draw(self.programs.blend, (*names, "large"), self.sum_target, view, textures, blend=True)
 
     def normalise(self, view: SampleView, out: GBuffer, region: Region) -> None:
-        """Sums over weights, into the G-buffer; pixels that nothing reaches stay as they are."""
+        """Writes sums over weights into the G-buffer; pixels that no splat touches stay as they are."""
         program = self.programs.normalise
         textures = {**self.sums, "ps_nearest": self.nearest}
         region.draw(

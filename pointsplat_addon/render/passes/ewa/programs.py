@@ -41,7 +41,7 @@ class EwaPrograms:
 
 
 def programs(variant: Variant, points: PointOptions, ewa: EwaOptions) -> EwaPrograms:
-    """The programs of one variant."""
+    """Returns the programs of one variant."""
     named = tuple((name, "1") for name in variant.defines if name != "PS_OWNER")
     flags = {"PS_CULL": points.cull, "PS_ELLIPSES": points.ellipses}
     flagged = tuple((name, "1") for name, on in flags.items() if on)
@@ -74,7 +74,7 @@ def blended_attributes(variant: Variant) -> tuple[str, ...]:
 
 
 def _drawn(variant: Variant, points: PointOptions, ewa: EwaOptions, blend: bool, large: bool) -> Interface:
-    """Splats on the screen: `blend` their kernels, else their ellipses."""
+    """Returns the program that draws listed splats: with `blend` their kernels, else their ellipses."""
     blended = blended_attributes(variant) if blend else ()
     samplers = [
         ("FLOAT_2D", name) for name in ("ps_list", *(f"ps_splat_{n}" for n in ("centre", "shape", "front", *blended)))

@@ -87,6 +87,6 @@ class ProjectedSplats:
 
 
 def upload_list(device: Device, index: np.ndarray) -> tuple[Texture, int]:
-    """The texels of elements (N,), and how many they are."""
+    """Uploads the texels of elements (N,); returns the texture and how many they are."""
     size, data = paged(np.stack([index % PAGE_WIDTH, index // PAGE_WIDTH], axis=1), 2)
     return device.texture(size, "RG32F", data), len(index)

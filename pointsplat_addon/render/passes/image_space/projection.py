@@ -105,7 +105,7 @@ def _indexed(options: PointOptions) -> Block:
 
 
 def record_of(program: Interface, draw: PageDraw, view: SampleView) -> np.ndarray:
-    """The uniforms of one of these passes."""
+    """Returns the uniforms of one of the programs of points."""
     assert program.block is not None
     own = {"first_index": draw.first_index}
     names = {name for _, name in program.block.fields}
@@ -113,7 +113,7 @@ def record_of(program: Interface, draw: PageDraw, view: SampleView) -> np.ndarra
 
 
 class Projection:
-    """Which splat of the cut each pixel shows."""
+    """Finds which splat of the cut each pixel shows."""
 
     def __init__(self, device: Device, options: PointOptions, size: tuple[int, int]) -> None:
         self.device, self.programs = device, programs(Variant(), options)
@@ -122,6 +122,7 @@ class Projection:
         self.raster_target: Target | None = None if self.depth else device.target([self.ids], depth=True)
 
     def run(self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture]) -> None:
+        """Writes the index of the nearest splat of each pixel into `ids`."""
         if self.depth is None:
             self._rasterise(draws, view, shared)
             return
@@ -141,7 +142,7 @@ class Projection:
     def within(
         self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture], region: Region
     ) -> list[PageDraw]:
-        """The draws without the blocks that have no splat in the region; the caller frees their `blocks`.
+        """Returns the draws without blocks that have no splat in the region; the caller frees their `blocks`.
 
         Without image atomics blocks cannot be told apart, and all are kept.
         """

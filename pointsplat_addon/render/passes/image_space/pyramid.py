@@ -17,8 +17,8 @@ FINEST_LEVELS = 2  # even sub-pixel splats leave some pixels without a centre
 
 
 def levels(radius: float, size: tuple[int, int]) -> int:
-    """How many coarser levels are needed for splats of at most `radius` pixels: a pixel of the coarsest one, with its
-    neighbours, spans a splat."""
+    """Returns how many coarser levels a pyramid needs for splats of at most `radius` pixels: a pixel of the coarsest
+    level, with its neighbours, spans a splat."""
     wanted = FINEST_LEVELS + max(0, math.ceil(math.log2(max(radius, 1e-6))))
     return max(1, min(wanted, math.ceil(math.log2(max(*size, 2)))))
 
@@ -42,7 +42,7 @@ class Pyramid:
         self.finest_program = self.fill_program.with_defines("PS_FINEST")
 
     def pull(self, view: SampleView, region: Region) -> None:
-        """Each level from the next finer one."""
+        """Writes each level from the next finer one."""
         for level in range(1, len(self.levels)):
             record = view.record(PULL, level=level)
             coarse = self.levels[level]
@@ -51,7 +51,7 @@ class Pyramid:
             region.draw(self.device, self.pull_program, coarse.target, uniforms=record, textures=textures, level=level)
 
     def push(self, view: SampleView, region: Region) -> None:
-        """Each level's holes from the next coarser one."""
+        """Fills the holes of each level from the next coarser one."""
         for level in range(len(self.levels) - 2, -1, -1):
             record = view.record(PUSH, level=level)
             fine, coarse = self.levels[level], self.levels[level + 1]

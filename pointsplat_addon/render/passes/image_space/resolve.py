@@ -21,7 +21,7 @@ def resolve(
     out: GBuffer,
     region: Region,
 ) -> None:
-    """The identified splats' ellipses and attributes; pixels without one stay as they are."""
+    """Writes the ellipses and attributes of the identified splats; pixels without one stay as they are."""
     for draw in draws:
         region.draw(
             device,

@@ -39,7 +39,7 @@ CONVERGE = Interface(
 def why_everywhere(
     settings: Settings, samples: int, translucent: bool, identities: bool, thin: bool, lens: bool = False
 ) -> str:
-    """Why every pixel gets all samples; empty where some may not."""
+    """Returns why every pixel gets all samples; empty where adaptive sampling may leave some out."""
     if not settings.use_adaptive_sampling:
         return "adaptive sampling is switched off"
     if samples < LEAST_SAMPLES:
@@ -49,22 +49,22 @@ def why_everywhere(
     if thin:
         return "strands thinner than a pixel are drawn in a share of all samples"
     if lens:
-        return "samples through other places on the lens show what the first ones do not"
+        return "samples through other points on the lens show what the first ones do not"
     return "Cryptomatte counts all samples" if identities else ""
 
 
 class Adaptive:
-    """Which tiles of one picture still take samples, and how many each of them got."""
+    """Which tiles of one picture still take samples, and how many samples each tile has."""
 
     @releases_on_failure
     def __init__(
-        self, device: Device, sums: Texture, threshold: float, gather: int, place: Texture | None = None
+        self, device: Device, sums: Texture, threshold: float, gather: int, centre: Texture | None = None
     ) -> None:
-        """`gather`: from so many pixels around it a pixel takes what it shows. `place`: of the G-buffer, where it is
-        looked at between samples."""
+        """`gather`: radius in pixels from which a pixel takes what it shows. `centre`: texture of the G-buffer, where it
+        is read between samples."""
         self.device, self.threshold = device, threshold
-        self._sums, self._place = sums, place
-        self._reach = -(-gather // TILE)
+        self._sums, self._centre = sums, centre
+        self._gather_tiles = -(-gather // TILE)
         self._size = -(-sums.size[0] // TILE), -(-sums.size[1] // TILE)
         self.counts = np.zeros(self._size[::-1], np.float32)  # 0: still active
         self._held = np.zeros(self.counts.shape, bool)
@@ -73,17 +73,17 @@ class Adaptive:
         self._count = device.texture(self._size, "R32F")
         self._count_target = device.target([self._count])
         self._masks: list[Texture] = []
-        self._places: list[Any] = []
+        self._saved_centre: list[Any] = []
         self.known = device.texture(self._size, "R32F", self.counts.reshape(-1))  # counts, for presenting
         self.shown = self.gathered = EVERYWHERE  # where passes shade, and where they gather for that
 
     @property
     def finished(self) -> bool:
-        """Every tile has enough."""
+        """Whether every tile has enough samples."""
         return bool(self.counts.all())
 
     def check(self, done: int) -> bool:
-        """After `done` samples; True where tiles were finished by it."""
+        """Compares the means after `done` samples; returns whether that finished any tile."""
         if done <= FIRST_CHECK // 2 or (done - 1) & (done - 2):
             return False
         finished = done >= FIRST_CHECK and self._converge(done)
@@ -98,27 +98,27 @@ class Adaptive:
         counts = np.where(self._held & (self.counts == 0), np.float32(0), counts)
         if np.array_equal(counts, self.counts):
             return False
-        if self._place is not None and not self._places:
-            kept = self.device.texture(self._place.size, "RGBA32F")
-            self._places = [self.device.target([kept]), kept]
-            self.device.draw(KEEP, self._places[0], textures={"ps_combined": self._place})
+        if self._centre is not None and not self._saved_centre:
+            kept = self.device.texture(self._centre.size, "RGBA32F")
+            self._saved_centre = [self.device.target([kept]), kept]
+            self.device.draw(KEEP, self._saved_centre[0], textures={"ps_combined": self._centre})
         self.counts = counts
         active = counts == 0
         self._release_masks()
         self.known = self.device.texture(self._size, "R32F", counts.reshape(-1))
-        self.shown, self.gathered = self._region(active), self._region(dilated(active, self._reach))
+        self.shown, self.gathered = self._region(active), self._region(dilated(active, self._gather_tiles))
         return True
 
     def hold(self, squares: np.ndarray, limit: float) -> None:
-        """Tiles go on in which the mean of these squared errors (H, W), of the whole picture, exceeds limit^2."""
+        """Keeps tiles active whose mean of these squared errors, (H, W) of the whole picture, exceeds limit^2."""
         rows, columns = self.counts.shape
         whole = np.pad(squares, [(0, rows * TILE - squares.shape[0]), (0, columns * TILE - squares.shape[1])])
         self._held = whole.reshape(rows, TILE, columns, TILE).mean(axis=(1, 3)) > limit**2
 
     @property
-    def place(self) -> Texture | None:
-        """The G-buffer's as long as it was whole."""
-        return self._places[1] if self._places else self._place
+    def centre(self) -> Texture | None:
+        """The G-buffer's texture `centre` from when all tiles were drawn; None where nobody reads it."""
+        return self._saved_centre[1] if self._saved_centre else self._centre
 
     def _region(self, active: np.ndarray) -> Region:
         if active.all():
@@ -127,7 +127,7 @@ class Adaptive:
         return Region(self._masks[-1])
 
     def samples(self, done: int) -> np.ndarray:
-        """(H, W, 1) float32: how many samples each pixel has."""
+        """Returns the number of samples of each pixel, (H, W, 1) float32."""
         counts = np.where(self.counts == 0, np.float32(done), self.counts)
         width, height = self._sums.size
         return np.repeat(np.repeat(counts, TILE, axis=0)[:height], TILE, axis=1)[:, :width, None]
@@ -139,12 +139,12 @@ class Adaptive:
 
     def release(self) -> None:
         self._release_masks()
-        for item in (self._half_target, self._half, self._count_target, self._count, *self._places):
+        for item in (self._half_target, self._half, self._count_target, self._count, *self._saved_centre):
             item.release()
 
 
 def dilated(mask: np.ndarray, by: int) -> np.ndarray:
-    """(H, W) bool: `mask`, and the `by` tiles around it."""
+    """Returns a mask (H, W) bool extended by `by` tiles to all sides."""
     for axis in (0, 1):
         padded = np.pad(mask, [(by, by) if a == axis else (0, 0) for a in (0, 1)])
         mask = np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * by + 1, axis=axis).any(axis=-1))

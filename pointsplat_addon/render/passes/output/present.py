@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ....core.scene.camera import Camera
 from ....shading.interface import Block, Interface
+from ...device.protocol import Device, Texture
 from ..tiles import TILE_DEFINE
 from ..uniforms import Fields, block
 
@@ -22,17 +21,8 @@ def present_block(surface: bool) -> Block:
     return block("Present", own, depth if surface else ())
 
 
-def present_record(
-    surface: bool, camera: Camera, size: tuple[int, int], corner: tuple[int, int], sample_weight: float
-) -> np.ndarray:
-    """The uniforms of `present_program`."""
-    m = camera.clip_from_view
-    depth = {"clip_from_depth": (m[2, 2], m[2, 3], m[3, 2], m[3, 3])} if surface else {}
-    return present_block(surface).record(size=size, corner=corner, sample_weight=sample_weight, **depth)
-
-
 def present_program(surface: bool, adaptive: bool = False) -> Interface:
-    """The finished picture into the viewport. `surface`: something has a depth. `adaptive`: pixels differ in how many
+    """Returns the program that draws the picture into the viewport. `surface`: something has a depth. `adaptive`: pixels differ in how many
     samples they have (render/passes/tiles.py)."""
     named = {"ps_centre": surface, "ps_counts": adaptive}
     return Interface(
@@ -41,3 +31,31 @@ def present_program(surface: bool, adaptive: bool = False) -> Interface:
         varyings=(("smooth", "vec2", "v_uv"),), outputs=(("vec4", "out_color"),), depth=True,
         defines=((("PS_SURFACES", "1"),) if surface else ()) + ((TILE_DEFINE,) if adaptive else ()),
     )  # fmt: skip
+
+
+def draw_picture(
+    device: Device,
+    camera: Camera,
+    corner: tuple[int, int],
+    combined: Texture,
+    sample_weight: float,
+    centre: Texture | None = None,
+    counts: Texture | None = None,
+    size: tuple[int, int] | None = None,
+) -> None:
+    """Draws a picture and its depth into the framebuffer that is bound, in the viewport that is set.
+
+    `corner`: of the viewport in the texture `combined`. `sample_weight`: 1 over the samples in that. `centre`: of the
+    G-buffer, where something has a depth. `counts`: samples of each tile, where they differ. `size`: of the viewport in
+    pixels; None: that of the camera's window.
+    """
+    _, _, *window = camera.window
+    m = camera.clip_from_view
+    depth = {"clip_from_depth": (m[2, 2], m[2, 3], m[3, 2], m[3, 3])} if centre is not None else {}
+    program = present_program(centre is not None, counts is not None)
+    record = present_block(centre is not None).record(
+        size=size or window, corner=corner, sample_weight=sample_weight, **depth
+    )
+    given = {"ps_combined": combined, "ps_centre": centre, "ps_counts": counts}
+    textures = {name: texture for name, texture in given.items() if texture is not None}
+    device.draw(program, None, uniforms=record, textures=textures)

@@ -51,7 +51,7 @@ class PointOptions:
 
 
 class Page(SplatPage):
-    """Splats of opaque points."""
+    """A page of opaque splats."""
 
     def __init__(
         self, device: Device, sets: list[PointSet], variant: Variant, options: PointOptions, table: MaterialTable
@@ -77,7 +77,7 @@ class Page(SplatPage):
 
 
 def blocks(layer: Layer, first: dict[int, int]) -> tuple[np.ndarray, int]:
-    """The cut as blocks, (B, 4) float32, and the log2 of a block's size. `first` is each point set's first splat in the
+    """Returns a cut as blocks, (B, 4) float32, and the log2 of a block's size. `first` is each point set's first splat in the
     page; sets that it lacks are skipped."""
     cut = layer.cut
     base = np.full(max(layer.point_sets, default=-1) + 2, -1)
@@ -99,7 +99,8 @@ def blocks(layer: Layer, first: dict[int, int]) -> tuple[np.ndarray, int]:
 
 
 def instance_rows(view_from_object: np.ndarray, origin: np.ndarray, holdout: np.ndarray | None) -> np.ndarray:
-    """(4 I, 4) float32: three rows of each matrix, with the origin (I, 3) of its cloud taken in; holdout."""
+    """Returns the texels of instances, (4 I, 4) float32: three rows of each matrix, which takes positions relative to the
+    origin (I, 3) of its cloud; holdout."""
     rows = np.zeros((len(view_from_object), 4, 4))
     rows[:, :3] = with_origin(view_from_object, origin)[:, :3]
     if holdout is not None:
@@ -108,7 +109,7 @@ def instance_rows(view_from_object: np.ndarray, origin: np.ndarray, holdout: np.
 
 
 def with_origin(view_from_object: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Matrices (I, 4, 4) that take positions relative to `origin` (I, 3); in float64, so that nothing cancels."""
+    """Returns matrices (I, 4, 4) float64 that take positions relative to `origin` (I, 3)."""
     moved = view_from_object.copy()
     moved[:, :3, 3] += np.einsum("iab,ib->ia", view_from_object[:, :3, :3], origin)
     return moved
@@ -117,7 +118,7 @@ def with_origin(view_from_object: np.ndarray, origin: np.ndarray) -> np.ndarray:
 def attributes(
     variant: Variant, options: PointOptions
 ) -> tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...]]:
-    """Samplers and defines of a program that brings splats with their attributes into a G-buffer."""
+    """Returns samplers and defines of a program that brings splats with their attributes into a G-buffer."""
     samplers = [*POINT_SAMPLERS]
     if not options.one_instance:
         samplers.append(("FLOAT_2D", "ps_instances"))

@@ -34,7 +34,7 @@ class SplatPage:
         self._device = device
 
     def upload(self, name: str, format: str, channels: int, rows: list[Write | np.ndarray]) -> None:
-        """One attribute of each cloud: what writes it, or rows (n, C <= channels).
+        """Uploads one attribute of each cloud: what writes it, or rows (n, C <= channels).
 
         DeviceError: more splats than a texture holds.
         """
@@ -55,7 +55,7 @@ class SplatPage:
 
 
 def _copy(values: np.ndarray) -> Write:
-    """Rows (N,) or (N, C) as they are; zeros in further channels."""
+    """Writes rows (N,) or (N, C) as they are, and zeros into further channels."""
     columns = values.T if values.ndim > 1 else values[None]
 
     def write(out: np.ndarray, block: slice) -> None:
@@ -67,7 +67,7 @@ def _copy(values: np.ndarray) -> Write:
 
 
 def position_and_normal(cloud: PointCloud) -> Write:
-    """(N, 4): position relative to the cloud's origin, packed normal (NO_NORMAL: a ball)."""
+    """Writes (N, 4): position relative to the cloud's origin, packed normal (NO_NORMAL: a ball)."""
 
     def write(out: np.ndarray, block: slice) -> None:
         for channel, column in enumerate(cloud.position.T):
@@ -78,7 +78,7 @@ def position_and_normal(cloud: PointCloud) -> Write:
 
 
 def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = None) -> Write:
-    """(N, 4): half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too. The minor
+    """Writes (N, 4): half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too. The minor
     half-axis of disconnected splats is negative. `points`: what follows after so many are nodes, whose material row
     has NODE added."""
 
@@ -102,7 +102,7 @@ def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = No
 
 
 def filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:
-    """(N, C): an attribute, or its material's constant (M, C) where the cloud has none."""
+    """Returns an attribute (N, C), or its material's constant (M, C) for each splat where the cloud has none."""
     own = getattr(cloud, name)
     if own is not None:
         return own
@@ -112,7 +112,7 @@ def filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:
 
 
 def shading_normal(cloud: PointCloud) -> Write:
-    """(N, 1): packed shading normals, NO_NORMAL where there is none."""
+    """Writes (N, 1): packed shading normals, NO_NORMAL where there is none."""
     own = cloud.shading_normal
 
     def write(out: np.ndarray, block: slice) -> None:
@@ -127,7 +127,7 @@ def shading_normal(cloud: PointCloud) -> Write:
 
 
 def facets(cloud: PointCloud) -> Write:
-    """(N, 4): packed normal in 18 bits, and above it the share of the area in 6; 0 where there is no facet."""
+    """Writes (N, 4) facets: packed normal in 18 bits, and above it the share of the area in 6; 0 where there is no facet."""
     own = cloud.facets
 
     def write(out: np.ndarray, block: slice) -> None:

@@ -9,7 +9,7 @@ AVERAGED = {"normal": ("PS_OUT_NORMAL", "out_normal_pass"), "albedo": ("PS_OUT_A
 
 
 def averaged(passes: frozenset[str]) -> tuple[str, ...]:
-    """Accumulators beyond Combined."""
+    """Returns the passes that have an accumulator beside Combined."""
     return tuple(key for key in AVERAGED if key in passes and BY_KEY[key].averaged)
 
 

@@ -1,4 +1,4 @@
-"""The world out of focus, once for a view: sharp on a coarse grid, and blurred there by the disk of confusion of what
+"""Draws the world out of focus, once for a view: sharp on a coarse grid, and blurred there by the disk of confusion of what
 is infinitely far (core/lens/backdrop.py). Whoever draws the background looks it up (lib/light/backdrop.glsl)."""
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Backdrop:
 
     @property
     def texels(self) -> tuple[float, float]:
-        """That a pixel spans."""
+        """Texels that a pixel spans, across and up."""
         return 1 / self.grid.step[0], 1 / self.grid.step[1]
 
     def draw(self, view: SampleView, textures: dict[str, Texture]) -> None:

@@ -21,7 +21,7 @@ def background_program(
     everywhere: bool = False,
     combined: bool = True,
 ) -> Interface:
-    """The world behind everything, of which `world` says what it is, PS_BACKDROP that it is out of focus. `coverage`:
+    """Returns the program that draws the world, of which `world` says what it is, PS_BACKDROP that it is out of focus. `coverage`:
     edges let some of it through. `everywhere`: nothing is before it. `combined`: the picture, not only passes beside
     it."""
     drawn = not transparent and "PS_BACKDROP" not in world

@@ -16,7 +16,7 @@ NEED_OWNER = ("object_index", "crypto_object", "vector")
 
 
 def data(passes: frozenset[str]) -> tuple[str, ...]:
-    """Textures of the data pass."""
+    """Returns the names of the textures that the pass `data` writes."""
     return tuple(name for name, (_, _, serves) in DATA.items() if passes & set(serves))
 
 
@@ -29,6 +29,7 @@ def _block(wanted: tuple[str, ...]) -> Block:
 
 
 def data_program(variant: Variant, passes: frozenset[str]) -> Interface:
+    """Returns the program of the pass `data`."""
     wanted = data(passes)
     samplers = list(variant.samplers(only=("centre", "shape", "normal", "owner")))
     if "vector" in wanted:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ...device.protocol import Texture
 from ..uniforms import Fields
 
-LIGHT_POINTS, MOST_LIGHT_POINTS = 32, 4  # of a wide lamp: in a picture, and in one of its samples
+LIGHT_POINTS, MOST_LIGHT_POINTS = 32, 4  # of a wide light: in a picture, and in one of its samples
 ENOUGH_CELLS = 16  # samples that, each with a shadow cell of its own, make the mean of four between which it lies
 # What lib/light and lib/shadow read: how many lights there are, and with shadows of wide lights the sample's number.
 LIGHT_FIELDS: Fields = (("int", "light_count"),)
@@ -13,12 +13,13 @@ SAMPLE_FIELDS: Fields = (("int", "sample_index"),)
 
 
 def lighting_defines(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    """Shadows of wide lamps differ from sample to sample: PS_SHADOW_SAMPLE is where the shader finds its number."""
+    """Returns the defines of shaders that light. Shadows of wide lights differ from sample to sample: PS_SHADOW_SAMPLE is
+    where the shader finds the sample's number."""
     return tuple((name, "u.sample_index" if name == "PS_SHADOW_SAMPLE" else "1") for name in lighting)
 
 
 def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    """What lib/light/lights.glsl reads."""
+    """Returns the samplers that lib/light/lights.glsl and lib/shadow read."""
     wanted = (
         ("ps_lights", bool(lighting) and lighting != ("PS_BACKDROP",)),
         ("ps_backdrop", "PS_BACKDROP" in lighting),
@@ -30,5 +31,5 @@ def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
 
 
 def bound_textures(**named: Texture | None) -> dict[str, Texture]:
-    """Those that are there, by sampler name."""
+    """Returns the textures that are not None, by sampler name."""
     return {f"ps_{name}": texture for name, texture in named.items() if texture is not None}

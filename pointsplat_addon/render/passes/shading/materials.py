@@ -16,7 +16,7 @@ LEAST_SPREAD = 0.99  # of |g|: lobes narrower than this would alias between spla
 
 
 def material_rows(table: MaterialTable, escape: np.ndarray) -> np.ndarray:
-    """(M, 4, 4) float32, one row of texels a material; escape: (M,), of hair."""
+    """Returns the material table, (M, 4, 4) float32: one row of texels a material. escape: (M,), of hair."""
     rows = np.zeros((len(table), 4, 4), np.float32)
     rows[:, 0, :3], rows[:, 0, 3] = table.base_color, table.alpha
     rows[:, 1, :3] = table.emission

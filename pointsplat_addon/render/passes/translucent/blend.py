@@ -20,7 +20,7 @@ OPAQUE_DEPTH = block("OpaqueDepth", CAMERA_FIELDS)
 
 
 def draw_program(options: TranslucentOptions, channel: str) -> Interface:
-    """Splats over the picture. `channel`: one of CHANNELS, or "" where all are alike."""
+    """Returns the program that blends splats over the picture. `channel`: one of CHANNELS, or "" where all are alike."""
     read = ["centre", "shape", "source", *(["front", "depth"] if options.opaque else [])]
     varyings = [("flat", "vec4", "v_conic"), ("flat", "vec4", "v_source"), ("flat", "vec2", "v_centre")]
     defines = []
@@ -45,7 +45,7 @@ def draw_program(options: TranslucentOptions, channel: str) -> Interface:
 
 
 def depth_program(samplers: tuple[tuple[str, str], ...], normal: bool) -> Interface:
-    """Depth of the opaque surface under each pixel's centre."""
+    """Returns the program that writes the depth of the opaque surface under each pixel's centre."""
     return Interface(
         "opaque depth", fragment="translucent/depth.frag", block=OPAQUE_DEPTH, samplers=samplers,
         outputs=(("float", "out_depth"),), defines=(("PS_NORMAL", "1"),) if normal else (),
@@ -60,7 +60,7 @@ ENLARGE = Interface(
 
 
 def add_program(options: TranslucentOptions) -> Interface:
-    """One sample's picture to the sums."""
+    """Returns the program that adds one sample's picture to the sums."""
     return Interface(
         "add", fragment="translucent/add.frag",
         samplers=(("FLOAT_2D", "ps_layer"), *((("FLOAT_2D", "ps_cut"),) if options.holdout else ())),

@@ -26,7 +26,7 @@ MOST_SHARED_LIGHTS = 4  # lights whose shares are kept
 
 
 def draw_list_rows(texel: np.ndarray, instance: np.ndarray) -> np.ndarray:
-    """(N, 2) float32 of splats' places in the page, counted texel by texel, and their instances."""
+    """Returns a draw list, (N, 2) float32: of each splat its texel in the page (N,), and its instance (N,)."""
     rows = np.empty((len(texel), 2), np.float32)
     rows[:, 0] = texel & (PAGE_WIDTH * PAGE_WIDTH - 1)
     rows[:, 1] = 4 * instance.astype(np.int64) + (texel >> 24)
@@ -55,7 +55,8 @@ def _reach_block(lighting: tuple[str, ...]) -> Block:
 def light_program(
     options: TranslucentOptions, lighting: tuple[str, ...], materials: tuple[str, ...], reached: int = 0
 ) -> Interface:
-    """Every splat of the draw list, lit. `reached`: of so many lights the share that reaches each splat is known."""
+    """Returns the program that lights every splat of the draw list. `reached`: of so many lights the share that reaches
+    each splat is known."""
     colored = "PS_SHADOW_COLORED" in lighting
     known: tuple[tuple[str, str], ...] = ()
     if reached:
@@ -90,7 +91,8 @@ def light_program(
 
 
 def light_shares_program(options: TranslucentOptions, lighting: tuple[str, ...], lights: int) -> Interface:
-    """The share of each light that reaches every splat of a page, by a list of all of them in their own order."""
+    """Returns the program that finds the share of each light that reaches every splat of a page; its draw list holds all
+    splats in their own order."""
     colored = "PS_SHADOW_COLORED" in lighting
     read = ("order", "instances", "position", "extent", "optics", "materials")
     read += ("shading_normal",) if options.shading_normal else ()
@@ -104,7 +106,7 @@ def light_shares_program(options: TranslucentOptions, lighting: tuple[str, ...],
 
 
 def _fuzzy_defines(options: TranslucentOptions, lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    """One point of each wide lamp a sample is enough for splats that overlap, and blur what they receive; opaque ones
+    """One point of each wide light a sample is enough for splats that overlap, and blur what they receive; opaque ones
     do not."""
     points = MOST_LIGHT_POINTS if options.fuzzy else 1
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOWS" in lighting else ()
@@ -113,5 +115,5 @@ def _fuzzy_defines(options: TranslucentOptions, lighting: tuple[str, ...]) -> tu
 
 
 def _reach_textures(lights: int, colored: bool) -> int:
-    """Shares without a colour of all lights lie in one."""
+    """Returns the number of textures: shares without a colour of all lights lie in one."""
     return lights if colored else min(lights, 1)

@@ -7,22 +7,22 @@ from collections.abc import Callable
 from ....shading.interface import Interface
 from ...device.protocol import Device, Target, Texture, released_on_failure
 
-MOST_KEPT = 7  # points of wide lamps whose shares are kept
+MOST_KEPT = 7  # points of wide lights whose shares are kept
 
 
 class LightShares:
-    """How much of each light reaches the splats of a page: the same for all cameras."""
+    """The shares of light that reach the splats of a page, kept for all cameras."""
 
     def __init__(self, device: Device) -> None:
         self.device = device
         self._key: tuple = ()
         self._kept: dict[int, tuple[Target, dict[str, Texture]]] = {}  # all points from MOST_KEPT on share one
-        self._taps: dict[int, int] = {}  # which point of wide lamps each is of
+        self._taps: dict[int, int] = {}  # which point of wide lights each is of
 
     def textures(
         self, key: tuple, tap: int, program: Interface, size: tuple[int, int], light: Callable[[Target], None]
     ) -> dict[str, Texture]:
-        """By sampler name. `light` draws them where they are not known for `key`."""
+        """Returns the textures by sampler name. `light` draws them where they are not known for `key`."""
         if key != self._key:
             self.release()
             self._key = key

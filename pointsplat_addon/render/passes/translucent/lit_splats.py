@@ -38,14 +38,14 @@ class LitSplats:
         self.draws = [(draw_program(options, channel), channel or "RGBA") for channel in channels]
 
     def light(self, view: SampleView, light_count: int, textures: Mapping[str, Texture]) -> None:
-        """Light all of them, seen from the middle of the pixel."""
+        """Lights all splats, seen from the middle of the pixel."""
         record = view.record_of(
             self.program.block, count=self.count, low_pass_scale=1 / self.samples**2, light_count=light_count
         )
         self.device.draw(self.program, self.target, uniforms=record, textures=dict(textures))
 
     def draw(self, target: Target, view: SampleView, depth: Texture | None, pixels: int = 1) -> None:
-        """Over what `target` holds, of which a pixel spans `pixels` of the picture; `depth` is that of what is opaque,
+        """Blends the splats over `target`, of which a pixel spans `pixels` of the picture; `depth` is that of what is opaque,
         in pixels of the picture."""
         textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth})}
         for program, mask in self.draws:

@@ -36,7 +36,7 @@ class TranslucentOptions:
 def options(
     clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdout: bool = False, defocus: bool = False
 ) -> TranslucentOptions:
-    """What these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of them cuts a hole.
+    """Returns the options that these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of them cuts a hole.
     `defocus`: for what is out of focus."""
     fuzzy = any(is_fuzzy(c) for c in clouds)
     return TranslucentOptions(
@@ -59,5 +59,5 @@ def options(
 
 
 def is_fuzzy(cloud: PointCloud) -> bool:
-    """Whether the splats of a cloud are opaque, but for their rims."""
+    """Returns whether the splats of a cloud are opaque, but for their rims."""
     return cloud.extinction is None and cloud.opacity is None

@@ -78,8 +78,8 @@ class TranslucentPage(SplatPage):
 
 
 def _reaching(cloud: PointCloud, points: int) -> PointCloud:
-    """A page's splats of one set. Nodes of opaque surfaces, which follow after the points, reach the corners of what
-    they stand for, as points do."""
+    """Returns a cloud whose nodes of opaque surfaces, which follow after the points, extend to the corners of what they
+    stand for, as points do."""
     if not is_fuzzy(cloud) or len(cloud) == points or cloud.radii is None:
         return cloud
     radii = cloud.radii.copy()
@@ -115,7 +115,7 @@ def _optics(cloud: PointCloud, lattice: bool) -> np.ndarray:
 
 
 def _strength(extinction: np.ndarray) -> np.ndarray:
-    """(N,) what the channels are relative to."""
+    """Returns the extinction (N,) that the channels are relative to."""
     return extinction if extinction.ndim == 1 else extinction.max(axis=1)
 
 

@@ -55,7 +55,7 @@ class PartList:
 
 
 def baked_defines(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
-    """Defines of shaders that read the pictures of a graph."""
+    """Returns the defines of shaders that read the baked pictures of a graph."""
     on = graph.channels.keys()
     names = {
         "PS_UV": True,
@@ -104,7 +104,7 @@ class Pictures:
 
 
 class PolygonMesh:
-    """One mesh on the device, its valid triangles sorted by material, and within one by parts where there are any.
+    """One mesh on the device, its triangles sorted by material, and within one by parts where there are any.
 
     `hang` gives it the pictures that it shows, before it is drawn.
     """
@@ -113,29 +113,28 @@ class PolygonMesh:
         self,
         device: Device,
         mesh: Mesh,
-        ok: np.ndarray,
         table: MaterialTable,
         variant: Variant,
         parts: Parts | None = None,
     ) -> None:
-        self.origin = _origin(mesh, ok)
+        self.origin = _origin(mesh)
         rows = np.full(len(mesh.triangles), mesh.materials[0]) if mesh.material is None else mesh.material.astype(int)
-        valid = np.flatnonzero(ok)
+        triangle = np.arange(len(mesh.triangles))
         if parts is not None and parts.order is not None:
-            valid = valid[parts.order]
-        by_material = np.argsort(rows[valid], kind="stable")
-        order = valid[by_material]
+            triangle = parts.order
+        by_material = np.argsort(rows[triangle], kind="stable")
+        order = triangle[by_material]
         corners = (3 * order[:, None] + np.arange(3)).reshape(-1)
-        place = np.empty((len(corners), 4), np.float32)
-        place[:, :3] = mesh.position[mesh.triangles[order].reshape(-1)] - self.origin
-        place[:, 3] = pack_normal(corner_normals(mesh)[corners])
+        corner_rows = np.empty((len(corners), 4), np.float32)
+        corner_rows[:, :3] = mesh.position[mesh.triangles[order].reshape(-1)] - self.origin
+        corner_rows[:, 3] = pack_normal(corner_normals(mesh)[corners])
         self.textures: dict[str, Texture] = {}
 
         def upload(name: str, format: str, channels: int, values: np.ndarray) -> None:
             size, data = paged(values, channels)
             self.textures[name] = device.texture(size, format, data)
 
-        upload("ps_corner", "RGBA32F", 4, place)
+        upload("ps_corner", "RGBA32F", 4, corner_rows)
         graphs = graphs_of(mesh, table)
         shown = {row: graph for row, graph in graphs.items() if pictured(mesh, graph)}
         flat = {row: graph for row, graph in graphs.items() if row not in shown}
@@ -187,6 +186,6 @@ class PolygonMesh:
             texture.release()
 
 
-def _origin(mesh: Mesh, ok: np.ndarray) -> np.ndarray:
-    used = mesh.position[mesh.triangles[ok].reshape(-1)]
+def _origin(mesh: Mesh) -> np.ndarray:
+    used = mesh.position[mesh.triangles.reshape(-1)]
     return ((used.min(axis=0) + used.max(axis=0)) / 2).astype(np.float64) if len(used) else np.zeros(3)

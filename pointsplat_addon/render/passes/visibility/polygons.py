@@ -22,7 +22,7 @@ POLYGONS = block("Polygons", CAMERA_FIELDS, (
 
 
 def _needed(variant: Variant, group: Group) -> tuple[str, ...]:
-    """Defines of a group's shader in a G-buffer of this variant."""
+    """Returns the defines of a group's shader in a G-buffer of this variant."""
     held = {"PS_BAKED_NORMAL": variant.normal}
     for kind, on in (("COLOR", variant.color), ("SURFACE", variant.surface), ("EMISSION", variant.emission)):
         held |= {f"PS_BAKED_{kind}": on, f"PS_CORNER_{kind}": on}
@@ -35,7 +35,7 @@ def _needed(variant: Variant, group: Group) -> tuple[str, ...]:
 
 
 def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
-    """The program that draws a group, or some of its parts."""
+    """Returns the program that draws a group, or some of its parts."""
     names = _needed(variant, group)
     samplers = [("FLOAT_2D", "ps_corner")]
     varyings = [("smooth", "vec3", "v_position")]
@@ -80,7 +80,7 @@ def draw(
     out: GBuffer,
     parts: list[PartList | None] | None = None,
 ) -> None:
-    """One instance of a mesh into the G-buffer; `parts`: only some of each group, where it is not None."""
+    """Draws one instance of a mesh into the G-buffer. `parts`: lists of the parts of each group; None draws all."""
     matrix = view_from_object.copy()
     matrix[:3, 3] += matrix[:3, :3] @ mesh.origin
     mirrored = bool(np.linalg.det(matrix[:3, :3]) < 0)

@@ -12,7 +12,7 @@ VERTICES = 6  # of a rectangle
 
 
 def program(variant: Variant, options: PointOptions) -> Interface:
-    """The program for one variant of the G-buffer."""
+    """Returns the program for one variant of the G-buffer."""
     samplers, defines = attributes(variant, options)
     rows = tuple(("flat", "vec3", name) for name in ("v_centre", "v_row0", "v_row1", "v_row2", "v_element"))
     return Interface(
@@ -36,7 +36,7 @@ def draw(
     shared: dict[str, Texture],
     out: GBuffer,
 ) -> None:
-    """All wide balls of the cut."""
+    """Draws all wide balls of the cut into the G-buffer."""
     assert program.block is not None
     for part in draws:
         device.draw(

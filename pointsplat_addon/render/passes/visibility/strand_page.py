@@ -45,7 +45,7 @@ class StrandPage:
             ("emission", "RGBA16F", 4, variant.emission, lines.emission, table.emission),
         ):
             if on:
-                self._upload(name, format, channels, constant[rows] if given is None else given[strands.source])
+                self._upload(name, format, channels, constant[rows] if given is None else given)
 
     def _upload(self, name: str, format: str, channels: int, values: np.ndarray) -> None:
         size, data = paged(values, channels)

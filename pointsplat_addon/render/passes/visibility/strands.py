@@ -21,7 +21,7 @@ THIN = block("ThinStrands", CAMERA_FIELDS, FIRST, (("float", "sample_offset"),))
 
 
 def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
-    """The program for one variant of the G-buffer and one kind of segments: THIN, STRIP or TUBE."""
+    """Returns the program for one variant of the G-buffer and one kind of segments: THIN, STRIP or TUBE."""
     thin, tube = kind == "THIN", kind == "TUBE"
     fetched = ["ps_list", "ps_segments", "ps_point", "ps_instances"]
     strip = kind == "STRIP" and not ribbon  # faces the eye, across its tangent
@@ -54,7 +54,7 @@ def draw(
     shared: dict[str, Texture],
     out: GBuffer,
 ) -> None:
-    """All strands of one sample into the G-buffer."""
+    """Draws all strands of one sample into the G-buffer."""
     for part in draws:
         for kind, listed in part.lists().items():
             thin = kind == "THIN"

@@ -1,0 +1,1 @@
+"""Nodes of material expressions, one module for each theme."""

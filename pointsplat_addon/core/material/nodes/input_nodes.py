@@ -1,0 +1,85 @@
+"""Nodes that read the samples (UV maps, attributes, coordinates), and constants."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..expression import Expression, SampleInputs
+
+
+@dataclass(frozen=True, eq=False)
+class Constant(Expression):
+    """A scalar, vector or colour that is the same at all samples."""
+
+    value: tuple[float, ...]
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        return np.array([self.value], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Source(Expression):
+    """Base of the nodes that read the samples, so that their values vary."""
+
+    @property
+    def varies(self) -> bool:
+        return True
+
+
+@dataclass(frozen=True, eq=False)
+class UV(Source):
+    """A UV map as (u, v, 0); None is the active map."""
+
+    name: str | None = None
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        name = inputs.active_uv if self.name is None else self.name
+        return three_columns(None if name is None else inputs.uv.get(name), len(inputs))
+
+
+@dataclass(frozen=True, eq=False)
+class ColorAttribute(Source):
+    """A colour attribute with its alpha, (N, 4); None is the active one."""
+
+    name: str | None = None
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        color = inputs.color(self.name)
+        return np.zeros((len(inputs), 4), np.float32) if color is None else color
+
+
+@dataclass(frozen=True, eq=False)
+class Attribute(Source):
+    """A named attribute, (N, 5): colour, alpha, and the mean that Blender's Fac output gives.
+
+    Colour attributes come before UV maps of the same name. Without alpha (a UV map, a missing name) alpha is 1.
+    """
+
+    name: str
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        color = inputs.colors.get(self.name)
+        if color is not None:
+            return np.column_stack([color, color[:, :3].mean(axis=1)])
+        uv = three_columns(inputs.uv.get(self.name), len(inputs))
+        return np.column_stack([uv, np.ones(len(uv), np.float32), uv[:, 0]])
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates(Source):
+    """`position`, `generated` or `normal` of SampleInputs."""
+
+    kind: str
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        return three_columns(getattr(inputs, self.kind), len(inputs))
+
+
+def three_columns(array: np.ndarray | None, count: int) -> np.ndarray:
+    """An array (N, 2 | 3) padded with zeros to (N, 3) float32; None gives zeros."""
+    out = np.zeros((count, 3), np.float32)
+    if array is not None:
+        out[:, : array.shape[1]] = array
+    return out

@@ -1,0 +1,50 @@
+"""The normal map node: normals in tangent or object space from a colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..expression import Expression, SampleInputs
+from .input_nodes import UV, three_columns
+from .math_functions import normalize_rows, row_dot
+
+
+@dataclass(frozen=True, eq=False)
+class NormalMap(Expression):
+    """Unit normal (N, 3) in object space from a normal map's colour.
+
+    In tangent space, n = normalize(x T + y B + z N) with (x, y, z) = 2 c - 1, and strength s turns it into
+    (s x, s y, mix(1, z, s)); in object space the map's normal is blended with the surface's by s.
+    """
+
+    strength: Expression
+    color: Expression
+    uv: UV | None = None  # the map of the tangent; None: the map holds normals in object space
+    flip: tuple[float, float, float] = (1.0, 1.0, 1.0)  # signs of the axes
+
+    @property
+    def varies(self) -> bool:
+        return True
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        strength, color = values[:2]
+        n = (2 * color - 1) * np.array(self.flip, np.float32)
+        strength = np.maximum(strength, 0)
+        normal = three_columns(inputs.normal, len(inputs))
+        if self.uv is None:
+            return normalize_rows(normal + (normalize_rows(n) - normal) * strength)
+        if inputs.tangent is None:
+            return normal
+        tangent, bitangent = _tangent_frame(normal, inputs)
+        depth = 1 + (n[:, 2:] - 1) * np.minimum(strength, 1)
+        bent = normalize_rows(n[:, :1] * strength * tangent + n[:, 1:2] * strength * bitangent + depth * normal)
+        return np.where(row_dot(bent, bent) > 0, bent, normal)
+
+
+def _tangent_frame(normal: np.ndarray, inputs: SampleInputs) -> tuple[np.ndarray, np.ndarray]:
+    """Tangent and bitangent (N, 3); the tangent as given, Cycles does not make it orthogonal again."""
+    tangent = three_columns(inputs.tangent, len(inputs))
+    sign = 1 if inputs.bitangent_sign is None else inputs.bitangent_sign[:, None]
+    return tangent, np.cross(normal, tangent) * sign

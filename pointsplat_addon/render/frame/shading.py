@@ -1,0 +1,103 @@
+"""Shades the G-buffers of each sample and draws the world behind them, into the sums of one picture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.scene.scene import Scene
+from ...shading.interface import Interface
+from ..device.protocol import Device, Texture
+from ..passes.shading.averages import averaged
+from ..passes.shading.backdrop import Backdrop
+from ..passes.shading.background import background_program
+from ..passes.shading.shade import shade_program, shade_values
+from ..passes.tiles import Region
+from ..passes.uniforms import SampleView
+from ..plan.plan import Plan
+from ..plan.request import Request
+from .surfels import gbuffer_textures
+from .targets import Targets
+from .uploads import Uploads
+
+
+class Shading:
+    """The programs that shade one picture, and what they read."""
+
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        plan: Plan,
+        request: Request,
+        uploads: Uploads,
+        targets: Targets,
+        backdrop: Backdrop | None,
+    ) -> None:
+        """`backdrop`: the world out of focus, where it is."""
+        self._device, self._scene, self._uploads, self._targets, self._backdrop = (
+            device, scene, uploads, targets, backdrop,
+        )  # fmt: skip
+        passes, coverage = request.passes, plan.ewa is not None
+        # Averaged passes of what is painted come from a G-buffer of its own, without light.
+        self._averages: tuple[Interface, ...] = ()
+        if plan.painter and plan.points and averaged(passes):
+            self._averages = (
+                shade_program(plan.data_variant, (), plan.materials, passes, lines=plan.lines, combined=False),
+                background_program((), True, passes, combined=False),
+            )
+            passes = frozenset({"combined"})
+        self._shade = shade_program(
+            plan.variant, plan.lighting, plan.materials, passes, request.samples, coverage, plan.lines, plan.defocus,
+            plan.picture, coarse=request.coarse,
+        )  # fmt: skip
+        self._background = background_program(
+            plan.behind, scene.transparent, passes, coverage, everywhere=not plan.shaded.solid, combined=plan.picture
+        )
+
+    @property
+    def averages(self) -> bool:
+        """Whether averaged passes come from a G-buffer of their own."""
+        return bool(self._averages)
+
+    @property
+    def backdrop_textures(self) -> dict[str, Texture]:
+        """The world out of focus, by sampler name."""
+        return {} if self._backdrop is None else {"ps_backdrop": self._backdrop.texture}
+
+    @property
+    def backdrop_texels(self) -> tuple[float, float] | None:
+        """Texels of the world out of focus that a pixel spans; None where it is in focus."""
+        return None if self._backdrop is None else self._backdrop.texels
+
+    def draw_backdrop(self, view: SampleView) -> None:
+        """Draws the world out of focus. `view`: of rays through pixels' centres."""
+        levels = self._uploads.levels
+        assert self._backdrop is not None
+        assert levels is not None
+        self._backdrop.draw(view, {**self._uploads.shading, "ps_levels": levels})
+
+    def shade(self, view: SampleView, region: Region) -> None:
+        """Adds the shaded G-buffer to the sums."""
+        textures = gbuffer_textures(self._targets.surfels) | self._uploads.shading
+        self._add(self._shade, view, region, textures)
+
+    def draw_background(self, view: SampleView, region: Region) -> None:
+        """Adds the world where nothing else is to the sums."""
+        textures = gbuffer_textures(self._targets.surfels) | self._uploads.shading | self.backdrop_textures
+        self._add(self._background, view, region, textures)
+
+    def average(self, view: SampleView) -> None:
+        """Adds the averaged passes of what is painted to their sums."""
+        textures = gbuffer_textures(self._targets.data_surfels) | self._uploads.shading
+        target = self._targets.averages_target
+        for program in self._averages:
+            record = self._record(program, view)
+            self._device.draw(program, target, uniforms=record, textures=textures, blend=True)
+
+    def _add(self, program: Interface, view: SampleView, region: Region, textures: dict[str, Texture]) -> None:
+        record = self._record(program, view)
+        region.draw(self._device, program, self._targets.shade_target, uniforms=record, textures=textures, blend=True)
+
+    def _record(self, program: Interface, view: SampleView) -> np.ndarray:
+        values = shade_values(self._scene)
+        return view.record_of(program.block, backdrop_texels=self.backdrop_texels, **values)
