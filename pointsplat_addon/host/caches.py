@@ -5,10 +5,11 @@ from __future__ import annotations
 import bpy
 
 from ..render.cache.store import STORE
-from . import engine, gl_thread, sync
-from .convert import images
+from . import engine, sync
+from .convert.material import images
+from .device import gl_thread
+from .device.main_gpu import MAIN_GPU
 from .final import FinalRender
-from .main_gpu import MAIN_GPU
 from .viewport import Viewport
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.light.lighting import in_rows
+from ...core.light.light_table import sorted_by_kind
 from ...core.lod.hierarchy import build
 from ...core.lod.levels import make_levels
 from ...core.numeric.linear import all_finite, largest_singular_value
@@ -121,7 +121,7 @@ def cast(
     matter = ("casters", _hashed(look), settings.shadow_resolution)
     # Cells are as wide as they would be if floors cast, so that shadows on these do not move with what stands there.
     around = [_outer(c, store) for c, floor in zip(casters, floors, strict=True) if floor]
-    lights = in_rows(scene.lights)
+    lights = sorted_by_kind(scene.lights)
     keys = tuple(_key(light) if light.shadow else None for light in lights)
 
     def make() -> Shadows:
@@ -140,7 +140,7 @@ def cast(
                     batches.extend(_batches(scene, casters, spacing, store, check))
                     strands.extend(_pieces(casters, spacing, store))
                 try:
-                    every = [*batches, *(one.toward(light) for one in strands)]
+                    every = [*batches, *(one.casters_toward(light) for one in strands)]
                     return builder.build_table(light, every, settings.shadow_resolution, around)
                 except ValueError as error:
                     warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")

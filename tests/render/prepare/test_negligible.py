@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.light import lighting
+from pointsplat_addon.core.light import light_shapes
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
@@ -17,6 +17,7 @@ from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.shadow import shadows
 from scripts.scenes import build, cameras, cases, clouds, drawing, lit_cases, solid_cases
 from scripts.scenes.case import Case
+from tests.reference import lighting
 
 KINDS = ("SUN", "POINT", "SPOT", "AREA")
 COMBINED = frozenset({"combined"})
@@ -57,7 +58,7 @@ def test_no_light_adds_more_than_its_bound(kind):
         centre, radius = drawn_ball(case.scene, prepared)
         middle = np.linalg.inv(case.camera.view_from_world)[:3] @ np.append(centre, 1)
         nearest = max(float(np.linalg.norm(light.position - middle)) - radius, 0.0)
-        bound = reflection(case.scene, prepared).of(light, lighting.light_irradiance(light, nearest))
+        bound = reflection(case.scene, prepared).of(light, light_shapes.irradiance_bound(light, nearest))
         position, normal = clouds.sphere_points(200), rng.standard_normal((200, 3))
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         to_light = np.where(kind == "SUN", -light.direction, light.position - position)

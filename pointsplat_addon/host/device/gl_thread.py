@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from ..render.renderer import Renderer
+from ...render.renderer import Renderer
 from . import device_costs
 
 T = TypeVar("T")
@@ -79,7 +79,7 @@ def _work(jobs: queue.SimpleQueue) -> None:
 
 def _make_device() -> Any:
     # Imported here, so that the extension also works where moderngl is missing.
-    from ..devices.opengl import OpenGLDevice
+    from ...devices.opengl import OpenGLDevice
 
     return OpenGLDevice()
 

@@ -9,10 +9,10 @@ from typing import TypeVar
 
 import bpy
 
-from ..core.lod.cost import DEFAULT
-from ..devices.blender_gpu import BlenderDevice
-from ..render.device.protocol import Device
-from ..render.renderer import Renderer
+from ...core.lod.cost import DEFAULT
+from ...devices.blender_gpu import BlenderDevice
+from ...render.device.protocol import Device
+from ...render.renderer import Renderer
 from . import device_costs
 
 T = TypeVar("T")

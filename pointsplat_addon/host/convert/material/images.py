@@ -10,7 +10,7 @@ from collections import OrderedDict
 import bpy
 import numpy as np
 
-from ...core.material.image import Image
+from ....core.material.image import Image
 
 CACHE_BYTES = 1 << 30  # texels kept for images that no material holds at the moment
 MISSING_COLOR = (1.0, 0.0, 1.0, 1.0)  # what Blender shows for a missing picture
