@@ -122,7 +122,7 @@ def test_many_faint_lamps_are_left_out_only_as_long_as_all_of_them_are_faint(mon
 
 
 def test_a_lamp_that_is_off_has_no_table_of_shadows(monkeypatch):
-    monkeypatch.setattr(shadows.shadow, "build", lambda *_: pytest.fail("a table was built"))
+    monkeypatch.setattr(shadows.builder, "build", lambda *_: pytest.fail("a table was built"))
     result = drawing.render(with_lights(replace(build.sun(), color=np.zeros(3))), COMBINED)
     assert why(result)["lights"].startswith("1 of 1")
 
