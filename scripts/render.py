@@ -161,17 +161,28 @@ def prepare(scene, args: argparse.Namespace) -> None:
 
 
 def render_frame(scene, frame: int, path: Path, engine) -> dict:
-    """Render one frame into a file; the engine's report."""
+    """Render one frame into a file and return the engine's report. A render that fails leaves no file behind.
+
+    RuntimeError: the render failed, or Blender wrote nothing."""
     import bpy
 
     scene.frame_set(frame)
     scene.render.filepath = str(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.unlink(missing_ok=True)
-    bpy.ops.render.render(write_still=True)
+    reported = sys.modules[engine.__module__].last_report
+    reported.clear()
+    try:
+        bpy.ops.render.render(write_still=True)
+        # Blender takes a render for finished whatever became of it, and writes what there is: a black frame.
+        if "technique" not in reported:
+            raise RuntimeError(f"frame {frame} was not rendered")
+    except RuntimeError:
+        path.unlink(missing_ok=True)
+        raise
     if not path.is_file():
         raise RuntimeError(f"Blender wrote no picture to {path}")
-    return dict(sys.modules[engine.__module__].last_report)
+    return dict(reported)
 
 
 def numbered(path: Path, frame: int) -> Path:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import bpy
 
-from . import engine, gl_thread, sync
-from .convert import images
+from . import engine, sync
+from .convert.material import images
+from .device import gl_thread
+from .device.main_gpu import MAIN_GPU
 from .final import FinalRender
-from .main_gpu import MAIN_GPU
 from .shared_store import STORE
 from .viewport import Viewport
 

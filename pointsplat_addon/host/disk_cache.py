@@ -9,8 +9,9 @@ from pathlib import Path
 from ..core.lod.hierarchy import LEAF_SIZE, Hierarchy, build
 from ..core.scene.cloud import PointCloud
 from ..formats import hierarchy_cache
-from . import device_costs, preferences
+from .device import device_costs
 from .shared_store import STORE
+from .ui import preferences
 
 LOG = logging.getLogger(__name__)
 WORTH_KEEPING = 200_000  # points; smaller hierarchies are built about as fast as they are read

@@ -8,7 +8,9 @@ import bpy
 import gpu
 
 from ..render.device.protocol import DeviceError
-from . import final, gl_thread, last_render
+from . import final
+from .device import gl_thread
+from .ui import last_render
 from .viewport import Viewport
 
 LOG = logging.getLogger(__name__)

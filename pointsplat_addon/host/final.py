@@ -19,10 +19,12 @@ from ..render.device.protocol import DeviceError
 from ..render.passes.outputs import BY_KEY, CRYPTO, PASSES
 from ..render.plan.request import Request, Result
 from ..render.renderer import Renderer
-from . import disk_cache, gl_thread, last_render, main_gpu
+from . import disk_cache
 from .convert.camera import render_camera
 from .convert.objects import collect
+from .device import gl_thread, main_gpu
 from .sync import Synchronizer
+from .ui import last_render
 
 POLL_SECONDS = 0.02  # how often Blender is told of progress and asked whether to stop
 PREVIEW_SAMPLES = 8  # of the small pictures of materials

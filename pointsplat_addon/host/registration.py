@@ -6,7 +6,8 @@ import atexit
 
 import bpy
 
-from . import caches, engine, operators, panels, preferences, properties
+from . import caches, engine
+from .ui import operators, panels, preferences, properties
 
 MODULES = (properties, operators, preferences, engine, panels)
 CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)

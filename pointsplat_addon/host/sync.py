@@ -21,7 +21,7 @@ from ..core.scene.cloud import PointCloud
 from ..core.scene.cryptomatte import cryptomatte_hash
 from .convert import curves
 from .convert.lights import convert_lights
-from .convert.materials import convert_materials
+from .convert.material.materials import convert_materials
 from .convert.mesh import is_scattered, read_mesh
 from .convert.objects import Collected, Source, collect
 from .convert.pointcloud import CloudMaterial, cloud_material, read_pointcloud, splats
@@ -125,6 +125,7 @@ class Synchronizer:
             mist=world_module.Mist(mist.start, mist.depth, mist.falloff) if mist else world_module.Mist(),
             warnings=(
                 *_unsupported(collected.unsupported | self._filled(collected.sources, table)),
+                *self._translucent_polygons(collected.sources, table),
                 *dict.fromkeys(warning for known in self._known.values() for warning in known.warnings),
                 *self._material_warnings,
                 *light_warnings,
@@ -168,6 +169,20 @@ class Synchronizer:
             if any(table.media[row] for m in source.materials if (row := self.cache.row(m)) < len(table.media))
         ]
         return {"volumes within meshes": names} if names else {}
+
+    def _translucent_polygons(self, sources: Iterable[Source], table: materials_module.MaterialTable) -> list[str]:
+        """A warning that names meshes whose primitive is Polygons although their materials let light through."""
+        if table.translucent is None:
+            return []
+        names = sorted({
+            source.name
+            for source in sources
+            if source.primitive == "POLYGONS" and isinstance(source.data, bpy.types.Mesh) and not source.particles
+            and not source.hair and any(table.translucent[self.cache.row(m)] for m in source.materials)
+        })  # fmt: skip
+        if not names:
+            return []
+        return [f"Surfaces that let light through are drawn as points, not as polygons: {_named(names)}"]
 
     def _instances(
         self, collected: Collected, table: materials_module.MaterialTable, previous: dict[tuple, np.ndarray] | None
@@ -359,8 +374,11 @@ def _unsupported(kinds: dict[str, list[str]]) -> list[str]:
     """One warning for each kind of object that is not drawn, naming a few."""
     warnings = []
     for kind, names in kinds.items():
-        unique = sorted(set(names))
-        shown = ", ".join(f'"{name}"' for name in unique[:MAX_NAMED])
-        rest = f" and {len(unique) - MAX_NAMED} more" if len(unique) > MAX_NAMED else ""
-        warnings.append(f"{kind} are not supported yet and are left out: {shown}{rest}")
+        warnings.append(f"{kind} are not supported yet and are left out: {_named(sorted(set(names)))}")
     return warnings
+
+
+def _named(names: list[str]) -> str:
+    """The first MAX_NAMED names in quotation marks, and how many more there are."""
+    shown = ", ".join(f'"{name}"' for name in names[:MAX_NAMED])
+    return f"{shown} and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else shown

@@ -20,7 +20,7 @@ from ..render.plan.request import Request
 from ..shading.sources import ShaderError
 from . import disk_cache
 from .convert.camera import viewport_camera
-from .main_gpu import MAIN_GPU
+from .device.main_gpu import MAIN_GPU
 from .sync import Synchronizer
 
 LOG = logging.getLogger(__name__)

@@ -29,7 +29,7 @@ from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Medium, Volume
-from pointsplat_addon.formats import dense
+from pointsplat_addon.formats.volumes import dense
 from pointsplat_addon.render.budget.pacing import COARSEST
 from pointsplat_addon.render.budget.viewport import Moving, _wait
 from pointsplat_addon.render.frame import frame

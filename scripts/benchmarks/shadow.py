@@ -15,7 +15,7 @@ import numpy as np
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
 from pointsplat_addon.core.splat.kernel import EVEN_SPACING
-from tests.reference.shadow import optical_depth
+from scripts.common.shadow_truth import optical_depth
 
 DOWN = np.array([0.0, 0.0, -1.0])
 LAMP = Light("POINT", np.ones(3), np.array([0.1, 0.2, 3.0]), DOWN)

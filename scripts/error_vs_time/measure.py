@@ -235,25 +235,23 @@ def work(what: str, name: str, arguments: argparse.Namespace) -> None:
     (folder / f"{what}.json").write_text(json.dumps(rows), encoding="utf-8")
 
 
-def in_processes(names: list[str], arguments: argparse.Namespace) -> list[Row]:
-    """Rows of scenes, in place of those that are known of them; what fails is told and left out."""
+def in_processes(names: list[str], arguments: argparse.Namespace) -> tuple[list[Row], list[str]]:
+    """Measures scenes, each program in a process of its own.
+
+    Returns all rows and the names of the scenes that failed. The rows of a scene replace those of it that
+    `arguments.rows` holds; where one of its programs failed, the old rows stay.
+    """
+    failed: list[str] = []
     rows: list[Row] = json.loads(arguments.rows.read_text(encoding="utf-8")) if arguments.rows.exists() else []
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
             drawn_again = (name,) if KINDS[name].build else (name, "counts")
             kept = () if arguments.eevee else ("EEVEE",)
-            rows = [row for row in rows if row["scene"] not in drawn_again or row["program"] in kept]
+            others = [row for row in rows if row["scene"] not in drawn_again or row["program"] in kept]
+            found: list[Row] = []
             for what in ("ours", "theirs", *(("eevee",) if KINDS[name].eevee and arguments.eevee else ())):
-                command = [
-                    sys.executable,
-                    "-m",
-                    "scripts.error_vs_time",
-                    "--worker",
-                    what,
-                    name,
-                    "--worker-folder",
-                    folder,
-                ]
+                command = [sys.executable, "-m", "scripts.error_vs_time", "--worker", what, name]
+                command += ["--worker-folder", folder]
                 command += ["--data", str(arguments.data), "--tolerances", *map(str, arguments.tolerances)]
                 command += ["--samples", *map(str, arguments.samples)]
                 start = time.perf_counter()
@@ -263,13 +261,15 @@ def in_processes(names: list[str], arguments: argparse.Namespace) -> list[Row]:
                 except subprocess.TimeoutExpired:
                     told = [f"took longer than {LIMIT} s"]
                 result = Path(folder, f"{what}.json")
-                rows += json.loads(result.read_text(encoding="utf-8")) if result.exists() else []
+                found += json.loads(result.read_text(encoding="utf-8")) if result.exists() else []
+                failed += [name] if told else []
                 said = "; ".join(told) if told else f"{time.perf_counter() - start:.0f} s"
                 sys.stderr.write(f"{name}, {what}: {said}\n")
+        rows = rows if name in failed else others + found
         order = ("counts", *KINDS)
         rows.sort(key=lambda row: (order.index(row["scene"]), row["program"] != "PointSplat", row["program"]))
         save(rows, arguments.rows)
-    return rows
+    return rows, list(dict.fromkeys(failed))
 
 
 def quick(size: int = 64, count: int = 3000) -> list[Row]:
@@ -298,7 +298,8 @@ def save(rows: list[Row], path: Path | None) -> None:
         path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
 
 
-def main() -> None:
+def main() -> int:
+    """Run what the command line asks for. Returns the exit status: 1 where a scene failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("POINTSPLAT_DATA", "")), help="real meshes")
     parser.add_argument("--only", nargs="+", choices=KINDS, help="names of scenes")
@@ -317,16 +318,17 @@ def main() -> None:
     if arguments.worker:
         what, name = arguments.worker
         work(what, name, arguments)
-        return
+        return 0
     if arguments.quick:
         save(quick(), arguments.rows)
-        return
+        return 0
+    failed: list[str] = []
     arguments.rows = arguments.rows or arguments.docs / "error_vs_time.json"
     if arguments.known:
         rows = json.loads(arguments.known.read_text(encoding="utf-8"))
     else:
         there = [name for name, kind in KINDS.items() if not kind.needs or (arguments.data / kind.needs).exists()]
-        rows = in_processes([name for name in there if not arguments.only or name in arguments.only], arguments)
+        rows, failed = in_processes([name for name in there if not arguments.only or name in arguments.only], arguments)
     page = arguments.docs / "error_vs_time.md"
     page.write_text(written(page.read_text(encoding="utf-8"), rows), encoding="utf-8")
     if find_spec("matplotlib"):
@@ -336,3 +338,6 @@ def main() -> None:
         plot_counts(rows, images / "cost_over_points.png")
     else:
         sys.stderr.write(f"no plot without matplotlib: --from {arguments.rows} where it is installed\n")
+    if failed:
+        sys.stderr.write(f"failed, so that their rows are those of before: {', '.join(failed)}\n")
+    return 1 if failed else 0

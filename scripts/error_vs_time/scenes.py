@@ -257,7 +257,7 @@ def plume(size: int, data: Path, folder: Path) -> None:
 
 def brain(size: int, data: Path, folder: Path) -> None:
     """The density of tissue in a scanned brain; its z points up, its y to the front."""
-    dense = importlib.import_module("pointsplat_addon.formats.dense")
+    dense = importlib.import_module("pointsplat_addon.formats.volumes.dense")
     value = dense.read((data / BRAIN_FILE).resolve()).value
     begin, end = (share * float(np.quantile(value, 0.999)) for share in TISSUE)
     path = folder / "brain.vdb"

@@ -12,7 +12,7 @@ from pointsplat_addon.core.scene.mesh import Mesh
 from scripts.common.tower import tower
 from scripts.scenes import meshes
 
-SPOT = Path(__file__).resolve().parents[3] / "assets" / "spot" / "spot_triangulated.obj.gz"
+SPOT = Path(__file__).resolve().parents[2] / "assets" / "spot" / "spot_triangulated.obj.gz"
 
 
 def with_smooth_normals(key: str, position: np.ndarray, triangles: np.ndarray) -> Mesh:

@@ -17,7 +17,7 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
 from pointsplat_addon.core.splat.kernel import EVEN_SPACING
-from tests.reference.shadow import transmittance
+from scripts.common.shadow_truth import transmittance
 
 RESOLUTIONS = (16, 32, 64, 128, 256, 512, 1024, 2048)
 DEVIATION, DEPTH = 0.4, 3.0

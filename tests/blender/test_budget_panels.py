@@ -8,7 +8,8 @@ import bpy
 import pytest
 
 import pointsplat_addon
-from pointsplat_addon.host import engine, last_render, panels
+from pointsplat_addon.host import engine
+from pointsplat_addon.host.ui import last_render, panels
 
 
 @pytest.fixture(autouse=True)

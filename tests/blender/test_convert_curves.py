@@ -402,7 +402,7 @@ def hair_material(**inputs):
 
 
 def table_of(*materials):
-    from pointsplat_addon.host.convert.materials import convert_materials
+    from pointsplat_addon.host.convert.material.materials import convert_materials
 
     return convert_materials(materials)
 

@@ -16,9 +16,9 @@ from pointsplat_addon.core.material.evaluation import evaluate_samples, triangle
 from pointsplat_addon.core.material.expression import SampleInputs
 from pointsplat_addon.core.material.graph import needs
 from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
-from pointsplat_addon.host.convert import images
-from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key
-from pointsplat_addon.host.convert.nodes import curve_table
+from pointsplat_addon.host.convert.material import images
+from pointsplat_addon.host.convert.material.materials import convert_material, convert_materials, material_key
+from pointsplat_addon.host.convert.material.nodes import curve_table
 from tests.support.blender.scenes import new_material, node
 
 TILE = 24  # pixels along a side of each case's plane

@@ -6,7 +6,7 @@ from dataclasses import asdict
 import pytest
 
 from pointsplat_addon.core.lod.cost import Costs
-from pointsplat_addon.host import device_costs
+from pointsplat_addon.host.device import device_costs
 
 
 def test_figures_come_back_as_they_were():

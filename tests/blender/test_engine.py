@@ -215,7 +215,7 @@ def failing(monkeypatch):
     """Make a device fail with a message."""
 
     def fail(*names):
-        from pointsplat_addon.host import gl_thread, main_gpu
+        from pointsplat_addon.host.device import gl_thread, main_gpu
         from pointsplat_addon.render.device.protocol import DeviceError
 
         def raising(*_arguments):

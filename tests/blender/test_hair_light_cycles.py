@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from pointsplat_addon.core.light.hair import Fibre
 from tests.reference.hair import scattered
+from tests.reference.hair_lighting import Fibre
 from tests.support.blender.scenes import new_material, node
 
 pytestmark = pytest.mark.usefixtures("empty_file")

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.reference import lighting
+
 bpy = pytest.importorskip("bpy")
 
 from mathutils import Euler, Matrix
 
-from pointsplat_addon.core.light import lighting
 from pointsplat_addon.host.convert import lights, world
 
 SIZE = 20

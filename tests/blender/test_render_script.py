@@ -87,6 +87,30 @@ def test_what_is_wrong_is_said_and_no_picture_is_written(case: str, files: Path,
     assert not (tmp_path / "c.png").exists()
 
 
+RAISES = """
+import runpy, sys
+sys.argv = sys.argv[1:]
+sys.path.insert(0, {root!r})
+from pointsplat_addon.host import final
+
+def fail(self, engine, depsgraph):
+    raise {error}
+
+final.FinalRender.render = fail
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize("error", ["ValueError('broken')", "final.RenderError('broken')"])
+def test_a_render_that_raises_exits_with_an_error_and_leaves_no_file(error: str, files: Path, tmp_path: Path) -> None:
+    code = RAISES.format(root=str(ROOT), error=error)
+    script = [str(ROOT / "scripts" / "render.py"), str(files / "cube.blend"), "--output", str(tmp_path / "c.png")]
+    result = subprocess.run([sys.executable, "-c", code, *script], capture_output=True, text=True, timeout=300)
+    assert result.returncode == 1, result.stdout + result.stderr
+    assert "broken" in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_ending_that_is_no_format_is_refused(files: Path, tmp_path: Path) -> None:
     result = render(files / "cube.blend", "--output", tmp_path / "c.jpg")
     assert result.returncode == 2

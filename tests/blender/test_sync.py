@@ -331,14 +331,12 @@ def test_objects_seen_only_indirectly_are_not_drawn():
     assert drawn() == []
 
 
-@pytest.mark.parametrize("how", ["object", "collection", "shadow catcher"])
+@pytest.mark.parametrize("how", ["object", "collection"])
 def test_holdouts_are_marked(how):
     ob = square("Hole")
     square("Wall")
     if how == "object":
         ob.is_holdout = True
-    elif how == "shadow catcher":
-        ob.is_shadow_catcher = True
     else:
         collection = bpy.data.collections.new("Holdout")
         bpy.context.scene.collection.children.link(collection)
@@ -347,6 +345,29 @@ def test_holdouts_are_marked(how):
         bpy.context.view_layer.layer_collection.children["Holdout"].holdout = True
     instances = sync().instances
     assert dict(zip(instances.names, instances.holdout.tolist(), strict=True)) == {"Hole": True, "Wall": False}
+
+
+def test_shadow_catchers_are_left_out_and_named():
+    square("Floor").is_shadow_catcher = True
+    square("Wall")
+    scene = sync()
+    assert scene.instances.names == ("Wall",)
+    assert [w for w in scene.warnings if "Floor" in w] == [
+        'Shadow catchers are not supported yet and are left out: "Floor"'
+    ]
+
+
+def test_polygons_that_light_passes_through_are_said_to_be_points():
+    ob = square("Pane")
+    ob.pointsplat.primitive = "POLYGONS"
+    ob.data.materials.append(material := bpy.data.materials.new("Glass"))
+    material.use_nodes = True
+    nodes = material.node_tree.nodes
+    assert sync().warnings == ()
+    nodes["Principled BSDF"].inputs["Alpha"].default_value = 0.5
+    assert [w for w in sync().warnings if "Pane" in w] == [
+        'Surfaces that let light through are drawn as points, not as polygons: "Pane"'
+    ]
 
 
 def test_an_instancer_decides_whether_its_instances_are_holes():

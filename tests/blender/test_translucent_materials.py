@@ -12,7 +12,7 @@ bpy = pytest.importorskip("bpy")
 from pointsplat_addon.core.material.evaluation import evaluate_samples
 from pointsplat_addon.core.material.expression import SampleInputs
 from pointsplat_addon.core.splat.kernel import PEAK
-from pointsplat_addon.host.convert.materials import convert_material, convert_materials, material_key
+from pointsplat_addon.host.convert.material.materials import convert_material, convert_materials, material_key
 from tests.support.blender.scenes import new_material, node
 
 FRESNEL = 0.04  # of glass with an index of refraction of 1.5, at normal incidence

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 
-from pointsplat_addon.formats import vdb
+from pointsplat_addon.formats.volumes import vdb
 
 pytestmark = pytest.mark.usefixtures("empty_file")
 

@@ -21,7 +21,8 @@ from hypothesis import strategies as st
 
 from pointsplat_addon.core.lod import hierarchy
 from pointsplat_addon.core.scene.cloud import PointCloud
-from pointsplat_addon.formats import dense, hierarchy_cache
+from pointsplat_addon.formats import hierarchy_cache
+from pointsplat_addon.formats.volumes import dense
 from scripts.scenes.clouds import sphere_cloud
 from tests.support.files import nifti
 

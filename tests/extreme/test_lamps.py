@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointsplat_addon.core.light import lighting
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
@@ -17,7 +16,7 @@ from scripts.scenes.build import materials, mesh, moved, scene
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
 from scripts.scenes.meshes import plane_mesh
-from tests.reference import opaque
+from tests.reference import lighting, opaque
 from tests.support.extremes import TECHNIQUES, lamp, picture
 
 KINDS = ("POINT", "SPOT", "AREA")
@@ -31,7 +30,7 @@ def plain() -> lighting.Surface:
 
 
 def test_the_inverse_square_law_from_1e_9_to_1e9(within):
-    """core/light/lighting.py, which is the reference: the radiance of a white surface under a lamp at each distance."""
+    """tests/reference/lighting.py: the radiance of a white surface under a lamp at each distance."""
     up = np.array([[0.0, 0, 1]])
     for distance in DISTANCES:
         light = Light("POINT", np.full(3, 7.0), np.array([0, 0, distance]), np.array([0.0, 0, -1]))

@@ -13,10 +13,10 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.shadow import builder
 from pointsplat_addon.core.splat.kernel import PEAK
+from scripts.common.shadow_truth import optical_depth, transmittance
 from scripts.scenes.build import moved, points, scene
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
-from tests.reference.shadow import optical_depth, transmittance
 from tests.support.extremes import TECHNIQUES, picture
 
 WHITE = World(np.ones(3))

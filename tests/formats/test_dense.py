@@ -7,7 +7,7 @@ import gzip
 import numpy as np
 import pytest
 
-from pointsplat_addon.formats import dense
+from pointsplat_addon.formats.volumes import dense
 from tests.support.files import nifti
 
 

@@ -8,7 +8,7 @@ from pointsplat_addon.core.lens.backdrop import BackdropGrid
 from pointsplat_addon.core.light import environment
 from pointsplat_addon.core.scene.camera import Camera
 
-TAPS = (-0.25, 0.25)  # places in a texel along each axis, in texels, where the world is looked up
+TAPS = (-0.25, 0.25)  # positions within a texel along each axis, in texels, where the world is looked up
 # Widths of a texel of the pyramid over the distance of TAPS: twice, so that a bright texel is met by about as much of
 # them wherever it lies.
 WIDE = 2.0
@@ -18,7 +18,8 @@ NARROWEST = 1 / 16
 
 
 def disk_weights(grid: BackdropGrid) -> np.ndarray:
-    """(2 M + 1, 2 M + 1) float64, M the margin: what of the disk each texel around its middle holds, up to a factor."""
+    """(2 M + 1, 2 M + 1) float64, M the margin: the share of the disk in each texel around its centre, up to a
+    factor."""
     y, x = np.mgrid[-grid.margin : grid.margin + 1, -grid.margin : grid.margin + 1].astype(float)
     away = np.maximum(np.hypot(x / grid.radius[0], y / grid.radius[1]), 1e-6)
     rim = np.hypot(x, y) * (1 / away - 1)

@@ -16,20 +16,20 @@ PIXEL = 0.11
 # Of splats that add up with their neighbours, over the exponent whose fourth moment is right: the smoother kernels are,
 # the more even are their sums, and what is alone is all disk, whose exponent is 0 either way.
 SMOOTHER = 2.0
-# Sums of kernels over a surface are uneven by some percent still (`evened`).
+# Sums of kernels over a surface are uneven by some percent still (`evened_coverage`).
 EVEN = 0.05
 # Of what backs cover where fronts of the same surface are: sums are uneven, and closed bodies end with fronts alone.
 BACK_SHARE = 0.8
 
 
 def in_focus_share(radius: np.ndarray) -> np.ndarray:
-    """How much of what has disks of this radius is drawn as if it were in focus, in [0, 1]."""
+    """The share, in [0, 1], of splats with disks of these radii (pixels) that is drawn as in focus."""
     t = np.clip((radius - IN_FOCUS) / (OUT_OF_FOCUS - IN_FOCUS), 0, 1)
     return 1 - t * t * (3 - 2 * t)
 
 
 def lens_mean(camera: Camera, place: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """(N, 2): where within their disks of confusion the middle of flat splats lies, in half-axes of the disks (those to
+    """(N, 2): the offset of flat splats' centres within their disks of confusion, in half-axes of the disks (those to
     the right are `radius` over the aperture's ratio); of what lies before the focus, the other way.
 
     place, normal (N, 3): in view space, of either length and sign. From a place u on the unit disk of the lens a splat
@@ -44,8 +44,8 @@ def lens_mean(camera: Camera, place: np.ndarray, normal: np.ndarray) -> np.ndarr
 
 
 def evened_coverage(sums: np.ndarray) -> np.ndarray:
-    """What a surface covers, for the sum s <= 1 of its splats: s + EVEN s^8, at most 1. What is almost whole lets
-    nothing through, and edges keep their slope."""
+    """What a surface covers, for the sum s <= 1 of its splats: s + EVEN s^8, at most 1. Almost complete coverage
+    becomes complete, and edges keep their slope."""
     return np.minimum(sums + EVEN * sums**8, 1)
 
 
@@ -81,7 +81,7 @@ class Splats:
 
 
 def composite(pixels: np.ndarray, splats: Splats) -> np.ndarray:
-    """(P, 4) premultiplied colour and alpha at places (P, 2) in pixels.
+    """(P, 4) premultiplied colour and alpha at positions (P, 2) in pixels.
 
     From the front, opaque splats of one surface add what they cover of the lens, up to all of it. What lies behind them
     by more than their reach is another surface, which sees what they leave open as if the two knew nothing of each

@@ -1,6 +1,6 @@
 """Hair of Chiang et al. 2016 as Cycles evaluates it: at each offset across a strand, in float64.
 
-What ships (core/light/hair.py) is the mean over the width of a strand with the lobes' middles at one place each. Here
+What shaders/lib/light/hair.glsl draws (hair_lighting.py) is the mean over the width of a strand with the lobes' middles at one place each. Here
 each offset has its own path, so that the mean over them is what a strand that is seen as a whole scatters.
 """
 
@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointsplat_addon.core.light.hair import Fibre, logistic, longitudinal, scale, variance
-from pointsplat_addon.core.light.lighting import fresnel_dielectric
+from pointsplat_addon.core.light.bsdf import fresnel_dielectric
 from pointsplat_addon.core.material.hair_color import absorption_from_color
+from tests.reference.hair_lighting import Fibre, logistic, logistic_scale, longitudinal, longitudinal_variance
 
 
 def scattered(theta: float, eye: float, phi: float, fibre: Fibre, offsets: int) -> np.ndarray:
@@ -32,7 +32,7 @@ def scattered(theta: float, eye: float, phi: float, fibre: Fibre, offsets: int) 
     again = through * passed * reflected
     energies = [np.broadcast_to(reflected, passed.shape), through, again]
     rest = again * passed * reflected / (1 - passed * reflected)
-    wide, width = variance(fibre.roughness), scale(fibre.radial)
+    wide, width = longitudinal_variance(fibre.roughness), logistic_scale(fibre.radial)
     total = np.zeros((offsets, 3))
     lobes = ((wide, 2 * tilt), (wide / 4, -tilt), (wide * 4, -4 * tilt))
     for p, (energy, (v, lean)) in enumerate(zip(energies, lobes, strict=True)):

@@ -15,7 +15,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from pointsplat_addon.core.light import environment
-from pointsplat_addon.core.light.lighting import Surface, shade
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.materials import MaterialTable
@@ -25,6 +24,8 @@ from pointsplat_addon.core.scene.valid_geometry import valid_points, valid_trian
 from pointsplat_addon.core.surface.appearance import CLIP, at_samples, corner_normals
 from pointsplat_addon.core.surface.evaluation import Evaluated
 from pointsplat_addon.core.surface.samples import Samples
+from tests.reference import environment_lookup
+from tests.reference.lighting import Surface, shade
 
 BACKGROUND_DEPTH = 1e10
 _PAIRS = 1 << 20  # pixels times primitives that are met together
@@ -320,7 +321,9 @@ def _shaded(
     combined = np.zeros((len(start), 4))
     if not scene.transparent:
         away = -to_eye @ world.world_rotation.T
-        combined[:, :3] = world.color if atlas is None else environment.radiance(atlas, away, np.zeros(len(away)))
+        combined[:, :3] = (
+            world.color if atlas is None else environment_lookup.radiance(atlas, away, np.zeros(len(away)))
+        )
         combined[:, 3] = 1
     row = hit.material[there]
     roughness, metallic = hit.surface[there].T

@@ -1,12 +1,11 @@
-"""A picture of the world that is out of focus.
+"""The world seen out of focus: when it is blurred, and on which grid of texels.
 
 What is infinitely far has the same disk of confusion everywhere in a picture (Křivánek 2003, equation 8): its radius is
-C = F r / D, in pixels (core/lens/kernel.py), and of parallel rays, which all see one direction, there is nothing to blur.
+C = F r / D, in pixels (core/lens/kernel.py). Parallel rays all see one direction, and nothing is blurred.
 Seen through the lens the world is therefore the sharp picture of it convolved with that disk. Both are drawn on a grid
-whose texels are C / DISK pixels wide, but not finer than pixels: however wide the disk is, it holds as many texels, and
-the picture as many texels or fewer. Texels of the sharp picture are means of the world over their area, from a pyramid
-(core/light/environment.py), so that small bright things keep their light.
-"""
+whose texels are C / DISK_TEXELS pixels wide, but not finer than pixels: however wide the disk is, it holds as many
+texels, and the picture as many texels or fewer. Texels of the sharp picture are means of the world over their area,
+from a pyramid (core/light/environment.py), so that small bright things keep their light."""
 
 from __future__ import annotations
 
@@ -18,29 +17,29 @@ from ..scene.camera import Camera
 from ..scene.scene import Scene
 from ..splat.blur import IN_FOCUS, defocus_blur
 
-DISK_TEXELS = 8.0  # texels of the widest disk's radius
-RIM_SQUARE = 0.25  # texels^2 by which the square of a radius is less: the rim is a texel wide, and so are pixels
-LEAST_RADIUS = 0.05  # texels: radius of what is hardly a disk
+DISK_TEXELS = 8.0  # texels, the largest radius of the disk
+RIM_SQUARE = 0.25  # texels^2, subtracted from the squared radius because the rim and the pixels are a texel wide
+LEAST_RADIUS = 0.05  # texels, the least radius
 
 
 @dataclass(frozen=True)
 class BackdropGrid:
-    """Texels of the world behind one picture. Texel (i, j) of the blurred picture is centred on the place
+    """The texels of the world behind one picture. Texel (i, j) of the blurred picture is centred on the position
     ((i - 0.5) step x, (j - 0.5) step y), in pixels from the corner of what is drawn."""
 
     step: tuple[float, float]  # pixels that a texel spans
-    radius: tuple[float, float]  # texels, of the disk
+    radius: tuple[float, float]  # radius of the disk in texels
     margin: int  # texels of the sharp picture on each side of the blurred one
     size: tuple[int, int]  # texels of the blurred picture
 
     @property
     def larger(self) -> tuple[int, int]:
-        """Texels of the sharp picture."""
+        """The size of the sharp picture, in texels."""
         return self.size[0] + 2 * self.margin, self.size[1] + 2 * self.margin
 
 
 def why_not_blurred(scene: Scene, camera: Camera) -> str:
-    """Why the world behind a picture is not blurred; empty where it is."""
+    """The reason why the world behind a picture is not blurred; empty if it is blurred."""
     blur = defocus_blur(camera)
     if blur is None:
         return "the camera has no depth of field"
@@ -54,7 +53,8 @@ def why_not_blurred(scene: Scene, camera: Camera) -> str:
 
 
 def backdrop_grid(camera: Camera, most: int) -> BackdropGrid:
-    """The grid behind what a perspective camera with a lens draws; `most`: texels that a texture may have on a side."""
+    """The grid for the picture of a perspective camera with a lens; `most`: the largest side of a texture, in
+    texels."""
     margin = int(DISK_TEXELS) + 2
     step, radius, size = [], [], []
     for disk, pixels in zip(_radii(camera), camera.window[2:], strict=True):

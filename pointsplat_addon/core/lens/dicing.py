@@ -1,7 +1,7 @@
-"""Triangles and balls in pieces that are as small as a blurred picture needs, and no smaller: one splat each.
+"""Dicing of triangles and balls into patches just small enough for their blur: each patch is one splat out of focus.
 
-Samples of a whole mesh are as dense everywhere as its nearest part needs. Of what is out of focus that would be many
-times too many, and a floor of two triangles that comes near the eye has parts of every blur.
+Samples of a whole mesh are as dense everywhere as its nearest part needs. Out of focus that would be many times too
+many, and a floor of two triangles that comes near the eye has parts of every blur.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
 from ..surface.area_sampling import STEINER
 from ..surface.samples import Samples
 
-MOST_PATCHES = 1 << 21  # pieces of one mesh: beyond it they stay as large as they are
-BALL_FACET_SIZE = 0.7  # sides of facets over those of pieces of what is flat
+MOST_PATCHES = 1 << 21  # patches of one mesh: beyond it they are not cut any more
+BALL_FACET_SIZE = 0.7  # sides of facets of balls over those of patches of triangles
 LEAST_FACETS = 4  # of a ball
 MOST_FACET_OFFSET = 0.97  # of a ball's squared radius: facets nearer to its rim would be seen edge-on
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
@@ -31,10 +31,10 @@ TRIANGLE_SHARE = np.sqrt(108) / (4 * np.pi)
 def dice_triangles(
     mesh: Mesh, rows: np.ndarray, view_from_object: np.ndarray, camera: Camera, tolerance: float, blur: Blur
 ) -> Samples:
-    """One sample, with the moments of its piece, for each piece of the triangles `rows` that may be out of focus and in
-    the picture, of an instance with the transform (4, 4).
+    """One sample, with the second moments of its patch, for each patch of triangles that may be out of focus and in the
+    picture. rows: triangles of the mesh; view_from_object: (4, 4); tolerance: pixels.
 
-    Pieces are cut across their longest edge in the picture until that spans as many pixels as disks of confusion of
+    Patches are cut across their longest edge in the picture until that spans as many pixels as disks of confusion of
     their size allow (`Blur.widest`).
     """
     matrix = np.asarray(view_from_object, np.float64)
@@ -81,8 +81,8 @@ def dice_balls(
     matrix = np.asarray(view_from_object, np.float64)
     assert cloud.radii is not None
     radius = cloud.radii[:, 0].astype(np.float64)
-    place = cloud.position.astype(np.float64) + cloud.origin
-    depth = -(place @ matrix[2, :3] + matrix[2, 3])
+    position = cloud.position.astype(np.float64) + cloud.origin
+    depth = -(position @ matrix[2, :3] + matrix[2, 3])
     scale = float(largest_singular_value(matrix[None, :3, :3])[0])
     low, high = (np.maximum(depth + side * radius * scale, camera.nearest) for side in (-1, 1))
     least, most = blur.radius_range(low, high)
@@ -93,11 +93,11 @@ def dice_balls(
     count = np.clip(np.ceil(np.minimum(count, MOST_PATCHES / max(len(rows), 1))), LEAST_FACETS, None).astype(np.int64)
     of = np.repeat(rows, count)
     number = ranks(count)
-    # Spirals fill a disk evenly; their places on the ball are right above.
+    # Spirals fill a disk evenly; the points are raised from the disk onto the ball.
     share = np.minimum((number + 0.5) / np.repeat(count, count), MOST_FACET_OFFSET)
     angle = number * GOLDEN_ANGLE
     inverse = np.linalg.inv(matrix[:3, :3])
-    toward = -(inverse @ matrix[:3, 3]) - place[of] if camera.perspective else np.tile(inverse[:, 2], (len(of), 1))
+    toward = -(inverse @ matrix[:3, 3]) - position[of] if camera.perspective else np.tile(inverse[:, 2], (len(of), 1))
     toward = (toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-300)).T
     first, second = basis(toward)
     out = np.cos(angle) * first + np.sin(angle) * second
@@ -106,7 +106,7 @@ def dice_balls(
     half = radius[of] / np.sqrt(np.repeat(count, count) * DISK_SHARE)
     given = {name: array[of] for name, array in cloud.arrays().items() if name not in ("position", "radii")}
     return PointCloud(
-        (place[of] - cloud.origin + radius[of, None] * normal.T).astype(np.float32),
+        (position[of] - cloud.origin + radius[of, None] * normal.T).astype(np.float32),
         cloud.origin,
         **given | {
             "normal": np.ascontiguousarray(normal.T, np.float32),
@@ -134,7 +134,8 @@ def _may_be_seen(corners: np.ndarray, camera: Camera, blur: Blur) -> np.ndarray:
 def _halved(
     corners: np.ndarray, weights: np.ndarray, owner: np.ndarray, opposite: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both halves of each triangle, cut from corner `opposite` (n,) to the middle of the edge that lies opposite."""
+    """Both halves of each triangle (n, 3, ...), cut from corner `opposite` (n,) to the middle of the edge that lies
+    opposite."""
     n = np.arange(len(owner))
     a, b, c = opposite, (opposite + 1) % 3, (opposite + 2) % 3
 

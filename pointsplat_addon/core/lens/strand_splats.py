@@ -1,11 +1,11 @@
-"""Strands that are out of focus, as splats: each piece of one a flat ellipse that faces the eye (core/lens/kernel.py)."""
+"""Dicing of strands that are out of focus into patches: flat ellipses that face the eye (core/lens/kernel.py)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..numeric.segments import owners, ranks
-from ..numeric.vectors import basis
+from ..numeric.vectors import basis, unit_rows
 from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
 from ..scene.strands import Strands
@@ -16,8 +16,8 @@ from ..strand.projection import tube_radius_scale
 LEAST_BEND_COSINE = 0.5  # cosine of half the sharpest bend whose sides meet
 MOST_STRIPS = 16  # strips of a wide tube
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
-END_FINENESS = 2.0  # so many times as narrow as strips are the pieces of ends, which have an outline of their own
-MOST_PATCHES = 1 << 21  # pieces of one instance: beyond it they stay as long as they are
+END_FINENESS = 2.0  # widths of strips over those of the patches that close ends, which have an outline of their own
+MOST_PATCHES = 1 << 21  # patches of one instance: beyond it they are not made shorter
 RECTANGLE_SHARE = 3 / np.pi  # of the ellipse with its moments, that a rectangle covers
 
 
@@ -30,30 +30,32 @@ def dice_strands(
     tolerance: float,
     blur: Blur,
 ) -> PointCloud:
-    """Of segments `ends` (K, 2) of one instance with the transform (4, 4), those that may be out of focus. `kernel`
-    says what is shaded as a whole strand, whose tangents are the major axes (1), and what as a surface (0): ribbons,
-    and tubes that are wider than their pieces may be, in strips along them, with disks that close their ends.
+    """Splats of those segments `ends` (K, 2) of one instance that may be out of focus, in object space.
 
-    Pieces are at most as long as their disks of confusion allow (`Blur.largest_splat`).
+    view_from_object: (4, 4); tolerance: pixels. The cloud's `kernel` is 1 for splats that are shaded as whole strands,
+    whose major axes are the tangents, and 0 for those shaded as surfaces: ribbons, and tubes that are wider than
+    patches may be, in strips along them, with disks that close their ends.
+
+    Patches are at most as long as their disks of confusion allow (`Blur.largest_splat`).
     """
     matrix = np.asarray(view_from_object, np.float64)
     linear = matrix[:3, :3]
     scale = float(tube_radius_scale(matrix[None])[0])
-    place = strands.position.astype(np.float64) + strands.origin
+    position = strands.position.astype(np.float64) + strands.origin
     low, high = _depths(strands, ends, matrix, camera)
     least, most = blur.radius_range(low, high)
     keep = (most > IN_FOCUS) & (high > camera.nearest)
     ends, least, low = ends[keep], least[keep], low[keep]
     per_pixel = (low if camera.perspective else 1.0) / max(abs(f) for f in camera.pixel_from_view()[:2])
     largest = blur.largest_splat(least, tolerance) * per_pixel  # view space
-    along = (place[ends[:, 1]] - place[ends[:, 0]]) @ linear.T
+    along = (position[ends[:, 1]] - position[ends[:, 0]]) @ linear.T
     count = np.ceil(np.linalg.norm(along, axis=1) / largest)
     count = np.maximum(np.minimum(count, MOST_PATCHES / max(len(ends), 1)), 1).astype(np.int64)
     of, number = owners(count), ranks(count)
     part = ((number + 0.5) / count[of])[:, None]
     first, second = ends[of].T
-    middle = place[first] * (1 - part) + place[second] * part
-    axis = (place[second] - place[first]) / count[of][:, None]
+    middle = position[first] * (1 - part) + position[second] * part
+    axis = (position[second] - position[first]) / count[of][:, None]
     radius = (strands.radius[first] * (1 - part[:, 0]) + strands.radius[second] * part[:, 0]).astype(np.float64)
 
     # Towards the eye, in object space, across the strand.
@@ -62,12 +64,12 @@ def dice_strands(
     length = np.linalg.norm(axis, axis=1)
     unit = axis / np.maximum(length, 1e-300)[:, None]
     if strands.side is None:
-        facing = _normalised(toward - (toward * unit).sum(axis=1, keepdims=True) * unit)
+        facing = unit_rows(toward - (toward * unit).sum(axis=1, keepdims=True) * unit)
         side = np.cross(facing, unit)
         across = np.clip(np.ceil(2 * radius * scale / largest[of]), 1, MOST_STRIPS).astype(np.int64)
     else:
-        side = _normalised(strands.side[first] * (1 - part) + strands.side[second] * part)
-        side = _normalised(side - (side * unit).sum(axis=1, keepdims=True) * unit)
+        side = unit_rows(strands.side[first] * (1 - part) + strands.side[second] * part)
+        side = unit_rows(side - (side * unit).sum(axis=1, keepdims=True) * unit)
         facing = np.cross(unit, side)
         across = np.ones(len(of), np.int64)
     strip, which = owners(across), ranks(across)
@@ -129,7 +131,7 @@ def dice_strands(
 def _end_disks(
     strands: StrandLevels, ends: np.ndarray, largest: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The disks across both ends of tubes that are drawn in strips, in pieces as wide as `largest` (K,), in object
+    """The disks across both ends of tubes that are drawn in strips, in patches as wide as `largest` (K,), in object
     units, for each segment: their point (n,), middle (n, 3), normal (n, 3) and radius (n,), of which SHARE is the area.
     """
     strand = strands.strand[ends[:, 0]]
@@ -161,7 +163,7 @@ def _mitre_length(strands: StrandLevels, point: np.ndarray, unit: np.ndarray, no
 def may_be_in_focus(
     strands: StrandLevels, ends: np.ndarray, view_from_object: np.ndarray, camera: Camera, blur: Blur
 ) -> np.ndarray:
-    """(K,) bool: which segments may be in focus somewhere."""
+    """(K,) bool: which segments, by their end points (K, 2), may be partly in focus."""
     return (
         blur.radius_range(*_depths(strands, ends, np.asarray(view_from_object, np.float64), camera))[0] < OUT_OF_FOCUS
     )
@@ -170,7 +172,7 @@ def may_be_in_focus(
 def _depths(
     strands: StrandLevels, ends: np.ndarray, matrix: np.ndarray, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(K,) each: the nearest and the farthest of what is around the nearer and the farther end."""
+    """The least and greatest depths (K,) of segments, with their radii around both ends."""
     depth = -((strands.position.astype(np.float64) + strands.origin) @ matrix[2, :3] + matrix[2, 3])
     reach = strands.radius * float(tube_radius_scale(matrix[None])[0])
     low, high = np.maximum(depth - reach, camera.nearest)[ends], np.maximum(depth + reach, camera.nearest)[ends]
@@ -178,10 +180,7 @@ def _depths(
 
 
 def _interpolate(values: np.ndarray | None, rows: np.ndarray, part: np.ndarray) -> np.ndarray | None:
+    """Values between two rows (n, 2), a fraction `part` of the way from the first to the second; None stays None."""
     if values is None:
         return None
     return (values[rows[:, 0]] * (1 - part) + values[rows[:, 1]] * part).astype(np.float32)
-
-
-def _normalised(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)

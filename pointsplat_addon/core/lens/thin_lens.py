@@ -1,5 +1,5 @@
-"""The thin lens: circles of confusion (Křivánek 2003, section 5.1, equations 6 to 8), places on its aperture, and the
-camera as it is seen from one of them."""
+"""The thin lens: circles of confusion (Křivánek 2003, section 5.1, equations 6 to 8), sample points on its aperture,
+and the camera as seen from one of them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ..scene.camera import Aperture, Camera
 from ..scene.settings import Settings
 
 # The third and fourth constant of the rank-one sequence in four dimensions (Roberts 2018): 1 / p^3 and 1 / p^4 with
-# p^5 = p + 1. Those in two dimensions, which the places in a pixel are made with, fill the four with them evenly.
+# p^5 = p + 1. Together with the two dimensions that positions in a pixel use, they fill four dimensions evenly.
 R4 = np.array([0.6287067210378087, 0.5385972572236101])
 
 
 def circle_of_confusion(camera: Camera, depth: np.ndarray | float) -> np.ndarray:
-    """(...) float64: radius in pixels of the circle of confusion of what lies at `depth` (...) along the view.
+    """(...) float64: radius in pixels of the circle of confusion of points at `depth` (...) along the view.
 
-    A point is seen through all of the aperture, of radius r, and through each place of it elsewhere in the picture
-    unless it lies at the depth of focus f. With the focal length in pixels F, its places fill a disk of radius
+    A point is seen through all of the aperture, of radius r, and each point of the aperture sees it elsewhere in the
+    picture unless it lies at the depth of focus f. With the focal length in pixels F, its images fill a disk of radius
     F r |1/f - 1/d| (equations 6 to 8; perspective) or F r |1 - d/f| (parallel, as Cycles has it). Nothing is blurred
     without an aperture; at depth 0 of a perspective camera everything infinitely.
     """
@@ -36,17 +36,16 @@ def circle_of_confusion(camera: Camera, depth: np.ndarray | float) -> np.ndarray
 
 @lru_cache(maxsize=16)
 def lens_points(samples: int, aperture: Aperture) -> np.ndarray:
-    """(samples, 2) float64: places on the aperture in world units, to the right and upwards, of equal weight.
+    """(samples, 2) float64: sample points on the aperture, of equal weight, in world units to the right and upwards.
 
-    The first is its middle; then come pairs that face each other across it, as the places in a pixel do. Any first
-    ones fill the aperture evenly, and together with those of a pixel fill all four dimensions. Where the aperture is
-    no disk, its angles and radii are stretched to the polygon's, which keeps shares of the area.
-    """
+    The first is its centre; then come pairs that face each other across it, as positions in a pixel do. Every beginning
+    of the sequence fills the aperture evenly, and together with those of a pixel fill all four dimensions. Where the
+    aperture is no disk, its angles and radii are stretched to the polygon's, which keeps shares of the area."""
     disk = _disk((0.5 + np.arange(samples // 2 + 1)[:, None] * R4) % 1.0)
     result = around(disk, -disk, samples)
-    result /= np.maximum(np.hypot(*result.T), 1.0)[:, None]  # what has made way for the last of an even number
+    result /= np.maximum(np.hypot(*result.T), 1.0)[:, None]  # points that were shifted out of the disk to keep the mean
     if aperture.blades >= 3:
-        # Polygons with an odd number of sides are not their own mirror image: what faces a place is one of the disk.
+        # Polygons with an odd number of sides are not their own mirror image: points are paired on the disk instead.
         result = _polygon(result, aperture.blades, aperture.rotation)
     result = result * aperture.radius * [1 / aperture.ratio, 1.0]
     result.setflags(write=False)
@@ -54,7 +53,7 @@ def lens_points(samples: int, aperture: Aperture) -> np.ndarray:
 
 
 def _disk(square: np.ndarray) -> np.ndarray:
-    """Places (N, 2) of the unit square on the unit disk; neighbours stay so, and areas (Shirley and Chiu 1997)."""
+    """Maps points (N, 2) of the unit square to the unit disk, keeping neighbours and areas (Shirley and Chiu 1997)."""
     x, y = (2 * square - 1).T
     wide = np.abs(x) > np.abs(y)
     radius = np.where(wide, x, y)
@@ -64,7 +63,7 @@ def _disk(square: np.ndarray) -> np.ndarray:
 
 
 def _polygon(disk: np.ndarray, sides: int, rotation: float) -> np.ndarray:
-    """Places (N, 2) of the unit disk in the regular polygon with corners on its rim, one side's middle at `rotation`.
+    """Maps points (N, 2) of the unit disk to the regular polygon inscribed in it, with one side's centre at `rotation`.
 
     A sector of the disk becomes the triangle over its side: equal parts of the angle, equal parts of the side.
     """
@@ -78,19 +77,18 @@ def _polygon(disk: np.ndarray, sides: int, rotation: float) -> np.ndarray:
 
 
 def uses_lens_samples(camera: Camera, settings: Settings) -> bool:
-    """Whether the samples of a picture are drawn through places on the lens."""
+    """Whether the samples of a picture are drawn through different points on the lens."""
     aperture = camera.aperture
     return aperture is not None and aperture.radius > 0.0 and settings.dof_method == "LENS_SAMPLES"
 
 
 def camera_through(camera: Camera, point: np.ndarray) -> Camera:
-    """The camera as it is seen from `point` (2,) of the aperture, in world units: sharp everywhere.
+    """The camera as seen from a point (2,) of the aperture, in world units: everything is in focus.
 
-    What lies at the depth of focus keeps its place in the picture. A perspective camera moves, and its principal point
-    with it. A parallel one looks along another direction; how the plane across that falls onto the picture's is a
+    What lies at the depth of focus keeps its position in the picture. A perspective camera moves, and its principal
+    point with it. A parallel one looks along another direction; how the plane across that falls onto the picture's is a
     stretch, which `clip_from_view` takes, and a skew of at most a fourth of the squared angle, which `view_from_world`
-    takes: in that much it is not rigid. Clipping planes stand across the new direction.
-    """
+    takes: in that much it is not rigid. Clipping planes stand across the new direction."""
     x, y = (float(v) for v in point)
     aperture = camera.aperture
     if aperture is None or (x == 0.0 and y == 0.0):
@@ -111,7 +109,7 @@ def camera_through(camera: Camera, point: np.ndarray) -> Camera:
 
 
 def _towards(slope: np.ndarray) -> np.ndarray:
-    """(3, 3): the least rotation that turns the direction (-slope, -1) to (0, 0, -1)."""
+    """(3, 3): the smallest rotation that takes the direction (-slope, -1) to (0, 0, -1)."""
     tangent = float(np.hypot(*slope))
     if tangent == 0.0:
         return np.eye(3)
@@ -127,8 +125,8 @@ def _towards(slope: np.ndarray) -> np.ndarray:
 
 
 def widened_camera(camera: Camera, nearest: float, farthest: float) -> Camera:
-    """The camera with a larger picture, of which the old one is the middle: of what lies between these depths it shows
-    all that any place on the aperture does. Pixels keep their size.
+    """The camera with a larger picture around the same centre: of what lies between these depths it shows
+    everything that any point on the aperture sees. Pixels keep their size.
 
     Bounded by the picture's larger side: where circles of confusion are wider, what lies farther outside is missing.
     """

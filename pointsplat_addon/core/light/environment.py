@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..numeric.vectors import row_frames
+
 WIDTHS = (512, 1024, 2048)
 TILE = (128, 64)
 ROUGHNESS = (0.2, 0.4, 0.6, 0.8, 1.0)
@@ -93,26 +95,6 @@ def stacked(levels: list[np.ndarray]) -> np.ndarray:
     return np.concatenate([np.pad(part, ((0, 0), (0, width - part.shape[1]), (0, 0))) for part in levels[1:]])
 
 
-def radiance(atlas: np.ndarray, direction: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-    """(N, 3) float64 prefiltered radiance from (N, 3) image-space directions at (N,) roughness."""
-    step = ROUGHNESS[0]
-    position = np.clip(np.asarray(roughness, float) / step, 0, len(ROUGHNESS))
-    low = np.minimum(position.astype(np.int64), len(ROUGHNESS) - 1)
-    uv = uv_from_direction(direction)
-    result = np.zeros((len(uv), 3))
-    for i in np.unique(low):
-        rows = low == i
-        t = (position[rows] - i)[:, None]
-        near, far = (bilinear(level(atlas, k).astype(float), uv[rows]) for k in (i, i + 1))
-        result[rows] = near * (1 - t) + far * t
-    return result
-
-
-def mean_radiance(atlas: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """(N, 3) float64 irradiance / pi on surfaces with (N, 3) image-space normals."""
-    return bilinear(level(atlas, len(ROUGHNESS) + 1).astype(float), uv_from_direction(normal))
-
-
 def _resample(image: np.ndarray, width: int, height: int) -> np.ndarray:
     """Bilinear where it grows, exact area average where it shrinks."""
     h, w = image.shape[:2]
@@ -146,19 +128,11 @@ def _mips(image: np.ndarray) -> list[np.ndarray]:
     return levels
 
 
-def _frame(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors perpendicular to (..., 3) unit normals and to each other."""
-    helper = np.where(np.abs(normal[..., 2:]) < 0.7, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    tangent = np.cross(helper, normal)
-    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
-    return tangent, np.cross(normal, tangent)
-
-
 def _prefilter(mips: list[np.ndarray], roughness: float) -> np.ndarray:
     """(h, w, 3) radiance averaged over the GGX lobe about each texel's direction, weighted with n.l."""
     size = TILE if roughness < 0.5 else (TILE[0] // 2, TILE[1] // 2)
     normal = texel_directions(*size)
-    tangent, bitangent = _frame(normal)
+    tangent, bitangent = row_frames(normal)
     alpha2 = roughness**4
     texel = 2 * np.pi**2 / mips[0].shape[1] / mips[0].shape[0]
 

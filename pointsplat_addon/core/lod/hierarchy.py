@@ -1,18 +1,7 @@
-"""The point-octree: a data-driven hierarchy of elliptical splats (Pajarola 2003, sections 3 to 5).
+"""Hierarchies of splats over points: the type, and how they are built and refitted (Pajarola 2003, sections 3 to 5).
 
-Points are split at their mean into eight octants until at most `leaf_size` remain. Nodes lie breadth
-first with the children of a node next to each other, and points lie in tree order, so that a level is
-a slice, the coarse model a prefix, and the points of a node one range.
-
-Second moments follow Pajarola's generic homogeneous covariance, M' = T M T^T, in float64. Each M is
-held about its own mean, where the first-order row of M vanishes; what remains of the translation is
-S' = S + w d d^T with d the step between the means. Sums about a far origin, which cancel, never occur.
-A uniform disk of radius r has the variance r^2 / 4 along each axis of its plane, hence half-axes
-are 2 sqrt(eigenvalue), with eigenvalues from l^2 - tr l + det = 0.
-
-Nodes of translucent clouds let as much light through as the splats below them, drawn by the same law, T = exp(-tau).
-Optical masses add up where splats fill a node evenly; where they are strewn, cross-sections do (`absorbed`: the area
-of which a splat alone takes the light), since light passes between them, however thick they are.
+Points are split at their mean into eight octants until at most `leaf_size` remain; nodes are merged bottom up. The room
+`nodes/` has each step.
 """
 
 from __future__ import annotations
@@ -58,7 +47,7 @@ class Hierarchy:
     cloud: PointCloud  # N points in tree order
     order: np.ndarray  # (N,) int32: the original index of each point
     tree: Tree
-    center: np.ndarray  # (M, 3) float32, weighted mean
+    center: np.ndarray  # (M, 3) float32, weighted mean of the points
     normal: np.ndarray  # (M, 3) float32, unit, weighted mean
     axis: np.ndarray  # (M, 3) float32, unit, perpendicular to normal: the major axis
     radii: np.ndarray  # (M, 3) float32, kernel half-axes: major, minor, along the normal
@@ -66,40 +55,38 @@ class Hierarchy:
     sphere: np.ndarray  # (M,) float32
     cone: np.ndarray  # (M, 2) float32: cosine and sine of the half-angle that holds all normals about `normal`
     smallest: np.ndarray  # (M,) float32: least `size` among the node and its descendants of two or more points
-    color: np.ndarray | None = None  # (M, 3) float32, weighted mean, as all below
-    opacity: np.ndarray | None = None  # (M,) float32: by which exp(-tau) is the node's transmittance
-    surface: np.ndarray | None = None  # (M, 2) float32
-    emission: np.ndarray | None = None  # (M, 3) float32
-    shading_normal: np.ndarray | None = None  # (M, 3) float32, not normalised
-    extinction: np.ndarray | None = (
-        None  # (M,) or (M, C) float32, of the splat that `splats` gives, as is emission then
-    )
-    value: np.ndarray | None = None  # (M,) float32
+    # NODE_ATTRIBUTES follow; means are weighted by `splat_weight`, those of emission and color in media by mass.
+    color: np.ndarray | None = None  # (M, 3) float32, mean
+    opacity: np.ndarray | None = None  # (M,) float32: one minus the transmittance of the node's kernel as it is drawn
+    surface: np.ndarray | None = None  # (M, 2) float32, mean
+    emission: np.ndarray | None = None  # (M, 3) float32, mean; in media of the kernel as it is drawn
+    shading_normal: np.ndarray | None = None  # (M, 3) float32, mean, not normalised
+    extinction: np.ndarray | None = None  # (M,) or (M, C) float32, of the kernel as it is drawn (`points_and_nodes`)
+    value: np.ndarray | None = None  # (M,) float32, mean
     material: np.ndarray | None = None  # (M,) uint16, of the heaviest child
-    kernel: np.ndarray | None = None  # (M,) uint8, 0: many splats of any shape look like one of the default
+    kernel: np.ndarray | None = None  # (M,) uint8, 0: many splats of any profile look like one of the default
+    disconnected: np.ndarray | None = None  # (M,) bool: foliage: most of the node's area is of disconnected splats
     mass: np.ndarray | None = None  # (M,) or (M, C) float32: integral of extinction, or of optical depth over area
     covered: np.ndarray | None = None  # (M,) float32: fraction of the kernel's volume (shells: ellipse) that is filled
-    # Of opaque clouds with splats that stand apart, all (M,): whether most of the node's do, and then, the area of the
-    # disk that hides as much as they.
-    disconnected: np.ndarray | None = None  # bool
-    section: np.ndarray | None = None  # float32
+    section: np.ndarray | None = None  # (M,) float32, with `disconnected`: area of the disk that hides as much as all
 
     def __len__(self) -> int:
         return len(self.tree)
 
     @property
     def size(self) -> np.ndarray:
-        """(M,) float32: no descendant disk reaches farther than this from the center."""
+        """Radius (M,) float32 of a ball about the center that holds every descendant disk."""
         return np.minimum(self.sphere, np.hypot(self.bound[:, 0], self.bound[:, 2]))
 
     @property
     def nbytes(self) -> int:
+        """Bytes of all arrays, those of the points included."""
         held = [getattr(self, f.name) for f in fields(self)] + [getattr(self.tree, f.name) for f in fields(self.tree)]
         return self.cloud.nbytes + sum(a.nbytes for a in held if isinstance(a, np.ndarray))
 
 
 def build(cloud: PointCloud, leaf_size: int = LEAF_SIZE) -> Hierarchy:
-    """The point-octree of a cloud, with leaves of at most `leaf_size` points where points are distinct.
+    """Builds the point-octree of a cloud, with leaves of at most `leaf_size` points where points are distinct.
 
     Raises ValueError for a NaN or infinity in any attribute, negative radii, leaf_size < 1, or 2^31 points or more.
     """
@@ -112,35 +99,30 @@ def build(cloud: PointCloud, leaf_size: int = LEAF_SIZE) -> Hierarchy:
     return _evaluate(_take_in_tree_order(cloud, order), order, tree)
 
 
-def refit(hierarchy: Hierarchy, cloud: PointCloud, in_tree_order: bool = False) -> Hierarchy:
-    """The same partition over new attributes of the same points (a moved armature, new colours), bottom up.
+def refit(hierarchy: Hierarchy, cloud: PointCloud) -> Hierarchy:
+    """Evaluates the nodes of a hierarchy anew for other attributes of the same points, such as a new pose or colours.
 
-    `cloud` is in the original order unless `in_tree_order`. Raises ValueError as `build` does, or where the
+    The partition stays. `cloud` has the points in their original order. Raises ValueError as `build` does, or where the
     number of points differs.
     """
     if len(cloud) != len(hierarchy.cloud):
         raise ValueError(f"refit with {len(cloud)} points of a hierarchy of {len(hierarchy.cloud)}")
     require_finite(cloud)
-    return _evaluate(
-        cloud if in_tree_order else _take_in_tree_order(cloud, hierarchy.order), hierarchy.order, hierarchy.tree
-    )
+    return _evaluate(_take_in_tree_order(cloud, hierarchy.order), hierarchy.order, hierarchy.tree)
 
 
-def recolor(hierarchy: Hierarchy, cloud: PointCloud, in_tree_order: bool = False) -> Hierarchy:
-    """The same points and nodes in other colours, surfaces, emission, extinction, values: what a transfer function
-    changes. Equal to `refit`, in half the time where splats are not weighted by their opacity.
+def recolor(hierarchy: Hierarchy, cloud: PointCloud) -> Hierarchy:
+    """Refits what a transfer function changes: colours, surfaces, emission, extinction and values (AVERAGED).
 
-    `cloud` has the attributes of the hierarchy's, in the original order unless `in_tree_order`; places, normals,
-    half-axes, materials and kernels stay the hierarchy's. Raises ValueError as `refit` does, or where attributes are
-    others.
+    The result equals that of `refit`, in half the time where splats are not weighted by their opacity. `cloud` has the
+    attributes of the hierarchy's cloud, in the original order; positions, normals, half-axes, materials and kernels stay
+    those of the hierarchy. Raises ValueError as `refit` does, or where the cloud has other attributes.
     """
     if cloud.arrays().keys() != hierarchy.cloud.arrays().keys():
         raise ValueError("recolor with other attributes than the hierarchy has")
     if len(cloud) != len(hierarchy.cloud) or cloud.opacity is not None:
-        return refit(hierarchy, cloud, in_tree_order)
-    given = {name: array for name, array in cloud.arrays().items() if name in AVERAGED}
-    if not in_tree_order:
-        given = {name: array[hierarchy.order] for name, array in given.items()}
+        return refit(hierarchy, cloud)
+    given = {name: array[hierarchy.order] for name, array in cloud.arrays().items() if name in AVERAGED}
     cloud = replace(hierarchy.cloud, **given)
     require_finite(cloud)
 
@@ -148,7 +130,11 @@ def recolor(hierarchy: Hierarchy, cloud: PointCloud, in_tree_order: bool = False
         weight = splat_weight(cloud, which)
         averages = [as_rows(array, which) for array in given.values()]
         return np.concatenate(
-            [weight[None], *(weight * a for a in averages), optical_sums(cloud, which, splat_frames(cloud, which)[2])]
+            [
+                weight[None],
+                *(weight * a for a in averages),
+                optical_sums(cloud, which, splat_frames(cloud, which).radii),
+            ]
         )
 
     weight, totals = np.split(sum_over_nodes(hierarchy.tree, len(cloud), columns), [1])
@@ -159,20 +145,8 @@ def recolor(hierarchy: Hierarchy, cloud: PointCloud, in_tree_order: bool = False
     return replace(hierarchy, cloud=cloud, **named)
 
 
-def moments(hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Zeroth, first and second moments of each node: weight (M,), mean (M, 3), covariance (M, 3, 3), float64.
-
-    The weight of a point is the product of its first two half-axes times its opacity, in media of all three
-    (`splat_weight`).
-    """
-    nodes = merge_nodes(hierarchy.cloud, hierarchy.tree)
-    xx, xy, xz, yy, yz, zz = nodes.second / np.maximum(nodes.weight, np.finfo(float).tiny)
-    covariance = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
-    return nodes.weight, nodes.mean.T, covariance
-
-
 def _evaluate(cloud: PointCloud, order: np.ndarray, tree: Tree) -> Hierarchy:
-    """Attributes of all nodes over points in tree order."""
+    """The hierarchy over a cloud whose points are in tree order already."""
     rows = merge_nodes(cloud, tree)
     named = _averages(cloud, rows.averages)
     if len(rows.sums):
@@ -191,7 +165,7 @@ def _evaluate(cloud: PointCloud, order: np.ndarray, tree: Tree) -> Hierarchy:
 
 
 def _averages(cloud: PointCloud, averages: np.ndarray) -> dict[str, np.ndarray]:
-    """Rows (A, n) by name, in the shape that they have in the cloud."""
+    """Rows (A, n) of averages by attribute, each in the shape that it has in the cloud."""
     named, at = {}, 0
     for name in AVERAGED:
         given = getattr(cloud, name)
@@ -204,7 +178,7 @@ def _averages(cloud: PointCloud, averages: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _take_in_tree_order(cloud: PointCloud, order: np.ndarray) -> PointCloud:
-    """`cloud.take(order)`, by way of records of all float attributes: one far access per point, not one for each."""
+    """`cloud.take(order)`, faster: float attributes are gathered as records, so that each point is one distant access."""
     arrays = {name: array for name, array in cloud.arrays().items() if array.dtype == np.float32}
     widths = [int(np.prod(array.shape[1:])) for array in arrays.values()]
     ends = np.cumsum(widths)
@@ -221,7 +195,8 @@ def _take_in_tree_order(cloud: PointCloud, order: np.ndarray) -> PointCloud:
 
 
 def require_finite(cloud: PointCloud) -> None:
-    """Raise ValueError for attributes that are not finite, or negative radii. Extremes propagate NaN."""
+    """Raises ValueError for attributes that are not finite, and for negative radii."""
+    # NaN propagates through the extremes.
     for name, array in cloud.arrays().items():
         if array.size and array.dtype.kind == "f" and not np.isfinite([array.min(), array.max()]).all():
             raise ValueError(f"PointCloud.{name} holds a NaN or an infinity")

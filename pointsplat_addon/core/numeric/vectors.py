@@ -1,4 +1,7 @@
-"""Vectors as rows of coordinates, (3, n), which NumPy handles several times faster than (n, 3)."""
+"""Vectors as columns (3, n), which NumPy handles several times faster than rows (n, 3); work in blocks.
+
+Functions named `..._rows` and `row_...` take rows (..., 3).
+"""
 
 from __future__ import annotations
 
@@ -84,3 +87,15 @@ def as_rows(array: np.ndarray, which: slice) -> np.ndarray:
 def as_columns(rows: np.ndarray) -> np.ndarray:
     """(k, n) to (n, k) float32."""
     return np.ascontiguousarray(rows.T, np.float32)
+
+
+def row_frames(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two fields of unit vectors perpendicular to unit rows (..., 3) and to each other."""
+    helper = np.where(np.abs(axis[..., 2:]) < 0.7, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    u = unit_rows(np.cross(helper, axis))
+    return u, np.cross(axis, u)
+
+
+def unit_rows(v: np.ndarray) -> np.ndarray:
+    """Normalises rows (..., 3); zero rows stay zero."""
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-300)

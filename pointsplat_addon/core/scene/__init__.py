@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""The plain data of a scene: frozen dataclasses of numpy arrays, their bounds and their validation."""

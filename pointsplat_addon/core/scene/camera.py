@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Camera and aperture: where a picture is seen from, and the thin lens that it is seen through."""
 
 from __future__ import annotations
 

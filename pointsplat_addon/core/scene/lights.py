@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Lights in world space, in radiometric quantities."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A lamp in world space, in radiometric quantities; host/convert turns Blender's power into them."""
+    """A light in world space, in radiometric quantities; host/convert turns Blender's power into them."""
 
     kind: str  # POINT, SUN, SPOT, AREA
     color: (

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The table of materials: constants of surfaces, hair and media, one row for each material."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Triangles of a mesh, and their corners and edges as rows of coordinates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The settings of a render with their defaults and ranges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Volumes as sparse voxels, and what fills them: media and transfer functions."""
 
 from __future__ import annotations
 

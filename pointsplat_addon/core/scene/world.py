@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""The world: light from infinitely far, and mist."""
 
 from __future__ import annotations
 

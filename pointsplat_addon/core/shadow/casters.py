@@ -1,4 +1,4 @@
-"""What casts shadows: splats in world space, of media, of surfaces that let light through, and of opaque ones."""
+"""Casters of shadows: splats in world space, of media, of translucent surfaces and of opaque ones."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from ..numeric.vectors import cross, each_block
 from ..scene.cloud import PointCloud
 
-OPAQUE_DEPTH = 100.0  # optical depth that stands for no light at all
+OPAQUE_DEPTH = 100.0  # optical depth that counts as opaque
 KINDS = ("OPAQUE", "SHELL", "VOLUME")
-TYPICAL_QUANTILE = 0.9  # quantile of the radii of a surface's samples
-QUANTILE_SAMPLES = 1 << 16  # of them are asked
+TYPICAL_QUANTILE = 0.9  # quantile of the radii of a surface's samples that counts as typical
+QUANTILE_SAMPLES = 1 << 16  # radii that the quantile is taken from
 CHUNK = 1 << 14  # splats that are handled together, so that scratch arrays stay in the cache
 
 
@@ -43,7 +43,7 @@ class Casters:
         assert position is not None
         some = Casters(self.kind, self.origin, position, radius, axes, mass)
         if "reach" in self.__dict__:
-            some.__dict__["reach"] = self.reach[index]  # lest each step finds it anew
+            some.__dict__["reach"] = self.reach[index]  # so that it is not computed again
         return some
 
     @cached_property
@@ -58,7 +58,7 @@ class Casters:
 
     @cached_property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Low and high corner (3,) float64 of what holds all splats."""
+        """The low and high corner (3,) float64 of a box around all splats."""
         low, high = (np.array([end(column) for column in self.position.T], float) for end in (np.min, np.max))
         widest = float(self.reach.max())
         return self.origin + low - widest, self.origin + high + widest
@@ -107,7 +107,7 @@ def casters(cloud: PointCloud, world_from_object: np.ndarray) -> Casters:
 
 
 def typical_radius(radii: np.ndarray) -> float:
-    """A wide one among the radii (N,) of splats."""
+    """The TYPICAL_QUANTILE of the radii (N,) of splats, from a subset of them."""
     step = len(radii) // QUANTILE_SAMPLES | 1  # odd: out of step with what repeats
     return float(np.quantile(radii[::step], TYPICAL_QUANTILE))
 
@@ -120,7 +120,7 @@ def _finite(values: np.ndarray) -> np.ndarray:
 
 
 def _half_axes(cloud: PointCloud, radii: np.ndarray, solid: bool) -> np.ndarray:
-    """(N, 2 or 3, 3) float32 in object space."""
+    """(N, 2 or 3, 3) float32: half-axes of ellipses, or of ellipsoids if `solid`, in object space."""
     normal = cloud.normal
     assert normal is not None
     first = cloud.axis
@@ -142,7 +142,7 @@ def _half_axes(cloud: PointCloud, radii: np.ndarray, solid: bool) -> np.ndarray:
 
 
 def rotate_vectors(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Vectors (N, K, 3), each times a (3, 3). In memory they are rows of coordinates, which NumPy handles several times
-    faster than vectors one by one."""
+    """Row vectors (N, K, 3) times a matrix (3, 3). In memory they are rows of coordinates, which NumPy handles several
+    times faster than vectors one by one."""
     rows = vectors.transpose(2, 1, 0)
     return (matrix.T @ rows.reshape(3, -1)).reshape(rows.shape).transpose(2, 1, 0)

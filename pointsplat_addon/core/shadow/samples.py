@@ -1,4 +1,4 @@
-"""The points of meshes that cast shadows: vertices where these lie dense enough for the tables, else samples."""
+"""Splats of meshes that cast shadows: at vertices where these are dense enough for the tables, else at samples."""
 
 from __future__ import annotations
 
@@ -21,20 +21,18 @@ from ..surface.spacing import limit_spacing
 from ..surface.triangles import Measures, measure_triangles, used_vertices
 from .casters import typical_radius
 
-FEW_TRIANGLES = 1 << 17  # triangles: of fewer, samples cost little
-DENSE_EDGE = (
-    3.0  # spacings: longest edge of triangles whose vertices serve, though finer samples would be somewhat sharper
-)
-SURFACE_POINTS = 4096  # that stand for a mesh
+FEW_TRIANGLES = 1 << 17  # triangles: fewer are always sampled
+DENSE_EDGE = 3.0  # spacings: longest edge of triangles that splats at the vertices may replace
+SURFACE_POINTS = 4096  # points that represent a mesh
 # Additive recurrence in two dimensions (Roberts 2018).
 PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 @dataclass(frozen=True, eq=False)
 class MeshExtents:
-    """What one look at all triangles of a mesh tells."""
+    """The bounding box of a mesh, and the areas and longest edges of its triangles."""
 
-    low: np.ndarray  # (3,) float64, corners of their box, object space
+    low: np.ndarray  # (3,) float64, corners of the box, object space
     high: np.ndarray  # (3,) float64
     area: np.ndarray  # (T,) float64
     longest: np.ndarray  # (T,) float32, longest edges
@@ -45,7 +43,7 @@ class MeshExtents:
 
     @property
     def size(self) -> float:
-        """The mesh's area."""
+        """The total area of the mesh, in object units^2."""
         return float(self.area.sum())
 
 
@@ -65,9 +63,10 @@ def mesh_extents(mesh: Mesh) -> MeshExtents:
     return MeshExtents(low, high, area, longest)
 
 
-def surface_points(mesh: Mesh, outline: MeshExtents) -> np.ndarray:
-    """(PLACES, 3) float64, object space, spread evenly over a mesh; one in the origin where it has no triangle."""
-    ends = np.cumsum(outline.area)
+def surface_points(mesh: Mesh, extents: MeshExtents) -> np.ndarray:
+    """(SURFACE_POINTS, 3) float64: points spread evenly over a mesh, in object space; the origin alone if it is
+    empty."""
+    ends = np.cumsum(extents.area)
     if len(ends) == 0 or ends[-1] == 0:
         return np.zeros((1, 3))
     triangle = np.searchsorted(ends, (np.arange(SURFACE_POINTS) + 0.5) / SURFACE_POINTS * ends[-1])
@@ -78,16 +77,16 @@ def surface_points(mesh: Mesh, outline: MeshExtents) -> np.ndarray:
     return corners[:, 0] + np.einsum("nk,nkc->nc", weights, corners[:, 1:] - corners[:, :1])
 
 
-def mesh_is_foliage(mesh: Mesh, outline: MeshExtents) -> bool:
-    """Whether a mesh is of leaves or blades: of triangles with open edges."""
+def mesh_is_foliage(mesh: Mesh, extents: MeshExtents) -> bool:
+    """Whether a mesh consists of leaves or blades: of triangles with open edges."""
     count = len(mesh.triangles)
     return bool(len(mesh.position) >= FOLIAGE_VERTICES * count) and is_foliage(mesh.position, mesh.triangles)
 
 
 def _fit_disks_to_area(evaluated: Evaluated, samples: Samples, area: np.ndarray) -> Evaluated:
-    """The disks of each triangle with its `area` (T,) in all.
+    """Scales the disks of each triangle such that their areas add up to at most its `area` (T,).
 
-    They would else reach over the edges of leaves, which close no surface, and hide more than the leaves do.
+    Otherwise they would extend beyond the edges of leaves and hide more than the leaves do.
     """
     radii = evaluated.radii
     if samples.ellipse is None:
@@ -98,22 +97,22 @@ def _fit_disks_to_area(evaluated: Evaluated, samples: Samples, area: np.ndarray)
 
 
 def caster_clouds(
-    mesh: Mesh, outline: MeshExtents, spacing: float, table: MaterialTable, leafy: bool | None = None
+    mesh: Mesh, extents: MeshExtents, spacing: float, table: MaterialTable, foliage: bool | None = None
 ) -> list[PointCloud]:
-    """The splats of a mesh for tables that tell `spacing` (object units) apart. `leafy`: what `leaves` says of it,
-    where it is at hand.
+    """The splats of a mesh for tables that resolve `spacing` (object units), as one or two clouds. foliage: the result
+    of `mesh_is_foliage` if it is known.
 
     Where triangles are many and small, their vertices are taken: half as many splats, no wider than samples may be.
     """
     if not _needs_normals(mesh, table):
         mesh = replace(mesh, vertex_normal=None, corner_normal=None)  # splats cast by their planes alone
-    if mesh_is_foliage(mesh, outline) if leafy is None else leafy:
-        # As fine as most of them: they are seen one by one where tables tell them apart, for half as many samples more.
-        finest = max(float(np.median(outline.longest)), np.sqrt(2 * outline.size / len(mesh.triangles)))
+    if mesh_is_foliage(mesh, extents) if foliage is None else foliage:
+        # As fine as most leaves, for half as many samples more: leaves that tables resolve cast their own shadows.
+        finest = max(float(np.median(extents.longest)), np.sqrt(2 * extents.size / len(mesh.triangles)))
         measures = measure_triangles(mesh)
         spacing = limit_spacing(mesh, min(spacing, finest), measures=measures)
-        return [_splats(mesh, "AREA", None, spacing, table, outline.area, measures)]
-    dense = outline.longest <= DENSE_EDGE * spacing
+        return [_splats(mesh, "AREA", None, spacing, table, extents.area, measures)]
+    dense = extents.longest <= DENSE_EDGE * spacing
     # A vertex of a translucent mesh stands for all the triangles around it.
     if np.count_nonzero(dense) < FEW_TRIANGLES or (passing(mesh, table) is not None and not dense.all()):
         spacing = limit_spacing(mesh, spacing)
@@ -121,7 +120,7 @@ def caster_clouds(
     if np.count_nonzero(used_vertices(mesh, dense)) <= np.count_nonzero(dense):
         found = _splats(mesh, "VERTICES", dense, spacing, table)
         assert found.radii is not None
-        if typical_radius(found.radii[:, 0]) <= typical_radius(outline.longest[dense]) / np.sqrt(3):
+        if typical_radius(found.radii[:, 0]) <= typical_radius(extents.longest[dense]) / np.sqrt(3):
             rest = ~dense
             if not rest.any():
                 return [found]
@@ -131,7 +130,7 @@ def caster_clouds(
 
 
 def _needs_normals(mesh: Mesh, table: MaterialTable) -> bool:
-    """Whether what some material lets through depends on its normals."""
+    """Whether the transmittance of some material depends on normals."""
     return any(wanted.normal or wanted.tangent for wanted in map(needs, graphs_of(mesh, table).values()))
 
 
@@ -144,8 +143,8 @@ def _splats(
     area: np.ndarray | None = None,
     measures: Measures | None = None,
 ) -> PointCloud:
-    """Those of the triangles `which` (T,) bool, None: all, with their `measures` where these are at hand. `area`: of all triangles (T,),
-    which are leaves."""
+    """The splats of the triangles `which` (T,) bool; None: all. measures: of these triangles, if they are known; area
+    (T,): of all triangles, if the mesh is foliage."""
     samples = sample_mesh(mesh, spacing, method, which, measures)
     evaluated = evaluate(mesh, samples, mesh_centre(mesh), which)
     if area is not None and passing(mesh, table) is None:

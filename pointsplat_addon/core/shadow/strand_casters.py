@@ -12,12 +12,12 @@ from ..strand.levels import StrandLevels
 from ..strand.projection import tube_radius_scale
 from .casters import Casters
 
-MOST_ACROSS = 64  # pieces across a strand
+MOST_ACROSS = 64  # balls across a strand
 
 
 @dataclass(frozen=True, eq=False)
 class StrandSegments:
-    """Strands in world space, cut into pieces that are no longer than what shadows tell apart."""
+    """N segments of strands in world space, no longer than shadows resolve."""
 
     origin: np.ndarray  # (3,) float64
     position: np.ndarray  # (N, 3) float32, relative to origin
@@ -25,11 +25,11 @@ class StrandSegments:
     side: np.ndarray | None  # (N, 3) float32, half the width of ribbons; None: tubes
     radius: np.ndarray  # (N,) float32
     length: np.ndarray  # (N,) float32
-    step: float  # length of a piece: wide strands are cut along, too
+    step: float  # greatest length of a segment: wide strands are divided across by it, too
 
-    def toward(self, light: Light) -> Casters:
-        """Opaque balls that stand apart, as leaves do, each of the area that its piece of a strand shows to the light:
-        2 r L times the sine of the angle between them. Pieces as wide as long are closed among each other."""
+    def casters_toward(self, light: Light) -> Casters:
+        """Disconnected opaque balls, each of the area that its segment of a strand shows to the light: 2 r L times the
+        sine of the angle between them. Balls of segments as wide as long join to a closed surface."""
         to_light = np.broadcast_to(-np.asarray(light.direction, np.float32), self.position.shape)
         if light.kind != "SUN":
             to_light = (light.position - self.origin).astype(np.float32) - self.position
@@ -47,7 +47,7 @@ class StrandSegments:
         which, number = owners(across), ranks(across)
         off = (2 * number + 1) / across[which] - 1
         position = self.position[which] + off[:, None].astype(np.float32) * side[which]
-        # What is wide is closed, as a surface: there balls cover the cells that they stand for.
+        # Wide strands are closed surfaces: their balls cover the whole area of their segments.
         wide = np.clip(self.radius / np.float32(self.step) - 0.5, 0, 1)
         tile = (2 * self.radius / across) ** 2 + self.length**2
         squared = (area / (np.pi * across)) * (1 - wide) + np.where(shown > 0, 0.25 * tile, 0) * wide
@@ -56,7 +56,8 @@ class StrandSegments:
 
 
 def cut_strands(strands: StrandLevels, world_from_object: np.ndarray, step: float) -> StrandSegments:
-    """Strands of an instance, (4, 4) float64, in pieces of at most `step` object units."""
+    """The strands of an instance, cut into segments of at most `step` object units; world_from_object: (4, 4)
+    float64."""
     last = np.ones(len(strands), bool)
     last[strands.start[1:] - 1] = False
     a = np.flatnonzero(last)

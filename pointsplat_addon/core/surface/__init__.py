@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Surfaces as samples: how densely a view needs them, where they lie, and what they look like."""

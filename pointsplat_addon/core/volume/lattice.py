@@ -8,7 +8,7 @@ ROWS = 1 << 20  # voxels that are handled together: temporary arrays stay small
 
 
 def lattice_keys(index: np.ndarray, low: np.ndarray, extent: np.ndarray) -> np.ndarray:
-    """(N,) int64: rows of integer indices (N, 3) as one number each, lexicographic, x first.
+    """(N,) int64: one number for each index (N, 3), in lexicographic order, x first.
 
     Indices lie in low + [0, extent). Raises ValueError where so many cells have no 64-bit number.
     """
@@ -24,13 +24,13 @@ def lattice_keys(index: np.ndarray, low: np.ndarray, extent: np.ndarray) -> np.n
 
 
 def index_bounds(index: np.ndarray, margin: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Low corner and extent (3,) int64 each of indices (N, 3), N > 0, with a margin on all sides."""
+    """The low corner (3,) and extent (3,) int64 of the box of indices (N, 3), N > 0, with a margin on all sides."""
     low = index.min(axis=0).astype(np.int64) - margin
     return low, index.max(axis=0) - low + 1 + margin
 
 
 def group_equal_rows(index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """An order (N,) that brings equal rows of indices (N, 3) together, and where (K,) in it a new one begins."""
+    """An order (N,) that brings equal rows of indices (N, 3) together, and the K positions in it where groups begin."""
     key = lattice_keys(index, *index_bounds(index))
     order = np.argsort(key, kind="stable")
     key = key[order]

@@ -10,7 +10,7 @@ from .optics import Optics
 
 
 def merge_level(matrix: np.ndarray, spacing: float) -> int:
-    """How often voxels may be merged two by two along each axis until they are no longer than `spacing`."""
+    """The number of times that voxels may be merged by twos along each axis while they are no longer than `spacing`."""
     edge = float(np.linalg.norm(matrix[:3, :3], axis=0).max())
     if not (spacing > 0 and edge > 0):
         return 0
@@ -20,7 +20,8 @@ def merge_level(matrix: np.ndarray, spacing: float) -> int:
 def merge_blocks(
     index: np.ndarray, found: Optics, shading: np.ndarray | None, level: int
 ) -> tuple[np.ndarray, Optics, np.ndarray | None]:
-    """One voxel for each block of 2^level to a side: (K, 3) float64 indices at the centres of mass, mean optics.
+    """Merges blocks of 2^level voxels to a side: (K, 3) float64 indices of centres of mass, mean optics, and mean
+    normals.
 
     Means are over the block's volume, so that mass stays. Blocks lie on a lattice through index 0 whatever is active,
     and do not swim in animations.
@@ -34,7 +35,7 @@ def merge_blocks(
 
     depth = found.extinction if found.extinction.ndim == 1 else found.extinction.mean(axis=1)
     weight = depth if found.emission is None else depth + found.emission.mean(axis=1)
-    # Voxels of no optics still have a place.
+    # Voxels without extinction and emission still have a position.
     weight = np.maximum(weight, max(float(weight.max()), 1e-30) * np.float32(1e-12)).astype(np.float64)
     mass = total(weight)[:, None]
     scattering = found.albedo * (found.extinction if found.extinction.ndim == 2 else depth[:, None])
@@ -49,5 +50,6 @@ def merge_blocks(
     )
     if shading is not None:
         shading = normalise(total(shading * weight[:, None].astype(np.float32)))
-    # An index is a voxel's centre in the finer lattice; the merged splat is placed by the finer matrix as well.
+    # An index is a voxel's centre in the finer lattice; so the finer matrix also gives the position of the merged
+    # splat.
     return total(index * weight[:, None]) / mass, merged, shading

@@ -25,7 +25,7 @@ class Optics:
 
 
 def classify(value: np.ndarray, transfer: Transfer, extinction: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Extinction (N,) per object unit and albedo (N, 3) of values (N,) by a transfer function, float32.
+    """Extinction (N,) per object unit and albedo (N, 3), float32, of values (N,) under a transfer function.
 
     extinction: instead of transfer.density; 0 takes that.
     """
@@ -39,7 +39,7 @@ def classify(value: np.ndarray, transfer: Transfer, extinction: float = 0.0) -> 
 
 
 def voxel_optics(volume: Volume, medium: Medium, extinction: float = 0.0) -> tuple[Optics, list[str]]:
-    """The medium in each voxel by the transfer function, or else by the medium as Cycles reads it; and warnings.
+    """The optics of each voxel by its transfer function, or else by the medium as Cycles reads it; and warnings.
 
     Scattering is density * color and absorption density * (1 - color) * (1 - sqrt(absorption)). Values that are not
     finite, and negative densities, count as 0.
@@ -80,7 +80,7 @@ def voxel_optics(volume: Volume, medium: Medium, extinction: float = 0.0) -> tup
 
 @dataclass
 class _Grids:
-    """A volume's grids without values that cannot be drawn."""
+    """A volume's grids with invalid values replaced by 0, and warnings about them."""
 
     volume: Volume
 
@@ -88,7 +88,8 @@ class _Grids:
         self.warnings: list[str] = []
 
     def read(self, name: str, *, finite_only: bool = False) -> np.ndarray | None:
-        """(N,) or (N, 3) float32 of a grid, None where there is none of that name; negative values only if asked."""
+        """(N,) or (N, 3) float32 of a grid, or None if there is none of that name; negative values count as invalid
+        unless `finite_only`."""
         grid = self.volume.grids.get(name) if name else None
         if grid is None:
             return None
@@ -101,13 +102,14 @@ class _Grids:
         return np.where(bad, np.float32(0), grid)
 
     def scalar(self, name: str, *, finite_only: bool = False) -> np.ndarray | None:
-        """(N,): `read`, and the mean of a vector's components."""
+        """(N,) float32 of a grid, or the mean of the components of a vector grid; None if there is none of that
+        name."""
         grid = self.read(name, finite_only=finite_only)
         return grid if grid is None or grid.ndim == 1 else grid.mean(axis=1)
 
 
 def _emission(medium: Medium, grids: _Grids, count: int) -> np.ndarray | None:
-    """(N, 3) float32 radiance per unit of length, or None where nothing glows."""
+    """(N, 3) float32 radiance per unit of length, or None if nothing emits light."""
     constant = np.maximum(np.asarray(medium.emission, np.float32), 0)
     if medium.blackbody <= 0:
         return np.tile(constant, (count, 1)) if constant.any() else None
@@ -125,4 +127,5 @@ def _no_optics(count: int) -> Optics:
 
 
 def any_channel(mask: np.ndarray) -> np.ndarray:
+    """(N,) bool: where any channel of a mask (N,) or (N, C) is set."""
     return np.asarray(mask.any(axis=1)) if mask.ndim == 2 else mask

@@ -2,8 +2,8 @@
 
 A splat's `extinction` is the share that it alone contributes, spread over its own ellipsoid (radius 2 sigma): its
 optical mass 4/3 pi a b c * extinction is that of the voxel, extinction times the voxel's volume. Overlapping splats of
-neighbouring voxels then add up to the medium: kernels of EVEN voxel edges are wide enough that the lattice does not
-show, and no wider than needed.
+neighbouring voxels then add up to the medium: a standard deviation of EVEN_SPACING voxel edges is just wide
+enough that the lattice does not show.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from .optics import Optics, any_channel, voxel_optics
 
 VOXEL_SHARE = 1 / (4 / 3 * np.pi * (2 * EVEN_SPACING) ** 3)  # the volume of a voxel over that of its splat's ellipsoid
 NEARLY_CUBIC = 1.03  # ratio of a voxel's principal lengths up to which its splat is a ball
-MOST_EDGE_DEPTH = 1e6  # optical depth of a voxel's edge that is as good as any above it
+MOST_EDGE_DEPTH = 1e6  # optical depth along a voxel's edge at which extinction is clamped
 
 
 def volume_splats(
     volume: Volume, medium: Medium | None = None, extinction: float = 0.0, spacing: float = 0.0
 ) -> tuple[PointCloud, list[str]]:
-    """One splat for each voxel that is seen, in object space, and warnings that name the object.
+    """One splat for each voxel that has any effect, in object space, and warnings that name the object.
 
     medium: what fills the volume where it has no transfer function; None is Blender's default, a Principled Volume.
     extinction: instead of the medium's (or the transfer function's) density; 0 takes theirs. spacing: distance of
     splats in object units; blocks of 2^k voxels to a side that are no longer than it become one splat of their mass.
 
-    Under a transfer function all voxels stay, so that another function (`recolor`) finds them in the same places, and
-    `shading_normal` holds the normals of `normals`.
+    Under a transfer function all voxels become splats, whatever their opacity, and `shading_normal` holds
+    `gradient_normals`.
     """
     found, warnings = voxel_optics(volume, medium or Medium(), extinction)
     index, matrix, shading = volume.index, volume.object_from_index, None
@@ -69,7 +69,7 @@ def volume_splats(
     return cloud, warnings
 
 
-# Places and shapes
+# Positions and shapes
 
 
 def _positions(index: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...core.material.nodes import input_nodes
 from ...core.scene.lights import Light
-from .nodes import Path, Walker, resolve
+from .material.nodes import Path, Walker, resolve
 
 
 def convert_lights(depsgraph: bpy.types.Depsgraph) -> tuple[list[Light], list[str]]:

@@ -95,7 +95,9 @@ def collect(
         if found is None:
             first = len(sources)
             visible = _visibility(ob, parent, view_layer, flags)
-            if visible.drawn and (view3d is None or ob.visible_in_viewport_get(view3d)):
+            if visible.catcher:
+                unsupported.setdefault("Shadow catchers", []).append(ob.name)
+            elif visible.drawn and (view3d is None or ob.visible_in_viewport_get(view3d)):
                 source = _source(ob, view_layer.material_override, visible, instance.is_instance)
                 sources += [source] if instance.show_self else []
                 if len(ob.particle_systems) and instance.show_particles:
@@ -159,6 +161,7 @@ class Flags(NamedTuple):
     drawn: bool
     holdout: bool
     casts: bool  # shadows
+    catcher: bool  # of shadows: what it would show is only known with and without the shadows, so it is left out
 
 
 def _visibility(
@@ -168,8 +171,7 @@ def _visibility(
     uid = parent.original.session_uid
     if uid not in flags:
         drawn = parent.visible_camera and not parent.indirect_only_get(view_layer=view_layer)
-        # A shadow catcher shows nothing but shadows: without them it is a hole.
-        holdout = parent.holdout_get(view_layer=view_layer) or parent.is_shadow_catcher
-        flags[uid] = Flags(drawn, holdout, parent.visible_shadow)
-    drawn, holdout, casts = flags[uid]
-    return Flags(drawn and ob.visible_camera, holdout or ob.is_shadow_catcher, casts and ob.visible_shadow)
+        holdout = parent.holdout_get(view_layer=view_layer)
+        flags[uid] = Flags(drawn, holdout, parent.visible_shadow, parent.is_shadow_catcher)
+    drawn, holdout, casts, catcher = flags[uid]
+    return Flags(drawn and ob.visible_camera, holdout, casts and ob.visible_shadow, catcher or ob.is_shadow_catcher)

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.volume import Medium, Transfer, Volume
-from ...formats import vdb
+from ...formats.volumes import vdb
 from . import arrays
 
 DOMAIN_GRIDS = ("density", "flame", "heat", "temperature")  # of fluid simulations

@@ -9,9 +9,9 @@ from mathutils import Euler
 from ...core.material.color_models import linear_from_srgb
 from ...core.material.image import Image
 from ...core.scene.world import World
-from .images import convert_image
 from .lights import constant
-from .nodes import Path, resolve
+from .material.images import convert_image
+from .material.nodes import Path, resolve
 
 DIRECTIONS = {("ShaderNodeTexCoord", "Generated"), ("ShaderNodeNewGeometry", "Position")}
 

@@ -47,7 +47,7 @@ class Frame:
         presented: bool = False,
         picture: bool = True,
     ) -> None:
-        """`presented`: between samples too. `picture`: with Combined, not passes beside it alone."""
+        """`presented`: between samples too. `picture`: with Combined, not auxiliary passes alone."""
         self.renderer, self.presented = renderer, presented
         self.device = renderer.device
         self.clock = Clock(self.device, cancelled)
@@ -124,7 +124,7 @@ class Frame:
     # Drawing
 
     def sample(self) -> bool:
-        """Draw one more sample; False when there were enough."""
+        """Draws one more sample; returns False when there were enough."""
         if self.complete:
             return False
         if not self.shot.trivial:
@@ -138,14 +138,14 @@ class Frame:
         return not self.complete
 
     def end(self) -> None:
-        """There are enough samples."""
+        """Ends the picture before all its samples are drawn."""
         self.ended = True
         if self.presented:
             self._gather()
 
     @property
     def complete(self) -> bool:
-        """No sample is missing."""
+        """Whether no sample is missing."""
         enough = self.done >= self.shot.request.samples or (self.adaptive is not None and self.adaptive.finished)
         return self.ended or enough
 
@@ -173,7 +173,7 @@ class Frame:
             self.beside.sample()
 
     def _draw_surfels(self, view: SampleView, first: bool) -> None:
-        """What is opaque into G-buffers, and of these the passes that no light changes."""
+        """Draws what is opaque into G-buffers, and the passes that no light changes."""
         plan, uploads, run = self.shot.plan, self.uploads, self.clock.run
         surfels, data_surfels = self.targets.surfels, self.targets.data_surfels
         projection = self.targets.projection
@@ -215,7 +215,7 @@ class Frame:
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 
     def _draw_translucent(self, translucent: Translucent, view: SampleView, first: bool) -> None:
-        # Their light is the same for all samples, but for the lens, and for the shadows of wide lamps, which they blur
+        # Their light is the same for all samples, but for the lens, and for the shadows of wide lights, which they blur
         # among each other.
         shadows = self.shot.shadows
         points = lighting_of_sample(self.shot.request, self.done) if shadows is not None and shadows.wide else 0
@@ -224,13 +224,13 @@ class Frame:
         translucent.draw(view, gbuffer_textures(self.targets.surfels), coarse=first and self.shot.plan.coarse)
 
     def _adapt(self, adaptive: Adaptive) -> None:
-        """Leave out what no tile needs any more."""
+        """Leaves out what no tile needs any more."""
         view, projection, uploads = self._sample_view(0), self.targets.projection, self.uploads
         if adaptive.check(self.done) and projection is not None and not adaptive.finished:
             uploads.narrow(projection.within(uploads.draws, view, uploads.shared, adaptive.gathered))
 
     def _gather(self) -> None:
-        """What is out of focus into the picture so far."""
+        """Gathers what is out of focus into the picture so far."""
         if self.out_of_focus is not None:
             behind, texels = self.shading.backdrop_textures, self.shading.backdrop_texels
             self.out_of_focus.gather(self.done, self._centred(), behind, texels, self.adaptive)
@@ -248,7 +248,7 @@ class Frame:
         return self.targets.sums[0] if self.out_of_focus is None else self.targets.seen
 
     def other(self, request: Request, samples: int) -> np.ndarray | None:
-        """The mean (H, W, 4) of so many samples of the same scene by another request; None where it draws the same."""
+        """Returns the mean (H, W, 4) of so many samples of the same scene by another request; None where that draws the same."""
         frame = Frame(self.renderer, self.whole, request, self.clock.cancelled)
         try:
             a, b = frame.shot, self.shot
@@ -279,7 +279,7 @@ class Frame:
 
     @property
     def _centre(self) -> Texture | None:
-        """Depths, of what nothing blurs, that hide what Blender draws."""
+        """The texture with the depths of an image without a lens, which hide what Blender draws."""
         if self.lens is not None and self.lens.centre is not None:
             return self.lens.centre
         if self.adaptive is not None and self.out_of_focus is None:
@@ -306,7 +306,7 @@ class Frame:
         return self._cropped(self.targets.focus)[..., 1:2] / self.counts()
 
     def mean(self) -> np.ndarray:
-        """(H, W, 4) float32: the picture so far."""
+        """Returns the picture so far, (H, W, 4) float32."""
         if self.shot.trivial:
             return self._empty(frozenset({"combined"}))["combined"]
         if self.out_of_focus is not None:
@@ -315,7 +315,7 @@ class Frame:
         return self._cropped(self.targets.sums[0]) / self.counts()
 
     def pixels(self) -> dict[str, np.ndarray]:
-        """(H, W, C) float32 of every requested pass."""
+        """Returns every requested pass, (H, W, C) float32 by name."""
         plan, passes = self.shot.plan, self.shot.request.passes
         wanted = passes | (frozenset({"combined"}) if plan.picture else frozenset())
         if self.shot.trivial:
@@ -341,7 +341,7 @@ class Frame:
         return self.shot.cropped(self.device.read(texture))
 
     def release(self) -> None:
-        """Free what only this picture needed."""
+        """Frees what only this picture needed."""
         self.clock.release()
         for item in self._owned:
             item.release()

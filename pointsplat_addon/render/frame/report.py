@@ -1,4 +1,4 @@
-"""What was done for a picture."""
+"""Reports what was done for a picture: its passes, their time, and what was left out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .frame import Frame
 
 
 def report(frame: Frame, seconds: float) -> dict[str, Any]:
-    """As scripts/render.py writes it. `seconds`: that the picture took."""
+    """Returns the report of a picture, as scripts/render.py writes it. `seconds`: that the picture took."""
     shot, device, spent = frame.shot, frame.device, _spent(frame)
     drawn = 0 if shot.trivial else sum(lines.drawn for lines in frame.uploads.lines)
     return {
@@ -27,7 +27,7 @@ def report(frame: Frame, seconds: float) -> dict[str, Any]:
 
 
 def _spent(frame: Frame) -> dict[str, float]:
-    """Milliseconds by pass, with those of the passes beside what is out of focus."""
+    """Returns milliseconds by pass, with those of the passes beside what is out of focus."""
     clock = frame.clock
     clock.settle()
     beside = {} if frame.beside is None else _spent(frame.beside)
@@ -35,14 +35,14 @@ def _spent(frame: Frame) -> dict[str, float]:
 
 
 def _skipped(frame: Frame, ran: dict[str, float]) -> list[tuple[str, str]]:
-    """Passes that did not run, and why."""
+    """Returns the passes that did not run, and why."""
     shot = frame.shot
     reaches = shot.trivial or shot.plan.translucent is None or frame.uploads.reach_lights > 0
     return not_run(shot.left_out, ran.keys(), shot.trivial, shot.everywhere, reaches)
 
 
 def _samples(frame: Frame) -> list[tuple[str, str]]:
-    """Why there are fewer than were asked for."""
+    """Returns why there are fewer samples than were asked for."""
     shot, asked = frame.shot, frame.shot.request.samples
     if frame.ended:
         return [("samples", f"the budget asks for no more than {frame.done}")]

@@ -16,11 +16,11 @@ from ..plan.request import Request
 from .targets import Targets
 from .uploads import Uploads
 
-LIGHTINGS = 4  # times that translucent splats are lit in one picture, where lamps are wide
+LIGHTINGS = 4  # times that translucent splats are lit in one picture, where lights are wide
 
 
 def lighting_of_sample(request: Request, sample: int) -> int:
-    """Which points of wide lamps light translucent splats in a sample: RELIT times in a picture; where an error
+    """Returns which points of wide lights light translucent splats in a sample: LIGHTINGS times in a picture; where an error
     decides how many samples there are, for each pair."""
     if request.settings.budget == "ERROR":
         return (sample + 1) // 2
@@ -42,7 +42,7 @@ class Translucent:
         """`samples`: of the picture. `run` times each pass. DeviceError: more splats than a texture holds."""
         assert plan.translucent is not None
         self.device, self.plan, self.uploads, self.targets, self._run = device, plan, uploads, targets, run
-        self.lit_by = 0  # which points of wide lamps
+        self.lit_by = 0  # which points of wide lights
         program = light_program(plan.translucent, plan.lighting, plan.materials, uploads.reach_lights)
         variant = plan.variant
         channels = variant.samplers(only=("centre", "shape", "normal") if variant.normal else ("centre",))
@@ -51,7 +51,7 @@ class Translucent:
         self.lit = LitSplats(device, plan.translucent, program, uploads.listed, samples)
 
     def light(self, points: int, view: SampleView) -> None:
-        """By these points of wide lamps. `view`: of rays through pixels' centres."""
+        """Lights the splats by these points of wide lights. `view`: of rays through pixels' centres."""
         self.lit_by = points
         view = replace(view, sample=points)
         textures = {**self.uploads.splats, **self.uploads.shading}

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.light import hair
 from ...core.light.environment import build_atlas, pyramid, stacked
-from ...core.light.lighting import light_texture
+from ...core.light.light_table import light_texture
 from ...core.lod import depth_order
 from ...core.material.graph import MaterialGraph
 from ...core.numeric.segments import ranges
@@ -263,10 +263,10 @@ class Uploads:
             if geometry.strands is not None and scene.materials.hair is not None:
                 lines, rows = geometry.strands, list(geometry.strands.materials)
                 number = self.store.lookup(
-                    Key(Kind.CROSSED_HAIRS, geometry.key), lambda lines=lines: hair.crossed(lines)
+                    Key(Kind.CROSSED_HAIRS, geometry.key), lambda lines=lines: hair.strands_crossed(lines)
                 )
                 most[rows] = np.maximum(most[rows], number)
-        return hair.escape(most)
+        return hair.escape_share(most)
 
     def _lines(self) -> None:
         """Pages of control points, and the segments that this view draws of them."""

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ...core.light.lighting import light_names
+from ...core.light.light_table import light_names
 from ...core.material.graph import MaterialGraph
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud

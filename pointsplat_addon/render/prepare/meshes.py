@@ -15,7 +15,7 @@ import numpy as np
 from ...core.lod.foliage import is_foliage
 from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import largest_singular_value
-from ...core.scene.bounds import mesh_centre
+from ...core.scene.bounds import mesh_centre, triangles_ball
 from ...core.scene.cloud import PointCloud
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry
@@ -64,7 +64,7 @@ class Measured:
     @property
     def ball(self) -> tuple[np.ndarray, float]:
         """Centre (3,) and radius in object space of a ball that holds the valid triangles."""
-        return self._kept(Kind.BOUNDING_BALL, lambda: _bounds(self.mesh))
+        return self._kept(Kind.BOUNDING_BALL, lambda: triangles_ball(self.mesh))
 
     @property
     def parts(self) -> Parts:
@@ -94,13 +94,7 @@ def mesh_ball(mesh: Mesh, store: Store) -> tuple[np.ndarray, float]:
     """Centre (3,) and radius in object space of a ball that holds the triangles of a mesh."""
     if len(mesh.triangles) == 0:
         return np.zeros(3), 0.0
-    return store.lookup(Key(Kind.BOUNDING_BALL, mesh.key), lambda: _bounds(mesh))
-
-
-def _bounds(mesh: Mesh) -> tuple[np.ndarray, float]:
-    used = mesh.position[np.unique(mesh.triangles)].astype(np.float64)
-    middle = (used.min(axis=0) + used.max(axis=0)) / 2
-    return middle, float(np.sqrt(((used - middle) ** 2).sum(axis=1).max()))
+    return store.lookup(Key(Kind.BOUNDING_BALL, mesh.key), lambda: triangles_ball(mesh))
 
 
 def _typical_edge(mesh: Mesh) -> float:

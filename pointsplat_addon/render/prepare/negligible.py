@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.light.lighting import MIN_ALPHA, light_irradiance, most_scattered, relative_index
+from ...core.light.bsdf import MIN_ALPHA, largest_multiple_scattering, relative_index
+from ...core.light.light_shapes import irradiance_bound
 from ...core.scene.lights import Light
 from ...core.scene.scene import Scene
 from ...core.scene.world import World
@@ -103,11 +104,11 @@ def reflection(scene: Scene, prepared: Prepared, store: Store) -> Reflection:
     # The lobes of strands (core/light/hair.py) have no bound here, nor have their pieces that are out of focus.
     blurred = prepared.blurred is not None and any(geometry.strands is not None for geometry in scene.geometries)
     strands = len(prepared.lines) > 0 or blurred
-    lobe = np.inf if strands else most_scattered() / (np.pi * alpha**3) if shines else 0.0
+    lobe = np.inf if strands else largest_multiple_scattering() / (np.pi * alpha**3) if shines else 0.0
     media = any(points.cloud.extinction is not None for points in _sets(prepared))
     g = 0.0 if table.anisotropy is None else min(float(np.abs(table.anisotropy[known]).max(initial=0.0)), 0.99)
     phase = colors * (1 + g) / (4 * np.pi * (1 - g) ** 2) if media and colors > 0 else 0.0
-    world = np.inf if strands else colors + (most_scattered() if shines else 0.0)
+    world = np.inf if strands else colors + (largest_multiple_scattering() if shines else 0.0)
     return Reflection(colors, lobe, phase, world)
 
 
@@ -158,7 +159,7 @@ def _irradiance(light: Light, ball: tuple[np.ndarray, float], view_from_world: n
     at = view_from_world[:3, :3] @ np.asarray(light.position, float) + view_from_world[:3, 3]
     with np.errstate(all="ignore"):
         nearest = float(np.linalg.norm(at - ball[0])) - ball[1]
-    found = light_irradiance(light, max(nearest, 0.0) if np.isfinite(nearest) else 0.0)
+    found = irradiance_bound(light, max(nearest, 0.0) if np.isfinite(nearest) else 0.0)
     return found if np.isfinite(found) else np.inf
 
 

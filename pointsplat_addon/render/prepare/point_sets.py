@@ -11,8 +11,7 @@ from ...core.lod.foliage import disconnected_splats
 from ...core.lod.hierarchy import Hierarchy
 from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import largest_singular_value
-from ...core.numeric.vectors import dot, each_block
-from ...core.scene.bounds import bounding_box
+from ...core.scene.bounds import cloud_ball
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, coherent
 from ...core.scene.scene import Geometry
@@ -73,24 +72,7 @@ def counts(point_sets: dict[int, PointSet]) -> np.ndarray:
 
 def set_ball(points: PointSet, store: Store) -> tuple[np.ndarray, float, float]:
     """Centre (3,) in object space, greatest distance of a point of the set from it, greatest radius of a splat."""
-    cloud = points.cloud
-
-    def look() -> tuple[np.ndarray, float, float]:
-        low, high = bounding_box(cloud.position)
-        middle, squared = (low + high) / 2, []
-        side = max(float((high - low).max()), np.finfo(np.float32).tiny)  # squares of 1e30 are no float32
-
-        def measure(block: slice) -> None:
-            offset = (cloud.position[block].T - middle.astype(np.float32)[:, None]) * np.float32(1 / side)
-            squared.append(float(dot(offset, offset).max()))
-
-        each_block(len(cloud), measure)
-        radius = 0.0 if cloud.radii is None else float(cloud.radii[:, 0].max(initial=0.0))
-        # Rounding of the middle and of float32 sums is far below a millionth of what is measured.
-        reach = side * np.sqrt(max(squared)) + 2.0**-23 * np.abs(middle).max()
-        return cloud.origin + middle, float(reach) * (1 + 1e-6), radius
-
-    return store.lookup(Key(Kind.BALL_AND_RADIUS, points.key), look)
+    return store.lookup(Key(Kind.BALL_AND_RADIUS, points.key), lambda: cloud_ball(points.cloud))
 
 
 def typical_diameter(points: PointSet, view_from_object: np.ndarray, camera: Camera, store: Store) -> np.ndarray:

@@ -10,24 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.light.lighting import in_rows
+from ...core.light.light_table import sorted_by_kind
 from ...core.lod.hierarchy import build
 from ...core.lod.levels import make_levels
 from ...core.numeric.linear import all_finite, largest_singular_value
+from ...core.scene.bounds import box_corners
 from ...core.scene.cloud import PointCloud
 from ...core.scene.lights import Light
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
 from ...core.shadow import builder
-from ...core.shadow.floor import (
-    FLATNESS,
-    box_corners,
-    light_is_above,
-    lowest_box_height,
-    lowest_height,
-    plane_of_mesh,
-)
+from ...core.shadow.floor import FLATNESS, light_is_above, lowest_box_height, lowest_height, plane_of_mesh
 from ...core.shadow.grid import NARROW_ANGLE, rotation_to
 from ...core.shadow.samples import (
     MeshExtents,
@@ -128,7 +122,7 @@ def cast(
     matter = Key(Kind.CASTERS, hashed(look), other=settings.shadow_resolution)
     # Cells are as wide as they would be if floors cast, so that shadows on these do not move with what stands there.
     around = [_outer(c, store) for c, floor in zip(casters, floors, strict=True) if floor]
-    lights = in_rows(scene.lights)
+    lights = sorted_by_kind(scene.lights)
     keys = tuple(_key(light) if light.shadow else None for light in lights)
 
     every = Key(Kind.SHADOW_TABLES, matter, other=keys)
@@ -149,7 +143,7 @@ def cast(
                     batches.extend(_batches(scene, casters, spacing, store, check))
                     strands.extend(_pieces(casters, spacing, store))
                 try:
-                    every = [*batches, *(one.toward(light) for one in strands)]
+                    every = [*batches, *(one.casters_toward(light) for one in strands)]
                     return builder.build_table(light, every, settings.shadow_resolution, around)
                 except ValueError as error:
                     warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")

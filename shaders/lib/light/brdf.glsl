@@ -1,5 +1,5 @@
 // The Principled BSDF without coat, sheen, transmission and subsurface: GGX with multiple scattering over Lambert.
-// Reference and sources: core/light/lighting.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
+// Reference and sources: core/light/bsdf.py. Reads ps_lights (rows 0 .. PS_TABLE_ROWS: the reflectance table).
 // PS_HAS_METAL: something is metallic. PS_ONE_SURFACE: nothing is, and roughness and eta are those of the whole scene.
 
 #define PS_PI 3.14159265358979

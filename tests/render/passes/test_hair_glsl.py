@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.light import hair, lighting
-from pointsplat_addon.core.light.hair import Fibre
+from pointsplat_addon.core.light import hair, light_table
 from pointsplat_addon.core.scene.strands import Strands
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.shading.interface import Interface
 from scripts.scenes.drawing import opengl
+from tests.reference import hair_lighting
+from tests.reference.hair_lighting import Fibre
 
 moderngl = pytest.importorskip("moderngl")
 COUNT = 4096
@@ -45,9 +46,9 @@ def on_device(inputs: dict, used: bool, world: np.ndarray | None = None) -> np.n
     rows[3, :, 3], rows[4, :, 0], rows[4, :, 1] = inputs["roughness"], inputs["metallic"], inputs["eta"]
     if used:
         names = ("radial", "coat", "tilt", "lobes", "escape")
-        rows[5] = hair.texel(np.ones(COUNT, bool), *(inputs[name] for name in names))
+        rows[5] = hair.hair_texels(np.ones(COUNT, bool), *(inputs[name] for name in names))
     textures = {"rows": device.texture((COUNT, 6), "RGBA32F", rows)}
-    data = lighting.light_texture([], World(np.zeros(3) if world is None else world), np.eye(4))
+    data = light_table.light_texture([], World(np.zeros(3) if world is None else world), np.eye(4))
     textures["ps_lights"] = device.texture((data.shape[1], data.shape[0]), "RGBA32F", data)
     interface = Interface("hair test", fragment=FRAGMENT, samplers=tuple(("FLOAT_2D", name) for name in textures),
                           outputs=(("vec4", "color"),))  # fmt: skip
@@ -72,14 +73,16 @@ def agree(got: np.ndarray, want: np.ndarray, bound: float) -> None:
 
 def test_hair_equals_reference(inputs):
     got = on_device(inputs, used=True)
-    want = hair.scattered(inputs["tangent"], inputs["direction"], inputs["to_eye"], fibre_of(inputs), inputs["spread"])
+    want = hair_lighting.scattered_radiance(
+        inputs["tangent"], inputs["direction"], inputs["to_eye"], fibre_of(inputs), inputs["spread"]
+    )
     agree(got, want, 1e-3)
 
 
 def test_cylinders_of_other_materials_equal_reference(inputs):
     got = on_device(inputs, used=False)
     names = ("tangent", "direction", "to_eye", "base", "roughness", "metallic", "eta", "spread")
-    agree(got, hair.cylinder(*(inputs[name] for name in names)), 1e-3)
+    agree(got, hair_lighting.cylinder_radiance(*(inputs[name] for name in names)), 1e-3)
 
 
 def sphere(count: int) -> np.ndarray:
@@ -105,7 +108,7 @@ def test_a_white_strand_scatters_all_that_it_receives(sine, radial, escape):
     white = Fibre(np.ones((1, 3)), np.array([0.3]), np.array([radial]), 1.55, 0.035, escape=escape)
 
     def scatter(tangent, directions, eye):
-        return hair.scattered(tangent, directions, eye, white)
+        return hair_lighting.scattered_radiance(tangent, directions, eye, white)
 
     assert np.abs(received(to_eye, scatter) - 1).max() < 2e-3  # measured 1e-3
 
@@ -115,7 +118,7 @@ def test_a_white_strand_scatters_all_that_it_receives(sine, radial, escape):
 def test_a_white_cylinder_scatters_no_more_than_it_receives(roughness, metallic):
     def scatter(tangent, directions, eye):
         one = np.ones(len(tangent))
-        return hair.cylinder(
+        return hair_lighting.cylinder_radiance(
             tangent, directions, eye, np.ones((len(tangent), 3)), roughness * one, metallic * one, 1.5 * one
         )
 
@@ -129,7 +132,7 @@ def test_in_a_uniform_world_strands_are_their_energy(inputs):
     world = np.array([1.0, 0.5, 2.0])
     got = on_device(inputs, True, world)[0]
     sine = np.einsum("nc,nc->n", inputs["tangent"], inputs["to_eye"]).astype(float)
-    want = world * hair.in_uniform_light(fibre_of(inputs), sine)
+    want = world * hair_lighting.radiance_in_uniform_light(fibre_of(inputs), sine)
     assert np.abs(got - want).max() < 1e-4  # measured 2e-5
     assert (got <= world * (1 + 1e-5)).all()
 
@@ -137,9 +140,11 @@ def test_in_a_uniform_world_strands_are_their_energy(inputs):
 def test_light_from_behind_shines_through_and_dark_hair_keeps_only_its_gloss():
     eye, tangent = np.array([[1.0, 0, 0]]), np.array([[0.0, 0, 1]])
     blond, black = (Fibre(np.full((1, 3), c), np.array([0.3]), np.array([0.3]), 1.55, 0.0) for c in (0.8, 1e-4))
-    behind, before = (hair.scattered(tangent, np.array([[x, 0.05, 0]]), eye, blond)[1].max() for x in (-1.0, 1.0))
+    behind, before = (
+        hair_lighting.scattered_radiance(tangent, np.array([[x, 0.05, 0]]), eye, blond)[1].max() for x in (-1.0, 1.0)
+    )
     assert behind > 2 * before
-    reflected, rest = hair.scattered(tangent, eye, eye, black)
+    reflected, rest = hair_lighting.scattered_radiance(tangent, eye, eye, black)
     assert rest.max() < 0.05 * reflected.max()
 
 
@@ -149,8 +154,8 @@ def test_the_diffuse_part_of_a_cylinder_is_the_mean_of_lamberts_over_its_width()
     rng = np.random.default_rng(2)
     for direction in unit(rng, 50):
         mean = np.maximum(normal @ direction, 0).mean()
-        theta, _, phi = hair._angles(np.array([[0.0, 0, 1]]), direction[None], np.array([[1.0, 0, 0]]))
-        assert abs(hair.cylinder_cosine(theta, phi)[0] - mean) < 1e-4  # measured 3e-6
+        theta, _, phi = hair_lighting.angles(np.array([[0.0, 0, 1]]), direction[None], np.array([[1.0, 0, 0]]))
+        assert abs(hair_lighting.cylinder_cosine(theta, phi)[0] - mean) < 1e-4  # measured 3e-6
 
 
 def square_of_light(cells: int, side: float, height: float, beside: float) -> tuple[np.ndarray, np.ndarray]:
@@ -174,9 +179,9 @@ def test_light_of_a_wide_square_is_nearer_to_its_parts_than_to_its_middle(kind, 
         toward = np.tile(direction, (300, 1))
         if "hair" in kind:
             fibre = Fibre(color, (0.15 if "smooth" in kind else 0.3) * one, 0.3 * one, 1.55, 0.035)
-            return hair.scattered(tangent, toward, to_eye, fibre, spread).sum(axis=0)
+            return hair_lighting.scattered_radiance(tangent, toward, to_eye, fibre, spread).sum(axis=0)
         metallic, roughness = (1.0, 0.3) if kind == "metal" else (0.0, 1.0)
-        return hair.cylinder(
+        return hair_lighting.cylinder_radiance(
             tangent, toward, to_eye, color, roughness * one, metallic * one, 1.5 * one, spread
         ).sum(axis=0)  # fmt: skip
 
@@ -195,7 +200,7 @@ def test_light_of_a_wide_square_is_nearer_to_its_parts_than_to_its_middle(kind, 
 def test_hair_of_an_endless_mass_has_nearly_its_colour_and_a_single_one_hardly_any(color):
     def seen(escape: float) -> np.ndarray:
         fibre = Fibre(np.array([color]), np.array([0.3]), np.array([0.3]), 1.55, 0.0, escape=escape)
-        return hair.in_uniform_light(fibre, np.array([0.2]))[0]
+        return hair_lighting.radiance_in_uniform_light(fibre, np.array([0.2]))[0]
 
     # Measured 0.033, 0.118 and 0.026.
     assert np.abs(seen(hair.LEAST_ESCAPE) - color).max() < 0.13
@@ -213,8 +218,8 @@ def test_lines_of_sight_through_a_ball_of_strands_are_counted():
     lines = Strands("ball", "ball", points, np.arange(0, 8001, 2), np.full(8000, 0.005, np.float32))
     # All that they cover over what the ball does: 4000 times 0.01 times 0.1 times pi / 4, over pi.
     assert (
-        abs(hair.crossed(lines) / (4000 * 0.01 * 0.1 / 4) - 1) < 0.04
+        abs(hair.strands_crossed(lines) / (4000 * 0.01 * 0.1 / 4) - 1) < 0.04
     )  # measured 0.030; the box is wider by their length
     bad = Strands("bad", "bad", np.full((2, 3), np.nan, np.float32), np.array([0, 2]), np.ones(2, np.float32))
-    assert hair.crossed(bad) == 0
-    assert hair.escape(np.array([0.0, 1e9])).tolist() == [1, hair.LEAST_ESCAPE]
+    assert hair.strands_crossed(bad) == 0
+    assert hair.escape_share(np.array([0.0, 1e9])).tolist() == [1, hair.LEAST_ESCAPE]

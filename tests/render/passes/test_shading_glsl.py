@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.light import environment, lighting
+from pointsplat_addon.core.light import bsdf, environment, light_table
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.shading.interface import Interface
+from tests.reference import lighting
 
 moderngl = pytest.importorskip("moderngl")
 COUNT = 4096
@@ -56,7 +57,7 @@ VIEW[:3, 3] = 0.3, -0.2, 0.1
 
 def shade_on_device(device, inputs, lights, world, defines) -> np.ndarray:
     position, normal, to_eye, surface = inputs
-    eta = lighting.relative_index(surface.ior, surface.specular)
+    eta = bsdf.relative_index(surface.ior, surface.specular)
     rotation = VIEW[:3, :3].T
     rows = np.zeros((6, COUNT, 4), np.float32)
     rows[0, :, :3] = position @ rotation + VIEW[:3, 3]
@@ -66,7 +67,7 @@ def shade_on_device(device, inputs, lights, world, defines) -> np.ndarray:
     rows[5, :, 0] = eta
     textures = {"rows": device.texture((COUNT, 6), "RGBA32F", rows)}
     if defines:
-        data = lighting.light_texture(lights, world, VIEW, surface.roughness[0], eta[0])
+        data = light_table.light_texture(lights, world, VIEW, surface.roughness[0], eta[0])
         textures["ps_lights"] = device.texture(data.shape[1::-1], "RGBA32F", data)
     if "PS_HAS_ENVIRONMENT" in defines:
         atlas = environment.build_atlas(world.image)
@@ -134,13 +135,13 @@ def test_dielectrics_of_one_kind_equal_reference(device, inputs, name):
     *seen, surface = inputs
     plain = replace(surface, **{name: np.full(COUNT, value) for name, value in ONE_SURFACE.items()})
     lights = [LIGHTS.get(name) or replace(POINT, kind="SUN", radius=0.005)]
-    defines = [*lighting.light_names(lights, 0.4), "PS_ONE_SURFACE", "PS_HAS_WORLD"]
+    defines = [*light_table.light_names(lights, 0.4), "PS_ONE_SURFACE", "PS_HAS_WORLD"]
     assert "PS_HAS_WIDE_LIGHTS" not in defines
     compare(device, (*seen, plain), lights, World(color=np.full(3, 0.5)), defines)
 
 
 def names(lights, inputs):
-    return [*lighting.light_names(lights, inputs[3].roughness.min()), "PS_HAS_METAL"]
+    return [*light_table.light_names(lights, inputs[3].roughness.min()), "PS_HAS_METAL"]
 
 
 def test_all_lights_and_colour_world_equal_reference(device, inputs):

@@ -3,9 +3,12 @@
 docs/notes/leave_out.md holds the exact lists; `python -m tests.support.leave_out.tables --write-docs` rewrites them.
 """
 
+import re
+
 import numpy as np
 import pytest
 
+from pointsplat_addon.render.passes.uniforms import CAMERA_FIELDS
 from pointsplat_addon.render.plan.reasons import PASSES
 from scripts.scenes import drawing, solid_cases
 from scripts.scenes.store import STORE
@@ -165,6 +168,16 @@ def test_programs_declare_only_what_their_code_names(name):
         for kind in (interface.samplers, interface.outputs, interface.images):
             assert {declared for _, declared in kind} <= known, interface.name
         assert {declared for _, _, declared in interface.varyings} <= known, interface.name
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_uniform_blocks_hold_only_what_their_code_names(name):
+    """The camera's fields come together; functions of lib/geometry/camera.glsl that a program does not call name some."""
+    camera = {declared for _, declared in CAMERA_FIELDS}
+    for interface in found(name).device.interfaces:
+        declared = {field for _, field in interface.block.fields} if interface.block else set()
+        values = {word for _, value in interface.defines for word in re.findall(r"\w+", value)}
+        assert declared - (camera if camera <= declared else set()) <= words(interface) | values, interface.name
 
 
 @pytest.mark.parametrize("name", ROWS)

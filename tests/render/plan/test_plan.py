@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.light.lighting import FIRST_LIGHT, KINDS, WIDTH
+from pointsplat_addon.core.light.bsdf import WIDTH
+from pointsplat_addon.core.light.light_shapes import KINDS
+from pointsplat_addon.core.light.light_table import FIRST_LIGHT
 from pointsplat_addon.core.material.graph import MaterialGraph
 from pointsplat_addon.core.material.nodes import color_nodes, input_nodes
 from pointsplat_addon.core.scene.world import World

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.light import lighting
+from pointsplat_addon.core.light import light_shapes
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
@@ -18,6 +18,7 @@ from pointsplat_addon.render.shadow import shadows
 from scripts.scenes import build, cameras, cases, clouds, drawing, lit_cases, solid_cases
 from scripts.scenes.case import Case
 from scripts.scenes.store import STORE
+from tests.reference import lighting
 
 KINDS = ("SUN", "POINT", "SPOT", "AREA")
 COMBINED = frozenset({"combined"})
@@ -58,7 +59,7 @@ def test_no_light_adds_more_than_its_bound(kind):
         centre, radius = drawn_ball(case.scene, prepared, STORE)
         middle = np.linalg.inv(case.camera.view_from_world)[:3] @ np.append(centre, 1)
         nearest = max(float(np.linalg.norm(light.position - middle)) - radius, 0.0)
-        bound = reflection(case.scene, prepared, STORE).of(light, lighting.light_irradiance(light, nearest))
+        bound = reflection(case.scene, prepared, STORE).of(light, light_shapes.irradiance_bound(light, nearest))
         position, normal = clouds.sphere_points(200), rng.standard_normal((200, 3))
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         to_light = np.where(kind == "SUN", -light.direction, light.position - position)
@@ -122,7 +123,7 @@ def test_many_faint_lamps_are_left_out_only_as_long_as_all_of_them_are_faint(mon
 
 
 def test_a_lamp_that_is_off_has_no_table_of_shadows(monkeypatch):
-    monkeypatch.setattr(shadows.shadow, "build", lambda *_: pytest.fail("a table was built"))
+    monkeypatch.setattr(shadows.builder, "build_table", lambda *_: pytest.fail("a table was built"))
     result = drawing.render(with_lights(replace(build.sun(), color=np.zeros(3))), COMBINED)
     assert why(result)["lights"].startswith("1 of 1")
 

@@ -9,6 +9,7 @@ from pointsplat_addon.core.lod.cost import DEFAULT
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.validation import validate
 from pointsplat_addon.core.scene.volume import Transfer, Volume
 from pointsplat_addon.render.cache.keys import Key, Kind
 from pointsplat_addon.render.cache.store import Store
@@ -22,7 +23,8 @@ from scripts.scenes.meshes import cube_mesh, flat_mesh, sphere_mesh
 
 
 def prepared(case, store=None, samples=1, costs=DEFAULT):
-    return prepare(case.scene, case.camera, case.settings, samples, Store() if store is None else store, costs=costs)
+    scene, camera = validate(case.scene, case.camera)
+    return prepare(scene, camera, case.settings, samples, Store() if store is None else store, costs=costs)
 
 
 def at_distance(case, distance):
@@ -134,7 +136,8 @@ def test_an_instance_at_infinity_is_left_out():
 
 
 def test_what_is_dropped_is_said_once_with_the_objects_name():
-    warnings = prepared(CASES["not_finite"]()).warnings
+    case = CASES["not_finite"]()
+    warnings = validate(case.scene, case.camera)[0].warnings
     assert len(warnings) == 2
     assert warnings[0].startswith("broken sphere: 50 points")
     assert warnings[1].startswith("broken cube: 6 triangles")

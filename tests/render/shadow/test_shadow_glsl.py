@@ -9,7 +9,7 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
 from pointsplat_addon.render.shadow import pages
 from pointsplat_addon.shading.interface import Interface
-from tests.reference.shadow import transmittance
+from scripts.common.shadow_truth import transmittance
 
 moderngl = pytest.importorskip("moderngl")
 COUNT = 1024

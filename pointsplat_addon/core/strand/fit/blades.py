@@ -26,8 +26,8 @@ def fit_blades(flat: FlatParts, taken: np.ndarray) -> PartStrands:
 
     points, radius, normal = (np.zeros((count, BLADE_POINTS, *more)) for more in ((3,), (), (3,)))
     filled = np.zeros((2, count))
-    for k, place in enumerate(np.linspace(0, 1, BLADE_POINTS)):
-        measured = np.clip(place, END_MARGIN, 1 - END_MARGIN) + NUDGE
+    for k, fraction in enumerate(np.linspace(0, 1, BLADE_POINTS)):
+        measured = np.clip(fraction, END_MARGIN, 1 - END_MARGIN) + NUDGE
         above = height - (low + measured * (high - low))[own][:, None]
         ahead = np.roll(above, -1, axis=1)
         crosses = (above < 0) != (ahead < 0)
@@ -46,8 +46,8 @@ def fit_blades(flat: FlatParts, taken: np.ndarray) -> PartStrands:
         normal[:, k] = flat.total(weight * flat.facing)
         radius[:, k] = width / 2
         # To the very ends, along the axis
-        if measured - NUDGE != place:
-            points[:, k] += (place - measured + NUDGE) * (high - low)[:, None] * flat.axes[:, 0]
+        if measured - NUDGE != fraction:
+            points[:, k] += (fraction - measured + NUDGE) * (high - low)[:, None] * flat.axes[:, 0]
         least, most = np.full(count, np.inf), np.full(count, -np.inf)
         np.minimum.at(least, own[cut], side.min(axis=1)[cut])
         np.maximum.at(most, own[cut], side.max(axis=1)[cut])

@@ -15,7 +15,7 @@ CURLED_RATIO = 0.1  # a leaf's variance across its plane over that of its narrow
 
 @dataclass(frozen=True, eq=False)
 class FlatParts:
-    """Flat parts, C of them, and the T triangles of the side of each that counts."""
+    """C flat parts, and the T triangles of one side of each."""
 
     part: np.ndarray  # (C,) int64: the mesh's
     own: np.ndarray  # (T,) int64: rows of parts
@@ -30,11 +30,11 @@ class FlatParts:
     vertices: np.ndarray  # (C,) int64: how many the part has, those of the other side as well
 
     def total(self, values: np.ndarray) -> np.ndarray:
-        """(C, ...) sums over each part of what its triangles (T, ...) have."""
+        """(C, ...) sums over each part of values (T, ...) of its triangles."""
         return sums_by_row(self.own, values, len(self.part))
 
     def only(self, rows: np.ndarray) -> FlatParts:
-        """Those parts that `rows` (C,) bool chooses."""
+        """The parts that `rows` (C,) bool selects."""
         new, kept = np.cumsum(rows) - 1, rows[self.own]
         return FlatParts(
             self.part[rows], new[self.own[kept]], self.vertex[kept], self.corner[kept], self.height[kept],
@@ -44,8 +44,8 @@ class FlatParts:
 
 
 def find_flat_parts(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, other: np.ndarray) -> FlatParts:
-    """Parts of 5 to LEAF triangles among `other` (B,) that are thin. Of parts with two sides, as thin closed ones have,
-    one counts."""
+    """The thin parts of 5 to MOST_TRIANGLES triangles among `other` (B,) bool. Of parts with two sides, such as thin
+    closed ones, one side is taken."""
     count = len(other)
     many = np.bincount(part, minlength=count)
     chosen = np.flatnonzero(other & (many > 4) & (many <= MOST_TRIANGLES))

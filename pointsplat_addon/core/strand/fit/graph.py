@@ -8,7 +8,7 @@ MOST_RINGS = 4096
 
 
 def connected_parts(triangles: np.ndarray, vertices: int) -> np.ndarray:
-    """(V,) int64: the lowest vertex that triangles (T, 3) connect each one with."""
+    """(V,) int64: for each vertex, the lowest vertex of the part that triangles (T, 3) connect it to."""
     label = np.arange(vertices)
     while True:
         lowest = label[triangles].min(axis=1)
@@ -21,14 +21,14 @@ def connected_parts(triangles: np.ndarray, vertices: int) -> np.ndarray:
 
 
 def mesh_edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges (E, 2) with their lower vertex first, how many triangles have each, and (T, 3) rows of the triangles'."""
+    """Edges (E, 2), lower vertex first; (E,) the number of triangles at each; (T, 3) the edges of each triangle."""
     pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, row, number = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
     return edges, number, row.reshape(-1, 3)
 
 
 def edge_steps(edges: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """(V,) steps along edges (E, 2) from the vertices that are `first` (V,); -1 where none lead."""
+    """(V,) int64: fewest steps along edges (E, 2) from the vertices `first` (V,) bool; -1 for unreachable ones."""
     level, (a, b) = np.where(first, 0, -1), edges.T
     for ring in range(1, MOST_RINGS):
         reached = np.concatenate(
@@ -41,7 +41,8 @@ def edge_steps(edges: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def path_lengths(position: np.ndarray, edges: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """(V,) lengths of the shortest ways along edges from the vertices that are `first`; 0 where none lead."""
+    """(V,) float64: lengths of the shortest paths along edges (E, 2) from the vertices `first` (V,) bool; 0 for
+    unreachable ones."""
     length = np.linalg.norm(position[edges[:, 0]] - position[edges[:, 1]], axis=1)
     way = np.where(first, 0.0, np.inf)
     for _ in range(MOST_RINGS):
@@ -55,5 +56,5 @@ def path_lengths(position: np.ndarray, edges: np.ndarray, first: np.ndarray) -> 
 
 
 def connected_by_edges(edges: np.ndarray, vertices: int) -> np.ndarray:
-    """(V,) the lowest vertex that edges (E, 2) connect each one with."""
+    """(V,) int64: for each vertex, the lowest vertex that edges (E, 2) connect it to."""
     return connected_parts(np.column_stack([edges, edges[:, :1]]), vertices) if len(edges) else np.arange(vertices)

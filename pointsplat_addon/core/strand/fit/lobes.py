@@ -18,20 +18,20 @@ EDGE_SAMPLES = 4  # along an edge of a triangle whose area is shared out
 
 @dataclass(frozen=True, eq=False)
 class _SurfaceSamples:
-    """N places all over flat parts. Coordinates are along the parts' two axes and across them, from the hubs."""
+    """N samples all over flat parts. Coordinates are along the parts' two axes and across them, from the hubs."""
 
     own: np.ndarray  # (N,) int64: rows of parts
-    place: np.ndarray  # (N, 3) float64
+    position: np.ndarray  # (N, 3) float64
     area: np.ndarray  # (N,) float64: each one's share
     facing: np.ndarray  # (N, 3) float64, unit normals
 
     def at(self, rows: np.ndarray) -> _SurfaceSamples:
-        return _SurfaceSamples(self.own[rows], self.place[rows], self.area[rows], self.facing[rows])
+        return _SurfaceSamples(self.own[rows], self.position[rows], self.area[rows], self.facing[rows])
 
 
 def fit_lobes(flat: FlatParts) -> PartStrands:
-    """Ribbons of two points for parts whose lobes stand out from a hub: one for each lobe, and one for all between
-    them. They are taken where they need fewer points than the part has vertices."""
+    """Ribbons of two points for flat parts with lobes about a hub: one for each lobe and one for what lies between
+    them, if they need fewer points than the part has vertices."""
     if len(flat.part) == 0:
         return no_strands()
     hub = find_hubs(flat)
@@ -43,11 +43,11 @@ def fit_lobes(flat: FlatParts) -> PartStrands:
         return no_strands()
     flat, hub, lobe, number = (flat.only(fits), *(a[fits] for a in (hub, lobe, number)))
     count, most = len(number), int(number.max())
-    places = _sample_flat_parts(flat, hub)
-    ends, radius, normal, beyond = _fit_triangles(places, _farthest_corners(flat, hub, lobe, most), lobe)
-    middle = _fit_rectangles(places.at(~beyond), count)
+    samples = _sample_flat_parts(flat, hub)
+    ends, radius, normal, beyond = _fit_triangles(samples, _farthest_corners(flat, hub, lobe, most), lobe)
+    middle = _fit_rectangles(samples.at(~beyond), count)
 
-    # Lobe by lobe, what lies between them last
+    # Lobe by lobe; the ribbon between them comes last
     kept = np.arange(most + 1) < number[:, None]
     kept[:, most] = True
     points, radius, normal = (
@@ -88,29 +88,29 @@ def _farthest_corners(flat: FlatParts, hub: np.ndarray, lobe: np.ndarray, most: 
 
 
 def _fit_triangles(
-    places: _SurfaceSamples, tip: np.ndarray, lobe: np.ndarray
+    samples: _SurfaceSamples, tip: np.ndarray, lobe: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Of L lobes of each of C parts a triangle from where it is widest, which is where most of its area lies, to its
     tip (C L, 2): of the area that lies beyond, and beside the middle of that. Points (C L, 2, 3), half widths (C L, 2),
-    normals (C L, 3) of any length, and which places (N,) bool lie beyond."""
+    normals (C L, 3) of any length, and which samples (N,) bool lie beyond."""
     lobes = len(tip)
-    group = places.own * (lobes // len(lobe)) + lobe[places.own, direction_bin(places.place)]
+    group = samples.own * (lobes // len(lobe)) + lobe[samples.own, direction_bin(samples.position)]
     reach = np.linalg.norm(tip, axis=1)
     ahead = tip / reach[:, None]
     aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    along = np.einsum("ni,ni->n", places.place[:, :2], ahead[group])
+    along = np.einsum("ni,ni->n", samples.position[:, :2], ahead[group])
     step = np.floor(PROFILE_STEPS * along / reach[group]).astype(np.int64)
     inner = (step >= 0) & (step < PROFILE_STEPS - 1)
-    profile = np.bincount((group * PROFILE_STEPS + step)[inner], places.area[inner], lobes * PROFILE_STEPS).reshape(
+    profile = np.bincount((group * PROFILE_STEPS + step)[inner], samples.area[inner], lobes * PROFILE_STEPS).reshape(
         -1, PROFILE_STEPS
     )
     base = profile.argmax(axis=1) * reach / PROFILE_STEPS
     beyond = along >= base[group]
 
-    own, along, there = group[beyond], along[beyond], places.at(beyond)
+    own, along, there = group[beyond], along[beyond], samples.at(beyond)
     total = np.bincount(own, there.area, lobes)
-    rise, slope = _weighted_line(own, along, there.place[:, 2], there.area, lobes)
-    off = np.einsum("ni,ni->n", there.place[:, :2], aside[own])
+    rise, slope = _weighted_line(own, along, there.position[:, 2], there.area, lobes)
+    off = np.einsum("ni,ni->n", there.position[:, :2], aside[own])
     # The middle of a triangle lies a third of the way from its base to its tip
     off = 1.5 * np.bincount(own, there.area * off, lobes) / np.maximum(total, 1e-300)
     ends = np.zeros((lobes, 2, 3))
@@ -121,22 +121,22 @@ def _fit_triangles(
     return ends, radius, sums_by_row(own, there.area[:, None] * there.facing, lobes), beyond
 
 
-def _fit_rectangles(places: _SurfaceSamples, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each part's places a rectangle of their area, and of their variance along their longer axis: points
+def _fit_rectangles(samples: _SurfaceSamples, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each part's samples a rectangle of their area, and of their variance along their longer axis: points
     (C, 2, 3), half widths (C, 2) and normals (C, 3) of any length."""
-    own, area = places.own, places.area
+    own, area = samples.own, samples.area
     whole = np.maximum(np.bincount(own, area, count), 1e-300)
-    middle = sums_by_row(own, area[:, None] * places.place, count) / whole[:, None]
-    off = (places.place - middle[own])[:, :2]
+    middle = sums_by_row(own, area[:, None] * samples.position, count) / whole[:, None]
+    off = (samples.position - middle[own])[:, :2]
     moments = sums_by_row(own, area[:, None, None] * off[:, :, None] * off[:, None], count) / whole[:, None, None]
     variance, axes = np.linalg.eigh(moments)
     half = np.sqrt(3 * np.maximum(variance[:, 1], 1e-300))
-    rise, slope = _weighted_line(own, np.einsum("ni,ni->n", off, axes[own, :, 1]), places.place[:, 2], area, count)
+    rise, slope = _weighted_line(own, np.einsum("ni,ni->n", off, axes[own, :, 1]), samples.position[:, 2], area, count)
     to = half[:, None] * np.array([-1.0, 1.0])
     flat = middle[:, None, :2] + to[..., None] * axes[:, None, :, 1]
     ends = np.concatenate([flat, (rise[:, None] + slope[:, None] * to)[..., None]], axis=2)
     radius = np.repeat((whole / (4 * half))[:, None], 2, axis=1)
-    return ends, radius, sums_by_row(own, area[:, None] * places.facing, count)
+    return ends, radius, sums_by_row(own, area[:, None] * samples.facing, count)
 
 
 def _barycentric(steps: int) -> np.ndarray:
@@ -150,7 +150,7 @@ def _barycentric(steps: int) -> np.ndarray:
 def _weighted_line(
     own: np.ndarray, x: np.ndarray, y: np.ndarray, weight: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(count,) heights at 0 and slopes of the lines that are nearest to places (N,) of each row by least squares."""
+    """(count,) heights at 0 and slopes of the lines that are nearest to samples (N,) of each row by least squares."""
     w, wx, wy, wxx, wxy = (np.bincount(own, weight * v, count) for v in (np.ones_like(x), x, y, x * x, x * y))
     w = np.maximum(w, 1e-300)
     variance = wxx / w - (wx / w) ** 2

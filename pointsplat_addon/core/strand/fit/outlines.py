@@ -10,9 +10,9 @@ DIRECTIONS = 128  # about a hub, in which lobes are looked for
 LEVELS = np.linspace(0.3, 0.8, 11)  # of the farthest tip: distances at which lobes may stand apart
 
 
-def direction_bin(place: np.ndarray) -> np.ndarray:
-    """(...) int64: which direction places (..., 2) lie in."""
-    turn = np.arctan2(place[..., 1], place[..., 0]) * DIRECTIONS / (2 * np.pi)
+def direction_bin(position: np.ndarray) -> np.ndarray:
+    """(...) int64: the direction from the hub, of DIRECTIONS, that positions (..., 2) lie in."""
+    turn = np.arctan2(position[..., 1], position[..., 0]) * DIRECTIONS / (2 * np.pi)
     return np.floor(turn).astype(np.int64) % DIRECTIONS
 
 
@@ -28,22 +28,22 @@ def find_hubs(flat: FlatParts) -> np.ndarray:
 def polar_outlines(flat: FlatParts, hub: np.ndarray) -> np.ndarray:
     """(C, DIRECTIONS) how far the parts reach from their hubs (C, 2) that way; 0 where nothing is."""
     found = np.zeros((DIRECTIONS, len(hub)))
-    place = np.stack([flat.height, flat.sideways], axis=2) - hub[flat.own][:, None]
-    following = np.roll(place, -1, axis=1)
+    position = np.stack([flat.height, flat.sideways], axis=2) - hub[flat.own][:, None]
+    following = np.roll(position, -1, axis=1)
     for k, angle in enumerate((np.arange(DIRECTIONS) + 0.5) * 2 * np.pi / DIRECTIONS):
         c, s = np.cos(angle), np.sin(angle)
-        a, b = (c * p[..., 1] - s * p[..., 0] for p in (place, following))
+        a, b = (c * p[..., 1] - s * p[..., 0] for p in (position, following))
         crosses = (a < 0) != (b < 0)
         t = np.where(crosses, a / np.where(crosses, a - b, 1), 0)
-        reached = c * place[..., 0] + s * place[..., 1]
+        reached = c * position[..., 0] + s * position[..., 1]
         reached += t * (c * following[..., 0] + s * following[..., 1] - reached)
         np.maximum.at(found[k], flat.own, (reached * crosses).max(axis=1))
     return found.T.copy()
 
 
 def split_into_lobes(outline: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The lobes of outlines (C, DIRECTIONS), at the distance at which most stand apart: which one each direction
-    belongs to (C, DIRECTIONS), and how many there are (C,)."""
+    """The lobes of outlines (C, DIRECTIONS), at the distance at which most stand apart: the lobe of each direction (C,
+    DIRECTIONS), and how many there are (C,)."""
     levels = LEVELS[:, None, None] * outline.max(axis=1)[:, None]
     above = outline > levels
     begins = above & ~np.roll(above, 1, axis=2)

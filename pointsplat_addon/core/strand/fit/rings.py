@@ -15,8 +15,8 @@ CAP_FLATNESS = 1e-3  # of a tube's length: how far its end may be from a plane
 
 
 def cap_triangles(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, count: int) -> np.ndarray:
-    """(T,) bool: triangles that close a tube: walls within it, and of long closed parts what lies in the planes of the
-    two triangles that are farthest along the longest axis. Where the part is no tube this means nothing."""
+    """(T,) bool: triangles that close a tube, namely walls within it and, in long closed parts, triangles in the planes
+    of the two triangles that are farthest along the longest axis. Meaningless for parts that are not tubes."""
     _, number, row = mesh_edges(triangles)
     walls = (number[row] > 2).all(axis=1)
     closed = np.ones(count, bool)
@@ -47,6 +47,8 @@ def cap_triangles(position: np.ndarray, triangles: np.ndarray, part: np.ndarray,
 def fit_ring_tubes(
     position: np.ndarray, triangles: np.ndarray, label: np.ndarray, names: np.ndarray, part: np.ndarray
 ) -> PartStrands:
+    """Tubes from parts made of rings of vertices. label (V,): part of each vertex, named by `names` (C,); part (T,):
+    index into them of each triangle."""
     count = len(names)
     owner = np.searchsorted(names, label)  # of vertices; those without triangles are not looked at
     used = np.zeros(len(position), bool)
@@ -55,14 +57,14 @@ def fit_ring_tubes(
     rim = edges[number == 1]
     fits = np.bincount(owner[edges[number > 2, 0]], minlength=count) == 0
 
-    # The loop of open edges with the lowest vertex is where each part begins
+    # Each part begins at its loop of open edges with the lowest vertex
     loop = connected_by_edges(rim, len(position))
     on_rim = np.zeros(len(position), bool)
     on_rim[rim] = True
     begin = np.full(count, len(position))
     np.minimum.at(begin, owner[on_rim], loop[on_rim])
     fits &= begin < len(position)
-    # Rings follow by their distance along edges
+    # Rings are numbered by their distance along edges
     level = edge_steps(edges, on_rim & used & (loop == begin[np.minimum(owner, count - 1)]))
     fits &= np.bincount(owner[used & (level < 0)], minlength=count) == 0
     vertex = np.flatnonzero(used & (level >= 0) & fits[np.minimum(owner, count - 1)])

@@ -20,7 +20,8 @@ def fit_sleeves(
     part: np.ndarray,
     other: np.ndarray,
 ) -> PartStrands:
-    """Tubes from parts with two rims, cut where the share of the way from one to the other is the same."""
+    """Tubes from parts with two rims that are not yet fitted (`other` (C,) bool), cut at equal fractions of the path
+    from one rim to the other."""
     count = len(names)
     owner = np.minimum(np.searchsorted(names, label), count - 1)
     used = np.zeros(len(position), bool)
@@ -31,7 +32,7 @@ def fit_sleeves(
     on_rim = np.zeros(len(position), bool)
     on_rim[rim] = True
     loops = np.unique(loop[on_rim])
-    # A sphere with two holes: its characteristic is 0
+    # A sphere with two holes has the Euler characteristic 0
     euler = np.bincount(owner[used], minlength=count) - np.bincount(owner[edges[:, 0]], minlength=count)
     euler += np.bincount(part, minlength=count)
     fits = other & (euler == 0) & (np.bincount(owner[loops], minlength=count) == 2)

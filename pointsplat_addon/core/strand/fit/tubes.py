@@ -25,9 +25,11 @@ def tubes_from_sections(
     at: np.ndarray,
     thick: float = np.inf,
 ) -> PartStrands:
-    """The tubes among parts that `fits` (C,), from the edges (n, 2, 3) of their sections; `section` (n,) numbers those
-    from start (C + 1,) on. Tips (m, 3) are sections `at` (m,) of one vertex. Those with mean radii beyond `thick` must
-    be ROUND."""
+    """Tubes through the sections of those of C parts that `fits` (C,) selects, where sections and areas allow.
+
+    ends (n, 2, 3): edges of sections; section (n,): the section of each edge; start (C + 1,): the first section of each
+    part; tips (m, 3): sections `at` (m,) of a single vertex. Sections of tubes with mean radii beyond `thick` must be
+    ROUND."""
     count, total = len(fits), int(start[-1])
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     around = np.bincount(section, length, total)

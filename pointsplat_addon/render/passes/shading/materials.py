@@ -1,15 +1,15 @@
 """The material table on the device: four texels for each material.
 
 They hold: base colour, alpha; emission, anisotropy; 1 where back faces are culled, roughness, metallic, the index of
-refraction that stands for IOR and specular level; further parameters of hair (core.light.hair.texel).
+refraction that stands for IOR and specular level; further parameters of hair (core.light.hair.hair_texels).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ....core.light.hair import texel
-from ....core.light.lighting import relative_index
+from ....core.light.bsdf import relative_index
+from ....core.light.hair import hair_texels
 from ....core.scene.materials import MaterialTable
 
 LEAST_SPREAD = 0.99  # of |g|: lobes narrower than this would alias between splats
@@ -24,7 +24,7 @@ def material_rows(table: MaterialTable, escape: np.ndarray) -> np.ndarray:
         rows[:, 1, 3] = np.clip(table.anisotropy, -LEAST_SPREAD, LEAST_SPREAD)
     if table.hair is not None:
         of = table.hair
-        rows[:, 3] = texel(of.used, of.radial, of.coat, of.tilt, of.lobes, escape)
+        rows[:, 3] = hair_texels(of.used, of.radial, of.coat, of.tilt, of.lobes, escape)
     rows[:, 2] = np.stack(
         [table.cull, table.roughness, table.metallic, relative_index(table.ior, table.specular)], axis=1
     )

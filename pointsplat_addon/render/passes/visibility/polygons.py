@@ -5,20 +5,25 @@ from __future__ import annotations
 import numpy as np
 
 from ....core.surface.density import PART
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
-from ..uniforms import CAMERA_FIELDS, SampleView, block
+from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
 from .polygon_mesh import CORNERS, Group, PartList, PolygonMesh
 
-POLYGONS = block("Polygons", CAMERA_FIELDS, (
-    ("mat4", "view_from_object"),
-    ("int", "mirrored"),  # 1 where the transform turns triangles over
-    ("int", "first"),  # corner of the group
-    ("int", "material"),
-    ("int", "holdout"),  # 0 or 1
-    ("int", "instance"),
-))  # fmt: skip
+
+def _block(variant: Variant, group: Group, parted: bool) -> Block:
+    """The uniforms of the program that draws a group, or some of its parts."""
+    own: Fields = (
+        ("mat4", "view_from_object"),
+        ("int", "material"),
+        ("int", "holdout"),  # 0 or 1
+    )
+    mirrored: Fields = (("int", "mirrored"),)  # 1 where the transform turns triangles over
+    first: Fields = (("int", "first"),)  # corner of the group
+    instance: Fields = (("int", "instance"),)
+    further = ((mirrored, group.cull), (first, not parted), (instance, variant.owner))
+    return block("Polygons", CAMERA_FIELDS, own, *(fields for fields, on in further if on))
 
 
 def _needed(variant: Variant, group: Group) -> tuple[str, ...]:
@@ -59,7 +64,7 @@ def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
         "polygons",
         vertex="visibility/polygon.vert",
         fragment="visibility/polygon.frag",
-        block=POLYGONS,
+        block=_block(variant, group, parted),
         samplers=tuple(samplers),
         varyings=tuple(varyings),
         outputs=variant.front_outputs,
@@ -91,11 +96,12 @@ def draw(
         textures = {**shared, **mesh.textures, **group.textures}
         if some is not None:
             textures["ps_parts"] = some.texture
+        drawn = program(variant, group, some is not None)
         device.draw(
-            program(variant, group, some is not None),
+            drawn,
             out.target,
-            uniforms=view.record(
-                POLYGONS,
+            uniforms=view.record_of(
+                drawn.block,
                 view_from_object=matrix,
                 mirrored=mirrored,
                 first=group.first,

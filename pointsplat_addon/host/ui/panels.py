@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import bpy
 
-from ..render.passes.outputs import PASSES
+from ...render.passes.outputs import PASSES
+from ..convert.mesh import is_scattered
 from . import last_render
-from .convert.mesh import is_scattered
 
 ENGINE = "POINTSPLAT"
 DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT", "POINTCLOUD", "VOLUME", "CURVES"}  # objects that are drawn
@@ -32,6 +32,16 @@ INCLUDED = {
     "VIEWLAYER_PT_layer_passes",
     "VIEWLAYER_PT_layer_passes_cryptomatte",
 }
+
+
+def adapts(scene: bpy.types.Scene) -> bool:
+    """Whether adaptive sampling can leave out any sample of the scene's pictures, as far as its settings say.
+
+    The tooltip of the setting gives the reasons."""
+    settings = scene.pointsplat
+    camera = scene.camera
+    through_lens = camera is not None and camera.type == "CAMERA" and camera.data.dof.use_dof
+    return settings.technique != "PAINTER" and not (through_lens and settings.dof_method == "LENS_SAMPLES")
 
 
 class _Panel:
@@ -61,6 +71,7 @@ class POINTSPLAT_RENDER_PT_sampling(_Panel, bpy.types.Panel):
         render.active = settings.budget == "NONE"
         render.prop(settings, "samples", text="Render Samples")
         row = layout.column(heading="Adaptive").row(align=True)
+        row.active = adapts(context.scene)
         row.prop(settings, "use_adaptive_sampling", text="")
         threshold = row.row()
         threshold.active = settings.use_adaptive_sampling
@@ -198,12 +209,14 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             layout.prop(ob.pointsplat, "ribbons")
             self._visibility(ob, layout)
             return
-        layout.prop(ob.pointsplat, "primitive")
-        row = layout.row()
-        row.active = ob.pointsplat.primitive != "POLYGONS"
-        row.prop(ob.pointsplat, "spacing")
-        if ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_scattered(ob.data)):
+        scattered = ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_scattered(ob.data))
+        if scattered:  # points are drawn as they are: nothing is sampled
             layout.prop(ob.pointsplat, "radius")
+        else:
+            layout.prop(ob.pointsplat, "primitive")
+            row = layout.row()
+            row.active = ob.pointsplat.primitive != "POLYGONS"
+            row.prop(ob.pointsplat, "spacing")
         if ob.type in FILLED or len(ob.particle_systems):
             layout.prop(ob.pointsplat, "extinction")
         self._visibility(ob, layout)
@@ -212,7 +225,6 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
         column = layout.column(heading="Visibility")
         column.prop(ob, "visible_camera", text="Camera")
         column.prop(ob, "visible_shadow", text="Shadow")
-        column.prop(ob, "is_shadow_catcher")
 
 
 class POINTSPLAT_OBJECT_PT_transfer(_Panel, bpy.types.Panel):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .properties import TECHNIQUE_ITEMS
+from .labels import TECHNIQUE_ITEMS
 
 REPORT: dict[str, Any] = {}  # of the last final render; empty before the first
 MOST_BARS = 8  # of passes, the longest ones

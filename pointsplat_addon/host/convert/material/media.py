@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 import bpy
 import numpy as np
 
-from ...core.material import expression
-from ...core.material.expression import Expression
-from ...core.material.nodes import color_nodes, input_nodes, math_nodes
-from ...core.scene.volume import Medium
+from ....core.material import expression
+from ....core.material.expression import Expression
+from ....core.material.nodes import color_nodes, input_nodes, math_nodes
+from ....core.scene.volume import Medium
 from .nodes import Path, Reader, UnsupportedNodeError, Walker, default, resolve
 
 

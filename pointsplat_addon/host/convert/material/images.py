@@ -8,7 +8,7 @@ import os
 import bpy
 import numpy as np
 
-from ...core.material.image import Image
+from ....core.material.image import Image
 from ...render.cache.cache import Cache
 from ...render.cache.keys import Key, Kind
 

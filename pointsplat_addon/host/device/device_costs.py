@@ -8,11 +8,11 @@ from dataclasses import asdict
 
 import bpy
 
-from ..core.lod.cost import DEFAULT, Costs
-from ..render.budget.calibrate import calibrate
-from ..render.device.protocol import DeviceError
-from ..render.renderer import Renderer
-from . import preferences
+from ...core.lod.cost import DEFAULT, Costs
+from ...render.budget.calibrate import calibrate
+from ...render.device.protocol import DeviceError
+from ...render.renderer import Renderer
+from ..ui import preferences
 
 LOG = logging.getLogger(__name__)
 KNOWN: dict[str, Costs] = {}  # by Limits.renderer, which holds the version

@@ -1,12 +1,9 @@
-"""Direct light on opaque surfaces in float64: the reference for shaders/lib/*.glsl, and the texture that these read.
+"""Direct light on opaque surfaces in float64: the twin of shaders/lib/light, without shadows.
 
-Surfaces are Blender's Principled BSDF without coat, sheen, transmission and subsurface: a GGX lobe with multiple
-scattering over a Lambert base that receives what the lobe does not reflect. Diffuse light is in closed form, specular
-light of lights with a size in closed form for narrow lobes and a small quadrature for wide ones, so nothing is noisy.
-There are no shadows here.
+Surfaces are Blender's Principled BSDF as in core.light.bsdf. Diffuse light is in closed form, specular light of lights
+with a size in closed form for narrow lobes and by a small quadrature for wide ones, so that nothing is noisy.
 
-References: Walter et al. 2007 (GGX); Heitz 2014 (height-correlated Smith); Kulla and Conty 2017 (multiple scattering);
-Baum, Rushmeier and Winget 1989, equation 5 (polygon form factor); Snyder 1996 (sphere cut by the horizon);
+References: Baum, Rushmeier and Winget 1989, equation 5 (polygon form factor); Snyder 1996 (sphere cut by the horizon);
 Karis 2013 (split sum).
 """
 
@@ -14,38 +11,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
-from ..numeric.vectors import each_block
-from ..scene.lights import Light
-from ..scene.world import World
-from . import environment
+from pointsplat_addon.core.light import environment
+from pointsplat_addon.core.light.bsdf import (
+    MIN_ALPHA,
+    dielectric_reflectance,
+    fresnel_dielectric,
+    multiple_scattering_factor,
+    relative_index,
+    sample_reflectance_table,
+)
+from pointsplat_addon.core.light.light_shapes import area_axes, beam_mean, blend_range, is_narrowed
+from pointsplat_addon.core.light.light_table import SMALL, SMALL_SINE
+from pointsplat_addon.core.numeric.vectors import unit_rows
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.world import World
+from tests.reference import environment_lookup
 
-# ps_lights, (FIRST_LIGHT + lights, WIDTH, 4) float32:
-#   rows 0 .. TABLE_ROWS      reflectance table, see reflectance_table
-#   row TABLE_ROWS            (0) world colour; (1..3) columns of image_from_view; (4) where each kind but the last ends
-#   row SURFACE_ROW           dielectrics of one kind: see surface_row
-#   rows FIRST_LIGHT ..       one light each, sorted by kind, see light_records
-WIDTH = 32
-TABLE_ROWS = 32
-SURFACE_ROW = TABLE_ROWS + 1
-FIRST_LIGHT = TABLE_ROWS + 2
-KINDS = ("SUN", "POINT", "SPOT", "RECTANGLE", "ELLIPSE")
-COLUMNS = 6
 ELLIPSE_SIDES = 24
 SPREAD_CELLS = 8  # to a side: an area light with a narrowed beam is summed over a grid
 BLUR = 0.06  # of a light's angular radius squared, added to alpha^2: found to fit best between seven points
 NARROW = (1.5, 4.0)  # angular radius of a light over the lobe's width, between which narrow-lobe shading sets in
-SMALL = 0.2  # angular radius of a light over the lobe's alpha, below which it is a point: 0.5 % in the peak
-SMALL_SINE = 0.01  # of an angular radius whose cut by the horizon is not seen
 # A quadrature of degree 5 over the unit disk: cosine and sine of the azimuth, radius, weight.
 DISK = (
     (1.0, 0.0, 0.0, 0.25),
     *((np.cos(i * np.pi / 3), np.sin(i * np.pi / 3), np.sqrt(2 / 3), 0.125) for i in range(6)),
 )
-MIN_ALPHA = 1e-3  # float32 on the GPU cannot hold a narrower lobe's peak
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,168 +89,6 @@ def shade(
     return result
 
 
-def fresnel_dielectric(cosine: np.ndarray, eta: np.ndarray) -> np.ndarray:
-    """Unpolarised reflectance of a dielectric of relative index eta at the cosine of the incident angle."""
-    g2 = eta**2 - 1 + cosine**2
-    g = np.sqrt(np.maximum(g2, 0))
-    # eta = 1 at grazing incidence is 0 / 0; the floor makes it 0 reflectance's limit.
-    a = (g - cosine) / np.maximum(g + cosine, 1e-9)
-    b = ((g + cosine) * cosine - 1) / np.maximum((g - cosine) * cosine + 1, 1e-9)
-    return np.where(g2 < 0, 1.0, np.where(eta == 1, 0.0, np.clip(0.5 * a**2 * (1 + b**2), 0, 1)))
-
-
-@cache
-def reflectance_table() -> np.ndarray:
-    """(TABLE_ROWS, WIDTH, 4) float64: what a GGX surface reflects of uniform light, by quadrature.
-
-    Row i is roughness i / (TABLE_ROWS - 1), column j the view cosine (j / (WIDTH - 1))^2. Channels: albedo E with
-    Fresnel 1; the share s of F90 in mean Fresnel F0 (1 - s) + s for Schlick; the same for a dielectric of
-    index 1.5; the mean albedo over the hemisphere, which depends on the row only.
-    """
-    roughness = np.linspace(0, 1, TABLE_ROWS)
-    cosine = np.maximum(np.linspace(0, 1, WIDTH) ** 2, 1e-4)
-    table = np.empty((TABLE_ROWS, WIDTH, 4))
-
-    def fill(rows: slice) -> None:
-        for row, r in zip(table[rows], roughness[rows], strict=True):
-            row[:, :3] = _albedo(np.maximum(r**2, MIN_ALPHA), cosine)
-            flux = row[:, 0] * cosine
-            row[:, 3] = ((flux[1:] + flux[:-1]) * np.diff(cosine)).sum()
-
-    each_block(TABLE_ROWS, fill, 1)
-    table.setflags(write=False)
-    return table
-
-
-@cache
-def most_scattered() -> float:
-    """Bound of multiple over single scattering (Kulla and Conty 2017) of any material: that of a perfect mirror."""
-    return float(1 / reflectance_table()[..., 0].min())
-
-
-def light_irradiance(light: Light, distance: float) -> float:
-    """Bound of the irradiance, W/m2 in the strongest channel, on surfaces no nearer to the lamp's centre than this."""
-    strength = float(np.abs(light.color).max())
-    if strength == 0.0 or light.kind == "SUN":
-        return strength
-    if light.kind != "AREA":
-        squared = distance**2 + light.radius**2 if light.soft else max(distance, light.radius) ** 2
-        return strength / squared if squared > 0 else np.inf
-    u, v = (float(np.linalg.norm(axis)) for axis in _axes(light))
-    away = max(distance - u - v, 0.0)
-    seen = min(np.pi, 4 * u * v / away**2) if away > 0 else np.pi
-    half = light.spread / 2
-    return strength * seen * (float(np.tan(half) / _beam_mean(half)) if _is_narrowed(light) else 1.0)
-
-
-def relative_index(ior: np.ndarray, specular: np.ndarray) -> np.ndarray:
-    """Index of refraction (N,) that stands for Blender's IOR and specular level, which scales F0."""
-    f0 = ((ior - 1) / (ior + 1)) ** 2 * (2 * np.maximum(specular, 0))
-    root = np.sqrt(np.minimum(f0, 0.99))
-    eta = (1 + root) / (1 - root)
-    return np.where(ior < 1, 1 / eta, eta)
-
-
-def light_names(lights: Sequence[Light], roughness: float) -> tuple[str, ...]:
-    """Which parts of shaders/lib/light/lights.glsl the lights need (PS_ names), where no surface is smoother than this."""
-    kinds = {_kind(light) for light in lights}
-    found = {f"PS_HAS_{kind}S": kind in kinds for kind in KINDS}
-    found["PS_ONE_KIND"] = len(kinds) == 1
-    found["PS_HAS_WIDE_LIGHTS"] = any(_is_wide(light, roughness) for light in lights)
-    found["PS_HAS_BEAMS"] = any(light.kind == "AREA" and _is_narrowed(light) for light in lights)
-    return tuple(name for name, needed in found.items() if needed)
-
-
-def in_rows(lights: Sequence[Light]) -> list[Light]:
-    """Lights in the order of their rows: by kind."""
-    return sorted(lights, key=lambda light: KINDS.index(_kind(light)))
-
-
-def light_texture(
-    lights: Sequence[Light], world: World, view_from_world: np.ndarray, roughness: float = 0.5, eta: float = 1.5
-) -> np.ndarray:
-    """Everything that shaders/lib/light/lights.glsl reads from ps_lights: (FIRST_LIGHT + L, WIDTH, 4) float32.
-
-    roughness, eta: of the whole scene, where PS_ONE_SURFACE says that all of it is alike and nothing metallic.
-    """
-    lights = in_rows(lights)
-    texture = np.zeros((FIRST_LIGHT + len(lights), WIDTH, 4), np.float32)
-    texture[:TABLE_ROWS] = reflectance_table()
-    texture[SURFACE_ROW] = surface_row(roughness, eta)
-    kinds = [KINDS.index(_kind(light)) for light in lights]
-    texture[TABLE_ROWS, 4] = np.searchsorted(kinds, np.arange(len(KINDS) - 1), side="right")
-    texture[TABLE_ROWS, 0, :3] = world.color
-    texture[TABLE_ROWS, 1:4, :3] = (world.world_rotation @ view_from_world[:3, :3].T).T  # columns as rows
-    texture[FIRST_LIGHT:, :COLUMNS] = light_records(lights, view_from_world)
-    return texture
-
-
-def surface_row(roughness: float, eta: float) -> np.ndarray:
-    """(WIDTH, 4) float64 of a dielectric, by view cosine as in reflectance_table: reflectance of uniform light,
-    multiple over single scattering; roughness, eta."""
-    cosine = np.maximum(np.linspace(0, 1, WIDTH) ** 2, 1e-4)
-    roughness = np.clip(roughness, 0, 1)
-    albedo, _, share, mean = _table(cosine, np.full(WIDTH, roughness)).T
-    reflected, scale = _dielectric(albedo, share, mean, np.full(WIDTH, eta))
-    return np.stack([reflected, scale, np.full(WIDTH, roughness), np.full(WIDTH, eta)], axis=1)
-
-
-def light_records(lights: Sequence[Light], view_from_world: np.ndarray) -> np.ndarray:
-    """(L, COLUMNS, 4) float32 in view space; what a kind does not name is 0.
-
-    column  xyz                                      w
-    0       color, as in scene.Light                 diffuse factor
-    1       position (SUN: direction to the light)   specular factor
-    2       direction (not SUN)                      SUN: squared sine of half the angle. POINT, SPOT: radius, less
-                                                     than 0 for a sphere. Area: 1 / mean of the beam, 0: not narrowed
-    3       axis_u                                   SPOT: cosine of half the cone. Area: length of axis_u
-    4       axis_v                                   SPOT: 1 / range of the blend's cosines. Area: length of axis_v
-    5       x, area: tangent of half the beam's angle
-    """
-    rotation = view_from_world[:3, :3]
-    records = np.zeros((len(lights), COLUMNS, 4))
-    for record, light in zip(records, lights, strict=True):
-        record[:2, 3] = light.diffuse, light.specular
-        record[0, :3] = light.color
-        if light.kind == "SUN":
-            record[1, :3], record[2, 3] = rotation @ -light.direction, np.sin(min(light.radius, np.pi / 2)) ** 2
-            continue
-        record[1, :3] = rotation @ light.position + view_from_world[:3, 3]
-        record[2] = *(rotation @ light.direction), light.radius if light.soft else -light.radius
-        axes = _axes(light)
-        record[3:5, :3] = axes @ rotation.T
-        if light.kind == "SPOT":
-            record[3:5, 3] = light.spot_cos, 1 / _blend_range(light)
-        if light.kind == "AREA":
-            record[3:5, 3] = np.linalg.norm(axes, axis=1)
-            record[2, 3] = 1 / _beam_mean(light.spread / 2) if _is_narrowed(light) else 0
-            record[5, 0] = np.tan(light.spread / 2) if _is_narrowed(light) else 0
-    return records.astype(np.float32)
-
-
-def _kind(light: Light) -> str:
-    """Of KINDS."""
-    if light.kind != "AREA":
-        return light.kind
-    return "ELLIPSE" if light.ellipse else "RECTANGLE"
-
-
-def _is_wide(light: Light, roughness: float) -> bool:
-    """Whether its size may be seen; that of lamps depends on their distance."""
-    if light.kind != "SUN":
-        return light.kind != "AREA" and light.radius > 0
-    return np.sin(light.radius) >= SMALL_SINE or light.radius >= SMALL * max(roughness**2, MIN_ALPHA)
-
-
-def _blend_range(light: Light) -> float:
-    """Of cosines, within which a spot's cone fades."""
-    return max((1 - light.spot_cos) * light.spot_blend, 1e-6)
-
-
-def _is_narrowed(light: Light) -> bool:
-    return light.spread < np.pi * 0.9999
-
-
 class _Material:
     """What the BSDF needs of (N,) surfaces seen from one direction."""
 
@@ -269,9 +100,11 @@ class _Material:
         self.metal_f0 = np.clip(surface.base, 0, 1)
 
         self.eta = relative_index(surface.ior, surface.specular)
-        albedo, s_metal, s_dielectric, mean = _table(self.cos_eye, np.clip(surface.roughness, 0, 1)).T[:, :, None]
-        self.metal_scale = metallic * _scattered(self.metal_f0 + (1 - self.metal_f0) / 21, albedo, mean)
-        reflected, dielectric_scale = _dielectric(albedo, s_dielectric, mean, self.eta[:, None])
+        albedo, s_metal, s_dielectric, mean = sample_reflectance_table(
+            self.cos_eye, np.clip(surface.roughness, 0, 1)
+        ).T[:, :, None]
+        self.metal_scale = metallic * multiple_scattering_factor(self.metal_f0 + (1 - self.metal_f0) / 21, albedo, mean)
+        reflected, dielectric_scale = dielectric_reflectance(albedo, s_dielectric, mean, self.eta[:, None])
         self.dielectric_scale = (1 - metallic) * dielectric_scale
         self.reflectance = (1 - metallic) * reflected + self.metal_scale * albedo * (
             self.metal_f0 * (1 - s_metal) + s_metal
@@ -298,7 +131,7 @@ class _Material:
     def specular(self, direction: np.ndarray, alpha: np.ndarray | None = None) -> np.ndarray:
         """(N, 3) BSDF of the GGX lobe times n.l for unit directions to the light (N, 3), or of a wider lobe."""
         cos_light = _dot(self.normal, direction)
-        half = _unit(direction + self.to_eye)
+        half = unit_rows(direction + self.to_eye)
         cos_half, cos_between = _dot(self.normal, half), np.clip(_dot(half, direction), 0, 1)
         a2 = (self.alpha if alpha is None else alpha) ** 2
         # |n x h|^2 in place of 1 - (n.h)^2, which cancels in float32.
@@ -348,7 +181,7 @@ def _round_light(
     strength = strength * cone_seen
 
     sigma = np.arcsin(np.sqrt(sine2))
-    side = _unit(material.mirror - _dot(material.mirror, to_light)[:, None] * to_light)
+    side = unit_rows(material.mirror - _dot(material.mirror, to_light)[:, None] * to_light)
     other = np.cross(to_light, side)
     directions = []
     for cosine, sine, radius, _ in DISK:
@@ -443,17 +276,17 @@ def _spot_factors(
 
     By a quadrature of degree 5, the centre and six points.
     """
-    axis_u, axis_v = _axes(light)
+    axis_u, axis_v = area_axes(light)
     # Aligned with the cone, so that turning the scene changes nothing.
     aside = np.abs(to_light @ light.direction) < 0.999
-    u = _unit(np.cross(np.where(aside[:, None], light.direction, axis_u), to_light))
+    u = unit_rows(np.cross(np.where(aside[:, None], light.direction, axis_u), to_light))
     v = np.cross(to_light, u)
     plain, weighted, weights = np.zeros((3, len(position)))
     for cosine, sine, radius, part in DISK:
         ray = position - light.position - light.radius * radius * (cosine * u + sine * v)
         local = np.stack([ray @ axis_u, ray @ axis_v, ray @ light.direction], -1)
         z = local[:, 2] / np.maximum(np.linalg.norm(local, axis=1), 1e-20)
-        t = np.clip((z - light.spot_cos) / _blend_range(light), 0, 1)
+        t = np.clip((z - light.spot_cos) / blend_range(light), 0, 1)
         cone = t * t * (3 - 2 * t)
         weight = part * np.maximum(-_dot(ray, normal), 0)
         plain += part * cone
@@ -466,7 +299,7 @@ def _area_light(
     position: np.ndarray, normal: np.ndarray, material: _Material, light: Light
 ) -> tuple[np.ndarray, np.ndarray]:
     """The same for a rectangle or ellipse that shines to one side."""
-    axis_u, axis_v = _axes(light)
+    axis_u, axis_v = area_axes(light)
     half_u, half_v = np.linalg.norm(axis_u), np.linalg.norm(axis_v)
     unit_u, unit_v = axis_u / half_u, axis_v / half_v
     offset = light.position - position
@@ -474,7 +307,7 @@ def _area_light(
     front = height > 0
     height = np.maximum(height, 1e-9)
 
-    if _is_narrowed(light):
+    if is_narrowed(light):
         irradiance = _narrow_irradiance(position, normal, light)
     else:
         irradiance = polygon_irradiance(_outline(light)[None] - position[:, None], normal)
@@ -505,7 +338,7 @@ def _area_light(
         share = _rectangle_share(a, b, width_u, width_v)
     share *= _light_beam(material.mirror, light)
 
-    corners = [_unit(offset + s * axis_u + t * axis_v) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    corners = [unit_rows(offset + s * axis_u + t * axis_v) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     solid_angle = _triangle(corners[0], corners[1], corners[2]) + _triangle(corners[0], corners[2], corners[3])
     solid_angle *= np.pi / 4 if light.ellipse else 1
     sigma = np.sqrt(solid_angle / np.pi)
@@ -524,7 +357,7 @@ def _points(light: Light) -> list[tuple[float, float, float]]:
 
 def _light_beam(direction: np.ndarray, light: Light) -> np.ndarray:
     """The share of an area light's radiance that leaves it against unit directions towards it."""
-    if not _is_narrowed(light):
+    if not is_narrowed(light):
         return np.ones(len(direction))
     return _beam(direction @ -light.direction, light.spread / 2)
 
@@ -552,7 +385,7 @@ def polygon_irradiance(vertices: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 def _narrow_irradiance(position: np.ndarray, normal: np.ndarray, light: Light) -> np.ndarray:
     """Irradiance of an area light whose beam is narrowed: a grid over the part that can shine here."""
-    axis_u, axis_v = _axes(light)
+    axis_u, axis_v = area_axes(light)
     half = np.array([np.linalg.norm(axis_u), np.linalg.norm(axis_v)])
     unit = np.stack([axis_u, axis_v]) / half[:, None]
     offset = position - light.position
@@ -578,12 +411,7 @@ def _narrow_irradiance(position: np.ndarray, normal: np.ndarray, light: Light) -
 def _beam(cosine: np.ndarray, half_spread: float) -> np.ndarray:
     """Blender's soft-box grid: the share of light at an angle from the light's normal, of mean 1 over the flux."""
     tangent = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 1e-6)
-    return np.maximum(np.tan(half_spread) - tangent, 0) / _beam_mean(half_spread)
-
-
-def _beam_mean(half_spread: float) -> float:
-    """Mean over the flux of what _beam scales to 1."""
-    return max(np.tan(half_spread) - half_spread if half_spread > 0.05 else half_spread**3 / 3, 1e-12)
+    return np.maximum(np.tan(half_spread) - tangent, 0) / beam_mean(half_spread)
 
 
 def _shade_world(normal: np.ndarray, material: _Material, world: World, atlas: np.ndarray | None) -> np.ndarray:
@@ -594,17 +422,17 @@ def _shade_world(normal: np.ndarray, material: _Material, world: World, atlas: n
     # A rough lobe leans from the mirror direction towards the normal (Lagarde and de Rousiers 2014, 4.9.3).
     smooth = 1 - material.alpha
     lean = smooth * (np.sqrt(smooth) + material.alpha)
-    direction = _unit(normal + lean[:, None] * (material.mirror - normal))
+    direction = unit_rows(normal + lean[:, None] * (material.mirror - normal))
     image = world.world_rotation.T
     roughness = np.clip(material.surface.roughness, 0, 1)
-    return material.diffuse * environment.mean_radiance(atlas, normal @ image) + (
-        material.reflectance * environment.radiance(atlas, direction @ image, roughness)
+    return material.diffuse * environment_lookup.mean_radiance(atlas, normal @ image) + (
+        material.reflectance * environment_lookup.radiance(atlas, direction @ image, roughness)
     )
 
 
 def _outline(light: Light) -> np.ndarray:
     """(S, 3) corners of an area light; an ellipse becomes a polygon of its area."""
-    axis_u, axis_v = _axes(light)
+    axis_u, axis_v = area_axes(light)
     if not light.ellipse:
         corners = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
     else:
@@ -612,14 +440,6 @@ def _outline(light: Light) -> np.ndarray:
         grow = np.sqrt(angle[1] / np.sin(angle[1]))
         corners = grow * np.stack([np.cos(angle), np.sin(angle)], -1)
     return light.position + corners @ np.stack([axis_u, axis_v])
-
-
-def _axes(light: Light) -> tuple[np.ndarray, np.ndarray]:
-    """axis_u and axis_v, made up where they are absent and do not matter."""
-    if light.axis_u is not None and light.axis_v is not None:
-        return light.axis_u, light.axis_v
-    u, v = _frame(light.direction[None])
-    return u[0], v[0]
 
 
 def _edge(a: np.ndarray, b: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -635,81 +455,5 @@ def _triangle(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     return 2 * np.arctan2(volume, 1 + _dot(a, b) + _dot(b, c) + _dot(c, a))
 
 
-def _table(cosine: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-    """(N, 4) bilinear samples of the reflectance table."""
-    table = reflectance_table()
-    x, y = np.sqrt(cosine) * (WIDTH - 1), roughness * (TABLE_ROWS - 1)
-    x0, y0 = np.minimum(x.astype(int), WIDTH - 2), np.minimum(y.astype(int), TABLE_ROWS - 2)
-    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
-    low = table[y0, x0] * (1 - fx) + table[y0, x0 + 1] * fx
-    high = table[y0 + 1, x0] * (1 - fx) + table[y0 + 1, x0 + 1] * fx
-    return low * (1 - fy) + high * fy
-
-
-def _dielectric(
-    albedo: np.ndarray, share: np.ndarray, mean: np.ndarray, eta: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Reflectance of uniform light, and multiple over single scattering, from the table's channels 0, 2 and 3."""
-    f0 = ((eta - 1) / (eta + 1)) ** 2
-    scale = _scattered(_mean_fresnel(eta), albedo, mean)
-    return np.where(eta == 1, 0.0, (f0 * (1 - share) + share) * albedo * scale), scale
-
-
-def _scattered(mean_fresnel: np.ndarray, albedo: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Multiple over single scattering (Kulla and Conty 2017), from the table's channels 0 and 3."""
-    return 1 + (1 - albedo) / albedo * mean_fresnel * mean / (1 - mean_fresnel * (1 - mean))
-
-
-def _albedo(alpha: float, cosine: np.ndarray) -> np.ndarray:
-    """(M, 3) first three channels of the table for (M,) view cosines, by sampling visible normals (Heitz 2018)."""
-    # One side of the plane of incidence stands for both.
-    radius2 = (np.arange(48) + 0.5) / 48
-    angle = (np.arange(32) + 0.5) / 32 * np.pi - np.pi / 2
-    t1 = np.sqrt(radius2)[:, None] * np.cos(angle)
-    disk2 = np.sqrt(radius2)[:, None] * np.sin(angle)
-    view_x, view_z = np.sqrt(1 - cosine**2)[:, None, None], cosine[:, None, None]
-    length = np.hypot(alpha * view_x, view_z)
-    x, z = alpha * view_x / length, view_z / length
-    s = 0.5 * (1 + z)
-    t2 = (1 - s) * np.sqrt(1 - t1**2) + s * disk2
-    t3 = np.sqrt(np.maximum(1 - t1**2 - t2**2, 0))
-    half_x, half_z = alpha * (t3 * x - t2 * z), np.maximum(t2 * x + t3 * z, 1e-9)
-    length = np.sqrt(half_x * half_x + (alpha * t1) ** 2 + half_z * half_z)
-
-    between = np.clip((half_x * view_x + half_z * view_z) / length, 1e-6, 1)
-    light_z = 2 * between * half_z / length - view_z
-
-    def smith(c: np.ndarray) -> np.ndarray:
-        return (np.sqrt(1 + alpha**2 * (1 / np.clip(c, 1e-6, 1) ** 2 - 1)) - 1) / 2
-
-    masked = smith(cosine)[:, None, None]
-    weight = np.where(light_z > 0, (1 + masked) / (1 + masked + smith(light_z)), 0)
-    total = weight.mean((1, 2))
-    f0 = 0.04
-    exact = (fresnel_dielectric(between, np.array(1.5)) - f0) / (1 - f0)
-    grazing = 1 - between
-    squared = grazing * grazing
-    shares = [(weight * part).mean((1, 2)) / total for part in (squared * squared * grazing, exact)]
-    return np.stack([total, *shares], -1)
-
-
-def _mean_fresnel(eta: np.ndarray) -> np.ndarray:
-    """Cosine-weighted mean reflectance of a dielectric over the hemisphere (fits of Kulla and Conty 2017)."""
-    dense = (eta - 1) / (4.08567 + 1.00071 * eta)
-    thin = 0.997118 + eta * (0.1014 - eta * (0.965241 + 0.130607 * eta))
-    return np.clip(np.where(eta >= 1, dense, thin), 0, 1)
-
-
-def _frame(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors perpendicular to (N, 3) unit vectors and to each other."""
-    helper = np.where(np.abs(axis[:, 2:]) < 0.7, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    u = _unit(np.cross(helper, axis))
-    return u, np.cross(axis, u)
-
-
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("...i,...i->...", a, b)
-
-
-def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-30)

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from ..render.renderer import Renderer
+from ...render.renderer import Renderer
+from ..shared_store import STORE
 from . import device_costs
-from .shared_store import STORE
 
 T = TypeVar("T")
 
@@ -80,7 +80,7 @@ def _work(jobs: queue.SimpleQueue) -> None:
 
 def _make_device() -> Any:
     # Imported here, so that the extension also works where moderngl is missing.
-    from ..devices.opengl import OpenGLDevice
+    from ...devices.opengl import OpenGLDevice
 
     return OpenGLDevice()
 

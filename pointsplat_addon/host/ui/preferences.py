@@ -5,11 +5,11 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from . import gl_thread
+from ..device import gl_thread
 
 # Installed, Blender knows the extension by its root, bl_ext.<repository>.pointsplat; a checkout has no more than the
 # package itself.
-ROOT = (__package__ or "").removesuffix(".host").removesuffix(".pointsplat_addon")
+ROOT = (__package__ or "").removesuffix(".host.ui").removesuffix(".pointsplat_addon")
 
 
 class PointSplatPreferences(bpy.types.AddonPreferences):

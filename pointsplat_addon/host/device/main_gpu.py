@@ -9,12 +9,12 @@ from typing import TypeVar
 
 import bpy
 
-from ..core.lod.cost import DEFAULT
-from ..devices.blender_gpu import BlenderDevice
-from ..render.device.protocol import Device
-from ..render.renderer import Renderer
+from ...core.lod.cost import DEFAULT
+from ...devices.blender_gpu import BlenderDevice
+from ...render.device.protocol import Device
+from ...render.renderer import Renderer
+from ..shared_store import STORE
 from . import device_costs
-from .shared_store import STORE
 
 T = TypeVar("T")
 

@@ -8,16 +8,19 @@ import numpy as np
 from bpy.props import FloatProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from ..core.numeric.segments import ranges
-from ..core.strand.curves import FREE
-from ..core.strand.fit.from_mesh import fit_strands
-from ..core.strand.fit.result import FittedStrands
-from ..formats import dense, hierarchy_cache, vdb
-from ..render.device.protocol import DeviceError
-from . import caches, device_costs, gl_thread, main_gpu, preferences
-from .convert import arrays
-from .convert.curves import SURFACE_UV
-from .convert.volume import load_openvdb
+from ...core.numeric.segments import ranges
+from ...core.strand.curves import FREE
+from ...core.strand.fit.from_mesh import fit_strands
+from ...core.strand.fit.result import FittedStrands
+from ...formats import hierarchy_cache
+from ...formats.volumes import dense, vdb
+from ...render.device.protocol import DeviceError
+from .. import caches
+from ..convert import arrays
+from ..convert.curves import SURFACE_UV
+from ..convert.volume import load_openvdb
+from ..device import device_costs, gl_thread, main_gpu
+from . import preferences
 
 OPTICAL_DEPTH = 10.0  # across an imported volume where the ramp's alpha is one: the inside shows, and is not flat
 

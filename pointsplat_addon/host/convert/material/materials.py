@@ -14,15 +14,15 @@ from dataclasses import dataclass, fields, replace
 import bpy
 import numpy as np
 
-from ...core.material.evaluation import CHANNELS
-from ...core.material.expression import Expression, constant
-from ...core.material.graph import MaterialGraph
-from ...core.material.masks import is_mask
-from ...core.material.nodes import color_nodes, input_nodes, math_nodes
-from ...core.material.nodes.hair_nodes import HairColor
-from ...core.scene.cryptomatte import cryptomatte_hash
-from ...core.scene.materials import HairTable, MaterialTable, default_materials
-from ...core.scene.volume import Medium
+from ....core.material.evaluation import CHANNELS
+from ....core.material.expression import Expression, constant
+from ....core.material.graph import MaterialGraph
+from ....core.material.masks import is_mask
+from ....core.material.nodes import color_nodes, input_nodes, math_nodes
+from ....core.material.nodes.hair_nodes import HairColor
+from ....core.scene.cryptomatte import cryptomatte_hash
+from ....core.scene.materials import HairTable, MaterialTable, default_materials
+from ....core.scene.volume import Medium
 from .media import medium_of
 from .nodes import Hair, Path, Reader, UnsupportedNodeError, Walker, default, of_strand, resolve
 

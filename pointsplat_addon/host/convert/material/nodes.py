@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...core.material.expression import Expression
-from ...core.material.hair_color import strand_attribute
-from ...core.material.nodes import (
+from ....core.material.expression import Expression
+from ....core.material.hair_color import strand_attribute
+from ....core.material.nodes import (
     color_nodes,
     input_nodes,
     math_functions,

@@ -1,0 +1,1 @@
+"""Formats of volumes: OpenVDB, and dense arrays as scanners write them."""

@@ -1,0 +1,114 @@
+"""What the person reads of each setting: names and tooltips of properties and of their choices."""
+
+from ...core.scene.settings import BUDGETS, DEVICES, DOF_METHODS, TECHNIQUES
+
+Item = tuple[str, str, str]
+
+TECHNIQUE_ITEMS: dict[str, Item] = {
+    "AUTO": ("AUTO", "Automatic", "EWA for final renders of points that have colours of their own, else image space"),
+    "IMAGE_SPACE": (
+        "IMAGE_SPACE",
+        "Image Space",
+        "Project each point to one pixel and fill the gaps between them in the picture",
+    ),
+    "EWA": (
+        "EWA",
+        "EWA",
+        "Blend points as Gaussians no finer than the pixels: textures do not flicker from afar, edges are soft",
+    ),
+    "PAINTER": (
+        "PAINTER",
+        "Painter",
+        "Paint points as fuzzy ellipses from back to front: they mix with smoke and glass point by point",
+    ),
+}
+BUDGET_ITEMS: dict[str, Item] = {
+    "NONE": ("NONE", "None", "Samples and tolerance are what the settings say"),
+    "TIME": (
+        "TIME",
+        "Time",
+        "As many samples and as fine a cut, up to the tolerance, as the time allows, by what pictures took before",
+    ),
+    "ERROR": ("ERROR", "Error", "Samples, and a finer tolerance where they do not suffice, until the error is small"),
+}
+DEVICE_ITEMS: dict[str, Item] = {
+    "AUTO": ("AUTO", "Automatic", "An OpenGL context of its own for final renders, Blender's in the viewport"),
+    "BLENDER_GPU": (
+        "BLENDER_GPU",
+        "Blender GPU",
+        "Draw with Blender's graphics backend; final renders block the window",
+    ),
+    "OPENGL": (
+        "OPENGL",
+        "OpenGL",
+        "Draw final renders on an OpenGL context of its own, so that the window stays alive",
+    ),
+}
+DOF_ITEMS: dict[str, Item] = {
+    "SPLAT": (
+        "SPLAT",
+        "Splat",
+        "Blur each splat by its circle of confusion: what is blurred more takes fewer splats. "
+        "The shape of the aperture is taken for a disk",
+    ),
+    "LENS_SAMPLES": (
+        "LENS_SAMPLES",
+        "Lens Samples",
+        "Draw each sample through another place on the aperture: exact with many samples, blades and ratio included",
+    ),
+}
+PRIMITIVE_ITEMS: dict[str, Item] = {
+    "AUTO": ("AUTO", "Automatic", "Polygons where triangles are large in the picture, points where they are small"),
+    "POINTS": ("POINTS", "Points", "Sample the surface with points"),
+    "POLYGONS": (
+        "POLYGONS",
+        "Polygons",
+        "Draw the triangles themselves, but points where materials let light through; curves with a bevel become meshes",
+    ),
+    "LINES": ("LINES", "Lines", "Draw curves with a round bevel as tubes along their points; the rest as by Automatic"),
+}
+
+# Name and tooltip of each field of Settings
+LABELS: dict[str, tuple[str, str]] = {
+    "technique": ("Technique", "How points become pixels"),
+    "tolerance": (
+        "Tolerance",
+        "Size in pixels below which one point stands for all the finer ones that it covers; smaller is more exact",
+    ),
+    "samples": ("Render", "Number of sub-pixel samples that are averaged for each pixel of a final render"),
+    "viewport_samples": ("Viewport", "Number of sub-pixel samples that are averaged in the viewport while it is still"),
+    "use_adaptive_sampling": (
+        "Adaptive Sampling",
+        "Parts of the picture whose samples agree get no more of them. Pictures with translucent objects or strands thinner "
+        "than a pixel, the technique Painter and depth of field by Lens Samples need all samples everywhere",
+    ),
+    "adaptive_threshold": (
+        "Threshold",
+        "Difference between the means of all samples and of half of them below which no more are taken; "
+        "smaller is more exact",
+    ),
+    "use_shadows": ("Shadows", "Lights cast shadows, which what is translucent softens and tints"),
+    "shadow_resolution": (
+        "Resolution",
+        "Number of cells in half a turn around each light that hold what its rays cross; more cells make sharper shadows",
+    ),
+    "dof_method": ("Depth of Field", "How cameras with depth of field blur what is out of focus"),
+    "budget": ("Budget", "What decides how many samples are drawn and how coarse the points may be"),
+    "time_budget": (
+        "Time",
+        "Milliseconds that a final render may take once the scene is converted, and a picture of the viewport while "
+        "it moves",
+    ),
+    "error_budget": (
+        "Error",
+        "Root mean square error that a picture may have against very many samples at a quarter of the tolerance, "
+        "in scene-linear values",
+    ),
+    "device": ("Device", "What draws the pictures"),
+}
+ITEMS = {
+    "technique": [TECHNIQUE_ITEMS[n] for n in TECHNIQUES],
+    "dof_method": [DOF_ITEMS[n] for n in DOF_METHODS],
+    "budget": [BUDGET_ITEMS[n] for n in BUDGETS],
+    "device": [DEVICE_ITEMS[n] for n in DEVICES],
+}

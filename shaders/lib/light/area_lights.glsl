@@ -1,0 +1,99 @@
+// Rectangles and ellipses that shine to one side. For lights.glsl.
+
+#ifdef PS_HAS_AREA_LIGHTS
+
+// Of two triangles (Van Oosterom and Strackee 1983), whose angles add as those of complex numbers do.
+float ps_rectangle_solid_angle(PsArea area)
+{
+  vec3 a = normalize(area.offset - area.axis_u - area.axis_v), b = normalize(area.offset + area.axis_u - area.axis_v);
+  vec3 c = normalize(area.offset + area.axis_u + area.axis_v), d = normalize(area.offset - area.axis_u + area.axis_v);
+  float ac = dot(a, c);
+  vec3 diagonal = cross(c, a);
+  vec2 first = vec2(1.0 + dot(a, b) + dot(b, c) + ac, abs(dot(b, diagonal)));
+  vec2 second = vec2(1.0 + ac + dot(c, d) + dot(d, a), abs(dot(d, diagonal)));
+  return 2.0 * atan(first.x * second.y + first.y * second.x, first.x * second.x - first.y * second.y);
+}
+
+// Share of a GGX lobe centred on `place` in the square from -1 to 1.
+float ps_rectangle_share(vec2 place, vec2 width)
+{
+  vec2 excess = (abs(place) - 1.0) / width;
+  bool vertical = excess.y > excess.x;
+  float flare = ps_flare(vertical ? excess.y : excess.x);
+  width *= vertical ? vec2(flare, 1.0) : vec2(1.0, flare);
+  vec2 low = (1.0 - place) / width, high = (1.0 + place) / width;
+  return 0.25 * (ps_marginal(low.x) + ps_marginal(high.x)) * (ps_marginal(low.y) + ps_marginal(high.y));
+}
+
+// Share of the lobe that the light fills, where the mirrored ray meets the light's plane.
+float ps_area_share(PsArea area, float height, bool ellipse, PsLobes lobes)
+{
+  vec3 unit_u = area.axis_u / area.extent.x, unit_v = area.axis_v / area.extent.y;
+  float ray = height / max(-dot(lobes.mirror, area.direction), 1e-4);
+  vec3 meets = ray * lobes.mirror - area.offset;
+  vec2 place = vec2(dot(meets, unit_u), dot(meets, unit_v)) / area.extent;
+  vec2 width = vec2(ps_width_along(lobes, unit_u), ps_width_along(lobes, unit_v)) * ray / area.extent;
+  float share;
+  if (ellipse) {
+    float radius = length(place);
+    vec2 azimuth = radius > 0.0 ? place / max(radius, 1e-9) : vec2(1.0, 0.0);
+    share = ps_disk_share(radius, 1.0, length(azimuth * width), length(azimuth.yx * width));
+  }
+  else {
+    share = ps_rectangle_share(place, width);
+  }
+  return share * ps_beam(area, -dot(lobes.mirror, area.direction));
+}
+
+// Place in half-sides, and weight, of the quadrature of degree 5 over the square (Radon 1948), by the azimuths of the
+// disk's points.
+vec3 ps_square_point(vec2 azimuth)
+{
+  bool middle = abs(azimuth.x) > 0.75;  // of a side; the others have (0.6, 1/3) squared
+  float weight = azimuth == vec2(0.0) ? 2.0 / 7.0 : middle ? 5.0 / 63.0 : 5.0 / 36.0;
+  return vec3(azimuth.yx * vec2(0.894427191, middle ? 0.966091783 : 1.154700538), weight);
+}
+
+// Mean of BSDF times n.l over the light, by the centre and six points, which weigh with the solid angle around them.
+vec3 ps_area_specular(PsArea area, int count, bool ellipse, float a2, PsLobes lobes)
+{
+  vec2 azimuth = vec2(0.0);
+  float weights = 0.0;
+  vec3 sum = vec3(0.0);
+  for (int i = 0; i < count; i++) {
+    vec3 place = ellipse ? vec3(PS_DISK_RADIUS * azimuth, i == 0 ? 0.25 : 0.125) : ps_square_point(azimuth);
+    vec3 to_point = area.offset + place.x * area.axis_u + place.y * area.axis_v;
+    float inverse = inversesqrt(max(dot(to_point, to_point), 1e-20));
+    float weight = place.z * inverse * inverse * inverse;
+    vec3 direction = to_point * inverse;
+    sum += weight * ps_beam(area, -dot(direction, area.direction)) * ps_specular(lobes, direction, a2);
+    weights += weight;
+    azimuth = ps_next_azimuth(azimuth);
+  }
+  return sum / weights;
+}
+
+// `ellipse` is a constant where this is called.
+vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
+{
+  vec4 color = ps_light(index, 0), place = ps_light(index, 1);
+  PsArea area = ps_area(index, place.xyz - position);
+  float height = max(-dot(area.offset, area.direction), 1e-9);
+  float irradiance = ellipse ? ps_ellipse_irradiance(area, lobes.normal) : ps_rectangle_irradiance(area, lobes.normal);
+#ifdef PS_HAS_BEAMS
+  float narrowed = ps_beam_irradiance(area, height, ellipse, lobes.normal);
+  irradiance = area.beam == 0.0 ? irradiance : narrowed;
+#endif
+
+  // Wide lobes: points of the light; narrow ones: the share of the lobe that the light fills.
+  float solid_angle = ps_rectangle_solid_angle(area) * (ellipse ? PS_PI / 4.0 : 1.0);
+  float sigma = sqrt(solid_angle / PS_PI);
+  float narrow = ps_narrow(lobes, sigma);
+  int count = ps_is_small(lobes, sigma) || narrow == 1.0 ? 1 : 7;
+  vec3 wide = solid_angle * ps_area_specular(area, count, ellipse, ps_blurred(lobes, sigma), lobes);
+  vec3 specular = mix(wide, lobes.reflectance * ps_area_share(area, height, ellipse, lobes), narrow);
+  vec3 reflected = ps_reflected(PsReceived(irradiance, specular), lobes, color, place.w);
+  return dot(area.offset, area.direction) < 0.0 ? reflected : vec3(0.0);
+}
+
+#endif

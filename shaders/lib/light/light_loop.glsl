@@ -1,0 +1,64 @@
+// The sum over all lights, with what reaches a point of each. For lights.glsl.
+
+#ifdef PS_HAS_LIGHTS
+
+// Rows of lights are sorted by kind; each kind but the last ends where this says.
+ivec4 ps_light_ends()
+{
+  return ivec4(texelFetch(ps_lights, ivec2(4, PS_WORLD_ROW), 0) + 0.5);
+}
+
+// Share of the light that light `index` sends to a point in view space which reaches it; the normal is 0 in a medium.
+#ifdef PS_REACHED
+vec3 ps_reached[4];  // known before
+#endif
+
+vec3 ps_reaching(int index, vec3 light, vec3 position, vec3 normal)
+{
+#if defined(PS_REACHED)
+  return light * ps_reached[index];
+#elif defined(PS_SHADOWS)
+  return light * ps_transmittance(index, position, normal, any(greaterThan(light, vec3(0.0))));
+#else
+  return light;
+#endif
+}
+
+vec3 ps_shade_lights(vec3 position, PsLobes lobes, int light_count)
+{
+  vec3 result = vec3(0.0);
+  int i = 0;
+#ifdef PS_ONE_KIND
+  ivec4 ends = ivec4(light_count);
+#else
+  ivec4 ends = ps_light_ends();
+#endif
+#ifdef PS_HAS_SUNS
+  for (; i < ends.x; i++) {
+    result += ps_reaching(i, ps_sun(i, lobes), position, lobes.normal);
+  }
+#endif
+#ifdef PS_HAS_POINTS
+  for (; i < ends.y; i++) {
+    result += ps_reaching(i, ps_point(i, position, lobes), position, lobes.normal);
+  }
+#endif
+#ifdef PS_HAS_SPOTS
+  for (; i < ends.z; i++) {
+    result += ps_reaching(i, ps_spot(i, position, lobes), position, lobes.normal);
+  }
+#endif
+#ifdef PS_HAS_RECTANGLES
+  for (; i < ends.w; i++) {
+    result += ps_reaching(i, ps_area_light(i, false, position, lobes), position, lobes.normal);
+  }
+#endif
+#ifdef PS_HAS_ELLIPSES
+  for (; i < light_count; i++) {
+    result += ps_reaching(i, ps_area_light(i, true, position, lobes), position, lobes.normal);
+  }
+#endif
+  return result;
+}
+
+#endif

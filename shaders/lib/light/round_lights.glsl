@@ -1,0 +1,112 @@
+// Suns, point lights and the unshaped light of spots: cones of light around one direction. For lights.glsl.
+
+#ifdef PS_HAS_ROUND_LIGHTS
+
+#ifdef PS_HAS_WIDE_LIGHTS
+
+// Irradiance of a bright cone over that of the same cone overhead, cut by the horizon (Snyder 1996).
+float ps_cap_cosine(float cosine, float sine2)
+{
+  sine2 = clamp(sine2, 0.0, 1.0);
+  float sin_theta = sqrt(max(1.0 - cosine * cosine, 1e-12));
+  float x = sqrt(max(1.0 / max(sine2, 1e-12) - 1.0, 0.0));
+  float y = clamp(-x * cosine / sin_theta, -1.0, 1.0);
+  float up = sqrt(1.0 - y * y), chord = sin_theta * up;
+  // atan throughout: some drivers' acos and asin are good to 1e-4 only.
+  float cut = max(cosine * atan(up, y) - x * chord + atan(chord, x) / sine2, 0.0) / PS_PI;
+  // Narrow cones change within a fraction of their own width only, and would cancel.
+  return sine2 < 1e-4 || abs(cosine) >= sqrt(sine2) ? max(cosine, 0.0) : cut;
+}
+
+// Mean of BSDF times n.l over a cone of light.
+vec3 ps_cone_specular(PsLobes lobes, vec3 to_light, float sine2, float cosine)
+{
+  float sigma = atan(sqrt(sine2), cosine);
+  vec3 side = lobes.mirror - dot(lobes.mirror, to_light) * to_light;
+  float away = length(side);
+  side /= max(away, 1e-9);
+  vec3 other = cross(to_light, side);
+
+  // Wide lobes: seven points of the light. Only the centre, where all of it is as one point.
+  float narrow = ps_narrow(lobes, sigma);
+  bool small = ps_is_small(lobes, sigma);
+  int count = small || narrow == 1.0 ? 1 : 7;
+  float a2 = ps_blurred(lobes, sigma);
+  float turn = PS_DISK_RADIUS * sigma;
+  float sin_turn = sin(turn), cos_turn = cos(turn);
+  vec2 azimuth = vec2(0.0);
+  float weight = small ? 1.0 : 0.25;
+  vec3 direction = to_light, lobe = vec3(0.0);
+  for (int i = 0; i < count; i++) {
+    lobe += weight * ps_specular(lobes, direction, a2);
+    azimuth = ps_next_azimuth(azimuth);
+    direction = cos_turn * to_light + sin_turn * (azimuth.x * side + azimuth.y * other);
+    weight = 0.125;
+  }
+
+  // Narrow ones: the share of the lobe that the light fills.
+  float angle = atan(away, dot(lobes.mirror, to_light));
+  float width = ps_width_along(lobes, cross(other, lobes.mirror));
+  float share = ps_disk_share(angle, sigma, width, ps_width_along(lobes, other));
+  float solid_angle = 2.0 * PS_PI * sine2 / (1.0 + cosine);
+  return mix(lobe, lobes.reflectance * share / max(solid_angle, 1e-20), narrow);
+}
+
+#endif
+
+// A light that fills a cone around to_light, of which sine2 is the squared sine of half the angle. scale: irradiance
+// of a surface that faces it.
+PsReceived ps_round_light(PsLobes lobes, vec3 to_light, float sine2, float scale)
+{
+#ifdef PS_HAS_WIDE_LIGHTS
+  float cosine = sqrt(max(1.0 - sine2, 0.0));
+  float energy = scale * 2.0 / (1.0 + cosine);
+  return PsReceived(scale * ps_cap_cosine(dot(lobes.normal, to_light), sine2),
+                    energy * ps_cone_specular(lobes, to_light, sine2, cosine));
+#else
+  return PsReceived(scale * max(dot(lobes.normal, to_light), 0.0),
+                    scale * ps_specular(lobes, to_light, lobes.alpha * lobes.alpha));
+#endif
+}
+
+vec3 ps_sun(int index, PsLobes lobes)
+{
+  vec4 color = ps_light(index, 0), to_light = ps_light(index, 1);
+#ifdef PS_HAS_WIDE_LIGHTS
+  float sine2 = ps_light(index, 2).w;
+#else
+  float sine2 = 0.0;
+#endif
+  return ps_reflected(ps_round_light(lobes, to_light.xyz, sine2, 1.0), lobes, color, to_light.w);
+}
+
+// A point or spot light without its cone. `radius` is negative for a sphere, positive for a disk that faces the
+// surface, which is seen as a cone, as a sphere is, only under a smaller angle.
+PsReceived ps_local_light(PsLobes lobes, vec3 offset, float radius)
+{
+  float d2 = max(dot(offset, offset), 1e-24);
+  vec3 to_light = offset * inversesqrt(d2);
+#ifdef PS_HAS_WIDE_LIGHTS
+  float r2 = radius * radius;
+  float reach2 = radius < 0.0 ? max(d2, r2) : d2 + r2;
+  PsReceived received = ps_round_light(lobes, to_light, r2 / reach2, 1.0 / reach2);
+  // Inside a sphere light comes from everywhere.
+  received.irradiance = radius < 0.0 && d2 < r2 ? 1.0 / reach2 : received.irradiance;
+  return received;
+#else
+  return ps_round_light(lobes, to_light, 0.0, 1.0 / d2);
+#endif
+}
+
+vec3 ps_point(int index, vec3 position, PsLobes lobes)
+{
+  vec4 color = ps_light(index, 0), place = ps_light(index, 1);
+#ifdef PS_HAS_WIDE_LIGHTS
+  float radius = ps_light(index, 2).w;
+#else
+  float radius = 0.0;
+#endif
+  return ps_reflected(ps_local_light(lobes, place.xyz - position, radius), lobes, color, place.w);
+}
+
+#endif
