@@ -13,6 +13,7 @@ from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat.kernel import PROFILES
 from pointsplat_addon.devices.null import NullDevice
+from pointsplat_addon.render.cache.keys import Key, Kind
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.parts import parted
@@ -481,7 +482,7 @@ def test_splats_are_sorted_again_only_for_other_directions():
         ((3, -3, 0), (0, 0, 0)),
     ):
         renderer.render(made, Request(camera(eye, target), Settings(), COMBINED, 1))
-        sorts.append(renderer.kept.keep(("order", 0), lambda: None).sorts)
+        sorts.append(renderer.kept.lookup(Key(Kind.DRAW_ORDER, 0), lambda: None).sorts)
     assert sorts == [1, 1, 1, 2]
 
 

@@ -9,8 +9,8 @@ import bpy
 import numpy as np
 
 from ....core.material.image import Image
-from ...render.cache.cache import Cache
-from ...render.cache.keys import Key, Kind
+from ....render.cache.cache import Cache
+from ....render.cache.keys import Key, Kind
 
 CACHE_BYTES = 1 << 30  # texels kept for images that no material holds at the moment
 MISSING_COLOR = (1.0, 0.0, 1.0, 1.0)  # what Blender shows for a missing picture
