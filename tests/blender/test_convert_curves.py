@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.material import hair_color
+from pointsplat_addon.core.scene.valid_geometry import valid_strands
 from pointsplat_addon.core.strand import curves, normals
-from pointsplat_addon.core.strand.preparation import with_levels
 from tests.support.blender.scenes import new_material, node
 
 pytestmark = pytest.mark.usefixtures("empty_file")
@@ -271,9 +271,9 @@ def test_bad_hair_is_named_and_counted_and_the_rest_is_drawn():
         "Mop: 1 control point is not a number and is left out",
         "Gone: all control points are not numbers",
     }
-    strands = with_levels(geometry.strands)
+    strands, messages = valid_strands(geometry.strands)
     assert len(strands.start) - 1 == 3
-    assert strands.messages == ("2 strands have less than two positions and are left out",)
+    assert messages == ("2 strands have less than two positions and are left out",)
 
 
 def test_what_a_material_reads_of_strands_is_cycles():

@@ -18,7 +18,8 @@ NARROWEST = 1 / 16
 
 
 def disk_weights(grid: BackdropGrid) -> np.ndarray:
-    """(2 M + 1, 2 M + 1) float64, M the margin: the share of the disk in each texel around its centre, up to a factor."""
+    """(2 M + 1, 2 M + 1) float64, M the margin: the share of the disk in each texel around its centre, up to a
+    factor."""
     y, x = np.mgrid[-grid.margin : grid.margin + 1, -grid.margin : grid.margin + 1].astype(float)
     away = np.maximum(np.hypot(x / grid.radius[0], y / grid.radius[1]), 1e-6)
     rim = np.hypot(x, y) * (1 / away - 1)

@@ -3,10 +3,9 @@
 What is infinitely far has the same disk of confusion everywhere in a picture (Křivánek 2003, equation 8): its radius is
 C = F r / D, in pixels (core/lens/kernel.py). Parallel rays all see one direction, and nothing is blurred.
 Seen through the lens the world is therefore the sharp picture of it convolved with that disk. Both are drawn on a grid
-whose texels are C / DISK_TEXELS pixels wide, but not finer than pixels: however wide the disk is, it holds as many texels, and
-the picture as many texels or fewer. Texels of the sharp picture are means of the world over their area, from a pyramid
-(core/light/environment.py), so that small bright things keep their light.
-"""
+whose texels are C / DISK_TEXELS pixels wide, but not finer than pixels: however wide the disk is, it holds as many
+texels, and the picture as many texels or fewer. Texels of the sharp picture are means of the world over their area,
+from a pyramid (core/light/environment.py), so that small bright things keep their light."""
 
 from __future__ import annotations
 
@@ -54,7 +53,8 @@ def why_not_blurred(scene: Scene, camera: Camera) -> str:
 
 
 def backdrop_grid(camera: Camera, most: int) -> BackdropGrid:
-    """The grid for the picture of a perspective camera with a lens; `most`: the largest side of a texture, in texels."""
+    """The grid for the picture of a perspective camera with a lens; `most`: the largest side of a texture, in
+    texels."""
     margin = int(DISK_TEXELS) + 2
     step, radius, size = [], [], []
     for disk, pixels in zip(_radii(camera), camera.window[2:], strict=True):

@@ -134,7 +134,8 @@ def _may_be_seen(corners: np.ndarray, camera: Camera, blur: Blur) -> np.ndarray:
 def _halved(
     corners: np.ndarray, weights: np.ndarray, owner: np.ndarray, opposite: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both halves of each triangle (n, 3, ...), cut from corner `opposite` (n,) to the middle of the edge that lies opposite."""
+    """Both halves of each triangle (n, 3, ...), cut from corner `opposite` (n,) to the middle of the edge that lies
+    opposite."""
     n = np.arange(len(owner))
     a, b, c = opposite, (opposite + 1) % 3, (opposite + 2) % 3
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..numeric.segments import owners, ranks
-from ..numeric.vectors import basis
+from ..numeric.vectors import basis, unit_rows
 from ..scene.camera import Camera
 from ..scene.cloud import PointCloud
 from ..scene.strands import Strands
@@ -64,12 +64,12 @@ def dice_strands(
     length = np.linalg.norm(axis, axis=1)
     unit = axis / np.maximum(length, 1e-300)[:, None]
     if strands.side is None:
-        facing = _normalised(toward - (toward * unit).sum(axis=1, keepdims=True) * unit)
+        facing = unit_rows(toward - (toward * unit).sum(axis=1, keepdims=True) * unit)
         side = np.cross(facing, unit)
         across = np.clip(np.ceil(2 * radius * scale / largest[of]), 1, MOST_STRIPS).astype(np.int64)
     else:
-        side = _normalised(strands.side[first] * (1 - part) + strands.side[second] * part)
-        side = _normalised(side - (side * unit).sum(axis=1, keepdims=True) * unit)
+        side = unit_rows(strands.side[first] * (1 - part) + strands.side[second] * part)
+        side = unit_rows(side - (side * unit).sum(axis=1, keepdims=True) * unit)
         facing = np.cross(unit, side)
         across = np.ones(len(of), np.int64)
     strip, which = owners(across), ranks(across)
@@ -184,7 +184,3 @@ def _interpolate(values: np.ndarray | None, rows: np.ndarray, part: np.ndarray) 
     if values is None:
         return None
     return (values[rows[:, 0]] * (1 - part) + values[rows[:, 1]] * part).astype(np.float32)
-
-
-def _normalised(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)

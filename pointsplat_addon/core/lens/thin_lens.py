@@ -1,5 +1,5 @@
-"""The thin lens: circles of confusion (Křivánek 2003, section 5.1, equations 6 to 8), sample points on its aperture, and
-the camera as seen from one of them."""
+"""The thin lens: circles of confusion (Křivánek 2003, section 5.1, equations 6 to 8), sample points on its aperture,
+and the camera as seen from one of them."""
 
 from __future__ import annotations
 
@@ -39,9 +39,8 @@ def lens_points(samples: int, aperture: Aperture) -> np.ndarray:
     """(samples, 2) float64: sample points on the aperture, of equal weight, in world units to the right and upwards.
 
     The first is its centre; then come pairs that face each other across it, as positions in a pixel do. Every beginning
-    of the sequence fills the aperture evenly, and together with those of a pixel fill all four dimensions. Where the aperture is
-    no disk, its angles and radii are stretched to the polygon's, which keeps shares of the area.
-    """
+    of the sequence fills the aperture evenly, and together with those of a pixel fill all four dimensions. Where the
+    aperture is no disk, its angles and radii are stretched to the polygon's, which keeps shares of the area."""
     disk = _disk((0.5 + np.arange(samples // 2 + 1)[:, None] * R4) % 1.0)
     result = around(disk, -disk, samples)
     result /= np.maximum(np.hypot(*result.T), 1.0)[:, None]  # points that were shifted out of the disk to keep the mean
@@ -86,11 +85,10 @@ def uses_lens_samples(camera: Camera, settings: Settings) -> bool:
 def camera_through(camera: Camera, point: np.ndarray) -> Camera:
     """The camera as seen from a point (2,) of the aperture, in world units: everything is in focus.
 
-    What lies at the depth of focus keeps its position in the picture. A perspective camera moves, and its principal point
-    with it. A parallel one looks along another direction; how the plane across that falls onto the picture's is a
+    What lies at the depth of focus keeps its position in the picture. A perspective camera moves, and its principal
+    point with it. A parallel one looks along another direction; how the plane across that falls onto the picture's is a
     stretch, which `clip_from_view` takes, and a skew of at most a fourth of the squared angle, which `view_from_world`
-    takes: in that much it is not rigid. Clipping planes stand across the new direction.
-    """
+    takes: in that much it is not rigid. Clipping planes stand across the new direction."""
     x, y = (float(v) for v in point)
     aperture = camera.aperture
     if aperture is None or (x == 0.0 and y == 0.0):

@@ -1,4 +1,4 @@
-"""What drawing costs on a device, and what of a mesh is therefore drawn as points and what as triangles.
+"""The costs of drawing on a device, and which parts of a mesh are drawn as points or as triangles because of them.
 
 Coconu and Hege (2002), section 5.1, switch from points to triangles where a block comes nearer than a threshold, and
 leave it to future work to derive that threshold and the sampling resolution from the hardware. Here both follow from
@@ -12,37 +12,42 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-OVERLAP = 0.1  # of the spacing that is needed
-# Points leave an error that more samples do not take away, and triangles none: with so many times fewer samples, but at
-# least one, triangles still leave less, at a tolerance of a pixel (docs/notes/techniques.md, measured 1.1 to 1.8 times).
+OVERLAP = 0.1  # share of the spacing that is needed within which a part is drawn as points and as triangles
+# Points leave an error that more samples do not remove, triangles leave none: with up to this many times fewer samples,
+# but at least one, triangles still leave less, at a tolerance of a pixel (docs/notes/techniques.md, measured 1.1 to 1.8 times).
 MAX_SAMPLES_RATIO = 4
 
 
 @dataclass(frozen=True)
 class Costs:
-    """Nanoseconds for one sample of a picture, and what is done once for all its samples. The defaults are a software
-    renderer's, of processor time."""
+    """Nanoseconds that drawing takes for one sample of an image, and once for all its samples.
+
+    The defaults are processor time of a software renderer.
+    """
 
     point: float = 65.0  # each splat that is projected
-    pixel: float = 105.0  # each pixel of a picture that has points at all: resolved, holes filled
+    pixel: float = 105.0  # each pixel of an image with any points: resolving, filling holes
     triangle: float = 240.0  # each triangle
     fragment: float = 11.0  # each pixel that a triangle covers
     draw: float = 40_000.0  # each draw call
-    prepared: float = 540.0  # once: each splat that is sampled, packed and uploaded
-    uploaded: float = 750.0  # once: each triangle of a mesh of which any is drawn
+    prepared: float = 540.0  # once: sampling, packing and uploading a splat
+    uploaded: float = 750.0  # once: each triangle of a mesh that any triangle is drawn of
 
     def valid(self) -> bool:
-        """All are positive numbers."""
+        """Whether all are positive and finite."""
         values = np.array([getattr(self, f.name) for f in fields(self)], float)
         return bool(np.isfinite(values).all() and (values > 0).all())
 
     def again_and_again(self) -> Costs:
-        """Of views that are drawn until nothing counts that is done once."""
+        """The costs of views that are drawn so often that what is done once does not count."""
         return replace(self, prepared=0.0, uploaded=0.0)
 
     def of_picture(self, samples: int, instances: int = 1) -> Costs:
-        """Of one sample of triangles in a picture that is made once, of so many `samples` of points: what points take
-        in all of their samples stands against what triangles do in FEWER. `instances` share what is done once."""
+        """The costs, for one sample of triangles, of an image that is drawn once with so many `samples` of points.
+
+        All samples of points are set against up to MAX_SAMPLES_RATIO times fewer of triangles. `instances` share what
+        is done once.
+        """
         dearer = min(max(samples, 1), MAX_SAMPLES_RATIO)
         share = dearer / (max(samples, 1) * max(instances, 1))
         return replace(
@@ -59,29 +64,29 @@ DEFAULT = Costs()
 
 @dataclass(frozen=True, eq=False)
 class PrimitiveChoice:
-    """What one instance of a mesh of B parts is drawn as."""
+    """How one instance of a mesh of B parts is drawn."""
 
-    octave: int  # of the spacing of its points, above the finest one that was offered
+    octave: int  # index of the spacing of its points among those that were offered, finest first
     points: np.ndarray  # (B,) bool
-    polygons: np.ndarray  # (B,) bool; parts that are out of view are neither, those where they meet are both
+    polygons: np.ndarray  # (B,) bool; parts out of view are neither, where points and polygons meet they are both
     cost: float  # nanoseconds for one sample, without those of all pixels
-    triangles_cost: float  # the same where all that is in view is drawn as triangles
+    triangles_cost: float  # nanoseconds for one sample with everything in view drawn as triangles
 
 
 def choose_primitives(
     costs: Costs, needed: np.ndarray, spacing: np.ndarray, samples: np.ndarray, triangles: np.ndarray, area: np.ndarray
 ) -> PrimitiveChoice:
-    """The cheapest way to draw one instance.
+    """The cheapest way to draw one instance of a mesh of B parts.
 
-    needed (B,): the spacing that each part needs in this view, inf where it is out of view. spacing (K,): octaves that
-    may be sampled, finest first; samples (K, B): how many splats each part then has, inf where it is not to be points.
-    triangles (B,): of each part. area (B,): of the parts in the same units as `needed` squared.
+    needed (B,): the spacing that each part needs in this view, inf where it is out of view. spacing (K,): octaves of
+    spacing to choose from, finest first; samples (K, B): how many splats each part then has, inf where it cannot be
+    points. triangles (B,): how many each part has. area (B,): of the parts, in the units of `needed` squared.
 
-    A part is points only where its samples are as dense as it needs; those that need up to OVERLAP less are points and
-    polygons, for between a polygon's last pixel and a splat's first there may be one that neither holds. The pixels
-    that triangles cover are estimated by half their area, as of a surface that is seen from all sides, at the part's
-    nearest place. Samples are prepared of all parts that may be points, in view or not, and a mesh is uploaded with all
-    its triangles where any is drawn.
+    A part is drawn as points only where its samples are as dense as it needs; those that need a spacing finer by up to
+    OVERLAP are drawn as both, since a pixel between the last one of a polygon and the first one of a splat may be in neither. The
+    pixels that triangles cover are estimated as half their area (the mean over all directions) at the part's nearest
+    position. Samples are prepared of all parts that may be points, in view or not, and a mesh is uploaded as a whole if
+    any of its triangles is drawn.
     """
     visible = np.isfinite(needed)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -105,6 +110,6 @@ def choose_primitives(
 
 
 def mask_runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Begin and length, (R,) int64, of each run of a mask (B,)."""
+    """The first index and the length, (R,) int64 each, of every run of true values in a mask (B,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return edges[::2], edges[1::2] - edges[::2]

@@ -1,11 +1,11 @@
-"""Splats back to front by a hierarchical bucket sort (Gunjee et al. 2007, section 4.2).
+"""Sorts splats back to front by a hierarchical bucket sort (Gunjee et al. 2007, section 4.2).
 
-Splats are projected onto the view direction and fall into slices as thick as the smallest of them (of opaque ones, a
-part of it), counted from the farthest. Two tables of 65,536 buckets each, coarse and fine, number the slices; both are
-filled in stable passes over 16-bit keys, fine before coarse, so the cost is linear and splats of one slice keep the
-order they are given in.
+Splats are projected onto the view direction and fall into slices as thick as the smallest splat (of opaque ones, a part
+of it), counted from the farthest. Two tables of 65,536 buckets each, coarse and fine, number the slices; both are filled
+in stable passes over 16-bit keys, fine before coarse, so that the cost is linear and splats of one slice keep their
+order.
 
-Translations of the camera shift all depths alike, and turns about the view direction change none: neither asks for
+Translations of the camera shift all depths alike, and rotations about the view direction change none: neither calls for
 another sort.
 """
 
@@ -22,15 +22,15 @@ from ..scene.cloud import PointCloud
 from .cut import Cut
 from .hierarchy import Hierarchy
 
-BUCKETS = 1 << 16  # of each table: what a pass over 16-bit keys tells apart
-MAX_DEPTH = 1e300  # depths beyond it are taken for infinite, so that differences stay finite
-OPAQUE_SLICES = 1 / 16  # of the smallest splat: one of two opaque ones hides the other, and has to be the right one
+BUCKETS = 1 << 16  # of each table: the values of a 16-bit key
+MAX_DEPTH = 1e300  # depths beyond it count as infinite, so that differences stay finite
+OPAQUE_SLICES = 1 / 16  # of the smallest splat: of two opaque ones the right one has to hide the other
 MIN_THICKNESS = 1e-300  # a slice: quotients by it keep their digits
 
 
 @dataclass(frozen=True, eq=False)
 class Slices:
-    """K depths that are finite, back to front."""
+    """The K finite ones among some depths, back to front."""
 
     index: np.ndarray  # (K,) int64, rows of the depths
     slice: np.ndarray  # (K,) uint32, never decreasing: which slice each lies in, 0 the farthest
@@ -38,7 +38,7 @@ class Slices:
 
 
 def back_to_front(depth: np.ndarray, smallest: float) -> Slices:
-    """Sort depths (N,) float32 or float64, which grow away from the eye, to slices of thickness `smallest`.
+    """Sorts depths (N,) float32 or float64, which grow away from the eye, to slices of thickness `smallest`.
 
     Slices are thicker where more than 65,536^2 would be needed, and as thin as that allows where `smallest` is not
     positive. NaN and infinite depths are left out. Slice s holds the depths from which the farthest one is
@@ -78,9 +78,10 @@ class Order:
     cut: Cut
 
     def stale(self, view_from_world: np.ndarray, cut: Cut) -> bool:
-        """Whether this view (4, 4) of this cut asks for another sort: other splats, or a camera turned so far that a
-        splat may move by more than a slice against their common centre. Instances that have moved, and geometry that
-        has changed, are for the caller to know.
+        """Whether this view (4, 4) of this cut calls for another sort.
+
+        It does for other splats, and for a camera turned so far that a splat may have moved by more than a slice
+        relative to their common centre. Whether instances moved or geometry changed is for the caller to know.
         """
         turned = float(np.linalg.norm(_direction(view_from_world) - self.direction))
         return bool(turned * self.radius > self.thickness) or not _same(cut, self.cut)
@@ -93,11 +94,11 @@ def sort_cut(
     world_from_object: np.ndarray,
     view_from_world: np.ndarray,
 ) -> Order:
-    """Order all splats of a cut that belong to `geometries`, of all instances together.
+    """Sorts all splats of a cut that belong to `geometries`, those of all instances together.
 
     `geometry` (I,) holds the key into `geometries` of each instance, `world_from_object` is (I, 4, 4) float64;
     other instances' splats are left out, as are those of transforms that are not finite. Splats are counted as
-    `hierarchy.splats` does.
+    `node_splats.points_and_nodes` does.
     """
     direction, parts = _direction(view_from_world), []
     depth = np.full(int(cut.count.sum()), np.nan)
@@ -123,11 +124,11 @@ class _Part:
     count: np.ndarray  # (r,) int64, splats of each range
     linear: np.ndarray  # (r, 3, 3) float64, world from object
     offset: np.ndarray  # (r, 3) float64, where the cloud's origin lies in the world
-    smallest: float  # world units: no splat, of opaque ones no OPAQUE_SLICES of one, has a shorter half-axis but 0
+    smallest: float  # world units: a lower bound of all positive half-axes; of opaque splats times OPAQUE_SLICES
 
     @classmethod
     def of(cls, entry: Hierarchy | PointCloud, cut: Cut, rows: np.ndarray, matrix: np.ndarray) -> _Part:
-        """Of the cut's ranges `rows`, whose transforms are `matrix` (r, 4, 4)."""
+        """The splats in the cut's ranges `rows`, whose transforms are `matrix` (r, 4, 4)."""
         cloud = entry if isinstance(entry, PointCloud) else entry.cloud
         position, size = cloud.position, _sizes(cloud)
         if isinstance(entry, Hierarchy):
@@ -148,14 +149,14 @@ class _Part:
 
     @property
     def corners(self) -> np.ndarray:
-        """(8 r, 3) float64, world space: those of a box about the positions, under each transform."""
+        """The corners (8 r, 3) float64 in world space of a box around the positions, under each transform."""
         # Column by column: many times faster than along the first axis.
         box = np.stack(np.meshgrid(*((c.min(), c.max()) for c in self.position.T)), axis=-1).reshape(-1, 3)
         return (box @ self.linear.swapaxes(1, 2) + self.offset[:, None]).reshape(-1, 3)
 
 
 def _sizes(cloud: PointCloud) -> np.ndarray:
-    """(N,) float32: the shorter half-axis in the splat's plane, or a ball's radius; 0 without radii."""
+    """The shorter half-axis in each splat's plane, or the radius of a ball; 0 without radii; (N,) float32."""
     if cloud.radii is None:
         return np.zeros(len(cloud), np.float32)
     return cloud.radii[:, 0] if cloud.normal is None else cloud.radii[:, :2].min(axis=1)
@@ -168,7 +169,7 @@ def _least_scale(linear: np.ndarray) -> float:
 
 
 def _picked(first: np.ndarray, count: np.ndarray) -> np.ndarray | slice:
-    """What selects ranges one after the other; a view where there is but one."""
+    """The index of all elements of the ranges, one range after the other; a slice if there is only one range."""
     return slice(first[0], first[0] + count[0]) if len(first) == 1 else ranges(first, count)
 
 

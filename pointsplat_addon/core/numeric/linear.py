@@ -1,4 +1,4 @@
-"""TODO: say what this module is."""
+"""Bounds and checks of small matrices."""
 
 from __future__ import annotations
 
@@ -6,18 +6,21 @@ import math
 
 import numpy as np
 
+from .vectors import dot
+
 HALF_DIGITS = 1.5e-8  # the root of what float64 resolves
 
 
 def largest_singular_value(matrix: np.ndarray) -> np.ndarray:
-    """Of matrices (I, 3, 3), never too small, and at most 1e-8 of it too large: the largest root of the characteristic
-    cubic of A^T A in trigonometric form (Smith 1961). Where two roots are nearly one, their angle is known to half the
+    """Largest singular values (I,) of matrices (I, 3, 3), never too small and at most 1e-8 of it too large.
+
+    The largest root of the characteristic cubic of A^T A in trigonometric form (Smith 1961). Where two roots are nearly one, their angle is known to half the
     digits only; so much, of what they differ by from the mean, is added. Scales that are alike in all directions lose
     nothing."""
     a = np.ascontiguousarray(matrix.transpose(1, 2, 0))
     size = np.maximum(np.maximum.reduce(np.abs(a).reshape(9, -1)), np.finfo(float).tiny)
     x, y, z = (a / size).transpose(1, 0, 2)
-    xx, yy, zz, xy, xz, yz = _dot(x, x), _dot(y, y), _dot(z, z), _dot(x, y), _dot(x, z), _dot(y, z)
+    xx, yy, zz, xy, xz, yz = dot(x, x), dot(y, y), dot(z, z), dot(x, y), dot(x, z), dot(y, z)
     middle = (xx + yy + zz) / 3
     xx, yy, zz = xx - middle, yy - middle, zz - middle
     spread = np.sqrt((xx * xx + yy * yy + zz * zz + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
@@ -26,12 +29,8 @@ def largest_singular_value(matrix: np.ndarray) -> np.ndarray:
     return size * np.sqrt(middle + 2 * spread * (np.cos(np.arccos(cosine) / 3) + HALF_DIGITS)) * (1 + 1e-15)
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
 def all_finite(matrix: np.ndarray) -> np.ndarray:
-    """(I,) bool: which of the matrices (I, n, m) hold neither a NaN nor an infinity: what times zero is no zero."""
+    """(I,) bool: which of the matrices (I, n, m) hold neither a NaN nor an infinity."""
     numbers = math.prod(matrix.shape[1:])
     with np.errstate(invalid="ignore"):
         return np.asarray(matrix.reshape(-1, numbers) @ np.zeros(numbers) == 0)

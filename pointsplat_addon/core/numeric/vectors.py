@@ -1,4 +1,7 @@
-"""Vectors as rows of coordinates, (3, n), which NumPy handles several times faster than (n, 3)."""
+"""Vectors as columns (3, n), which NumPy handles several times faster than rows (n, 3); work in blocks.
+
+Functions named `..._rows` and `row_...` take rows (..., 3).
+"""
 
 from __future__ import annotations
 
@@ -95,4 +98,4 @@ def row_frames(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def unit_rows(v: np.ndarray) -> np.ndarray:
     """Normalises rows (..., 3); zero rows stay zero."""
-    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-30)
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-300)

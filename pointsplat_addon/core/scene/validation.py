@@ -125,7 +125,7 @@ RULES: dict[type, dict[str, Rule]] = {
         _VOXELS),
 }  # fmt: skip
 
-Lookup = Callable[[tuple, Callable[[], Any]], Any]  # what is kept under a key, made where there is nothing
+Lookup = Callable[[str, Callable[[], Any]], Any]  # what is kept for a content key, made where there is nothing
 
 
 def validate(scene: Scene, camera: Camera, lookup: Lookup = lambda key, make: make()) -> tuple[Scene, Camera]:
@@ -185,7 +185,7 @@ def _valid_geometry(geometry: Geometry, warnings: list[str], lookup: Lookup) -> 
         geometry = replace(geometry, **dict.fromkeys(wrong, 0.0))
     if data is None:
         return geometry
-    changed, messages = lookup(("valid", geometry.key), lambda: _valid_data(data))
+    changed, messages = lookup(geometry.key, lambda: _valid_data(data))
     warnings += [f"{geometry.name}: {message}" for message in messages]
     return geometry if changed is None else replace(geometry, **{changed.name: changed.data})
 
@@ -266,9 +266,10 @@ def _valid_camera(camera: Camera, warnings: list[str]) -> tuple[Camera, bool]:
     the world alone, as in Cycles: its rays are no numbers and meet nothing."""
     changed: dict[str, Any] = {}
     wrong = _wrong(camera, WORLD_ONLY)
-    turned, scales = np.linalg.det(camera.view_from_world[:3, :3]), np.diag(camera.clip_from_view)[:2]
-    unseen = [] if "view_from_world" not in wrong and abs(turned) > 0.5 else ["position or directions"]
-    unseen += [] if "clip_from_view" not in wrong and scales.all() else ["projection"]
+    rigid = "view_from_world" not in wrong and abs(np.linalg.det(camera.view_from_world[:3, :3])) > 0.5
+    projects = "clip_from_view" not in wrong and np.diag(camera.clip_from_view)[:2].all()
+    unseen = [] if rigid else ["position or directions"]
+    unseen += [] if projects else ["projection"]
     if unseen:
         warnings.append(f"Camera: its {' and '.join(unseen)} cannot be drawn, so only the world is seen")
         plain = np.diag([1.0, 1.0, -1.0, 1.0])

@@ -1,1 +1,2 @@
-"""Translucent shadow tables (Gunjee et al. 2007): casters, grids of directions, how tables are built, and what they hold."""
+"""Translucent shadow tables (Gunjee et al. 2007): casters, grids of directions, how tables are built, and what they
+hold."""

@@ -19,7 +19,8 @@ RUN_ENTRIES = 1 << 14  # entries that are sorted together: their scratch arrays 
 
 
 def accumulate_levels(rows: GridRows, blocks: Sequence[EntryBlock], wide: bool) -> Iterator[TableLevel]:
-    """Yields the levels of a table: entries sorted by cell and distance, and summed within cells. `wide`: the light has a size.
+    """Yields the levels of a table: entries sorted by cell and distance, and summed within cells. `wide`: the light has
+    a size.
 
     Arrays of all entries are made for the levels alone: large ones take the system longer than small ones.
     """
@@ -163,7 +164,8 @@ def _sums_from(starts: np.ndarray, count: np.ndarray, values: np.ndarray) -> np.
 
 
 def _masks(occupied: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Occupancy of cells: the number (W,) int32 of occupied cells before each group of TEXEL_CELLS, and bits (W, 3) int32."""
+    """Occupancy of cells: the number (W,) int32 of occupied cells before each group of TEXEL_CELLS, and bits (W, 3)
+    int32."""
     words = -(-cells // TEXEL_CELLS)
     mask = np.bincount(occupied // MASK_CELLS, weights=2.0 ** (occupied % MASK_CELLS), minlength=3 * words).astype(
         np.int32

@@ -7,13 +7,12 @@ gives its optical mass to the cells that its projection touches, each its share,
 distance: a cell then holds the mean optical depth over its directions. Levels of cells that double in size let each
 splat touch four cells at most; a look-up sums the levels and interpolates between four cells of each.
 
-Three kinds of casters are kept in cells of their own. VOLUME and SHELL sum optical depth, T = exp(-sum tau) (Beer's law). OPAQUE sums
-the fraction f of the cell that is covered while entries follow one another closely: the samples of one surface tile it,
-and shadows have smooth edges. Separate surfaces hide each other by chance, T = product of max(0, 1 - sum f), as
-leaves do; the table keeps -ln T. SHELL and OPAQUE entries lie where the splat's
-*plane* meets the middle of the cell, and a look-up with a normal compares them with its own plane there, so that
-a surface does not shade itself, however it is inclined.
-"""
+Three kinds of casters are kept in cells of their own. VOLUME and SHELL sum optical depth, T = exp(-sum tau) (Beer's
+law). OPAQUE sums the fraction f of the cell that is covered while entries follow one another closely: the samples of
+one surface tile it, and shadows have smooth edges. Separate surfaces hide each other by chance, T = product of max(0, 1
+- sum f), as leaves do; the table keeps -ln T. SHELL and OPAQUE entries lie where the splat's *plane* meets the middle
+of the cell, and a look-up with a normal compares them with its own plane there, so that a surface does not shade
+itself, however it is inclined."""
 
 from __future__ import annotations
 
@@ -43,8 +42,8 @@ def build_table(
     """The shadow table of a light, `resolution` cells high: over half a turn, or over the casters where they fill less.
 
     `around`: splats that the cells cover too, but that cast no shadow.
-    Raises ValueError for a light whose position or direction is not finite, or for more cells than 32-bit links address.
-    """
+    Raises ValueError for a light whose position or direction is not finite, or for more cells than 32-bit links
+    address."""
     if not (np.isfinite(light.position).all() and np.isfinite(light.direction).all()):
         raise ValueError(f"light {light.name!r}: position or direction is not finite")
     batches = [b for b in (lit_casters(light, b) for b in batches) if len(b)]

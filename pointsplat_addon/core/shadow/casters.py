@@ -142,7 +142,7 @@ def _half_axes(cloud: PointCloud, radii: np.ndarray, solid: bool) -> np.ndarray:
 
 
 def rotate_vectors(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Row vectors (N, K, 3) times a matrix (3, 3). In memory they are rows of coordinates, which NumPy handles several times
-    faster than vectors one by one."""
+    """Row vectors (N, K, 3) times a matrix (3, 3). In memory they are rows of coordinates, which NumPy handles several
+    times faster than vectors one by one."""
     rows = vectors.transpose(2, 1, 0)
     return (matrix.T @ rows.reshape(3, -1)).reshape(rows.shape).transpose(2, 1, 0)

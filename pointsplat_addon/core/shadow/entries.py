@@ -40,8 +40,8 @@ def concatenate_columns(parts: Sequence[Sequence[np.ndarray]]) -> tuple:
 
 
 def _splat_entries(rows: GridRows, batch: Casters, spans: DistanceSpans) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Entries of splats: cells (E,) int32, distances (E,) float32, and amounts (E,) or (E, 3) float32, which are optical
-    depths, or the covered fractions of opaque splats."""
+    """Entries of splats: cells (E,) int32, distances (E,) float32, and amounts (E,) or (E, 3) float32, which are
+    optical depths, or the covered fractions of opaque splats."""
     frame = rows.frame
     turn = frame.light_from_world.T.astype(np.float32)
     local = (batch.position + (batch.origin - frame.origin).astype(np.float32)) @ turn
@@ -129,9 +129,8 @@ def _split_between_cells(place: np.ndarray, half: np.ndarray, smoke: bool) -> tu
 
     `half` is a splat's half extent in cells; it is at most half a cell, so the nearest border divides it. Along the
     line a disk counts as a parabola that ends at its rim, and smoke as (1 - x^2)^4, near to the projection of
-    core/splat/kernel.py, with the variance of a splat where it ends at sqrt(11) standard deviations. Both have an end, so
-    that no cell but two gets a share.
-    """
+    core/splat/kernel.py, with the variance of a splat where it ends at sqrt(11) standard deviations. Both have an end,
+    so that no cell but two gets a share."""
     cell = np.rint(place)
     off = place - cell
     t = (np.abs(off) - np.float32(0.5)) / np.maximum(half, np.float32(1e-20))
@@ -151,7 +150,8 @@ def _split_between_cells(place: np.ndarray, half: np.ndarray, smoke: bool) -> tu
 
 
 def _mean_inverse_square(distance: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """(N,) float32: mean of 1 / r^2 over Gaussians, which for smoke around a light is far from the value at their centres.
+    """(N,) float32: mean of 1 / r^2 over Gaussians, which for smoke around a light is far from the value at their
+    centres.
 
     With t = distance / deviation it is Dawson's integral, over deviation^2: the integral of exp(-t^2 (1 - s^2) / 2) for
     s from 0 to 1, or 1 / t^2 (1 + 1 / t^2 (1 + 3 / t^2 (1 + 5 / t^2))) for large t.

@@ -1,4 +1,5 @@
-"""Floors: flat casters of which everything else lies on the light's side, so that leaving them out changes no shadow."""
+"""Floors: flat casters of which everything else lies on the light's side, so that leaving them out changes no
+shadow."""
 
 from __future__ import annotations
 
@@ -12,16 +13,16 @@ from .samples import MeshExtents
 FLATNESS = 1e-6  # of a mesh's size, and of the distances at hand: float32 tells no less apart
 
 
-def plane_of_mesh(mesh: Mesh, outline: MeshExtents) -> tuple[np.ndarray, np.ndarray] | None:
+def plane_of_mesh(mesh: Mesh, extents: MeshExtents) -> tuple[np.ndarray, np.ndarray] | None:
     """A point (3,) and the unit normal (3,) float64, object space, of the plane that holds all triangles of a
     mesh; None if there is no such plane."""
-    if len(mesh.triangles) == 0 or not outline.size > 0:
+    if len(mesh.triangles) == 0 or not extents.size > 0:
         return None
-    a, b, c = mesh.position[mesh.triangles[outline.area.argmax()]].astype(np.float64)
+    a, b, c = mesh.position[mesh.triangles[extents.area.argmax()]].astype(np.float64)
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal)
     slack = FLATNESS * (
-        np.linalg.norm(outline.high - outline.low) + np.abs(box_corners(outline.low, outline.high)).max()
+        np.linalg.norm(extents.high - extents.low) + np.abs(box_corners(extents.low, extents.high)).max()
     )
     used = mesh.position[np.unique(mesh.triangles)].astype(np.float64)
     return (a, normal) if np.abs((used - a) @ normal).max() <= slack else None
@@ -46,8 +47,8 @@ def lowest_box_height(
 
 
 def lowest_height(position: np.ndarray, world_from_object: np.ndarray, point: np.ndarray, normal: np.ndarray) -> float:
-    """The least height, above a plane in the world, of positions (N, 3) in object space, of instances (I, 4, 4); NaN if a
-    matrix is not finite."""
+    """The least height, above a plane in the world, of positions (N, 3) in object space, of instances (I, 4, 4); NaN if
+    a matrix is not finite."""
     with np.errstate(all="ignore"):
         along = normal @ world_from_object[:, :3, :3]  # (I, 3)
         height = position.astype(np.float64) @ along.T + (world_from_object[:, :3, 3] - point) @ normal

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..numeric.segments import starts
+from ..numeric.vectors import unit_rows
 from ..scene.lights import Light
 from .casters import CHUNK, Casters
 
@@ -147,7 +148,7 @@ def _across(batches: Sequence[Casters], middle: np.ndarray, axes: np.ndarray) ->
 
 def _cone(light: Light, middle: np.ndarray, batches: Sequence[Casters]) -> tuple[np.ndarray, float]:
     """A direction, and the angle about it that holds all splats that are lit; pi if the light is among them."""
-    direction, angle = _unit(middle - light.position), 0.0
+    direction, angle = unit_rows(middle - light.position), 0.0
     for batch in batches:
         for start in range(0, len(batch), CHUNK):
             part = batch.take(slice(start, start + CHUNK))
@@ -164,16 +165,12 @@ def _cone(light: Light, middle: np.ndarray, batches: Sequence[Casters]) -> tuple
     return direction, angle
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
-
-
 def rotation_to(direction: np.ndarray) -> np.ndarray:
     """(3, 3) float64 rotation whose first row is `direction`."""
-    first = _unit(np.asarray(direction, float))
+    first = unit_rows(np.asarray(direction, float))
     if not first.any():
         first = np.array([1.0, 0, 0])
-    second = _unit(np.cross(first, np.eye(3)[np.abs(first).argmin()]))
+    second = unit_rows(np.cross(first, np.eye(3)[np.abs(first).argmin()]))
     return np.stack([first, second, np.cross(first, second)])
 
 

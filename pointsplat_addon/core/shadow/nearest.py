@@ -33,7 +33,8 @@ class NearestEntries:
         return float(np.nan_to_num(self.distance[-1][0, 0], posinf=0.0))
 
     def around(self, latitude: np.ndarray, longitude: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """(P,) distances that no entry within `reach` (P,) of directions (P,) falls below. Reach: radians, for suns units."""
+        """(P,) distances that no entry within `reach` (P,) of directions (P,) falls below. Reach: radians, for suns
+        units."""
         size = np.ceil(np.log2(np.maximum(reach / self.side, 1)))
         size = np.minimum(size, len(self.distance) - 1).astype(np.int64)
         count = len(self.distance[0]) >> size
@@ -52,7 +53,8 @@ class NearestEntries:
 
 
 def nearest_entries(frame: Frame, levels: tuple[TableLevel, ...], wide: bool) -> NearestEntries:
-    """The nearest entries of a table's levels. Lights without a size (`wide` is false) need only the coarsest square."""
+    """The nearest entries of a table's levels. Lights without a size (`wide` is false) need only the coarsest
+    square."""
     if not levels or not wide:
         least = min((float(level.distance.min()) for level in levels), default=np.inf)
         return NearestEntries(frame.low, 1.0, frame.full, (np.full((1, 1), least, np.float32),))

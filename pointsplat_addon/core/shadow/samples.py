@@ -64,7 +64,8 @@ def mesh_extents(mesh: Mesh) -> MeshExtents:
 
 
 def surface_points(mesh: Mesh, extents: MeshExtents) -> np.ndarray:
-    """(SURFACE_POINTS, 3) float64: points spread evenly over a mesh, in object space; the origin alone if it is empty."""
+    """(SURFACE_POINTS, 3) float64: points spread evenly over a mesh, in object space; the origin alone if it is
+    empty."""
     ends = np.cumsum(extents.area)
     if len(ends) == 0 or ends[-1] == 0:
         return np.zeros((1, 3))
@@ -98,8 +99,8 @@ def _fit_disks_to_area(evaluated: Evaluated, samples: Samples, area: np.ndarray)
 def caster_clouds(
     mesh: Mesh, extents: MeshExtents, spacing: float, table: MaterialTable, foliage: bool | None = None
 ) -> list[PointCloud]:
-    """The splats of a mesh for tables that resolve `spacing` (object units), as one or two clouds. foliage: the result of
-    `mesh_is_foliage` if it is known.
+    """The splats of a mesh for tables that resolve `spacing` (object units), as one or two clouds. foliage: the result
+    of `mesh_is_foliage` if it is known.
 
     Where triangles are many and small, their vertices are taken: half as many splats, no wider than samples may be.
     """

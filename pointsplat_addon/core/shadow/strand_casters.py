@@ -28,8 +28,8 @@ class StrandSegments:
     step: float  # greatest length of a segment: wide strands are divided across by it, too
 
     def casters_toward(self, light: Light) -> Casters:
-        """Disconnected opaque balls, each of the area that its segment of a strand shows to the light: 2 r L times the sine
-        of the angle between them. Balls of segments as wide as long join to a closed surface."""
+        """Disconnected opaque balls, each of the area that its segment of a strand shows to the light: 2 r L times the
+        sine of the angle between them. Balls of segments as wide as long join to a closed surface."""
         to_light = np.broadcast_to(-np.asarray(light.direction, np.float32), self.position.shape)
         if light.kind != "SUN":
             to_light = (light.position - self.origin).astype(np.float32) - self.position
@@ -56,7 +56,8 @@ class StrandSegments:
 
 
 def cut_strands(strands: StrandLevels, world_from_object: np.ndarray, step: float) -> StrandSegments:
-    """The strands of an instance, cut into segments of at most `step` object units; world_from_object: (4, 4) float64."""
+    """The strands of an instance, cut into segments of at most `step` object units; world_from_object: (4, 4)
+    float64."""
     last = np.ones(len(strands), bool)
     last[strands.start[1:] - 1] = False
     a = np.flatnonzero(last)

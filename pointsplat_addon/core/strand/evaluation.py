@@ -15,8 +15,8 @@ SAG = 0.01  # and in lengths of the segment, so that thick curves show no corner
 
 
 def evaluate_curves(curves: Curves) -> EvaluatedCurves:
-    """Evaluates curves at the parameters of Blender 5.2 (Blender 4.5 spaces the points of NURBS curves differently, on the
-    same curve)."""
+    """Evaluates curves at the parameters of Blender 5.2 (Blender 4.5 spaces the points of NURBS curves differently, on
+    the same curve)."""
     count, start = curves.count, np.asarray(curves.start, np.int64)
     spans = NurbsSpans(curves)
     kind = np.where(spans.fits | (curves.kind != NURBS), curves.kind, POLY)

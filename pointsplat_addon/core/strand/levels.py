@@ -15,8 +15,8 @@ VISIBLE_CHANGE = 1 / 64  # largest change of colours and surface values that lea
 
 @dataclass(frozen=True, eq=False)
 class StrandLevels:
-    """Strands that can be drawn: all points are finite, consecutive ones differ, and every strand has at least two points
-    and a radius. P points in S strands, one after another."""
+    """Strands that can be drawn: all points are finite, consecutive ones differ, and every strand has at least two
+    points and a radius. P points in S strands, one after another."""
 
     origin: np.ndarray  # (3,) float64
     position: np.ndarray  # (P, 3) float32
@@ -64,8 +64,8 @@ class StrandLevels:
         return np.cumsum(step)
 
     def ends_near(self, ends: np.ndarray) -> np.ndarray:
-        """(K, 2) int64: the first and the last point of the strand of each segment (K, 2) that is within a radius of it,
-        where its tube may extend beyond the end of the strand; else -1. Closed strands have no ends."""
+        """(K, 2) int64: the first and the last point of the strand of each segment (K, 2) that is within a radius of
+        it, where its tube may extend beyond the end of the strand; else -1. Closed strands have no ends."""
         strand = self.strand[ends[:, 0]]
         outer = np.stack([self.start[strand], self.start[strand + 1] - 1], axis=1)
         closed = (self.position[outer[:, 0]] == self.position[outer[:, 1]]).all(axis=1)

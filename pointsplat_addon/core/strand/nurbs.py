@@ -62,7 +62,8 @@ class NurbsSpans:
         self.total[row] = number * self.resolution + ~cyclic
 
     def parts(self, opened: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Rows, control points and weights of the evaluated points, for each order in use. opened (C + 1,): EvaluatedCurves.open."""
+        """Rows, control points and weights of the evaluated points, for each order in use. opened (C + 1,):
+        EvaluatedCurves.open."""
         if len(self.row) == 0:
             return []
         total, first_span = self.total[self.row], starts(self.number)
@@ -79,7 +80,8 @@ class NurbsSpans:
         return found
 
     def _basis(self, degree: int, owner: np.ndarray, span: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Control points and the values of the basis functions that do not vanish in a span (Piegl and Tiller 1997, A2.2)."""
+        """Control points and the values of the basis functions that do not vanish in a span (Piegl and Tiller 1997,
+        A2.2)."""
         basis = np.zeros((len(u), degree + 1))
         basis[:, 0] = 1
         left = [u - self.knots[span + 1 - j] for j in range(1, degree + 1)]

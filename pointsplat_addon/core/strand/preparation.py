@@ -52,9 +52,9 @@ def _tangents(p: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 
 def _straighten_end_tangents(tangent: np.ndarray, p: np.ndarray, radius: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """(P, 3) float32 unit tangents, those at the ends of strands replaced, where they point elsewhere, by the direction to
-    where the strand is a radius away. Splines go back and forth about control points that coincide, and strands end in planes across their
-    tangents, which would then cut off the strand instead of its end."""
+    """(P, 3) float32 unit tangents, those at the ends of strands replaced, where they point elsewhere, by the direction
+    to where the strand is a radius away. Splines go back and forth about control points that coincide, and strands end
+    in planes across their tangents, which would then cut off the strand instead of its end."""
     if len(start) < 2:
         return tangent
     first, last = start[:-1], start[1:] - 1
@@ -73,8 +73,8 @@ def _straighten_end_tangents(tangent: np.ndarray, p: np.ndarray, radius: np.ndar
 
 
 def _ribbon_sides(normal: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """(P, 3) float32 unit vectors across ribbons, perpendicular to tangents and normals; any perpendicular of the tangent
-    where the normal gives none."""
+    """(P, 3) float32 unit vectors across ribbons, perpendicular to tangents and normals; any perpendicular of the
+    tangent where the normal gives none."""
     with np.errstate(invalid="ignore"):
         side = np.cross(np.where(np.abs(normal) < FARTHEST, normal, np.float32(0)), tangent)
     size = np.linalg.norm(side, axis=1, keepdims=True)

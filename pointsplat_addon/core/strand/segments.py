@@ -63,7 +63,8 @@ class Segments:
 
 def sample_offsets(count: int) -> np.ndarray:
     """(count,) float64: the multiples of 1 / count in an order whose beginnings are evenly spread. With frac(phase +
-    offset) < a, a strand of share a is drawn in floor or ceil(a count) samples of all, and likewise in the first half."""
+    offset) < a, a strand of share a is drawn in floor or ceil(a count) samples of all, and likewise in the first
+    half."""
     index, inverse = np.arange(count), np.zeros(count)
     base = 0.5
     while index.any():

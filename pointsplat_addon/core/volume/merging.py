@@ -20,7 +20,8 @@ def merge_level(matrix: np.ndarray, spacing: float) -> int:
 def merge_blocks(
     index: np.ndarray, found: Optics, shading: np.ndarray | None, level: int
 ) -> tuple[np.ndarray, Optics, np.ndarray | None]:
-    """Merges blocks of 2^level voxels to a side: (K, 3) float64 indices of centres of mass, mean optics, and mean normals.
+    """Merges blocks of 2^level voxels to a side: (K, 3) float64 indices of centres of mass, mean optics, and mean
+    normals.
 
     Means are over the block's volume, so that mass stays. Blocks lie on a lattice through index 0 whatever is active,
     and do not swim in animations.
@@ -49,5 +50,6 @@ def merge_blocks(
     )
     if shading is not None:
         shading = normalise(total(shading * weight[:, None].astype(np.float32)))
-    # An index is a voxel's centre in the finer lattice; so the finer matrix also gives the position of the merged splat.
+    # An index is a voxel's centre in the finer lattice; so the finer matrix also gives the position of the merged
+    # splat.
     return total(index * weight[:, None]) / mass, merged, shading

@@ -88,7 +88,8 @@ class _Grids:
         self.warnings: list[str] = []
 
     def read(self, name: str, *, finite_only: bool = False) -> np.ndarray | None:
-        """(N,) or (N, 3) float32 of a grid, or None if there is none of that name; negative values count as invalid unless `finite_only`."""
+        """(N,) or (N, 3) float32 of a grid, or None if there is none of that name; negative values count as invalid
+        unless `finite_only`."""
         grid = self.volume.grids.get(name) if name else None
         if grid is None:
             return None
@@ -101,7 +102,8 @@ class _Grids:
         return np.where(bad, np.float32(0), grid)
 
     def scalar(self, name: str, *, finite_only: bool = False) -> np.ndarray | None:
-        """(N,) float32 of a grid, or the mean of the components of a vector grid; None if there is none of that name."""
+        """(N,) float32 of a grid, or the mean of the components of a vector grid; None if there is none of that
+        name."""
         grid = self.read(name, finite_only=finite_only)
         return grid if grid is None or grid.ndim == 1 else grid.mean(axis=1)
 

@@ -1,6 +1,6 @@
-"""Dense arrays of voxels: NumPy's `.npy` and NIfTI-1's `.nii` and `.nii.gz`, as scanners' pictures come.
+"""Reads dense arrays of voxels: NumPy's `.npy`, and NIfTI-1's `.nii` and `.nii.gz` as medical scanners write them.
 
-No memory is taken for what a header claims before that is compared with the bytes that are there.
+No memory is allocated for what a header claims before that is compared with the bytes in the file.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SUFFIXES = (".npy", ".nii", ".nii.gz")
 HEADER = 348  # bytes
 MAGIC = b"\x93NUMPY"
 LONGEST_HEADER = 10_000  # bytes of NumPy's; it reads no longer ones
-DEFLATE = 1032  # bytes at most that one of a compressed file stands for (RFC 1951: 258 bytes of 2 bits)
+DEFLATE = 1032  # the most bytes that one byte of a compressed file stands for (RFC 1951: 258 bytes of 2 bits)
 DATATYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
 METRES = {1: 1.0, 2: 1e-3, 3: 1e-6}  # by NIfTI's code of the unit of length
 
@@ -45,7 +45,7 @@ class Dense:
 
 
 def read(path: Path) -> Dense:
-    """The array of a file, of any kind of real numbers; of more than one in it, the first.
+    """The array in a file, of any type of real numbers; of several volumes in one file, the first.
 
     Raises OSError where the file cannot be read and ValueError where it holds something else.
     """
@@ -114,10 +114,10 @@ def _nifti(file: BinaryIO, most: int, name: str) -> Dense:
     if not 3 <= header["dim"][0] <= 7 or min(shape) < 1:
         raise ValueError(f"{name} has the shape {shape}, expected three dimensions")
     dtype = np.dtype(order + DATATYPES[int(header["datatype"])])
-    place, count = float(header["vox_offset"]), int(np.prod(shape, dtype=np.int64))
-    if not HEADER <= place <= most or most < place + count * dtype.itemsize:
+    start, count = float(header["vox_offset"]), int(np.prod(shape, dtype=np.int64))
+    if not HEADER <= start <= most or most < start + count * dtype.itemsize:
         raise ValueError(f"{name} ends before its last voxel")
-    file.read(int(place) - HEADER)
+    file.read(int(start) - HEADER)
     data = file.read(count * dtype.itemsize)
     file.read(1)  # where an archive ends here, its checksum is looked at
     if len(data) < count * dtype.itemsize:
@@ -155,7 +155,7 @@ def _affine(header: np.void) -> np.ndarray:
 
 
 def centred(dense: Dense, longest: float) -> np.ndarray:
-    """object_from_index with the lattice's middle at 0 and its longest side `longest` units long."""
+    """object_from_index (4, 4) with the lattice's centre at the origin and its longest side `longest` units long."""
     matrix, shape = dense.object_from_index.copy(), np.array(dense.value.shape)
     side = float((np.linalg.norm(matrix[:3, :3], axis=0) * shape).max())
     matrix[:3, :3] *= longest / side
@@ -164,9 +164,10 @@ def centred(dense: Dense, longest: float) -> np.ndarray:
 
 
 def without_background(value: np.ndarray, share: float) -> tuple[np.ndarray, float, float]:
-    """(values, empty, highest): values up to a share of their range from the lowest become `empty`, the lowest itself.
+    """The values without their background, and the lowest and the highest finite value.
 
-    So do values that are not finite. Raises ValueError where all are alike: nothing would be left.
+    Values in the lowest `share` (0 to 1) of the range, and those that are not finite, become the lowest value. Raises
+    ValueError if all voxels have the same value: nothing would be left.
     """
     good = np.isfinite(value)
     low, high = (float(f(value, where=good, initial=i)) for f, i in ((np.min, np.inf), (np.max, -np.inf)))

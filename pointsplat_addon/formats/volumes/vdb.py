@@ -1,4 +1,4 @@
-"""OpenVDB files by the `openvdb` module that Blender ships: sparse grids in and dense arrays out.
+"""Reads sparse grids from OpenVDB files and writes dense arrays to them, by the `openvdb` module that Blender ships.
 
 The module is handed in (host/openvdb.py finds it), so that nothing here needs Blender.
 """
@@ -57,9 +57,9 @@ class Grids:
 
 
 def read(openvdb: Any, path: Path, names: Collection[str] | None = None) -> tuple[list[Grid], list[str]]:
-    """The grids of a file that are called `names` (None: all of them), and what is wrong with others.
+    """The grids of a file with one of the `names` (None: all grids), and messages about those that cannot be read.
 
-    Where a file has none of those names, its first grid of voxels is read instead: the region that it fills.
+    If the file has none of those names, its first grid of voxels is read instead, which tells the region that it fills.
     Level sets become densities: 1 inside, falling to 0 over one voxel across the surface.
     Raises OSError where the file cannot be read.
     """
@@ -88,7 +88,7 @@ def read(openvdb: Any, path: Path, names: Collection[str] | None = None) -> tupl
 
 
 def _problem(openvdb: Any, grid: Any) -> str | None:
-    """Why a grid holds no voxels that can be drawn."""
+    """Why the voxels of a grid cannot be drawn; returns None if they can."""
     if type(grid).__name__ not in KINDS:
         what = "points" if grid.valueTypeName.startswith("ptdata") else grid.valueTypeName
         return f'the grid "{grid.name}" holds {what}, which volumes are not drawn from'
@@ -98,9 +98,10 @@ def _problem(openvdb: Any, grid: Any) -> str | None:
 
 
 def sparse(openvdb: Any, grid: Any) -> tuple[Grid | None, list[str]]:
-    """The active voxels of an `openvdb` grid, which is used up, and what was wrong with it; None where it has none.
+    """The active voxels of an `openvdb` grid (None if it has none), and messages about what was wrong with it.
 
-    Raises ValueError where they lie so far apart that cells have no 64-bit number.
+    The grid is changed in the process. Raises ValueError where voxels are so far apart that their cells cannot be
+    numbered with 64 bits.
     """
     name, matrix = grid.name, transform(grid)
     if np.linalg.matrix_rank(matrix[:3, :3]) < 3 or not np.isfinite(matrix).all():
@@ -220,9 +221,9 @@ def _listed(block: np.ndarray, where: np.ndarray, start: np.ndarray) -> tuple[np
 
 
 def _inside(grid: Any, name: str, matrix: np.ndarray) -> tuple[Grid | None, list[str]]:
-    """A signed distance as a density: the share of a voxel that lies inside, were its surface flat.
+    """The density of a level set: the fraction of each voxel that lies inside, with the surface in it taken as flat.
 
-    The inside is not active, but negative, and is found by copying the whole box.
+    Voxels inside are not active but negative; they are found by copying the whole bounding box.
     """
     low, high = (np.array(corner, np.int64) for corner in grid.evalActiveVoxelBoundingBox())
     if _volume(low, high) > 8 * MOST:
@@ -250,9 +251,9 @@ def _tuple(corner: np.ndarray) -> tuple[int, int, int]:
 
 
 def combine(grids: list[Grid]) -> tuple[Grids, list[str]]:
-    """All grids on the lattice of the first, and what had to be done for it. Raises ValueError for no grids.
+    """All grids on the lattice of the first one, and messages about those that had to be resampled.
 
-    Those of the same transform bring their voxels; others are resampled at the voxels that are there.
+    Grids with the same transform add their voxels; others are resampled at these. Raises ValueError for no grids.
     """
     if not grids:
         raise ValueError("there are no grids")
@@ -322,7 +323,7 @@ def _resampled(grid: Grid, index: np.ndarray, object_from_index: np.ndarray) -> 
 
 
 def write(openvdb: Any, path: Path, name: str, array: np.ndarray, object_from_index: np.ndarray, empty: float) -> int:
-    """A dense array (X, Y, Z) as a fog volume whose voxels of the value `empty` are not stored; how many are.
+    """Writes a dense array (X, Y, Z) as a fog volume without the voxels of the value `empty`; returns how many it has.
 
     Raises OSError where the file cannot be written.
     """

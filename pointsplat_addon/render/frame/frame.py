@@ -53,7 +53,9 @@ class Frame:
         self.clock = Clock(self.device, cancelled)
         self.whole = scene  # as it was given
         # What comes before anything is on the device can be cancelled.
-        self.shot = make_shot(scene, request, self.device.limits, renderer.costs, self.clock, presented, picture)
+        self.shot = make_shot(
+            scene, request, renderer.store, self.device.limits, renderer.costs, self.clock, presented, picture
+        )
         self.view = self.shot.view  # of the sample that is drawn
         self.done = 0
         self.ended = False  # before all samples were drawn
@@ -87,7 +89,16 @@ class Frame:
             self.lens = self._own(LensSamples(device, shot.view, request.samples))
         motion = plan.data and "vector" in data.data(request.passes)
         self.uploads: Uploads = self._own(
-            Uploads(self.renderer.kept, shot.scene, shot.view, shot.prepared, plan, motion, shot.shadows)
+            Uploads(
+                self.renderer.store,
+                self.renderer.kept,
+                shot.scene,
+                shot.view,
+                shot.prepared,
+                plan,
+                motion,
+                shot.shadows,
+            )
         )
         self.clock.spent |= self.uploads.spent
         if plan.backdrop:

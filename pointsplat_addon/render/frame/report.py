@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..cache.store import STORE
 from ..plan.reasons import not_run
 from .frame import Frame
 
@@ -22,7 +21,7 @@ def report(frame: Frame, seconds: float) -> dict[str, Any]:
         "technique": {"name": shot.technique.name, "because": shot.technique.because},
         "triangles": shot.triangles,
         "lines": {"strands": shot.strands, "segments": shot.segments, "drawn": drawn},
-        "bytes": {"cpu": STORE.nbytes, "gpu": device.bytes_allocated()},
+        "bytes": {"cpu": frame.renderer.store.nbytes, "gpu": device.bytes_allocated()},
         "warnings": list(shot.warnings),
     }
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -24,9 +23,11 @@ from ...core.strand.preparation import with_levels
 from ...core.strand.projection import tube_radius_scale
 from ...core.surface.appearance import digest
 from ...core.surface.density import Parts, make_parts
-from ..cache.store import STORE, Layer, PointSet
+from ..cache.device_cache import DeviceCache
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
 from ..device.packing import PAGE_WIDTH, paged
-from ..device.protocol import Device, Target, Texture, released_on_failure
+from ..device.protocol import Device, Target, Texture
 from ..passes.pages.point_page import Page, PageDraw, blocks, instance_rows, with_origin
 from ..passes.shading import lighting, materials
 from ..passes.translucent import light as light_pass
@@ -35,57 +36,11 @@ from ..passes.translucent.page import TranslucentPage
 from ..passes.uniforms import SampleView, Values
 from ..passes.visibility import polygon_mesh, strand_page
 from ..plan.plan import Plan
+from ..prepare.point_sets import Layer, PointSet
 from ..prepare.prepare import Prepared
 from ..shadow.shadows import Shadows
 
 OWN_PAGE = 4 << 20  # splats: larger sets get a page of their own, so that small changes upload little
-DEVICE_LIMIT = 4 << 30  # bytes of geometry that stay on the device after their frame
-
-
-class Kept:
-    """What stays on the device for the next frame, by content. Several frames may be in the making: two viewports, or a
-    picture and what it is compared with."""
-
-    def __init__(self, device: Device) -> None:
-        self.device = device
-        self._items: dict[tuple, Any] = {}
-        self._used: list[set[tuple]] = []  # by each frame in the making
-
-    def begin(self) -> set[tuple]:
-        """For the keys of what one frame uses, which stays until its `end`."""
-        self._used.append(set())
-        return self._used[-1]
-
-    def end(self, used: set[tuple]) -> None:
-        """A frame is over; once is enough."""
-        self._used = [other for other in self._used if other is not used]
-
-    def own(self, name: str) -> tuple:
-        """The key of an item that changes with the view: of several, the first that no other frame uses."""
-        taken = set().union(*self._used)
-        return next(key for key in ((name, number) for number in count()) if key not in taken)
-
-    def keep(self, key: tuple, make: Callable[[], Any]) -> Any:
-        """What `make` puts on the device, made once for `key`."""
-        if key not in self._items:
-            with released_on_failure(self.device):
-                self._items[key] = make()
-        self._items[key] = self._items.pop(key)
-        return self._items[key]
-
-    def forget(self) -> None:
-        """Free what no frame uses, longest unused first, until the rest fits."""
-        used = set().union(*self._used)
-        for key in list(self._items):
-            if self.device.bytes_allocated() <= DEVICE_LIMIT:
-                return
-            if key not in used:
-                self._items.pop(key).release()
-
-    def release(self) -> None:
-        for item in self._items.values():
-            item.release()
-        self._items.clear()
 
 
 class Uploads:
@@ -93,7 +48,8 @@ class Uploads:
 
     def __init__(
         self,
-        kept: Kept,
+        store: Store,
+        kept: DeviceCache,
         scene: Scene,
         camera: Camera,
         prepared: Prepared,
@@ -101,10 +57,10 @@ class Uploads:
         motion: bool = False,
         shadows: Shadows | None = None,
     ) -> None:
-        self.kept, self.device = kept, kept.device
+        self.store, self.kept, self.device = store, kept, kept.device
         self.scene, self.camera, self.prepared, self.plan = scene, camera, prepared, plan
         self.used = kept.begin()
-        self._order_key, self._reach_key = kept.own("order"), kept.own("reach")
+        self._order_key, self._reach_key = kept.own_key(Kind.DRAW_ORDER), kept.own_key(Kind.LIGHT_SHARES)
         self._owned: list[Any] = []
         self._of_view: list[Texture] = []
         self._packed = None if shadows is None else shadows.packed
@@ -126,7 +82,7 @@ class Uploads:
         self.listed = 0  # how many
         self.reach_lights = 0  # of so many lights the share that reaches each of them may be kept
         self.reach_instances = np.empty(0, np.int64)
-        self.reach_key: tuple = ()
+        self.reach_key: tuple = ()  # what that light depends on
         self.spent: dict[str, float] = {}  # milliseconds by pass, of those that the processor does
         try:
             self._upload(motion, shadows)
@@ -206,7 +162,7 @@ class Uploads:
         self._upload_view()
         if motion:
             self.previous = self._own(self._motion())
-        self.kept.forget()
+        self.kept.trim_unused()
 
     def _upload_view(self) -> None:
         """Small tables that hold the view."""
@@ -240,9 +196,9 @@ class Uploads:
             return device.texture((data.shape[1], data.shape[0]), "RGBA32F", data.reshape(-1))
 
         self._shadow_key = shadows.key
-        key = ("shadows", shadows.key)
+        key = Key(Kind.SHADOW_TEXTURE, shadows.key)
         self.used.add(key)
-        self.shadows = self.kept.keep(key, make), None
+        self.shadows = self.kept.lookup(key, make), None
 
     def _environment(self, image: np.ndarray) -> Texture:
         def make() -> Texture:
@@ -251,9 +207,9 @@ class Uploads:
             return self.device.texture((atlas.shape[1], atlas.shape[0]), "RGBA32F", rgba.reshape(-1))
 
         # The array itself is part of the key, so that its identity is not given to another one.
-        key = ("environment", Same(image))
+        key = Key(Kind.ENVIRONMENT, Same(image))
         self.used.add(key)
-        return self.kept.keep(key, make)
+        return self.kept.lookup(key, make)
 
     def _levels(self, image: np.ndarray) -> Texture:
         def make() -> Texture:
@@ -261,9 +217,9 @@ class Uploads:
             rgba = np.concatenate([levels, np.ones((*levels.shape[:2], 1), np.float32)], axis=2)
             return self.device.texture((levels.shape[1], levels.shape[0]), "RGBA32F", rgba.reshape(-1))
 
-        key = ("environment levels", Same(image))
+        key = Key(Kind.ENVIRONMENT_LEVELS, Same(image))
         self.used.add(key)
-        return self.kept.keep(key, make)
+        return self.kept.lookup(key, make)
 
     def _transforms(self) -> None:
         """The only instance of points as uniforms, or a texture for all and no uniforms."""
@@ -295,9 +251,9 @@ class Uploads:
         plan, table = self.plan, self.scene.materials
         sets = list({points.key: points for points in group.values()}.values())
         filled = _fill_key(self.scene) if plan.variant.color or plan.variant.emission else b""
-        key = ("page", tuple(p.key for p in sets), plan.variant, plan.options.shading_normal, filled)
+        key = Key(Kind.PAGE, tuple(p.key for p in sets), other=(plan.variant, plan.options.shading_normal, filled))
         self.used.add(key)
-        return self.kept.keep(key, lambda: Page(self.device, sets, plan.variant, plan.options, table))
+        return self.kept.lookup(key, lambda: Page(self.device, sets, plan.variant, plan.options, table))
 
     def _escape(self) -> np.ndarray:
         """(M,) how much light leaves the hair of each material; of the strands that have most of it, in view or not."""
@@ -306,7 +262,9 @@ class Uploads:
         for geometry in scene.geometries:
             if geometry.strands is not None and scene.materials.hair is not None:
                 lines, rows = geometry.strands, list(geometry.strands.materials)
-                number = STORE.lookup(("crossed", geometry.key), lambda lines=lines: hair.strands_crossed(lines))
+                number = self.store.lookup(
+                    Key(Kind.CROSSED_HAIRS, geometry.key), lambda lines=lines: hair.strands_crossed(lines)
+                )
                 most[rows] = np.maximum(most[rows], number)
         return hair.escape_share(most)
 
@@ -315,14 +273,14 @@ class Uploads:
         scene, prepared, variant = self.scene, self.prepared, self.plan.variant
         for row, segments in prepared.lines.items():
             geometry, lines = scene.geometries[row], _lines_of(scene, row)
-            key = ("lines", geometry.key, variant, _fill_key(scene))
+            key = Key(Kind.STRAND_PAGE, geometry.key, other=(variant, _fill_key(scene)))
             self.used.add(key)
 
             def make(lines: Strands = lines, geometry: Geometry = geometry) -> strand_page.StrandPage:
-                strands = STORE.lookup(("strands", geometry.key), lambda: with_levels(lines))
+                strands = self.store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: with_levels(lines))
                 return strand_page.StrandPage(self.device, lines, strands, variant, scene.materials)
 
-            page = self.kept.keep(key, make)
+            page = self.kept.lookup(key, make)
             self.lines.append(self._own(strand_page.StrandDraw(self.device, page, segments, scene.instances.holdout)))
 
     def _draw_list(self) -> None:
@@ -331,20 +289,20 @@ class Uploads:
         options = self.plan.translucent
         assert options is not None
         sets = list({points.key: points for points in layer.point_sets.values()}.values())
-        key = ("translucent", tuple(p.key for p in sets), options, _fill_key(scene))
+        key = Key(Kind.TRANSLUCENT_PAGE, tuple(p.key for p in sets), other=(options, _fill_key(scene)))
         self.used.add(key)
         shares = {layer.point_sets[row].key: share for row, share in self.prepared.shares.items()}
 
         def make() -> TranslucentPage:
             return TranslucentPage(device, sets, options, scene.materials, shares)
 
-        page = self.kept.keep(key, make)
+        page = self.kept.lookup(key, make)
         matrices, view = scene.instances.world_from_object, self.camera.view_from_world
         self.used.add(self._order_key)
         if self.plan.defocus:
             texture, self.listed = self._unsorted(page, layer)
         else:
-            sorted_list: DrawList = self.kept.keep(self._order_key, DrawList)
+            sorted_list: DrawList = self.kept.lookup(self._order_key, DrawList)
             before, sorts = time.perf_counter(), sorted_list.sorts
             sorted_list.update(
                 device, page, layer, matrices, view, (key, layer.set_of_instance.tobytes(), matrices.tobytes())
@@ -362,7 +320,7 @@ class Uploads:
         size, data = paged(light_pass.draw_list_rows(texel, instance), 2)
         return self._own(self.device.texture(size, "RG32F", data)), len(texel)
 
-    def _remember(self, page: TranslucentPage, key: tuple, layer: Layer, world_from_object: np.ndarray) -> None:
+    def _remember(self, page: TranslucentPage, key: Key, layer: Layer, world_from_object: np.ndarray) -> None:
         """What it needs to know the light that reaches each splat for all cameras: one instance for each splat."""
         shown = layer.set_of_instance[layer.set_of_instance >= 0]
         lights = len(self.scene.lights)
@@ -394,7 +352,7 @@ class Uploads:
                 order.release()
 
         self.used.add(self._reach_key)
-        kept: light_shares.LightShares = self.kept.keep(self._reach_key, lambda: light_shares.LightShares(device))
+        kept: light_shares.LightShares = self.kept.lookup(self._reach_key, lambda: light_shares.LightShares(device))
         return kept.textures(self.reach_key, tap, program, self.splats["ps_position"].size, light)
 
     def _polygon_meshes(self) -> dict[int, polygon_mesh.PolygonMesh]:
@@ -403,17 +361,18 @@ class Uploads:
             geometry = scene.geometries[row]
             mesh = geometry.mesh
             assert mesh is not None
-            look = (digest(mesh, scene.materials), plan.variant, _fill_key(scene))
+            look = digest(mesh, scene.materials)
             parts = None
             if geometry.primitive == "AUTO":
-                parts = STORE.lookup(("parts", geometry.key), lambda mesh=mesh: make_parts(mesh))
-            key = ("polygons", geometry.key, *look, scene.materials.cull.tobytes(), parts is not None)
+                parts = self.store.lookup(Key(Kind.PARTS, geometry.key), lambda mesh=mesh: make_parts(mesh))
+            more = (plan.variant, _fill_key(scene), scene.materials.cull.tobytes(), parts is not None)
+            key = Key(Kind.POLYGON_MESH, geometry.key, look, other=more)
             self.used.add(key)
 
             def make(mesh: Mesh = mesh, parts: Parts | None = parts) -> polygon_mesh.PolygonMesh:
                 return polygon_mesh.PolygonMesh(self.device, mesh, scene.materials, plan.variant, parts)
 
-            meshes[row] = self.kept.keep(key, make)
+            meshes[row] = self.kept.lookup(key, make)
             meshes[row].hang(self._pictures)
         for instance, parts in self.prepared.parts.items():
             groups = meshes[int(scene.instances.geometry[instance])].groups
@@ -424,9 +383,9 @@ class Uploads:
         """Of a graph, over constants of the material table's row."""
         table, emission = self.scene.materials, self.plan.variant.emission
         constants = (table.base_color[row].tobytes(), float(table.roughness[row]), float(table.metallic[row]))
-        key = ("pictures", graph.digest, *constants, emission)
+        key = Key(Kind.TEXTURES, graph.digest, other=(*constants, emission))
         self.used.add(key)
-        return self.kept.keep(key, lambda: polygon_mesh.Pictures(self.device, graph, table, row, emission))
+        return self.kept.lookup(key, lambda: polygon_mesh.Pictures(self.device, graph, table, row, emission))
 
     def _part_list(self, rows: np.ndarray) -> polygon_mesh.PartList | None:
         if len(rows) == 0:

@@ -15,6 +15,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, clouds, drawing
 from scripts.scenes.case import Case
 from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 
 SAMPLES = 24
 COMBINED = frozenset({"combined"})
@@ -116,7 +117,7 @@ def test_where_all_samples_are_needed_nothing_asks(case, passes, samples, settin
     case = CASES[case]()
     case = replace(case, settings=replace(case.settings, **settings))
     device = NullDevice()
-    told = Renderer(device).render(case.scene, case.request(passes, samples)).report
+    told = Renderer(device, STORE).render(case.scene, case.request(passes, samples)).report
     assert not {"converge", "keep", "mark"} & set(device.names)
     assert any(entry["name"] == "adapt" for entry in told["skipped"])
 

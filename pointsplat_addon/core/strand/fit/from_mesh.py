@@ -1,10 +1,9 @@
 """Ribbons and tubes fitted to meshes of leaves and branches (Marroquim et al. 2008, section 5).
 
-A part is a connected component of the mesh. A tube is a part made of rings of vertices, open, closed or with a tip at its ends,
-or any sleeve between two open rims whose sections are round enough. A ribbon is one of two to four triangles in a row,
-or a flat one of some more, by its widths across its longest axis. Flat parts with lobes about a hub are several
-ribbons. Parts that fit none of these stay polygons.
-"""
+A part is a connected component of the mesh. A tube is a part made of rings of vertices, open, closed or with a tip at
+its ends, or any sleeve between two open rims whose sections are round enough. A ribbon is one of two to four triangles
+in a row, or a flat one of some more, by its widths across its longest axis. Flat parts with lobes about a hub are
+several ribbons. Parts that fit none of these stay polygons."""
 
 from __future__ import annotations
 

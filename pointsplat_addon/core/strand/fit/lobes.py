@@ -30,8 +30,8 @@ class _SurfaceSamples:
 
 
 def fit_lobes(flat: FlatParts) -> PartStrands:
-    """Ribbons of two points for flat parts with lobes about a hub: one for each lobe and one for what lies between them,
-    if they need fewer points than the part has vertices."""
+    """Ribbons of two points for flat parts with lobes about a hub: one for each lobe and one for what lies between
+    them, if they need fewer points than the part has vertices."""
     if len(flat.part) == 0:
         return no_strands()
     hub = find_hubs(flat)

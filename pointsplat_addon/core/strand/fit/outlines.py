@@ -42,7 +42,8 @@ def polar_outlines(flat: FlatParts, hub: np.ndarray) -> np.ndarray:
 
 
 def split_into_lobes(outline: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The lobes of outlines (C, DIRECTIONS), at the distance at which most stand apart: the lobe of each direction (C, DIRECTIONS), and how many there are (C,)."""
+    """The lobes of outlines (C, DIRECTIONS), at the distance at which most stand apart: the lobe of each direction (C,
+    DIRECTIONS), and how many there are (C,)."""
     levels = LEVELS[:, None, None] * outline.max(axis=1)[:, None]
     above = outline > levels
     begins = above & ~np.roll(above, 1, axis=2)

@@ -32,7 +32,8 @@ def fit_ribbons(position: np.ndarray, triangles: np.ndarray, part: np.ndarray, c
 
 
 def _in_a_row(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orders the triangles (n, k, 3) of parts such that each shares an edge with the next; (n,) bool where it can be done."""
+    """Orders the triangles (n, k, 3) of parts such that each shares an edge with the next; (n,) bool where it can be
+    done."""
     size = triangles.shape[1]
     common = (triangles[:, :, None, :, None] == triangles[:, None, :, None, :]).sum(axis=(3, 4))
     joined = (common == 2) & ~np.eye(size, dtype=bool)

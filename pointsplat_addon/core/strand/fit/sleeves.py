@@ -20,8 +20,8 @@ def fit_sleeves(
     part: np.ndarray,
     other: np.ndarray,
 ) -> PartStrands:
-    """Tubes from parts with two rims that are not yet fitted (`other` (C,) bool), cut at equal fractions of the path from
-    one rim to the other."""
+    """Tubes from parts with two rims that are not yet fitted (`other` (C,) bool), cut at equal fractions of the path
+    from one rim to the other."""
     count = len(names)
     owner = np.minimum(np.searchsorted(names, label), count - 1)
     used = np.zeros(len(position), bool)

@@ -28,7 +28,8 @@ def tubes_from_sections(
     """Tubes through the sections of those of C parts that `fits` (C,) selects, where sections and areas allow.
 
     ends (n, 2, 3): edges of sections; section (n,): the section of each edge; start (C + 1,): the first section of each
-    part; tips (m, 3): sections `at` (m,) of a single vertex. Sections of tubes with mean radii beyond `thick` must be ROUND."""
+    part; tips (m, 3): sections `at` (m,) of a single vertex. Sections of tubes with mean radii beyond `thick` must be
+    ROUND."""
     count, total = len(fits), int(start[-1])
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     around = np.bincount(section, length, total)

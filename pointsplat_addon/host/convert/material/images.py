@@ -4,49 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import os
-import threading
-from collections import OrderedDict
 
 import bpy
 import numpy as np
 
 from ....core.material.image import Image
+from ....render.cache.cache import Cache
+from ....render.cache.keys import Key, Kind
 
 CACHE_BYTES = 1 << 30  # of texels that are cached, whether or not a material uses them
 MISSING_COLOR = (1.0, 0.0, 1.0, 1.0)  # what Blender shows for a missing image
-SUPPORTED_ENCODINGS = {
-    "sRGB": True,
-    "Linear Rec.709": False,
-    "scene_linear": False,
-}  # of 8-bit images: whether they have the sRGB curve
+# Colour spaces of 8-bit images, and whether they have the sRGB curve
+SUPPORTED_ENCODINGS = {"sRGB": True, "Linear Rec.709": False, "scene_linear": False}
 
 
-class _Cache:
-    """The most recently used images, up to CACHE_BYTES. Final renders and viewports share it between their threads."""
-
-    def __init__(self) -> None:
-        self._images: OrderedDict[str, Image] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, key: str) -> Image | None:
-        with self._lock:
-            image = self._images.get(key)
-            if image is not None:
-                self._images.move_to_end(key)
-            return image
-
-    def put(self, image: Image) -> None:
-        with self._lock:
-            self._images[image.key] = image
-            while len(self._images) > 1 and sum(i.nbytes for i in self._images.values()) > CACHE_BYTES:
-                self._images.popitem(last=False)
-
-    def clear(self) -> None:
-        with self._lock:
-            self._images.clear()
-
-
-_cache = _Cache()
+_cache = Cache(CACHE_BYTES)  # shared by the threads of final renders and viewports
 
 
 def clear() -> None:
@@ -73,11 +45,7 @@ def convert_image(image: bpy.types.Image | None) -> tuple[Image, str | None]:
         return missing_image(), f'reads the image "{image.name}", whose file is missing: {image.filepath}'
     problem = _unsupported(image)
     key = content_id(image)
-    known = _cache.get(key)
-    if known is None:
-        known = _read(image, key)
-        _cache.put(known)
-    return known, problem
+    return _cache.lookup(Key(Kind.IMAGE, key), lambda: _read(image, key)), problem
 
 
 def _unsupported(image: bpy.types.Image) -> str | None:
