@@ -1,4 +1,4 @@
-"""What outlives a picture: threads, devices and converted geometry."""
+"""Releases what outlives a picture, threads, devices and converted geometry, when files are loaded or undone."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ def release() -> None:
 
 @bpy.app.handlers.persistent
 def on_load(*_arguments) -> None:
-    """Another file: nothing that is known will be needed."""
+    """Release everything before another file is loaded."""
     release()
 
 
 @bpy.app.handlers.persistent
 def on_loaded(*_arguments) -> None:
-    """The new file's settings."""
+    """Choose the context by the settings of the loaded file."""
     engine.choose_context()
 
 
 @bpy.app.handlers.persistent
 def on_undo(*_arguments) -> None:
-    """Undo brings data back without always telling that it changed."""
+    """Read everything again after an undo, which does not always report what it changed."""
     for viewport in list(Viewport.alive):
         viewport.synchronizer.forget()
 

@@ -14,20 +14,23 @@ from .shared_store import STORE
 from .ui import preferences
 
 LOG = logging.getLogger(__name__)
-WORTH_KEEPING = 200_000  # points; smaller hierarchies are built about as fast as they are read
-MOST_BYTES = 8 << 30  # in the folder; the files that were used longest ago go first
+MIN_POINTS = 200_000  # smaller hierarchies are built about as fast as they are read
+MAX_BYTES = 8 << 30  # in the folder; the least recently used files are deleted first
 
 
 def refresh() -> None:
-    """Follow the preferences. Called on Blender's main thread before anything is drawn."""
+    """Apply the preferences. To be called on Blender's main thread before anything is drawn."""
     device_costs.read()
     folder = preferences.cache_folder()
     STORE.build_hierarchy = build if folder is None else partial(build_or_read, folder)
 
 
 def build_or_read(folder: Path, cloud: PointCloud) -> Hierarchy:
-    """The hierarchy of `cloud`, from the folder where it is there; a folder that fails only costs time."""
-    if len(cloud) < WORTH_KEEPING:
+    """The hierarchy of `cloud`, read from the folder if it is there, else built and written to it.
+
+    Errors of the folder are logged, and the hierarchy is built.
+    """
+    if len(cloud) < MIN_POINTS:
         return build(cloud)
     key = hierarchy_cache.content_key(cloud, LEAF_SIZE)
     try:
@@ -39,7 +42,7 @@ def build_or_read(folder: Path, cloud: PointCloud) -> Hierarchy:
     built = build(cloud)
     try:
         hierarchy_cache.write(folder, key, built)
-        hierarchy_cache.trim(folder, MOST_BYTES)
+        hierarchy_cache.trim(folder, MAX_BYTES)
     except OSError as error:
         LOG.warning("A point hierarchy cannot be kept in %s: %s", folder, error)
     return built

@@ -9,7 +9,7 @@ import gpu
 
 from ..render.device.protocol import DeviceError
 from . import final
-from .device import gl_thread
+from .device import libraries
 from .ui import last_render
 from .viewport import Viewport
 
@@ -19,12 +19,14 @@ last_report = last_render.REPORT
 
 
 class PointSplatEngine(bpy.types.RenderEngine):
+    """PointSplat among Blender's render engines."""
+
     bl_idname = "POINTSPLAT"
     bl_label = "PointSplat"
     bl_use_preview = True
     bl_use_eevee_viewport = False
-    # With a context of Blender's the window stands still during a final render: see choose_context.
-    bl_use_gpu_context = not gl_thread.available()
+    # With a context of Blender's the window is blocked during a final render: see choose_context.
+    bl_use_gpu_context = not libraries.has_moderngl()
 
     _final: final.FinalRender | None = None
     _viewport: Viewport | None = None
@@ -41,7 +43,7 @@ class PointSplatEngine(bpy.types.RenderEngine):
         except (final.RenderError, DeviceError) as error:
             self.report({"ERROR"}, str(error))
         except Exception as error:
-            # Blender takes a render for finished when its engine raises.
+            # Blender treats a render as finished when its engine raises.
             LOG.exception("The render failed")
             self.report({"ERROR"}, f"PointSplat: {type(error).__name__}: {error}")
         if not self.is_preview:
@@ -60,13 +62,13 @@ class PointSplatEngine(bpy.types.RenderEngine):
 
 
 def choose_context() -> None:
-    """Register the engine with or without a context of Blender's, before a render starts.
+    """Register the engine again if it needs, or no longer needs, a context of Blender's for final renders.
 
     Without moderngl nothing else can draw. Background processes of Blender 4.5 cannot make a context later on,
     so there the scenes' device setting decides.
     """
     asked = bpy.app.background and any(scene.pointsplat.device == "BLENDER_GPU" for scene in bpy.data.scenes)
-    needed = not gl_thread.available() or (asked and not hasattr(gpu, "init"))
+    needed = not libraries.has_moderngl() or (asked and not hasattr(gpu, "init"))
     if needed != PointSplatEngine.bl_use_gpu_context:
         bpy.utils.unregister_class(PointSplatEngine)
         PointSplatEngine.bl_use_gpu_context = needed

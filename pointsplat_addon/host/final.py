@@ -27,16 +27,16 @@ from .sync import Synchronizer
 from .ui import last_render
 
 POLL_SECONDS = 0.02  # how often Blender is told of progress and asked whether to stop
-PREVIEW_SAMPLES = 8  # of the small pictures of materials
+PREVIEW_SAMPLES = 8  # of previews of materials
 LIBRARY_NAMES = {"OPENGL": "OpenGL through moderngl", "BLENDER_GPU": "Blender's GPU module"}
 
 
 class RenderError(Exception):
-    """A render that cannot be made; the message is for the person."""
+    """A render that cannot be made; the message is shown to the person."""
 
 
 class FinalRender:
-    """Renders for one engine. The scene stays, so that the next frame finds what has not changed."""
+    """Final renders of one engine. What it converted stays, so that the next frame converts only what has changed."""
 
     last_scene: scene_module.Scene | None = None
 
@@ -44,7 +44,10 @@ class FinalRender:
         self.synchronizer = Synchronizer()
 
     def render(self, engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> dict[str, Any]:
-        """Draw the active view layer into Blender's result and return the report. RenderError: it cannot be."""
+        """Draw the active view layer into Blender's result and return the report.
+
+        Raises RenderError if there is no camera or no pixel, DeviceError if nothing can draw.
+        """
         started = time.perf_counter()
         engine.update_stats("", "Converting the scene")
         disk_cache.refresh()
@@ -52,7 +55,7 @@ class FinalRender:
         previous = _previous(engine, depsgraph) if "vector" in wanted else None
         camera, warnings = _camera(engine, depsgraph)
         if previous is not None:
-            # Going to another frame and back replaced what the dependency graph tells of changes.
+            # Going to another frame and back replaced the dependency graph's report of changes.
             self.synchronizer.forget()
         before, transforms = previous or (None, None)
         if before is not None:
@@ -72,11 +75,11 @@ class FinalRender:
         result, problems = _draw(engine, scene, request)
         if not result.cancelled:
             _write(engine, depsgraph.view_layer_eval.name, scene, result, camera.window[2:])
-        told = dict.fromkeys((*warnings, *scene.warnings, *problems, *result.report.get("warnings", ())))
+        messages = dict.fromkeys((*warnings, *scene.warnings, *problems, *result.report.get("warnings", ())))
         if not engine.is_preview:
-            for warning in told:
+            for warning in messages:
                 engine.report({"WARNING"}, warning)
-        return {**result.report, "seconds": time.perf_counter() - started, "warnings": list(told)}
+        return {**result.report, "seconds": time.perf_counter() - started, "warnings": list(messages)}
 
 
 def _camera(
@@ -93,7 +96,10 @@ def _camera(
 def _previous(
     engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph
 ) -> tuple[camera_module.Camera, dict[tuple, np.ndarray]]:
-    """The camera and world_from_object by identity a frame before; leaves the dependency graph at its frame."""
+    """The camera, and world_from_object (4, 4) of instances by identity, one frame before the present one.
+
+    The dependency graph is at the present frame again afterwards.
+    """
     frame, subframe = depsgraph.scene.frame_current, depsgraph.scene.frame_subframe
     engine.frame_set(frame - 1, subframe)
     try:
@@ -105,7 +111,7 @@ def _previous(
 
 
 def _draw(engine: bpy.types.RenderEngine, scene: scene_module.Scene, request: Request) -> tuple[Result, list[str]]:
-    """Draw on the device that the settings ask for, else on the other one, and warn. DeviceError: neither can."""
+    """Draw on the device of the settings, else on the other one, with a warning. Raises DeviceError if neither can."""
     setting = request.settings.device
     order = ("BLENDER_GPU", "OPENGL") if setting == "BLENDER_GPU" else ("OPENGL", "BLENDER_GPU")
     problems = []
@@ -116,30 +122,32 @@ def _draw(engine: bpy.types.RenderEngine, scene: scene_module.Scene, request: Re
         except (DeviceError, ImportError) as error:
             problems.append(f"{LIBRARY_NAMES[name]} is not available: {error}")
         else:
-            # Automatic is free to choose; only a device that was asked for is missed.
+            # Only a device that the settings name is worth a warning.
             return result, [] if setting == "AUTO" else problems
     raise DeviceError("PointSplat finds nothing to draw with. " + ". ".join(problems))
 
 
 class Job:
-    """One drawing, perhaps on another thread: progress comes from there, the wish to stop goes there."""
+    """One drawing, perhaps on another thread, from which progress comes and which is told to stop."""
 
     def __init__(self, scene: scene_module.Scene, request: Request) -> None:
         self.scene, self.request = scene, request
-        self.fraction, self.text, self._told = 0.0, "", ""
+        self.fraction, self.text, self._shown_text = 0.0, "", ""
         self._stop = threading.Event()
-        self._poll = lambda: None  # asked at every progress where job and waiter share a thread
+        self._poll = lambda: None  # called at every step if the job runs on the thread that waits for it
 
     def on_opengl(self) -> Future[Result]:
+        """Start the job on the OpenGL thread."""
         return gl_thread.THREAD.submit(self._render)
 
     def on_blender(self, engine: bpy.types.RenderEngine) -> Future[Result]:
+        """Run the job on Blender's gpu module, now or later on the main thread."""
         if main_gpu.runs_here(engine.bl_use_gpu_context):
             self._poll = lambda: self._exchange(engine)
         return main_gpu.run(self._render, engine.bl_use_gpu_context)
 
     def wait(self, engine: bpy.types.RenderEngine, future: Future[Result]) -> Result:
-        """The result, while Blender is told of progress and asked whether to stop."""
+        """Wait for the result; meanwhile show progress in Blender and ask it whether to stop."""
         while not wait([future], timeout=POLL_SECONDS).done:
             self._exchange(engine)
         return future.result()
@@ -155,23 +163,24 @@ class Job:
         return self._stop.is_set()
 
     def _exchange(self, engine: bpy.types.RenderEngine) -> None:
+        """Show the progress in Blender, and stop the job if the person cancelled the render."""
         engine.update_progress(self.fraction)
-        if self.text != self._told:
+        if self.text != self._shown_text:
             # In background mode each call prints a line.
             engine.update_stats("", self.text)
-            self._told = self.text
+            self._shown_text = self.text
         if engine.test_break():
             self._stop.set()
 
 
 def blender_name(key: str) -> str:
-    """Cycles' name, in this version of Blender, of a pass by PointSplat's key; levels keep their number."""
+    """The name that Cycles gives, in this version of Blender, to the pass of a key; levels keep their number."""
     stem = next((c for c in CRYPTO if key.startswith(c)), key)
     return BY_KEY[stem].names[bpy.app.version >= (5, 0, 0)] + key.removeprefix(stem)
 
 
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
-    """Tell Blender which passes the view layer's switches ask for."""
+    """Register the passes that the view layer's switches enable."""
     for p in PASSES:
         if p.switch and not getattr(view_layer, p.switch):
             continue
@@ -187,19 +196,19 @@ def _write(
     """Put the passes into Blender's render result; one that was opened must be ended, or Blender crashes later."""
     opened = engine.begin_result(0, 0, *size, layer=layer)
     try:
-        there = {p.name: p for p in opened.layers[0].passes}
+        passes = {p.name: p for p in opened.layers[0].passes}
         for key, pixels in result.pixels.items():
-            if (name := blender_name(key)) in there:
-                there[name].rect.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
+            if (name := blender_name(key)) in passes:
+                passes[name].rect.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
     finally:
         engine.end_result(opened)
-    whole = engine.get_result()
+    render_result = engine.get_result()
     for field, value in (_manifest(layer, scene, result) | last_render.stamps(result.report)).items():
-        whole.stamp_data_add_field(field, value)
+        render_result.stamp_data_add_field(field, value)
 
 
 def _manifest(layer: str, scene: scene_module.Scene, result: Result) -> dict[str, str]:
-    """The metadata that tells compositors the names behind Cryptomatte's identifiers (specification 1.2)."""
+    """Metadata that maps names to Cryptomatte's identifiers, for compositors (Cryptomatte specification 1.2)."""
     hashes = scene.instances.object_hash
     names: dict[str, dict[str, int]] = {"crypto_object": {}, "crypto_material": {}}
     if hashes is not None:

@@ -1,4 +1,4 @@
-"""Everything that Blender is told of, in order."""
+"""Registers classes, properties, panels and handlers with Blender, in order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is prepared of scenes, shared by viewports and final renders."""
+"""The store of prepared scenes that viewports and final renders share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Rendered viewport: draws at once while anything moves, refines while it is still."""
+"""The Rendered viewport: draws coarsely while the view moves and refines the picture while it is still."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from .device.main_gpu import MAIN_GPU
 from .sync import Synchronizer
 
 LOG = logging.getLogger(__name__)
-STILL_SECONDS = 0.2  # how long nothing must have moved before the picture is refined
-NAVIGATION_TOLERANCE = 4.0  # times the tolerance: a sixteenth of the points while the view moves
+STILL_SECONDS = 0.2  # without a change before the picture is refined
+NAVIGATION_TOLERANCE = 4.0  # factor of the tolerance while the view moves: a sixteenth of the points
 
 
 class Viewport:
-    """What one viewport shows."""
+    """One viewport: its scene, and the frame that it accumulates."""
 
     alive: ClassVar[weakref.WeakSet[Viewport]] = weakref.WeakSet()
 
@@ -38,41 +38,41 @@ class Viewport:
         self.synchronizer = Synchronizer()
         self._scene: scene_module.Scene | None = None
         self._frame: Frame | None = None
-        self._look: tuple | None = None  # what the frame depends on besides the scene
-        self._keeper: Moving | Refining | None = None  # of the frame's budget
+        self._view: tuple | None = None  # what the frame depends on besides the scene
+        self._pacing: Moving | Refining | None = None  # keeps the frame within its budget
         self._coarse = False
         self._changed_at = float("-inf")
         self._error = ""
 
     def __del__(self) -> None:
-        # With the engine that shows it, whose own struct Blender has freed by then.
+        # The viewport ends with its engine, whose own struct Blender has freed by then.
         self._drop()
 
     def update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
-        """Take over what changed in the scene."""
+        """Convert what changed in the scene."""
         disk_cache.refresh()
         self._scene = self.synchronizer.scene(depsgraph, view3d=context.space_data)
         self._drop()
         self._error = ""
 
     def draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
-        """Draw one more sample into the region; ask Blender to come again while there is more to do."""
+        """Draw one more sample into the region, and request a redraw while there is more to do."""
         if self._error:
             engine.update_stats("PointSplat", self._error)
             return
         try:
             self._draw(engine, context, depsgraph)
         except (DeviceError, ShaderError) as error:
-            # Blender draws on and on: said once, tried again when the scene changes.
+            # Blender would draw again at once: the error is shown, and drawing is tried when the scene changes.
             self._drop()
             self._error = str(error)
             LOG.exception("The viewport cannot be drawn")
             engine.update_stats("PointSplat", self._error)
 
     def release(self) -> None:
-        """Free what is on the device; the next drawing starts anew."""
+        """Free what is on the device; the next drawing converts the scene again."""
         self._drop()
-        self._scene = self._look = None
+        self._scene = self._view = None
 
     def _draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         if self._scene is None:
@@ -82,7 +82,7 @@ class Viewport:
         if self._scene is None or min(camera.window[2:]) <= 0:
             return
         frame = self._frame_for(self._scene, camera, settings)
-        more = frame.sample() if self._keeper is None else self._keeper.sample(frame)
+        more = frame.sample() if self._pacing is None else self._pacing.sample(frame)
         _present(frame, camera)
         engine.update_stats("", "")
         if more or self._coarse:
@@ -93,13 +93,13 @@ class Viewport:
     ) -> Frame:
         """The frame that accumulates this view: coarse after a change, fine once nothing has moved for a while."""
         now = time.perf_counter()
-        look = (
+        view = (
             camera.view_from_world.tobytes(), camera.clip_from_view.tobytes(), camera.window, camera.aperture, settings
         )  # fmt: skip
-        if self._frame is None or look != self._look:
-            # The first picture and changes of the scene alone are drawn as they should be.
-            self._coarse = self._look is not None and look != self._look
-            self._changed_at, self._look = now, look
+        if self._frame is None or view != self._view:
+            # The first picture and changes of the scene alone are drawn finely at once.
+            self._coarse = self._view is not None and view != self._view
+            self._changed_at, self._view = now, view
         elif self._coarse and now - self._changed_at > STILL_SECONDS:
             self._coarse = False
         else:
@@ -107,27 +107,28 @@ class Viewport:
         self._drop()
         request = Request(camera, settings, frozenset({"combined"}), settings.viewport_samples, interactive=True)
         renderer = MAIN_GPU.renderer()
-        self._keeper = None
+        self._pacing = None
         if self._coarse and settings.budget == "TIME":
-            self._keeper = Moving(renderer, scene, request)
+            self._pacing = Moving(renderer, scene, request)
         elif self._coarse:
             coarse = replace(settings, tolerance=settings.tolerance * NAVIGATION_TOLERANCE)
             request = replace(request, settings=coarse, samples=1)
         elif settings.budget == "ERROR":
-            self._keeper = Refining(request)
-        if self._keeper is not None:
-            request = self._keeper.request
+            self._pacing = Refining(request)
+        if self._pacing is not None:
+            request = self._pacing.request
         self._frame = renderer.start(scene, request)
         return self._frame
 
     def _drop(self) -> None:
+        """Release the frame, so that the next drawing starts another."""
         if self._frame is not None:
             self._frame.release()
         self._frame = None
 
 
 def _present(frame: Frame, camera: camera_module.Camera) -> None:
-    """Draw the frame where its border lies in the region."""
+    """Draw the frame into the region, at its border."""
     import gpu
 
     x0, y0, width, height = camera.window

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pointsplat_addon
+from pointsplat_addon.host.device import gl_thread
 from tests.support import files
 
 NEW_NAMES = bpy.app.version >= (5, 0, 0)
@@ -215,7 +216,7 @@ def failing(monkeypatch):
     """Make a device fail with a message."""
 
     def fail(*names):
-        from pointsplat_addon.host.device import gl_thread, main_gpu
+        from pointsplat_addon.host.device import main_gpu
         from pointsplat_addon.render.device.protocol import DeviceError
 
         def raising(*_arguments):

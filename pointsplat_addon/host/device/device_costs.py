@@ -1,4 +1,4 @@
-"""What drawing costs on each device, measured once and kept in the preferences by the device's name and version."""
+"""Measured costs of drawing on each device, stored in the preferences by the device's name and version."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from ...render.renderer import Renderer
 from ..ui import preferences
 
 LOG = logging.getLogger(__name__)
-KNOWN: dict[str, Costs] = {}  # by Limits.renderer, which holds the version
+KNOWN: dict[str, Costs] = {}  # by Limits.renderer, which contains the version
 
 
 def read() -> None:
-    """Take over what the preferences hold. Main thread."""
+    """Add the costs that the preferences have to those that are known. To be called on the main thread."""
     KNOWN.update({name: costs for name, costs in parsed(preferences.device_costs()).items() if name not in KNOWN})
 
 
 def write() -> None:
-    """Give the preferences what was measured. Main thread."""
+    """Store the known costs in the preferences. To be called on the main thread."""
     preferences.keep_device_costs(json.dumps({name: asdict(costs) for name, costs in sorted(KNOWN.items())}))
 
 
 def parsed(text: str) -> dict[str, Costs]:
-    """Figures by device; what is no such table, or no positive number, is left out."""
+    """Costs by device from JSON text; invalid entries are left out."""
     try:
         found = {str(name): Costs(**{k: float(v) for k, v in row.items()}) for name, row in json.loads(text).items()}
     except (ValueError, TypeError, AttributeError, OverflowError, RecursionError):
@@ -38,8 +38,10 @@ def parsed(text: str) -> dict[str, Costs]:
 
 
 def apply(renderer: Renderer) -> None:
-    """The known figures of the renderer's device; where it is new, and a person waits, they are measured. Background
-    renders keep the defaults then, so that they do not depend on what else the machine did."""
+    """Give the renderer the costs of its device, measured now if they are not known.
+
+    Background renders use the defaults instead of measuring, so that they do not depend on what else the machine does.
+    """
     name = renderer.device.limits.renderer
     if name not in KNOWN and not bpy.app.background:
         try:
@@ -51,6 +53,9 @@ def apply(renderer: Renderer) -> None:
 
 
 def measure(renderer: Renderer) -> Costs:
-    """Measure on the renderer's own thread, and know it from then on. DeviceError: it cannot draw."""
+    """Measure the costs of the renderer's device and use them from now on. Raises DeviceError if it cannot draw.
+
+    To be called on the thread of the renderer.
+    """
     KNOWN[renderer.device.limits.renderer] = renderer.costs = calibrate(renderer)
     return renderer.costs

@@ -5,7 +5,6 @@ A context may only be used on the thread that made it, and Blender renders each 
 
 from __future__ import annotations
 
-import importlib.util
 import queue
 import threading
 from collections.abc import Callable
@@ -17,11 +16,6 @@ from ..shared_store import STORE
 from . import device_costs
 
 T = TypeVar("T")
-
-
-def available() -> bool:
-    """Whether moderngl is installed; whether it can make a context only the thread can tell."""
-    return importlib.util.find_spec("moderngl") is not None
 
 
 class GLThread:
@@ -36,7 +30,7 @@ class GLThread:
         self._lock = threading.Lock()
 
     def submit(self, job: Callable[[Renderer], T]) -> Future[T]:
-        """Queue a job. The future raises what the job raises, or DeviceError where no context can be made."""
+        """Queue a job. The future raises what the job raises, or DeviceError if no context can be made."""
         future: Future[T] = Future()
         with self._lock:
             if self._thread is None:
@@ -47,7 +41,7 @@ class GLThread:
         return future
 
     def release(self) -> None:
-        """Free the context after the jobs that are queued, and end the thread; a later job starts another."""
+        """Run the queued jobs, free the context and end the thread; a later job starts another thread."""
         with self._lock:
             thread, self._thread = self._thread, None
             if thread is not None:
@@ -57,7 +51,7 @@ class GLThread:
 
 
 def _work(jobs: queue.SimpleQueue) -> None:
-    """The thread: makes its context for the first job, and again for the next one where that failed."""
+    """Run jobs on this thread, with a context that the first job makes, or a later one if that failed."""
     device: Any = None
     renderer: Renderer | None = None
     while (item := jobs.get()) is not None:
@@ -70,7 +64,7 @@ def _work(jobs: queue.SimpleQueue) -> None:
             future.set_result(job(renderer))
         except BaseException as error:
             future.set_exception(error)
-        # What a picture was made of must not wait here for the next job.
+        # The data of a picture must not stay alive here until the next job.
         del item, job, future
     if renderer is not None:
         renderer.release()

@@ -1,4 +1,4 @@
-"""The renderer on Blender's own gpu module: of the main thread, where viewports draw and timers run."""
+"""The renderer on Blender's gpu module, which belongs to the main thread, where viewports draw and timers run."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ T = TypeVar("T")
 
 
 class MainGPU:
-    """One renderer for all viewports, made when it is first asked for."""
+    """Owns the one renderer of all viewports, which is made when it is first needed."""
 
     def __init__(self) -> None:
         self._device: Device | None = None
         self._renderer: Renderer | None = None
 
     def renderer(self) -> Renderer:
-        """The shared renderer. DeviceError where Blender has no graphics context on this thread."""
+        """The shared renderer. Raises DeviceError if Blender has no graphics context on this thread."""
         if self._renderer is None:
             self._device = BlenderDevice()
             self._renderer = Renderer(self._device, STORE)
@@ -47,15 +47,18 @@ MAIN_GPU = MainGPU()
 
 
 def runs_here(own_context: bool) -> bool:
-    """Whether `run` draws on the calling thread; otherwise the main thread does, when its timers run."""
+    """Whether `run` draws on the calling thread; otherwise the main thread does, when its timers run.
+
+    own_context: whether the engine has a context of its own on the calling thread.
+    """
     return own_context or threading.current_thread() is threading.main_thread()
 
 
 def run(job: Callable[[Renderer], T], own_context: bool) -> Future[T]:
-    """Run a job on Blender's gpu; its future is done already unless the main thread has to run it later.
+    """Run a job on Blender's gpu module; its future is done already unless the main thread has to run it later.
 
-    own_context: the engine has a context of its own on this thread for this render only, so what the job
-    makes there must not outlive it.
+    own_context: whether the engine has a context of its own on this thread; it has it for this render only, so what the
+    job makes there must not outlive the job.
     """
     future: Future[T] = Future()
     if own_context:
@@ -68,7 +71,7 @@ def run(job: Callable[[Renderer], T], own_context: bool) -> Future[T]:
 
 
 def _settle(future: Future[T], make: Callable[[], T]) -> None:
-    """Give the future its result or its exception: whoever waits for it raises it."""
+    """Set the future's result, or the exception, which is raised where the future is waited for."""
     try:
         future.set_result(make())
     except Exception as error:
@@ -76,6 +79,7 @@ def _settle(future: Future[T], make: Callable[[], T]) -> None:
 
 
 def _on_own_device(job: Callable[[Renderer], T]) -> T:
+    """Run a job with a device and a renderer that are freed afterwards."""
     device = BlenderDevice()
     renderer = Renderer(device, STORE)
     try:

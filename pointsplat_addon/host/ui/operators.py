@@ -19,7 +19,7 @@ from .. import caches
 from ..convert import arrays
 from ..convert.strands.curves_objects import SURFACE_UV
 from ..convert.volume import load_openvdb
-from ..device import device_costs, gl_thread, main_gpu
+from ..device import device_costs, gl_thread, libraries, main_gpu
 from . import preferences
 
 OPTICAL_DEPTH = 10.0  # across an imported volume where the ramp's alpha is one: the inside shows, and is not flat
@@ -46,7 +46,7 @@ class POINTSPLAT_OT_calibrate(bpy.types.Operator):
     bl_label = "Calibrate"
 
     def execute(self, _context):
-        own = gl_thread.available()
+        own = libraries.has_moderngl()
         job = gl_thread.THREAD.submit(device_costs.measure) if own else main_gpu.run(device_costs.measure, False)
         try:
             costs = job.result()

@@ -5,7 +5,7 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from ..device import gl_thread
+from ..device import libraries
 
 # Installed, Blender knows the extension by its root, bl_ext.<repository>.pointsplat; a checkout has no more than the
 # package itself.
@@ -41,7 +41,7 @@ class PointSplatPreferences(bpy.types.AddonPreferences):
 
 def device_text() -> str:
     """What final renders are drawn with, as text for people."""
-    if gl_thread.available():
+    if libraries.has_moderngl():
         return "OpenGL context of their own (moderngl)"
     return "Blender's graphics backend: moderngl is not installed, so the window stands still while they run"
 
