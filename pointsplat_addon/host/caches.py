@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import bpy
 
-from ..render.cache.store import STORE
 from . import engine, sync
 from .convert.material import images
 from .device import gl_thread
 from .device.main_gpu import MAIN_GPU
 from .final import FinalRender
+from .shared_store import STORE
 from .viewport import Viewport
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from ..core.lod.hierarchy import LEAF_SIZE, Hierarchy, build
 from ..core.scene.cloud import PointCloud
 from ..formats import hierarchy_cache
-from ..render.cache.store import STORE
 from .device import device_costs
+from .shared_store import STORE
 from .ui import preferences
 
 LOG = logging.getLogger(__name__)
@@ -22,7 +22,7 @@ def refresh() -> None:
     """Follow the preferences. Called on Blender's main thread before anything is drawn."""
     device_costs.read()
     folder = preferences.cache_folder()
-    STORE.build = build if folder is None else partial(build_or_read, folder)
+    STORE.build_hierarchy = build if folder is None else partial(build_or_read, folder)
 
 
 def build_or_read(folder: Path, cloud: PointCloud) -> Hierarchy:

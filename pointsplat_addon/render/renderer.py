@@ -9,12 +9,13 @@ from ..core.lod.cost import DEFAULT
 from ..core.scene.scene import Scene
 from .budget import budgeted, pacing
 from .budget.watch import Watch
+from .cache.device_cache import DeviceCache
+from .cache.store import Store
 from .device.clock import Cancelled
 from .device.protocol import Device
 from .frame.frame import Frame
 from .frame.report import report
 from .frame.targets import Pool
-from .frame.uploads import Kept
 from .plan.request import Request, Result
 
 SLOW_SECONDS = 0.2  # a sample that takes longer is asked after each of its passes whether it is still wanted
@@ -23,9 +24,11 @@ SLOW_SECONDS = 0.2  # a sample that takes longer is asked after each of its pass
 class Renderer:
     """Draws scenes on one device and keeps there what the next frame can use."""
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: Device, store: Store | None = None) -> None:
+        """`store`: for what is prepared of scenes; renderers may share one. None: the renderer has one of its own."""
         self.device = device
-        self.kept = Kept(device)
+        self.store = Store() if store is None else store
+        self.kept = DeviceCache(device)
         self.pool = Pool(device)
         self.costs = DEFAULT  # of this device
         self.pacers = pacing.Pacers()  # of the scenes that a budget of time was kept for
@@ -88,5 +91,5 @@ class Renderer:
 
     def release(self) -> None:
         """Free everything that is kept on the device."""
-        self.kept.release()
+        self.kept.clear()
         self.pool.release()

@@ -32,7 +32,6 @@ from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.formats.volumes import dense
 from pointsplat_addon.render.budget.pacing import COARSEST
 from pointsplat_addon.render.budget.viewport import Moving, _wait
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.frame import frame
 from pointsplat_addon.render.plan.frame_plan import Shot
 from pointsplat_addon.render.plan.request import Request
@@ -148,7 +147,7 @@ def warmed(renderer: Renderer, case: Case, camera: Camera) -> None:
         request = coarse(case, camera, coarser)
         for _ in range(2):  # octrees of meshes are begun when they are asked for again
             renderer.start(case.scene, request).release()
-        while STORE.building:
+        while renderer.store.building:
             time.sleep(0.05)
 
 
@@ -197,7 +196,7 @@ def least(renderer: Renderer, case: Case, camera: Camera, clock: Callable[[], fl
             _wait(renderer.device)
             drawn.release()
             found.append(clock() - before)
-            while STORE.building:
+            while renderer.store.building:
                 time.sleep(0.05)
     return min(found)
 
@@ -262,8 +261,8 @@ def main() -> None:
     for name, make in cases.items():
         if given.only and name not in given.only:
             continue
-        STORE.clear()
         renderer = drawing.opengl()
+        renderer.store.clear()
         renderer.release()
         found = measured(renderer, make())
         table.append([name, *map(shown, found)])

@@ -27,7 +27,6 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.budget.calibrate import calibrate
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks import instances as bench_instances
@@ -162,7 +161,7 @@ def run(quick: bool = False) -> tuple[list[dict], dict]:
     try:
         costs = renderer.costs = calibrate(renderer, time.process_time)
         for name, (make, view) in cases(quick).items():
-            STORE.clear()
+            renderer.store.clear()
             found, drawn = seconds(renderer, make(), view, 3 if quick else 5)
             by_points, by_triangles = (found["AUTO"] / found[kind] for kind in ("POINTS", "POLYGONS"))
             table.append([name, *(drawn[kind] for kind in KINDS), f"{by_points:.2f}", f"{by_triangles:.2f}"])

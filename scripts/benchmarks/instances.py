@@ -29,7 +29,6 @@ from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.frame.report import report
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
@@ -112,7 +111,7 @@ class Ours:
         of = self._scenes.setdefault(side, scene(side, self.mesh))
         request = Request(camera(side, view, angle), SETTINGS, frozenset({"combined"}), samples)
         uploaded, start = self.device.uploaded, time.perf_counter()
-        prepare(of, request.camera, SETTINGS, samples)
+        prepare(of, request.camera, SETTINGS, samples, self.renderer.store)
         prepared = time.perf_counter()
         picture = self.renderer.start(of, request)
         while picture.done < samples:
@@ -229,7 +228,7 @@ def run(quick: bool = False, others: bool = True, pictures: Path | None = None) 
     try:
         for view in ("above", "edge"):
             for side in sides:
-                STORE.clear()
+                ours.renderer.store.clear()
                 cold = ours.frame(side, view, 0.0)
                 turns = [ours.frame(side, view, (i + 1) * TURN) for i in range(frames)]
                 seconds[view, side] = float(np.median([t["seconds"] for t in turns]))

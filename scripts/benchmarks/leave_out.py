@@ -25,7 +25,7 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.cache.store import STORE
+from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks.hierarchy import row
@@ -118,15 +118,16 @@ def run(quick: bool = False) -> tuple[list[dict], dict[str, list[list[str]]]]:
     requests = {name: Request(camera, SETTINGS, passes, 1) for name, (_, passes) in found.items()}
     device = OpenGLDevice()
     # What is kept for the next picture, such as an order, is each scene's own.
-    renderers = {name: Renderer(device) for name in found}
+    store = Store()
+    renderers = {name: Renderer(device, store) for name in found}
     first, counted = {}, {}
     for name, (scene, _) in found.items():
         # Each picture's own first one: nothing of another is on the device, or on the processor.
-        STORE.clear()
+        store.clear()
         recorded = NullDevice()
-        report = Renderer(recorded).render(scene, requests[name]).report
-        STORE.clear()
-        alone = Renderer(OpenGLDevice())
+        report = Renderer(recorded, store).render(scene, requests[name]).report
+        store.clear()
+        alone = Renderer(OpenGLDevice(), store)
         first[name] = timed(lambda scene=scene, name=name, alone=alone: alone.render(scene, requests[name]))
         alone.release()
         alone.device.release()

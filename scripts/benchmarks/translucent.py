@@ -20,7 +20,6 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat.kernel import EVEN_SPACING
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks.hierarchy import row
@@ -64,7 +63,6 @@ def frames(
     smoke_scene: Scene, settings: Settings, count: int, interactive: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Seconds of frames whose camera turns, the first with nothing kept; and what of them went into shadow tables."""
-    STORE.clear()
     device = OpenGLDevice()
     renderer = Renderer(device)
 

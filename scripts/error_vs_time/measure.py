@@ -36,7 +36,6 @@ import numpy as np
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.report import report
 from pointsplat_addon.render.plan.request import Request
@@ -100,7 +99,7 @@ def pictures(
     """One picture after the first so many samples each, until `longest` seconds have passed, and its row. Nothing is
     kept from pictures before but shaders. Fewer samples are the first of the largest number."""
     renderer.release()
-    STORE.clear()
+    renderer.store.clear()
     start = time.process_time()
     request = Request(camera, settings, frozenset({"combined"}), samples[-1])
     # What the processor does is else timed by the wall's clock, which other work on the machine disturbs.
@@ -154,7 +153,7 @@ def converged(renderer: Renderer, subject: Subject, samples: int) -> np.ndarray:
     """The subject's triangles or strands, with shadows as fine as they get, through the lens."""
     settings = Settings("IMAGE_SPACE", use_shadows=subject.shadows, use_adaptive_sampling=False,
                         shadow_resolution=TRUTH_SHADOWS, dof_method="LENS_SAMPLES", tolerance=0.5)  # fmt: skip
-    STORE.clear()
+    renderer.store.clear()
     request = Request(subject.camera, settings, frozenset({"combined"}), samples)
     return renderer.render(subject.drawn_as("LINES" if subject.strands else "POLYGONS"), request).pixels["combined"]
 

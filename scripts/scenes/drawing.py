@@ -10,6 +10,7 @@ from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.plan.request import Result
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.store import STORE
 
 # Pictures of tests are small and of few samples: meshes are points in them where they are in large ones of many.
 FREE_POINTS = replace(Costs(), prepared=1e-3, uploaded=1e-3)  # to prepare; what else they cost counts FEWER times
@@ -21,7 +22,7 @@ CHEAP_POINTS = replace(
 @cache
 def _renderer() -> Renderer:
     """One renderer for all tests of a process, since compiling shaders takes most of their time."""
-    renderer = Renderer(OpenGLDevice())
+    renderer = Renderer(OpenGLDevice(), STORE)
     renderer.costs = CHEAP_POINTS
     return renderer
 

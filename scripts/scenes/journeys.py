@@ -16,7 +16,6 @@ from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.scene import Geometry, Instances, Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, clouds, meshes
@@ -66,10 +65,10 @@ class Journey:
     grown: bool = False  # the octree is there from the first frame, as in a viewport or a long animation
 
     def changes(self, renderer: Renderer, settings: Settings, samples: int, floor: int = 0) -> list[Change]:
-        STORE.clear()
+        renderer.store.clear()
         if self.grown:
             farthest = max(self.cameras, key=lambda c: np.abs(c.view_from_world[:3, 3]).max())
-            prepare(self.scene, farthest, settings, 1000)
+            prepare(self.scene, farthest, settings, 1000, renderer.store)
         reference = None if self.whole is None else (self.whole, replace(settings, tolerance=0.05))
         before, renderer.costs = renderer.costs, self.costs or renderer.costs
         try:

@@ -219,7 +219,7 @@ def measure(name: str, shop: Studio, args: argparse.Namespace) -> list[dict]:
 
 def forget_points() -> None:
     """Let the next picture choose its points anew, as the first one of a session does."""
-    from pointsplat_addon.render.cache.store import STORE
+    from pointsplat_addon.host.shared_store import STORE
 
     STORE.clear()
 

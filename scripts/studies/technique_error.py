@@ -33,7 +33,6 @@ from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat import painter
 from pointsplat_addon.core.splat.kernel import POWER
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
@@ -143,14 +142,16 @@ def picture(
     renderer: Renderer, subject: Subject, primitive: str, technique: str, tolerance: float, samples: int
 ) -> tuple[np.ndarray, int, float]:
     """(SIZE, SIZE, 4), how many points it was drawn of, seconds of processor time. Points that are finer than this
-    tolerance asks for, from before, are used: see STORE."""
+    tolerance asks for, from before, are used: see Store."""
     renderer.release()
     support = HARD if technique == "disks" else painter.SUPPORT
     depth = math.log(2) / (1 - 1 / support) ** POWER
     settings = Settings("PAINTER" if technique == "disks" else technique, use_shadows=False)
     settings = replace(settings, tolerance=tolerance, use_adaptive_sampling=False)
     scene = subject.drawn_as(primitive)
-    prepare(scene, subject.camera, settings, samples)  # what is drawn is timed, not the choice of points
+    prepare(
+        scene, subject.camera, settings, samples, renderer.store
+    )  # what is drawn is timed, not the choice of points
     with mock.patch.multiple(painter, SUPPORT=support, DEPTH=depth):
         before = time.process_time()
         result = renderer.render(scene, Request(subject.camera, settings, frozenset({"combined"}), samples))
@@ -186,12 +187,12 @@ class Curves:
 
 
 def measure(renderer: Renderer, subject: Subject, techniques: tuple[str, ...]) -> Curves:
-    STORE.clear()
+    renderer.store.clear()
     truth, _, _ = picture(renderer, subject, "POLYGONS", "IMAGE_SPACE", 1.0, TRUTH)
     found, shown = {}, {"polygons": truth}
     # Points are only ever refined, hence coarse ones first; these are drawn twice, for the first time compiles shaders.
     for tolerance in (max(TOLERANCES), *sorted(TOLERANCES, reverse=True)):
-        STORE.clear()
+        renderer.store.clear()
         for technique in techniques:
             for samples in SAMPLES:
                 drawn, points, seconds = picture(renderer, subject, "POINTS", technique, tolerance, samples)

@@ -13,8 +13,8 @@ gpu = pytest.importorskip("gpu")
 from gpu_extras.batch import batch_for_shader
 
 from pointsplat_addon.devices.blender_gpu import BlenderDevice
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes.store import STORE
 from tests.support.blender.devices import start_gpu
 from tests.support.soak import (
     KEPT,
@@ -28,7 +28,7 @@ SIDE = 8  # pixels
 @pytest.fixture
 def renderer() -> Iterator[Renderer]:
     start_gpu()
-    renderer = Renderer(BlenderDevice())
+    renderer = Renderer(BlenderDevice(), STORE)
     yield renderer
     renderer.release()
     renderer.device.release()

@@ -15,7 +15,6 @@ import pytest
 
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.devices.null import NullDevice, NullTarget, NullTexture, NullTimer
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.device.clock import MOST_OPEN
 from pointsplat_addon.render.device.protocol import DeviceError, Texture
 from pointsplat_addon.render.frame.report import report
@@ -23,6 +22,7 @@ from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.store import STORE
 from tests.support.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
 
 SAMPLES = 6  # so many that tiles are asked whether they need more
@@ -94,7 +94,7 @@ def cut_after(name: str, checks: int) -> tuple[bool, Failing]:
     all the same, and the device, on which nothing is left."""
     case, request = REQUESTS[name]
     device, asked = Failing(), count()
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     result = renderer.render(case.scene, request, cancelled=lambda: next(asked) >= checks)
     assert_nothing_is_left(renderer, device)
     assert result.cancelled == (next(asked) > checks)
@@ -120,12 +120,12 @@ def test_a_device_whose_memory_is_full_keeps_nothing_of_a_picture(name):
     """Each texture and target in turn is the first that it refuses; with room again, it draws."""
     case, request = REQUESTS[name]
     whole = Failing()
-    Renderer(whole).render(case.scene, request)
+    Renderer(whole, STORE).render(case.scene, request)
     needed = len(whole.textures) + len(whole.targets)
     assert needed > 20
     for number in range(needed):
         device = Failing(number)
-        renderer = Renderer(device)
+        renderer = Renderer(device, STORE)
         with pytest.raises(DeviceError, match="no memory"):
             renderer.render(case.scene, request)
         if number % 16 == 0:
@@ -138,7 +138,7 @@ def test_a_device_whose_memory_is_full_keeps_nothing_of_a_picture(name):
 def test_a_viewport_that_moves_on_after_any_sample_leaves_nothing(name):
     case, request = REQUESTS[name]
     device = Failing()
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     for samples in range(SAMPLES + 1):
         frame = renderer.start(case.scene, replace(request, passes=COMBINED, interactive=True))
         for _ in range(samples):
@@ -153,7 +153,7 @@ def test_a_viewport_that_stands_still_holds_few_timers():
     case, request = REQUESTS["image_space"]
     device = Failing()
     many = replace(request, passes=COMBINED, samples=400, settings=replace(SHADOWED, use_adaptive_sampling=False))
-    frame = Renderer(device).start(case.scene, many)
+    frame = Renderer(device, STORE).start(case.scene, many)
     while frame.sample():
         assert len(device.timers) <= MOST_OPEN
     assert report(frame, 0.0)["passes"]

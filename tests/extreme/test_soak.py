@@ -7,14 +7,14 @@ from collections.abc import Iterator
 import pytest
 
 from pointsplat_addon.devices.opengl import OpenGLDevice
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes.store import STORE
 from tests.support.soak import KEPT, PERIOD, SHORT, draw, soak
 
 
 @pytest.fixture
 def renderer() -> Iterator[Renderer]:
-    renderer = Renderer(OpenGLDevice())
+    renderer = Renderer(OpenGLDevice(), STORE)
     yield renderer
     renderer.release()
     renderer.device.release()

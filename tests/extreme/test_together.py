@@ -9,12 +9,13 @@ import pytest
 
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.frame import uploads
+from pointsplat_addon.render.cache import device_cache
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import drawing
 from scripts.scenes.cameras import camera
+from scripts.scenes.store import STORE
 from tests.support.extremes import COMBINED, FEW, SHADOWED, TECHNIQUES, all_kinds
 
 SAMPLES = 8  # so many that what lies in smoke is lit anew between them, by another part of each lamp
@@ -42,13 +43,13 @@ def drawn(*frames: Frame) -> list[np.ndarray]:
     return found
 
 
-@pytest.mark.parametrize("limit", [uploads.DEVICE_LIMIT, 1])
+@pytest.mark.parametrize("limit", [device_cache.MOST_BYTES, 1])
 @pytest.mark.parametrize(("look", "other"), PAIRS)
-def test_neither_reads_what_the_other_released(monkeypatch, look, other, limit):
+def test_neither_reads_what_the_other_released(look, other, limit):
     """Where there is room for both, and where there is for none: what one uses stays. The null device refuses calls
     with anything that is released."""
-    monkeypatch.setattr(uploads, "DEVICE_LIMIT", limit)
-    renderer = Renderer(NullDevice())
+    renderer = Renderer(NullDevice(), STORE)
+    renderer.kept.limit = limit
     for key in ("together", "elsewhere"):
         frames = begun(renderer, look, -1, "together"), begun(renderer, other, 1, key)
         drawn(*frames)

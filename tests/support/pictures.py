@@ -46,13 +46,13 @@ import numpy as np
 
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.settings import DOF_METHODS, TECHNIQUES
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.passes.outputs import PASSES
 from pointsplat_addon.render.plan.request import Result
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, clouds, drawing
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 from tests.support import extremes
 from tests.support.leave_out.rows import ROWS, Row
 

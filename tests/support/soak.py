@@ -13,8 +13,6 @@ import numpy as np
 
 from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.render.cache.store import STORE
-from pointsplat_addon.render.frame import uploads
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build
@@ -91,8 +89,9 @@ def soak(
     renderer: Renderer, frames: int, beside: Callable[[], None] = lambda: None, warm: int = PERIOD
 ) -> tuple[Memory, Memory]:
     """Memory after the first `warm` frames, and after so many more. `beside` is called after each."""
-    limits, STORE.limit = (STORE.limit, uploads.DEVICE_LIMIT), KEPT
-    uploads.DEVICE_LIMIT = KEPT
+    store, kept = renderer.store, renderer.kept
+    limits = store.limit, kept.limit
+    store.limit = kept.limit = KEPT
     seen = []
     try:
         for number in range(warm + frames):
@@ -101,6 +100,6 @@ def soak(
             if number + 1 in (warm, warm + frames):
                 seen.append(Memory(resident(), renderer.device.bytes_allocated()))
     finally:
-        STORE.limit, uploads.DEVICE_LIMIT = limits
-        STORE.clear()
+        store.limit, kept.limit = limits
+        store.clear()
     return seen[0], seen[1]

@@ -10,12 +10,12 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
 from scripts.common.images import compare, directions, eroded
 from scripts.scenes import build, cameras, clouds, drawing
 from scripts.scenes.case import Case
 from scripts.scenes.drawing import render
+from scripts.scenes.store import STORE
 from tests.reference import opaque
 
 SIZE = 192

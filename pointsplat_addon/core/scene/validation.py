@@ -125,7 +125,7 @@ RULES: dict[type, dict[str, Rule]] = {
         _VOXELS),
 }  # fmt: skip
 
-Lookup = Callable[[tuple, Callable[[], Any]], Any]  # what is kept under a key, made where there is nothing
+Lookup = Callable[[str, Callable[[], Any]], Any]  # what is kept for a content key, made where there is nothing
 
 
 def validate(scene: Scene, camera: Camera, lookup: Lookup = lambda key, make: make()) -> tuple[Scene, Camera]:
@@ -185,7 +185,7 @@ def _valid_geometry(geometry: Geometry, warnings: list[str], lookup: Lookup) -> 
         geometry = replace(geometry, **dict.fromkeys(wrong, 0.0))
     if data is None:
         return geometry
-    changed, messages = lookup(("valid", geometry.key), lambda: _valid_data(data))
+    changed, messages = lookup(geometry.key, lambda: _valid_data(data))
     warnings += [f"{geometry.name}: {message}" for message in messages]
     return geometry if changed is None else replace(geometry, **{changed.name: changed.data})
 

@@ -13,6 +13,7 @@ from ...core.lod.cost import DEFAULT
 from ...devices.blender_gpu import BlenderDevice
 from ...render.device.protocol import Device
 from ...render.renderer import Renderer
+from ..shared_store import STORE
 from . import device_costs
 
 T = TypeVar("T")
@@ -29,7 +30,7 @@ class MainGPU:
         """The shared renderer. DeviceError where Blender has no graphics context on this thread."""
         if self._renderer is None:
             self._device = BlenderDevice()
-            self._renderer = Renderer(self._device)
+            self._renderer = Renderer(self._device, STORE)
             self._renderer.costs = device_costs.KNOWN.get(self._device.limits.renderer, DEFAULT)
         return self._renderer
 
@@ -76,7 +77,7 @@ def _settle(future: Future[T], make: Callable[[], T]) -> None:
 
 def _on_own_device(job: Callable[[Renderer], T]) -> T:
     device = BlenderDevice()
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     try:
         return job(renderer)
     finally:

@@ -32,7 +32,7 @@ from .shading import Shading
 from .surfels import gbuffer_textures
 from .targets import Targets
 from .translucent import Translucent, lighting_of_sample
-from .uploads import Uploads
+from .uploads.uploads import Uploads
 
 
 class Frame:
@@ -53,7 +53,9 @@ class Frame:
         self.clock = Clock(self.device, cancelled)
         self.whole = scene  # as it was given
         # What comes before anything is on the device can be cancelled.
-        self.shot = make_shot(scene, request, self.device.limits, renderer.costs, self.clock, presented, picture)
+        self.shot = make_shot(
+            scene, request, renderer.store, self.device.limits, renderer.costs, self.clock, presented, picture
+        )
         self.view = self.shot.view  # of the sample that is drawn
         self.done = 0
         self.ended = False  # before all samples were drawn
@@ -87,7 +89,16 @@ class Frame:
             self.lens = self._own(LensSamples(device, shot.view, request.samples))
         motion = plan.data and "vector" in data.data(request.passes)
         self.uploads: Uploads = self._own(
-            Uploads(self.renderer.kept, shot.scene, shot.view, shot.prepared, plan, motion, shot.shadows)
+            Uploads(
+                self.renderer.store,
+                self.renderer.kept,
+                shot.scene,
+                shot.view,
+                shot.prepared,
+                plan,
+                motion,
+                shot.shadows,
+            )
         )
         self.clock.spent |= self.uploads.spent
         if plan.backdrop:
@@ -166,11 +177,11 @@ class Frame:
         plan, uploads, run = self.shot.plan, self.uploads, self.clock.run
         surfels, data_surfels = self.targets.surfels, self.targets.data_surfels
         projection = self.targets.projection
-        for lines in uploads.lines:
+        for lines in uploads.strands.draws:
             lines.list_thin(float(self._turns[self.done]))
         beside = first or self._data.every_sample or self.shading.averages
         if projection is not None and (beside or not plan.painter):
-            run("project", lambda: projection.run(uploads.draws, view, uploads.shared))
+            run("project", lambda: projection.run(uploads.points.draws, view, uploads.shared))
         if surfels is not None:
             region = self.adaptive.gathered if self.adaptive else EVERYWHERE
             surfels.draw(uploads, None if plan.painter else projection, view, run, region)
@@ -216,7 +227,7 @@ class Frame:
         """Leaves out what no tile needs any more."""
         view, projection, uploads = self._sample_view(0), self.targets.projection, self.uploads
         if adaptive.check(self.done) and projection is not None and not adaptive.finished:
-            uploads.narrow(projection.within(uploads.draws, view, uploads.shared, adaptive.gathered))
+            uploads.points.narrow(projection.within(uploads.points.draws, view, uploads.shared, adaptive.gathered))
 
     def _gather(self) -> None:
         """Gathers what is out of focus into the picture so far."""

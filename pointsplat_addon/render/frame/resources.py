@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Protocol
 
 from ...core.lod.cost import Costs
+from ..cache.device_cache import DeviceCache
+from ..cache.store import Store
 from ..device.protocol import Device
 from .targets import Pool
-from .uploads import Kept
 
 
 class FrameResources(Protocol):
@@ -24,7 +25,12 @@ class FrameResources(Protocol):
         ...
 
     @property
-    def kept(self) -> Kept:
+    def store(self) -> Store:
+        """What is prepared of scenes."""
+        ...
+
+    @property
+    def kept(self) -> DeviceCache:
         """Geometry that stays on the device from frame to frame."""
         ...
 

@@ -15,7 +15,8 @@ from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ...core.scene.validation import validate
 from ...core.splat.blur import defocus_blur
-from ..cache.store import STORE
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
 from ..device.clock import Clock
 from ..device.protocol import Limits
 from ..passes.image_space.pyramid import levels
@@ -124,22 +125,32 @@ class Shot:
 
 
 def make_shot(
-    scene: Scene, request: Request, limits: Limits, costs: Costs, clock: Clock, presented: bool, picture: bool
+    scene: Scene,
+    request: Request,
+    store: Store,
+    limits: Limits,
+    costs: Costs,
+    clock: Clock,
+    presented: bool,
+    picture: bool,
 ) -> Shot:
     """`limits`, `costs`: of the device. `clock`: is told what shadows take. `presented`: between samples too.
     `picture`: with Combined, not passes beside it alone. Cancelled: the clock says so."""
-    scene, camera = validate(scene, request.camera, STORE.lookup)
+    scene, camera = validate(
+        scene, request.camera, lambda content, make: store.lookup(Key(Kind.VALIDATED, content), make)
+    )
     warnings = scene.warnings
-    scene, of_parts = parted(scene)
+    scene, of_parts = parted(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
     technique = choose(request.settings, scene, request.samples, request.interactive, limits.float_blend)
     warnings += (*of_parts, *_not_blended(technique, request))
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
     prepared = prepare(
         scene,
-        prepared_for(scene, camera) if through_lens else camera,
+        prepared_for(scene, camera, store) if through_lens else camera,
         replace(request.settings, technique=technique.name),
         request.samples,
+        store,
         interactive=request.interactive,
         check=clock.check,
         costs=costs,
@@ -156,9 +167,9 @@ def make_shot(
         if technique.name == "PAINTER":
             technique = Technique("IMAGE_SPACE", "the pass defocus paints")
 
-    prepared, unseen = in_view(scene, prepared, camera)
-    scene, reflects, faint = without_faint(scene, prepared, camera.view_from_world)
-    shadows, unshadowed = _shadows(scene, prepared, request, clock)
+    prepared, unseen = in_view(scene, prepared, camera, store)
+    scene, reflects, faint = without_faint(scene, prepared, camera.view_from_world, store)
+    shadows, unshadowed = _shadows(scene, prepared, request, store, clock)
     paints = technique.name == "PAINTER" and prepared.cut.splats > 0
     if paints:
         prepared = painted(prepared, keep=presented or bool(averaged(request.passes) or data(request.passes)))
@@ -196,13 +207,15 @@ def _not_blended(technique: Technique, request: Request) -> tuple[str, ...]:
     return (f"{NAMES[asked]} needs blending of floats, which this GPU lacks: points are drawn in image space",)
 
 
-def _shadows(scene: Scene, prepared: Prepared, request: Request, clock: Clock) -> tuple[Shadows | None, str]:
+def _shadows(
+    scene: Scene, prepared: Prepared, request: Request, store: Store, clock: Clock
+) -> tuple[Shadows | None, str]:
     """The tables of all lamps that cast shadows on what is drawn; or None, and why."""
     layers = (prepared, prepared.translucent, prepared.spheres)
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.lines):
         return None, "nothing is drawn"
     before = time.perf_counter()
-    found, unshadowed = cast(scene, request.settings, STORE, clock.check)
+    found, unshadowed = cast(scene, request.settings, store, clock.check)
     if found is not None:
         clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
     return found, unshadowed

@@ -7,18 +7,19 @@ import numpy as np
 from ...core.lens.thin_lens import widened_camera
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
-from ..cache.store import STORE
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
 
 
-def prepared_for(scene: Scene, camera: Camera) -> Camera:
+def prepared_for(scene: Scene, camera: Camera, store: Store) -> Camera:
     """The camera whose cut holds what any place on the lens sees."""
-    return widened_camera(camera, *_depths(scene, camera))
+    return widened_camera(camera, *_depths(scene, camera, store))
 
 
-def _depths(scene: Scene, camera: Camera) -> tuple[float, float]:
+def _depths(scene: Scene, camera: Camera, store: Store) -> tuple[float, float]:
     """The depths between which all boxes around instances lie, and the camera's clipping planes."""
     boxes = np.array([
-        STORE.lookup(("box", geometry.key), lambda geometry=geometry: _Box(_box(geometry))).corners
+        store.lookup(Key(Kind.BOX, geometry.key), lambda geometry=geometry: _Box(_box(geometry))).corners
         for geometry in scene.geometries
     ]).reshape(-1, 2, 3)  # fmt: skip
     with np.errstate(all="ignore"):

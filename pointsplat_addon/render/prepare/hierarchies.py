@@ -9,9 +9,10 @@ import numpy as np
 
 from ...core.lod.hierarchy import Hierarchy, recolor, refit
 from ...core.scene.materials import MaterialTable
-from ..cache.store import PointSet, Store
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
 from .layers import MANY_INSTANCES
-from .point_sets import typical_diameter
+from .point_sets import PointSet, typical_diameter
 from .view import View
 
 PAYS = 80  # building costs about as much as drawing the points this many times
@@ -27,23 +28,23 @@ def where_it_pays(view: View, points: PointSet, view_from_object: np.ndarray) ->
     """The points of instances (I, 4, 4), with an octree where it is there, or can leave out most of them often enough
     to pay for itself. In an interactive view it is built on another thread, where so many points can be drawn."""
     plain, points, store = points, _filled(points, view.scene.materials, view.store), view.store
-    key = ("hierarchy", *points.key)
+    key = Key(Kind.HIERARCHY, points.key)
     if key not in store:
         if not _pays(view, plain, view_from_object):
             return plain
         bare = len(plain.cloud) * len(view_from_object)
-        if view.interactive and points.family not in store and bare <= MOST_BARE:
-            store.later(key, lambda: _hierarchy(points, store))
+        if view.interactive and (points.family is None or points.family not in store) and bare <= MOST_BARE:
+            store.make_later(key, lambda: _hierarchy(points, store))
             return plain
     return _with_hierarchy(points, store)
 
 
-def that_have_nodes(view: View, name: tuple, make: Callable[[], PointSet]) -> PointSet | None:
+def that_have_nodes(view: View, name: Key, make: Callable[[], PointSet]) -> PointSet | None:
     """Points called `name`, once their octree is there. In an interactive view it is begun, on another thread, at the
     second time of asking: what changes from picture to picture would be gone when it is built."""
-    store, known, asked = view.store, ("nodes of", *name), ("nodes asked for", *name)
+    store, known, asked = view.store, Key(Kind.NODES, name), Key(Kind.NODES_ASKED_FOR, name)
 
-    def build() -> tuple:
+    def build() -> Key:
         return _with_hierarchy(_filled(make(), view.scene.materials, store), store).key
 
     if known in store:
@@ -51,9 +52,9 @@ def that_have_nodes(view: View, name: tuple, make: Callable[[], PointSet]) -> Po
         if key in store:
             return make()
         if view.interactive:  # there was no room for it
-            store.later(key, lambda: _hierarchy(_filled(make(), view.scene.materials, store), store))
+            store.make_later(key, lambda: _hierarchy(_filled(make(), view.scene.materials, store), store))
     elif view.interactive and asked in store:
-        store.later(known, build)
+        store.make_later(known, build)
     elif view.interactive:
         store.lookup(asked, tuple)
     return None
@@ -82,7 +83,7 @@ def _filled(points: PointSet, table: MaterialTable, store: Store) -> PointSet:
     material = cloud.material
     if material is None:
         return points
-    rows = store.lookup(("rows", *points.key), lambda: np.unique(material))
+    rows = store.lookup(Key(Kind.MATERIAL_ROWS, points.key), lambda: np.unique(material))
     rows = np.minimum(rows, len(table) - 1)  # what names no row has the last one's values
     constants = {
         "color": table.base_color,
@@ -97,33 +98,27 @@ def _filled(points: PointSet, table: MaterialTable, store: Store) -> PointSet:
     if not differ:
         return points
     held = tuple((name, values[rows].tobytes()) for name, values in differ.items())
-    key = ("filled", *points.key, held)
+    key = Key(Kind.FILLED, points.key, other=held)
     made = store.lookup(
         key,
         lambda: replace(cloud, **{n: v.take(material, axis=0, mode="clip") for n, v in differ.items()}),
     )
-    return replace(points, key=key, cloud=made, family=(*points.family, held) if points.family else ())
-
-
-def bare_key(key: tuple) -> tuple:
-    """The key that a point set had before it was given a hierarchy."""
-    while key and key[0] in ("hierarchy", "filled"):
-        key = key[1:-1] if key[0] == "filled" else key[1:]
-    return key
+    family = None if points.family is None else Key(Kind.FILLED, points.family, other=held)
+    return replace(points, key=key, cloud=made, family=family)
 
 
 def _with_hierarchy(points: PointSet, store: Store) -> PointSet:
-    key = ("hierarchy", *points.key)
+    key = Key(Kind.HIERARCHY, points.key)
     return replace(points, key=key, hierarchy=store.lookup(key, lambda: _hierarchy(points, store)))
 
 
 def _hierarchy(points: PointSet, store: Store) -> Hierarchy:
     """The octree that another pose or colouring of the same points has, refitted; else a new one."""
-    if not points.family:
-        return store.build(points.cloud)
-    known, source = store.lookup(points.family, lambda: (store.build(points.cloud), points.cloud))
+    if points.family is None:
+        return store.build_hierarchy(points.cloud)
+    known, source = store.lookup(points.family, lambda: (store.build_hierarchy(points.cloud), points.cloud))
     if source is points.cloud:
         return known
     if len(source) != len(points.cloud):
-        return store.build(points.cloud)
-    return (recolor if points.family[0] == "lattice" else refit)(known, points.cloud)
+        return store.build_hierarchy(points.cloud)
+    return (recolor if points.is_lattice else refit)(known, points.cloud)

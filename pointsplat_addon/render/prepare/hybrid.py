@@ -22,11 +22,12 @@ from ...core.surface.samples import Samples, take_samples, vertex_of_sample
 from ...core.surface.sampling import choose_method, sample_mesh
 from ...core.surface.spacing import quantise_spacing
 from ...core.surface.triangles import Measures, measures_of_some
-from ..cache.store import PointSet
+from ..cache.keys import Key, Kind
 from .hierarchies import that_have_nodes
 from .layers import MANY_INSTANCES
 from .meshes import VERTEX_PIXELS, Measured, Primitives, all_points, fewest, measured, most_samples
 from .parts import lets_through
+from .point_sets import PointSet
 from .view import View
 
 NODES = 16.0  # of a cut, for each square of the tolerance that a curved surface holds: measured 13 to 16.5 of scans
@@ -249,7 +250,7 @@ def _choosable(view: View, geometry: Geometry, instances: int) -> tuple[Measured
 
 
 def _division(of: Measured) -> Divided:
-    return of.store.lookup(("divided", of.geometry.key), lambda: Divided(of.mesh, of.parts, of.measures))
+    return of.store.lookup(Key(Kind.DIVIDED_MESH, of.geometry.key), lambda: Divided(of.mesh, of.parts, of.measures))
 
 
 def _costs(view: View, instances: int) -> Costs:
@@ -279,7 +280,7 @@ def _shown(view: View, of: Measured, view_from_object: np.ndarray) -> list[Shown
 
 def _with_nodes(view: View, of: Measured) -> PointSet | None:
     """The fewest samples of a mesh, once they have an octree."""
-    name = (of.geometry.key, digest(of.mesh, view.scene.materials))
+    name = Key(Kind.MESH_POINTS, of.geometry.key, digest(of.mesh, view.scene.materials))
     return that_have_nodes(view, name, lambda: fewest(view, of))
 
 
@@ -324,15 +325,15 @@ def _sampled(
     # Parts that lie in the mesh's own order, all of them, depend on its topology alone.
     same = of.shape if worth.all() and divided.parts.order is None else (of.geometry.key, worth.tobytes())
     sampled, origin = store.lookup(
-        ("places by part", same, spacing), lambda: (sample_parts(divided, spacing, worth), first)
+        Key(Kind.SAMPLES_OF_PARTS, same, spacing=spacing), lambda: (sample_parts(divided, spacing, worth), first)
     )
-    key = ("samples by part", of.geometry.key, same, look, spacing)
+    key = Key(Kind.POINTS_OF_PARTS, (of.geometry.key, same), look, spacing=spacing)
 
     def make() -> PointCloud:
         evaluated = evaluate(mesh, sampled.samples, origin)
         return point_cloud(mesh, sampled.samples, evaluated, table)
 
-    family = ("family by part", same, look, spacing)
+    family = Key(Kind.SHARED_HIERARCHY, same, look, "PARTS", spacing)
     return PointSet(key, store.lookup(key, make), family=family), sampled
 
 

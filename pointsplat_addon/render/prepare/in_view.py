@@ -12,9 +12,10 @@ from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import all_finite, largest_singular_value
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
-from ..cache.store import STORE, Layer, PointSet, Store
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
 from .meshes import mesh_ball
-from .point_sets import set_ball
+from .point_sets import Layer, PointSet, set_ball
 from .prepare import Prepared
 
 MARGIN = 8.0  # pixels: kernels end this far outside of what they cover, at most
@@ -22,7 +23,7 @@ OUT_OF_VIEW, CLEAR = "nothing of it is in view", "nothing of it hides or emits l
 Ball = tuple[np.ndarray, np.ndarray, float]  # view_from_object (I, 4, 4); centre (3,) and radius in object space
 
 
-def in_view(scene: Scene, prepared: Prepared, camera: Camera, store: Store = STORE) -> tuple[Prepared, dict[str, str]]:
+def in_view(scene: Scene, prepared: Prepared, camera: Camera, store: Store) -> tuple[Prepared, dict[str, str]]:
     """The same without layers that cannot be seen, and why by their names: points, translucent, spheres, polygons.
 
     A layer goes or stays as a whole: were its sets to come and go by themselves, pages would be uploaded again whenever
@@ -61,7 +62,7 @@ def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ba
             yield prepared.view_from_object[prepared.polygons[geometry == row]], middle, reach
 
 
-def drawn_ball(scene: Scene, prepared: Prepared, store: Store = STORE) -> tuple[np.ndarray, float]:
+def drawn_ball(scene: Scene, prepared: Prepared, store: Store) -> tuple[np.ndarray, float]:
     """Centre in view space and radius of a ball about all that is drawn; infinite where strands are."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     layers = (prepared, prepared.translucent, prepared.spheres)
@@ -91,7 +92,7 @@ def _clear(points: PointSet, store: Store) -> bool:
         glows = cloud.extinction is not None and cloud.emission is not None and bool((cloud.emission > 0).any())
         return matter is not None and not glows and not bool((matter > 0).any())
 
-    return store.lookup(("clear", *points.key), look)
+    return store.lookup(Key(Kind.IS_INVISIBLE, points.key), look)
 
 
 def _without(prepared: Prepared, gone: dict[str, str]) -> Prepared:

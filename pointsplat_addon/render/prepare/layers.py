@@ -20,8 +20,9 @@ from ...core.lod.instances import (
 from ...core.lod.levels import Levels, make_levels
 from ...core.lod.node_table import NodeTable, node_table
 from ...core.scene.scene import Geometry
-from ..cache.store import Layer, PointSet, Store
-from .point_sets import counts, set_ball
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
+from .point_sets import Layer, PointSet, counts, set_ball
 from .view import View
 
 MANY_INSTANCES = 16  # of one geometry: so many share samples and cuts
@@ -66,7 +67,7 @@ def cut_layer(
         some = np.flatnonzero(choice.level >= 0)
         if len(some):
             at = len(view.scene.geometries) + max(sets) + 1
-            sets[at] = PointSet(("levels", *points.key), levels.drawn)
+            sets[at] = PointSet(Key(Kind.LEVEL_NODES, points.key), levels.drawn)
             set_of_instance[where[some]] = at
             view_from_object[where[some]] = scaled_about(views[some], levels.center, choice.scale[some])
             shared.append(cut_from_levels(levels, where[some], choice.level[some]))
@@ -80,7 +81,7 @@ def _levels(points: PointSet, store: Store) -> Levels | None:
     hierarchy = points.hierarchy
     if hierarchy is None:
         return None
-    return store.lookup(("levels of", *points.key), lambda: make_levels(hierarchy))
+    return store.lookup(Key(Kind.LEVELS, points.key), lambda: make_levels(hierarchy))
 
 
 def _cut(
@@ -93,7 +94,7 @@ def _cut(
     """Each instance by itself."""
     if not any(points.hierarchy for points in point_sets.values()):
         return cut_of_all_points(counts(point_sets), set_of_instance)
-    key = ("forest", *((row, points.key) for row, points in point_sets.items()))
+    key = Key(Kind.FOREST, tuple((row, points.key) for row, points in point_sets.items()))
     trees: NodeTable = view.store.lookup(
         key, lambda: node_table({row: p.hierarchy or p.cloud for row, p in point_sets.items()})
     )

@@ -26,9 +26,11 @@ from ...core.surface.sample_areas import sample_areas
 from ...core.surface.sampling import choose_method, sample_mesh
 from ...core.surface.spacing import MAX_SAMPLES, MOST_SAMPLES, limit_spacing, quantise_spacing
 from ...core.surface.triangles import Measures, measure_triangles
-from ..cache.store import STORE, PointSet, Store
-from .hierarchies import bare_key, that_have_nodes
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
+from .hierarchies import that_have_nodes
 from .layers import MANY_INSTANCES
+from .point_sets import PointSet
 from .view import View
 
 # Of meshes whose instances are many, AUTO draws polygons where the typical triangle's edge spans more pixels than this.
@@ -50,36 +52,36 @@ class Measured:
     store: Store
 
     @property
-    def shape(self) -> tuple:
+    def shape(self) -> tuple[str, str]:
         """What places on the mesh depend on."""
         return self.mesh.topology or self.geometry.key, self.geometry.name
 
     @property
     def edge(self) -> float:
         """The side of the square of the mean triangle's area."""
-        return self._kept("edge", lambda: _typical_edge(self.mesh))
+        return self._kept(Kind.TYPICAL_EDGE, lambda: _typical_edge(self.mesh))
 
     @property
     def ball(self) -> tuple[np.ndarray, float]:
         """Centre (3,) and radius in object space of a ball that holds the valid triangles."""
-        return self._kept("bounds", lambda: triangles_ball(self.mesh))
+        return self._kept(Kind.BOUNDING_BALL, lambda: triangles_ball(self.mesh))
 
     @property
     def parts(self) -> Parts:
-        return self._kept("parts", lambda: make_parts(self.mesh))
+        return self._kept(Kind.PARTS, lambda: make_parts(self.mesh))
 
     @property
     def measures(self) -> Measures:
-        return self._kept("measures", lambda: measure_triangles(self.mesh))
+        return self._kept(Kind.MEASURES, lambda: measure_triangles(self.mesh))
 
     def leaves(self, instances: int) -> bool:
         """Whether so many instances of it are leaves, few enough to be polygons from any distance."""
         return instances * len(self.mesh.triangles) <= MOST_LEAVES and self._kept(
-            "leafy", lambda: is_foliage(self.mesh.position, self.mesh.triangles)
+            Kind.IS_FOLIAGE, lambda: is_foliage(self.mesh.position, self.mesh.triangles)
         )
 
-    def _kept(self, what: str, make: Callable[[], Any]) -> Any:
-        return self.store.lookup((what, self.geometry.key), make)
+    def _kept(self, kind: Kind, make: Callable[[], Any]) -> Any:
+        return self.store.lookup(Key(kind, self.geometry.key), make)
 
 
 def measured(view: View, geometry: Geometry) -> Measured | None:
@@ -88,11 +90,11 @@ def measured(view: View, geometry: Geometry) -> Measured | None:
     return None if mesh is None or len(mesh.triangles) == 0 else Measured(geometry, mesh, view.store)
 
 
-def mesh_ball(mesh: Mesh, store: Store = STORE) -> tuple[np.ndarray, float]:
+def mesh_ball(mesh: Mesh, store: Store) -> tuple[np.ndarray, float]:
     """Centre (3,) and radius in object space of a ball that holds the triangles of a mesh."""
     if len(mesh.triangles) == 0:
         return np.zeros(3), 0.0
-    return store.lookup(("bounds", mesh.key), lambda: triangles_ball(mesh))
+    return store.lookup(Key(Kind.BOUNDING_BALL, mesh.key), lambda: triangles_ball(mesh))
 
 
 def _typical_edge(mesh: Mesh) -> float:
@@ -227,23 +229,26 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
     """Samples so many octaves coarser than `needed`, or than what was needed before: they are only ever refined."""
     geometry, mesh, shape, store = of.geometry, of.mesh, of.shape, view.store
     spacing = geometry.spacing if geometry.spacing > 0 else needed
-    known = store.finest(("spacing", shape, geometry.spacing), np.inf)
+    asked = Key(Kind.FINEST_SPACING, shape, spacing=geometry.spacing)
+    known = store.finest_spacing(asked, np.inf)
     measures = of.measures
     if geometry.spacing <= 0 and spacing < known:
         octave_of, most = quantise_spacing(spacing), most_samples(view.settings.tolerance)
         spacing = store.lookup(
-            ("limited", shape, octave_of, most),
+            Key(Kind.LIMITED_SPACING, shape, spacing=octave_of, other=most),
             lambda: limit_spacing(mesh, octave_of, most, measures=measures),
         )
-    spacing = store.finest(("spacing", shape, geometry.spacing), spacing) * 2.0**octave
+    spacing = store.finest_spacing(asked, spacing) * 2.0**octave
     needed *= 2.0**octave
     # Vertices do for coarser needs than samples: their disks cover the mesh whatever its edges project to.
     look = digest(mesh, view.scene.materials)
     loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
-    method = store.lookup(("method", shape, loose), lambda: choose_method(mesh, loose, measures=measures))
+    method = store.lookup(
+        Key(Kind.SAMPLING_METHOD, shape, spacing=loose), lambda: choose_method(mesh, loose, measures=measures)
+    )
     if view.coarse and geometry.spacing <= 0 and method != "VERTICES":
         # Finer samples than a budget of time leaves room for are drawn once their nodes can stand for them.
-        own, name = quantise_spacing(needed), (geometry.key, look, method, spacing)
+        own, name = quantise_spacing(needed), Key(Kind.MESH_POINTS, geometry.key, look, method, spacing)
         if own > spacing:
             found = that_have_nodes(view, name, lambda: _samples(view, of, method, spacing, loose))
             return _samples(view, of, method, own, loose) if found is None else found
@@ -261,29 +266,29 @@ def _samples(view: View, of: Measured, method: str, spacing: float, loose: float
     geometry, mesh, shape, store, table = of.geometry, of.mesh, of.shape, view.store, view.scene.materials
     look = digest(mesh, table)
     spacing = 0.0 if method == "VERTICES" else spacing
+    at = Key(Kind.SAMPLES, shape, method=method, spacing=spacing)
+    at = Key(Kind.SAMPLES, shape, method=method, spacing=spacing)
+    at = Key(Kind.SAMPLES, shape, method=method, spacing=spacing)
     samples, origin = store.lookup(
-        ("places", shape, method, spacing),
+        at,
         lambda: (sample_mesh(mesh, spacing or loose, method, measures=of.measures), mesh_centre(mesh)),
     )
-    key = ("samples", geometry.key, look, method, spacing)
+    key = Key(Kind.MESH_POINTS, geometry.key, look, method, spacing)
 
     def make() -> PointCloud:
         evaluated = evaluate(mesh, samples, origin)
         return point_cloud(mesh, samples, evaluated, table)
 
-    return PointSet(key, store.lookup(key, make), family=("family", shape, look, method, spacing))
+    family = Key(Kind.SHARED_HIERARCHY, shape, look, method, spacing)
+    return PointSet(key, store.lookup(key, make), family=family, samples=at)
 
 
 def areas(view: View, geometry: Geometry, points: PointSet) -> Callable[[], np.ndarray] | None:
     """What finds (N,) what each sample of a mesh stands for, in object units squared; None: it is not known."""
-    key, of = bare_key(points.key), measured(view, geometry)
-    if of is None or not key or key[0] != "samples":
+    of = measured(view, geometry)
+    if of is None or points.samples is None or points.samples not in view.store:
         return None
-    _, _, _, method, spacing = key
-    places = ("places", of.shape, method, spacing)
-    if places not in view.store:
-        return None
-    samples, _ = view.store.lookup(places, lambda: None)
+    samples, _ = view.store.lookup(points.samples, lambda: None)
     if len(samples) != len(points.cloud):
         return None
     return lambda: sample_areas(of.mesh, samples)

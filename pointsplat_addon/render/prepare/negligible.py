@@ -26,8 +26,10 @@ from ...core.scene.lights import Light
 from ...core.scene.scene import Scene
 from ...core.scene.world import World
 from ...core.surface.appearance import graphs_of
-from ..cache.store import STORE, Layer, PointSet, Store
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
 from .in_view import drawn_ball
+from .point_sets import Layer, PointSet
 from .prepare import Prepared
 
 MEASURABLE = 1 / 1024  # of white
@@ -58,7 +60,7 @@ class Reflection:
 
 
 def without_faint(
-    scene: Scene, prepared: Prepared, view_from_world: np.ndarray, store: Store = STORE
+    scene: Scene, prepared: Prepared, view_from_world: np.ndarray, store: Store
 ) -> tuple[Scene, bool, tuple[tuple[str, str], ...]]:
     """The scene without what adds nothing measurable to what is drawn of it; whether anything that is drawn reflects
     light; and what was left out: (what, because)."""
@@ -90,7 +92,7 @@ def without_faint(
     return scene, not bounds.black, tuple(notes)
 
 
-def reflection(scene: Scene, prepared: Prepared, store: Store = STORE) -> Reflection:
+def reflection(scene: Scene, prepared: Prepared, store: Store) -> Reflection:
     """How much of what arrives anything that is drawn may send to the eye."""
     table = scene.materials
     rows, albedo, smooth = _used(scene, prepared, store)
@@ -121,9 +123,9 @@ def _used(scene: Scene, prepared: Prepared, store: Store) -> tuple[set[int], flo
     albedo, smooth = 0.0, False
     for points in _sets(prepared):
         cloud = points.cloud
-        rows |= store.lookup(("rows used", *points.key), lambda c=cloud: _rows(c.material))
+        rows |= store.lookup(Key(Kind.USED_MATERIALS, points.key), lambda c=cloud: _rows(c.material))
         if (color := cloud.color) is not None:
-            albedo = max(albedo, store.lookup(("brightest", *points.key), lambda c=color: _brightest(c)))
+            albedo = max(albedo, store.lookup(Key(Kind.BRIGHTEST_COLOR, points.key), lambda c=color: _brightest(c)))
         smooth |= cloud.surface is not None
     for row in np.unique(scene.instances.geometry[prepared.polygons]).tolist() if len(prepared.polygons) else ():
         mesh = scene.geometries[row].mesh

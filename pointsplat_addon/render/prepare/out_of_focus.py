@@ -25,7 +25,9 @@ from ...core.strand.levels import StrandLevels
 from ...core.strand.segments import Segments
 from ...core.surface.appearance import digest, point_cloud
 from ...core.surface.evaluation import evaluate
-from ..cache.store import Layer, PointSet, Store
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
+from .point_sets import Layer, PointSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,8 @@ class Focus:
         """Points and their nodes. `areas`: (N,) what each point stands for; None: it is not known."""
         key = self._add(instance, points)
         made = self.store.lookup(
-            ("shares", areas is not None, *points.key), lambda: area_shares(points.hierarchy or points.cloud, areas)
+            Key(Kind.AREA_SHARES, points.key, other=areas is not None),
+            lambda: area_shares(points.hierarchy or points.cloud, areas),
         )
         self.shares[key] = made
 
@@ -75,7 +78,7 @@ class Focus:
         """Balls that are drawn one by one."""
         for i in instance.tolist():
             matrix = self.view_from_object[i]
-            key = (*points.key, *self._seen(matrix))
+            key = Key(Kind.DICED, points.key, other=self._seen(matrix))
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 return dicing.dice_balls(points.cloud, matrix, self.camera, self.tolerance, self.blur)
@@ -89,7 +92,7 @@ class Focus:
         look = digest(mesh, table)
         for i in instance.tolist():
             matrix = self.view_from_object[i]
-            key = (geometry.key, look, *self._seen(matrix))
+            key = Key(Kind.DICED, geometry.key, look, other=self._seen(matrix))
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 samples = dicing.dice_triangles(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
@@ -104,7 +107,7 @@ class Focus:
             mine = np.flatnonzero(segments.instance == i)
             ends, matrix = segments.ends[mine], self.view_from_object[i]
             kept[mine] = may_be_in_focus(strands, ends, matrix, self.camera, self.blur)
-            key = (geometry.key, *self._seen(matrix))
+            key = Key(Kind.DICED, geometry.key, other=self._seen(matrix))
 
             def make(ends: np.ndarray = ends, matrix: np.ndarray = matrix) -> PointCloud:
                 return dice_strands(strands, lines, ends, matrix, self.camera, self.tolerance, self.blur)
@@ -117,9 +120,8 @@ class Focus:
         camera = self.camera
         return matrix.tobytes(), camera.clip_from_view.tobytes(), camera.window, self.blur, self.tolerance
 
-    def _add_pieces(self, instance: int, key: tuple, make: Callable[[], PointCloud], share: float) -> None:
+    def _add_pieces(self, instance: int, key: Key, make: Callable[[], PointCloud], share: float) -> None:
         """Splats that were made for this view, each of which covers this share of its ellipse."""
-        key = ("pieces", *key)
         points = PointSet(key, self.store.lookup(key, make))
         if len(points):
             self.shares[self._add(np.array([instance]), points)] = float(share)
@@ -139,7 +141,7 @@ class Focus:
         cuts = [cut_of_all_points(counts, self.set_of_instance)]
         trees = {key: points.hierarchy for key, points in self.sets.items() if points.hierarchy is not None}
         if trees:
-            known = ("forest", *((key, self.sets[key].key) for key in trees))
+            known = Key(Kind.FOREST, tuple((key, self.sets[key].key) for key in trees))
             found = self.store.lookup(known, lambda: node_table(trees))
             own = np.where(np.isin(self.set_of_instance, list(trees)), self.set_of_instance, -1)
             cuts.append(

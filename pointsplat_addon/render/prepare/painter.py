@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.lod.cut import Cut
-from ..cache.store import Layer
+from .point_sets import Layer
 from .prepare import Prepared
 
 

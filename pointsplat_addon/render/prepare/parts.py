@@ -15,10 +15,11 @@ from ...core.scene.valid_geometry import valid_points
 from ...core.scene.volume import Volume
 from ...core.surface.appearance import digest, passing, split_translucent
 from ...core.volume import voxels
-from ..cache.store import STORE, Store
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
 
 
-def parted(scene: Scene, store: Store = STORE) -> tuple[Scene, tuple[str, ...]]:
+def parted(scene: Scene, store: Store) -> tuple[Scene, tuple[str, ...]]:
     """The validated scene in parts, and warnings; the scene itself where nothing has to change.
 
     Instances keep their rows. A translucent part beside an opaque one is a further geometry with instances of its own,
@@ -52,7 +53,7 @@ def _parts(geometry: Geometry, table: MaterialTable, store: Store, warnings: lis
     passes = None if mesh is None else passing(mesh, table)
     if mesh is None or passes is None:
         return [geometry]
-    key = ("parts", geometry.key, digest(mesh, table), passes.tobytes())
+    key = Key(Kind.SPLIT_BY_MATERIAL, geometry.key, digest(mesh, table), other=passes.tobytes())
     opaque, translucent = store.lookup(key, lambda: split_translucent(mesh, table))
     found = [] if opaque is None else [replace(geometry, key=opaque.key, mesh=opaque)]
     if translucent is not None:
@@ -79,7 +80,7 @@ def _volume(geometry: Geometry, volume: Volume, table: MaterialTable, store: Sto
         found += [f"{geometry.name}: {dropped} points that are not finite were left out"] if dropped else []
         return Points(cloud, found)
 
-    points = store.lookup(("volume", key), make)
+    points = store.lookup(Key(Kind.VOXELS, key), make)
     warnings += points.warnings
     return replace(geometry, key=key, volume=None, cloud=points.cloud, lattice=f"{volume.key} {geometry.spacing}")
 

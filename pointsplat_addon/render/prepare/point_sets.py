@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...core.lod.cut import Cut
 from ...core.lod.foliage import disconnected_splats
+from ...core.lod.hierarchy import Hierarchy
 from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import largest_singular_value
 from ...core.scene.bounds import cloud_ball
@@ -14,8 +16,34 @@ from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, coherent
 from ...core.scene.scene import Geometry
 from ...core.strand.projection import NEAREST
-from ..cache.store import STORE, PointSet, Store
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
 from .view import View
+
+
+@dataclass(frozen=True, eq=False)
+class PointSet:
+    """Splats of one geometry: its points, or points and the nodes over them."""
+
+    key: Key
+    cloud: PointCloud
+    hierarchy: Hierarchy | None = None
+    family: Key | None = None  # that other poses or colourings of the same points share, and with it their hierarchy
+    samples: Key | None = None  # of the samples of a mesh that the points are; None: they are none, or of some parts
+    is_lattice: bool = False  # the points are voxels: only their attributes differ within the family
+
+    def __len__(self) -> int:
+        return len(self.cloud) + (len(self.hierarchy) if self.hierarchy else 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """Points that one view draws together."""
+
+    # By geometry row; coarser ones of the same geometry, for instances farther away, follow after all rows.
+    point_sets: dict[int, PointSet]
+    set_of_instance: np.ndarray  # (I,) int: key of point_sets; -1: not drawn as points
+    cut: Cut
 
 
 def given(cloud: PointCloud) -> PointCloud:
@@ -27,9 +55,11 @@ def given(cloud: PointCloud) -> PointCloud:
 
 def given_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:
     """The points of a geometry that is a cloud."""
-    points = view.store.lookup(("coherent", geometry.key), lambda: given(cloud))
-    same = ("lattice", geometry.lattice, len(points), *points.arrays()) if geometry.lattice else ()
-    return PointSet(("cloud", geometry.key), points, family=same)
+    points = view.store.lookup(Key(Kind.GIVEN_POINTS, geometry.key), lambda: given(cloud))
+    family = None
+    if geometry.lattice:
+        family = Key(Kind.SHARED_HIERARCHY, geometry.lattice, other=(len(points), *points.arrays()))
+    return PointSet(Key(Kind.CLOUD, geometry.key), points, family=family, is_lattice=family is not None)
 
 
 def counts(point_sets: dict[int, PointSet]) -> np.ndarray:
@@ -40,15 +70,15 @@ def counts(point_sets: dict[int, PointSet]) -> np.ndarray:
     return found
 
 
-def set_ball(points: PointSet, store: Store = STORE) -> tuple[np.ndarray, float, float]:
+def set_ball(points: PointSet, store: Store) -> tuple[np.ndarray, float, float]:
     """Centre (3,) in object space, greatest distance of a point of the set from it, greatest radius of a splat."""
-    return store.lookup(("extent", *points.key), lambda: cloud_ball(points.cloud))
+    return store.lookup(Key(Kind.BALL_AND_RADIUS, points.key), lambda: cloud_ball(points.cloud))
 
 
 def typical_diameter(points: PointSet, view_from_object: np.ndarray, camera: Camera, store: Store) -> np.ndarray:
     """(I,) pixels that the typical splat of each instance (I, 4, 4) spans in the middle of it."""
     cloud = points.cloud
-    radius = store.lookup(("radius", *points.key), lambda: _typical_radius(cloud))
+    radius = store.lookup(Key(Kind.TYPICAL_RADIUS, points.key), lambda: _typical_radius(cloud))
     middle, _, _ = set_ball(points, store)
     linear = view_from_object[:, :3, :3]
     depth = np.maximum(-(linear @ middle + view_from_object[:, :3, 3])[:, 2], camera.near)

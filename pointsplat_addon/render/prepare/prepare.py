@@ -21,14 +21,15 @@ from ...core.splat.blur import COARSEST_TOLERANCE, NODE_SIZE, defocus_blur
 from ...core.strand.preparation import with_levels
 from ...core.strand.segments import Segments, concatenate_segments
 from ...core.strand.selection import select
-from ..cache.store import STORE, Layer, PointSet, Store
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
 from .hierarchies import where_blurred, where_it_pays
 from .hybrid import Shown, choose_parts, split
 from .layers import cut_layer
 from .meshes import Primitives, areas, measured, points_or_polygons
 from .out_of_focus import Blurred, Focus
 from .parts import lets_through
-from .point_sets import counts, given_points, largest_radius, set_ball, typical_diameter
+from .point_sets import Layer, PointSet, counts, given_points, largest_radius, set_ball, typical_diameter
 from .view import View
 
 WIDE_BALL = 2.0  # pixels of radius: means of wider balls that overlap would show
@@ -58,7 +59,7 @@ def prepare(
     camera: Camera,
     settings: Settings,
     samples: int,
-    store: Store = STORE,
+    store: Store,
     *,
     interactive: bool = False,
     check: Callable[[], None] = lambda: None,
@@ -199,7 +200,7 @@ def _lines(view: View, view_from_object: np.ndarray, usable: np.ndarray, focus: 
         if lines is None or len(where) == 0:
             continue
         view.check()
-        strands = view.store.lookup(("strands", geometry.key), lambda lines=lines: with_levels(lines))
+        strands = view.store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda lines=lines: with_levels(lines))
         if len(strands) == 0:
             continue
         tolerance = view.settings.tolerance

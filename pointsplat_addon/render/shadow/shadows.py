@@ -5,7 +5,6 @@ What casts is every point set and every polygon, sampled as densely as the table
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -36,6 +35,8 @@ from ...core.strand.levels import StrandLevels
 from ...core.strand.preparation import with_levels
 from ...core.surface.appearance import digest, hiding
 from ...core.surface.spacing import quantise_spacing
+from ..cache.keys import Key, Kind
+from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from ..prepare.layers import MANY_INSTANCES
 from ..prepare.point_sets import given
@@ -57,7 +58,7 @@ ENDS = (np.min, np.inf), (np.max, -np.inf)
 class Shadows:
     """What lamps need to be shadowed on a device."""
 
-    key: tuple  # content key
+    key: Key
     packed: PackedTables
     entries: int
     wide: bool  # some lamp's penumbrae are seen: samples of a picture see different points of it
@@ -111,18 +112,20 @@ def cast(
     held = tuple((c.geometry.key, c.matrices.tobytes()) for c in casters)
     lamps = tuple(_key(light) for light in scene.lights if light.shadow)
     spacing = store.lookup(
-        ("shadow spacings", _hashed((held, lamps)), settings.shadow_resolution, floors),
+        Key(Kind.CASTER_SPACINGS, hashed((held, lamps)), other=(settings.shadow_resolution, floors)),
         lambda: _spacings(casters, scene.lights, settings.shadow_resolution, store, floors),
     )
     look = tuple(
         (c.geometry.key, _look(scene, c.geometry), c.matrices.tobytes(), s)
         for c, s in zip(casters, spacing, strict=True)
     )
-    matter = ("casters", _hashed(look), settings.shadow_resolution)
+    matter = Key(Kind.CASTERS, hashed(look), other=settings.shadow_resolution)
     # Cells are as wide as they would be if floors cast, so that shadows on these do not move with what stands there.
     around = [_outer(c, store) for c, floor in zip(casters, floors, strict=True) if floor]
     lights = sorted_by_kind(scene.lights)
     keys = tuple(_key(light) if light.shadow else None for light in lights)
+
+    every = Key(Kind.SHADOW_TABLES, matter, other=keys)
 
     def make() -> Shadows:
         batches: list[builder.Casters] = []
@@ -146,17 +149,13 @@ def cast(
                     warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")
                     return None
 
-            tables.append(store.lookup(("shadow", matter, key), build))
+            tables.append(store.lookup(Key(Kind.SHADOW_TABLE, matter, other=key), build))
         packed = pack(tables, LARGEST_PICTURE)
         entries = sum(table.entries for table in tables if table is not None)
         wide = any(light.shadow and (light.radius > 0 or light.kind == "AREA") for light in lights)
-        return Shadows((matter, keys), packed, entries, wide, tuple(warnings))
+        return Shadows(every, packed, entries, wide, tuple(warnings))
 
-    return store.lookup(("shadows", matter, keys), make), ""
-
-
-def _hashed(of: tuple) -> bytes:
-    return hashlib.blake2b(repr(of).encode(), digest_size=16).digest()
+    return store.lookup(every, make), ""
 
 
 def _key(light: Light) -> tuple:
@@ -176,7 +175,11 @@ def _casters(scene: Scene, store: Store) -> list[_Caster]:
     casting, found = _casting(scene), []
     for row, geometry in enumerate(scene.geometries):
         where = np.flatnonzero(casting & (scene.instances.geometry == row))
-        bounds = store.lookup(("ball", geometry.key), lambda g=geometry: _ball(g, store)) if len(where) else None
+        bounds = (
+            store.lookup(Key(Kind.CASTER_BALL, geometry.key), lambda g=geometry: _ball(g, store))
+            if len(where)
+            else None
+        )
         if bounds is None or bounds[1] < 0:
             continue
         matrices = scene.instances.world_from_object[where]
@@ -200,7 +203,7 @@ def _floors(scene: Scene, casters: list[_Caster], store: Store) -> tuple[bool, .
     instances = scene.instances
     every = (*(g.key for g in scene.geometries), *(_key(light) for light in scene.lights if light.shadow))
     held = instances.world_from_object.tobytes() + instances.geometry.tobytes()
-    key = ("floors", every, tuple(c.geometry.key for c in casters), hashlib.blake2b(held, digest_size=16).digest())
+    key = Key(Kind.FLOORS, (every, tuple(c.geometry.key for c in casters)), other=hashed(held))
 
     def look() -> tuple[bool, ...]:
         return tuple(_is_floor(scene, caster, store) for caster in casters)
@@ -213,7 +216,8 @@ def _is_floor(scene: Scene, caster: _Caster, store: Store) -> bool:
     if mesh is None or len(caster.matrices) > FEW_FLOORS:
         return False
     found = store.lookup(
-        ("plane", caster.geometry.key), lambda: (plane_of_mesh(mesh, _outline(caster.geometry, mesh, store)),)
+        Key(Kind.CASTER_PLANE, caster.geometry.key),
+        lambda: (plane_of_mesh(mesh, _outline(caster.geometry, mesh, store)),),
     )[0]
     if found is None:
         return False
@@ -246,7 +250,7 @@ def _nothing_behind(scene: Scene, point: np.ndarray, normal: np.ndarray, matrix:
 
 def _above(geometry: Geometry, matrices: np.ndarray, point: np.ndarray, normal: np.ndarray, store: Store) -> bool:
     """Whether all instances (I, 4, 4) lie above a plane, or on it."""
-    low, high = store.lookup(("corners", geometry.key), lambda: _box(geometry, store))
+    low, high = store.lookup(Key(Kind.CASTER_BOX, geometry.key), lambda: _box(geometry, store))
     if not (low <= high).all():
         return True
     with np.errstate(all="ignore"):
@@ -278,7 +282,7 @@ def _box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _outline(geometry: Geometry, mesh: Mesh, store: Store) -> MeshExtents:
-    return store.lookup(("shadow outline", geometry.key), lambda: mesh_extents(mesh))
+    return store.lookup(Key(Kind.CASTER_OUTLINE, geometry.key), lambda: mesh_extents(mesh))
 
 
 def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
@@ -303,7 +307,7 @@ def _ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
 def _strands(geometry: Geometry, store: Store) -> StrandLevels:
     lines = geometry.strands
     assert lines is not None
-    return store.lookup(("strands", geometry.key), lambda: with_levels(lines))
+    return store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: with_levels(lines))
 
 
 def _pieces(casters: list[_Caster], spacing: list[float], store: Store) -> list[StrandSegments]:
@@ -369,7 +373,7 @@ def _balls(caster: _Caster, store: Store, casters: int) -> tuple[np.ndarray, np.
     if mesh is None or max(len(caster.matrices), casters) > FEW_INSTANCES:
         return caster.centre, caster.radius
     shape = _outline(caster.geometry, mesh, store)
-    found = store.lookup(("shadow places", caster.geometry.key), lambda: surface_points(mesh, shape))
+    found = store.lookup(Key(Kind.CASTER_POSITIONS, caster.geometry.key), lambda: surface_points(mesh, shape))
     world = (
         np.einsum("iab,nb->ina", caster.matrices[:, :3, :3], found[:: len(caster.matrices)])
         + caster.matrices[:, None, :3, 3]
@@ -419,12 +423,13 @@ def _batches(
         cloud, mesh = caster.geometry.cloud, caster.geometry.mesh
         clouds = []
         if cloud is not None:
-            clouds = [store.lookup(("coherent", caster.geometry.key), lambda cloud=cloud: given(cloud))]
+            clouds = [store.lookup(Key(Kind.GIVEN_POINTS, caster.geometry.key), lambda cloud=cloud: given(cloud))]
         if mesh is not None and length > 0:
             clouds = _sampled(scene, caster.geometry, mesh, length, store)
         for cloud in clouds:
             if len(cloud) * len(caster.matrices) > MOST_TOGETHER and _shareable(cloud, caster):
-                key = ("shadow nodes", caster.geometry.key, _look(scene, caster.geometry), length, len(caster.matrices))
+                look = _look(scene, caster.geometry)
+                key = Key(Kind.CASTER_NODES, caster.geometry.key, look, spacing=length, other=len(caster.matrices))
                 coarse = store.lookup(key, lambda cloud=cloud, caster=caster: _coarsened(cloud, len(caster.matrices)))
                 found.append(builder.casters(_repeated(coarse, caster.matrices), np.eye(4)))
             elif len(cloud):
@@ -475,12 +480,12 @@ def _repeated(cloud: PointCloud, matrices: np.ndarray) -> PointCloud:
 
 def _sampled(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store: Store) -> tuple[PointCloud, ...]:
     """The points of a mesh that is drawn as polygons, or more densely than shadows need."""
-    key = ("shadow samples", geometry.key, _look(scene, geometry), spacing)
+    key = Key(Kind.CASTER_SAMPLES, geometry.key, _look(scene, geometry), spacing=spacing)
     shape = _outline(geometry, mesh, store)
 
     def make() -> tuple[PointCloud, ...]:
         leafy = store.lookup(
-            ("leafy", geometry.key), lambda: mesh_is_foliage(mesh, shape)
+            Key(Kind.IS_FOLIAGE, geometry.key), lambda: mesh_is_foliage(mesh, shape)
         )  # as render/prepare/meshes.py keeps it
         return tuple(caster_clouds(mesh, shape, spacing, hiding(scene.materials), leafy))
 

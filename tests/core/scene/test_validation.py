@@ -264,10 +264,10 @@ def test_a_lens_that_is_none_blurs_nothing(name, bad):
 
 
 def test_geometries_are_looked_at_once_by_their_content():
-    kept: dict[tuple, Any] = {}
-    made: list[tuple] = []
+    kept: dict[str, Any] = {}
+    made: list[str] = []
 
-    def lookup(key: tuple, make: Any) -> Any:
+    def lookup(key: str, make: Any) -> Any:
         if key not in kept:
             made.append(key)
             kept[key] = make()

@@ -13,7 +13,6 @@ from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.budget import budgeted, error
 from pointsplat_addon.render.budget.pacing import Pacer
 from pointsplat_addon.render.budget.viewport import Moving, Refining
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.frame import translucent
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.sample_positions import offsets
@@ -22,6 +21,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import cameras, drawing
 from scripts.scenes.case import Case
 from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 from scripts.studies import defocus_pictures
 
 COMBINED = frozenset({"combined"})
@@ -98,7 +98,7 @@ def asked(name: str, samples: int = 8, **settings) -> tuple[Scene, Request]:
 def test_a_picture_stops_in_time(milliseconds, aperture):
     """The first one too, of which nothing is known."""
     device = NullDevice()
-    renderer, clock = Renderer(device), Ticking(device)
+    renderer, clock = Renderer(device, STORE), Ticking(device)
     scene, request = asked("mixed", budget="TIME", time_budget=milliseconds)
     request, times = replace(request, camera=replace(request.camera, aperture=aperture)), []
     for _ in range(4):
@@ -112,7 +112,7 @@ def test_a_picture_stops_in_time(milliseconds, aperture):
 
 def test_a_view_that_moves_keeps_its_time():
     device = NullDevice()
-    renderer, clock = Renderer(device), Ticking(device)
+    renderer, clock = Renderer(device, STORE), Ticking(device)
     scene, request = asked("mixed", 16, budget="TIME", time_budget=100.0)
     request, times = replace(request, interactive=True), []
     for step in range(6):
@@ -330,7 +330,7 @@ def test_without_a_budget_nothing_changes():
     for limit in (1.0, 0.5):
         scene, request = asked("mixed", budget="NONE", time_budget=limit, error_budget=limit)
         device = NullDevice()
-        report = Renderer(device).render(scene, request).report
+        report = Renderer(device, STORE).render(scene, request).report
         assert "estimate" not in report
         calls.append([(call.interface.name, call.count) for call in device.calls])
         assert sum(name == "shade" for name, _ in calls[-1]) == 8

@@ -11,7 +11,8 @@ from pointsplat_addon.core.scene.scene import Scene
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.budget.viewport import Moving
-from pointsplat_addon.render.cache.store import STORE, Store
+from pointsplat_addon.render.cache.keys import Kind
+from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.parts import parted
 from pointsplat_addon.render.prepare.prepare import Prepared, prepare
@@ -19,6 +20,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, drawing
 from scripts.scenes.cases import CASES
 from scripts.scenes.meshes import with_smooth_normals
+from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 POINT, TRIANGLE, PIXEL = 65e-9, 240e-9, 20e-9  # seconds, of a device that is told what things cost
@@ -33,7 +35,7 @@ def prepared(store: Store, scene: Scene, name: str, coarser: float, interactive:
     case = CASES[name]()
     settings = replace(case.settings, tolerance=coarser * case.settings.tolerance, **more)
     coarse = settings.budget == "TIME" and coarser > 1
-    found = prepare(parted(scene)[0], case.camera, settings, 1, store, interactive=interactive, coarse=coarse)
+    found = prepare(parted(scene, store)[0], case.camera, settings, 1, store, interactive=interactive, coarse=coarse)
     built(store)
     return found
 
@@ -67,7 +69,7 @@ def test_without_a_budget_of_time_nothing_is_built(name):
     """Whatever the tolerance is, but where splats are so small that octrees were worth it before."""
     scene, store = CASES[name]().scene, Store()
     first = [prepared(store, scene, name, 2.0) for _ in range(3)][-1]
-    assert not any(key[0] in ("nodes of", "nodes asked for", "hierarchy") for key in store._items)
+    assert not any(key.kind in (Kind.NODES, Kind.NODES_ASKED_FOR, Kind.HIERARCHY) for key in store._items)
     assert first.cut.nodes == 0
 
 
@@ -75,7 +77,7 @@ def test_final_pictures_build_nothing_that_one_of_them_would_not_pay_for():
     scene, store = CASES["split_mesh"]().scene, Store()
     found = [prepared(store, scene, "split_mesh", 8.0, interactive=False, budget="TIME") for _ in range(3)]
     assert not any(one.cut.nodes for one in found)
-    assert not any(key[0] == "hierarchy" for key in store._items)
+    assert not any(key.kind is Kind.HIERARCHY for key in store._items)
 
 
 def test_what_changes_from_picture_to_picture_has_no_octree_begun():
@@ -83,7 +85,7 @@ def test_what_changes_from_picture_to_picture_has_no_octree_begun():
     for pose in range(4):
         moved = replace(scene.geometries[0], key=f"pose {pose}")
         assert prepared(store, replace(scene, geometries=(moved,)), "split_mesh", 8.0, budget="TIME").cut.nodes == 0
-    assert not any(key[0] == "hierarchy" for key in store._items)
+    assert not any(key.kind is Kind.HIERARCHY for key in store._items)
 
 
 def test_large_triangles_have_fewer_samples_at_once():
@@ -125,7 +127,7 @@ def test_a_share_of_what_one_sample_takes_is_kept_by_meshes_in_parts(share, spee
     """Which have more splats where the tolerance is coarser, as long as they have no nodes."""
     STORE.clear()
     case, device = CASES["split_mesh"](), NullDevice()
-    renderer, clock = Renderer(device), Costing(device)
+    renderer, clock = Renderer(device, STORE), Costing(device)
 
     def drawn(step: int, settings: Settings) -> float:
         nearer = case.camera.view_from_world.copy()

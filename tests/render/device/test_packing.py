@@ -7,10 +7,11 @@ import pytest
 
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.cache.store import PointSet
+from pointsplat_addon.render.cache.keys import Key, Kind
 from pointsplat_addon.render.device.packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged, unpack_normal
 from pointsplat_addon.render.passes.gbuffer import Variant
 from pointsplat_addon.render.passes.pages.point_page import Page, PointOptions
+from pointsplat_addon.render.prepare.point_sets import PointSet
 from scripts.scenes import build
 
 
@@ -101,9 +102,9 @@ def test_a_page_holds_its_clouds_one_after_another():
             return super().texture(size, format, data)
 
     table = build.materials(base_color=[[0.1 * i, 0.2, 0.3] for i in range(5)])
-    sets = [PointSet(("first",), first), PointSet(("second",), second)]
+    sets = [PointSet(Key(Kind.CLOUD, "first"), first), PointSet(Key(Kind.CLOUD, "second"), second)]
     page = Page(Recorder(), sets, Variant(color=True), PointOptions(shading_normal=True), table)
-    assert page.first == {("first",): 0, ("second",): 40_000}
+    assert page.first == {Key(Kind.CLOUD, "first"): 0, Key(Kind.CLOUD, "second"): 40_000}
 
     wanted = {name: np.asarray(array) for name, array in first.arrays().items()}
     place, extent, color, shading = (made[name][:41_000] for name in ("place", "extent", "color", "shading_normal"))

@@ -16,6 +16,7 @@ from scripts.scenes import build, cameras, drawing, meshes, solid_cases
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
 from scripts.scenes.drawing import render
+from scripts.scenes.store import STORE
 from tests.reference import opaque
 
 POLYGONS = ("cube", "culled")  # only polygons are seen
@@ -366,7 +367,7 @@ def test_releasing_a_renderer_frees_everything():
 
     def bytes_while_and_after():
         device = OpenGLDevice()
-        renderer = Renderer(device)
+        renderer = Renderer(device, STORE)
         renderer.render(case.scene, case.request(frozenset({"combined"})))
         kept = device.bytes_allocated()
         renderer.release()

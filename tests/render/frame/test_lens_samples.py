@@ -17,6 +17,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import drawing
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 PENTAGON = Aperture(0.15, 4.0, 5, 0.3)
@@ -87,7 +88,7 @@ def test_extreme_lenses_have_finite_pictures(name, aperture):
 
 def recorded(case: Case, samples: int, **settings) -> NullDevice:
     device = NullDevice()
-    seen(case, samples, COMBINED, Renderer(device), **settings)
+    seen(case, samples, COMBINED, Renderer(device, STORE), **settings)
     return device
 
 
@@ -129,9 +130,9 @@ def test_what_only_the_rim_of_the_lens_sees_is_prepared():
     """A corner of a field of towers, of which more comes into view beside the middle of the lens."""
     case = with_aperture("many_towers", Aperture(1.0, 12.0))
     corner = replace(case.camera, region=(0, 0, 24, 24))
-    narrow, wide = (prepare(case.scene, c, LENS, 4) for c in (corner, prepared_for(case.scene, corner)))
+    narrow, wide = (prepare(case.scene, c, LENS, 4, STORE) for c in (corner, prepared_for(case.scene, corner, STORE)))
     assert wide.cut.splats > narrow.cut.splats
-    assert prepared_for(case.scene, replace(corner, aperture=None)).window == corner.window
+    assert prepared_for(case.scene, replace(corner, aperture=None), STORE).window == corner.window
 
 
 def test_a_viewport_keeps_the_depths_that_the_middle_of_the_lens_sees():
@@ -139,7 +140,9 @@ def test_a_viewport_keeps_the_depths_that_the_middle_of_the_lens_sees():
     for aperture, kept in ((PENTAGON, 1), (None, 0)):
         case, device = with_aperture("mixed", aperture), NullDevice()
         settings = replace(LENS, use_adaptive_sampling=False)
-        picture = Renderer(device).start(case.scene, Request(case.camera, settings, COMBINED, 3, interactive=True))
+        picture = Renderer(device, STORE).start(
+            case.scene, Request(case.camera, settings, COMBINED, 3, interactive=True)
+        )
         while picture.sample():
             pass
         picture.present()

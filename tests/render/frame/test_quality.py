@@ -10,12 +10,12 @@ import pytest
 
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
-from pointsplat_addon.render.cache.store import STORE
 from scripts.common.images import compare
 from scripts.scenes import build, cameras
 from scripts.scenes.case import Case
 from scripts.scenes.drawing import render
 from scripts.scenes.meshes import SHAPES, shape
+from scripts.scenes.store import STORE
 from tests.support.splats import SIZE, VIEWS
 
 # Decibels at tolerance 2, 1, 0.5, mean of all views. Measured 42.5, 45.6, 46.0; 38.1, 41.1, 41.1; 29.9, 35.1, 38.1.

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.render.cache.store import STORE, Store
+from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.prepare.prepare import prepare
 from scripts.scenes import drawing
 from scripts.scenes.changes import changes
@@ -22,7 +22,7 @@ from scripts.scenes.journeys import JOURNEYS, dolly, field, hills
     ],
 )
 def test_a_steady_dolly_shows_no_pop(name, start, primitive, seen):
-    STORE.clear()
+    drawing.opengl().store.clear()
     scene, cameras = dolly(name, start, start * 0.9, 0.02, 512, primitive)
     found = changes(drawing.opengl(), scene, cameras, Settings(use_shadows=False), 16)
     assert len({c.drawn for c in found}) >= seen

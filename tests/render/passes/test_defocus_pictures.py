@@ -26,6 +26,7 @@ from scripts.scenes.cameras import camera
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
 from scripts.scenes.meshes import cube_mesh, plane_mesh
+from scripts.scenes.store import STORE
 from tests.reference import backdrop, defocus
 
 COMBINED = frozenset({"combined"})
@@ -284,7 +285,7 @@ def test_without_depth_of_field_nothing_of_it_is_compiled_or_computed(name):
         device = NullDevice()
         case = CASES[name]()
         request = Request(replace(case.camera, aperture=aperture), case.settings, COMBINED, 4)
-        Renderer(device).render(case.scene, request)
+        Renderer(device, STORE).render(case.scene, request)
         return device
 
     plain, narrow, wide = (recorded(a) for a in (None, Aperture(0.0, 4.0), Aperture(0.3, 2.0)))
@@ -505,7 +506,7 @@ def test_a_world_that_is_not_blurred_takes_no_pass_for_it():
     ):
         device = NullDevice()
         request = Request(replace(what.camera, aperture=aperture), replace(what.settings, **more), COMBINED, 2)
-        report = Renderer(device).render(what.scene, request).report
+        report = Renderer(device, STORE).render(what.scene, request).report
         assert {"name": "backdrop", "because": because} in report["skipped"]
         assert not {name for name in device.names if "backdrop" in name}
 

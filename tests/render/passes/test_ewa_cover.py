@@ -12,6 +12,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import solid_cases
 from scripts.scenes.case import Case
 from scripts.scenes.drawing import render
+from scripts.scenes.store import STORE
 from tests.support.hidden_splats import COUNT, SCENES, ball, case
 
 ONLY_COMBINED = frozenset({"combined"})
@@ -80,5 +81,5 @@ def test_thinning_leaves_no_pattern_of_the_numbers():
 def test_few_splats_compile_none_of_it():
     device = NullDevice()
     few = replace(solid_cases.sphere(), settings=Settings(technique="EWA", use_shadows=False))
-    Renderer(device).render(few.scene, few.request(ONLY_COMBINED, 1))
+    Renderer(device, STORE).render(few.scene, few.request(ONLY_COMBINED, 1))
     assert not PROGRAMS & {interface.name for interface in device.interfaces}

@@ -8,7 +8,6 @@ import pytest
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.splat.ewa import low_pass
 from pointsplat_addon.devices.null import LIMITS, NullDevice
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH
 from pointsplat_addon.render.renderer import Renderer
 from scripts.common.images import compare
@@ -16,6 +15,7 @@ from scripts.scenes import awkward_cases, build, cameras, clouds, drawing, meshe
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
 from scripts.scenes.drawing import render
+from scripts.scenes.store import STORE
 from scripts.studies import technique_error
 from tests.reference import ewa, opaque
 from tests.support.splats import (
@@ -199,7 +199,7 @@ def test_pictures_are_near_those_of_image_space(name):
 
 def record(case: Case, device=None, samples: int = 1):
     device = device or NullDevice()
-    result = Renderer(device).render(case.scene, case.request(ONLY_COMBINED, samples))
+    result = Renderer(device, STORE).render(case.scene, case.request(ONLY_COMBINED, samples))
     return device, result
 
 

@@ -17,6 +17,7 @@ from scripts.scenes import build, clouds, detailed_cases, drawing, meshes, solid
 from scripts.scenes.build import moved, points
 from scripts.scenes.cameras import camera
 from scripts.scenes.clouds import leaves
+from scripts.scenes.store import STORE
 from tests.support.transmittance import cards, crown, mean_transmittance, medium, voxel_ball
 
 COMBINED = frozenset({"combined"})
@@ -39,7 +40,7 @@ def rasterising():
     """A renderer without image atomics."""
     device = OpenGLDevice()
     device.limits = replace(device.limits, image_atomics=False)
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     yield renderer
     renderer.release()
     device.release()
@@ -103,7 +104,7 @@ def test_what_is_translucent_lets_as_much_light_through_at_any_distance(kind, di
 def test_surfaces_have_no_variant_for_it():
     for case, there in ((solid_cases.plain_sphere(), False), (detailed_cases.foliage(), True)):
         device = NullDevice()
-        Renderer(device).render(case.scene, case.request(COMBINED))
+        Renderer(device, STORE).render(case.scene, case.request(COMBINED))
         names = {name for interface in device.interfaces for name, _ in interface.defines}
         assert ("PS_DISCONNECTED" in names) == there
 

@@ -10,7 +10,6 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import LIMITS, NullDevice
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.common.images import compare, eroded
@@ -20,6 +19,7 @@ from scripts.scenes.cases import CASES
 from scripts.scenes.changes import levels
 from scripts.scenes.drawing import render
 from scripts.scenes.meshes import SHAPES, plane_mesh, shape, sphere_mesh
+from scripts.scenes.store import STORE
 from scripts.studies import technique_error
 from tests.reference import ewa, opaque, painter
 from tests.support import divided_meshes, transmittance
@@ -302,7 +302,7 @@ def test_backs_that_are_culled_are_not_painted():
 
 def record(case: Case, device=None, samples: int = 1, passes=ONLY_COMBINED):
     device = device or NullDevice()
-    result = Renderer(device).render(case.scene, case.request(passes, samples))
+    result = Renderer(device, STORE).render(case.scene, case.request(passes, samples))
     return device, result
 
 
@@ -335,7 +335,7 @@ def test_passes_beside_the_picture_are_drawn_in_image_space_as_often_as_they_nee
 def test_a_viewport_knows_how_far_what_is_painted_is():
     case = with_technique(solid_cases.sphere(), "PAINTER")
     device = NullDevice()
-    frame = Renderer(device).start(case.scene, case.request(ONLY_COMBINED, 4))
+    frame = Renderer(device, STORE).start(case.scene, case.request(ONLY_COMBINED, 4))
     frame.sample()
     frame.sample()
     assert device.names.count("project") == 1
@@ -365,5 +365,5 @@ def test_a_view_that_moves_shows_surfaces_in_full():
     case = with_technique(solid_cases.sphere(), "PAINTER")
     device = NullDevice()
     request = Request(case.camera, case.settings, ONLY_COMBINED, 2, interactive=True)
-    Renderer(device).render(case.scene, request)
+    Renderer(device, STORE).render(case.scene, request)
     assert "enlarge" not in device.names

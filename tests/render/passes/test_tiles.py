@@ -15,6 +15,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, clouds, drawing
 from scripts.scenes.case import Case
 from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 
 SAMPLES = 24
 COMBINED = frozenset({"combined"})
@@ -116,7 +117,7 @@ def test_where_all_samples_are_needed_nothing_asks(case, passes, samples, settin
     case = CASES[case]()
     case = replace(case, settings=replace(case.settings, **settings))
     device = NullDevice()
-    told = Renderer(device).render(case.scene, case.request(passes, samples)).report
+    told = Renderer(device, STORE).render(case.scene, case.request(passes, samples)).report
     assert not {"converge", "keep", "mark"} & set(device.names)
     assert any(entry["name"] == "adapt" for entry in told["skipped"])
 
@@ -126,10 +127,10 @@ def test_blocks_of_points_that_no_tile_needs_are_not_projected():
     cloud = build.points("tiles plane", clouds.plane_cloud(300))
     case = Case(build.scene((cloud, np.eye(4))), cameras.camera(eye=(0, -1, 4), resolution=(256, 256)))
     frame = Frame(drawing.opengl(), case.scene, case.request(COMBINED, SAMPLES))
-    before = sum(draw.count for draw in frame.uploads.draws)
+    before = sum(draw.count for draw in frame.uploads.points.draws)
     while frame.sample():
         pass
-    after = sum(draw.count for draw in frame.uploads.draws)
+    after = sum(draw.count for draw in frame.uploads.points.draws)
     assert 0 < after < before
     frame.release()
 

@@ -13,6 +13,7 @@ from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat.kernel import PROFILES
 from pointsplat_addon.devices.null import NullDevice
+from pointsplat_addon.render.cache.keys import Key, Kind
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.parts import parted
@@ -21,6 +22,7 @@ from scripts.scenes import build, cases, clouds, drawing, meshes, translucent_ca
 from scripts.scenes.build import moved, points
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import ALL_PASSES
+from scripts.scenes.store import STORE
 from tests.support.transmittance import voxels
 
 COMBINED = frozenset({"combined"})
@@ -322,7 +324,7 @@ def test_what_reaches_a_splat_is_the_same_whether_it_is_kept_or_not():
 def test_tables_are_made_once_for_all_views():
     made = lit_floor((points("fog once", voxels(1.5, 0.5, 6, 1.0)), moved()))
     device = NullDevice()
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     tables = []
     for eye in ((0, -4, 0), (2, -3, 1)):
         renderer.render(made, Request(camera(eye), Settings(), COMBINED, 1))
@@ -414,7 +416,7 @@ def test_kernels_cost_only_where_points_have_them():
 def record(made, eye_camera=None, passes=COMBINED, samples=1, shadows=False):
     device = NullDevice()
     settings = Settings(use_shadows=shadows)
-    result = Renderer(device).render(made, Request(eye_camera or camera(), settings, passes, samples))
+    result = Renderer(device, STORE).render(made, Request(eye_camera or camera(), settings, passes, samples))
     return device, result
 
 
@@ -444,7 +446,7 @@ def test_a_view_that_moves_shows_a_coarse_layer_first():
     case = translucent_cases.smoke()
     request = Request(case.camera, case.settings, COMBINED, 3, interactive=True)
     device = NullDevice()
-    Renderer(device).render(case.scene, request)
+    Renderer(device, STORE).render(case.scene, request)
     drawn = [call.target for call in device.calls if call.interface.name == "translucent" and call.target]
     sizes = [target.colors[0].size for target in drawn]
     assert sizes[0] == tuple(-(-side // 2) for side in sizes[1])
@@ -471,7 +473,7 @@ def test_coloured_extinction_alone_is_drawn_by_channel():
 
 
 def test_splats_are_sorted_again_only_for_other_directions():
-    renderer, made = Renderer(NullDevice()), alone(voxels(1, 1, 8), "sorted")
+    renderer, made = Renderer(NullDevice(), STORE), alone(voxels(1, 1, 8), "sorted")
     sorts = []
     for eye, target in (
         ((0, -4, 0), (0, 0, 0)),
@@ -480,7 +482,7 @@ def test_splats_are_sorted_again_only_for_other_directions():
         ((3, -3, 0), (0, 0, 0)),
     ):
         renderer.render(made, Request(camera(eye, target), Settings(), COMBINED, 1))
-        sorts.append(renderer.kept.keep(("order", 0), lambda: None).sorts)
+        sorts.append(renderer.kept.lookup(Key(Kind.DRAW_ORDER, 0), lambda: None).sorts)
     assert sorts == [1, 1, 1, 2]
 
 

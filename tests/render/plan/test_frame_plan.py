@@ -13,12 +13,13 @@ from pointsplat_addon.render.plan.frame_plan import Shot, make_shot
 from pointsplat_addon.render.plan.request import Request
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 
 
 def shot(case: Case, request: Request, clock: Clock | None = None, presented: bool = False) -> Shot:
-    return make_shot(case.scene, request, LIMITS, DEFAULT, clock or Clock(NullDevice()), presented, picture=True)
+    return make_shot(case.scene, request, STORE, LIMITS, DEFAULT, clock or Clock(NullDevice()), presented, picture=True)
 
 
 @pytest.mark.parametrize("name", ["empty", "mixed", "smoke", "strands", "environment"])

@@ -11,6 +11,7 @@ import pytest
 from pointsplat_addon.render.passes.uniforms import CAMERA_FIELDS
 from pointsplat_addon.render.plan.reasons import PASSES
 from scripts.scenes import drawing, solid_cases
+from scripts.scenes.store import STORE
 from tests.support.leave_out import rows, shaders, tables
 from tests.support.leave_out.rows import ROWS, found, read, written
 from tests.support.leave_out.shaders import active, idle_defines, words
@@ -300,7 +301,7 @@ def test_the_viewport_presents_without_a_depth_where_nothing_has_one():
         case = row.case()
         device = rows.NullDevice()
         request = rows.Request(case.camera, case.settings, row.passes, 2, interactive=True)
-        frame = rows.Renderer(device).start(case.scene, request)
+        frame = rows.Renderer(device, STORE).start(case.scene, request)
         frame.sample()
         frame.present()
         present = device.calls[-1].interface
@@ -314,7 +315,7 @@ def test_the_viewport_presents_without_a_depth_where_nothing_has_one():
 def test_the_viewport_presents_a_world_of_one_colour_from_one_texel():
     case, device = solid_cases.empty(), rows.NullDevice()
     request = rows.Request(case.camera, case.settings, rows.COMBINED, 2, interactive=True)
-    frame = rows.Renderer(device).start(case.scene, request)
+    frame = rows.Renderer(device, STORE).start(case.scene, request)
     for _ in range(2):
         frame.present()
         (read,) = device.calls[-1].textures.values()

@@ -16,6 +16,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, clouds, detailed_cases, lit_cases, meshes, solid_cases
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
+from scripts.scenes.store import STORE
 
 ONLY_COMBINED = frozenset({"combined"})
 POINT_PROGRAMS = {"project", "identify", "resolve", "pull", "push", "fill"}
@@ -24,7 +25,7 @@ POINT_PROGRAMS = {"project", "identify", "resolve", "pull", "push", "fill"}
 def record(case, passes=ONLY_COMBINED, samples=1, device=None):
     """The device that recorded a picture, and its report."""
     device = device or NullDevice()
-    result = Renderer(device).render(case.scene, case.request(passes, samples))
+    result = Renderer(device, STORE).render(case.scene, case.request(passes, samples))
     return device, result
 
 
@@ -61,7 +62,7 @@ def test_a_cube_allocates_no_point_buffers_and_compiles_no_point_program():
 
 def test_pictures_are_baked_once_for_all_meshes_and_poses_that_show_them():
     device, table = NullDevice(), solid_cases.textured().scene.materials
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     for pose in range(2):
         planes = (
             (build.mesh(meshes.plane_mesh(f"shared pictures {x} {pose}"), "POLYGONS"), build.moved((x, 0, 0)))
@@ -229,7 +230,7 @@ def test_without_image_atomics_points_are_rasterised():
 @pytest.mark.parametrize("name", CASES)
 def test_every_scene_is_drawn_and_everything_is_freed(name):
     device = NullDevice()
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     case = CASES[name]()
     result = renderer.render(case.scene, case.request(samples=2))
     _, _, width, height = case.camera.window
@@ -253,7 +254,7 @@ def test_the_second_frame_uploads_only_small_tables(name):
     """Materials, lights, instances and blocks of the cut; no geometry, no picture."""
     case = CASES[name]()
     device = NullDevice()
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     renderer.render(case.scene, case.request(ALL_PASSES))
     first, pages = device.uploaded_bytes, len(device.textures)
     turned = replace(
@@ -273,7 +274,7 @@ def test_a_large_static_cloud_is_uploaded_once():
     cloud = clouds.sphere_cloud(200_000)
     case = Case(build.scene((build.points("large", cloud), build.moved())), cameras.camera())
     device = NullDevice()
-    renderer = Renderer(device)
+    renderer = Renderer(device, STORE)
     renderer.render(case.scene, case.request(ONLY_COMBINED))
     first = device.uploaded_bytes
     renderer.render(case.scene, case.request(ONLY_COMBINED))

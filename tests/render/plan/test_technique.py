@@ -11,6 +11,7 @@ from pointsplat_addon.render.plan.technique import choose
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, cases, clouds
 from scripts.scenes.case import Case
+from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 EWA = {"splats", "visibility", "blend", "normalise"}
@@ -29,7 +30,7 @@ def drawn(case: Case, samples: int, interactive: bool = False, float_blend: bool
     """What the report calls the technique, the programs that were compiled, and the report."""
     device = NullDevice(replace(LIMITS, float_blend=float_blend))
     request = replace(case.request(COMBINED, samples), interactive=interactive)
-    report = Renderer(device).render(case.scene, request).report
+    report = Renderer(device, STORE).render(case.scene, request).report
     return report["technique"]["name"], {interface.name for interface in device.interfaces}, report
 
 

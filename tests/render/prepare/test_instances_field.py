@@ -19,6 +19,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.common.tower import COLORS
 from scripts.scenes import build, cameras, clouds, drawing, meshes
 from scripts.scenes.case import Case
+from scripts.scenes.store import STORE
 
 BALL = replace(clouds.sphere_cloud(3000), radii=np.full((3000, 1), 0.05, np.float32))
 
@@ -63,7 +64,7 @@ def test_the_device_gets_as_many_draws_for_forty_thousand_as_for_forty():
     calls = []
     for side in (7, 200):
         device = NullDevice()
-        renderer = Renderer(device)
+        renderer = Renderer(device, STORE)
         case = seen_from(field(side), 3000.0)
         renderer.render(case.scene, Request(case.camera, case.settings, frozenset({"combined"}), 1))
         calls.append(len(device.calls))
@@ -73,7 +74,7 @@ def test_the_device_gets_as_many_draws_for_forty_thousand_as_for_forty():
 
 def test_a_camera_that_moves_uploads_tables_only():
     device = NullDevice()
-    renderer, case = Renderer(device), field(60)
+    renderer, case = Renderer(device, STORE), field(60)
     for angle in (0.30, 0.31):
         view = seen_from(case, 900.0, angle)
         before = set(device.alive)

@@ -17,6 +17,7 @@ from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.shadow import shadows
 from scripts.scenes import build, cameras, cases, clouds, drawing, lit_cases, solid_cases
 from scripts.scenes.case import Case
+from scripts.scenes.store import STORE
 from tests.reference import lighting
 
 KINDS = ("SUN", "POINT", "SPOT", "AREA")
@@ -53,12 +54,12 @@ def test_no_light_adds_more_than_its_bound(kind):
         )  # fmt: skip
         case = Case(build.scene((build.points("faint: bounds", clouds.sphere_cloud(200)), np.eye(4)), table=table),
                     cameras.camera())  # fmt: skip
-        prepared = prepare(case.scene, case.camera, Settings(), 1)
+        prepared = prepare(case.scene, case.camera, Settings(), 1, STORE)
         light = lamp(rng, kind, rng.uniform(0.0, 8))
-        centre, radius = drawn_ball(case.scene, prepared)
+        centre, radius = drawn_ball(case.scene, prepared, STORE)
         middle = np.linalg.inv(case.camera.view_from_world)[:3] @ np.append(centre, 1)
         nearest = max(float(np.linalg.norm(light.position - middle)) - radius, 0.0)
-        bound = reflection(case.scene, prepared).of(light, light_shapes.irradiance_bound(light, nearest))
+        bound = reflection(case.scene, prepared, STORE).of(light, light_shapes.irradiance_bound(light, nearest))
         position, normal = clouds.sphere_points(200), rng.standard_normal((200, 3))
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         to_light = np.where(kind == "SUN", -light.direction, light.position - position)
@@ -112,7 +113,7 @@ def test_a_lamp_far_away_is_left_out_with_its_shadow_and_nobody_sees_it(monkeypa
 
 def test_many_faint_lamps_are_left_out_only_as_long_as_all_of_them_are_faint(monkeypatch):
     case = solid_cases.plain_sphere()
-    bounds = reflection(case.scene, prepare(case.scene, case.camera, case.settings, 1))
+    bounds = reflection(case.scene, prepare(case.scene, case.camera, case.settings, 1, STORE), STORE)
     one = build.sun(LIGHTS / 9.5 / bounds.of(build.sun(1.0), 1.0))
     few, many = (both(with_lights(*[one] * n), monkeypatch) for n in (2, 50))
     assert why(few[0])["lights"].startswith("2 of 2")
@@ -132,8 +133,8 @@ def test_a_lamp_that_is_off_has_no_table_of_shadows(monkeypatch):
 def test_a_world_is_left_out_just_below_what_it_may_add(image, transparent, monkeypatch):
     case = solid_cases.plain_sphere()
     for factor in (0.999, 1.001):
-        prepared = prepare(case.scene, case.camera, case.settings, 1)
-        radiance = factor * WORLD / reflection(case.scene, prepared).world
+        prepared = prepare(case.scene, case.camera, case.settings, 1, STORE)
+        radiance = factor * WORLD / reflection(case.scene, prepared, STORE).world
         world = World(np.full(3, radiance))
         if image:
             world = World(np.zeros(3), np.full((64, 128, 3), radiance, np.float32))
@@ -184,9 +185,9 @@ def test_materials_that_nothing_has_reflect_nothing():
     table = replace(case.scene.materials, base_color=np.array([[0.8] * 3, [0, 0, 0]], np.float32))
     cloud = replace(clouds.sphere_cloud(), material=np.ones(400, np.uint16))
     scene = build.scene((build.points("faint: second material", cloud), np.eye(4)), table=table)
-    assert reflection(scene, prepare(scene, case.camera, case.settings, 1)).black
+    assert reflection(scene, prepare(scene, case.camera, case.settings, 1, STORE), STORE).black
     plain = build.scene((build.points("faint: first material", clouds.sphere_cloud()), np.eye(4)), table=table)
-    assert not reflection(plain, prepare(plain, case.camera, case.settings, 1)).black
+    assert not reflection(plain, prepare(plain, case.camera, case.settings, 1, STORE), STORE).black
 
 
 @pytest.mark.parametrize("name", ["mixed", "wide_balls", "smoke", "panes", "foliage", "strands", "many_towers"])
@@ -208,11 +209,11 @@ def test_turning_away_changes_no_pixel(name, monkeypatch):
 def test_with_an_aperture_nothing_is_out_of_view():
     case = solid_cases.mixed()
     away = cameras.camera((0, -8, 0), (0, -16, 0))
-    prepared = prepare(case.scene, away, case.settings, 1)
-    left, gone = in_view(case.scene, prepared, away)
+    prepared = prepare(case.scene, away, case.settings, 1, STORE)
+    left, gone = in_view(case.scene, prepared, away, STORE)
     assert gone["polygons"] == OUT_OF_VIEW
     assert left.cut.splats == len(left.polygons) == 0
-    assert in_view(case.scene, prepared, replace(away, aperture=Aperture(0.1, 4.0)))[1] == {}
+    assert in_view(case.scene, prepared, replace(away, aperture=Aperture(0.1, 4.0)), STORE)[1] == {}
 
 
 def test_clear_matter_is_left_out_and_what_glows_in_it_is_not(monkeypatch):

@@ -11,6 +11,7 @@ from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.validation import validate
 from pointsplat_addon.core.scene.volume import Transfer, Volume
+from pointsplat_addon.render.cache.keys import Key, Kind
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.prepare import meshes
 from pointsplat_addon.render.prepare.parts import parted
@@ -192,11 +193,15 @@ def test_a_view_that_needs_nothing_finer_samples_nothing(monkeypatch):
     assert second.point_sets[0].cloud is first.point_sets[0].cloud
 
 
+def named(name: str) -> Key:
+    return Key(Kind.CLOUD, name)
+
+
 def test_a_store_forgets_what_was_used_least_lately():
     store, made = Store(limit=30), []
 
     def get(name):
-        return store.lookup((name,), lambda: made.append(name) or Item(10))
+        return store.lookup(named(name), lambda: made.append(name) or Item(10))
 
     for name in "abcad":
         get(name)
@@ -210,13 +215,13 @@ def test_a_store_forgets_what_was_used_least_lately():
 
 def test_a_store_keeps_what_is_too_large_for_it_until_the_next_one_comes():
     store = Store(limit=5)
-    item = store.lookup(("x",), lambda: Item(10))
-    assert store.lookup(("x",), lambda: Item(0)) is item
-    store.lookup(("y",), lambda: Item(1))
-    assert ("x",) not in store
+    item = store.lookup(named("x"), lambda: Item(10))
+    assert store.lookup(named("x"), lambda: Item(0)) is item
+    store.lookup(named("y"), lambda: Item(1))
+    assert named("x") not in store
     store.clear()
     assert store.nbytes == 0
-    assert ("y",) not in store
+    assert named("y") not in store
 
 
 def test_another_transfer_function_keeps_the_tree_and_the_kernels():

@@ -10,12 +10,13 @@ from pointsplat_addon.core.material.graph import MaterialGraph
 from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
 from pointsplat_addon.core.scene.materials import MaterialTable
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.render.cache.store import STORE, Store
+from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.shadow import shadows
 from pointsplat_addon.render.shadow.shadows import Shadows, _share
 from scripts.scenes import build, cameras, clouds, drawing, meshes
 from scripts.scenes.case import Case
+from scripts.scenes.store import STORE
 
 
 def test_small_meshes_keep_their_samples_and_large_ones_share_the_rest():
@@ -42,7 +43,7 @@ def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
     for limit in (1 << 60, 0):
         STORE.clear()
         monkeypatch.setattr(shadows, "MOST_TOGETHER", limit)
-        renderer = Renderer(drawing.opengl().device)  # what others keep is of other tables
+        renderer = Renderer(drawing.opengl().device, STORE)  # what others keep is of other tables
         pixels = renderer.render(case.scene, case.request(frozenset({"combined"}), 4)).pixels["combined"]
         renderer.release()
         found.append(pixels[..., :3].astype(float))
@@ -100,7 +101,7 @@ def test_a_floor_with_nothing_behind_it_casts_nothing_and_looks_the_same(monkeyp
         STORE.clear()
         if keep:
             monkeypatch.setattr(shadows, "_floors", lambda scene, casters, store: (False,) * len(casters))
-        renderer = Renderer(drawing.opengl().device)
+        renderer = Renderer(drawing.opengl().device, STORE)
         pixels = renderer.render(case.scene, case.request(frozenset({"combined"}), 4)).pixels["combined"]
         renderer.release()
         pictures.append(pixels[..., :3].astype(float))

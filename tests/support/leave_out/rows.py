@@ -11,7 +11,6 @@ import numpy as np
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.render.cache.store import STORE
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import (
@@ -24,6 +23,7 @@ from scripts.scenes import (
     translucent_cases,
 )
 from scripts.scenes.case import ALL_PASSES, Case
+from scripts.scenes.store import STORE
 from tests.support.leave_out.scenes import (
     before_a_picture,
     clear_smoke,

@@ -4,45 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import os
-import threading
-from collections import OrderedDict
 
 import bpy
 import numpy as np
 
 from ....core.material.image import Image
+from ....render.cache.cache import Cache
+from ....render.cache.keys import Key, Kind
 
 CACHE_BYTES = 1 << 30  # texels kept for images that no material holds at the moment
 MISSING_COLOR = (1.0, 0.0, 1.0, 1.0)  # what Blender shows for a missing picture
 SUPPORTED_ENCODINGS = {"sRGB": True, "Linear Rec.709": False, "scene_linear": False}  # of bytes: sRGB curve or none
 
 
-class _Cache:
-    """Least recently used pictures up to CACHE_BYTES; final renders and viewports read it from their threads."""
-
-    def __init__(self) -> None:
-        self._images: OrderedDict[str, Image] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, key: str) -> Image | None:
-        with self._lock:
-            image = self._images.get(key)
-            if image is not None:
-                self._images.move_to_end(key)
-            return image
-
-    def put(self, image: Image) -> None:
-        with self._lock:
-            self._images[image.key] = image
-            while len(self._images) > 1 and sum(i.nbytes for i in self._images.values()) > CACHE_BYTES:
-                self._images.popitem(last=False)
-
-    def clear(self) -> None:
-        with self._lock:
-            self._images.clear()
-
-
-_cache = _Cache()
+_cache = Cache(CACHE_BYTES)  # final renders and viewports read it from their threads
 
 
 def clear() -> None:
@@ -69,11 +44,7 @@ def convert_image(image: bpy.types.Image | None) -> tuple[Image, str | None]:
         return missing_image(), f'reads the image "{image.name}", whose file is missing: {image.filepath}'
     problem = _unsupported(image)
     key = content_id(image)
-    known = _cache.get(key)
-    if known is None:
-        known = _read(image, key)
-        _cache.put(known)
-    return known, problem
+    return _cache.lookup(Key(Kind.IMAGE, key), lambda: _read(image, key)), problem
 
 
 def _unsupported(image: bpy.types.Image) -> str | None:

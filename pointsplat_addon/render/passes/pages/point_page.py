@@ -19,9 +19,9 @@ import numpy as np
 from ....core.numeric.segments import owners, ranks
 from ....core.scene.materials import MaterialTable
 from ....shading.interface import Block
-from ...cache.store import Layer, PointSet
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Texture
+from ...prepare.point_sets import Layer, PointSet
 from ..gbuffer import Variant
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
 from .splat_page import SplatPage, extent, facets, filled, position_and_normal, shading_normal

@@ -9,9 +9,10 @@ import numpy as np
 from ....core.lod.node_splats import points_and_nodes
 from ....core.numeric.vectors import basis, each_block
 from ....core.scene.cloud import PointCloud
-from ...cache.store import PointSet
+from ...cache.keys import Key
 from ...device.packing import FACET_SHARE, FACET_STEPS, NO_NORMAL, PAGE_WIDTH, octahedral
 from ...device.protocol import Device, Texture
+from ...prepare.point_sets import PointSet
 
 NODE = 0.25  # tells nodes from points beside a material row, which is whole
 SMALLEST_NORMAL = 1e-6  # of shading: what is shorter has no direction
@@ -27,7 +28,7 @@ class SplatPage:
     def __init__(self, device: Device, sets: list[PointSet]) -> None:
         self.clouds = [points_and_nodes(points.hierarchy) if points.hierarchy else points.cloud for points in sets]
         ends = np.cumsum([len(cloud) for cloud in self.clouds]).tolist()
-        self.first: dict[tuple, int] = dict(zip((points.key for points in sets), [0, *ends], strict=False))
+        self.first: dict[Key, int] = dict(zip((points.key for points in sets), [0, *ends], strict=False))
         self.count: int = ends[-1]
         self.textures: dict[str, Texture] = {}
         self._device = device

@@ -24,8 +24,9 @@ from ....core.scene.cloud import PointCloud
 from ....core.scene.materials import MaterialTable
 from ....core.splat import painter
 from ....core.splat.kernel import PEAK, PROFILES
-from ...cache.store import PointSet
+from ...cache.keys import Key
 from ...device.protocol import Device
+from ...prepare.point_sets import PointSet
 from ..pages.splat_page import SplatPage, extent, filled, position_and_normal, shading_normal
 from .options import TranslucentOptions, is_fuzzy
 
@@ -41,7 +42,7 @@ class TranslucentPage(SplatPage):
         sets: list[PointSet],
         options: TranslucentOptions,
         table: MaterialTable,
-        shares: Mapping[tuple, np.ndarray | float] | None = None,
+        shares: Mapping[Key, np.ndarray | float] | None = None,
     ) -> None:
         """`shares`: by key, what of its ellipse each opaque splat covers; with `options.defocus`."""
         super().__init__(device, sets)
@@ -57,7 +58,7 @@ class TranslucentPage(SplatPage):
         self.upload("position", "RGBA32F", 4, [position_and_normal(c) for c in clouds])
         self.upload("extent", "RGBA32F", 4, [extent(c, always_axis=True) for c in clouds])
         self.upload("optics", "RGBA32F", 4, [
-            _optics(c, points.family[:1] == ("lattice",)) for c, points in zip(clouds, sets, strict=True)
+            _optics(c, points.is_lattice) for c, points in zip(clouds, sets, strict=True)
         ])  # fmt: skip
         if options.color:
             self.upload("color", "RGBA16F", 4, [filled(c, "color", table.base_color) for c in clouds])

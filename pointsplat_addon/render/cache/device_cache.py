@@ -1,0 +1,61 @@
+"""What stays on the device from one frame to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import count
+from typing import Any
+
+from ..device.protocol import Device, released_on_failure
+from .cache import Cache
+from .keys import Key, Kind
+
+MOST_BYTES = 4 << 30  # of geometry that stay on the device after their frame
+
+
+class DeviceCache(Cache):
+    """Textures and buffers of one device by content.
+
+    Several frames may be in the making: two viewports, or a picture and what it is compared with. What they use stays.
+    """
+
+    def __init__(self, device: Device, limit: int = MOST_BYTES) -> None:
+        """`limit`: bytes that may be allocated on the device while something unused is still there."""
+        super().__init__(limit, dispose=lambda item: item.release())
+        self.device = device
+        self._in_use: list[set[Key]] = []  # by each frame in the making
+
+    @property
+    def nbytes(self) -> int:
+        """All bytes on the device, those of render targets included."""
+        return self.device.bytes_allocated()
+
+    def begin(self) -> set[Key]:
+        """Returns the set to which a frame adds the keys of what it uses, which stays until its `end`."""
+        self._in_use.append(set())
+        return self._in_use[-1]
+
+    def end(self, used: set[Key]) -> None:
+        """Ends the frame that began with the set `used`; further calls do nothing."""
+        self._in_use = [other for other in self._in_use if other is not used]
+
+    def own_key(self, kind: Kind) -> Key:
+        """A key for an item that changes with the view: the first numbered one that no frame in the making uses."""
+        taken = set().union(*self._in_use)
+        return next(key for key in (Key(kind, number) for number in count()) if key not in taken)
+
+    def lookup(self, key: Key, make: Callable[[], Any]) -> Any:
+        """Returns what is on the device for `key`; uploads it with `make` if it is not. Nothing stays if that fails."""
+
+        def make_whole() -> Any:
+            with released_on_failure(self.device):
+                return make()
+
+        return super().lookup(key, make_whole)
+
+    def trim_unused(self) -> None:
+        """Frees what no frame in the making uses, least recently used first, until the rest fits."""
+        self.trim(set().union(*self._in_use))
+
+    def _added(self, key: Key) -> None:
+        """Nothing is freed while a frame uploads: `trim_unused` is called when it has what it needs."""

@@ -1,0 +1,101 @@
+"""Keys of cached items: what kind of thing an item is, and everything that it depends on."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Hashable
+from dataclasses import dataclass
+from enum import Enum, auto
+
+
+class Kind(Enum):
+    """What a cached item is. The comment says of what; `Key.content` names that by its content key or its own key."""
+
+    # Of any geometry
+    VALIDATED = auto()  # data without what cannot be drawn, and what was wrong with it
+    # Of a mesh
+    TYPICAL_EDGE = auto()
+    BOUNDING_BALL = auto()  # of the valid triangles
+    PARTS = auto()  # runs of triangles with bounds
+    MEASURES = auto()  # of triangles, for sampling
+    IS_FOLIAGE = auto()
+    DIVIDED_MESH = auto()  # parts and measures
+    SPLIT_BY_MATERIAL = auto()  # an opaque and a translucent mesh
+    LIMITED_SPACING = auto()  # the finest that a number of samples allows
+    FINEST_SPACING = auto()  # that was asked for so far
+    SAMPLING_METHOD = auto()
+    SAMPLES = auto()  # where on the mesh samples lie: its topology decides
+    SAMPLES_OF_PARTS = auto()
+    # Of curves and volumes
+    CLEAN_STRANDS = auto()  # without what cannot be drawn
+    CROSSED_HAIRS = auto()  # how many hairs light crosses
+    VOXELS = auto()  # the points of a volume
+    BOX = auto()  # corners of what holds a geometry with its radii
+    # Clouds of points
+    MESH_POINTS = auto()  # samples with their attributes
+    POINTS_OF_PARTS = auto()
+    GIVEN_POINTS = auto()  # of a cloud, finite and in coherent order
+    CLOUD = auto()  # the point set of a given cloud
+    FILLED = auto()  # points with the constants of their materials
+    DICED = auto()  # splats of one view, cut from what is out of focus
+    # Of point sets
+    HIERARCHY = auto()
+    SHARED_HIERARCHY = auto()  # of samples that several poses or colourings share
+    NODES = auto()  # key of points that got a hierarchy for coarse views
+    NODES_ASKED_FOR = auto()
+    LEVELS = auto()  # of a hierarchy, for many instances
+    LEVEL_NODES = auto()  # the nodes of these levels, as a point set
+    FOREST = auto()  # hierarchies of several point sets, cut together
+    BALL_AND_RADIUS = auto()
+    TYPICAL_RADIUS = auto()
+    MATERIAL_ROWS = auto()  # that points name
+    USED_MATERIALS = auto()  # the same as a set, with the first row where points name none
+    BRIGHTEST_COLOR = auto()
+    IS_INVISIBLE = auto()
+    AREA_SHARES = auto()  # covered fraction of each splat's ellipse
+    # Of shadows
+    CASTER_BALL = auto()
+    CASTER_BOX = auto()
+    CASTER_PLANE = auto()
+    CASTER_OUTLINE = auto()
+    CASTER_POSITIONS = auto()  # points all over a mesh
+    CASTER_SAMPLES = auto()
+    CASTER_NODES = auto()
+    FLOORS = auto()  # which casters have nothing behind them
+    CASTER_SPACINGS = auto()
+    CASTERS = auto()  # all of a scene: a part of other keys only
+    SHADOW_TABLE = auto()  # of one light
+    SHADOW_TABLES = auto()  # of all lights, packed for the device
+    # On the device
+    PAGE = auto()
+    TRANSLUCENT_PAGE = auto()
+    STRAND_PAGE = auto()
+    POLYGON_MESH = auto()
+    TEXTURES = auto()  # of a material graph
+    ENVIRONMENT = auto()
+    ENVIRONMENT_LEVELS = auto()
+    SHADOW_TEXTURE = auto()
+    DRAW_ORDER = auto()  # of the translucent splats of one of the frames in the making
+    LIGHT_SHARES = auto()  # that reach the translucent splats of one of the frames in the making
+    # Of the host
+    IMAGE = auto()
+
+    # Members are singletons; Enum's own hash runs in Python.
+    __hash__ = object.__hash__
+
+
+@dataclass(frozen=True)
+class Key:
+    """What an item is and what it depends on; two keys are equal if all of it is."""
+
+    kind: Kind
+    content: Hashable  # what the item was made from: a content key, the key of another item, or a tuple of these
+    look: str = ""  # digest of the materials
+    method: str = ""  # of sampling a mesh
+    spacing: float = 0.0  # of samples, object units
+    other: Hashable = ()  # what else it depends on
+
+
+def digest(of: object) -> bytes:
+    """A short hash of numbers, names and bytes in nested tuples, so that keys do not hold whole arrays."""
+    return hashlib.blake2b(repr(of).encode(), digest_size=16).digest()
