@@ -175,7 +175,8 @@ class Stages:
     def __init__(self) -> None:
         from pointsplat_addon.devices.opengl import OpenGLDevice
         from pointsplat_addon.host import final
-        from pointsplat_addon.render.frame import frame, uploads
+        from pointsplat_addon.render.frame import frame
+        from pointsplat_addon.render.frame.uploads import uploads
         from pointsplat_addon.render.plan import frame_plan
 
         self.spent: dict[str, float] = {}

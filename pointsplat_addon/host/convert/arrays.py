@@ -81,11 +81,6 @@ def attribute_as_color(attribute: Any) -> np.ndarray:
     return np.concatenate([value, np.ones((len(value), 1), np.float32)], axis=1)
 
 
-def contiguous_float32(array: np.ndarray | None) -> np.ndarray | None:
-    """The array as contiguous float32; None for None."""
-    return None if array is None else np.ascontiguousarray(array, np.float32)
-
-
 def unit_or_up(vectors: np.ndarray) -> np.ndarray:
     """Vectors (N, 3) normalised, float32; a zero vector becomes +Z."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)

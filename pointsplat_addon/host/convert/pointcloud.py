@@ -13,8 +13,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.material.evaluation import evaluate_samples
-from ...core.material.expression import SampleInputs
+from ...core.material.evaluation import Appearance, evaluate_materials
+from ...core.material.expression import Part, SampleInputs
 from ...core.material.graph import MaterialGraph, Needs, needs
 from ...core.scene.cloud import PointCloud
 from ...core.scene.volume import Medium, Volume
@@ -23,8 +23,8 @@ from ...core.surface.appearance import CLIP, ball_extinction
 from ...core.surface.nearest import median_spacing
 from ...core.volume.optics import voxel_optics
 from . import arrays
-from .arrays import COLOR_TYPES, attribute_as_color, contiguous_float32, unit_or_up
-from .sample_material import SampleMaterial, roughness_and_metallic
+from .arrays import COLOR_TYPES, attribute_as_color, unit_or_up
+from .sample_material import SampleMaterial, generated_coordinates, surface_constants
 
 DEFAULT_RADIUS = 0.01  # Blender's, for points without a radius attribute
 COLOR_NAMES = ("Color", "Col")  # names that importers give to colours
@@ -92,28 +92,26 @@ def convert_points(points: Points, material: SampleMaterial, lookup: Lookup) -> 
 def _make_cloud(points: Points, material: SampleMaterial) -> PointCloud:
     count, graph, normal = len(points.position), material.graph, points.normal
     linear = {name: arrays.scene_linear(array) for name, array in points.colors.items()}
-    varying: dict[str, np.ndarray] = {}
+    look = Appearance()
     if graph is not None:
-        varying = _evaluate_graph(
-            graph, SampleInputs(points.uv, colors=linear, position=points.position, normal=normal)
-        )
+        look = _evaluate_graph(points, linear, graph, material)
     elif linear and material.row == 0:
         color = next(iter(linear.values()))
-        varying = {"base_color": color[:, :3], "alpha": np.clip(color[:, 3], 0, 1)}
-    facing = varying.get("normal", normal)
+        look = Appearance(np.ascontiguousarray(color[:, :3], np.float32), alpha=np.clip(color[:, 3], 0, 1))
+    facing = normal if look.normal is None else look.normal
     cloud = PointCloud(
         position=points.position,
-        normal=None if facing is None or normal is None else unit_or_up(facing),
+        normal=None if facing is None else unit_or_up(facing),
         radii=_radii(points)[:, None],
-        color=contiguous_float32(varying.get("base_color")),
-        surface=roughness_and_metallic(varying, material, count),
-        emission=contiguous_float32(varying.get("emission")),
+        color=look.color,
+        surface=look.surface,
+        emission=look.emission,
         material=np.full(count, material.row, np.uint16) if material.row else None,
         kernel=points.kernel,
     )
     if material.extinction > 0 or material.medium is not None:
         return _with_medium(cloud, points, material)
-    alpha = varying.get("alpha", np.full(count, material.alpha, np.float32))
+    alpha = np.full(count, material.alpha, np.float32) if look.alpha is None else look.alpha
     if points.opacity is not None:
         alpha = alpha * points.opacity
     return _with_alpha(cloud, alpha, material)
@@ -227,14 +225,18 @@ def _color_attributes(data: Data, wanted: Needs, imported: bool) -> list[Any]:
     return [*colors[:1], *found] if None in wanted.colors else found
 
 
-def _evaluate_graph(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np.ndarray]:
-    """Values of the graph by channel; generated coordinates come from the bounds of the positions."""
-    position, generated = inputs.position, None
-    assert position is not None
+def _evaluate_graph(
+    points: Points, colors: dict[str, np.ndarray], graph: MaterialGraph, material: SampleMaterial
+) -> Appearance:
+    """Values of a material's graph at the points. colors: their colour attributes by name, (N, 4) scene-linear."""
+    position, generated = points.position, None
     if needs(graph).generated:
-        low, high = position.min(axis=0), position.max(axis=0)
-        generated = (position - low) / np.where(high > low, high - low, 1)
-    return evaluate_samples(
-        graph,
-        SampleInputs(inputs.uv, next(iter(inputs.uv), None), inputs.colors, None, position, generated, inputs.normal),
-    )
+        generated = generated_coordinates(position, position.min(axis=0), position.max(axis=0))
+    active = next(iter(points.uv), None)
+    inputs = SampleInputs(points.uv, active, colors, None, position, generated, points.normal)
+
+    def inputs_of(graph: MaterialGraph, part: Part) -> SampleInputs:
+        return inputs.take(part)
+
+    rows = np.zeros(len(position), np.uint8)
+    return evaluate_materials(rows, {0: graph}, inputs_of, surface_constants([material]), points.normal)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.material.evaluation import SurfaceConstants
 from ...core.material.graph import MaterialGraph, Needs, needs
 from ...core.scene.materials import MaterialTable
 from ...core.scene.volume import Medium
@@ -63,14 +65,17 @@ def sample_material(table: MaterialTable, row: int, extinction: float = 0.0) -> 
     )
 
 
-def roughness_and_metallic(varying: dict[str, np.ndarray], material: SampleMaterial, count: int) -> np.ndarray | None:
-    """Roughness and metallic (N, 2) float32 of `count` samples; None if both are constant.
+def surface_constants(materials: Sequence[SampleMaterial]) -> SurfaceConstants:
+    """The constants of M materials in their order: columns (M,) or (M, 3) float32."""
 
-    varying: values of the graph by channel.
-    """
-    if "roughness" not in varying and "metallic" not in varying:
-        return None
-    surface = np.empty((count, 2), np.float32)
-    surface[:, 0] = varying.get("roughness", material.roughness)
-    surface[:, 1] = varying.get("metallic", material.metallic)
-    return surface
+    def column(name: str) -> np.ndarray:
+        return np.array([getattr(m, name) for m in materials], np.float32)
+
+    return SurfaceConstants(
+        column("base_color"), column("roughness"), column("metallic"), column("emission"), column("alpha")
+    )
+
+
+def generated_coordinates(position: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Positions (N, 3) as fractions of the box from low to high, (3,) each; along a side of length 0, offsets."""
+    return (position - low) / np.where(high > low, high - low, 1)

@@ -21,7 +21,7 @@ from ..passes.translucent.lit_splats import LitSplats
 from ..passes.uniforms import SampleView
 from ..plan.plan import Plan
 from .targets import Targets
-from .uploads import Uploads
+from .uploads.uploads import Uploads
 
 
 def in_focus(camera: Camera, plan: Plan, largest: float) -> tuple[float, float]:
@@ -51,12 +51,14 @@ class OutOfFocus:
     ) -> None:
         """`transparent`: the film is. `run` times each pass. DeviceError: more splats than a texture holds."""
         assert plan.translucent is not None
+        assert uploads.translucent is not None
+        self.splats = uploads.translucent
         self.device, self.plan, self.uploads, self.targets = device, plan, uploads, targets
         self.transparent, self._run = transparent, run
         self.gathered = 0  # samples in the picture
         self.tiles: Defocus | None = None
         program = light_program(plan.translucent, plan.lighting, plan.materials)
-        self.lit = LitSplats(device, plan.translucent, program, uploads.listed)
+        self.lit = LitSplats(device, plan.translucent, program, self.splats.count)
 
     def gather(
         self,
@@ -89,7 +91,7 @@ class OutOfFocus:
         self._run("defocus", lambda: tiles.draw(program, self.targets.seen_target, record, self.lit.textures, textures))
 
     def _light(self, view: SampleView) -> None:
-        self.lit.light(view, len(self.uploads.scene.lights), {**self.uploads.splats, **self.uploads.shading})
+        self.lit.light(view, len(self.uploads.scene.lights), {**self.splats.textures, **self.uploads.shading})
 
     def _list(self, view: SampleView) -> None:
         """By the tiles of the picture."""

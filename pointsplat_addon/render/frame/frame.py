@@ -32,7 +32,7 @@ from .shading import Shading
 from .surfels import gbuffer_textures
 from .targets import Targets
 from .translucent import Translucent, lighting_of_sample
-from .uploads import Uploads
+from .uploads.uploads import Uploads
 
 
 class Frame:
@@ -177,11 +177,11 @@ class Frame:
         plan, uploads, run = self.shot.plan, self.uploads, self.clock.run
         surfels, data_surfels = self.targets.surfels, self.targets.data_surfels
         projection = self.targets.projection
-        for lines in uploads.lines:
+        for lines in uploads.strands.draws:
             lines.list_thin(float(self._turns[self.done]))
         beside = first or self._data.every_sample or self.shading.averages
         if projection is not None and (beside or not plan.painter):
-            run("project", lambda: projection.run(uploads.draws, view, uploads.shared))
+            run("project", lambda: projection.run(uploads.points.draws, view, uploads.shared))
         if surfels is not None:
             region = self.adaptive.gathered if self.adaptive else EVERYWHERE
             surfels.draw(uploads, None if plan.painter else projection, view, run, region)
@@ -227,7 +227,7 @@ class Frame:
         """Leaves out what no tile needs any more."""
         view, projection, uploads = self._sample_view(0), self.targets.projection, self.uploads
         if adaptive.check(self.done) and projection is not None and not adaptive.finished:
-            uploads.narrow(projection.within(uploads.draws, view, uploads.shared, adaptive.gathered))
+            uploads.points.narrow(projection.within(uploads.points.draws, view, uploads.shared, adaptive.gathered))
 
     def _gather(self) -> None:
         """Gathers what is out of focus into the picture so far."""

@@ -15,7 +15,7 @@ from ...core.lens.thin_lens import camera_through, lens_points
 from ...core.scene.camera import Camera
 from ..device.protocol import Device, Texture
 from ..passes.output.adaptive import KEEP
-from .uploads import Uploads
+from .uploads.uploads import Uploads
 
 
 class LensSamples:

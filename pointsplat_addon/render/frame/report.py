@@ -11,7 +11,7 @@ from .frame import Frame
 def report(frame: Frame, seconds: float) -> dict[str, Any]:
     """Returns the report of a picture, as scripts/render.py writes it. `seconds`: that the picture took."""
     shot, device, spent = frame.shot, frame.device, _spent(frame)
-    drawn = 0 if shot.trivial else sum(lines.drawn for lines in frame.uploads.lines)
+    drawn = 0 if shot.trivial else sum(lines.drawn for lines in frame.uploads.strands.draws)
     return {
         "device": f"{device.name}: {device.limits.renderer}",
         "seconds": seconds,
@@ -37,7 +37,7 @@ def _spent(frame: Frame) -> dict[str, float]:
 def _skipped(frame: Frame, ran: dict[str, float]) -> list[tuple[str, str]]:
     """Returns the passes that did not run, and why."""
     shot = frame.shot
-    reaches = shot.trivial or shot.plan.translucent is None or frame.uploads.reach_lights > 0
+    reaches = shot.trivial or frame.uploads.translucent is None or frame.uploads.translucent.shared_lights > 0
     return not_run(shot.left_out, ran.keys(), shot.trivial, shot.everywhere, reaches)
 
 

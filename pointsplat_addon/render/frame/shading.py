@@ -17,7 +17,7 @@ from ..plan.plan import Plan
 from ..plan.request import Request
 from .surfels import gbuffer_textures
 from .targets import Targets
-from .uploads import Uploads
+from .uploads.uploads import Uploads
 
 
 class Shading:
@@ -71,7 +71,7 @@ class Shading:
 
     def draw_backdrop(self, view: SampleView) -> None:
         """Draws the world out of focus. `view`: of rays through pixels' centres."""
-        levels = self._uploads.levels
+        levels = self._uploads.lighting.levels
         assert self._backdrop is not None
         assert levels is not None
         self._backdrop.draw(view, {**self._uploads.shading, "ps_levels": levels})

@@ -15,7 +15,7 @@ from ..passes.uniforms import SampleView
 from ..passes.visibility import polygons, strands
 from ..passes.visibility import spheres as sphere_pass
 from ..plan.plan import Plan
-from .uploads import Uploads
+from .uploads.uploads import Uploads
 
 
 class Surfels:
@@ -47,7 +47,7 @@ class Surfels:
                 self.device,
                 self.resolve_program,
                 ids,
-                uploads.draws,
+                uploads.points.draws,
                 view,
                 uploads.shared,
                 self.buffer,
@@ -74,13 +74,12 @@ class Surfels:
             run("lines", lambda: self._draw_lines(uploads, view))
 
     def _draw_lines(self, uploads: Uploads, view: SampleView) -> None:
-        assert uploads.line_instances is not None
-        shared = {**uploads.shared, "ps_instances": uploads.line_instances}
-        strands.draw(self.device, self.variant, uploads.lines, view, shared, self.buffer)
+        shared = {**uploads.shared, **uploads.strands.instances}
+        strands.draw(self.device, self.variant, uploads.strands.draws, view, shared, self.buffer)
 
     def _draw_spheres(self, uploads: Uploads, view: SampleView) -> None:
         program = sphere_pass.program(self.variant, self.plan.options)
-        sphere_pass.draw(self.device, program, uploads.balls, view, uploads.shared, self.buffer)
+        sphere_pass.draw(self.device, program, uploads.points.balls, view, uploads.shared, self.buffer)
 
     def _draw_polygons(self, uploads: Uploads, view: SampleView) -> None:
         instances = uploads.scene.instances
@@ -88,14 +87,14 @@ class Surfels:
             polygons.draw(
                 self.device,
                 self.variant,
-                uploads.meshes[int(instances.geometry[instance])],
+                uploads.polygons.meshes[int(instances.geometry[instance])],
                 uploads.prepared.view_from_object[instance],
                 instance,
                 bool(instances.holdout is not None and instances.holdout[instance]),
                 view,
                 uploads.shared,
                 self.buffer,
-                uploads.part_lists.get(instance),
+                uploads.polygons.part_lists.get(instance),
             )
 
     def release(self) -> None:
@@ -127,8 +126,8 @@ class EwaSurfels(Surfels):
             self.buffer.clear()
             ewa.normalise(view, self.buffer, region)
 
-        if ewa.draws is not uploads.draws:
-            run("splats", lambda: ewa.project(uploads.draws, view, shared))
+        if ewa.draws is not uploads.points.draws:
+            run("splats", lambda: ewa.project(uploads.points.draws, view, shared))
         ewa.narrow(region)
         run("visibility", lambda: ewa.see(view, shared))
         run("blend", lambda: ewa.blend(view, shared))

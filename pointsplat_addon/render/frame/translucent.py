@@ -14,7 +14,7 @@ from ..passes.uniforms import SampleView
 from ..plan.plan import Plan
 from ..plan.request import Request
 from .targets import Targets
-from .uploads import Uploads
+from .uploads.uploads import Uploads
 
 LIGHTINGS = 4  # times that translucent splats are lit in one picture, where lights are wide
 
@@ -42,21 +42,23 @@ class Translucent:
         """`samples`: of the picture. `run` times each pass. DeviceError: more splats than a texture holds."""
         assert plan.translucent is not None
         self.device, self.plan, self.uploads, self.targets, self._run = device, plan, uploads, targets, run
+        assert uploads.translucent is not None
+        self.splats = splats = uploads.translucent
         self.lit_by = 0  # which points of wide lights
-        program = light_program(plan.translucent, plan.lighting, plan.materials, uploads.reach_lights)
+        program = light_program(plan.translucent, plan.lighting, plan.materials, splats.shared_lights)
         variant = plan.variant
         channels = variant.samplers(only=("centre", "shape", "normal") if variant.normal else ("centre",))
         self._add = add_program(plan.translucent)
         self._depth = depth_program(channels, variant.normal)
-        self.lit = LitSplats(device, plan.translucent, program, uploads.listed, samples)
+        self.lit = LitSplats(device, plan.translucent, program, splats.count, samples)
 
     def light(self, points: int, view: SampleView) -> None:
         """Lights the splats by these points of wide lights. `view`: of rays through pixels' centres."""
         self.lit_by = points
         view = replace(view, sample=points)
-        textures = {**self.uploads.splats, **self.uploads.shading}
-        if self.uploads.reach_lights:
-            textures |= self.uploads.reach(points, view, self._run)
+        textures = {**self.splats.textures, **self.uploads.shading}
+        if self.splats.shared_lights:
+            textures |= self.splats.light_shares(points, view, self._run)
         self._run("light", lambda: self.lit.light(view, len(self.uploads.scene.lights), textures))
 
     def draw(self, view: SampleView, surfels: dict[str, Texture], coarse: bool) -> None:

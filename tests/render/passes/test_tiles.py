@@ -127,10 +127,10 @@ def test_blocks_of_points_that_no_tile_needs_are_not_projected():
     cloud = build.points("tiles plane", clouds.plane_cloud(300))
     case = Case(build.scene((cloud, np.eye(4))), cameras.camera(eye=(0, -1, 4), resolution=(256, 256)))
     frame = Frame(drawing.opengl(), case.scene, case.request(COMBINED, SAMPLES))
-    before = sum(draw.count for draw in frame.uploads.draws)
+    before = sum(draw.count for draw in frame.uploads.points.draws)
     while frame.sample():
         pass
-    after = sum(draw.count for draw in frame.uploads.draws)
+    after = sum(draw.count for draw in frame.uploads.points.draws)
     assert 0 < after < before
     frame.release()
 

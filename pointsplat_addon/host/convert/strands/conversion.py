@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ....core.material.evaluation import evaluate_samples
-from ....core.material.expression import SampleInputs
-from ....core.material.graph import Needs
+from ....core.material.evaluation import evaluate_materials
+from ....core.material.expression import Part, SampleInputs
+from ....core.material.graph import MaterialGraph, Needs
 from ....core.material.hair_color import random_of_strands, strand_attribute
 from ....core.numeric.segments import owners
 from ....core.scene.strands import Strands
@@ -18,8 +18,8 @@ from ....core.strand.curves import EvaluatedCurves
 from ....core.strand.evaluation import evaluate_curves
 from ....core.strand.normals import curve_normals
 from .. import arrays
-from ..arrays import contiguous_float32, unit_or_up
-from ..sample_material import SampleMaterial, needs_of_materials, roughness_and_metallic
+from ..arrays import unit_or_up
+from ..sample_material import SampleMaterial, generated_coordinates, needs_of_materials, surface_constants
 from .control_points import ControlPoints, without_invalid_points
 
 Lookup = Callable[[str, Callable[[], Any]], Any]  # the object of a content key, made only if it is not known
@@ -85,40 +85,19 @@ def _evaluate_materials(
     materials: tuple[SampleMaterial, ...],
 ) -> Strands:
     """`strands` with the values of the materials' graphs at their points; alpha scales the radius."""
-    count, strand = len(strands.position), evaluated.curve
-    columns: dict[str, np.ndarray] = {}
-    alpha = np.ones(count)
-    for index, material in enumerate(materials):
-        points = np.flatnonzero(slot[strand] == index)
-        if len(points) == 0:
-            continue
-        varying: dict[str, np.ndarray] = {}
-        if material.graph is not None:
-            inputs = _sample_inputs(strands, control, evaluated, needs_of_materials((material,)))
-            varying = evaluate_samples(material.graph, _select_samples(inputs, points))
-        alpha[points] = varying.get("alpha", material.alpha)
-        values_by_name = {
-            "color": varying.get("base_color"),
-            "surface": roughness_and_metallic(varying, material, len(points)),
-            "emission": varying.get("emission"),
-        }
-        for name, values in values_by_name.items():
-            if values is not None:
-                columns.setdefault(name, _material_constants(name, slot, strand, materials))[points] = values
-    radius = strands.radius if (alpha >= 1).all() else (strands.radius * alpha).astype(np.float32)
-    return replace(strands, radius=radius, **{name: contiguous_float32(values) for name, values in columns.items()})
+    rows = slot[evaluated.curve]
+    graphs = {row: graph for row in np.unique(rows).tolist() if (graph := materials[row].graph) is not None}
+    constants = surface_constants(materials)
+    wanted = needs_of_materials(tuple(materials[row] for row in graphs))
+    inputs = _sample_inputs(strands, control, evaluated, wanted) if graphs else SampleInputs()
 
+    def inputs_of(graph: MaterialGraph, part: Part) -> SampleInputs:
+        return inputs.take(part)
 
-def _material_constants(
-    name: str, slot: np.ndarray, strand: np.ndarray, materials: tuple[SampleMaterial, ...]
-) -> np.ndarray:
-    """A column (P, 2 | 3) of constants of the materials, to be overwritten where they vary."""
-    constants = {
-        "color": [m.base_color for m in materials],
-        "surface": [(m.roughness, m.metallic) for m in materials],
-        "emission": [m.emission for m in materials],
-    }[name]
-    return np.array(constants, np.float32)[slot[strand]]
+    look = evaluate_materials(rows, graphs, inputs_of, constants, None)
+    alpha = constants.alpha[rows] if look.alpha is None else look.alpha
+    radius = strands.radius if (alpha >= 1).all() else strands.radius * alpha
+    return replace(strands, radius=radius, color=look.color, surface=look.surface, emission=look.emission)
 
 
 def _sample_inputs(strands: Strands, control: ControlPoints, evaluated: EvaluatedCurves, wanted: Needs) -> SampleInputs:
@@ -140,7 +119,7 @@ def _sample_inputs(strands: Strands, control: ControlPoints, evaluated: Evaluate
         # As in Cycles: the root of each strand, relative to the emitter's texture space or the bounds of all points
         low, high = _bounds(strands.position) if control.texture_space is None else control.texture_space
         root = strands.position[strands.start[:-1]][strand]
-        generated = (root - low) / np.where(high > low, high - low, 1)
+        generated = generated_coordinates(root, low, high)
     normal = None if strands.normal is None else unit_or_up(strands.normal)
     return SampleInputs(uv, next(iter(uv), None), colors, active, strands.position, generated, normal)
 
@@ -178,15 +157,3 @@ def _strand_attributes(strands: Strands, first: int) -> dict[str, Callable[[], n
         "thickness": lambda: 2 * strands.radius,
         "random": lambda: random_of_strands(len(strands), first)[strand],
     }
-
-
-def _select_samples(inputs: SampleInputs, points: np.ndarray) -> SampleInputs:
-    """The inputs at some of the points, by their indices."""
-    if len(points) == len(inputs):
-        return inputs
-    return replace(
-        inputs,
-        uv={n: a[points] for n, a in inputs.uv.items()},
-        colors={n: a[points] for n, a in inputs.colors.items()},
-        **{n: a[points] for n in SampleInputs.ARRAYS if (a := getattr(inputs, n)) is not None},
-    )

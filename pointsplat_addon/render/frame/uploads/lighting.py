@@ -1,0 +1,114 @@
+"""Uploads that shading reads: the material table, lights, the environment and tables of shadows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ....core.light import hair
+from ....core.light.environment import build_atlas, pyramid, stacked
+from ....core.light.light_table import light_texture
+from ....core.scene.camera import Camera
+from ....core.scene.scene import Scene
+from ...cache.keys import Key, Kind
+from ...cache.store import Store
+from ...device.protocol import Texture
+from ...passes.shading.lighting import bound_textures
+from ...passes.shading.materials import material_rows
+from ...plan.plan import Plan
+from ...shadow.shadows import Shadows
+from .scope import UploadScope
+
+
+@dataclass(frozen=True)
+class ArrayIdentity:
+    """An array as part of a key: equal to itself only. It holds the array, so that no other one takes its identity."""
+
+    array: np.ndarray = field(compare=False)
+
+    def __hash__(self) -> int:
+        return id(self.array)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ArrayIdentity) and other.array is self.array
+
+
+class LightingUploads:
+    """What the shading of one frame reads."""
+
+    def __init__(self, scope: UploadScope, store: Store, scene: Scene, plan: Plan, shadows: Shadows | None) -> None:
+        self._scope, self._store, self._scene, self._plan = scope, store, scene, plan
+        self._packed = None if shadows is None else shadows.packed
+        self.shadow_key = None if shadows is None else shadows.key
+        table = material_rows(scene.materials, self._hair_escape())
+        self._surface = float(table[0, 2, 1]), float(table[0, 2, 3])  # roughness and relative index of the first one
+        self.materials: dict[str, Texture] = {}  # the material table, by sampler name, where a pass reads it
+        bare = not (plan.shades or (plan.polygons and plan.variant.color) or plan.lines or plan.options.cull)
+        if (plan.solid or plan.translucent is not None) and not bare:
+            texture = scope.device.texture((4, len(table)), "RGBA32F", table.reshape(-1))
+            self.materials["ps_materials"] = scope.own(texture)
+        self._lights: Texture | None = None
+        self._environment: Texture | None = None
+        self.levels: Texture | None = None  # of the environment, each half as wide: passes/shading/backdrop.py
+        if "PS_HAS_ENVIRONMENT" in (*plan.lighting, *plan.world) and scene.world.image is not None:
+            self._environment = self._upload_environment(scene.world.image)
+            if plan.backdrop:
+                self.levels = self._upload_levels(scene.world.image)
+        self.shadow_tables = None if shadows is None else self._upload_shadows(shadows)
+        self._shadow_records: Texture | None = None  # of the lights in this view
+
+    @property
+    def textures(self) -> dict[str, Texture]:
+        """What shading reads, by sampler name."""
+        return bound_textures(
+            materials=self.materials.get("ps_materials"), lights=self._lights, environment=self._environment,
+            shadow_tables=self.shadow_tables, shadow_lights=self._shadow_records,
+        )  # fmt: skip
+
+    def upload_view(self, camera: Camera) -> None:
+        """Uploads the lights, and the records of their shadow tables, in the space of a view."""
+        scene = self._scene
+        if self._plan.lighting or self._plan.world:
+            rows = light_texture(scene.lights, scene.world, camera.view_from_world, *self._surface)
+            self._lights = self._scope.view_texture(rows)
+        if self._packed is not None:
+            records = self._packed.records(camera.view_from_world).astype(np.float32)
+            self._shadow_records = self._scope.view_texture(records)
+
+    def _hair_escape(self) -> np.ndarray:
+        """Returns how much light leaves the hair of each material, (M,): of the strands with most hairs, in view or
+        not."""
+        scene = self._scene
+        most = np.zeros(len(scene.materials))
+        for geometry in scene.geometries:
+            if geometry.strands is not None and scene.materials.hair is not None:
+                strands, rows = geometry.strands, list(geometry.strands.materials)
+                key = Key(Kind.CROSSED_HAIRS, geometry.key)
+                number = self._store.lookup(key, lambda strands=strands: hair.strands_crossed(strands))
+                most[rows] = np.maximum(most[rows], number)
+        return hair.escape_share(most)
+
+    def _upload_shadows(self, shadows: Shadows) -> Texture:
+        data, device = shadows.packed.data, self._scope.device
+
+        def make() -> Texture:
+            return device.texture((data.shape[1], data.shape[0]), "RGBA32F", data.reshape(-1))
+
+        return self._scope.lookup(Key(Kind.SHADOW_TEXTURE, shadows.key), make)
+
+    def _upload_environment(self, image: np.ndarray) -> Texture:
+        def make() -> Texture:
+            atlas = build_atlas(image)
+            rgba = np.concatenate([atlas[..., :3], np.ones((*atlas.shape[:2], 1), np.float32)], axis=2)
+            return self._scope.device.texture((atlas.shape[1], atlas.shape[0]), "RGBA32F", rgba.reshape(-1))
+
+        return self._scope.lookup(Key(Kind.ENVIRONMENT, ArrayIdentity(image)), make)
+
+    def _upload_levels(self, image: np.ndarray) -> Texture:
+        def make() -> Texture:
+            levels = stacked(pyramid(build_atlas(image)))
+            rgba = np.concatenate([levels, np.ones((*levels.shape[:2], 1), np.float32)], axis=2)
+            return self._scope.device.texture((levels.shape[1], levels.shape[0]), "RGBA32F", rgba.reshape(-1))
+
+        return self._scope.lookup(Key(Kind.ENVIRONMENT_LEVELS, ArrayIdentity(image)), make)

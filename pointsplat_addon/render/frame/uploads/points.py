@@ -1,0 +1,95 @@
+"""Uploads of opaque points: their pages, the blocks that a view draws, and the transforms of their instances."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.scene.scene import Scene
+from ...cache.keys import Key, Kind
+from ...device.packing import PAGE_WIDTH
+from ...device.protocol import Texture
+from ...passes.pages.point_page import Page, PageDraw, blocks, instance_rows, with_origin
+from ...passes.uniforms import Values
+from ...plan.plan import Plan
+from ...prepare.point_sets import Layer, PointSet
+from ...prepare.prepare import Prepared
+from .instances import constants_key, origins
+from .scope import UploadScope
+
+OWN_PAGE = 4 << 20  # splats: larger sets get a page of their own, so that small changes upload little
+
+
+class PointUploads:
+    """The opaque points of one frame: `draws` of splats, and `balls` that are wide on the screen."""
+
+    def __init__(self, scope: UploadScope, scene: Scene, prepared: Prepared, plan: Plan) -> None:
+        self._scope, self._scene, self._plan = scope, scene, plan
+        self._transform: Values = {}  # of the only instance, as uniforms
+        self.instances: dict[str, Texture] = {}  # the transforms of several instances, by sampler name
+        self.draws: list[PageDraw] = []
+        self.balls: list[PageDraw] = []
+        self._drawn = plan.points or plan.spheres
+        if self._drawn:
+            self.draws = self._draws_of(prepared)
+            self.balls = self._draws_of(prepared.spheres)
+
+    def upload_view(self, prepared: Prepared) -> None:
+        """Uploads the transforms of a view: of the only instance as uniforms, else of all instances as a texture."""
+        if not self._drawn:
+            return
+        origin = origins(prepared, prepared.spheres)
+        if self._plan.options.one_instance:
+            one = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])[:1]
+            matrix = with_origin(prepared.view_from_object[one], origin[one])[0]
+            self._transform["view_from_object"] = matrix.T.reshape(-1)
+            return
+        rows = instance_rows(prepared.view_from_object, origin, self._scene.instances.holdout)
+        self.instances["ps_instances"] = self._scope.view_texture(rows)
+
+    def mark_moved(self) -> None:
+        """Makes `draws` another list, by which a pass that keeps projected splats sees that the view has changed."""
+        self.draws = [*self.draws]
+
+    def narrow(self, draws: list[PageDraw]) -> None:
+        """Replaces the draws by some of their blocks, which become the frame's own."""
+        if draws is not self.draws:
+            self.draws = draws
+            for draw in draws:
+                self._scope.own(draw.blocks)
+
+    def _draws_of(self, layer: Layer) -> list[PageDraw]:
+        draws, index = [], 0
+        for group in _page_groups(layer.point_sets, self._scope.device.limits.texture_size):
+            page = self._page(group)
+            first = {row: page.first[points.key] for row, points in group.items()}
+            rows, shift = blocks(layer, first)
+            if len(rows) == 0:
+                continue
+            texture = self._scope.texture(rows)
+            draws.append(PageDraw(page, texture, len(rows), shift, index, self._transform))
+            index += len(rows) << shift
+        return draws
+
+    def _page(self, group: dict[int, PointSet]) -> Page:
+        plan, table = self._plan, self._scene.materials
+        sets = list({points.key: points for points in group.values()}.values())
+        filled = constants_key(self._scene) if plan.variant.color or plan.variant.emission else b""
+        key = Key(Kind.PAGE, tuple(p.key for p in sets), other=(plan.variant, plan.options.shading_normal, filled))
+        return self._scope.lookup(key, lambda: Page(self._scope.device, sets, plan.variant, plan.options, table))
+
+
+def _page_groups(point_sets: dict[int, PointSet], texture_size: int) -> list[dict[int, PointSet]]:
+    """Groups point sets by page, each by geometry row: large ones alone, small ones together as far as a page holds
+    them."""
+    limit = PAGE_WIDTH * texture_size
+    pages: list[dict[int, PointSet]] = []
+    small: dict[int, PointSet] = {}
+    for row, points in point_sets.items():
+        if len(points) >= OWN_PAGE:
+            pages.append({row: points})
+            continue
+        if sum(len(p) for p in small.values()) + len(points) > limit:
+            pages.append(small)
+            small = {}
+        small[row] = points
+    return [*pages, small] if small else pages

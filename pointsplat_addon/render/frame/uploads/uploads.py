@@ -1,0 +1,98 @@
+"""Coordinates the uploads of one frame: makes them for a view, and moves them to another one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ....core.scene.camera import Camera
+from ....core.scene.scene import Scene
+from ...cache.device_cache import DeviceCache
+from ...cache.store import Store
+from ...device.protocol import Texture
+from ...plan.plan import Plan
+from ...prepare.prepare import Prepared
+from ...shadow.shadows import Shadows
+from .instances import previous_clip_from_view
+from .lighting import LightingUploads
+from .points import PointUploads
+from .polygons import PolygonUploads
+from .scope import UploadScope
+from .strands import StrandUploads
+from .translucent import TranslucentUploads
+
+
+class Uploads:
+    """Everything that one view of a scene reads; small tables are this frame's own, the rest is kept in a cache."""
+
+    def __init__(
+        self,
+        store: Store,
+        kept: DeviceCache,
+        scene: Scene,
+        camera: Camera,
+        prepared: Prepared,
+        plan: Plan,
+        motion: bool = False,
+        shadows: Shadows | None = None,
+    ) -> None:
+        """`motion`: a pass asks how instances move. DeviceError: a texture is too large, or memory is full."""
+        self.scene, self.camera, self.prepared = scene, camera, prepared
+        self._middle = prepared.view_from_object
+        self._scope = UploadScope(kept)
+        self.translucent: TranslucentUploads | None = None
+        self.previous: Texture | None = None  # clip space a frame before from today's view space
+        try:
+            self.lighting = LightingUploads(self._scope, store, scene, plan, shadows)
+            self.points = PointUploads(self._scope, scene, prepared, plan)
+            self.polygons = PolygonUploads(self._scope, store, scene, prepared, plan)
+            self.strands = StrandUploads(self._scope, store, scene, prepared, plan)
+            if plan.translucent is not None:
+                self.translucent = TranslucentUploads(self._scope, scene, camera, prepared, plan, self.lighting)
+            self._upload_view()
+            if motion:
+                rows = previous_clip_from_view(scene, camera, prepared.view_from_object)
+                self.previous = self._scope.texture(rows)
+            kept.trim_unused()
+        except Exception:
+            self.release()
+            raise
+
+    @property
+    def shared(self) -> dict[str, Texture]:
+        """What several passes of geometry read, by sampler name: the material table, and the instances of points."""
+        return {**self.lighting.materials, **self.points.instances}
+
+    @property
+    def shading(self) -> dict[str, Texture]:
+        """What shading reads, by sampler name."""
+        return self.lighting.textures
+
+    @property
+    def spent(self) -> dict[str, float]:
+        """Milliseconds of the passes that the processor does, by name."""
+        sort_ms = None if self.translucent is None else self.translucent.sort_ms
+        return {} if sort_ms is None else {"order": sort_ms}
+
+    def move(self, view_from_middle: np.ndarray, camera: Camera) -> None:
+        """Uploads anew what depends on the view alone, for a camera that the cut was prepared for too.
+
+        view_from_middle: (4, 4), its view space from that of the camera that everything was uploaded for.
+        """
+        self._scope.release_view()
+        self.camera = camera
+        self.prepared = replace(self.prepared, view_from_object=view_from_middle @ self._middle)
+        self._upload_view()
+        self.points.mark_moved()
+
+    def _upload_view(self) -> None:
+        self.lighting.upload_view(self.camera)
+        self.points.upload_view(self.prepared)
+        self.strands.upload_view(self.prepared)
+        if self.translucent is not None:
+            self.translucent.upload_view(self.prepared)
+
+    def release(self) -> None:
+        """Frees what only this frame needs."""
+        self._scope.release()
