@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.material import expression, expressions
+from pointsplat_addon.core.material import color_models, expression
 from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, math_functions, ramp_nodes, texture_nodes
 
 bpy = pytest.importorskip("bpy")
@@ -756,6 +756,6 @@ def test_a_picture_baked_at_its_own_resolution_is_the_picture():
     assert needs(graph).uv == {None}
     assert suggested_resolution(graph) == (5, 3)
     image = next(n.image for n in expression.walk(graph.base_color) if isinstance(n, texture_nodes.ImageTexture))
-    expected = expressions.linear_from_srgb(image.texels[..., :3] / np.float32(255))
+    expected = color_models.linear_from_srgb(image.texels[..., :3] / np.float32(255))
     # measured 0; the texel centres are rounded to float32
     np.testing.assert_allclose(bake(graph, (5, 3))["base_color"], expected, atol=2e-6)
