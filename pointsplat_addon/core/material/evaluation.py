@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from .expression import SampleInputs, evaluate
+from ..scene.materials import MaterialTable
+from .expression import Part, SampleInputs, evaluate
 from .graph import MaterialGraph
 from .nodes.math_functions import normalize_rows
 
@@ -17,6 +21,70 @@ CHANNELS: dict[str, tuple[int, float | None]] = {
     "emission": (3, None),
     "normal": (3, None),
 }
+SURFACE_COLUMNS = ("roughness", "metallic")  # of Appearance.surface
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """The attributes of N samples that vary between them. None: the material table's constants hold everywhere."""
+
+    color: np.ndarray | None = None  # (N, 3) float32
+    surface: np.ndarray | None = None  # (N, 2) float32: roughness, metallic
+    emission: np.ndarray | None = None  # (N, 3) float32
+    normal: np.ndarray | None = None  # (N, 3) float32, unit, object space
+    alpha: np.ndarray | None = None  # (N,) float32
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceConstants:
+    """The constants of M materials, for inputs that no graph varies: columns as in MaterialTable."""
+
+    base_color: np.ndarray  # (M, 3) float32
+    roughness: np.ndarray  # (M,) float32
+    metallic: np.ndarray  # (M,) float32
+    emission: np.ndarray  # (M, 3) float32
+    alpha: np.ndarray  # (M,) float32
+
+
+def evaluate_materials(
+    rows: np.ndarray,
+    graphs: Mapping[int, MaterialGraph],
+    inputs: Callable[[MaterialGraph, Part], SampleInputs],
+    constants: MaterialTable | SurfaceConstants,
+    normal: np.ndarray | None,
+) -> Appearance:
+    """Evaluates at N samples the graph of each sample's material, and fills in constants where none varies.
+
+    rows: (N,) integers, the material of each sample; graphs: by row. An attribute is given for all samples as soon as
+    one of the graphs varies it. inputs: returns what a graph reads at some of the samples, a slice or their indices.
+    normal: (N, 3) float32, the samples' own normals; None: the attribute `normal` is neither evaluated nor given.
+    """
+    if normal is None:
+        graphs = {row: replace(graph, normal=None) for row, graph in graphs.items()}
+    channels = {name for graph in graphs.values() for name in graph.channels}
+    out: dict[str, np.ndarray] = {}
+    if "base_color" in channels:
+        out["color"] = constants.base_color[rows]
+    if channels & set(SURFACE_COLUMNS):
+        out["surface"] = np.stack([getattr(constants, name)[rows] for name in SURFACE_COLUMNS], axis=1)
+    if "emission" in channels:
+        out["emission"] = constants.emission[rows]
+    if "normal" in channels and normal is not None:
+        out["normal"] = normal.copy()
+    if "alpha" in channels:
+        out["alpha"] = constants.alpha[rows]
+
+    for row, graph in graphs.items():
+        found = np.flatnonzero(rows == row)
+        if len(found) == 0:
+            continue
+        part: Part = slice(None) if len(found) == len(rows) else found
+        for name, value in evaluate_samples(graph, inputs(graph, part)).items():
+            if name in SURFACE_COLUMNS:
+                out["surface"][part, SURFACE_COLUMNS.index(name)] = value
+            else:
+                out["color" if name == "base_color" else name][part] = value
+    return Appearance(**out)
 
 
 def evaluate_samples(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np.ndarray]:

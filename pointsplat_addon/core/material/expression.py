@@ -17,6 +17,7 @@ import numpy as np
 from .image import Image
 
 CHUNK = 1 << 16  # samples evaluated at once: temporaries stay in the processor's cache
+Part = slice | np.ndarray  # some of the samples: a slice of step 1, or (K,) indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +52,22 @@ class SampleInputs:
                 return len(array)
         raise ValueError("SampleInputs needs `count` where it holds no array")
 
-    def take(self, part: slice) -> SampleInputs:
-        """The samples of a slice of step 1; arrays are views."""
+    def take(self, part: Part) -> SampleInputs:
+        """Some of the samples: a slice of step 1, whose arrays are views, or indices, which forget the `grid`."""
         single = {n: getattr(self, n)[part] for n in self.ARRAYS if getattr(self, n) is not None}
+        if isinstance(part, slice):
+            start, stop, _ = part.indices(len(self))
+            grid, first, count = self.grid, self.first + start, max(stop - start, 0)
+        else:
+            grid, first, count = None, 0, len(part)
         return replace(
             self,
             uv={name: array[part] for name, array in self.uv.items()},
             colors={name: array[part] for name, array in self.colors.items()},
-            count=len(range(*part.indices(len(self)))),
+            count=count,
             displaced=None if self.displaced is None else (self.displaced[0].take(part), self.displaced[1].take(part)),
-            first=self.first + part.indices(len(self))[0],
+            grid=grid,
+            first=first,
             **single,
         )
 

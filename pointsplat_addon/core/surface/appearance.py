@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..material.baking import bake, bakeable, suggested_resolution
-from ..material.evaluation import evaluate_samples, triangle_tangents
-from ..material.expression import SampleInputs
+from ..material.evaluation import Appearance, evaluate_materials, triangle_tangents
+from ..material.expression import Part, SampleInputs
 from ..material.graph import MaterialGraph, needs
 from ..scene.cloud import PointCloud
 from ..scene.materials import MaterialTable
@@ -24,17 +24,6 @@ OPAQUE = 100.0  # the largest optical depth
 # Half-axes of translucent splats over those that cover the surface: sums of kernels are then even within 0.6 percent,
 # also where samples are no perfect lattice (where they are, 2 EVEN sqrt(2) = 1.1 does; elsewhere that errs by 4).
 OVERLAP = 1.7
-
-
-@dataclass(frozen=True, eq=False)
-class Appearance:
-    """What varies over N places of a mesh; None where the material table says it all."""
-
-    color: np.ndarray | None = None  # (N, 3) float32
-    surface: np.ndarray | None = None  # (N, 2) float32: roughness, metallic
-    emission: np.ndarray | None = None  # (N, 3) float32
-    normal: np.ndarray | None = None  # (N, 3) float32, unit, object space
-    alpha: np.ndarray | None = None  # (N,) float32
 
 
 def graphs_of(mesh: Mesh, table: MaterialTable) -> dict[int, MaterialGraph]:
@@ -239,35 +228,17 @@ def _evaluate(
     table: MaterialTable,
     wide: bool = False,
 ) -> Appearance:
-    """Each graph where its material is; constants of the table elsewhere. `wide`: pictures are filtered over splats."""
-    channels = {name for graph in graphs.values() for name in graph.channels}
-    out: dict[str, np.ndarray] = {}
-    if "base_color" in channels:
-        out["color"] = table.base_color[rows]
-    if channels & {"roughness", "metallic"}:
-        out["surface"] = np.stack([table.roughness[rows], table.metallic[rows]], axis=1)
-    if "emission" in channels:
-        out["emission"] = table.emission[rows]
-    if "normal" in channels:
-        out["normal"] = normal.copy()
-    if "alpha" in channels:
-        out["alpha"] = table.alpha[rows]
+    """The appearance at samples with these material rows. wide: images are filtered over the samples' splats."""
 
-    for row, graph in graphs.items():
-        which = slice(None) if len(mesh.materials) == 1 else np.flatnonzero(rows == row)
-        some = samples if isinstance(which, slice) else _subset(samples, which)
-        values = evaluate_samples(graph, _inputs(mesh, graph, some, position[which], normal[which], wide))
-        for name, value in values.items():
-            if name in ("roughness", "metallic"):
-                out["surface"][which, ("roughness", "metallic").index(name)] = value
-            else:
-                out["color" if name == "base_color" else name][which] = value
-    return Appearance(**out)
+    def inputs(graph: MaterialGraph, part: Part) -> SampleInputs:
+        return _inputs(mesh, graph, _subset(samples, part), position[part], normal[part], wide)
+
+    return evaluate_materials(rows, graphs, inputs, table, normal)
 
 
-def _subset(samples: Samples, which: np.ndarray) -> Samples:
-    ellipse = None if samples.ellipse is None else samples.ellipse[which]
-    return replace(samples, triangle=samples.triangle[which], barycentric=samples.barycentric[which], ellipse=ellipse)
+def _subset(samples: Samples, part: Part) -> Samples:
+    ellipse = None if samples.ellipse is None else samples.ellipse[part]
+    return replace(samples, triangle=samples.triangle[part], barycentric=samples.barycentric[part], ellipse=ellipse)
 
 
 def _inputs(

@@ -15,9 +15,9 @@ import bpy
 import numpy as np
 
 from ...core.material.color_models import linear_from_srgb
-from ...core.material.evaluation import evaluate_samples
-from ...core.material.expression import SampleInputs
-from ...core.material.graph import Needs, needs
+from ...core.material.evaluation import evaluate_materials
+from ...core.material.expression import Part, SampleInputs
+from ...core.material.graph import MaterialGraph, Needs, needs
 from ...core.material.hair_color import random_of_strands, strand_attribute
 from ...core.numeric.segments import offsets, owners
 from ...core.scene.strands import Strands
@@ -26,7 +26,7 @@ from ...core.strand.evaluation import evaluate_curves
 from ...core.strand.normals import curve_normals
 from . import arrays
 from .mesh import COLOR_TYPES, as_color
-from .pointcloud import CloudMaterial, contiguous, surface_of, unit
+from .pointcloud import CloudMaterial, constants_of, generated_coordinates, unit
 
 DEFAULT_RADIUS = 0.005  # Cycles', for curves without a radius attribute
 DEFAULT_RESOLUTION = 12  # Blender's, for curves without one
@@ -456,43 +456,24 @@ def _shaded(
     slot: np.ndarray,
     materials: tuple[CloudMaterial, ...],
 ) -> Strands:
-    """With what the materials' graphs give at the points. What is less than opaque is thinner instead."""
-    count, strand = len(lines.position), evaluated.curve
-    columns: dict[str, np.ndarray] = {}
-    alpha = np.ones(count)
-    for index, material in enumerate(materials):
-        points = np.flatnonzero(slot[strand] == index)
-        if len(points) == 0:
-            continue
-        varying: dict[str, np.ndarray] = {}
-        if material.graph is not None:
-            inputs = _inputs(lines, strands, evaluated, wanted((material,)))
-            varying = evaluate_samples(material.graph, _taken(inputs, points))
-        alpha[points] = varying.get("alpha", material.alpha)
-        made = {
-            "color": varying.get("base_color"),
-            "surface": surface_of(varying, material, len(points)),
-            "emission": varying.get("emission"),
-        }
-        for name, values in made.items():
-            if values is not None:
-                columns.setdefault(name, _constants(name, slot, strand, materials))[points] = values
-    radius = lines.radius if (alpha >= 1).all() else (lines.radius * alpha).astype(np.float32)
-    return replace(lines, radius=radius, **{name: contiguous(values) for name, values in columns.items()})
+    """The strands with what their materials' graphs give at the points. Less than opaque ones are thinner instead."""
+    rows = slot[evaluated.curve]
+    graphs = {row: graph for row in np.unique(rows).tolist() if (graph := materials[row].graph) is not None}
+    constants = constants_of(materials)
+    asked = wanted(tuple(materials[row] for row in graphs))
+    inputs = _inputs(lines, strands, evaluated, asked) if graphs else SampleInputs()
 
+    def some(graph: MaterialGraph, part: Part) -> SampleInputs:
+        return inputs.take(part)
 
-def _constants(name: str, slot: np.ndarray, strand: np.ndarray, materials: tuple[CloudMaterial, ...]) -> np.ndarray:
-    """A column of points, with the constants of those materials whose values do not vary."""
-    each = {
-        "color": [m.base_color for m in materials],
-        "surface": [(m.roughness, m.metallic) for m in materials],
-        "emission": [m.emission for m in materials],
-    }[name]
-    return np.array(each, np.float32)[slot[strand]]
+    look = evaluate_materials(rows, graphs, some, constants, None)
+    alpha = constants.alpha[rows] if look.alpha is None else look.alpha
+    radius = lines.radius if (alpha >= 1).all() else lines.radius * alpha
+    return replace(lines, radius=radius, color=look.color, surface=look.surface, emission=look.emission)
 
 
 def _inputs(lines: Strands, strands: CurveArrays, evaluated: EvaluatedCurves, asked: Needs) -> SampleInputs:
-    """What graphs read at all points."""
+    """What materials that ask for this read at all points."""
     strand = evaluated.curve
     uv = {name: values[strand] for name, values in strands.uv.items()}
     colors = {}
@@ -512,7 +493,7 @@ def _inputs(lines: Strands, strands: CurveArrays, evaluated: EvaluatedCurves, as
         # As in Cycles: where a strand begins, in the emitter's texture space or the bounds of all
         low, high = strands.space if strands.space is not None else _bounds(lines.position)
         root = lines.position[lines.start[:-1]][strand]
-        generated = (root - low) / np.where(high > low, high - low, 1)
+        generated = generated_coordinates(root, low, high)
     normal = None if lines.normal is None else unit(lines.normal)
     return SampleInputs(uv, next(iter(uv), None), colors, active, lines.position, generated, normal)
 
@@ -545,14 +526,3 @@ def _own(lines: Strands, first: int) -> dict[str, Callable[[], np.ndarray]]:
         "thickness": lambda: 2 * lines.radius,
         "random": lambda: random_of_strands(len(lines), first)[strand],
     }
-
-
-def _taken(inputs: SampleInputs, points: np.ndarray) -> SampleInputs:
-    if len(points) == len(inputs):
-        return inputs
-    return replace(
-        inputs,
-        uv={n: a[points] for n, a in inputs.uv.items()},
-        colors={n: a[points] for n, a in inputs.colors.items()},
-        **{n: a[points] for n in SampleInputs.ARRAYS if (a := getattr(inputs, n)) is not None},
-    )

@@ -6,15 +6,15 @@ the medium of a material that has a volume and no surface, or such that a ray th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import bpy
 import numpy as np
 
-from ...core.material.evaluation import evaluate_samples
-from ...core.material.expression import SampleInputs
+from ...core.material.evaluation import Appearance, SurfaceConstants, evaluate_materials
+from ...core.material.expression import Part, SampleInputs
 from ...core.material.graph import MaterialGraph, Needs, needs
 from ...core.scene.cloud import PointCloud
 from ...core.scene.materials import MaterialTable
@@ -132,26 +132,26 @@ def splats(points: Points, material: CloudMaterial, lookup: Lookup) -> tuple[str
 def _build(points: Points, material: CloudMaterial) -> PointCloud:
     count, graph, normal = len(points.position), material.graph, points.normal
     linear = {name: arrays.scene_linear(array) for name, array in points.colors.items()}
-    varying: dict[str, np.ndarray] = {}
+    look = Appearance()
     if graph is not None:
-        varying = _evaluate(graph, SampleInputs(points.uv, colors=linear, position=points.position, normal=normal))
+        look = _evaluate(points, linear, graph, material)
     elif linear and material.row == 0:
         color = next(iter(linear.values()))
-        varying = {"base_color": color[:, :3], "alpha": np.clip(color[:, 3], 0, 1)}
-    facing = varying.get("normal", normal)
+        look = Appearance(np.ascontiguousarray(color[:, :3], np.float32), alpha=np.clip(color[:, 3], 0, 1))
+    facing = normal if look.normal is None else look.normal
     cloud = PointCloud(
         position=points.position,
-        normal=None if facing is None or normal is None else unit(facing),
+        normal=None if facing is None else unit(facing),
         radii=_radii(points)[:, None],
-        color=contiguous(varying.get("base_color")),
-        surface=surface_of(varying, material, count),
-        emission=contiguous(varying.get("emission")),
+        color=look.color,
+        surface=look.surface,
+        emission=look.emission,
         material=np.full(count, material.row, np.uint16) if material.row else None,
         kernel=points.kernel,
     )
     if material.extinction > 0 or material.medium is not None:
         return _filled(cloud, points, material)
-    alpha = varying.get("alpha", np.full(count, material.alpha, np.float32))
+    alpha = np.full(count, material.alpha, np.float32) if look.alpha is None else look.alpha
     if points.opacity is not None:
         alpha = alpha * points.opacity
     return _seen(cloud, alpha, material)
@@ -260,29 +260,37 @@ def _color_attributes(data: Data, wanted: Needs, imported: bool) -> list[Any]:
     return [*colors[:1], *found] if None in wanted.colors else found
 
 
-def _evaluate(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np.ndarray]:
-    position, generated = inputs.position, None
-    assert position is not None
+def _evaluate(
+    points: Points, colors: dict[str, np.ndarray], graph: MaterialGraph, material: CloudMaterial
+) -> Appearance:
+    """What a material's graph gives at points whose colour attributes are these, (N, 4) scene-linear."""
+    position, generated = points.position, None
     if needs(graph).generated:
-        low, high = position.min(axis=0), position.max(axis=0)
-        generated = (position - low) / np.where(high > low, high - low, 1)
-    return evaluate_samples(
-        graph,
-        SampleInputs(inputs.uv, next(iter(inputs.uv), None), inputs.colors, None, position, generated, inputs.normal),
+        generated = generated_coordinates(position, position.min(axis=0), position.max(axis=0))
+    active = next(iter(points.uv), None)
+    inputs = SampleInputs(points.uv, active, colors, None, position, generated, points.normal)
+
+    def some(graph: MaterialGraph, part: Part) -> SampleInputs:
+        return inputs.take(part)
+
+    rows = np.zeros(len(position), np.uint8)
+    return evaluate_materials(rows, {0: graph}, some, constants_of([material]), points.normal)
+
+
+def constants_of(materials: Sequence[CloudMaterial]) -> SurfaceConstants:
+    """The materials' constants, a row for each."""
+
+    def column(name: str) -> np.ndarray:
+        return np.array([getattr(m, name) for m in materials], np.float32)
+
+    return SurfaceConstants(
+        column("base_color"), column("roughness"), column("metallic"), column("emission"), column("alpha")
     )
 
 
-def surface_of(varying: dict[str, np.ndarray], material: CloudMaterial, count: int) -> np.ndarray | None:
-    if "roughness" not in varying and "metallic" not in varying:
-        return None
-    surface = np.empty((count, 2), np.float32)
-    surface[:, 0] = varying.get("roughness", material.roughness)
-    surface[:, 1] = varying.get("metallic", material.metallic)
-    return surface
-
-
-def contiguous(array: np.ndarray | None) -> np.ndarray | None:
-    return None if array is None else np.ascontiguousarray(array, np.float32)
+def generated_coordinates(position: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(N, 3) positions as shares of the box from low to high, each (3,); where a side has no length, offsets."""
+    return (position - low) / np.where(high > low, high - low, 1)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
