@@ -12,13 +12,13 @@ import bpy
 import numpy as np
 
 from ..core.material.graph import MaterialGraph, needs
+from ..core.numeric.cryptomatte import cryptomatte_hash
 from ..core.scene import materials as materials_module
 from ..core.scene import mesh as mesh_module
 from ..core.scene import scene
 from ..core.scene import volume as volume_module
 from ..core.scene import world as world_module
 from ..core.scene.cloud import PointCloud
-from ..core.scene.cryptomatte import cryptomatte_hash
 from .convert import curves
 from .convert.lights import convert_lights
 from .convert.material.materials import convert_materials

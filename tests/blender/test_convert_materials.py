@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.material import expression, expressions
+from pointsplat_addon.core.material import color_models, expression
 from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, math_functions, ramp_nodes, texture_nodes
 
 bpy = pytest.importorskip("bpy")
@@ -15,7 +15,7 @@ from pointsplat_addon.core.material.baking import bake, bakeable, suggested_reso
 from pointsplat_addon.core.material.evaluation import evaluate_samples, triangle_tangents
 from pointsplat_addon.core.material.expression import SampleInputs
 from pointsplat_addon.core.material.graph import needs
-from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
+from pointsplat_addon.core.numeric.cryptomatte import cryptomatte_hash
 from pointsplat_addon.host.convert.material import images
 from pointsplat_addon.host.convert.material.materials import convert_material, convert_materials, material_key
 from pointsplat_addon.host.convert.material.nodes import curve_table
@@ -756,6 +756,6 @@ def test_a_picture_baked_at_its_own_resolution_is_the_picture():
     assert needs(graph).uv == {None}
     assert suggested_resolution(graph) == (5, 3)
     image = next(n.image for n in expression.walk(graph.base_color) if isinstance(n, texture_nodes.ImageTexture))
-    expected = expressions.linear_from_srgb(image.texels[..., :3] / np.float32(255))
+    expected = color_models.linear_from_srgb(image.texels[..., :3] / np.float32(255))
     # measured 0; the texel centres are rounded to float32
     np.testing.assert_allclose(bake(graph, (5, 3))["base_color"], expected, atol=2e-6)

@@ -20,7 +20,7 @@ from ....core.material.graph import MaterialGraph
 from ....core.material.masks import is_mask
 from ....core.material.nodes import color_nodes, input_nodes, math_nodes
 from ....core.material.nodes.hair_nodes import HairColor
-from ....core.scene.cryptomatte import cryptomatte_hash
+from ....core.numeric.cryptomatte import cryptomatte_hash
 from ....core.scene.materials import HairTable, MaterialTable, default_materials
 from ....core.scene.volume import Medium
 from .media import medium_of
