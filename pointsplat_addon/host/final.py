@@ -12,9 +12,9 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ..core.numeric.cryptomatte import murmur3
 from ..core.scene import camera as camera_module
 from ..core.scene import scene as scene_module
-from ..core.scene.cryptomatte import murmur3
 from ..render.device.protocol import DeviceError
 from ..render.passes.outputs import BY_KEY, CRYPTO, PASSES
 from ..render.plan.request import Request, Result

@@ -8,8 +8,8 @@ from functools import lru_cache
 import bpy
 import numpy as np
 
+from ..core.numeric.cryptomatte import cryptomatte_hash
 from ..core.scene import scene
-from ..core.scene.cryptomatte import cryptomatte_hash
 from ..core.scene.materials import MaterialTable
 from ..core.scene.world import Mist
 from .convert.lights import convert_lights

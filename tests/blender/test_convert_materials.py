@@ -15,7 +15,7 @@ from pointsplat_addon.core.material.baking import bake, bakeable, suggested_reso
 from pointsplat_addon.core.material.evaluation import evaluate_samples, triangle_tangents
 from pointsplat_addon.core.material.expression import SampleInputs
 from pointsplat_addon.core.material.graph import needs
-from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
+from pointsplat_addon.core.numeric.cryptomatte import cryptomatte_hash
 from pointsplat_addon.host.convert.material import images
 from pointsplat_addon.host.convert.material.materials import convert_material, convert_materials, material_key
 from pointsplat_addon.host.convert.material.nodes.colors import curve_table

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
+from pointsplat_addon.core.numeric.cryptomatte import cryptomatte_hash
 from scripts.common.images import iou
 from tests.support import files
 from tests.support.blender.scenes import new_material, node

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
+from pointsplat_addon.core.numeric.cryptomatte import cryptomatte_hash
 from tests.support.blender.scenes import mesh_object, pointcloud, sync
 
 pytestmark = pytest.mark.usefixtures("empty_file")

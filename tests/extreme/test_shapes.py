@@ -73,7 +73,7 @@ def test_splats_of_any_needle_keep_to_it(aspect, size, turn, place, within):
     if not ok.any():  # float32 has made it a line
         return
     samples = sample_area(of, long / 50, ok)
-    found = evaluate(of, samples, ok=ok)
+    found = evaluate(of, samples)
     assert np.isfinite(found.position).all()
     assert np.isfinite(found.radii).all()
     assert np.isfinite(found.normal).all()

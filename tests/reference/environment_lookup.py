@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointsplat_addon.core.light.environment import ROUGHNESS, bilinear, level, uv_from_direction
+from pointsplat_addon.core.light.environment import ROUGHNESS, atlas_level, bilinear, uv_from_direction
 
 
 def radiance(atlas: np.ndarray, direction: np.ndarray, roughness: np.ndarray) -> np.ndarray:
@@ -17,11 +17,11 @@ def radiance(atlas: np.ndarray, direction: np.ndarray, roughness: np.ndarray) ->
     for i in np.unique(low):
         rows = low == i
         t = (position[rows] - i)[:, None]
-        near, far = (bilinear(level(atlas, k).astype(float), uv[rows]) for k in (i, i + 1))
+        near, far = (bilinear(atlas_level(atlas, k).astype(float), uv[rows]) for k in (i, i + 1))
         result[rows] = near * (1 - t) + far * t
     return result
 
 
 def mean_radiance(atlas: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(N, 3) float64 irradiance / pi on surfaces with (N, 3) image-space normals."""
-    return bilinear(level(atlas, len(ROUGHNESS) + 1).astype(float), uv_from_direction(normal))
+    return bilinear(atlas_level(atlas, len(ROUGHNESS) + 1).astype(float), uv_from_direction(normal))

@@ -1,7 +1,7 @@
 """Hair of Chiang et al. 2016 as Cycles evaluates it: at each offset across a strand, in float64.
 
-What shaders/lib/light/hair.glsl draws (hair_lighting.py) is the mean over the width of a strand with the lobes' middles at one place each. Here
-each offset has its own path, so that the mean over them is what a strand that is seen as a whole scatters.
+shaders/lib/light/hair.glsl draws the mean over the width of a strand, with the centre of each lobe at one angle (twin:
+hair_lighting.py). Here each offset has its own path; their mean is what a strand scatters that is seen as a whole.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..numeric.sequences import around
+from ..numeric.sequences import centred_pairs
 from ..scene.camera import Aperture, Camera
 from ..scene.settings import Settings
 
@@ -42,7 +42,7 @@ def lens_points(samples: int, aperture: Aperture) -> np.ndarray:
     of the sequence fills the aperture evenly, and together with those of a pixel fill all four dimensions. Where the
     aperture is no disk, its angles and radii are stretched to the polygon's, which keeps shares of the area."""
     disk = _disk((0.5 + np.arange(samples // 2 + 1)[:, None] * R4) % 1.0)
-    result = around(disk, -disk, samples)
+    result = centred_pairs(disk, -disk, samples)
     result /= np.maximum(np.hypot(*result.T), 1.0)[:, None]  # points that were shifted out of the disk to keep the mean
     if aperture.blades >= 3:
         # Polygons with an odd number of sides are not their own mirror image: points are paired on the disk instead.

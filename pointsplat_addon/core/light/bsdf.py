@@ -14,13 +14,8 @@ import numpy as np
 
 from ..numeric.vectors import each_block
 
-# ps_lights, (FIRST_LIGHT + lights, WIDTH, 4) float32:
-#   rows 0 .. TABLE_ROWS      reflectance table, see reflectance_table
-#   row TABLE_ROWS            (0) world colour; (1..3) columns of image_from_view; (4) where each kind but the last ends
-#   row SURFACE_ROW           dielectrics of one kind: see surface_row
-#   rows FIRST_LIGHT ..       one light each, sorted by kind, see light_records
-WIDTH = 32
-TABLE_ROWS = 32
+WIDTH = 32  # of the reflectance table: view cosines
+TABLE_ROWS = 32  # roughnesses
 MIN_ALPHA = 1e-3  # float32 on the GPU cannot hold a narrower lobe's peak
 
 

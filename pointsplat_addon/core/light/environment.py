@@ -1,8 +1,8 @@
-"""Light from an equirectangular picture: prefiltered once into an atlas that the reference and the GPU read alike.
+"""Light from an equirectangular image, prefiltered into an atlas that shaders/lib/light/environment.glsl reads.
 
 The atlas is (W/2 + 2 TILE[1], W, 4) float32 (rows from the bottom, the fourth channel is 1), W one of WIDTHS:
 
-    rows 0 .. W/2           the picture itself: mirror reflection, and the background
+    rows 0 .. W/2           the image itself: mirror reflection, and the background
     tiles of TILE above it  four to a row: radiance prefiltered for each of ROUGHNESS, last the Lambert irradiance / pi
 
 Prefiltering assumes n = v = r (Karis 2013, "Real shading in Unreal Engine 4", split sum) and uses filtered
@@ -22,7 +22,7 @@ SAMPLES = 64
 
 
 def uv_from_direction(direction: np.ndarray) -> np.ndarray:
-    """(..., 3) directions in image axes to (..., 2) in [0, 1]: Blender's equirectangular layout, v up."""
+    """UVs (..., 2) in [0, 1] of directions (..., 3) in image axes: Blender's equirectangular layout, v up."""
     x, y, z = np.moveaxis(direction, -1, 0)
     u = 0.5 - np.arctan2(y, x) / (2 * np.pi)
     v = 0.5 + np.arctan2(z, np.hypot(x, y)) / np.pi
@@ -30,7 +30,7 @@ def uv_from_direction(direction: np.ndarray) -> np.ndarray:
 
 
 def direction_from_uv(uv: np.ndarray) -> np.ndarray:
-    """The inverse of uv_from_direction: (..., 2) to (..., 3) unit vectors."""
+    """Unit vectors (..., 3) in image axes of equirectangular UVs (..., 2): the inverse of `uv_from_direction`."""
     azimuth = (0.5 - uv[..., 0]) * (2 * np.pi)
     elevation = (uv[..., 1] - 0.5) * np.pi
     c = np.cos(elevation)
@@ -44,7 +44,7 @@ def texel_directions(width: int, height: int) -> np.ndarray:
 
 
 def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Samples of (H, W, C) at (..., 2): repeats in u, clamps in v."""
+    """Bilinear samples (..., C) of an image (H, W, C) at UVs (..., 2); it repeats in u and is clamped in v."""
     h, w = image.shape[:2]
     x, y = uv[..., 0] * w - 0.5, np.clip(uv[..., 1] * h - 0.5, 0, h - 1)
     x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
@@ -56,8 +56,11 @@ def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def build_atlas(image: np.ndarray) -> np.ndarray:
-    """The atlas of an equirectangular (H, W, 3 or more) radiance picture; NaN counts as 0, infinities as the float32
-    limit's root, so that sums stay finite, as does what is larger."""
+    """Builds the atlas of an equirectangular radiance image (H, W, 3 or more).
+
+    NaN and negative infinity count as 0; other values are clamped to +-1e18, about the root of float32's limit, so that
+    sums stay finite.
+    """
     image = np.nan_to_num(np.asarray(image[..., :3], np.float32), nan=0.0, posinf=1e18, neginf=0.0)
     image = np.clip(image, -1e18, 1e18, out=image)
     width = next((w for w in WIDTHS if w >= image.shape[1]), WIDTHS[-1])
@@ -75,8 +78,8 @@ def build_atlas(image: np.ndarray) -> np.ndarray:
     return atlas
 
 
-def level(atlas: np.ndarray, index: int) -> np.ndarray:
-    """View of one level: 0 the picture, 1 .. len(ROUGHNESS) prefiltered, the next one the irradiance / pi."""
+def atlas_level(atlas: np.ndarray, index: int) -> np.ndarray:
+    """View (h, w, 3) of a level: 0 the image, 1 .. len(ROUGHNESS) prefiltered, the next one the irradiance / pi."""
     half = atlas.shape[1] // 2
     if index == 0:
         return atlas[:half, :, :3]
@@ -85,18 +88,18 @@ def level(atlas: np.ndarray, index: int) -> np.ndarray:
 
 
 def pyramid(atlas: np.ndarray) -> list[np.ndarray]:
-    """The picture, and it halved again and again until it is 32 texels wide; each keeps the light from the sphere."""
-    return _mips(level(atlas, 0))
+    """The mip levels of an atlas' image, (h, w, 3) each, down to a width of 32; each keeps the sphere's total light."""
+    return _mips(atlas_level(atlas, 0))
 
 
-def stacked(levels: list[np.ndarray]) -> np.ndarray:
-    """(H, W, 3) float32: all levels of a pyramid but the first, W the widest, one above the other from its left."""
+def stack_levels(levels: list[np.ndarray]) -> np.ndarray:
+    """Stacks all levels of a pyramid but the first in one image (H, W, 3) float32, left-aligned, the widest first."""
     width = levels[1].shape[1]
     return np.concatenate([np.pad(part, ((0, 0), (0, width - part.shape[1]), (0, 0))) for part in levels[1:]])
 
 
 def _resample(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Bilinear where it grows, exact area average where it shrinks."""
+    """Resizes an image: bilinear where it grows, the exact area average where it shrinks."""
     h, w = image.shape[:2]
     if width >= w and height >= h:
         if (width, height) == (w, h):
@@ -117,7 +120,7 @@ def _box(image: np.ndarray, count: int) -> np.ndarray:
 
 
 def _mips(image: np.ndarray) -> list[np.ndarray]:
-    """Halved until 32 texels wide; rows weigh with their solid angle, so that the light from the sphere is kept."""
+    """Mip levels of an image down to a width of 32; rows weigh with their solid angle, which keeps the total light."""
     levels = [image]
     while levels[-1].shape[1] > 32:
         last = levels[-1]
@@ -163,6 +166,6 @@ def _irradiance(mips: list[np.ndarray]) -> np.ndarray:
     solid_angle = np.cos((np.arange(h) + 0.5) / h * np.pi - np.pi / 2).repeat(w)
     normal = texel_directions(64, 32).reshape(-1, 3)
     weight = np.maximum(normal @ direction.T, 0) * solid_angle
-    # Normalised by the discrete sum, so that a constant picture stays constant.
+    # Normalised by the discrete sum, so that a constant image stays constant.
     weight /= weight.sum(1, keepdims=True)
     return (weight @ source.reshape(-1, 3).astype(np.float64)).reshape(32, 64, 3).astype(np.float32)

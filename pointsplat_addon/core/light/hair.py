@@ -9,10 +9,10 @@ import numpy as np
 
 from ..scene.strands import Strands
 
-# Of an endless mass. By Chiang et al. (2016, equation 9) a colour of (0.45, 0.2, 0.08) is that of strands which scatter
-# (0.97, 0.87, 0.71): escapes of 0.029, 0.038 and 0.035.
+# Escape share of an infinite mass of hair. By Chiang et al. (2016, equation 9) a colour of (0.45, 0.2, 0.08) is that of
+# strands which scatter (0.97, 0.87, 0.71): escapes of 0.029, 0.038 and 0.035.
 LEAST_ESCAPE = 0.03
-BELOW_ONE = 0.999
+BELOW_ONE = 0.999  # largest roughness that fits into a fraction
 
 
 def strands_crossed(lines: Strands) -> float:
@@ -40,8 +40,11 @@ def escape_share(crossed: np.ndarray) -> np.ndarray:
 def hair_texels(
     used: np.ndarray, radial: np.ndarray, coat: np.ndarray, tilt: np.ndarray, lobes: np.ndarray, escape: np.ndarray
 ) -> np.ndarray:
-    """The fourth texel of each row of the material table, (M, 4) float32: 1 plus the escape share, or 0 for no hair; the coat, in 8 bits, and
-    the azimuthal roughness as a fraction; tilt; lobes, in 8 bits each."""
+    """Packs the fourth texel of each row of the material table, (M, 4) float32; 0 for materials that are not hair.
+
+    used, radial, coat, tilt, lobes: columns of HairTable; escape: (M,), see `escape_share`. Channels: 1 plus the escape
+    share; the coat in 8 bits, plus the azimuthal roughness as a fraction; the tilt; the lobes in 8 bits each.
+    """
     steps = np.rint(np.clip(lobes, 0, 1) * 255)
     both = np.rint(np.clip(coat, 0, 1) * 255) + np.clip(radial, 0, BELOW_ONE)
     columns = (1 + np.clip(escape, 0, 1), both, tilt, steps @ [1.0, 256.0, 65536.0])

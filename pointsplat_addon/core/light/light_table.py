@@ -24,7 +24,10 @@ SMALL_SINE = 0.01  # of an angular radius whose cut by the horizon is not seen
 
 
 def light_names(lights: Sequence[Light], roughness: float) -> tuple[str, ...]:
-    """Names (PS_...) of the parts of shaders/lib/light that the lights need, if no surface is smoother than `roughness`."""
+    """Names (PS_...) that switch on the parts of shaders/lib/light which the lights need.
+
+    roughness: the smallest of all surfaces; lights that are small against its lobe are treated as points.
+    """
     kinds = {light_kind(light) for light in lights}
     found = {f"PS_HAS_{kind}S": kind in kinds for kind in KINDS}
     found["PS_ONE_KIND"] = len(kinds) == 1

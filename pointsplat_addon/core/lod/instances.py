@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..numeric.linear import all_finite, largest_singular_value
-from ..numeric.vectors import number
+from ..numeric.vectors import golden_ratio_sequence
 from ..scene.camera import Camera
 from .criteria import Criteria, against_frustum, criteria_of
 from .cut import Cut
@@ -73,11 +73,11 @@ def choose_levels(
     with np.errstate(all="ignore"):
         finer = np.log2(levels.size[0] * scale / allowed)  # octaves
     finer = np.nan_to_num(np.where(seen, finer, 0.0), nan=0.0, posinf=1e3, neginf=-1e3)
-    level = np.searchsorted(-np.log2(levels.size / levels.size[0]), finer + band * number(row) - 1e-9)
+    level = np.searchsorted(-np.log2(levels.size / levels.size[0]), finer + band * golden_ratio_sequence(row) - 1e-9)
     # Beyond the finest level a cut of its own would hardly leave out any points, unless the levels end at MAX_LEVEL_SPLATS.
     level[level >= len(levels.size)] = OWN_CUT if levels.cut_short else ALL_POINTS
     level[deep] = OWN_CUT
-    factor = area_factor(4.0 ** np.clip(finer - np.log2(THINNING_TOLERANCE), -500, 0), number(row))
+    factor = area_factor(4.0 ** np.clip(finer - np.log2(THINNING_TOLERANCE), -500, 0), golden_ratio_sequence(row))
     factor[deep] = 1.0
     level[~seen | (factor <= 0)] = NOTHING
     return LevelChoice(level, np.sqrt(factor))

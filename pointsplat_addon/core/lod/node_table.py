@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..numeric.segments import starts
-from ..numeric.vectors import number
+from ..numeric.vectors import golden_ratio_sequence
 from ..scene.cloud import PointCloud
 from .hierarchy import Hierarchy
 
@@ -67,5 +67,5 @@ def node_table(hierarchies: Mapping[int, Hierarchy | PointCloud]) -> NodeTable:
         sphere=joined([h.sphere for h in trees], np.float32),
         size=joined([h.size for h in trees], np.float32),
         smallest=joined([h.smallest for h in trees], np.float32),
-        jitter=joined([number(np.arange(len(h))) for h in trees], np.float32),
+        jitter=joined([golden_ratio_sequence(np.arange(len(h))) for h in trees], np.float32),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Bakes materials into textures over the unit square of a UV map, where that shows all there is to see."""
+"""Bakes materials into textures over the unit square of a UV map, where that loses nothing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .nodes.normal_nodes import NormalMap
 from .nodes.texture_nodes import ImageTexture
 
 MAX_RESOLUTION = 4096  # texels along a side of a baked texture
-PROCEDURAL_RESOLUTION = 1024  # where no picture tells the resolution
+PROCEDURAL_RESOLUTION = 1024  # where no image determines the resolution
 
 
 def bake(graph: MaterialGraph, resolution: tuple[int, int]) -> dict[str, np.ndarray]:
@@ -44,9 +44,9 @@ def bake(graph: MaterialGraph, resolution: tuple[int, int]) -> dict[str, np.ndar
 def bakeable(graph: MaterialGraph, unit_square: bool = False, active_uv: str | None = None) -> bool:
     """Whether `bake`, drawn with a repeating texture, shows the same as evaluating the graph at every sample.
 
-    The graph must read exactly one UV map and nothing else, and have period 1 along u and v: pictures are
-    reached by whole numbers of repetitions. `unit_square` tells that no UV of the mesh leaves [0, 1], and
-    then any function of the map will do.
+    The graph must read exactly one UV map and nothing else, and have period 1 along u and v, so that its
+    images repeat a whole number of times. unit_square: no UV of the mesh leaves [0, 1]; then any function of the map
+    will do.
     """
     wanted = needs(graph)
     nodes = list(walk(*graph.channels.values()))
@@ -60,7 +60,7 @@ def bakeable(graph: MaterialGraph, unit_square: bool = False, active_uv: str | N
 
 
 def _periodic(node: Expression) -> bool:
-    """Whether the value repeats with period 1 in u and v: every way to the UV map is a repeating picture."""
+    """Whether the value repeats with period 1 in u and v: every path to the UV map passes a repeating image."""
     if isinstance(node, UV):
         return False
     if isinstance(node, NormalMap):
@@ -69,7 +69,7 @@ def _periodic(node: Expression) -> bool:
         matrix = _texture_from_uv(node.uv)
         if matrix is None:
             return _periodic(node.uv)
-        # A mirrored picture has period 2
+        # A mirrored image has period 2
         period = {"REPEAT": 1, "MIRROR": 2}.get(node.extension)
         return period is not None and bool(np.all(np.abs(matrix / period - np.round(matrix / period)) < 1e-4))
     return all(_periodic(a) for a in node.arguments)
@@ -90,14 +90,14 @@ def _texture_from_uv(node: Expression) -> np.ndarray | None:
 
 
 def suggested_resolution(graph: MaterialGraph, largest: int = MAX_RESOLUTION) -> tuple[int, int]:
-    """(width, height) at which `bake` keeps every texel of the graph's pictures, sides at most `largest`."""
+    """(width, height) at which `bake` keeps every texel of the graph's images, sides at most `largest`."""
     width = height = 0.0
     for node in walk(*graph.channels.values()):
         if isinstance(node, ImageTexture):
             rows, columns = node.image.texels.shape[:2]
             matrix = _texture_from_uv(node.uv)
             scale = np.eye(2) if matrix is None else np.abs(matrix)
-            # Texels along u: those that one step of u crosses, on either axis of the picture
+            # Texels along u: those that one step of u crosses, on either axis of the image
             along = np.maximum(scale[0] * columns, scale[1] * rows)
             width, height = max(width, along[0]), max(height, along[1])
     if not width or not height:

@@ -19,7 +19,7 @@ MASK_OPERATIONS = frozenset(("MULTIPLY", "MINIMUM", "MAXIMUM", "SUBTRACT"))
 def is_mask(alpha: Expression, edges: bool = True) -> bool:
     """Whether an alpha that varies is 0 or 1 but for the edges of what it cuts out.
 
-    True for pictures, constant ramps and comparisons of which at most MASK_EDGES lie clearly between (`edges` False:
+    True for images, constant ramps and comparisons of which at most MASK_EDGES lie clearly between (`edges` False:
     none), and for their products, minima, maxima and complements. Anything else may be anything.
     """
     between = MASK_EDGES if edges else 0.0

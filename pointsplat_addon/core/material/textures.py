@@ -1,9 +1,8 @@
-"""Pictures filtered over the splats that show them (Heckbert 1989: elliptical weighted averages in texture space).
+"""Filters images over the splats that show them (Heckbert 1989: elliptical weighted averages in texture space).
 
-A splat's ellipse, seen in a picture, is a Gaussian of texels. Where that is wider than a texel, its mean is taken from
-a pyramid of pictures of half the size each: the level and its share follow from the ellipse's minor axis, and several
-looks along the major axis make up for the rest (McCormack et al. 1999). What is narrower than a texel is magnified, and
-interpolated as ever.
+A splat's ellipse, mapped into an image, is a Gaussian of texels. Where that is wider than a texel, its mean is taken
+from an image pyramid: the level and its share follow from the ellipse's minor axis, and several samples along the major
+axis cover the rest (McCormack et al. 1999). Where it is narrower, the image is magnified, and interpolated as usual.
 """
 
 from __future__ import annotations
@@ -12,17 +11,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-# Standard deviation of what a splat stands for, over its half-axes: a square cell of a lattice whose disks just cover.
+# Standard deviation of a splat's footprint over its half-axes: a square cell of a lattice whose disks just cover.
 SPREAD = 0.41
-# Standard deviation in texels of a look into the picture itself, by bilinear weights (narrower Gaussians are
-# magnified), and into a smaller one, whose texels are boxes (1/12), by cubic B-splines (1/3), in that one's texels.
+# Standard deviation in texels of a sample of the image itself, by bilinear weights (narrower Gaussians are magnified),
+# and of a sample of a smaller level, whose texels are boxes (1/12), by cubic B-splines (1/3), in that level's texels.
 TEXEL, SMALLER = 0.41, (1 / 12 + 1 / 3) ** 0.5
-MOST_ASPECT = 4.0  # of the ellipses; narrower ones are widened
-ROUND = 1.5  # aspect up to which one look is enough, with the mean of both axes
+MOST_ASPECT = 4.0  # largest aspect of the ellipses; narrower ones are widened
+ROUND = 1.5  # aspect up to which one sample is enough, with the mean of both axes
 BAND = 256  # rows that are halved at a time; even
-# Looks along the major axis for ellipses up to an aspect: places over the standard deviation that is left, and weights;
-# binomial ones, whose products with the looks' own Gaussians have no gaps
-LOOKS = (
+# Samples along the major axis for ellipses up to an aspect: offsets over the remaining standard deviation, and binomial
+# weights; convolved with the samples' own Gaussians these leave no gaps
+MAJOR_AXIS_TAPS = (
     (ROUND, np.zeros(1), np.ones(1)),
     (2.6, np.arange(-2, 3.0), np.array([1, 4, 6, 4, 1]) / 16),
     (np.inf, np.arange(-4, 5) / 2**0.5, np.array([1, 8, 28, 56, 70, 56, 28, 8, 1]) / 256),
@@ -30,25 +29,25 @@ LOOKS = (
 
 
 class Pyramid:
-    """Pictures (H, W, 4) float32 of half the size each, from level 1 on; their means are those of the first."""
+    """Image pyramid: `levels` holds images (H, W, 4) float32 from level 1 on, each half the size, of equal mean."""
 
     def __init__(self, rows: Callable[[slice], np.ndarray], size: tuple[int, int]) -> None:
-        """`rows` gives some rows (h, W, 4) float32 of the first picture, of `size` (width, height); it is not kept."""
+        """rows: returns some rows (h, W, 4) float32 of level 0, which is not kept; size: its (width, height)."""
         height = size[1]
-        # A large picture is four times as large as floats: it is never whole in memory.
+        # As floats, an image of bytes is four times as large: it is never whole in memory.
         band = BAND if height % 2 == 0 else height
-        first = [_quartered(rows(slice(y, min(y + band, height)))) for y in range(0, height, band)]
+        first = [_half_size(rows(slice(y, min(y + band, height)))) for y in range(0, height, band)]
         self.levels = [np.concatenate(first)]
         while max(self.levels[-1].shape[:2]) > 1:
-            self.levels.append(_quartered(self.levels[-1]))
+            self.levels.append(_half_size(self.levels[-1]))
 
 
-def _quartered(texels: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(_halved(_halved(texels).swapaxes(0, 1)).swapaxes(0, 1), np.float32)
+def _half_size(texels: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(_half_rows(_half_rows(texels).swapaxes(0, 1)).swapaxes(0, 1), np.float32)
 
 
-def _halved(texels: np.ndarray) -> np.ndarray:
-    """Half as many rows, each the mean of two; of an odd number, of those that it overlaps."""
+def _half_rows(texels: np.ndarray) -> np.ndarray:
+    """Half as many rows, each the mean of two; if their number is odd, the weighted mean of the three it overlaps."""
     count = len(texels)
     half = count // 2
     if half == 0:
@@ -60,10 +59,12 @@ def _halved(texels: np.ndarray) -> np.ndarray:
     return (parts[0] + parts[1] + parts[2]) / np.float32(count)
 
 
-def axes(footprint: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Standard deviations along the major and the minor axis in texels (N,), and the unit major axis (N, 2), of the
-    Gaussians of splats whose conjugate half-diameters are `footprint` (N, 2, 2) in units of the picture; `size` is its
-    width and height. What is not finite counts as a point."""
+def footprint_axes(footprint: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Standard deviations (N,) along the major and minor axis in texels, and unit major axes (N, 2), of footprints.
+
+    footprint: (N, 2, 2), two conjugate half-diameters of each splat in UV units; those that are not finite count as
+    points. size: (width, height) of the image.
+    """
     texels = np.nan_to_num(np.clip(footprint, -0.5, 0.5)) * (SPREAD * np.asarray(size, np.float64))
     xx = (texels[:, :, 0] ** 2).sum(axis=1)
     yy = (texels[:, :, 1] ** 2).sum(axis=1)
@@ -75,31 +76,38 @@ def axes(footprint: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.n
     return major, np.maximum(minor, major / MOST_ASPECT), np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def filtered(
-    look: Callable[[int, np.ndarray], np.ndarray], size: tuple[int, int], uv: np.ndarray, footprint: np.ndarray
+def filter_image(
+    sample: Callable[[int, np.ndarray], np.ndarray], size: tuple[int, int], uv: np.ndarray, footprint: np.ndarray
 ) -> np.ndarray:
-    """Means (N, 4) float32 of a picture of `size` (width, height) over splats at `uv` (N, 2) with the conjugate
-    half-diameters `footprint` (N, 2, 2). `look` gives the colours (N, 4) of a level of its pyramid at places."""
-    major, minor, along = axes(footprint, size)
+    """Means (N, 4) float32 of an image over the footprints of splats (Heckbert 1989).
+
+    sample: returns colours (N, 4) of a level of the image's pyramid at UVs (N, 2). size: the image's (width, height).
+    uv: (N, 2), the splats' centres. footprint: (N, 2, 2), two conjugate half-diameters of each in UV units.
+    """
+    major, minor, along = footprint_axes(footprint, size)
     minor = np.maximum(minor, TEXEL)
     aspect = major / minor
     level, share = _levels(np.where(aspect < ROUND, np.sqrt(np.maximum(major, TEXEL) * minor), minor), max(size))
-    # What one look leaves over along the major axis, in units of the picture
+    # The deviation along the major axis that one sample does not cover, in UV units
     left = np.sqrt(np.maximum(major**2 - minor**2, 0.0))
     step = (left[:, None] * along / size).astype(np.float32)
     color, below = np.zeros((len(uv), 4), np.float32), 0.0
-    for limit, places, weights in LOOKS:
+    for limit, offsets, weights in MAJOR_AXIS_TAPS:
         which = np.flatnonzero((aspect >= below) & (aspect < limit))
-        for place, weight in zip(places.tolist(), weights.tolist(), strict=True):
+        for offset, weight in zip(offsets.tolist(), weights.tolist(), strict=True):
             if len(which):
-                color[which] += weight * _between(look, uv[which] + place * step[which], level[which], share[which])
+                at = uv[which] + offset * step[which]
+                color[which] += weight * _blend_levels(sample, at, level[which], share[which])
         below = limit
     return color
 
 
 def _levels(spread: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """The levels (N,) int64 whose looks are narrower than Gaussians of `spread` (N,), and the share (N,) float32 of
-    the next one that makes the variance right. `side`: texels along the longer side of the picture."""
+    """The finest level (N,) int64 to sample for Gaussians of deviation `spread` (N,), and the share of the next, (N,).
+
+    Samples of the level are narrower than the Gaussian; the share makes the variance right. side: texels along the
+    longer side of the image.
+    """
     top = max(side.bit_length() - 1, 1)
     known = np.array([TEXEL, *(SMALLER * 2.0**k for k in range(1, top + 1))]) ** 2
     variance = np.clip(spread**2, known[0], known[-1])
@@ -107,22 +115,25 @@ def _levels(spread: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
     return level, ((variance - known[level]) / (known[level + 1] - known[level])).astype(np.float32)
 
 
-def _between(
-    look: Callable[[int, np.ndarray], np.ndarray], uv: np.ndarray, level: np.ndarray, share: np.ndarray
+def _blend_levels(
+    sample: Callable[[int, np.ndarray], np.ndarray], uv: np.ndarray, level: np.ndarray, share: np.ndarray
 ) -> np.ndarray:
-    """Colours (N, 4): of `level` (N,), and a `share` (N,) of the next one."""
+    """Colours (N, 4) at `uv` (N, 2), blended from `level` (N,) and, with weight `share` (N,), the next one."""
     color = np.zeros((len(uv), 4), np.float32)
     for k in range(int(level.min(initial=0)), int(level.max(initial=0)) + 2):
         weight = np.where(level == k, 1 - share, np.where(level == k - 1, share, 0))
         which = np.flatnonzero(weight > 0)
         if len(which):
-            color[which] += weight[which, None] * look(k, uv[which])
+            color[which] += weight[which, None] * sample(k, uv[which])
     return color
 
 
 def look_up(texels: np.ndarray, uv: np.ndarray, interpolation: str, extension: str) -> np.ndarray:
-    """Interpolated texels (N, 4) float32 of (H, W, 4) uint8 or float32, still encoded; texel centres lie at
-    (i + 1/2) / size."""
+    """Interpolates texels (H, W, 4), uint8 or float32, at UVs (N, 2): (N, 4) float32, still encoded.
+
+    Texel centres lie at (i + 1/2) / size. interpolation: Closest, Linear or Cubic; extension: REPEAT, EXTEND, CLIP or
+    MIRROR, as in Blender.
+    """
     height, width = texels.shape[:2]
     # UVs that are not finite, or so large that float32 holds no fraction, read texel 0
     uv = np.where(np.abs(uv[:, :2]) < 2.0**24, uv[:, :2], 0).astype(np.float32)
@@ -138,7 +149,7 @@ def look_up(texels: np.ndarray, uv: np.ndarray, interpolation: str, extension: s
 
 
 def _axis_taps(x: np.ndarray, size: int, interpolation: str, extension: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(texel index, weight) arrays along one axis; weight 0 where the picture is clipped."""
+    """(texel index, weight) arrays along one axis; weight 0 where the image is clipped."""
     scaled = x * np.float32(size)
     if interpolation == "Closest":
         low, offsets, weights = np.floor(scaled).astype(np.int64), (0,), (np.ones_like(x),)

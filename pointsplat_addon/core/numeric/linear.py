@@ -12,11 +12,12 @@ HALF_DIGITS = 1.5e-8  # the root of what float64 resolves
 
 
 def largest_singular_value(matrix: np.ndarray) -> np.ndarray:
-    """Largest singular values (I,) of matrices (I, 3, 3), never too small and at most 1e-8 of it too large.
+    """Largest singular values (I,) of matrices (I, 3, 3), never too small and too large by at most 1e-8 of themselves.
 
-    The largest root of the characteristic cubic of A^T A in trigonometric form (Smith 1961). Where two roots are nearly one, their angle is known to half the
-    digits only; so much, of what they differ by from the mean, is added. Scales that are alike in all directions lose
-    nothing."""
+    The largest root of the characteristic cubic of A^T A in trigonometric form (Smith 1961). Where two roots nearly
+    coincide, their angle is known to half the digits only; that error, times the roots' distance from their mean, is
+    added as a margin. Uniform scales need none.
+    """
     a = np.ascontiguousarray(matrix.transpose(1, 2, 0))
     size = np.maximum(np.maximum.reduce(np.abs(a).reshape(9, -1)), np.finfo(float).tiny)
     x, y, z = (a / size).transpose(1, 0, 2)
@@ -37,12 +38,16 @@ def all_finite(matrix: np.ndarray) -> np.ndarray:
 
 
 def outer_product(a: np.ndarray) -> np.ndarray:
+    """Outer products (6, n) of vectors (3, n) with themselves: xx, xy, xz, yy, yz, zz."""
     x, y, z = a
     return np.stack([x * x, x * y, x * z, y * y, y * z, z * z])
 
 
 def principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Last and first principal axis and the half-axes (major, middle, minor) of covariances (6, n), float32."""
+    """Minor axis (3, n), major axis (3, n) and half-axes (3, n) (major, middle, minor) of covariances (6, n), float32.
+
+    A half-axis is two standard deviations. Covariances are given as in `outer_product`.
+    """
     matrix = covariance[[0, 1, 2, 1, 3, 4, 2, 4, 5]].T.reshape(-1, 3, 3)
     scale = np.maximum(np.abs(matrix).max(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
     variance, vectors = np.linalg.eigh(matrix / scale)
@@ -52,7 +57,7 @@ def principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def bilinear_form(matrix: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a^T M b for symmetric matrices (6, n)."""
+    """a^T M b, (n,), of vectors (3, n) and symmetric matrices (6, n) as in `outer_product`."""
     xx, xy, xz, yy, yz, zz = matrix
     return (
         a[0] * (xx * b[0] + xy * b[1] + xz * b[2])

@@ -12,17 +12,20 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 BLOCK = 1 << 15  # items: the float64 scratch of one block stays in the cache
-MOST_THREADS = 8  # beyond them memory is what blocks wait for
+MOST_THREADS = 8  # with more, blocks wait for memory
 
 
 def blocks(count: int) -> Iterator[slice]:
-    """`count` items in slices of at most BLOCK."""
+    """Yields slices of at most BLOCK that cover `count` items."""
     return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
 
 
 def each_block(count: int, work: Callable[[slice], None], block: int = BLOCK) -> None:
-    """Call `work` for `count` items in slices of at most `block`, on all cores where there are many: NumPy lets go of
-    the interpreter's lock within its loops. Slices must not depend on one another. Raises what `work` raises."""
+    """Calls `work` for `count` items in slices of at most `block`, in several threads where there are many slices.
+
+    NumPy releases the interpreter's lock within its loops. Slices must not depend on one another. Raises what `work`
+    raises.
+    """
     slices = [slice(start, min(start + block, count)) for start in range(0, count, block)]
     threads = min(os.cpu_count() or 1, MOST_THREADS, len(slices) // 2)
     if threads < 2:
@@ -64,9 +67,11 @@ def clip(start: np.ndarray, stop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return enter, np.where(stop < 0, t, 1.0).min(axis=0)
 
 
-def number(row: np.ndarray) -> np.ndarray:
-    """(I,) float64 in [0, 1), the same for the same integer: multiples of the golden ratio, modulo 1. Of any run of
-    integers, as of the instances that stand in one place, those below a bound are as many as they should be."""
+def golden_ratio_sequence(row: np.ndarray) -> np.ndarray:
+    """(I,) float64 in [0, 1): multiples of the golden ratio modulo 1 (Weyl 1916), one number for each integer (I,).
+
+    The values of any run of integers are spread evenly: the share of those below a bound is nearly the bound.
+    """
     return (np.asarray(row).astype(np.uint32) * np.uint32(0x9E3779B9)) / 2.0**32
 
 
@@ -80,12 +85,12 @@ def basis(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def as_rows(array: np.ndarray, which: slice) -> np.ndarray:
-    """(n,) or (n, k) to (k, n)."""
+    """Transposes a slice of an array of items (N,), (N, k) or (N, k, l) to columns (1 | k | k l, n)."""
     return array[which].reshape(-1, int(np.prod(array.shape[1:]))).T
 
 
 def as_columns(rows: np.ndarray) -> np.ndarray:
-    """(k, n) to (n, k) float32."""
+    """Transposes (k, n) to a contiguous (n, k) float32."""
     return np.ascontiguousarray(rows.T, np.float32)
 
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ...core.numeric.sequences import around
+from ...core.numeric.sequences import centred_pairs
 
 FILTER_WIDTH = 1.5  # pixels: Cycles' default
 R2 = np.array([0.7548776662466927, 0.5698402909980532])  # 1 / p and 1 / p^2 of the plastic number (Roberts 2018)
@@ -33,7 +33,7 @@ def offsets(count: int, width: float = FILTER_WIDTH) -> np.ndarray:
     """
     first = (0.5 + np.arange(count // 2 + 1)[:, None] * R2) % 1.0
     cumulative, x = _blackman_harris(width)
-    result = around(np.interp(first, cumulative, x), np.interp(1.0 - first, cumulative, x), count)
+    result = centred_pairs(np.interp(first, cumulative, x), np.interp(1.0 - first, cumulative, x), count)
     result.setflags(write=False)
     return result
 

@@ -2,10 +2,10 @@
 
 #ifdef PS_HAS_AREA_LIGHTS
 
-// Lengths in units of the largest of them: what an area sends depends on angles alone, and the fourth powers of
-// lengths below 1e-9 or above 1e9 are no floats.
+// Lengths in units of the largest of them: irradiance depends on angles alone, and the fourth powers of lengths below
+// 1e-9 or above 1e9 leave float's range.
 struct PsArea {
-  vec3 offset;  // from the surface to the middle
+  vec3 offset;  // from the surface to the centre
   vec3 direction;
   vec3 axis_u;
   vec3 axis_v;
@@ -77,17 +77,17 @@ float ps_rectangle_irradiance(PsArea area, vec3 normal)
   return ps_polygon_irradiance(polygon, normal);
 }
 
-// As a polygon of the ellipse's area.
+// The ellipse is replaced by a regular polygon of equal area.
 float ps_ellipse_irradiance(PsArea area, vec3 normal)
 {
   const float angle = 2.0 * PS_PI / float(PS_ELLIPSE_SIDES);
   float sine = sin(angle), cosine = cos(angle);
-  vec2 place = vec2(sqrt(angle / sine), 0.0);
-  vec3 a = area.offset + place.x * area.axis_u;
+  vec2 at = vec2(sqrt(angle / sine), 0.0);
+  vec3 a = area.offset + at.x * area.axis_u;
   PsPolygon polygon = PsPolygon(0.0, vec3(0.0), vec3(0.0));
   for (int i = 0; i < PS_ELLIPSE_SIDES; i++) {
-    place = vec2(cosine * place.x - sine * place.y, sine * place.x + cosine * place.y);
-    vec3 b = area.offset + place.x * area.axis_u + place.y * area.axis_v;
+    at = vec2(cosine * at.x - sine * at.y, sine * at.x + cosine * at.y);
+    vec3 b = area.offset + at.x * area.axis_u + at.y * area.axis_v;
     ps_add_edge(polygon, a, b, normal);
     a = b;
   }
@@ -107,26 +107,26 @@ float ps_beam(PsArea area, float cosine)
 
 #ifdef PS_HAS_BEAMS
 
-// A light whose beam is narrowed: a grid over the part that can shine here.
+// Irradiance from a light whose beam is narrowed: a sum over a grid on the part of it that can shine here.
 float ps_beam_irradiance(PsArea area, float height, bool ellipse, vec3 normal)
 {
   vec3 unit_u = area.axis_u / area.extent.x, unit_v = area.axis_v / area.extent.y;
   vec2 foot = -vec2(dot(area.offset, unit_u), dot(area.offset, unit_v));
-  float reach = height * area.limit;
-  vec2 low = max(foot - reach, -area.extent), high = min(foot + reach, area.extent);
+  float extent = height * area.limit;
+  vec2 low = max(foot - extent, -area.extent), high = min(foot + extent, area.extent);
   vec2 size = max(high - low, 0.0) / float(PS_SPREAD_CELLS);
   int rows = area.beam == 0.0 || size.x * size.y == 0.0 ? 0 : PS_SPREAD_CELLS;
   float total = 0.0;
   for (int row = 0; row < rows; row++) {
-    vec2 place = low + size * vec2(0.5, float(row) + 0.5);
+    vec2 at = low + size * vec2(0.5, float(row) + 0.5);
     for (int column = 0; column < PS_SPREAD_CELLS; column++) {
-      vec2 relative = place / area.extent;
-      vec3 to_light = area.offset + place.x * unit_u + place.y * unit_v;
+      vec2 relative = at / area.extent;
+      vec3 to_light = area.offset + at.x * unit_u + at.y * unit_v;
       float inverse = inversesqrt(dot(to_light, to_light));
       float cosine = max(dot(to_light, normal), 0.0) * inverse;
       float part = ps_beam(area, height * inverse) * cosine * height * inverse * inverse * inverse;
       total += ellipse && dot(relative, relative) > 1.0 ? 0.0 : part;
-      place.x += size.x;
+      at.x += size.x;
     }
   }
   return total * size.x * size.y;

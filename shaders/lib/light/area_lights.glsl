@@ -2,7 +2,7 @@
 
 #ifdef PS_HAS_AREA_LIGHTS
 
-// Of two triangles (Van Oosterom and Strackee 1983), whose angles add as those of complex numbers do.
+// Solid angle, the sum of two triangles' (Van Oosterom and Strackee 1983): angles add as complex numbers multiply.
 float ps_rectangle_solid_angle(PsArea area)
 {
   vec3 a = normalize(area.offset - area.axis_u - area.axis_v), b = normalize(area.offset + area.axis_u - area.axis_v);
@@ -14,14 +14,14 @@ float ps_rectangle_solid_angle(PsArea area)
   return 2.0 * atan(first.x * second.y + first.y * second.x, first.x * second.x - first.y * second.y);
 }
 
-// Share of a GGX lobe centred on `place` in the square from -1 to 1.
-float ps_rectangle_share(vec2 place, vec2 width)
+// Share of a GGX lobe centred on `at` in the square from -1 to 1.
+float ps_rectangle_share(vec2 at, vec2 width)
 {
-  vec2 excess = (abs(place) - 1.0) / width;
+  vec2 excess = (abs(at) - 1.0) / width;
   bool vertical = excess.y > excess.x;
   float flare = ps_flare(vertical ? excess.y : excess.x);
   width *= vertical ? vec2(flare, 1.0) : vec2(1.0, flare);
-  vec2 low = (1.0 - place) / width, high = (1.0 + place) / width;
+  vec2 low = (1.0 - at) / width, high = (1.0 + at) / width;
   return 0.25 * (ps_marginal(low.x) + ps_marginal(high.x)) * (ps_marginal(low.y) + ps_marginal(high.y));
 }
 
@@ -31,22 +31,22 @@ float ps_area_share(PsArea area, float height, bool ellipse, PsLobes lobes)
   vec3 unit_u = area.axis_u / area.extent.x, unit_v = area.axis_v / area.extent.y;
   float ray = height / max(-dot(lobes.mirror, area.direction), 1e-4);
   vec3 meets = ray * lobes.mirror - area.offset;
-  vec2 place = vec2(dot(meets, unit_u), dot(meets, unit_v)) / area.extent;
+  vec2 at = vec2(dot(meets, unit_u), dot(meets, unit_v)) / area.extent;
   vec2 width = vec2(ps_width_along(lobes, unit_u), ps_width_along(lobes, unit_v)) * ray / area.extent;
   float share;
   if (ellipse) {
-    float radius = length(place);
-    vec2 azimuth = radius > 0.0 ? place / max(radius, 1e-9) : vec2(1.0, 0.0);
+    float radius = length(at);
+    vec2 azimuth = radius > 0.0 ? at / max(radius, 1e-9) : vec2(1.0, 0.0);
     share = ps_disk_share(radius, 1.0, length(azimuth * width), length(azimuth.yx * width));
   }
   else {
-    share = ps_rectangle_share(place, width);
+    share = ps_rectangle_share(at, width);
   }
   return share * ps_beam(area, -dot(lobes.mirror, area.direction));
 }
 
-// Place in half-sides, and weight, of the quadrature of degree 5 over the square (Radon 1948), by the azimuths of the
-// disk's points.
+// Position in half-sides, and weight, of the quadrature of degree 5 over the square (Radon 1948), by the azimuths of
+// the disk's points.
 vec3 ps_square_point(vec2 azimuth)
 {
   bool middle = abs(azimuth.x) > 0.75;  // of a side; the others have (0.6, 1/3) squared
@@ -61,10 +61,10 @@ vec3 ps_area_specular(PsArea area, int count, bool ellipse, float a2, PsLobes lo
   float weights = 0.0;
   vec3 sum = vec3(0.0);
   for (int i = 0; i < count; i++) {
-    vec3 place = ellipse ? vec3(PS_DISK_RADIUS * azimuth, i == 0 ? 0.25 : 0.125) : ps_square_point(azimuth);
-    vec3 to_point = area.offset + place.x * area.axis_u + place.y * area.axis_v;
+    vec3 point = ellipse ? vec3(PS_DISK_RADIUS * azimuth, i == 0 ? 0.25 : 0.125) : ps_square_point(azimuth);
+    vec3 to_point = area.offset + point.x * area.axis_u + point.y * area.axis_v;
     float inverse = inversesqrt(max(dot(to_point, to_point), 1e-20));
-    float weight = place.z * inverse * inverse * inverse;
+    float weight = point.z * inverse * inverse * inverse;
     vec3 direction = to_point * inverse;
     sum += weight * ps_beam(area, -dot(direction, area.direction)) * ps_specular(lobes, direction, a2);
     weights += weight;
@@ -76,8 +76,8 @@ vec3 ps_area_specular(PsArea area, int count, bool ellipse, float a2, PsLobes lo
 // `ellipse` is a constant where this is called.
 vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
 {
-  vec4 color = ps_light(index, 0), place = ps_light(index, 1);
-  PsArea area = ps_area(index, place.xyz - position);
+  vec4 color = ps_light(index, 0), light_position = ps_light(index, 1);
+  PsArea area = ps_area(index, light_position.xyz - position);
   float height = max(-dot(area.offset, area.direction), 1e-9);
   float irradiance = ellipse ? ps_ellipse_irradiance(area, lobes.normal) : ps_rectangle_irradiance(area, lobes.normal);
 #ifdef PS_HAS_BEAMS
@@ -90,9 +90,9 @@ vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
   float sigma = sqrt(solid_angle / PS_PI);
   float narrow = ps_narrow(lobes, sigma);
   int count = ps_is_small(lobes, sigma) || narrow == 1.0 ? 1 : 7;
-  vec3 wide = solid_angle * ps_area_specular(area, count, ellipse, ps_blurred(lobes, sigma), lobes);
+  vec3 wide = solid_angle * ps_area_specular(area, count, ellipse, ps_widened_alpha2(lobes, sigma), lobes);
   vec3 specular = mix(wide, lobes.reflectance * ps_area_share(area, height, ellipse, lobes), narrow);
-  vec3 reflected = ps_reflected(PsReceived(irradiance, specular), lobes, color, place.w);
+  vec3 reflected = ps_reflected(PsReceived(irradiance, specular), lobes, color, light_position.w);
   return dot(area.offset, area.direction) < 0.0 ? reflected : vec3(0.0);
 }
 

@@ -13,7 +13,7 @@ struct PsSurface {
   vec3 emission;
   float roughness;
   float metallic;
-  float eta;  // index of refraction that stands for IOR and specular level: core.lighting.relative_index
+  float eta;  // index of refraction that stands for IOR and specular level: core/light/bsdf.py, relative_index
 };
 
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)

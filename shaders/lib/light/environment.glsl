@@ -1,5 +1,5 @@
-// Light from infinitely far. Layouts: core/light/environment.py (ps_environment) and core/light/light_table.py (ps_lights).
-// PS_HAS_WORLD: a colour. PS_HAS_ENVIRONMENT: a picture in its place.
+// Light from infinitely far. Layouts: core/light/environment.py (ps_environment), light_table.py (ps_lights).
+// PS_HAS_WORLD: a colour. PS_HAS_ENVIRONMENT: an image instead.
 
 #include "lib/light/brdf.glsl"
 
@@ -18,7 +18,7 @@ vec3 ps_image_from_view(vec3 direction)
          texelFetch(ps_lights, ivec2(3, PS_WORLD_ROW), 0).xyz * direction.z;
 }
 
-// Between the texels of an equirectangular picture of this size, whose corner lies at `origin` of a texture.
+// Bilinear sample of an equirectangular image of this size, whose corner lies at `origin` of a texture.
 vec3 ps_equirectangular(sampler2D picture, ivec2 origin, ivec2 size, vec2 uv)
 {
   float x = uv.x * float(size.x) - 0.5;
@@ -35,7 +35,7 @@ vec3 ps_equirectangular(sampler2D picture, ivec2 origin, ivec2 size, vec2 uv)
   return mix(low, high, fy);
 }
 
-// Level 0 is the picture, 1 .. PS_ROUGH_LEVELS are prefiltered, the next one is the irradiance / pi.
+// Level 0 is the image, 1 .. PS_ROUGH_LEVELS are prefiltered, the next one is the irradiance / pi.
 vec3 ps_environment_level(vec2 uv, int level)
 {
   ivec2 size = ivec2(textureSize(ps_environment, 0).x);

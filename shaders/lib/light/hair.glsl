@@ -1,4 +1,5 @@
-// Light on strands that are seen as a whole, across all their width. Reference, sources and words: tests/reference/hair_lighting.py.
+// Light on strands that are seen as a whole, across all their width. Float64 twin, sources and terms:
+// tests/reference/hair_lighting.py.
 // The entry is ps_shade_strand. Of the material table's fourth texel: x 1 and the escape: hair; y the coat, 8 bits,
 // and azimuthal roughness as a fraction; z tilt; w factors of R, TT and TRT, 8 bits each.
 
@@ -11,7 +12,7 @@
 
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
 
-// What the light of all lamps meets.
+// The scattering of a strand towards the eye, common to all lights.
 struct PsStrand {
   vec3 tangent;
   vec3 across;  // to the eye, less what is along the tangent
@@ -42,7 +43,8 @@ float ps_power(float x, int n)
 float ps_scaled_i0(float x)
 {
   float t = x / 3.75, s = t * t;
-  float low = 1.0 + s * (3.5156229 + s * (3.0899424 + s * (1.2067492 + s * (0.2659732 + s * (0.0360768 + s * 0.0045813)))));
+  float low = 1.0 + s * (3.5156229 + s * (3.0899424 + s * (1.2067492 + s * (0.2659732 +
+              s * (0.0360768 + s * 0.0045813)))));
   float i = 1.0 / max(t, 1.0);
   float high = 0.39894228 + i * (0.01328592 + i * (0.00225319 + i * (-0.00157565 + i * (0.00916281 +
                i * (-0.02057706 + i * (0.02635537 + i * (-0.01647633 + i * 0.00392377)))))));
@@ -152,8 +154,8 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
   return strand;
 }
 
-// Radiance per irradiance on a plane that faces the light: by the surface, and all else. spread: variance of the light's
-// directions along each axis.
+// Radiance per irradiance on a plane that faces the light: by the surface, and all else. spread: variance of the
+// light's directions along each axis.
 void ps_scattered(PsStrand strand, vec3 direction, float spread, out vec3 reflected, out vec3 rest)
 {
   float sine = clamp(dot(direction, strand.tangent), -1.0, 1.0);

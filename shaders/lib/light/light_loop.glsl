@@ -1,4 +1,4 @@
-// The sum over all lights, with what reaches a point of each. For lights.glsl.
+// The sum over all lights, each times the share of it that reaches the point. For lights.glsl.
 
 #ifdef PS_HAS_LIGHTS
 

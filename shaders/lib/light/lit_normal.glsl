@@ -1,7 +1,7 @@
-// The normal by which a splat is lit, where it is not its own.
+// The normal by which a splat is shaded, if that is not the normal of its plane.
 
-// An even number in [0, 1) of a splat and its instance (Jarzynski and Olano 2020, "pcg3d").
-float ps_lot(ivec3 element)
+// A uniform random number in [0, 1), fixed for a splat and its instance (Jarzynski and Olano 2020, "pcg3d").
+float ps_random(ivec3 element)
 {
   uvec3 v = uvec3(element) * 1664525u + 1013904223u;
   v.x += v.y * v.z;
@@ -34,10 +34,10 @@ vec3 ps_lit_normal(vec3 normal, ivec3 element, mat3 linear, vec3 toward, bool tu
     area[i] = facet.w * max(-dot(facets[i].xyz, toward), 0.0);
   }
   float own = max(rest, 0.0) * abs(dot(normal, toward));
-  float lot = ps_lot(element) * (own + area.x + area.y + area.z + area.w) - own;
-  for (int i = 0; i < 4 && lot >= 0.0; i++) {
-    normal = lot < area[i] ? facets[i].xyz : normal;
-    lot -= area[i];
+  float chosen = ps_random(element) * (own + area.x + area.y + area.z + area.w) - own;
+  for (int i = 0; i < 4 && chosen >= 0.0; i++) {
+    normal = chosen < area[i] ? facets[i].xyz : normal;
+    chosen -= area[i];
   }
 #endif
   return normal;

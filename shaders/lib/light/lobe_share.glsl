@@ -1,4 +1,4 @@
-// What all lights share: what one light does to a point, quadratures over its shape, shares of lobes. For lights.glsl.
+// Common to all kinds of lights: irradiance and reflection, quadratures over shapes, shares of lobes. For lights.glsl.
 
 #define PS_FIRST_LIGHT (PS_TABLE_ROWS + 2)
 #define PS_ELLIPSE_SIDES 24
@@ -70,8 +70,8 @@ bool ps_is_small(PsLobes lobes, float sigma)
   return sigma < PS_SMALL * lobes.alpha;
 }
 
-// alpha^2 of the lobe, blurred by the part of the light that each point of a quadrature stands for.
-float ps_blurred(PsLobes lobes, float sigma)
+// alpha^2 of the lobe, widened by the part of the light that each point of a quadrature stands for.
+float ps_widened_alpha2(PsLobes lobes, float sigma)
 {
   float a2 = lobes.alpha * lobes.alpha;
   return ps_is_small(lobes, sigma) ? a2 : min(a2 + PS_BLUR * sigma * sigma, 1.0);

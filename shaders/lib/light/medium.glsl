@@ -9,15 +9,15 @@ float ps_phase(float g, float cosine)
   return (1.0 - g * g) / (4.0 * PS_PI * base * sqrt(base));
 }
 
-// Irradiance of a small ball, over its cross-section, by one light; to_light points at the light's middle.
+// Irradiance of a small ball, over its cross-section, by one light; to_light points at the light's centre.
 vec3 ps_ball_irradiance(int index, ivec4 ends, vec3 position, out vec3 to_light)
 {
-  vec4 color = ps_light(index, 0), place = ps_light(index, 1), direction = ps_light(index, 2);
-  to_light = place.xyz;
+  vec4 color = ps_light(index, 0), light_position = ps_light(index, 1), direction = ps_light(index, 2);
+  to_light = light_position.xyz;
   if (index < ends.x) {
     return color.rgb;
   }
-  vec3 offset = place.xyz - position;
+  vec3 offset = light_position.xyz - position;
   float d2 = max(dot(offset, offset), 1e-24);
   to_light = offset * inversesqrt(d2);
   float share = 1.0 / (direction.w > 0.0 ? d2 + direction.w * direction.w : max(d2, direction.w * direction.w));

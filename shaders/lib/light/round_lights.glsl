@@ -31,7 +31,7 @@ vec3 ps_cone_specular(PsLobes lobes, vec3 to_light, float sine2, float cosine)
   float narrow = ps_narrow(lobes, sigma);
   bool small = ps_is_small(lobes, sigma);
   int count = small || narrow == 1.0 ? 1 : 7;
-  float a2 = ps_blurred(lobes, sigma);
+  float a2 = ps_widened_alpha2(lobes, sigma);
   float turn = PS_DISK_RADIUS * sigma;
   float sin_turn = sin(turn), cos_turn = cos(turn);
   vec2 azimuth = vec2(0.0);
@@ -88,10 +88,10 @@ PsReceived ps_local_light(PsLobes lobes, vec3 offset, float radius)
   vec3 to_light = offset * inversesqrt(d2);
 #ifdef PS_HAS_WIDE_LIGHTS
   float r2 = radius * radius;
-  float reach2 = radius < 0.0 ? max(d2, r2) : d2 + r2;
-  PsReceived received = ps_round_light(lobes, to_light, r2 / reach2, 1.0 / reach2);
+  float distance2 = radius < 0.0 ? max(d2, r2) : d2 + r2;
+  PsReceived received = ps_round_light(lobes, to_light, r2 / distance2, 1.0 / distance2);
   // Inside a sphere light comes from everywhere.
-  received.irradiance = radius < 0.0 && d2 < r2 ? 1.0 / reach2 : received.irradiance;
+  received.irradiance = radius < 0.0 && d2 < r2 ? 1.0 / distance2 : received.irradiance;
   return received;
 #else
   return ps_round_light(lobes, to_light, 0.0, 1.0 / d2);
@@ -100,13 +100,13 @@ PsReceived ps_local_light(PsLobes lobes, vec3 offset, float radius)
 
 vec3 ps_point(int index, vec3 position, PsLobes lobes)
 {
-  vec4 color = ps_light(index, 0), place = ps_light(index, 1);
+  vec4 color = ps_light(index, 0), light_position = ps_light(index, 1);
 #ifdef PS_HAS_WIDE_LIGHTS
   float radius = ps_light(index, 2).w;
 #else
   float radius = 0.0;
 #endif
-  return ps_reflected(ps_local_light(lobes, place.xyz - position, radius), lobes, color, place.w);
+  return ps_reflected(ps_local_light(lobes, light_position.xyz - position, radius), lobes, color, light_position.w);
 }
 
 #endif

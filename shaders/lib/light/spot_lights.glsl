@@ -46,17 +46,17 @@ vec2 ps_cone_means(PsCone cone, vec3 ray, float radius, vec3 normal)
 
 vec3 ps_spot(int index, vec3 position, PsLobes lobes)
 {
-  vec4 color = ps_light(index, 0), place = ps_light(index, 1), direction = ps_light(index, 2);
+  vec4 color = ps_light(index, 0), light_position = ps_light(index, 1), direction = ps_light(index, 2);
   PsCone cone = PsCone(direction.xyz, ps_light(index, 3), ps_light(index, 4));
-  PsReceived received = ps_local_light(lobes, place.xyz - position, direction.w);
+  PsReceived received = ps_local_light(lobes, light_position.xyz - position, direction.w);
 #ifdef PS_HAS_WIDE_LIGHTS
-  vec2 share = ps_cone_means(cone, position - place.xyz, direction.w, lobes.normal);
+  vec2 share = ps_cone_means(cone, position - light_position.xyz, direction.w, lobes.normal);
 #else
-  vec2 share = vec2(ps_cone(cone, position - place.xyz));
+  vec2 share = vec2(ps_cone(cone, position - light_position.xyz));
 #endif
   received.specular *= share.x;
   received.irradiance *= share.y;
-  return ps_reflected(received, lobes, color, place.w);
+  return ps_reflected(received, lobes, color, light_position.w);
 }
 
 #endif

@@ -81,4 +81,4 @@ def test_bad_texels_do_not_spread():
 def test_large_pictures_are_averaged_down_to_the_largest_width():
     atlas = environment.build_atlas(np.ones((1300, 2600, 3), np.float32))
     assert atlas.shape == (1024 + 2 * environment.TILE[1], 2048, 4)
-    assert environment.level(atlas, 0).shape == (1024, 2048, 3)
+    assert environment.atlas_level(atlas, 0).shape == (1024, 2048, 3)

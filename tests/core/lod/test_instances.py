@@ -178,14 +178,14 @@ def test_instances_fade_and_come_once() -> None:
 
 
 def test_the_number_of_an_instance_is_its_own_and_evenly_spread() -> None:
-    found = instances.number(np.arange(100_000))
+    found = instances.golden_ratio_sequence(np.arange(100_000))
     assert found.min() >= 0
     assert found.max() < 1
     # A hundred bins of a thousand, and of ten where a hundred instances follow one another.
     assert np.abs(np.histogram(found, 100, (0, 1))[0] - 1000).max() <= 2  # 1 measured
     for start in (0, 777, 54_321):
         assert np.abs(np.histogram(found[start : start + 100], 10, (0, 1))[0] - 10).max() <= 2  # 1 measured
-    np.testing.assert_array_equal(found[500:600], instances.number(np.arange(500, 600)))
+    np.testing.assert_array_equal(found[500:600], instances.golden_ratio_sequence(np.arange(500, 600)))
 
 
 def test_enlarged_instances_keep_their_middle() -> None:

@@ -22,7 +22,7 @@ from pointsplat_addon.core.material.nodes import (
     ramp_nodes,
     texture_nodes,
 )
-from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash, murmur3
+from pointsplat_addon.core.numeric.cryptomatte import cryptomatte_hash, murmur3
 
 ZERO = input_nodes.Constant((0.0,))
 ORIGIN = input_nodes.Constant((0.0, 0.0, 0.0))

@@ -6,7 +6,7 @@ import pytest
 from pointsplat_addon.core.material.expression import SampleInputs, evaluate
 from pointsplat_addon.core.material.image import Image
 from pointsplat_addon.core.material.nodes import input_nodes, math_nodes, texture_nodes
-from pointsplat_addon.core.material.textures import MOST_ASPECT, SPREAD, Pyramid, axes
+from pointsplat_addon.core.material.textures import MOST_ASPECT, SPREAD, Pyramid, footprint_axes
 
 SIZE = 512
 
@@ -47,7 +47,7 @@ def test_every_level_has_the_pictures_mean(size):
 def test_axes_are_those_of_the_covariance():
     rng = np.random.default_rng(2)
     footprint = rng.normal(0, 0.02, (1000, 2, 2))
-    major, minor, along = axes(footprint, (300, 200))
+    major, minor, along = footprint_axes(footprint, (300, 200))
     texels = footprint * [300, 200] * SPREAD
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", texels, texels))
     np.testing.assert_allclose(major, np.sqrt(values[:, 1]), rtol=1e-9)  # measured 4e-12

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.scene.cryptomatte import cryptomatte_hash
+from pointsplat_addon.core.numeric.cryptomatte import cryptomatte_hash
 from pointsplat_addon.core.scene.world import Mist, World
 from pointsplat_addon.devices.opengl import OpenGLDevice
 from pointsplat_addon.render.frame.sample_positions import offsets

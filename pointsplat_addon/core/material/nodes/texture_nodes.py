@@ -10,7 +10,7 @@ import numpy as np
 from ..color_models import linear_from_srgb
 from ..expression import Expression, SampleInputs, compute_node
 from ..image import Image
-from ..textures import Pyramid, filtered, look_up
+from ..textures import Pyramid, filter_image, look_up
 from .input_nodes import UV
 
 _FROM_BYTES = linear_from_srgb(np.arange(256, dtype=np.uint8) / np.float32(255))
@@ -39,7 +39,7 @@ class ImageTexture(Expression):
         uv, footprint = values[0], self._footprint(inputs, values[0])
         if footprint is None:
             return self._decoded(look_up(self.image.texels, uv, self.interpolation, self.extension))
-        return filtered(self._level, self.image.size, uv[:, :2], footprint)
+        return filter_image(self._level, self.image.size, uv[:, :2], footprint)
 
     def _footprint(self, inputs: SampleInputs, uv: np.ndarray) -> np.ndarray | None:
         """(N, 2, 2): change of `uv` along both half-diameters of each sample. Returns None if that is not known."""

@@ -17,7 +17,7 @@ from ....core.material.expression import Expression, constant
 from ....core.material.graph import MaterialGraph
 from ....core.material.masks import is_mask
 from ....core.material.nodes import input_nodes
-from ....core.scene.cryptomatte import cryptomatte_hash
+from ....core.numeric.cryptomatte import cryptomatte_hash
 from ....core.scene.materials import HairTable, MaterialTable, default_materials
 from ....core.scene.volume import Medium
 from .media import read_medium

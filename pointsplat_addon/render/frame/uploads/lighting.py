@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ....core.light import hair
-from ....core.light.environment import build_atlas, pyramid, stacked
+from ....core.light.environment import build_atlas, pyramid, stack_levels
 from ....core.light.light_table import light_texture
 from ....core.scene.camera import Camera
 from ....core.scene.scene import Scene
@@ -107,7 +107,7 @@ class LightingUploads:
 
     def _upload_levels(self, image: np.ndarray) -> Texture:
         def make() -> Texture:
-            levels = stacked(pyramid(build_atlas(image)))
+            levels = stack_levels(pyramid(build_atlas(image)))
             rgba = np.concatenate([levels, np.ones((*levels.shape[:2], 1), np.float32)], axis=2)
             return self._scope.device.texture((levels.shape[1], levels.shape[0]), "RGBA32F", rgba.reshape(-1))
 
