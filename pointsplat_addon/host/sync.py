@@ -123,7 +123,7 @@ class Synchronizer:
         })  # fmt: skip
         if not names:
             return []
-        return [f"Surfaces that let light through are drawn as points, not as polygons: {_named(names)}"]
+        return [f"Translucent surfaces are drawn as points, not as polygons: {_named(names)}"]
 
     def _instances(
         self, collected: Collected, table: MaterialTable, previous: dict[tuple, np.ndarray] | None

@@ -366,7 +366,7 @@ def test_polygons_that_light_passes_through_are_said_to_be_points():
     assert sync().warnings == ()
     nodes["Principled BSDF"].inputs["Alpha"].default_value = 0.5
     assert [w for w in sync().warnings if "Pane" in w] == [
-        'Surfaces that let light through are drawn as points, not as polygons: "Pane"'
+        'Translucent surfaces are drawn as points, not as polygons: "Pane"'
     ]
 
 

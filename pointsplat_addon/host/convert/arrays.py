@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ...core.material.color_models import linear_from_srgb
-from . import arrays
 
 CTYPES = {np.float32: ctypes.c_float, np.int32: ctypes.c_int32, np.uint8: ctypes.c_uint8}
 
@@ -73,11 +72,11 @@ def attribute_as_color(attribute: Any) -> np.ndarray:
     A float fills all three channels, a vector is taken as it is.
     """
     if attribute.data_type in COLOR_TYPES:
-        return arrays.stored_colors(attribute)
+        return stored_colors(attribute)
     if attribute.data_type == "FLOAT":
-        value = np.repeat(arrays.read(attribute.data, "value", 1, np.float32)[:, None], 3, axis=1)
+        value = np.repeat(read(attribute.data, "value", 1, np.float32)[:, None], 3, axis=1)
     else:
-        value = arrays.read(attribute.data, "vector", 3, np.float32)
+        value = read(attribute.data, "vector", 3, np.float32)
     return np.concatenate([value, np.ones((len(value), 1), np.float32)], axis=1)
 
 
