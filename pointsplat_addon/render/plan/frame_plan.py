@@ -24,13 +24,13 @@ from ..passes.output.adaptive import why_everywhere
 from ..passes.outputs import CRYPTO
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import data
-from ..prepare.hybrid import triangles_of
-from ..prepare.in_view import in_view
-from ..prepare.negligible import without_faint
-from ..prepare.painter import defocused, painted
-from ..prepare.parts import parted
+from ..prepare.in_view import without_invisible_layers
+from ..prepare.mesh_parts import count_triangles
+from ..prepare.negligible import without_negligible
+from ..prepare.painter import with_defocus_among_translucent, with_opaque_among_translucent
 from ..prepare.prepare import Prepared, prepare
-from ..shadow.shadows import Shadows, cast
+from ..prepare.separation import separate_translucent
+from ..shadow.shadows import Shadows, make_shadows
 from .auxiliary import beside
 from .lens_view import prepared_for
 from .plan import Plan, make_plan
@@ -101,7 +101,7 @@ class Shot:
         prepared, instances = self.prepared, self.prepared.polygons.tolist()
         of = [self.scene.geometries[int(self.scene.instances.geometry[instance])] for instance in instances]
         return sum(
-            triangles_of(geometry.mesh, prepared.parts.get(instance))
+            count_triangles(geometry.mesh, prepared.parts.get(instance))
             for geometry, instance in zip(of, instances, strict=True)
             if geometry.mesh is not None and (not primitives or geometry.primitive in primitives)
         )
@@ -140,7 +140,7 @@ def make_shot(
         scene, request.camera, lambda content, make: store.lookup(Key(Kind.VALIDATED, content), make)
     )
     warnings = scene.warnings
-    scene, of_parts = parted(scene, store)
+    scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
     technique = choose(request.settings, scene, request.samples, request.interactive, limits.float_blend)
     warnings += (*of_parts, *_not_blended(technique, request))
@@ -163,16 +163,18 @@ def make_shot(
         # It goes to the pass of its own name; passes that know no blur are another picture's.
         others = beside(scene, request, presented)
         request = replace(request, passes=frozenset({"combined"}))
-        prepared = defocused(prepared)
+        prepared = with_defocus_among_translucent(prepared)
         if technique.name == "PAINTER":
             technique = Technique("IMAGE_SPACE", "the pass defocus paints")
 
-    prepared, unseen = in_view(scene, prepared, camera, store)
-    scene, reflects, faint = without_faint(scene, prepared, camera.view_from_world, store)
+    prepared, unseen = without_invisible_layers(scene, prepared, camera, store)
+    scene, reflects, faint = without_negligible(scene, prepared, camera.view_from_world, store)
     shadows, unshadowed = _shadows(scene, prepared, request, store, clock)
     paints = technique.name == "PAINTER" and prepared.cut.splats > 0
     if paints:
-        prepared = painted(prepared, keep=presented or bool(averaged(request.passes) or data(request.passes)))
+        prepared = with_opaque_among_translucent(
+            prepared, keep=presented or bool(averaged(request.passes) or data(request.passes))
+        )
 
     blended = (camera, request.samples) if technique.name == "EWA" else None
     in_focus = "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus"
@@ -215,7 +217,7 @@ def _shadows(
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.lines):
         return None, "nothing is drawn"
     before = time.perf_counter()
-    found, unshadowed = cast(scene, request.settings, store, clock.check)
+    found, unshadowed = make_shadows(scene, request.settings, store, clock.check)
     if found is not None:
         clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
     return found, unshadowed
