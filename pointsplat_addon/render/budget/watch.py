@@ -60,8 +60,8 @@ class InTime(Watch):
     """Stops where the next sample would exceed the time by more than half of it."""
 
     def __init__(self, milliseconds: float, after: float, clock: Callable[[], float], measure: bool = True) -> None:
-        """`after`: milliseconds that are left for what follows the samples. `measure`: estimate the error too, for which
-        the picture is read back."""
+        """`after`: milliseconds that are left for what follows the samples. `measure`: estimate the error too, for
+        which the picture is read back."""
         super().__init__(clock)
         self._milliseconds, self._measure = milliseconds - after, measure
 

@@ -68,8 +68,8 @@ class OutOfFocus:
         backdrop_texels: tuple[float, float] | None,
         adaptive: Adaptive | None,
     ) -> None:
-        """The picture after `done` samples of what is in focus. `view`: of rays through pixels' centres. `behind`: the world out of focus, by sampler name. `adaptive`: where pixels differ in how many
-        samples they have."""
+        """The picture after `done` samples of what is in focus. `view`: of rays through pixels' centres. `behind`: the
+        world out of focus, by sampler name. `adaptive`: where pixels differ in how many samples they have."""
         if self.gathered == done or (self.gathered and not self.plan.solid):
             return
         self.gathered = done

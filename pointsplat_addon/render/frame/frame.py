@@ -248,7 +248,8 @@ class Frame:
         return self.targets.sums[0] if self.out_of_focus is None else self.targets.seen
 
     def other(self, request: Request, samples: int) -> np.ndarray | None:
-        """Returns the mean (H, W, 4) of so many samples of the same scene by another request; None where that draws the same."""
+        """Returns the mean (H, W, 4) of so many samples of the same scene by another request; None where that draws the
+        same."""
         frame = Frame(self.renderer, self.whole, request, self.clock.cancelled)
         try:
             a, b = frame.shot, self.shot

@@ -79,7 +79,7 @@ def test_no_light_adds_more_than_its_bound(kind):
 
 def without_leaving_out(monkeypatch):
     monkeypatch.setattr(frame_plan, "without_negligible", lambda scene, prepared, view, store: (scene, True, ()))
-    monkeypatch.setattr(frame_plan, "in_view", lambda scene, prepared, camera: (prepared, {}))
+    monkeypatch.setattr(frame_plan, "without_invisible_layers", lambda scene, prepared, camera, store: (prepared, {}))
 
 
 def both(case: Case, monkeypatch, samples: int = 1):
