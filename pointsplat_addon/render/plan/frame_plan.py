@@ -84,12 +84,12 @@ class Shot:
     @property
     def strands(self) -> int:
         """That the view shows."""
-        return sum(segments.strands for segments in self.prepared.lines.values())
+        return sum(segments.strands for segments in self.prepared.strands.values())
 
     @property
     def segments(self) -> int:
         """Of strands."""
-        return sum(map(len, self.prepared.lines.values()))
+        return sum(map(len, self.prepared.strands.values()))
 
     @property
     def triangles(self) -> int:
@@ -159,7 +159,7 @@ def make_shot(
     )
     technique = reconsidered(technique, prepared)
     others = None
-    if prepared.blurred is not None:
+    if prepared.out_of_focus is not None:
         # It goes to the pass of its own name; passes that know no blur are another picture's.
         others = beside(scene, request, presented)
         request = replace(request, passes=frozenset({"combined"}))
@@ -191,7 +191,7 @@ def make_shot(
         request.samples,
         plan.translucent is not None and not plan.defocus,
         bool(request.passes & set(CRYPTO)),
-        any(len(segments.thin) for segments in prepared.lines.values()),
+        any(len(segments.thin) for segments in prepared.strands.values()),
         through_lens,
     )
     warnings += (*prepared.warnings, *(shadows.warnings if shadows else ()))
@@ -214,7 +214,7 @@ def _shadows(
 ) -> tuple[Shadows | None, str]:
     """The tables of all lamps that cast shadows on what is drawn; or None, and why."""
     layers = (prepared, prepared.translucent, prepared.spheres)
-    if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.lines):
+    if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()
     found, unshadowed = make_shadows(scene, request.settings, store, clock.check)

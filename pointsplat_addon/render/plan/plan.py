@@ -95,13 +95,13 @@ def make_plan(
     """The plan for one view of a scene. `unshadowed`: why there are no shadows. `blended`: points are drawn by EWA, for
     this camera and number of samples. `painter`: opaque points are painted (render/prepare/painter.py). `reflects`: something
     that is drawn reflects light. `unseen`: kinds of things that are left out, and why (render/prepare/in_view.py). `in_focus`:
-    why nothing is out of focus; prepared.blurred is None. `sharp_world`: why the world is not blurred, or nothing.
+    why nothing is out of focus; prepared.out_of_focus is None. `sharp_world`: why the world is not blurred, or nothing.
     `picture`: Combined is wanted; else nothing is lit, and nothing that is translucent drawn."""
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
     spheres = prepared.spheres.cut.splats > 0
-    lines = len(prepared.lines) > 0
+    lines = len(prepared.strands) > 0
     behind = [p.cloud for p in prepared.translucent.point_sets.values()]
-    defocus = prepared.blurred is not None
+    defocus = prepared.out_of_focus is not None
     solid = polygons or spheres or lines or (points and not painter)
     held = np.zeros(len(scene.instances), bool) if scene.instances.holdout is None else scene.instances.holdout
     cut = bool(held[prepared.translucent.set_of_instance >= 0].any())
@@ -112,7 +112,7 @@ def make_plan(
     channels = {name for graph in graphs for name in graph.channels}
     sets = [*prepared.point_sets.values(), *prepared.spheres.point_sets.values()]
     clouds: list[PointCloud | Strands] = [p.cloud for p in sets]
-    clouds += [found for row in prepared.lines if (found := scene.geometries[row].strands) is not None]
+    clouds += [found for row in prepared.strands if (found := scene.geometries[row].strands) is not None]
     surface = any(c.surface is not None for c in clouds) or (polygons and bool(channels & {"roughness", "metallic"}))
     varies = surface or (translucent is not None and translucent.surface)
     materials = _materials(scene, varies)
@@ -122,8 +122,8 @@ def make_plan(
     lighting = (*world, *shining) if drawn and reflects and picture else ()
     if shadows is not None:
         packed = shadows.packed
-        named = {"PS_SHADOW_COLORED": packed.colored, "PS_SHADOW_SOLID": packed.solid, "PS_SHADOW_SUNS": packed.suns,
-                 "PS_SHADOW_HARD": packed.hard}  # fmt: skip
+        named = {"PS_SHADOW_COLORED": packed.colored, "PS_SHADOW_SOLID": packed.only_opaque, "PS_SHADOW_SUNS": packed.only_suns,
+                 "PS_SHADOW_HARD": packed.no_light_has_size}  # fmt: skip
         lighting += ("PS_SHADOWS", "PS_SHADOW_SAMPLE", *(name for name, on in named.items() if on))
     color = (
         surface or any(c.color is not None for c in clouds) or (polygons and bool(channels & {"base_color", "alpha"}))
