@@ -22,9 +22,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if not config.getoption("--share"):
+    share = config.getoption("--share")
+    if not share:
         return
-    index, count = map(int, config.getoption("--share").split("/"))
+    index, count = map(int, share.split("/"))
     kept, rest = [], []
     for item in items:
         # The hash depends on the test's own name alone: other tests may come and go.

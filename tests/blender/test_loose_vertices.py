@@ -1,5 +1,8 @@
 """Meshes without edges and faces, as Blender's PLY import makes of scans, are drawn as points."""
 
+# pyright: reportOptionalSubscript=false, reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportCallIssue=false
+# Attributes may be None by type; what is tested here has those that are asked for.
 import bpy
 import numpy as np
 import pytest

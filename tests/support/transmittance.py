@@ -1,5 +1,8 @@
 """Light through clouds of splats: media, cards and crowns of leaves, and their mean transmittance in float64."""
 
+# pyright: reportOptionalSubscript=false, reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportCallIssue=false
+# Attributes may be None by type; what is tested here has those that are asked for.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator

@@ -1,5 +1,8 @@
 """Every number of a scene has a rule, and what it says is done."""
 
+# pyright: reportOptionalSubscript=false, reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportCallIssue=false
+# Attributes may be None by type; what is tested here has those that are asked for.
 from dataclasses import fields, is_dataclass, replace
 from types import NoneType
 from typing import Any, get_args, get_type_hints

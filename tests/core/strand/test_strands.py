@@ -1,5 +1,8 @@
 """Curves to polylines against closed forms, cleaning of bad input, and what colours hair."""
 
+# pyright: reportOptionalSubscript=false, reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportCallIssue=false
+# Attributes may be None by type; what is tested here has those that are asked for.
 from __future__ import annotations
 
 import itertools
