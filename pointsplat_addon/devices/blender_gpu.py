@@ -227,7 +227,8 @@ class BlenderDevice:
         return self._programs[interface]
 
     def _batch(self, primitive: str, vertices: int) -> gpu.types.GPUBatch:
-        """Returns a batch of at least `vertices`. Blender wants a vertex buffer, although shaders count with gl_VertexID."""
+        """Returns a batch of at least `vertices`. Blender wants a vertex buffer, although shaders count with
+        gl_VertexID."""
         size, batch = self._batches.get(primitive, (0, None))
         if batch is None or size < vertices:
             size = 1 << max(6, (vertices - 1).bit_length())

@@ -44,7 +44,8 @@ class Source:
         return f"{file}:{number}"
 
     def explain(self, log: str) -> str:
-        """Returns a driver's log about declarations and `body`, with files and their lines instead of its own numbers."""
+        """Returns a driver's log about declarations and `body`, with files and their lines instead of its own
+        numbers."""
 
         def name(match: re.Match[str]) -> str:
             line = int(match.group(1) or match.group(2))

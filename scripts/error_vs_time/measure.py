@@ -4,11 +4,12 @@
     python -m scripts.error_vs_time --from docs/notes/error_vs_time.json
 
 DIR (or the folder that POINTSPLAT_DATA names) holds meshes, and folders beside it what else there is
-(scripts/error_vs_time/scenes.py): scenes of what is missing are left out; what DOCS has of scenes that are not drawn stays.
-DOCS receives error_vs_time.json and, in images/, error_vs_time.png, error_vs_time_brief.png and cost_over_points.png;
-the tables in error_vs_time.md are replaced. `--from` makes tables and plots anew from rows. `--quick` draws small
-pictures of one scene and writes nothing but the rows that `--rows` names. Needs bpy for all scenes but one, matplotlib
-for plots, and takes FLIP where the package flip-evaluator is there (requirements/benchmark.txt).
+(scripts/error_vs_time/scenes.py): scenes of what is missing are left out; what DOCS has of scenes that are not drawn
+stays. DOCS receives error_vs_time.json and, in images/, error_vs_time.png, error_vs_time_brief.png and
+cost_over_points.png; the tables in error_vs_time.md are replaced. `--from` makes tables and plots anew from rows.
+`--quick` draws small pictures of one scene and writes nothing but the rows that `--rows` names. Needs bpy for all
+scenes but one, matplotlib for plots, and takes FLIP where the package flip-evaluator is there
+(requirements/benchmark.txt).
 
 Every scene is drawn in a process of its own, as are the other programs. Times are those of the processor in all
 threads, from Blender's data to the finished picture, shaders compiled before: converting the scene, sampling, shadow

@@ -5,8 +5,8 @@
 
 Scenes are made by this script and drawn from one file by both engines.
   sphere  a uniform ball of smoke, lit by a lamp outside and by one inside: absorbing over a floor that the lamp lights,
-          and scattering once. Truth: scripts/common/media_truth.py. The RMSE leaves out rays that pass a lamp in scattering
-          smoke at less than 0.1 of the ball's radius.
+          and scattering once. Truth: scripts/common/media_truth.py. The RMSE leaves out rays that pass a lamp in
+          scattering smoke at less than 0.1 of the ball's radius.
   slab    what a uniform slab lets through of a bright background, by angle, extinction and voxel size: exp(-s d).
   shadow  the same for the light of a sun that falls through the slab on a floor.
   planes  three coloured translucent planes in all orders: `over`.

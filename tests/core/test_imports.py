@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -86,6 +87,7 @@ ORDERS = {
     "core": ("numeric", "scene", "material", "light", "splat", "surface", "strand", "volume", "lod", "shadow", "lens"),
     "render": ("device", "cache", "prepare", "shadow", "passes", "plan", "frame", "budget", "renderer"),
 }
+MOST_FILES = 13  # of a folder: an outline of it fits a screen
 # Names that told nobody what was in the file.
 ODD_NAMES = {
     "sound", "places", "apart", "covers", "pieces", "pigment", "faint", "blurred", "shot", "last", "leaving",
@@ -107,6 +109,26 @@ def module_graph() -> dict[str, set[str]]:
     return graph
 
 
+def reached(graph: dict[str, set[str]], name: str) -> set[str]:
+    """The modules that one of them imports, itself or by way of others."""
+    found: set[str] = set()
+    new = set(graph[name])
+    while new:
+        found |= new
+        new = set().union(*(graph[n] for n in new)) - found
+    return found
+
+
+def circles(graph: dict[str, set[str]]) -> set[str]:
+    """The modules that import themselves by way of others."""
+    return {name for name in graph if name in reached(graph, name)}
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == {"b", "c"}
+    assert sorted(circles(module_graph())) == []
+
+
 @pytest.mark.parametrize("layer", ORDERS)
 def test_rooms_import_only_rooms_before_them(layer: str) -> None:
     order = {f"pointsplat_addon.{layer}.{room}": number for number, room in enumerate(ORDERS[layer])}
@@ -123,6 +145,12 @@ def test_rooms_import_only_rooms_before_them(layer: str) -> None:
         if (here := rank(name)) is not None and (there := rank(imported)) is not None and there > here
     ]
     assert sorted(upward) == []
+
+
+def test_folders_are_small() -> None:
+    files = [f for top in (PACKAGE, ROOT / "shaders") for f in top.rglob("*") if f.is_file() and f.suffix != ".pyc"]
+    number = Counter(str(f.parent.relative_to(ROOT)) for f in files if f.name != "__init__.py")
+    assert {folder: count for folder, count in number.items() if count > MOST_FILES} == {}
 
 
 def test_no_file_has_a_name_that_tells_nothing() -> None:

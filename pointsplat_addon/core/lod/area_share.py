@@ -1,8 +1,8 @@
 """The share of its ellipse that each splat stands for on its surface: out of focus, these areas add up to coverage.
 
-What each sample of a mesh stands for is known (`sampling.areas`). Points of a scan have radii that close gaps and overlap
-by any amount; their density tells the area of each. A node with n points and the moments of a square has the area
-12 sqrt(det V) (half-axes a, b: 3 a b), and each of its points the n-th part of it.
+What each sample of a mesh stands for is known (`sampling.areas`). Points of a scan have radii that close gaps and
+overlap by any amount; their density tells the area of each. A node with n points and the moments of a square has the
+area 12 sqrt(det V) (half-axes a, b: 3 a b), and each of its points the n-th part of it.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ STEPS = 3  # of the fixed-point iteration in `_point_areas`; another one changes
 
 
 def area_shares(entry: Hierarchy | PointCloud, areas: Callable[[], np.ndarray] | None = None) -> np.ndarray | float:
-    """The share of its ellipse that each splat covers: (N,) float32 of a cloud; of a hierarchy (N + M,), first the points
-    in tree order, then the nodes; 1 where points have no radii.
+    """The share of its ellipse that each splat covers: (N,) float32 of a cloud; of a hierarchy (N + M,), first the
+    points in tree order, then the nodes; 1 where points have no radii.
 
     `areas` returns the areas (N,) of the points in their original order, object units squared. Without it they are
     estimated from the density of points in nodes, or, of a cloud, as that of the cell that each ellipse goes around.

@@ -2,8 +2,8 @@
 
 Coconu and Hege (2002), section 5.1, switch from points to triangles where a block comes nearer than a threshold, and
 leave it to future work to derive that threshold and the sampling resolution from the hardware. Here both follow from
-seven measured figures (`Costs`, render/budget/calibrate.py): each part of a mesh takes what costs less in this view, at the
-octave of spacing at which all parts together cost least.
+seven measured figures (`Costs`, render/budget/calibrate.py): each part of a mesh takes what costs less in this view, at
+the octave of spacing at which all parts together cost least.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 
 OVERLAP = 0.1  # share of the spacing that is needed within which a part is drawn as points and as triangles
 # Points leave an error that more samples do not remove, triangles leave none: with up to this many times fewer samples,
-# but at least one, triangles still leave less, at a tolerance of a pixel (docs/notes/techniques.md, measured 1.1 to 1.8 times).
+# but at least one, triangles still leave less, at a tolerance of a pixel (docs/notes/techniques.md, measured 1.1 to 1.8
+# times).
 MAX_SAMPLES_RATIO = 4
 
 
@@ -83,10 +84,10 @@ def choose_primitives(
     points. triangles (B,): how many each part has. area (B,): of the parts, in the units of `needed` squared.
 
     A part is drawn as points only where its samples are as dense as it needs; those that need a spacing finer by up to
-    OVERLAP are drawn as both, since a pixel between the last one of a polygon and the first one of a splat may be in neither. The
-    pixels that triangles cover are estimated as half their area (the mean over all directions) at the part's nearest
-    position. Samples are prepared of all parts that may be points, in view or not, and a mesh is uploaded as a whole if
-    any of its triangles is drawn.
+    OVERLAP are drawn as both, since a pixel between the last one of a polygon and the first one of a splat may be in
+    neither. The pixels that triangles cover are estimated as half their area (the mean over all directions) at the
+    part's nearest position. Samples are prepared of all parts that may be points, in view or not, and a mesh is
+    uploaded as a whole if any of its triangles is drawn.
     """
     visible = np.isfinite(needed)
     with np.errstate(divide="ignore", invalid="ignore"):

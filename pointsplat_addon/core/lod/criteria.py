@@ -103,7 +103,8 @@ def criteria_of(camera: Camera, tolerance: float, margin: float) -> Criteria:
 
 
 def transition_band(tolerance: float) -> float:
-    """Octaves of projected size over which the nodes of one level give way to their children, for a tolerance in pixels.
+    """Octaves of projected size over which the nodes of one level give way to their children, for a tolerance in
+    pixels.
 
     On a surface that faces the camera all nodes would otherwise be refined in one frame, which shows where they are
     wider than a pixel. At a tolerance of a pixel or less nothing shows, and no node is refined early.

@@ -1,9 +1,9 @@
 """Sorts splats back to front by a hierarchical bucket sort (Gunjee et al. 2007, section 4.2).
 
 Splats are projected onto the view direction and fall into slices as thick as the smallest splat (of opaque ones, a part
-of it), counted from the farthest. Two tables of 65,536 buckets each, coarse and fine, number the slices; both are filled
-in stable passes over 16-bit keys, fine before coarse, so that the cost is linear and splats of one slice keep their
-order.
+of it), counted from the farthest. Two tables of 65,536 buckets each, coarse and fine, number the slices; both are
+filled in stable passes over 16-bit keys, fine before coarse, so that the cost is linear and splats of one slice keep
+their order.
 
 Translations of the camera shift all depths alike, and rotations about the view direction change none: neither calls for
 another sort.

@@ -34,7 +34,8 @@ def decode_normal(code: np.ndarray) -> np.ndarray:
 
 
 def encode_axis(normal_code: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Axes (n, 3), up to their sign, as (n,) uint16 angles about the decoded normals, from the first vector of `basis`."""
+    """Axes (n, 3), up to their sign, as (n,) uint16 angles about the decoded normals, from the first vector of
+    `basis`."""
     u, v = basis(decode_normal(normal_code).T.astype(np.float64))
     angle = np.arctan2((v * axis.T).sum(axis=0), (u * axis.T).sum(axis=0))
     return (np.round(angle * (65536 / np.pi)).astype(np.int64) & 65535).astype(np.uint16)

@@ -115,8 +115,8 @@ def recolor(hierarchy: Hierarchy, cloud: PointCloud) -> Hierarchy:
     """Refits what a transfer function changes: colours, surfaces, emission, extinction and values (AVERAGED).
 
     The result equals that of `refit`, in half the time where splats are not weighted by their opacity. `cloud` has the
-    attributes of the hierarchy's cloud, in the original order; positions, normals, half-axes, materials and kernels stay
-    those of the hierarchy. Raises ValueError as `refit` does, or where the cloud has other attributes.
+    attributes of the hierarchy's cloud, in the original order; positions, normals, half-axes, materials and kernels
+    stay those of the hierarchy. Raises ValueError as `refit` does, or where the cloud has other attributes.
     """
     if cloud.arrays().keys() != hierarchy.cloud.arrays().keys():
         raise ValueError("recolor with other attributes than the hierarchy has")
@@ -178,7 +178,8 @@ def _averages(cloud: PointCloud, averages: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _take_in_tree_order(cloud: PointCloud, order: np.ndarray) -> PointCloud:
-    """`cloud.take(order)`, faster: float attributes are gathered as records, so that each point is one distant access."""
+    """`cloud.take(order)`, faster: float attributes are gathered as records, so that each point is one distant
+    access."""
     arrays = {name: array for name, array in cloud.arrays().items() if array.dtype == np.float32}
     widths = [int(np.prod(array.shape[1:])) for array in arrays.values()]
     ends = np.cumsum(widths)

@@ -51,10 +51,10 @@ def choose_levels(
 ) -> LevelChoice:
     """Chooses the level of each instance of one geometry, `view_from_object` (I, 4, 4) float64.
 
-    No node of the level spans more than `tolerance` pixels anywhere on the instance, by the measure of `cut.select_cut`.
-    Instances outside the camera's window, widened by `margin` pixels, and those whose matrix is not finite, or zero,
-    draw nothing. `row` (I,): persistent numbers of the instances, which decide whom thinning leaves out and at which
-    share of the `band` (octaves, `criteria.transition_band`) each instance changes its level.
+    No node of the level spans more than `tolerance` pixels anywhere on the instance, by the measure of
+    `cut.select_cut`. Instances outside the camera's window, widened by `margin` pixels, and those whose matrix is not
+    finite, or zero, draw nothing. `row` (I,): persistent numbers of the instances, which decide whom thinning leaves
+    out and at which share of the `band` (octaves, `criteria.transition_band`) each instance changes its level.
     """
     criteria = criteria_of(camera, tolerance, margin)
     balls = _bounding_balls(criteria, view_from_object, levels.center, levels.radius)
@@ -74,7 +74,8 @@ def choose_levels(
         finer = np.log2(levels.size[0] * scale / allowed)  # octaves
     finer = np.nan_to_num(np.where(seen, finer, 0.0), nan=0.0, posinf=1e3, neginf=-1e3)
     level = np.searchsorted(-np.log2(levels.size / levels.size[0]), finer + band * golden_ratio_sequence(row) - 1e-9)
-    # Beyond the finest level a cut of its own would hardly leave out any points, unless the levels end at MAX_LEVEL_SPLATS.
+    # Beyond the finest level a cut of its own would hardly leave out any points, unless the levels end at
+    # MAX_LEVEL_SPLATS.
     level[level >= len(levels.size)] = OWN_CUT if levels.cut_short else ALL_POINTS
     level[deep] = OWN_CUT
     factor = area_factor(4.0 ** np.clip(finer - np.log2(THINNING_TOLERANCE), -500, 0), golden_ratio_sequence(row))

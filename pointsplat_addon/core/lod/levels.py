@@ -30,8 +30,8 @@ RAYS = 20  # along each side of the grid that measures the silhouette of splats
 VIEW_COUNT = 6  # directions that silhouettes are measured from
 ROUNDS = 6  # of fitting the splats' size to the silhouette
 MAX_GROWTH = 1.25  # largest factor on the size of a splat
-# Axes by which a surface's normals are sorted into six sides. They are nearly those of the body, as walls often are, but
-# turned a little, so that walls at 45 degrees between them are not split at random.
+# Axes by which a surface's normals are sorted into six sides. They are nearly those of the body, as walls often are,
+# but turned a little, so that walls at 45 degrees between them are not split at random.
 SIDE_AXES = np.linalg.qr(np.array([[1, 0.13, 0.09], [-0.13, 1, 0.17], [-0.09, -0.17, 1]]))[0].astype(np.float32)
 
 
@@ -114,7 +114,8 @@ def _view_planes() -> list[np.ndarray]:
 
 
 def _radii_true_to_area(points: PointCloud, cloud: PointCloud, count: np.ndarray) -> np.ndarray:
-    """Half-axes (N, 2 or 3) float32 of the levels' splats, enlarged so that each level has the silhouette of the points.
+    """Half-axes (N, 2 or 3) float32 of the levels' splats, enlarged so that each level has the silhouette of the
+    points.
 
     `points` is the whole cloud, `cloud` the splats of all levels, `count` (K,) of each level. Flat splats leave gaps at
     the outline of a curved surface; areas are compared as means over VIEW_COUNT views. No splat shrinks.
@@ -154,7 +155,8 @@ def _silhouette_area(cloud: PointCloud, plane: np.ndarray) -> float:
 
 
 def _ellipses_area(at: np.ndarray, ends: np.ndarray, plane: np.ndarray) -> float:
-    """The area that ellipses about `at` (3, n), with the half-axes `ends` (2, 3, n), cover together on a plane (2, 3)."""
+    """The area that ellipses about `at` (3, n), with the half-axes `ends` (2, 3, n), cover together on a plane (2,
+    3)."""
     middle, (a, b) = plane @ at, plane @ ends
     extent = np.hypot(a, b)
     low, high = (middle - extent).min(axis=1), (middle + extent).max(axis=1)
@@ -173,8 +175,8 @@ def _ellipses_area(at: np.ndarray, ends: np.ndarray, plane: np.ndarray) -> float
 def _facets(hierarchy: Hierarchy, rows: np.ndarray) -> np.ndarray | None:
     """PointCloud.facets (R, FACETS, 3) int8 of `rows` (R,) of `points_and_nodes`; None if every node has one side only.
 
-    The points of a node are sorted by their normals into six sides. A facet is the mean normal of a side, as long as the
-    side's share in the node's area, for the FACETS largest sides; points have none.
+    The points of a node are sorted by their normals into six sides. A facet is the mean normal of a side, as long as
+    the side's share in the node's area, for the FACETS largest sides; points have none.
     """
     cloud, tree = hierarchy.cloud, hierarchy.tree
     normal = cloud.normal if cloud.shading_normal is None else cloud.shading_normal

@@ -15,7 +15,8 @@ from .hierarchy import Hierarchy
 
 @dataclass(frozen=True, eq=False)
 class NodeTable:
-    """What a cut reads of M nodes of several geometries, one geometry after the other; made once per set of hierarchies.
+    """What a cut reads of M nodes of several geometries, one geometry after the other; made once per set of
+    hierarchies.
 
     Columns are contiguous. G is the largest geometry index plus one.
     """

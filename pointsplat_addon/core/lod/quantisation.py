@@ -97,8 +97,8 @@ class Packed:
 
 
 def pack(hierarchy: Hierarchy) -> Packed:
-    """Quantises a hierarchy. Colours and emission below 0 become 0; opacity, covered fraction and surface are clipped to
-    [0, 1]."""
+    """Quantises a hierarchy. Colours and emission below 0 become 0; opacity, covered fraction and surface are clipped
+    to [0, 1]."""
     cloud, tree = hierarchy.cloud, hierarchy.tree
     held = {name: getattr(hierarchy, name) for name in NODE_ATTRIBUTES if getattr(hierarchy, name) is not None}
     held |= {name: array for name, array in cloud.arrays().items() if name not in GEOMETRY}
@@ -180,7 +180,8 @@ def _check_order(order: np.ndarray) -> None:
 
 
 def _rounded_bounds(hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray]:
-    """The bounds (M, 3) and spheres (M,) grown by as much as quantisation may move rims of disks and frames of nodes."""
+    """The bounds (M, 3) and spheres (M,) grown by as much as quantisation may move rims of disks and frames of
+    nodes."""
     bound, sphere = hierarchy.bound.astype(np.float64), hierarchy.sphere.astype(np.float64)
     moved = (np.maximum(bound[:, 0], bound[:, 1]) + bound[:, 2]) * (2 * TILT + LENGTH_ERROR)
     narrow = np.maximum(bound[:, :2].min(axis=1), np.finfo(float).tiny)

@@ -19,8 +19,8 @@ def low_pass(samples: int) -> float:
 
     With one sample a pixel, all detail that pixels cannot show must be filtered out before: the unit Gaussian of
     Zwicker et al. leaves exp(-2 pi^2 v) = 3e-9 of a pattern with the pixels' period, which would alias to a constant,
-    and 0.7 % at half that frequency. N samples a pixel are sqrt(N) times as dense along each axis, which suggests 1 / N.
-    But they do not lie on a grid: what they alias is spread out, and averaging them with the pixel filter
+    and 0.7 % at half that frequency. N samples a pixel are sqrt(N) times as dense along each axis, which suggests 1 /
+    N. But they do not lie on a grid: what they alias is spread out, and averaging them with the pixel filter
     (render/frame/sample_positions.py) removes most of it. N^-1.5 is sharper than 1 / N and aliases little more.
     """
     return max(samples**-1.5, LEAST_LOW_PASS)

@@ -1,10 +1,10 @@
 """Kernels of translucent splats: how the optical depth of a splat falls from its centre in the image to the rim.
 
 The projection of a Gaussian would be a Gaussian, but its support is unbounded, and lattices of Gaussians are even only
-where these are wide. (1 - q / SUPPORT)^POWER, with q the squared Mahalanobis distance, has the same second moments, ends
-at 3.5 standard deviations, and adds up to within 0.4 % on a lattice seen from any direction, with a standard deviation of
-only EVEN_SPACING of the lattice's edge. Gaussians that are as even (0.6, cut off at 3) cover 1.7 times as many pixels and
-blur 1.5 times as far. shaders/lib/splat/kernel.glsl is its twin.
+where these are wide. (1 - q / SUPPORT)^POWER, with q the squared Mahalanobis distance, has the same second moments,
+ends at 3.5 standard deviations, and adds up to within 0.4 % on a lattice seen from any direction, with a standard
+deviation of only EVEN_SPACING of the lattice's edge. Gaussians that are as even (0.6, cut off at 3) cover 1.7 times as
+many pixels and blur 1.5 times as far. shaders/lib/splat/kernel.glsl is its twin.
 
 A point may choose another profile (PROFILES) with the same integral, so that its optical mass stays what it is.
 """
@@ -45,6 +45,6 @@ def _profiles() -> np.ndarray:
     return (rows * (MASS / integral)[:, None]).astype(np.float32)
 
 
-# Profiles that a point may have, (K, STEPS) float32 in the units of `kernel`, linear between the steps and 0 at the rim:
-# the kernel above, an even disk with a soft rim, a ring, and a spark that is bright in the middle.
+# Profiles that a point may have, (K, STEPS) float32 in the units of `kernel`, linear between the steps and 0 at the
+# rim: the kernel above, an even disk with a soft rim, a ring, and a spark that is bright in the middle.
 PROFILES = _profiles()

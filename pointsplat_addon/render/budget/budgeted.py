@@ -33,7 +33,8 @@ def render_within_budget(
     cancelled: Callable[[], bool],
     clock: Seconds = time.perf_counter,
 ) -> Result:
-    """Draws a picture within its budget. Its report tells the "estimate": the error "rmse" and the "seconds" that it took."""
+    """Draws a picture within its budget. Its report tells the "estimate": the error "rmse" and the "seconds" that it
+    took."""
     began = clock()
     keep = render_in_time if request.settings.budget == "TIME" else render_below_error
     result, rmse = keep(renderer, scene, request, progress, cancelled, clock)
@@ -52,8 +53,8 @@ def render_in_time(
     cancelled: Callable[[], bool],
     clock: Seconds,
 ) -> tuple[Result, float]:
-    """Draws a picture that takes as long as it may; returns it and its error by samples. To find the error of its cut would
-    take more time."""
+    """Draws a picture that takes as long as it may; returns it and its error by samples. To find the error of its cut
+    would take more time."""
     settings, pacer = request.settings, renderer.pacers.of(scene, request)
     choice = pacer.choose(settings.time_budget, settings.tolerance)
     watch = InTime(settings.time_budget, pacer.after, clock)
@@ -64,7 +65,8 @@ def render_in_time(
 
 
 def _chosen(request: Request, choice: Choice, most: int) -> Request:
-    """Returns the request for a choice, with room for half as many samples more, where a picture turns out faster than those before: InTime ends it."""
+    """Returns the request for a choice, with room for half as many samples more, where a picture turns out faster than
+    those before: InTime ends it."""
     settings = replace(request.settings, tolerance=choice.tolerance)
     samples = min(choice.samples + -(-choice.samples // 2), most)
     return replace(request, settings=settings, samples=samples, coarse=choice.coarse)
@@ -94,8 +96,8 @@ def render_below_error(
         return replace(request, settings=asked, samples=MOST_SAMPLES, node=node)
 
     def finer(frame: Frame) -> tuple[float, np.ndarray]:
-        """Returns the ratio and mean of the first finer cut that differs: finer samples of a mesh that are there already serve
-        coarser cuts too."""
+        """Returns the ratio and mean of the first finer cut that differs: finer samples of a mesh that are there
+        already serve coarser cuts too."""
         for ratio in RATIOS:
             value = tolerance / ratio
             if value < FINEST * settings.tolerance * 0.999:

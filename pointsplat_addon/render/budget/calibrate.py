@@ -35,8 +35,8 @@ LEAST = 1e-3  # nanoseconds: differences below the clock's resolution are no cos
 
 
 def calibrate(renderer: SampleRenderer, clock: Callable[[], float] = time.perf_counter) -> Costs:
-    """Measures the costs of the renderer's device, on the thread that it belongs to. Once shaders are compiled it takes 1.4 s of
-    processor time of the software renderer. `clock` in seconds.
+    """Measures the costs of the renderer's device, on the thread that it belongs to. Once shaders are compiled it takes
+    1.4 s of processor time of the software renderer. `clock` in seconds.
     DeviceError: it cannot draw."""
     scenes = {
         "few points": _points(FEW), "many points": _points(MANY),
@@ -66,7 +66,8 @@ def calibrate(renderer: SampleRenderer, clock: Callable[[], float] = time.perf_c
 
 
 def _once(renderer: SampleRenderer, clock: Callable[[], float]) -> tuple[float, float]:
-    """Returns the nanoseconds of all that is done for a splat of a mesh, and for a triangle, before the first sample is drawn."""
+    """Returns the nanoseconds of all that is done for a splat of a mesh, and for a triangle, before the first sample is
+    drawn."""
     request, turns = _request(), []
     for _ in range(TURNS):
         mesh = _triangles(MADE, LEGS, f"{next(NUMBER)}").geometries[0]
@@ -86,14 +87,14 @@ def _started(
     frame = renderer.start(_scene(geometry, np.zeros(1)), request)
     try:
         frame.device.read(frame.color)  # waits for what was uploaded
-        return frame.shot.prepared.total, clock() - start
+        return frame.frame_plan.prepared.total, clock() - start
     finally:
         frame.release()
 
 
 def _seconds(renderer: SampleRenderer, scenes: dict[str, Scene], clock: Callable[[], float]) -> dict[str, float]:
-    """Times one more sample of each scene that is on the device already, until it is finished. They take turns, so that what
-    else the machine does slows all of them."""
+    """Times one more sample of each scene that is on the device already, until it is finished. They take turns, so that
+    what else the machine does slows all of them."""
     request = _request()
     frames: dict[str, Frame] = {}
     try:

@@ -58,7 +58,8 @@ class Errors:
 
 
 def missed_edge_error(mean: np.ndarray, samples: np.ndarray | int, in_focus: np.ndarray | None = None) -> np.ndarray:
-    """Returns the squared error (H, W) of what no sample has met in pixels of a picture (H, W, 3 or more) that had so many each.
+    """Returns the squared error (H, W) of what no sample has met in pixels of a picture (H, W, 3 or more) that had so
+    many each.
 
     An edge beside a pixel may reach into its filter where none of its samples lies. What it covers of it then was
     measured for edges in all directions: MOST_UNSEEN at first, later UNSEEN / n. `in_focus` (H, W, 1): the share of

@@ -75,8 +75,8 @@ class Pacer:
     _cuts: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=CUTS))  # of the latest ones
 
     def measured(self, tolerance: float, splats: float, once: float, each: float, after: float = 0.0) -> None:
-        """Records a picture that took `once` ms before its first sample, `each` ms for one sample in the mean, and `after` ms after
-        the last one."""
+        """Records a picture that took `once` ms before its first sample, `each` ms for one sample in the mean, and
+        `after` ms after the last one."""
         self._last, self.after = (tolerance, max(splats, 1.0)), after
         self._cuts.append(self._last)
         self.once.add(splats, once + after)
@@ -109,8 +109,10 @@ class Pacer:
         return Choice(max(tolerance, last / MOST_MORE**0.5), count)
 
     def _curve(self) -> tuple[np.ndarray, np.ndarray]:
-        """Returns logarithms of tolerances, rising, and of splats, falling: the latest cut, and those that lie so far from the
-        inverse square that not the view has changed: meshes take triangles where they are near, and nodes not at all.
+        """Returns the logarithms of tolerances, rising, and of their numbers of splats, falling.
+
+        They are those of the latest cut, and of earlier ones whose numbers differ so much from the inverse square that
+        the view alone cannot explain it: near meshes become triangles, and nodes are not used there at all.
         """
         assert self._last is not None
         known, (last, splats) = dict(self._cuts), self._last  # of each tolerance the latest
@@ -128,7 +130,8 @@ class Pacer:
         return tolerances, cuts
 
     def _splats_at(self, tolerance: float) -> float:
-        """Returns how many splats a cut at a tolerance has: interpolated between known cuts; beyond, by the inverse square."""
+        """Returns how many splats a cut at a tolerance has: interpolated between known cuts; beyond, by the inverse
+        square."""
         x, y = self._curve()
         at = np.log(tolerance)
         beyond = 2 * (max(x[0] - at, 0.0) - max(at - x[-1], 0.0))
@@ -157,8 +160,8 @@ class Pacers:
         self._known: OrderedDict[tuple, Pacer] = OrderedDict()
 
     def of(self, scene: Scene, request: Request) -> Pacer:
-        """Returns the pacer of scenes with the same objects, at the same size and by the same technique: a scene whose objects
-        move keeps its pacer."""
+        """Returns the pacer of scenes with the same objects, at the same size and by the same technique: a scene whose
+        objects move keeps its pacer."""
         names = frozenset(geometry.name for geometry in scene.geometries)
         key = (names, request.camera.window[2:], request.settings.technique, request.interactive)
         self._known[key] = pacer = self._known.pop(key, None) or Pacer()

@@ -48,7 +48,8 @@ class Moving:
 
 
 class Refining:
-    """Refines the picture of a viewport that stands still until its error by samples is small enough, at a fixed cut."""
+    """Refines the picture of a viewport that stands still until its error by samples is small enough, at a fixed
+    cut."""
 
     def __init__(self, request: Request, clock: Seconds = time.perf_counter) -> None:
         settings = request.settings

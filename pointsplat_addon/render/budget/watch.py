@@ -36,7 +36,7 @@ class Watch:
         """Tells that the picture is prepared and its first sample comes next."""
         self._ready = self._clock()
         self.prepared = 1000 * (self._ready - self._began)
-        self.splats = frame.shot.work(frame.renderer.costs)
+        self.splats = frame.frame_plan.reducible_work(frame.renderer.costs)
 
     def enough(self, frame: Frame) -> bool:
         """Returns whether the picture needs no more samples."""
@@ -60,8 +60,8 @@ class InTime(Watch):
     """Stops where the next sample would exceed the time by more than half of it."""
 
     def __init__(self, milliseconds: float, after: float, clock: Callable[[], float], measure: bool = True) -> None:
-        """`after`: milliseconds that are left for what follows the samples. `measure`: estimate the error too, for which
-        the picture is read back."""
+        """`after`: milliseconds that are left for what follows the samples. `measure`: estimate the error too, for
+        which the picture is read back."""
         super().__init__(clock)
         self._milliseconds, self._measure = milliseconds - after, measure
 

@@ -17,7 +17,8 @@ NO_NORMAL = -1.0  # code of a splat without a normal: a ball
 
 
 def pack_normal(normal: np.ndarray) -> np.ndarray:
-    """Returns octahedral codes (Meyer et al. 2010), 12 bits each way, of directions (N, 3), whatever their length: (N,) float32.
+    """Returns octahedral codes (Meyer et al. 2010), 12 bits each way, of directions (N, 3), whatever their length: (N,)
+    float32.
 
     The decoded direction is within 0.06 degrees; that of a zero vector is +Z.
     """

@@ -153,7 +153,8 @@ S = TypeVar("S")
 
 @contextlib.contextmanager
 def released_on_failure(device: Device) -> Iterator[None]:
-    """Releases everything that the enclosed block had put on the device where it raises: nobody else knows of it yet."""
+    """Releases everything that the enclosed block had put on the device where it raises: nobody else knows of it
+    yet."""
     before = set(device.alive)
     try:
         yield
@@ -227,8 +228,8 @@ def check_call(
 
 
 def to_half(data: np.ndarray) -> np.ndarray:
-    """Converts `data` to float16, to the nearest. What is too large, infinities too, becomes the largest float16, and NaN
-    becomes 0: light that is too bright for a texture stays bright, where infinities would be drawn black."""
+    """Converts `data` to float16, to the nearest. What is too large, infinities too, becomes the largest float16, and
+    NaN becomes 0: light that is too bright for a texture stays bright, where infinities would be drawn black."""
     with np.errstate(over="ignore"):
         found = np.ascontiguousarray(data, np.float16)
     bits = found.view(np.uint16)

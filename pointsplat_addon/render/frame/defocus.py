@@ -68,8 +68,8 @@ class OutOfFocus:
         backdrop_texels: tuple[float, float] | None,
         adaptive: Adaptive | None,
     ) -> None:
-        """The picture after `done` samples of what is in focus. `view`: of rays through pixels' centres. `behind`: the world out of focus, by sampler name. `adaptive`: where pixels differ in how many
-        samples they have."""
+        """The picture after `done` samples of what is in focus. `view`: of rays through pixels' centres. `behind`: the
+        world out of focus, by sampler name. `adaptive`: where pixels differ in how many samples they have."""
         if self.gathered == done or (self.gathered and not self.plan.solid):
             return
         self.gathered = done
@@ -80,7 +80,7 @@ class OutOfFocus:
         tiles = self.tiles
         assert tiles is not None
         program = defocus_program(
-            self.plan.behind, self.transparent, self.plan.translucent.tint, self.plan.translucent.holdout,
+            self.plan.background_defines, self.transparent, self.plan.translucent.tint, self.plan.translucent.holdout,
             adaptive is not None, tiles.tile,
         )  # fmt: skip
         sharp = {"ps_focused": self.targets.sums[0], "ps_focus": self.targets.focus}

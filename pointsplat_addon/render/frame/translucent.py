@@ -20,8 +20,8 @@ LIGHTINGS = 4  # times that translucent splats are lit in one picture, where lig
 
 
 def lighting_of_sample(request: Request, sample: int) -> int:
-    """Returns which points of wide lights light translucent splats in a sample: LIGHTINGS times in a picture; where an error
-    decides how many samples there are, for each pair."""
+    """Returns which points of wide lights light translucent splats in a sample: LIGHTINGS times in a picture; where an
+    error decides how many samples there are, for each pair."""
     if request.settings.budget == "ERROR":
         return (sample + 1) // 2
     return sample // max(request.samples // LIGHTINGS, 1)

@@ -1,4 +1,5 @@
-"""Uniforms of one sample that several passes read, and the blocks that passes declare of them and of fields of their own.
+"""Uniforms of one sample that several passes read, and the blocks that passes declare of them and of fields of their
+own.
 
 Each pass declares its own block, named `u` in its shaders, with the fields that these read and no others.
 """
@@ -38,7 +39,8 @@ BACKDROP_FIELDS: Fields = (("vec2", "backdrop_texels"),)  # texels of the backdr
 
 
 def block(name: str, *groups: Fields) -> Block:
-    """The uniform block `u` of a pass: the fields of all groups in order. `name`: of its struct, after the prefix Ps."""
+    """The uniform block `u` of a pass: the fields of all groups in order. `name`: of its struct, after the prefix
+    Ps."""
     return Block(f"Ps{name}", "u", tuple(field for group in groups for field in group))
 
 
@@ -106,7 +108,8 @@ class SampleView:
         return {name: value for name, value in known.items() if name in names}
 
     def record(self, block: Block, **own: object) -> np.ndarray:
-        """The record of a pass: what depends on the view alone, and its `own` values. ValueError: a field without one."""
+        """The record of a pass: what depends on the view alone, and its `own` values. ValueError: a field without
+        one."""
         values = {**self.values(block), **own}
         if missing := [name for _, name in block.fields if name not in values]:
             raise ValueError(f"{block.type}: no value for {', '.join(missing)}")

@@ -24,13 +24,13 @@ from ..passes.output.adaptive import why_everywhere
 from ..passes.outputs import CRYPTO
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import data
-from ..prepare.hybrid import triangles_of
-from ..prepare.in_view import in_view
-from ..prepare.negligible import without_faint
-from ..prepare.painter import defocused, painted
-from ..prepare.parts import parted
+from ..prepare.in_view import without_invisible_layers
+from ..prepare.mesh_parts import count_triangles
+from ..prepare.negligible import without_negligible
+from ..prepare.painter import with_defocus_among_translucent, with_opaque_among_translucent
 from ..prepare.prepare import Prepared, prepare
-from ..shadow.shadows import Shadows, cast
+from ..prepare.separation import separate_translucent
+from ..shadow.shadows import Shadows, make_shadows
 from .auxiliary import auxiliary_picture
 from .lens_view import camera_of_whole_lens
 from .make_plan import ViewToPlan, make_plan
@@ -104,7 +104,7 @@ class FramePlan:
         prepared, instances = self.prepared, self.prepared.polygons.tolist()
         geometries = [self.scene.geometries[int(self.scene.instances.geometry[instance])] for instance in instances]
         return sum(
-            triangles_of(geometry.mesh, prepared.parts.get(instance))
+            count_triangles(geometry.mesh, prepared.parts.get(instance))
             for geometry, instance in zip(geometries, instances, strict=True)
             if geometry.mesh is not None and (not primitives or geometry.primitive in primitives)
         )
@@ -146,7 +146,7 @@ def make_frame_plan(
         scene, request.camera, lambda content, make: store.lookup(Key(Kind.VALIDATED, content), make)
     )
     warnings = scene.warnings
-    scene, of_parts = parted(scene, store)
+    scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
     decided = decide_technique(
         TechniqueInput(request.settings, scene, request.samples, request.interactive, limits.float_blend)
@@ -159,14 +159,16 @@ def make_frame_plan(
         # What is out of focus goes into Combined alone; the other passes are of the auxiliary picture.
         auxiliary = auxiliary_picture(scene, request, presented)
         request = replace(request, passes=frozenset({"combined"}))
-        prepared = defocused(prepared)
+        prepared = with_defocus_among_translucent(prepared)
 
-    prepared, out_of_view = in_view(scene, prepared, camera, store)
-    scene, reflects, negligible = without_faint(scene, prepared, camera.view_from_world, store)
+    prepared, out_of_view = without_invisible_layers(scene, prepared, camera, store)
+    scene, reflects, negligible = without_negligible(scene, prepared, camera.view_from_world, store)
     shadows, unshadowed = _shadows(scene, prepared, request, store, clock)
     painter = technique.name == "PAINTER" and prepared.cut.splats > 0
     if painter:
-        prepared = painted(prepared, keep=presented or bool(averaged(request.passes) or data(request.passes)))
+        prepared = with_opaque_among_translucent(
+            prepared, keep=presented or bool(averaged(request.passes) or data(request.passes))
+        )
 
     absences = Absences(
         unshadowed,
@@ -244,7 +246,7 @@ def _shadows(
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.lines):
         return None, "nothing is drawn"
     before = time.perf_counter()
-    found, unshadowed = cast(scene, request.settings, store, clock.check)
+    found, unshadowed = make_shadows(scene, request.settings, store, clock.check)
     if found is None:
         return None, unshadowed or "nothing casts shadows"
     clock.spent["shadows"] = 1000 * (time.perf_counter() - before)

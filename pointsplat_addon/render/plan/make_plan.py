@@ -203,8 +203,8 @@ def _variants(view: ViewToPlan, kinds: _Kinds, attributes: _Attributes, normals:
 
 
 def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
-    """Names of the defines of lights, world and shadows. `varies`: roughness varies within a material. `drawn`: there is
-    something to shade."""
+    """Names of the defines of lights, world and shadows. `varies`: roughness varies within a material. `drawn`:
+    something is drawn."""
     scene = view.scene
     found: tuple[str, ...] = ()
     if drawn and view.reflects and view.picture:

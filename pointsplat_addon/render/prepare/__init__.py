@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Chooses what one view draws: points, polygons, strands and their levels of detail; numpy only."""

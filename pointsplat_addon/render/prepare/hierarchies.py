@@ -15,44 +15,50 @@ from .layers import MANY_INSTANCES
 from .point_sets import PointSet, typical_diameter
 from .view import View
 
-PAYS = 80  # building costs about as much as drawing the points this many times
-BLENDED = 10  # times what a small splat costs in image space, it costs by EWA, where it covers more than its pixel
+BUILD_COST = 80  # building costs about as much as drawing the points this many times
+BLENDED_COST = 10  # times what a small splat costs in image space, it costs by EWA, where it covers more than its pixel
 SMALL_SPLAT = 0.25  # of the tolerance: where typical splats are smaller, most of a cloud can be left out
 # The same where instances are many, for finding what they draw costs nothing for each splat, and by EWA.
-SMALL_SHARED = 0.5
-FEW_POINTS = 1 << 12  # blurred points without nodes cost less than nodes do
-MOST_BARE = 1 << 24  # splats of all instances together: what draws more waits for its hierarchy
+SMALL_SPLAT_SHARED = 0.5
+MIN_POINTS_FOR_DEFOCUS = 1 << 12  # blurred points without nodes cost less than nodes do
+MAX_POINTS_WITHOUT_HIERARCHY = 1 << 24  # splats of all instances together: what draws more waits for its hierarchy
 
 
-def where_it_pays(view: View, points: PointSet, view_from_object: np.ndarray) -> PointSet:
+def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np.ndarray) -> PointSet:
     """The points of instances (I, 4, 4), with an octree where it is there, or can leave out most of them often enough
     to pay for itself. In an interactive view it is built on another thread, where so many points can be drawn."""
-    plain, points, store = points, _filled(points, view.scene.materials, view.store), view.store
+    plain, points, store = points, _with_material_constants(points, view.scene.materials, view.store), view.store
     key = Key(Kind.HIERARCHY, points.key)
     if key not in store:
         if not _pays(view, plain, view_from_object):
             return plain
         bare = len(plain.cloud) * len(view_from_object)
-        if view.interactive and (points.family is None or points.family not in store) and bare <= MOST_BARE:
+        if (
+            view.interactive
+            and (points.family is None or points.family not in store)
+            and bare <= MAX_POINTS_WITHOUT_HIERARCHY
+        ):
             store.make_later(key, lambda: _hierarchy(points, store))
             return plain
     return _with_hierarchy(points, store)
 
 
-def that_have_nodes(view: View, name: Key, make: Callable[[], PointSet]) -> PointSet | None:
+def points_once_they_have_nodes(view: View, name: Key, make: Callable[[], PointSet]) -> PointSet | None:
     """Points called `name`, once their octree is there. In an interactive view it is begun, on another thread, at the
     second time of asking: what changes from picture to picture would be gone when it is built."""
     store, known, asked = view.store, Key(Kind.NODES, name), Key(Kind.NODES_ASKED_FOR, name)
 
     def build() -> Key:
-        return _with_hierarchy(_filled(make(), view.scene.materials, store), store).key
+        return _with_hierarchy(_with_material_constants(make(), view.scene.materials, store), store).key
 
     if known in store:
         key = store.lookup(known, build)
         if key in store:
             return make()
         if view.interactive:  # there was no room for it
-            store.make_later(key, lambda: _hierarchy(_filled(make(), view.scene.materials, store), store))
+            store.make_later(
+                key, lambda: _hierarchy(_with_material_constants(make(), view.scene.materials, store), store)
+            )
     elif view.interactive and asked in store:
         store.make_later(known, build)
     elif view.interactive:
@@ -60,24 +66,24 @@ def that_have_nodes(view: View, name: Key, make: Callable[[], PointSet]) -> Poin
     return None
 
 
-def where_blurred(view: View, points: PointSet, always: bool) -> PointSet:
+def with_hierarchy_for_defocus(view: View, points: PointSet, always: bool) -> PointSet:
     """Points with a hierarchy, where they are so many that blurred ones are worth leaving out, or `always`."""
-    if points.hierarchy is not None or (len(points.cloud) < FEW_POINTS and not always):
+    if points.hierarchy is not None or (len(points.cloud) < MIN_POINTS_FOR_DEFOCUS and not always):
         return points
-    return _with_hierarchy(_filled(points, view.scene.materials, view.store), view.store)
+    return _with_hierarchy(_with_material_constants(points, view.scene.materials, view.store), view.store)
 
 
 def _pays(view: View, points: PointSet, view_from_object: np.ndarray) -> bool:
     """Whether enough instances show this set's splats so small that a cut leaves most of them out."""
     blended = view.settings.technique in ("EWA", "PAINTER")
-    limit = SMALL_SPLAT if len(view_from_object) < MANY_INSTANCES and not blended else SMALL_SHARED
+    limit = SMALL_SPLAT if len(view_from_object) < MANY_INSTANCES and not blended else SMALL_SPLAT_SHARED
     diameter = typical_diameter(points, view_from_object, view.camera, view.store)
     small = np.count_nonzero(diameter < limit * view.settings.tolerance)
-    drawn = small * view.samples * (BLENDED if blended else 1)
-    return bool(small > 0) if view.interactive else bool(drawn >= PAYS)
+    drawn = small * view.samples * (BLENDED_COST if blended else 1)
+    return bool(small > 0) if view.interactive else bool(drawn >= BUILD_COST)
 
 
-def _filled(points: PointSet, table: MaterialTable, store: Store) -> PointSet:
+def _with_material_constants(points: PointSet, table: MaterialTable, store: Store) -> PointSet:
     """The points with the constants of their materials as attributes, where these differ: nodes hold the means."""
     cloud = points.cloud
     material = cloud.material

@@ -23,7 +23,9 @@ OUT_OF_VIEW, CLEAR = "nothing of it is in view", "nothing of it hides or emits l
 Ball = tuple[np.ndarray, np.ndarray, float]  # view_from_object (I, 4, 4); centre (3,) and radius in object space
 
 
-def in_view(scene: Scene, prepared: Prepared, camera: Camera, store: Store) -> tuple[Prepared, dict[str, str]]:
+def without_invisible_layers(
+    scene: Scene, prepared: Prepared, camera: Camera, store: Store
+) -> tuple[Prepared, dict[str, str]]:
     """The same without layers that cannot be seen, and why by their names: points, translucent, spheres, polygons.
 
     A layer goes or stays as a whole: were its sets to come and go by themselves, pages would be uploaded again whenever
@@ -36,13 +38,13 @@ def in_view(scene: Scene, prepared: Prepared, camera: Camera, store: Store) -> t
     for name, layer in (("points", prepared), ("translucent", prepared.translucent), ("spheres", prepared.spheres)):
         if layer.cut.splats == 0:
             continue
-        if sharp and not _seen(layer_balls(layer, prepared.view_from_object, store), camera):
+        if sharp and not _any_visible(layer_balls(layer, prepared.view_from_object, store), camera):
             gone[name] = OUT_OF_VIEW
-        elif name == "translucent" and all(_clear(points, store) for points in layer.point_sets.values()):
+        elif name == "translucent" and all(_is_clear(points, store) for points in layer.point_sets.values()):
             gone[name] = CLEAR
-    if sharp and len(prepared.polygons) and not _seen(polygon_balls(scene, prepared, store), camera):
+    if sharp and len(prepared.polygons) and not _any_visible(polygon_balls(scene, prepared, store), camera):
         gone["polygons"] = OUT_OF_VIEW
-    return (_without(prepared, gone), gone) if gone else (prepared, gone)
+    return (_without_layers(prepared, gone), gone) if gone else (prepared, gone)
 
 
 def layer_balls(layer: Layer, view_from_object: np.ndarray, store: Store) -> Iterator[Ball]:
@@ -62,7 +64,7 @@ def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ba
             yield prepared.view_from_object[prepared.polygons[geometry == row]], middle, reach
 
 
-def drawn_ball(scene: Scene, prepared: Prepared, store: Store) -> tuple[np.ndarray, float]:
+def ball_of_all_drawn(scene: Scene, prepared: Prepared, store: Store) -> tuple[np.ndarray, float]:
     """Centre in view space and radius of a ball about all that is drawn; infinite where strands are."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     layers = (prepared, prepared.translucent, prepared.spheres)
@@ -78,12 +80,12 @@ def drawn_ball(scene: Scene, prepared: Prepared, store: Store) -> tuple[np.ndarr
     return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 
 
-def _seen(balls: Iterator[Ball], camera: Camera) -> bool:
+def _any_visible(balls: Iterator[Ball], camera: Camera) -> bool:
     """Whether any instance of any ball may reach into the picture."""
     return any(bool(visible_instances(views, middle, reach, camera, MARGIN).any()) for views, middle, reach in balls)
 
 
-def _clear(points: PointSet, store: Store) -> bool:
+def _is_clear(points: PointSet, store: Store) -> bool:
     """Splats that are not there, whatever light falls on them."""
 
     def look() -> bool:
@@ -95,7 +97,7 @@ def _clear(points: PointSet, store: Store) -> bool:
     return store.lookup(Key(Kind.IS_INVISIBLE, points.key), look)
 
 
-def _without(prepared: Prepared, gone: dict[str, str]) -> Prepared:
+def _without_layers(prepared: Prepared, gone: dict[str, str]) -> Prepared:
     none = np.full(len(prepared.set_of_instance), -1)
     nothing = Cut(np.empty(0, np.int32), np.empty(0, np.int64), np.empty(0, np.int64))
     empty = Layer({}, none, nothing)

@@ -22,7 +22,7 @@ from ...core.lod.node_table import NodeTable, node_table
 from ...core.scene.scene import Geometry
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
-from .point_sets import Layer, PointSet, counts, set_ball
+from .point_sets import Layer, PointSet, point_counts, set_ball
 from .view import View
 
 MANY_INSTANCES = 16  # of one geometry: so many share samples and cuts
@@ -93,13 +93,15 @@ def _cut(
 ) -> Cut:
     """Each instance by itself."""
     if not any(points.hierarchy for points in point_sets.values()):
-        return cut_of_all_points(counts(point_sets), set_of_instance)
+        return cut_of_all_points(point_counts(point_sets), set_of_instance)
     key = Key(Kind.FOREST, tuple((row, points.key) for row, points in point_sets.items()))
     trees: NodeTable = view.store.lookup(
         key, lambda: node_table({row: p.hierarchy or p.cloud for row, p in point_sets.items()})
     )
     scene, tolerance = view.scene, view.settings.tolerance
-    cull = np.array([bool(scene.materials.cull.take(_materials(g), mode="clip").all()) for g in scene.geometries], bool)
+    cull = np.array(
+        [bool(scene.materials.cull.take(_material_rows(g), mode="clip").all()) for g in scene.geometries], bool
+    )
     # What turns its back to the middle of the lens may face its rim.
     cull = cull[scene.instances.geometry] & (not uses_lens_samples(view.camera, view.settings))
     return select_cut(
@@ -115,7 +117,7 @@ def _cut(
     )
 
 
-def _materials(geometry: Geometry) -> list[int]:
+def _material_rows(geometry: Geometry) -> list[int]:
     """Rows of the material table that a geometry uses."""
     if geometry.mesh is not None:
         return list(geometry.mesh.materials)

@@ -28,23 +28,25 @@ from ...core.surface.spacing import MAX_SAMPLES, MOST_SAMPLES, limit_spacing, qu
 from ...core.surface.triangles import Measures, measure_triangles
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
-from .hierarchies import that_have_nodes
+from .hierarchies import points_once_they_have_nodes
 from .layers import MANY_INSTANCES
 from .point_sets import PointSet
 from .view import View
 
 # Of meshes whose instances are many, AUTO draws polygons where the typical triangle's edge spans more pixels than this.
 POLYGON_PIXELS = 4.0
-MOST_LEAVES = 1 << 21  # triangles of all instances of a mesh of leaves, which AUTO draws as polygons from any distance
-EXACT_TRIANGLES = 4 << 20  # of all instances: so many are asked one by one what they need
-MANY_TRIANGLES = 1 << 14  # of one mesh: fewer are all looked at in no time
+MAX_FOLIAGE_TRIANGLES = (
+    1 << 21
+)  # triangles of all instances of a mesh of leaves, which AUTO draws as polygons from any distance
+MAX_EXACT_TRIANGLES = 4 << 20  # of all instances: so many are asked one by one what they need
+MIN_TRIANGLES_FOR_PARTS = 1 << 14  # of one mesh: fewer are all looked at in no time
 SHARED_CELLS = 128  # samples across a geometry whose instances are many: outlines grow by half a percent
 COARSEST_OCTAVE = 6  # beyond it, the few samples that are left cost less than another cloud
 VERTEX_PIXELS = 2.0  # vertices are samples enough where no edge spans more; with pictures on them, one sample a pixel
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredMesh:
     """A mesh that has valid triangles, and what is measured of it once for all views."""
 
     geometry: Geometry
@@ -76,7 +78,7 @@ class Measured:
 
     def leaves(self, instances: int) -> bool:
         """Whether so many instances of it are leaves, few enough to be polygons from any distance."""
-        return instances * len(self.mesh.triangles) <= MOST_LEAVES and self._kept(
+        return instances * len(self.mesh.triangles) <= MAX_FOLIAGE_TRIANGLES and self._kept(
             Kind.IS_FOLIAGE, lambda: is_foliage(self.mesh.position, self.mesh.triangles)
         )
 
@@ -84,10 +86,10 @@ class Measured:
         return self.store.lookup(Key(kind, self.geometry.key), make)
 
 
-def measured(view: View, geometry: Geometry) -> Measured | None:
+def measured_mesh(view: View, geometry: Geometry) -> MeasuredMesh | None:
     """The mesh of a geometry; None where it has no triangles."""
     mesh = geometry.mesh
-    return None if mesh is None or len(mesh.triangles) == 0 else Measured(geometry, mesh, view.store)
+    return None if mesh is None or len(mesh.triangles) == 0 else MeasuredMesh(geometry, mesh, view.store)
 
 
 def mesh_ball(mesh: Mesh, store: Store) -> tuple[np.ndarray, float]:
@@ -102,7 +104,7 @@ def _typical_edge(mesh: Mesh) -> float:
     return float(np.sqrt(np.linalg.norm(np.cross(b - a, c - a), axis=1).mean()))
 
 
-def most_samples(tolerance: float) -> int:
+def max_samples(tolerance: float) -> int:
     """Samples that one mesh may have: a finer tolerance asks for more, up to what memory holds."""
     return int(min(MAX_SAMPLES / min(tolerance, 1.0) ** 2, MOST_SAMPLES))
 
@@ -118,38 +120,40 @@ class Primitives:
     ranges: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
-def points_or_polygons(view: View, of: Measured, view_from_object: np.ndarray) -> Primitives:
+def points_or_polygons(view: View, of: MeasuredMesh, view_from_object: np.ndarray) -> Primitives:
     """Instances (I, 4, 4), each of them as a whole."""
     rows = np.arange(len(view_from_object))
-    found = _points(view, of, view_from_object)
+    found = _points_unless_polygons(view, of, view_from_object)
     if found is not None:
         return Primitives(found, rows[:0])
-    near = _near(view, of, view_from_object)
+    near = _too_near_for_points(view, of, view_from_object)
     polygons, far = rows[near], rows[~near]
     if len(far) == 0:
         return Primitives([], polygons)
     # What is not near is small enough to be points, each instance by itself.
-    found = _points(view, of, view_from_object[far], all_far=True)
+    found = _points_unless_polygons(view, of, view_from_object[far], all_far=True)
     if found is None:
         return Primitives([], np.concatenate([polygons, far]))
     return Primitives([(points, far[some]) for points, some in found], polygons)
 
 
-def all_points(view: View, of: Measured, view_from_object: np.ndarray) -> list[tuple[PointSet, np.ndarray]]:
+def points_of_instances(
+    view: View, of: MeasuredMesh, view_from_object: np.ndarray
+) -> list[tuple[PointSet, np.ndarray]]:
     """Points with the rows (K,) of the instances (I, 4, 4) that they are drawn for, all of which are points."""
-    needed = _needed(view, of, view_from_object)
+    needed = _needed_spacing(view, of, view_from_object)
     if not np.isfinite(needed):  # boxes around parts reach into the picture, and no triangle does
         return []
-    return _dense(view, of, needed, view_from_object)
+    return _points_by_octave(view, of, needed, view_from_object)
 
 
-def _points(
-    view: View, of: Measured, view_from_object: np.ndarray, all_far: bool = False
+def _points_unless_polygons(
+    view: View, of: MeasuredMesh, view_from_object: np.ndarray, all_far: bool = False
 ) -> list[tuple[PointSet, np.ndarray]] | None:
     """The same; None where polygons are drawn instead. `all_far`: triangles are known to be small."""
     if of.geometry.primitive == "POLYGONS":
         return None
-    needed = _needed(view, of, view_from_object)
+    needed = _needed_spacing(view, of, view_from_object)
     if not np.isfinite(needed):
         return []
     if of.geometry.primitive == "AUTO":
@@ -157,15 +161,15 @@ def _points(
             return None
         if of.leaves(len(view_from_object)):
             return None
-    return _dense(view, of, needed, view_from_object)
+    return _points_by_octave(view, of, needed, view_from_object)
 
 
-def _near(view: View, of: Measured, view_from_object: np.ndarray) -> np.ndarray:
+def _too_near_for_points(view: View, of: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
     """(I,) bool: instances of a mesh, some of which is to be drawn as polygons, that are so large on the screen that
     they are, or may be."""
     if of.geometry.primitive == "POLYGONS" or len(view_from_object) == 1 or not view.camera.perspective:
         return np.ones(len(view_from_object), bool)
-    allowed = _allowed_by_bounds(view, of, view_from_object)
+    allowed = _spacing_allowed_by_bounds(view, of, view_from_object)
     near = of.edge * view.settings.tolerance > POLYGON_PIXELS * allowed
     return near & visible_instances(view_from_object, *of.ball, view.camera)
 
@@ -173,15 +177,15 @@ def _near(view: View, of: Measured, view_from_object: np.ndarray) -> np.ndarray:
 # How dense points are.
 
 
-def _needed(view: View, of: Measured, view_from_object: np.ndarray) -> float:
+def _needed_spacing(view: View, of: MeasuredMesh, view_from_object: np.ndarray) -> float:
     """The spacing that one or more instances need in this view."""
-    parts = of.parts if len(of.mesh.triangles) >= MANY_TRIANGLES else None
+    parts = of.parts if len(of.mesh.triangles) >= MIN_TRIANGLES_FOR_PARTS else None
     return required_spacing(
         of.mesh, view_from_object, view.camera, view.settings.tolerance, max_samples=None, parts=parts
     )
 
 
-def _allowed_by_bounds(view: View, of: Measured, view_from_object: np.ndarray) -> np.ndarray:
+def _spacing_allowed_by_bounds(view: View, of: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
     """(I,) a spacing that is fine enough for each instance, from the nearest point of its bounding sphere."""
     middle, reach = of.ball
     scale = largest_singular_value(view_from_object[:, :3, :3])
@@ -191,41 +195,43 @@ def _allowed_by_bounds(view: View, of: Measured, view_from_object: np.ndarray) -
         return np.maximum(depth, view.camera.near) * view.settings.tolerance / (focal * scale)
 
 
-def _dense(view: View, of: Measured, needed: float, view_from_object: np.ndarray) -> list[tuple[PointSet, np.ndarray]]:
+def _points_by_octave(
+    view: View, of: MeasuredMesh, needed: float, view_from_object: np.ndarray
+) -> list[tuple[PointSet, np.ndarray]]:
     """Points as dense as `needed`; of instances that allow it, octaves less."""
     if len(view_from_object) >= MANY_INSTANCES:
-        needed = min(needed, _coarsest(of))
-    octave = _octaves(view, of, needed, view_from_object)
-    return [(_sampled(view, of, needed, int(n)), np.flatnonzero(octave == n)) for n in np.unique(octave)]
+        needed = min(needed, _coarsest_shared_spacing(of))
+    octave = _coarser_octaves(view, of, needed, view_from_object)
+    return [(_points_at_octave(view, of, needed, int(n)), np.flatnonzero(octave == n)) for n in np.unique(octave)]
 
 
-def _octaves(view: View, of: Measured, needed: float, view_from_object: np.ndarray) -> np.ndarray:
+def _coarser_octaves(view: View, of: MeasuredMesh, needed: float, view_from_object: np.ndarray) -> np.ndarray:
     """(I,) how many octaves coarser than `needed` each instance may be sampled."""
     if of.geometry.spacing > 0 or not view.camera.perspective or len(view_from_object) == 1:
         return np.zeros(len(view_from_object), int)
     many = len(view_from_object) > EXACT_INSTANCES
-    if not many and len(view_from_object) * len(of.mesh.triangles) <= EXACT_TRIANGLES:
-        allowed = np.array([_needed(view, of, matrix) for matrix in view_from_object])
+    if not many and len(view_from_object) * len(of.mesh.triangles) <= MAX_EXACT_TRIANGLES:
+        allowed = np.array([_needed_spacing(view, of, matrix) for matrix in view_from_object])
     else:
-        allowed = _allowed_by_bounds(view, of, view_from_object)
+        allowed = _spacing_allowed_by_bounds(view, of, view_from_object)
     with np.errstate(all="ignore"):
         # Relative to the octave that `needed` is rounded to, so that the coarser ones round alike.
         coarser = np.floor(np.log2(allowed / quantise_spacing(needed)))
         # Each triangle has a sample, however coarse the spacing is.
         most = of.edge
         if len(view_from_object) >= MANY_INSTANCES:
-            most = min(most, _coarsest(of))
+            most = min(most, _coarsest_shared_spacing(of))
         most = np.clip(np.ceil(np.log2(most / needed)), 0, COARSEST_OCTAVE)
     return np.clip(np.nan_to_num(coarser), 0, np.nan_to_num(most)).astype(int)
 
 
-def _coarsest(of: Measured) -> float:
+def _coarsest_shared_spacing(of: MeasuredMesh) -> float:
     """The spacing beyond which instances that are many are not sampled: outlines grow by about a quarter of it, and
     hierarchies made of finer samples have coarser nodes that do not."""
     return 2 * of.ball[1] / SHARED_CELLS
 
 
-def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
+def _points_at_octave(view: View, of: MeasuredMesh, needed: float, octave: int) -> PointSet:
     """Samples so many octaves coarser than `needed`, or than what was needed before: they are only ever refined."""
     geometry, mesh, shape, store = of.geometry, of.mesh, of.shape, view.store
     spacing = geometry.spacing if geometry.spacing > 0 else needed
@@ -233,7 +239,7 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
     known = store.finest_spacing(asked, np.inf)
     measures = of.measures
     if geometry.spacing <= 0 and spacing < known:
-        octave_of, most = quantise_spacing(spacing), most_samples(view.settings.tolerance)
+        octave_of, most = quantise_spacing(spacing), max_samples(view.settings.tolerance)
         spacing = store.lookup(
             Key(Kind.LIMITED_SPACING, shape, spacing=octave_of, other=most),
             lambda: limit_spacing(mesh, octave_of, most, measures=measures),
@@ -250,18 +256,18 @@ def _sampled(view: View, of: Measured, needed: float, octave: int) -> PointSet:
         # Finer samples than a budget of time leaves room for are drawn once their nodes can stand for them.
         own, name = quantise_spacing(needed), Key(Kind.MESH_POINTS, geometry.key, look, method, spacing)
         if own > spacing:
-            found = that_have_nodes(view, name, lambda: _samples(view, of, method, spacing, loose))
-            return _samples(view, of, method, own, loose) if found is None else found
-    return _samples(view, of, method, spacing, loose)
+            found = points_once_they_have_nodes(view, name, lambda: _sampled_points(view, of, method, spacing, loose))
+            return _sampled_points(view, of, method, own, loose) if found is None else found
+    return _sampled_points(view, of, method, spacing, loose)
 
 
-def fewest(view: View, of: Measured) -> PointSet:
+def fewest_samples(view: View, of: MeasuredMesh) -> PointSet:
     """The fewest samples that cover a mesh: its vertices, or one on each triangle."""
     spacing = quantise_spacing(2 * of.measures.longest)
-    return _samples(view, of, choose_method(of.mesh, spacing, measures=of.measures), spacing, spacing)
+    return _sampled_points(view, of, choose_method(of.mesh, spacing, measures=of.measures), spacing, spacing)
 
 
-def _samples(view: View, of: Measured, method: str, spacing: float, loose: float) -> PointSet:
+def _sampled_points(view: View, of: MeasuredMesh, method: str, spacing: float, loose: float) -> PointSet:
     """Samples by one method, so far apart; vertices where they may be `loose` apart."""
     geometry, mesh, shape, store, table = of.geometry, of.mesh, of.shape, view.store, view.scene.materials
     look = digest(mesh, table)
@@ -283,9 +289,9 @@ def _samples(view: View, of: Measured, method: str, spacing: float, loose: float
     return PointSet(key, store.lookup(key, make), family=family, samples=at)
 
 
-def areas(view: View, geometry: Geometry, points: PointSet) -> Callable[[], np.ndarray] | None:
+def sample_area_function(view: View, geometry: Geometry, points: PointSet) -> Callable[[], np.ndarray] | None:
     """What finds (N,) what each sample of a mesh stands for, in object units squared; None: it is not known."""
-    of = measured(view, geometry)
+    of = measured_mesh(view, geometry)
     if of is None or points.samples is None or points.samples not in view.store:
         return None
     samples, _ = view.store.lookup(points.samples, lambda: None)

@@ -28,13 +28,13 @@ from ...core.scene.world import World
 from ...core.surface.appearance import graphs_of
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
-from .in_view import drawn_ball
+from .in_view import ball_of_all_drawn
 from .point_sets import Layer, PointSet
 from .prepare import Prepared
 
 MEASURABLE = 1 / 1024  # of white
 LIGHTS, WORLD, EMISSION = MEASURABLE / 2, MEASURABLE / 4, MEASURABLE / 4  # what of it each may take
-LOOK = 4096  # texels of a picture that are looked at first: most pictures are bright
+FIRST_TEXELS = 4096  # texels of a picture that are looked at first: most pictures are bright
 
 
 @dataclass(frozen=True)
@@ -59,20 +59,22 @@ class Reflection:
         return irradiance * sum(abs(factor) * bound for factor, bound in parts if factor != 0.0 and bound != 0.0)
 
 
-def without_faint(
+def without_negligible(
     scene: Scene, prepared: Prepared, view_from_world: np.ndarray, store: Store
 ) -> tuple[Scene, bool, tuple[tuple[str, str], ...]]:
     """The scene without what adds nothing measurable to what is drawn of it; whether anything that is drawn reflects
     light; and what was left out: (what, because)."""
     bounds, notes = reflection(scene, prepared, store), []
-    world = _world(scene, bounds)
+    world = _world_or_black(scene, bounds)
     if world is not scene.world:
         notes.append(("world", "it adds less than 1/1024 of white"))
     lights = tuple(scene.lights)
     if lights:
         near = any(light.kind != "SUN" and np.any(light.color) for light in lights)
-        ball = drawn_ball(scene, prepared, store) if near else (np.zeros(3), np.inf)
-        added = np.array([bounds.of(light, _irradiance(light, ball, view_from_world)) for light in lights])
+        ball = ball_of_all_drawn(scene, prepared, store) if near else (np.zeros(3), np.inf)
+        added = np.array(
+            [bounds.of(light, _irradiance_bound_in_ball(light, ball, view_from_world)) for light in lights]
+        )
         order = np.argsort(added, kind="stable")
         left_out = np.zeros(len(lights), bool)
         left_out[order] = np.cumsum(added[order]) <= LIGHTS
@@ -95,7 +97,7 @@ def without_faint(
 def reflection(scene: Scene, prepared: Prepared, store: Store) -> Reflection:
     """How much of what arrives anything that is drawn may send to the eye."""
     table = scene.materials
-    rows, albedo, smooth = _used(scene, prepared, store)
+    rows, albedo, smooth = _used_materials(scene, prepared, store)
     known = np.array(sorted(rows), int)
     colors = max(albedo, float(table.base_color[known].max(initial=0.0)))
     metal = smooth or bool((table.metallic[known] > 0).any())
@@ -105,25 +107,25 @@ def reflection(scene: Scene, prepared: Prepared, store: Store) -> Reflection:
     blurred = prepared.blurred is not None and any(geometry.strands is not None for geometry in scene.geometries)
     strands = len(prepared.lines) > 0 or blurred
     lobe = np.inf if strands else largest_multiple_scattering() / (np.pi * alpha**3) if shines else 0.0
-    media = any(points.cloud.extinction is not None for points in _sets(prepared))
+    media = any(points.cloud.extinction is not None for points in _point_sets(prepared))
     g = 0.0 if table.anisotropy is None else min(float(np.abs(table.anisotropy[known]).max(initial=0.0)), 0.99)
     phase = colors * (1 + g) / (4 * np.pi * (1 - g) ** 2) if media and colors > 0 else 0.0
     world = np.inf if strands else colors + (largest_multiple_scattering() if shines else 0.0)
     return Reflection(colors, lobe, phase, world)
 
 
-def _sets(prepared: Prepared) -> list[PointSet]:
+def _point_sets(prepared: Prepared) -> list[PointSet]:
     layers: tuple[Layer, ...] = (prepared, prepared.translucent, prepared.spheres)
     return [points for layer in layers for points in layer.point_sets.values()]
 
 
-def _used(scene: Scene, prepared: Prepared, store: Store) -> tuple[set[int], float, bool]:
+def _used_materials(scene: Scene, prepared: Prepared, store: Store) -> tuple[set[int], float, bool]:
     """Rows of the materials that are drawn; the brightest colour beside theirs; whether roughness or metallic vary."""
     rows: set[int] = set()
     albedo, smooth = 0.0, False
-    for points in _sets(prepared):
+    for points in _point_sets(prepared):
         cloud = points.cloud
-        rows |= store.lookup(Key(Kind.USED_MATERIALS, points.key), lambda c=cloud: _rows(c.material))
+        rows |= store.lookup(Key(Kind.USED_MATERIALS, points.key), lambda c=cloud: _material_rows(c.material))
         if (color := cloud.color) is not None:
             albedo = max(albedo, store.lookup(Key(Kind.BRIGHTEST_COLOR, points.key), lambda c=color: _brightest(c)))
         smooth |= cloud.surface is not None
@@ -142,7 +144,7 @@ def _used(scene: Scene, prepared: Prepared, store: Store) -> tuple[set[int], flo
     return {row for row in rows if row < len(scene.materials)}, albedo, smooth
 
 
-def _rows(material: np.ndarray | None) -> frozenset[int]:
+def _material_rows(material: np.ndarray | None) -> frozenset[int]:
     return frozenset([0] if material is None else np.unique(material).tolist())
 
 
@@ -152,7 +154,7 @@ def _brightest(values: np.ndarray) -> float:
     return most if np.isfinite(most) else np.inf
 
 
-def _irradiance(light: Light, ball: tuple[np.ndarray, float], view_from_world: np.ndarray) -> float:
+def _irradiance_bound_in_ball(light: Light, ball: tuple[np.ndarray, float], view_from_world: np.ndarray) -> float:
     """Bound of the irradiance anywhere in a ball (centre in view space, radius)."""
     if not np.any(light.color):
         return 0.0
@@ -163,7 +165,7 @@ def _irradiance(light: Light, ball: tuple[np.ndarray, float], view_from_world: n
     return found if np.isfinite(found) else np.inf
 
 
-def _world(scene: Scene, bounds: Reflection) -> World:
+def _world_or_black(scene: Scene, bounds: Reflection) -> World:
     """The world, or a black one where it cannot be told from that."""
     world = scene.world
     each = max(bounds.world, 0.0 if scene.transparent else 1.0)
@@ -173,14 +175,17 @@ def _world(scene: Scene, bounds: Reflection) -> World:
     if each == 0.0:
         return World()
     least = WORLD / each
-    few = values[:: max(len(values) // LOOK, 1)]
+    few = values[:: max(len(values) // FIRST_TEXELS, 1)]
     bright = not (np.abs(few) <= least).all() or not (np.abs(values) <= least).all()
     return world if bright else World()
 
 
 def _emission_varies(scene: Scene, prepared: Prepared) -> bool:
     """Some emission is not the table's; or the table's is that of media, whose radiance has no bound."""
-    if any(p.cloud.emission is not None or p.cloud.extinction is not None for p in _sets(prepared)) or prepared.lines:
+    if (
+        any(p.cloud.emission is not None or p.cloud.extinction is not None for p in _point_sets(prepared))
+        or prepared.lines
+    ):
         return True
     meshes = [scene.geometries[int(row)].mesh for row in np.unique(scene.instances.geometry[prepared.polygons])]
     graphs = [g for mesh in meshes if mesh is not None for g in graphs_of(mesh, scene.materials).values()]

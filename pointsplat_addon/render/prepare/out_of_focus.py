@@ -31,7 +31,7 @@ from .point_sets import Layer, PointSet
 
 
 @dataclass(frozen=True, eq=False)
-class Blurred(Layer):
+class OutOfFocusLayer(Layer):
     """Opaque splats that may be out of focus."""
 
     # By key of point_sets, what of its ellipse each splat covers: (N + M,) float32, points before nodes, or one number.
@@ -39,7 +39,7 @@ class Blurred(Layer):
 
 
 @dataclass
-class Focus:
+class FocusSorter:
     """Sorts what a view draws into what is in focus and what is not."""
 
     scene: Scene
@@ -132,7 +132,7 @@ class Focus:
         self.set_of_instance[instance] = key
         return key
 
-    def layer(self) -> Blurred:
+    def layer(self) -> OutOfFocusLayer:
         """All that was added, cut for this view."""
         bare = {key: points for key, points in self.sets.items() if points.hierarchy is None}
         counts = np.zeros(len(self.sets) + 1, np.int64)
@@ -149,4 +149,4 @@ class Focus:
                     found, own, self.view_from_object, self.camera, self.tolerance, blur=self.blur, wanted="BLURRED"
                 )
             )
-        return Blurred(self.sets, self.set_of_instance, joined_cuts(cuts), self.shares)
+        return OutOfFocusLayer(self.sets, self.set_of_instance, joined_cuts(cuts), self.shares)

@@ -11,27 +11,27 @@ from .point_sets import Layer
 from .prepare import Prepared
 
 
-def painted(prepared: Prepared, keep: bool) -> Prepared:
+def with_opaque_among_translucent(prepared: Prepared, keep: bool) -> Prepared:
     """The same with the opaque points among the translucent ones. `keep`: the G-buffer holds them as well, for passes
     that are not painted."""
     layers = Layer(prepared.point_sets, prepared.set_of_instance, prepared.cut), prepared.translucent
-    both = _together(*layers) if len(layers[1].cut.count) else layers[0]
+    both = _merged_layers(*layers) if len(layers[1].cut.count) else layers[0]
     if keep:
         return replace(prepared, translucent=both)
     nothing = np.full(len(prepared.set_of_instance), -1)
-    return replace(prepared, translucent=both, point_sets={}, set_of_instance=nothing, cut=_joined([]))
+    return replace(prepared, translucent=both, point_sets={}, set_of_instance=nothing, cut=_merged_cuts([]))
 
 
-def _together(a: Layer, b: Layer) -> Layer:
+def _merged_layers(a: Layer, b: Layer) -> Layer:
     """Layers of different instances as one; the keys of the second one's sets follow after the first's."""
     shift = max(a.point_sets, default=-1) + 1
     sets = {**a.point_sets, **{key + shift: points for key, points in b.point_sets.items()}}
     other = np.where(b.set_of_instance >= 0, b.set_of_instance + shift, -1)
     set_of_instance = np.where(a.set_of_instance >= 0, a.set_of_instance, other)
-    return Layer(sets, set_of_instance, _joined([a.cut, b.cut]))
+    return Layer(sets, set_of_instance, _merged_cuts([a.cut, b.cut]))
 
 
-def _joined(cuts: list[Cut]) -> Cut:
+def _merged_cuts(cuts: list[Cut]) -> Cut:
     """Cuts of different instances as one, by instance."""
     empty = np.empty(0, np.int32), np.empty(0, np.int64), np.empty(0, np.int64)
     names = ("instance", "first", "count")
@@ -43,9 +43,9 @@ def _joined(cuts: list[Cut]) -> Cut:
     return Cut(instance[order], first[order], count[order], nodes, points, culled)
 
 
-def defocused(prepared: Prepared) -> Prepared:
+def with_defocus_among_translucent(prepared: Prepared) -> Prepared:
     """The same with what is out of focus among what is translucent."""
     blurred = prepared.blurred
     assert blurred is not None
-    both = _together(blurred, prepared.translucent) if len(prepared.translucent.cut.count) else blurred
+    both = _merged_layers(blurred, prepared.translucent) if len(prepared.translucent.cut.count) else blurred
     return replace(prepared, translucent=both, shares=blurred.shares)

@@ -46,23 +46,23 @@ class Layer:
     cut: Cut
 
 
-def given(cloud: PointCloud) -> PointCloud:
+def coherent_with_foliage(cloud: PointCloud) -> PointCloud:
     """The cloud in coherent order, its foliage marked."""
     cloud = coherent(cloud)
     disconnected = disconnected_splats(cloud)
     return cloud if disconnected is None else replace(cloud, disconnected=disconnected)
 
 
-def given_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:
+def cloud_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:
     """The points of a geometry that is a cloud."""
-    points = view.store.lookup(Key(Kind.GIVEN_POINTS, geometry.key), lambda: given(cloud))
+    points = view.store.lookup(Key(Kind.GIVEN_POINTS, geometry.key), lambda: coherent_with_foliage(cloud))
     family = None
     if geometry.lattice:
         family = Key(Kind.SHARED_HIERARCHY, geometry.lattice, other=(len(points), *points.arrays()))
     return PointSet(Key(Kind.CLOUD, geometry.key), points, family=family, is_lattice=family is not None)
 
 
-def counts(point_sets: dict[int, PointSet]) -> np.ndarray:
+def point_counts(point_sets: dict[int, PointSet]) -> np.ndarray:
     """(K + 1,) int64: points of each set by its key; the last one, that -1 reads, has none."""
     found = np.zeros(max(point_sets, default=-1) + 2, np.int64)
     for key, points in point_sets.items():

@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Shadow tables of a scene's lights: what casts, how densely it is sampled, and the tables as textures."""

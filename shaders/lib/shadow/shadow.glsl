@@ -1,4 +1,4 @@
-// How much of a light's light reaches a point. Reference: scripts/common/shadow_truth.py; layout: render/shadow/pages.py.
+// How much of a light's light reaches a point. Reference: scripts/common/shadow_truth.py; layout: render/shadow/packed_tables.py.
 // PS_SHADOWS: some light casts shadows; else nothing here exists. PS_SHADOW_COLORED: optical depths have three channels.
 // Shadows of wide lights are the mean of PS_SHADOW_TAPS points of the light, of a sequence that goes on from sample to
 // sample of a picture: PS_SHADOW_SAMPLE is the sample's number. PS_SHADOW_ONE_CELL: samples are so many that each looks

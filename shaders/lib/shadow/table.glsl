@@ -1,5 +1,5 @@
 // Tables of optical depth around each light: their layout, and what a cell or the four around a direction hold in front of
-// a distance. Reference: scripts/common/shadow_truth.py; layout: render/shadow/pages.py.
+// a distance. Reference: scripts/common/shadow_truth.py; layout: render/shadow/packed_tables.py.
 // Samplers: ps_shadow_tables (the cells of all lights), ps_shadow_lights (one row for each light, of this view).
 
 #ifdef PS_SHADOWS

@@ -7,7 +7,7 @@ import pytest
 
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
-from pointsplat_addon.render.shadow.pages import pack
+from pointsplat_addon.render.shadow.packed_tables import pack
 from scripts.common.shadow_truth import LOOSE, SHARP, receiver_of, transmittance
 
 DOWN = np.array([0.0, 0.0, -1.0])

@@ -14,8 +14,8 @@ from pointsplat_addon.render.budget.viewport import Moving
 from pointsplat_addon.render.cache.keys import Kind
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
-from pointsplat_addon.render.prepare.parts import parted
 from pointsplat_addon.render.prepare.prepare import Prepared, prepare
+from pointsplat_addon.render.prepare.separation import separate_translucent
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, drawing
 from scripts.scenes.cases import CASES
@@ -35,7 +35,9 @@ def prepared(store: Store, scene: Scene, name: str, coarser: float, interactive:
     case = CASES[name]()
     settings = replace(case.settings, tolerance=coarser * case.settings.tolerance, **more)
     coarse = settings.budget == "TIME" and coarser > 1
-    found = prepare(parted(scene, store)[0], case.camera, settings, 1, store, interactive=interactive, coarse=coarse)
+    found = prepare(
+        separate_translucent(scene, store)[0], case.camera, settings, 1, store, interactive=interactive, coarse=coarse
+    )
     built(store)
     return found
 
@@ -179,7 +181,7 @@ def picture(scene: Scene, camera, coarser: float) -> np.ndarray:
         built(STORE)
     frame = renderer.start(scene, request)
     try:
-        assert coarser == 1 or frame.shot.prepared.cut.nodes > 0
+        assert coarser == 1 or frame.frame_plan.prepared.cut.nodes > 0
         frame.sample()
         return frame.mean()
     finally:

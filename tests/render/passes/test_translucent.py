@@ -16,7 +16,7 @@ from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.keys import Key, Kind
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
-from pointsplat_addon.render.prepare.parts import parted
+from pointsplat_addon.render.prepare.separation import separate_translucent
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cases, clouds, drawing, meshes, translucent_cases
 from scripts.scenes.build import moved, points
@@ -423,7 +423,7 @@ def record(made, eye_camera=None, passes=COMBINED, samples=1, shadows=False):
 @pytest.mark.parametrize("name", cases.CASES)
 def test_scenes_with_nothing_translucent_sort_and_composite_nothing(name):
     case = cases.CASES[name]()
-    if parted(case.scene, Store())[0] is case.scene and not any(
+    if separate_translucent(case.scene, Store())[0] is case.scene and not any(
         g.cloud is not None and (g.cloud.opacity is not None or g.cloud.extinction is not None)
         for g in case.scene.geometries
     ):

@@ -11,7 +11,7 @@ from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.render.plan import frame_plan
-from pointsplat_addon.render.prepare.in_view import CLEAR, OUT_OF_VIEW, drawn_ball, in_view
+from pointsplat_addon.render.prepare.in_view import CLEAR, OUT_OF_VIEW, ball_of_all_drawn, without_invisible_layers
 from pointsplat_addon.render.prepare.negligible import EMISSION, LIGHTS, MEASURABLE, WORLD, reflection
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.shadow import shadows
@@ -56,7 +56,7 @@ def test_no_light_adds_more_than_its_bound(kind):
                     cameras.camera())  # fmt: skip
         prepared = prepare(case.scene, case.camera, Settings(), 1, STORE)
         light = lamp(rng, kind, rng.uniform(0.0, 8))
-        centre, radius = drawn_ball(case.scene, prepared, STORE)
+        centre, radius = ball_of_all_drawn(case.scene, prepared, STORE)
         middle = np.linalg.inv(case.camera.view_from_world)[:3] @ np.append(centre, 1)
         nearest = max(float(np.linalg.norm(light.position - middle)) - radius, 0.0)
         bound = reflection(case.scene, prepared, STORE).of(light, light_shapes.irradiance_bound(light, nearest))
@@ -78,8 +78,8 @@ def test_no_light_adds_more_than_its_bound(kind):
 
 
 def without_leaving_out(monkeypatch):
-    monkeypatch.setattr(frame_plan, "without_faint", lambda scene, prepared, view: (scene, True, ()))
-    monkeypatch.setattr(frame_plan, "in_view", lambda scene, prepared, camera: (prepared, {}))
+    monkeypatch.setattr(frame_plan, "without_negligible", lambda scene, prepared, view, store: (scene, True, ()))
+    monkeypatch.setattr(frame_plan, "without_invisible_layers", lambda scene, prepared, camera, store: (prepared, {}))
 
 
 def both(case: Case, monkeypatch, samples: int = 1):
@@ -210,10 +210,10 @@ def test_with_an_aperture_nothing_is_out_of_view():
     case = solid_cases.mixed()
     away = cameras.camera((0, -8, 0), (0, -16, 0))
     prepared = prepare(case.scene, away, case.settings, 1, STORE)
-    left, gone = in_view(case.scene, prepared, away, STORE)
+    left, gone = without_invisible_layers(case.scene, prepared, away, STORE)
     assert gone["polygons"] == OUT_OF_VIEW
     assert left.cut.splats == len(left.polygons) == 0
-    assert in_view(case.scene, prepared, replace(away, aperture=Aperture(0.1, 4.0)), STORE)[1] == {}
+    assert without_invisible_layers(case.scene, prepared, replace(away, aperture=Aperture(0.1, 4.0)), STORE)[1] == {}
 
 
 def test_clear_matter_is_left_out_and_what_glows_in_it_is_not(monkeypatch):

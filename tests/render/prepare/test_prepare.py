@@ -14,8 +14,8 @@ from pointsplat_addon.core.scene.volume import Transfer, Volume
 from pointsplat_addon.render.cache.keys import Key, Kind
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.prepare import meshes
-from pointsplat_addon.render.prepare.parts import parted
 from pointsplat_addon.render.prepare.prepare import prepare
+from pointsplat_addon.render.prepare.separation import separate_translucent
 from scripts.scenes import build, cameras, clouds
 from scripts.scenes.case import Case
 from scripts.scenes.cases import CASES
@@ -234,7 +234,7 @@ def test_another_transfer_function_keeps_the_tree_and_the_kernels():
         transfer = Transfer("density", 0.0, high, np.linspace([0, 0, 0, 0], [1, 1, 1, 1], 8).astype(np.float32))
         volume = Volume("lattice of noise", "Noise", index, np.eye(4), {"density": values}, transfer=transfer)
         made = build.scene((Geometry(f"noise up to {high}", "Noise", volume=volume), build.moved(scale=0.01)))
-        made, _ = parted(made, store)
+        made, _ = separate_translucent(made, store)
         layer = prepare(made, cameras.camera((0, -40, 0)), Settings(), 1000, store).translucent
         (points,) = layer.point_sets.values()
         assert points.hierarchy is not None

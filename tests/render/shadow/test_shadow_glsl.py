@@ -7,7 +7,7 @@ import pytest
 
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
-from pointsplat_addon.render.shadow import pages
+from pointsplat_addon.render.shadow import packed_tables
 from pointsplat_addon.shading.interface import Interface
 from scripts.common.shadow_truth import transmittance
 
@@ -91,7 +91,7 @@ def on_device(device, packed, light, position, normal):
 @pytest.mark.parametrize("colored", [False, True])
 def test_device_equals_numpy(device, colored):
     tables = [builder.build_table(light, matter(colored), 64) for light in LIGHTS.values()]
-    packed = pages.pack([None, *tables])
+    packed = packed_tables.pack([None, *tables])
     position = RNG.uniform(-1.5, 1.5, (COUNT, 3))
     normal = RNG.normal(size=(COUNT, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -112,7 +112,7 @@ def test_device_equals_numpy(device, colored):
 
 def test_integers_beyond_2_24_survive_as_floats():
     integers = np.array([0, 1, 2**24 + 1, 2**31 - 2**24 - 1])
-    code = pages.coded(integers)
+    code = packed_tables.coded(integers)
     assert np.isfinite(code).all()
     assert (np.abs(code) >= np.finfo(np.float32).tiny).all()
     assert (code.view(np.int32).astype(np.int64) - 0x00800000 == integers).all()
@@ -120,4 +120,4 @@ def test_integers_beyond_2_24_survive_as_floats():
 
 def test_lamps_without_casters_have_a_record():
     nothing = builder.build_table(Light("POINT", np.ones(3), np.zeros(3), np.array([0, 0, -1.0])), [], 64)
-    assert pages.pack([None, nothing]).records(np.eye(4)).shape == (2, pages.HEAD, 4)
+    assert packed_tables.pack([None, nothing]).records(np.eye(4)).shape == (2, packed_tables.HEADER_TEXELS, 4)

@@ -12,8 +12,11 @@ from pointsplat_addon.core.scene.materials import MaterialTable
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.shadow import shadows
-from pointsplat_addon.render.shadow.shadows import Shadows, _share
+from pointsplat_addon.render.shadow import batches, shadows
+from pointsplat_addon.render.shadow.casting import casting_geometries
+from pointsplat_addon.render.shadow.floors import which_are_floors
+from pointsplat_addon.render.shadow.shadows import Shadows
+from pointsplat_addon.render.shadow.spacing import samples_per_mesh
 from scripts.scenes import build, cameras, clouds, drawing, meshes
 from scripts.scenes.case import Case
 from scripts.scenes.store import STORE
@@ -21,7 +24,7 @@ from scripts.scenes.store import STORE
 
 def test_small_meshes_keep_their_samples_and_large_ones_share_the_rest():
     asked = np.array([5e6, 1000.0, 300_000.0, 2e6])
-    each = _share(asked, 1e6)
+    each = samples_per_mesh(asked, 1e6)
     got = np.minimum(asked, each)
     assert got.sum() == pytest.approx(1e6)
     assert got[1:3].tolist() == [1000.0, 300_000.0]
@@ -30,7 +33,7 @@ def test_small_meshes_keep_their_samples_and_large_ones_share_the_rest():
 
 def test_where_all_fit_none_is_coarser():
     asked = np.array([10.0, 20.0])
-    assert (np.minimum(asked, _share(asked, 1e6)) == asked).all()
+    assert (np.minimum(asked, samples_per_mesh(asked, 1e6)) == asked).all()
 
 
 def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
@@ -42,7 +45,7 @@ def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
     found = []
     for limit in (1 << 60, 0):
         STORE.clear()
-        monkeypatch.setattr(shadows, "MOST_TOGETHER", limit)
+        monkeypatch.setattr(batches, "MAX_POINTS_WITHOUT_NODES", limit)
         renderer = Renderer(drawing.opengl().device, STORE)  # what others keep is of other tables
         pixels = renderer.render(case.scene, case.request(frozenset({"combined"}), 4)).pixels["combined"]
         renderer.release()
@@ -58,7 +61,7 @@ def test_shadows_are_those_of_alphas_whatever_the_colours():
 
     def tables(table: MaterialTable) -> Shadows:
         scene = build.scene(plane, below, lights=[build.sun()], table=table)
-        found, _ = shadows.cast(scene, Settings(shadow_resolution=64), store)
+        found, _ = shadows.make_shadows(scene, Settings(shadow_resolution=64), store)
         assert found is not None
         return found
 
@@ -88,10 +91,10 @@ def floored(*more, lights=None, sunk: float = 0.0) -> Case:
     return Case(scene, cameras.camera((0, -4, 2.5), resolution=(160, 120)), Settings(shadow_resolution=512))
 
 
-def casting(case: Case) -> set[str]:
+def names_of_casters(case: Case) -> set[str]:
     store = Store()
-    casters = shadows._casters(case.scene, store)
-    floors = shadows._floors(case.scene, casters, store)
+    casters = casting_geometries(case.scene, store)
+    floors = which_are_floors(case.scene, casters, store)
     return {c.geometry.name for c, floor in zip(casters, floors, strict=True) if not floor}
 
 
@@ -100,7 +103,7 @@ def test_a_floor_with_nothing_behind_it_casts_nothing_and_looks_the_same(monkeyp
     for keep in (False, True):
         STORE.clear()
         if keep:
-            monkeypatch.setattr(shadows, "_floors", lambda scene, casters, store: (False,) * len(casters))
+            monkeypatch.setattr(shadows, "which_are_floors", lambda scene, casters, store: (False,) * len(casters))
         renderer = Renderer(drawing.opengl().device, STORE)
         pixels = renderer.render(case.scene, case.request(frozenset({"combined"}), 4)).pixels["combined"]
         renderer.release()
@@ -114,15 +117,15 @@ def test_what_may_have_something_behind_it_casts():
     cellar = build.mesh(meshes.cube_mesh("in the cellar", 0.1), "POLYGONS"), build.moved((0, 0, -1.0))
     cloud = build.points("cloud", clouds.sphere_cloud()), build.moved((0, 0, 0.9))
     above, below = (build.sun(3.0, (0.3, 0.2, z)) for z in (-1.0, 1.0))
-    assert casting(floored()) == {ball}
-    assert casting(floored(lights=[below, replace(above, shadow=False)])) == {ball, floor}
-    assert casting(floored(lights=[above, below])) == {ball, floor}
-    assert casting(floored(sunk=0.01)) == {ball, floor}
-    assert casting(floored(cellar)) == {ball, floor, "in the cellar"}
-    assert casting(floored(cloud)) == {ball, floor, "cloud"}  # its lowest points lie below
+    assert names_of_casters(floored()) == {ball}
+    assert names_of_casters(floored(lights=[below, replace(above, shadow=False)])) == {ball, floor}
+    assert names_of_casters(floored(lights=[above, below])) == {ball, floor}
+    assert names_of_casters(floored(sunk=0.01)) == {ball, floor}
+    assert names_of_casters(floored(cellar)) == {ball, floor, "in the cellar"}
+    assert names_of_casters(floored(cloud)) == {ball, floor, "cloud"}  # its lowest points lie below
 
 
 def test_where_only_floors_could_cast_there_are_no_tables():
     floor = build.mesh(meshes.plane_mesh("only a floor"), "POLYGONS"), LAID
     scene = build.scene(floor, lights=[build.sun(3.0, (0.3, 0.2, -1.0))])
-    assert shadows.cast(scene, Settings(), Store()) == (None, "there is nothing in the shadow of anything")
+    assert shadows.make_shadows(scene, Settings(), Store()) == (None, "there is nothing in the shadow of anything")

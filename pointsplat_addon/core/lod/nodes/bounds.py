@@ -22,8 +22,8 @@ def bounds_of_runs(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of nodes that each merge a run of rows: cylinders' half-axes (3, n) and balls' radii (n,), float32.
 
-    The kernel of a node (`center`, `normal`, `axis`, `radii`, (3, n) each) is enlarged until its cylinder holds those of
-    its rows. `begin` (n,) is the first row of each run, `owner` (m,) the node of each row. Rounded outwards.
+    The kernel of a node (`center`, `normal`, `axis`, `radii`, (3, n) each) is enlarged until its cylinder holds those
+    of its rows. `begin` (n,) is the first row of each run, `owner` (m,) the node of each row. Rounded outwards.
     """
     binormal = cross(normal, axis).astype(np.float64)
     major = np.maximum(radii[0].astype(np.float64), 1e-30)

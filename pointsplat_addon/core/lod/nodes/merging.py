@@ -1,4 +1,5 @@
-"""Merges splats into nodes, bottom up: moments, kernels, bounds, normal cones, means and sums (Pajarola 2003, section 4).
+"""Merges splats into nodes, bottom up: moments, kernels, bounds, normal cones, means and sums (Pajarola 2003, section
+4).
 
 A uniform disk of radius r has the variance r^2 / 4 along each axis of its plane, hence half-axes are
 2 sqrt(eigenvalue), with eigenvalues from l^2 - tr l + det = 0.

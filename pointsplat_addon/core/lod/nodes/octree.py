@@ -56,8 +56,9 @@ class _Root:
 def partition(position: np.ndarray, leaf_size: int) -> tuple[np.ndarray, Tree]:
     """Splits points (N, 3) at their mean into eight octants, again and again, until leaves hold at most `leaf_size`.
 
-    Returns the tree order, (N,) int32 original indices, and the links. Nodes of more than BLOCK points are split one by one, in passes over memory. Below, neighbouring subtrees are
-    finished together, all nodes of a level at once, with working arrays that stay in the processor's cache.
+    Returns the tree order, (N,) int32 original indices, and the links. Nodes of more than BLOCK points are split one by
+    one, in passes over memory. Below, neighbouring subtrees are finished together, all nodes of a level at once, with
+    working arrays that stay in the processor's cache.
     """
     n = len(position)
     order = np.arange(n, dtype=np.int32)

@@ -1,8 +1,9 @@
 """Optics of merged splats: nodes of translucent clouds transmit as much light as the splats below them do.
 
-All are drawn by the same law, T = exp(-tau). Where splats fill a node evenly, optical masses (the integral of extinction
-over volume) add up. Where they are scattered at random, their cross-sections do (`kernel_cross_section`: the area whose
-light a splat alone takes away), since light passes between them, however dense they are. *Media* have an extinction;
+All are drawn by the same law, T = exp(-tau). Where splats fill a node evenly, optical masses (the integral of
+extinction over volume) add up. Where they are scattered at random, their cross-sections do (`kernel_cross_section`: the
+area whose light a splat alone takes away), since light passes between them, however dense they are. *Media* have an
+extinction;
 *shells* are surfaces with an opacity.
 """
 
@@ -19,8 +20,8 @@ from ...splat.kernel import SUPPORT, kernel
 
 OPAQUE_DEPTH = 100.0  # optical depth of an opaque splat
 # Kernels of media are drawn wider than their moments, so that those of adjacent cells add up to an even medium (a
-# standard deviation of 0.29 of the cell leaves ripples of 28 %, one of 0.33 of 12 %). Outlines grow no more by this than
-# they shrink where the medium becomes too thin to be seen.
+# standard deviation of 0.29 of the cell leaves ripples of 28 %, one of 0.33 of 12 %). Outlines grow no more by this
+# than they shrink where the medium becomes too thin to be seen.
 MEDIUM_KERNEL_SCALE = 1.15
 
 
@@ -143,7 +144,8 @@ def _mixed_depth(filled: np.ndarray, scattered: np.ndarray, covered: np.ndarray)
 
 
 def _tiled_fraction(area: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """The degree (n,), 0 to 1, to which sheets of a total `area` (n,) tile a plane instead of leaving gaps or overlapping.
+    """The degree (n,), 0 to 1, to which sheets of a total `area` (n,) tile a plane instead of leaving gaps or
+    overlapping.
 
     The cube makes opaque sheets that cover a fraction f of a plane without overlap absorb f of the light, within 0.032.
     """

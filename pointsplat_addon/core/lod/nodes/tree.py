@@ -70,8 +70,8 @@ def tree_from_counts(child_count: np.ndarray, leaf_points: np.ndarray, points: i
 
 
 def family_of_levels(child_count: np.ndarray, low: int, middle: int, high: int) -> tuple[np.ndarray, slice, np.ndarray]:
-    """The parents in the level from `low` to `middle`, the slice of all their children up to `high`, and the first child
-    of each parent within it."""
+    """The parents in the level from `low` to `middle`, the slice of all their children up to `high`, and the first
+    child of each parent within it."""
     parents = low + np.flatnonzero(child_count[low:middle])
     return parents, slice(middle, high), starts(child_count[parents])
 

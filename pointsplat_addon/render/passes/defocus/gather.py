@@ -26,7 +26,8 @@ from .tile_lists import TileLists
 def defocus_program(
     lighting: tuple[str, ...], transparent: bool, tint: bool, holdout: bool, adaptive: bool, tile: int
 ) -> Interface:
-    """Returns the program that gathers. `lighting`: the names of what shines, of which those of the world are used. `adaptive`: pixels differ in how many samples they have."""
+    """Returns the program that gathers. `lighting`: the names of what shines, of which those of the world are used.
+    `adaptive`: pixels differ in how many samples they have."""
     world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT", "PS_BACKDROP"))
     named = {
         "PS_BACKGROUND": not transparent and "PS_BACKDROP" not in world,
@@ -37,9 +38,10 @@ def defocus_program(
     read = ["splat_centre", "shape", "source", "list", "tiles", "focused", "focus"]
     read += ["tint"] * tint + ["counts"] * adaptive
     return Interface(
-        "defocus", fragment="defocus/gather.frag", block=world_block("Gather", world, LENS_FIELDS, (("float", "sample_weight"),)), outputs=(("vec4", "out_combined"),),
-        samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(world)),
-        defines=(*lighting_defines(world), ("PS_TILE_SIZE", str(tile)), *((TILE_DEFINE,) if adaptive else ()),
+        "defocus", fragment="defocus/gather.frag", block=world_block("Gather", world, LENS_FIELDS, (("float",
+        "sample_weight"),)), outputs=(("vec4", "out_combined"),), samplers=(*(("FLOAT_2D", f"ps_{name}") for name in
+        read), *lighting_samplers(world)), defines=(*lighting_defines(world), ("PS_TILE_SIZE", str(tile)),
+        *((TILE_DEFINE,) if adaptive else ()),
                  *((name, "1") for name, on in named.items() if on)),
     )  # fmt: skip
 

@@ -131,8 +131,8 @@ def closed_share(device: Device, nearest: Texture, sizes: Sizes) -> float:
 
 
 def hashed_share(index: np.ndarray, share: float) -> np.ndarray:
-    """Returns a share of the elements (N,), the same in each frame: by a hash, since what is regular in their numbers, as rows
-    and spirals are, may be so in their positions."""
+    """Returns a share of the elements (N,), the same in each frame: by a hash, since what is regular in their numbers,
+    as rows and spirals are, may be so in their positions."""
     if share >= 1:
         return index
     mixed = index.astype(np.uint32)

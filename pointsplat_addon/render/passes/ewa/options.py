@@ -29,8 +29,9 @@ class EwaOptions:
 
 
 def options(camera: Camera, largest: float, balls: bool, samples: int) -> EwaOptions:
-    """Returns the options of a view. `largest`: bound of the splats' radii in pixels. A rim's projection errs by its radius times the share of the
-    depth that it extends over, at most the radius squared over the focal length in pixels."""
+    """Returns the options of a view. `largest`: bound of the splats' radii in pixels. A rim's projection errs by its
+    radius times the share of the depth that it extends over, at most the radius squared over the focal length in
+    pixels."""
     focal = min(abs(f) for f in camera.pixel_from_view()[:2])
     affine = math.sqrt(AFFINE_ERROR * focal) if camera.perspective else math.inf
     wide = not largest <= min(WIDEST_POINT, affine)

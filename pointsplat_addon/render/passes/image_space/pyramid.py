@@ -31,8 +31,9 @@ class Pyramid:
         sides = [tuple(-(-side // (1 << level)) for side in base.size) for level in range(1, count + 1)]
         self.levels = [base, *(GBuffer(device, variant, (width, height)) for width, height in sides)]
         self.pull_program = Interface(
-            "pull", fragment="image_space/pull.frag", block=PULL, samplers=variant.samplers(), outputs=variant.front_outputs,
-            defines=tuple(entry for entry in variant.front_defines if entry[0] != "PS_SURFACE"),
+            "pull", fragment="image_space/pull.frag", block=PULL, samplers=variant.samplers(),
+            outputs=variant.front_outputs, defines=tuple(entry for entry in variant.front_defines if entry[0] !=
+            "PS_SURFACE"),
         )  # fmt: skip
         self.fill_program = Interface(
             "push", fragment="image_space/push.frag", block=PUSH, outputs=variant.outputs(),

@@ -60,8 +60,8 @@ class Adaptive:
     def __init__(
         self, device: Device, sums: Texture, threshold: float, gather: int, centre: Texture | None = None
     ) -> None:
-        """`gather`: radius in pixels from which a pixel takes what it shows. `centre`: texture of the G-buffer, where it
-        is read between samples."""
+        """`gather`: radius in pixels from which a pixel takes what it shows. `centre`: texture of the G-buffer, where
+        it is read between samples."""
         self.device, self.threshold = device, threshold
         self._sums, self._centre = sums, centre
         self._gather_tiles = -(-gather // TILE)

@@ -22,8 +22,8 @@ def present_block(surface: bool) -> Block:
 
 
 def present_program(surface: bool, adaptive: bool = False) -> Interface:
-    """Returns the program that draws the picture into the viewport. `surface`: something has a depth. `adaptive`: pixels differ in how many
-    samples they have (render/passes/tiles.py)."""
+    """Returns the program that draws the picture into the viewport. `surface`: something has a depth. `adaptive`:
+    pixels differ in how many samples they have (render/passes/tiles.py)."""
     named = {"ps_centre": surface, "ps_counts": adaptive}
     return Interface(
         "present", vertex="output/present.vert", fragment="output/present.frag", block=present_block(surface),

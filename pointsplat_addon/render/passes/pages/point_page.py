@@ -77,8 +77,8 @@ class Page(SplatPage):
 
 
 def blocks(layer: Layer, first: dict[int, int]) -> tuple[np.ndarray, int]:
-    """Returns a cut as blocks, (B, 4) float32, and the log2 of a block's size. `first` is each point set's first splat in the
-    page; sets that it lacks are skipped."""
+    """Returns a cut as blocks, (B, 4) float32, and the log2 of a block's size. `first` is each point set's first splat
+    in the page; sets that it lacks are skipped."""
     cut = layer.cut
     base = np.full(max(layer.point_sets, default=-1) + 2, -1)
     base[list(first)] = list(first.values())
@@ -99,8 +99,8 @@ def blocks(layer: Layer, first: dict[int, int]) -> tuple[np.ndarray, int]:
 
 
 def instance_rows(view_from_object: np.ndarray, origin: np.ndarray, holdout: np.ndarray | None) -> np.ndarray:
-    """Returns the texels of instances, (4 I, 4) float32: three rows of each matrix, which takes positions relative to the
-    origin (I, 3) of its cloud; holdout."""
+    """Returns the texels of instances, (4 I, 4) float32: three rows of each matrix, which takes positions relative to
+    the origin (I, 3) of its cloud; holdout."""
     rows = np.zeros((len(view_from_object), 4, 4))
     rows[:, :3] = with_origin(view_from_object, origin)[:, :3]
     if holdout is not None:

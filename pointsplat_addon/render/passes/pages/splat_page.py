@@ -78,9 +78,9 @@ def position_and_normal(cloud: PointCloud) -> Write:
 
 
 def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = None) -> Write:
-    """Writes (N, 4): half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too. The minor
-    half-axis of disconnected splats is negative. `points`: what follows after so many are nodes, whose material row
-    has NODE added."""
+    """Writes (N, 4): half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too. The
+    minor half-axis of disconnected splats is negative. `points`: what follows after so many are nodes, whose material
+    row has NODE added."""
 
     def write(out: np.ndarray, block: slice) -> None:
         out[:, :2] = 0
@@ -127,7 +127,8 @@ def shading_normal(cloud: PointCloud) -> Write:
 
 
 def facets(cloud: PointCloud) -> Write:
-    """Writes (N, 4) facets: packed normal in 18 bits, and above it the share of the area in 6; 0 where there is no facet."""
+    """Writes (N, 4) facets: packed normal in 18 bits, and above it the share of the area in 6; 0 where there is no
+    facet."""
     own = cloud.facets
 
     def write(out: np.ndarray, block: slice) -> None:

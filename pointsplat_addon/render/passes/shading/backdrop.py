@@ -1,5 +1,5 @@
-"""Draws the world out of focus, once for a view: sharp on a coarse grid, and blurred there by the disk of confusion of what
-is infinitely far (core/lens/backdrop.py). Whoever draws the background looks it up (lib/light/backdrop.glsl)."""
+"""Draws the world out of focus, once for a view: sharp on a coarse grid, and blurred there by the disk of confusion of
+what is infinitely far (core/lens/backdrop.py). Whoever draws the background looks it up (lib/light/backdrop.glsl)."""
 
 from __future__ import annotations
 

@@ -21,16 +21,16 @@ def background_program(
     everywhere: bool = False,
     combined: bool = True,
 ) -> Interface:
-    """Returns the program that draws the world, of which `world` says what it is, PS_BACKDROP that it is out of focus. `coverage`:
-    edges let some of it through. `everywhere`: nothing is before it. `combined`: the picture, not only passes beside
-    it."""
+    """Returns the program that draws the world, of which `world` says what it is, PS_BACKDROP that it is out of focus.
+    `coverage`: edges let some of it through. `everywhere`: nothing is before it. `combined`: the picture, not only
+    passes beside it."""
     drawn = not transparent and "PS_BACKDROP" not in world
     named = {"PS_BACKGROUND": drawn, "PS_COVERAGE": coverage, "PS_EVERYWHERE": everywhere,
              "PS_AUXILIARY_ONLY": not combined}  # fmt: skip
     names = (*world, *averaged_defines(passes), *(name for name, on in named.items() if on))
     read = () if everywhere else ("ps_centre", "ps_shape") if coverage else ("ps_centre",)
     return Interface(
-        "background", fragment="shading/background.frag", block=world_block("Background", world), outputs=averaged_outputs(passes, combined),
-        samplers=(*(("FLOAT_2D", name) for name in read), *lighting_samplers(world)),
-        defines=tuple((name, "1") for name in names),
+        "background", fragment="shading/background.frag", block=world_block("Background", world),
+        outputs=averaged_outputs(passes, combined), samplers=(*(("FLOAT_2D", name) for name in read),
+        *lighting_samplers(world)), defines=tuple((name, "1") for name in names),
     )  # fmt: skip

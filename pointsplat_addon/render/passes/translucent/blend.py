@@ -20,7 +20,8 @@ OPAQUE_DEPTH = block("OpaqueDepth", CAMERA_FIELDS)
 
 
 def draw_program(options: TranslucentOptions, channel: str) -> Interface:
-    """Returns the program that blends splats over the picture. `channel`: one of CHANNELS, or "" where all are alike."""
+    """Returns the program that blends splats over the picture. `channel`: one of CHANNELS, or "" where all are
+    alike."""
     read = ["centre", "shape", "source", *(["front", "depth"] if options.opaque else [])]
     varyings = [("flat", "vec4", "v_conic"), ("flat", "vec4", "v_source"), ("flat", "vec2", "v_centre")]
     defines = []

@@ -45,8 +45,8 @@ class LitSplats:
         self.device.draw(self.program, self.target, uniforms=record, textures=dict(textures))
 
     def draw(self, target: Target, view: SampleView, depth: Texture | None, pixels: int = 1) -> None:
-        """Blends the splats over `target`, of which a pixel spans `pixels` of the picture; `depth` is that of what is opaque,
-        in pixels of the picture."""
+        """Blends the splats over `target`, of which a pixel spans `pixels` of the picture; `depth` is that of what is
+        opaque, in pixels of the picture."""
         textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth})}
         for program, mask in self.draws:
             for first in range(0, self.count, CHUNK):

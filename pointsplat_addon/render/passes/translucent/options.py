@@ -36,8 +36,8 @@ class TranslucentOptions:
 def options(
     clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdout: bool = False, defocus: bool = False
 ) -> TranslucentOptions:
-    """Returns the options that these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of them cuts a hole.
-    `defocus`: for what is out of focus."""
+    """Returns the options that these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of
+    them cuts a hole. `defocus`: for what is out of focus."""
     fuzzy = any(is_fuzzy(c) for c in clouds)
     return TranslucentOptions(
         media=any(c.extinction is not None for c in clouds),

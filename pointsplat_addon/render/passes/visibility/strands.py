@@ -1,8 +1,8 @@
 """Draws segments of strands into the G-buffer, as polygons are (Marroquim et al. 2008, section 4).
 
 Lists hold the texel of each segment that is drawn. Thin segments are raster lines of one pixel and have a list for each
-sample (core/strand/segments.py says which). The others have one list for all samples: tubes that may be seen to be round
-are met by the pixels' rays; narrower ones are strips that face the eye, as ribbons are.
+sample (core/strand/segments.py says which). The others have one list for all samples: tubes that may be seen to be
+round are met by the pixels' rays; narrower ones are strips that face the eye, as ribbons are.
 """
 
 from __future__ import annotations

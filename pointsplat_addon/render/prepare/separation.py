@@ -19,7 +19,7 @@ from ..cache.keys import Key, Kind
 from ..cache.store import Store
 
 
-def parted(scene: Scene, store: Store) -> tuple[Scene, tuple[str, ...]]:
+def separate_translucent(scene: Scene, store: Store) -> tuple[Scene, tuple[str, ...]]:
     """The validated scene in parts, and warnings; the scene itself where nothing has to change.
 
     Instances keep their rows. A translucent part beside an opaque one is a further geometry with instances of its own,
@@ -38,7 +38,7 @@ def parted(scene: Scene, store: Store) -> tuple[Scene, tuple[str, ...]]:
     if extra:
         again = [np.flatnonzero(instances.geometry == row) for row, _ in extra]
         count = [len(rows) for rows in again]
-        instances = _repeated(
+        instances = _with_repeated(
             instances, np.concatenate(again), np.repeat(len(geometries) + np.arange(len(extra)), count)
         )
     all_of_them = (*geometries, *(part for _, part in extra))
@@ -48,7 +48,7 @@ def parted(scene: Scene, store: Store) -> tuple[Scene, tuple[str, ...]]:
 def _parts(geometry: Geometry, table: MaterialTable, store: Store, warnings: list[str]) -> list[Geometry]:
     """The opaque and the translucent part of a geometry, or the only one."""
     if geometry.volume is not None:
-        return [_volume(geometry, geometry.volume, table, store, warnings)]
+        return [_volume_as_points(geometry, geometry.volume, table, store, warnings)]
     mesh = geometry.mesh
     passes = None if mesh is None else passing(mesh, table)
     if mesh is None or passes is None:
@@ -61,31 +61,33 @@ def _parts(geometry: Geometry, table: MaterialTable, store: Store, warnings: lis
     return found or [replace(geometry, key=f"{geometry.key} of none", mesh=None)]
 
 
-def lets_through(geometry: Geometry, table: MaterialTable) -> bool:
+def is_translucent(geometry: Geometry, table: MaterialTable) -> bool:
     """Whether light passes through a geometry, all of which is alike."""
     if geometry.cloud is not None:
         return geometry.cloud.opacity is not None or geometry.cloud.extinction is not None
     return geometry.mesh is not None and passing(geometry.mesh, table) is not None
 
 
-def _volume(geometry: Geometry, volume: Volume, table: MaterialTable, store: Store, warnings: list[str]) -> Geometry:
+def _volume_as_points(
+    geometry: Geometry, volume: Volume, table: MaterialTable, store: Store, warnings: list[str]
+) -> Geometry:
     """The points of a volume."""
     medium = table.media[volume.material] if volume.material < len(table.media) else None
     key = f"{geometry.key} as {_digest(medium, volume.transfer, geometry.extinction, geometry.spacing)}"
 
-    def make() -> Points:
+    def make() -> _VolumePoints:
         made, found = voxels.volume_splats(volume, medium, geometry.extinction, geometry.spacing)
         # Transforms can take voxels out of range that float32 has.
         cloud, dropped = valid_points(made)
         found += [f"{geometry.name}: {dropped} points that are not finite were left out"] if dropped else []
-        return Points(cloud, found)
+        return _VolumePoints(cloud, found)
 
     points = store.lookup(Key(Kind.VOXELS, key), make)
     warnings += points.warnings
     return replace(geometry, key=key, volume=None, cloud=points.cloud, lattice=f"{volume.key} {geometry.spacing}")
 
 
-class Points:
+class _VolumePoints:
     """What is kept of a volume."""
 
     def __init__(self, cloud: PointCloud, warnings: list[str]) -> None:
@@ -105,7 +107,7 @@ def _digest(*things: Any) -> str:
     return hasher.hexdigest()
 
 
-def _repeated(instances: Instances, rows: np.ndarray, geometry: np.ndarray) -> Instances:
+def _with_repeated(instances: Instances, rows: np.ndarray, geometry: np.ndarray) -> Instances:
     """The instances, then those of `rows` again with other geometries."""
 
     def extended(array: np.ndarray | None) -> np.ndarray | None:

@@ -13,9 +13,9 @@ from ...core.shadow.level import TableLevel
 from ...core.shadow.table import SHAPES, ShadowTable
 from ..device.packing import PAGE_WIDTH
 
-HEAD = 8  # texels of a lamp's record before its levels
-NOTHING = np.float32(1e30)  # distance of the nearest entry where there is none
-LEVEL = 3  # texels of a level's record
+HEADER_TEXELS = 8  # texels of a lamp's record before its levels
+NO_ENTRY_DISTANCE = np.float32(1e30)  # distance of the nearest entry where there is none
+LEVEL_TEXELS = 3  # texels of a level's record
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class PackedTables:
         how many along a side, and where they begin.
         """
         world_from_view = np.linalg.inv(view_from_world)
-        head = np.zeros((len(self.tables), HEAD, 4))
+        head = np.zeros((len(self.tables), HEADER_TEXELS, 4))
         for row, table in zip(head, self.tables, strict=True):
             if table is not None and table.levels:
                 frame, emitter = table.frame, table.emitter
@@ -84,12 +84,12 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
     """
     colored = any(t is not None and t.colored for t in tables)
     most = max([len(t.levels) for t in tables if t is not None], default=0)
-    records = np.zeros((len(tables), most, LEVEL, 4), np.float32)
+    records = np.zeros((len(tables), most, LEVEL_TEXELS, 4), np.float32)
     squares = np.zeros(len(tables), np.int64)
     parts, texels = [], 0
     for lamp, (table, record) in enumerate(zip(tables, records, strict=True)):
         for level, texel in zip(() if table is None else table.levels, record, strict=False):
-            blocks = _blocks(level, colored)
+            blocks = _level_blocks(level, colored)
             sizes = np.array([len(b) for b in blocks])
             base = texels + starts(sizes)
             texel[0] = level.grid.low, level.grid.step, len(level.grid.count), KINDS.index(level.kind)
@@ -100,7 +100,7 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
             texels += int(sizes.sum())
         if table is not None and table.emitter.shape != "POINT":
             squares[lamp] = 4 * texels
-            parts.append(_texels(np.minimum(table.nearest.flat, NOTHING)))
+            parts.append(_as_texels(np.minimum(table.nearest.flat, NO_ENTRY_DISTANCE)))
             texels += len(parts[-1])
     height = max(1, -(-texels // PAGE_WIDTH))
     if height > texture_size:
@@ -116,17 +116,17 @@ def coded(integers: np.ndarray) -> np.ndarray:
     return (np.asarray(integers, np.int64) + 0x00800000).astype(np.int32).view(np.float32)
 
 
-def _blocks(level: TableLevel, colored: bool) -> list[np.ndarray]:
+def _level_blocks(level: TableLevel, colored: bool) -> list[np.ndarray]:
     """Rows, masks, links and entries as texels (n, 4) float32."""
     grid = level.grid
     rows = np.stack([coded(grid.first), grid.column0, grid.count, grid.density], axis=1).astype(np.float32)
     masks = np.concatenate([coded(level.rank)[:, None], level.mask.astype(np.float32)], axis=1)
     total = np.broadcast_to(level.total, (len(level.total), 3)) if colored else level.total
     entries = np.concatenate([level.distance[:, None], total], axis=1)
-    return [rows, masks, *(_texels(a.reshape(-1)) for a in (coded(level.links), entries))]
+    return [rows, masks, *(_as_texels(a.reshape(-1)) for a in (coded(level.links), entries))]
 
 
-def _texels(values: np.ndarray) -> np.ndarray:
+def _as_texels(values: np.ndarray) -> np.ndarray:
     texels = np.zeros((-(-len(values) // 4), 4), np.float32)
     texels.reshape(-1)[: len(values)] = values
     return texels

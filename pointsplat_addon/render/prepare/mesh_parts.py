@@ -1,0 +1,140 @@
+"""Parts of a mesh that may each be points or triangles, and the samples of such parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ...core.lod.cost import Costs, mask_runs
+from ...core.scene.mesh import Mesh
+from ...core.surface.area_sampling import estimate_by_part
+from ...core.surface.density import PART, Parts
+from ...core.surface.samples import Samples, take_samples, vertex_of_sample
+from ...core.surface.sampling import choose_method, sample_mesh
+from ...core.surface.spacing import quantise_spacing
+from ...core.surface.triangles import Measures, measures_of_some
+
+
+@dataclass(frozen=True, eq=False)
+class DividedMesh:
+    """A mesh's parts, and what the choice between points and triangles asks of each."""
+
+    mesh: Mesh
+    parts: Parts
+    measures: Measures
+    _samples: dict[float, np.ndarray] = field(default_factory=dict)
+
+    @cached_property
+    def number(self) -> np.ndarray:
+        """(M,) the part of each valid triangle."""
+        return self.parts.number()
+
+    @cached_property
+    def area(self) -> np.ndarray:
+        """(B,) object units squared."""
+        return np.bincount(self.number, 0.5 * self.measures.base * self.measures.height, len(self.parts))
+
+    @property
+    def coarsest(self) -> float:
+        """The octave of spacing beyond which no triangle has fewer samples."""
+        return quantise_spacing(2 * self.measures.longest)
+
+    @property
+    def nbytes(self) -> int:
+        return self.parts.nbytes + self.measures.nbytes + 4 * len(self.parts.triangles)
+
+    def samples(self, spacing: float) -> np.ndarray:
+        """(B,) float64: about how many samples each part has."""
+        if spacing not in self._samples:
+            m = self.measures
+            if choose_method(self.mesh, spacing, measures=m) == "VERTICES":
+                found = self.parts.counts * (m.vertices / len(m.triangle))
+            else:
+                found = estimate_by_part(m, spacing, self.number, len(self.parts))
+            self._samples[spacing] = found
+        return self._samples[spacing]
+
+    def whole(self, needed: float, slack: float) -> float:
+        """About how many samples the mesh has where all of it is points that are dense enough for `needed`: vertices
+        where they are at most `slack` times as far apart, else the octave of spacing."""
+        m = self.measures
+        if choose_method(self.mesh, max(slack * needed, self.octave(needed)), measures=m) == "VERTICES":
+            return float(m.vertices)
+        return float(self.samples(self.octave(needed)).sum())
+
+    @cached_property
+    def fewest(self) -> np.ndarray:
+        """(B,) float64: about how many samples each part has where they are as few as cover the mesh."""
+        return self.parts.counts * min(self.measures.vertices / len(self.measures.triangle), 1.0)
+
+    def octave(self, spacing: float) -> float:
+        return min(quantise_spacing(spacing), self.coarsest)
+
+    def worth(self, costs: Costs, spacing: float, most: int) -> np.ndarray:
+        """(B,) bool: parts of which some view draws points at this spacing; none where these would be more than
+        `most` samples."""
+        samples, covered = self.samples(spacing), 0.5 * self.area / spacing**2
+        found = samples * (costs.point + costs.prepared) < self.parts.counts * costs.triangle + covered * costs.fragment
+        return found if samples[found].sum() <= most else np.zeros_like(found)
+
+
+@dataclass(frozen=True, eq=False)
+class PartSamples:
+    """Samples of some parts of a mesh, part by part."""
+
+    samples: Samples
+    start: np.ndarray  # (B + 1,) int64: where each part's samples begin
+    # Vertices on a border are samples of one part, and close its neighbours too: (E,) sample, its part, the neighbour.
+    border: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    @property
+    def nbytes(self) -> int:
+        return self.samples.nbytes + self.start.nbytes + sum(a.nbytes for a in self.border or ())
+
+    def ranges(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First and count, (R,) int64, of the samples that close the parts `points` (B,) bool."""
+        shown = np.repeat(points, np.diff(self.start))
+        if self.border is not None and not points.all():
+            sample, owner, neighbour = self.border
+            shown[sample[points[neighbour] & ~points[owner]]] = True
+        return mask_runs(shown)
+
+
+def sample_parts(divided: DividedMesh, spacing: float, which: np.ndarray) -> PartSamples:
+    """The samples of the parts `which` (B,) bool."""
+    mesh, number = divided.mesh, divided.number
+    mine = which[number]
+    m = divided.measures if mine.all() else measures_of_some(divided.measures, mine)
+    method = choose_method(mesh, spacing, mine, m)
+    samples = sample_mesh(mesh, spacing, method, mine, m)
+    part = number[samples.triangle]
+    if (np.diff(part) < 0).any():
+        order = np.argsort(part, kind="stable")
+        samples, part = take_samples(samples, order), part[order]
+    start = np.searchsorted(part, np.arange(len(divided.parts) + 1))
+    border = _border_samples(mesh, samples, part, number, mine) if method == "VERTICES" else None
+    return PartSamples(samples, start, border)
+
+
+def _border_samples(
+    mesh: Mesh, samples: Samples, part: np.ndarray, of_triangle: np.ndarray, inside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """See PartSamples.border: of vertex samples with their parts (N,), the parts of all triangles (T,)."""
+    at = np.full(len(mesh.position), -1, np.int64)
+    at[vertex_of_sample(mesh, samples)] = np.arange(len(samples))
+    rows = np.flatnonzero(inside)
+    sample = at[mesh.triangles[rows]]
+    neighbour = np.broadcast_to(of_triangle[rows, None], sample.shape)
+    other = part[sample] != neighbour
+    count = int(of_triangle.max(initial=0)) + 1
+    pairs = np.unique(sample[other] * count + neighbour[other])
+    sample, neighbour = pairs // count, pairs % count
+    return sample, part[sample], neighbour
+
+
+def count_triangles(mesh: Mesh, parts: np.ndarray | None) -> int:
+    """Triangles in parts (P,) of a mesh; None: of all of it."""
+    count = len(mesh.triangles)
+    return count if parts is None else int(np.minimum(PART, count - PART * parts).sum())

@@ -1,0 +1,129 @@
+"""Finds which geometries of a scene cast shadows, and why none does if so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.numeric.linear import largest_singular_value
+from ...core.scene.lights import Light
+from ...core.scene.mesh import Mesh
+from ...core.scene.scene import Geometry, Scene
+from ...core.scene.settings import Settings
+from ...core.shadow.samples import MeshExtents, mesh_extents
+from ...core.strand.levels import StrandLevels
+from ...core.strand.preparation import with_levels
+from ...core.surface.appearance import digest, hiding
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
+
+MAX_COORDINATE = 1e18  # units from the origin: squares of distances are to fit float32
+_EXTREMES = (np.min, np.inf), (np.max, -np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class CastingGeometry:
+    """Instances of one geometry that cast."""
+
+    geometry: Geometry
+    matrices: np.ndarray  # (I, 4, 4) float64, world from object
+    centre: np.ndarray  # (I, 3) float64, of balls that hold them
+    radius: np.ndarray  # (I,) float64
+
+
+def why_no_shadows(scene: Scene, settings: Settings) -> str:
+    """Why no lamp needs a table; empty where one does."""
+    if not settings.use_shadows:
+        return "shadows are switched off"
+    if not any(light.shadow for light in scene.lights):
+        return "no light casts shadows"
+    return "" if _casting_instances(scene).any() else "nothing casts shadows"
+
+
+def _casting_instances(scene: Scene) -> np.ndarray:
+    """(I,) bool: instances that cast shadows."""
+    instances = scene.instances
+    casts = np.ones(len(instances), bool) if instances.casts is None else instances.casts.astype(bool)
+    # What is no number is not smaller.
+    return casts & (np.abs(instances.world_from_object) < MAX_COORDINATE).all(axis=(1, 2))
+
+
+def light_key(light: Light) -> tuple:
+    """What a lamp's table depends on; not its colour."""
+    arrays = (light.position, light.direction, light.axis_u, light.axis_v)
+    numbers = (light.kind, light.radius, light.spot_cos, light.ellipse, light.spread, light.soft)
+    return (*numbers, *(None if a is None else np.asarray(a, float).tobytes() for a in arrays))
+
+
+def transmission_digest(scene: Scene, geometry: Geometry) -> str:
+    """What of the materials decides which light a geometry lets through."""
+    return "" if geometry.mesh is None else digest(geometry.mesh, hiding(scene.materials))
+
+
+def casting_geometries(scene: Scene, store: Store) -> list[CastingGeometry]:
+    """Everything that casts, by geometry."""
+    casting, found = _casting_instances(scene), []
+    for row, geometry in enumerate(scene.geometries):
+        where = np.flatnonzero(casting & (scene.instances.geometry == row))
+        bounds = (
+            store.lookup(Key(Kind.CASTER_BALL, geometry.key), lambda g=geometry: _bounding_ball(g, store))
+            if len(where)
+            else None
+        )
+        if bounds is None or bounds[1] < 0:
+            continue
+        matrices = scene.instances.world_from_object[where]
+        centre = matrices[:, :3, :3] @ bounds[0] + matrices[:, :3, 3]
+        found.append(
+            CastingGeometry(geometry, matrices, centre, bounds[1] * largest_singular_value(matrices[:, :3, :3]))
+        )
+    return found
+
+
+def bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (3,) float64 of what holds a geometry with its splats, in object space; low above high: it is empty."""
+    mesh, cloud = geometry.mesh, geometry.cloud
+    if mesh is not None and len(mesh.triangles):
+        found = cached_mesh_extents(geometry, mesh, store)
+        return found.low, found.high
+    if cloud is not None and len(cloud):
+        widest = 0.0 if cloud.radii is None else float(cloud.radii.max(initial=0.0))
+        low, high = (
+            np.array([f(column, initial=start) for column in cloud.position.T], float) for f, start in _EXTREMES
+        )
+        return cloud.origin + low - widest, cloud.origin + high + widest
+    if geometry.strands is not None and len(strands := cached_strands(geometry, store)):
+        widest = float(strands.radius.max())
+        low, high = strands.position.min(axis=0) - widest, strands.position.max(axis=0) + widest
+        return strands.origin + low, strands.origin + high
+    return np.full(3, np.inf), np.full(3, -np.inf)
+
+
+def cached_mesh_extents(geometry: Geometry, mesh: Mesh, store: Store) -> MeshExtents:
+    return store.lookup(Key(Kind.CASTER_OUTLINE, geometry.key), lambda: mesh_extents(mesh))
+
+
+def _bounding_ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
+    """Centre and radius of a ball about a geometry's box, in object space; the radius is negative where it is empty."""
+    mesh, cloud = geometry.mesh, geometry.cloud
+    if mesh is not None and len(mesh.triangles):
+        found = cached_mesh_extents(geometry, mesh, store)
+        low, high, origin = found.low, found.high, np.zeros(3)
+    elif cloud is not None and len(cloud):
+        position, origin = cloud.position, cloud.origin
+        low, high = (np.array([f(column, initial=start) for column in position.T], float) for f, start in _EXTREMES)
+    elif geometry.strands is not None and len(strands := cached_strands(geometry, store)):
+        origin, widest = strands.origin, float(strands.radius.max())
+        low, high = strands.position.min(axis=0) - widest, strands.position.max(axis=0) + widest
+    else:
+        return np.zeros(3), -1.0
+    if not (low <= high).all():
+        return np.zeros(3), -1.0
+    return origin + (low + high) / 2, float(np.linalg.norm(high - low) / 2)
+
+
+def cached_strands(geometry: Geometry, store: Store) -> StrandLevels:
+    lines = geometry.strands
+    assert lines is not None
+    return store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: with_levels(lines))

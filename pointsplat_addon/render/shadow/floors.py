@@ -1,0 +1,83 @@
+"""Finds casters that are floors: flat meshes with all lights and all geometry on one side, which shadow nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.numeric.linear import all_finite
+from ...core.scene.scene import Geometry, Scene
+from ...core.shadow.floor import FLATNESS, light_is_above, lowest_box_height, lowest_height, plane_of_mesh
+from ..cache.keys import Key, Kind
+from ..cache.keys import digest as hashed
+from ..cache.store import Store
+from .casting import CastingGeometry, bounding_box, cached_mesh_extents, light_key
+
+MAX_FLOOR_INSTANCES = 16  # instances of one flat mesh that may all be floors
+MAX_HEIGHTS = 1 << 22  # vertices of all instances that are asked whether they lie above a floor
+
+
+def which_are_floors(scene: Scene, casters: list[CastingGeometry], store: Store) -> tuple[bool, ...]:
+    """Casters behind which, seen from all lamps, there is nothing: a floor under all that stands on it would take as
+    many samples as the tables have cells."""
+    instances = scene.instances
+    every = (*(g.key for g in scene.geometries), *(light_key(light) for light in scene.lights if light.shadow))
+    held = instances.world_from_object.tobytes() + instances.geometry.tobytes()
+    key = Key(Kind.FLOORS, (every, tuple(c.geometry.key for c in casters)), other=hashed(held))
+
+    def look() -> tuple[bool, ...]:
+        return tuple(_is_floor(scene, caster, store) for caster in casters)
+
+    return store.lookup(key, look)
+
+
+def _is_floor(scene: Scene, caster: CastingGeometry, store: Store) -> bool:
+    mesh = caster.geometry.mesh
+    if mesh is None or len(caster.matrices) > MAX_FLOOR_INSTANCES:
+        return False
+    found = store.lookup(
+        Key(Kind.CASTER_PLANE, caster.geometry.key),
+        lambda: (plane_of_mesh(mesh, cached_mesh_extents(caster.geometry, mesh, store)),),
+    )[0]
+    if found is None:
+        return False
+    point, normal = found
+    return all(_has_nothing_behind(scene, point, normal, matrix, store) for matrix in caster.matrices)
+
+
+def _has_nothing_behind(scene: Scene, point: np.ndarray, normal: np.ndarray, matrix: np.ndarray, store: Store) -> bool:
+    """Whether a plane in object space, of an instance (4, 4), has all lamps and all geometry on one side."""
+    linear = matrix[:3, :3]
+    cofactors = np.cross(np.roll(linear, -1, axis=0), np.roll(linear, -2, axis=0))
+    point, normal = linear @ point + matrix[:3, 3], cofactors @ normal
+    length = np.linalg.norm(normal)
+    if not 0 < length < np.inf:
+        return False
+    normal = normal / length
+    lights = [light for light in scene.lights if light.shadow]
+    if not all(light_is_above(light, point, normal) for light in lights):
+        normal = -normal
+        if not all(light_is_above(light, point, normal) for light in lights):
+            return False
+    with np.errstate(all="ignore"):
+        drawn = all_finite(scene.instances.world_from_object.astype(np.float32))  # no others are
+    for row, geometry in enumerate(scene.geometries):
+        matrices = scene.instances.world_from_object[drawn & (scene.instances.geometry == row)]
+        if len(matrices) and not _lies_above(geometry, matrices, point, normal, store):
+            return False
+    return True
+
+
+def _lies_above(geometry: Geometry, matrices: np.ndarray, point: np.ndarray, normal: np.ndarray, store: Store) -> bool:
+    """Whether all instances (I, 4, 4) lie above a plane, or on it."""
+    low, high = store.lookup(Key(Kind.CASTER_BOX, geometry.key), lambda: bounding_box(geometry, store))
+    if not (low <= high).all():
+        return True
+    with np.errstate(all="ignore"):
+        reach = np.abs(matrices[:, :3, 3]).max() + np.abs(matrices[:, :3, :3]).max() * np.abs([low, high]).max()
+        slack = FLATNESS * (reach + np.abs(point).max())
+    if lowest_box_height(low, high, matrices, point, normal) >= -slack:
+        return True
+    mesh = geometry.mesh
+    if mesh is None or len(matrices) * len(mesh.position) > MAX_HEIGHTS:
+        return False
+    return lowest_height(mesh.position[mesh.triangles.reshape(-1)], matrices, point, normal) >= -slack
