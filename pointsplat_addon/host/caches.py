@@ -35,13 +35,13 @@ def on_load(*_arguments) -> None:
 
 @bpy.app.handlers.persistent
 def on_loaded(*_arguments) -> None:
-    """Choose the context by the settings of the loaded file."""
+    """Register the engine again if the loaded file's device setting needs another kind of GPU context."""
     engine.choose_context()
 
 
 @bpy.app.handlers.persistent
 def on_undo(*_arguments) -> None:
-    """Read everything again after an undo, which does not always report what it changed."""
+    """Make viewports read the scene again after undo or redo, which do not always report what they changed."""
     for viewport in list(Viewport.alive):
         viewport.synchronizer.forget()
 
@@ -50,11 +50,13 @@ HANDLERS = (("load_pre", on_load), ("load_post", on_loaded), ("undo_post", on_un
 
 
 def register() -> None:
+    """Add the handlers to Blender's."""
     for name, handler in HANDLERS:
         getattr(bpy.app.handlers, name).append(handler)
 
 
 def unregister() -> None:
+    """Remove the handlers from Blender's and release everything."""
     for name, handler in HANDLERS:
         handlers = getattr(bpy.app.handlers, name)
         if handler in handlers:

@@ -41,7 +41,7 @@ class Renderer:
         progress: Callable[[float, str], None] = lambda fraction, text: None,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> Result:
-        """All samples of a picture, or what its budget allows. DeviceError, ShaderError: the device cannot draw it."""
+        """Draws all samples of a picture, or what its budget allows. DeviceError, ShaderError: it cannot be drawn."""
         if request.settings.budget != "NONE":
             return budgeted.render_within_budget(self, scene, request, progress, cancelled)
         return self.draw(scene, request, progress, cancelled)
@@ -54,7 +54,11 @@ class Renderer:
         cancelled: Callable[[], bool],
         watch: Watch | None = None,
     ) -> Result:
-        """Samples of a picture until there are enough, or `watch` says so."""
+        """Draws a picture without regard to the request's budget: all its samples, or until `watch` has enough.
+
+        Unlike `render`, it leaves budgets to the caller, who may stop early through `watch`. DeviceError, ShaderError:
+        the device cannot draw it. A cancelled picture has no pixels, and `cancelled` set.
+        """
         started = time.perf_counter()
         progress(0.0, "Preparing points")
         try:
@@ -84,12 +88,12 @@ class Renderer:
             frame.release()
 
     def start(self, scene: Scene, request: Request) -> Frame:
-        """A picture that is drawn sample by sample."""
+        """Returns a frame without samples; the caller draws them one by one and releases it."""
         frame = Frame(self, scene, request, presented=True)
         frame.clock.slow = False
         return frame
 
     def release(self) -> None:
-        """Free everything that is kept on the device."""
+        """Free everything that the renderer keeps on the device, not the device itself."""
         self.kept.clear()
         self.pool.release()

@@ -16,10 +16,11 @@ BELOW_ONE = 0.999  # largest roughness that fits into a fraction
 
 
 def strands_crossed(lines: Strands) -> float:
-    """Estimates how many strands a line through all of them meets.
+    """Estimates how many strands a random line through a mass of hair crosses.
 
-    That is their area (pi / 4 of width times length, the mean over all directions) over the area of the ellipsoid in
-    the box around them. Returns 0 for strands without extent.
+    That is the strands' projected area (pi / 4 of width times length, the mean over all directions), divided by the
+    mean silhouette of the ellipsoid inscribed in their bounding box, along its three axes. Returns 0 for strands
+    without extent.
     """
     with np.errstate(all="ignore"):
         p = lines.position.astype(np.float64)
@@ -33,7 +34,10 @@ def strands_crossed(lines: Strands) -> float:
 
 
 def escape_share(crossed: np.ndarray) -> np.ndarray:
-    """Share of scattered light that leaves a mass of hair in which a line meets `crossed` strands."""
+    """Returns the share of scattered light that leaves a mass of hair: 1 / (1 + crossed), at least LEAST_ESCAPE.
+
+    `crossed`: see `strands_crossed`; of any shape, which is that of the result.
+    """
     return np.maximum(1 / (1 + crossed), LEAST_ESCAPE)
 
 

@@ -34,7 +34,7 @@ OWN_CUT, ALL_POINTS, NOTHING = -1, -2, -3
 
 @dataclass(frozen=True, eq=False)
 class LevelChoice:
-    """What each of I instances draws."""
+    """What each of I instances draws (a level, its own cut, all points or nothing), and how much it is enlarged."""
 
     level: np.ndarray  # (I,) int64: a row of the levels, or OWN_CUT, ALL_POINTS, NOTHING
     scale: np.ndarray  # (I,) float64: factor of its size about the levels' centre; 1 where instances are not thinned
@@ -52,9 +52,11 @@ def choose_levels(
     """Chooses the level of each instance of one geometry, `view_from_object` (I, 4, 4) float64.
 
     No node of the level spans more than `tolerance` pixels anywhere on the instance, by the measure of
-    `cut.select_cut`. Instances outside the camera's window, widened by `margin` pixels, and those whose matrix is not
-    finite, or zero, draw nothing. `row` (I,): persistent numbers of the instances, which decide whom thinning leaves
-    out and at which share of the `band` (octaves, `criteria.transition_band`) each instance changes its level.
+    `cut.select_cut`. Near instances get OWN_CUT; those that need more than the finest level ALL_POINTS, or OWN_CUT if
+    the levels were cut short. Instances outside the camera's window, widened by `margin` pixels, and those whose
+    matrix is not finite, or zero, draw NOTHING. `row` (I,): persistent numbers of the instances, which decide which of
+    them thinning leaves out, and at which share of the `band` (octaves, `criteria.transition_band`) each one changes
+    its level.
     """
     criteria = criteria_of(camera, tolerance, margin)
     balls = _bounding_balls(criteria, view_from_object, levels.center, levels.radius)
@@ -118,9 +120,9 @@ def _bounding_balls(criteria: Criteria, view_from_object: np.ndarray, center: np
 def area_factor(share: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The factor by which thinning enlarges the area of each instance, 0 for those that are left out: (I,) float64.
 
-    `share` (I,) in [0, 1]: the probability that an instance stays; `at` (I,) in [0, 1): the instance's persistent
-    number. The mean over `at` is 1. Instances shrink to nothing before they are left out: with t = share / (1 - FADE),
-    the factor is clip((t - at) / (FADE t), 0, 1) over its mean.
+    `share` (I,) in [0, 1]: the probability that an instance stays; `at` (I,) in [0, 1): a persistent quasi-random
+    number of each instance. The mean over `at` is 1. Instances shrink to nothing before they are left out: with
+    t = share / (1 - FADE), the factor is clip((t - at) / (FADE t), 0, 1) over its mean.
     """
     t = np.maximum(share, 1e-300) / (1 - FADE)
     weight = np.clip((t - at) / (FADE * t), 0.0, 1.0)
@@ -144,7 +146,7 @@ def cut_from_levels(levels: Levels, instance: np.ndarray, level: np.ndarray) -> 
 
 
 def joined_cuts(cuts: list[Cut]) -> Cut:
-    """One cut of several, which have no instance in common."""
+    """Joins cuts that have no instance in common into one, sorted by instance. There must be at least one cut."""
     cuts = [cut for cut in cuts if len(cut.count)] or cuts[:1]
     if len(cuts) == 1:
         return cuts[0]

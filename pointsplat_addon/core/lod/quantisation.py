@@ -82,7 +82,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """N points in tree order and M nodes breadth first, as records of Layout.dtype."""
+    """A quantised hierarchy: N points in tree order and M nodes breadth first, as records of Layout.dtype."""
 
     layout: Layout
     points: np.ndarray  # (N,)
@@ -93,6 +93,7 @@ class Packed:
 
     @property
     def nbytes(self) -> int:
+        """Bytes of the points, the nodes and the order."""
         return self.points.nbytes + self.nodes.nbytes + self.order.nbytes
 
 

@@ -26,9 +26,10 @@ COARSEST_STEP = 0.5  # radians: the widest cell of a grid without poles
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """The coordinates of a light's cells. Local coordinates: for suns (x, y, distance), else a polar axis z.
+    """The coordinate system of a light's cells, whose rows lie along latitudes and columns along longitudes.
 
-    Angles are lengths for suns and radians for other lights: `latitude` is y, `longitude` is x.
+    Local coordinates of suns are (x, y, distance); then latitude is y and longitude x, in world units. Those of other
+    lights have their origin at the light and a polar axis z; then both are angles in radians.
     """
 
     parallel: bool
@@ -82,8 +83,11 @@ class Grid:
 
 
 def cell_grids(frame: Frame, coarser: float) -> list[Grid]:
-    """Finest first, of `coarser` times the frame's step, each of twice the step of the one before; as many for all
-    `coarser` from 2^-FINER to 2."""
+    """Returns the grids of a frame, finest first, each with about twice the step of the one before.
+
+    The finest has `coarser` times the frame's step. The number of grids does not depend on `coarser`, which must be
+    in [2^-FINER_OCTAVES, 2].
+    """
     grids = []
     for level in range(frame.rows.bit_length() + FINER_OCTAVES):
         if frame.full:
@@ -175,7 +179,7 @@ def rotation_to(direction: np.ndarray) -> np.ndarray:
 
 
 def lit_casters(light: Light, batch: Casters) -> Casters:
-    """The casters of a batch that a spot or area light shines on; all of them for other lights."""
+    """The casters of a batch that a spot or area light may shine on (conservative); all of them for other lights."""
     if light.kind not in ("SPOT", "AREA"):
         return batch
     seen = batch.position + (batch.origin - light.position).astype(np.float32)
@@ -211,7 +215,10 @@ def plane_distance(
     middle: np.ndarray,  # (N, 3) towards the cell, unit
     to_cell: tuple[np.ndarray, np.ndarray],  # (N,) longitude and latitude of the cell less those of the point
 ) -> np.ndarray:
-    """(N,) distance at which the plane meets the middle of the cell."""
+    """Returns the distance (N,) at which the ray through a cell's middle meets a plane, given one point of the plane.
+
+    Both are distances along the rays from the light, in world units. The slope is limited by LEAST_COSINE.
+    """
     if frame.parallel:
         slope = slopes(normal)
         return distance - slope[0] * to_cell[0] - slope[1] * to_cell[1]
@@ -223,7 +230,10 @@ def plane_distance(
 
 
 def slopes(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes (N,) along x and along y, towards a sun, of planes with local normals (N, 3)."""
+    """Slopes of planes with local normals (N, 3) along x and y, each (N,): how much they rise towards a sun.
+
+    They are the negative derivatives of the distance from the sun. LEAST_COSINE limits them.
+    """
     facing = clamp_magnitude(normal[:, 2], LEAST_COSINE * np.sqrt(np.einsum("nc,nc->n", normal, normal)))
     return normal[:, 0] / facing, normal[:, 1] / facing
 

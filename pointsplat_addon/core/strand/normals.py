@@ -20,8 +20,7 @@ def curve_normals(
     """(E, 3) float64 unit normals of evaluated curves, as Blender defines them.
 
     cyclic, mode (C,): MINIMUM_TWIST, Z_UP or FREE. tilt (E,): angles in radians by which they are turned around the
-    tangents. free (E, 3): the normals of curves whose mode is FREE; without any they have minimum
-    twist.
+    tangents. free (E, 3): the normals of curves whose mode is FREE; without them these have minimum twist.
     """
     chosen = slice(None) if evaluated.rows is None else _unrepeated(evaluated)
     position, start = evaluated.position[chosen], evaluated.open
@@ -50,8 +49,9 @@ def _unrepeated(evaluated: EvaluatedCurves) -> np.ndarray:
 def curve_tangents(position: np.ndarray, start: np.ndarray, cyclic: np.ndarray) -> np.ndarray:
     """(E, 3) float64 unit tangents: bisectors of the two segments that meet at a point.
 
-    Points that coincide with both neighbours have the tangent before them, or the first that there is. cyclic (C,): the
-    last point's next is the first. Curves whose points all coincide have +Z.
+    start (C + 1,): the first point of each curve, and E; cyclic (C,) bool: the last point is followed by the first.
+    Points that coincide with both neighbours have the previous point's tangent, or the curve's first. Curves whose
+    points all coincide have +Z.
     """
     count = len(position)
     if count == 0:

@@ -84,8 +84,11 @@ def in_picture(picture: ProjectedStrands, first: np.ndarray, last: np.ndarray, c
 def line_shares(
     strands: StrandLevels, picture: ProjectedStrands, first: np.ndarray, last: np.ndarray, simplified: np.ndarray
 ) -> np.ndarray:
-    """(K, 2) float32: widths at both ends of segments over the width of the raster's line, which is one pixel high
-    along its minor axis. Segments that replace several (`simplified`) keep the area of those."""
+    """(K, 2) float32: the share of a raster line that a segment covers at either end; may exceed 1.
+
+    It is the segment's width over that of the line, which is one pixel along its minor axis. Segments that replace
+    several (`simplified`, (K,) bool) keep the area of those.
+    """
     chord = picture.pixel[last] - picture.pixel[first]
     size = np.sqrt(np.einsum("nc,nc->n", chord, chord))
     line = np.where(size > SHORTEST_DIRECTED, np.maximum(*np.abs(chord.T)) / np.maximum(size, SHORTEST_DIRECTED), 1)

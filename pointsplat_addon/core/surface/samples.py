@@ -12,7 +12,7 @@ from ..scene.mesh import Mesh
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Places on a mesh's triangles, independent of its pose and of the camera."""
+    """N positions on a mesh's triangles and the ellipses of their splats, independent of pose and camera."""
 
     method: str  # VERTICES, AREA, or PATCHES (of core/lens/dicing.py)
     triangle: np.ndarray  # (N,) int32, rows of Mesh.triangles
@@ -31,12 +31,12 @@ class Samples:
 
 
 def corner_of_sample(samples: Samples) -> np.ndarray:
-    """(N,) the corner of its triangle where each vertex sample sits."""
+    """(N,) int8: the corner (0, 1 or 2) of its triangle at which each sample lies. Only for samples at vertices."""
     return (samples.barycentric @ np.array([1, 2], np.float32)).astype(np.int8)
 
 
 def vertex_of_sample(mesh: Mesh, samples: Samples) -> np.ndarray:
-    """(N,) the vertex where each vertex sample sits."""
+    """(N,) row of the vertex of the mesh at which each sample lies. Only for samples at vertices."""
     return mesh.triangles[samples.triangle, corner_of_sample(samples)]
 
 

@@ -67,9 +67,10 @@ class Collected:
 def collect(
     depsgraph: bpy.types.Depsgraph, view3d: bpy.types.SpaceView3D | None = None, *, identify: bool = False
 ) -> Collected:
-    """All sources and instances that the camera can see.
+    """Returns all sources and instances that are visible to camera rays, in or out of the picture.
 
-    view3d: the viewport whose local view and filters apply. identify: whether instances get their identity.
+    view3d: the viewport whose local view and filters apply. identify: whether instances get a key that is the same in
+    every frame, for motion vectors. Objects that cannot be drawn are listed by kind in `unsupported`.
     """
     view_layer = depsgraph.view_layer_eval
     flags: dict[int, Flags] = {}
@@ -165,7 +166,7 @@ def _particles(emitter: Source, ob: bpy.types.Object, override: bpy.types.Materi
 
 
 class Flags(NamedTuple):
-    """How the camera and lights see an instance."""
+    """Visibility of an instance, one bool each: to the camera, as holdout, as shadow caster, as shadow catcher."""
 
     drawn: bool
     holdout: bool

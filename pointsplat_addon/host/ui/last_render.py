@@ -27,13 +27,16 @@ def lines(report: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def error(estimate: dict[str, float | None]) -> str:
-    """The root mean square error of a report's estimate, as text."""
+    """The root mean square error of a report's estimate, as text; says so if one sample gives no estimate."""
     rmse = estimate["rmse"]
     return "unknown: one sample" if rmse is None else f"{rmse:.2g}"
 
 
 def bars(report: dict[str, Any]) -> list[tuple[str, float, float]]:
-    """(name, milliseconds, fraction of the longest) of up to MOST_BARS passes and REST, the longest first."""
+    """(name, milliseconds, fraction of the longest) of the longest passes, the longest first.
+
+    REST, the time spent outside of passes, counts as a pass. There are at most MOST_BARS in all.
+    """
     passes = [(p["name"], p["ms"]) for p in report.get("passes", ())]
     rest = 1000 * report.get("seconds", 0.0) - sum(ms for _, ms in passes)
     found = sorted([*passes, (REST, max(rest, 0.0))], key=lambda item: -item[1])[:MOST_BARS]
@@ -42,7 +45,7 @@ def bars(report: dict[str, Any]) -> list[tuple[str, float, float]]:
 
 
 def stamps(report: dict[str, Any]) -> dict[str, str]:
-    """The metadata of a rendered image by field."""
+    """Metadata for the rendered image by field name, as text: the seconds, and the error where it was estimated."""
     found = {"pointsplat/seconds": f"{report['seconds']:.3f}"}
     if "estimate" in report:
         found["pointsplat/error"] = error(report["estimate"])

@@ -35,12 +35,14 @@ class Limits:
 
 
 class Texture(Protocol):
-    """A two-dimensional texture of one level, nearest filtering, clamped."""
+    """A two-dimensional texture without mipmaps, with nearest filtering, clamped at its edges."""
 
     size: tuple[int, int]
     format: str
 
-    def release(self) -> None: ...
+    def release(self) -> None:
+        """Frees the texture. More than once does nothing."""
+        ...
 
 
 class Target(Protocol):
@@ -48,23 +50,25 @@ class Target(Protocol):
 
     colors: tuple[Texture, ...]
 
-    def release(self) -> None: ...
+    def release(self) -> None:
+        """Frees the target and its depth buffer, but not its textures. More than once does nothing."""
+        ...
 
 
 class Timer(Protocol):
-    """Timers do not nest."""
+    """Measures the time that the device takes for some draws and dispatches. Timers do not nest."""
 
     def milliseconds(self) -> float:
-        """Time the device spent between start and stop; waits for it where it must. DeviceError: released unread."""
+        """Time the device spent between start and stop; waits for it if needed. DeviceError: released unread."""
         ...
 
     def release(self) -> None:
-        """Not asked for any more: the device takes back what it measures with. Waits for nothing; once is enough."""
+        """Gives the query back to the device, without waiting; a time that was not read is lost."""
         ...
 
 
 class Device(Protocol):
-    """All calls come from the thread that made the device."""
+    """Makes textures and targets and draws with them. All calls come from the thread that made the device."""
 
     name: str
     limits: Limits
@@ -134,9 +138,13 @@ class Device(Protocol):
         """The texture as (H, W, channels) float32, or (H, W) uint32 for R32UI; bottom row first."""
         ...
 
-    def start_timer(self) -> Timer: ...
+    def start_timer(self) -> Timer:
+        """Starts timing what follows. DeviceError: a timer is running already."""
+        ...
 
-    def stop_timer(self, timer: Timer) -> None: ...
+    def stop_timer(self, timer: Timer) -> None:
+        """Stops the timer, without waiting for the device."""
+        ...
 
     def bytes_allocated(self) -> int:
         """Bytes of all textures and depth buffers alive on the device."""
@@ -153,8 +161,7 @@ S = TypeVar("S")
 
 @contextlib.contextmanager
 def released_on_failure(device: Device) -> Iterator[None]:
-    """Releases everything that the enclosed block had put on the device where it raises: nobody else knows of it
-    yet."""
+    """Context manager: releases the textures and targets that its block has made if the block raises."""
     before = set(device.alive)
     try:
         yield
@@ -240,6 +247,9 @@ def to_half(data: np.ndarray) -> np.ndarray:
 
 
 def layout_groups(groups: int) -> tuple[int, int]:
-    """Returns (columns, rows) of at least `groups` work groups, as few more as rows of equal length allow."""
+    """Returns (columns, rows) of the smallest grid of at least `groups` work groups; columns are at most MAX_GROUPS.
+
+    There are as few rows as possible.
+    """
     rows = max(1, -(-groups // MAX_GROUPS))
     return -(-groups // rows), rows

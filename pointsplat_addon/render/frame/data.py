@@ -15,7 +15,7 @@ from .cryptomatte import cryptomatte
 
 
 class DataPasses:
-    """What the pass `data` has left of one picture."""
+    """Collects the passes of a picture that are not averaged over samples: depth, motion, indices, Cryptomatte."""
 
     def __init__(self, scene: Scene, request: Request) -> None:
         self.scene, self.request = scene, request
@@ -24,11 +24,15 @@ class DataPasses:
 
     @property
     def every_sample(self) -> bool:
-        """Cryptomatte ranks the identities of all."""
+        """Whether every sample has to be read, not only the first: Cryptomatte ranks the identities of all."""
         return bool(self.request.passes & set(CRYPTO))
 
     def read(self, textures: Sequence[Texture], read: Callable[[Texture], np.ndarray], first: bool) -> None:
-        """What is needed of a sample, whose pass has drawn these `textures`. `read`: (H, W, 4) float32 of one."""
+        """Reads and keeps what is needed of one sample.
+
+        `textures`: what the pass `data` has drawn; `read` returns the pixels of one, (H, W, 4) float32; `first`:
+        whether this is the picture's first sample, of which all textures are read.
+        """
         for name, texture in zip(data(self.request.passes), textures, strict=True):
             if not (first or name == "index"):
                 continue
@@ -39,7 +43,7 @@ class DataPasses:
                 self._identities.append(picture[..., :2].astype(np.int32))
 
     def pixels(self) -> dict[str, np.ndarray]:
-        """(H, W, C) float32 by pass: all that can be told of what was read."""
+        """The finished passes by name, (H, W, C) float32 each; those whose textures were not read are left out."""
         scene, first = self.scene, self._first
         out = {}
         if "position" in first:

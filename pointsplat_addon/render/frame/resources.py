@@ -26,7 +26,7 @@ class FrameResources(Protocol):
 
     @property
     def store(self) -> Store:
-        """What is prepared of scenes."""
+        """The cache of geometry that is prepared for drawing, on the CPU."""
         ...
 
     @property
@@ -36,5 +36,5 @@ class FrameResources(Protocol):
 
     @property
     def pool(self) -> Pool:
-        """Targets that frames borrow."""
+        """Textures and targets that frames borrow and give back."""
         ...

@@ -3,8 +3,7 @@
 All are drawn by the same law, T = exp(-tau). Where splats fill a node evenly, optical masses (the integral of
 extinction over volume) add up. Where they are scattered at random, their cross-sections do (`kernel_cross_section`: the
 area whose light a splat alone takes away), since light passes between them, however dense they are. *Media* have an
-extinction;
-*shells* are surfaces with an opacity.
+extinction; *shells* are surfaces with an opacity.
 """
 
 from __future__ import annotations
@@ -26,10 +25,11 @@ MEDIUM_KERNEL_SCALE = 1.15
 
 
 def optical_sums(cloud: PointCloud, which: slice, radii: np.ndarray) -> np.ndarray:
-    """Summands (B, n) float64 of a range of points with half-axes `radii` (3, n); B is 0 for opaque clouds.
+    """Returns the optical quantities of points that nodes add up, (B, n) float64; B is 0 for opaque clouds.
 
-    Media: squared optical mass over volume, mass and cross-section of each channel, a weight and the colour times it,
-    and the volume times the emission. Shells: area, optical mass and cross-section.
+    `which`: the n points of the cloud; `radii` (3, n): their half-axes. Media: squared optical mass over volume, mass
+    and cross-section of each channel, a weight and the colour times it, and the volume times the emission. Shells:
+    area, optical mass and cross-section.
     """
     if cloud.radii is None or (cloud.extinction is None and cloud.opacity is None):
         return np.empty((0, radii.shape[1]))
@@ -64,7 +64,11 @@ def optical_area(cloud: PointCloud, radii: np.ndarray) -> np.ndarray:
 
 
 def drawn_radii(cloud: PointCloud, radii: np.ndarray) -> np.ndarray:
-    """Half-axes (3, n) by which nodes with the kernels `radii` (3, n) are drawn; unchanged in opaque clouds."""
+    """Returns the half-axes (3, n) with which nodes are drawn, from those of their kernels, `radii` (3, n).
+
+    Opaque clouds draw the kernels themselves. Translucent clouds without normals draw balls with the root mean square
+    of the half-axes; media are enlarged by MEDIUM_KERNEL_SCALE.
+    """
     if cloud.extinction is None and cloud.opacity is None:
         return radii
     if cloud.normal is None:
@@ -154,7 +158,11 @@ def _tiled_fraction(area: np.ndarray, radii: np.ndarray) -> np.ndarray:
 
 
 def merged_shells(cloud: PointCloud, sums: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """The sums (3, n) of merged shells: area, optical mass and cross-section; parts that overlap count once."""
+    """Corrects the sums of shells that were merged into nodes for their overlap: (3, n) float64.
+
+    `sums` (3, n): area, optical mass and cross-section, added up; `radii` (3, n): the nodes' kernels. The area is at
+    most that of the node, and where shells tile the node, the cross-section at most that of an even layer.
+    """
     area, mass, section = sums
     ellipse = optical_area(cloud, drawn_radii(cloud, radii))
     covered = _tiled_fraction(area, radii)

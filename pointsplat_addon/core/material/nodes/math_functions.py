@@ -54,7 +54,7 @@ def _round(a: np.ndarray) -> np.ndarray:
 
 
 def fraction(a: np.ndarray) -> np.ndarray:
-    """What is left of a number above the next lower integer."""
+    """a - floor(a), in [0, 1)."""
     return a - np.floor(a)
 
 
@@ -165,13 +165,16 @@ VECTOR_MATH: dict[str, Callable[..., np.ndarray]] = {
 
 
 def smooth_step(low: np.ndarray, high: np.ndarray, x: np.ndarray, degree: int) -> np.ndarray:
-    """Smooth step from 0 at `low` to 1 at `high`, a polynomial of degree 3 or 5."""
+    """Smooth step from 0 at or below `low` to 1 at or above `high`, a polynomial of degree 3 or 5."""
     t = np.clip(divide_or_zero(x - low, high - low), 0, 1)
     return t * t * (3 - 2 * t) if degree == 3 else t * t * t * (t * (t * 6 - 15) + 10)
 
 
 def rotate_euler(vector: np.ndarray, angles: np.ndarray, inverse: bool = False) -> np.ndarray:
-    """Rotates vectors (N, 3) by XYZ Euler angles (N | 1, 3) in radians: about X first, then Y, then Z."""
+    """Rotates vectors (N, 3) by XYZ Euler angles (N | 1, 3) in radians: about X first, then Y, then Z.
+
+    With `inverse` it undoes that rotation.
+    """
     for axis in (2, 1, 0) if inverse else (0, 1, 2):
         angle = -angles[:, axis] if inverse else angles[:, axis]
         i, j = (axis + 1) % 3, (axis + 2) % 3

@@ -30,10 +30,15 @@ class ImageTexture(Expression):
     straight: bool = False
 
     def read(self, inputs: SampleInputs) -> tuple[Expression, ...]:
+        """Returns `uv`, or nothing where the samples are the image's own texels, which need no coordinates."""
         at_texels = inputs.grid == self.image.size and isinstance(self.uv, UV) and self.interpolation != "Cubic"
         return () if at_texels else self.arguments
 
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        """Scene-linear RGBA (N, 4) float32, filtered over the splats where `inputs` has displaced samples.
+
+        `values`: those of `uv` (N | 1, 3), or none (see `read`).
+        """
         if not values:
             return self._texels(slice(inputs.first, inputs.first + len(inputs)))
         uv, footprint = values[0], self._footprint(inputs, values[0])

@@ -26,8 +26,12 @@ from .tile_lists import TileLists
 def defocus_program(
     lighting: tuple[str, ...], transparent: bool, tint: bool, holdout: bool, adaptive: bool, tile: int
 ) -> Interface:
-    """Returns the program that gathers. `lighting`: the names of what shines, of which those of the world are used.
-    `adaptive`: pixels differ in how many samples they have."""
+    """Returns the program that gathers the splats of each pixel's tile.
+
+    lighting: defines of the lights that are used; only those of the world matter here. transparent: the film is
+    transparent, so that no background is drawn. tint: splats transmit colours differently. holdout: some splats are
+    holdouts. adaptive: pixels differ in their number of samples. tile: pixels along a side of a tile.
+    """
     world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT", "PS_BACKDROP"))
     named = {
         "PS_BACKGROUND": not transparent and "PS_BACKDROP" not in world,
@@ -69,11 +73,16 @@ class Defocus:
         lit: dict[str, Texture],
         textures: dict[str, Texture],
     ) -> None:
-        """`lit`: what `light` left; `textures`: the picture of what is in focus, and the world's."""
+        """Draws the gathered picture into `target`.
+
+        record: the program's uniforms; lit: the textures that the pass `light` wrote; textures: the picture of what is
+        in focus, and the world's.
+        """
         read = {"ps_splat_centre": lit["ps_centre"], **{k: v for k, v in lit.items() if k != "ps_centre"}, **textures}
         read |= {"ps_list": self.list, "ps_tiles": self.tiles}
         self.device.draw(program, target, uniforms=record, textures=read)
 
     def release(self) -> None:
+        """Frees the textures of the tiles."""
         self.list.release()
         self.tiles.release()

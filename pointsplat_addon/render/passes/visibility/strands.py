@@ -21,7 +21,10 @@ THIN = block("ThinStrands", CAMERA_FIELDS, FIRST, (("float", "sample_offset"),))
 
 
 def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
-    """Returns the program for one variant of the G-buffer and one kind of segments: THIN, STRIP or TUBE."""
+    """Returns the program that draws one kind of segments, THIN, STRIP or TUBE, into one variant of the G-buffer.
+
+    ribbon: whether the strands are flat ribbons that have a side direction, not round hairs.
+    """
     thin, tube = kind == "THIN", kind == "TUBE"
     fetched = ["ps_list", "ps_segments", "ps_point", "ps_instances"]
     strip = kind == "STRIP" and not ribbon  # faces the eye, across its tangent
