@@ -34,7 +34,7 @@ class Kind(Enum):
     # Clouds of points
     MESH_POINTS = auto()  # samples with their attributes
     POINTS_OF_PARTS = auto()
-    GIVEN_POINTS = auto()  # of a cloud, finite and in coherent order
+    COHERENT_POINTS = auto()  # of a cloud, finite and in coherent order
     CLOUD = auto()  # the point set of a given cloud
     FILLED = auto()  # points with the constants of their materials
     DICED = auto()  # splats of one view, cut from what is out of focus
@@ -57,7 +57,7 @@ class Kind(Enum):
     CASTER_BALL = auto()
     CASTER_BOX = auto()
     CASTER_PLANE = auto()
-    CASTER_OUTLINE = auto()
+    CASTER_EXTENTS = auto()
     CASTER_POSITIONS = auto()  # points all over a mesh
     CASTER_SAMPLES = auto()
     CASTER_NODES = auto()

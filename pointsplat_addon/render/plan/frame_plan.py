@@ -87,12 +87,12 @@ class FramePlan:
     @property
     def strands(self) -> int:
         """The number of strands that the view shows."""
-        return sum(segments.strands for segments in self.prepared.lines.values())
+        return sum(segments.strands for segments in self.prepared.strands.values())
 
     @property
     def segments(self) -> int:
         """The number of segments of the strands that the view shows."""
-        return sum(map(len, self.prepared.lines.values()))
+        return sum(map(len, self.prepared.strands.values()))
 
     @property
     def triangles(self) -> int:
@@ -155,7 +155,7 @@ def make_frame_plan(
     prepared = _prepared(scene, request, decided, through_lens, store, costs, clock)
     technique = confirm_technique(decided, prepared)
     auxiliary = None
-    if prepared.blurred is not None:
+    if prepared.out_of_focus is not None:
         # What is out of focus goes into Combined alone; the other passes are of the auxiliary picture.
         auxiliary = auxiliary_picture(scene, request, presented)
         request = replace(request, passes=frozenset({"combined"}))
@@ -233,7 +233,7 @@ def _not_adaptive(request: Request, prepared: Prepared, plan: Plan, through_lens
         request.samples,
         plan.translucent is not None and not plan.defocus,
         bool(request.passes & set(CRYPTO)),
-        any(len(segments.thin) for segments in prepared.lines.values()),
+        any(len(segments.thin) for segments in prepared.strands.values()),
         through_lens,
     )
 
@@ -243,7 +243,7 @@ def _shadows(
 ) -> tuple[Shadows | None, str]:
     """The tables of all lights that cast shadows on what is drawn; or None, and why."""
     layers = (prepared, prepared.translucent, prepared.spheres)
-    if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.lines):
+    if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()
     found, unshadowed = make_shadows(scene, request.settings, store, clock.check)

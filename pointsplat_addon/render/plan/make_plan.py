@@ -47,7 +47,7 @@ class ViewToPlan:
     @property
     def defocus(self) -> bool:
         """Whether something is out of focus, which the pass `defocus` draws together with all that is translucent."""
-        return self.prepared.blurred is not None
+        return self.prepared.out_of_focus is not None
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def make_plan(view: ViewToPlan) -> Plan:
 def _kinds(view: ViewToPlan) -> _Kinds:
     prepared = view.prepared
     points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
-    spheres, lines = prepared.spheres.cut.splats > 0, len(prepared.lines) > 0
+    spheres, lines = prepared.spheres.cut.splats > 0, len(prepared.strands) > 0
     return _Kinds(points, polygons, spheres, lines, polygons or spheres or lines or (points and not view.painter))
 
 
@@ -159,7 +159,7 @@ def _ewa(view: ViewToPlan, kinds: _Kinds) -> EwaOptions | None:
 def _attributes(view: ViewToPlan, kinds: _Kinds) -> _Attributes:
     scene, prepared = view.scene, view.prepared
     clouds: list[PointCloud | Strands] = [p.cloud for p in _opaque_sets(prepared)]
-    clouds += [found for row in prepared.lines if (found := scene.geometries[row].strands) is not None]
+    clouds += [found for row in prepared.strands if (found := scene.geometries[row].strands) is not None]
     channels = {name for graph in _graphs(scene, prepared) for name in graph.channels} if kinds.polygons else set()
     surface = any(c.surface is not None for c in clouds) or bool(channels & {"roughness", "metallic"})
     return _Attributes(
@@ -214,9 +214,9 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
         packed = view.shadows.packed
         named = {
             "PS_SHADOW_COLORED": packed.colored,
-            "PS_SHADOW_SOLID": packed.solid,
-            "PS_SHADOW_SUNS": packed.suns,
-            "PS_SHADOW_HARD": packed.hard,
+            "PS_SHADOW_SOLID": packed.only_opaque,
+            "PS_SHADOW_SUNS": packed.only_suns,
+            "PS_SHADOW_HARD": packed.no_light_has_size,
         }
         found += ("PS_SHADOWS", "PS_SHADOW_SAMPLE", *(name for name, on in named.items() if on))
     return found

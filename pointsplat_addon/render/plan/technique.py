@@ -67,7 +67,7 @@ def confirm_technique(decided: Technique, prepared: Prepared) -> Technique:
     foliage = any(points.cloud.disconnected is not None for points in prepared.point_sets.values())
     if foliage and decided.name == "EWA" and decided.automatic:
         return replace(decided, name="IMAGE_SPACE", because="light passes between disconnected points")
-    if prepared.blurred is not None and decided.name == "PAINTER":
+    if prepared.out_of_focus is not None and decided.name == "PAINTER":
         return replace(decided, name="IMAGE_SPACE", because="the pass defocus paints")
     return decided
 

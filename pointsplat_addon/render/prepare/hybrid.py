@@ -82,25 +82,27 @@ def choose_for_instance(
     finest = float(needed.min())
     octaves = np.ldexp(0.5, np.frexp(needed[visible])[1])  # as quantise_spacing has it
     spacing = np.unique(np.minimum(octaves, divided.coarsest))
-    worth = np.array([divided.worth(costs, s, most) for s in spacing.tolist()])
+    worth_sampling = np.array([divided.worth_sampling(costs, s, most) for s in spacing.tolist()])
     samples = np.array([divided.samples(s) for s in spacing.tolist()])
     choice = choose_primitives(
-        costs, needed, spacing, np.where(worth, samples, np.inf), divided.parts.counts, divided.area
+        costs, needed, spacing, np.where(worth_sampling, samples, np.inf), divided.parts.counts, divided.part_area
     )
-    every = divided.whole(finest, slack)
+    every = divided.samples_of_whole_mesh(finest, slack)
     whole = every * (costs.point + costs.prepared)
     if every <= most and whole <= choice.cost:
         choice = replace(choice, points=visible, polygons=np.zeros_like(visible), cost=whole)
         shown = InstanceChoice(divided.octave(finest), choice, whole=True)
     else:
         shown = InstanceChoice(float(spacing[choice.octave]), choice, whole=False)
-    edge = np.sqrt(2 * divided.area[visible].sum() / divided.parts.counts[visible].sum())
+    edge = np.sqrt(2 * divided.part_area[visible].sum() / divided.parts.counts[visible].sum())
     if (
         nodes
         and len(divided.measures.triangle) >= MIN_TRIANGLES
         and edge <= MAX_EDGE_OVER_SPACING * np.median(needed[visible])
     ):
-        cut = np.minimum(NODES_PER_SQUARE * divided.area / needed**2, divided.fewest)[visible].sum()
+        cut = np.minimum(NODES_PER_SQUARE * divided.part_area / needed**2, divided.fewest_samples_by_part)[
+            visible
+        ].sum()
         if (cost := float(cut) * NODE_COST * costs.point) < shown.choice.cost:
             choice = replace(choice, points=visible, polygons=np.zeros_like(visible), cost=cost)
             return InstanceChoice(divided.coarsest, choice, whole=True, nodes=True)
@@ -119,12 +121,12 @@ def choose_parts(
         mesh = geometry.mesh
         if len(views) == 0 or geometry.strands is not None or (mesh is not None and len(mesh.triangles) == 0):
             continue
-        of, points = _mesh_to_choose_for(view, geometry, len(views))
+        measured, points = _mesh_to_choose_for(view, geometry, len(views))
         others |= points
-        if of is None:
+        if measured is None:
             continue
         view.check()
-        found[row] = _choose_for_instances(view, of, views)
+        found[row] = _choose_for_instances(view, measured, views)
     choices = [s.choice for some in found.values() for s in some if s is not None]
     pixels = _costs(view, 1).pixel * float(np.prod(view.camera.window[2:]))
     if not others and sum(c.triangles_cost - c.cost for c in choices) < pixels:
@@ -137,15 +139,18 @@ def _mesh_to_choose_for(view: View, geometry: Geometry, instances: int) -> tuple
     through = is_translucent(geometry, view.scene.materials)
     if geometry.primitive != "AUTO" or geometry.spacing > 0 or instances >= MANY_INSTANCES:
         return None, geometry.primitive != "POLYGONS" and not through
-    of = measured_mesh(view, geometry)
-    if of is None or through:
+    measured = measured_mesh(view, geometry)
+    if measured is None or through:
         return None, geometry.mesh is None and not through
     # Leaves are polygons, which need none of the passes that points do.
-    return (None if of.leaves(instances) else of), False
+    return (None if measured.is_drawable_foliage(instances) else measured), False
 
 
-def _divided_mesh(of: MeasuredMesh) -> DividedMesh:
-    return of.store.lookup(Key(Kind.DIVIDED_MESH, of.geometry.key), lambda: DividedMesh(of.mesh, of.parts, of.measures))
+def _divided_mesh(measured: MeasuredMesh) -> DividedMesh:
+    return measured.store.lookup(
+        Key(Kind.DIVIDED_MESH, measured.geometry.key),
+        lambda: DividedMesh(measured.mesh, measured.parts, measured.measures),
+    )
 
 
 def _costs(view: View, instances: int) -> Costs:
@@ -155,11 +160,13 @@ def _costs(view: View, instances: int) -> Costs:
     return view.costs.of_picture(view.samples, instances)
 
 
-def _choose_for_instances(view: View, of: MeasuredMesh, view_from_object: np.ndarray) -> list[InstanceChoice | None]:
+def _choose_for_instances(
+    view: View, measured: MeasuredMesh, view_from_object: np.ndarray
+) -> list[InstanceChoice | None]:
     """The choice of each instance (I, 4, 4)."""
-    divided, tolerance = _divided_mesh(of), view.settings.tolerance
+    divided, tolerance = _divided_mesh(measured), view.settings.tolerance
     most = max_samples(tolerance)
-    slack = 1.0 if digest(of.mesh, view.scene.materials) else VERTEX_PIXELS
+    slack = 1.0 if digest(measured.mesh, view.scene.materials) else VERTEX_PIXELS
     costs = _costs(view, len(view_from_object))
 
     def every(nodes: bool) -> list[InstanceChoice | None]:
@@ -173,20 +180,20 @@ def _choose_for_instances(view: View, of: MeasuredMesh, view_from_object: np.nda
     # There is less time than the settings' own tolerance takes: what has few samples left gets nodes.
     found = every(nodes=True)
     wanted = any(one is not None and one.nodes for one in found)
-    return every(nodes=False) if wanted and _points_with_nodes(view, of) is None else found
+    return every(nodes=False) if wanted and _points_with_nodes(view, measured) is None else found
 
 
-def _points_with_nodes(view: View, of: MeasuredMesh) -> PointSet | None:
+def _points_with_nodes(view: View, measured: MeasuredMesh) -> PointSet | None:
     """The fewest samples of a mesh, once they have an octree."""
-    name = Key(Kind.MESH_POINTS, of.geometry.key, digest(of.mesh, view.scene.materials))
-    return points_once_they_have_nodes(view, name, lambda: fewest_samples(view, of))
+    name = Key(Kind.MESH_POINTS, measured.geometry.key, digest(measured.mesh, view.scene.materials))
+    return points_once_they_have_nodes(view, name, lambda: fewest_samples(view, measured))
 
 
 def primitives_by_part(
-    view: View, of: MeasuredMesh, shown: list[InstanceChoice | None], view_from_object: np.ndarray
+    view: View, measured: MeasuredMesh, shown: list[InstanceChoice | None], view_from_object: np.ndarray
 ) -> Primitives:
     """Instances (I, 4, 4) as they were chosen for: points of their parts by spacing, then those that are all points."""
-    divided, table = _divided_mesh(of), view.scene.materials
+    divided, table = _divided_mesh(measured), view.scene.materials
     polygons, parts, ranges = [], {}, {}
     by_spacing: dict[float, list[int]] = {}
     for i, one in enumerate(shown):
@@ -200,34 +207,41 @@ def primitives_by_part(
             by_spacing.setdefault(one.spacing, []).append(i)
     found, costs = [], _costs(view, len(view_from_object))
     for spacing, some in sorted(by_spacing.items()):
-        worth = divided.worth(costs, spacing, max_samples(view.settings.tolerance))
-        points, sampled = _part_points(of, divided, spacing, worth, table)
+        worth_sampling = divided.worth_sampling(costs, spacing, max_samples(view.settings.tolerance))
+        points, sampled = _part_points(measured, divided, spacing, worth_sampling, table)
         for i in some:
             one = shown[i]
-            if one is not None and len(points) == len(sampled.samples) and not one.choice.points[worth].all():
+            if one is not None and len(points) == len(sampled.samples) and not one.choice.points[worth_sampling].all():
                 ranges[i] = sampled.ranges(one.choice.points)
         found.append((points, np.array(some)))
     nodes = np.flatnonzero([one is not None and one.nodes for one in shown])
     if len(nodes):
-        found.append((fewest_samples(view, of), nodes))
+        found.append((fewest_samples(view, measured), nodes))
     whole = np.flatnonzero([one is not None and one.whole and not one.nodes for one in shown])
     if len(whole):
-        found += [(points, whole[some]) for points, some in points_of_instances(view, of, view_from_object[whole])]
+        found += [
+            (points, whole[some]) for points, some in points_of_instances(view, measured, view_from_object[whole])
+        ]
     return Primitives(found, np.array(polygons, int), parts, ranges)
 
 
 def _part_points(
-    of: MeasuredMesh, divided: DividedMesh, spacing: float, worth: np.ndarray, table: MaterialTable
+    measured: MeasuredMesh, divided: DividedMesh, spacing: float, worth_sampling: np.ndarray, table: MaterialTable
 ) -> tuple[PointSet, PartSamples]:
     """The samples of all parts that are points in some view, `worth` (B,) bool."""
-    mesh, store = of.mesh, of.store
+    mesh, store = measured.mesh, measured.store
     look, first = digest(mesh, table), mesh_centre(mesh)
     # Parts that lie in the mesh's own order, all of them, depend on its topology alone.
-    same = of.shape if worth.all() and divided.parts.order is None else (of.geometry.key, worth.tobytes())
-    sampled, origin = store.lookup(
-        Key(Kind.SAMPLES_OF_PARTS, same, spacing=spacing), lambda: (sample_parts(divided, spacing, worth), first)
+    same = (
+        measured.sampling_key
+        if worth_sampling.all() and divided.parts.order is None
+        else (measured.geometry.key, worth_sampling.tobytes())
     )
-    key = Key(Kind.POINTS_OF_PARTS, (of.geometry.key, same), look, spacing=spacing)
+    sampled, origin = store.lookup(
+        Key(Kind.SAMPLES_OF_PARTS, same, spacing=spacing),
+        lambda: (sample_parts(divided, spacing, worth_sampling), first),
+    )
+    key = Key(Kind.POINTS_OF_PARTS, (measured.geometry.key, same), look, spacing=spacing)
 
     def make() -> PointCloud:
         evaluated = evaluate(mesh, sampled.samples, origin)

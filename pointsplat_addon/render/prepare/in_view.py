@@ -1,4 +1,4 @@
-"""What of a prepared view cannot be seen at all: kinds of things none of which is in view, and what is clear."""
+"""Removes layers of a prepared view that cannot be seen: those out of view, and those that are fully transparent."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ Ball = tuple[np.ndarray, np.ndarray, float]  # view_from_object (I, 4, 4); centr
 def without_invisible_layers(
     scene: Scene, prepared: Prepared, camera: Camera, store: Store
 ) -> tuple[Prepared, dict[str, str]]:
-    """The same without layers that cannot be seen, and why by their names: points, translucent, spheres, polygons.
+    """Returns a prepared view without layers that cannot be seen, and the reason by name of each such layer.
+
+    The names are points, translucent, spheres and polygons.
 
     A layer goes or stays as a whole: were its sets to come and go by themselves, pages would be uploaded again whenever
-    one does. Lenses blur what is beside the picture into it: with one, only what is clear goes, or nothing.
+    one does. Lenses blur what is outside the picture into it: with one, only what is clear goes, or nothing.
     """
     gone: dict[str, str] = {}
-    if prepared.blurred is not None:
+    if prepared.out_of_focus is not None:
         return prepared, gone
     sharp = camera.aperture is None
     for name, layer in (("points", prepared), ("translucent", prepared.translucent), ("spheres", prepared.spheres)):
@@ -48,14 +50,14 @@ def without_invisible_layers(
 
 
 def layer_balls(layer: Layer, view_from_object: np.ndarray, store: Store) -> Iterator[Ball]:
-    """A ball for each point set. Nodes may reach as far beyond it as the widest splat does."""
+    """Yields a ball for each point set; nodes may extend as far beyond its points as the widest splat does."""
     for key, points in layer.point_sets.items():
         middle, far, radius = set_ball(points, store)
         yield view_from_object[layer.set_of_instance == key], middle, far + 2 * radius
 
 
 def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ball]:
-    """A ball for each mesh of which instances are drawn as polygons."""
+    """Yields a ball for each mesh of which instances are drawn as polygons."""
     geometry = scene.instances.geometry[prepared.polygons]
     for row in np.unique(geometry).tolist():
         mesh = scene.geometries[row].mesh
@@ -65,7 +67,7 @@ def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ba
 
 
 def ball_of_all_drawn(scene: Scene, prepared: Prepared, store: Store) -> tuple[np.ndarray, float]:
-    """Centre in view space and radius of a ball about all that is drawn; infinite where strands are."""
+    """Returns centre (3,) in view space and radius of a ball about all that is drawn; it is infinite if there are strands."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     layers = (prepared, prepared.translucent, prepared.spheres)
     found = [ball for layer in layers for ball in layer_balls(layer, prepared.view_from_object, store)]
@@ -75,18 +77,18 @@ def ball_of_all_drawn(scene: Scene, prepared: Prepared, store: Store) -> tuple[n
         radius = reach * largest_singular_value(views[:, :3, :3])[:, None]
         low = np.minimum(low, (centre - radius).min(axis=0, initial=np.inf))
         high = np.maximum(high, (centre + radius).max(axis=0, initial=-np.inf))
-    if prepared.lines or not (np.isfinite(low) & np.isfinite(high)).all():
+    if prepared.strands or not (np.isfinite(low) & np.isfinite(high)).all():
         return np.zeros(3), np.inf
     return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 
 
 def _any_visible(balls: Iterator[Ball], camera: Camera) -> bool:
-    """Whether any instance of any ball may reach into the picture."""
+    """Tells whether any instance of any ball may intersect the picture."""
     return any(bool(visible_instances(views, middle, reach, camera, MARGIN).any()) for views, middle, reach in balls)
 
 
 def _is_clear(points: PointSet, store: Store) -> bool:
-    """Splats that are not there, whatever light falls on them."""
+    """Tells whether all splats are fully transparent and emit no light."""
 
     def look() -> bool:
         cloud = points.cloud
@@ -98,6 +100,7 @@ def _is_clear(points: PointSet, store: Store) -> bool:
 
 
 def _without_layers(prepared: Prepared, gone: dict[str, str]) -> Prepared:
+    """Returns a prepared view with the layers that `gone` names emptied."""
     none = np.full(len(prepared.set_of_instance), -1)
     nothing = Cut(np.empty(0, np.int32), np.empty(0, np.int64), np.empty(0, np.int64))
     empty = Layer({}, none, nothing)

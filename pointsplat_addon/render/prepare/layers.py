@@ -1,4 +1,4 @@
-"""Which points and nodes of a layer's point sets one view draws: a cut for each instance, or one that many share."""
+"""Cuts the hierarchies of a layer's point sets for one view, for each instance or for many instances together."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ..cache.store import Store
 from .point_sets import Layer, PointSet, point_counts, set_ball
 from .view import View
 
-MANY_INSTANCES = 16  # of one geometry: so many share samples and cuts
+MANY_INSTANCES = 16  # of one geometry: from so many on, they share samples and cuts
 
 
 def cut_layer(
@@ -36,10 +36,13 @@ def cut_layer(
     wanted: str,
     ranges: dict[int, tuple[np.ndarray, np.ndarray]],
 ) -> Layer:
-    """Some point sets, the key of each instance (I,), and their cut. Where instances of one are many, they share cuts,
-    which are sets of their own; those out of view are left out, and the matrices (I, 4, 4) of those that stand for
-    others are enlarged in place. `wanted`: see core.cut.select. `ranges`: by instance, first and count (R,) of its
-    points where they are not all."""
+    """Returns point sets with the cut that a view draws of them.
+
+    Many instances of one set share cuts, which become sets of their own; instances out of view are left out.
+    `set_of_instance` (I,) and `view_from_object` (I, 4, 4) are changed in place: matrices of instances that share
+    coarser nodes are enlarged. `wanted`: see core/lod/cut.py, select_cut. `ranges`: by instance, first and count (R,)
+    of the points to draw, if not all.
+    """
     tolerance, camera = view.settings.tolerance, view.camera
     sets, shared = dict(point_sets), []
     own = set_of_instance.copy()
@@ -91,7 +94,7 @@ def _cut(
     view_from_object: np.ndarray,
     wanted: str,
 ) -> Cut:
-    """Each instance by itself."""
+    """Returns the cut of each instance by itself."""
     if not any(points.hierarchy for points in point_sets.values()):
         return cut_of_all_points(point_counts(point_sets), set_of_instance)
     key = Key(Kind.FOREST, tuple((row, points.key) for row, points in point_sets.items()))
@@ -118,7 +121,7 @@ def _cut(
 
 
 def _material_rows(geometry: Geometry) -> list[int]:
-    """Rows of the material table that a geometry uses."""
+    """Returns the rows of the material table that a geometry uses."""
     if geometry.mesh is not None:
         return list(geometry.mesh.materials)
     material = geometry.cloud.material if geometry.cloud is not None else None

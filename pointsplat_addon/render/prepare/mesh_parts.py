@@ -27,14 +27,14 @@ class DividedMesh:
     _samples: dict[float, np.ndarray] = field(default_factory=dict)
 
     @cached_property
-    def number(self) -> np.ndarray:
+    def part_of_triangle(self) -> np.ndarray:
         """(M,) the part of each valid triangle."""
         return self.parts.number()
 
     @cached_property
-    def area(self) -> np.ndarray:
+    def part_area(self) -> np.ndarray:
         """(B,) object units squared."""
-        return np.bincount(self.number, 0.5 * self.measures.base * self.measures.height, len(self.parts))
+        return np.bincount(self.part_of_triangle, 0.5 * self.measures.base * self.measures.height, len(self.parts))
 
     @property
     def coarsest(self) -> float:
@@ -52,11 +52,11 @@ class DividedMesh:
             if choose_method(self.mesh, spacing, measures=m) == "VERTICES":
                 found = self.parts.counts * (m.vertices / len(m.triangle))
             else:
-                found = estimate_by_part(m, spacing, self.number, len(self.parts))
+                found = estimate_by_part(m, spacing, self.part_of_triangle, len(self.parts))
             self._samples[spacing] = found
         return self._samples[spacing]
 
-    def whole(self, needed: float, slack: float) -> float:
+    def samples_of_whole_mesh(self, needed: float, slack: float) -> float:
         """About how many samples the mesh has where all of it is points that are dense enough for `needed`: vertices
         where they are at most `slack` times as far apart, else the octave of spacing."""
         m = self.measures
@@ -65,17 +65,17 @@ class DividedMesh:
         return float(self.samples(self.octave(needed)).sum())
 
     @cached_property
-    def fewest(self) -> np.ndarray:
+    def fewest_samples_by_part(self) -> np.ndarray:
         """(B,) float64: about how many samples each part has where they are as few as cover the mesh."""
         return self.parts.counts * min(self.measures.vertices / len(self.measures.triangle), 1.0)
 
     def octave(self, spacing: float) -> float:
         return min(quantise_spacing(spacing), self.coarsest)
 
-    def worth(self, costs: Costs, spacing: float, most: int) -> np.ndarray:
+    def worth_sampling(self, costs: Costs, spacing: float, most: int) -> np.ndarray:
         """(B,) bool: parts of which some view draws points at this spacing; none where these would be more than
         `most` samples."""
-        samples, covered = self.samples(spacing), 0.5 * self.area / spacing**2
+        samples, covered = self.samples(spacing), 0.5 * self.part_area / spacing**2
         found = samples * (costs.point + costs.prepared) < self.parts.counts * costs.triangle + covered * costs.fragment
         return found if samples[found].sum() <= most else np.zeros_like(found)
 
@@ -104,7 +104,7 @@ class PartSamples:
 
 def sample_parts(divided: DividedMesh, spacing: float, which: np.ndarray) -> PartSamples:
     """The samples of the parts `which` (B,) bool."""
-    mesh, number = divided.mesh, divided.number
+    mesh, number = divided.mesh, divided.part_of_triangle
     mine = which[number]
     m = divided.measures if mine.all() else measures_of_some(divided.measures, mine)
     method = choose_method(mesh, spacing, mine, m)

@@ -54,35 +54,35 @@ class MeasuredMesh:
     store: Store
 
     @property
-    def shape(self) -> tuple[str, str]:
+    def sampling_key(self) -> tuple[str, str]:
         """What places on the mesh depend on."""
         return self.mesh.topology or self.geometry.key, self.geometry.name
 
     @property
-    def edge(self) -> float:
+    def typical_edge(self) -> float:
         """The side of the square of the mean triangle's area."""
-        return self._kept(Kind.TYPICAL_EDGE, lambda: _typical_edge(self.mesh))
+        return self._cached(Kind.TYPICAL_EDGE, lambda: _typical_edge(self.mesh))
 
     @property
     def ball(self) -> tuple[np.ndarray, float]:
         """Centre (3,) and radius in object space of a ball that holds the valid triangles."""
-        return self._kept(Kind.BOUNDING_BALL, lambda: triangles_ball(self.mesh))
+        return self._cached(Kind.BOUNDING_BALL, lambda: triangles_ball(self.mesh))
 
     @property
     def parts(self) -> Parts:
-        return self._kept(Kind.PARTS, lambda: make_parts(self.mesh))
+        return self._cached(Kind.PARTS, lambda: make_parts(self.mesh))
 
     @property
     def measures(self) -> Measures:
-        return self._kept(Kind.MEASURES, lambda: measure_triangles(self.mesh))
+        return self._cached(Kind.MEASURES, lambda: measure_triangles(self.mesh))
 
-    def leaves(self, instances: int) -> bool:
+    def is_drawable_foliage(self, instances: int) -> bool:
         """Whether so many instances of it are leaves, few enough to be polygons from any distance."""
-        return instances * len(self.mesh.triangles) <= MAX_FOLIAGE_TRIANGLES and self._kept(
+        return instances * len(self.mesh.triangles) <= MAX_FOLIAGE_TRIANGLES and self._cached(
             Kind.IS_FOLIAGE, lambda: is_foliage(self.mesh.position, self.mesh.triangles)
         )
 
-    def _kept(self, kind: Kind, make: Callable[[], Any]) -> Any:
+    def _cached(self, kind: Kind, make: Callable[[], Any]) -> Any:
         return self.store.lookup(Key(kind, self.geometry.key), make)
 
 
@@ -120,74 +120,74 @@ class Primitives:
     ranges: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
-def points_or_polygons(view: View, of: MeasuredMesh, view_from_object: np.ndarray) -> Primitives:
+def points_or_polygons(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> Primitives:
     """Instances (I, 4, 4), each of them as a whole."""
     rows = np.arange(len(view_from_object))
-    found = _points_unless_polygons(view, of, view_from_object)
+    found = _points_unless_polygons(view, measured, view_from_object)
     if found is not None:
         return Primitives(found, rows[:0])
-    near = _too_near_for_points(view, of, view_from_object)
+    near = _too_near_for_points(view, measured, view_from_object)
     polygons, far = rows[near], rows[~near]
     if len(far) == 0:
         return Primitives([], polygons)
     # What is not near is small enough to be points, each instance by itself.
-    found = _points_unless_polygons(view, of, view_from_object[far], all_far=True)
+    found = _points_unless_polygons(view, measured, view_from_object[far], all_far=True)
     if found is None:
         return Primitives([], np.concatenate([polygons, far]))
     return Primitives([(points, far[some]) for points, some in found], polygons)
 
 
 def points_of_instances(
-    view: View, of: MeasuredMesh, view_from_object: np.ndarray
+    view: View, measured: MeasuredMesh, view_from_object: np.ndarray
 ) -> list[tuple[PointSet, np.ndarray]]:
     """Points with the rows (K,) of the instances (I, 4, 4) that they are drawn for, all of which are points."""
-    needed = _needed_spacing(view, of, view_from_object)
+    needed = _needed_spacing(view, measured, view_from_object)
     if not np.isfinite(needed):  # boxes around parts reach into the picture, and no triangle does
         return []
-    return _points_by_octave(view, of, needed, view_from_object)
+    return _points_by_octave(view, measured, needed, view_from_object)
 
 
 def _points_unless_polygons(
-    view: View, of: MeasuredMesh, view_from_object: np.ndarray, all_far: bool = False
+    view: View, measured: MeasuredMesh, view_from_object: np.ndarray, all_far: bool = False
 ) -> list[tuple[PointSet, np.ndarray]] | None:
     """The same; None where polygons are drawn instead. `all_far`: triangles are known to be small."""
-    if of.geometry.primitive == "POLYGONS":
+    if measured.geometry.primitive == "POLYGONS":
         return None
-    needed = _needed_spacing(view, of, view_from_object)
+    needed = _needed_spacing(view, measured, view_from_object)
     if not np.isfinite(needed):
         return []
-    if of.geometry.primitive == "AUTO":
-        if not all_far and of.edge * view.settings.tolerance > POLYGON_PIXELS * needed:
+    if measured.geometry.primitive == "AUTO":
+        if not all_far and measured.typical_edge * view.settings.tolerance > POLYGON_PIXELS * needed:
             return None
-        if of.leaves(len(view_from_object)):
+        if measured.is_drawable_foliage(len(view_from_object)):
             return None
-    return _points_by_octave(view, of, needed, view_from_object)
+    return _points_by_octave(view, measured, needed, view_from_object)
 
 
-def _too_near_for_points(view: View, of: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
+def _too_near_for_points(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
     """(I,) bool: instances of a mesh, some of which is to be drawn as polygons, that are so large on the screen that
     they are, or may be."""
-    if of.geometry.primitive == "POLYGONS" or len(view_from_object) == 1 or not view.camera.perspective:
+    if measured.geometry.primitive == "POLYGONS" or len(view_from_object) == 1 or not view.camera.perspective:
         return np.ones(len(view_from_object), bool)
-    allowed = _spacing_allowed_by_bounds(view, of, view_from_object)
-    near = of.edge * view.settings.tolerance > POLYGON_PIXELS * allowed
-    return near & visible_instances(view_from_object, *of.ball, view.camera)
+    allowed = _spacing_allowed_by_bounds(view, measured, view_from_object)
+    near = measured.typical_edge * view.settings.tolerance > POLYGON_PIXELS * allowed
+    return near & visible_instances(view_from_object, *measured.ball, view.camera)
 
 
 # How dense points are.
 
 
-def _needed_spacing(view: View, of: MeasuredMesh, view_from_object: np.ndarray) -> float:
+def _needed_spacing(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> float:
     """The spacing that one or more instances need in this view."""
-    parts = of.parts if len(of.mesh.triangles) >= MIN_TRIANGLES_FOR_PARTS else None
+    parts = measured.parts if len(measured.mesh.triangles) >= MIN_TRIANGLES_FOR_PARTS else None
     return required_spacing(
-        of.mesh, view_from_object, view.camera, view.settings.tolerance, max_samples=None, parts=parts
+        measured.mesh, view_from_object, view.camera, view.settings.tolerance, max_samples=None, parts=parts
     )
 
 
-def _spacing_allowed_by_bounds(view: View, of: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
+def _spacing_allowed_by_bounds(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
     """(I,) a spacing that is fine enough for each instance, from the nearest point of its bounding sphere."""
-    middle, reach = of.ball
+    middle, reach = measured.ball
     scale = largest_singular_value(view_from_object[:, :3, :3])
     depth = -(view_from_object[:, 2, :3] @ middle + view_from_object[:, 2, 3]) - reach * scale
     focal = max(abs(f) for f in view.camera.pixel_from_view()[:2])
@@ -196,52 +196,52 @@ def _spacing_allowed_by_bounds(view: View, of: MeasuredMesh, view_from_object: n
 
 
 def _points_by_octave(
-    view: View, of: MeasuredMesh, needed: float, view_from_object: np.ndarray
+    view: View, measured: MeasuredMesh, needed: float, view_from_object: np.ndarray
 ) -> list[tuple[PointSet, np.ndarray]]:
     """Points as dense as `needed`; of instances that allow it, octaves less."""
     if len(view_from_object) >= MANY_INSTANCES:
-        needed = min(needed, _coarsest_shared_spacing(of))
-    octave = _coarser_octaves(view, of, needed, view_from_object)
-    return [(_points_at_octave(view, of, needed, int(n)), np.flatnonzero(octave == n)) for n in np.unique(octave)]
+        needed = min(needed, _coarsest_shared_spacing(measured))
+    octave = _coarser_octaves(view, measured, needed, view_from_object)
+    return [(_points_at_octave(view, measured, needed, int(n)), np.flatnonzero(octave == n)) for n in np.unique(octave)]
 
 
-def _coarser_octaves(view: View, of: MeasuredMesh, needed: float, view_from_object: np.ndarray) -> np.ndarray:
+def _coarser_octaves(view: View, measured: MeasuredMesh, needed: float, view_from_object: np.ndarray) -> np.ndarray:
     """(I,) how many octaves coarser than `needed` each instance may be sampled."""
-    if of.geometry.spacing > 0 or not view.camera.perspective or len(view_from_object) == 1:
+    if measured.geometry.spacing > 0 or not view.camera.perspective or len(view_from_object) == 1:
         return np.zeros(len(view_from_object), int)
     many = len(view_from_object) > EXACT_INSTANCES
-    if not many and len(view_from_object) * len(of.mesh.triangles) <= MAX_EXACT_TRIANGLES:
-        allowed = np.array([_needed_spacing(view, of, matrix) for matrix in view_from_object])
+    if not many and len(view_from_object) * len(measured.mesh.triangles) <= MAX_EXACT_TRIANGLES:
+        allowed = np.array([_needed_spacing(view, measured, matrix) for matrix in view_from_object])
     else:
-        allowed = _spacing_allowed_by_bounds(view, of, view_from_object)
+        allowed = _spacing_allowed_by_bounds(view, measured, view_from_object)
     with np.errstate(all="ignore"):
         # Relative to the octave that `needed` is rounded to, so that the coarser ones round alike.
         coarser = np.floor(np.log2(allowed / quantise_spacing(needed)))
         # Each triangle has a sample, however coarse the spacing is.
-        most = of.edge
+        most = measured.typical_edge
         if len(view_from_object) >= MANY_INSTANCES:
-            most = min(most, _coarsest_shared_spacing(of))
+            most = min(most, _coarsest_shared_spacing(measured))
         most = np.clip(np.ceil(np.log2(most / needed)), 0, COARSEST_OCTAVE)
     return np.clip(np.nan_to_num(coarser), 0, np.nan_to_num(most)).astype(int)
 
 
-def _coarsest_shared_spacing(of: MeasuredMesh) -> float:
+def _coarsest_shared_spacing(measured: MeasuredMesh) -> float:
     """The spacing beyond which instances that are many are not sampled: outlines grow by about a quarter of it, and
     hierarchies made of finer samples have coarser nodes that do not."""
-    return 2 * of.ball[1] / SHARED_CELLS
+    return 2 * measured.ball[1] / SHARED_CELLS
 
 
-def _points_at_octave(view: View, of: MeasuredMesh, needed: float, octave: int) -> PointSet:
+def _points_at_octave(view: View, measured: MeasuredMesh, needed: float, octave: int) -> PointSet:
     """Samples so many octaves coarser than `needed`, or than what was needed before: they are only ever refined."""
-    geometry, mesh, shape, store = of.geometry, of.mesh, of.shape, view.store
+    geometry, mesh, sampling_key, store = measured.geometry, measured.mesh, measured.sampling_key, view.store
     spacing = geometry.spacing if geometry.spacing > 0 else needed
-    asked = Key(Kind.FINEST_SPACING, shape, spacing=geometry.spacing)
+    asked = Key(Kind.FINEST_SPACING, sampling_key, spacing=geometry.spacing)
     known = store.finest_spacing(asked, np.inf)
-    measures = of.measures
+    measures = measured.measures
     if geometry.spacing <= 0 and spacing < known:
         octave_of, most = quantise_spacing(spacing), max_samples(view.settings.tolerance)
         spacing = store.lookup(
-            Key(Kind.LIMITED_SPACING, shape, spacing=octave_of, other=most),
+            Key(Kind.LIMITED_SPACING, sampling_key, spacing=octave_of, other=most),
             lambda: limit_spacing(mesh, octave_of, most, measures=measures),
         )
     spacing = store.finest_spacing(asked, spacing) * 2.0**octave
@@ -250,34 +250,44 @@ def _points_at_octave(view: View, of: MeasuredMesh, needed: float, octave: int) 
     look = digest(mesh, view.scene.materials)
     loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
     method = store.lookup(
-        Key(Kind.SAMPLING_METHOD, shape, spacing=loose), lambda: choose_method(mesh, loose, measures=measures)
+        Key(Kind.SAMPLING_METHOD, sampling_key, spacing=loose), lambda: choose_method(mesh, loose, measures=measures)
     )
     if view.coarse and geometry.spacing <= 0 and method != "VERTICES":
         # Finer samples than a budget of time leaves room for are drawn once their nodes can stand for them.
         own, name = quantise_spacing(needed), Key(Kind.MESH_POINTS, geometry.key, look, method, spacing)
         if own > spacing:
-            found = points_once_they_have_nodes(view, name, lambda: _sampled_points(view, of, method, spacing, loose))
-            return _sampled_points(view, of, method, own, loose) if found is None else found
-    return _sampled_points(view, of, method, spacing, loose)
+            found = points_once_they_have_nodes(
+                view, name, lambda: _sampled_points(view, measured, method, spacing, loose)
+            )
+            return _sampled_points(view, measured, method, own, loose) if found is None else found
+    return _sampled_points(view, measured, method, spacing, loose)
 
 
-def fewest_samples(view: View, of: MeasuredMesh) -> PointSet:
+def fewest_samples(view: View, measured: MeasuredMesh) -> PointSet:
     """The fewest samples that cover a mesh: its vertices, or one on each triangle."""
-    spacing = quantise_spacing(2 * of.measures.longest)
-    return _sampled_points(view, of, choose_method(of.mesh, spacing, measures=of.measures), spacing, spacing)
+    spacing = quantise_spacing(2 * measured.measures.longest)
+    return _sampled_points(
+        view, measured, choose_method(measured.mesh, spacing, measures=measured.measures), spacing, spacing
+    )
 
 
-def _sampled_points(view: View, of: MeasuredMesh, method: str, spacing: float, loose: float) -> PointSet:
+def _sampled_points(view: View, measured: MeasuredMesh, method: str, spacing: float, loose: float) -> PointSet:
     """Samples by one method, so far apart; vertices where they may be `loose` apart."""
-    geometry, mesh, shape, store, table = of.geometry, of.mesh, of.shape, view.store, view.scene.materials
+    geometry, mesh, sampling_key, store, table = (
+        measured.geometry,
+        measured.mesh,
+        measured.sampling_key,
+        view.store,
+        view.scene.materials,
+    )
     look = digest(mesh, table)
     spacing = 0.0 if method == "VERTICES" else spacing
-    at = Key(Kind.SAMPLES, shape, method=method, spacing=spacing)
-    at = Key(Kind.SAMPLES, shape, method=method, spacing=spacing)
-    at = Key(Kind.SAMPLES, shape, method=method, spacing=spacing)
+    at = Key(Kind.SAMPLES, sampling_key, method=method, spacing=spacing)
+    at = Key(Kind.SAMPLES, sampling_key, method=method, spacing=spacing)
+    at = Key(Kind.SAMPLES, sampling_key, method=method, spacing=spacing)
     samples, origin = store.lookup(
         at,
-        lambda: (sample_mesh(mesh, spacing or loose, method, measures=of.measures), mesh_centre(mesh)),
+        lambda: (sample_mesh(mesh, spacing or loose, method, measures=measured.measures), mesh_centre(mesh)),
     )
     key = Key(Kind.MESH_POINTS, geometry.key, look, method, spacing)
 
@@ -285,16 +295,16 @@ def _sampled_points(view: View, of: MeasuredMesh, method: str, spacing: float, l
         evaluated = evaluate(mesh, samples, origin)
         return point_cloud(mesh, samples, evaluated, table)
 
-    family = Key(Kind.SHARED_HIERARCHY, shape, look, method, spacing)
+    family = Key(Kind.SHARED_HIERARCHY, sampling_key, look, method, spacing)
     return PointSet(key, store.lookup(key, make), family=family, samples=at)
 
 
 def sample_area_function(view: View, geometry: Geometry, points: PointSet) -> Callable[[], np.ndarray] | None:
     """What finds (N,) what each sample of a mesh stands for, in object units squared; None: it is not known."""
-    of = measured_mesh(view, geometry)
-    if of is None or points.samples is None or points.samples not in view.store:
+    measured = measured_mesh(view, geometry)
+    if measured is None or points.samples is None or points.samples not in view.store:
         return None
     samples, _ = view.store.lookup(points.samples, lambda: None)
     if len(samples) != len(points.cloud):
         return None
-    return lambda: sample_areas(of.mesh, samples)
+    return lambda: sample_areas(measured.mesh, samples)

@@ -104,8 +104,8 @@ def reflection(scene: Scene, prepared: Prepared, store: Store) -> Reflection:
     shines = metal or bool((relative_index(table.ior[known], table.specular[known]) != 1).any())
     alpha = MIN_ALPHA if smooth else max(float(table.roughness[known].min(initial=1.0)) ** 2, MIN_ALPHA)
     # The lobes of strands (core/light/hair.py) have no bound here, nor have their pieces that are out of focus.
-    blurred = prepared.blurred is not None and any(geometry.strands is not None for geometry in scene.geometries)
-    strands = len(prepared.lines) > 0 or blurred
+    blurred = prepared.out_of_focus is not None and any(geometry.strands is not None for geometry in scene.geometries)
+    strands = len(prepared.strands) > 0 or blurred
     lobe = np.inf if strands else largest_multiple_scattering() / (np.pi * alpha**3) if shines else 0.0
     media = any(points.cloud.extinction is not None for points in _point_sets(prepared))
     g = 0.0 if table.anisotropy is None else min(float(np.abs(table.anisotropy[known]).max(initial=0.0)), 0.99)
@@ -137,7 +137,7 @@ def _used_materials(scene: Scene, prepared: Prepared, store: Store) -> tuple[set
         channels = {name for graph in graphs_of(mesh, scene.materials).values() for name in graph.channels}
         albedo = np.inf if "base_color" in channels else albedo
         smooth |= bool(channels & {"roughness", "metallic"})
-    for row in prepared.lines:
+    for row in prepared.strands:
         lines = scene.geometries[row].strands
         rows |= set() if lines is None else set(lines.materials)
         albedo = np.inf
@@ -184,7 +184,7 @@ def _emission_varies(scene: Scene, prepared: Prepared) -> bool:
     """Some emission is not the table's; or the table's is that of media, whose radiance has no bound."""
     if (
         any(p.cloud.emission is not None or p.cloud.extinction is not None for p in _point_sets(prepared))
-        or prepared.lines
+        or prepared.strands
     ):
         return True
     meshes = [scene.geometries[int(row)].mesh for row in np.unique(scene.instances.geometry[prepared.polygons])]

@@ -1,4 +1,4 @@
-"""What of a view is out of focus, as splats of one layer (core/lens/kernel.py); what is in focus is drawn as always."""
+"""Sorts what a view draws by focus: what is out of focus becomes splats of one layer (core/splat/blur.py)."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from .point_sets import Layer, PointSet
 
 @dataclass(frozen=True, eq=False)
 class OutOfFocusLayer(Layer):
-    """Opaque splats that may be out of focus."""
+    """Opaque splats that may be out of focus, and which share of its ellipse each covers."""
 
-    # By key of point_sets, what of its ellipse each splat covers: (N + M,) float32, points before nodes, or one number.
+    # By key of point_sets, the covered fraction of each splat's ellipse: (N + M,) float32, points before nodes, or one.
     shares: dict[int, np.ndarray | float] = field(default_factory=dict)
 
 
@@ -55,9 +55,13 @@ class FocusSorter:
     def __post_init__(self) -> None:
         self.set_of_instance = np.full(len(self.view_from_object), -1)
 
-    def reaches(self, instance: np.ndarray, middle: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-        """Of instances whose geometry lies in a ball in object space, which may be in focus somewhere, and which may be
-        out of it."""
+    def in_and_out_of_focus(
+        self, instance: np.ndarray, middle: np.ndarray, radius: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Returns which instances may be in focus somewhere, and which may be out of focus somewhere: both (I,) bool.
+
+        Their geometry lies in a ball with the centre `middle` (3,) and `radius` in object space.
+        """
         matrix = self.view_from_object[instance]
         depth = -(matrix[:, 2, :3] @ middle + matrix[:, 2, 3])
         reach = radius * largest_singular_value(matrix[:, :3, :3])
@@ -66,7 +70,7 @@ class FocusSorter:
         return least < OUT_OF_FOCUS, most > IN_FOCUS
 
     def add_points(self, instance: np.ndarray, points: PointSet, areas: Callable[[], np.ndarray] | None) -> None:
-        """Points and their nodes. `areas`: (N,) what each point stands for; None: it is not known."""
+        """Adds points and their nodes. `areas`: returns the area (N,) that each point samples; None: it is unknown."""
         key = self._add(instance, points)
         made = self.store.lookup(
             Key(Kind.AREA_SHARES, points.key, other=areas is not None),
@@ -75,53 +79,53 @@ class FocusSorter:
         self.shares[key] = made
 
     def add_balls(self, instance: np.ndarray, points: PointSet) -> None:
-        """Balls that are drawn one by one."""
+        """Adds balls that are drawn one by one."""
         for i in instance.tolist():
             matrix = self.view_from_object[i]
-            key = Key(Kind.DICED, points.key, other=self._seen(matrix))
+            key = Key(Kind.DICED, points.key, other=self._view_key(matrix))
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 return dicing.dice_balls(points.cloud, matrix, self.camera, self.tolerance, self.blur)
 
-            self._add_pieces(i, key, make, dicing.DISK_SHARE)
+            self._add_diced(i, key, make, dicing.DISK_SHARE)
 
     def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh) -> None:
-        """Triangles, cut for this view."""
+        """Adds triangles, diced for this view."""
         rows = np.arange(len(mesh.triangles))
         origin, table = mesh_centre(mesh), self.scene.materials
         look = digest(mesh, table)
         for i in instance.tolist():
             matrix = self.view_from_object[i]
-            key = Key(Kind.DICED, geometry.key, look, other=self._seen(matrix))
+            key = Key(Kind.DICED, geometry.key, look, other=self._view_key(matrix))
 
             def make(matrix: np.ndarray = matrix) -> PointCloud:
                 samples = dicing.dice_triangles(mesh, rows, matrix, self.camera, self.tolerance, self.blur)
                 return point_cloud(mesh, samples, evaluate(mesh, samples, origin), table)
 
-            self._add_pieces(i, key, make, dicing.TRIANGLE_SHARE)
+            self._add_diced(i, key, make, dicing.TRIANGLE_SHARE)
 
-    def add_lines(self, geometry: Geometry, lines: Strands, strands: StrandLevels, segments: Segments) -> Segments:
-        """What of the segments of a view may be out of focus; returns those that may be in it."""
+    def add_strands(self, geometry: Geometry, strands: Strands, levels: StrandLevels, segments: Segments) -> Segments:
+        """Adds segments that may be out of focus, diced for this view; returns those that may be in focus."""
         kept = np.zeros(len(segments), bool)
         for i in np.unique(segments.instance).tolist():
             mine = np.flatnonzero(segments.instance == i)
             ends, matrix = segments.ends[mine], self.view_from_object[i]
-            kept[mine] = may_be_in_focus(strands, ends, matrix, self.camera, self.blur)
-            key = Key(Kind.DICED, geometry.key, other=self._seen(matrix))
+            kept[mine] = may_be_in_focus(levels, ends, matrix, self.camera, self.blur)
+            key = Key(Kind.DICED, geometry.key, other=self._view_key(matrix))
 
             def make(ends: np.ndarray = ends, matrix: np.ndarray = matrix) -> PointCloud:
-                return dice_strands(strands, lines, ends, matrix, self.camera, self.tolerance, self.blur)
+                return dice_strands(levels, strands, ends, matrix, self.camera, self.tolerance, self.blur)
 
-            self._add_pieces(i, key, make, RECTANGLE_SHARE)
+            self._add_diced(i, key, make, RECTANGLE_SHARE)
         return segments if kept.all() else segments.take(np.flatnonzero(kept))
 
-    def _seen(self, matrix: np.ndarray) -> tuple:
-        """What pieces of an instance with this transform depend on, of the view."""
+    def _view_key(self, matrix: np.ndarray) -> tuple:
+        """Returns all that the diced splats of an instance, (4, 4) view from object, depend on of the view."""
         camera = self.camera
         return matrix.tobytes(), camera.clip_from_view.tobytes(), camera.window, self.blur, self.tolerance
 
-    def _add_pieces(self, instance: int, key: Key, make: Callable[[], PointCloud], share: float) -> None:
-        """Splats that were made for this view, each of which covers this share of its ellipse."""
+    def _add_diced(self, instance: int, key: Key, make: Callable[[], PointCloud], share: float) -> None:
+        """Adds splats that were diced for this view, each of which covers `share` of its ellipse."""
         points = PointSet(key, self.store.lookup(key, make))
         if len(points):
             self.shares[self._add(np.array([instance]), points)] = float(share)
@@ -133,7 +137,7 @@ class FocusSorter:
         return key
 
     def layer(self) -> OutOfFocusLayer:
-        """All that was added, cut for this view."""
+        """Returns all that was added, cut for this view."""
         bare = {key: points for key, points in self.sets.items() if points.hierarchy is None}
         counts = np.zeros(len(self.sets) + 1, np.int64)
         for key, points in bare.items():

@@ -1,4 +1,4 @@
-"""What the painter draws: opaque points in one layer with what is translucent, so that one order holds for all."""
+"""Merges opaque or out-of-focus splats with the translucent layer, so that one draw order holds for all."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from .prepare import Prepared
 
 
 def with_opaque_among_translucent(prepared: Prepared, keep: bool) -> Prepared:
-    """The same with the opaque points among the translucent ones. `keep`: the G-buffer holds them as well, for passes
-    that are not painted."""
+    """Returns a prepared view whose opaque points are in the translucent layer.
+
+    `keep`: they also stay in the opaque layer, for passes that read the G-buffer.
+    """
     layers = Layer(prepared.point_sets, prepared.set_of_instance, prepared.cut), prepared.translucent
     both = _merged_layers(*layers) if len(layers[1].cut.count) else layers[0]
     if keep:
@@ -23,7 +25,7 @@ def with_opaque_among_translucent(prepared: Prepared, keep: bool) -> Prepared:
 
 
 def _merged_layers(a: Layer, b: Layer) -> Layer:
-    """Layers of different instances as one; the keys of the second one's sets follow after the first's."""
+    """Returns two layers of different instances as one; the keys of the second layer's sets follow the first's."""
     shift = max(a.point_sets, default=-1) + 1
     sets = {**a.point_sets, **{key + shift: points for key, points in b.point_sets.items()}}
     other = np.where(b.set_of_instance >= 0, b.set_of_instance + shift, -1)
@@ -32,7 +34,7 @@ def _merged_layers(a: Layer, b: Layer) -> Layer:
 
 
 def _merged_cuts(cuts: list[Cut]) -> Cut:
-    """Cuts of different instances as one, by instance."""
+    """Returns cuts of different instances as one, sorted by instance."""
     empty = np.empty(0, np.int32), np.empty(0, np.int64), np.empty(0, np.int64)
     names = ("instance", "first", "count")
     instance, first, count = (
@@ -44,8 +46,12 @@ def _merged_cuts(cuts: list[Cut]) -> Cut:
 
 
 def with_defocus_among_translucent(prepared: Prepared) -> Prepared:
-    """The same with what is out of focus among what is translucent."""
-    blurred = prepared.blurred
-    assert blurred is not None
-    both = _merged_layers(blurred, prepared.translucent) if len(prepared.translucent.cut.count) else blurred
-    return replace(prepared, translucent=both, shares=blurred.shares)
+    """Returns a prepared view whose translucent layer also holds what is out of focus."""
+    out_of_focus_layer = prepared.out_of_focus
+    assert out_of_focus_layer is not None
+    both = (
+        _merged_layers(out_of_focus_layer, prepared.translucent)
+        if len(prepared.translucent.cut.count)
+        else out_of_focus_layer
+    )
+    return replace(prepared, translucent=both, shares=out_of_focus_layer.shares)

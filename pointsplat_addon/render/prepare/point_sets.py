@@ -55,7 +55,7 @@ def coherent_with_foliage(cloud: PointCloud) -> PointCloud:
 
 def cloud_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:
     """The points of a geometry that is a cloud."""
-    points = view.store.lookup(Key(Kind.GIVEN_POINTS, geometry.key), lambda: coherent_with_foliage(cloud))
+    points = view.store.lookup(Key(Kind.COHERENT_POINTS, geometry.key), lambda: coherent_with_foliage(cloud))
     family = None
     if geometry.lattice:
         family = Key(Kind.SHARED_HIERARCHY, geometry.lattice, other=(len(points), *points.arrays()))

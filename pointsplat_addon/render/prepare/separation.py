@@ -1,4 +1,4 @@
-"""A scene whose geometries are each opaque or translucent as a whole: meshes split by material, volumes as points."""
+"""Separates opaque from translucent geometry: splits meshes by material, and turns volumes into points."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from ..cache.store import Store
 
 
 def separate_translucent(scene: Scene, store: Store) -> tuple[Scene, tuple[str, ...]]:
-    """The validated scene in parts, and warnings; the scene itself where nothing has to change.
+    """Returns the validated scene with geometries that are opaque or translucent as a whole, and warnings.
 
-    Instances keep their rows. A translucent part beside an opaque one is a further geometry with instances of its own,
+    It is the scene itself if nothing has to change. Instances keep their rows. The translucent part of a mesh is a further geometry with instances of its own,
     which follow after all others.
     """
     warnings: list[str] = []
@@ -46,7 +46,7 @@ def separate_translucent(scene: Scene, store: Store) -> tuple[Scene, tuple[str, 
 
 
 def _parts(geometry: Geometry, table: MaterialTable, store: Store, warnings: list[str]) -> list[Geometry]:
-    """The opaque and the translucent part of a geometry, or the only one."""
+    """Returns the opaque and the translucent part of a geometry, or the only one."""
     if geometry.volume is not None:
         return [_volume_as_points(geometry, geometry.volume, table, store, warnings)]
     mesh = geometry.mesh
@@ -62,7 +62,7 @@ def _parts(geometry: Geometry, table: MaterialTable, store: Store, warnings: lis
 
 
 def is_translucent(geometry: Geometry, table: MaterialTable) -> bool:
-    """Whether light passes through a geometry, all of which is alike."""
+    """Tells whether a geometry is translucent, which it is as a whole after `separate_translucent`."""
     if geometry.cloud is not None:
         return geometry.cloud.opacity is not None or geometry.cloud.extinction is not None
     return geometry.mesh is not None and passing(geometry.mesh, table) is not None
@@ -71,7 +71,7 @@ def is_translucent(geometry: Geometry, table: MaterialTable) -> bool:
 def _volume_as_points(
     geometry: Geometry, volume: Volume, table: MaterialTable, store: Store, warnings: list[str]
 ) -> Geometry:
-    """The points of a volume."""
+    """Returns a geometry whose volume is replaced by its voxels as points."""
     medium = table.media[volume.material] if volume.material < len(table.media) else None
     key = f"{geometry.key} as {_digest(medium, volume.transfer, geometry.extinction, geometry.spacing)}"
 
@@ -88,14 +88,14 @@ def _volume_as_points(
 
 
 class _VolumePoints:
-    """What is kept of a volume."""
+    """The points of a volume and the warnings of making them, as the store keeps them."""
 
     def __init__(self, cloud: PointCloud, warnings: list[str]) -> None:
         self.cloud, self.warnings, self.nbytes = cloud, warnings, cloud.nbytes
 
 
 def _digest(*things: Any) -> str:
-    """Of numbers and of dataclasses that hold numbers, names and arrays."""
+    """Returns a digest of numbers and of dataclasses that hold numbers, names and arrays."""
     hasher = hashlib.blake2b(digest_size=16)
     for thing in things:
         values = (
@@ -108,7 +108,7 @@ def _digest(*things: Any) -> str:
 
 
 def _with_repeated(instances: Instances, rows: np.ndarray, geometry: np.ndarray) -> Instances:
-    """The instances, then those of `rows` again with other geometries."""
+    """Returns the instances, followed by those of `rows` again with other geometries."""
 
     def extended(array: np.ndarray | None) -> np.ndarray | None:
         return None if array is None else np.concatenate([array, array[rows]])

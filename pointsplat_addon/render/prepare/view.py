@@ -1,4 +1,4 @@
-"""What every step of preparing a view is given."""
+"""The inputs that all steps of preparing a view share."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ..cache.store import Store
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A scene as one camera sees it, where what is made for it is kept, and what there is to say about it."""
+    """A scene as one camera sees it, with the settings, caches and costs for preparing it, and the warnings so far."""
 
     scene: Scene
     camera: Camera
     settings: Settings
     samples: int  # how often the view will be drawn
-    interactive: bool  # again and again, and at once
+    interactive: bool  # it is drawn many times, the first time at once
     store: Store
     check: Callable[[], None]  # called between geometries; may raise to stop
     costs: Costs  # of drawing on the device

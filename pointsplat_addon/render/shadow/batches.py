@@ -27,7 +27,7 @@ MAX_POINTS_WITHOUT_NODES = 1 << 22  # points of many instances of one mesh: wher
 
 
 def box_corner_casters(caster: CastingGeometry, store: Store) -> builder.Casters:
-    """The corners of boxes about all instances, in the world, of no size."""
+    """Returns the corners of the bounding boxes of all instances, in world space, as casters without size."""
     corners = box_corners(*bounding_box(caster.geometry, store))
     world = np.einsum("iab,nb->ina", caster.matrices[:, :3, :3], corners) + caster.matrices[:, None, :3, 3]
     world = world.reshape(-1, 3)
@@ -36,7 +36,7 @@ def box_corner_casters(caster: CastingGeometry, store: Store) -> builder.Casters
 
 
 def strand_segments(casters: list[CastingGeometry], spacing: list[float], store: Store) -> list[StrandSegments]:
-    """Strands of everything that casts, in world space."""
+    """Returns the segments of all strands that cast, in world space, at most as long as `spacing` of their caster."""
     return [
         cut_strands(cached_strands(caster.geometry, store), matrix, length)
         for caster, length in zip(casters, spacing, strict=True)
@@ -48,7 +48,10 @@ def strand_segments(casters: list[CastingGeometry], spacing: list[float], store:
 def splat_batches(
     scene: Scene, casters: list[CastingGeometry], spacing: list[float], store: Store, check: Callable[[], None]
 ) -> list[builder.Casters]:
-    """The splats of everything that casts, in world space."""
+    """Returns the splats of all clouds and meshes that cast, in world space.
+
+    `spacing`: of the samples of each caster, object units; 0: a mesh does not cast. `check` may raise to stop.
+    """
     found = []
     for caster, length in zip(casters, spacing, strict=True):
         check()
@@ -57,7 +60,7 @@ def splat_batches(
         if cloud is not None:
             clouds = [
                 store.lookup(
-                    Key(Kind.GIVEN_POINTS, caster.geometry.key), lambda cloud=cloud: coherent_with_foliage(cloud)
+                    Key(Kind.COHERENT_POINTS, caster.geometry.key), lambda cloud=cloud: coherent_with_foliage(cloud)
                 )
             ]
         if mesh is not None and length > 0:
@@ -76,13 +79,14 @@ def splat_batches(
 
 
 def _can_use_nodes(cloud: PointCloud, caster: CastingGeometry) -> bool:
-    """Whether nodes of an opaque surface can stand for its many instances."""
+    """Tells whether a cloud is an opaque surface with so many instances that nodes may replace its points."""
     surface = cloud.opacity is None and cloud.extinction is None and cloud.normal is not None
     return surface and cloud.radii is not None and len(caster.matrices) >= MANY_INSTANCES
 
 
 def _coarse_nodes(cloud: PointCloud, instances: int) -> PointCloud:
-    """The finest level of nodes that so many instances may have, together MOST_SAMPLES; without levels the points."""
+    """Returns the finest level of nodes of which all instances together have at most MAX_SAMPLES; the cloud itself
+    if it has no levels."""
     levels = make_levels(build(cloud))
     if levels is None:
         return cloud
@@ -93,7 +97,10 @@ def _coarse_nodes(cloud: PointCloud, instances: int) -> PointCloud:
 
 
 def _instances_in_world(cloud: PointCloud, matrices: np.ndarray) -> PointCloud:
-    """The splats of all instances (I, 4, 4) in the world, true to size where scales are alike in all directions."""
+    """Returns the splats of all instances, (I, 4, 4) world from object, as one cloud in world space.
+
+    Radii are exact for uniform scales only.
+    """
     assert cloud.normal is not None
     assert cloud.radii is not None
     middle = matrices[:, :3, 3].mean(axis=0)
@@ -117,14 +124,14 @@ def _instances_in_world(cloud: PointCloud, matrices: np.ndarray) -> PointCloud:
 
 
 def _mesh_samples(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store: Store) -> tuple[PointCloud, ...]:
-    """The points of a mesh that is drawn as polygons, or more densely than shadows need."""
+    """Returns samples of a mesh at the spacing that shadows need, whatever a view draws of it."""
     key = Key(Kind.CASTER_SAMPLES, geometry.key, transmission_digest(scene, geometry), spacing=spacing)
     shape = cached_mesh_extents(geometry, mesh, store)
 
     def make() -> tuple[PointCloud, ...]:
-        leafy = store.lookup(
+        is_foliage = store.lookup(
             Key(Kind.IS_FOLIAGE, geometry.key), lambda: mesh_is_foliage(mesh, shape)
         )  # as render/prepare/meshes.py keeps it
-        return tuple(caster_clouds(mesh, shape, spacing, hiding(scene.materials), leafy))
+        return tuple(caster_clouds(mesh, shape, spacing, hiding(scene.materials), is_foliage))
 
     return store.lookup(key, make)

@@ -24,16 +24,16 @@ _EXTREMES = (np.min, np.inf), (np.max, -np.inf)
 
 @dataclass(frozen=True, eq=False)
 class CastingGeometry:
-    """Instances of one geometry that cast."""
+    """One geometry and those of its instances that cast shadows."""
 
     geometry: Geometry
     matrices: np.ndarray  # (I, 4, 4) float64, world from object
-    centre: np.ndarray  # (I, 3) float64, of balls that hold them
+    centre: np.ndarray  # (I, 3) float64, in world space, of balls that bound the instances
     radius: np.ndarray  # (I,) float64
 
 
 def why_no_shadows(scene: Scene, settings: Settings) -> str:
-    """Why no lamp needs a table; empty where one does."""
+    """Returns why no light of the scene needs a shadow table; an empty string if one does."""
     if not settings.use_shadows:
         return "shadows are switched off"
     if not any(light.shadow for light in scene.lights):
@@ -42,27 +42,27 @@ def why_no_shadows(scene: Scene, settings: Settings) -> str:
 
 
 def _casting_instances(scene: Scene) -> np.ndarray:
-    """(I,) bool: instances that cast shadows."""
+    """Returns (I,) bool: which instances cast shadows."""
     instances = scene.instances
     casts = np.ones(len(instances), bool) if instances.casts is None else instances.casts.astype(bool)
-    # What is no number is not smaller.
+    # Comparisons with NaN are false, so that such instances do not cast.
     return casts & (np.abs(instances.world_from_object) < MAX_COORDINATE).all(axis=(1, 2))
 
 
 def light_key(light: Light) -> tuple:
-    """What a lamp's table depends on; not its colour."""
+    """Returns everything of a light that its shadow table depends on: not its colour."""
     arrays = (light.position, light.direction, light.axis_u, light.axis_v)
     numbers = (light.kind, light.radius, light.spot_cos, light.ellipse, light.spread, light.soft)
     return (*numbers, *(None if a is None else np.asarray(a, float).tobytes() for a in arrays))
 
 
 def transmission_digest(scene: Scene, geometry: Geometry) -> str:
-    """What of the materials decides which light a geometry lets through."""
+    """Returns a digest of the materials' properties that decide how much light a geometry transmits."""
     return "" if geometry.mesh is None else digest(geometry.mesh, hiding(scene.materials))
 
 
 def casting_geometries(scene: Scene, store: Store) -> list[CastingGeometry]:
-    """Everything that casts, by geometry."""
+    """Returns all geometries that have instances which cast, in the order of the scene; empty ones are left out."""
     casting, found = _casting_instances(scene), []
     for row, geometry in enumerate(scene.geometries):
         where = np.flatnonzero(casting & (scene.instances.geometry == row))
@@ -82,7 +82,7 @@ def casting_geometries(scene: Scene, store: Store) -> list[CastingGeometry]:
 
 
 def bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (3,) float64 of what holds a geometry with its splats, in object space; low above high: it is empty."""
+    """Returns the corners (3,) float64 of a geometry's bounding box, splats included, in object space; low > high: empty."""
     mesh, cloud = geometry.mesh, geometry.cloud
     if mesh is not None and len(mesh.triangles):
         found = cached_mesh_extents(geometry, mesh, store)
@@ -101,11 +101,12 @@ def bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarr
 
 
 def cached_mesh_extents(geometry: Geometry, mesh: Mesh, store: Store) -> MeshExtents:
-    return store.lookup(Key(Kind.CASTER_OUTLINE, geometry.key), lambda: mesh_extents(mesh))
+    """Returns the extents of a mesh's valid triangles, measured once."""
+    return store.lookup(Key(Kind.CASTER_EXTENTS, geometry.key), lambda: mesh_extents(mesh))
 
 
 def _bounding_ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
-    """Centre and radius of a ball about a geometry's box, in object space; the radius is negative where it is empty."""
+    """Returns the centre and radius of a ball about a geometry's box, in object space; radius < 0: it is empty."""
     mesh, cloud = geometry.mesh, geometry.cloud
     if mesh is not None and len(mesh.triangles):
         found = cached_mesh_extents(geometry, mesh, store)
@@ -124,6 +125,7 @@ def _bounding_ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]
 
 
 def cached_strands(geometry: Geometry, store: Store) -> StrandLevels:
-    lines = geometry.strands
-    assert lines is not None
-    return store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: with_levels(lines))
+    """Returns the valid strands of a geometry that has some, with their levels of detail, made once."""
+    strands = geometry.strands
+    assert strands is not None
+    return store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda: with_levels(strands))

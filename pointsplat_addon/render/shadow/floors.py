@@ -12,13 +12,15 @@ from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from .casting import CastingGeometry, bounding_box, cached_mesh_extents, light_key
 
-MAX_FLOOR_INSTANCES = 16  # instances of one flat mesh that may all be floors
-MAX_HEIGHTS = 1 << 22  # vertices of all instances that are asked whether they lie above a floor
+MAX_FLOOR_INSTANCES = 16  # instances of one flat mesh up to which they may be floors
+MAX_HEIGHTS = 1 << 22  # vertices of all instances up to which each is tested against a floor
 
 
 def which_are_floors(scene: Scene, casters: list[CastingGeometry], store: Store) -> tuple[bool, ...]:
-    """Casters behind which, seen from all lamps, there is nothing: a floor under all that stands on it would take as
-    many samples as the tables have cells."""
+    """Returns for each caster whether it is a floor: flat, with all lights and all geometry on one side.
+
+    Such a floor shadows nothing, and would take as many samples as the tables have cells.
+    """
     instances = scene.instances
     every = (*(g.key for g in scene.geometries), *(light_key(light) for light in scene.lights if light.shadow))
     held = instances.world_from_object.tobytes() + instances.geometry.tobytes()
@@ -31,6 +33,7 @@ def which_are_floors(scene: Scene, casters: list[CastingGeometry], store: Store)
 
 
 def _is_floor(scene: Scene, caster: CastingGeometry, store: Store) -> bool:
+    """Tells whether all instances of a caster are flat and have nothing behind them."""
     mesh = caster.geometry.mesh
     if mesh is None or len(caster.matrices) > MAX_FLOOR_INSTANCES:
         return False
@@ -45,7 +48,10 @@ def _is_floor(scene: Scene, caster: CastingGeometry, store: Store) -> bool:
 
 
 def _has_nothing_behind(scene: Scene, point: np.ndarray, normal: np.ndarray, matrix: np.ndarray, store: Store) -> bool:
-    """Whether a plane in object space, of an instance (4, 4), has all lamps and all geometry on one side."""
+    """Tells whether a plane of an instance has all lights and all geometry on one side, or in it.
+
+    `point`, `normal`: (3,) of the plane in object space. `matrix`: (4, 4) world from object.
+    """
     linear = matrix[:3, :3]
     cofactors = np.cross(np.roll(linear, -1, axis=0), np.roll(linear, -2, axis=0))
     point, normal = linear @ point + matrix[:3, 3], cofactors @ normal
@@ -68,7 +74,7 @@ def _has_nothing_behind(scene: Scene, point: np.ndarray, normal: np.ndarray, mat
 
 
 def _lies_above(geometry: Geometry, matrices: np.ndarray, point: np.ndarray, normal: np.ndarray, store: Store) -> bool:
-    """Whether all instances (I, 4, 4) lie above a plane, or on it."""
+    """Tells whether all instances of a geometry, (I, 4, 4) world from object, lie above a plane in the world, or on it."""
     low, high = store.lookup(Key(Kind.CASTER_BOX, geometry.key), lambda: bounding_box(geometry, store))
     if not (low <= high).all():
         return True

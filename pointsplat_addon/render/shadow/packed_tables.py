@@ -1,4 +1,4 @@
-"""Shadow tables as the shaders read them: pages of float textures, and a record of each lamp for each view."""
+"""Shadow tables as the shaders read them: a float texture, and a record of each light for each view."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from ...core.shadow.level import TableLevel
 from ...core.shadow.table import SHAPES, ShadowTable
 from ..device.packing import PAGE_WIDTH
 
-HEADER_TEXELS = 8  # texels of a lamp's record before its levels
+HEADER_TEXELS = 8  # texels of a light's record before its levels
 NO_ENTRY_DISTANCE = np.float32(1e30)  # distance of the nearest entry where there is none
 LEVEL_TEXELS = 3  # texels of a level's record
 
 
 @dataclass(frozen=True, eq=False)
 class PackedTables:
-    """All lamps' tables as one texture that no view changes, and what each view needs to read it.
+    """The tables of all lights as one texture that no view changes, and what each view needs to read it.
 
     `data` holds, for each level: rows (first cell, column0, count, density), masks (rank, three masks), links, and
-    entries (distance, total): two to a texel, or one where `colored`; and the nearest entry by squares, for lamps with
-    a size. Integers that may be large are `coded`.
+    entries (distance, total): two to a texel, or one where `colored`; and the nearest entry by squares, for lights
+    with a size. Integers that may be large are `coded`.
     """
 
     data: np.ndarray  # (H, PAGE_WIDTH, 4) float32
     colored: bool
-    tables: tuple[ShadowTable | None, ...]  # of each lamp; None: it casts no shadow
-    levels: np.ndarray  # (lamps, most levels, LEVEL, 4) float32
-    squares: np.ndarray  # (lamps,) int64: which number of `data` is the first square's, core.shadow_table.Nearest
+    tables: tuple[ShadowTable | None, ...]  # of each light; None: it casts no shadow
+    levels: np.ndarray  # (lights, most levels, LEVEL_TEXELS, 4) float32
+    squares: np.ndarray  # (lights,) int64: which number of `data` is the first square's, core/shadow/table.py
 
     @property
-    def solid(self) -> bool:
-        """Only opaque things cast."""
+    def only_opaque(self) -> bool:
+        """Whether only opaque things cast."""
         return all(level.kind == "OPAQUE" for table in self._made for level in table.levels)
 
     @property
-    def suns(self) -> bool:
-        """Only suns cast shadows."""
+    def only_suns(self) -> bool:
+        """Whether only suns cast shadows."""
         return all(table.frame.parallel for table in self._made)
 
     @property
-    def hard(self) -> bool:
-        """No lamp has a size."""
+    def no_light_has_size(self) -> bool:
+        """Whether no light has a size: shadows have no penumbrae."""
         return all(table.emitter.shape == "POINT" for table in self._made)
 
     @property
@@ -53,7 +53,9 @@ class PackedTables:
         return [table for table in self.tables if table is not None]
 
     def records(self, view_from_world: np.ndarray) -> np.ndarray:
-        """(lamps, HEAD + LEVEL levels, 4) float32: ps_shadow_lights for one view, (4, 4) float64 and rigid.
+        """Returns ps_shadow_lights, (lights, HEADER_TEXELS + LEVEL_TEXELS * levels, 4) float32.
+
+        `view_from_world`: (4, 4) float64, rigid.
 
         Texels 0 to 2 are the rows of light_from_view, 3 is (1 for suns, number of levels, index of the shape, nearest
         entry), 4 and 5 are the size, local, with the radius and the finest step behind. Texels 6 and 7 tell of the
@@ -78,16 +80,16 @@ class PackedTables:
 
 
 def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> PackedTables:
-    """The tables of lamps, in the order of their rows in the texture of lights; None where one casts no shadow.
+    """Packs the tables of lights, in the order of their rows in the texture of lights; None: a light casts no shadow.
 
-    ValueError: they need more than `texture_size` rows of PAGE_WIDTH texels.
+    Raises ValueError if they need more than `texture_size` rows of PAGE_WIDTH texels.
     """
     colored = any(t is not None and t.colored for t in tables)
     most = max([len(t.levels) for t in tables if t is not None], default=0)
     records = np.zeros((len(tables), most, LEVEL_TEXELS, 4), np.float32)
     squares = np.zeros(len(tables), np.int64)
     parts, texels = [], 0
-    for lamp, (table, record) in enumerate(zip(tables, records, strict=True)):
+    for light, (table, record) in enumerate(zip(tables, records, strict=True)):
         for level, texel in zip(() if table is None else table.levels, record, strict=False):
             blocks = _level_blocks(level, colored)
             sizes = np.array([len(b) for b in blocks])
@@ -99,7 +101,7 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
             parts += blocks
             texels += int(sizes.sum())
         if table is not None and table.emitter.shape != "POINT":
-            squares[lamp] = 4 * texels
+            squares[light] = 4 * texels
             parts.append(_as_texels(np.minimum(table.nearest.flat, NO_ENTRY_DISTANCE)))
             texels += len(parts[-1])
     height = max(1, -(-texels // PAGE_WIDTH))
@@ -112,12 +114,13 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
 
 
 def coded(integers: np.ndarray) -> np.ndarray:
-    """Integers below 2^31 - 2^24 as the float32 of their bits: positive, normal, so that no device alters them."""
+    """Returns integers below 2^31 - 2^24 as float32 whose bits hold them: positive and normal, so that no device
+    alters them."""
     return (np.asarray(integers, np.int64) + 0x00800000).astype(np.int32).view(np.float32)
 
 
 def _level_blocks(level: TableLevel, colored: bool) -> list[np.ndarray]:
-    """Rows, masks, links and entries as texels (n, 4) float32."""
+    """Returns the rows, masks, links and entries of a level as texels (n, 4) float32."""
     grid = level.grid
     rows = np.stack([coded(grid.first), grid.column0, grid.count, grid.density], axis=1).astype(np.float32)
     masks = np.concatenate([coded(level.rank)[:, None], level.mask.astype(np.float32)], axis=1)
@@ -127,6 +130,7 @@ def _level_blocks(level: TableLevel, colored: bool) -> list[np.ndarray]:
 
 
 def _as_texels(values: np.ndarray) -> np.ndarray:
+    """Returns values (N,) as texels (n, 4) float32, padded with zeros."""
     texels = np.zeros((-(-len(values) // 4), 4), np.float32)
     texels.reshape(-1)[: len(values)] = values
     return texels

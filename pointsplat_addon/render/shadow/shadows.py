@@ -1,6 +1,6 @@
-"""Shadow tables of a scene's lamps: made once for lamps and geometry, and kept for every view.
+"""Makes the shadow tables of a scene's lights, once for all views, and caches them by lights and geometry.
 
-What casts is every point set and every polygon, sampled as densely as the tables tell apart: not what a view draws.
+All point sets, polygons and strands cast, sampled as densely as the tables resolve, whatever a view draws of them.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ MAX_TEXTURE_ROWS = 16384  # rows of a texture
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """What lamps need to be shadowed on a device."""
+    """The shadow tables of all lights of a scene, packed for a device."""
 
     key: Key
     packed: PackedTables
-    entries: int
-    wide: bool  # some lamp's penumbrae are seen: samples of a picture see different points of it
+    entries: int  # of all tables together
+    wide: bool  # some light has a size: the samples of a picture see different points of it
     warnings: tuple[str, ...] = ()
 
     @property
@@ -44,7 +44,11 @@ class Shadows:
 def make_shadows(
     scene: Scene, settings: Settings, store: Store, check: Callable[[], None] = lambda: None
 ) -> tuple[Shadows | None, str]:
-    """The tables of all lamps that cast shadows, in the order of lighting's rows; or None, and why."""
+    """Returns the tables of all lights, in the order of rows of the light table, and an empty string; or None, and why.
+
+    `check` is called between steps, and may raise to stop. A light whose table cannot be built casts no shadow, and
+    a warning says so.
+    """
     why = why_no_shadows(scene, settings)
     if why:
         return None, why
@@ -55,22 +59,22 @@ def make_shadows(
     if all(floors):
         return None, "there is nothing in the shadow of anything"
     held = tuple((c.geometry.key, c.matrices.tobytes()) for c in casters)
-    lamps = tuple(light_key(light) for light in scene.lights if light.shadow)
+    casting_lights = tuple(light_key(light) for light in scene.lights if light.shadow)
     spacing = store.lookup(
-        Key(Kind.CASTER_SPACINGS, hashed((held, lamps)), other=(settings.shadow_resolution, floors)),
+        Key(Kind.CASTER_SPACINGS, hashed((held, casting_lights)), other=(settings.shadow_resolution, floors)),
         lambda: sample_spacings(casters, scene.lights, settings.shadow_resolution, store, floors),
     )
     look = tuple(
         (c.geometry.key, transmission_digest(scene, c.geometry), c.matrices.tobytes(), s)
         for c, s in zip(casters, spacing, strict=True)
     )
-    matter = Key(Kind.CASTERS, hashed(look), other=settings.shadow_resolution)
+    casters_key = Key(Kind.CASTERS, hashed(look), other=settings.shadow_resolution)
     # Cells are as wide as they would be if floors cast, so that shadows on these do not move with what stands there.
     around = [box_corner_casters(c, store) for c, floor in zip(casters, floors, strict=True) if floor]
     lights = sorted_by_kind(scene.lights)
     keys = tuple(light_key(light) if light.shadow else None for light in lights)
 
-    every = Key(Kind.SHADOW_TABLES, matter, other=keys)
+    tables_key = Key(Kind.SHADOW_TABLES, casters_key, other=keys)
 
     def make() -> Shadows:
         batches: list[builder.Casters] = []
@@ -88,16 +92,16 @@ def make_shadows(
                     batches.extend(splat_batches(scene, casters, spacing, store, check))
                     strands.extend(strand_segments(casters, spacing, store))
                 try:
-                    every = [*batches, *(one.casters_toward(light) for one in strands)]
-                    return builder.build_table(light, every, settings.shadow_resolution, around)
+                    all_casters = [*batches, *(one.casters_toward(light) for one in strands)]
+                    return builder.build_table(light, all_casters, settings.shadow_resolution, around)
                 except ValueError as error:
                     warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")
                     return None
 
-            tables.append(store.lookup(Key(Kind.SHADOW_TABLE, matter, other=key), build))
+            tables.append(store.lookup(Key(Kind.SHADOW_TABLE, casters_key, other=key), build))
         packed = pack(tables, MAX_TEXTURE_ROWS)
         entries = sum(table.entries for table in tables if table is not None)
         wide = any(light.shadow and (light.radius > 0 or light.kind == "AREA") for light in lights)
-        return Shadows(every, packed, entries, wide, tuple(warnings))
+        return Shadows(tables_key, packed, entries, wide, tuple(warnings))
 
-    return store.lookup(every, make), ""
+    return store.lookup(tables_key, make), ""

@@ -14,16 +14,21 @@ from ..cache.store import Store
 from .casting import CastingGeometry, cached_mesh_extents, cached_strands
 
 MAX_SAMPLES = 1 << 20  # of all meshes together; where more would be needed, the largest are sampled more coarsely
-CELLS_PER_SPACING = 1.2  # cells: the spacing of samples whose disks fit into cells once it is rounded to an octave
-MIN_LIGHT_DISTANCE = 0.05  # of the scene's radius: lamps that are nearer to a surface do not ask for finer samples
-MAX_EXACT_INSTANCES = 64  # of one mesh, and meshes: so many are asked where they are nearest to a lamp
+CELLS_PER_SPACING = 1.2  # spacing in cells at which disks fit into cells once it is rounded to an octave
+MIN_LIGHT_DISTANCE = 0.05  # of the scene's radius: lights that are nearer to a surface do not ask for finer samples
+MAX_EXACT_INSTANCES = (
+    64  # of one mesh, and meshes: of so many, the distance to a light is measured all over the surface
+)
 
 
 def sample_spacings(
     casters: list[CastingGeometry], lights: tuple[Light, ...], resolution: int, store: Store, floors: tuple[bool, ...]
 ) -> list[float]:
-    """How far apart the samples of each mesh may lie, in object units: cells of the table that tells most apart. 0 for
-    clouds, which have their points, and for floors. Of strands how long their pieces are."""
+    """Returns the spacing of each caster's samples in object units: about a cell of the table with the finest cells.
+
+    It is 0 for floors, and for clouds, whose own points cast. For strands it is the length of their segments.
+    `resolution`: cells across a table.
+    """
     meshes = [caster.geometry.mesh is not None for caster in casters]
     if not any(mesh or caster.geometry.strands is not None for mesh, caster in zip(meshes, casters, strict=True)):
         return [0.0] * len(casters)
@@ -59,7 +64,7 @@ def sample_spacings(
 
 
 def _total_strand_length(caster: CastingGeometry, store: Store) -> float:
-    """Of all strands of all instances, in units of the object."""
+    """Returns the length of all strands of all instances together, in object units."""
     if caster.geometry.strands is None:
         return 0.0
     strands = cached_strands(caster.geometry, store)
@@ -68,8 +73,10 @@ def _total_strand_length(caster: CastingGeometry, store: Store) -> float:
 
 
 def _bounding_balls(caster: CastingGeometry, store: Store, casters: int) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (K, 3) and radii (K,), in the world, of balls that hold one of so many casters: of a mesh with few
-    instances, places all over it."""
+    """Returns centres (K, 3) and radii (K,), in world space, of balls that together bound a caster.
+
+    For a mesh with few instances, in a scene of few `casters`, these are sample points all over it, with radius 0.
+    """
     mesh = caster.geometry.mesh
     if mesh is None or max(len(caster.matrices), casters) > MAX_EXACT_INSTANCES:
         return caster.centre, caster.radius
@@ -83,7 +90,7 @@ def _bounding_balls(caster: CastingGeometry, store: Store, casters: int) -> tupl
 
 
 def _total_area(caster: CastingGeometry, store: Store) -> float:
-    """Units^2 of the object, of all instances."""
+    """Returns the area of a mesh times its instances, in object units squared; 0 for other geometry."""
     mesh = caster.geometry.mesh
     return 0.0 if mesh is None else len(caster.matrices) * cached_mesh_extents(caster.geometry, mesh, store).size
 
@@ -93,7 +100,10 @@ def _distances_from_light(light: Light, points: np.ndarray) -> np.ndarray:
 
 
 def _finest_cell(light: Light, centre: np.ndarray, radius: np.ndarray, middle: np.ndarray, resolution: int) -> float:
-    """Side of the finest cells of a lamp's table over balls about `middle`: radians, of suns units; see fit_frame."""
+    """Returns the side of the finest cells of a light's table over balls about `middle`, as fit_frame chooses it.
+
+    It is in radians; for suns in world units.
+    """
     if light.kind == "SUN":
         along, half = (centre - middle) @ rotation_to(light.direction)[1:].T, radius[:, None]
         return float(((along + half).max(axis=0) - (along - half).min(axis=0)).max()) / resolution
@@ -109,8 +119,8 @@ def _finest_cell(light: Light, centre: np.ndarray, radius: np.ndarray, middle: n
 
 
 def samples_per_mesh(samples: np.ndarray, most: float) -> float:
-    """How many each of meshes that ask for `samples` (M,) may have, so that all have `most`: small ones what they ask
-    for, large ones equally many."""
+    """Returns how many samples a mesh may have at most, where meshes ask for `samples` (M,) and share `most`: small
+    meshes get what they ask for, large ones equally many."""
     ascending = np.sort(samples)
     others = len(samples) - np.arange(len(samples))
     each = (most - (np.cumsum(ascending) - ascending)) / others

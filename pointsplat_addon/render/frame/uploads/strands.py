@@ -27,7 +27,7 @@ class StrandUploads:
         self.draws: list[StrandDraw] = []
         self.instances: dict[str, Texture] = {}  # transforms, by sampler name
         if plan.lines:
-            for row, segments in prepared.lines.items():
+            for row, segments in prepared.strands.items():
                 draw = StrandDraw(scope.device, self._page(row), segments, scene.instances.holdout)
                 self.draws.append(scope.own(draw))
 
@@ -37,7 +37,7 @@ class StrandUploads:
             return
         instances = self._scene.instances
         origin = np.zeros((len(instances), 3))
-        for row in prepared.lines:
+        for row in prepared.strands:
             origin[instances.geometry == row] = _strands_of(self._scene, row).origin
         rows = instance_rows(prepared.view_from_object, origin, instances.holdout)
         rows[3::4, 1] = tube_radius_scale(prepared.view_from_object)
