@@ -1,4 +1,4 @@
-"""The point-octrees of point sets: where they pay, of what they are built, and when."""
+"""Builds octrees of point sets where they pay for themselves, at once or on another thread."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Meshes that are points in some parts and triangles in others, as one view has it."""
+"""Chooses, for one view, which parts of a mesh are drawn as points and which as triangles."""
 
 from __future__ import annotations
 

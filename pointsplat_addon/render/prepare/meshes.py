@@ -1,6 +1,6 @@
-"""The points of a mesh, as dense as a view needs them, or that it is to be polygons.
+"""Chooses points or polygons for each mesh, and samples points as densely as a view needs them.
 
-Places on a mesh depend on its topology and an octave of spacing alone: views and frames share them, and a mesh that
+Sample positions on a mesh depend on its topology and an octave of spacing alone: views and frames share them, and a mesh that
 deforms keeps them and does not shimmer.
 """
 
@@ -55,7 +55,7 @@ class MeasuredMesh:
 
     @property
     def sampling_key(self) -> tuple[str, str]:
-        """What places on the mesh depend on."""
+        """What sample positions on the mesh depend on."""
         return self.mesh.topology or self.geometry.key, self.geometry.name
 
     @property

@@ -1,4 +1,4 @@
-"""Point sets: those of clouds that are given, and how far sets reach and how large their splats are."""
+"""Point sets and layers of them, the bounds of a set, and the size of its splats on the screen."""
 
 from __future__ import annotations
 
