@@ -33,7 +33,7 @@ from pointsplat_addon.formats.volumes import dense
 from pointsplat_addon.render.budget.pacing import COARSEST
 from pointsplat_addon.render.budget.viewport import Moving, _wait
 from pointsplat_addon.render.frame import frame
-from pointsplat_addon.render.plan.frame_plan import Shot
+from pointsplat_addon.render.plan.frame_plan import FramePlan
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks.defocus import scan
@@ -135,7 +135,7 @@ def alone(renderer: Renderer, case: Case, camera: Camera, clock: Callable[[], fl
             frame.sample()
             _wait(renderer.device)
         found.append((ready - before, (clock() - ready) / 2))
-        splats = frame.shot.splats
+        splats = frame.frame_plan.splats
         frame.release()
     once, each = np.median(found[1:], axis=0)
     return float(once), float(each), splats
@@ -160,24 +160,24 @@ def coarse(case: Case, camera: Camera, coarser: float) -> Request:
 @contextmanager
 def bare() -> Iterator[None]:
     """Pictures are planned as ever, and then drawn with FEW splats of each kind."""
-    made = frame.make_shot
+    made = frame.make_frame_plan
 
-    def without(*given: Any) -> Shot:
-        shot = made(*given)
-        prepared = shot.prepared
+    def without(*given: Any) -> FramePlan:
+        frame_plan = made(*given)
+        prepared = frame_plan.prepared
         few = replace(
             prepared,
             cut=_few(prepared.cut),
             translucent=replace(prepared.translucent, cut=_few(prepared.translucent.cut)),
             spheres=replace(prepared.spheres, cut=_few(prepared.spheres.cut)),
         )
-        return replace(shot, prepared=few)
+        return replace(frame_plan, prepared=few)
 
-    frame.make_shot = without
+    frame.make_frame_plan = without
     try:
         yield
     finally:
-        frame.make_shot = made
+        frame.make_frame_plan = made
 
 
 def _few(cut: Cut) -> Cut:

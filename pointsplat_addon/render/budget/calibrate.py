@@ -87,7 +87,7 @@ def _started(
     frame = renderer.start(_scene(geometry, np.zeros(1)), request)
     try:
         frame.device.read(frame.color)  # waits for what was uploaded
-        return frame.shot.prepared.total, clock() - start
+        return frame.frame_plan.prepared.total, clock() - start
     finally:
         frame.release()
 

@@ -36,7 +36,7 @@ class Watch:
         """Tells that the picture is prepared and its first sample comes next."""
         self._ready = self._clock()
         self.prepared = 1000 * (self._ready - self._began)
-        self.splats = frame.shot.work(frame.renderer.costs)
+        self.splats = frame.frame_plan.reducible_work(frame.renderer.costs)
 
     def enough(self, frame: Frame) -> bool:
         """Returns whether the picture needs no more samples."""

@@ -80,7 +80,7 @@ class OutOfFocus:
         tiles = self.tiles
         assert tiles is not None
         program = defocus_program(
-            self.plan.behind, self.transparent, self.plan.translucent.tint, self.plan.translucent.holdout,
+            self.plan.background_defines, self.transparent, self.plan.translucent.tint, self.plan.translucent.holdout,
             adaptive is not None, tiles.tile,
         )  # fmt: skip
         sharp = {"ps_focused": self.targets.sums[0], "ps_focus": self.targets.focus}

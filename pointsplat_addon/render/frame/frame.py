@@ -21,7 +21,7 @@ from ..passes.shading import averages, data
 from ..passes.shading.backdrop import Backdrop
 from ..passes.tiles import EVERYWHERE
 from ..passes.uniforms import SampleView, view_of
-from ..plan.frame_plan import make_shot
+from ..plan.frame_plan import make_frame_plan
 from ..plan.request import Request
 from .data import DataPasses
 from .defocus import OutOfFocus, in_focus
@@ -53,10 +53,10 @@ class Frame:
         self.clock = Clock(self.device, cancelled)
         self.whole = scene  # as it was given
         # What comes before anything is on the device can be cancelled.
-        self.shot = make_shot(
+        self.frame_plan = make_frame_plan(
             scene, request, renderer.store, self.device.limits, renderer.costs, self.clock, presented, picture
         )
-        self.view = self.shot.view  # of the sample that is drawn
+        self.view = self.frame_plan.view  # of the sample that is drawn
         self.done = 0
         self.ended = False  # before all samples were drawn
         self.hurried = False  # presented only when it has ended
@@ -66,15 +66,15 @@ class Frame:
         self.adaptive: Adaptive | None = None
         self.translucent: Translucent | None = None
         self.out_of_focus: OutOfFocus | None = None
-        self._turns = sample_offsets(self.shot.request.samples)
-        self._data = DataPasses(self.shot.scene, self.shot.request)
+        self._turns = sample_offsets(self.frame_plan.request.samples)
+        self._data = DataPasses(self.frame_plan.scene, self.frame_plan.request)
         self._owned: list[Any] = []
         self._lent: tuple[tuple, Targets] | None = None
         try:
-            if self.shot.beside is not None:
-                self.beside = Frame(renderer, *self.shot.beside, cancelled, presented, picture=False)
+            if self.frame_plan.auxiliary is not None:
+                self.beside = Frame(renderer, *self.frame_plan.auxiliary, cancelled, presented, picture=False)
                 self.beside.clock.slow = False
-            if not self.shot.trivial:
+            if not self.frame_plan.trivial:
                 self._allocate()
         except Exception:
             self.release()
@@ -83,40 +83,40 @@ class Frame:
     # What is on the device
 
     def _allocate(self) -> None:
-        device, shot, run = self.device, self.shot, self.clock.run
-        plan, request = shot.plan, shot.request
-        if shot.through_lens:
-            self.lens = self._own(LensSamples(device, shot.view, request.samples))
+        device, frame_plan, run = self.device, self.frame_plan, self.clock.run
+        plan, request = frame_plan.plan, frame_plan.request
+        if frame_plan.through_lens:
+            self.lens = self._own(LensSamples(device, frame_plan.view, request.samples))
         motion = plan.data and "vector" in data.data(request.passes)
         self.uploads: Uploads = self._own(
             Uploads(
                 self.renderer.store,
                 self.renderer.kept,
-                shot.scene,
-                shot.view,
-                shot.prepared,
+                frame_plan.scene,
+                frame_plan.view,
+                frame_plan.prepared,
                 plan,
                 motion,
-                shot.shadows,
+                frame_plan.shadows,
             )
         )
         self.clock.spent |= self.uploads.spent
         if plan.backdrop:
-            self.backdrop = self._own(Backdrop(device, backdrop_grid(shot.view, device.limits.texture_size)))
-        count = levels(shot.prepared.largest, shot.view.resolution)
-        self._lent = self.renderer.pool.borrow(plan, request.passes, shot.view.window[2:], count)
+            self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
+        count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)
+        self._lent = self.renderer.pool.borrow(plan, request.passes, frame_plan.view.window[2:], count)
         self.targets = self._lent[1]
         if self.targets.sums:
             device.clear(self.targets.sum_target)
-        if not shot.everywhere:
+        if not frame_plan.not_adaptive:
             shown = self.presented and not plan.defocus and self.targets.surfels is not None
             centre = gbuffer_textures(self.targets.surfels).get("ps_centre") if shown else None
             threshold = request.settings.adaptive_threshold
             gather = 2 << count  # two pixels of the coarsest level on either side
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, centre))
-        self.shading = Shading(device, shot.scene, plan, request, self.uploads, self.targets, self.backdrop)
+        self.shading = Shading(device, frame_plan.scene, plan, request, self.uploads, self.targets, self.backdrop)
         if plan.defocus:
-            transparent = shot.scene.transparent
+            transparent = frame_plan.scene.transparent
             self.out_of_focus = self._own(OutOfFocus(device, plan, self.uploads, self.targets, transparent, run))
         elif plan.translucent is not None:
             self.translucent = self._own(Translucent(device, plan, self.uploads, self.targets, request.samples, run))
@@ -127,10 +127,10 @@ class Frame:
         """Draws one more sample; returns False when there were enough."""
         if self.complete:
             return False
-        if not self.shot.trivial:
+        if not self.frame_plan.trivial:
             self._draw_sample(self.done == 0)
         self.done += 1
-        if self.adaptive is not None and self.done < self.shot.request.samples:
+        if self.adaptive is not None and self.done < self.frame_plan.request.samples:
             adaptive = self.adaptive
             self.clock.run("adapt", lambda: self._adapt(adaptive))
         if self.presented and (self.complete or is_checkpoint(self.done)) and not self.hurried:
@@ -146,16 +146,16 @@ class Frame:
     @property
     def complete(self) -> bool:
         """Whether no sample is missing."""
-        enough = self.done >= self.shot.request.samples or (self.adaptive is not None and self.adaptive.finished)
+        enough = self.done >= self.frame_plan.request.samples or (self.adaptive is not None and self.adaptive.finished)
         return self.ended or enough
 
     def _draw_sample(self, first: bool) -> None:
-        plan = self.shot.plan
+        plan = self.frame_plan.plan
         if self.lens is not None:
             self.view = self.lens.view(self.done, self.uploads)
         view = self._sample_view(self.done)
         if plan.defocus:
-            near, far = in_focus(self.view, plan, self.shot.prepared.largest)
+            near, far = in_focus(self.view, plan, self.frame_plan.prepared.largest)
             view = replace(view, near=near, far=far)
         if first and self.backdrop is not None:
             self.clock.run("backdrop", lambda: self.shading.draw_backdrop(self._centred()))
@@ -174,7 +174,7 @@ class Frame:
 
     def _draw_surfels(self, view: SampleView, first: bool) -> None:
         """Draws what is opaque into G-buffers, and the passes that no light changes."""
-        plan, uploads, run = self.shot.plan, self.uploads, self.clock.run
+        plan, uploads, run = self.frame_plan.plan, self.uploads, self.clock.run
         surfels, data_surfels = self.targets.surfels, self.targets.data_surfels
         projection = self.targets.projection
         for lines in uploads.strands.draws:
@@ -197,7 +197,7 @@ class Frame:
 
     def _sample_view(self, index: int) -> SampleView:
         """The view of one sample."""
-        samples = self.shot.request.samples
+        samples = self.frame_plan.request.samples
         x, y = offsets(samples)[index] if samples > 1 else (0.0, 0.0)
         return view_of(self.view, (float(x), float(y)), index)
 
@@ -206,22 +206,22 @@ class Frame:
         return view_of(self.view)
 
     def _draw_data(self, view: SampleView) -> None:
-        shot = self.shot
+        frame_plan = self.frame_plan
         textures = gbuffer_textures(self.targets.data_surfels)
         if self.uploads.previous is not None:
             textures["ps_previous"] = self.uploads.previous
-        program = data.data_program(shot.plan.data_variant, shot.request.passes)
+        program = data.data_program(frame_plan.plan.data_variant, frame_plan.request.passes)
         record = view.record_of(program.block, resolution=self.view.resolution, corner=self.view.window[:2])
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 
     def _draw_translucent(self, translucent: Translucent, view: SampleView, first: bool) -> None:
         # Their light is the same for all samples, but for the lens, and for the shadows of wide lights, which they blur
         # among each other.
-        shadows = self.shot.shadows
-        points = lighting_of_sample(self.shot.request, self.done) if shadows is not None and shadows.wide else 0
+        shadows = self.frame_plan.shadows
+        points = lighting_of_sample(self.frame_plan.request, self.done) if shadows is not None and shadows.wide else 0
         if first or points != translucent.lit_by or self.lens is not None:
             translucent.light(points, self._centred())
-        translucent.draw(view, gbuffer_textures(self.targets.surfels), coarse=first and self.shot.plan.coarse)
+        translucent.draw(view, gbuffer_textures(self.targets.surfels), coarse=first and self.frame_plan.plan.coarse)
 
     def _adapt(self, adaptive: Adaptive) -> None:
         """Leaves out what no tile needs any more."""
@@ -252,7 +252,7 @@ class Frame:
         same."""
         frame = Frame(self.renderer, self.whole, request, self.clock.cancelled)
         try:
-            a, b = frame.shot, self.shot
+            a, b = frame.frame_plan, self.frame_plan
             if (a.splats, a.segments, a.triangles) == (b.splats, b.segments, b.triangles):
                 return None
             while frame.done < samples and frame.sample():
@@ -265,18 +265,18 @@ class Frame:
     def hold(self, squares: np.ndarray, limit: float) -> None:
         """Adaptive sampling goes on where the root mean of these squared errors (H, W) exceeds `limit` in a tile."""
         if self.adaptive is not None:
-            self.adaptive.hold(self.shot.padded(squares), limit)
+            self.adaptive.hold(self.frame_plan.padded(squares), limit)
 
     def present(self) -> None:
         """Draw the average so far and its depth into the framebuffer that is bound, in the viewport that is set."""
-        if self.shot.trivial:
+        if self.frame_plan.trivial:
             self._present_constant()
             return
         weight = 1.0 if self.out_of_focus is not None else 1 / max(self.done, 1)
         adaptive = self.adaptive if self.out_of_focus is None else None
         counts = None if adaptive is None else adaptive.known
-        camera = self.shot.request.camera
-        present.draw_picture(self.device, camera, self.shot.corner, self.color, weight, self._centre, counts)
+        camera = self.frame_plan.request.camera
+        present.draw_picture(self.device, camera, self.frame_plan.corner, self.color, weight, self._centre, counts)
 
     @property
     def _centre(self) -> Texture | None:
@@ -285,20 +285,20 @@ class Frame:
             return self.lens.centre
         if self.adaptive is not None and self.out_of_focus is None:
             return self.adaptive.centre
-        drawn = self if self.beside is None or self.beside.shot.trivial else self.beside
+        drawn = self if self.beside is None or self.beside.frame_plan.trivial else self.beside
         return gbuffer_textures(drawn.targets.data_surfels).get("ps_centre")
 
     def _present_constant(self) -> None:
         """A world of one colour needs no picture: one texel does."""
-        texel = self.device.texture((1, 1), "RGBA32F", self.shot.constant.astype(np.float32))
-        present.draw_picture(self.device, self.shot.request.camera, (0, 0), texel, 1.0, size=(1, 1))
+        texel = self.device.texture((1, 1), "RGBA32F", self.frame_plan.world_color.astype(np.float32))
+        present.draw_picture(self.device, self.frame_plan.request.camera, (0, 0), texel, 1.0, size=(1, 1))
         texel.release()
 
     # Results
 
     def counts(self) -> np.ndarray | int:
         """(H, W, 1) float32, or one for all pixels: how many samples each of them has."""
-        return max(self.done, 1) if self.adaptive is None else self.shot.cropped(self.adaptive.samples(self.done))
+        return max(self.done, 1) if self.adaptive is None else self.frame_plan.cropped(self.adaptive.samples(self.done))
 
     def in_focus(self) -> np.ndarray | None:
         """(H, W, 1) float32: the share of each pixel that its samples show in focus; None: nothing is out of it."""
@@ -308,7 +308,7 @@ class Frame:
 
     def mean(self) -> np.ndarray:
         """Returns the picture so far, (H, W, 4) float32."""
-        if self.shot.trivial:
+        if self.frame_plan.trivial:
             return self._empty(frozenset({"combined"}))["combined"]
         if self.out_of_focus is not None:
             self._gather()
@@ -317,9 +317,9 @@ class Frame:
 
     def pixels(self) -> dict[str, np.ndarray]:
         """Returns every requested pass, (H, W, C) float32 by name."""
-        plan, passes = self.shot.plan, self.shot.request.passes
+        plan, passes = self.frame_plan.plan, self.frame_plan.request.passes
         wanted = passes | (frozenset({"combined"}) if plan.picture else frozenset())
-        if self.shot.trivial:
+        if self.frame_plan.trivial:
             return self._empty(wanted)
         self._gather()
         sums, samples = (self.targets.sums, self.counts()) if self.out_of_focus is None else ([self.color], 1)
@@ -336,10 +336,12 @@ class Frame:
         return found
 
     def _empty(self, keys: frozenset[str]) -> dict[str, np.ndarray]:
-        return empty_pixels(keys, self.shot.size, self.shot.constant, self.shot.request.crypto_levels)
+        return empty_pixels(
+            keys, self.frame_plan.size, self.frame_plan.world_color, self.frame_plan.request.crypto_levels
+        )
 
     def _cropped(self, texture: Texture) -> np.ndarray:
-        return self.shot.cropped(self.device.read(texture))
+        return self.frame_plan.cropped(self.device.read(texture))
 
     def release(self) -> None:
         """Frees what only this picture needed."""

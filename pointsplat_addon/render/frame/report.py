@@ -10,19 +10,23 @@ from .frame import Frame
 
 def report(frame: Frame, seconds: float) -> dict[str, Any]:
     """Returns the report of a picture, as scripts/render.py writes it. `seconds`: that the picture took."""
-    shot, device, spent = frame.shot, frame.device, _spent(frame)
-    drawn = 0 if shot.trivial else sum(lines.drawn for lines in frame.uploads.strands.draws)
+    frame_plan, device, spent = frame.frame_plan, frame.device, _spent(frame)
+    drawn = 0 if frame_plan.trivial else sum(lines.drawn for lines in frame.uploads.strands.draws)
     return {
         "device": f"{device.name}: {device.limits.renderer}",
         "seconds": seconds,
         "passes": [{"name": name, "ms": round(ms, 3)} for name, ms in spent.items()],
         "skipped": [{"name": name, "because": why} for name, why in (*_skipped(frame, spent), *_samples(frame))],
-        "points": {"total": shot.prepared.total, "cut": shot.splats, "drawn": shot.splats * frame.done},
-        "technique": {"name": shot.technique.name, "because": shot.technique.because},
-        "triangles": shot.triangles,
-        "lines": {"strands": shot.strands, "segments": shot.segments, "drawn": drawn},
+        "points": {
+            "total": frame_plan.prepared.total,
+            "cut": frame_plan.splats,
+            "drawn": frame_plan.splats * frame.done,
+        },
+        "technique": {"name": frame_plan.technique.name, "because": frame_plan.technique.because},
+        "triangles": frame_plan.triangles,
+        "lines": {"strands": frame_plan.strands, "segments": frame_plan.segments, "drawn": drawn},
         "bytes": {"cpu": frame.renderer.store.nbytes, "gpu": device.bytes_allocated()},
-        "warnings": list(shot.warnings),
+        "warnings": list(frame_plan.warnings),
     }
 
 
@@ -36,17 +40,17 @@ def _spent(frame: Frame) -> dict[str, float]:
 
 def _skipped(frame: Frame, ran: dict[str, float]) -> list[tuple[str, str]]:
     """Returns the passes that did not run, and why."""
-    shot = frame.shot
-    reaches = shot.trivial or frame.uploads.translucent is None or frame.uploads.translucent.shared_lights > 0
-    return not_run(shot.left_out, ran.keys(), shot.trivial, shot.everywhere, reaches)
+    frame_plan = frame.frame_plan
+    reaches = frame_plan.trivial or frame.uploads.translucent is None or frame.uploads.translucent.shared_lights > 0
+    return not_run(frame_plan.left_out, ran.keys(), frame_plan.trivial, frame_plan.not_adaptive, reaches)
 
 
 def _samples(frame: Frame) -> list[tuple[str, str]]:
     """Returns why there are fewer samples than were asked for."""
-    shot, asked = frame.shot, frame.shot.request.samples
+    frame_plan, asked = frame.frame_plan, frame.frame_plan.request.samples
     if frame.ended:
         return [("samples", f"the budget asks for no more than {frame.done}")]
-    if shot.trivial or shot.everywhere or frame.adaptive is None:
+    if frame_plan.trivial or frame_plan.not_adaptive or frame.adaptive is None:
         return []
     mean = float(frame.counts().mean())
     return [("samples", f"pixels have {mean:.1f} of {asked}: the others would agree")] if mean < asked else []

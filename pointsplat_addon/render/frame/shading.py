@@ -51,7 +51,12 @@ class Shading:
             plan.picture, coarse=request.coarse,
         )  # fmt: skip
         self._background = background_program(
-            plan.behind, scene.transparent, passes, coverage, everywhere=not plan.shaded.solid, combined=plan.picture
+            plan.background_defines,
+            scene.transparent,
+            passes,
+            coverage,
+            everywhere=not plan.shaded.solid,
+            combined=plan.picture,
         )
 
     @property

@@ -1,1 +1,1 @@
-"""TODO: say what this room holds."""
+"""Decides what one picture shows and how it is drawn, before anything of it is on the device."""

@@ -1,4 +1,4 @@
-"""The auxiliary picture without a lens, for passes that know no depth of field."""
+"""Makes the auxiliary picture, without depth of field, for passes that cannot be out of focus."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ from ..passes.shading.data import data
 from .request import Request
 
 
-def beside(scene: Scene, asked: Request, presented: bool) -> tuple[Scene, Request] | None:
-    """The picture of the passes that know no blur, without light; None where none of them is asked for. `presented`:
-    the picture is shown in a viewport, which hides what Blender draws by depths."""
-    others = asked.passes - {"combined"}
+def auxiliary_picture(scene: Scene, request: Request, presented: bool) -> tuple[Scene, Request] | None:
+    """Returns the unlit scene and the request of the passes but Combined, by a camera without a lens.
+
+    Returns None if no such pass is asked for. `presented`: the picture is shown in a viewport, which needs its depth to
+    hide what Blender draws.
+    """
+    others = request.passes - {"combined"}
     sampled = averaged(others) or others & set(CRYPTO)
     if not (presented or sampled or data(others)):
         return None
-    settings = replace(asked.settings, use_shadows=False, use_adaptive_sampling=False)
-    camera = replace(asked.camera, aperture=None)
+    settings = replace(request.settings, use_shadows=False, use_adaptive_sampling=False)
+    camera = replace(request.camera, aperture=None)
     unlit = replace(scene, lights=(), world=World(), transparent=True)
-    samples = asked.samples if sampled else 1
-    return unlit, replace(asked, camera=camera, settings=settings, passes=others, samples=samples)
+    samples = request.samples if sampled else 1
+    return unlit, replace(request, camera=camera, settings=settings, passes=others, samples=samples)

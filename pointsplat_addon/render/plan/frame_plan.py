@@ -1,4 +1,4 @@
-"""What one picture shows, and how it is drawn: all that is decided before anything of it is on the device."""
+"""Prepares and plans one view of a scene: all that is decided before anything of it is on the device."""
 
 from __future__ import annotations
 
@@ -31,36 +31,39 @@ from ..prepare.painter import with_defocus_among_translucent, with_opaque_among_
 from ..prepare.prepare import Prepared, prepare
 from ..prepare.separation import separate_translucent
 from ..shadow.shadows import Shadows, make_shadows
-from .auxiliary import beside
-from .lens_view import prepared_for
-from .plan import Plan, make_plan
+from .auxiliary import auxiliary_picture
+from .lens_view import camera_of_whole_lens
+from .make_plan import ViewToPlan, make_plan
+from .plan import Plan
+from .reasons import Absences
 from .request import Request
-from .technique import NAMES, NO_BLENDING, Technique, choose, reconsidered
+from .technique import Technique, TechniqueInput, confirm_technique, decide_technique
 
 MOST_MARGIN = 64  # pixels around the window in which the centres of wide splats are looked for
+LENS_SAMPLES_BLUR = "each sample sees it through a point on the lens"  # the reason why the world has no picture
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class FramePlan:
     """One view of a scene, prepared and planned."""
 
-    scene: Scene  # in parts, without what adds nothing measurable
-    request: Request  # what is left of it for this picture
+    scene: Scene  # its meshes in parts, without lights and emission that add nothing measurable
+    request: Request  # with the passes that this picture draws, without those of the auxiliary picture
     technique: Technique
     prepared: Prepared
     shadows: Shadows | None
     plan: Plan
-    view: Camera  # everything is drawn for it; the camera's window is a part of its own
-    corner: tuple[int, int]  # pixels: where in the view's window that part lies
-    through_lens: bool  # each sample sees through a place on the lens
-    beside: tuple[Scene, Request] | None  # the picture of the passes that know no blur, which is drawn along with it
-    everywhere: str  # why all pixels get all samples; empty where some may not
-    left_out: tuple[tuple[str, str], ...]  # (pass, or what of the scene; because)
+    view: Camera  # what is drawn: the window of request.camera with a margin
+    corner: tuple[int, int]  # pixels: the corner of the camera's window in the view's
+    through_lens: bool  # each sample sees through another point on the lens
+    auxiliary: tuple[Scene, Request] | None  # the picture without depth of field that is drawn along with this one
+    not_adaptive: str  # why all pixels get all samples; empty where some may not
+    left_out: tuple[tuple[str, str], ...]  # (pass, or part of the scene; reason)
     warnings: tuple[str, ...]
 
     @property
     def trivial(self) -> bool:
-        """One colour fills the picture."""
+        """Whether one colour fills the picture."""
         drawn = self.plan.solid or self.plan.translucent is not None
         return not drawn and (self.scene.world.image is None or self.scene.transparent)
 
@@ -70,61 +73,61 @@ class Shot:
         return self.request.camera.window[2:]
 
     @property
-    def constant(self) -> np.ndarray:
-        """(4,) float64: the colour where nothing is before a world of one colour."""
+    def world_color(self) -> np.ndarray:
+        """(4,) float64: RGBA of pixels that show nothing but a world of one colour."""
         return np.zeros(4) if self.scene.transparent else np.append(np.asarray(self.scene.world.color), 1.0)
 
     @property
     def splats(self) -> int:
-        """In the cut, of all kinds."""
+        """The number of splats in the cut, of all kinds."""
         prepared = self.prepared
         layers = (*(() if self.plan.painter else (prepared,)), prepared.translucent, prepared.spheres)
         return sum(layer.cut.splats for layer in layers)
 
     @property
     def strands(self) -> int:
-        """That the view shows."""
+        """The number of strands that the view shows."""
         return sum(segments.strands for segments in self.prepared.strands.values())
 
     @property
     def segments(self) -> int:
-        """Of strands."""
+        """The number of segments of the strands that the view shows."""
         return sum(map(len, self.prepared.strands.values()))
 
     @property
     def triangles(self) -> int:
-        """That are drawn."""
+        """The number of triangles that are drawn."""
         return self._triangles()
 
     def _triangles(self, primitives: tuple[str, ...] = ()) -> int:
-        """Of geometries that are to be drawn as `primitives`; of all where none are named."""
+        """The number of triangles of geometries whose setting is one of `primitives`; of all where none are named."""
         prepared, instances = self.prepared, self.prepared.polygons.tolist()
-        of = [self.scene.geometries[int(self.scene.instances.geometry[instance])] for instance in instances]
+        geometries = [self.scene.geometries[int(self.scene.instances.geometry[instance])] for instance in instances]
         return sum(
             count_triangles(geometry.mesh, prepared.parts.get(instance))
-            for geometry, instance in zip(of, instances, strict=True)
+            for geometry, instance in zip(geometries, instances, strict=True)
             if geometry.mesh is not None and (not primitives or geometry.primitive in primitives)
         )
 
-    def work(self, costs: Costs) -> float:
-        """What a coarser cut has less of, in splats: those, and triangles of meshes that may be points instead."""
+    def reducible_work(self, costs: Costs) -> float:
+        """Returns what a coarser cut reduces, in splats: these, and triangles of meshes that may be points instead."""
         return self.splats + self._triangles(("AUTO",)) * costs.triangle / costs.point
 
     def cropped(self, picture: np.ndarray) -> np.ndarray:
-        """The camera's window of a picture (H, W, ...) of the view."""
+        """Returns the camera's window of a picture (H, W, ...) of the view."""
         width, height = self.size
         x, y = self.corner
         return picture[y : y + height, x : x + width]
 
     def padded(self, picture: np.ndarray) -> np.ndarray:
-        """The reverse: a picture (H, W) of the camera's window in one of the view, with zeros around it."""
+        """Returns a picture (H, W) of the camera's window as one of the view, with zeros around it."""
         x, y = self.corner
         columns, rows = self.view.window[2:]
         height, width = picture.shape
         return np.pad(picture, [(y, rows - y - height), (x, columns - x - width)])
 
 
-def make_shot(
+def make_frame_plan(
     scene: Scene,
     request: Request,
     store: Store,
@@ -133,21 +136,85 @@ def make_shot(
     clock: Clock,
     presented: bool,
     picture: bool,
-) -> Shot:
-    """`limits`, `costs`: of the device. `clock`: is told what shadows take. `presented`: between samples too.
-    `picture`: with Combined, not passes beside it alone. Cancelled: the clock says so."""
+) -> FramePlan:
+    """Returns one view of a scene, prepared and planned.
+
+    `limits`, `costs`: of the device. `clock`: is told what shadows take. `presented`: the picture is shown between
+    samples, too. `picture`: Combined is drawn, not auxiliary passes alone. Raises Cancelled where the clock says so.
+    """
     scene, camera = validate(
         scene, request.camera, lambda content, make: store.lookup(Key(Kind.VALIDATED, content), make)
     )
     warnings = scene.warnings
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
-    technique = choose(request.settings, scene, request.samples, request.interactive, limits.float_blend)
-    warnings += (*of_parts, *_not_blended(technique, request))
+    decided = decide_technique(
+        TechniqueInput(request.settings, scene, request.samples, request.interactive, limits.float_blend)
+    )
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
-    prepared = prepare(
+    prepared = _prepared(scene, request, decided, through_lens, store, costs, clock)
+    technique = confirm_technique(decided, prepared)
+    auxiliary = None
+    if prepared.out_of_focus is not None:
+        # What is out of focus goes into Combined alone; the other passes are of the auxiliary picture.
+        auxiliary = auxiliary_picture(scene, request, presented)
+        request = replace(request, passes=frozenset({"combined"}))
+        prepared = with_defocus_among_translucent(prepared)
+
+    prepared, out_of_view = without_invisible_layers(scene, prepared, camera, store)
+    scene, reflects, negligible = without_negligible(scene, prepared, camera.view_from_world, store)
+    shadows, unshadowed = _shadows(scene, prepared, request, store, clock)
+    painter = technique.name == "PAINTER" and prepared.cut.splats > 0
+    if painter:
+        prepared = with_opaque_among_translucent(
+            prepared, keep=presented or bool(averaged(request.passes) or data(request.passes))
+        )
+
+    absences = Absences(
+        unshadowed,
+        out_of_view,
+        "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus",
+        LENS_SAMPLES_BLUR if through_lens else why_not_blurred(scene, camera),
+    )
+    ewa = technique.name == "EWA"
+    plan = make_plan(ViewToPlan(scene, prepared, request, shadows, ewa, painter, reflects, picture, absences))
+    view, corner = with_margin(camera, plan.splat_radius(prepared.largest), limits.texture_size)
+    return FramePlan(
         scene,
-        prepared_for(scene, camera, store) if through_lens else camera,
+        request,
+        technique,
+        prepared,
+        shadows,
+        plan,
+        view,
+        corner,
+        through_lens,
+        auxiliary,
+        _not_adaptive(request, prepared, plan, through_lens),
+        left_out=(*plan.skipped, *negligible),
+        warnings=(
+            *warnings,
+            *of_parts,
+            *((technique.warning,) if technique.warning else ()),
+            *prepared.warnings,
+            *(shadows.warnings if shadows else ()),
+        ),
+    )
+
+
+def _prepared(
+    scene: Scene,
+    request: Request,
+    technique: Technique,
+    through_lens: bool,
+    store: Store,
+    costs: Costs,
+    clock: Clock,
+) -> Prepared:
+    """What the camera, or any point on its lens, sees, prepared for a technique."""
+    return prepare(
+        scene,
+        camera_of_whole_lens(scene, request.camera, store) if through_lens else request.camera,
         replace(request.settings, technique=technique.name),
         request.samples,
         store,
@@ -157,36 +224,11 @@ def make_shot(
         node=request.node,
         coarse=request.coarse,
     )
-    technique = reconsidered(technique, prepared)
-    others = None
-    if prepared.out_of_focus is not None:
-        # It goes to the pass of its own name; passes that know no blur are another picture's.
-        others = beside(scene, request, presented)
-        request = replace(request, passes=frozenset({"combined"}))
-        prepared = with_defocus_among_translucent(prepared)
-        if technique.name == "PAINTER":
-            technique = Technique("IMAGE_SPACE", "the pass defocus paints")
 
-    prepared, unseen = without_invisible_layers(scene, prepared, camera, store)
-    scene, reflects, faint = without_negligible(scene, prepared, camera.view_from_world, store)
-    shadows, unshadowed = _shadows(scene, prepared, request, store, clock)
-    paints = technique.name == "PAINTER" and prepared.cut.splats > 0
-    if paints:
-        prepared = with_opaque_among_translucent(
-            prepared, keep=presented or bool(averaged(request.passes) or data(request.passes))
-        )
 
-    blended = (camera, request.samples) if technique.name == "EWA" else None
-    in_focus = "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus"
-    sharp_world = "each sample sees it through a place on the lens" if through_lens else why_not_blurred(scene, camera)
-    plan = make_plan(
-        scene, prepared, request.passes, shadows, unshadowed, request.interactive, blended, paints,
-        reflects, unseen, in_focus, sharp_world, picture,
-    )  # fmt: skip
-    if request.coarse and plan.ewa is None:
-        plan = replace(plan, options=replace(plan.options, coarse=True))
-    view, corner = with_margin(camera, plan.reach(prepared.largest), limits.texture_size)
-    everywhere = why_everywhere(
+def _not_adaptive(request: Request, prepared: Prepared, plan: Plan, through_lens: bool) -> str:
+    """Why all pixels get all samples; empty where adaptive sampling may leave some out."""
+    return why_everywhere(
         request.settings,
         request.samples,
         plan.translucent is not None and not plan.defocus,
@@ -194,40 +236,31 @@ def make_shot(
         any(len(segments.thin) for segments in prepared.strands.values()),
         through_lens,
     )
-    warnings += (*prepared.warnings, *(shadows.warnings if shadows else ()))
-    return Shot(
-        scene, request, technique, prepared, shadows, plan, view, corner, through_lens, others, everywhere,
-        (*plan.skipped, *faint), warnings,
-    )  # fmt: skip
-
-
-def _not_blended(technique: Technique, request: Request) -> tuple[str, ...]:
-    """A warning where the technique that is asked for cannot be had."""
-    asked = request.settings.technique
-    if technique.because != NO_BLENDING or asked not in NAMES:
-        return ()
-    return (f"{NAMES[asked]} needs blending of floats, which this GPU lacks: points are drawn in image space",)
 
 
 def _shadows(
     scene: Scene, prepared: Prepared, request: Request, store: Store, clock: Clock
 ) -> tuple[Shadows | None, str]:
-    """The tables of all lamps that cast shadows on what is drawn; or None, and why."""
+    """The tables of all lights that cast shadows on what is drawn; or None, and why."""
     layers = (prepared, prepared.translucent, prepared.spheres)
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()
     found, unshadowed = make_shadows(scene, request.settings, store, clock.check)
-    if found is not None:
-        clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
-    return found, unshadowed
+    if found is None:
+        return None, unshadowed or "nothing casts shadows"
+    clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
+    return found, ""
 
 
 def with_margin(camera: Camera, radius: float, most: int) -> tuple[Camera, tuple[int, int]]:
-    """The camera with a window that also holds the centres of splats which reach into its own, and where in it that
-    lies. A border shows the pixels of the full frame: it is widened by what the pyramid gathers from, and its corner
-    keeps its place in there. Where more than `most` pixels would come of it, which no texture holds, it is widened by
-    what is left."""
+    """Returns the camera with a window that also holds the centres of splats that extend into its own window, and the
+    corner of its own window in that one.
+
+    `radius`: of the widest splat, in pixels. A border shows the same pixels as the full frame: the margin includes what
+    the pyramid gathers from, and its corner is aligned to the pyramid's texels. `most`: pixels across that a texture
+    holds at most; the margin is smaller where the window would exceed it.
+    """
     if radius <= 0.0:
         return camera, (0, 0)
     margin = min(math.ceil(radius), MOST_MARGIN)

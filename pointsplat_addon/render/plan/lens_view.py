@@ -1,4 +1,4 @@
-"""The camera for which a picture through many points of a lens is prepared."""
+"""Widens a camera to all that its lens sees, for preparing a picture whose samples see through points on the lens."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ..cache.keys import Key, Kind
 from ..cache.store import Store
 
 
-def prepared_for(scene: Scene, camera: Camera, store: Store) -> Camera:
-    """The camera whose cut holds what any place on the lens sees."""
+def camera_of_whole_lens(scene: Scene, camera: Camera, store: Store) -> Camera:
+    """Returns the camera whose cut holds what any point on the lens sees."""
     return widened_camera(camera, *_depths(scene, camera, store))
 
 
@@ -27,8 +27,8 @@ def _depths(scene: Scene, camera: Camera, store: Store) -> tuple[float, float]:
         low, high = boxes[scene.instances.geometry].swapaxes(0, 1)
         middle, half = (low + high) / 2, (high - low) / 2
         depth = -(rows[:, :3] * middle).sum(axis=1) - rows[:, 3]
-        reach = (np.abs(rows[:, :3]) * half).sum(axis=1)
-        ends = np.array([depth - reach, depth + reach])
+        extent = (np.abs(rows[:, :3]) * half).sum(axis=1)
+        ends = np.array([depth - extent, depth + extent])
     ends = ends[:, np.isfinite(ends).all(axis=0)]
     if ends.size == 0:
         return camera.near, camera.near
@@ -36,27 +36,29 @@ def _depths(scene: Scene, camera: Camera, store: Store) -> tuple[float, float]:
 
 
 class _Box:
+    """The corners of a box, as the store keeps them."""
+
     def __init__(self, corners: np.ndarray) -> None:
         self.corners, self.nbytes = corners, corners.nbytes
 
 
 def _box(geometry: Geometry) -> np.ndarray:
-    """(2, 3) float64 corners of what is finite of a geometry's points, with their radii; NaN where there is none."""
-    reach, origin = 0.0, np.zeros(3)
+    """(2, 3) float64 corners of the box around a geometry's finite points and their radii; NaN where there are none."""
+    radius, origin = 0.0, np.zeros(3)
     if geometry.mesh is not None:
         position = geometry.mesh.position
     elif geometry.cloud is not None:
         position, origin, radii = geometry.cloud.position, geometry.cloud.origin, geometry.cloud.radii
-        reach = 0.0 if radii is None else _largest(radii)
+        radius = 0.0 if radii is None else _largest(radii)
     elif geometry.strands is not None:
         position, origin = geometry.strands.position, geometry.strands.origin
-        reach = _largest(geometry.strands.radius)
+        radius = _largest(geometry.strands.radius)
     else:
         return np.full((2, 3), np.nan)
     good = np.isfinite(position)
     low = np.min(position, axis=0, where=good, initial=np.inf)
     high = np.max(position, axis=0, where=good, initial=-np.inf)
-    return np.array([low.astype(float) - reach, high.astype(float) + reach]) + origin
+    return np.array([low.astype(float) - radius, high.astype(float) + radius]) + origin
 
 
 def _largest(radius: np.ndarray) -> float:

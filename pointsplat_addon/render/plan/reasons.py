@@ -1,12 +1,13 @@
-"""All passes that a picture may have, and why one of them has not run."""
+"""Lists all passes that a picture may have, and says why each of the others has not run."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Set
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
 
-if TYPE_CHECKING:
-    from .plan import Plan
+from ..passes.shading.averages import averaged
+from ..passes.shading.data import data
+from .plan import Plan
 
 # In the order in which they run; the names of the report.
 PASSES: dict[str, str] = {
@@ -28,7 +29,7 @@ PASSES: dict[str, str] = {
     "shade": "light on what is opaque",
     "backdrop": "a picture of the world that is out of focus, once for a view",
     "background": "the world where nothing else is",
-    "reach": "how much of each lamp's light reaches translucent splats, for all views",
+    "reach": "how much of each light reaches translucent splats, for all views",
     "light": "translucent splats lit, once for a view",
     "tiles": "splats out of focus listed by the tiles that they blur into, on the processor",
     "defocus": "what is out of focus, gathered by each pixel over what is in focus",
@@ -48,21 +49,19 @@ LATE = {
 UNKNOWN = "no sample came so far"
 
 
-def reasons(
-    plan: Plan,
-    asked: Mapping[str, bool],
-    unshadowed: str,
-    unseen: Mapping[str, str],
-    in_focus: str,
-    sharp_world: str,
-) -> dict[str, str]:
-    """Why each pass that a plan leaves out is not needed, by its name.
+@dataclass(frozen=True)
+class Absences:
+    """Why a view lacks what it might have; each is empty where the view has it."""
 
-    `asked`: whether a pass of "data" is asked for, and one that is "averaged" beside Combined. `unshadowed`: why no
-    lamp has a table of shadows; empty where one has. `unseen`: why kinds of things are left out (render/prepare/in_view.py).
-    `in_focus`: why nothing is out of focus, beyond that the camera has no lens.
-    `sharp_world`: why the world is not blurred.
-    """
+    shadows: str = "nothing casts shadows"
+    out_of_view: Mapping[str, str] = field(default_factory=dict)  # by kind of things (render/prepare/in_view.py)
+    out_of_focus: str = ""  # beyond that the camera has no depth of field
+    blurred_world: str = "the camera has no depth of field"
+
+
+def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str, str]:
+    """Returns why each pass that a plan leaves out is not needed, by its name. `passes`: those that are asked for."""
+    unshadowed, unseen = absences.shadows, absences.out_of_view
     found = {"shadows": unshadowed} if unshadowed else {}
     found |= _of_points(plan, unseen.get("points", "nothing is drawn as points"))
     if not plan.polygons:
@@ -72,21 +71,22 @@ def reasons(
     if not plan.lines:
         found["lines"] = "nothing is drawn as lines"
     if not plan.data:
-        found["data"] = "nothing opaque is drawn" if asked["data"] else "no pass asks for position, index or motion"
-    if not (plan.painter and plan.points and asked["averaged"]):
-        found["averages"] = "no pass beside the picture averages what is painted"
+        found["data"] = "nothing opaque is drawn" if data(passes) else "no pass asks for position, index or motion"
+    if not (plan.painter and plan.points and averaged(passes)):
+        found["averages"] = "no auxiliary pass averages what is painted"
     if not plan.shaded.solid:
         found["shade"] = "points are painted" if plan.painter else "nothing opaque is drawn"
     if not plan.backdrop:
-        found["backdrop"] = sharp_world
+        found["backdrop"] = absences.blurred_world
     if not plan.background:
         found["background"] = "the pass defocus draws the world" if plan.defocus else "the film is transparent"
     if not plan.defocus:
-        found |= dict.fromkeys(("tiles", "defocus"), in_focus or "the camera has no depth of field")
+        found |= dict.fromkeys(("tiles", "defocus"), absences.out_of_focus or "the camera has no depth of field")
     return found | _of_translucent(plan, not unshadowed, unseen.get("translucent", "nothing is translucent"))
 
 
 def _of_points(plan: Plan, none: str) -> dict[str, str]:
+    """Why passes of points are left out. `none`: why nothing is drawn as points."""
     if not plan.points:
         why = "points are painted" if plan.painter else none
         return dict.fromkeys((*IMAGE_SPACE, *BY_EWA), why)
@@ -98,6 +98,7 @@ def _of_points(plan: Plan, none: str) -> dict[str, str]:
 
 
 def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
+    """Why translucent passes are left out. `shadowed`: a light has a table of shadows. `none`: why nothing is."""
     if plan.translucent is None:
         return dict.fromkeys(TRANSLUCENT, none)
     if plan.defocus:
@@ -105,7 +106,7 @@ def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
         return dict.fromkeys(drawn, "the pass defocus draws what is translucent")
     found = {}
     if not shadowed:
-        found["reach"] = "no lamp casts shadows on it"
+        found["reach"] = "no light casts shadows on it"
     if not plan.translucent.opaque:
         found["opaque depth"] = "nothing opaque hides what is translucent"
     if not plan.coarse:
@@ -114,18 +115,21 @@ def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
 
 
 def not_run(
-    left_out: Iterable[tuple[str, str]], ran: Set[str], trivial: bool, everywhere: str, reaches: bool
+    left_out: Iterable[tuple[str, str]], ran: Set[str], one_color: bool, not_adaptive: str, keeps_light: bool
 ) -> list[tuple[str, str]]:
-    """Passes that did not run, and why. `left_out`: of the plan, and why. `ran`: those that did. `trivial`: one colour
-    fills the picture. `everywhere`: why no part of it ends early; empty where one may. `reaches`: what reaches
-    translucent splats could be kept."""
+    """Returns the passes that did not run, each with its reason.
+
+    `left_out`: (pass, reason) of the plan. `ran`: the passes that ran. `one_color`: one colour fills the picture.
+    `not_adaptive`: why all pixels get all samples; empty where some may not. `keeps_light`: the light that reaches
+    translucent splats can be kept from picture to picture.
+    """
     found = [entry for entry in left_out if entry[0] not in ran]
     known = {name for name, _ in found} | ran
     late = dict(LATE)
-    if trivial:
+    if one_color:
         late = {"background": "one colour fills the picture", "adapt": "one colour fills the picture"}
-    elif not reaches:
-        late["reach"] = "several of its instances share splats, or lamps are too many"
-    if everywhere:
-        late["adapt"] = everywhere
+    elif not keeps_light:
+        late["reach"] = "several of its instances share splats, or lights are too many"
+    if not_adaptive:
+        late["adapt"] = not_adaptive
     return found + [(name, late.get(name, UNKNOWN)) for name in PASSES if name not in known]

@@ -1,4 +1,4 @@
-"""What is asked of the renderer, and what it hands back."""
+"""The records that the renderer takes and returns."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from ...core.splat.blur import NODE_SIZE
 
 @dataclass(frozen=True)
 class Request:
-    """What one picture needs."""
+    """One picture that the renderer is asked for."""
 
     camera: Camera
     settings: Settings
     passes: frozenset[str]  # keys of outputs.PASSES; combined is always there
     samples: int
     crypto_levels: int = 6
-    interactive: bool = False  # drawn again and again, and at once: see prepare
-    coarse: bool = False  # a budget of time has no room for one sample at the tolerance that was asked for
-    node: float = NODE_SIZE  # largest nodes of what is out of focus, over the radii of their disks: core/lens/kernel.py
+    interactive: bool = False  # drawn repeatedly and at once: see render/prepare/prepare.py
+    coarse: bool = False  # one sample at the tolerance that was asked for exceeds the budget of time
+    # Bound of the nodes of what is out of focus, over the radii of their circles of confusion: core/lens/kernel.py.
+    node: float = NODE_SIZE
 
 
 @dataclass(frozen=True)

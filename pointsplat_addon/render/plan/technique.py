@@ -1,8 +1,13 @@
-"""Which technique draws the opaque points of a view, where the person leaves it to us (docs/notes/techniques.md)."""
+"""Decides which technique draws the opaque points of a view (docs/notes/techniques.md).
+
+`decide_technique` decides before a view is prepared, for all that is known of the scene then; how points are prepared
+depends on it. `confirm_technique` decides for good: only preparing tells whether points are disconnected and whether
+something is out of focus. Nothing else chooses a technique.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,46 +19,74 @@ from ...core.surface.appearance import graphs_of
 from ..prepare.layers import MANY_INSTANCES
 from ..prepare.prepare import Prepared
 
+TITLES = {"EWA": "EWA", "PAINTER": "The painter"}  # of the techniques that blend floats
 
-class Technique(NamedTuple):
-    """What draws opaque points."""
+
+@dataclass(frozen=True, eq=False)
+class TechniqueInput:
+    """What the technique depends on before a view is prepared."""
+
+    settings: Settings
+    scene: Scene
+    samples: int
+    interactive: bool  # a view that is drawn repeatedly and at once
+    float_blend: bool  # the device can blend floats, as EWA and the painter do
+
+
+@dataclass(frozen=True)
+class Technique:
+    """The technique that draws opaque points, with the reason."""
 
     name: str  # one of TECHNIQUES, but not AUTO
     because: str
+    automatic: bool = True  # the settings leave the choice to us
+    warning: str = ""  # why it is not the technique that the settings ask for; empty where it is
 
 
-NAMES = {"EWA": "EWA", "PAINTER": "The painter"}  # those that need float_blend
-ASKED = "the settings say so"
-NO_BLENDING = "this GPU cannot blend floats"
-DISCONNECTED = Technique("IMAGE_SPACE", "light passes between disconnected points")
+def decide_technique(given: TechniqueInput) -> Technique:
+    """Returns the technique that the settings ask for; for AUTO the nearest to polygons that is worth its time.
+
+    AUTO is EWA where enough samples are drawn and some points have colours to average; else image space.
+    """
+    asked = given.settings.technique
+    found = _automatic(given) if asked == "AUTO" else Technique(asked, "the settings say so", automatic=False)
+    if found.name not in TITLES or given.float_blend:
+        return found
+    warning = ""
+    if not found.automatic:
+        warning = f"{TITLES[asked]} needs blending of floats, which this GPU lacks: points are drawn in image space"
+    return Technique("IMAGE_SPACE", "this GPU cannot blend floats", found.automatic, warning)
 
 
-def choose(settings: Settings, scene: Scene, samples: int, interactive: bool, float_blend: bool) -> Technique:
-    """The technique that is asked for; for AUTO the nearest to polygons that is worth its time: EWA, from as many
-    `samples` as it needs, where it has colours to take means of. `float_blend`: whether the device has what EWA and the
-    painter need."""
-    if settings.technique != "AUTO":
-        found = Technique(settings.technique, ASKED)
-    elif interactive:
-        found = Technique("IMAGE_SPACE", "views that move need the fastest")
-    elif not centres_decide(samples):
-        found = Technique("IMAGE_SPACE", "it is the nearest with few samples")
-    elif np.bincount(scene.instances.geometry, minlength=1).max() >= MANY_INSTANCES:
-        found = Technique("IMAGE_SPACE", "many instances share nodes")
-    elif any(_colored(geometry, scene.materials) for geometry in scene.geometries):
-        found = Technique("EWA", "colours vary from point to point")
-    else:
-        found = Technique("IMAGE_SPACE", "no point has a colour of its own")
-    return found if found.name not in NAMES or float_blend else Technique("IMAGE_SPACE", NO_BLENDING)
+def confirm_technique(decided: Technique, prepared: Prepared) -> Technique:
+    """Returns the technique for a view that was prepared for the one that `decide_technique` decided.
 
-
-def reconsidered(found: Technique, prepared: Prepared) -> Technique:
-    """The technique, now that it is known which points are disconnected (foliage)."""
+    AUTO draws disconnected points (foliage) in image space, and the pass `defocus` takes the painter's part where
+    something is out of focus.
+    """
     foliage = any(points.cloud.disconnected is not None for points in prepared.point_sets.values())
-    return DISCONNECTED if foliage and found.name == "EWA" and found.because != ASKED else found
+    if foliage and decided.name == "EWA" and decided.automatic:
+        return replace(decided, name="IMAGE_SPACE", because="light passes between disconnected points")
+    if prepared.out_of_focus is not None and decided.name == "PAINTER":
+        return replace(decided, name="IMAGE_SPACE", because="the pass defocus paints")
+    return decided
 
 
-def _colored(geometry: Geometry, table: MaterialTable) -> bool:
+def _automatic(given: TechniqueInput) -> Technique:
+    """The choice that AUTO makes."""
+    scene = given.scene
+    if given.interactive:
+        return Technique("IMAGE_SPACE", "views that move need the fastest")
+    if not centres_decide(given.samples):
+        return Technique("IMAGE_SPACE", "it is the nearest with few samples")
+    if np.bincount(scene.instances.geometry, minlength=1).max() >= MANY_INSTANCES:
+        return Technique("IMAGE_SPACE", "many instances share nodes")
+    if any(_has_colors(geometry, scene.materials) for geometry in scene.geometries):
+        return Technique("EWA", "colours vary from point to point")
+    return Technique("IMAGE_SPACE", "no point has a colour of its own")
+
+
+def _has_colors(geometry: Geometry, table: MaterialTable) -> bool:
     """Whether opaque points of a geometry have colours of their own."""
     if (cloud := geometry.cloud) is not None:
         opaque = cloud.opacity is None and cloud.extinction is None

@@ -181,7 +181,7 @@ def picture(scene: Scene, camera, coarser: float) -> np.ndarray:
         built(STORE)
     frame = renderer.start(scene, request)
     try:
-        assert coarser == 1 or frame.shot.prepared.cut.nodes > 0
+        assert coarser == 1 or frame.frame_plan.prepared.cut.nodes > 0
         frame.sample()
         return frame.mean()
     finally:

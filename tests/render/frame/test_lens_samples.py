@@ -10,7 +10,7 @@ from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame import frame
-from pointsplat_addon.render.plan.lens_view import prepared_for
+from pointsplat_addon.render.plan.lens_view import camera_of_whole_lens
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.renderer import Renderer
@@ -130,9 +130,11 @@ def test_what_only_the_rim_of_the_lens_sees_is_prepared():
     """A corner of a field of towers, of which more comes into view beside the middle of the lens."""
     case = with_aperture("many_towers", Aperture(1.0, 12.0))
     corner = replace(case.camera, region=(0, 0, 24, 24))
-    narrow, wide = (prepare(case.scene, c, LENS, 4, STORE) for c in (corner, prepared_for(case.scene, corner, STORE)))
+    narrow, wide = (
+        prepare(case.scene, c, LENS, 4, STORE) for c in (corner, camera_of_whole_lens(case.scene, corner, STORE))
+    )
     assert wide.cut.splats > narrow.cut.splats
-    assert prepared_for(case.scene, replace(corner, aperture=None), STORE).window == corner.window
+    assert camera_of_whole_lens(case.scene, replace(corner, aperture=None), STORE).window == corner.window
 
 
 def test_a_viewport_keeps_the_depths_that_the_middle_of_the_lens_sees():

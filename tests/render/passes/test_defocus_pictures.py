@@ -78,7 +78,7 @@ def test_the_shader_is_the_reference(name):
     kept = {key: frame.device.read(texture).reshape(-1, 4)[: lit.count] for key, texture in lit.textures.items()}
     kept = {key: texels.astype(float) for key, texels in kept.items()}
     principal = np.array(frame.view.pixel_from_view()[2:], np.float32).astype(float)  # as the shader knows it
-    corner = frame.shot.corner
+    corner = frame.frame_plan.corner
     frame.release()
 
     place, shape, source = kept["ps_centre"], kept["ps_shape"], kept["ps_source"]
@@ -499,7 +499,7 @@ def test_a_world_that_is_not_blurred_takes_no_pass_for_it():
     for what, aperture, more, because in (
         (case, None, {}, "the camera has no depth of field"),
         (case, Aperture(1e-4, 4.0), {}, "the world is in focus"),
-        (case, lens, {"dof_method": "LENS_SAMPLES"}, "each sample sees it through a place on the lens"),
+        (case, lens, {"dof_method": "LENS_SAMPLES"}, "each sample sees it through a point on the lens"),
         (before_the_world(parallel=3.0), lens, {}, "parallel rays see one direction of the world"),
         (replace(case, scene=replace(case.scene, transparent=True)), lens, {}, "the film is transparent"),
         (replace(case, scene=replace(case.scene, world=World(np.ones(3)))), lens, {}, "the world is of one colour"),

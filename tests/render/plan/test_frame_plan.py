@@ -1,4 +1,4 @@
-"""What is decided of a picture before anything of it is on a device."""
+"""Planning a frame: what is decided before anything of it is on a device."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from pointsplat_addon.core.lod.cost import DEFAULT
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.devices.null import LIMITS, NullDevice
 from pointsplat_addon.render.device.clock import Cancelled, Clock
-from pointsplat_addon.render.plan.frame_plan import Shot, make_shot
+from pointsplat_addon.render.plan.frame_plan import FramePlan, make_frame_plan
 from pointsplat_addon.render.plan.request import Request
 from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.cases import CASES
@@ -18,14 +18,16 @@ from scripts.scenes.store import STORE
 COMBINED = frozenset({"combined"})
 
 
-def shot(case: Case, request: Request, clock: Clock | None = None, presented: bool = False) -> Shot:
-    return make_shot(case.scene, request, STORE, LIMITS, DEFAULT, clock or Clock(NullDevice()), presented, picture=True)
+def planned(case: Case, request: Request, clock: Clock | None = None, presented: bool = False) -> FramePlan:
+    return make_frame_plan(
+        case.scene, request, STORE, LIMITS, DEFAULT, clock or Clock(NullDevice()), presented, picture=True
+    )
 
 
 @pytest.mark.parametrize("name", ["empty", "mixed", "smoke", "strands", "environment"])
-def test_nothing_of_a_shot_is_on_the_device(name):
+def test_planning_a_frame_puts_nothing_on_the_device(name):
     device = NullDevice()
-    shot(CASES[name](), CASES[name]().request(), Clock(device))
+    planned(CASES[name](), CASES[name]().request(), Clock(device))
     assert not device.textures
     assert not device.calls
 
@@ -33,7 +35,7 @@ def test_nothing_of_a_shot_is_on_the_device(name):
 @pytest.mark.parametrize("name", ["mixed", "region", "cube"])
 def test_a_picture_of_the_cameras_window_lies_within_that_of_the_view(name):
     case = CASES[name]()
-    found = shot(case, case.request())
+    found = planned(case, case.request())
     width, height = found.size
     assert found.size == case.camera.window[2:]
     inner = np.arange(1.0, 1.0 + width * height).reshape(height, width)
@@ -43,7 +45,7 @@ def test_a_picture_of_the_cameras_window_lies_within_that_of_the_view(name):
     assert outer.sum() == inner.sum()
 
 
-def test_what_knows_no_blur_is_the_picture_of_a_camera_without_a_lens():
+def test_auxiliary_passes_are_drawn_by_a_camera_without_a_lens():
     case = CASES["mixed"]()
     camera = replace(case.camera, aperture=Aperture(0.2, 3.0))
     for passes, presented, samples in (
@@ -53,18 +55,18 @@ def test_what_knows_no_blur_is_the_picture_of_a_camera_without_a_lens():
         (COMBINED | {"normal"}, False, 4),
         (ALL_PASSES, False, 4),
     ):
-        found = shot(case, Request(camera, case.settings, passes, 4), presented=presented)
+        found = planned(case, Request(camera, case.settings, passes, 4), presented=presented)
         assert found.plan.defocus
         assert found.request.passes == COMBINED
-        assert (found.beside is not None) == (samples > 0)
-        if found.beside is not None:
-            scene, request = found.beside
+        assert (found.auxiliary is not None) == (samples > 0)
+        if found.auxiliary is not None:
+            scene, request = found.auxiliary
             assert (request.camera.aperture, request.samples) == (None, samples)
             assert request.passes == passes - COMBINED
             assert not scene.lights
 
 
-def test_a_shot_that_is_not_wanted_is_not_made():
+def test_a_cancelled_frame_is_not_planned():
     case = CASES["mixed"]()
     with pytest.raises(Cancelled):
-        shot(case, case.request(), Clock(NullDevice(), cancelled=lambda: True))
+        planned(case, case.request(), Clock(NullDevice(), cancelled=lambda: True))

@@ -7,7 +7,7 @@ import pytest
 
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import LIMITS, NullDevice
-from pointsplat_addon.render.plan.technique import choose
+from pointsplat_addon.render.plan.technique import TechniqueInput, decide_technique
 from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, cases, clouds
 from scripts.scenes.case import Case
@@ -82,6 +82,6 @@ def test_what_cannot_be_done_is_said(technique):
 
 def test_textured_meshes_count_as_coloured_and_polygons_do_not():
     textured = cases.CASES["textured"]().scene
-    assert choose(Settings(), textured, 16, False, True).name == "EWA"
+    assert decide_technique(TechniqueInput(Settings(), textured, 16, False, True)).name == "EWA"
     solid = replace(textured, geometries=tuple(replace(g, primitive="POLYGONS") for g in textured.geometries))
-    assert choose(Settings(), solid, 16, False, True).name == "IMAGE_SPACE"
+    assert decide_technique(TechniqueInput(Settings(), solid, 16, False, True)).name == "IMAGE_SPACE"

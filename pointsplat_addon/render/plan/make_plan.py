@@ -1,0 +1,278 @@
+"""Decides which passes, targets and shader variants one view needs, with a reason for each that is left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...core.light.light_table import light_names
+from ...core.material.graph import MaterialGraph
+from ...core.scene.cloud import PointCloud
+from ...core.scene.scene import Scene
+from ...core.scene.strands import Strands
+from ...core.surface.appearance import graphs_of
+from ..passes.ewa.options import EwaOptions
+from ..passes.ewa.options import options as ewa_options
+from ..passes.gbuffer import Variant
+from ..passes.pages.point_page import PointOptions
+from ..passes.shading.averages import averaged
+from ..passes.shading.data import NEED_OWNER, data
+from ..passes.translucent.options import TranslucentOptions
+from ..passes.translucent.options import options as translucent_options
+from ..prepare.point_sets import PointSet
+from ..prepare.prepare import Prepared
+from ..shadow.shadows import Shadows
+from .plan import Plan
+from .reasons import Absences, reasons
+from .request import Request
+
+EXACT_HALF = 2048  # integers below it are exact as half floats
+
+
+@dataclass(frozen=True, eq=False)
+class ViewToPlan:
+    """All that a plan depends on: one view of a scene, prepared."""
+
+    scene: Scene
+    prepared: Prepared  # for the painter and for defocus, with the splats that they draw among the translucent ones
+    request: Request
+    shadows: Shadows | None  # None: no light has a table of shadows
+    ewa: bool  # the technique of opaque points is EWA
+    painter: bool  # the technique is the painter, and there are opaque points
+    reflects: bool  # something that is drawn reflects light
+    picture: bool  # Combined is wanted; else nothing is lit and nothing translucent is drawn
+    absences: Absences  # why what the view has not is not there
+
+    @property
+    def defocus(self) -> bool:
+        """Whether something is out of focus, which the pass `defocus` draws together with all that is translucent."""
+        return self.prepared.out_of_focus is not None
+
+
+@dataclass(frozen=True)
+class _Kinds:
+    """The kinds of opaque things that a view has."""
+
+    points: bool
+    polygons: bool
+    spheres: bool
+    lines: bool
+    solid: bool  # the G-buffer that is shaded holds something
+
+
+@dataclass(frozen=True)
+class _Attributes:
+    """What varies within a material, among all that is opaque: the G-buffer has a texture for each."""
+
+    color: bool
+    surface: bool  # roughness and metallic
+    emission: bool
+
+
+def make_plan(view: ViewToPlan) -> Plan:
+    """Returns the plan of one view of a scene."""
+    scene, passes = view.scene, view.request.passes
+    kinds = _kinds(view)
+    translucent = _translucent(view, kinds)
+    attributes = _attributes(view, kinds)
+    varies = attributes.surface or (translucent is not None and translucent.surface)
+    lighting = _lighting(view, varies, drawn=kinds.solid or translucent is not None)
+    normals = bool(lighting) or attributes.surface or "normal" in passes
+    variant, data_variant = _variants(view, kinds, attributes, normals)
+    ewa = _ewa(view, kinds)
+    plan = Plan(
+        kinds.points,
+        kinds.polygons,
+        kinds.spheres,
+        kinds.lines,
+        variant,
+        data_variant,
+        _point_options(view, kinds, normals, ewa),
+        lighting,
+        _materials(scene, varies),
+        background=_background(view),
+        data=_data(view, kinds),
+        translucent=translucent,
+        coarse=_coarse_translucent(view, translucent),
+        ewa=ewa,
+        world=() if scene.transparent else _world(scene),
+        painter=view.painter,
+        defocus=view.defocus,
+        backdrop=not view.absences.blurred_world,
+        picture=view.picture,
+        shades=view.picture or bool(averaged(passes)),
+    )
+    return replace(plan, skipped=tuple(reasons(plan, passes, view.absences).items()))
+
+
+# Points and other opaque things
+
+
+def _kinds(view: ViewToPlan) -> _Kinds:
+    prepared = view.prepared
+    points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
+    spheres, lines = prepared.spheres.cut.splats > 0, len(prepared.strands) > 0
+    return _Kinds(points, polygons, spheres, lines, polygons or spheres or lines or (points and not view.painter))
+
+
+def _opaque_sets(prepared: Prepared) -> list[PointSet]:
+    return [*prepared.point_sets.values(), *prepared.spheres.point_sets.values()]
+
+
+def _point_options(view: ViewToPlan, kinds: _Kinds, normals: bool, ewa: EwaOptions | None) -> PointOptions:
+    """The shader variants of points and balls. `normals`: shading reads them. `ewa`: as in the plan."""
+    scene, prepared, request = view.scene, view.prepared, view.request
+    sets = _opaque_sets(prepared)
+    normals = normals or view.painter or bool(data(request.passes))
+    shown = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])
+    holdout = bool(_holdouts(scene)[shown].any())
+    return PointOptions(
+        shading_normal=normals and any(p.cloud.shading_normal is not None for p in sets),
+        facets=normals and any(p.cloud.facets is not None for p in sets),
+        cull=kinds.points and bool(scene.materials.cull.any()),
+        holdout=holdout,
+        ellipses=any(p.hierarchy is not None or p.cloud.axis is not None for p in sets),
+        one_instance=not holdout and len(np.unique(shown)) == 1,
+        disconnected=any(p.cloud.disconnected is not None for p in sets),
+        depth=kinds.polygons or kinds.spheres or kinds.lines,
+        coarse=request.coarse and ewa is None,
+    )
+
+
+def _holdouts(scene: Scene) -> np.ndarray:
+    """(I,) bool: instances that cut holes into the picture."""
+    return np.zeros(len(scene.instances), bool) if scene.instances.holdout is None else scene.instances.holdout
+
+
+def _ewa(view: ViewToPlan, kinds: _Kinds) -> EwaOptions | None:
+    """The options of EWA; None where it draws nothing."""
+    if not (view.ewa and kinds.points):
+        return None
+    balls = any(p.cloud.normal is None for p in view.prepared.point_sets.values())
+    return ewa_options(view.request.camera, view.prepared.largest, balls, view.request.samples)
+
+
+# Variants of the G-buffer
+
+
+def _attributes(view: ViewToPlan, kinds: _Kinds) -> _Attributes:
+    scene, prepared = view.scene, view.prepared
+    clouds: list[PointCloud | Strands] = [p.cloud for p in _opaque_sets(prepared)]
+    clouds += [found for row in prepared.strands if (found := scene.geometries[row].strands) is not None]
+    channels = {name for graph in _graphs(scene, prepared) for name in graph.channels} if kinds.polygons else set()
+    surface = any(c.surface is not None for c in clouds) or bool(channels & {"roughness", "metallic"})
+    return _Attributes(
+        color=surface or any(c.color is not None for c in clouds) or bool(channels & {"base_color", "alpha"}),
+        surface=surface,
+        emission=view.picture and (any(c.emission is not None for c in clouds) or "emission" in channels),
+    )
+
+
+def _graphs(scene: Scene, prepared: Prepared) -> list[MaterialGraph]:
+    """The material graphs of the meshes that are drawn as polygons."""
+    rows = np.unique(scene.instances.geometry[prepared.polygons]) if len(prepared.polygons) else []
+    meshes = [scene.geometries[int(row)].mesh for row in rows]
+    return [graph for mesh in meshes if mesh is not None for graph in graphs_of(mesh, scene.materials).values()]
+
+
+def _variants(view: ViewToPlan, kinds: _Kinds, attributes: _Attributes, normals: bool) -> tuple[Variant, Variant]:
+    """The variants of the G-buffer that is shaded and of the one that passes without averages read."""
+    passes = view.request.passes
+    owner = bool(passes & set(NEED_OWNER))
+    wide = len(view.scene.materials) >= EXACT_HALF
+    pyramid = kinds.points and not view.ewa
+    variant = Variant(
+        normals,
+        attributes.color,
+        attributes.surface,
+        attributes.emission,
+        wide=wide,
+        front=pyramid and not view.painter,
+    )
+    if view.painter:
+        data_variant = replace(variant, normal=True, emission=False, owner=owner, front=pyramid)
+    else:
+        data_variant = Variant(owner=owner, wide=wide, front=pyramid)
+    if not view.picture and not averaged(passes):
+        variant = data_variant
+    return variant, data_variant
+
+
+# Lighting and materials
+
+
+def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
+    """Names of the defines of lights, world and shadows. `varies`: roughness varies within a material. `drawn`:
+    something is drawn."""
+    scene = view.scene
+    found: tuple[str, ...] = ()
+    if drawn and view.reflects and view.picture:
+        smoothest = 0.0 if varies else float(scene.materials.roughness.min())
+        found = (*_world(scene), *light_names(scene.lights, smoothest))
+    if view.shadows is not None:
+        packed = view.shadows.packed
+        named = {
+            "PS_SHADOW_COLORED": packed.colored,
+            "PS_SHADOW_SOLID": packed.only_opaque,
+            "PS_SHADOW_SUNS": packed.only_suns,
+            "PS_SHADOW_HARD": packed.no_light_has_size,
+        }
+        found += ("PS_SHADOWS", "PS_SHADOW_SAMPLE", *(name for name, on in named.items() if on))
+    return found
+
+
+def _materials(scene: Scene, varies: bool) -> tuple[str, ...]:
+    """Names of the defines of materials. `varies`: roughness and metallic vary within a material."""
+    table = scene.materials
+    metal = varies or bool((table.metallic > 0).any())
+    found = {
+        "PS_HAS_METAL": metal,
+        "PS_HAS_GLOW": bool((table.emission > 0).any()),
+        "PS_ONE_SURFACE": not metal
+        and all(bool((values == values[0]).all()) for values in (table.roughness, table.ior, table.specular)),
+    }
+    return tuple(name for name, needed in found.items() if needed)
+
+
+# Translucent splats
+
+
+def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
+    """The options of translucent splats; None where none is drawn."""
+    layer = view.prepared.translucent
+    clouds = [p.cloud for p in layer.point_sets.values()]
+    if not (clouds and view.picture):
+        return None
+    holdout = bool(_holdouts(view.scene)[layer.set_of_instance >= 0].any())
+    return translucent_options(clouds, view.scene.materials, kinds.solid, holdout, view.defocus)
+
+
+def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None) -> bool:
+    """Whether the first sample's translucent layer has fewer pixels."""
+    if translucent is None or view.defocus or not view.request.interactive:
+        return False
+    return not (translucent.tint or translucent.holdout or translucent.fuzzy)
+
+
+# World and background
+
+
+def _world(scene: Scene) -> tuple[str, ...]:
+    """Names of the defines of the world's light."""
+    if scene.world.image is not None:
+        return ("PS_HAS_ENVIRONMENT",)
+    return ("PS_HAS_WORLD",) if np.any(scene.world.color > 0) else ()
+
+
+def _background(view: ViewToPlan) -> bool:
+    """Whether the pass `background` draws the world: the pass `defocus` does so where it runs."""
+    return ((not view.scene.transparent and view.picture) or "mist" in view.request.passes) and not view.defocus
+
+
+# Passes for data
+
+
+def _data(view: ViewToPlan, kinds: _Kinds) -> bool:
+    """Whether the pass `data` runs."""
+    return (kinds.solid or kinds.points) and bool(data(view.request.passes))
