@@ -67,7 +67,8 @@ def polygon_balls(scene: Scene, prepared: Prepared, store: Store) -> Iterator[Ba
 
 
 def ball_of_all_drawn(scene: Scene, prepared: Prepared, store: Store) -> tuple[np.ndarray, float]:
-    """Returns centre (3,) in view space and radius of a ball about all that is drawn; it is infinite if there are strands."""
+    """Returns centre (3,) in view space and radius of a ball about all that is drawn; it is infinite if there are
+    strands."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     layers = (prepared, prepared.translucent, prepared.spheres)
     found = [ball for layer in layers for ball in layer_balls(layer, prepared.view_from_object, store)]

@@ -1,7 +1,7 @@
 """Chooses points or polygons for each mesh, and samples points as densely as a view needs them.
 
-Sample positions on a mesh depend on its topology and an octave of spacing alone: views and frames share them, and a mesh that
-deforms keeps them and does not shimmer.
+Sample positions on a mesh depend on its topology and an octave of spacing alone: views and frames share them, and a
+mesh that deforms keeps them and does not shimmer.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ All are bounds, not estimates. A light of irradiance E adds at most E times
     a (1 + g) / (4 pi (1 - g)^2)         in media: Henyey and Greenstein's phase function straight ahead.
 
 Where colours of their own have no bound that is known without looking at every texel, only what is exactly black is
-left out. Translucent matter is left out only where it is exactly clear (render/prepare/in_view.py): what shows through has no
-bound. Mist changes a pass of its own alone.
+left out. Translucent matter is left out only where it is exactly clear (render/prepare/in_view.py): what shows through
+has no bound. Mist changes a pass of its own alone.
 """
 
 from __future__ import annotations

@@ -228,7 +228,8 @@ def _strand_segments(
 
 
 def _sort_by_focus(view: View, focus: FocusSorter, drawn: _DrawnPrimitives) -> None:
-    """Adds to `focus` all opaque primitives that may be out of focus; removes from `drawn` those that cannot be in it."""
+    """Adds to `focus` all opaque primitives that may be out of focus; removes from `drawn` those that cannot be in
+    it."""
     geometries, geometry_of = view.scene.geometries, view.scene.instances.geometry
     for kind in (drawn.opaque, drawn.spheres):
         for key, points in list(kind.sets.items()):

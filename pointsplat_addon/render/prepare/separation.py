@@ -22,8 +22,8 @@ from ..cache.store import Store
 def separate_translucent(scene: Scene, store: Store) -> tuple[Scene, tuple[str, ...]]:
     """Returns the validated scene with geometries that are opaque or translucent as a whole, and warnings.
 
-    It is the scene itself if nothing has to change. Instances keep their rows. The translucent part of a mesh is a further geometry with instances of its own,
-    which follow after all others.
+    It is the scene itself if nothing has to change. Instances keep their rows. The translucent part of a mesh is a
+    further geometry with instances of its own, which follow after all others.
     """
     warnings: list[str] = []
     geometries: list[Geometry] = []

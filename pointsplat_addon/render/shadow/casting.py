@@ -82,7 +82,8 @@ def casting_geometries(scene: Scene, store: Store) -> list[CastingGeometry]:
 
 
 def bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the corners (3,) float64 of a geometry's bounding box, splats included, in object space; low > high: empty."""
+    """Returns the corners (3,) float64 of a geometry's bounding box, splats included, in object space; low > high:
+    empty."""
     mesh, cloud = geometry.mesh, geometry.cloud
     if mesh is not None and len(mesh.triangles):
         found = cached_mesh_extents(geometry, mesh, store)

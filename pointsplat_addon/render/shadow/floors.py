@@ -74,7 +74,8 @@ def _has_nothing_behind(scene: Scene, point: np.ndarray, normal: np.ndarray, mat
 
 
 def _lies_above(geometry: Geometry, matrices: np.ndarray, point: np.ndarray, normal: np.ndarray, store: Store) -> bool:
-    """Tells whether all instances of a geometry, (I, 4, 4) world from object, lie above a plane in the world, or on it."""
+    """Tells whether all instances of a geometry, (I, 4, 4) world from object, lie above a plane in the world, or on
+    it."""
     low, high = store.lookup(Key(Kind.CASTER_BOX, geometry.key), lambda: bounding_box(geometry, store))
     if not (low <= high).all():
         return True

@@ -172,7 +172,8 @@ def test_programs_declare_only_what_their_code_names(name):
 
 @pytest.mark.parametrize("name", ROWS)
 def test_uniform_blocks_hold_only_what_their_code_names(name):
-    """The camera's fields come together; functions of lib/geometry/camera.glsl that a program does not call name some."""
+    """The camera's fields come together; functions of lib/geometry/camera.glsl that a program does not call name
+    some."""
     camera = {declared for _, declared in CAMERA_FIELDS}
     for interface in found(name).device.interfaces:
         declared = {field for _, field in interface.block.fields} if interface.block else set()
