@@ -1,4 +1,4 @@
-"""Cryptomatte: ranked coverage of identities from samples."""
+"""Computes Cryptomatte: the ranked coverage of identities among samples."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import numpy as np
 
 
 def cryptomatte(hashes: np.ndarray, levels: int) -> list[np.ndarray]:
-    """Ranked coverage (Cryptomatte specification 1.2) of identities (S, H, W) uint32, 0 where there is none.
+    """Ranks the identities of each pixel by coverage (Cryptomatte specification 1.2).
 
-    Returns ceil(levels / 2) pictures (H, W, 4) float32: identity and coverage of two ranks each, identities by bits.
+    `hashes`: (S, H, W) uint32 identities of S samples; 0: none. Returns ceil(levels / 2) pictures (H, W, 4) float32
+    with identity and coverage of two ranks each; the bits of an identity are stored as a float.
     """
     samples, height, width = hashes.shape
     pairs = (levels + 1) // 2

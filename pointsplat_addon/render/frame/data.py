@@ -1,4 +1,4 @@
-"""Passes that are not averaged, as they are read from the device: from the first sample, identities from all."""
+"""Reads passes that are not averaged from the device: from the first sample, but identities from all samples."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class DataPasses:
         return bool(self.request.passes & set(CRYPTO))
 
     def read(self, textures: Sequence[Texture], read: Callable[[Texture], np.ndarray], first: bool) -> None:
-        """Reads and keeps what is needed of one sample.
+        """Reads the textures that are needed of one sample, and keeps their pixels.
 
-        `textures`: what the pass `data` has drawn; `read` returns the pixels of one, (H, W, 4) float32; `first`:
+        `textures`: those that the pass `data` has drawn; `read` returns the pixels of one, (H, W, 4) float32; `first`:
         whether this is the picture's first sample, of which all textures are read.
         """
         for name, texture in zip(data(self.request.passes), textures, strict=True):
@@ -43,7 +43,7 @@ class DataPasses:
                 self._identities.append(picture[..., :2].astype(np.int32))
 
     def pixels(self) -> dict[str, np.ndarray]:
-        """The finished passes by name, (H, W, C) float32 each; those whose textures were not read are left out."""
+        """Returns the finished passes by name, (H, W, C) float32; passes whose textures were not read are left out."""
         scene, first = self.scene, self._first
         out = {}
         if "position" in first:
@@ -63,14 +63,14 @@ class DataPasses:
 
     def _cryptomatte(self, key: str, column: int, table: np.ndarray | None) -> dict[str, np.ndarray]:
         known = np.zeros(len(self.scene.instances), np.uint32) if table is None else table.astype(np.uint32)
-        padded = np.append(known, np.uint32(0))  # -1, and what is no row, look up the last: no identity
+        padded = np.append(known, np.uint32(0))  # -1 and indices beyond the table look up the last: no identity
         hashes = padded[np.minimum(np.stack([ids[..., column] for ids in self._identities]), len(known))]
         pictures = cryptomatte(hashes, self.request.crypto_levels)
         return {f"{key}{i:02d}": picture for i, picture in enumerate(pictures)}
 
 
 def _looked_up(table: np.ndarray | None, index: np.ndarray) -> np.ndarray:
-    """(H, W, 1) float32: table[index], 0 where the index is negative or no row of the table."""
+    """Returns table[index] as (H, W, 1) float32; 0 where the index is negative or beyond the table."""
     if table is None or len(table) == 0:
         return np.zeros((*index.shape, 1), np.float32)
     there = (index >= 0) & (index < len(table))

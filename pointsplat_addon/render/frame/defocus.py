@@ -1,6 +1,6 @@
-"""What of a picture is out of focus: gathered once for all samples, over the mean of what is in focus.
+"""Gathers the splats of a picture that are out of focus, once for all samples, over the mean of those in focus.
 
-Of passes that know no blur, there is a picture beside it that has no lens.
+Passes that are not blurred come from an auxiliary picture without a lens.
 """
 
 from __future__ import annotations
@@ -25,8 +25,11 @@ from .uploads.uploads import Uploads
 
 
 def in_focus(camera: Camera, plan: Plan, largest: float) -> tuple[float, float]:
-    """Depths between which something may be; in image space, that shows of points what is beside them, too. `largest`:
-    radius of splats in pixels."""
+    """Returns the nearest and farthest depth, in scene units, at which something may be in focus.
+
+    `largest`: radius of the widest splat in pixels. Image-space reconstruction spreads points over their neighbours,
+    which widens the range. The camera must have an aperture.
+    """
     blur = defocus_blur(camera)
     assert blur is not None
     near, far = blur.depth_range(OUT_OF_FOCUS)
@@ -38,7 +41,7 @@ def in_focus(camera: Camera, plan: Plan, largest: float) -> tuple[float, float]:
 
 
 class OutOfFocus:
-    """The splats of one picture that are out of focus, with those that are translucent."""
+    """Draws the splats of one picture that are out of focus, together with the translucent ones."""
 
     def __init__(
         self,
@@ -49,7 +52,11 @@ class OutOfFocus:
         transparent: bool,
         run: Callable[[str, Callable[[], None]], None],
     ) -> None:
-        """`transparent`: the film is. `run` times each pass. DeviceError: more splats than a texture holds."""
+        """Prepares to light the splats.
+
+        `transparent`: whether the film is. `run` times each pass. Raises DeviceError if there are more splats than a
+        texture holds.
+        """
         assert plan.translucent is not None
         assert uploads.translucent is not None
         self.splats = uploads.translucent
@@ -68,8 +75,11 @@ class OutOfFocus:
         backdrop_texels: tuple[float, float] | None,
         adaptive: Adaptive | None,
     ) -> None:
-        """The picture after `done` samples of what is in focus. `view`: of rays through pixels' centres. `behind`: the
-        world out of focus, by sampler name. `adaptive`: where pixels differ in how many samples they have."""
+        """Draws the picture after `done` samples of the parts in focus.
+
+        `view`: of rays through pixel centres. `behind`: texture of the world out of focus, by sampler name.
+        `backdrop_texels`: its texels that a pixel spans. `adaptive`: given if pixels differ in their number of samples.
+        """
         if self.gathered == done or (self.gathered and not self.plan.solid):
             return
         self.gathered = done
@@ -94,7 +104,7 @@ class OutOfFocus:
         self.lit.light(view, len(self.uploads.scene.lights), {**self.splats.textures, **self.uploads.shading})
 
     def _list(self, view: SampleView) -> None:
-        """By the tiles of the picture."""
+        """Lists the lit splats by the tiles of the picture that they overlap."""
         lit = self.lit
         centre, shape = (
             self.device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_centre", "ps_shape")

@@ -47,12 +47,15 @@ class Frame:
         presented: bool = False,
         picture: bool = True,
     ) -> None:
-        """`presented`: between samples too. `picture`: with Combined, not auxiliary passes alone."""
+        """Plans the picture and allocates what it needs on the device.
+
+        `presented`: the picture is shown between samples. `picture`: draw Combined, not only auxiliary passes.
+        """
         self.renderer, self.presented = renderer, presented
         self.device = renderer.device
         self.clock = Clock(self.device, cancelled)
-        self.whole = scene  # as it was given
-        # What comes before anything is on the device can be cancelled.
+        self.whole = scene  # before anything was left out of it
+        # Planning can be cancelled: nothing is on the device yet.
         self.frame_plan = make_frame_plan(
             scene, request, renderer.store, self.device.limits, renderer.costs, self.clock, presented, picture
         )
@@ -173,7 +176,7 @@ class Frame:
             self.beside.sample()
 
     def _draw_surfels(self, view: SampleView, first: bool) -> None:
-        """Draws what is opaque into G-buffers, and the passes that no light changes."""
+        """Draws opaque primitives into G-buffers, and the passes that do not depend on light."""
         plan, uploads, run = self.frame_plan.plan, self.uploads, self.clock.run
         surfels, data_surfels = self.targets.surfels, self.targets.data_surfels
         projection = self.targets.projection
@@ -196,13 +199,13 @@ class Frame:
             run("averages", lambda: self.shading.average(view))
 
     def _sample_view(self, index: int) -> SampleView:
-        """The view of one sample."""
+        """Returns the view of one sample, with its offset within the pixel."""
         samples = self.frame_plan.request.samples
         x, y = offsets(samples)[index] if samples > 1 else (0.0, 0.0)
         return view_of(self.view, (float(x), float(y)), index)
 
     def _centred(self) -> SampleView:
-        """The view of rays through pixels' centres."""
+        """Returns the view whose rays go through pixel centres."""
         return view_of(self.view)
 
     def _draw_data(self, view: SampleView) -> None:
@@ -215,8 +218,8 @@ class Frame:
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 
     def _draw_translucent(self, translucent: Translucent, view: SampleView, first: bool) -> None:
-        # Their light is the same for all samples, but for the lens, and for the shadows of wide lights, which they blur
-        # among each other.
+        # All samples share the light of translucent splats, except with a lens or shadows of wide lights, whose points
+        # are averaged over samples.
         shadows = self.frame_plan.shadows
         points = lighting_of_sample(self.frame_plan.request, self.done) if shadows is not None and shadows.wide else 0
         if first or points != translucent.lit_by or self.lens is not None:
@@ -224,13 +227,13 @@ class Frame:
         translucent.draw(view, gbuffer_textures(self.targets.surfels), coarse=first and self.frame_plan.plan.coarse)
 
     def _adapt(self, adaptive: Adaptive) -> None:
-        """Leaves out what no tile needs any more."""
+        """Narrows the drawn points to those in tiles that still need samples."""
         view, projection, uploads = self._sample_view(0), self.targets.projection, self.uploads
         if adaptive.check(self.done) and projection is not None and not adaptive.finished:
             uploads.points.narrow(projection.within(uploads.points.draws, view, uploads.shared, adaptive.gathered))
 
     def _gather(self) -> None:
-        """Gathers what is out of focus into the picture so far."""
+        """Gathers the splats that are out of focus into the picture so far."""
         if self.out_of_focus is not None:
             behind, texels = self.shading.backdrop_textures, self.shading.backdrop_texels
             self.out_of_focus.gather(self.done, self._centred(), behind, texels, self.adaptive)
@@ -244,12 +247,14 @@ class Frame:
 
     @property
     def color(self) -> Texture:
-        """Sum of the samples so far, premultiplied, scene-linear; `present` averages."""
+        """The texture of the sum of all samples so far: premultiplied, scene-linear. `present` averages it."""
         return self.targets.sums[0] if self.out_of_focus is None else self.targets.seen
 
     def other(self, request: Request, samples: int) -> np.ndarray | None:
-        """Returns the mean (H, W, 4) of so many samples of the same scene by another request; None where that draws the
-        same."""
+        """Returns the mean, (H, W, 4) float32, of `samples` samples of the scene by another request.
+
+        Returns None if that request would draw the same picture.
+        """
         frame = Frame(self.renderer, self.whole, request, self.clock.cancelled)
         try:
             a, b = frame.frame_plan, self.frame_plan
@@ -263,12 +268,12 @@ class Frame:
             frame.release()
 
     def hold(self, squares: np.ndarray, limit: float) -> None:
-        """Adaptive sampling goes on where the root mean of these squared errors (H, W) exceeds `limit` in a tile."""
+        """Continues adaptive sampling in tiles where the root mean of the squared errors (H, W) exceeds `limit`."""
         if self.adaptive is not None:
             self.adaptive.hold(self.frame_plan.padded(squares), limit)
 
     def present(self) -> None:
-        """Draw the average so far and its depth into the framebuffer that is bound, in the viewport that is set."""
+        """Draws the average so far and its depth into the bound framebuffer, within the current viewport."""
         if self.frame_plan.trivial:
             self._present_constant()
             return
@@ -280,7 +285,7 @@ class Frame:
 
     @property
     def _centre(self) -> Texture | None:
-        """The texture with the depths of an image without a lens, which hide what Blender draws."""
+        """Returns the texture with depths of a picture without a lens, which occlude Blender's own drawing."""
         if self.lens is not None and self.lens.centre is not None:
             return self.lens.centre
         if self.adaptive is not None and self.out_of_focus is None:
@@ -289,7 +294,7 @@ class Frame:
         return gbuffer_textures(drawn.targets.data_surfels).get("ps_centre")
 
     def _present_constant(self) -> None:
-        """A world of one colour needs no picture: one texel does."""
+        """Presents a world of one colour, for which one texel suffices."""
         texel = self.device.texture((1, 1), "RGBA32F", self.frame_plan.world_color.astype(np.float32))
         present.draw_picture(self.device, self.frame_plan.request.camera, (0, 0), texel, 1.0, size=(1, 1))
         texel.release()
@@ -297,11 +302,11 @@ class Frame:
     # Results
 
     def counts(self) -> np.ndarray | int:
-        """(H, W, 1) float32, or one for all pixels: how many samples each of them has."""
+        """Returns how many samples each pixel has: (H, W, 1) float32, or one number for all pixels."""
         return max(self.done, 1) if self.adaptive is None else self.frame_plan.cropped(self.adaptive.samples(self.done))
 
     def in_focus(self) -> np.ndarray | None:
-        """(H, W, 1) float32: the share of each pixel that its samples show in focus; None: nothing is out of it."""
+        """Returns the share of each pixel that is in focus, (H, W, 1) float32; None if nothing is out of focus."""
         if self.out_of_focus is None:
             return None
         return self._cropped(self.targets.focus)[..., 1:2] / self.counts()
@@ -344,7 +349,7 @@ class Frame:
         return self.frame_plan.cropped(self.device.read(texture))
 
     def release(self) -> None:
-        """Frees what only this picture needed."""
+        """Frees everything on the device that only this picture needs."""
         self.clock.release()
         for item in self._owned:
             item.release()

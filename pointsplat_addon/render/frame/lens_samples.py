@@ -1,8 +1,8 @@
-"""Depth of field by samples that are drawn through points on the lens (Cook et al. 1984; Haeberli and Akeley 1990).
+"""Draws depth of field by samples through points on the lens (Cook et al. 1984; Haeberli and Akeley 1990).
 
-The cut, the pages and the lists of what is drawn are made once, for a picture that is wide enough for all points; per
-sample only the tables that hold the view are made anew. The first sample is drawn through the middle of the lens, so
-that what moves in a viewport is steady, and passes that are not averaged are those of a camera without a lens.
+The cut, the pages and the draw lists are made once, for a picture that is wide enough for all points; only the tables
+that hold the view are updated for each sample. The first sample is drawn through the centre of the lens, so that moving
+things in a viewport are steady, and passes that are not averaged are those of a camera without a lens.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ class LensSamples:
     """The points on the lens through which one picture is drawn."""
 
     def __init__(self, device: Device, camera: Camera, samples: int) -> None:
-        """`camera`: with an aperture; what it shows is what is drawn."""
+        """Chooses a point on the lens for each of `samples` samples; `camera` must have an aperture."""
         assert camera.aperture is not None
         self.device, self.camera = device, camera
         self.points = lens_points(samples, camera.aperture)
         self.centre: Texture | None = None
 
     def view(self, sample: int, uploads: Uploads) -> Camera:
-        """The camera of a sample, for which `uploads` are moved."""
+        """Returns the camera of a sample, and moves `uploads` to its view."""
         seen = camera_through(self.camera, self.points[sample])
         if sample:
             still = replace(self.camera, view_from_world=np.eye(4))
@@ -37,7 +37,7 @@ class LensSamples:
         return seen
 
     def keep(self, centre: Texture) -> None:
-        """Remember the depths that the middle of the lens sees: what else is drawn in a viewport is hidden by them."""
+        """Copies the depths seen through the centre of the lens, which occlude Blender's drawing in a viewport."""
         self.centre = self.device.texture(centre.size, "RGBA32F")
         self._target = self.device.target([self.centre])
         self.device.draw(KEEP, self._target, textures={"ps_combined": centre})

@@ -1,4 +1,4 @@
-"""Reports what was done for a picture: its passes, their time, and what was left out."""
+"""Reports how a picture was drawn: its passes, their time, and what was left out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .frame import Frame
 
 
 def report(frame: Frame, seconds: float) -> dict[str, Any]:
-    """Returns the report of a picture, as scripts/render.py writes it. `seconds`: that the picture took."""
+    """Returns the report of a picture, as scripts/render.py writes it; `seconds`: the time that the picture took."""
     frame_plan, device, spent = frame.frame_plan, frame.device, _spent(frame)
     drawn = 0 if frame_plan.trivial else sum(lines.drawn for lines in frame.uploads.strands.draws)
     return {
@@ -31,7 +31,7 @@ def report(frame: Frame, seconds: float) -> dict[str, Any]:
 
 
 def _spent(frame: Frame) -> dict[str, float]:
-    """Returns milliseconds by pass, with those of the passes beside what is out of focus."""
+    """Returns milliseconds by pass, including those of the auxiliary picture without a lens."""
     clock = frame.clock
     clock.settle()
     beside = {} if frame.beside is None else _spent(frame.beside)
@@ -46,7 +46,7 @@ def _skipped(frame: Frame, ran: dict[str, float]) -> list[tuple[str, str]]:
 
 
 def _samples(frame: Frame) -> list[tuple[str, str]]:
-    """Returns why there are fewer samples than were asked for."""
+    """Returns the reason if the picture has fewer samples than requested; else an empty list."""
     frame_plan, asked = frame.frame_plan, frame.frame_plan.request.samples
     if frame.ended:
         return [("samples", f"the budget asks for no more than {frame.done}")]

@@ -1,4 +1,4 @@
-"""What a frame takes from its renderer."""
+"""The interface of the renderer's resources that a frame uses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where in a pixel the samples lie, and how many of them agree on an identity."""
+"""Positions of samples within a pixel, and the sample counts after which a picture is checked."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ R2 = np.array([0.7548776662466927, 0.5698402909980532])  # 1 / p and 1 / p^2 of 
 
 @lru_cache(maxsize=8)
 def _blackman_harris(width: float) -> tuple[np.ndarray, np.ndarray]:
-    """The filter's cumulative distribution and where it is tabulated, in pixels from the centre."""
+    """Returns the filter's cumulative distribution and the offsets where it is tabulated, in pixels from the centre."""
     x = np.linspace(-0.5, 0.5, 2049)
     t = 2 * np.pi * (x + 0.5)
     weight = 0.35875 - 0.48829 * np.cos(t) + 0.14128 * np.cos(2 * t) - 0.01168 * np.cos(3 * t)
@@ -24,11 +24,11 @@ def _blackman_harris(width: float) -> tuple[np.ndarray, np.ndarray]:
 
 @lru_cache(maxsize=64)
 def offsets(count: int, width: float = FILTER_WIDTH) -> np.ndarray:
-    """(count, 2) float64: sample positions in pixels from the centre, distributed as the Blackman-Harris filter.
+    """Returns sample positions (count, 2) float64, pixels from the centre, distributed by the Blackman-Harris filter.
 
-    The first is the centre itself; then come pairs that face each other across it, the first of each pair from a
-    rank-one sequence. Any number of first samples fills the pixel evenly, and all together lie around its centre (but
-    for two): what changes linearly over a pixel is exact at once, and edges are a third closer to the filter's integral
+    The first is the centre; then follow pairs that are symmetric about it, the first of each pair from a rank-1
+    sequence. Any number of first samples fills the pixel evenly, and the mean of all is its centre (except for count
+    2): a colour that is linear over a pixel is exact at once, and edges are a third closer to the filter's integral
     than with the sequence alone.
     """
     first = (0.5 + np.arange(count // 2 + 1)[:, None] * R2) % 1.0
@@ -39,5 +39,5 @@ def offsets(count: int, width: float = FILTER_WIDTH) -> np.ndarray:
 
 
 def is_checkpoint(samples: int) -> bool:
-    """Whether a picture is looked at after so many: 1, 3, 5, 9, 17 ..., one and pairs that face each other."""
+    """Tells whether a picture is checked after so many samples: 1, 3, 5, 9, 17 ..., the centre and whole pairs."""
     return samples == 1 or (samples > 2 and not (samples - 1) & (samples - 2))

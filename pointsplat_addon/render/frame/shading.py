@@ -21,7 +21,7 @@ from .uploads.uploads import Uploads
 
 
 class Shading:
-    """The programs that shade one picture, and what they read."""
+    """The programs that shade one picture, and the textures that they read."""
 
     def __init__(
         self,
@@ -33,12 +33,12 @@ class Shading:
         targets: Targets,
         backdrop: Backdrop | None,
     ) -> None:
-        """`backdrop`: the world out of focus, where it is."""
+        """Makes the programs of one picture; `backdrop`: the world out of focus, or None if it is in focus."""
         self._device, self._scene, self._uploads, self._targets, self._backdrop = (
             device, scene, uploads, targets, backdrop,
         )  # fmt: skip
         passes, coverage = request.passes, plan.ewa is not None
-        # Averaged passes of what is painted come from a G-buffer of its own, without light.
+        # Averaged passes of painted splats come from a separate G-buffer, without light.
         self._averages: tuple[Interface, ...] = ()
         if plan.painter and plan.points and averaged(passes):
             self._averages = (
@@ -61,21 +61,21 @@ class Shading:
 
     @property
     def averages(self) -> bool:
-        """Whether averaged passes come from a G-buffer of their own."""
+        """Whether averaged passes come from a separate G-buffer."""
         return bool(self._averages)
 
     @property
     def backdrop_textures(self) -> dict[str, Texture]:
-        """The world out of focus, by sampler name."""
+        """The texture of the world out of focus, by sampler name; empty if it is in focus."""
         return {} if self._backdrop is None else {"ps_backdrop": self._backdrop.texture}
 
     @property
     def backdrop_texels(self) -> tuple[float, float] | None:
-        """Texels of the world out of focus that a pixel spans; None where it is in focus."""
+        """How many texels of the world out of focus a pixel spans along each axis; None if it is in focus."""
         return None if self._backdrop is None else self._backdrop.texels
 
     def draw_backdrop(self, view: SampleView) -> None:
-        """Draws the world out of focus. `view`: of rays through pixels' centres."""
+        """Draws the world out of focus; `view`: of rays through pixel centres."""
         levels = self._uploads.lighting.levels
         assert self._backdrop is not None
         assert levels is not None
@@ -87,12 +87,12 @@ class Shading:
         self._add(self._shade, view, region, textures)
 
     def draw_background(self, view: SampleView, region: Region) -> None:
-        """Adds the world where nothing else is to the sums."""
+        """Adds the world to the sums, where nothing is in front of it."""
         textures = gbuffer_textures(self._targets.surfels) | self._uploads.shading | self.backdrop_textures
         self._add(self._background, view, region, textures)
 
     def average(self, view: SampleView) -> None:
-        """Adds the averaged passes of what is painted to their sums."""
+        """Adds the averaged passes of painted splats to their sums."""
         textures = gbuffer_textures(self._targets.data_surfels) | self._uploads.shading
         target = self._targets.averages_target
         for program in self._averages:

@@ -1,4 +1,4 @@
-"""From projected points and polygons to a closed G-buffer."""
+"""Draws points, polygons, spheres and strands into a G-buffer without holes."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from .uploads.uploads import Uploads
 
 
 class Surfels:
-    """A G-buffer of one variant, with the pyramid that closes it."""
+    """A G-buffer of one variant, with the pyramid that fills the holes between points."""
 
     def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> None:
-        """`count`: levels of the pyramid above the G-buffer."""
+        """Allocates a G-buffer of `size` (width, height) pixels; `count`: levels of the pyramid above it."""
         self.device, self.plan, self.variant = device, plan, variant
         self.buffer = GBuffer(device, variant, size, depth=plan.options.depth)
         self.pyramid = None
@@ -38,8 +38,10 @@ class Surfels:
         run: Callable[[str, Callable[[], None]], None],
         region: Region = EVERYWHERE,
     ) -> None:
-        """One sample: points resolved, polygons rasterised, holes filled. `run` times each pass; outside `region`
-        nothing of it will be looked at."""
+        """Draws one sample: resolves points, rasterises polygons, spheres and strands, and fills holes.
+
+        `run` times each pass. Only pixels in `region` need to be valid.
+        """
 
         def resolve_points(ids: Texture) -> None:
             self.buffer.clear()
@@ -104,7 +106,7 @@ class Surfels:
 
 
 class EwaSurfels(Surfels):
-    """A G-buffer of one variant, closed by blending splats as Gaussians."""
+    """A G-buffer of one variant, without holes because splats are blended as Gaussians (EWA: Zwicker et al. 2001)."""
 
     def __init__(self, device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> None:
         super().__init__(device, plan, variant, size, count)
@@ -119,7 +121,7 @@ class EwaSurfels(Surfels):
         run: Callable[[str, Callable[[], None]], None],
         region: Region = EVERYWHERE,
     ) -> None:
-        """One sample: splats blended and normalised, polygons rasterised."""
+        """Draws one sample: blends and normalises splats, and rasterises polygons, spheres and strands."""
         ewa, shared = self.ewa, uploads.shared
 
         def normalise() -> None:
@@ -140,7 +142,7 @@ class EwaSurfels(Surfels):
 
 
 def make_surfels(device: Device, plan: Plan, variant: Variant, size: tuple[int, int], count: int) -> Surfels:
-    """A G-buffer, and how the plan's technique fills it."""
+    """Returns a G-buffer that is filled by the plan's technique."""
     return (EwaSurfels if plan.ewa else Surfels)(device, plan, variant, size, count)
 
 

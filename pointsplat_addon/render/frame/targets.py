@@ -1,4 +1,4 @@
-"""The textures that one picture is drawn into, lent from frame to frame: making them anew costs as much as a pass."""
+"""The textures that one picture is drawn into, reused from frame to frame: allocating them costs as much as a pass."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from .surfels import Surfels, make_surfels
 
 
 class Targets:
-    """Everything that one sample writes, and the sums over samples."""
+    """The textures and targets that a sample is drawn into, and the sums over samples."""
 
     @releases_on_failure
     def __init__(self, device: Device, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
-        """`count`: levels of the pyramid above the G-buffer."""
+        """Allocates textures of `size` (width, height) pixels; `count`: levels of the pyramid above the G-buffer."""
         self._owned: list[Any] = []
         self._device = device
         self._allocate(plan, passes, size, count)
@@ -36,16 +36,16 @@ class Targets:
         ]
         if self.sums:
             self.sum_target: Target = self._own(device.target(self.sums))
-            # What is translucent lies over the finished picture of each sample, which is then added to the sums.
+            # Translucent splats are drawn over the opaque picture of each sample, which is then added to the sums.
             self.shade_target: Target = self.sum_target
         if plan.defocus:
-            # What is in focus has its depth beside it, and the picture is made of it and of all else at the end.
+            # The parts in focus are summed with their depth; at the end the picture is composed of them and the rest.
             self.focus: Texture = self._own(device.texture(size, "RGBA32F"))
             self.sum_target = self.shade_target = self._own(device.target([*self.sums, self.focus]))
             self.seen: Texture = self._own(device.texture(size, "RGBA32F"))
             self.seen_target: Target = self._own(device.target([self.seen]))
         if plan.painter and plan.points:
-            # Passes that are not painted have a G-buffer of their own.
+            # Passes that are not painted have a separate G-buffer.
             self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
             if len(self.sums) > plan.picture:
                 self.averages_target: Target = self._own(device.target(self.sums[plan.picture :]))
@@ -70,8 +70,8 @@ class Targets:
         if plan.data:
             self.data = [self._own(device.texture(size, "RGBA32F")) for _ in data.data(passes)]
             self.data_target: Target = self._own(device.target(self.data))
-            # Identities cannot be averaged, and motion and positions are asked for once: they have a G-buffer of their
-            # own, so that no sample carries what only one of them needs.
+            # Identities cannot be averaged, and motion and positions are read once: they have a separate G-buffer, so
+            # that samples do not write channels which only one of them needs.
             if plan.data_variant != plan.variant and self.data_surfels is self.surfels:
                 self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
 
@@ -86,14 +86,14 @@ class Targets:
 
 
 class Pool:
-    """Targets that no frame uses: the last set that came back."""
+    """Keeps the targets that were given back last, for the next frame to borrow."""
 
     def __init__(self, device: Device) -> None:
         self.device = device
         self._idle: tuple[tuple, Targets] | None = None
 
     def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
-        """Targets for a plan, and the key to give them back with."""
+        """Returns the key to give targets back with, and the targets for a plan; idle ones if they match."""
         key = (size, count, plan.points, plan.ewa, plan.polygons, plan.spheres, plan.lines, plan.variant, plan.options,
                plan.painter and plan.data_variant, plan.defocus, plan.picture,
                averages.averaged(passes),
@@ -107,6 +107,7 @@ class Pool:
         return key, Targets(self.device, plan, passes, size, count)
 
     def give_back(self, key: tuple, targets: Targets) -> None:
+        """Keeps targets for the next frame, and releases those that were kept before."""
         self.release()
         self._idle = key, targets
 

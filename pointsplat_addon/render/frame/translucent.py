@@ -1,4 +1,4 @@
-"""Translucent splats over the opaque picture of each sample, which is then added to the sums."""
+"""Draws translucent splats over the opaque picture of each sample, which is then added to the sums."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ from ..plan.request import Request
 from .targets import Targets
 from .uploads.uploads import Uploads
 
-LIGHTINGS = 4  # times that translucent splats are lit in one picture, where lights are wide
+LIGHTINGS = 4  # how often translucent splats are lit in one picture, if lights have a size
 
 
 def lighting_of_sample(request: Request, sample: int) -> int:
-    """Returns which points of wide lights light translucent splats in a sample: LIGHTINGS times in a picture; where an
-    error decides how many samples there are, for each pair."""
+    """Returns the index of the points on lights with a size that light translucent splats in a sample.
+
+    It changes LIGHTINGS times in a picture; if an error decides how many samples there are, with each pair of samples.
+    """
     if request.settings.budget == "ERROR":
         return (sample + 1) // 2
     return sample // max(request.samples // LIGHTINGS, 1)
 
 
 class Translucent:
-    """The splats of one picture that are blended over each of its samples."""
+    """Lights the translucent splats of one picture, and blends them over each of its samples."""
 
     def __init__(
         self,
@@ -39,7 +41,11 @@ class Translucent:
         samples: int,
         run: Callable[[str, Callable[[], None]], None],
     ) -> None:
-        """`samples`: of the picture. `run` times each pass. DeviceError: more splats than a texture holds."""
+        """Makes the programs that light and draw the splats.
+
+        `samples`: of the picture. `run` times each pass. Raises DeviceError if there are more splats than a texture
+        holds.
+        """
         assert plan.translucent is not None
         self.device, self.plan, self.uploads, self.targets, self._run = device, plan, uploads, targets, run
         assert uploads.translucent is not None
@@ -53,7 +59,10 @@ class Translucent:
         self.lit = LitSplats(device, plan.translucent, program, splats.count, samples)
 
     def light(self, points: int, view: SampleView) -> None:
-        """Lights the splats by these points of wide lights. `view`: of rays through pixels' centres."""
+        """Lights the splats from the points with the index `points` on lights with a size.
+
+        `view`: of rays through pixel centres.
+        """
         self.lit_by = points
         view = replace(view, sample=points)
         textures = {**self.splats.textures, **self.uploads.shading}
@@ -62,8 +71,11 @@ class Translucent:
         self._run("light", lambda: self.lit.light(view, len(self.uploads.scene.lights), textures))
 
     def draw(self, view: SampleView, surfels: dict[str, Texture], coarse: bool) -> None:
-        """Blend them over what is opaque, whose G-buffer `surfels` is, and add the sample. `coarse`: in a picture of
-        fewer pixels, which is then enlarged."""
+        """Blends the splats over the opaque picture and adds the sample to the sums.
+
+        `surfels`: textures of the opaque G-buffer by sampler name. `coarse`: draw the splats at a lower resolution, and
+        enlarge them.
+        """
         targets, run, lit = self.targets, self._run, self.lit
         assert targets.layer is not None
 

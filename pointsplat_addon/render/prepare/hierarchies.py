@@ -18,15 +18,18 @@ from .view import View
 BUILD_COST = 80  # building costs about as much as drawing the points this many times
 BLENDED_COST = 10  # times what a small splat costs in image space, it costs by EWA, where it covers more than its pixel
 SMALL_SPLAT = 0.25  # of the tolerance: where typical splats are smaller, most of a cloud can be left out
-# The same where instances are many, for finding what they draw costs nothing for each splat, and by EWA.
+# As SMALL_SPLAT, for many instances, whose shared cuts cost nothing for each splat, and for EWA and the painter.
 SMALL_SPLAT_SHARED = 0.5
-MIN_POINTS_FOR_DEFOCUS = 1 << 12  # blurred points without nodes cost less than nodes do
-MAX_POINTS_WITHOUT_HIERARCHY = 1 << 24  # splats of all instances together: what draws more waits for its hierarchy
+MIN_POINTS_FOR_DEFOCUS = 1 << 12  # fewer out-of-focus points cost less without nodes
+MAX_POINTS_WITHOUT_HIERARCHY = 1 << 24  # of all instances: with more, drawing waits for the hierarchy
 
 
 def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np.ndarray) -> PointSet:
-    """The points of instances (I, 4, 4), with an octree where it is there, or can leave out most of them often enough
-    to pay for itself. In an interactive view it is built on another thread, where so many points can be drawn."""
+    """Returns the points with an octree, if it is already built or would save more time than building it takes.
+
+    `view_from_object`: (I, 4, 4) of the instances that draw the points. In an interactive view the octree is built on
+    another thread and the points are returned without it, unless they are too many to be drawn.
+    """
     plain, points, store = points, _with_material_constants(points, view.scene.materials, view.store), view.store
     key = Key(Kind.HIERARCHY, points.key)
     if key not in store:
@@ -44,8 +47,11 @@ def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np
 
 
 def points_once_they_have_nodes(view: View, name: Key, make: Callable[[], PointSet]) -> PointSet | None:
-    """Points called `name`, once their octree is there. In an interactive view it is begun, on another thread, at the
-    second time of asking: what changes from picture to picture would be gone when it is built."""
+    """Returns the points that `make` makes, which are cached as `name`, once their octree is built; until then None.
+
+    In an interactive view the octree is begun on another thread at the second call: geometry that changes with each
+    picture would be gone before it is built. In other views it is never begun.
+    """
     store, known, asked = view.store, Key(Kind.NODES, name), Key(Kind.NODES_ASKED_FOR, name)
 
     def build() -> Key:
@@ -55,7 +61,7 @@ def points_once_they_have_nodes(view: View, name: Key, make: Callable[[], PointS
         key = store.lookup(known, build)
         if key in store:
             return make()
-        if view.interactive:  # there was no room for it
+        if view.interactive:  # the octree was dropped from the store
             store.make_later(
                 key, lambda: _hierarchy(_with_material_constants(make(), view.scene.materials, store), store)
             )
@@ -67,14 +73,14 @@ def points_once_they_have_nodes(view: View, name: Key, make: Callable[[], PointS
 
 
 def with_hierarchy_for_defocus(view: View, points: PointSet, always: bool) -> PointSet:
-    """Points with a hierarchy, where they are so many that blurred ones are worth leaving out, or `always`."""
+    """Returns points with a hierarchy, if they are so many that it saves time when out of focus, or if `always`."""
     if points.hierarchy is not None or (len(points.cloud) < MIN_POINTS_FOR_DEFOCUS and not always):
         return points
     return _with_hierarchy(_with_material_constants(points, view.scene.materials, view.store), view.store)
 
 
 def _pays(view: View, points: PointSet, view_from_object: np.ndarray) -> bool:
-    """Whether enough instances show this set's splats so small that a cut leaves most of them out."""
+    """Tells whether enough instances show the splats so small that a cut would leave most of them out."""
     blended = view.settings.technique in ("EWA", "PAINTER")
     limit = SMALL_SPLAT if len(view_from_object) < MANY_INSTANCES and not blended else SMALL_SPLAT_SHARED
     diameter = typical_diameter(points, view_from_object, view.camera, view.store)
@@ -84,13 +90,13 @@ def _pays(view: View, points: PointSet, view_from_object: np.ndarray) -> bool:
 
 
 def _with_material_constants(points: PointSet, table: MaterialTable, store: Store) -> PointSet:
-    """The points with the constants of their materials as attributes, where these differ: nodes hold the means."""
+    """Returns points with their materials' constants as attributes, if these differ, so that nodes average them."""
     cloud = points.cloud
     material = cloud.material
     if material is None:
         return points
     rows = store.lookup(Key(Kind.MATERIAL_ROWS, points.key), lambda: np.unique(material))
-    rows = np.minimum(rows, len(table) - 1)  # what names no row has the last one's values
+    rows = np.minimum(rows, len(table) - 1)  # indices beyond the table use its last row
     constants = {
         "color": table.base_color,
         "surface": np.stack([table.roughness, table.metallic], axis=1),
@@ -114,12 +120,13 @@ def _with_material_constants(points: PointSet, table: MaterialTable, store: Stor
 
 
 def _with_hierarchy(points: PointSet, store: Store) -> PointSet:
+    """Returns points with their octree, which is built now if it is not cached."""
     key = Key(Kind.HIERARCHY, points.key)
     return replace(points, key=key, hierarchy=store.lookup(key, lambda: _hierarchy(points, store)))
 
 
 def _hierarchy(points: PointSet, store: Store) -> Hierarchy:
-    """The octree that another pose or colouring of the same points has, refitted; else a new one."""
+    """Returns an octree of points: a new one, or that of another pose or colouring of them, refitted or recoloured."""
     if points.family is None:
         return store.build_hierarchy(points.cloud)
     known, source = store.lookup(points.family, lambda: (store.build_hierarchy(points.cloud), points.cloud))

@@ -46,15 +46,15 @@ NODE_COST = (
 
 @dataclass(frozen=True, eq=False)
 class InstanceChoice:
-    """One instance in one view: what its parts are drawn as."""
+    """Which parts of one instance are drawn as points and which as polygons in one view."""
 
     spacing: float  # of its points
     choice: PrimitiveChoice
-    whole: bool  # all of it is points, out of view or not: as dense as its nearest part needs
-    nodes: bool = False  # or, where that is too many, those of an octree over as few samples as cover it
+    whole: bool  # all parts are points, also those out of view, as dense as the nearest part needs
+    nodes: bool = False  # its points are nodes of an octree over the fewest samples that cover the mesh
 
     def as_polygons(self) -> InstanceChoice:
-        """The same with polygons for all that is in view."""
+        """Returns this choice with polygons instead of points for all parts in view."""
         c = self.choice
         every = replace(c, points=np.zeros_like(c.points), polygons=c.points | c.polygons, cost=c.triangles_cost)
         return replace(self, choice=every, whole=False, nodes=False)
@@ -70,10 +70,10 @@ def choose_for_instance(
     most: int,
     nodes: bool = False,
 ) -> InstanceChoice | None:
-    """The cheapest way to draw an instance (4, 4); None: nothing of it is in view.
+    """Returns the cheapest way to draw one instance; None if nothing of it is in view.
 
-    `slack`: see Divided.whole. `most`: samples that the mesh may have. `nodes`: an octree over the fewest samples may
-    be drawn as well.
+    `view_from_object`: (4, 4). `tolerance`: pixels. `slack`: see DividedMesh.samples_of_whole_mesh. `most`: how many
+    samples the mesh may have. `nodes`: an octree over the fewest samples may be drawn instead.
     """
     needed = part_spacings(divided.parts, view_from_object, camera, tolerance)
     visible = np.isfinite(needed)
@@ -112,8 +112,12 @@ def choose_for_instance(
 def choose_parts(
     view: View, view_from_object: np.ndarray, usable: np.ndarray
 ) -> dict[int, list[InstanceChoice | None]]:
-    """Meshes that are chosen for part by part, by geometry row, with the choice of each instance that is `usable` (I,)
-    bool. Where points would save less than the passes over all pixels cost that they need, all are polygons."""
+    """Chooses points or polygons part by part, and returns the choices of each such mesh's instances by geometry row.
+
+    `view_from_object`: (I, 4, 4). `usable`: (I,) bool, instances that can be drawn; the choices are in their order, and
+    None for an instance that is out of view. If points would save less than their passes over all pixels cost, all
+    parts are polygons.
+    """
     found: dict[int, list[InstanceChoice | None]] = {}
     scene, others = view.scene, False
     for row, geometry in enumerate(scene.geometries):
@@ -135,7 +139,8 @@ def choose_parts(
 
 
 def _mesh_to_choose_for(view: View, geometry: Geometry, instances: int) -> tuple[MeasuredMesh | None, bool]:
-    """The mesh of a geometry, if it is chosen for part by part; if not, whether it has opaque points anyhow."""
+    """Returns the mesh of a geometry, or None if it is not chosen for part by part; and whether it has opaque points
+    in any case."""
     through = is_translucent(geometry, view.scene.materials)
     if geometry.primitive != "AUTO" or geometry.spacing > 0 or instances >= MANY_INSTANCES:
         return None, geometry.primitive != "POLYGONS" and not through
@@ -154,7 +159,7 @@ def _divided_mesh(measured: MeasuredMesh) -> DividedMesh:
 
 
 def _costs(view: View, instances: int) -> Costs:
-    """Of one sample of a mesh with so many instances, which share what is done once; a viewport keeps it, too."""
+    """Returns the costs of drawing one sample of a mesh with this many instances, preparation being amortised."""
     if view.interactive:
         return view.costs.again_and_again()
     return view.costs.of_picture(view.samples, instances)
@@ -163,7 +168,7 @@ def _costs(view: View, instances: int) -> Costs:
 def _choose_for_instances(
     view: View, measured: MeasuredMesh, view_from_object: np.ndarray
 ) -> list[InstanceChoice | None]:
-    """The choice of each instance (I, 4, 4)."""
+    """Returns the cheapest choice for each instance, (I, 4, 4) view from object; None for one that is out of view."""
     divided, tolerance = _divided_mesh(measured), view.settings.tolerance
     most = max_samples(tolerance)
     slack = 1.0 if digest(measured.mesh, view.scene.materials) else VERTEX_PIXELS
@@ -177,14 +182,14 @@ def _choose_for_instances(
 
     if not view.coarse:
         return every(nodes=False)
-    # There is less time than the settings' own tolerance takes: what has few samples left gets nodes.
+    # There is too little time for the tolerance in the settings: instances that need few samples use nodes.
     found = every(nodes=True)
     wanted = any(one is not None and one.nodes for one in found)
     return every(nodes=False) if wanted and _points_with_nodes(view, measured) is None else found
 
 
 def _points_with_nodes(view: View, measured: MeasuredMesh) -> PointSet | None:
-    """The fewest samples of a mesh, once they have an octree."""
+    """Returns the fewest samples that cover a mesh, with an octree; None until the octree is built."""
     name = Key(Kind.MESH_POINTS, measured.geometry.key, digest(measured.mesh, view.scene.materials))
     return points_once_they_have_nodes(view, name, lambda: fewest_samples(view, measured))
 
@@ -192,7 +197,11 @@ def _points_with_nodes(view: View, measured: MeasuredMesh) -> PointSet | None:
 def primitives_by_part(
     view: View, measured: MeasuredMesh, shown: list[InstanceChoice | None], view_from_object: np.ndarray
 ) -> Primitives:
-    """Instances (I, 4, 4) as they were chosen for: points of their parts by spacing, then those that are all points."""
+    """Returns the points and polygons of instances that were chosen for part by part.
+
+    `shown`: the choice of each instance. `view_from_object`: (I, 4, 4). Point sets of parts come first, by ascending
+    spacing, then nodes, then those of instances that are all points.
+    """
     divided, table = _divided_mesh(measured), view.scene.materials
     polygons, parts, ranges = [], {}, {}
     by_spacing: dict[float, list[int]] = {}
@@ -228,10 +237,13 @@ def primitives_by_part(
 def _part_points(
     measured: MeasuredMesh, divided: DividedMesh, spacing: float, worth_sampling: np.ndarray, table: MaterialTable
 ) -> tuple[PointSet, PartSamples]:
-    """The samples of all parts that are points in some view, `worth` (B,) bool."""
+    """Returns the samples of all parts that are points in some view, as a point set and part by part.
+
+    `worth_sampling`: (B,) bool, which parts these are. `spacing`: object units.
+    """
     mesh, store = measured.mesh, measured.store
     look, first = digest(mesh, table), mesh_centre(mesh)
-    # Parts that lie in the mesh's own order, all of them, depend on its topology alone.
+    # If all parts are sampled, in the mesh's own order, the samples depend on its topology alone.
     same = (
         measured.sampling_key
         if worth_sampling.all() and divided.parts.order is None

@@ -30,8 +30,8 @@ def without_invisible_layers(
 
     The names are points, translucent, spheres and polygons.
 
-    A layer goes or stays as a whole: were its sets to come and go by themselves, pages would be uploaded again whenever
-    one does. Lenses blur what is outside the picture into it: with one, only what is clear goes, or nothing.
+    A layer is removed or kept as a whole: if its sets were removed one by one, pages would be uploaded again at each
+    change. A lens blurs things outside the picture into it: with an aperture, only transparent layers are removed.
     """
     gone: dict[str, str] = {}
     if prepared.out_of_focus is not None:

@@ -19,7 +19,7 @@ from ...core.surface.triangles import Measures, measures_of_some
 
 @dataclass(frozen=True, eq=False)
 class DividedMesh:
-    """A mesh's parts, and what the choice between points and triangles asks of each."""
+    """The parts of a mesh, with the area and sample counts of each that decide between points and triangles."""
 
     mesh: Mesh
     parts: Parts
@@ -28,17 +28,17 @@ class DividedMesh:
 
     @cached_property
     def part_of_triangle(self) -> np.ndarray:
-        """(M,) the part of each valid triangle."""
+        """The index (M,) of the part that each valid triangle belongs to."""
         return self.parts.number()
 
     @cached_property
     def part_area(self) -> np.ndarray:
-        """(B,) object units squared."""
+        """The area (B,) of each part, in object units squared."""
         return np.bincount(self.part_of_triangle, 0.5 * self.measures.base * self.measures.height, len(self.parts))
 
     @property
     def coarsest(self) -> float:
-        """The octave of spacing beyond which no triangle has fewer samples."""
+        """The coarsest octave of spacing, in object units: a coarser one would not need fewer samples."""
         return quantise_spacing(2 * self.measures.longest)
 
     @property
@@ -46,7 +46,7 @@ class DividedMesh:
         return self.parts.nbytes + self.measures.nbytes + 4 * len(self.parts.triangles)
 
     def samples(self, spacing: float) -> np.ndarray:
-        """(B,) float64: about how many samples each part has."""
+        """Returns (B,) float64: about how many samples each part has at `spacing`, in object units."""
         if spacing not in self._samples:
             m = self.measures
             if choose_method(self.mesh, spacing, measures=m) == "VERTICES":
@@ -57,8 +57,10 @@ class DividedMesh:
         return self._samples[spacing]
 
     def samples_of_whole_mesh(self, needed: float, slack: float) -> float:
-        """About how many samples the mesh has where all of it is points that are dense enough for `needed`: vertices
-        where they are at most `slack` times as far apart, else the octave of spacing."""
+        """Returns about how many samples the whole mesh has if it is points at the spacing `needed`, in object units.
+
+        The samples are its vertices if these are at most `slack` times as far apart; else those at the octave.
+        """
         m = self.measures
         if choose_method(self.mesh, max(slack * needed, self.octave(needed)), measures=m) == "VERTICES":
             return float(m.vertices)
@@ -66,15 +68,18 @@ class DividedMesh:
 
     @cached_property
     def fewest_samples_by_part(self) -> np.ndarray:
-        """(B,) float64: about how many samples each part has where they are as few as cover the mesh."""
+        """About how many samples each part has, (B,) float64, if they are the fewest that cover the mesh."""
         return self.parts.counts * min(self.measures.vertices / len(self.measures.triangle), 1.0)
 
     def octave(self, spacing: float) -> float:
+        """Returns `spacing` rounded to an octave, and at most `coarsest`, in object units."""
         return min(quantise_spacing(spacing), self.coarsest)
 
     def worth_sampling(self, costs: Costs, spacing: float, most: int) -> np.ndarray:
-        """(B,) bool: parts of which some view draws points at this spacing; none where these would be more than
-        `most` samples."""
+        """Returns (B,) bool: which parts may be cheaper as points at `spacing` than as triangles, in some view.
+
+        No part is, if their samples together would exceed `most`.
+        """
         samples, covered = self.samples(spacing), 0.5 * self.part_area / spacing**2
         found = samples * (costs.point + costs.prepared) < self.parts.counts * costs.triangle + covered * costs.fragment
         return found if samples[found].sum() <= most else np.zeros_like(found)
@@ -82,11 +87,11 @@ class DividedMesh:
 
 @dataclass(frozen=True, eq=False)
 class PartSamples:
-    """Samples of some parts of a mesh, part by part."""
+    """Samples of some parts of a mesh, sorted by part."""
 
     samples: Samples
     start: np.ndarray  # (B + 1,) int64: where each part's samples begin
-    # Vertices on a border are samples of one part, and close its neighbours too: (E,) sample, its part, the neighbour.
+    # Vertices on a border belong to one part but are needed to close its neighbours: (E,) sample, its part, neighbour.
     border: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     @property
@@ -94,7 +99,7 @@ class PartSamples:
         return self.samples.nbytes + self.start.nbytes + sum(a.nbytes for a in self.border or ())
 
     def ranges(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First and count, (R,) int64, of the samples that close the parts `points` (B,) bool."""
+        """Returns first index and count, (R,) int64, of runs of samples that cover the parts `points`, (B,) bool."""
         shown = np.repeat(points, np.diff(self.start))
         if self.border is not None and not points.all():
             sample, owner, neighbour = self.border
@@ -103,7 +108,7 @@ class PartSamples:
 
 
 def sample_parts(divided: DividedMesh, spacing: float, which: np.ndarray) -> PartSamples:
-    """The samples of the parts `which` (B,) bool."""
+    """Samples the parts `which`, (B,) bool, of a mesh at `spacing`, in object units."""
     mesh, number = divided.mesh, divided.part_of_triangle
     mine = which[number]
     m = divided.measures if mine.all() else measures_of_some(divided.measures, mine)
@@ -121,7 +126,10 @@ def sample_parts(divided: DividedMesh, spacing: float, which: np.ndarray) -> Par
 def _border_samples(
     mesh: Mesh, samples: Samples, part: np.ndarray, of_triangle: np.ndarray, inside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """See PartSamples.border: of vertex samples with their parts (N,), the parts of all triangles (T,)."""
+    """Returns the vertex samples on borders between parts as PartSamples.border has them.
+
+    `part`: (N,) of each sample. `of_triangle`: (T,) the part of each triangle. `inside`: (T,) bool, sampled triangles.
+    """
     at = np.full(len(mesh.position), -1, np.int64)
     at[vertex_of_sample(mesh, samples)] = np.arange(len(samples))
     rows = np.flatnonzero(inside)
@@ -135,6 +143,6 @@ def _border_samples(
 
 
 def count_triangles(mesh: Mesh, parts: np.ndarray | None) -> int:
-    """Triangles in parts (P,) of a mesh; None: of all of it."""
+    """Returns the number of triangles in `parts`, (P,) int, of a mesh; None: in all of it."""
     count = len(mesh.triangles)
     return count if parts is None else int(np.minimum(PART, count - PART * parts).sum())

@@ -47,7 +47,7 @@ VERTEX_PIXELS = 2.0  # vertices are samples enough where no edge spans more; wit
 
 @dataclass(frozen=True, eq=False)
 class MeasuredMesh:
-    """A mesh that has valid triangles, and what is measured of it once for all views."""
+    """A mesh with valid triangles, and measurements of it that are cached for all views."""
 
     geometry: Geometry
     mesh: Mesh
@@ -55,29 +55,31 @@ class MeasuredMesh:
 
     @property
     def sampling_key(self) -> tuple[str, str]:
-        """What sample positions on the mesh depend on."""
+        """A key of all that sample positions depend on: the topology (or the geometry's key), and the name."""
         return self.mesh.topology or self.geometry.key, self.geometry.name
 
     @property
     def typical_edge(self) -> float:
-        """The side of the square of the mean triangle's area."""
+        """The side of a square of twice the mean area of the triangles, in object units."""
         return self._cached(Kind.TYPICAL_EDGE, lambda: _typical_edge(self.mesh))
 
     @property
     def ball(self) -> tuple[np.ndarray, float]:
-        """Centre (3,) and radius in object space of a ball that holds the valid triangles."""
+        """The centre (3,) and radius, in object space, of a ball that contains the valid triangles."""
         return self._cached(Kind.BOUNDING_BALL, lambda: triangles_ball(self.mesh))
 
     @property
     def parts(self) -> Parts:
+        """Parts of the mesh of nearby triangles, with bounds, by which the required spacing is found."""
         return self._cached(Kind.PARTS, lambda: make_parts(self.mesh))
 
     @property
     def measures(self) -> Measures:
+        """Edge lengths and heights of the valid triangles."""
         return self._cached(Kind.MEASURES, lambda: measure_triangles(self.mesh))
 
     def is_drawable_foliage(self, instances: int) -> bool:
-        """Whether so many instances of it are leaves, few enough to be polygons from any distance."""
+        """Tells whether the mesh is foliage that, with this many `instances`, has few enough triangles for polygons."""
         return instances * len(self.mesh.triangles) <= MAX_FOLIAGE_TRIANGLES and self._cached(
             Kind.IS_FOLIAGE, lambda: is_foliage(self.mesh.position, self.mesh.triangles)
         )
@@ -87,13 +89,13 @@ class MeasuredMesh:
 
 
 def measured_mesh(view: View, geometry: Geometry) -> MeasuredMesh | None:
-    """The mesh of a geometry; None where it has no triangles."""
+    """Returns the mesh of a geometry with its cached measurements; None if it has no triangles."""
     mesh = geometry.mesh
     return None if mesh is None or len(mesh.triangles) == 0 else MeasuredMesh(geometry, mesh, view.store)
 
 
 def mesh_ball(mesh: Mesh, store: Store) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius in object space of a ball that holds the triangles of a mesh."""
+    """Returns the centre (3,) and radius, in object space, of a ball that contains the triangles of a mesh."""
     if len(mesh.triangles) == 0:
         return np.zeros(3), 0.0
     return store.lookup(Key(Kind.BOUNDING_BALL, mesh.key), lambda: triangles_ball(mesh))
@@ -105,23 +107,27 @@ def _typical_edge(mesh: Mesh) -> float:
 
 
 def max_samples(tolerance: float) -> int:
-    """Samples that one mesh may have: a finer tolerance asks for more, up to what memory holds."""
+    """Returns the most samples that one mesh may have: more at a finer `tolerance` (pixels), within memory."""
     return int(min(MAX_SAMPLES / min(tolerance, 1.0) ** 2, MOST_SAMPLES))
 
 
 @dataclass(frozen=True, eq=False)
 class Primitives:
-    """What instances of one geometry are drawn as; rows count among these instances."""
+    """The points and polygons that instances of one geometry are drawn as; rows index these instances."""
 
-    points: list[tuple[PointSet, np.ndarray]]  # with the rows (K,) that they are drawn for
+    points: list[tuple[PointSet, np.ndarray]]  # each set with the rows (K,) of the instances that it is drawn for
     polygons: np.ndarray  # (P,) rows
-    parts: dict[int, np.ndarray] = field(default_factory=dict)  # by row, what of it is polygons, rising; absent: all
-    # By row, first and count (R,) of the points that are drawn of it; absent: all.
+    # By row, the parts that are polygons, ascending; absent: all.
+    parts: dict[int, np.ndarray] = field(default_factory=dict)
+    # By row, first index and count (R,) of the runs of points that are drawn; absent: all points.
     ranges: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 def points_or_polygons(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> Primitives:
-    """Instances (I, 4, 4), each of them as a whole."""
+    """Chooses points or polygons for each instance of a mesh as a whole.
+
+    `view_from_object`: (I, 4, 4) float64.
+    """
     rows = np.arange(len(view_from_object))
     found = _points_unless_polygons(view, measured, view_from_object)
     if found is not None:
@@ -130,7 +136,7 @@ def points_or_polygons(view: View, measured: MeasuredMesh, view_from_object: np.
     polygons, far = rows[near], rows[~near]
     if len(far) == 0:
         return Primitives([], polygons)
-    # What is not near is small enough to be points, each instance by itself.
+    # Instances that are not near are small enough on the screen to be points.
     found = _points_unless_polygons(view, measured, view_from_object[far], all_far=True)
     if found is None:
         return Primitives([], np.concatenate([polygons, far]))
@@ -140,9 +146,12 @@ def points_or_polygons(view: View, measured: MeasuredMesh, view_from_object: np.
 def points_of_instances(
     view: View, measured: MeasuredMesh, view_from_object: np.ndarray
 ) -> list[tuple[PointSet, np.ndarray]]:
-    """Points with the rows (K,) of the instances (I, 4, 4) that they are drawn for, all of which are points."""
+    """Returns point sets for instances that are all drawn as points, each with the rows (K,) that it is drawn for.
+
+    `view_from_object`: (I, 4, 4) float64. The list is empty if no triangle is in view.
+    """
     needed = _needed_spacing(view, measured, view_from_object)
-    if not np.isfinite(needed):  # boxes around parts reach into the picture, and no triangle does
+    if not np.isfinite(needed):  # bounding boxes overlap the picture, but no triangle does
         return []
     return _points_by_octave(view, measured, needed, view_from_object)
 
@@ -150,7 +159,10 @@ def points_of_instances(
 def _points_unless_polygons(
     view: View, measured: MeasuredMesh, view_from_object: np.ndarray, all_far: bool = False
 ) -> list[tuple[PointSet, np.ndarray]] | None:
-    """The same; None where polygons are drawn instead. `all_far`: triangles are known to be small."""
+    """Returns point sets with the rows that each is drawn for; None if the mesh is better drawn as polygons.
+
+    `all_far`: the triangles of all instances are known to be small on the screen.
+    """
     if measured.geometry.primitive == "POLYGONS":
         return None
     needed = _needed_spacing(view, measured, view_from_object)
@@ -165,8 +177,7 @@ def _points_unless_polygons(
 
 
 def _too_near_for_points(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
-    """(I,) bool: instances of a mesh, some of which is to be drawn as polygons, that are so large on the screen that
-    they are, or may be."""
+    """Returns (I,) bool: which instances may be so large on the screen that they are drawn as polygons."""
     if measured.geometry.primitive == "POLYGONS" or len(view_from_object) == 1 or not view.camera.perspective:
         return np.ones(len(view_from_object), bool)
     allowed = _spacing_allowed_by_bounds(view, measured, view_from_object)
@@ -174,11 +185,11 @@ def _too_near_for_points(view: View, measured: MeasuredMesh, view_from_object: n
     return near & visible_instances(view_from_object, *measured.ball, view.camera)
 
 
-# How dense points are.
+# Density of points
 
 
 def _needed_spacing(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> float:
-    """The spacing that one or more instances need in this view."""
+    """Returns the sample spacing, in object units, that instances need in this view; inf: none is in view."""
     parts = measured.parts if len(measured.mesh.triangles) >= MIN_TRIANGLES_FOR_PARTS else None
     return required_spacing(
         measured.mesh, view_from_object, view.camera, view.settings.tolerance, max_samples=None, parts=parts
@@ -186,7 +197,7 @@ def _needed_spacing(view: View, measured: MeasuredMesh, view_from_object: np.nda
 
 
 def _spacing_allowed_by_bounds(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
-    """(I,) a spacing that is fine enough for each instance, from the nearest point of its bounding sphere."""
+    """Returns (I,) the spacing, in object units, that suffices at the nearest point of each bounding sphere."""
     middle, reach = measured.ball
     scale = largest_singular_value(view_from_object[:, :3, :3])
     depth = -(view_from_object[:, 2, :3] @ middle + view_from_object[:, 2, 3]) - reach * scale
@@ -198,7 +209,7 @@ def _spacing_allowed_by_bounds(view: View, measured: MeasuredMesh, view_from_obj
 def _points_by_octave(
     view: View, measured: MeasuredMesh, needed: float, view_from_object: np.ndarray
 ) -> list[tuple[PointSet, np.ndarray]]:
-    """Points as dense as `needed`; of instances that allow it, octaves less."""
+    """Returns point sets at the spacing `needed`, or octaves coarser for instances that allow it, with their rows."""
     if len(view_from_object) >= MANY_INSTANCES:
         needed = min(needed, _coarsest_shared_spacing(measured))
     octave = _coarser_octaves(view, measured, needed, view_from_object)
@@ -206,7 +217,7 @@ def _points_by_octave(
 
 
 def _coarser_octaves(view: View, measured: MeasuredMesh, needed: float, view_from_object: np.ndarray) -> np.ndarray:
-    """(I,) how many octaves coarser than `needed` each instance may be sampled."""
+    """Returns (I,) int: by how many octaves each instance may be sampled more coarsely than `needed`."""
     if measured.geometry.spacing > 0 or not view.camera.perspective or len(view_from_object) == 1:
         return np.zeros(len(view_from_object), int)
     many = len(view_from_object) > EXACT_INSTANCES
@@ -226,13 +237,18 @@ def _coarser_octaves(view: View, measured: MeasuredMesh, needed: float, view_fro
 
 
 def _coarsest_shared_spacing(measured: MeasuredMesh) -> float:
-    """The spacing beyond which instances that are many are not sampled: outlines grow by about a quarter of it, and
-    hierarchies made of finer samples have coarser nodes that do not."""
+    """Returns the coarsest spacing, in object units, at which a mesh with many instances is sampled.
+
+    Outlines grow by about a quarter of the spacing; coarser nodes over finer samples do not grow them.
+    """
     return 2 * measured.ball[1] / SHARED_CELLS
 
 
 def _points_at_octave(view: View, measured: MeasuredMesh, needed: float, octave: int) -> PointSet:
-    """Samples so many octaves coarser than `needed`, or than what was needed before: they are only ever refined."""
+    """Returns samples of a mesh `octave` octaves coarser than the finest spacing that was needed so far.
+
+    Samples are only ever refined: the spacing is `needed` or, if an earlier view needed a finer one, that one.
+    """
     geometry, mesh, sampling_key, store = measured.geometry, measured.mesh, measured.sampling_key, view.store
     spacing = geometry.spacing if geometry.spacing > 0 else needed
     asked = Key(Kind.FINEST_SPACING, sampling_key, spacing=geometry.spacing)
@@ -246,14 +262,14 @@ def _points_at_octave(view: View, measured: MeasuredMesh, needed: float, octave:
         )
     spacing = store.finest_spacing(asked, spacing) * 2.0**octave
     needed *= 2.0**octave
-    # Vertices do for coarser needs than samples: their disks cover the mesh whatever its edges project to.
+    # Vertices may be farther apart than samples: their disks cover the mesh whatever length its edges have.
     look = digest(mesh, view.scene.materials)
     loose = max(spacing, needed * (1.0 if look else VERTEX_PIXELS))
     method = store.lookup(
         Key(Kind.SAMPLING_METHOD, sampling_key, spacing=loose), lambda: choose_method(mesh, loose, measures=measures)
     )
     if view.coarse and geometry.spacing <= 0 and method != "VERTICES":
-        # Finer samples than a budget of time leaves room for are drawn once their nodes can stand for them.
+        # Samples that are too fine for the time budget are drawn once nodes can replace them.
         own, name = quantise_spacing(needed), Key(Kind.MESH_POINTS, geometry.key, look, method, spacing)
         if own > spacing:
             found = points_once_they_have_nodes(
@@ -264,7 +280,7 @@ def _points_at_octave(view: View, measured: MeasuredMesh, needed: float, octave:
 
 
 def fewest_samples(view: View, measured: MeasuredMesh) -> PointSet:
-    """The fewest samples that cover a mesh: its vertices, or one on each triangle."""
+    """Returns the fewest samples that cover a mesh: its vertices, or one on each triangle."""
     spacing = quantise_spacing(2 * measured.measures.longest)
     return _sampled_points(
         view, measured, choose_method(measured.mesh, spacing, measures=measured.measures), spacing, spacing
@@ -272,7 +288,10 @@ def fewest_samples(view: View, measured: MeasuredMesh) -> PointSet:
 
 
 def _sampled_points(view: View, measured: MeasuredMesh, method: str, spacing: float, loose: float) -> PointSet:
-    """Samples by one method, so far apart; vertices where they may be `loose` apart."""
+    """Returns the points of a mesh that is sampled by `method` at `spacing`, in object units.
+
+    `loose`: the spacing of samples at vertices, which may be larger.
+    """
     geometry, mesh, sampling_key, store, table = (
         measured.geometry,
         measured.mesh,
@@ -282,8 +301,6 @@ def _sampled_points(view: View, measured: MeasuredMesh, method: str, spacing: fl
     )
     look = digest(mesh, table)
     spacing = 0.0 if method == "VERTICES" else spacing
-    at = Key(Kind.SAMPLES, sampling_key, method=method, spacing=spacing)
-    at = Key(Kind.SAMPLES, sampling_key, method=method, spacing=spacing)
     at = Key(Kind.SAMPLES, sampling_key, method=method, spacing=spacing)
     samples, origin = store.lookup(
         at,
@@ -300,7 +317,10 @@ def _sampled_points(view: View, measured: MeasuredMesh, method: str, spacing: fl
 
 
 def sample_area_function(view: View, geometry: Geometry, points: PointSet) -> Callable[[], np.ndarray] | None:
-    """What finds (N,) what each sample of a mesh stands for, in object units squared; None: it is not known."""
+    """Returns a function that finds the area (N,) of the mesh around each sample, in object units squared.
+
+    Returns None if the points are not samples of a whole mesh, or if the samples are no longer cached.
+    """
     measured = measured_mesh(view, geometry)
     if measured is None or points.samples is None or points.samples not in view.store:
         return None

@@ -1,7 +1,7 @@
-"""What of a scene adds nothing measurable to this view: lights, a world and an emission that together stay below 1/1024
-of white in every pixel.
+"""Leaves out lights, world and emission that add nothing measurable to a view.
 
-All are bounds, not estimates. A light of irradiance E adds at most E times
+Together they stay below 1/1024 of white in every pixel. All are bounds, not estimates.
+A light of irradiance E adds at most E times
 
     a / pi + 2 s / (2 pi alpha^3)        on surfaces: albedo a; s of multiple over single scattering (Kulla and Conty
                                          2017); the GGX lobe times n.l is at most D V with D <= 1 / (pi alpha^2) and,
@@ -9,9 +9,9 @@ All are bounds, not estimates. A light of irradiance E adds at most E times
                                          more than the closed forms of lights with a size make of it.
     a (1 + g) / (4 pi (1 - g)^2)         in media: Henyey and Greenstein's phase function straight ahead.
 
-Where colours of their own have no bound that is known without looking at every texel, only what is exactly black is
-left out. Translucent matter is left out only where it is exactly clear (render/prepare/in_view.py): what shows through
-has no bound. Mist changes a pass of its own alone.
+Where colours have no bound that is known without reading every texel, only what is exactly black is left out.
+Translucent matter is left out only if it is exactly clear (render/prepare/in_view.py): the radiance behind it has no
+bound. Mist affects only its own pass.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from .point_sets import Layer, PointSet
 from .prepare import Prepared
 
 MEASURABLE = 1 / 1024  # of white
-LIGHTS, WORLD, EMISSION = MEASURABLE / 2, MEASURABLE / 4, MEASURABLE / 4  # what of it each may take
-FIRST_TEXELS = 4096  # texels of a picture that are looked at first: most pictures are bright
+LIGHTS, WORLD, EMISSION = MEASURABLE / 2, MEASURABLE / 4, MEASURABLE / 4  # the share of MEASURABLE of each
+FIRST_TEXELS = 4096  # texels of a picture that are tested first: most pictures are bright
 
 
 @dataclass(frozen=True)
 class Reflection:
-    """Bounds over all that is drawn; infinite: unknown."""
+    """Upper bounds of how much light anything that is drawn reflects toward the eye; infinite: unknown."""
 
     albedo: float  # of diffuse light
     lobe: float  # radiance of the specular lobe for an irradiance of 1
@@ -48,11 +48,11 @@ class Reflection:
 
     @property
     def black(self) -> bool:
-        """Nothing that is drawn reflects light."""
+        """Whether nothing that is drawn reflects light."""
         return self.world == 0.0
 
     def of(self, light: Light, irradiance: float) -> float:
-        """Radiance that a light adds; 0 where it sends none."""
+        """Returns a bound of the radiance that a light of this `irradiance` adds."""
         if irradiance == 0.0 or self.black:
             return 0.0
         parts = ((light.diffuse / np.pi, self.albedo), (light.specular, self.lobe), (1.0, self.phase))
@@ -62,8 +62,10 @@ class Reflection:
 def without_negligible(
     scene: Scene, prepared: Prepared, view_from_world: np.ndarray, store: Store
 ) -> tuple[Scene, bool, tuple[tuple[str, str], ...]]:
-    """The scene without what adds nothing measurable to what is drawn of it; whether anything that is drawn reflects
-    light; and what was left out: (what, because)."""
+    """Returns the scene without lights, world and emission that add nothing measurable to the view.
+
+    Also returns whether anything that is drawn reflects light, and what was left out: tuples (what, because).
+    """
     bounds, notes = reflection(scene, prepared, store), []
     world = _world_or_black(scene, bounds)
     if world is not scene.world:
@@ -95,7 +97,7 @@ def without_negligible(
 
 
 def reflection(scene: Scene, prepared: Prepared, store: Store) -> Reflection:
-    """How much of what arrives anything that is drawn may send to the eye."""
+    """Returns bounds of how much of the arriving light anything that is drawn reflects toward the eye."""
     table = scene.materials
     rows, albedo, smooth = _used_materials(scene, prepared, store)
     known = np.array(sorted(rows), int)
@@ -103,7 +105,7 @@ def reflection(scene: Scene, prepared: Prepared, store: Store) -> Reflection:
     metal = smooth or bool((table.metallic[known] > 0).any())
     shines = metal or bool((relative_index(table.ior[known], table.specular[known]) != 1).any())
     alpha = MIN_ALPHA if smooth else max(float(table.roughness[known].min(initial=1.0)) ** 2, MIN_ALPHA)
-    # The lobes of strands (core/light/hair.py) have no bound here, nor have their pieces that are out of focus.
+    # The lobes of strands (core/light/hair.py) have no bound here, nor have splats that are diced from them.
     blurred = prepared.out_of_focus is not None and any(geometry.strands is not None for geometry in scene.geometries)
     strands = len(prepared.strands) > 0 or blurred
     lobe = np.inf if strands else largest_multiple_scattering() / (np.pi * alpha**3) if shines else 0.0
@@ -120,7 +122,8 @@ def _point_sets(prepared: Prepared) -> list[PointSet]:
 
 
 def _used_materials(scene: Scene, prepared: Prepared, store: Store) -> tuple[set[int], float, bool]:
-    """Rows of the materials that are drawn; the brightest colour beside theirs; whether roughness or metallic vary."""
+    """Returns the rows of the materials that are drawn, the brightest colour of point attributes and shader graphs, and
+    whether roughness or metallic vary within a geometry."""
     rows: set[int] = set()
     albedo, smooth = 0.0, False
     for points in _point_sets(prepared):
@@ -149,13 +152,13 @@ def _material_rows(material: np.ndarray | None) -> frozenset[int]:
 
 
 def _brightest(values: np.ndarray) -> float:
-    """The greatest of (N, 3); infinite where one is no number."""
+    """Returns the largest of `values` (N, 3); infinite if one is not finite."""
     most = float(np.max(values, initial=0.0))
     return most if np.isfinite(most) else np.inf
 
 
 def _irradiance_bound_in_ball(light: Light, ball: tuple[np.ndarray, float], view_from_world: np.ndarray) -> float:
-    """Bound of the irradiance anywhere in a ball (centre in view space, radius)."""
+    """Returns a bound of a light's irradiance anywhere in a ball: centre (3,) in view space, and radius."""
     if not np.any(light.color):
         return 0.0
     at = view_from_world[:3, :3] @ np.asarray(light.position, float) + view_from_world[:3, 3]
@@ -166,7 +169,7 @@ def _irradiance_bound_in_ball(light: Light, ball: tuple[np.ndarray, float], view
 
 
 def _world_or_black(scene: Scene, bounds: Reflection) -> World:
-    """The world, or a black one where it cannot be told from that."""
+    """Returns the world, or a black one if they cannot be told apart."""
     world = scene.world
     each = max(bounds.world, 0.0 if scene.transparent else 1.0)
     values = np.asarray(world.color if world.image is None else world.image).reshape(-1)
@@ -181,7 +184,7 @@ def _world_or_black(scene: Scene, bounds: Reflection) -> World:
 
 
 def _emission_varies(scene: Scene, prepared: Prepared) -> bool:
-    """Some emission is not the table's; or the table's is that of media, whose radiance has no bound."""
+    """Tells whether some emission is not a material's constant, or is that of media, whose radiance has no bound."""
     if (
         any(p.cloud.emission is not None or p.cloud.extinction is not None for p in _point_sets(prepared))
         or prepared.strands

@@ -1,4 +1,4 @@
-"""Sorts what a view draws by focus: what is out of focus becomes splats of one layer (core/splat/blur.py)."""
+"""Sorts primitives of a view by focus: those out of focus become splats of one layer (core/splat/blur.py)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from .point_sets import Layer, PointSet
 
 @dataclass(frozen=True, eq=False)
 class OutOfFocusLayer(Layer):
-    """Opaque splats that may be out of focus, and which share of its ellipse each covers."""
+    """Opaque splats that may be out of focus, with the fraction of its ellipse that each covers."""
 
     # By key of point_sets, the covered fraction of each splat's ellipse: (N + M,) float32, points before nodes, or one.
     shares: dict[int, np.ndarray | float] = field(default_factory=dict)
@@ -40,7 +40,7 @@ class OutOfFocusLayer(Layer):
 
 @dataclass
 class FocusSorter:
-    """Sorts what a view draws into what is in focus and what is not."""
+    """Sorts the primitives of a view by focus, and collects those that may be out of focus as splats."""
 
     scene: Scene
     camera: Camera
@@ -70,7 +70,10 @@ class FocusSorter:
         return least < OUT_OF_FOCUS, most > IN_FOCUS
 
     def add_points(self, instance: np.ndarray, points: PointSet, areas: Callable[[], np.ndarray] | None) -> None:
-        """Adds points and their nodes. `areas`: returns the area (N,) that each point samples; None: it is unknown."""
+        """Adds points and their nodes, drawn by the instances (K,) int.
+
+        `areas` returns the area (N,) that each point samples, in object units squared; None: it is unknown.
+        """
         key = self._add(instance, points)
         made = self.store.lookup(
             Key(Kind.AREA_SHARES, points.key, other=areas is not None),
@@ -79,7 +82,7 @@ class FocusSorter:
         self.shares[key] = made
 
     def add_balls(self, instance: np.ndarray, points: PointSet) -> None:
-        """Adds balls that are drawn one by one."""
+        """Adds balls that are drawn one by one, diced for each of the instances (K,) int."""
         for i in instance.tolist():
             matrix = self.view_from_object[i]
             key = Key(Kind.DICED, points.key, other=self._view_key(matrix))
@@ -90,7 +93,7 @@ class FocusSorter:
             self._add_diced(i, key, make, dicing.DISK_SHARE)
 
     def add_mesh(self, instance: np.ndarray, geometry: Geometry, mesh: Mesh) -> None:
-        """Adds triangles, diced for this view."""
+        """Adds the triangles of a mesh, diced for each of the instances (K,) int in this view."""
         rows = np.arange(len(mesh.triangles))
         origin, table = mesh_centre(mesh), self.scene.materials
         look = digest(mesh, table)
@@ -120,7 +123,7 @@ class FocusSorter:
         return segments if kept.all() else segments.take(np.flatnonzero(kept))
 
     def _view_key(self, matrix: np.ndarray) -> tuple:
-        """Returns all that the diced splats of an instance, (4, 4) view from object, depend on of the view."""
+        """Returns the properties of the view that an instance's diced splats depend on; `matrix`: view from object."""
         camera = self.camera
         return matrix.tobytes(), camera.clip_from_view.tobytes(), camera.window, self.blur, self.tolerance
 
@@ -131,13 +134,14 @@ class FocusSorter:
             self.shares[self._add(np.array([instance]), points)] = float(share)
 
     def _add(self, instance: np.ndarray, points: PointSet) -> int:
+        """Adds a point set, drawn by the instances (K,) int, and returns its key."""
         key = len(self.sets)
         self.sets[key] = points
         self.set_of_instance[instance] = key
         return key
 
     def layer(self) -> OutOfFocusLayer:
-        """Returns all that was added, cut for this view."""
+        """Returns all splats that were added, as one layer, cut for this view."""
         bare = {key: points for key, points in self.sets.items() if points.hierarchy is None}
         counts = np.zeros(len(self.sets) + 1, np.int64)
         for key, points in bare.items():

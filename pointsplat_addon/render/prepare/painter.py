@@ -14,7 +14,7 @@ from .prepare import Prepared
 def with_opaque_among_translucent(prepared: Prepared, keep: bool) -> Prepared:
     """Returns a prepared view whose opaque points are in the translucent layer.
 
-    `keep`: they also stay in the opaque layer, for passes that read the G-buffer.
+    `keep`: the opaque points also stay in the opaque layer, for passes that read the G-buffer.
     """
     layers = Layer(prepared.point_sets, prepared.set_of_instance, prepared.cut), prepared.translucent
     both = _merged_layers(*layers) if len(layers[1].cut.count) else layers[0]
@@ -46,7 +46,7 @@ def _merged_cuts(cuts: list[Cut]) -> Cut:
 
 
 def with_defocus_among_translucent(prepared: Prepared) -> Prepared:
-    """Returns a prepared view whose translucent layer also holds what is out of focus."""
+    """Returns a prepared view whose translucent layer also holds the splats that are out of focus."""
     out_of_focus_layer = prepared.out_of_focus
     assert out_of_focus_layer is not None
     both = (

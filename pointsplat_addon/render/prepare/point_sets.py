@@ -28,8 +28,8 @@ class PointSet:
     key: Key
     cloud: PointCloud
     hierarchy: Hierarchy | None = None
-    family: Key | None = None  # that other poses or colourings of the same points share, and with it their hierarchy
-    samples: Key | None = None  # of the samples of a mesh that the points are; None: they are none, or of some parts
+    family: Key | None = None  # shared with other poses or colourings of the points, which can reuse the hierarchy
+    samples: Key | None = None  # of the mesh samples that the points were made of; None: not of a whole mesh
     is_lattice: bool = False  # the points are voxels: only their attributes differ within the family
 
     def __len__(self) -> int:
@@ -47,14 +47,14 @@ class Layer:
 
 
 def coherent_with_foliage(cloud: PointCloud) -> PointCloud:
-    """The cloud in coherent order, its foliage marked."""
+    """Returns a cloud in spatially coherent order, with foliage (disconnected splats) marked."""
     cloud = coherent(cloud)
     disconnected = disconnected_splats(cloud)
     return cloud if disconnected is None else replace(cloud, disconnected=disconnected)
 
 
 def cloud_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:
-    """The points of a geometry that is a cloud."""
+    """Returns the point set of a geometry that is a cloud."""
     points = view.store.lookup(Key(Kind.COHERENT_POINTS, geometry.key), lambda: coherent_with_foliage(cloud))
     family = None
     if geometry.lattice:
@@ -63,7 +63,7 @@ def cloud_points(view: View, geometry: Geometry, cloud: PointCloud) -> PointSet:
 
 
 def point_counts(point_sets: dict[int, PointSet]) -> np.ndarray:
-    """(K + 1,) int64: points of each set by its key; the last one, that -1 reads, has none."""
+    """Returns (K + 1,) int64: the number of points of each set by its key; the last one, which -1 indexes, is 0."""
     found = np.zeros(max(point_sets, default=-1) + 2, np.int64)
     for key, points in point_sets.items():
         found[key] = len(points.cloud)
@@ -71,12 +71,15 @@ def point_counts(point_sets: dict[int, PointSet]) -> np.ndarray:
 
 
 def set_ball(points: PointSet, store: Store) -> tuple[np.ndarray, float, float]:
-    """Centre (3,) in object space, greatest distance of a point of the set from it, greatest radius of a splat."""
+    """Returns the centre (3,) of a set, the largest distance of a point from it, and the largest radius of a splat.
+
+    All are in object space.
+    """
     return store.lookup(Key(Kind.BALL_AND_RADIUS, points.key), lambda: cloud_ball(points.cloud))
 
 
 def typical_diameter(points: PointSet, view_from_object: np.ndarray, camera: Camera, store: Store) -> np.ndarray:
-    """(I,) pixels that the typical splat of each instance (I, 4, 4) spans in the middle of it."""
+    """Returns (I,) the diameter, in pixels, of a typical splat at the centre of each instance, (I, 4, 4)."""
     cloud = points.cloud
     radius = store.lookup(Key(Kind.TYPICAL_RADIUS, points.key), lambda: _typical_radius(cloud))
     middle, _, _ = set_ball(points, store)
@@ -100,8 +103,11 @@ def largest_radius(
     camera: Camera,
     store: Store,
 ) -> float:
-    """No visible point is wider than this radius in pixels: each instance's largest one at its nearest depth. Instances
-    out of view do not count: those beside the eye would ask for a pyramid that closes gaps between bodies."""
+    """Returns an upper bound of the radius of all visible splats, in pixels.
+
+    It is that of each instance's largest splat at the instance's nearest depth. Instances out of view do not count:
+    with one beside the eye, the pyramid would be so deep that it closes gaps between objects.
+    """
     largest = 0.0
     focal = max(abs(f) for f in camera.pixel_from_view()[:2])
     for key, points in point_sets.items():

@@ -49,8 +49,8 @@ class Prepared(Layer):
     # By instance: the parts (core/surface/density.py) that are drawn as polygons, rising; absent: all.
     parts: dict[int, np.ndarray] = field(default_factory=dict)
     strands: dict[int, Segments] = field(default_factory=dict)  # segments of strands, by geometry row
-    out_of_focus: OutOfFocusLayer | None = None  # all else then holds what is in focus
-    # Where `translucent` also holds what is out of focus: by its set, the covered fraction of each splat's ellipse.
+    out_of_focus: OutOfFocusLayer | None = None  # then all other primitives are those in focus
+    # If `translucent` also holds splats out of focus: by key of its sets, the covered fraction of each splat's ellipse.
     shares: dict[int, np.ndarray | float] = field(default_factory=dict)
 
 
@@ -70,7 +70,7 @@ def prepare(
     """Chooses, samples and cuts everything that `camera` sees.
 
     `samples`: how often the result will be drawn. `interactive`: it is drawn many times, the first time at once;
-    what takes long is built on another thread and used once it is there. `check` is called between geometries, and
+    hierarchies are built on another thread and used once they are ready. `check` is called between geometries, and
     may raise to stop. `costs`: of drawing on the device. `node`: size of out-of-focus nodes, see core/splat/blur.py.
     `coarse`: there is no time for one sample at the tolerance that was asked for.
     """
@@ -113,7 +113,7 @@ def prepare(
 
 @dataclass(frozen=True, eq=False)
 class _LayerPoints:
-    """Point sets that are drawn alike."""
+    """Point sets that are drawn in the same way, with the set of each instance."""
 
     set_of_instance: np.ndarray  # (I,) int: key of sets; -1: none
     sets: dict[int, PointSet] = field(default_factory=dict)
@@ -121,7 +121,7 @@ class _LayerPoints:
 
 @dataclass(eq=False)
 class _DrawnPrimitives:
-    """What a view draws, before any cut."""
+    """The points and polygons that a view draws, before any cut."""
 
     opaque: _LayerPoints
     translucent: _LayerPoints
@@ -136,7 +136,7 @@ class _DrawnPrimitives:
 def _drawn_primitives(
     view: View, view_from_object: np.ndarray, usable: np.ndarray, divided: dict[int, list[InstanceChoice | None]]
 ) -> _DrawnPrimitives:
-    """Returns the points and polygons of all geometries but strands, with hierarchies where these pay.
+    """Returns the points and polygons of all geometries except strands, with hierarchies where they save time.
 
     `divided`: by geometry row of meshes that are chosen for part by part, the choice of each instance.
     """
@@ -177,7 +177,7 @@ def _drawn_primitives(
 def _primitives(
     view: View, geometry: Geometry, view_from_object: np.ndarray, shown: list[InstanceChoice | None] | None
 ) -> Primitives:
-    """Returns what instances of a geometry, (I, 4, 4) view from object, are drawn as.
+    """Returns the points and polygons that instances of a geometry, (I, 4, 4) view from object, are drawn as.
 
     `shown`: the choice of each instance, if the mesh is chosen for part by part.
     """
@@ -196,7 +196,7 @@ def _primitives(
 
 
 def _instances_of_wide_balls(view: View, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:
-    """Returns (I,) bool: for which instances the typical splat is a ball that is wide on the screen."""
+    """Returns (I,) bool: in which instances the typical splat is a ball that is wide on the screen."""
     if points.cloud.normal is not None or points.cloud.radii is None:
         return np.zeros(len(view_from_object), bool)
     return typical_diameter(points, view_from_object, view.camera, view.store) > 2 * WIDE_BALL
@@ -205,7 +205,7 @@ def _instances_of_wide_balls(view: View, points: PointSet, view_from_object: np.
 def _strand_segments(
     view: View, view_from_object: np.ndarray, usable: np.ndarray, focus: FocusSorter | None
 ) -> dict[int, Segments]:
-    """Returns the strand segments that this view draws, by geometry row; what is out of focus goes to `focus`."""
+    """Returns the strand segments that a view draws, by geometry row; adds those out of focus to `focus`."""
     found: dict[int, Segments] = {}
     for row, geometry in enumerate(view.scene.geometries):
         strands = geometry.strands
@@ -228,8 +228,8 @@ def _strand_segments(
 
 
 def _sort_by_focus(view: View, focus: FocusSorter, drawn: _DrawnPrimitives) -> None:
-    """Adds to `focus` all opaque primitives that may be out of focus; removes from `drawn` those that cannot be in
-    it."""
+    """Adds to `focus` all opaque primitives that may be out of focus, and removes from `drawn` all that cannot be in
+    focus."""
     geometries, geometry_of = view.scene.geometries, view.scene.instances.geometry
     for kind in (drawn.opaque, drawn.spheres):
         for key, points in list(kind.sets.items()):

@@ -46,7 +46,7 @@ def separate_translucent(scene: Scene, store: Store) -> tuple[Scene, tuple[str, 
 
 
 def _parts(geometry: Geometry, table: MaterialTable, store: Store, warnings: list[str]) -> list[Geometry]:
-    """Returns the opaque and the translucent part of a geometry, or the only one."""
+    """Returns the opaque and the translucent part of a geometry, or one of them if the other is empty."""
     if geometry.volume is not None:
         return [_volume_as_points(geometry, geometry.volume, table, store, warnings)]
     mesh = geometry.mesh
@@ -62,7 +62,7 @@ def _parts(geometry: Geometry, table: MaterialTable, store: Store, warnings: lis
 
 
 def is_translucent(geometry: Geometry, table: MaterialTable) -> bool:
-    """Tells whether a geometry is translucent, which it is as a whole after `separate_translucent`."""
+    """Tells whether a geometry of a scene that `separate_translucent` returned is translucent."""
     if geometry.cloud is not None:
         return geometry.cloud.opacity is not None or geometry.cloud.extinction is not None
     return geometry.mesh is not None and passing(geometry.mesh, table) is not None
@@ -77,7 +77,7 @@ def _volume_as_points(
 
     def make() -> _VolumePoints:
         made, found = voxels.volume_splats(volume, medium, geometry.extinction, geometry.spacing)
-        # Transforms can take voxels out of range that float32 has.
+        # Transforms can take voxels out of the range of float32.
         cloud, dropped = valid_points(made)
         found += [f"{geometry.name}: {dropped} points that are not finite were left out"] if dropped else []
         return _VolumePoints(cloud, found)
@@ -108,7 +108,7 @@ def _digest(*things: Any) -> str:
 
 
 def _with_repeated(instances: Instances, rows: np.ndarray, geometry: np.ndarray) -> Instances:
-    """Returns the instances, followed by those of `rows` again with other geometries."""
+    """Returns the instances, followed by copies of `rows` (R,) with the geometry rows `geometry` (R,)."""
 
     def extended(array: np.ndarray | None) -> np.ndarray | None:
         return None if array is None else np.concatenate([array, array[rows]])

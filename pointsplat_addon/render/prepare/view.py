@@ -25,6 +25,6 @@ class View:
     store: Store
     check: Callable[[], None]  # called between geometries; may raise to stop
     costs: Costs  # of drawing on the device
-    blur: Blur | None  # of what is drawn as blurred splats; None: nothing is
-    coarse: bool = False  # a budget of time has no room for one sample at the tolerance that was asked for
-    warnings: list[str] = field(default_factory=list)  # steps append to it, some of them the same again
+    blur: Blur | None  # of splats that are out of focus; None: no primitive becomes such splats
+    coarse: bool = False  # the time budget does not allow one sample at the requested tolerance
+    warnings: list[str] = field(default_factory=list)  # steps append to it; there may be duplicates

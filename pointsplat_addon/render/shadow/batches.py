@@ -1,4 +1,4 @@
-"""Makes what casts into splats and segments of strands in world space, from which shadow tables are built."""
+"""Turns shadow casters into splats and strand segments in world space, from which shadow tables are built."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ..prepare.point_sets import coherent_with_foliage
 from .casting import CastingGeometry, bounding_box, cached_mesh_extents, cached_strands, transmission_digest
 from .spacing import MAX_SAMPLES
 
-MAX_POINTS_WITHOUT_NODES = 1 << 22  # points of many instances of one mesh: where they have more, nodes stand for them
+MAX_POINTS_WITHOUT_NODES = 1 << 22  # of all instances of one mesh: if there are more, nodes replace them
 
 
 def box_corner_casters(caster: CastingGeometry, store: Store) -> builder.Casters:
@@ -124,7 +124,7 @@ def _instances_in_world(cloud: PointCloud, matrices: np.ndarray) -> PointCloud:
 
 
 def _mesh_samples(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, store: Store) -> tuple[PointCloud, ...]:
-    """Returns samples of a mesh at the spacing that shadows need, whatever a view draws of it."""
+    """Returns clouds of samples of a mesh at `spacing`, in object units, independent of any view."""
     key = Key(Kind.CASTER_SAMPLES, geometry.key, transmission_digest(scene, geometry), spacing=spacing)
     shape = cached_mesh_extents(geometry, mesh, store)
 

@@ -1,4 +1,4 @@
-"""Finds which geometries of a scene cast shadows, and why none does if so."""
+"""Finds which geometries of a scene cast shadows, and the reason if none does."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ...core.surface.appearance import digest, hiding
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 
-MAX_COORDINATE = 1e18  # units from the origin: squares of distances are to fit float32
+MAX_COORDINATE = 1e18  # units from the origin: squares of distances must be in the range of float32
 _EXTREMES = (np.min, np.inf), (np.max, -np.inf)
 
 
@@ -50,7 +50,7 @@ def _casting_instances(scene: Scene) -> np.ndarray:
 
 
 def light_key(light: Light) -> tuple:
-    """Returns everything of a light that its shadow table depends on: not its colour."""
+    """Returns all properties of a light that its shadow table depends on, which excludes its colour."""
     arrays = (light.position, light.direction, light.axis_u, light.axis_v)
     numbers = (light.kind, light.radius, light.spot_cos, light.ellipse, light.spread, light.soft)
     return (*numbers, *(None if a is None else np.asarray(a, float).tobytes() for a in arrays))
@@ -62,7 +62,7 @@ def transmission_digest(scene: Scene, geometry: Geometry) -> str:
 
 
 def casting_geometries(scene: Scene, store: Store) -> list[CastingGeometry]:
-    """Returns all geometries that have instances which cast, in the order of the scene; empty ones are left out."""
+    """Returns all geometries with instances that cast shadows, in scene order; empty geometries are left out."""
     casting, found = _casting_instances(scene), []
     for row, geometry in enumerate(scene.geometries):
         where = np.flatnonzero(casting & (scene.instances.geometry == row))
@@ -82,8 +82,10 @@ def casting_geometries(scene: Scene, store: Store) -> list[CastingGeometry]:
 
 
 def bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the corners (3,) float64 of a geometry's bounding box, splats included, in object space; low > high:
-    empty."""
+    """Returns the low and high corner, (3,) float64, of a geometry's bounding box, in object space.
+
+    The box includes the radii of splats and strands. If the geometry is empty, low > high.
+    """
     mesh, cloud = geometry.mesh, geometry.cloud
     if mesh is not None and len(mesh.triangles):
         found = cached_mesh_extents(geometry, mesh, store)
@@ -107,7 +109,7 @@ def cached_mesh_extents(geometry: Geometry, mesh: Mesh, store: Store) -> MeshExt
 
 
 def _bounding_ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]:
-    """Returns the centre and radius of a ball about a geometry's box, in object space; radius < 0: it is empty."""
+    """Returns the centre and radius of a ball around a geometry's box, in object space; radius < 0: it is empty."""
     mesh, cloud = geometry.mesh, geometry.cloud
     if mesh is not None and len(mesh.triangles):
         found = cached_mesh_extents(geometry, mesh, store)

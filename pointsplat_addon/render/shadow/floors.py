@@ -19,7 +19,7 @@ MAX_HEIGHTS = 1 << 22  # vertices of all instances up to which each is tested ag
 def which_are_floors(scene: Scene, casters: list[CastingGeometry], store: Store) -> tuple[bool, ...]:
     """Returns for each caster whether it is a floor: flat, with all lights and all geometry on one side.
 
-    Such a floor shadows nothing, and would take as many samples as the tables have cells.
+    A floor shadows nothing, and would need as many samples as the tables have cells.
     """
     instances = scene.instances
     every = (*(g.key for g in scene.geometries), *(light_key(light) for light in scene.lights if light.shadow))
@@ -48,7 +48,7 @@ def _is_floor(scene: Scene, caster: CastingGeometry, store: Store) -> bool:
 
 
 def _has_nothing_behind(scene: Scene, point: np.ndarray, normal: np.ndarray, matrix: np.ndarray, store: Store) -> bool:
-    """Tells whether a plane of an instance has all lights and all geometry on one side, or in it.
+    """Tells whether all lights and all geometry are on one side of an instance's plane, or in it.
 
     `point`, `normal`: (3,) of the plane in object space. `matrix`: (4, 4) world from object.
     """

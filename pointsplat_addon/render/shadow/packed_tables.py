@@ -35,7 +35,7 @@ class PackedTables:
 
     @property
     def only_opaque(self) -> bool:
-        """Whether only opaque things cast."""
+        """Whether all casters are opaque."""
         return all(level.kind == "OPAQUE" for table in self._made for level in table.levels)
 
     @property
@@ -80,7 +80,7 @@ class PackedTables:
 
 
 def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> PackedTables:
-    """Packs the tables of lights, in the order of their rows in the texture of lights; None: a light casts no shadow.
+    """Packs the tables of lights, in the order of the light table's rows; None: the light casts no shadow.
 
     Raises ValueError if they need more than `texture_size` rows of PAGE_WIDTH texels.
     """
@@ -114,8 +114,10 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
 
 
 def coded(integers: np.ndarray) -> np.ndarray:
-    """Returns integers below 2^31 - 2^24 as float32 whose bits hold them: positive and normal, so that no device
-    alters them."""
+    """Returns integers below 2^31 - 2^24 encoded in the bits of float32 numbers.
+
+    The numbers are positive and normal, so that no device alters them.
+    """
     return (np.asarray(integers, np.int64) + 0x00800000).astype(np.int32).view(np.float32)
 
 
@@ -130,7 +132,7 @@ def _level_blocks(level: TableLevel, colored: bool) -> list[np.ndarray]:
 
 
 def _as_texels(values: np.ndarray) -> np.ndarray:
-    """Returns values (N,) as texels (n, 4) float32, padded with zeros."""
+    """Returns `values` (N,) as texels (ceil(N / 4), 4) float32, padded with zeros."""
     texels = np.zeros((-(-len(values) // 4), 4), np.float32)
     texels.reshape(-1)[: len(values)] = values
     return texels

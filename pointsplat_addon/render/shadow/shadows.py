@@ -1,6 +1,6 @@
 """Makes the shadow tables of a scene's lights, once for all views, and caches them by lights and geometry.
 
-All point sets, polygons and strands cast, sampled as densely as the tables resolve, whatever a view draws of them.
+All point sets, polygons and strands cast shadows, sampled as densely as the tables resolve, independent of any view.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Shadows:
     key: Key
     packed: PackedTables
     entries: int  # of all tables together
-    wide: bool  # some light has a size: the samples of a picture see different points of it
+    wide: bool  # some light has a size: each sample of a picture uses another point of it
     warnings: tuple[str, ...] = ()
 
     @property
@@ -44,8 +44,9 @@ class Shadows:
 def make_shadows(
     scene: Scene, settings: Settings, store: Store, check: Callable[[], None] = lambda: None
 ) -> tuple[Shadows | None, str]:
-    """Returns the tables of all lights, in the order of rows of the light table, and an empty string; or None, and why.
+    """Returns the shadow tables of all lights and an empty string; or None and the reason, if no light needs a table.
 
+    The tables are in the order of the light table's rows.
     `check` is called between steps, and may raise to stop. A light whose table cannot be built casts no shadow, and
     a warning says so.
     """
@@ -69,7 +70,7 @@ def make_shadows(
         for c, s in zip(casters, spacing, strict=True)
     )
     casters_key = Key(Kind.CASTERS, hashed(look), other=settings.shadow_resolution)
-    # Cells are as wide as they would be if floors cast, so that shadows on these do not move with what stands there.
+    # Cells are as wide as if floors cast, so that shadows on a floor do not shift when the objects on it move.
     around = [box_corner_casters(c, store) for c, floor in zip(casters, floors, strict=True) if floor]
     lights = sorted_by_kind(scene.lights)
     keys = tuple(light_key(light) if light.shadow else None for light in lights)

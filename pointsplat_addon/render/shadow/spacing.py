@@ -13,9 +13,9 @@ from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .casting import CastingGeometry, cached_mesh_extents, cached_strands
 
-MAX_SAMPLES = 1 << 20  # of all meshes together; where more would be needed, the largest are sampled more coarsely
+MAX_SAMPLES = 1 << 20  # of all meshes together; if more are needed, the largest meshes are sampled more coarsely
 CELLS_PER_SPACING = 1.2  # spacing in cells at which disks fit into cells once it is rounded to an octave
-MIN_LIGHT_DISTANCE = 0.05  # of the scene's radius: lights that are nearer to a surface do not ask for finer samples
+MIN_LIGHT_DISTANCE = 0.05  # of the scene's radius: lights nearer to a surface than this do not need finer samples
 MAX_EXACT_INSTANCES = (
     64  # of one mesh, and meshes: of so many, the distance to a light is measured all over the surface
 )
@@ -58,7 +58,7 @@ def sample_spacings(
     if not some.any():
         return strands
     many = samples[some] / samples_per_mesh(samples[some], MAX_SAMPLES)
-    # Down to an octave; where there are too many, to the nearest.
+    # Spacings are rounded down to an octave; if there are too many samples, to the nearest one.
     spacing[some] *= np.where(many > 1, np.sqrt(2 * many), 1)
     return [quantise_spacing(s) if ok else other for s, ok, other in zip(spacing.tolist(), some, strands, strict=True)]
 
@@ -100,9 +100,10 @@ def _distances_from_light(light: Light, points: np.ndarray) -> np.ndarray:
 
 
 def _finest_cell(light: Light, centre: np.ndarray, radius: np.ndarray, middle: np.ndarray, resolution: int) -> float:
-    """Returns the side of the finest cells of a light's table over balls about `middle`, as fit_frame chooses it.
+    """Returns the side of the finest cells of a light's shadow table: radians, or world units for suns.
 
-    It is in radians; for suns in world units.
+    `centre` (K, 3), `radius` (K,): balls that bound all casters. `middle`: (3,) their centre. `resolution`: cells
+    across the table, which is framed as fit_frame does.
     """
     if light.kind == "SUN":
         along, half = (centre - middle) @ rotation_to(light.direction)[1:].T, radius[:, None]
@@ -119,8 +120,10 @@ def _finest_cell(light: Light, centre: np.ndarray, radius: np.ndarray, middle: n
 
 
 def samples_per_mesh(samples: np.ndarray, most: float) -> float:
-    """Returns how many samples a mesh may have at most, where meshes ask for `samples` (M,) and share `most`: small
-    meshes get what they ask for, large ones equally many."""
+    """Returns the largest number of samples that one mesh may have, so that all meshes together have at most `most`.
+
+    `samples`: (M,) how many each mesh needs. Small meshes get all that they need, large ones equally many.
+    """
     ascending = np.sort(samples)
     others = len(samples) - np.arange(len(samples))
     each = (most - (np.cumsum(ascending) - ascending)) / others
