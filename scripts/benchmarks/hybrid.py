@@ -169,7 +169,7 @@ def run(quick: bool = False) -> tuple[list[dict], dict]:
             rows.append(row(f"hybrid, {name}", max(by_points, by_triangles), "x", LIMIT, note))
             sys.stdout.write("  ".join(table[-1]) + "\n")
             sys.stdout.flush()
-            renderer.kept.release()
+            renderer.kept.clear()
         figures = ", ".join(f"{name} {value:.3g}" for name, value in vars(costs).items())
         return rows, {f"Points or triangles, splats + triangles a sample ({figures} ns)": table}
     finally:

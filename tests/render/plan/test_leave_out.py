@@ -334,7 +334,7 @@ def test_every_scene_is_drawn_by_a_device_as_it_is_planned(name):
     case = row.case()
     request = rows.Request(case.camera, case.settings, row.passes, row.samples, interactive=row.interactive)
     renderer = drawing.opengl()
-    renderer.kept.release()  # orders and light of pictures before
+    renderer.kept.clear()  # orders and light of pictures before
     result = renderer.render(case.scene, request)
     assert {entry["name"] for entry in result.report["passes"]} == set(found(name).ran)
     assert all(np.isfinite(picture).all() for picture in result.pixels.values())
