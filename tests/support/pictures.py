@@ -597,8 +597,17 @@ def draw(arguments: argparse.Namespace) -> int:
 def draw_elsewhere(python: Path, folder: Path, group: str, names: list[str]) -> int:
     """Draw a group in a process of its own; 1 where that failed."""
     wanted = [name for name in names if name.startswith(f"{group}/")]
-    command = [str(python), "-m", "tests.support.pictures", "draw", str(folder), "--devices", "--group", group]
-    return int(subprocess.run([*command, "--only", *wanted], stdout=subprocess.DEVNULL).returncode != 0)
+    command = [
+        str(python),
+        "-m",
+        "tests.support.pictures",
+        "draw",
+        str(folder.resolve()),
+        "--devices",
+        "--group",
+        group,
+    ]
+    return int(subprocess.run([*command, "--only", *wanted], stdout=subprocess.DEVNULL, cwd=ROOT).returncode != 0)
 
 
 def said_by(python: Path) -> str:
