@@ -121,7 +121,7 @@ def test_tiles_whose_first_samples_agree_get_all_of_them():
     case = with_aperture("mixed", Aperture(0.5, 2.0))
     adaptive, every = (seen(case, 32, use_adaptive_sampling=on) for on in (True, False))
     np.testing.assert_array_equal(adaptive.pixels["combined"], every.pixels["combined"])
-    assert {"name": "adapt", "because": "samples through other places on the lens show what the first ones do not"} in (
+    assert {"name": "adapt", "because": "samples through other points on the lens show what the first ones do not"} in (
         adaptive.report["skipped"]
     )
 
