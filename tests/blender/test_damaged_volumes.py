@@ -17,7 +17,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from pointsplat_addon.formats import vdb
+from pointsplat_addon.formats.volumes import vdb
 from pointsplat_addon.host.convert.volume import load_openvdb
 
 folder, count, room = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
