@@ -96,8 +96,9 @@ def _sorted_runs(blocks: Sequence[EntryBlock]) -> Iterator[tuple[np.ndarray, np.
 
 
 def _sum_run(rows: GridRows, key: np.ndarray, depth: np.ndarray, wide: bool) -> tuple[np.ndarray, ...]:
-    """Of sorted entries: occupied cells (O,) int32 and how many entries each holds (O,), distances (E,) float32 and
-    optical depths of each cell up to there (E, C) float32. Opaque entries come as covered fractions."""
+    """Returns, for sorted entries, the occupied cells (O,) int32 and how many entries each holds (O,),
+    distances (E,) float32 and optical depths of each cell up to there (E, C) float32.
+    Opaque entries come as covered fractions."""
     depth = depth.astype(np.float64)
     cell = (key >> np.uint64(32)).astype(np.int32)
     opaque = int(np.searchsorted(cell, rows.cell_base[rows.levels]))

@@ -77,6 +77,6 @@ def material_ids(mesh: Mesh, samples: Samples) -> np.ndarray:
 
 
 def take_samples(samples: Samples, rows: np.ndarray) -> Samples:
-    """Some samples, in the order of `rows`."""
+    """Returns the samples that `rows` names, in that order."""
     ellipse = None if samples.ellipse is None else samples.ellipse.take(rows, axis=0)
     return Samples(samples.method, samples.triangle[rows], samples.barycentric.take(rows, axis=0), ellipse)

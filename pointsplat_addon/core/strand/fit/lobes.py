@@ -90,9 +90,9 @@ def _farthest_corners(flat: FlatParts, hub: np.ndarray, lobe: np.ndarray, most: 
 def _fit_triangles(
     samples: _SurfaceSamples, tip: np.ndarray, lobe: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of L lobes of each of C parts a triangle from where it is widest, which is where most of its area lies, to its
-    tip (C L, 2): of the area that lies beyond, and beside the middle of that. Points (C L, 2, 3), half widths (C L, 2),
-    normals (C L, 3) of any length, and which samples (N,) bool lie beyond."""
+    """Returns for L lobes of each of C parts a triangle from where it is widest, which is where most of its area lies,
+    to its tip (C L, 2): of the area that lies beyond, and beside the middle of that. Points (C L, 2, 3), half
+    widths (C L, 2), normals (C L, 3) of any length, and which samples (N,) bool lie beyond."""
     lobes = len(tip)
     group = samples.own * (lobes // len(lobe)) + lobe[samples.own, direction_bin(samples.position)]
     reach = np.linalg.norm(tip, axis=1)
@@ -122,7 +122,7 @@ def _fit_triangles(
 
 
 def _fit_rectangles(samples: _SurfaceSamples, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each part's samples a rectangle of their area, and of their variance along their longer axis: points
+    """Returns for each part a rectangle with its samples' area and variance along the longer axis: points
     (C, 2, 3), half widths (C, 2) and normals (C, 3) of any length."""
     own, area = samples.own, samples.area
     whole = np.maximum(np.bincount(own, area, count), 1e-300)
