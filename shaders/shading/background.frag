@@ -1,18 +1,27 @@
 // The world where nothing else is, added to what earlier samples left. PS_EVERYWHERE: that is all of the picture.
-// PS_AUXILIARY_ONLY: only passes beside Combined are drawn.
+// PS_AUXILIARY_ONLY: only passes beside Combined are drawn. PS_GROUPED: what lies behind open sub-samples, before these are
+// spread.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/light/lights.glsl"
 #include "lib/light/backdrop.glsl"
 #include "lib/geometry/finite.glsl"
-#ifndef PS_EVERYWHERE
+#if !defined(PS_EVERYWHERE) && !defined(PS_GROUPED)
 #include "lib/geometry/surfel_kind.glsl"
 #include "lib/geometry/coverage.glsl"
+#endif
+#ifdef PS_GROUPED
+#include "lib/visibility/groups.glsl"
 #endif
 
 void main()
 {
-#ifdef PS_EVERYWHERE
+#if defined(PS_GROUPED)
+  const float open = 1.0;
+  if ((texelFetch(ps_second, ivec2(gl_FragCoord.xy), 0).x & PS_OPEN) == 0u) {
+    discard;
+  }
+#elif defined(PS_EVERYWHERE)
   const float open = 1.0;
 #else
   ivec2 pixel = ivec2(gl_FragCoord.xy);

@@ -1,5 +1,6 @@
 // Deferred shading: the G-buffer to scene-linear radiance, premultiplied, added to what earlier samples left. Pixels
-// that show nothing are left to background.frag. PS_AUXILIARY_ONLY: only passes beside Combined are drawn.
+// that show nothing are left to background.frag. PS_AUXILIARY_ONLY: only passes beside Combined are drawn. PS_GROUPED: the
+// surfels are groups of sub-samples, and shape.xy is where in the pixel the one lies that stands for the group.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/surfel_kind.glsl"
@@ -28,20 +29,25 @@ void main()
     discard;
   }
   vec4 shape = texelFetch(ps_shape, pixel, 0);
+#ifdef PS_GROUPED
+  vec2 at = gl_FragCoord.xy + shape.xy;
+#else
+  vec2 at = gl_FragCoord.xy;
+#endif
 #ifdef PS_NORMAL
   vec4 bent = texelFetch(ps_normal, pixel, 0);
-  vec3 normal = ps_surface_normal(bent.xyz, centre, shape, gl_FragCoord.xy);
-  vec3 position = ps_surface_position(normal, bent.xyz, centre, gl_FragCoord.xy);
+  vec3 normal = ps_surface_normal(bent.xyz, centre, shape, at);
+  vec3 position = ps_surface_position(normal, bent.xyz, centre, at);
 #else
   vec3 normal = vec3(0.0, 0.0, 1.0);
-  vec3 position = ps_view_from_pixel(gl_FragCoord.xy, centre.x);
+  vec3 position = ps_view_from_pixel(at, centre.x);
 #endif
 #ifdef PS_COARSE
   // A coarse node lies below the surface that it stands for, which casts shadows as fine as ever: it is lit above that.
   float radius = centre.w > PS_POLYGON ? 2.0 * max(abs(shape.x), length(shape.yz)) : 0.0;  // pixels
   position += normal * (radius * ps_pixel_size(centre.x));
 #endif
-  vec3 to_eye = -ps_ray(gl_FragCoord.xy);
+  vec3 to_eye = -ps_ray(at);
 #ifdef PS_STRANDS
   bool strand = ps_is_strand(centre);
   vec3 tangent = normal;

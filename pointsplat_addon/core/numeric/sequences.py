@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+R2 = np.array([0.7548776662466927, 0.5698402909980532])  # 1 / p and 1 / p^2 of the plastic number (Roberts 2018)
+
 
 def centred_pairs(position: np.ndarray, opposite: np.ndarray, count: int) -> np.ndarray:
     """(count, 2) float64 samples: the centre, then pairs that lie opposite to each other, so that their mean is 0.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-TECHNIQUES = ("AUTO", "IMAGE_SPACE", "EWA", "PAINTER")
+TECHNIQUES = ("AUTO", "VISIBILITY", "IMAGE_SPACE", "EWA", "PAINTER")
 DOF_METHODS = ("SPLAT", "LENS_SAMPLES")
 BUDGETS = ("NONE", "TIME", "ERROR")
 DEVICES = ("AUTO", "BLENDER_GPU", "OPENGL")

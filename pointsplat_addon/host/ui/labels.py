@@ -6,6 +6,11 @@ Item = tuple[str, str, str]
 
 TECHNIQUE_ITEMS: dict[str, Item] = {
     "AUTO": ("AUTO", "Automatic", "EWA for final renders of points that have colours of their own, else image space"),
+    "VISIBILITY": (
+        "VISIBILITY",
+        "Visibility Buffer",
+        "Find the nearest primitive of all samples of a pixel at once, and shade each surface in a pixel once",
+    ),
     "IMAGE_SPACE": (
         "IMAGE_SPACE",
         "Image Space",

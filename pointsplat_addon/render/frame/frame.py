@@ -13,6 +13,7 @@ from ...core.scene.scene import Scene
 from ...core.strand.segments import sample_offsets
 from ..device.clock import Clock
 from ..device.protocol import Texture
+from ..passes.gbuffer import GBuffer
 from ..passes.image_space.pyramid import levels
 from ..passes.output import present
 from ..passes.output.adaptive import Adaptive
@@ -27,12 +28,13 @@ from .data import DataPasses
 from .defocus import OutOfFocus, in_focus
 from .lens_samples import LensSamples
 from .resources import FrameResources
-from .sample_positions import is_checkpoint, offsets
+from .sample_positions import is_checkpoint, lattice_offsets, offsets
 from .shading import Shading
 from .surfels import gbuffer_textures
 from .targets import Targets
 from .translucent import Translucent, lighting_of_sample
 from .uploads.uploads import Uploads
+from .visibility.layers import Visibility
 
 
 class Frame:
@@ -68,7 +70,9 @@ class Frame:
         self.backdrop: Backdrop | None = None
         self.adaptive: Adaptive | None = None
         self.translucent: Translucent | None = None
+        self.visibility: Visibility | None = None
         self.out_of_focus: OutOfFocus | None = None
+        self.central: GBuffer | None = None  # of what lies under the pixels' centres, where it is known
         self._turns = sample_offsets(self.frame_plan.request.samples)
         self._data = DataPasses(self.frame_plan.scene, self.frame_plan.request)
         self._owned: list[Any] = []
@@ -118,6 +122,11 @@ class Frame:
             gather = 2 << count  # two pixels of the coarsest level on either side
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, centre))
         self.shading = Shading(device, frame_plan.scene, plan, request, self.uploads, self.targets, self.backdrop)
+        if self.targets.visibility is not None:
+            visible = self.targets.visibility
+            self.visibility = self._own(
+                Visibility(device, plan, request.passes, self.uploads, visible, self.shading, run)
+            )
         if plan.defocus:
             transparent = frame_plan.scene.transparent
             self.out_of_focus = self._own(OutOfFocus(device, plan, self.uploads, self.targets, transparent, run))
@@ -162,6 +171,9 @@ class Frame:
             view = replace(view, near=near, far=far)
         if first and self.backdrop is not None:
             self.clock.run("backdrop", lambda: self.shading.draw_backdrop(self._centred()))
+        if self.visibility is not None:
+            self._draw_visible(self.visibility, view, first)
+            return
         self._draw_surfels(view, first)
         shown = self.adaptive.shown if self.adaptive else EVERYWHERE
         if self.translucent is not None:
@@ -174,6 +186,15 @@ class Frame:
             self._draw_translucent(self.translucent, view, first)
         if self.beside is not None:
             self.beside.sample()
+
+    def _draw_visible(self, visibility: Visibility, view: SampleView, first: bool) -> None:
+        """Draws a sample that is a whole lattice of sub-samples."""
+        visibility.draw(view, self.targets.sum_target)
+        if first and self.frame_plan.plan.central:
+            self.central = visibility.draw_central(view)
+            if self.frame_plan.plan.data:
+                self.clock.run("data", lambda: self._draw_data(view))
+                self._data.read(self.targets.data, self._cropped, first)
 
     def _draw_surfels(self, view: SampleView, first: bool) -> None:
         """Draws opaque primitives into G-buffers, and the passes that do not depend on light."""
@@ -200,8 +221,10 @@ class Frame:
 
     def _sample_view(self, index: int) -> SampleView:
         """Returns the view of one sample, with its offset within the pixel."""
-        samples = self.frame_plan.request.samples
-        x, y = offsets(samples)[index] if samples > 1 else (0.0, 0.0)
+        samples, sub_samples = self.frame_plan.request.samples, self.frame_plan.plan.sub_samples
+        x, y = (0.0, 0.0)
+        if samples > 1:
+            x, y = lattice_offsets(samples, sub_samples)[index] if sub_samples else offsets(samples)[index]
         return view_of(self.view, (float(x), float(y)), index)
 
     def _centred(self) -> SampleView:
@@ -210,7 +233,7 @@ class Frame:
 
     def _draw_data(self, view: SampleView) -> None:
         frame_plan = self.frame_plan
-        textures = gbuffer_textures(self.targets.data_surfels)
+        textures = gbuffer_textures(self.targets.data_surfels) if self.central is None else self.central.bound()
         if self.uploads.previous is not None:
             textures["ps_previous"] = self.uploads.previous
         program = data.data_program(frame_plan.plan.data_variant, frame_plan.request.passes)
@@ -290,6 +313,8 @@ class Frame:
             return self.lens.centre
         if self.adaptive is not None and self.out_of_focus is None:
             return self.adaptive.centre
+        if self.central is not None:
+            return self.central.textures["centre"]
         drawn = self if self.beside is None or self.beside.frame_plan.trivial else self.beside
         return gbuffer_textures(drawn.targets.data_surfels).get("ps_centre")
 

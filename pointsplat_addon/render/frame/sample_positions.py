@@ -6,10 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from ...core.numeric.sequences import centred_pairs
+from ...core.numeric.sequences import R2, centred_pairs
 
 FILTER_WIDTH = 1.5  # pixels: Cycles' default
-R2 = np.array([0.7548776662466927, 0.5698402909980532])  # 1 / p and 1 / p^2 of the plastic number (Roberts 2018)
 
 
 @lru_cache(maxsize=8)
@@ -34,6 +33,16 @@ def offsets(count: int, width: float = FILTER_WIDTH) -> np.ndarray:
     first = (0.5 + np.arange(count // 2 + 1)[:, None] * R2) % 1.0
     cumulative, x = _blackman_harris(width)
     result = centred_pairs(np.interp(first, cumulative, x), np.interp(1.0 - first, cumulative, x), count)
+    result.setflags(write=False)
+    return result
+
+
+@lru_cache(maxsize=64)
+def lattice_offsets(count: int, sub_samples: int) -> np.ndarray:
+    """Returns by how much each of `count` lattices of so many sub-samples of a pixel is moved, (count, 2) float64
+    pixels: within one cell, so that all of them together fill the pixel evenly."""
+    first = (0.5 + np.arange(count // 2 + 1)[:, None] * R2) % 1.0 - 0.5
+    result = centred_pairs(first, -first, count) / np.sqrt(sub_samples)
     result.setflags(write=False)
     return result
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from ...core.scene.scene import Scene
 from ...shading.interface import Interface
-from ..device.protocol import Device, Texture
+from ..device.protocol import Device, Target, Texture
+from ..passes.gbuffer import GBuffer
 from ..passes.shading.averages import averaged
 from ..passes.shading.backdrop import Backdrop
 from ..passes.shading.background import background_program
@@ -48,7 +49,7 @@ class Shading:
             passes = frozenset({"combined"})
         self._shade = shade_program(
             plan.variant, plan.lighting, plan.materials, passes, request.samples, coverage, plan.lines, plan.defocus,
-            plan.picture, coarse=request.coarse,
+            plan.picture, coarse=request.coarse, grouped=plan.sub_samples > 0,
         )  # fmt: skip
         self._background = background_program(
             plan.background_defines,
@@ -57,6 +58,7 @@ class Shading:
             coverage,
             everywhere=not plan.shaded.solid,
             combined=plan.picture,
+            grouped=plan.sub_samples > 0,
         )
 
     @property
@@ -90,6 +92,19 @@ class Shading:
         """Adds the world to the sums, where nothing is in front of it."""
         textures = gbuffer_textures(self._targets.surfels) | self._uploads.shading | self.backdrop_textures
         self._add(self._background, view, region, textures)
+
+    def shade_groups(self, view: SampleView, region: Region, surfaces: GBuffer, target: Target) -> None:
+        """Shades one layer of groups of sub-samples, whose attributes are in `surfaces`."""
+        textures = surfaces.bound() | self._uploads.shading
+        region.draw(
+            self._device, self._shade, target, uniforms=self._record(self._shade, view), textures=textures
+        )
+
+    def draw_open(self, view: SampleView, region: Region, codes: dict[str, Texture], target: Target) -> None:
+        """Draws the world where sub-samples are open; `codes`: the groups of sub-samples, by sampler name."""
+        textures = codes | self._uploads.shading | self.backdrop_textures
+        record = self._record(self._background, view)
+        region.draw(self._device, self._background, target, uniforms=record, textures=textures)
 
     def average(self, view: SampleView) -> None:
         """Adds the averaged passes of painted splats to their sums."""

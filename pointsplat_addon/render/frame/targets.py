@@ -10,6 +10,7 @@ from ..passes.shading import averages, data
 from ..passes.translucent.blend import COARSE
 from ..plan.plan import Plan
 from .surfels import Surfels, make_surfels
+from .visibility.targets import VisibilityTargets
 
 
 class Targets:
@@ -24,11 +25,14 @@ class Targets:
 
     def _allocate(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
         device = self._device
+        self.visibility: VisibilityTargets | None = None
+        if plan.sub_samples and plan.solid:
+            self.visibility = self._own(VisibilityTargets(device, plan, passes, size))
         self.projection: Projection | None = None
-        if plan.points and plan.ewa is None:
+        if plan.points and plan.ewa is None and not plan.sub_samples:
             self.projection = self._own(Projection(device, plan.options, size))
         self.surfels: Surfels | None = None
-        if plan.shaded.solid:
+        if plan.shaded.solid and not plan.sub_samples:
             self.surfels = self._own(make_surfels(device, plan.shaded, plan.variant, size, count))
         self.data_surfels = self.surfels
         self.sums: list[Texture] = [
@@ -72,7 +76,8 @@ class Targets:
             self.data_target: Target = self._own(device.target(self.data))
             # Identities cannot be averaged, and motion and positions are read once: they have a separate G-buffer, so
             # that samples do not write channels which only one of them needs.
-            if plan.data_variant != plan.variant and self.data_surfels is self.surfels:
+            shared = self.data_surfels is self.surfels and not plan.sub_samples
+            if plan.data_variant != plan.variant and shared:
                 self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
 
     def _own(self, item: Any) -> Any:
@@ -94,7 +99,7 @@ class Pool:
 
     def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
         """Returns the key to give targets back with, and the targets for a plan; idle ones if they match."""
-        key = (size, count, plan.points, plan.ewa, plan.polygons, plan.spheres, plan.lines, plan.variant, plan.options,
+        key = (size, count, plan.sub_samples, plan.central, plan.points, plan.ewa, plan.polygons, plan.spheres, plan.lines, plan.variant, plan.options,
                plan.painter and plan.data_variant, plan.defocus, plan.picture,
                averages.averaged(passes),
                None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),

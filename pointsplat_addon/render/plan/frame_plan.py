@@ -11,6 +11,7 @@ import numpy as np
 from ...core.lens.backdrop import why_not_blurred
 from ...core.lens.thin_lens import uses_lens_samples
 from ...core.lod.cost import Costs
+from ...core.numeric.lattice import FEW, MANY
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ...core.scene.validation import validate
@@ -40,6 +41,7 @@ from .request import Request
 from .technique import Technique, TechniqueInput, confirm_technique, decide_technique
 
 MOST_MARGIN = 64  # pixels around the window in which the centres of wide splats are looked for
+FILTER_REACH = 1.0  # pixels around the window whose sub-samples the pixel filter takes in
 LENS_SAMPLES_BLUR = "each sample sees it through a point on the lens"  # the reason why the world has no picture
 
 
@@ -149,7 +151,7 @@ def make_frame_plan(
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
     decided = decide_technique(
-        TechniqueInput(request.settings, scene, request.samples, request.interactive, limits.float_blend)
+        TechniqueInput(request.settings, scene, request.samples, request.interactive, camera.aperture is not None, limits.float_blend)
     )
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
     prepared = _prepared(scene, request, decided, through_lens, store, costs, clock)
@@ -177,8 +179,18 @@ def make_frame_plan(
         LENS_SAMPLES_BLUR if through_lens else why_not_blurred(scene, camera),
     )
     ewa = technique.name == "EWA"
-    plan = make_plan(ViewToPlan(scene, prepared, request, shadows, ewa, painter, reflects, picture, absences))
-    view, corner = with_margin(camera, plan.splat_radius(prepared.largest), limits.texture_size)
+    sub_samples = 0
+    if technique.name == "VISIBILITY":
+        lattice = FEW if request.interactive else MANY
+        sub_samples = lattice.count
+        request = replace(request, samples=-(-request.samples // sub_samples))
+    plan = make_plan(
+        ViewToPlan(
+            scene, prepared, request, shadows, ewa, painter, reflects, picture, sub_samples, presented, absences
+        )
+    )
+    radius = FILTER_REACH if sub_samples else plan.splat_radius(prepared.largest)
+    view, corner = with_margin(camera, radius, limits.texture_size)
     return FramePlan(
         scene,
         request,
@@ -228,6 +240,8 @@ def _prepared(
 
 def _not_adaptive(request: Request, prepared: Prepared, plan: Plan, through_lens: bool) -> str:
     """Why all pixels get all samples; empty where adaptive sampling may leave some out."""
+    if plan.sub_samples:
+        return "all sub-samples of a pixel are drawn at once"
     return why_everywhere(
         request.settings,
         request.samples,

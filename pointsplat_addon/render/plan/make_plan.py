@@ -42,6 +42,8 @@ class ViewToPlan:
     painter: bool  # the technique is the painter, and there are opaque points
     reflects: bool  # something that is drawn reflects light
     picture: bool  # Combined is wanted; else nothing is lit and nothing translucent is drawn
+    sub_samples: int  # of each pixel in each sample, by the visibility buffer; 0: by another technique
+    presented: bool  # the picture is shown between samples
     absences: Absences  # why what the view has not is not there
 
     @property
@@ -98,6 +100,8 @@ def make_plan(view: ViewToPlan) -> Plan:
         ewa=ewa,
         world=() if scene.transparent else _world(scene),
         painter=view.painter,
+        sub_samples=view.sub_samples,
+        presented=view.presented,
         defocus=view.defocus,
         backdrop=not view.absences.blurred_world,
         picture=view.picture,
@@ -181,7 +185,7 @@ def _variants(view: ViewToPlan, kinds: _Kinds, attributes: _Attributes, normals:
     passes = view.request.passes
     owner = bool(passes & set(NEED_OWNER))
     wide = len(view.scene.materials) >= EXACT_HALF
-    pyramid = kinds.points and not view.ewa
+    pyramid = kinds.points and not view.ewa and not view.sub_samples
     variant = Variant(
         normals,
         attributes.color,

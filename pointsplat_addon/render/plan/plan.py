@@ -32,14 +32,21 @@ class Plan:
     world: tuple[str, ...] = ()  # names of shader defines, PS_*: the world behind everything
     painter: bool = False  # opaque points are painted; the G-buffer holds them for the other passes only
     backdrop: bool = False  # the world is out of focus: passes/backdrop.py
+    presented: bool = False  # the picture is shown between samples, with its depth
     picture: bool = True  # Combined is drawn, not the auxiliary passes alone
     shades: bool = True  # Combined is drawn, or an averaged pass, which shading writes too
+    sub_samples: int = 0  # of each pixel in each sample of the picture, by the visibility buffer; 0: by another technique
     defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus.py
 
     @property
     def solid(self) -> bool:
         """Whether something is in the G-buffer."""
         return self.points or self.polygons or self.spheres or self.lines
+
+    @property
+    def central(self) -> bool:
+        """Whether a G-buffer holds what lies under the pixels' centres, beside the groups of sub-samples."""
+        return self.sub_samples > 0 and (self.data or self.presented)
 
     @property
     def shaded(self) -> Plan:

@@ -18,6 +18,7 @@ from ...core.splat.ewa import centres_decide
 from ...core.surface.appearance import graphs_of
 from ..prepare.layers import MANY_INSTANCES
 from ..prepare.prepare import Prepared
+from ..prepare.separation import is_translucent
 
 TITLES = {"EWA": "EWA", "PAINTER": "The painter"}  # of the techniques that blend floats
 
@@ -30,6 +31,7 @@ class TechniqueInput:
     scene: Scene
     samples: int
     interactive: bool  # a view that is drawn repeatedly and at once
+    lens: bool  # the camera has depth of field
     float_blend: bool  # the device can blend floats, as EWA and the painter do
 
 
@@ -50,12 +52,23 @@ def decide_technique(given: TechniqueInput) -> Technique:
     """
     asked = given.settings.technique
     found = _automatic(given) if asked == "AUTO" else Technique(asked, "the settings say so", automatic=False)
+    if found.name == "VISIBILITY" and (why := _why_not_visibility(given)):
+        warning = "" if found.automatic else f"{why}: points are drawn in image space"
+        return Technique("IMAGE_SPACE", why, found.automatic, warning)
     if found.name not in TITLES or given.float_blend:
         return found
     warning = ""
     if not found.automatic:
         warning = f"{TITLES[asked]} needs blending of floats, which this GPU lacks: points are drawn in image space"
     return Technique("IMAGE_SPACE", "this GPU cannot blend floats", found.automatic, warning)
+
+
+def _why_not_visibility(given: TechniqueInput) -> str:
+    """Returns why the visibility buffer cannot draw a scene; empty where it can."""
+    scene = given.scene
+    if any(is_translucent(geometry, scene.materials) for geometry in scene.geometries):
+        return "translucent things are blended in each sample"
+    return "the camera has depth of field" if given.lens else ""
 
 
 def confirm_technique(decided: Technique, prepared: Prepared) -> Technique:

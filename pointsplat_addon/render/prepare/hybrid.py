@@ -119,6 +119,8 @@ def choose_parts(
     parts are polygons.
     """
     found: dict[int, list[InstanceChoice | None]] = {}
+    if view.settings.technique == "VISIBILITY":
+        return found
     scene, others = view.scene, False
     for row, geometry in enumerate(scene.geometries):
         views = view_from_object[usable & (scene.instances.geometry == row)]

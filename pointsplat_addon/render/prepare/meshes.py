@@ -163,7 +163,7 @@ def _points_unless_polygons(
 
     `all_far`: the triangles of all instances are known to be small on the screen.
     """
-    if measured.geometry.primitive == "POLYGONS":
+    if is_polygons(view, measured.geometry):
         return None
     needed = _needed_spacing(view, measured, view_from_object)
     if not np.isfinite(needed):
@@ -176,9 +176,16 @@ def _points_unless_polygons(
     return _points_by_octave(view, measured, needed, view_from_object)
 
 
+def is_polygons(view: View, geometry: Geometry) -> bool:
+    """Tells whether a mesh is drawn as polygons whatever the view is: by the visibility buffer they cost less than points
+    of as many pixels."""
+    by_buffer = view.settings.technique == "VISIBILITY" and geometry.primitive == "AUTO"
+    return by_buffer or geometry.primitive == "POLYGONS"
+
+
 def _too_near_for_points(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
     """Returns (I,) bool: which instances may be so large on the screen that they are drawn as polygons."""
-    if measured.geometry.primitive == "POLYGONS" or len(view_from_object) == 1 or not view.camera.perspective:
+    if is_polygons(view, measured.geometry) or len(view_from_object) == 1 or not view.camera.perspective:
         return np.ones(len(view_from_object), bool)
     allowed = _spacing_allowed_by_bounds(view, measured, view_from_object)
     near = measured.typical_edge * view.settings.tolerance > POLYGON_PIXELS * allowed

@@ -20,17 +20,19 @@ def background_program(
     coverage: bool = False,
     everywhere: bool = False,
     combined: bool = True,
+    grouped: bool = False,
 ) -> Interface:
     """Returns the program that draws the world, of which `world` says what it is, PS_BACKDROP that it is out of focus.
     `coverage`: edges let some of it through. `everywhere`: nothing is before it. `combined`: the picture, not only
-    passes beside it."""
+    passes beside it. `grouped`: behind the open sub-samples of pixels."""
     drawn = not transparent and "PS_BACKDROP" not in world
     named = {"PS_BACKGROUND": drawn, "PS_COVERAGE": coverage, "PS_EVERYWHERE": everywhere,
-             "PS_AUXILIARY_ONLY": not combined}  # fmt: skip
+             "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped}  # fmt: skip
     names = (*world, *averaged_defines(passes), *(name for name, on in named.items() if on))
-    read = () if everywhere else ("ps_centre", "ps_shape") if coverage else ("ps_centre",)
+    read = () if everywhere or grouped else ("ps_centre", "ps_shape") if coverage else ("ps_centre",)
+    codes = (("UINT_2D", "ps_second"),) if grouped else ()
     return Interface(
         "background", fragment="shading/background.frag", block=world_block("Background", world),
-        outputs=averaged_outputs(passes, combined), samplers=(*(("FLOAT_2D", name) for name in read),
+        outputs=averaged_outputs(passes, combined), samplers=(*(("FLOAT_2D", name) for name in read), *codes,
         *lighting_samplers(world)), defines=tuple((name, "1") for name in names),
     )  # fmt: skip

@@ -56,15 +56,16 @@ def shade_program(
     focus: bool = False,
     combined: bool = True,
     coarse: bool = False,
+    grouped: bool = False,
 ) -> Interface:
     """Returns the program that shades. `lighting`, `materials`: the PS_ names of what shines and of what surfaces do
     with it. Wide lights are sampled at as many points as the `samples` of a picture leave over from LIGHT_POINTS.
     `coverage`: edges are soft. `lines`: there are strands. `focus`: only what is in focus, with its depth. `combined`:
     the picture, not only passes beside it. `coarse`: nodes are so wide that they would lie in the shadow of what they
-    stand for."""
+    stand for. `grouped`: surfels are groups of sub-samples."""
     read = variant.samplers(only=("centre", "shape", "normal", "color", "emission"))
     flags = {"PS_COVERAGE": coverage, "PS_STRANDS": lines and variant.normal, "PS_FOCUS": focus,
-             "PS_AUXILIARY_ONLY": not combined,
+             "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped,
              "PS_COARSE": coarse and any("SHADOW" in name for name in lighting)}  # fmt: skip
     names = (*variant.defines, *materials, *averaged_defines(passes), *(name for name, on in flags.items() if on))
     points = min(max(LIGHT_POINTS // samples, 1), MOST_LIGHT_POINTS)

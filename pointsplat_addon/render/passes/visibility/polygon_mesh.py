@@ -53,6 +53,11 @@ class PartList:
     texture: Texture
     count: int
 
+    @property
+    def corners(self) -> int:
+        """How many corners are drawn."""
+        return 3 * PART * self.count
+
 
 def baked_defines(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
     """Returns the defines of shaders that read the baked pictures of a graph."""
@@ -118,6 +123,7 @@ class PolygonMesh:
         parts: Parts | None = None,
     ) -> None:
         self.origin = _origin(mesh)
+        self.triangles = len(mesh.triangles)
         rows = np.full(len(mesh.triangles), mesh.materials[0]) if mesh.material is None else mesh.material.astype(int)
         triangle = np.arange(len(mesh.triangles))
         if parts is not None and parts.order is not None:
@@ -129,6 +135,8 @@ class PolygonMesh:
         corner_rows[:, :3] = mesh.position[mesh.triangles[order].reshape(-1)] - self.origin
         corner_rows[:, 3] = pack_normal(corner_normals(mesh)[corners])
         self.textures: dict[str, Texture] = {}
+        # Low and high corner (2, 3), relative to the origin.
+        self.box = np.array([corner_rows[:, :3].min(axis=0), corner_rows[:, :3].max(axis=0)], np.float64)
 
         def upload(name: str, format: str, channels: int, values: np.ndarray) -> None:
             size, data = paged(values, channels)

@@ -11,6 +11,8 @@ from ..gbuffer import GBuffer, Variant
 from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
 from .polygon_mesh import CORNERS, Group, PartList, PolygonMesh
 
+CORNERS_OF_PART = ("PS_PARTS", str(3 * PART))  # a define
+
 
 def _block(variant: Variant, group: Group, parted: bool) -> Block:
     """The uniforms of the program that draws a group, or some of its parts."""
@@ -26,7 +28,7 @@ def _block(variant: Variant, group: Group, parted: bool) -> Block:
     return block("Polygons", CAMERA_FIELDS, own, *(fields for fields, on in further if on))
 
 
-def _needed(variant: Variant, group: Group) -> tuple[str, ...]:
+def needed_defines(variant: Variant, group: Group) -> tuple[str, ...]:
     """Returns the defines of a group's shader in a G-buffer of this variant."""
     held = {"PS_BAKED_NORMAL": variant.normal}
     for kind, on in (("COLOR", variant.color), ("SURFACE", variant.surface), ("EMISSION", variant.emission)):
@@ -41,7 +43,7 @@ def _needed(variant: Variant, group: Group) -> tuple[str, ...]:
 
 def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
     """Returns the program that draws a group, or some of its parts."""
-    names = _needed(variant, group)
+    names = needed_defines(variant, group)
     samplers = [("FLOAT_2D", "ps_corner")]
     varyings = [("smooth", "vec3", "v_position")]
     if variant.normal:
@@ -59,7 +61,7 @@ def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
         samplers.append(("FLOAT_2D", "ps_materials"))
     if parted:
         samplers.append(("FLOAT_2D", "ps_parts"))
-    more = ((("PS_CULL", "1"),) if group.cull else ()) + ((("PS_PARTS", str(3 * PART)),) if parted else ())
+    more = ((("PS_CULL", "1"),) if group.cull else ()) + ((CORNERS_OF_PART,) if parted else ())
     return Interface(
         "polygons",
         vertex="visibility/polygon.vert",
@@ -110,6 +112,6 @@ def draw(
                 instance=instance,
             ),
             textures=textures,
-            vertices=group.count if some is None else 3 * PART * some.count,
+            vertices=group.count if some is None else some.corners,
             depth_test=True,
         )

@@ -1,0 +1,74 @@
+"""The visibility buffer: for each sub-sample of each pixel, which primitive is nearest and how far away it is.
+
+Three textures of one texel a cell of the lattice (core/numeric/lattice.py; Burns and Hunt 2013): the primitive's number,
+the bits of its depth beyond the near plane, which grow with it, and a key that tells surfaces apart
+(shaders/lib/visibility/surface_key.glsl). The rasteriser and compute shaders write into the same textures.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.numeric.lattice import Lattice
+from ...device.protocol import Device, Texture, releases_on_failure
+from ..uniforms import Fields, Values
+
+RASTERISED = 1 << 31  # of a primitive's number: the hardware has rasterised it
+MOST_PRIMITIVES = RASTERISED - (1 << 20)  # of each of the two ways
+OUTPUTS = (("uint", "out_id"), ("uint", "out_depth"), ("uint", "out_key"))
+# What lib/visibility/lattice.glsl reads, with its define.
+LATTICE_FIELDS: Fields = (("vec4", "lattice"), ("vec2", "cells"))
+LATTICE_DEFINE = ("PS_LATTICE", "1")
+
+
+def sub_sample_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
+    """The defines of shaders that loop over a pixel's sub-samples: how many, their cells, and their offsets in pixels."""
+    cells = ", ".join(f"ivec2({x}, {y})" for x, y in lattice.offsets.tolist())
+    offsets = ", ".join(f"vec2({x!r}, {y!r})" for x, y in lattice.positions.tolist())
+    return (
+        ("PS_SUB_SAMPLES", str(lattice.count)),
+        ("PS_CELLS", f"ivec2[{lattice.count}]({cells})"),
+        ("PS_OFFSETS", f"vec2[{lattice.count}]({offsets})"),
+    )
+
+
+class VisibilityBuffer:
+    """The nearest primitive of each sub-sample of a picture."""
+
+    @releases_on_failure
+    def __init__(self, device: Device, lattice: Lattice, size: tuple[int, int]) -> None:
+        """`size`: (width, height) of the picture in pixels."""
+        self._device, self.lattice, self.size = device, lattice, size
+        self.cells = lattice.size(size)
+        self.ids, self.depths, self.keys = (device.texture(self.cells, "R32UI") for _ in range(3))
+        self.target = device.target([self.ids, self.depths, self.keys], depth=True)
+
+    def clear(self) -> None:
+        """Empties all sub-samples."""
+        self._device.clear(self.target)
+
+    @property
+    def values(self) -> Values:
+        """Values of LATTICE_FIELDS."""
+        lattice, (x, y) = self.lattice, self.lattice.corner(self.size)
+        # The centre of pixel (0, 0) is that of the cell (x, y).
+        origin = x + 0.5 - 0.5 * (lattice.p - lattice.q), y + 0.5 - 0.5 * (lattice.p + lattice.q)
+        return {"lattice": (lattice.p, lattice.q, *origin), "cells": self.cells}
+
+    @property
+    def textures(self) -> dict[str, Texture]:
+        """The textures by sampler name."""
+        return {"ps_ids": self.ids, "ps_depths": self.depths, "ps_keys": self.keys}
+
+    def read(self) -> np.ndarray:
+        """Reads the number of the primitive of each sub-sample of each pixel, (H, W, S) uint32; EMPTY: none."""
+        ids, (width, height) = self._device.read(self.ids), self.size
+        x, y = np.meshgrid(np.arange(width), np.arange(height))
+        corner, p, q = self.lattice.corner(self.size), self.lattice.p, self.lattice.q
+        column, row = corner[0] + p * x - q * y, corner[1] + q * x + p * y
+        offsets = self.lattice.offsets
+        return ids[row[..., None] + offsets[:, 1], column[..., None] + offsets[:, 0]]
+
+    def release(self) -> None:
+        for item in (self.target, self.ids, self.depths, self.keys):
+            item.release()

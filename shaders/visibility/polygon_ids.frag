@@ -1,0 +1,26 @@
+// Which triangle each sub-sample shows.
+
+#include "lib/geometry/camera.glsl"
+#include "lib/data/polygon.glsl"
+#include "lib/visibility/surface_key.glsl"
+
+void main()
+{
+  if (ps_see_through()) {
+    discard;
+  }
+#ifdef PS_CULL
+  if (gl_FrontFacing == (u.mirrored == 1)) {
+    discard;
+  }
+#endif
+  float d = -v_position.z;
+  vec3 normal = vec3(0.0, 0.0, 1.0);
+#ifdef PS_NORMAL
+  normal = v_normal;
+#endif
+  out_id = PS_RASTERISED | (uint(u.first_id) + v_triangle);
+  out_depth = floatBitsToUint(max(d - u.near, 0.0));
+  out_key = ps_surface_key(u.instance, u.material, normal);
+  gl_FragDepth = ps_buffer_depth(d);
+}

@@ -1,0 +1,89 @@
+// Attributes of the triangle that stands for a group of sub-samples, where its sub-sample meets it: one texel of the
+// G-buffer.
+
+#include "lib/geometry/surfel.glsl"
+#include "lib/data/store.glsl"
+#include "lib/data/pack.glsl"
+#include "lib/geometry/direction.glsl"
+#include "lib/visibility/leader.glsl"
+
+// The point, as lib/data/polygon.glsl wants it.
+vec3 v_normal;
+vec2 v_uv;
+vec4 v_color;
+vec2 v_surface;
+vec3 v_emission;
+
+#include "lib/data/polygon.glsl"
+
+ivec2 ps_texel(int index)
+{
+  return ivec2(index & 4095, index >> 12);
+}
+
+void main()
+{
+  PsLeader leader = ps_leader(ivec2(gl_FragCoord.xy));
+  int triangle = leader.index - u.first_id;
+  if (!leader.rasterised || triangle < u.first_triangle || triangle >= u.first_triangle + u.triangles) {
+    discard;
+  }
+  ivec2 texels[3] = ivec2[3](ps_texel(3 * triangle), ps_texel(3 * triangle + 1), ps_texel(3 * triangle + 2));
+  vec4 corners[3];
+  vec3 p[3];
+  for (int i = 0; i < 3; i++) {
+    corners[i] = texelFetch(ps_corner, texels[i], 0);
+    p[i] = (u.view_from_object * vec4(corners[i].xyz, 1.0)).xyz;
+  }
+  // Weights of the corners from the point itself, which the rasteriser has found on the triangle.
+  vec3 a = p[1] - p[0], b = p[2] - p[0], q = leader.position - p[0];
+  float aa = dot(a, a), ab = dot(a, b), bb = dot(b, b);
+  float det = aa * bb - ab * ab;
+  vec2 w = det > 0.0 ? vec2(bb * dot(q, a) - ab * dot(q, b), aa * dot(q, b) - ab * dot(q, a)) / det : vec2(1.0 / 3.0);
+  vec3 weights = clamp(vec3(1.0 - w.x - w.y, w), vec3(0.0), vec3(1.0));
+  weights /= weights.x + weights.y + weights.z;
+#ifdef PS_UV
+  vec2 uv[3] = vec2[3](texelFetch(ps_corner_uv, texels[0], 0).xy, texelFetch(ps_corner_uv, texels[1], 0).xy,
+                       texelFetch(ps_corner_uv, texels[2], 0).xy);
+  v_uv = weights.x * uv[0] + weights.y * uv[1] + weights.z * uv[2];
+#endif
+#ifdef PS_CORNER_COLOR
+  v_color = weights.x * texelFetch(ps_corner_color, texels[0], 0) + weights.y * texelFetch(ps_corner_color, texels[1], 0) +
+            weights.z * texelFetch(ps_corner_color, texels[2], 0);
+#endif
+#ifdef PS_CORNER_SURFACE
+  v_surface = weights.x * texelFetch(ps_corner_surface, texels[0], 0).xy +
+              weights.y * texelFetch(ps_corner_surface, texels[1], 0).xy +
+              weights.z * texelFetch(ps_corner_surface, texels[2], 0).xy;
+#endif
+#ifdef PS_CORNER_EMISSION
+  v_emission = weights.x * texelFetch(ps_corner_emission, texels[0], 0).rgb +
+               weights.y * texelFetch(ps_corner_emission, texels[1], 0).rgb +
+               weights.z * texelFetch(ps_corner_emission, texels[2], 0).rgb;
+#endif
+  float material = float(u.material);
+  PsSurfel s = ps_empty();
+  s.centre = vec4(-leader.position.z, 0.0, 0.0, PS_POLYGON);
+  s.shape = vec4(leader.offset, 0.0, u.holdout == 1 ? -1.0 - material : material);
+#ifdef PS_NORMAL
+  mat3 m = mat3(u.view_from_object);
+  vec3 normal = vec3(0.0);
+  for (int i = 0; i < 3; i++) {
+    vec3 n = ps_unpack_normal(corners[i].w);
+    normal += weights[i] * ps_direction(cross(m[1], m[2]) * n.x + cross(m[2], m[0]) * n.y + cross(m[0], m[1]) * n.z,
+                                        vec3(0.0, 0.0, 1.0));
+  }
+  s.normal.xyz = ps_direction(normal, vec3(0.0, 0.0, 1.0));
+#ifdef PS_BAKED_NORMAL
+  // Of the side that the normal shows, whichever way round the corners are.
+  float side = dot(cross(a, b), s.normal.xyz) < 0.0 ? -1.0 : 1.0;
+  vec3 bent = ps_repeat(ps_baked_normal, v_uv).xyz;
+  s.normal.xyz = ps_bent(s.normal.xyz, vec3(side * bent.xy, bent.z), a, b, uv[1] - uv[0], uv[2] - uv[0]);
+#endif
+#endif
+  ps_polygon_attributes(s);
+#ifdef PS_OWNER
+  s.owner = uint(u.instance);
+#endif
+  ps_store(s);
+}
