@@ -17,6 +17,7 @@ from ...passes.uniforms import SampleView
 from ...passes.visibility import polygon_ids
 from ...passes.visibility.groups import OPEN
 from ...passes.visibility.polygon_ids import PolygonDraw
+from ...passes.visibility.splat_ids import SplatCover
 from ...passes.visibility.spread import SPREAD_BLOCK, filter_weights, spread_program
 from ...plan.plan import Plan
 from ..sample_positions import FILTER_WIDTH
@@ -24,6 +25,7 @@ from ..shading import Shading
 from ..uploads.uploads import Uploads
 from .targets import VisibilityTargets
 
+WIDE_RADIUS = 2.5  # pixels: where no splat is wider, none covers more cells than a compute invocation draws
 Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
 
 
@@ -45,6 +47,10 @@ class Visibility:
         self._shading, self._run = shading, run
         self._spread = spread_program(targets.buffer.lattice, passes, plan.picture)
         self._weights: Texture | None = None
+        self._splats: SplatCover | None = None
+        if plan.points:
+            wide = uploads.prepared.largest > WIDE_RADIUS
+            self._splats = SplatCover(device, plan.options, targets.buffer, wide)
 
     def draw(self, view: SampleView, sums: Target) -> None:
         """Draws all sub-samples of one view, and adds what they show to the sums."""
@@ -59,7 +65,10 @@ class Visibility:
         for layer in range(groups.layers):
             region = groups.region(layer)
             self._run("group", lambda layer=layer, region=region: groups.lead(view, layer, region))
-            self._run("attributes", lambda: self._write_attributes(polygons, view, targets.surfaces, self._plan.variant))
+            self._run(
+                "attributes",
+                lambda layer=layer: self._write_attributes(polygons, view, layer, targets.surfaces, self._plan.variant),
+            )
             self._device.clear(targets.shaded_target)
             self._run("shade", lambda region=region: self._shading.shade_groups(view, region, targets.surfaces, targets.shaded_target))
             self._add(layer, sums)
@@ -74,27 +83,37 @@ class Visibility:
         targets, plan = self._targets, self._plan
         assert targets.central is not None
         targets.groups.lead(view, 0, EVERYWHERE, central=True)
-        self._write_attributes(self._polygon_draws(view), view, targets.central, plan.data_variant)
+        self._write_attributes(self._polygon_draws(view), view, 0, targets.central, plan.data_variant)
         return targets.central
 
     def _draw_primitives(self, polygons: list[PolygonDraw], view: SampleView) -> None:
         device, plan, shared, buffer = self._device, self._plan, self._uploads.shared, self._targets.buffer
+        splats, draws = self._splats, self._uploads.points.draws
+        # Compute shaders compare with what the rasteriser has drawn, which does not look at what they draw.
+        if splats is not None:
+            self._run("cover", lambda: splats.rasterise(draws, view, shared))
         if plan.polygons:
             normal = plan.variant.normal
             self._run("polygons", lambda: polygon_ids.draw_ids(device, normal, polygons, view, shared, buffer))
+        if splats is not None:
+            self._run("cover", lambda: splats.cover(draws, view, shared))
 
     def _write_attributes(
-        self, polygons: list[PolygonDraw], view: SampleView, out: GBuffer, variant: Variant
+        self, polygons: list[PolygonDraw], view: SampleView, layer: int, out: GBuffer, variant: Variant
     ) -> None:
         targets, shared = self._targets, self._uploads.shared
         out.clear()
         polygon_ids.draw_attributes(
             self._device, variant, polygons, view, shared, targets.groups, targets.buffer.lattice, out
         )
+        if self._splats is not None:
+            draws = self._uploads.points.draws
+            self._splats.write_attributes(variant, draws, view, shared, targets.groups, layer, out)
 
     def _polygon_draws(self, view: SampleView) -> list[PolygonDraw]:
         """Numbers the triangles of all instances, and finds where in the picture these are."""
-        uploads, found, first = self._uploads, [], 0
+        uploads, found = self._uploads, []
+        first = sum(draw.elements for draw in uploads.points.draws)
         instances = uploads.scene.instances
         for instance in uploads.prepared.polygons.tolist():
             mesh = uploads.polygons.meshes[int(instances.geometry[instance])]
@@ -110,7 +129,7 @@ class Visibility:
 
     def _upload_weights(self, view: SampleView) -> None:
         weights = filter_weights(self._targets.buffer.lattice, view.offset, FILTER_WIDTH)
-        self.release()
+        self._forget_weights()
         self._weights = self._device.texture(weights.shape[1::-1], "RGBA32F", weights.reshape(-1))
 
     def _add(self, layer: int, sums: Target) -> None:
@@ -126,6 +145,11 @@ class Visibility:
         self._run("spread", add)
 
     def release(self) -> None:
+        if self._splats is not None:
+            self._splats.release()
+        self._forget_weights()
+
+    def _forget_weights(self) -> None:
         if self._weights is not None:
             self._weights.release()
         self._weights = None
