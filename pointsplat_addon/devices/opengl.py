@@ -199,9 +199,8 @@ class OpenGLDevice:
         program, _ = self._program(interface)
         self._bind(interface, program, uniforms, textures or {})
         for unit, (_, name) in enumerate(interface.images):
-            if name in program and images:
+            if images:  # their units stand in the header: moderngl sets no uniforms of images
                 images[name].handle.bind_to_image(unit)
-                program[name] = unit
         program.run(*checks.layout_groups(groups))  # type: ignore[union-attr]
         self.context.memory_barrier()
 

@@ -111,7 +111,10 @@ class Interface:
             )
         lines += [f"uniform {SAMPLERS[kind]} {name};\n" for kind, name in self.samplers]
         if stage == "compute":
-            lines += [f"layout({kind.lower()}) uniform {IMAGES[kind]} {name};\n" for kind, name in self.images]
+            lines += [
+                f"layout({kind.lower()}, binding = {unit}) uniform {IMAGES[kind]} {name};\n"
+                for unit, (kind, name) in enumerate(self.images)
+            ]
         direction = {"vertex": "out", "fragment": "in"}.get(stage)
         if direction:
             lines += [f"{how} {direction} {glsl} {name};\n" for how, glsl, name in self.varyings]

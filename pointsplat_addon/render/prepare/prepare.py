@@ -197,7 +197,8 @@ def _primitives(
 
 def _instances_of_wide_balls(view: View, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:
     """Returns (I,) bool: in which instances the typical splat is a ball that is wide on the screen."""
-    if points.cloud.normal is not None or points.cloud.radii is None:
+    by_buffer = view.settings.technique == "VISIBILITY"  # which draws balls of all sizes
+    if points.cloud.normal is not None or points.cloud.radii is None or by_buffer:
         return np.zeros(len(view_from_object), bool)
     return typical_diameter(points, view_from_object, view.camera, view.store) > 2 * WIDE_BALL
 

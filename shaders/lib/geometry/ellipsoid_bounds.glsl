@@ -19,3 +19,21 @@ vec2 ps_ellipsoid_bounds(vec3 p, mat3 shape, int axis)
   float root = sqrt(max(b * b - a * c, 0.0));
   return a > 1e-6 * p.z * p.z ? vec2(-b - root, -b + root) / a : vec2(-1e8, 1e8);
 }
+
+// The same along any axis of the picture, given the products of the centre p and of the shape S with it: across = a . p,
+// a . S a, and the component along z of S a; and z and S_zz. The root is taken of what is left once the large terms have
+// cancelled, so that splats much smaller than a pixel keep their size.
+vec2 ps_ellipsoid_ends(float across, float across_across, float across_deep, float z, float deep_deep)
+{
+  if (!ps_is_perspective()) {
+    float half_width = sqrt(across_across);
+    return vec2(across - half_width, across + half_width);
+  }
+  float a = 1.0 - deep_deep / (z * z);
+  float b = across / z - across_deep / (z * z);
+  float slope = across / z;
+  float square = (across_across - slope * (2.0 * across_deep - slope * deep_deep)) / (z * z) +
+                 (across_deep / (z * z)) * (across_deep / (z * z)) - (deep_deep / (z * z)) * (across_across / (z * z));
+  float root = sqrt(max(square, 0.0));
+  return a > 1e-6 ? vec2(-b - root, -b + root) / a : vec2(-1e8, 1e8);
+}

@@ -1,0 +1,128 @@
+// Where rays through sub-samples meet an opaque splat: a ball (an ellipsoid in view space) or an elliptical disk.
+// References: tests/reference/coverage.py.
+
+#include "lib/data/splat.glsl"
+#include "lib/geometry/ellipsoid_bounds.glsl"
+#include "lib/visibility/lattice.glsl"
+
+// A splat in coordinates in which it is the unit ball, or the unit disk in the plane z = 0. Rays are told apart by their cells,
+// relative to that of the splat's centre, so that nothing is lost by rounding far from the eye: the ray at `cell` passes the
+// centre's depth at lift * (cell.x * across_x + cell.y * across_y), in the direction along + cell * across.
+struct PsUnitSplat {
+  bool ball;
+  vec2 centre;  // in cells
+  float depth;  // of the centre
+  float lift;  // the centre's depth, or 1 in a parallel view
+  vec3 along, across_x, across_y;
+  mat3 unit_from_view;
+  vec4 box;  // in cells, from the centre: low and high corner
+};
+
+struct PsSplatHit {
+  bool there;
+  float depth;
+  vec3 point;  // in the splat's coordinates
+};
+
+// The least and the greatest value of dot(along, p) / depth over the ellipsoid with the centre p and the shape S, in a parallel
+// view without the division.
+vec2 ps_extent_along(vec2 along, vec3 p, mat3 shape)
+{
+  vec2 s = vec2(dot(along, shape[0].xy), dot(along, shape[1].xy));
+  return ps_ellipsoid_ends(dot(along, p.xy), dot(s, along), dot(along, shape[2].xy), p.z, shape[2][2]);
+}
+
+// False: the splat lies outside of the picture, or is nothing.
+bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
+{
+  vec4 head = texelFetch(ps_position, element.xy, 0);
+  vec4 extent = texelFetch(ps_extent, element.xy, 0);
+  mat3 linear = ps_linear(element.z);
+  vec3 p = ps_view_from_point(element.z, head.xyz);
+  float minor = abs(extent.y);
+  splat.ball = head.w < 0.0;
+  mat3 axes = extent.x * linear;
+  if (!splat.ball) {
+    vec3 n = ps_unpack_normal(head.w);
+#ifdef PS_ELLIPSES
+    vec3 major = ps_unpack_normal(extent.z);
+#else
+    vec3 major = abs(n.x) < 0.5 ? vec3(1.0, 0.0, 0.0) : vec3(0.0, 1.0, 0.0);
+#endif
+    major = normalize(major - dot(major, n) * n);
+    axes = linear * mat3(extent.x * major, minor * cross(n, major), extent.x * n);
+  }
+  mat3 cofactors = mat3(cross(axes[1], axes[2]), cross(axes[2], axes[0]), cross(axes[0], axes[1]));
+  float volume = dot(axes[0], cofactors[0]);
+  mat3 shape = axes * transpose(axes);
+  if (!splat.ball) {
+    shape = mat3(axes[0], axes[1], vec3(0.0)) * transpose(mat3(axes[0], axes[1], vec3(0.0)));
+  }
+  float deep = sqrt(shape[2][2]);
+  splat.depth = -p.z;
+  if (!(abs(volume) > 1e-37) || splat.depth + deep < u.near || splat.depth - deep > u.far) {
+    return false;
+  }
+  splat.unit_from_view = transpose(cofactors) * (1.0 / volume);
+  bool perspective = ps_is_perspective();
+  // From cells to slopes, or positions in a parallel view: the lattice's matrix is a rotation times a scale.
+  float square = dot(u.lattice.xy, u.lattice.xy);
+  vec2 step_x = vec2(u.lattice.x, -u.lattice.y) / (square * u.focal), step_y = u.lattice.yx / (square * u.focal);
+  splat.lift = perspective ? splat.depth : 1.0;
+  splat.across_x = splat.unit_from_view * vec3(step_x, 0.0);
+  splat.across_y = splat.unit_from_view * vec3(step_y, 0.0);
+  vec3 middle = perspective ? vec3(p.xy / splat.depth, -1.0) : vec3(0.0, 0.0, -1.0);
+  splat.along = splat.unit_from_view * middle;
+  splat.centre = ps_cell_from_pixel(ps_pixel_from_view(p).xy);
+  vec2 columns = ps_extent_along(vec2(u.lattice.x, -u.lattice.y) * u.focal, p, shape);
+  vec2 rows = ps_extent_along(u.lattice.yx * u.focal, p, shape);
+  vec2 origin = vec2(dot(vec2(u.lattice.x, -u.lattice.y), u.principal_point), dot(u.lattice.yx, u.principal_point)) +
+                u.lattice.zw;
+  splat.box = vec4(columns.x + origin.x, rows.x + origin.y, columns.y + origin.x, rows.y + origin.y);
+  return all(greaterThan(splat.box.zw, vec2(0.0))) && all(lessThan(splat.box.xy, u.cells));
+}
+
+// Where the ray through a cell, relative to the centre of the splat, meets it.
+PsSplatHit ps_meet_splat(PsUnitSplat splat, vec2 cell)
+{
+  precise vec3 across = cell.x * splat.across_x + cell.y * splat.across_y;
+  precise vec3 along = splat.along + (ps_is_perspective() ? 1.0 : 0.0) * across;
+  precise vec3 point = splat.lift * across;
+  precise float square = dot(along, along);
+  precise float back = splat.ball ? dot(point, along) / square : point.z / along.z;
+  point -= back * along;
+  precise float outside = 1.0 - (splat.ball ? dot(point, point) : dot(point.xy, point.xy));
+  precise float chord = splat.ball ? sqrt(max(outside, 0.0) / square) : 0.0;
+  precise float depth = splat.depth - back - chord;
+  // Cut open by the near plane, a ball shows its inside.
+  bool open = depth < u.near;
+  depth = open ? splat.depth - back + chord : depth;
+  PsSplatHit hit;
+  hit.there = outside >= 0.0 && depth >= u.near && depth <= u.far;
+  hit.depth = depth;
+  hit.point = point + (open ? chord : -chord) * along;
+  return hit;
+}
+
+// Unit normal where a ray meets the splat, in view space; that of a disk is turned to the eye.
+vec3 ps_splat_normal(PsUnitSplat splat, PsSplatHit hit, vec3 toward)
+{
+  vec3 n = splat.ball ? hit.point * splat.unit_from_view : vec3(0.0, 0.0, 1.0) * splat.unit_from_view;
+  n = ps_direction(n, vec3(0.0, 0.0, 1.0));
+  return !splat.ball && dot(n, toward) > 0.0 ? -n : n;
+}
+
+#ifdef PS_CULL
+// Whether the splat turns its back to the eye, and its material hides that.
+bool ps_is_culled(ivec3 element, PsUnitSplat splat)
+{
+  int material = int(texelFetch(ps_extent, element.xy, 0).w);
+  float code = texelFetch(ps_position, element.xy, 0).w;
+  if (splat.ball || texelFetch(ps_materials, ivec2(2, material), 0).x <= 0.5) {
+    return false;
+  }
+  vec3 p = ps_view_from_point(element.z, texelFetch(ps_position, element.xy, 0).xyz);
+  vec3 normal = ps_view_normal(ps_linear(element.z), ps_unpack_normal(code));
+  return dot(normal, ps_is_perspective() ? -p : vec3(0.0, 0.0, 1.0)) < 0.0;
+}
+#endif

@@ -1,0 +1,59 @@
+// Opaque splats into the visibility buffer, one invocation each: the least depth of each sub-sample, then (PS_IDENTIFY) the
+// lowest number among the splats that have it. PS_LIST: instead, lists those that cover more cells than PS_MOST_CELLS, which the
+// rasteriser draws; without it these are left out.
+
+#include "lib/data/index.glsl"
+#include "lib/visibility/splat.glsl"
+
+void main()
+{
+  int index = ps_index();
+  ivec3 element = ps_element(index);
+  if (element.x < 0) {
+    return;
+  }
+  PsUnitSplat splat;
+  if (!ps_unit_splat(element, splat)) {
+    return;
+  }
+#ifdef PS_CULL
+  if (ps_is_culled(element, splat)) {
+    return;
+  }
+#endif
+  vec4 box = clamp(splat.box, vec4(0.0), u.cells.xyxy);
+  ivec2 low = ivec2(ceil(box.xy - 0.51)), high = min(ivec2(floor(box.zw - 0.49)), ivec2(u.cells) - 1);
+  ivec2 span = high - low + 1;
+  if (span.x <= 0 || span.y <= 0) {
+    return;
+  }
+  bool wide = span.x > PS_MOST_CELLS / span.y;
+#ifdef PS_LIST
+  if (wide) {
+    // The length counts from -1, which EMPTY is.
+    uint entry = imageAtomicAdd(list_length, ivec2(0), 1u) + 1u;
+    if (entry < uint(u.list_size)) {
+      imageAtomicMin(list, ps_texel(int(entry)), uint(index));
+    }
+  }
+#else
+  if (wide) {
+    return;
+  }
+  for (int y = low.y; y <= high.y; y++) {
+    for (int x = low.x; x <= high.x; x++) {
+      PsSplatHit hit = ps_meet_splat(splat, vec2(x, y) + 0.5 - splat.centre);
+      if (hit.there) {
+        uint key = floatBitsToUint(max(hit.depth - u.near, 0.0));
+#ifdef PS_IDENTIFY
+        if (texelFetch(ps_depths, ivec2(x, y), 0).x == key) {
+          imageAtomicMin(ids, ivec2(x, y), uint(u.first_index + index));
+        }
+#else
+        imageAtomicMin(depths, ivec2(x, y), key);
+#endif
+      }
+    }
+  }
+#endif
+}

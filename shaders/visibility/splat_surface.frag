@@ -1,0 +1,90 @@
+// Attributes of the splats that stand for groups of sub-samples: one texel of the G-buffer. Colours are the mean over all
+// sub-samples of the group.
+
+#include "lib/visibility/splat.glsl"
+#include "lib/visibility/leader.glsl"
+#include "lib/visibility/groups.glsl"
+#include "lib/geometry/surfel.glsl"
+#include "lib/data/store.glsl"
+#include "lib/data/attributes.glsl"
+#ifdef PS_NORMAL
+#include "lib/light/lit_normal.glsl"
+#endif
+
+#if defined(PS_COLOR) || defined(PS_EMISSION)
+#define PS_AVERAGE
+#endif
+
+#ifdef PS_AVERAGE
+// Adds the attributes of the splat that a sub-sample shows, where it is one of this page.
+void ps_add_attributes(inout PsSurfel sum, inout float count, ivec2 cell)
+{
+  int index = int(texelFetch(ps_ids, cell, 0).x & 0x7FFFFFFFu) - u.first_index;
+  ivec3 element = index >= 0 && (index >> u.block_shift) < u.block_count ? ps_element(index) : ivec3(-1);
+  if (element.x >= 0) {
+    PsSurfel s = ps_attributed(ps_empty(), element);
+#ifdef PS_COLOR
+    sum.color += s.color;
+#endif
+#ifdef PS_SURFACE
+    sum.normal.w += s.normal.w;
+#endif
+#ifdef PS_EMISSION
+    sum.emission += s.emission;
+#endif
+    count += 1.0;
+  }
+}
+#endif
+
+void main()
+{
+  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  PsLeader leader = ps_leader(pixel);
+  int index = leader.index - u.first_index;
+  if (leader.index < 0 || index < 0 || (index >> u.block_shift) >= u.block_count) {
+    discard;
+  }
+  ivec3 element = ps_element(index);
+  PsUnitSplat splat;
+  ps_unit_splat(element, splat);
+  vec2 cell = ps_cell_from_pixel(gl_FragCoord.xy + leader.offset);
+  vec3 toward = ps_is_perspective() ? leader.position : vec3(0.0, 0.0, -1.0);
+  PsSurfel s = ps_empty();
+  s.centre = vec4(-leader.position.z, 0.0, 0.0, PS_POLYGON);
+  s.shape = vec4(leader.offset, 0.0, floor(texelFetch(ps_extent, element.xy, 0).w));
+#ifdef PS_NORMAL
+  vec3 own = ps_splat_normal(splat, ps_meet_splat(splat, cell - splat.centre), toward);
+  bool turned = false;
+  if (!splat.ball) {
+    vec3 n = ps_view_normal(ps_linear(element.z), ps_unpack_normal(texelFetch(ps_position, element.xy, 0).w));
+    turned = dot(n, toward) > 0.0;
+  }
+  s.normal.xyz = splat.ball ? own : ps_lit_normal(own, element, ps_linear(element.z), toward, turned);
+#endif
+  s = ps_attributed(s, element);
+#ifdef PS_AVERAGE
+  const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
+  uvec2 codes = uvec2(texelFetch(ps_first, pixel, 0).x, texelFetch(ps_second, pixel, 0).x);
+  ivec2 middle = ps_central_cell(pixel);
+  PsSurfel sum = ps_empty();
+  float count = 0.0;
+  for (int i = 0; i < PS_SUB_SAMPLES; i++) {
+    if (ps_group(codes, i) == uint(u.layer)) {
+      ps_add_attributes(sum, count, middle + cells[i]);
+    }
+  }
+  if (count > 0.0) {
+#ifdef PS_COLOR
+    s.color = sum.color / count;
+#endif
+#ifdef PS_SURFACE
+    s.normal.w = sum.normal.w / count;
+#endif
+#ifdef PS_EMISSION
+    s.emission = sum.emission / count;
+#endif
+  }
+#endif
+  ps_store(s);
+}
