@@ -13,12 +13,13 @@ from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
 from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, sub_sample_defines
-from .groups import LEADER_SAMPLERS, Groups
+from .groups import Groups, Leaders
 from .polygon_mesh import CORNERS, Group, PolygonMesh
 from .polygons import needed_defines
 
 MOST_VERTICES = 1 << 26  # of one draw
 RECTANGLE_FIELDS: Fields = (("vec4", "rectangle"),)  # low and high corner, from 0 to 1 over the target
+WHOLE = 0.0, 0.0, 1.0, 1.0
 MESH_FIELDS: Fields = (
     ("int", "material"),
     ("int", "first_id"),  # number of the first triangle of the first instance
@@ -110,7 +111,7 @@ def ids_program(normal: bool, group: Group, one: bool) -> Interface:
     )
 
 
-def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool) -> Interface:
+def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool, leaders: Leaders) -> Interface:
     """Returns the program that writes the attributes of triangles that stand for groups of sub-samples."""
     names = [name for name in needed_defines(variant, group) if not name.endswith("ALPHA")]
     samplers = ["ps_corner", *(("ps_corner_uv",) if "PS_UV" in names else ()), *(() if one else ("ps_instances",))]
@@ -125,11 +126,12 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool)
         vertex="common/rectangle.vert",
         fragment="visibility/polygon_surface.frag",
         block=_block("PolygonSurface", one, own, (("int", "holdout"),), RECTANGLE_FIELDS),
-        samplers=(*(("FLOAT_2D", name) for name in samplers), *LEADER_SAMPLERS),
+        samplers=(*(("FLOAT_2D", name) for name in samplers), *leaders.samplers),
         outputs=variant.outputs(),
         defines=(
             *((name, "1") for name in (*variant.defines, *names, *(("PS_ONE_INSTANCE",) if one else ()))),
             *sub_sample_defines(lattice),
+            *leaders.defines,
         ),
     )
 
@@ -160,23 +162,39 @@ class PolygonCover:
                     )
 
     def write_attributes(
-        self, variant: Variant, view: SampleView, shared: dict[str, Texture], groups: Groups, out: GBuffer
+        self,
+        variant: Variant,
+        view: SampleView,
+        shared: dict[str, Texture],
+        groups: Groups,
+        leaders: Leaders,
+        out: GBuffer,
     ) -> None:
-        """Writes the attributes of the triangles that stand for one layer of groups."""
-        for draw in self.draws:
+        """Writes the attributes of the triangles that stand for groups."""
+        columns, rows = leaders.size
+        for number, draw in enumerate(self.draws):
+            # Texels that the draw may have to write: in the picture, or in the list.
+            where = draw.rectangle if leaders.central else WHOLE
+            if not leaders.central and groups.ranges is not None:
+                first, end = groups.ranges[number]
+                if first == end:
+                    continue
+                where = 0.0, (first // columns) / rows, 1.0, (-(-end // columns)) / rows
             for group in draw.mesh.groups:
-                program = surface_program(variant, self.buffer.lattice, group, draw.slots == 1)
+                program = surface_program(variant, self.buffer.lattice, group, draw.slots == 1, leaders)
                 first = group.first // 3
                 own = {"first_triangle": first, "last_triangle": first + group.count // 3, "slots": draw.slots}
                 self.device.draw(
                     program,
                     out.target,
-                    uniforms=self._record(program, draw, group, view, **own, rectangle=draw.rectangle),
-                    textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures, **groups.leaders},
+                    uniforms=self._record(program, draw, group, view, **own, rectangle=where),
+                    textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures, **leaders.bound},
                     vertices=6,
                 )
 
-    def _record(self, program: Interface, draw: PolygonDraw, group: Group, view: SampleView, **own: object) -> np.ndarray:
+    def _record(
+        self, program: Interface, draw: PolygonDraw, group: Group, view: SampleView, **own: object
+    ) -> np.ndarray:
         about = {"material": group.material, "first_id": draw.first_id, "triangles": draw.mesh.triangles}
         return view.record_of(program.block, **about, **draw.values, **own)
 

@@ -18,14 +18,13 @@ from ..gbuffer import GBuffer, Variant
 from ..pages.point_page import POINT_SAMPLERS, PageDraw, PointOptions, attributes, page_block
 from ..uniforms import Fields, SampleView
 from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, sub_sample_defines
-from .groups import LEADER_SAMPLERS, Groups
+from .groups import Groups, Leaders
 
 MOST_CELLS = 512  # of a splat that a compute invocation draws: a ball of 3 pixels in radius
 LISTED = 1 << 18  # splats that a list holds; where more cover many cells, the rasteriser is given all
 VERTICES = 6  # of a rectangle
 FIRST: Fields = (("int", "first_index"),)
 LIST_SIZE: Fields = (("int", "list_size"),)
-LAYER: Fields = (("int", "layer"),)
 
 
 def _defines(options: PointOptions) -> tuple[tuple[str, str], ...]:
@@ -83,15 +82,16 @@ def keys_program(options: PointOptions) -> Interface:
     )
 
 
-def surface_program(variant: Variant, options: PointOptions, lattice: Lattice) -> Interface:
+def surface_program(variant: Variant, options: PointOptions, lattice: Lattice, leaders: Leaders) -> Interface:
     """Returns the program that writes the attributes of splats that stand for groups of sub-samples."""
     samplers, named = attributes(variant, options)
     cull = (("FLOAT_2D", "ps_materials"),) if options.cull else ()
-    read = (*LEADER_SAMPLERS, *(("UINT_2D", name) for name in ("ps_ids", "ps_first", "ps_second")))
+    averaged = ("ps_ids", "ps_first", "ps_second") if variant.color or variant.emission else ()
+    read = (*leaders.samplers, *(("UINT_2D", name) for name in (() if leaders.central else averaged)))
     return Interface(
         "attributes",
         fragment="visibility/splat_surface.frag",
-        block=page_block("SplatSurface", options, LATTICE_FIELDS, FIRST, LAYER),
+        block=page_block("SplatSurface", options, LATTICE_FIELDS, FIRST),
         samplers=(*samplers, *cull, *read),
         outputs=variant.outputs(),
         defines=(
@@ -99,6 +99,7 @@ def surface_program(variant: Variant, options: PointOptions, lattice: Lattice) -
             *((name, "1") for name in variant.defines),
             *(entry for entry in named if entry[0] != "PS_ONE_INSTANCE"),
             *sub_sample_defines(lattice),
+            *leaders.defines,
         ),
     )
 
@@ -159,17 +160,17 @@ class SplatCover:
         view: SampleView,
         shared: dict[str, Texture],
         groups: Groups,
-        layer: int,
+        leaders: Leaders,
         out: GBuffer,
     ) -> None:
-        """Writes the attributes of the splats that stand for one layer of groups."""
-        program = surface_program(variant, self._options, self._buffer.lattice)
+        """Writes the attributes of the splats that stand for groups."""
+        program = surface_program(variant, self._options, self._buffer.lattice, leaders)
         for draw in draws:
-            read = {**groups.leaders, **groups.codes, "ps_ids": self._buffer.ids}
+            read = {**leaders.bound, **groups.codes, "ps_ids": self._buffer.ids}
             self._device.draw(
                 program,
                 out.target,
-                uniforms=self._record(program, draw, view, layer=layer),
+                uniforms=self._record(program, draw, view),
                 textures={**self._textures(draw, shared), **read},
             )
 
