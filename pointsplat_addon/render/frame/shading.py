@@ -94,8 +94,8 @@ class Shading:
         self._add(self._background, view, region, textures)
 
     def shade_groups(self, view: SampleView, surfaces: GBuffer, groups: dict[str, Texture], target: Target) -> None:
-        """Shades a list of groups of sub-samples: `surfaces` has their attributes, `groups` tells of which pixels they are,
-        by sampler name."""
+        """Shades a list of groups of sub-samples: `surfaces` has their attributes, `groups` tells of which pixels they
+        are, by sampler name."""
         textures = surfaces.bound() | self._uploads.shading | groups
         self._device.draw(self._shade, target, uniforms=self._record(self._shade, view), textures=textures)
 

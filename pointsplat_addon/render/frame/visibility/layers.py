@@ -1,8 +1,8 @@
-"""Draws one picture of many sub-samples by the visibility buffer: all primitives once, each surface of a pixel shaded once.
+"""Draws one picture by the visibility buffer: all primitives once, each surface of a pixel shaded once.
 
-The primitives are drawn into the visibility buffer; the sub-samples of each pixel are grouped by surface, and the groups
-listed; their attributes are written, group by group, into a G-buffer as long as the list, shaded, and spread over the picture
-by the pixel filter.
+The primitives are drawn into the visibility buffer; the sub-samples of each pixel are grouped by surface, and the
+groups listed; their attributes are written, group by group, into a G-buffer as long as the list, shaded, and spread
+over the picture by the pixel filter.
 """
 
 from __future__ import annotations

@@ -31,8 +31,8 @@ def polygon_draws(device: Device, uploads: Uploads, view: SampleView, first_id: 
 
 
 def rectangles_in_picture(box: np.ndarray, view_from_object: np.ndarray, view: SampleView) -> np.ndarray:
-    """Returns rectangles, (I, 4) float64, that hold a box in the picture for each transform: low and high corner, from 0 to
-    1 over the picture; where all of the box lies outside, the high corner is not above the low one.
+    """Returns rectangles, (I, 4) float64, that hold a box in the picture for each transform: low and high corner, from
+    0 to 1 over the picture; where all of the box lies outside, the high corner is not above the low one.
 
     box: (2, 3), low and high corner in object space. view_from_object: (I, 4, 4).
     """

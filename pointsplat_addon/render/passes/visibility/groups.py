@@ -87,7 +87,7 @@ class Groups:
         self.starts: Texture | None = None  # of each pixel's groups in the order of pixels
         self.places: Texture | None = None  # in the list, of groups in the order of pixels; None: there
         self._list: Texture | None = None
-        # The first entry of each draw in the list, and the one after its last; None: the list is in the order of pixels.
+        # The first entry of each draw in the list, and the one after its last; None: the list is in pixel order.
         self.ranges: list[tuple[int, int]] | None = None
         self.open = False  # whether nothing covers some sub-sample
         self.total = 0

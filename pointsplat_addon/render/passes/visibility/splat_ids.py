@@ -1,9 +1,9 @@
 """Draws opaque splats into the visibility buffer, exactly: balls as ellipsoids, others as elliptical disks.
 
-Small splats are drawn by one compute invocation each (Günther et al. 2013; Schütz et al. 2021), in two passes of atomics:
-the least depth of each sub-sample, then the lowest number among the splats that have it, so that the result does not
-depend on the order of threads. Those that cover many cells are listed and rasterised before that, into the same textures.
-Without image atomics all are rasterised.
+Small splats are drawn by one compute invocation each (Günther et al. 2013; Schütz et al. 2021), in two passes of
+atomics: the least depth of each sub-sample, then the lowest number among the splats that have it, so that the result
+does not depend on the order of threads. Those that cover many cells are listed and rasterised before that, into the
+same textures. Without image atomics all are rasterised.
 """
 
 from __future__ import annotations
