@@ -138,6 +138,7 @@ class OpenGLDevice:
 
     def clear(self, target: Target, color: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> None:
         target.handle.clear(*color, depth=1.0)
+        target.handle.use()  # clearing by moderngl leaves another bound
         for index, texture in enumerate(target.colors):
             if texture.format == "R32UI":
                 self._clear_integers(GL_COLOR, index, EMPTY_TEXEL)
