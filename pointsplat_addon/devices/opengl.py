@@ -25,7 +25,8 @@ KINDS = {"RGBA32F": "f4", "RGBA16F": "f2", "RG32F": "f4", "R32F": "f4", "R32UI":
 MODES = {"TRIANGLES": moderngl.TRIANGLES, "LINES": moderngl.LINES, "POINTS": moderngl.POINTS}
 COMPUTE_VERSION = 430  # the first with compute shaders
 OLDEST_VERSION = 410  # macOS has no newer one
-GL_RENDERBUFFER, GL_DEPTH_COMPONENT32F = 0x8D41, 0x8CAC
+GL_RENDERBUFFER, GL_DEPTH_COMPONENT32F, GL_COLOR = 0x8D41, 0x8CAC, 0x1800
+EMPTY_TEXEL = (ctypes.c_uint * 4)(EMPTY, EMPTY, EMPTY, EMPTY)
 
 
 class OpenGLTexture:
@@ -108,6 +109,9 @@ class OpenGLDevice:
         self.renderbuffer_storage = _function(
             gl, "glRenderbufferStorage", ctypes.c_uint, ctypes.c_uint, ctypes.c_int, ctypes.c_int
         )
+        self._clear_integers = _function(
+            gl, "glClearBufferuiv", ctypes.c_uint, ctypes.c_int, ctypes.POINTER(ctypes.c_uint)
+        )
         self.version = COMPUTE_VERSION if self.context.version_code >= COMPUTE_VERSION else OLDEST_VERSION
         self.alive: set[OpenGLTexture | OpenGLTarget] = set()
         # moderngl cannot release a query, so each is used again: the one that ended first.
@@ -134,9 +138,10 @@ class OpenGLDevice:
 
     def clear(self, target: Target, color: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> None:
         target.handle.clear(*color, depth=1.0)
-        for texture in target.colors:
+        target.handle.use()  # clearing by moderngl leaves another bound
+        for index, texture in enumerate(target.colors):
             if texture.format == "R32UI":
-                self.fill(texture)
+                self._clear_integers(GL_COLOR, index, EMPTY_TEXEL)
 
     def fill(self, texture: Texture) -> None:
         size = texture.nbytes

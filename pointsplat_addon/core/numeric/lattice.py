@@ -1,8 +1,9 @@
 """Lattices of sub-samples: one rotated grid over the whole picture, of which every pixel holds the same pattern.
 
-A lattice takes pixels to cells by the matrix (p, -q; q, p). With q = 1 no two of the p^2 + 1 sub-samples of a pixel share
-a row or a column (N-rooks), which is what matters for edges along the axes: their coverage has a third of the error that
-an ordered grid of as many samples has. A rasteriser draws all sub-samples at once into a target of one texel a cell.
+A lattice takes pixels to cells by the matrix (p, -q; q, p). With q = 1 no two of the p^2 + 1 sub-samples of a pixel
+share a row or a column (N-rooks), which is what matters for edges along the axes: their coverage has a third of the
+error that an ordered grid of as many samples has. A rasteriser draws all sub-samples at once into a target of one
+texel a cell.
 """
 
 from __future__ import annotations

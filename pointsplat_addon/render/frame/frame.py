@@ -125,7 +125,7 @@ class Frame:
         if self.targets.visibility is not None:
             visible = self.targets.visibility
             self.visibility = self._own(
-                Visibility(device, plan, request.passes, self.uploads, visible, self.shading, run)
+                Visibility(device, plan, request.passes, self.uploads, visible, self.shading, self._centred(), run)
             )
         if plan.defocus:
             transparent = frame_plan.scene.transparent

@@ -151,7 +151,14 @@ def make_frame_plan(
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
     decided = decide_technique(
-        TechniqueInput(request.settings, scene, request.samples, request.interactive, camera.aperture is not None, limits.float_blend)
+        TechniqueInput(
+            request.settings,
+            scene,
+            request.samples,
+            request.interactive,
+            camera.aperture is not None,
+            limits.float_blend,
+        )
     )
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
     prepared = _prepared(scene, request, decided, through_lens, store, costs, clock)
@@ -185,9 +192,7 @@ def make_frame_plan(
         sub_samples = lattice.count
         request = replace(request, samples=-(-request.samples // sub_samples))
     plan = make_plan(
-        ViewToPlan(
-            scene, prepared, request, shadows, ewa, painter, reflects, picture, sub_samples, presented, absences
-        )
+        ViewToPlan(scene, prepared, request, shadows, ewa, painter, reflects, picture, sub_samples, presented, absences)
     )
     radius = FILTER_REACH if sub_samples else plan.splat_radius(prepared.largest)
     view, corner = with_margin(camera, radius, limits.texture_size)
