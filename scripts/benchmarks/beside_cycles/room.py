@@ -12,11 +12,12 @@ from scripts.studies import gallery
 WIDE, DEEP, HIGH = 6.0, 5.0, 3.0  # metres
 ACROSS, ALONG = 4, 3  # lights
 LIGHT = 0.3  # metres across
-POWER = 35.0  # watts
+POWER = 10.0  # watts
 
 
-def room(size: int, aim: Callable) -> None:
-    """About 20,000 triangles. Every other light is a disk that faces down, the others are round bulbs below it."""
+def room(below: float, size: int, aim: Callable) -> None:
+    """About 20,000 triangles. Every other light is a disk that faces down, so many metres below the ceiling; the others
+    are round bulbs."""
     scene = gallery.studio(size)
     bpy.data.objects.remove(scene.objects["Sun"])
     colors = {"walls": (0.75, 0.72, 0.66), "floor": (0.35, 0.22, 0.12), "wood": (0.5, 0.32, 0.18),
@@ -61,12 +62,12 @@ def room(size: int, aim: Callable) -> None:
             major_radius=0.1, minor_radius=0.03, location=location, rotation=(1.4, 0, 0.2 * i)
         )
         shown(("red", "white", "blue")[i % 3])
-    lights(scene)
+    lights(scene, below)
     scene.camera.data.angle, scene.camera.data.clip_end = 1.15, 100.0
     aim(scene.camera, (0.9, -2.45, 1.75), (-0.1, 0.6, 0.9))
 
 
-def lights(scene: bpy.types.Scene) -> None:
+def lights(scene: bpy.types.Scene, below: float) -> None:
     for i in range(ACROSS * ALONG):
         disk = i % 2 == 0
         data = bpy.data.lights.new("Light", "AREA" if disk else "POINT")
@@ -77,5 +78,5 @@ def lights(scene: bpy.types.Scene) -> None:
             data.shadow_soft_size = LIGHT / 2
         item = bpy.data.objects.new("Light", data)
         x, y = WIDE * ((i % ACROSS + 0.5) / ACROSS - 0.5), DEEP * ((i // ACROSS + 0.5) / ALONG - 0.5)
-        item.location = x, y, HIGH - (0.02 if disk else 0.5)
+        item.location = x, y, HIGH - (below if disk else 0.5)
         scene.collection.objects.link(item)

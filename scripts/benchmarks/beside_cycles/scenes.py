@@ -2,8 +2,8 @@
 
     python -m scripts.benchmarks.beside_cycles.scenes NAME FILE.blend --data DIR [--shading lambert|glow|own] ...
 
-Both engines have the same in mind with everything that is in them: no bounces, a black world, a transparent film, a
-filter of 1.5 pixels, and materials that are Lambert's. The cursor is where the camera looks, and orbits about.
+Both engines mean the same by what is in them: no bounces, a black world, a transparent film, one pixel filter, and
+materials that are Lambert's. The camera orbits about the cursor.
 """
 
 from __future__ import annotations
@@ -40,12 +40,14 @@ class Look:
     shadows: bool = True
     sun_angle: float = 0.0  # radians
     flat: bool = False  # no smooth normals
+    filter_width: float = 1.5  # as Cycles counts it: half of what the window is wide, in pixels
 
     def suffix(self) -> str:
         """Of names of files: nothing for the default."""
         angle = f"-sun{self.sun_angle:g}" if self.sun_angle else ""
         shading = f"-{self.shading}" if self.shading != LAMBERT else ""
-        return shading + ("" if self.shadows else "-unshadowed") + angle + ("-flat" if self.flat else "")
+        flat, filtered = "-flat" * self.flat, f"-filter{self.filter_width:g}" if self.filter_width != 1.5 else ""
+        return shading + "-unshadowed" * (not self.shadows) + angle + flat + filtered
 
 
 @dataclass(frozen=True)
@@ -130,6 +132,7 @@ def grove(size: int, data: Path) -> None:
     """Sixteen maples of one mesh on a floor."""
     models.maple(size, data, Path())
     scene, [tree] = bpy.context.scene, bpy.context.selected_objects
+    bpy.context.view_layer.update()  # bounds are those of the file until then
     foot = min(corner[2] for corner in tree.bound_box)
     rng = np.random.default_rng(2)
     for i in range(16):
@@ -173,7 +176,8 @@ def make_alike(scene: Any, look: Look) -> None:
     cycles = scene.cycles
     cycles.device, cycles.max_bounces, cycles.transparent_max_bounces = "CPU", 0, TRANSPARENT
     cycles.use_adaptive_sampling = cycles.use_denoising = False
-    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 1.5
+    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", look.filter_width
+    scene.render.filter_size = look.filter_width
     image = scene.render.image_settings
     if hasattr(image, "media_type"):
         image.media_type = "IMAGE"
@@ -234,7 +238,8 @@ KINDS = {
     "cards": Kind(cards, needs="bonsai-tree"),
     "grove": Kind(grove, needs="japaneseMaple"),
     "hair": Kind(partial(of_error_vs_time, "hair"), needs=models.HAIR_FILE),
-    "room": Kind(lambda size, data: room(size, aim), (640, 360)),
+    "room": Kind(lambda size, data: room(0.3, size, aim), (640, 360)),
+    "room-flush": Kind(lambda size, data: room(0.02, size, aim), (640, 360)),
     "cube": Kind(cube, (640, 360)),
 }
 
@@ -268,10 +273,11 @@ def add_look(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-shadows", dest="shadows", action="store_false")
     parser.add_argument("--sun-angle", type=float, default=0.0, metavar="RADIANS")
     parser.add_argument("--flat", action="store_true", help="no smooth normals")
+    parser.add_argument("--filter-width", type=float, default=1.5, metavar="PIXELS")
 
 
 def look_of(options: argparse.Namespace) -> Look:
-    return Look(options.shading, options.shadows, options.sun_angle, options.flat)
+    return Look(options.shading, options.shadows, options.sun_angle, options.flat, options.filter_width)
 
 
 if __name__ == "__main__":
