@@ -27,7 +27,7 @@ COMPUTE_VERSION = 430  # the first with compute shaders
 OLDEST_VERSION = 410  # macOS has no newer one
 GL_RENDERBUFFER, GL_DEPTH_COMPONENT32F = 0x8D41, 0x8CAC
 GL_COLOR, GL_DEPTH = 0x1800, 0x1801
-NOTHING = (ctypes.c_uint * 4)(*[EMPTY] * 4)  # what clearing puts into textures of integers, and into a depth buffer
+EMPTY_TEXEL = (ctypes.c_uint * 4)(EMPTY, EMPTY, EMPTY, EMPTY)
 FARTHEST_DEPTH = (ctypes.c_float * 1)(1.0)
 
 
@@ -151,16 +151,15 @@ class OpenGLDevice:
         target.handle.use()
         for index, texture in enumerate(target.colors):
             if texture.format == "R32UI":
-                self._clear_integers(GL_COLOR, index, NOTHING)
+                self._clear_integers(GL_COLOR, index, EMPTY_TEXEL)
             else:
                 self._clear_floats(GL_COLOR, index, (ctypes.c_float * 4)(*color))
         if target.depth is not None:  # type: ignore[attr-defined]
             self._clear_floats(GL_DEPTH, 0, FARTHEST_DEPTH)
 
     def fill(self, texture: Texture) -> None:
-        # Clearing is several times as fast as a copy of a buffer, the first time that it is done.
         texture.target.use()  # type: ignore[attr-defined]
-        self._clear_integers(GL_COLOR, 0, NOTHING)
+        self._clear_integers(GL_COLOR, 0, EMPTY_TEXEL)
 
     def draw(
         self,

@@ -1,5 +1,5 @@
 // Groups the sub-samples of each pixel: those of one instance and material whose normals and planes agree share one
-// shading.
+// shading. Where there would be too many groups, sub-samples join the nearest one.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
@@ -8,12 +8,24 @@
 #define PS_ALIKE 0.9  // least cosine between the normals of a group
 #define PS_APART 2.0  // pixels: farthest distance from a group's plane
 
+// Variables instead of an array, which software rasterisers would index lane by lane.
+#define PS_COMPARE(G)                                                                          \
+  if (G < count) {                                                                             \
+    float score = dot(n, plane##G.xyz) + (surface##G == surface ? 2.0 : 0.0) -                 \
+                  (abs(dot(plane##G.xyz, p) + plane##G.w) > apart ? 1.0 : 0.0);                \
+    nearest = score > best ? G : nearest;                                                      \
+    best = max(best, score);                                                                   \
+  }
+#define PS_BEGIN(G)                                                                            \
+  surface##G = count == G && begins ? surface : surface##G;                                    \
+  plane##G = count == G && begins ? plane : plane##G;
+
 void main()
 {
   ivec2 middle = ps_central_cell(ivec2(gl_FragCoord.xy));
   const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
-  uint surfaces[PS_GROUPS];
-  vec4 planes[PS_GROUPS];
+  uint surface0 = 0u, surface1 = 0u, surface2 = 0u, surface3 = 0u;
+  vec4 plane0 = vec4(0.0), plane1 = vec4(0.0), plane2 = vec4(0.0), plane3 = vec4(0.0);
   uvec2 codes = uvec2(0u);
   int count = 0;
   uint first = 0u;
@@ -27,21 +39,20 @@ void main()
       float d = uintBitsToFloat(bits) + u.near;
       vec3 p = ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d);
       vec3 n = ps_key_normal(key);
+      vec4 plane = vec4(n, -dot(n, p));
       float apart = PS_APART * ps_pixel_size(d), best = -10.0;
       int nearest = 0;
-      for (int g = 0; g < count; g++) {
-        float alike = dot(n, planes[g].xyz);
-        float score = alike + (surfaces[g] == surface ? 2.0 : 0.0) -
-                      (abs(dot(planes[g].xyz, p) + planes[g].w) > apart ? 1.0 : 0.0);
-        nearest = score > best ? g : nearest;
-        best = max(best, score);
-      }
-      if (best < 2.0 + PS_ALIKE && count < PS_GROUPS) {
-        nearest = count;
-        surfaces[count] = surface;
-        planes[count] = vec4(n, -dot(n, p));
-        count++;
-      }
+      PS_COMPARE(0)
+      PS_COMPARE(1)
+      PS_COMPARE(2)
+      PS_COMPARE(3)
+      bool begins = best < 2.0 + PS_ALIKE && count < PS_GROUPS;
+      PS_BEGIN(0)
+      PS_BEGIN(1)
+      PS_BEGIN(2)
+      PS_BEGIN(3)
+      nearest = begins ? count : nearest;
+      count += begins ? 1 : 0;
       code = uint(nearest);
     }
     open = open || code == PS_NO_GROUP;

@@ -20,7 +20,7 @@
 void ps_add_attributes(inout PsSurfel sum, inout float count, ivec2 cell)
 {
   int index = int(texelFetch(ps_ids, cell, 0).x & 0x7FFFFFFFu) - u.first_index;
-  ivec3 element = index >= 0 && (index >> u.block_shift) < u.block_count ? ps_element(index) : ivec3(-1);
+  ivec3 element = index >= 0 ? ps_element(index) : ivec3(-1);
   if (element.x >= 0) {
     PsSurfel s = ps_attributed(ps_empty(), element);
 #ifdef PS_COLOR
@@ -41,10 +41,10 @@ void main()
 {
   PsLeader leader = ps_leader(ivec2(gl_FragCoord.xy));
   int index = leader.index - u.first_index;
-  if (leader.index < 0 || index < 0 || (index >> u.block_shift) >= u.block_count) {
+  ivec3 element = leader.index >= 0 && index >= 0 ? ps_element(index) : ivec3(-1);
+  if (element.x < 0) {
     discard;
   }
-  ivec3 element = ps_element(index);
   PsUnitSplat splat;
   ps_unit_splat(element, splat);
   vec2 cell = ps_cell_from_pixel(vec2(leader.pixel) + 0.5 + leader.offset);
@@ -54,12 +54,16 @@ void main()
   s.shape = vec4(leader.offset, 0.0, floor(texelFetch(ps_extent, element.xy, 0).w));
 #ifdef PS_NORMAL
   vec3 own = ps_splat_normal(splat, ps_meet_splat(splat, cell - splat.centre), toward);
+#ifdef PS_ROUND
+  s.normal.xyz = own;
+#else
   bool turned = false;
   if (!splat.ball) {
     vec3 n = ps_view_normal(ps_linear(element.z), ps_unpack_normal(texelFetch(ps_position, element.xy, 0).w));
     turned = dot(n, toward) > 0.0;
   }
   s.normal.xyz = splat.ball ? own : ps_lit_normal(own, element, ps_linear(element.z), toward, turned);
+#endif
 #endif
   s = ps_attributed(s, element);
 #ifdef PS_AVERAGE

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
+from ....core.numeric.linear import are_similarities
 from ...device.protocol import Device, Target, Texture
 from ...passes.gbuffer import GBuffer, Variant
 from ...passes.uniforms import SampleView
@@ -51,8 +54,9 @@ class Visibility:
             draws = polygon_draws(device, uploads, view, first)
             self._polygons = PolygonCover(device, draws, targets.buffer)
         if plan.points:
-            wide = uploads.prepared.largest > WIDE_RADIUS
-            self._splats = SplatCover(device, plan.options, targets.buffer, wide)
+            wide, shown = uploads.prepared.largest > WIDE_RADIUS, np.unique(uploads.prepared.cut.instance)
+            round_balls = are_similarities(uploads.prepared.view_from_object[shown])
+            self._splats = SplatCover(device, plan.options, targets.buffer, wide, round_balls)
 
     def draw(self, view: SampleView, sums: Target) -> None:
         """Draws all sub-samples of one view, and adds what they show to the sums."""
