@@ -139,8 +139,10 @@ def attributes(
 
 
 def page_block(name: str, options: PointOptions, *groups: Fields, whole: bool = False) -> Block:
-    """The uniform block of a pass that draws the blocks of a page, or a `whole` page, with further fields. `name`: as for
-    `block`."""
+    """The uniform block of a pass that draws the blocks of a page, or a `whole` page, with further fields.
+
+    `name`: as for `block`.
+    """
     transform = ONE_INSTANCE_FIELDS if options.one_instance else ()
     return block(name, CAMERA_FIELDS, WHOLE_FIELDS if whole else BLOCK_FIELDS, transform, *groups)
 

@@ -117,7 +117,7 @@ class SplatCover:
     def __init__(
         self, device: Device, options: PointOptions, buffer: VisibilityBuffer, wide: bool, round_balls: bool
     ) -> None:
-        """`wide`: some splats may cover more than MOST_CELLS cells. `round_balls`: no transform makes ellipsoids of balls."""
+        """`wide`: some splats may cover more than MOST_CELLS cells. `round_balls`: all balls stay round."""
         self._device, self._options, self._buffer, self._round_balls = device, options, buffer, round_balls
         self._atomics = device.limits.image_atomics
         self._listing = wide and self._atomics
