@@ -5,10 +5,14 @@ import numpy as np
 
 
 def point_cloud_object(
-    name: str, position: np.ndarray, radius: np.ndarray | float, color: np.ndarray | None = None
+    name: str,
+    position: np.ndarray,
+    radius: np.ndarray | float,
+    color: np.ndarray | None = None,
+    kind: str = "BYTE_COLOR",
 ) -> bpy.types.Object:
-    """Points in the scene's collection: position (N, 3), radius (N,) or one for all, color (N, 3) scene-linear in 0..1
-    as the byte attribute "Color"."""
+    """Points in the scene's collection: position (N, 3), radius (N,) or one for all, color (N, 3) scene-linear, which
+    becomes the attribute "Color" of a kind that Blender has (BYTE_COLOR keeps what lies in 0..1)."""
     count = len(position)
     if hasattr(bpy.types.PointCloud, "resize"):
         points = bpy.data.pointclouds.new(name)
@@ -25,7 +29,7 @@ def point_cloud_object(
     if color is not None:
         painted = np.ones((count, 4), np.float32)
         painted[:, :3] = color
-        points.attributes.new("Color", "BYTE_COLOR", "POINT").data.foreach_set("color", painted.ravel())
+        points.attributes.new("Color", kind, "POINT").data.foreach_set("color", painted.ravel())
     bpy.context.scene.collection.objects.link(item)
     if item.type == "MESH":
         bpy.ops.object.select_all(action="DESELECT")

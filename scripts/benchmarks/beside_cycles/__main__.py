@@ -19,8 +19,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
-import statistics
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -28,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from scripts.benchmarks.__main__ import busy, machine, markdown
-from scripts.benchmarks.beside_cycles import pictures
+from scripts.benchmarks.beside_cycles import figures, pictures
 from scripts.benchmarks.beside_cycles.processes import Program, rendered, scene_file
 from scripts.benchmarks.beside_cycles.scenes import KINDS, add_look, look_of
 from scripts.common.process import run
@@ -96,14 +94,14 @@ def measure(name: str, options: argparse.Namespace) -> list[dict]:
     rows = []
     for program in programs:
         row = {"scene": name, "look": look.suffix(), "size": [wide, high], "program": program.name,
-               "samples": program.samples, **median(runs[program])}  # fmt: skip
+               "samples": program.samples, **figures.median(runs[program])}  # fmt: skip
         if truth and "failed" not in row:
             output = folder / "pictures" / f"{title}-{program.name}-{program.samples}-1.exr"
             picture = pictures.read(output)
-            row |= pictures.errors(picture, *truth)
+            row |= figures.errors(picture, *truth)
             pictures.beside(picture, (truth[0] + truth[1]) / 2, output.with_name(output.stem[:-2] + ".png"))
         rows.append(row)
-    return with_shares(rows)
+    return figures.with_shares(rows)
 
 
 def known(folder: Path, file: Path, title: str, seed: int, options: argparse.Namespace) -> np.ndarray:
@@ -114,39 +112,6 @@ def known(folder: Path, file: Path, title: str, seed: int, options: argparse.Nam
         if "failed" in found:
             raise RuntimeError(found["failed"])
     return pictures.read(path)
-
-
-def median(runs: list[dict]) -> dict:
-    """The run of median time, with the medians of all figures of time and the number of runs."""
-    for run_ in runs:
-        if "failed" in run_:
-            return run_
-    ordered = sorted(runs, key=lambda run_: run_["seconds"])
-    keys = ("seconds", "processor", "second", "second_processor")
-    middle = {key: statistics.median(run_[key] for run_ in runs) for key in keys}
-    spread = [ordered[0]["seconds"], ordered[-1]["seconds"]]
-    return ordered[len(runs) // 2] | middle | {"runs": len(runs), "spread": spread}
-
-
-def with_shares(rows: list[dict]) -> list[dict]:
-    """The rows with what they take of Cycles' time and memory, and Cycles' time at their error."""
-    cycles = [row for row in rows if row["program"] == "CYCLES" and "failed" not in row]
-    for row in rows:
-        if "failed" in row or not cycles:
-            continue
-        row["of_cycles"] = {key: row[key] / cycles[0][key] for key in ("seconds", "processor", "second", "peak")}
-        if len(cycles) > 1 and "rmse" in row and row["program"] != "CYCLES":
-            row["equal"] = equal_time(row["rmse"], cycles)
-    return rows
-
-
-def equal_time(error: float, cycles: list[dict]) -> float | None:
-    """Seconds in which Cycles comes to an error, between its rows; None beyond them."""
-    found = sorted((row["rmse"], row["seconds"]) for row in cycles if row["rmse"] > 0)
-    if not found or not found[0][0] <= error <= found[-1][0]:
-        return None
-    errors, seconds = np.log(np.array(found)).T
-    return float(np.exp(np.interp(math.log(error), errors, seconds)))
 
 
 def cells(row: dict) -> list[str]:

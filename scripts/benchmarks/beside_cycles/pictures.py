@@ -1,4 +1,4 @@
-"""Pictures of scripts/benchmarks/beside_cycles: reading, their errors, and pictures beside each other."""
+"""Pictures of scripts/benchmarks/beside_cycles: reading them, and showing them beside the truth."""
 
 from __future__ import annotations
 
@@ -22,27 +22,6 @@ def read(path: Path) -> np.ndarray:
     image.pixels.foreach_get(pixels)
     bpy.data.images.remove(image)
     return pixels.reshape(height, width, 4)
-
-
-def rmse(picture: np.ndarray, first: np.ndarray, second: np.ndarray) -> float:
-    """Root mean square error against a truth that two independent estimates of it are known of.
-
-    Their own errors are of mean 0 and independent, so that mean((x - A)(x - B)) has none of their variance.
-    """
-    product = (picture.astype(float) - first) * (picture.astype(float) - second)
-    return float(max(product.mean(), 0.0) ** 0.5)
-
-
-def errors(picture: np.ndarray, first: np.ndarray, second: np.ndarray) -> dict[str, float]:
-    """Errors of colour and of alpha against two estimates (H, W, 4) of the truth; both means, and the truth's."""
-    truth = (first.astype(float) + second) / 2
-    return {
-        "rmse": rmse(picture[..., :3], first[..., :3], second[..., :3]),
-        "rmse_alpha": rmse(picture[..., 3], first[..., 3], second[..., 3]),
-        "alpha": float(picture[..., 3].mean(dtype=float)),
-        "true_alpha": float(truth[..., 3].mean()),
-        "brightness": float(picture[..., :3].mean(dtype=float) / max(truth[..., :3].mean(), 1e-12)),
-    }
 
 
 def beside(picture: np.ndarray, truth: np.ndarray, path: Path) -> None:
