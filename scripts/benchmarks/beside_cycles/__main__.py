@@ -116,6 +116,8 @@ def known(folder: Path, file: Path, title: str, seed: int, options: argparse.Nam
 
 def cells(row: dict) -> list[str]:
     program = Program(row["program"], row["samples"]).title()
+    drawn = row.get("reports", [{}])[0].get("technique", {}).get("name", row["program"])
+    program += f" (by {drawn.replace('_', ' ').lower()})" if drawn != row["program"] else ""
     scene = row["scene"] + row["look"]
     if "failed" in row:
         return [scene, program, f"failed: {row['failed'][-120:]}", *[""] * (len(HEAD) - 3)]
