@@ -8,8 +8,8 @@ TECHNIQUE_ITEMS: dict[str, Item] = {
     "AUTO": (
         "AUTO",
         "Automatic",
-        "The visibility buffer wherever it can draw the scene; else EWA for points that have colours of their own, and image "
-        "space for the rest",
+        "The visibility buffer wherever it can draw the scene; else EWA for points that have colours of their own, "
+        "and image space for the rest",
     ),
     "VISIBILITY": (
         "VISIBILITY",

@@ -1,4 +1,4 @@
-// The sub-sample that stands for a group: which primitive it shows, and where. Textures: shaders/visibility/leader.frag.
+// The sub-sample that stands for a group: which primitive it shows, and where. Textures: shaders/grouping/leader.frag.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/visibility/listed.glsl"

@@ -14,11 +14,11 @@ import numpy as np
 from ....core.numeric.linear import are_similarities
 from ...device.protocol import Device, Target, Texture
 from ...passes.gbuffer import GBuffer, Variant
+from ...passes.grouping.groups import Leaders
+from ...passes.grouping.spread import filter_weights, spread_program, weight_texels
 from ...passes.uniforms import SampleView
-from ...passes.visibility.groups import Leaders
 from ...passes.visibility.polygon_ids import PolygonCover
 from ...passes.visibility.splat_ids import SplatCover
-from ...passes.visibility.spread import filter_weights, spread_program, weight_texels
 from ...plan.plan import Plan
 from ..sample_positions import FILTER_WIDTH
 from ..shading import Shading
@@ -74,10 +74,9 @@ class Visibility:
             "shade",
             lambda: self._shading.shade_groups(view, lists.surfaces, leaders.bound | groups.codes, lists.target),
         )
-        behind = self._plan.background and groups.open
-        if behind and targets.behind is not None:
+        if targets.behind is not None:
             run("background", lambda: self._shading.draw_open(view, groups.codes, targets.behind_target))
-        run("spread", lambda: self._spread(view, lists.shaded, behind, sums))
+        run("spread", lambda: self._spread(view, lists.shaded, sums))
 
     def draw_central(self, view: SampleView) -> GBuffer:
         """Writes what lies under the pixels' centres into a G-buffer of its own; follows `draw` of the same view."""
@@ -113,12 +112,13 @@ class Visibility:
         if self._splats is not None:
             self._splats.write_attributes(variant, self._uploads.points.draws, view, shared, groups, leaders, out)
 
-    def _spread(self, view: SampleView, shaded: dict[str, Texture], behind: bool, sums: Target) -> None:
+    def _spread(self, view: SampleView, shaded: dict[str, Texture], sums: Target) -> None:
         """Adds what the groups show to the sums."""
         targets, groups = self._targets, self._targets.groups
         weights = filter_weights(targets.buffer.lattice, view.offset, FILTER_WIDTH)
         # The weights of one lattice are constants of the program; with several it would be compiled for each.
         fixed = weights if view.offset == (0.0, 0.0) else None
+        behind = self._plan.background
         program = spread_program(
             targets.buffer.lattice, self._passes, self._plan.picture, fixed, behind, groups.places is not None
         )

@@ -7,9 +7,9 @@ from typing import Any
 from ....core.numeric.lattice import FEW, MANY, Lattice
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.gbuffer import GBuffer
+from ...passes.grouping.groups import Groups, Leaders
 from ...passes.shading.averages import averaged
 from ...passes.visibility.buffer import VisibilityBuffer
-from ...passes.visibility.groups import Groups, Leaders
 from ...plan.plan import Plan
 
 

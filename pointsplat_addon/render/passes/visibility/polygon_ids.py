@@ -11,9 +11,9 @@ from ....shading.interface import Block, Interface
 from ...device.packing import paged
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
+from ..grouping.groups import Groups, Leaders
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
-from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, sub_sample_defines
-from .groups import Groups, Leaders
+from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, offset_defines
 from .polygon_mesh import CORNERS, Group, PolygonMesh
 from .polygons import needed_defines
 
@@ -124,13 +124,13 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
     return Interface(
         "attributes",
         vertex="common/rectangle.vert",
-        fragment="visibility/polygon_surface.frag",
+        fragment="grouping/polygon_surface.frag",
         block=_block("PolygonSurface", one, own, (("int", "holdout"),), RECTANGLE_FIELDS),
         samplers=(*(("FLOAT_2D", name) for name in samplers), *leaders.samplers),
         outputs=variant.outputs(),
         defines=(
             *((name, "1") for name in (*variant.defines, *names, *(("PS_ONE_INSTANCE",) if one else ()))),
-            *sub_sample_defines(lattice),
+            *offset_defines(lattice),
             *leaders.defines,
         ),
     )

@@ -17,10 +17,10 @@ from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
+from ..grouping.groups import Groups, Leaders
 from ..pages.point_page import POINT_SAMPLERS, PageDraw, PointOptions, attributes, page_block
 from ..uniforms import Fields, SampleView
-from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, sub_sample_defines
-from .groups import Groups, Leaders
+from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, offset_defines, sub_sample_defines
 
 MOST_CELLS = 512  # of a splat that a compute invocation draws: a ball of 3 pixels in radius
 LISTED = 1 << 18  # splats that a list holds; where more cover many cells, the rasteriser is given all
@@ -97,7 +97,7 @@ def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders
     read = (*leaders.samplers, *(("UINT_2D", name) for name in (() if leaders.central else averaged)))
     return Interface(
         "attributes",
-        fragment="visibility/splat_surface.frag",
+        fragment="grouping/splat_surface.frag",
         block=kind.block("SplatSurface", FIRST),
         samplers=(*kind.samplers, *added, *read),
         outputs=variant.outputs(),
@@ -105,7 +105,8 @@ def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders
             *kind.defines,
             *((name, "1") for name in variant.defines),
             *(entry for entry in named if entry[0] != "PS_ONE_INSTANCE"),
-            *sub_sample_defines(lattice),
+            *offset_defines(lattice),
+            *(sub_sample_defines(lattice)[1:] if averaged and not leaders.central else ()),
             *leaders.defines,
         ),
     )

@@ -8,7 +8,6 @@ import numpy as np
 from ....core.numeric.lattice import Lattice
 from ....shading.interface import Interface
 from ..shading.averages import averaged_defines, averaged_outputs
-from .buffer import sub_sample_defines
 
 
 def spread_program(
@@ -28,10 +27,10 @@ def spread_program(
     if weights is not None:
         constants = (("PS_WEIGHTS", _array(weights.reshape(-1))), ("PS_WEIGHT_SUMS", _array(weights.sum(axis=1))))
     return Interface(
-        "spread", fragment="visibility/spread.frag", outputs=outputs,
+        "spread", fragment="grouping/spread.frag", outputs=outputs,
         samplers=(("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"),
                   *(("FLOAT_2D", name) for name, on in read.items() if on), *shaded),
-        defines=(*sub_sample_defines(lattice), *((name, "1") for name in names), *constants),
+        defines=(("PS_SUB_SAMPLES", str(lattice.count)), *((name, "1") for name in names), *constants),
     )  # fmt: skip
 
 

@@ -10,10 +10,9 @@ from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import EMPTY, Device, Target, Texture, releases_on_failure
 from ..uniforms import CAMERA_FIELDS, SampleView, block
-from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, RASTERISED, VisibilityBuffer, sub_sample_defines
+from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, RASTERISED, VisibilityBuffer, sub_sample_defines
 
 COUNT_SHIFT = 21  # of a pixel's number of groups in its second word: shaders/lib/visibility/groups.glsl
-OPEN_BIT = 0x2000000  # set where nothing covers some sub-sample
 GROUP_BLOCK = block("Group", CAMERA_FIELDS, LATTICE_FIELDS)
 CENTRAL_DEFINE = ("PS_CENTRAL", "1")
 LEADER_SAMPLERS = (("UINT_2D", "ps_leaders"), ("UINT_2D", "ps_leader_depths"), ("UINT_2D", "ps_members"))
@@ -24,7 +23,7 @@ SORTED_FROM = 1 << 22  # texels that draws would look at for nothing
 def group_program(lattice: Lattice) -> Interface:
     """Returns the program that groups the sub-samples of each pixel."""
     return Interface(
-        "group", fragment="visibility/group.frag", block=GROUP_BLOCK,
+        "group", fragment="grouping/group.frag", block=GROUP_BLOCK,
         samplers=(("UINT_2D", "ps_depths"), ("UINT_2D", "ps_keys")),
         outputs=(("uint", "out_first"), ("uint", "out_second")), defines=(LATTICE_DEFINE, *sub_sample_defines(lattice)),
     )  # fmt: skip
@@ -35,10 +34,10 @@ def leader_program(lattice: Lattice, central: bool) -> Interface:
     pixel's centre."""
     read = ("ps_ids", "ps_depths", *(() if central else ("ps_first", "ps_second")))
     return Interface(
-        "group", fragment="visibility/leader.frag", block=GROUP_BLOCK,
+        "group", fragment="grouping/leader.frag", block=GROUP_BLOCK,
         samplers=(*(("UINT_2D", name) for name in read), *(() if central else (LIST_SAMPLER,))),
         outputs=(("uint", "out_leader"), ("uint", "out_depth"), ("uint", "out_member")),
-        defines=(LATTICE_DEFINE, *sub_sample_defines(lattice), *((CENTRAL_DEFINE,) if central else ())),
+        defines=(LATTICE_DEFINE, *((CENTRAL_DEFINE,) if central else sub_sample_defines(lattice))),
     )  # fmt: skip
 
 
@@ -89,7 +88,6 @@ class Groups:
         self._list: Texture | None = None
         # The first entry of each draw in the list, and the one after its last; None: the list is in pixel order.
         self.ranges: list[tuple[int, int]] | None = None
-        self.open = False  # whether nothing covers some sub-sample
         self.total = 0
 
     def group(self, view: SampleView) -> None:
@@ -99,7 +97,6 @@ class Groups:
         device.draw(group_program(buffer.lattice), self._target, uniforms=record, textures=buffer.textures)
         second = device.read(self.codes["ps_second"]).reshape(-1)
         counts = (second >> COUNT_SHIFT) & 7
-        self.open = bool((second & OPEN_BIT).any())
         ends = np.cumsum(counts, dtype=np.int64)
         self.total = int(ends[-1])
         self._forget()
