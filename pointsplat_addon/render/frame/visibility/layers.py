@@ -23,6 +23,7 @@ from ...plan.plan import Plan
 from ..sample_positions import FILTER_WIDTH
 from ..shading import Shading
 from ..uploads.uploads import Uploads
+from .identities import identities
 from .polygon_draws import polygon_draws
 from .targets import VisibilityTargets
 
@@ -86,6 +87,11 @@ class Visibility:
         targets.groups.lead(view, targets.central_leaders)
         self._write_attributes(view, targets.central_leaders, targets.central, self._plan.data_variant)
         return targets.central
+
+    def identities(self) -> np.ndarray:
+        """Returns the instance and the material of each sub-sample that was drawn last, (S, H, W, 2) int32."""
+        polygons = [] if self._polygons is None else self._polygons.draws
+        return identities(self._device, self._targets.buffer, self._uploads.points.draws, polygons)
 
     def _draw_primitives(self, view: SampleView) -> None:
         shared, polygons = self._uploads.shared, self._polygons

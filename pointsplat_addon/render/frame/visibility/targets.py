@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from ....core.numeric.lattice import FEW, MANY, Lattice
+from ....core.numeric.lattice import lattice_of
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.gbuffer import GBuffer
 from ...passes.grouping.groups import Groups, Leaders
 from ...passes.shading.averages import averaged
 from ...passes.visibility.buffer import VisibilityBuffer
 from ...plan.plan import Plan
-
-
-def lattice_of(sub_samples: int) -> Lattice:
-    """Returns the lattice with so many sub-samples."""
-    return next(lattice for lattice in (FEW, MANY) if lattice.count == sub_samples)
 
 
 class VisibilityTargets:

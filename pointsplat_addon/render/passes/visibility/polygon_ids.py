@@ -44,6 +44,7 @@ class PolygonDraw:
         holdout: (I,) bool. rectangle: (4,), low and high corner, from 0 to 1 over the picture, of what holds them all.
         """
         self.mesh, self.first_id, self.rectangle, self.slots = mesh, first_id, rectangle, len(instance)
+        self.instance = instance
         mirrored = np.linalg.det(view_from_object[:, :3, :3]) < 0
         self.textures: dict[str, Texture] = {}
         self.values: Values = {}
