@@ -20,6 +20,12 @@ STRANDS = block("Strands", CAMERA_FIELDS, FIRST)
 THIN = block("ThinStrands", CAMERA_FIELDS, FIRST, (("float", "sample_offset"),))
 
 
+def attribute_samplers(variant: Variant) -> list[str]:
+    """Returns the names of the textures of what varies along strands."""
+    named = {"ps_color": variant.color, "ps_surface": variant.surface, "ps_emission": variant.emission}
+    return [name for name, on in named.items() if on]
+
+
 def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
     """Returns the program that draws one kind of segments, THIN, STRIP or TUBE, into one variant of the G-buffer.
 
@@ -31,8 +37,7 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
     fetched += ["ps_tangent"] if variant.normal or tube or strip else []
     fetched += ["ps_side"] if ribbon else []
     fetched += ["ps_materials"] if tube and variant.normal else []
-    named = {"color": variant.color, "surface": variant.surface, "emission": variant.emission}
-    fetched += [f"ps_{name}" for name, on in named.items() if on]
+    fetched += attribute_samplers(variant)
     varyings = [("flat", "vec4", "v_segment")]
     if tube:
         varyings += [("flat", "vec4", name) for name in ("v_from", "v_to", "v_begin", "v_end")]
@@ -42,7 +47,7 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
         varyings += [("smooth", "vec2", "v_share")] if thin else []
     kinds = {"PS_THIN": thin, "PS_RIBBON": ribbon, "PS_TUBE": tube}
     return Interface(
-        "lines", vertex="visibility/strands.vert", fragment="visibility/strands.frag", block=THIN if thin else STRANDS,
+        "lines", vertex="strands/strands.vert", fragment="strands/strands.frag", block=THIN if thin else STRANDS,
         samplers=tuple(("FLOAT_2D", name) for name in fetched),
         varyings=tuple(varyings), outputs=variant.front_outputs, depth=True,
         defines=(*variant.front_defines, *((name, "1") for name, on in kinds.items() if on)),
