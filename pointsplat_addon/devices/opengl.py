@@ -26,6 +26,9 @@ MODES = {"TRIANGLES": moderngl.TRIANGLES, "LINES": moderngl.LINES, "POINTS": mod
 COMPUTE_VERSION = 430  # the first with compute shaders
 OLDEST_VERSION = 410  # macOS has no newer one
 GL_RENDERBUFFER, GL_DEPTH_COMPONENT32F = 0x8D41, 0x8CAC
+GL_COLOR, GL_DEPTH = 0x1800, 0x1801
+EMPTY_TEXEL = (ctypes.c_uint * 4)(EMPTY, EMPTY, EMPTY, EMPTY)
+FARTHEST_DEPTH = (ctypes.c_float * 1)(1.0)
 
 
 class OpenGLTexture:
@@ -36,12 +39,22 @@ class OpenGLTexture:
         self.handle.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self.handle.repeat_x = self.handle.repeat_y = False
         self.nbytes = size[0] * size[1] * checks.BYTES_PER_PIXEL[format]
+        self._context = device.context
+        self._target: moderngl.Framebuffer | None = None
         self._alive = device.alive
         self._alive.add(self)
+
+    @property
+    def target(self) -> moderngl.Framebuffer:
+        """What draws into this texture alone; made at the first call."""
+        self._target = self._target or self._context.framebuffer([self.handle])
+        return self._target
 
     def release(self) -> None:
         if self in self._alive:
             self._alive.remove(self)
+            if self._target is not None:
+                self._target.release()
             self.handle.release()
 
 
@@ -104,6 +117,9 @@ class OpenGLDevice:
     def __init__(self) -> None:
         """Raise DeviceError where no context of OpenGL 4.1 or newer can be made."""
         self.context, gl = _make_context()
+        values = ctypes.c_uint, ctypes.c_int, ctypes.c_void_p  # which buffers, index of the texture, its value
+        self._clear_integers = _function(gl, "glClearBufferuiv", *values)
+        self._clear_floats = _function(gl, "glClearBufferfv", *values)
         self.bind_renderbuffer = _function(gl, "glBindRenderbuffer", ctypes.c_uint, ctypes.c_uint)
         self.renderbuffer_storage = _function(
             gl, "glRenderbufferStorage", ctypes.c_uint, ctypes.c_uint, ctypes.c_int, ctypes.c_int
@@ -115,7 +131,6 @@ class OpenGLDevice:
         self._timing: OpenGLTimer | None = None
         self._programs: dict[Interface, tuple[moderngl.Program | moderngl.ComputeShader, object]] = {}
         self._blocks: dict[int, moderngl.Buffer] = {}
-        self._empty: moderngl.Buffer | None = None
         self._released = False
         info = self.context.info
         self.limits = Limits(f"{info['GL_RENDERER']}, OpenGL {self.version}", info["GL_MAX_TEXTURE_SIZE"], False, False)
@@ -133,18 +148,18 @@ class OpenGLDevice:
         return OpenGLTarget(self, colors, depth)
 
     def clear(self, target: Target, color: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> None:
-        target.handle.clear(*color, depth=1.0)
-        for texture in target.colors:
+        target.handle.use()
+        for index, texture in enumerate(target.colors):
             if texture.format == "R32UI":
-                self.fill(texture)
+                self._clear_integers(GL_COLOR, index, EMPTY_TEXEL)
+            else:
+                self._clear_floats(GL_COLOR, index, (ctypes.c_float * 4)(*color))
+        if target.depth is not None:  # type: ignore[attr-defined]
+            self._clear_floats(GL_DEPTH, 0, FARTHEST_DEPTH)
 
     def fill(self, texture: Texture) -> None:
-        size = texture.nbytes
-        if self._empty is None or self._empty.size < size:
-            if self._empty:
-                self._empty.release()
-            self._empty = self.context.buffer(np.full(size // 4, EMPTY, np.uint32))
-        texture.handle.write(self._empty, alignment=1)
+        texture.target.use()  # type: ignore[attr-defined]
+        self._clear_integers(GL_COLOR, 0, EMPTY_TEXEL)
 
     def draw(
         self,
@@ -234,7 +249,6 @@ class OpenGLDevice:
             thing.release()
         self._programs.clear()
         self._blocks.clear()
-        self._empty = None
         self.context.release()
 
     def _program(self, interface: Interface):

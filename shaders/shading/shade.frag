@@ -1,6 +1,6 @@
 // Deferred shading: the G-buffer to scene-linear radiance, premultiplied, added to what earlier samples left. Pixels
 // that show nothing are left to background.frag. PS_AUXILIARY_ONLY: only passes beside Combined are drawn. PS_GROUPED: the
-// surfels are groups of sub-samples, and shape.xy is where in the pixel the one lies that stands for the group.
+// texels are a list of groups of sub-samples, and shape.xy is where in the pixel the one lies that stands for the group.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/surfel_kind.glsl"
@@ -11,6 +11,9 @@
 #include "lib/geometry/coverage.glsl"
 #ifdef PS_STRANDS
 #include "lib/light/hair.glsl"
+#endif
+#ifdef PS_GROUPED
+#include "lib/visibility/listed.glsl"
 #endif
 #ifdef PS_FOCUS
 #include "lib/splat/defocus.glsl"
@@ -30,7 +33,7 @@ void main()
   }
   vec4 shape = texelFetch(ps_shape, pixel, 0);
 #ifdef PS_GROUPED
-  vec2 at = gl_FragCoord.xy + shape.xy;
+  vec2 at = vec2(ps_listed(pixel).pixel) + 0.5 + shape.xy;
 #else
   vec2 at = gl_FragCoord.xy;
 #endif

@@ -18,11 +18,12 @@ void main()
   }
   PsSegment segment = PsSegment(ps_texel(int(v_segment.x)), ps_texel(int(v_segment.y)), int(v_segment.z), v_segment.w,
                                 vec4(0.0));
-  vec3 direction = vec3(0.0, 0.0, 1.0);
 #ifdef PS_NORMAL
-  direction = ps_tube_normal(segment, tube, hit).xyz;
+  vec4 normal = ps_tube_normal(segment, tube, hit);
+  out_key = ps_surface_key(segment.instance, int(segment.material), normal.xyz) | (normal.w > 0.5 ? PS_FIBRE_KEY : 0u);
+#else
+  out_key = ps_surface_key(segment.instance, int(segment.material), vec3(0.0, 0.0, 1.0));
 #endif
-  out_key = ps_surface_key(segment.instance, int(segment.material), direction);
 #else
   ivec2 cell = ivec2(gl_FragCoord.xy) + u.cell_offset;
   uint rank = uint(v_rows == 1 ? cell.y : cell.x) * PS_GOLDEN + v_phase;

@@ -33,7 +33,7 @@ uint ps_hash(uint number)
 void main()
 {
   int entry = u.first + gl_VertexID / 6, corner = gl_VertexID % 6;
-  ivec2 at = ivec2(texelFetch(ps_list, ps_texel(entry), 0).xy);
+  ivec2 at = ivec2(texelFetch(ps_segment_list, ps_texel(entry), 0).xy);
   PsSegment segment = ps_segment(at);
   v_id = PS_RASTERISED | uint(u.first_id + entry);
 #ifdef PS_TUBE
@@ -46,6 +46,9 @@ void main()
   v_segment = texelFetch(ps_segments, at, 0);
 #else
   v_key = ps_surface_key(segment.instance, int(segment.material), ps_strip_direction(segment));
+#if defined(PS_NORMAL) && !defined(PS_RIBBON)
+  v_key |= PS_FIBRE_KEY;
+#endif
   v_phase = ps_hash(floatBitsToUint(segment.rest.z)) + u.turn;
   PsStripEnds ends;
   bool there = ps_strip_ends(segment, ends);

@@ -14,7 +14,7 @@ void main()
 #else
   int index = gl_VertexID / 6, corner = gl_VertexID - 6 * index;
 #endif
-  ivec2 at = ivec2(texelFetch(ps_list, ps_texel(u.first + index), 0).xy);
+  ivec2 at = ivec2(texelFetch(ps_segment_list, ps_texel(u.first + index), 0).xy);
   v_segment = texelFetch(ps_segments, at, 0);
   PsSegment segment = ps_segment(at);
   int instance = segment.instance;

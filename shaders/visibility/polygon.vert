@@ -1,8 +1,7 @@
 // Triangles of one material of one instance, corner by corner from textures. PS_PARTS: only those of the parts that
-// `ps_parts` lists, each up to PS_PARTS corners. PS_LATTICE: into the cells of sub-samples, with the triangle's number.
+// `ps_parts` lists, each up to PS_PARTS corners.
 
 #include "lib/geometry/camera.glsl"
-#include "lib/visibility/lattice.glsl"
 #include "lib/geometry/direction.glsl"
 #include "lib/data/pack.glsl"
 
@@ -44,8 +43,4 @@ void main()
   v_emission = texelFetch(ps_corner_emission, texel, 0).rgb;
 #endif
   gl_Position = ps_clip_from_view(v_position);
-#ifdef PS_LATTICE
-  gl_Position = ps_cell_clip(gl_Position);
-  v_triangle = uint(texel.x + (texel.y << 12)) / 3u;
-#endif
 }

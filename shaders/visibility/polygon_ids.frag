@@ -10,7 +10,7 @@ void main()
     discard;
   }
 #ifdef PS_CULL
-  if (gl_FrontFacing == (u.mirrored == 1)) {
+  if (gl_FrontFacing == (v_about.y > 0.5)) {
     discard;
   }
 #endif
@@ -19,8 +19,8 @@ void main()
 #ifdef PS_NORMAL
   normal = v_normal;
 #endif
-  out_id = PS_RASTERISED | (uint(u.first_id) + v_triangle);
+  out_id = PS_RASTERISED | v_id;
   out_depth = floatBitsToUint(max(d - u.near, 0.0));
-  out_key = ps_surface_key(u.instance, u.material, normal);
+  out_key = ps_surface_key(int(v_about.x), u.material, normal);
   gl_FragDepth = ps_buffer_depth(d);
 }

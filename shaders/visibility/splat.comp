@@ -1,9 +1,10 @@
 // Opaque splats into the visibility buffer, one invocation each: the least depth of each sub-sample, then (PS_IDENTIFY) the
-// lowest number among the splats that have it. PS_LIST: instead, lists those that cover more cells than PS_MOST_CELLS, which the
+// lowest number among the splats that have it, and the key of its surface. PS_LIST: instead, lists those that cover more cells than PS_MOST_CELLS, which the
 // rasteriser draws; without it these are left out.
 
 #include "lib/data/index.glsl"
 #include "lib/visibility/splat.glsl"
+#include "lib/visibility/surface_key.glsl"
 
 void main()
 {
@@ -17,7 +18,7 @@ void main()
     return;
   }
 #ifdef PS_CULL
-  if (ps_is_culled(element, splat)) {
+  if (ps_is_culled(element)) {
     return;
   }
 #endif
@@ -40,6 +41,11 @@ void main()
   if (wide) {
     return;
   }
+#ifdef PS_IDENTIFY
+  int material = int(texelFetch(ps_extent, element.xy, 0).w);
+  vec3 toward = ps_is_perspective() ? ps_view_from_point(element.z, texelFetch(ps_position, element.xy, 0).xyz)
+                                    : vec3(0.0, 0.0, -1.0);
+#endif
   for (int y = low.y; y <= high.y; y++) {
     for (int x = low.x; x <= high.x; x++) {
       PsSplatHit hit = ps_meet_splat(splat, vec2(x, y) + 0.5 - splat.centre);
@@ -47,7 +53,12 @@ void main()
         uint key = floatBitsToUint(max(hit.depth - u.near, 0.0));
 #ifdef PS_IDENTIFY
         if (texelFetch(ps_depths, ivec2(x, y), 0).x == key) {
-          imageAtomicMin(ids, ivec2(x, y), uint(u.first_index + index));
+          // Of several at one depth any may write its key: they then lie upon each other.
+          uint before = imageAtomicMin(ids, ivec2(x, y), uint(u.first_index + index));
+          if (before > uint(u.first_index + index)) {
+            uint surface = ps_surface_key(element.z, material, ps_splat_normal(splat, hit, toward));
+            imageStore(keys, ivec2(x, y), uvec4(surface));
+          }
         }
 #else
         imageAtomicMin(depths, ivec2(x, y), key);

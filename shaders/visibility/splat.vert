@@ -19,7 +19,7 @@ void main()
     return;
   }
 #ifdef PS_CULL
-  if (ps_is_culled(element, splat)) {
+  if (ps_is_culled(element)) {
     return;
   }
 #endif

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointsplat_addon.core.light.bsdf import fresnel_dielectric
 from pointsplat_addon.core.material.hair_color import absorption_from_color
 from tests.reference.hair_lighting import Fibre, logistic, logistic_scale, longitudinal, longitudinal_variance
+from tests.reference.reflectance import fresnel_dielectric
 
 
 def scattered(theta: float, eye: float, phi: float, fibre: Fibre, offsets: int) -> np.ndarray:

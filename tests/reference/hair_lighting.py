@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pointsplat_addon.core.light.bsdf import fresnel_dielectric
 from pointsplat_addon.core.material.hair_color import absorption_from_color
+from tests.reference.reflectance import fresnel_dielectric
 
 # Offsets from the middle of a strand, of its radius, that stand for its width (Gauss and Legendre on [0, 1]).
 OFFSETS = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))

@@ -18,7 +18,6 @@ from pointsplat_addon.core.light import environment
 from pointsplat_addon.core.light.bsdf import (
     MIN_ALPHA,
     dielectric_reflectance,
-    fresnel_dielectric,
     multiple_scattering_factor,
     relative_index,
     sample_reflectance_table,
@@ -29,6 +28,7 @@ from pointsplat_addon.core.numeric.vectors import unit_rows
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.world import World
 from tests.reference import environment_lookup
+from tests.reference.reflectance import fresnel_dielectric
 
 ELLIPSE_SIDES = 24
 SPREAD_CELLS = 8  # to a side: an area light with a narrowed beam is summed over a grid

@@ -8,6 +8,7 @@ import numpy as np
 
 from .vectors import dot
 
+ALIKE_SCALES = 1e-5  # relative difference of the squares of scales that makes no visible ellipsoid of a ball
 HALF_DIGITS = 1.5e-8  # the root of what float64 resolves
 
 
@@ -35,6 +36,15 @@ def all_finite(matrix: np.ndarray) -> np.ndarray:
     numbers = math.prod(matrix.shape[1:])
     with np.errstate(invalid="ignore"):
         return np.asarray(matrix.reshape(-1, numbers) @ np.zeros(numbers) == 0)
+
+
+def are_similarities(matrix: np.ndarray) -> bool:
+    """Tells whether the linear parts of all matrices (I, 4, 4) keep angles, so that balls stay balls."""
+    linear = matrix[:, :3, :3]
+    with np.errstate(all="ignore"):
+        gram = np.einsum("iba,ibc->iac", linear, linear)
+        size = np.trace(gram, axis1=1, axis2=2)[:, None, None] / 3
+        return bool((np.abs(gram - size * np.eye(3)) <= ALIKE_SCALES * size).all())
 
 
 def outer_product(a: np.ndarray) -> np.ndarray:

@@ -39,8 +39,8 @@ def select(
     sub_samples: bool = False,
 ) -> Segments:
     """The segments of one instance that a camera may see. view_from_object: (4, 4) float64; instance: its row in
-    Scene.instances; tolerance: pixels. `sub_samples`: of a pixel are drawn at once, in each of which thin segments cover
-    their share: none are drawn with their outlines instead.
+    Scene.instances; tolerance: pixels. `sub_samples`: many samples of a pixel are drawn at once, of which segments that are
+    thinner cover a share; else those of short strands are drawn with their outlines.
 
     Widths of tubes scale with the cube root of the instance's volume; ribbons are scaled as surfaces are.
     """

@@ -54,10 +54,10 @@ class Shading:
         self._background = background_program(
             plan.background_defines,
             scene.transparent,
-            passes,
+            frozenset() if plan.sub_samples else passes,
             coverage,
             everywhere=not plan.shaded.solid,
-            combined=plan.picture,
+            combined=plan.picture,  # other passes are spread over what lies behind groups
             grouped=plan.sub_samples > 0,
         )
 
@@ -93,18 +93,17 @@ class Shading:
         textures = gbuffer_textures(self._targets.surfels) | self._uploads.shading | self.backdrop_textures
         self._add(self._background, view, region, textures)
 
-    def shade_groups(self, view: SampleView, region: Region, surfaces: GBuffer, target: Target) -> None:
-        """Shades one layer of groups of sub-samples, whose attributes are in `surfaces`."""
-        textures = surfaces.bound() | self._uploads.shading
-        region.draw(
-            self._device, self._shade, target, uniforms=self._record(self._shade, view), textures=textures
-        )
+    def shade_groups(self, view: SampleView, surfaces: GBuffer, groups: dict[str, Texture], target: Target) -> None:
+        """Shades a list of groups of sub-samples: `surfaces` has their attributes, `groups` tells of which pixels they
+        are, by sampler name."""
+        textures = surfaces.bound() | self._uploads.shading | groups
+        self._device.draw(self._shade, target, uniforms=self._record(self._shade, view), textures=textures)
 
-    def draw_open(self, view: SampleView, region: Region, codes: dict[str, Texture], target: Target) -> None:
+    def draw_open(self, view: SampleView, codes: dict[str, Texture], target: Target) -> None:
         """Draws the world where sub-samples are open; `codes`: the groups of sub-samples, by sampler name."""
         textures = codes | self._uploads.shading | self.backdrop_textures
         record = self._record(self._background, view)
-        region.draw(self._device, self._background, target, uniforms=record, textures=textures)
+        self._device.draw(self._background, target, uniforms=record, textures=textures)
 
     def average(self, view: SampleView) -> None:
         """Adds the averaged passes of painted splats to their sums."""

@@ -150,8 +150,18 @@ def make_frame_plan(
     warnings = scene.warnings
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
+    lattice = FEW if request.interactive else MANY
+    around = tuple(side + 2 * math.ceil(FILTER_REACH) for side in camera.window[2:])
     decided = decide_technique(
-        TechniqueInput(request.settings, scene, request.samples, request.interactive, camera.aperture is not None, limits.float_blend)
+        TechniqueInput(
+            request.settings,
+            scene,
+            request.samples,
+            request.interactive,
+            lens=camera.aperture is not None,
+            cells_fit=max(lattice.size((around[0], around[1]))) <= limits.texture_size,
+            float_blend=limits.float_blend,
+        )
     )
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
     prepared = _prepared(scene, request, decided, through_lens, store, costs, clock)
@@ -181,13 +191,10 @@ def make_frame_plan(
     ewa = technique.name == "EWA"
     sub_samples = 0
     if technique.name == "VISIBILITY":
-        lattice = FEW if request.interactive else MANY
         sub_samples = lattice.count
         request = replace(request, samples=-(-request.samples // sub_samples))
     plan = make_plan(
-        ViewToPlan(
-            scene, prepared, request, shadows, ewa, painter, reflects, picture, sub_samples, presented, absences
-        )
+        ViewToPlan(scene, prepared, request, shadows, ewa, painter, reflects, picture, sub_samples, presented, absences)
     )
     radius = FILTER_REACH if sub_samples else plan.splat_radius(prepared.largest)
     view, corner = with_margin(camera, radius, limits.texture_size)

@@ -35,7 +35,9 @@ class Plan:
     presented: bool = False  # the picture is shown between samples, with its depth
     picture: bool = True  # Combined is drawn, not the auxiliary passes alone
     shades: bool = True  # Combined is drawn, or an averaged pass, which shading writes too
-    sub_samples: int = 0  # of each pixel in each sample of the picture, by the visibility buffer; 0: by another technique
+    sub_samples: int = (
+        0  # of each pixel in each sample of the picture, by the visibility buffer; 0: by another technique
+    )
     defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus.py
 
     @property

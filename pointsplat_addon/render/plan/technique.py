@@ -20,6 +20,7 @@ from ..prepare.layers import MANY_INSTANCES
 from ..prepare.prepare import Prepared
 from ..prepare.separation import is_translucent
 
+MOST_PRIMITIVES = 1 << 26  # of all instances, that the visibility buffer draws one by one
 TITLES = {"EWA": "EWA", "PAINTER": "The painter"}  # of the techniques that blend floats
 
 
@@ -32,6 +33,7 @@ class TechniqueInput:
     samples: int
     interactive: bool  # a view that is drawn repeatedly and at once
     lens: bool  # the camera has depth of field
+    cells_fit: bool  # a texture of the device holds the sub-samples of the picture
     float_blend: bool  # the device can blend floats, as EWA and the painter do
 
 
@@ -46,9 +48,10 @@ class Technique:
 
 
 def decide_technique(given: TechniqueInput) -> Technique:
-    """Returns the technique that the settings ask for; for AUTO the nearest to polygons that is worth its time.
+    """Returns the technique that the settings ask for; for AUTO the nearest to the truth that is worth its time.
 
-    AUTO is EWA where enough samples are drawn and some points have colours to average; else image space.
+    AUTO is the visibility buffer, but for what it cannot draw or would draw worse; there it is EWA where enough samples
+    are drawn and some points have colours to average, else image space.
     """
     asked = given.settings.technique
     found = _automatic(given) if asked == "AUTO" else Technique(asked, "the settings say so", automatic=False)
@@ -68,7 +71,32 @@ def _why_not_visibility(given: TechniqueInput) -> str:
     scene = given.scene
     if any(is_translucent(geometry, scene.materials) for geometry in scene.geometries):
         return "translucent things are blended in each sample"
-    return "the camera has depth of field" if given.lens else ""
+    if given.lens:
+        return "the camera has depth of field"
+    return "" if given.cells_fit else "the picture is larger than the GPU's textures of sub-samples"
+
+
+def _why_others_are_better(given: TechniqueInput) -> str:
+    """Returns why another technique draws a scene better than the visibility buffer; empty where none does."""
+    scene = given.scene
+    if given.settings.budget != "NONE":
+        return "a budget decides how many samples are drawn, one by one"
+    for geometry in scene.geometries:
+        points = geometry.mesh is not None and geometry.primitive == "POINTS"
+        if points or (geometry.cloud is not None and geometry.cloud.normal is not None):
+            return "samples of a surface are blended into it"
+    count = np.bincount(scene.instances.geometry, minlength=len(scene.geometries))
+    primitives = [_primitives(geometry) for geometry in scene.geometries]
+    if float(count @ np.asarray(primitives, float)) > MOST_PRIMITIVES:
+        return "instances have so many primitives that they are drawn by nodes"
+    return ""
+
+
+def _primitives(geometry: Geometry) -> int:
+    """How many triangles or points a geometry has."""
+    if geometry.cloud is not None:
+        return len(geometry.cloud)
+    return 0 if geometry.mesh is None else len(geometry.mesh.triangles)
 
 
 def confirm_technique(decided: Technique, prepared: Prepared) -> Technique:
@@ -88,6 +116,8 @@ def confirm_technique(decided: Technique, prepared: Prepared) -> Technique:
 def _automatic(given: TechniqueInput) -> Technique:
     """The choice that AUTO makes."""
     scene = given.scene
+    if not (_why_not_visibility(given) or _why_others_are_better(given)):
+        return Technique("VISIBILITY", "every sub-sample is exact, and each surface is shaded once")
     if given.interactive:
         return Technique("IMAGE_SPACE", "views that move need the fastest")
     if not centres_decide(given.samples):

@@ -177,8 +177,8 @@ def _points_unless_polygons(
 
 
 def is_polygons(view: View, geometry: Geometry) -> bool:
-    """Tells whether a mesh is drawn as polygons whatever the view is: by the visibility buffer they cost less than points
-    of as many pixels."""
+    """Tells whether a mesh is drawn as polygons whatever the view is: by the visibility buffer they cost less than
+    points of as many pixels."""
     by_buffer = view.settings.technique == "VISIBILITY" and geometry.primitive == "AUTO"
     return by_buffer or geometry.primitive == "POLYGONS"
 

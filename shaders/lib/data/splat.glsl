@@ -3,9 +3,13 @@
 #include "lib/geometry/instance.glsl"
 #include "lib/data/pack.glsl"
 
-// Which splat the drawn element `index` is: texel of its attributes, and its instance. x < 0: none.
+// Which splat the drawn element `index` is: texel of its attributes, and its instance. x < 0: none. PS_DIRECT: a view draws all
+// splats of a page, as one instance, and needs no blocks.
 ivec3 ps_element(int index)
 {
+#ifdef PS_DIRECT
+  return index < u.splats ? ivec3(ps_texel(index), u.only_instance) : ivec3(-1);
+#else
   int block = index >> u.block_shift;
   if (block >= u.block_count) {
     return ivec3(-1);
@@ -17,4 +21,5 @@ ivec3 ps_element(int index)
   }
   int column = int(record.x) + lane;
   return ivec3(column & PS_PAGE_MASK, int(record.y) + (column >> PS_PAGE_SHIFT), int(record.w));
+#endif
 }

@@ -1,7 +1,7 @@
 // The groups of a pixel's sub-samples that are shaded together: three bits for each sub-sample in two words, the first ten
 // in the first. The second word ends with the number of groups and the flags below.
 
-#define PS_GROUPS 7
+#define PS_GROUPS 4  // of a pixel, at most
 #define PS_NO_GROUP 7u  // nothing covers the sub-sample
 #define PS_COUNT_SHIFT 21u
 #define PS_UNIFORM 0x1000000u  // all sub-samples have one code

@@ -66,7 +66,8 @@ class PointUploads:
             if len(rows) == 0:
                 continue
             texture = self._scope.texture(rows)
-            draws.append(PageDraw(page, texture, len(rows), shift, index, self._transform))
+            whole = _only_instance(layer, group, page)
+            draws.append(PageDraw(page, texture, len(rows), shift, index, self._transform, whole))
             index += len(rows) << shift
         return draws
 
@@ -76,6 +77,15 @@ class PointUploads:
         filled = constants_key(self._scene) if plan.variant.color or plan.variant.emission else b""
         key = Key(Kind.PAGE, tuple(p.key for p in sets), other=(plan.variant, plan.options.shading_normal, filled))
         return self._scope.lookup(key, lambda: Page(self._scope.device, sets, plan.variant, plan.options, table))
+
+
+def _only_instance(layer: Layer, group: dict[int, PointSet], page: Page) -> int:
+    """Returns the instance as which all splats of a page are drawn, if there is one; else -1."""
+    cut = layer.cut
+    mine = np.flatnonzero(np.isin(layer.set_of_instance[cut.instance], list(group)))
+    if len(mine) != 1 or cut.first[mine[0]] != 0 or cut.count[mine[0]] != page.count:
+        return -1
+    return int(cut.instance[mine[0]])
 
 
 def _page_groups(point_sets: dict[int, PointSet], texture_size: int) -> list[dict[int, PointSet]]:

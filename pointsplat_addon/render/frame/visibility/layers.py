@@ -1,27 +1,32 @@
-"""Draws one picture of many sub-samples by the visibility buffer: all primitives once, each surface of a pixel shaded once.
+"""Draws one picture by the visibility buffer: all primitives once, each surface of a pixel shaded once.
 
-The primitives are drawn into the visibility buffer; the sub-samples of each pixel are grouped by surface; layer by layer,
-the attributes of the groups are written into a G-buffer, shaded, and spread over the picture by the pixel filter.
+The primitives are drawn into the visibility buffer; the sub-samples of each pixel are grouped by surface, and the
+groups listed; their attributes are written, group by group, into a G-buffer as long as the list, shaded, and spread
+over the picture by the pixel filter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
+from ....core.numeric.linear import are_similarities
 from ...device.protocol import Device, Target, Texture
 from ...passes.gbuffer import GBuffer, Variant
-from ...passes.strands import strand_ids
-from ...passes.tiles import EVERYWHERE, Region
+from ...passes.grouping.groups import Leaders
+from ...passes.grouping.spread import filter_weights, spread_program, weight_texels
+from ...passes.strands.strand_ids import StrandCover
 from ...passes.uniforms import SampleView
-from ...passes.visibility import polygon_ids
-from ...passes.visibility.groups import OPEN
+from ...passes.visibility.polygon_ids import PolygonCover
 from ...passes.visibility.splat_ids import SplatCover
-from ...passes.visibility.spread import SPREAD_BLOCK, filter_weights, spread_program
 from ...plan.plan import Plan
 from ..sample_positions import FILTER_WIDTH
 from ..shading import Shading
 from ..uploads.uploads import Uploads
-from .numbers import NumberedDraws, number_draws
+from .identities import identities
+from .polygon_draws import polygon_draws
+from .strand_draws import strand_draws
 from .targets import VisibilityTargets
 
 WIDE_RADIUS = 2.5  # pixels: where no splat is wider, none covers more cells than a compute invocation draws
@@ -39,103 +44,113 @@ class Visibility:
         uploads: Uploads,
         targets: VisibilityTargets,
         shading: Shading,
+        view: SampleView,
         run: Run,
     ) -> None:
-        """`run` times each pass."""
-        self._device, self._plan, self._uploads, self._targets = device, plan, uploads, targets
-        self._shading, self._run = shading, run
-        self._spread = spread_program(targets.buffer.lattice, passes, plan.picture)
-        self._weights: Texture | None = None
+        """`view`: of rays through the pixels' centres. `run` times each pass."""
+        self._device, self._plan, self._passes, self._uploads = device, plan, passes, uploads
+        self._targets, self._shading, self._run = targets, shading, run
         self._splats: SplatCover | None = None
+        self._polygons: PolygonCover | None = None
+        self._strands: StrandCover | None = None
+        # The numbers of primitives: splats come first, then triangles, then segments of strands.
+        first = sum(draw.elements for draw in uploads.points.draws)
+        if plan.polygons:
+            draws = polygon_draws(device, uploads, view, first)
+            self._polygons = PolygonCover(device, draws, targets.buffer)
+            first += sum(draw.triangles for draw in draws)
+        if plan.lines:
+            self._strands = StrandCover(device, strand_draws(uploads, view, first), targets.buffer)
         if plan.points:
-            wide = uploads.prepared.largest > WIDE_RADIUS
-            self._splats = SplatCover(device, plan.options, targets.buffer, wide)
+            wide, shown = uploads.prepared.largest > WIDE_RADIUS, np.unique(uploads.prepared.cut.instance)
+            round_balls = are_similarities(uploads.prepared.view_from_object[shown])
+            self._splats = SplatCover(device, plan.options, targets.buffer, wide, round_balls)
 
     def draw(self, view: SampleView, sums: Target) -> None:
         """Draws all sub-samples of one view, and adds what they show to the sums."""
-        targets, groups = self._targets, self._targets.groups
-        draws = number_draws(self._uploads, view)
+        targets, groups, run = self._targets, self._targets.groups, self._run
         targets.buffer.clear()
-        self._draw_primitives(draws, view)
-        self._run("group", lambda: groups.group(view))
-        self._upload_weights(view)
+        self._draw_primitives(view)
         if not self._plan.shades:
             return
-        for layer in range(groups.layers):
-            region = groups.region(layer)
-            self._run("group", lambda layer=layer, region=region: groups.lead(view, layer, region))
-            self._run(
-                "attributes",
-                lambda layer=layer: self._write_attributes(draws, view, layer, targets.surfaces, self._plan.variant),
-            )
-            self._device.clear(targets.shaded_target)
-            self._run("shade", lambda region=region: self._shading.shade_groups(view, region, targets.surfaces, targets.shaded_target))
-            self._add(layer, sums)
-        if self._plan.background and groups.open:
-            region = groups.region(OPEN)
-            self._device.clear(targets.shaded_target)
-            self._run("background", lambda: self._shading.draw_open(view, region, groups.codes, targets.shaded_target))
-            self._add(OPEN, sums)
+        run("group", lambda: self._group(view))
+        assert groups.leaders is not None
+        leaders, lists = groups.leaders, targets.lists(groups.leaders.size)
+        self._device.clear(lists.target)
+        run("attributes", lambda: self._write_attributes(view, leaders, lists.surfaces, self._plan.variant))
+        run(
+            "shade",
+            lambda: self._shading.shade_groups(view, lists.surfaces, leaders.bound | groups.codes, lists.target),
+        )
+        if targets.behind is not None:
+            run("background", lambda: self._shading.draw_open(view, groups.codes, targets.behind_target))
+        run("spread", lambda: self._spread(view, lists.shaded, sums))
 
     def draw_central(self, view: SampleView) -> GBuffer:
         """Writes what lies under the pixels' centres into a G-buffer of its own; follows `draw` of the same view."""
-        targets, plan = self._targets, self._plan
+        targets = self._targets
         assert targets.central is not None
-        targets.groups.lead(view, 0, EVERYWHERE, central=True)
-        self._write_attributes(number_draws(self._uploads, view), view, 0, targets.central, plan.data_variant)
+        assert targets.central_leaders is not None
+        targets.groups.lead(view, targets.central_leaders)
+        self._write_attributes(view, targets.central_leaders, targets.central, self._plan.data_variant)
         return targets.central
 
-    def _draw_primitives(self, drawn: NumberedDraws, view: SampleView) -> None:
-        device, plan, shared, buffer = self._device, self._plan, self._uploads.shared, self._targets.buffer
-        splats, draws, normal = self._splats, self._uploads.points.draws, plan.variant.normal
+    def identities(self) -> np.ndarray:
+        """Returns the instance and the material of each sub-sample that was drawn last, (S, H, W, 2) int32."""
+        polygons = [] if self._polygons is None else self._polygons.draws
+        strands = [] if self._strands is None else self._strands.draws
+        return identities(self._device, self._targets.buffer, self._uploads.points.draws, polygons, strands)
+
+    def _draw_primitives(self, view: SampleView) -> None:
+        shared, polygons, strands = self._uploads.shared, self._polygons, self._strands
+        normal, instances = self._plan.variant.normal, self._uploads.strands.instances
+        splats, draws = self._splats, self._uploads.points.draws
         # Compute shaders compare with what the rasteriser has drawn, which does not look at what they draw.
         if splats is not None:
             self._run("cover", lambda: splats.rasterise(draws, view, shared))
-        if plan.polygons:
-            self._run("polygons", lambda: polygon_ids.draw_ids(device, normal, drawn.polygons, view, shared, buffer))
-        if plan.lines:
-            held = {**shared, **self._uploads.strands.instances}
-            self._run("lines", lambda: strand_ids.draw_ids(device, normal, drawn.strands, view, held, buffer))
+        if polygons is not None:
+            self._run("polygons", lambda: polygons.cover(normal, view, shared))
+        if strands is not None:
+            self._run("lines", lambda: strands.cover(normal, view, {**shared, **instances}))
         if splats is not None:
             self._run("cover", lambda: splats.cover(draws, view, shared))
 
-    def _write_attributes(
-        self, drawn: NumberedDraws, view: SampleView, layer: int, out: GBuffer, variant: Variant
-    ) -> None:
-        device, shared, groups = self._device, self._uploads.shared, self._targets.groups
-        lattice = self._targets.buffer.lattice
+    def _group(self, view: SampleView) -> None:
+        self._targets.groups.group(view)
+        covers = [cover for cover in (self._polygons, self._strands) if cover is not None]
+        self._targets.groups.sort(view, [draw.first_id for cover in covers for draw in cover.draws])
+
+    def _write_attributes(self, view: SampleView, leaders: Leaders, out: GBuffer, variant: Variant) -> None:
+        shared, groups = self._uploads.shared, self._targets.groups
         out.clear()
-        polygon_ids.draw_attributes(device, variant, drawn.polygons, view, shared, groups, lattice, out)
-        if drawn.strands:
+        if self._polygons is not None:
+            self._polygons.write_attributes(variant, view, shared, groups, leaders, out)
+        if self._strands is not None:
             held = {**shared, **self._uploads.strands.instances}
-            strand_ids.draw_attributes(device, variant, drawn.strands, view, held, groups, lattice, out)
+            self._strands.write_attributes(variant, view, held, groups, leaders, out)
         if self._splats is not None:
-            draws = self._uploads.points.draws
-            self._splats.write_attributes(variant, draws, view, shared, groups, layer, out)
+            self._splats.write_attributes(variant, self._uploads.points.draws, view, shared, groups, leaders, out)
 
-    def _upload_weights(self, view: SampleView) -> None:
-        weights = filter_weights(self._targets.buffer.lattice, view.offset, FILTER_WIDTH)
-        self._forget_weights()
-        self._weights = self._device.texture(weights.shape[1::-1], "RGBA32F", weights.reshape(-1))
-
-    def _add(self, layer: int, sums: Target) -> None:
-        """Spreads a shaded layer over the sums."""
-        targets, region = self._targets, self._targets.groups.region(layer, beyond=1)
-        record = SPREAD_BLOCK.record(layer=layer)
-        assert self._weights is not None
-        textures = {**targets.groups.codes, **targets.shaded, "ps_weights": self._weights}
-
-        def add() -> None:
-            region.draw(self._device, self._spread, sums, uniforms=record, textures=textures, blend=True)
-
-        self._run("spread", add)
+    def _spread(self, view: SampleView, shaded: dict[str, Texture], sums: Target) -> None:
+        """Adds what the groups show to the sums."""
+        targets, groups = self._targets, self._targets.groups
+        weights = filter_weights(targets.buffer.lattice, view.offset, FILTER_WIDTH)
+        # The weights of one lattice are constants of the program; with several it would be compiled for each.
+        fixed = weights if view.offset == (0.0, 0.0) else None
+        behind = self._plan.background
+        program = spread_program(
+            targets.buffer.lattice, self._passes, self._plan.picture, fixed, behind, groups.places is not None
+        )
+        named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
+        if fixed is None:
+            texels = weight_texels(weights)
+            named["ps_weights"] = self._device.texture(texels.shape[1::-1], "R32F", texels.reshape(-1))
+        textures = {name: texture for name, texture in named.items() if texture is not None}
+        self._device.draw(program, sums, textures={**groups.codes, **shaded, **textures}, blend=True)
+        if fixed is None:
+            textures["ps_weights"].release()
 
     def release(self) -> None:
-        if self._splats is not None:
-            self._splats.release()
-        self._forget_weights()
-
-    def _forget_weights(self) -> None:
-        if self._weights is not None:
-            self._weights.release()
-        self._weights = None
+        for cover in (self._splats, self._polygons):
+            if cover is not None:
+                cover.release()

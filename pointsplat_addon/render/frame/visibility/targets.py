@@ -4,45 +4,70 @@ from __future__ import annotations
 
 from typing import Any
 
-from ....core.numeric.lattice import FEW, MANY, Lattice
-from ...device.protocol import Device, Target, releases_on_failure
+from ....core.numeric.lattice import lattice_of
+from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.gbuffer import GBuffer
+from ...passes.grouping.groups import Groups, Leaders
 from ...passes.shading.averages import averaged
 from ...passes.visibility.buffer import VisibilityBuffer
-from ...passes.visibility.groups import Groups
 from ...plan.plan import Plan
 
 
-def lattice_of(sub_samples: int) -> Lattice:
-    """Returns the lattice with so many sub-samples."""
-    return next(lattice for lattice in (FEW, MANY) if lattice.count == sub_samples)
-
-
 class VisibilityTargets:
-    """The textures that a picture of many sub-samples is drawn into."""
+    """The textures of one picture: of its sub-samples, and lists of what its groups are and show."""
 
     @releases_on_failure
     def __init__(self, device: Device, plan: Plan, passes: frozenset[str], size: tuple[int, int]) -> None:
         """`size`: (width, height) of the picture in pixels."""
-        self._owned: list[Any] = []
+        self._device, self._plan, self._owned = device, plan, []
+        self._names = [*(["ps_combined"] if plan.picture else []), *map(_sampler, averaged(passes))]
         self.buffer = self._own(VisibilityBuffer(device, lattice_of(plan.sub_samples), size))
         self.groups = self._own(Groups(device, self.buffer))
-        self.surfaces = self._own(GBuffer(device, plan.variant, size))
         self.central: GBuffer | None = None  # of what lies under the pixels' centres, for passes that are not averaged
+        self.central_leaders: Leaders | None = None
         if plan.central:
             self.central = self._own(GBuffer(device, plan.data_variant, size))
-        names = [*(["combined"] if plan.picture else []), *averaged(passes)]
-        self.shaded = {_shaded_name(name): self._own(device.texture(size, "RGBA32F")) for name in names}
-        self.shaded_target: Target = self._own(device.target(list(self.shaded.values())))
+            self.central_leaders = self._own(Leaders(device, size, central=True))
+        self.behind: Texture | None = None  # what open sub-samples show
+        if plan.background and plan.picture:
+            self.behind = self._own(device.texture(size, "RGBA32F"))
+            self.behind_target: Target = self._own(device.target([self.behind]))
+        self._lists: _Lists | None = None
+
+    def lists(self, size: tuple[int, int]) -> _Lists:
+        """Returns the attributes and the shading of groups, for a list of this size; those of before where they fit."""
+        if self._lists is None or self._lists.size != size:
+            if self._lists is not None:
+                self._lists.release()
+            self._lists = _Lists(self._device, self._plan, self._names, size)
+        return self._lists
 
     def _own(self, item: Any) -> Any:
         self._owned.append(item)
         return item
 
     def release(self) -> None:
+        if self._lists is not None:
+            self._lists.release()
         for item in reversed(self._owned):
             item.release()
 
 
-def _shaded_name(key: str) -> str:
+class _Lists:
+    """Attributes of groups, and what they show; one texel a group."""
+
+    @releases_on_failure
+    def __init__(self, device: Device, plan: Plan, names: list[str], size: tuple[int, int]) -> None:
+        self.size = size
+        self.surfaces = GBuffer(device, plan.variant, size)
+        self.shaded = {name: device.texture(size, "RGBA32F") for name in names}
+        self.target: Target = device.target(list(self.shaded.values()))
+
+    def release(self) -> None:
+        for item in (self.target, *self.shaded.values(), self.surfaces):
+            item.release()
+
+
+def _sampler(key: str) -> str:
+    """The name of the sampler of a shaded pass."""
     return {"normal": "ps_normal_pass"}.get(key, f"ps_{key}")

@@ -27,7 +27,8 @@ from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, V
 from .splat_page import SplatPage, extent, facets, filled, position_and_normal, shading_normal
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
-# What lib/data/splat.glsl reads.
+# What lib/data/splat.glsl reads where a view draws all splats of a page, as one instance; else it reads the blocks.
+WHOLE_FIELDS: Fields = (("int", "splats"), ("int", "only_instance"))
 BLOCK_FIELDS: Fields = (
     ("int", "block_count"),
     ("int", "block_shift"),  # log2 of the splats in a block
@@ -58,6 +59,7 @@ class Page(SplatPage):
     ) -> None:
         super().__init__(device, sets)
         clouds = self.clouds
+        self.balls = all(cloud.normal is None for cloud in clouds)
         self.upload("position", "RGBA32F", 4, [position_and_normal(c) for c in clouds])
         self.upload("extent", "RGBA32F", 4, [
             extent(c, points=len(points.cloud)) for c, points in zip(clouds, sets, strict=True)
@@ -136,10 +138,13 @@ def attributes(
     return tuple(samplers), tuple((name, "1") for name, on in named.items() if on)
 
 
-def page_block(name: str, options: PointOptions, *groups: Fields) -> Block:
-    """The uniform block of a pass that draws the blocks of a page, with further fields. `name`: as for `block`."""
+def page_block(name: str, options: PointOptions, *groups: Fields, whole: bool = False) -> Block:
+    """The uniform block of a pass that draws the blocks of a page, or a `whole` page, with further fields.
+
+    `name`: as for `block`.
+    """
     transform = ONE_INSTANCE_FIELDS if options.one_instance else ()
-    return block(name, CAMERA_FIELDS, BLOCK_FIELDS, transform, *groups)
+    return block(name, CAMERA_FIELDS, WHOLE_FIELDS if whole else BLOCK_FIELDS, transform, *groups)
 
 
 @dataclass
@@ -152,11 +157,25 @@ class PageDraw:
     shift: int
     first_index: int  # of this page's splats among all that are drawn
     transform: Values  # of ONE_INSTANCE_FIELDS, where there is only one instance; else none
+    whole: int = -1  # the instance as which all splats of the page are drawn; -1: there is no such one
 
     @property
     def elements(self) -> int:
         return self.count << self.shift
 
+    @property
+    def splats(self) -> int:
+        """How many splats the page has."""
+        return self.page.count
+
     def record(self, view: SampleView, block: Block, **own: object) -> np.ndarray:
         """The record of a pass whose block is a `page_block`."""
-        return view.record(block, block_count=self.count, block_shift=self.shift, **self.transform, **own)
+        known = {
+            "block_count": self.count,
+            "block_shift": self.shift,
+            "splats": self.splats,
+            "only_instance": self.whole,
+        }
+        names = {name for _, name in block.fields}
+        known = {name: value for name, value in known.items() if name in names}
+        return view.record(block, **known, **self.transform, **own)

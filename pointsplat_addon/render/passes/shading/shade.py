@@ -64,6 +64,7 @@ def shade_program(
     the picture, not only passes beside it. `coarse`: nodes are so wide that they would lie in the shadow of what they
     stand for. `grouped`: surfels are groups of sub-samples."""
     read = variant.samplers(only=("centre", "shape", "normal", "color", "emission"))
+    read += (("FLOAT_2D", "ps_list"),) if grouped else ()
     flags = {"PS_COVERAGE": coverage, "PS_STRANDS": lines and variant.normal, "PS_FOCUS": focus,
              "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped,
              "PS_COARSE": coarse and any("SHADOW" in name for name in lighting)}  # fmt: skip

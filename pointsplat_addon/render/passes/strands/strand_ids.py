@@ -16,38 +16,58 @@ from ....core.numeric.lattice import Lattice
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
+from ..grouping.groups import Groups, Leaders
 from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
-from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, sub_sample_defines
-from ..visibility.groups import LEADER_SAMPLERS, Groups
+from ..visibility.buffer import (
+    LATTICE_DEFINE,
+    LATTICE_FIELDS,
+    OUTPUTS,
+    VisibilityBuffer,
+    offset_defines,
+    sub_sample_defines,
+)
 from ..visibility.polygon_ids import RECTANGLE_FIELDS
 from .strand_page import StrandDraw
 from .strands import CHUNK, attribute_samplers
 
-FIRST: Fields = (("int", "first"), ("int", "first_id"))  # entry of the list; number of the list's first segment
+NUMBERS: Fields = (("int", "first_id"),)  # number of the list's first segment
+FIRST: Fields = (("int", "first"),)  # entry of the list
 SHARE: Fields = (("ivec2", "cell_offset"), ("uint", "turn"))  # of thin strips: which cells they cover
-TUBE_IDS = block("TubeIds", CAMERA_FIELDS, LATTICE_FIELDS, FIRST)
-STRIP_IDS = block("StripIds", CAMERA_FIELDS, LATTICE_FIELDS, FIRST, SHARE)
-SURFACE = block("StrandSurface", CAMERA_FIELDS, RECTANGLE_FIELDS, (("int", "first_id"), ("int", "count")))
+TUBE_IDS = block("TubeIds", CAMERA_FIELDS, LATTICE_FIELDS, NUMBERS, FIRST)
+STRIP_IDS = block("StripIds", CAMERA_FIELDS, LATTICE_FIELDS, NUMBERS, FIRST, SHARE)
+SURFACE = block("StrandSurface", CAMERA_FIELDS, LATTICE_FIELDS, RECTANGLE_FIELDS, NUMBERS, (("int", "count"),))
+AVERAGED = tuple(("UINT_2D", name) for name in ("ps_ids", "ps_depths", "ps_keys", "ps_first", "ps_second"))
 
 
 @dataclass(frozen=True, eq=False)
-class StrandIds:
-    """The segments of one geometry that are drawn in one way, in one view."""
+class StrandKind:
+    """The segments of one geometry that a view draws in one way."""
 
     draw: StrandDraw
     kind: str  # TUBE or STRIP
     first_id: int  # number of the first one
-    rectangle: tuple[float, float, float, float]  # that holds them in the picture: low and high corner, from 0 to 1
+    rectangle: np.ndarray  # (4,), low and high corner, from 0 to 1 over the picture, of what holds them all
 
     @property
-    def listed(self) -> tuple[Texture, int]:
-        """The list of the segments, and how many there are."""
-        return self.draw.lists()[self.kind]
+    def ribbon(self) -> bool:
+        """Whether the strands are flat ribbons that have a side direction, not round hairs."""
+        return self.draw.page.ribbon
+
+    @property
+    def segments(self) -> np.ndarray:
+        """(n,) int64: the segments among all that the view draws of the geometry."""
+        return self.draw.indices[self.kind]
+
+    @property
+    def count(self) -> int:
+        """The number of segments."""
+        return len(self.segments)
 
     @property
     def textures(self) -> dict[str, Texture]:
         """The textures by sampler name."""
-        return {**self.draw.page.textures, "ps_segments": self.draw.texture, "ps_list": self.listed[0]}
+        listed, _ = self.draw.lists()[self.kind]
+        return {**self.draw.page.textures, "ps_segments": self.draw.texture, "ps_segment_list": listed}
 
 
 def ids_program(normal: bool, ribbon: bool, kind: str) -> Interface:
@@ -56,7 +76,7 @@ def ids_program(normal: bool, ribbon: bool, kind: str) -> Interface:
     `normal`: something is lit, and directions tell surfaces apart. `ribbon`: the strands are flat ribbons.
     """
     tube = kind == "TUBE"
-    fetched = ["ps_list", "ps_segments", "ps_point", "ps_instances"]
+    fetched = ["ps_segment_list", "ps_segments", "ps_point", "ps_instances"]
     fetched += ["ps_tangent"] if normal or not ribbon else []
     fetched += ["ps_side"] if ribbon else []
     fetched += ["ps_materials"] if tube and normal else []
@@ -79,25 +99,29 @@ def ids_program(normal: bool, ribbon: bool, kind: str) -> Interface:
     )
 
 
-def surface_program(variant: Variant, lattice: Lattice, ribbon: bool, kind: str) -> Interface:
+def surface_program(variant: Variant, lattice: Lattice, ribbon: bool, kind: str, leaders: Leaders) -> Interface:
     """Returns the program that writes the attributes of segments that stand for groups of sub-samples."""
     tube = kind == "TUBE"
-    fetched = ["ps_list", "ps_segments", "ps_point", "ps_instances"]
+    fetched = ["ps_segment_list", "ps_segments", "ps_point", "ps_instances"]
     fetched += ["ps_tangent"] if variant.normal or tube else []
     fetched += ["ps_side"] if ribbon and variant.normal else []
     fetched += ["ps_materials"] if tube and variant.normal else []
     fetched += attribute_samplers(variant)
+    averages = not tube and not leaders.central
     return Interface(
         "attributes",
         vertex="common/rectangle.vert",
         fragment="strands/strand_surface.frag",
         block=SURFACE,
-        samplers=(*(("FLOAT_2D", name) for name in fetched), *LEADER_SAMPLERS),
+        samplers=(*(("FLOAT_2D", name) for name in fetched), *leaders.samplers, *(AVERAGED if averages else ())),
         outputs=variant.outputs(),
         defines=(
+            LATTICE_DEFINE,
             *((name, "1") for name in variant.defines),
             *_kind_defines(ribbon, kind),
-            *sub_sample_defines(lattice),
+            *offset_defines(lattice),
+            *(sub_sample_defines(lattice)[1:] if averages else ()),
+            *leaders.defines,
         ),
     )
 
@@ -107,54 +131,57 @@ def _kind_defines(ribbon: bool, kind: str) -> tuple[tuple[str, str], ...]:
     return tuple((name, "1") for name, on in named.items() if on)
 
 
-def draw_ids(
-    device: Device,
-    normal: bool,
-    draws: list[StrandIds],
-    view: SampleView,
-    shared: dict[str, Texture],
-    out: VisibilityBuffer,
-) -> None:
-    """Draws segments of strands into the visibility buffer."""
-    share = {"cell_offset": out.cell_offset(view.camera.window[:2]), "turn": _reversed_bits(view.sample)}
-    for part in draws:
-        program, total = ids_program(normal, part.draw.page.ribbon, part.kind), part.listed[1]
-        part.draw.drawn += total
-        for first in range(0, total, CHUNK):
-            own = {"first": first, "first_id": part.first_id, **share, **out.values}
-            device.draw(
+@dataclass(frozen=True, eq=False)
+class StrandCover:
+    """Draws the strands of one picture into its visibility buffer."""
+
+    device: Device
+    draws: list[StrandKind]
+    buffer: VisibilityBuffer
+
+    def cover(self, normal: bool, view: SampleView, shared: dict[str, Texture]) -> None:
+        """Draws all segments. `normal`: directions tell surfaces apart."""
+        buffer, corner = self.buffer, view.camera.window[:2]
+        for draw in self.draws:
+            program = ids_program(normal, draw.ribbon, draw.kind)
+            draw.draw.drawn += draw.count
+            own = {"first_id": draw.first_id, "turn": _reversed_bits(view.sample), **buffer.values}
+            for first in range(0, draw.count, CHUNK):
+                self.device.draw(
+                    program,
+                    buffer.target,
+                    uniforms=view.record_of(program.block, first=first, cell_offset=buffer.cell_offset(corner), **own),
+                    textures={**shared, **draw.textures},
+                    vertices=6 * min(CHUNK, draw.count - first),
+                    depth_test=True,
+                )
+
+    def write_attributes(
+        self,
+        variant: Variant,
+        view: SampleView,
+        shared: dict[str, Texture],
+        groups: Groups,
+        leaders: Leaders,
+        out: GBuffer,
+    ) -> None:
+        """Writes the attributes of the segments that stand for groups."""
+        for draw in self.draws:
+            where = groups.rectangle(leaders, draw.first_id, draw.rectangle)
+            if where is None:
+                continue
+            program = surface_program(variant, self.buffer.lattice, draw.ribbon, draw.kind, leaders)
+            own = {"first_id": draw.first_id, "count": draw.count, "rectangle": where, **self.buffer.values}
+            read = {**leaders.bound, **groups.codes, **self.buffer.textures}
+            self.device.draw(
                 program,
                 out.target,
                 uniforms=view.record_of(program.block, **own),
-                textures={**shared, **part.textures},
-                vertices=6 * min(CHUNK, total - first),
-                depth_test=True,
+                textures={**shared, **draw.textures, **read},
+                vertices=6,
             )
 
 
 def _reversed_bits(number: int) -> int:
-    """Returns the bits of a number below 2^32 from the last to the first: beginnings of the sequence are evenly spread."""
+    """Returns the bits of a number below 2^32 from last to first: beginnings of the sequence are spread evenly."""
     return int(f"{number:032b}"[::-1], 2)
-
-
-def draw_attributes(
-    device: Device,
-    variant: Variant,
-    draws: list[StrandIds],
-    view: SampleView,
-    shared: dict[str, Texture],
-    groups: Groups,
-    lattice: Lattice,
-    out: GBuffer,
-) -> None:
-    """Writes the attributes of the segments that stand for one layer of groups."""
-    for part in draws:
-        program = surface_program(variant, lattice, part.draw.page.ribbon, part.kind)
-        own = {"first_id": part.first_id, "count": part.listed[1], "rectangle": part.rectangle}
-        device.draw(
-            program,
-            out.target,
-            uniforms=view.record_of(program.block, **own),
-            textures={**shared, **part.textures, **groups.leaders},
-            vertices=6,
-        )

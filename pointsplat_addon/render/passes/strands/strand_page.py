@@ -5,9 +5,9 @@ A page holds the points of one geometry, texture by texture, one texel a point:
   tangent   unit, along the strand
   side      unit, across a ribbon
   color, surface, emission   as in pages of splats, where the scene has them
-Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of narrow ones share
-of the raster line's width at both ends (-1: as wide as the strand), phase; of wide ones the points where the strand ends,
-as far as they are near, or -1: tubes end there in a plane.
+Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of narrow ones
+share of the raster line's width at both ends (-1: as wide as the strand), phase; of wide tubes the points where the
+strand ends, as far as they are near, or -1: tubes end there in a plane.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ class StrandDraw:
         holdout: np.ndarray | None = None,
         sub_samples: bool = False,
     ) -> None:
-        """holdout: (I,) bool, of all instances. `sub_samples`: of a pixel are drawn at once; else thin segments are listed
-        for each sample."""
+        """holdout: (I,) bool, of all instances. `sub_samples`: many samples of a pixel are drawn at once; else thin
+        segments are listed for each sample."""
         self.device, self.page, self.segments = device, page, segments
         rows = np.zeros((len(segments), TEXELS, 4), np.float32)
         rows[:, 0, :2] = segments.ends
@@ -84,8 +84,11 @@ class StrandDraw:
         size, data = paged(rows.reshape(-1, 4), 4)
         self.texture = device.texture(size, "RGBA32F", data)
         narrow = np.flatnonzero(segments.greatest_share < ROUND) if sub_samples else segments.narrow
-        self.wide = None if page.ribbon else self._listed(segments.wide)
-        self.narrow = self._listed(np.concatenate([narrow, segments.wide]) if page.ribbon else narrow)
+        # By kind, the segments that are the same in every sample, (n,) int64.
+        self.indices = {"TUBE": segments.wide, "STRIP": narrow}
+        if page.ribbon:
+            self.indices = {"STRIP": np.concatenate([narrow, segments.wide])}
+        self._lists = {kind: self._listed(index) for kind, index in self.indices.items()}
         self.thin: tuple[Texture, int] | None = None
         self.turn = -1.0  # of the sample that thin ones are listed for
         self.drawn = 0  # segments of all samples
@@ -106,7 +109,7 @@ class StrandDraw:
 
     def lists(self) -> dict[str, tuple[Texture, int]]:
         """Texture and length of the list of each kind that there is."""
-        named = {"TUBE": self.wide, "STRIP": self.narrow, "THIN": self.thin}
+        named = {**self._lists, "THIN": self.thin}
         return {kind: listed for kind, listed in named.items() if listed is not None}
 
     def _forget(self) -> None:

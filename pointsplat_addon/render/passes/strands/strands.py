@@ -32,7 +32,7 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
     ribbon: whether the strands are flat ribbons that have a side direction, not round hairs.
     """
     thin, tube = kind == "THIN", kind == "TUBE"
-    fetched = ["ps_list", "ps_segments", "ps_point", "ps_instances"]
+    fetched = ["ps_segment_list", "ps_segments", "ps_point", "ps_instances"]
     strip = kind == "STRIP" and not ribbon  # faces the eye, across its tangent
     fetched += ["ps_tangent"] if variant.normal or tube or strip else []
     fetched += ["ps_side"] if ribbon else []
@@ -67,7 +67,7 @@ def draw(
         for kind, listed in part.lists().items():
             thin = kind == "THIN"
             texture, total = listed
-            textures = {**shared, **part.page.textures, "ps_segments": part.texture, "ps_list": texture}
+            textures = {**shared, **part.page.textures, "ps_segments": part.texture, "ps_segment_list": texture}
             for first in range(0, total, CHUNK):
                 own = {"sample_offset": part.turn} if thin else {}
                 record = view.record(THIN if thin else STRANDS, first=first, **own)

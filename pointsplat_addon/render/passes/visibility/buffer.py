@@ -1,7 +1,7 @@
 """The visibility buffer: for each sub-sample of each pixel, which primitive is nearest and how far away it is.
 
-Three textures of one texel a cell of the lattice (core/numeric/lattice.py; Burns and Hunt 2013): the primitive's number,
-the bits of its depth beyond the near plane, which grow with it, and a key that tells surfaces apart
+Three textures of one texel a cell of the lattice (core/numeric/lattice.py; Burns and Hunt 2013): the primitive's
+number, the bits of its depth beyond the near plane, which grow with it, and a key that tells surfaces apart
 (shaders/lib/visibility/surface_key.glsl). The rasteriser and compute shaders write into the same textures.
 """
 
@@ -22,14 +22,15 @@ LATTICE_DEFINE = ("PS_LATTICE", "1")
 
 
 def sub_sample_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
-    """The defines of shaders that loop over a pixel's sub-samples: how many, their cells, and their offsets in pixels."""
+    """The defines of shaders that loop over a pixel's sub-samples: how many, and their cells."""
     cells = ", ".join(f"ivec2({x}, {y})" for x, y in lattice.offsets.tolist())
+    return ("PS_SUB_SAMPLES", str(lattice.count)), ("PS_CELLS", f"ivec2[{lattice.count}]({cells})")
+
+
+def offset_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
+    """The defines of shaders that read where a pixel's sub-samples lie: how many, and their offsets in pixels."""
     offsets = ", ".join(f"vec2({x!r}, {y!r})" for x, y in lattice.positions.tolist())
-    return (
-        ("PS_SUB_SAMPLES", str(lattice.count)),
-        ("PS_CELLS", f"ivec2[{lattice.count}]({cells})"),
-        ("PS_OFFSETS", f"vec2[{lattice.count}]({offsets})"),
-    )
+    return ("PS_SUB_SAMPLES", str(lattice.count)), ("PS_OFFSETS", f"vec2[{lattice.count}]({offsets})")
 
 
 class VisibilityBuffer:

@@ -53,11 +53,6 @@ class PartList:
     texture: Texture
     count: int
 
-    @property
-    def corners(self) -> int:
-        """How many corners are drawn."""
-        return 3 * PART * self.count
-
 
 def baked_defines(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
     """Returns the defines of shaders that read the baked pictures of a graph."""

@@ -11,8 +11,6 @@ from ..gbuffer import GBuffer, Variant
 from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
 from .polygon_mesh import CORNERS, Group, PartList, PolygonMesh
 
-CORNERS_OF_PART = ("PS_PARTS", str(3 * PART))  # a define
-
 
 def _block(variant: Variant, group: Group, parted: bool) -> Block:
     """The uniforms of the program that draws a group, or some of its parts."""
@@ -61,7 +59,7 @@ def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
         samplers.append(("FLOAT_2D", "ps_materials"))
     if parted:
         samplers.append(("FLOAT_2D", "ps_parts"))
-    more = ((("PS_CULL", "1"),) if group.cull else ()) + ((CORNERS_OF_PART,) if parted else ())
+    more = ((("PS_CULL", "1"),) if group.cull else ()) + ((("PS_PARTS", str(3 * PART)),) if parted else ())
     return Interface(
         "polygons",
         vertex="visibility/polygon.vert",
@@ -112,6 +110,6 @@ def draw(
                 instance=instance,
             ),
             textures=textures,
-            vertices=group.count if some is None else some.corners,
+            vertices=group.count if some is None else 3 * PART * some.count,
             depth_test=True,
         )

@@ -1,104 +1,113 @@
 """Draws opaque splats into the visibility buffer, exactly: balls as ellipsoids, others as elliptical disks.
 
-Small splats are drawn by one compute invocation each (Günther et al. 2013; Schütz et al. 2021), in two passes of atomics:
-the least depth of each sub-sample, then the lowest number among the splats that have it, so that the result does not
-depend on the order of threads. Those that cover many cells are listed and rasterised before that, into the same textures.
-Without image atomics all are rasterised.
+Small splats are drawn by one compute invocation each (Günther et al. 2013; Schütz et al. 2021), in two passes of
+atomics: the least depth of each sub-sample, then the lowest number among the splats that have it, so that the result
+does not depend on the order of threads. Those that cover many cells are listed and rasterised before that, into the
+same textures. Without image atomics all are rasterised.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ....core.numeric.lattice import Lattice
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
-from ...device.protocol import Device, Target, Texture
+from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
+from ..grouping.groups import Groups, Leaders
 from ..pages.point_page import POINT_SAMPLERS, PageDraw, PointOptions, attributes, page_block
 from ..uniforms import Fields, SampleView
-from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, sub_sample_defines
-from .groups import LEADER_SAMPLERS, Groups
+from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, offset_defines, sub_sample_defines
 
 MOST_CELLS = 512  # of a splat that a compute invocation draws: a ball of 3 pixels in radius
 LISTED = 1 << 18  # splats that a list holds; where more cover many cells, the rasteriser is given all
 VERTICES = 6  # of a rectangle
 FIRST: Fields = (("int", "first_index"),)
 LIST_SIZE: Fields = (("int", "list_size"),)
-LAYER: Fields = (("int", "layer"),)
 
 
-def _defines(options: PointOptions) -> tuple[tuple[str, str], ...]:
-    named = {
-        "PS_ONE_INSTANCE": options.one_instance,
-        "PS_CULL": options.cull,
-        "PS_ELLIPSES": options.ellipses,
-    }
-    return (LATTICE_DEFINE, ("PS_MOST_CELLS", str(MOST_CELLS)), *((name, "1") for name, on in named.items() if on))
+@dataclass(frozen=True)
+class SplatKind:
+    """The shader variant of the splats of one page."""
+
+    options: PointOptions
+    whole: bool  # all splats of the page are drawn, as one instance
+    balls: bool  # all are balls, also in view space
+
+    @property
+    def defines(self) -> tuple[tuple[str, str], ...]:
+        named = {
+            "PS_ONE_INSTANCE": self.options.one_instance,
+            "PS_CULL": self.options.cull,
+            "PS_ELLIPSES": self.options.ellipses and not self.balls,
+            "PS_DIRECT": self.whole,
+            "PS_ROUND": self.balls,
+        }
+        most = ("PS_MOST_CELLS", str(MOST_CELLS))
+        return (LATTICE_DEFINE, most, *((name, "1") for name, on in named.items() if on))
+
+    @property
+    def samplers(self) -> tuple[tuple[str, str], ...]:
+        instances = () if self.options.one_instance else (("FLOAT_2D", "ps_instances"),)
+        read = tuple(sampler for sampler in POINT_SAMPLERS if sampler[1] != "ps_blocks" or not self.whole)
+        return (*read, *instances, *((("FLOAT_2D", "ps_materials"),) if self.options.cull else ()))
+
+    def block(self, name: str, *groups: Fields) -> Block:
+        """The uniforms of a pass."""
+        return page_block(name, self.options, LATTICE_FIELDS, *groups, whole=self.whole)
 
 
-def _samplers(options: PointOptions) -> tuple[tuple[str, str], ...]:
-    instances = () if options.one_instance else (("FLOAT_2D", "ps_instances"),)
-    return (*POINT_SAMPLERS, *instances, *((("FLOAT_2D", "ps_materials"),) if options.cull else ()))
-
-
-def cover_program(options: PointOptions, step: str) -> Interface:
+def cover_program(kind: SplatKind, step: str) -> Interface:
     """Returns the compute program of one `step`: LIST, DEPTH or IDENTIFY."""
-    images = {"LIST": ("list", "list_length"), "DEPTH": ("depths",), "IDENTIFY": ("ids",)}[step]
+    images = {"LIST": ("list", "list_length"), "DEPTH": ("depths",), "IDENTIFY": ("ids", "keys")}[step]
     own = {"LIST": LIST_SIZE, "DEPTH": (), "IDENTIFY": FIRST}[step]
     return Interface(
         "cover",
         compute="visibility/splat.comp",
-        block=page_block("Cover", options, LATTICE_FIELDS, own),
-        samplers=(*_samplers(options), *((("UINT_2D", "ps_depths"),) if step == "IDENTIFY" else ())),
+        block=kind.block("Cover", own),
+        samplers=(*kind.samplers, *((("UINT_2D", "ps_depths"),) if step == "IDENTIFY" else ())),
         images=tuple(("R32UI", name) for name in images),
-        defines=(*_defines(options), (f"PS_{step}", "1")),
+        defines=(*kind.defines, (f"PS_{step}", "1")),
     )
 
 
-def raster_program(options: PointOptions, listed: bool) -> Interface:
-    """Returns the program that rasterises splats. `listed`: those of a list; else all of a page's blocks."""
+def raster_program(kind: SplatKind, listed: bool) -> Interface:
+    """Returns the program that rasterises splats. `listed`: those of a list; else all of a page's."""
     return Interface(
         "cover",
         vertex="visibility/splat.vert",
         fragment="visibility/splat_ids.frag",
-        block=page_block("RasterSplats", options, LATTICE_FIELDS, FIRST),
-        samplers=(*_samplers(options), *((("UINT_2D", "ps_list"),) if listed else ())),
+        block=kind.block("RasterSplats", FIRST),
+        samplers=(*kind.samplers, *((("UINT_2D", "ps_list"),) if listed else ())),
         varyings=(("flat", "uint", "v_index"),),
         outputs=OUTPUTS,
-        defines=(*_defines(options), *((("PS_LISTED", "1"),) if listed else ())),
+        defines=(*kind.defines, *((("PS_LISTED", "1"),) if listed else ())),
         depth=True,
     )
 
 
-def keys_program(options: PointOptions) -> Interface:
-    """Returns the program that writes the keys of the surfaces that compute invocations have drawn."""
-    return Interface(
-        "cover",
-        fragment="visibility/splat_ids.frag",
-        block=page_block("SplatKeys", options, LATTICE_FIELDS, FIRST),
-        samplers=(*_samplers(options), ("UINT_2D", "ps_ids")),
-        outputs=(("uint", "out_key"),),
-        defines=(*_defines(options), ("PS_KEYS", "1")),
-    )
-
-
-def surface_program(variant: Variant, options: PointOptions, lattice: Lattice) -> Interface:
+def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders: Leaders) -> Interface:
     """Returns the program that writes the attributes of splats that stand for groups of sub-samples."""
-    samplers, named = attributes(variant, options)
-    cull = (("FLOAT_2D", "ps_materials"),) if options.cull else ()
-    read = (*LEADER_SAMPLERS, *(("UINT_2D", name) for name in ("ps_ids", "ps_first", "ps_second")))
+    samplers, named = attributes(variant, kind.options)
+    added = tuple(sampler for sampler in samplers if sampler not in POINT_SAMPLERS and sampler[1] != "ps_instances")
+    averaged = ("ps_ids", "ps_first", "ps_second") if variant.color or variant.emission else ()
+    read = (*leaders.samplers, *(("UINT_2D", name) for name in (() if leaders.central else averaged)))
     return Interface(
         "attributes",
-        fragment="visibility/splat_surface.frag",
-        block=page_block("SplatSurface", options, LATTICE_FIELDS, FIRST, LAYER),
-        samplers=(*samplers, *cull, *read),
+        fragment="grouping/splat_surface.frag",
+        block=kind.block("SplatSurface", FIRST),
+        samplers=(*kind.samplers, *added, *read),
         outputs=variant.outputs(),
         defines=(
-            *_defines(options),
+            *kind.defines,
             *((name, "1") for name in variant.defines),
             *(entry for entry in named if entry[0] != "PS_ONE_INSTANCE"),
-            *sub_sample_defines(lattice),
+            *offset_defines(lattice),
+            *(sub_sample_defines(lattice)[1:] if averaged and not leaders.central else ()),
+            *leaders.defines,
         ),
     )
 
@@ -106,15 +115,16 @@ def surface_program(variant: Variant, options: PointOptions, lattice: Lattice) -
 class SplatCover:
     """Draws the opaque splats of one picture into its visibility buffer."""
 
-    def __init__(self, device: Device, options: PointOptions, buffer: VisibilityBuffer, wide: bool) -> None:
-        """`wide`: some splats may cover more than MOST_CELLS cells."""
-        self._device, self._options, self._buffer = device, options, buffer
+    def __init__(
+        self, device: Device, options: PointOptions, buffer: VisibilityBuffer, wide: bool, round_balls: bool
+    ) -> None:
+        """`wide`: some splats may cover more than MOST_CELLS cells. `round_balls`: all balls stay round."""
+        self._device, self._options, self._buffer, self._round_balls = device, options, buffer, round_balls
         self._atomics = device.limits.image_atomics
         self._listing = wide and self._atomics
         if self._listing:
             self._list = device.texture((PAGE_WIDTH, LISTED // PAGE_WIDTH), "R32UI")
             self._length = device.texture((1, 1), "R32UI")
-        self._keys: Target = device.target([buffer.keys])
 
     def rasterise(self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture]) -> None:
         """Draws splats that cover many cells; without image atomics, all. Comes before `cover`."""
@@ -123,7 +133,7 @@ class SplatCover:
             if self._atomics and count == 0:
                 continue
             listed = self._atomics and count <= LISTED
-            program = raster_program(self._options, listed)
+            program = raster_program(self._kind(draw), listed)
             textures = {**self._textures(draw, shared), **({"ps_list": self._list} if listed else {})}
             self._device.draw(
                 program,
@@ -139,18 +149,13 @@ class SplatCover:
         if not self._atomics:
             return
         buffer = self._buffer
-        for step, images in (("DEPTH", {"depths": buffer.depths}), ("IDENTIFY", {"ids": buffer.ids})):
-            program = cover_program(self._options, step)
+        for step, images in (
+            ("DEPTH", {"depths": buffer.depths}),
+            ("IDENTIFY", {"ids": buffer.ids, "keys": buffer.keys}),
+        ):
             for draw in draws:
+                program = cover_program(self._kind(draw), step)
                 self._dispatch(program, draw, view, {**self._textures(draw, shared), **buffer.textures}, images)
-        program = keys_program(self._options)
-        for draw in draws:
-            self._device.draw(
-                program,
-                self._keys,
-                uniforms=self._record(program, draw, view),
-                textures={**self._textures(draw, shared), "ps_ids": buffer.ids},
-            )
 
     def write_attributes(
         self,
@@ -159,23 +164,26 @@ class SplatCover:
         view: SampleView,
         shared: dict[str, Texture],
         groups: Groups,
-        layer: int,
+        leaders: Leaders,
         out: GBuffer,
     ) -> None:
-        """Writes the attributes of the splats that stand for one layer of groups."""
-        program = surface_program(variant, self._options, self._buffer.lattice)
+        """Writes the attributes of the splats that stand for groups."""
         for draw in draws:
-            read = {**groups.leaders, **groups.codes, "ps_ids": self._buffer.ids}
+            program = surface_program(self._kind(draw), variant, self._buffer.lattice, leaders)
+            read = {**leaders.bound, **groups.codes, "ps_ids": self._buffer.ids}
             self._device.draw(
                 program,
                 out.target,
-                uniforms=self._record(program, draw, view, layer=layer),
+                uniforms=self._record(program, draw, view),
                 textures={**self._textures(draw, shared), **read},
             )
 
+    def _kind(self, draw: PageDraw) -> SplatKind:
+        return SplatKind(self._options, draw.whole >= 0, self._round_balls and draw.page.balls)
+
     def _listed(self, draw: PageDraw, view: SampleView, shared: dict[str, Texture]) -> int:
         """Lists the splats of a page that cover many cells, and returns how many there are."""
-        program = cover_program(self._options, "LIST")
+        program = cover_program(self._kind(draw), "LIST")
         self._device.fill(self._list)
         self._device.fill(self._length)
         images = {"list": self._list, "list_length": self._length}
@@ -203,7 +211,6 @@ class SplatCover:
         return draw.record(view, program.block, **{name: value for name, value in known.items() if name in names})
 
     def release(self) -> None:
-        self._keys.release()
         if self._listing:
             self._list.release()
             self._length.release()

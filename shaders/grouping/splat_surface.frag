@@ -11,7 +11,7 @@
 #include "lib/light/lit_normal.glsl"
 #endif
 
-#if defined(PS_COLOR) || defined(PS_EMISSION)
+#if (defined(PS_COLOR) || defined(PS_EMISSION)) && !defined(PS_CENTRAL)
 #define PS_AVERAGE
 #endif
 
@@ -20,7 +20,7 @@
 void ps_add_attributes(inout PsSurfel sum, inout float count, ivec2 cell)
 {
   int index = int(texelFetch(ps_ids, cell, 0).x & 0x7FFFFFFFu) - u.first_index;
-  ivec3 element = index >= 0 && (index >> u.block_shift) < u.block_count ? ps_element(index) : ivec3(-1);
+  ivec3 element = index >= 0 ? ps_element(index) : ivec3(-1);
   if (element.x >= 0) {
     PsSurfel s = ps_attributed(ps_empty(), element);
 #ifdef PS_COLOR
@@ -39,22 +39,24 @@ void ps_add_attributes(inout PsSurfel sum, inout float count, ivec2 cell)
 
 void main()
 {
-  ivec2 pixel = ivec2(gl_FragCoord.xy);
-  PsLeader leader = ps_leader(pixel);
+  PsLeader leader = ps_leader(ivec2(gl_FragCoord.xy));
   int index = leader.index - u.first_index;
-  if (leader.index < 0 || index < 0 || (index >> u.block_shift) >= u.block_count) {
+  ivec3 element = leader.index >= 0 && index >= 0 ? ps_element(index) : ivec3(-1);
+  if (element.x < 0) {
     discard;
   }
-  ivec3 element = ps_element(index);
   PsUnitSplat splat;
   ps_unit_splat(element, splat);
-  vec2 cell = ps_cell_from_pixel(gl_FragCoord.xy + leader.offset);
+  vec2 cell = ps_cell_from_pixel(vec2(leader.pixel) + 0.5 + leader.offset);
   vec3 toward = ps_is_perspective() ? leader.position : vec3(0.0, 0.0, -1.0);
   PsSurfel s = ps_empty();
   s.centre = vec4(-leader.position.z, 0.0, 0.0, PS_POLYGON);
   s.shape = vec4(leader.offset, 0.0, floor(texelFetch(ps_extent, element.xy, 0).w));
 #ifdef PS_NORMAL
   vec3 own = ps_splat_normal(splat, ps_meet_splat(splat, cell - splat.centre), toward);
+#ifdef PS_ROUND
+  s.normal.xyz = own;
+#else
   bool turned = false;
   if (!splat.ball) {
     vec3 n = ps_view_normal(ps_linear(element.z), ps_unpack_normal(texelFetch(ps_position, element.xy, 0).w));
@@ -62,15 +64,16 @@ void main()
   }
   s.normal.xyz = splat.ball ? own : ps_lit_normal(own, element, ps_linear(element.z), toward, turned);
 #endif
+#endif
   s = ps_attributed(s, element);
 #ifdef PS_AVERAGE
   const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
-  uvec2 codes = uvec2(texelFetch(ps_first, pixel, 0).x, texelFetch(ps_second, pixel, 0).x);
-  ivec2 middle = ps_central_cell(pixel);
+  uvec2 codes = uvec2(texelFetch(ps_first, leader.pixel, 0).x, texelFetch(ps_second, leader.pixel, 0).x);
+  ivec2 middle = ps_central_cell(leader.pixel);
   PsSurfel sum = ps_empty();
   float count = 0.0;
   for (int i = 0; i < PS_SUB_SAMPLES; i++) {
-    if (ps_group(codes, i) == uint(u.layer)) {
+    if (ps_group(codes, i) == uint(leader.layer)) {
       ps_add_attributes(sum, count, middle + cells[i]);
     }
   }

@@ -4,7 +4,7 @@
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/store.glsl"
 #include "lib/data/pack.glsl"
-#include "lib/geometry/direction.glsl"
+#include "lib/geometry/instance.glsl"
 #include "lib/visibility/leader.glsl"
 
 // The point, as lib/data/polygon.glsl wants it.
@@ -16,16 +16,12 @@ vec3 v_emission;
 
 #include "lib/data/polygon.glsl"
 
-ivec2 ps_texel(int index)
-{
-  return ivec2(index & 4095, index >> 12);
-}
-
 void main()
 {
   PsLeader leader = ps_leader(ivec2(gl_FragCoord.xy));
-  int triangle = leader.index - u.first_id;
-  if (!leader.rasterised || triangle < u.first_triangle || triangle >= u.first_triangle + u.triangles) {
+  int number = leader.index - u.first_id, slot = number / u.triangles, triangle = number - slot * u.triangles;
+  bool mine = triangle >= u.first_triangle && triangle < u.last_triangle;
+  if (!leader.rasterised || number < 0 || slot >= u.slots || !mine) {
     discard;
   }
   ivec2 texels[3] = ivec2[3](ps_texel(3 * triangle), ps_texel(3 * triangle + 1), ps_texel(3 * triangle + 2));
@@ -33,7 +29,7 @@ void main()
   vec3 p[3];
   for (int i = 0; i < 3; i++) {
     corners[i] = texelFetch(ps_corner, texels[i], 0);
-    p[i] = (u.view_from_object * vec4(corners[i].xyz, 1.0)).xyz;
+    p[i] = ps_view_from_point(slot, corners[i].xyz);
   }
   // Weights of the corners from the point itself, which the rasteriser has found on the triangle.
   vec3 a = p[1] - p[0], b = p[2] - p[0], q = leader.position - p[0];
@@ -64,14 +60,17 @@ void main()
   float material = float(u.material);
   PsSurfel s = ps_empty();
   s.centre = vec4(-leader.position.z, 0.0, 0.0, PS_POLYGON);
-  s.shape = vec4(leader.offset, 0.0, u.holdout == 1 ? -1.0 - material : material);
+#ifdef PS_ONE_INSTANCE
+  vec2 about = vec2(u.holdout, u.instance);
+#else
+  vec2 about = ps_instance_row(slot, 3).xy;
+#endif
+  s.shape = vec4(leader.offset, 0.0, about.x > 0.5 ? -1.0 - material : material);
 #ifdef PS_NORMAL
-  mat3 m = mat3(u.view_from_object);
+  mat3 linear = ps_linear(slot);
   vec3 normal = vec3(0.0);
   for (int i = 0; i < 3; i++) {
-    vec3 n = ps_unpack_normal(corners[i].w);
-    normal += weights[i] * ps_direction(cross(m[1], m[2]) * n.x + cross(m[2], m[0]) * n.y + cross(m[0], m[1]) * n.z,
-                                        vec3(0.0, 0.0, 1.0));
+    normal += weights[i] * ps_view_normal(linear, ps_unpack_normal(corners[i].w));
   }
   s.normal.xyz = ps_direction(normal, vec3(0.0, 0.0, 1.0));
 #ifdef PS_BAKED_NORMAL
@@ -83,7 +82,7 @@ void main()
 #endif
   ps_polygon_attributes(s);
 #ifdef PS_OWNER
-  s.owner = uint(u.instance);
+  s.owner = uint(about.y);
 #endif
   ps_store(s);
 }

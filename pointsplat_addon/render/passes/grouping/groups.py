@@ -1,0 +1,187 @@
+"""Groups of sub-samples that are shaded together, their list, and the sub-sample that stands for each of them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from ....core.numeric.lattice import Lattice
+from ....core.numeric.segments import ranks
+from ....shading.interface import Interface
+from ...device.packing import PAGE_WIDTH
+from ...device.protocol import EMPTY, Device, Target, Texture, releases_on_failure
+from ..uniforms import CAMERA_FIELDS, SampleView, block
+from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, RASTERISED, VisibilityBuffer, sub_sample_defines
+
+COUNT_SHIFT = 21  # of a pixel's number of groups in its second word: shaders/lib/visibility/groups.glsl
+GROUP_BLOCK = block("Group", CAMERA_FIELDS, LATTICE_FIELDS)
+CENTRAL_DEFINE = ("PS_CENTRAL", "1")
+LEADER_SAMPLERS = (("UINT_2D", "ps_leaders"), ("UINT_2D", "ps_leader_depths"), ("UINT_2D", "ps_members"))
+LIST_SAMPLER = ("FLOAT_2D", "ps_list")
+Rectangle = tuple[float, float, float, float] | np.ndarray  # low and high corner
+WHOLE: Rectangle = (0.0, 0.0, 1.0, 1.0)
+SORTED_FROM = 1 << 22  # texels that draws would look at for nothing
+
+
+def group_program(lattice: Lattice) -> Interface:
+    """Returns the program that groups the sub-samples of each pixel."""
+    return Interface(
+        "group", fragment="grouping/group.frag", block=GROUP_BLOCK,
+        samplers=(("UINT_2D", "ps_depths"), ("UINT_2D", "ps_keys")),
+        outputs=(("uint", "out_first"), ("uint", "out_second")), defines=(LATTICE_DEFINE, *sub_sample_defines(lattice)),
+    )  # fmt: skip
+
+
+def leader_program(lattice: Lattice, central: bool) -> Interface:
+    """Returns the program that finds the sub-sample which stands for each group of the list; `central`: the one at each
+    pixel's centre."""
+    read = ("ps_ids", "ps_depths", *(() if central else ("ps_first", "ps_second")))
+    return Interface(
+        "group", fragment="grouping/leader.frag", block=GROUP_BLOCK,
+        samplers=(*(("UINT_2D", name) for name in read), *(() if central else (LIST_SAMPLER,))),
+        outputs=(("uint", "out_leader"), ("uint", "out_depth"), ("uint", "out_member")),
+        defines=(LATTICE_DEFINE, *((CENTRAL_DEFINE,) if central else sub_sample_defines(lattice))),
+    )  # fmt: skip
+
+
+class Leaders:
+    """The sub-samples that stand for groups: of a list, or those at the centres of pixels."""
+
+    @releases_on_failure
+    def __init__(self, device: Device, size: tuple[int, int], central: bool = False) -> None:
+        """`size`: (columns, rows) of the list, or of the picture."""
+        self.size, self.central = size, central
+        self.textures: dict[str, Texture] = {name: device.texture(size, "R32UI") for _, name in LEADER_SAMPLERS}
+        self._ids = self.textures["ps_leaders"]
+        self.target: Target = device.target(list(self.textures.values()))
+        self.list: Texture | None = None
+
+    @property
+    def defines(self) -> tuple[tuple[str, str], ...]:
+        """Of programs that read them."""
+        return (CENTRAL_DEFINE,) if self.central else ()
+
+    @property
+    def samplers(self) -> tuple[tuple[str, str], ...]:
+        """Of programs that read them."""
+        return (*LEADER_SAMPLERS, *(() if self.central else (LIST_SAMPLER,)))
+
+    @property
+    def bound(self) -> dict[str, Texture]:
+        """The textures by sampler name."""
+        return self.textures if self.list is None else {**self.textures, "ps_list": self.list}
+
+    def release(self) -> None:
+        for item in (self.target, *self.textures.values()):
+            item.release()
+
+
+class Groups:
+    """The groups of all pixels of a picture, in a list."""
+
+    @releases_on_failure
+    def __init__(self, device: Device, buffer: VisibilityBuffer) -> None:
+        self._device, self._buffer = device, buffer
+        size = buffer.size
+        self.codes: dict[str, Texture] = {name: device.texture(size, "R32UI") for name in ("ps_first", "ps_second")}
+        self._target = device.target(list(self.codes.values()))
+        self.leaders: Leaders | None = None
+        self.starts: Texture | None = None  # of each pixel's groups in the order of pixels
+        self.places: Texture | None = None  # in the list, of groups in the order of pixels; None: there
+        self._list: Texture | None = None
+        # By the first number of each draw, its first entry in the list and the one after its last; None: the list is in
+        # pixel order.
+        self.ranges: dict[int, tuple[int, int]] | None = None
+        self.total = 0
+
+    def group(self, view: SampleView) -> None:
+        """Groups the sub-samples of all pixels, and lists the groups."""
+        device, buffer = self._device, self._buffer
+        record = view.record(GROUP_BLOCK, **buffer.values)
+        device.draw(group_program(buffer.lattice), self._target, uniforms=record, textures=buffer.textures)
+        second = device.read(self.codes["ps_second"]).reshape(-1)
+        counts = (second >> COUNT_SHIFT) & 7
+        ends = np.cumsum(counts, dtype=np.int64)
+        self.total = int(ends[-1])
+        self._forget()
+        self.starts = device.texture(buffer.size, "R32F", (ends - counts).astype(np.float32))
+        self._pixel = np.repeat(np.arange(len(counts)), counts)
+        self._layer = ranks(counts)
+        rows = max(-(-self.total // PAGE_WIDTH), 1)
+        if self.leaders is None or not rows <= self.leaders.size[1] <= 2 * rows:
+            if self.leaders is not None:
+                self.leaders.release()
+            self.leaders = Leaders(device, (PAGE_WIDTH, rows + rows // 8))
+        self._upload(np.arange(self.total))
+        self.lead(view, self.leaders)
+
+    def sort(self, view: SampleView, first_ids: list[int]) -> None:
+        """Sorts the list by what draws the groups' leaders, where that pays.
+
+        first_ids: the lowest number of the rasterised primitives of each draw, rising.
+        """
+        assert self.leaders is not None
+        if (len(first_ids) - 1) * self.total < SORTED_FROM:
+            return
+        ids = self._device.read(self.leaders.textures["ps_leaders"]).reshape(-1)[: self.total]
+        rasterised = (ids & RASTERISED != 0) & (ids != EMPTY)
+        owner = np.searchsorted(np.asarray(first_ids), ids & ~np.uint32(RASTERISED), side="right") * rasterised
+        order = np.argsort(owner.astype(np.uint16), kind="stable")
+        place = np.empty(self.total, np.float32)
+        place[order] = np.arange(self.total)
+        self._upload(order)
+        self.places = self._paged(place[:, None], "R32F")
+        self.lead(view, self.leaders)
+        ends = np.searchsorted(owner[order], np.arange(1, len(first_ids) + 2)).tolist()
+        self.ranges = dict(zip(first_ids, pairwise(ends), strict=True))
+
+    def rectangle(self, leaders: Leaders, first_id: int, in_picture: Rectangle) -> Rectangle | None:
+        """Returns the rectangle of texels, from 0 to 1, that a draw may have to write; None: there are none.
+
+        first_id: its lowest number. in_picture: what holds it in the picture.
+        """
+        if leaders.central:
+            return in_picture
+        if self.ranges is None:
+            return WHOLE
+        (columns, rows), (first, end) = leaders.size, self.ranges[first_id]
+        return None if first == end else (0.0, (first // columns) / rows, 1.0, (-(-end // columns)) / rows)
+
+    def lead(self, view: SampleView, leaders: Leaders) -> None:
+        """Finds the sub-samples that stand for groups."""
+        program = leader_program(self._buffer.lattice, leaders.central)
+        listed = {} if leaders.list is None else {"ps_list": leaders.list}
+        textures = {**self._buffer.textures, **self.codes, **listed}
+        self._device.draw(
+            program, leaders.target, uniforms=view.record(GROUP_BLOCK, **self._buffer.values), textures=textures
+        )
+
+    def _upload(self, order: np.ndarray) -> None:
+        """Uploads the list in an order."""
+        assert self.leaders is not None
+        if self._list is not None:
+            self._list.release()
+        width, height = self.leaders.size
+        rows = np.zeros((width * height, 2), np.float32)
+        rows[: self.total, 0], rows[: self.total, 1] = self._pixel[order], self._layer[order]
+        rows[self.total :, 1] = -1
+        self._list = self.leaders.list = self._device.texture(self.leaders.size, "RG32F", rows.reshape(-1))
+
+    def _paged(self, values: np.ndarray, format: str) -> Texture:
+        height = max(-(-len(values) // PAGE_WIDTH), 1)
+        data = np.zeros((PAGE_WIDTH * height, values.shape[1]), np.float32)
+        data[: len(values)] = values
+        return self._device.texture((PAGE_WIDTH, height), format, data.reshape(-1))
+
+    def _forget(self) -> None:
+        for item in (self.starts, self.places):
+            if item is not None:
+                item.release()
+        self.starts = self.places = self.ranges = None
+
+    def release(self) -> None:
+        self._forget()
+        for item in (self._list, self.leaders, self._target, *self.codes.values()):
+            if item is not None:
+                item.release()

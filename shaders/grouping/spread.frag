@@ -1,0 +1,99 @@
+// The picture from the shaded groups, by the pixel filter: each pixel takes from its eight neighbours and from itself what
+// their sub-samples weigh. PS_WEIGHTS: the weights of sub-samples that lie on their lattice; else `ps_weights` holds them.
+// PS_BEHIND: what open sub-samples show. PS_PLACES: groups are not listed in the order of their pixels. PS_AUXILIARY_ONLY: not
+// Combined.
+
+#include "lib/visibility/groups.glsl"
+
+#define PS_LIST_MASK 4095
+#define PS_LIST_SHIFT 12
+
+ivec2 ps_list_texel(int entry)
+{
+  return ivec2(entry & PS_LIST_MASK, entry >> PS_LIST_SHIFT);
+}
+
+void ps_add(float weight, ivec2 texel)
+{
+#ifndef PS_AUXILIARY_ONLY
+  out_combined += weight * texelFetch(ps_combined, texel, 0);
+#endif
+#ifdef PS_OUT_NORMAL
+  out_normal_pass += weight * texelFetch(ps_normal_pass, texel, 0);
+#endif
+#ifdef PS_OUT_ALBEDO
+  out_albedo += weight * texelFetch(ps_albedo, texel, 0);
+#endif
+#ifdef PS_OUT_MIST
+  out_mist += weight * texelFetch(ps_mist, texel, 0);
+#endif
+}
+
+void main()
+{
+#ifndef PS_AUXILIARY_ONLY
+  out_combined = vec4(0.0);
+#endif
+#ifdef PS_OUT_NORMAL
+  out_normal_pass = vec4(0.0);
+#endif
+#ifdef PS_OUT_ALBEDO
+  out_albedo = vec4(0.0);
+#endif
+#ifdef PS_OUT_MIST
+  out_mist = vec4(0.0);
+#endif
+#ifdef PS_WEIGHTS
+  const float weights[9 * PS_SUB_SAMPLES] = PS_WEIGHTS;
+  const float sums[9] = PS_WEIGHT_SUMS;
+#endif
+  ivec2 pixel = ivec2(gl_FragCoord.xy), last = textureSize(ps_second, 0) - 1;
+  for (int q = 0; q < 9; q++) {
+    ivec2 at = clamp(pixel + ivec2(q % 3, q / 3) - 1, ivec2(0), last);
+    uvec2 codes = uvec2(texelFetch(ps_first, at, 0).x, texelFetch(ps_second, at, 0).x);
+    bool whole = (codes.y & PS_UNIFORM) != 0u, open = (codes.y & PS_OPEN) != 0u;
+    int count = ps_group_count(codes), first = int(texelFetch(ps_starts, at, 0).x);
+    float open_weight = 0.0;
+    for (int layer = 0; layer < count; layer++) {
+      float weight = 0.0;
+#ifdef PS_WEIGHTS
+      weight = whole ? sums[q] : 0.0;
+#else
+      weight = whole ? texelFetch(ps_weights, ivec2(PS_SUB_SAMPLES, q), 0).x : 0.0;
+#endif
+      if (!whole) {
+        for (int i = 0; i < PS_SUB_SAMPLES; i++) {
+#ifdef PS_WEIGHTS
+          float one = weights[q * PS_SUB_SAMPLES + i];
+#else
+          float one = texelFetch(ps_weights, ivec2(i, q), 0).x;
+#endif
+          weight += ps_group(codes, i) == uint(layer) ? one : 0.0;
+        }
+      }
+      open_weight -= weight;
+      if (weight > 0.0) {
+        int entry = first + layer;
+#ifdef PS_PLACES
+        entry = int(texelFetch(ps_places, ps_list_texel(entry), 0).x);
+#endif
+        ps_add(weight, ps_list_texel(entry));
+      }
+    }
+#ifdef PS_BEHIND
+    if (open) {
+#ifdef PS_WEIGHTS
+      open_weight += sums[q];
+#else
+      open_weight += texelFetch(ps_weights, ivec2(PS_SUB_SAMPLES, q), 0).x;
+#endif
+#ifndef PS_AUXILIARY_ONLY
+      out_combined += open_weight * texelFetch(ps_behind, at, 0);
+#endif
+#ifdef PS_OUT_MIST
+      out_mist += vec4(open_weight);
+#endif
+    }
+#endif
+  }
+}

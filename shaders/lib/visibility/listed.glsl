@@ -1,0 +1,18 @@
+// The list of all groups of sub-samples, one texel a group: the number of its pixel, counted row by row, and its layer among the
+// pixel's groups. PS_CENTRAL: instead, each texel stands for what lies under the centre of the pixel at its place.
+
+struct PsListed {
+  ivec2 pixel;
+  int layer;  // -1: no group is there
+};
+
+PsListed ps_listed(ivec2 texel)
+{
+#ifdef PS_CENTRAL
+  return PsListed(texel, 0);
+#else
+  vec2 entry = texelFetch(ps_list, texel, 0).xy;
+  int number = int(entry.x), width = u.size.x;
+  return PsListed(ivec2(number % width, number / width), int(entry.y));
+#endif
+}

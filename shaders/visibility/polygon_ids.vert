@@ -1,0 +1,29 @@
+// Triangles of one material of all instances of a mesh, corner by corner from textures, into the cells of sub-samples.
+
+#include "lib/geometry/instance.glsl"
+#include "lib/data/pack.glsl"
+#include "lib/visibility/lattice.glsl"
+
+void main()
+{
+  int slot = u.first_slot + gl_VertexID / u.corners, corner_index = u.first + gl_VertexID % u.corners;
+  ivec2 texel = ps_texel(corner_index);
+  vec4 corner = texelFetch(ps_corner, texel, 0);
+  v_position = ps_view_from_point(slot, corner.xyz);
+#ifdef PS_NORMAL
+  v_normal = ps_view_normal(ps_linear(slot), ps_unpack_normal(corner.w));
+#endif
+#ifdef PS_UV
+  v_uv = texelFetch(ps_corner_uv, texel, 0).xy;
+#endif
+#ifdef PS_CORNER_COLOR
+  v_color = texelFetch(ps_corner_color, texel, 0);
+#endif
+  v_id = uint(u.first_id) + uint(slot) * uint(u.triangles) + uint(corner_index) / 3u;
+#ifdef PS_ONE_INSTANCE
+  v_about = vec2(u.instance, u.mirrored);
+#else
+  v_about = ps_instance_row(slot, 3).yz;
+#endif
+  gl_Position = ps_cell_clip(ps_clip_from_view(v_position));
+}
