@@ -145,7 +145,9 @@ ROWS: dict[str, Row] = {
     "visibility buffer, wide balls among polygons": Row(
         lambda: with_settings(solid_cases.wide_balls(), technique="VISIBILITY")
     ),
-    "visibility buffer, all passes": Row(lambda: with_settings(solid_cases.wide_balls(), technique="VISIBILITY"), ALL_PASSES),
+    "visibility buffer, all passes": Row(
+        lambda: with_settings(solid_cases.wide_balls(), technique="VISIBILITY"), ALL_PASSES
+    ),
     "EWA": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA")),
     "EWA, adaptive": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA"), samples=16),
     "EWA among polygons": Row(lambda: with_settings(solid_cases.mixed(), technique="EWA")),

@@ -6,12 +6,17 @@ import numpy as np
 
 from ...device.protocol import EMPTY, Device
 from ...passes.pages.point_page import PageDraw
+from ...passes.strands.strand_ids import StrandKind
 from ...passes.visibility.buffer import RASTERISED, VisibilityBuffer
 from ...passes.visibility.polygon_ids import PolygonDraw
 
 
 def identities(
-    device: Device, buffer: VisibilityBuffer, splats: list[PageDraw], polygons: list[PolygonDraw]
+    device: Device,
+    buffer: VisibilityBuffer,
+    splats: list[PageDraw],
+    polygons: list[PolygonDraw],
+    strands: list[StrandKind],
 ) -> np.ndarray:
     """Returns the instance and the material of each sub-sample of each pixel, (S, H, W, 2) int32; -1: there is none."""
     ids = np.moveaxis(buffer.read(), 2, 0)
@@ -29,6 +34,12 @@ def identities(
         materials = np.array([group.material for group in draw.mesh.groups])
         group = np.searchsorted(starts, triangle, side="right") - 1
         found[mine] = np.stack([draw.instance[slot], materials[group]], axis=1)
+    for draw in strands:
+        local = number - draw.first_id
+        mine = (ids != EMPTY) & (ids & RASTERISED != 0) & (local >= 0) & (local < draw.count)
+        segment = draw.segments[local[mine]]
+        segments = draw.draw.segments
+        found[mine] = np.stack([segments.instance[segment], segments.material[segment]], axis=1)
     return found
 
 

@@ -16,6 +16,7 @@ from ...device.protocol import Device, Target, Texture
 from ...passes.gbuffer import GBuffer, Variant
 from ...passes.grouping.groups import Leaders
 from ...passes.grouping.spread import SPREAD_BLOCK, filter_weights, spread_program, weight_texels
+from ...passes.strands.strand_ids import StrandCover
 from ...passes.uniforms import SampleView
 from ...passes.visibility.polygon_ids import PolygonCover
 from ...passes.visibility.splat_ids import SplatCover
@@ -25,6 +26,7 @@ from ..shading import Shading
 from ..uploads.uploads import Uploads
 from .identities import identities
 from .polygon_draws import polygon_draws
+from .strand_draws import strand_draws
 from .targets import VisibilityTargets
 from .tiles import PictureTile
 
@@ -49,6 +51,7 @@ class Visibility:
         self._device, self._plan, self._passes, self._uploads = device, plan, passes, uploads
         self._targets, self._shading, self._run = targets, shading, run
         self._polygons: PolygonCover | None = None
+        self._strands: StrandCover | None = None
         self._splats: SplatCover | None = None
         if plan.points:
             wide, shown = uploads.prepared.largest > WIDE_RADIUS, np.unique(uploads.prepared.cut.instance)
@@ -64,7 +67,7 @@ class Visibility:
         found, (width, height) = None, view.size
         for tile in self._targets.tiles:
             seen = tile.view(view)
-            self._list_polygons(seen)
+            self._number_primitives(seen)
             self._targets.buffer.clear()
             self._draw_primitives(seen)
             if self._plan.shades:
@@ -78,12 +81,16 @@ class Visibility:
                 found[:, y:end_y, x:end_x] = shown[:, y - low : end_y - low, x - left : end_x - left]
         return found
 
-    def _list_polygons(self, view: SampleView) -> None:
+    def _number_primitives(self, view: SampleView) -> None:
+        """Lists what a view shows, with the numbers of primitives: first splats, then triangles, then segments."""
+        first = sum(draw.elements for draw in self._uploads.points.draws)
         if self._plan.polygons:
             self._forget_polygons()
-            first = sum(draw.elements for draw in self._uploads.points.draws)
             draws = polygon_draws(self._device, self._uploads, view, first)
             self._polygons = PolygonCover(self._device, draws, self._targets.buffer)
+            first += sum(draw.triangles for draw in draws)
+        if self._plan.lines:
+            self._strands = StrandCover(self._device, strand_draws(self._uploads, first), self._targets.buffer)
 
     def _shade(self, view: SampleView, tile: PictureTile, sums: Target) -> None:
         targets, groups, run = self._targets, self._targets.groups, self._run
@@ -114,29 +121,35 @@ class Visibility:
 
     def _identities(self) -> np.ndarray:
         polygons = [] if self._polygons is None else self._polygons.draws
-        return identities(self._device, self._targets.buffer, self._uploads.points.draws, polygons)
+        strands = [] if self._strands is None else self._strands.draws
+        return identities(self._device, self._targets.buffer, self._uploads.points.draws, polygons, strands)
 
     def _draw_primitives(self, view: SampleView) -> None:
-        shared, polygons = self._uploads.shared, self._polygons
+        shared, polygons, strands = self._uploads.shared, self._polygons, self._strands
+        normal, instances = self._plan.variant.normal, self._uploads.strands.instances
         splats, draws = self._splats, self._uploads.points.draws
         # Compute shaders compare with what the rasteriser has drawn, which does not look at what they draw.
         if splats is not None:
             self._run("cover", lambda: splats.rasterise(draws, view, shared))
         if polygons is not None:
-            normal = self._plan.variant.normal
             self._run("polygons", lambda: polygons.cover(normal, view, shared))
+        if strands is not None:
+            self._run("lines", lambda: strands.cover(normal, view, {**shared, **instances}))
         if splats is not None:
             self._run("cover", lambda: splats.cover(draws, view, shared))
 
     def _group(self, view: SampleView) -> None:
         self._targets.groups.group(view)
-        if self._polygons is not None:
-            self._targets.groups.sort(view, [draw.first_id for draw in self._polygons.draws])
+        covers = [cover for cover in (self._polygons, self._strands) if cover is not None]
+        self._targets.groups.sort(view, [draw.first_id for cover in covers for draw in cover.draws])
 
     def _write_attributes(self, view: SampleView, leaders: Leaders, out: GBuffer, variant: Variant) -> None:
         shared, groups = self._uploads.shared, self._targets.groups
         if self._polygons is not None:
             self._polygons.write_attributes(variant, view, shared, groups, leaders, out)
+        if self._strands is not None:
+            held = {**shared, **self._uploads.strands.instances}
+            self._strands.write_attributes(variant, view, held, groups, leaders, out)
         if self._splats is not None:
             self._splats.write_attributes(variant, self._uploads.points.draws, view, shared, groups, leaders, out)
 

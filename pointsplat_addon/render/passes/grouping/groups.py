@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from ....core.numeric.lattice import Lattice
@@ -16,7 +18,8 @@ COUNT_SHIFT = 21  # of a pixel's number of groups in its second word: shaders/li
 GROUP_BLOCK = block("Group", CAMERA_FIELDS, LATTICE_FIELDS)
 CENTRAL_DEFINE = ("PS_CENTRAL", "1")
 LEADER_SAMPLERS = (("UINT_2D", "ps_leaders"), ("UINT_2D", "ps_leader_depths"), ("UINT_2D", "ps_members"))
-WHOLE = 0.0, 0.0, 1.0, 1.0
+Rectangle = tuple[float, float, float, float]  # low and high corner
+WHOLE: Rectangle = (0.0, 0.0, 1.0, 1.0)
 # What lib/visibility/listed.glsl reads where pixels take the place of a list.
 CORNER_FIELDS: Fields = (("ivec2", "corner"),)
 LIST_SAMPLER = ("FLOAT_2D", "ps_list")
@@ -61,7 +64,7 @@ class Leaders:
         self.list: Texture | None = None
         # Of leaders at the centres of pixels: where in the picture their tile's own pixels lie, from 0 to 1, and where
         # it begins, in pixels.
-        self.place: tuple[tuple[float, float, float, float], tuple[int, int]] = (WHOLE, (0, 0))
+        self.place: tuple[Rectangle, tuple[int, int]] = (WHOLE, (0, 0))
 
     @property
     def defines(self) -> tuple[tuple[str, str], ...]:
@@ -101,8 +104,9 @@ class Groups:
         self.starts: Texture | None = None  # of each pixel's groups in the order of pixels
         self.places: Texture | None = None  # in the list, of groups in the order of pixels; None: there
         self._list: Texture | None = None
-        # The first entry of each draw in the list, and the one after its last; None: the list is in pixel order.
-        self.ranges: list[tuple[int, int]] | None = None
+        # By the first number of each draw, its first entry in the list and the one after its last; None: the list is in
+        # pixel order.
+        self.ranges: dict[int, tuple[int, int]] | None = None
         self.total = 0
 
     def group(self, view: SampleView) -> None:
@@ -143,8 +147,20 @@ class Groups:
         self._upload(order)
         self.places = self._paged(place[:, None], "R32F")
         self.lead(view, self.leaders)
-        ends = np.searchsorted(owner[order], np.arange(1, len(first_ids) + 2))
-        self.ranges = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
+        ends = np.searchsorted(owner[order], np.arange(1, len(first_ids) + 2)).tolist()
+        self.ranges = dict(zip(first_ids, pairwise(ends), strict=True))
+
+    def rectangle(self, leaders: Leaders, first_id: int) -> Rectangle | None:
+        """Returns the rectangle of texels, from 0 to 1, that a draw may have to write; None: there are none.
+
+        first_id: its lowest number.
+        """
+        if leaders.central:
+            return leaders.place[0]
+        if self.ranges is None:
+            return WHOLE
+        (columns, rows), (first, end) = leaders.size, self.ranges[first_id]
+        return None if first == end else (0.0, (first // columns) / rows, 1.0, (-(-end // columns)) / rows)
 
     def lead(self, view: SampleView, leaders: Leaders) -> None:
         """Finds the sub-samples that stand for groups."""

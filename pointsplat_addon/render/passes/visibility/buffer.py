@@ -56,6 +56,12 @@ class VisibilityBuffer:
         origin = x + 0.5 - 0.5 * (lattice.p - lattice.q), y + 0.5 - 0.5 * (lattice.p + lattice.q)
         return {"lattice": (lattice.p, lattice.q, *origin), "cells": self.cells}
 
+    def cell_offset(self, corner: tuple[int, int]) -> tuple[int, int]:
+        """Returns what takes cells to those of a picture of which this one is a part, the same for all parts: (columns,
+        rows). `corner`: the first pixel of the part."""
+        (x, y), (column, row), p, q = corner, self.lattice.corner(self.size), self.lattice.p, self.lattice.q
+        return p * x - q * y - column, q * x + p * y - row
+
     @property
     def textures(self) -> dict[str, Texture]:
         """The textures by sampler name."""

@@ -169,15 +169,10 @@ class PolygonCover:
         out: GBuffer,
     ) -> None:
         """Writes the attributes of the triangles that stand for groups."""
-        columns, rows = leaders.size
-        for number, draw in enumerate(self.draws):
-            # Texels that the draw may have to write: in the picture, or in the list.
-            where, corner = leaders.place
-            if not leaders.central and groups.ranges is not None:
-                first, end = groups.ranges[number]
-                if first == end:
-                    continue
-                where = 0.0, (first // columns) / rows, 1.0, (-(-end // columns)) / rows
+        for draw in self.draws:
+            where = groups.rectangle(leaders, draw.first_id)
+            if where is None:
+                continue
             for group in draw.mesh.groups:
                 program = surface_program(variant, self.buffer.lattice, group, draw.slots == 1, leaders)
                 first = group.first // 3
@@ -185,7 +180,7 @@ class PolygonCover:
                 self.device.draw(
                     program,
                     out.target,
-                    uniforms=self._record(program, draw, group, view, **own, rectangle=where, corner=corner),
+                    uniforms=self._record(program, draw, group, view, **own, rectangle=where, corner=leaders.place[1]),
                     textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures, **leaders.bound},
                     vertices=6,
                 )
