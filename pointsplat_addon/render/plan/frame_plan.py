@@ -151,7 +151,6 @@ def make_frame_plan(
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
     lattice = lattice_for(request.interactive)
-    around = tuple(side + 2 * math.ceil(FILTER_REACH) for side in camera.window[2:])
     decided = decide_technique(
         TechniqueInput(
             request.settings,
@@ -159,7 +158,6 @@ def make_frame_plan(
             request.samples,
             request.interactive,
             lens=camera.aperture is not None,
-            cells_fit=max(lattice.size((around[0], around[1]))) <= limits.texture_size,
             float_blend=limits.float_blend,
         )
     )

@@ -33,7 +33,6 @@ class TechniqueInput:
     samples: int
     interactive: bool  # a view that is drawn repeatedly and at once
     lens: bool  # the camera has depth of field
-    cells_fit: bool  # a texture of the device holds the sub-samples of the picture
     float_blend: bool  # the device can blend floats, as EWA and the painter do
 
 
@@ -71,9 +70,7 @@ def _why_not_visibility(given: TechniqueInput) -> str:
     scene = given.scene
     if any(is_translucent(geometry, scene.materials) for geometry in scene.geometries):
         return "translucent things are blended in each sample"
-    if given.lens:
-        return "the camera has depth of field"
-    return "" if given.cells_fit else "the picture is larger than the GPU's textures of sub-samples"
+    return "the camera has depth of field" if given.lens else ""
 
 
 def _why_others_are_better(given: TechniqueInput) -> str:
@@ -115,18 +112,25 @@ def confirm_technique(decided: Technique, prepared: Prepared) -> Technique:
 
 def _automatic(given: TechniqueInput) -> Technique:
     """The choice that AUTO makes."""
-    scene = given.scene
-    if not (_why_not_visibility(given) or _why_others_are_better(given)):
+    why_not = _why_not_visibility(given) or _why_others_are_better(given)
+    if not why_not:
         return Technique("VISIBILITY", "every sub-sample is exact, and each surface is shaded once")
+    name, because = _without_visibility(given)
+    return Technique(name, f"{why_not}; {because}")
+
+
+def _without_visibility(given: TechniqueInput) -> tuple[str, str]:
+    """The choice that AUTO makes among the other techniques, and the reason."""
+    scene = given.scene
     if given.interactive:
-        return Technique("IMAGE_SPACE", "views that move need the fastest")
+        return "IMAGE_SPACE", "views that move need the fastest"
     if not centres_decide(given.samples):
-        return Technique("IMAGE_SPACE", "it is the nearest with few samples")
+        return "IMAGE_SPACE", "it is the nearest with few samples"
     if np.bincount(scene.instances.geometry, minlength=1).max() >= MANY_INSTANCES:
-        return Technique("IMAGE_SPACE", "many instances share nodes")
+        return "IMAGE_SPACE", "many instances share nodes"
     if any(_has_colors(geometry, scene.materials) for geometry in scene.geometries):
-        return Technique("EWA", "colours vary from point to point")
-    return Technique("IMAGE_SPACE", "no point has a colour of its own")
+        return "EWA", "colours vary from point to point"
+    return "IMAGE_SPACE", "no point has a colour of its own"
 
 
 def _has_colors(geometry: Geometry, table: MaterialTable) -> bool:

@@ -16,6 +16,9 @@ PsLeader ps_leader(ivec2 texel)
 {
   const vec2 offsets[PS_SUB_SAMPLES] = PS_OFFSETS;
   PsListed listed = ps_listed(texel);
+#ifdef PS_CENTRAL
+  texel = listed.pixel;
+#endif
   uint id = texelFetch(ps_leaders, texel, 0).x;
   PsLeader found;
   found.rasterised = (id & 0x80000000u) != 0u;

@@ -65,7 +65,7 @@ def shape(kind: str, radius: float) -> tuple[Geometry, float]:
 @pytest.mark.parametrize("radius", [0.05, 0.15, 0.4, 1.0, 2.9, 3.1, 8.0, 50.0])
 @pytest.mark.parametrize("kind", ["balls", "disks", "tilted disks", "triangles"])
 def test_what_is_covered_is_what_primitives_cover(kind, radius):
-    """No bias with size: within three standard deviations of as many points that are thrown at random. Measured: at most
+    """No bias with size: within three standard deviations of as many points thrown at random. Measured: at most
     2.1; of what is wider than a pixel, whose edges alone are uncertain, at most 0.9."""
     geometry, area = shape(kind, radius)
     found = alpha(geometry).sum()

@@ -45,7 +45,11 @@ def identities(
 
 def _of_splats(device: Device, draw: PageDraw, index: np.ndarray) -> np.ndarray:
     """The instance and the material, (N, 2), of splats of a page by their numbers among those that are drawn."""
-    rows = device.read(draw.blocks).reshape(-1, 4)[index >> draw.shift].astype(np.int64)
-    splat = rows[:, 0] + rows[:, 1] * draw.blocks.size[0] + (index & ((1 << draw.shift) - 1))
+    if draw.blocks is None:
+        splat, instance = index, np.full(len(index), draw.whole)
+    else:
+        rows = device.read(draw.blocks).reshape(-1, 4)[index >> draw.shift].astype(np.int64)
+        splat = rows[:, 0] + rows[:, 1] * draw.blocks.size[0] + (index & ((1 << draw.shift) - 1))
+        instance = rows[:, 3]
     material = device.read(draw.page.textures["ps_extent"]).reshape(-1, 4)[splat, 3]
-    return np.stack([rows[:, 3], np.floor(material).astype(np.int64)], axis=1)
+    return np.stack([instance, np.floor(material).astype(np.int64)], axis=1)

@@ -8,19 +8,21 @@ import numpy as np
 
 from ....core.numeric.lattice import Lattice
 from ....core.numeric.segments import ranks
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import EMPTY, Device, Target, Texture, releases_on_failure
-from ..uniforms import CAMERA_FIELDS, SampleView, block
+from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
 from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, RASTERISED, VisibilityBuffer, sub_sample_defines
 
 COUNT_SHIFT = 21  # of a pixel's number of groups in its second word: shaders/lib/visibility/groups.glsl
 GROUP_BLOCK = block("Group", CAMERA_FIELDS, LATTICE_FIELDS)
 CENTRAL_DEFINE = ("PS_CENTRAL", "1")
 LEADER_SAMPLERS = (("UINT_2D", "ps_leaders"), ("UINT_2D", "ps_leader_depths"), ("UINT_2D", "ps_members"))
-LIST_SAMPLER = ("FLOAT_2D", "ps_list")
-Rectangle = tuple[float, float, float, float] | np.ndarray  # low and high corner
+Rectangle = tuple[float, float, float, float]  # low and high corner
 WHOLE: Rectangle = (0.0, 0.0, 1.0, 1.0)
+# What lib/visibility/listed.glsl reads where pixels take the place of a list.
+CORNER_FIELDS: Fields = (("ivec2", "corner"),)
+LIST_SAMPLER = ("FLOAT_2D", "ps_list")
 SORTED_FROM = 1 << 22  # texels that draws would look at for nothing
 
 
@@ -33,12 +35,16 @@ def group_program(lattice: Lattice) -> Interface:
     )  # fmt: skip
 
 
+def _leader_block(central: bool) -> Block:
+    return block("Leader", CAMERA_FIELDS, LATTICE_FIELDS, CORNER_FIELDS if central else ())
+
+
 def leader_program(lattice: Lattice, central: bool) -> Interface:
     """Returns the program that finds the sub-sample which stands for each group of the list; `central`: the one at each
     pixel's centre."""
     read = ("ps_ids", "ps_depths", *(() if central else ("ps_first", "ps_second")))
     return Interface(
-        "group", fragment="grouping/leader.frag", block=GROUP_BLOCK,
+        "group", fragment="grouping/leader.frag", block=_leader_block(central),
         samplers=(*(("UINT_2D", name) for name in read), *(() if central else (LIST_SAMPLER,))),
         outputs=(("uint", "out_leader"), ("uint", "out_depth"), ("uint", "out_member")),
         defines=(LATTICE_DEFINE, *((CENTRAL_DEFINE,) if central else sub_sample_defines(lattice))),
@@ -56,11 +62,19 @@ class Leaders:
         self._ids = self.textures["ps_leaders"]
         self.target: Target = device.target(list(self.textures.values()))
         self.list: Texture | None = None
+        # Of leaders at the centres of pixels: where in the picture their tile's own pixels lie, from 0 to 1, and where
+        # it begins, in pixels.
+        self.place: tuple[Rectangle, tuple[int, int]] = (WHOLE, (0, 0))
 
     @property
     def defines(self) -> tuple[tuple[str, str], ...]:
         """Of programs that read them."""
         return (CENTRAL_DEFINE,) if self.central else ()
+
+    @property
+    def fields(self) -> Fields:
+        """Of programs that read them."""
+        return CORNER_FIELDS if self.central else ()
 
     @property
     def samplers(self) -> tuple[tuple[str, str], ...]:
@@ -136,13 +150,13 @@ class Groups:
         ends = np.searchsorted(owner[order], np.arange(1, len(first_ids) + 2)).tolist()
         self.ranges = dict(zip(first_ids, pairwise(ends), strict=True))
 
-    def rectangle(self, leaders: Leaders, first_id: int, in_picture: Rectangle) -> Rectangle | None:
+    def rectangle(self, leaders: Leaders, first_id: int) -> Rectangle | None:
         """Returns the rectangle of texels, from 0 to 1, that a draw may have to write; None: there are none.
 
-        first_id: its lowest number. in_picture: what holds it in the picture.
+        first_id: its lowest number.
         """
         if leaders.central:
-            return in_picture
+            return leaders.place[0]
         if self.ranges is None:
             return WHOLE
         (columns, rows), (first, end) = leaders.size, self.ranges[first_id]
@@ -154,7 +168,10 @@ class Groups:
         listed = {} if leaders.list is None else {"ps_list": leaders.list}
         textures = {**self._buffer.textures, **self.codes, **listed}
         self._device.draw(
-            program, leaders.target, uniforms=view.record(GROUP_BLOCK, **self._buffer.values), textures=textures
+            program,
+            leaders.target,
+            uniforms=view.record_of(program.block, corner=(0, 0), **self._buffer.values),
+            textures=textures,
         )
 
     def _upload(self, order: np.ndarray) -> None:

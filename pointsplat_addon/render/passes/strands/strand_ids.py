@@ -17,7 +17,7 @@ from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..grouping.groups import Groups, Leaders
-from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
+from ..uniforms import CAMERA_FIELDS, RECTANGLE_FIELDS, Fields, SampleView, block
 from ..visibility.buffer import (
     LATTICE_DEFINE,
     LATTICE_FIELDS,
@@ -26,7 +26,6 @@ from ..visibility.buffer import (
     offset_defines,
     sub_sample_defines,
 )
-from ..visibility.polygon_ids import RECTANGLE_FIELDS
 from .strand_page import StrandDraw
 from .strands import CHUNK, attribute_samplers
 
@@ -35,7 +34,7 @@ FIRST: Fields = (("int", "first"),)  # entry of the list
 SHARE: Fields = (("ivec2", "cell_offset"), ("uint", "turn"))  # of thin strips: which cells they cover
 TUBE_IDS = block("TubeIds", CAMERA_FIELDS, LATTICE_FIELDS, NUMBERS, FIRST)
 STRIP_IDS = block("StripIds", CAMERA_FIELDS, LATTICE_FIELDS, NUMBERS, FIRST, SHARE)
-SURFACE = block("StrandSurface", CAMERA_FIELDS, LATTICE_FIELDS, RECTANGLE_FIELDS, NUMBERS, (("int", "count"),))
+SURFACE_FIELDS: Fields = (*RECTANGLE_FIELDS, *NUMBERS, ("int", "count"))
 AVERAGED = tuple(("UINT_2D", name) for name in ("ps_ids", "ps_depths", "ps_keys", "ps_first", "ps_second"))
 
 
@@ -46,7 +45,6 @@ class StrandKind:
     draw: StrandDraw
     kind: str  # TUBE, STRIP or THIN
     first_id: int  # number of the first one
-    rectangle: np.ndarray  # (4,), low and high corner, from 0 to 1 over the picture, of what holds them all
 
     @property
     def ribbon(self) -> bool:
@@ -117,7 +115,7 @@ def surface_program(variant: Variant, lattice: Lattice, ribbon: bool, kind: str,
         "attributes",
         vertex="common/rectangle.vert",
         fragment="strands/strand_surface.frag",
-        block=SURFACE,
+        block=block("StrandSurface", CAMERA_FIELDS, LATTICE_FIELDS, SURFACE_FIELDS, leaders.fields),
         samplers=(*(("FLOAT_2D", name) for name in fetched), *leaders.samplers, *(AVERAGED if averages else ())),
         outputs=variant.outputs(),
         defines=(
@@ -173,11 +171,12 @@ class StrandCover:
     ) -> None:
         """Writes the attributes of the segments that stand for groups."""
         for draw in self.draws:
-            where = groups.rectangle(leaders, draw.first_id, draw.rectangle)
+            where = groups.rectangle(leaders, draw.first_id)
             if where is None:
                 continue
             program = surface_program(variant, self.buffer.lattice, draw.ribbon, draw.kind, leaders)
-            own = {"first_id": draw.first_id, "count": draw.count, "rectangle": where, **self.buffer.values}
+            own = {"first_id": draw.first_id, "count": draw.count, "rectangle": where, "corner": leaders.place[1]}
+            own |= self.buffer.values
             read = {**leaders.bound, **groups.codes, **self.buffer.textures}
             self.device.draw(
                 program,
