@@ -11,7 +11,7 @@ from ..device.protocol import Texture
 from ..passes.outputs import CRYPTO
 from ..passes.shading.data import data
 from ..plan.request import Request
-from .cryptomatte import cryptomatte
+from .cryptomatte import cryptomatte, filtered_cryptomatte
 
 
 class DataPasses:
@@ -20,6 +20,7 @@ class DataPasses:
     def __init__(self, scene: Scene, request: Request) -> None:
         self.scene, self.request = scene, request
         self._first: dict[str, np.ndarray] = {}
+        self._lattices: list[tuple[np.ndarray, np.ndarray]] = []  # of sub-samples: identities, weights
         self._identities: list[np.ndarray] = []  # (H, W, 2) int32 by sample: instance, material
 
     @property
@@ -27,11 +28,14 @@ class DataPasses:
         """Whether every sample has to be read, not only the first: Cryptomatte ranks the identities of all."""
         return bool(self.request.passes & set(CRYPTO))
 
-    def read(self, textures: Sequence[Texture], read: Callable[[Texture], np.ndarray], first: bool) -> None:
+    def read(
+        self, textures: Sequence[Texture], read: Callable[[Texture], np.ndarray], first: bool, identify: bool = True
+    ) -> None:
         """Reads the textures that are needed of one sample, and keeps their pixels.
 
         `textures`: those that the pass `data` has drawn; `read` returns the pixels of one, (H, W, 4) float32; `first`:
-        whether this is the picture's first sample, of which all textures are read.
+        whether this is the picture's first sample, of which all textures are read. `identify`: the identities under the
+        pixels' centres are ranked.
         """
         for name, texture in zip(data(self.request.passes), textures, strict=True):
             if not (first or name == "index"):
@@ -39,11 +43,21 @@ class DataPasses:
             picture = read(texture)
             if first:
                 self._first[name] = picture
-            if name == "index" and self.every_sample:
+            if name == "index" and self.every_sample and identify:
                 self._identities.append(picture[..., :2].astype(np.int32))
 
-    def pixels(self) -> dict[str, np.ndarray]:
-        """Returns the finished passes by name, (H, W, C) float32; passes whose textures were not read are left out."""
+    def identify(self, found: np.ndarray, weights: np.ndarray) -> None:
+        """Adds the instance and the material of a lattice's sub-samples to those that are ranked.
+
+        found: (S, H, W, 2) int32. weights: (9, S), of the pixel filter.
+        """
+        self._lattices.append((found, weights))
+
+    def pixels(self, cropped: Callable[[np.ndarray], np.ndarray]) -> dict[str, np.ndarray]:
+        """Returns the finished passes by name, (H, W, C) float32; passes whose textures were not read are left out.
+
+        `cropped` takes the picture's own part of what lattices show.
+        """
         scene, first = self.scene, self._first
         out = {}
         if "position" in first:
@@ -54,19 +68,29 @@ class DataPasses:
             instance, material = (first["index"][..., i].astype(np.int64) for i in range(2))
             out["object_index"] = _looked_up(scene.instances.pass_index, instance)
             out["material_index"] = _looked_up(scene.materials.pass_index, material)
-        if self._identities:
+        if self._identities or self._lattices:
             tables = scene.instances.object_hash, scene.materials.hash
             for column, (key, table) in enumerate(zip(CRYPTO, tables, strict=True)):
                 if key in self.request.passes:
-                    out |= self._cryptomatte(key, column, table)
+                    pictures = self._cryptomatte(column, table, cropped)
+                    out |= {f"{key}{i:02d}": picture for i, picture in enumerate(pictures)}
         return out
 
-    def _cryptomatte(self, key: str, column: int, table: np.ndarray | None) -> dict[str, np.ndarray]:
+    def _cryptomatte(
+        self, column: int, table: np.ndarray | None, cropped: Callable[[np.ndarray], np.ndarray]
+    ) -> list[np.ndarray]:
+        """The pictures of instances (`column` 0) or materials (1), whose hashes are in a table."""
         known = np.zeros(len(self.scene.instances), np.uint32) if table is None else table.astype(np.uint32)
         padded = np.append(known, np.uint32(0))  # -1 and indices beyond the table look up the last: no identity
-        hashes = padded[np.minimum(np.stack([ids[..., column] for ids in self._identities]), len(known))]
-        pictures = cryptomatte(hashes, self.request.crypto_levels)
-        return {f"{key}{i:02d}": picture for i, picture in enumerate(pictures)}
+
+        def hashes(ids: np.ndarray) -> np.ndarray:
+            return padded[np.minimum(ids[..., column], len(known))]
+
+        levels = self.request.crypto_levels
+        if self._lattices:
+            lattices = [(hashes(ids), weights) for ids, weights in self._lattices]
+            return [cropped(picture) for picture in filtered_cryptomatte(lattices, levels)]
+        return cryptomatte(np.stack([hashes(ids) for ids in self._identities]), levels)
 
 
 def _looked_up(table: np.ndarray | None, index: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from ...core.lens.backdrop import why_not_blurred
 from ...core.lens.thin_lens import uses_lens_samples
 from ...core.lod.cost import Costs
-from ...core.numeric.lattice import FEW, MANY
+from ...core.numeric.lattice import lattice_for
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ...core.scene.validation import validate
@@ -150,14 +150,15 @@ def make_frame_plan(
     warnings = scene.warnings
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
+    lattice = lattice_for(request.interactive)
     decided = decide_technique(
         TechniqueInput(
             request.settings,
             scene,
             request.samples,
             request.interactive,
-            camera.aperture is not None,
-            limits.float_blend,
+            lens=camera.aperture is not None,
+            float_blend=limits.float_blend,
         )
     )
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
@@ -188,7 +189,6 @@ def make_frame_plan(
     ewa = technique.name == "EWA"
     sub_samples = 0
     if technique.name == "VISIBILITY":
-        lattice = FEW if request.interactive else MANY
         sub_samples = lattice.count
         request = replace(request, samples=-(-request.samples // sub_samples))
     plan = make_plan(

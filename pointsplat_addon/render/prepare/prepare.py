@@ -13,6 +13,7 @@ import numpy as np
 
 from ...core.lod.cost import DEFAULT, Costs
 from ...core.lod.cut import cut_of_all_points
+from ...core.numeric.lattice import lattice_for
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
@@ -218,7 +219,8 @@ def _strand_segments(
         if len(levels) == 0:
             continue
         tolerance = view.settings.tolerance
-        parts = [select(levels, view_from_object[i], i, view.camera, tolerance) for i in where.tolist()]
+        lattice = lattice_for(view.interactive) if view.settings.technique == "VISIBILITY" else None
+        parts = [select(levels, view_from_object[i], i, view.camera, tolerance, lattice) for i in where.tolist()]
         parts = [part for part in parts if len(part)]
         if parts:
             found[row] = concatenate_segments(parts)

@@ -12,7 +12,7 @@ from ...cache.keys import Key, Kind
 from ...cache.store import Store
 from ...device.protocol import Texture
 from ...passes.pages.point_page import instance_rows
-from ...passes.visibility.strand_page import StrandDraw, StrandPage
+from ...passes.strands.strand_page import StrandDraw, StrandPage
 from ...plan.plan import Plan
 from ...prepare.prepare import Prepared
 from .instances import constants_key

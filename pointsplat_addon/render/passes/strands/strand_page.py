@@ -5,9 +5,9 @@ A page holds the points of one geometry, texture by texture, one texel a point:
   tangent   unit, along the strand
   side      unit, across a ribbon
   color, surface, emission   as in pages of splats, where the scene has them
-Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of thin ones share
-of the raster line's width at both ends, phase; of wide ones the points where the strand ends, as far as they are near,
-or -1: tubes end there in a plane.
+Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of narrow ones
+share of the raster line's width at both ends (-1: as wide as the strand), phase; of wide tubes the points where the
+strand ends, as far as they are near, or -1: tubes end there in a plane.
 """
 
 from __future__ import annotations
@@ -70,13 +70,18 @@ class StrandDraw:
             cut = holdout[segments.instance]
             rows[cut, 0, 3] = -1 - segments.material[cut]
         rows[:, 1, :2], rows[:, 1, 2] = segments.share, segments.phase
-        wide = segments.wide
-        rows[wide, 1, :2] = page.strands.ends_near(segments.ends[wide])
+        if not page.ribbon:
+            wide = segments.wide
+            rows[wide, 1, :2] = page.strands.ends_near(segments.ends[wide])
         size, data = paged(rows.reshape(-1, 4), 4)
         self.texture = device.texture(size, "RGBA32F", data)
-        ribbon = page.ribbon
-        self.wide = None if ribbon else self._listed(segments.wide)
-        self.narrow = self._listed(np.concatenate([segments.narrow, segments.wide]) if ribbon else segments.narrow)
+        # By kind, the segments that are drawn in every sample, (n,) int64.
+        self.indices = {"TUBE": segments.wide, "STRIP": segments.narrow}
+        if page.ribbon:
+            self.indices = {"STRIP": np.concatenate([segments.narrow, segments.wide])}
+        if segments.on_lattice:
+            self.indices["THIN"] = segments.thin
+        self._lists = {kind: self._listed(index) for kind, index in self.indices.items()}
         self.thin: tuple[Texture, int] | None = None
         self.turn = -1.0  # of the sample that thin ones are listed for
         self.drawn = 0  # segments of all samples
@@ -97,7 +102,7 @@ class StrandDraw:
 
     def lists(self) -> dict[str, tuple[Texture, int]]:
         """Texture and length of the list of each kind that there is."""
-        named = {"TUBE": self.wide, "STRIP": self.narrow, "THIN": self.thin}
+        named = self._lists if self.thin is None else {**self._lists, "THIN": self.thin}
         return {kind: listed for kind, listed in named.items() if listed is not None}
 
     def _forget(self) -> None:
