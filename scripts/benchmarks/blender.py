@@ -66,28 +66,13 @@ def add_mesh(count: int) -> Any:
 
 
 def add_pointcloud(count: int) -> Any:
-    import bpy
+    from scripts.common.point_objects import point_cloud_object
 
     rng = np.random.default_rng(0)
     position = rng.standard_normal((count, 3)).astype(np.float32)
     position /= np.linalg.norm(position, axis=1, keepdims=True)
-    radius = np.full(count, 1.4 * np.sqrt(4 / count), np.float32)
-    if hasattr(bpy.types.PointCloud, "resize"):
-        cloud = bpy.data.pointclouds.new("Cloud")
-        cloud.resize(count)
-        cloud.attributes["position"].data.foreach_set("vector", position.ravel())
-        made = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
-        made.data.foreach_set("value", radius)
-        return link(bpy.data.objects.new("Cloud", cloud))
-    mesh = bpy.data.meshes.new("Cloud")
-    mesh.vertices.add(count)
-    mesh.vertices.foreach_set("co", position.ravel())
-    mesh.attributes.new("radius", "FLOAT", "POINT").data.foreach_set("value", radius)
-    ob = link(bpy.data.objects.new("Cloud", mesh))
-    bpy.context.view_layer.objects.active = ob
-    ob.select_set(True)
-    bpy.ops.object.convert(target="POINTCLOUD")
-    return bpy.context.object
+    radius = 1.4 * np.sqrt(4 / count)
+    return point_cloud_object("Cloud", position, radius)
 
 
 def link(ob: Any) -> Any:

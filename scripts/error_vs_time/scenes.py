@@ -203,8 +203,9 @@ def building(size: int, data: Path, folder: Path) -> None:
     """The scan as a point cloud of balls that glow."""
     import bpy
 
-    gallery, volumes = (
+    gallery, points, volumes = (
         importlib.import_module("scripts.studies.gallery"),
+        importlib.import_module("scripts.common.point_objects"),
         importlib.import_module("scripts.common.volume_objects"),
     )
     scene = gallery.studio(size)
@@ -212,23 +213,13 @@ def building(size: int, data: Path, folder: Path) -> None:
     scene.camera.location = 0.0, 0.0, frame.DISTANCE
     scene.camera.data.angle = 2 * np.arctan(1 / frame.FOCAL)
     position, color = scan((data / SCAN_FILE).resolve())
-    mesh = bpy.data.meshes.new("Scan")
-    mesh.vertices.add(len(position))
-    mesh.vertices.foreach_set("co", position.reshape(-1))
-    mesh.attributes.new("radius", "FLOAT", "POINT").data.foreach_set("value", np.full(len(position), SCAN_RADIUS))
-    painted = np.column_stack([color, np.ones(len(color))]).astype(np.float32)
-    mesh.attributes.new("Color", "FLOAT_COLOR", "POINT").data.foreach_set("color", painted.reshape(-1))
-    item = bpy.data.objects.new("Scan", mesh)
-    scene.collection.objects.link(item)
-    bpy.context.view_layer.objects.active = item
-    item.select_set(True)
-    bpy.ops.object.convert(target="POINTCLOUD")  # in Blender 4.5 the only way to points
+    cloud = points.point_cloud_object("Scan", position, SCAN_RADIUS, color, "FLOAT_COLOR")
     look = volumes.surface("Glow", (0.0, 0.0, 0.0), Specular_IOR_Level=0.0, Emission_Strength=1.0)
     nodes = look.node_tree.nodes
     source = nodes.new("ShaderNodeAttribute")
     source.attribute_name = "Color"
     look.node_tree.links.new(source.outputs["Color"], nodes["Principled BSDF"].inputs["Emission Color"])
-    bpy.context.object.data.materials.append(look)
+    cloud.data.materials.append(look)
 
 
 def balls(size: int, data: Path, folder: Path) -> None:

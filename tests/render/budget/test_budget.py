@@ -167,12 +167,14 @@ def ratios(case: Case, monkeypatch: pytest.MonkeyPatch, limits=(0.03, 0.01, 0.00
     request = case.request(COMBINED, 16)
     found = []
     for limit in limits:
-        asked = replace(request, settings=replace(case.settings, budget="ERROR", error_budget=limit))
+        asked = replace(request, settings=replace(case.settings, technique="AUTO", budget="ERROR", error_budget=limit))
         found.append(drawing.opengl().render(case.scene, asked))
         report = found[-1].report
         # More samples than MOST_SAMPLES are not drawn.
         assert report["estimate"]["rmse"] <= limit or "samples" not in {entry["name"] for entry in report["skipped"]}
-    settings = replace(case.settings, tolerance=case.settings.tolerance / 4, use_adaptive_sampling=False)
+    (technique,) = {result.report["technique"]["name"] for result in found}
+    tolerance = case.settings.tolerance / 4
+    settings = replace(case.settings, technique=technique, tolerance=tolerance, use_adaptive_sampling=False)
     monkeypatch.setattr(translucent, "LIGHTINGS", CONVERGED)
     best = Request(case.camera, settings, COMBINED, CONVERGED, node=NODE_SIZE / 4)
     truth = drawing.opengl().render(case.scene, best).pixels["combined"]
@@ -267,7 +269,7 @@ def test_where_samples_alone_would_do_the_cut_gets_finer():
     """Of what all samples leave and what the cut does, each is less than the error may be, and both are more."""
     case = through_lens(CASES["emission"]())
     STORE.clear()
-    settings = replace(case.settings, budget="ERROR", error_budget=0.003)
+    settings = replace(case.settings, technique="AUTO", budget="ERROR", error_budget=0.003)
     report = drawing.opengl().render(case.scene, replace(case.request(COMBINED, 16), settings=settings)).report
     assert report["estimate"]["rmse"] <= 0.003  # measured 0.0026; 0.0034 with the first cut
 
