@@ -9,7 +9,7 @@ import numpy as np
 from ..numeric.lattice import Lattice
 from ..scene.camera import Camera
 from .levels import StrandLevels
-from .segments import OWN_WIDTH
+from .segments import OWN_WIDTH, THIN
 
 SHORTEST_DIRECTED = 1e-3  # pixels: shorter segments have no direction on the screen
 NEAREST = 1e-12  # units from the eye: points nearer are projected from there, so that squares of pixels fit float32
@@ -108,7 +108,7 @@ def cell_shares(
 ) -> np.ndarray:
     """(K, 2) float32: as `line_shares`, of lines that are one cell of a lattice wide along their minor axis.
 
-    OWN_WIDTH where an end lies before the near plane.
+    OWN_WIDTH of narrow segments of which an end lies before the near plane.
     """
     direction, size = _directions(picture, first, last)
     sides = np.abs(lattice.cells(direction).T) / lattice.count
@@ -123,7 +123,8 @@ def cell_shares(
         wide *= np.sqrt(stretch / np.float32(abs(fx * fy)))[:, None]
     share = np.nan_to_num(wide / line[:, None], posinf=1e30).astype(np.float32)
     if camera.perspective:
-        share[np.minimum(picture.depth[first], picture.depth[last]) < camera.near] = OWN_WIDTH
+        cut = np.minimum(picture.depth[first], picture.depth[last]) < camera.near
+        share[cut & (np.maximum(*share.T) < THIN)] = OWN_WIDTH
     return share
 
 
