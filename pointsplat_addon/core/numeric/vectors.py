@@ -37,6 +37,13 @@ def each_block(count: int, work: Callable[[slice], None], block: int = BLOCK) ->
             done.result()
 
 
+def take_rows(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """The items `rows` (K,) int of an array (N, ...), (K, ...): several times as fast as indexing."""
+    found = np.empty((len(rows), *array.shape[1:]), array.dtype)
+    each_block(len(rows), lambda block: np.take(array, rows[block], axis=0, out=found[block]))
+    return found
+
+
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross product of (3, n) arrays."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
