@@ -19,7 +19,9 @@ class Case:
 
     scene: Scene
     camera: Camera
-    settings: Settings = field(default_factory=lambda: Settings(use_shadows=False))  # the reference has none
+    settings: Settings = field(
+        default_factory=lambda: Settings(technique="IMAGE_SPACE", use_shadows=False)
+    )  # the reference has none
 
     def request(self, passes: frozenset[str] = ALL_PASSES, samples: int = 1) -> Request:
         return Request(self.camera, self.settings, passes, samples)

@@ -33,7 +33,7 @@ def strands() -> Case:
             (strand_lines("hair", list(hair), 0.004), moved((0, -0.8, 0), (1, 1, 0.8))),
         ),
         camera((0.6, -4, 0.8)),
-        Settings(shadow_resolution=64),
+        Settings(technique="IMAGE_SPACE", shadow_resolution=64),
     )
 
 

@@ -28,7 +28,7 @@ def smoke() -> Case:
             table=materials(anisotropy=np.array([0.4], np.float32)),
         ),
         camera(),
-        Settings(shadow_resolution=64),
+        Settings(technique="IMAGE_SPACE", shadow_resolution=64),
     )
 
 
@@ -41,7 +41,7 @@ def tinted_smoke() -> Case:
             (mesh(plane_mesh("plane behind smoke", 2.0), "POLYGONS"), moved((0, 1.5, 0))),
         ),
         camera(),
-        Settings(shadow_resolution=64),
+        Settings(technique="IMAGE_SPACE", shadow_resolution=64),
     )
 
 
@@ -59,7 +59,7 @@ def panes() -> Case:
             table=table,
         ),
         camera((0.5, -4, 0.5)),
-        Settings(shadow_resolution=64),
+        Settings(technique="IMAGE_SPACE", shadow_resolution=64),
     )
 
 

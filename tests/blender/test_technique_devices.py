@@ -19,7 +19,7 @@ from tests.support.blender.devices import (
 AGREE = 2 / 255
 
 
-@pytest.mark.parametrize("technique", ["EWA", "PAINTER"])
+@pytest.mark.parametrize("technique", ["VISIBILITY", "EWA", "PAINTER"])
 @pytest.mark.parametrize("name", CASES)
 def test_blenders_gpu_and_moderngl_agree(blender, opengl, name, technique):
     case = CASES[name]()
@@ -32,3 +32,14 @@ def test_blenders_gpu_and_moderngl_agree(blender, opengl, name, technique):
     assert np.abs(here["combined"] - there["combined"]).max() <= AGREE  # edges are soft; measured 0
     assert found["depth"] <= 1e-5
     assert found["position"] <= 1e-5
+
+
+@pytest.mark.parametrize("name", ["mixed", "balls", "wide_balls", "parallel_balls", "instances", "scales"])
+def test_the_visibility_buffer_needs_no_image_atomics(opengl, name):
+    """Without them splats are rasterised that compute shaders would draw."""
+    case = CASES[name]()
+    case = replace(case, settings=replace(case.settings, technique="VISIBILITY"))
+    found = differences(opengl(case, True), opengl(case, False))
+    assert found["edges"] <= EDGES
+    for key in COLORS:
+        assert found[key] <= AGREE, key

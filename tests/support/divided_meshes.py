@@ -16,7 +16,7 @@ from pointsplat_addon.core.scene.world import World
 from scripts.scenes import build, cameras, meshes
 from scripts.scenes.meshes import with_smooth_normals
 
-SETTINGS = Settings(use_shadows=False, use_adaptive_sampling=False)
+SETTINGS = Settings(technique="IMAGE_SPACE", use_shadows=False, use_adaptive_sampling=False)
 # Points need not pay for their passes and for being sampled: the pictures are small, and of few samples.
 COSTS = Costs(pixel=1e-3, prepared=1e-3, uploaded=1e-3)
 SIZE = 128

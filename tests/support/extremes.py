@@ -15,7 +15,7 @@ from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
 from scripts.scenes.drawing import render
 
-TECHNIQUES = ("IMAGE_SPACE", "EWA", "PAINTER")
+TECHNIQUES = ("VISIBILITY", "IMAGE_SPACE", "EWA", "PAINTER")
 COMBINED = frozenset({"combined"})
 SHADOWED = Settings(shadow_resolution=64)
 FEW = (32, 24)  # pixels

@@ -34,11 +34,11 @@ class Lattice:
         first few, too, are spread over the pixel."""
         reach = np.arange(-self.p - self.q, self.p + self.q + 1)
         cells = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1).reshape(-1, 2)
-        inside = cells[(np.abs(self._pixels(cells)) < 0.5).all(axis=1)]
+        inside = cells[(np.abs(self.pixels(cells)) < 0.5).all(axis=1)]
         wanted = (R2 * np.arange(len(inside))[:, None] + 0.5) % 1.0 - 0.5
         order, free = [], list(range(len(inside)))
         for place in wanted:  # a pixel has a few sub-samples
-            nearest = min(free, key=lambda i: float(np.square(self._pixels(inside[i]) - place).sum()))
+            nearest = min(free, key=lambda i: float(np.square(self.pixels(inside[i]) - place).sum()))
             free.remove(nearest)
             order.append(nearest)
         return inside[order]
@@ -46,7 +46,7 @@ class Lattice:
     @cached_property
     def positions(self) -> np.ndarray:
         """(S, 2) float64: the sub-samples in pixels from the pixel's centre."""
-        return self._pixels(self.offsets)
+        return self.pixels(self.offsets)
 
     def size(self, pixels: tuple[int, int]) -> tuple[int, int]:
         """(columns, rows) of cells that hold all sub-samples of so many (columns, rows) of pixels."""
@@ -62,9 +62,14 @@ class Lattice:
     def _reach(self) -> int:
         return int(np.abs(self.offsets).max())
 
-    def _pixels(self, cells: np.ndarray) -> np.ndarray:
+    def pixels(self, cells: np.ndarray) -> np.ndarray:
         """(..., 2) float64 in pixels, of differences of cells."""
         return cells @ np.array([[self.p, -self.q], [self.q, self.p]]) / self.count
+
+
+def lattice_of(sub_samples: int) -> Lattice:
+    """Returns the lattice with so many sub-samples of a pixel. StopIteration: there is none."""
+    return next(lattice for lattice in (FEW, MANY) if lattice.count == sub_samples)
 
 
 FEW, MANY = Lattice(2, 1), Lattice(4, 1)  # 5 sub-samples for views that move, 17 for pictures

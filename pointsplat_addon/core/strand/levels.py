@@ -10,6 +10,8 @@ import numpy as np
 from ..numeric.segments import owners, ranks, starts
 
 BLOCK = 64  # consecutive strands, of which each sample draws its share
+GOLDEN = (5**0.5 - 1) / 2
+BELOW_ONE = 1 - 2.0**-24  # the largest float32
 VISIBLE_CHANGE = 1 / 64  # largest change of colours and surface values that leaving out points may cause
 
 
@@ -50,6 +52,10 @@ class StrandLevels:
         rank = np.empty(count)
         rank[np.lexsort((rank_key, block))] = np.arange(count) - BLOCK * block
         return (rank + jitter) / np.minimum(BLOCK, count - BLOCK * block)
+
+    def instance_phase(self, instance: int) -> np.ndarray:
+        """(S,) float32 in [0, 1): the phases of the strands of one instance, its row in Scene.instances."""
+        return np.minimum((self.phase + instance * GOLDEN) % 1, BELOW_ONE).astype(np.float32)
 
     @cached_property
     def strand(self) -> np.ndarray:

@@ -11,6 +11,7 @@ from .levels import StrandLevels
 
 ROUND = 2.0  # widths of the raster's line: below it a segment has one shade across
 THIN = 1.0  # widths of the raster's line: below it a segment is drawn as that line, in some samples
+OWN_WIDTH = -1.0  # in place of a share: the width is that of the strand, which need not be known to choose segments
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +22,7 @@ class Segments:
     instance: np.ndarray  # (K,) int32: rows of Scene.instances
     material: np.ndarray  # (K,) int32
     phase: np.ndarray  # (K,) float32 in [0, 1): by strand, evenly spread over strands
-    share: np.ndarray  # (K, 2) float32: width at both ends over that of the raster's line
+    share: np.ndarray  # (K, 2) float32: width at both ends over that of the raster's line; or OWN_WIDTH
     strands: int  # number of strands with a segment in the list
 
     def __len__(self) -> int:
@@ -76,16 +77,19 @@ def sample_offsets(count: int) -> np.ndarray:
     return turn
 
 
-def all_segments(strands: StrandLevels, instance: int) -> Segments:
-    """All segments of an instance, drawn with their outlines in every sample."""
+def all_segments(strands: StrandLevels, instance: int, outlined: bool = True) -> Segments:
+    """All segments of an instance. `outlined`: drawn with their outlines in every sample; else as the strands' own
+    widths say."""
     ends = strands.segment_ends
     count = len(ends)
+    strand = strands.strand[ends[:, 0]]
+    phase = np.zeros(count, np.float32) if outlined else strands.instance_phase(instance)[strand]
     return Segments(
         ends,
         np.full(count, instance, np.int32),
-        strands.material[strands.strand[ends[:, 0]]].astype(np.int32),
-        np.zeros(count, np.float32),
-        np.full((count, 2), THIN, np.float32),
+        strands.material[strand].astype(np.int32),
+        phase,
+        np.full((count, 2), THIN if outlined else OWN_WIDTH, np.float32),
         len(strands.start) - 1,
     )
 

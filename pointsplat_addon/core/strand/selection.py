@@ -18,7 +18,6 @@ from .levels import StrandBounds, StrandLevels
 from .projection import ProjectedStrands, in_picture, line_shares, project
 from .segments import ROUND, THIN, Segments, all_segments, no_segments
 
-GOLDEN = (5**0.5 - 1) / 2
 OUTLINE_ERROR = 0.25  # of the tolerance: how far leaving out inner points may move an outline
 INVISIBLE_LENGTH = 1.0  # pixels: changes along shorter segments are not seen
 UNBROKEN_LENGTH = 16.0  # pixels: shorter strands do not look broken where samples leave out some of their segments
@@ -28,15 +27,20 @@ LEAST_WIDTH = (
 )
 FEW_POINTS = 3  # mean number of points of a strand up to which little could be left out
 MARGIN = 2.0  # pixels beyond the picture that lines of one pixel may come from
-BELOW_ONE = 1 - 2.0**-24  # the largest float32
 LEAST_SIMPLIFIED = 0.02  # share of the strands: simplifying fewer saves less time than it costs
 
 
 def select(
-    strands: StrandLevels, view_from_object: np.ndarray, instance: int, camera: Camera, tolerance: float
+    strands: StrandLevels,
+    view_from_object: np.ndarray,
+    instance: int,
+    camera: Camera,
+    tolerance: float,
+    sub_samples: bool = False,
 ) -> Segments:
     """The segments of one instance that a camera may see. view_from_object: (4, 4) float64; instance: its row in
-    Scene.instances; tolerance: pixels.
+    Scene.instances; tolerance: pixels. `sub_samples`: many samples of a pixel are drawn at once, of which segments that
+    are thinner cover a share; else those of short strands are drawn with their outlines.
 
     Widths of tubes scale with the cube root of the instance's volume; ribbons are scaled as surfaces are.
     """
@@ -44,7 +48,7 @@ def select(
     if scale is None:
         return no_segments()
     if _all_outlined(strands, scale):
-        return all_segments(strands, instance)
+        return all_segments(strands, instance, outlined=not sub_samples)
     picture = project(strands, view_from_object, camera)
     first, last = strands.segment_ends.T
     level = np.zeros(len(strands.start) - 1, np.int32)
@@ -61,17 +65,17 @@ def select(
         first, last = first[seen], last[seen]
     strand = strands.strand[first]
     share = line_shares(strands, picture, first, last, level[strand] > 0)
-    exact = (strands.sum_over_strands(picture.length) <= UNBROKEN_LENGTH) & (level == 0)
-    most = np.maximum(*share.T)
-    share[exact[strand] & (most >= LEAST_OUTLINED) & (most < THIN)] = THIN
+    if not sub_samples:
+        exact = (strands.sum_over_strands(picture.length) <= UNBROKEN_LENGTH) & (level == 0)
+        most = np.maximum(*share.T)
+        share[exact[strand] & (most >= LEAST_OUTLINED) & (most < THIN)] = THIN
     visible = (share[:, 0] > 0) | (share[:, 1] > 0)
     first, last, share, strand = first[visible], last[visible], share[visible], strand[visible]
-    phase = (strands.phase[strand] + instance * GOLDEN) % 1
     return Segments(
         np.stack([first, last], axis=1).astype(np.int32),
         np.full(len(first), instance, np.int32),
         strands.material[strand].astype(np.int32),
-        np.minimum(phase, BELOW_ONE).astype(np.float32),
+        strands.instance_phase(instance)[strand],
         share,
         int(np.count_nonzero(np.diff(strand)) + 1) if len(strand) else 0,
     )

@@ -5,7 +5,12 @@ from ...core.scene.settings import BUDGETS, DEVICES, DOF_METHODS, TECHNIQUES
 Item = tuple[str, str, str]
 
 TECHNIQUE_ITEMS: dict[str, Item] = {
-    "AUTO": ("AUTO", "Automatic", "EWA for final renders of points that have colours of their own, else image space"),
+    "AUTO": (
+        "AUTO",
+        "Automatic",
+        "The visibility buffer wherever it can draw the scene; else EWA for points that have colours of their own, "
+        "and image space for the rest",
+    ),
     "VISIBILITY": (
         "VISIBILITY",
         "Visibility Buffer",

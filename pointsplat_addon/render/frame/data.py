@@ -27,11 +27,14 @@ class DataPasses:
         """Whether every sample has to be read, not only the first: Cryptomatte ranks the identities of all."""
         return bool(self.request.passes & set(CRYPTO))
 
-    def read(self, textures: Sequence[Texture], read: Callable[[Texture], np.ndarray], first: bool) -> None:
+    def read(
+        self, textures: Sequence[Texture], read: Callable[[Texture], np.ndarray], first: bool, identify: bool = True
+    ) -> None:
         """Reads the textures that are needed of one sample, and keeps their pixels.
 
         `textures`: those that the pass `data` has drawn; `read` returns the pixels of one, (H, W, 4) float32; `first`:
-        whether this is the picture's first sample, of which all textures are read.
+        whether this is the picture's first sample, of which all textures are read. `identify`: the identities under the
+        pixels' centres are ranked.
         """
         for name, texture in zip(data(self.request.passes), textures, strict=True):
             if not (first or name == "index"):
@@ -39,8 +42,12 @@ class DataPasses:
             picture = read(texture)
             if first:
                 self._first[name] = picture
-            if name == "index" and self.every_sample:
+            if name == "index" and self.every_sample and identify:
                 self._identities.append(picture[..., :2].astype(np.int32))
+
+    def identify(self, found: np.ndarray) -> None:
+        """Adds the instance and the material of sub-samples, (S, H, W, 2) int32, to those that are ranked."""
+        self._identities.extend(found)
 
     def pixels(self) -> dict[str, np.ndarray]:
         """Returns the finished passes by name, (H, W, C) float32; passes whose textures were not read are left out."""

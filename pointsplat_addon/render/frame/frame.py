@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...core.lens.backdrop import backdrop_grid
+from ...core.numeric.lattice import lattice_of
 from ...core.scene.scene import Scene
 from ...core.strand.segments import sample_offsets
 from ..device.clock import Clock
@@ -125,7 +126,7 @@ class Frame:
         if self.targets.visibility is not None:
             visible = self.targets.visibility
             self.visibility = self._own(
-                Visibility(device, plan, request.passes, self.uploads, visible, self.shading, self._centred(), run)
+                Visibility(device, plan, request.passes, self.uploads, visible, self.shading, run)
             )
         if plan.defocus:
             transparent = frame_plan.scene.transparent
@@ -189,12 +190,16 @@ class Frame:
 
     def _draw_visible(self, visibility: Visibility, view: SampleView, first: bool) -> None:
         """Draws a sample that is a whole lattice of sub-samples."""
-        visibility.draw(view, self.targets.sum_target)
-        if first and self.frame_plan.plan.central:
-            self.central = visibility.draw_central(view)
+        assert self.targets.visibility is not None
+        central, identify = first and self.frame_plan.plan.central, self._data.every_sample
+        shown = visibility.draw(view, self.targets.sum_target, central, identify)
+        if central:
+            self.central = self.targets.visibility.central
             if self.frame_plan.plan.data:
                 self.clock.run("data", lambda: self._draw_data(view))
-                self._data.read(self.targets.data, self._cropped, first)
+                self._data.read(self.targets.data, self._cropped, first, identify=False)
+        if shown is not None:
+            self._data.identify(np.stack([self.frame_plan.cropped(found) for found in shown]))
 
     def _draw_surfels(self, view: SampleView, first: bool) -> None:
         """Draws opaque primitives into G-buffers, and the passes that do not depend on light."""
@@ -224,7 +229,7 @@ class Frame:
         samples, sub_samples = self.frame_plan.request.samples, self.frame_plan.plan.sub_samples
         x, y = (0.0, 0.0)
         if samples > 1:
-            x, y = lattice_offsets(samples, sub_samples)[index] if sub_samples else offsets(samples)[index]
+            x, y = lattice_offsets(samples, lattice_of(sub_samples))[index] if sub_samples else offsets(samples)[index]
         return view_of(self.view, (float(x), float(y)), index)
 
     def _centred(self) -> SampleView:

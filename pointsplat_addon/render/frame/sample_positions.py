@@ -6,6 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ...core.numeric.lattice import Lattice
 from ...core.numeric.sequences import R2, centred_pairs
 
 FILTER_WIDTH = 1.5  # pixels: Cycles' default
@@ -38,11 +39,13 @@ def offsets(count: int, width: float = FILTER_WIDTH) -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
-def lattice_offsets(count: int, sub_samples: int) -> np.ndarray:
-    """Returns by how much each of `count` lattices of so many sub-samples of a pixel is moved, (count, 2) float64
-    pixels: within one cell, so that all of them together fill the pixel evenly."""
+def lattice_offsets(count: int, lattice: Lattice) -> np.ndarray:
+    """Returns by how much each of `count` lattices of sub-samples is moved, (count, 2) float64 pixels.
+
+    They are moved within one cell, so that all of them together fill the pixel evenly.
+    """
     first = (0.5 + np.arange(count // 2 + 1)[:, None] * R2) % 1.0 - 0.5
-    result = centred_pairs(first, -first, count) / np.sqrt(sub_samples)
+    result = lattice.pixels(centred_pairs(first, -first, count))
     result.setflags(write=False)
     return result
 

@@ -10,9 +10,10 @@ from ..passes.gbuffer import GBuffer, Variant
 from ..passes.image_space.projection import Projection, programs
 from ..passes.image_space.pyramid import Pyramid
 from ..passes.image_space.resolve import resolve
+from ..passes.strands import strands
 from ..passes.tiles import EVERYWHERE, Region
 from ..passes.uniforms import SampleView
-from ..passes.visibility import polygons, strands
+from ..passes.visibility import polygons
 from ..passes.visibility import spheres as sphere_pass
 from ..plan.plan import Plan
 from .uploads.uploads import Uploads

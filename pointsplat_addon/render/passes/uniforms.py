@@ -32,6 +32,8 @@ LENS_FIELDS: Fields = (
     ("float", "inverse_focus_distance"),
     ("float", "aperture_aspect"),  # width of the aperture over its height
 )
+# What common/rectangle.vert reads: low and high corner, from 0 to 1 over the target.
+RECTANGLE_FIELDS: Fields = (("vec4", "rectangle"),)
 # What lib/geometry/instance.glsl reads where there is only one instance.
 ONE_INSTANCE_FIELDS: Fields = (("mat4", "view_from_object"),)
 # What lib/light/backdrop.glsl reads.

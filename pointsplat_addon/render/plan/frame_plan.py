@@ -150,14 +150,15 @@ def make_frame_plan(
     warnings = scene.warnings
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
+    lattice = FEW if request.interactive else MANY
     decided = decide_technique(
         TechniqueInput(
             request.settings,
             scene,
             request.samples,
             request.interactive,
-            camera.aperture is not None,
-            limits.float_blend,
+            lens=camera.aperture is not None,
+            float_blend=limits.float_blend,
         )
     )
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
@@ -188,7 +189,6 @@ def make_frame_plan(
     ewa = technique.name == "EWA"
     sub_samples = 0
     if technique.name == "VISIBILITY":
-        lattice = FEW if request.interactive else MANY
         sub_samples = lattice.count
         request = replace(request, samples=-(-request.samples // sub_samples))
     plan = make_plan(

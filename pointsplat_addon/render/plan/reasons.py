@@ -13,6 +13,7 @@ from .plan import Plan
 PASSES: dict[str, str] = {
     "shadows": "tables of what light meets, on the processor",
     "order": "translucent splats sorted back to front, on the processor",
+    "cover": "splats into the visibility buffer",
     "project": "splats to pixels, the nearest of each pixel",
     "resolve": "ellipse and attributes of each pixel's splat",
     "splats": "EWA: all splats projected, once for a view",
@@ -22,6 +23,8 @@ PASSES: dict[str, str] = {
     "polygons": "triangles",
     "spheres": "wide balls, by the pixels' rays",
     "lines": "strands",
+    "group": "sub-samples grouped by surface",
+    "attributes": "attributes of what stands for each group",
     "pull": "image space: means up the pyramid",
     "push": "image space: holes filled down the pyramid",
     "data": "depth, position, motion and indices under the pixels' centres",
@@ -29,6 +32,7 @@ PASSES: dict[str, str] = {
     "shade": "light on what is opaque",
     "backdrop": "a picture of the world that is out of focus, once for a view",
     "background": "the world where nothing else is",
+    "spread": "groups brought to pixels by the pixel filter",
     "reach": "how much of each light reaches translucent splats, for all views",
     "light": "translucent splats lit, once for a view",
     "tiles": "splats out of focus listed by the tiles that they blur into, on the processor",
@@ -40,6 +44,7 @@ PASSES: dict[str, str] = {
     "adapt": "tiles whose samples agree are found",
 }
 IMAGE_SPACE, BY_EWA = ("project", "resolve", "pull", "push"), ("splats", "visibility", "blend", "normalise")
+BY_BUFFER = ("cover", "group", "attributes", "spread")
 TRANSLUCENT = ("order", "reach", "light", "opaque depth", "translucent", "enlarge", "add")
 # Why a pass that the plan has did not run.
 LATE = {
@@ -61,9 +66,14 @@ class Absences:
 
 def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str, str]:
     """Returns why each pass that a plan leaves out is not needed, by its name. `passes`: those that are asked for."""
+    by_buffer = plan.sub_samples > 0
     unshadowed, unseen = absences.shadows, absences.out_of_view
     found = {"shadows": unshadowed} if unshadowed else {}
     found |= _of_points(plan, unseen.get("points", "nothing is drawn as points"))
+    if not by_buffer:
+        found |= dict.fromkeys(BY_BUFFER, "another technique draws")
+    elif not plan.points:
+        found["cover"] = unseen.get("points", "nothing is drawn as points")
     if not plan.polygons:
         found["polygons"] = unseen.get("polygons", "nothing is drawn as polygons")
     if not plan.spheres:
@@ -92,6 +102,8 @@ def _of_points(plan: Plan, none: str) -> dict[str, str]:
         return dict.fromkeys((*IMAGE_SPACE, *BY_EWA), why)
     if plan.painter:
         return dict.fromkeys(BY_EWA, "points are painted")
+    if plan.sub_samples:
+        return dict.fromkeys((*IMAGE_SPACE, *BY_EWA), "points are drawn by the visibility buffer")
     if plan.ewa is None:
         return dict.fromkeys(BY_EWA, "points are drawn in image space")
     return dict.fromkeys(IMAGE_SPACE, "points are drawn by EWA")

@@ -20,6 +20,7 @@ from ..prepare.layers import MANY_INSTANCES
 from ..prepare.prepare import Prepared
 from ..prepare.separation import is_translucent
 
+MOST_PRIMITIVES = 1 << 26  # of all instances, that the visibility buffer draws one by one
 TITLES = {"EWA": "EWA", "PAINTER": "The painter"}  # of the techniques that blend floats
 
 
@@ -46,9 +47,10 @@ class Technique:
 
 
 def decide_technique(given: TechniqueInput) -> Technique:
-    """Returns the technique that the settings ask for; for AUTO the nearest to polygons that is worth its time.
+    """Returns the technique that the settings ask for; for AUTO the nearest to the truth that is worth its time.
 
-    AUTO is EWA where enough samples are drawn and some points have colours to average; else image space.
+    AUTO is the visibility buffer, but for what it cannot draw or would draw worse; there it is EWA where enough samples
+    are drawn and some points have colours to average, else image space.
     """
     asked = given.settings.technique
     found = _automatic(given) if asked == "AUTO" else Technique(asked, "the settings say so", automatic=False)
@@ -71,6 +73,29 @@ def _why_not_visibility(given: TechniqueInput) -> str:
     return "the camera has depth of field" if given.lens else ""
 
 
+def _why_others_are_better(given: TechniqueInput) -> str:
+    """Returns why another technique draws a scene better than the visibility buffer; empty where none does."""
+    scene = given.scene
+    if given.settings.budget != "NONE":
+        return "a budget decides how many samples are drawn, one by one"
+    for geometry in scene.geometries:
+        points = geometry.mesh is not None and geometry.primitive == "POINTS"
+        if points or (geometry.cloud is not None and geometry.cloud.normal is not None):
+            return "samples of a surface are blended into it"
+    count = np.bincount(scene.instances.geometry, minlength=len(scene.geometries))
+    primitives = [_primitives(geometry) for geometry in scene.geometries]
+    if float(count @ np.asarray(primitives, float)) > MOST_PRIMITIVES:
+        return "instances have so many primitives that they are drawn by nodes"
+    return ""
+
+
+def _primitives(geometry: Geometry) -> int:
+    """How many triangles or points a geometry has."""
+    if geometry.cloud is not None:
+        return len(geometry.cloud)
+    return 0 if geometry.mesh is None else len(geometry.mesh.triangles)
+
+
 def confirm_technique(decided: Technique, prepared: Prepared) -> Technique:
     """Returns the technique for a view that was prepared for the one that `decide_technique` decided.
 
@@ -87,16 +112,25 @@ def confirm_technique(decided: Technique, prepared: Prepared) -> Technique:
 
 def _automatic(given: TechniqueInput) -> Technique:
     """The choice that AUTO makes."""
+    why_not = _why_not_visibility(given) or _why_others_are_better(given)
+    if not why_not:
+        return Technique("VISIBILITY", "every sub-sample is exact, and each surface is shaded once")
+    name, because = _without_visibility(given)
+    return Technique(name, f"{why_not}; {because}")
+
+
+def _without_visibility(given: TechniqueInput) -> tuple[str, str]:
+    """The choice that AUTO makes among the other techniques, and the reason."""
     scene = given.scene
     if given.interactive:
-        return Technique("IMAGE_SPACE", "views that move need the fastest")
+        return "IMAGE_SPACE", "views that move need the fastest"
     if not centres_decide(given.samples):
-        return Technique("IMAGE_SPACE", "it is the nearest with few samples")
+        return "IMAGE_SPACE", "it is the nearest with few samples"
     if np.bincount(scene.instances.geometry, minlength=1).max() >= MANY_INSTANCES:
-        return Technique("IMAGE_SPACE", "many instances share nodes")
+        return "IMAGE_SPACE", "many instances share nodes"
     if any(_has_colors(geometry, scene.materials) for geometry in scene.geometries):
-        return Technique("EWA", "colours vary from point to point")
-    return Technique("IMAGE_SPACE", "no point has a colour of its own")
+        return "EWA", "colours vary from point to point"
+    return "IMAGE_SPACE", "no point has a colour of its own"
 
 
 def _has_colors(geometry: Geometry, table: MaterialTable) -> bool:

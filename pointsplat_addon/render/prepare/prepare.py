@@ -217,8 +217,8 @@ def _strand_segments(
         levels = view.store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda strands=strands: with_levels(strands))
         if len(levels) == 0:
             continue
-        tolerance = view.settings.tolerance
-        parts = [select(levels, view_from_object[i], i, view.camera, tolerance) for i in where.tolist()]
+        tolerance, by_buffer = view.settings.tolerance, view.settings.technique == "VISIBILITY"
+        parts = [select(levels, view_from_object[i], i, view.camera, tolerance, by_buffer) for i in where.tolist()]
         parts = [part for part in parts if len(part)]
         if parts:
             found[row] = concatenate_segments(parts)

@@ -1,4 +1,4 @@
-// The sub-sample that stands for a group: which primitive it shows, and where. Textures: shaders/visibility/leader.frag.
+// The sub-sample that stands for a group: which primitive it shows, and where. Textures: shaders/grouping/leader.frag.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/visibility/listed.glsl"
@@ -16,6 +16,9 @@ PsLeader ps_leader(ivec2 texel)
 {
   const vec2 offsets[PS_SUB_SAMPLES] = PS_OFFSETS;
   PsListed listed = ps_listed(texel);
+#ifdef PS_CENTRAL
+  texel = listed.pixel;
+#endif
   uint id = texelFetch(ps_leaders, texel, 0).x;
   PsLeader found;
   found.rasterised = (id & 0x80000000u) != 0u;

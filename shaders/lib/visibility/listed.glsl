@@ -1,5 +1,5 @@
 // The list of all groups of sub-samples, one texel a group: the number of its pixel, counted row by row, and its layer among the
-// pixel's groups. PS_CENTRAL: instead, each texel stands for what lies under the centre of the pixel at its place.
+// pixel's groups. PS_CENTRAL: instead, each texel stands for what lies under the centre of the pixel at its place; u.corner is where in the picture the tile begins.
 
 struct PsListed {
   ivec2 pixel;
@@ -9,7 +9,7 @@ struct PsListed {
 PsListed ps_listed(ivec2 texel)
 {
 #ifdef PS_CENTRAL
-  return PsListed(texel, 0);
+  return PsListed(texel - u.corner, 0);
 #else
   vec2 entry = texelFetch(ps_list, texel, 0).xy;
   int number = int(entry.x), width = u.size.x;

@@ -340,7 +340,7 @@ def test_without_a_budget_nothing_changes():
 
 
 def test_the_default_is_no_budget():
-    assert Settings().budget == "NONE"
+    assert Settings(technique="IMAGE_SPACE").budget == "NONE"
 
 
 def test_a_cancelled_picture_ends():

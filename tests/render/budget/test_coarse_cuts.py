@@ -172,7 +172,7 @@ def bumps(count: int = 300) -> Scene:
 
 def picture(scene: Scene, camera, coarser: float) -> np.ndarray:
     """(H, W, 4): one sample, with nodes where it is coarser."""
-    settings = Settings(tolerance=coarser, budget="TIME" if coarser > 1 else "NONE")
+    settings = Settings(technique="IMAGE_SPACE", tolerance=coarser, budget="TIME" if coarser > 1 else "NONE")
     request = Request(camera, settings, COMBINED, 1, interactive=True, coarse=coarser > 1)
     renderer = drawing.opengl()
     for _ in range(3):

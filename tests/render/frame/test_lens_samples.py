@@ -21,7 +21,7 @@ from scripts.scenes.store import STORE
 
 COMBINED = frozenset({"combined"})
 PENTAGON = Aperture(0.15, 4.0, 5, 0.3)
-LENS = Settings(dof_method="LENS_SAMPLES")
+LENS = Settings(technique="IMAGE_SPACE", dof_method="LENS_SAMPLES")
 
 
 def seen(case: Case, samples: int, passes: frozenset[str] = COMBINED, renderer: Renderer | None = None, **settings):

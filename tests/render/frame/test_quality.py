@@ -31,7 +31,7 @@ def picture(geometry, view: int, tolerance: float = 1.0, samples: int = 8) -> np
     scene = build.scene(
         (geometry, build.moved()), lights=[sun], world=World(np.zeros(3)), table=table, transparent=True
     )
-    case = Case(scene, camera, Settings(tolerance=tolerance, use_shadows=False))
+    case = Case(scene, camera, Settings(technique="IMAGE_SPACE", tolerance=tolerance, use_shadows=False))
     return render(case, frozenset({"combined"}), samples).pixels["combined"]
 
 

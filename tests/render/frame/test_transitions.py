@@ -24,7 +24,7 @@ from scripts.scenes.journeys import JOURNEYS, dolly, field, hills
 def test_a_steady_dolly_shows_no_pop(name, start, primitive, seen):
     drawing.opengl().store.clear()
     scene, cameras = dolly(name, start, start * 0.9, 0.02, 512, primitive)
-    found = changes(drawing.opengl(), scene, cameras, Settings(use_shadows=False), 16)
+    found = changes(drawing.opengl(), scene, cameras, Settings(technique="IMAGE_SPACE", use_shadows=False), 16)
     assert len({c.drawn for c in found}) >= seen
     for change in found:
         assert change.whole <= 2  # of 255; measured 0.16
@@ -61,7 +61,9 @@ def test_parts_of_a_mesh_turn_into_triangles_unseen(technique):
 def test_triangles_and_points_do_not_alternate_in_a_field():
     """A camera that goes away from many bodies draws ever fewer of them as polygons."""
     journey, store = field((0.3, -1, 0.8), rings=24, side=10)(12.0, 16.0, 0.03, 192), Store()
-    polygons = [len(prepare(journey.scene, c, Settings(), 16, store).polygons) for c in journey.cameras]
+    polygons = [
+        len(prepare(journey.scene, c, Settings(technique="IMAGE_SPACE"), 16, store).polygons) for c in journey.cameras
+    ]
     assert polygons[0] > 0
     assert polygons[-1] == 0
     assert polygons == sorted(polygons, reverse=True)
@@ -70,6 +72,6 @@ def test_triangles_and_points_do_not_alternate_in_a_field():
 def test_bodies_out_of_view_close_no_gaps_between_others():
     """Beside the eye and behind it, where any splat is wide, none counts as one that the pyramid must close."""
     journey, store = field((0.3, -1, 0.8), "POINTS", side=20)(13.6, 13.0, 0.05, 192), Store()
-    found = prepare(journey.scene, journey.cameras[0], Settings(), 16, store)
+    found = prepare(journey.scene, journey.cameras[0], Settings(technique="IMAGE_SPACE"), 16, store)
     assert (found.view_from_object[:, 2, 3] > 5).any()
     assert found.largest <= 1  # pixels; measured 0.42, where all count 33.6

@@ -30,7 +30,10 @@ from scripts.scenes.store import STORE
 from tests.reference import backdrop, defocus
 
 COMBINED = frozenset({"combined"})
-SPLAT, LENS = Settings(use_shadows=False), Settings(use_shadows=False, dof_method="LENS_SAMPLES")
+SPLAT, LENS = (
+    Settings(technique="IMAGE_SPACE", use_shadows=False),
+    Settings(technique="IMAGE_SPACE", use_shadows=False, dof_method="LENS_SAMPLES"),
+)
 BLACK = World(np.zeros(3))
 
 

@@ -28,7 +28,7 @@ def let_through(renderer, seen, diameter, samples):
     # The filter blurs over the square's rim, too.
     size = round(1.15 * diameter) + 8
     eye = camera((0, -5, 0), resolution=(size, size), parallel=2 * size / diameter)
-    settings = Settings(use_shadows=False)
+    settings = Settings(technique="IMAGE_SPACE", use_shadows=False)
     renderer.device.context.__enter__()  # there may be another
     result = renderer.render(seen, Request(eye, settings, COMBINED, samples))
     hidden = result.pixels["combined"][..., 3].astype(np.float64).sum() * (2 / diameter) ** 2
@@ -115,6 +115,8 @@ def test_what_is_seen_through_leaves_is_closed():
     made = build.scene((points("leaves before a wall", leaves(2000, 0.7)), moved((0, -2, 0))), (wall, moved()))
     result = drawing.opengl().render(
         replace(made, transparent=True),
-        Request(camera((0, -6, 0), field_of_view=30), Settings(use_shadows=False), COMBINED, 4),
+        Request(
+            camera((0, -6, 0), field_of_view=30), Settings(technique="IMAGE_SPACE", use_shadows=False), COMBINED, 4
+        ),
     )
     assert result.pixels["combined"][..., 3].min() == 1.0

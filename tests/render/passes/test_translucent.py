@@ -31,7 +31,7 @@ WHITE = World(np.ones(3))
 
 def draw(scene, eye_camera, samples=1, settings=None):
     return drawing.opengl().render(
-        scene, Request(eye_camera, settings or Settings(use_shadows=False), COMBINED, samples)
+        scene, Request(eye_camera, settings or Settings(technique="IMAGE_SPACE", use_shadows=False), COMBINED, samples)
     )
 
 
@@ -260,7 +260,7 @@ def lit_floor(*things, lamp=LAMP, table=None):
 def shaded(made, shadows=True):
     """The middle of the floor, seen from below the things."""
     low = camera((0.0, -1.5, -0.75), (0, 0, -1), field_of_view=6, resolution=(16, 12))
-    settings = Settings(use_shadows=shadows, shadow_resolution=512)
+    settings = Settings(technique="IMAGE_SPACE", use_shadows=shadows, shadow_resolution=512)
     return draw(made, low, 2, settings).pixels["combined"][..., :3].mean(axis=(0, 1)).astype(np.float64)
 
 
@@ -305,7 +305,11 @@ def test_a_medium_shades_itself():
     depth, albedo = 2.0, 0.8
     sun = build.sun(3.0, (0, 1, 0))
     made = alone(voxels(1.2, 0.5, 12, depth / 0.5, color=np.full(3, albedo)), "self", lights=(sun,), world=World())
-    found = draw(made, from_angle(0), 2, Settings(shadow_resolution=256)).pixels["combined"][..., :3].mean()
+    found = (
+        draw(made, from_angle(0), 2, Settings(technique="IMAGE_SPACE", shadow_resolution=256))
+        .pixels["combined"][..., :3]
+        .mean()
+    )
     # The light that comes to a depth t of the medium and back is exp(-2 t).
     expected = 3.0 * albedo / (4 * np.pi) * (1 - np.exp(-2 * depth)) / 2
     assert found == pytest.approx(expected, rel=2e-2)
@@ -317,7 +321,10 @@ def test_what_reaches_a_splat_is_the_same_whether_it_is_kept_or_not():
     made = [lit_floor((fog, moved())), lit_floor((fog, moved()))]
     made = [replace(one, lights=tuple(lights)) for one, lights in zip(made, (lamps[:4], lamps), strict=True)]
     made[1] = replace(made[1], lights=(*lamps[:4], replace(lamps[4], color=np.zeros(3))))
-    kept, looked_up = (draw(one, camera(), 1, Settings(shadow_resolution=64)).pixels["combined"] for one in made)
+    kept, looked_up = (
+        draw(one, camera(), 1, Settings(technique="IMAGE_SPACE", shadow_resolution=64)).pixels["combined"]
+        for one in made
+    )
     assert np.abs(kept - looked_up).max() < 2e-3 * kept.max()  # half floats
 
 
@@ -327,13 +334,13 @@ def test_tables_are_made_once_for_all_views():
     renderer = Renderer(device, STORE)
     tables = []
     for eye in ((0, -4, 0), (2, -3, 1)):
-        renderer.render(made, Request(camera(eye), Settings(), COMBINED, 1))
+        renderer.render(made, Request(camera(eye), Settings(technique="IMAGE_SPACE"), COMBINED, 1))
         call = next(c for c in device.calls[::-1] if c.interface.name == "light")
         tables.append(call.textures["ps_shadow_tables"])
     assert tables[0] is tables[1]
     assert device.names.count("reach") == 1  # nor is it looked up again what reaches each splat
     brighter = replace(made, lights=(replace(LAMP, color=np.full(3, 9.0)),))
-    renderer.render(brighter, Request(camera(), Settings(), COMBINED, 1))
+    renderer.render(brighter, Request(camera(), Settings(technique="IMAGE_SPACE"), COMBINED, 1))
     call = next(c for c in device.calls[::-1] if c.interface.name == "light")
     assert call.textures["ps_shadow_tables"] is tables[0]
 
@@ -415,7 +422,7 @@ def test_kernels_cost_only_where_points_have_them():
 
 def record(made, eye_camera=None, passes=COMBINED, samples=1, shadows=False):
     device = NullDevice()
-    settings = Settings(use_shadows=shadows)
+    settings = Settings(technique="IMAGE_SPACE", use_shadows=shadows)
     result = Renderer(device, STORE).render(made, Request(eye_camera or camera(), settings, passes, samples))
     return device, result
 
@@ -481,7 +488,7 @@ def test_splats_are_sorted_again_only_for_other_directions():
         ((1, -3, 0), (1, 0, 0)),
         ((3, -3, 0), (0, 0, 0)),
     ):
-        renderer.render(made, Request(camera(eye, target), Settings(), COMBINED, 1))
+        renderer.render(made, Request(camera(eye, target), Settings(technique="IMAGE_SPACE"), COMBINED, 1))
         sorts.append(renderer.kept.lookup(Key(Kind.DRAW_ORDER, 0), lambda: None).sorts)
     assert sorts == [1, 1, 1, 2]
 
@@ -523,7 +530,7 @@ def test_cards_let_as_much_light_through_as_coarse_nodes_of_them(alpha):
     seen = {}
     for tolerance in (0.05, 4.0, 8.0):
         # So many samples that a hierarchy pays for itself.
-        settings = Settings(tolerance=tolerance, use_shadows=False)
+        settings = Settings(technique="IMAGE_SPACE", tolerance=tolerance, use_shadows=False)
         result = draw(made, camera((0, -6, 0), resolution=(48, 48)), 96, settings)
         seen[result.report["points"]["cut"]] = result.pixels["combined"][..., 0].mean()
     every, fine, coarse = sorted(seen, reverse=True)

@@ -38,7 +38,7 @@ def balls(position, radius: float | None = 0.3, extinction: float | list[float] 
 
 
 def draw(made, eye_camera=EYE, shadows=True, samples=1):
-    settings = Settings(use_shadows=shadows, shadow_resolution=128)
+    settings = Settings(technique="IMAGE_SPACE", use_shadows=shadows, shadow_resolution=128)
     result = drawing.opengl().render(made, Request(eye_camera, settings, COMBINED, samples))
     found = result.pixels["combined"].astype(np.float64)
     assert np.isfinite(found).all()

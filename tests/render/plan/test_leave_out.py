@@ -18,6 +18,7 @@ from tests.support.leave_out.shaders import active, idle_defines, words
 
 IMAGE = "project resolve pull push "
 EWA = "splats visibility blend normalise "
+GROUPED = "group attributes shade spread "
 SEEN = "shade background "
 BLENDED = "light translucent add "
 EXPECTED = {
@@ -78,6 +79,10 @@ EXPECTED = {
     "ribbon": "lines " + SEEN,
     "hair, shadows": "shadows lines " + SEEN,
     "strands and a cube, shadows": "shadows lines polygons " + SEEN,
+    "visibility buffer, polygons": "polygons background " + GROUPED,
+    "visibility buffer, small balls": "cover data background " + GROUPED,
+    "visibility buffer, wide balls among polygons": "cover polygons background " + GROUPED,
+    "visibility buffer, all passes": "cover polygons data background " + GROUPED,
     "EWA": EWA + SEEN,
     "EWA, adaptive": "adapt " + EWA + SEEN,
     "EWA among polygons": "polygons " + EWA + SEEN,

@@ -308,7 +308,7 @@ def test_strands_alone_need_neither_points_nor_a_pyramid(technique):
     assert skipped(result)["adapt"] == "strands thinner than a pixel are drawn in a share of all samples"
     # A spring, a ribbon and hair, of which no sample draws every one.
     drawn = {(call.interface.vertex, call.primitive) for call in device.calls if call.interface.name == "lines"}
-    assert drawn == {("visibility/strands.vert", "TRIANGLES"), ("visibility/strands.vert", "LINES")}
+    assert drawn == {("strands/strands.vert", "TRIANGLES"), ("strands/strands.vert", "LINES")}
     report = result.report["lines"]
     assert report["strands"] == 403
     assert 0 < report["drawn"] < 8 * report["segments"]

@@ -80,8 +80,42 @@ def test_what_cannot_be_done_is_said(technique):
     assert "needs blending of floats" in report["warnings"][0]
 
 
+def given(scene, samples: int = 16, lens: bool = False, float_blend: bool = True, **settings) -> TechniqueInput:
+    return TechniqueInput(Settings(**settings), scene, samples, interactive=False, lens=lens, float_blend=float_blend)
+
+
 def test_textured_meshes_count_as_coloured_and_polygons_do_not():
     textured = cases.CASES["textured"]().scene
-    assert decide_technique(TechniqueInput(Settings(), textured, 16, False, True)).name == "EWA"
+    assert decide_technique(given(textured, budget="ERROR")).name == "EWA"
     solid = replace(textured, geometries=tuple(replace(g, primitive="POLYGONS") for g in textured.geometries))
-    assert decide_technique(TechniqueInput(Settings(), solid, 16, False, True)).name == "IMAGE_SPACE"
+    assert decide_technique(given(solid, budget="ERROR")).name == "IMAGE_SPACE"
+
+
+@pytest.mark.parametrize("name", ["cube", "balls", "wide_balls", "split_mesh", "strands"])
+def test_what_the_visibility_buffer_draws_exactly_is_drawn_by_it(name):
+    scene = cases.CASES[name]().scene
+    for interactive in (False, True):
+        assert decide_technique(replace(given(scene), interactive=interactive)).name == "VISIBILITY"
+
+
+@pytest.mark.parametrize(
+    ("name", "more", "because"),
+    [
+        ("smoke", {}, "translucent"),
+        ("panes", {}, "translucent"),
+        ("cube", {"lens": True}, "depth of field"),
+        ("cube", {"budget": "TIME"}, "budget"),
+        ("sphere", {}, "samples of a surface"),
+    ],
+)
+def test_auto_leaves_the_visibility_buffer_where_another_draws_better(name, more, because):
+    found = decide_technique(given(cases.CASES[name]().scene, **more))
+    assert found.name != "VISIBILITY"
+    assert because in found.because
+
+
+@pytest.mark.parametrize(("name", "more"), [("smoke", {}), ("cube", {"lens": True})])
+def test_the_visibility_buffer_is_not_taken_where_it_cannot_draw(name, more):
+    found = decide_technique(given(cases.CASES[name]().scene, technique="VISIBILITY", **more))
+    assert found.name == "IMAGE_SPACE"
+    assert found.warning

@@ -13,7 +13,7 @@ from scripts.scenes import build, cameras, drawing, meshes
 from scripts.scenes.case import Case
 from scripts.scenes.changes import levels
 
-SETTINGS = Settings(use_shadows=False, use_adaptive_sampling=False)
+SETTINGS = Settings(technique="IMAGE_SPACE", use_shadows=False, use_adaptive_sampling=False)
 SIZE = 128
 
 

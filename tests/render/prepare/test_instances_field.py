@@ -147,7 +147,7 @@ def bodies(name: str, primitive: str, tolerance: float, against: bool) -> Case:
     table = build.materials(4, base_color=np.array(COLORS, np.float32))
     made = build.scene((build.mesh(of, primitive), build.moved()), lights=(light,), table=table)
     made = replace(made, instances=Instances(np.zeros(side**2, np.int32), matrix), transparent=True)
-    return Case(made, camera, Settings(tolerance=tolerance, use_shadows=False))
+    return Case(made, camera, Settings(technique="IMAGE_SPACE", tolerance=tolerance, use_shadows=False))
 
 
 @cache
@@ -258,8 +258,10 @@ def test_colours_of_materials_mix_in_coarse_nodes():
 
 @pytest.mark.parametrize("tolerance", [0.5, 4.0])
 def test_the_tolerance_decides_how_much_is_drawn(tolerance):
-    case = replace(seen_from(field(40), 300.0), settings=Settings(tolerance=tolerance, use_shadows=False))
-    one = prepared(replace(case, settings=Settings(use_shadows=False))).cut.splats
+    case = replace(
+        seen_from(field(40), 300.0), settings=Settings(technique="IMAGE_SPACE", tolerance=tolerance, use_shadows=False)
+    )
+    one = prepared(replace(case, settings=Settings(technique="IMAGE_SPACE", use_shadows=False))).cut.splats
     assert (prepared(case).cut.splats > one) == (tolerance < 1)
 
 
@@ -279,7 +281,7 @@ def test_bodies_of_twenty_pixels_are_closed():
         placed = [(ball, build.moved((0.22 * (i % 5) - 0.44, 0.22 * (i // 5) - 0.44, 0.2), 0.08)) for i in range(25)]
         scene = build.scene(*placed, lights=[build.sun(3.0, (0.3, 0.2, -1.0))])
         camera = cameras.camera((0, -2.5, 2.5), resolution=(160, 120))
-        case = Case(scene, camera, Settings(use_shadows=False))
+        case = Case(scene, camera, Settings(technique="IMAGE_SPACE", use_shadows=False))
         found.append(drawing.render(case, frozenset({"combined"}), 4).pixels["combined"][..., :3].astype(float))
     difference = np.abs(found[0] - found[1])
     assert np.sqrt((difference**2).mean()) < 0.01  # measured 0.0080; 0.0161 where they stood apart

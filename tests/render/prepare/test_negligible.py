@@ -54,7 +54,7 @@ def test_no_light_adds_more_than_its_bound(kind):
         )  # fmt: skip
         case = Case(build.scene((build.points("faint: bounds", clouds.sphere_cloud(200)), np.eye(4)), table=table),
                     cameras.camera())  # fmt: skip
-        prepared = prepare(case.scene, case.camera, Settings(), 1, STORE)
+        prepared = prepare(case.scene, case.camera, Settings(technique="IMAGE_SPACE"), 1, STORE)
         light = lamp(rng, kind, rng.uniform(0.0, 8))
         centre, radius = ball_of_all_drawn(case.scene, prepared, STORE)
         middle = np.linalg.inv(case.camera.view_from_world)[:3] @ np.append(centre, 1)
@@ -97,7 +97,9 @@ def why(result) -> dict[str, str]:
 
 def with_lights(*lights: Light) -> Case:
     case = solid_cases.plain_sphere()
-    return replace(case, scene=replace(case.scene, lights=lights), settings=Settings(shadow_resolution=64))
+    return replace(
+        case, scene=replace(case.scene, lights=lights), settings=Settings(technique="IMAGE_SPACE", shadow_resolution=64)
+    )
 
 
 def test_a_lamp_far_away_is_left_out_with_its_shadow_and_nobody_sees_it(monkeypatch):

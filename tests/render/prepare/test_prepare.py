@@ -158,7 +158,7 @@ def test_nothing_is_drawn_of_empty_things():
 
 def test_a_coarser_tolerance_needs_fewer_samples():
     case = of(cube_mesh("tolerant cube"), "POINTS", 20.0)
-    counts = [prepared(replace(case, settings=Settings(tolerance=t))).total for t in (1, 2, 4)]
+    counts = [prepared(replace(case, settings=Settings(technique="IMAGE_SPACE", tolerance=t))).total for t in (1, 2, 4)]
     assert counts[0] > counts[1] > counts[2]
 
 
@@ -235,7 +235,7 @@ def test_another_transfer_function_keeps_the_tree_and_the_kernels():
         volume = Volume("lattice of noise", "Noise", index, np.eye(4), {"density": values}, transfer=transfer)
         made = build.scene((Geometry(f"noise up to {high}", "Noise", volume=volume), build.moved(scale=0.01)))
         made, _ = separate_translucent(made, store)
-        layer = prepare(made, cameras.camera((0, -40, 0)), Settings(), 1000, store).translucent
+        layer = prepare(made, cameras.camera((0, -40, 0)), Settings(technique="IMAGE_SPACE"), 1000, store).translucent
         (points,) = layer.point_sets.values()
         assert points.hierarchy is not None
         return points.hierarchy

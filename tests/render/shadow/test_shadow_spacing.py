@@ -41,7 +41,11 @@ def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
     floor = build.mesh(meshes.plane_mesh("floor of many casters"), "POLYGONS")
     placed = [(ball, build.moved((0.22 * (i % 5) - 0.44, 0.22 * (i // 5) - 0.44, 0.2), 0.08)) for i in range(25)]
     scene = build.scene(*placed, (floor, build.moved()), lights=[build.sun(3.0, (0.3, 0.2, -1.0))])
-    case = Case(scene, cameras.camera((0, -2.5, 2.5), resolution=(160, 120)), Settings(shadow_resolution=512))
+    case = Case(
+        scene,
+        cameras.camera((0, -2.5, 2.5), resolution=(160, 120)),
+        Settings(technique="IMAGE_SPACE", shadow_resolution=512),
+    )
     found = []
     for limit in (1 << 60, 0):
         STORE.clear()
@@ -61,7 +65,7 @@ def test_shadows_are_those_of_alphas_whatever_the_colours():
 
     def tables(table: MaterialTable) -> Shadows:
         scene = build.scene(plane, below, lights=[build.sun()], table=table)
-        found, _ = shadows.make_shadows(scene, Settings(shadow_resolution=64), store)
+        found, _ = shadows.make_shadows(scene, Settings(technique="IMAGE_SPACE", shadow_resolution=64), store)
         assert found is not None
         return found
 
@@ -88,7 +92,11 @@ def floored(*more, lights=None, sunk: float = 0.0) -> Case:
     floor = build.mesh(meshes.plane_mesh("floor below a ball"), "POLYGONS"), LAID
     lights = lights or [build.sun(3.0, (0.3, 0.2, -1.0))]
     scene = build.scene(ball, floor, *more, lights=lights)
-    return Case(scene, cameras.camera((0, -4, 2.5), resolution=(160, 120)), Settings(shadow_resolution=512))
+    return Case(
+        scene,
+        cameras.camera((0, -4, 2.5), resolution=(160, 120)),
+        Settings(technique="IMAGE_SPACE", shadow_resolution=512),
+    )
 
 
 def names_of_casters(case: Case) -> set[str]:
@@ -128,4 +136,7 @@ def test_what_may_have_something_behind_it_casts():
 def test_where_only_floors_could_cast_there_are_no_tables():
     floor = build.mesh(meshes.plane_mesh("only a floor"), "POLYGONS"), LAID
     scene = build.scene(floor, lights=[build.sun(3.0, (0.3, 0.2, -1.0))])
-    assert shadows.make_shadows(scene, Settings(), Store()) == (None, "there is nothing in the shadow of anything")
+    assert shadows.make_shadows(scene, Settings(technique="IMAGE_SPACE"), Store()) == (
+        None,
+        "there is nothing in the shadow of anything",
+    )

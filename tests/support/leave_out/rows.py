@@ -138,6 +138,16 @@ ROWS: dict[str, Row] = {
     "ribbon": Row(ribbon),
     "hair, shadows": Row(hair, samples=8),
     "strands and a cube, shadows": Row(detailed_cases.strands, samples=4),
+    "visibility buffer, polygons": Row(lambda: with_settings(solid_cases.cube(), technique="VISIBILITY")),
+    "visibility buffer, small balls": Row(
+        lambda: with_settings(solid_cases.balls(), technique="VISIBILITY"), COMBINED | {"depth"}
+    ),
+    "visibility buffer, wide balls among polygons": Row(
+        lambda: with_settings(solid_cases.wide_balls(), technique="VISIBILITY")
+    ),
+    "visibility buffer, all passes": Row(
+        lambda: with_settings(solid_cases.wide_balls(), technique="VISIBILITY"), ALL_PASSES
+    ),
     "EWA": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA")),
     "EWA, adaptive": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA"), samples=16),
     "EWA among polygons": Row(lambda: with_settings(solid_cases.mixed(), technique="EWA")),

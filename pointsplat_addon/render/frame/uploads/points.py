@@ -55,6 +55,7 @@ class PointUploads:
         if draws is not self.draws:
             self.draws = draws
             for draw in draws:
+                assert draw.blocks is not None  # only the visibility buffer draws whole pages
                 self._scope.own(draw.blocks)
 
     def _draws_of(self, layer: Layer) -> list[PageDraw]:
@@ -65,8 +66,8 @@ class PointUploads:
             rows, shift = blocks(layer, first)
             if len(rows) == 0:
                 continue
-            texture = self._scope.texture(rows)
-            whole = _only_instance(layer, group, page)
+            whole = _only_instance(layer, group, page) if self._plan.sub_samples else -1
+            texture = self._scope.texture(rows) if whole < 0 else None
             draws.append(PageDraw(page, texture, len(rows), shift, index, self._transform, whole))
             index += len(rows) << shift
         return draws

@@ -12,7 +12,7 @@ from ...cache.keys import Key, Kind
 from ...cache.store import Store
 from ...device.protocol import Texture
 from ...passes.pages.point_page import instance_rows
-from ...passes.visibility.strand_page import StrandDraw, StrandPage
+from ...passes.strands.strand_page import StrandDraw, StrandPage
 from ...plan.plan import Plan
 from ...prepare.prepare import Prepared
 from .instances import constants_key
@@ -28,7 +28,8 @@ class StrandUploads:
         self.instances: dict[str, Texture] = {}  # transforms, by sampler name
         if plan.lines:
             for row, segments in prepared.strands.items():
-                draw = StrandDraw(scope.device, self._page(row), segments, scene.instances.holdout)
+                at_once = plan.sub_samples > 0
+                draw = StrandDraw(scope.device, self._page(row), segments, scene.instances.holdout, at_once)
                 self.draws.append(scope.own(draw))
 
     def upload_view(self, prepared: Prepared) -> None:

@@ -14,17 +14,21 @@ import numpy as np
 from ....core.numeric.linear import are_similarities
 from ...device.protocol import Device, Target, Texture
 from ...passes.gbuffer import GBuffer, Variant
+from ...passes.grouping.groups import Leaders
+from ...passes.grouping.spread import SPREAD_BLOCK, filter_weights, spread_program, weight_texels
+from ...passes.strands.strand_ids import StrandCover
 from ...passes.uniforms import SampleView
-from ...passes.visibility.groups import Leaders
 from ...passes.visibility.polygon_ids import PolygonCover
 from ...passes.visibility.splat_ids import SplatCover
-from ...passes.visibility.spread import filter_weights, spread_program, weight_texels
 from ...plan.plan import Plan
 from ..sample_positions import FILTER_WIDTH
 from ..shading import Shading
 from ..uploads.uploads import Uploads
+from .identities import identities
 from .polygon_draws import polygon_draws
+from .strand_draws import strand_draws
 from .targets import VisibilityTargets
+from .tiles import PictureTile
 
 WIDE_RADIUS = 2.5  # pixels: where no splat is wider, none covers more cells than a compute invocation draws
 Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
@@ -41,84 +45,121 @@ class Visibility:
         uploads: Uploads,
         targets: VisibilityTargets,
         shading: Shading,
-        view: SampleView,
         run: Run,
     ) -> None:
-        """`view`: of rays through the pixels' centres. `run` times each pass."""
+        """`run` times each pass."""
         self._device, self._plan, self._passes, self._uploads = device, plan, passes, uploads
         self._targets, self._shading, self._run = targets, shading, run
-        self._splats: SplatCover | None = None
         self._polygons: PolygonCover | None = None
-        if plan.polygons:
-            first = sum(draw.elements for draw in uploads.points.draws)
-            draws = polygon_draws(device, uploads, view, first)
-            self._polygons = PolygonCover(device, draws, targets.buffer)
+        self._strands: StrandCover | None = None
+        self._splats: SplatCover | None = None
         if plan.points:
             wide, shown = uploads.prepared.largest > WIDE_RADIUS, np.unique(uploads.prepared.cut.instance)
             round_balls = are_similarities(uploads.prepared.view_from_object[shown])
             self._splats = SplatCover(device, plan.options, targets.buffer, wide, round_balls)
 
-    def draw(self, view: SampleView, sums: Target) -> None:
-        """Draws all sub-samples of one view, and adds what they show to the sums."""
+    def draw(self, view: SampleView, sums: Target, central: bool, identify: bool) -> np.ndarray | None:
+        """Draws all sub-samples of one view, and adds what they show to the sums.
+
+        `central`: what lies under the pixels' centres is written into targets.central. Returns the instance and the
+        material of each sub-sample, (S, H, W, 2) int32, where `identify`; else None.
+        """
+        found, (width, height) = None, view.size
+        for tile in self._targets.tiles:
+            seen = tile.view(view)
+            self._number_primitives(seen)
+            self._targets.buffer.clear()
+            self._draw_primitives(seen)
+            if self._plan.shades:
+                self._shade(seen, tile, sums)
+            if central:
+                self._draw_central(seen, tile)
+            if identify:
+                shown = self._identities()
+                found = np.empty((len(shown), height, width, 2), np.int32) if found is None else found
+                (x, y), (end_x, end_y), (left, low) = tile.corner, tile.end, tile.origin
+                found[:, y:end_y, x:end_x] = shown[:, y - low : end_y - low, x - left : end_x - left]
+        return found
+
+    def _number_primitives(self, view: SampleView) -> None:
+        """Lists what a view shows, with the numbers of primitives: first splats, then triangles, then segments."""
+        first = sum(draw.elements for draw in self._uploads.points.draws)
+        if self._plan.polygons:
+            self._forget_polygons()
+            draws = polygon_draws(self._device, self._uploads, view, first)
+            self._polygons = PolygonCover(self._device, draws, self._targets.buffer)
+            first += sum(draw.triangles for draw in draws)
+        if self._plan.lines:
+            self._strands = StrandCover(self._device, strand_draws(self._uploads, first), self._targets.buffer)
+
+    def _shade(self, view: SampleView, tile: PictureTile, sums: Target) -> None:
         targets, groups, run = self._targets, self._targets.groups, self._run
-        targets.buffer.clear()
-        self._draw_primitives(view)
-        if not self._plan.shades:
-            return
         run("group", lambda: self._group(view))
         assert groups.leaders is not None
         leaders, lists = groups.leaders, targets.lists(groups.leaders.size)
+        lists.surfaces.clear()
         self._device.clear(lists.target)
         run("attributes", lambda: self._write_attributes(view, leaders, lists.surfaces, self._plan.variant))
         run(
             "shade",
             lambda: self._shading.shade_groups(view, lists.surfaces, leaders.bound | groups.codes, lists.target),
         )
-        behind = self._plan.background and groups.open
-        if behind and targets.behind is not None:
+        if targets.behind is not None:
             run("background", lambda: self._shading.draw_open(view, groups.codes, targets.behind_target))
-        run("spread", lambda: self._spread(view, lists.shaded, behind, sums))
+        run("spread", lambda: self._spread(view, tile, lists.shaded, sums))
 
-    def draw_central(self, view: SampleView) -> GBuffer:
-        """Writes what lies under the pixels' centres into a G-buffer of its own; follows `draw` of the same view."""
-        targets = self._targets
+    def _draw_central(self, view: SampleView, tile: PictureTile) -> None:
+        """Writes what lies under the pixels' centres of a tile into its place in a G-buffer of the picture."""
+        targets, leaders = self._targets, self._targets.central_leaders
         assert targets.central is not None
-        assert targets.central_leaders is not None
-        targets.groups.lead(view, targets.central_leaders)
-        self._write_attributes(view, targets.central_leaders, targets.central, self._plan.data_variant)
-        return targets.central
+        assert leaders is not None
+        targets.groups.lead(view, leaders)
+        if tile is targets.tiles[0]:
+            targets.central.clear()
+        leaders.place = tile.rectangle(targets.size), tile.origin
+        self._write_attributes(view, leaders, targets.central, self._plan.data_variant)
+
+    def _identities(self) -> np.ndarray:
+        polygons = [] if self._polygons is None else self._polygons.draws
+        strands = [] if self._strands is None else self._strands.draws
+        return identities(self._device, self._targets.buffer, self._uploads.points.draws, polygons, strands)
 
     def _draw_primitives(self, view: SampleView) -> None:
-        shared, polygons = self._uploads.shared, self._polygons
+        shared, polygons, strands = self._uploads.shared, self._polygons, self._strands
+        normal, instances = self._plan.variant.normal, self._uploads.strands.instances
         splats, draws = self._splats, self._uploads.points.draws
         # Compute shaders compare with what the rasteriser has drawn, which does not look at what they draw.
         if splats is not None:
             self._run("cover", lambda: splats.rasterise(draws, view, shared))
         if polygons is not None:
-            normal = self._plan.variant.normal
             self._run("polygons", lambda: polygons.cover(normal, view, shared))
+        if strands is not None:
+            self._run("lines", lambda: strands.cover(normal, view, {**shared, **instances}))
         if splats is not None:
             self._run("cover", lambda: splats.cover(draws, view, shared))
 
     def _group(self, view: SampleView) -> None:
         self._targets.groups.group(view)
-        if self._polygons is not None:
-            self._targets.groups.sort(view, [draw.first_id for draw in self._polygons.draws])
+        covers = [cover for cover in (self._polygons, self._strands) if cover is not None]
+        self._targets.groups.sort(view, [draw.first_id for cover in covers for draw in cover.draws])
 
     def _write_attributes(self, view: SampleView, leaders: Leaders, out: GBuffer, variant: Variant) -> None:
         shared, groups = self._uploads.shared, self._targets.groups
-        out.clear()
         if self._polygons is not None:
             self._polygons.write_attributes(variant, view, shared, groups, leaders, out)
+        if self._strands is not None:
+            held = {**shared, **self._uploads.strands.instances}
+            self._strands.write_attributes(variant, view, held, groups, leaders, out)
         if self._splats is not None:
             self._splats.write_attributes(variant, self._uploads.points.draws, view, shared, groups, leaders, out)
 
-    def _spread(self, view: SampleView, shaded: dict[str, Texture], behind: bool, sums: Target) -> None:
+    def _spread(self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], sums: Target) -> None:
         """Adds what the groups show to the sums."""
         targets, groups = self._targets, self._targets.groups
         weights = filter_weights(targets.buffer.lattice, view.offset, FILTER_WIDTH)
         # The weights of one lattice are constants of the program; with several it would be compiled for each.
         fixed = weights if view.offset == (0.0, 0.0) else None
+        behind = self._plan.background
         program = spread_program(
             targets.buffer.lattice, self._passes, self._plan.picture, fixed, behind, groups.places is not None
         )
@@ -127,11 +168,18 @@ class Visibility:
             texels = weight_texels(weights)
             named["ps_weights"] = self._device.texture(texels.shape[1::-1], "R32F", texels.reshape(-1))
         textures = {name: texture for name, texture in named.items() if texture is not None}
-        self._device.draw(program, sums, textures={**groups.codes, **shaded, **textures}, blend=True)
+        record = SPREAD_BLOCK.record(rectangle=tile.rectangle(targets.size), corner=tile.origin)
+        textures = {**groups.codes, **shaded, **textures}
+        self._device.draw(program, sums, uniforms=record, textures=textures, vertices=6, blend=True)
         if fixed is None:
             textures["ps_weights"].release()
 
+    def _forget_polygons(self) -> None:
+        if self._polygons is not None:
+            self._polygons.release()
+        self._polygons = None
+
     def release(self) -> None:
-        for cover in (self._splats, self._polygons):
-            if cover is not None:
-                cover.release()
+        self._forget_polygons()
+        if self._splats is not None:
+            self._splats.release()

@@ -22,10 +22,9 @@ def polygon_draws(device: Device, uploads: Uploads, view: SampleView, first_id: 
         seen = (rectangles[:, 2:] > rectangles[:, :2]).all(axis=1)
         if not seen.any():
             continue
-        here, rectangles = here[seen], rectangles[seen]
-        around = np.concatenate([rectangles[:, :2].min(axis=0), rectangles[:, 2:].max(axis=0)])
+        here = here[seen]
         holdout = np.zeros(len(here), bool) if instances.holdout is None else instances.holdout[here].astype(bool)
-        found.append(PolygonDraw(device, mesh, here, matrices[seen], holdout, first_id, around))
+        found.append(PolygonDraw(device, mesh, here, matrices[seen], holdout, first_id))
         first_id += found[-1].triangles
     return found
 

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from ....core.numeric.lattice import FEW, MANY, Lattice
+from ....core.numeric.lattice import lattice_of
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.gbuffer import GBuffer
+from ...passes.grouping.groups import Groups, Leaders
 from ...passes.shading.averages import averaged
 from ...passes.visibility.buffer import VisibilityBuffer
-from ...passes.visibility.groups import Groups, Leaders
 from ...plan.plan import Plan
-
-
-def lattice_of(sub_samples: int) -> Lattice:
-    """Returns the lattice with so many sub-samples."""
-    return next(lattice for lattice in (FEW, MANY) if lattice.count == sub_samples)
+from .tiles import picture_tiles
 
 
 class VisibilityTargets:
@@ -26,16 +22,19 @@ class VisibilityTargets:
         """`size`: (width, height) of the picture in pixels."""
         self._device, self._plan, self._owned = device, plan, []
         self._names = [*(["ps_combined"] if plan.picture else []), *map(_sampler, averaged(passes))]
-        self.buffer = self._own(VisibilityBuffer(device, lattice_of(plan.sub_samples), size))
+        lattice = lattice_of(plan.sub_samples)
+        self.size, self.tiles = size, picture_tiles(size, lattice, device.limits.texture_size)
+        of_tile = self.tiles[0].size
+        self.buffer = self._own(VisibilityBuffer(device, lattice, of_tile))
         self.groups = self._own(Groups(device, self.buffer))
         self.central: GBuffer | None = None  # of what lies under the pixels' centres, for passes that are not averaged
         self.central_leaders: Leaders | None = None
         if plan.central:
             self.central = self._own(GBuffer(device, plan.data_variant, size))
-            self.central_leaders = self._own(Leaders(device, size, central=True))
+            self.central_leaders = self._own(Leaders(device, of_tile, central=True))
         self.behind: Texture | None = None  # what open sub-samples show
         if plan.background and plan.picture:
-            self.behind = self._own(device.texture(size, "RGBA32F"))
+            self.behind = self._own(device.texture(of_tile, "RGBA32F"))
             self.behind_target: Target = self._own(device.target([self.behind]))
         self._lists: _Lists | None = None
 

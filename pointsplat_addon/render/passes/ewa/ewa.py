@@ -69,7 +69,7 @@ class Ewa:
         for draw in draws:
             splats = ProjectedSplats(self.device, self.programs.splats, draw)
             self._splats.append(splats)
-            textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks}
+            textures = {**shared, **draw.textures}
             record = draw.record(view, program.block, low_pass=self.options.low_pass)
             self.device.draw(program, splats.target, uniforms=record, textures=textures)
             splats.find(self.device, view, self.options.reach(WIDEST_POINT) + JITTER)
@@ -159,7 +159,7 @@ class Ewa:
         """Draw lists of splats; `kinds`: programs of small ones and, where there are any, of large ones."""
         for splats in self._splats:
             draw = splats.draw
-            textures = {**shared, **draw.page.textures, "ps_blocks": draw.blocks, **splats.textures}
+            textures = {**shared, **draw.textures, **splats.textures}
             for name in names:
                 large = name == "large"
                 if name not in splats.lists or large >= len(kinds):

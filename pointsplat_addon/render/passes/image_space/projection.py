@@ -135,7 +135,7 @@ class Projection:
                     program,
                     -(-draw.elements // program.local_size),
                     uniforms=record_of(program, draw, view),
-                    textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks, "ps_depth": self.depth},
+                    textures={**shared, **draw.textures, "ps_depth": self.depth},
                     images=images,
                 )
 
@@ -150,13 +150,14 @@ class Projection:
             return draws
         program, found, index = self.programs.mark, [], 0
         for draw in draws:
+            assert draw.blocks is not None  # only the visibility buffer draws whole pages
             marks = self.device.texture(draw.blocks.size, "R32UI")
             self.device.fill(marks)
             self.device.dispatch(
                 program,
                 -(-draw.elements // program.local_size),
                 uniforms=record_of(program, draw, view),
-                textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks, "ps_tiles": region.mask},
+                textures={**shared, **draw.textures, "ps_tiles": region.mask},
                 images={"marks": marks},
             )
             marked = self.device.read(marks).reshape(-1)[: draw.count] != EMPTY
@@ -178,7 +179,7 @@ class Projection:
                 self.programs.raster,
                 self.raster_target,
                 uniforms=record_of(self.programs.raster, draw, view),
-                textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks},
+                textures={**shared, **draw.textures},
                 vertices=draw.elements,
                 primitive="POINTS",
                 depth_test=True,

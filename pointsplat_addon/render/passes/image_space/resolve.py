@@ -28,6 +28,6 @@ def resolve(
             program,
             out.target,
             uniforms=record_of(program, draw, view),
-            textures={**shared, **draw.page.textures, "ps_blocks": draw.blocks, "ps_ids": ids},
+            textures={**shared, **draw.textures, "ps_ids": ids},
             depth_test=program.depth,
         )

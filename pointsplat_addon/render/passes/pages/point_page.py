@@ -152,12 +152,17 @@ class PageDraw:
     """What one view draws of one page."""
 
     page: Page
-    blocks: Texture
+    blocks: Texture | None  # None: all splats of the page are drawn, as one instance
     count: int  # blocks
     shift: int
     first_index: int  # of this page's splats among all that are drawn
     transform: Values  # of ONE_INSTANCE_FIELDS, where there is only one instance; else none
     whole: int = -1  # the instance as which all splats of the page are drawn; -1: there is no such one
+
+    @property
+    def textures(self) -> dict[str, Texture]:
+        """What the passes of points read, by sampler name."""
+        return self.page.textures if self.blocks is None else {**self.page.textures, "ps_blocks": self.blocks}
 
     @property
     def elements(self) -> int:

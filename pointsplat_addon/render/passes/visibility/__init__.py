@@ -1,1 +1,1 @@
-"""Polygons, wide balls and strands, rasterised exactly into the G-buffer that points share."""
+"""Polygons, wide balls and splats, rasterised exactly into the G-buffer that points share or the visibility buffer."""

@@ -22,14 +22,15 @@ LATTICE_DEFINE = ("PS_LATTICE", "1")
 
 
 def sub_sample_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
-    """The defines of shaders that loop over a pixel's sub-samples: how many, their cells, and offsets in pixels."""
+    """The defines of shaders that loop over a pixel's sub-samples: how many, and their cells."""
     cells = ", ".join(f"ivec2({x}, {y})" for x, y in lattice.offsets.tolist())
+    return ("PS_SUB_SAMPLES", str(lattice.count)), ("PS_CELLS", f"ivec2[{lattice.count}]({cells})")
+
+
+def offset_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
+    """The defines of shaders that read where a pixel's sub-samples lie: how many, and their offsets in pixels."""
     offsets = ", ".join(f"vec2({x!r}, {y!r})" for x, y in lattice.positions.tolist())
-    return (
-        ("PS_SUB_SAMPLES", str(lattice.count)),
-        ("PS_CELLS", f"ivec2[{lattice.count}]({cells})"),
-        ("PS_OFFSETS", f"vec2[{lattice.count}]({offsets})"),
-    )
+    return ("PS_SUB_SAMPLES", str(lattice.count)), ("PS_OFFSETS", f"vec2[{lattice.count}]({offsets})")
 
 
 class VisibilityBuffer:
@@ -54,6 +55,12 @@ class VisibilityBuffer:
         # The centre of pixel (0, 0) is that of the cell (x, y).
         origin = x + 0.5 - 0.5 * (lattice.p - lattice.q), y + 0.5 - 0.5 * (lattice.p + lattice.q)
         return {"lattice": (lattice.p, lattice.q, *origin), "cells": self.cells}
+
+    def cell_offset(self, corner: tuple[int, int]) -> tuple[int, int]:
+        """Returns what takes cells to those of a picture of which this one is a part, the same for all parts: (columns,
+        rows). `corner`: the first pixel of the part."""
+        (x, y), (column, row), p, q = corner, self.lattice.corner(self.size), self.lattice.p, self.lattice.q
+        return p * x - q * y - column, q * x + p * y - row
 
     @property
     def textures(self) -> dict[str, Texture]:

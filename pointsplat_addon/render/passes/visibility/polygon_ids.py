@@ -11,15 +11,13 @@ from ....shading.interface import Block, Interface
 from ...device.packing import paged
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
-from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
-from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, sub_sample_defines
-from .groups import Groups, Leaders
+from ..grouping.groups import Groups, Leaders
+from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, RECTANGLE_FIELDS, Fields, SampleView, Values, block
+from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, offset_defines
 from .polygon_mesh import CORNERS, Group, PolygonMesh
 from .polygons import needed_defines
 
 MOST_VERTICES = 1 << 26  # of one draw
-RECTANGLE_FIELDS: Fields = (("vec4", "rectangle"),)  # low and high corner, from 0 to 1 over the target
-WHOLE = 0.0, 0.0, 1.0, 1.0
 MESH_FIELDS: Fields = (
     ("int", "material"),
     ("int", "first_id"),  # number of the first triangle of the first instance
@@ -38,12 +36,12 @@ class PolygonDraw:
         view_from_object: np.ndarray,
         holdout: np.ndarray,
         first_id: int,
-        rectangle: np.ndarray,
     ) -> None:
         """instance: (I,) int. view_from_object: (I, 4, 4) float64, from positions relative to the mesh's origin.
-        holdout: (I,) bool. rectangle: (4,), low and high corner, from 0 to 1 over the picture, of what holds them all.
+        holdout: (I,) bool.
         """
-        self.mesh, self.first_id, self.rectangle, self.slots = mesh, first_id, rectangle, len(instance)
+        self.mesh, self.first_id, self.slots = mesh, first_id, len(instance)
+        self.instance = instance
         mirrored = np.linalg.det(view_from_object[:, :3, :3]) < 0
         self.textures: dict[str, Texture] = {}
         self.values: Values = {}
@@ -124,13 +122,13 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
     return Interface(
         "attributes",
         vertex="common/rectangle.vert",
-        fragment="visibility/polygon_surface.frag",
-        block=_block("PolygonSurface", one, own, (("int", "holdout"),), RECTANGLE_FIELDS),
+        fragment="grouping/polygon_surface.frag",
+        block=_block("PolygonSurface", one, own, (("int", "holdout"),), RECTANGLE_FIELDS, leaders.fields),
         samplers=(*(("FLOAT_2D", name) for name in samplers), *leaders.samplers),
         outputs=variant.outputs(),
         defines=(
             *((name, "1") for name in (*variant.defines, *names, *(("PS_ONE_INSTANCE",) if one else ()))),
-            *sub_sample_defines(lattice),
+            *offset_defines(lattice),
             *leaders.defines,
         ),
     )
@@ -171,15 +169,10 @@ class PolygonCover:
         out: GBuffer,
     ) -> None:
         """Writes the attributes of the triangles that stand for groups."""
-        columns, rows = leaders.size
-        for number, draw in enumerate(self.draws):
-            # Texels that the draw may have to write: in the picture, or in the list.
-            where = draw.rectangle if leaders.central else WHOLE
-            if not leaders.central and groups.ranges is not None:
-                first, end = groups.ranges[number]
-                if first == end:
-                    continue
-                where = 0.0, (first // columns) / rows, 1.0, (-(-end // columns)) / rows
+        for draw in self.draws:
+            where = groups.rectangle(leaders, draw.first_id)
+            if where is None:
+                continue
             for group in draw.mesh.groups:
                 program = surface_program(variant, self.buffer.lattice, group, draw.slots == 1, leaders)
                 first = group.first // 3
@@ -187,7 +180,7 @@ class PolygonCover:
                 self.device.draw(
                     program,
                     out.target,
-                    uniforms=self._record(program, draw, group, view, **own, rectangle=where),
+                    uniforms=self._record(program, draw, group, view, **own, rectangle=where, corner=leaders.place[1]),
                     textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures, **leaders.bound},
                     vertices=6,
                 )

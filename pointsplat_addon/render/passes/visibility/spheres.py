@@ -43,7 +43,7 @@ def draw(
             program,
             out.target,
             uniforms=part.record(view, program.block),
-            textures={**shared, **part.page.textures, "ps_blocks": part.blocks},
+            textures={**shared, **part.textures},
             vertices=VERTICES * part.elements,
             depth_test=True,
         )

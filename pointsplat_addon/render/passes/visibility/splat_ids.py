@@ -17,10 +17,10 @@ from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
+from ..grouping.groups import Groups, Leaders
 from ..pages.point_page import POINT_SAMPLERS, PageDraw, PointOptions, attributes, page_block
-from ..uniforms import Fields, SampleView
-from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, sub_sample_defines
-from .groups import Groups, Leaders
+from ..uniforms import RECTANGLE_FIELDS, Fields, SampleView
+from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, offset_defines, sub_sample_defines
 
 MOST_CELLS = 512  # of a splat that a compute invocation draws: a ball of 3 pixels in radius
 LISTED = 1 << 18  # splats that a list holds; where more cover many cells, the rasteriser is given all
@@ -46,8 +46,7 @@ class SplatKind:
             "PS_DIRECT": self.whole,
             "PS_ROUND": self.balls,
         }
-        most = ("PS_MOST_CELLS", str(MOST_CELLS))
-        return (LATTICE_DEFINE, most, *((name, "1") for name, on in named.items() if on))
+        return (LATTICE_DEFINE, *((name, "1") for name, on in named.items() if on))
 
     @property
     def samplers(self) -> tuple[tuple[str, str], ...]:
@@ -70,7 +69,11 @@ def cover_program(kind: SplatKind, step: str) -> Interface:
         block=kind.block("Cover", own),
         samplers=(*kind.samplers, *((("UINT_2D", "ps_depths"),) if step == "IDENTIFY" else ())),
         images=tuple(("R32UI", name) for name in images),
-        defines=(*kind.defines, (f"PS_{step}", "1")),
+        defines=(
+            *kind.defines,
+            ("PS_MOST_CELLS", str(MOST_CELLS)),
+            *(((f"PS_{step}", "1"),) if step != "DEPTH" else ()),
+        ),
     )
 
 
@@ -97,15 +100,17 @@ def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders
     read = (*leaders.samplers, *(("UINT_2D", name) for name in (() if leaders.central else averaged)))
     return Interface(
         "attributes",
-        fragment="visibility/splat_surface.frag",
-        block=kind.block("SplatSurface", FIRST),
+        vertex="common/rectangle.vert",
+        fragment="grouping/splat_surface.frag",
+        block=kind.block("SplatSurface", FIRST, RECTANGLE_FIELDS, leaders.fields),
         samplers=(*kind.samplers, *added, *read),
         outputs=variant.outputs(),
         defines=(
             *kind.defines,
             *((name, "1") for name in variant.defines),
             *(entry for entry in named if entry[0] != "PS_ONE_INSTANCE"),
-            *sub_sample_defines(lattice),
+            *offset_defines(lattice),
+            *(sub_sample_defines(lattice)[1:] if averaged and not leaders.central else ()),
             *leaders.defines,
         ),
     )
@@ -173,8 +178,9 @@ class SplatCover:
             self._device.draw(
                 program,
                 out.target,
-                uniforms=self._record(program, draw, view),
+                uniforms=self._record(program, draw, view, rectangle=leaders.place[0], corner=leaders.place[1]),
                 textures={**self._textures(draw, shared), **read},
+                vertices=6,
             )
 
     def _kind(self, draw: PageDraw) -> SplatKind:
@@ -201,7 +207,7 @@ class SplatCover:
         self._device.dispatch(program, groups, uniforms=record, textures=textures, images=images)
 
     def _textures(self, draw: PageDraw, shared: dict[str, Texture]) -> dict[str, Texture]:
-        return {**shared, **draw.page.textures, "ps_blocks": draw.blocks}
+        return {**shared, **draw.textures}
 
     def _record(self, program: Interface, draw: PageDraw, view: SampleView, **own: object) -> np.ndarray:
         assert program.block is not None

@@ -5,9 +5,9 @@ A page holds the points of one geometry, texture by texture, one texel a point:
   tangent   unit, along the strand
   side      unit, across a ribbon
   color, surface, emission   as in pages of splats, where the scene has them
-Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of thin ones share
-of the raster line's width at both ends, phase; of wide ones the points where the strand ends, as far as they are near,
-or -1: tubes end there in a plane.
+Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of narrow ones
+share of the raster line's width at both ends (-1: as wide as the strand), phase; of wide tubes the points where the
+strand ends, as far as they are near, or -1: tubes end there in a plane.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from ....core.scene.materials import MaterialTable
 from ....core.scene.strands import Strands
 from ....core.strand.levels import StrandLevels
-from ....core.strand.segments import Segments
+from ....core.strand.segments import ROUND, Segments
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Texture, releases_on_failure
 from ..gbuffer import Variant
@@ -60,8 +60,16 @@ class StrandDraw:
     """What one view draws of one geometry."""
 
     @releases_on_failure
-    def __init__(self, device: Device, page: StrandPage, segments: Segments, holdout: np.ndarray | None = None) -> None:
-        """holdout: (I,) bool, of all instances."""
+    def __init__(
+        self,
+        device: Device,
+        page: StrandPage,
+        segments: Segments,
+        holdout: np.ndarray | None = None,
+        sub_samples: bool = False,
+    ) -> None:
+        """holdout: (I,) bool, of all instances. `sub_samples`: many samples of a pixel are drawn at once; else thin
+        segments are listed for each sample."""
         self.device, self.page, self.segments = device, page, segments
         rows = np.zeros((len(segments), TEXELS, 4), np.float32)
         rows[:, 0, :2] = segments.ends
@@ -70,13 +78,17 @@ class StrandDraw:
             cut = holdout[segments.instance]
             rows[cut, 0, 3] = -1 - segments.material[cut]
         rows[:, 1, :2], rows[:, 1, 2] = segments.share, segments.phase
-        wide = segments.wide
-        rows[wide, 1, :2] = page.strands.ends_near(segments.ends[wide])
+        if not page.ribbon:
+            wide = segments.wide
+            rows[wide, 1, :2] = page.strands.ends_near(segments.ends[wide])
         size, data = paged(rows.reshape(-1, 4), 4)
         self.texture = device.texture(size, "RGBA32F", data)
-        ribbon = page.ribbon
-        self.wide = None if ribbon else self._listed(segments.wide)
-        self.narrow = self._listed(np.concatenate([segments.narrow, segments.wide]) if ribbon else segments.narrow)
+        narrow = np.flatnonzero(segments.greatest_share < ROUND) if sub_samples else segments.narrow
+        # By kind, the segments that are the same in every sample, (n,) int64.
+        self.indices = {"TUBE": segments.wide, "STRIP": narrow}
+        if page.ribbon:
+            self.indices = {"STRIP": np.concatenate([narrow, segments.wide])}
+        self._lists = {kind: self._listed(index) for kind, index in self.indices.items()}
         self.thin: tuple[Texture, int] | None = None
         self.turn = -1.0  # of the sample that thin ones are listed for
         self.drawn = 0  # segments of all samples
@@ -97,7 +109,7 @@ class StrandDraw:
 
     def lists(self) -> dict[str, tuple[Texture, int]]:
         """Texture and length of the list of each kind that there is."""
-        named = {"TUBE": self.wide, "STRIP": self.narrow, "THIN": self.thin}
+        named = {**self._lists, "THIN": self.thin}
         return {kind: listed for kind, listed in named.items() if listed is not None}
 
     def _forget(self) -> None:

@@ -8,7 +8,10 @@ import numpy as np
 from ....core.numeric.lattice import Lattice
 from ....shading.interface import Interface
 from ..shading.averages import averaged_defines, averaged_outputs
-from .buffer import sub_sample_defines
+from ..uniforms import RECTANGLE_FIELDS, block
+
+# Where in the sums the tile's own pixels lie, from 0 to 1, and where in them the tile begins, in pixels.
+SPREAD_BLOCK = block("Spread", RECTANGLE_FIELDS, (("ivec2", "corner"),))
 
 
 def spread_program(
@@ -28,10 +31,10 @@ def spread_program(
     if weights is not None:
         constants = (("PS_WEIGHTS", _array(weights.reshape(-1))), ("PS_WEIGHT_SUMS", _array(weights.sum(axis=1))))
     return Interface(
-        "spread", fragment="visibility/spread.frag", outputs=outputs,
+        "spread", vertex="common/rectangle.vert", fragment="grouping/spread.frag", block=SPREAD_BLOCK, outputs=outputs,
         samplers=(("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"),
                   *(("FLOAT_2D", name) for name, on in read.items() if on), *shaded),
-        defines=(*sub_sample_defines(lattice), *((name, "1") for name in names), *constants),
+        defines=(("PS_SUB_SAMPLES", str(lattice.count)), *((name, "1") for name in names), *constants),
     )  # fmt: skip
 
 

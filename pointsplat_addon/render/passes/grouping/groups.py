@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from ....core.numeric.lattice import Lattice
 from ....core.numeric.segments import ranks
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import EMPTY, Device, Target, Texture, releases_on_failure
-from ..uniforms import CAMERA_FIELDS, SampleView, block
-from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, RASTERISED, VisibilityBuffer, sub_sample_defines
+from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
+from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, RASTERISED, VisibilityBuffer, sub_sample_defines
 
 COUNT_SHIFT = 21  # of a pixel's number of groups in its second word: shaders/lib/visibility/groups.glsl
-OPEN_BIT = 0x2000000  # set where nothing covers some sub-sample
 GROUP_BLOCK = block("Group", CAMERA_FIELDS, LATTICE_FIELDS)
 CENTRAL_DEFINE = ("PS_CENTRAL", "1")
 LEADER_SAMPLERS = (("UINT_2D", "ps_leaders"), ("UINT_2D", "ps_leader_depths"), ("UINT_2D", "ps_members"))
+Rectangle = tuple[float, float, float, float]  # low and high corner
+WHOLE: Rectangle = (0.0, 0.0, 1.0, 1.0)
+# What lib/visibility/listed.glsl reads where pixels take the place of a list.
+CORNER_FIELDS: Fields = (("ivec2", "corner"),)
 LIST_SAMPLER = ("FLOAT_2D", "ps_list")
 SORTED_FROM = 1 << 22  # texels that draws would look at for nothing
 
@@ -24,10 +29,14 @@ SORTED_FROM = 1 << 22  # texels that draws would look at for nothing
 def group_program(lattice: Lattice) -> Interface:
     """Returns the program that groups the sub-samples of each pixel."""
     return Interface(
-        "group", fragment="visibility/group.frag", block=GROUP_BLOCK,
+        "group", fragment="grouping/group.frag", block=GROUP_BLOCK,
         samplers=(("UINT_2D", "ps_depths"), ("UINT_2D", "ps_keys")),
         outputs=(("uint", "out_first"), ("uint", "out_second")), defines=(LATTICE_DEFINE, *sub_sample_defines(lattice)),
     )  # fmt: skip
+
+
+def _leader_block(central: bool) -> Block:
+    return block("Leader", CAMERA_FIELDS, LATTICE_FIELDS, CORNER_FIELDS if central else ())
 
 
 def leader_program(lattice: Lattice, central: bool) -> Interface:
@@ -35,10 +44,10 @@ def leader_program(lattice: Lattice, central: bool) -> Interface:
     pixel's centre."""
     read = ("ps_ids", "ps_depths", *(() if central else ("ps_first", "ps_second")))
     return Interface(
-        "group", fragment="visibility/leader.frag", block=GROUP_BLOCK,
+        "group", fragment="grouping/leader.frag", block=_leader_block(central),
         samplers=(*(("UINT_2D", name) for name in read), *(() if central else (LIST_SAMPLER,))),
         outputs=(("uint", "out_leader"), ("uint", "out_depth"), ("uint", "out_member")),
-        defines=(LATTICE_DEFINE, *sub_sample_defines(lattice), *((CENTRAL_DEFINE,) if central else ())),
+        defines=(LATTICE_DEFINE, *((CENTRAL_DEFINE,) if central else sub_sample_defines(lattice))),
     )  # fmt: skip
 
 
@@ -53,11 +62,19 @@ class Leaders:
         self._ids = self.textures["ps_leaders"]
         self.target: Target = device.target(list(self.textures.values()))
         self.list: Texture | None = None
+        # Of leaders at the centres of pixels: where in the picture their tile's own pixels lie, from 0 to 1, and where
+        # it begins, in pixels.
+        self.place: tuple[Rectangle, tuple[int, int]] = (WHOLE, (0, 0))
 
     @property
     def defines(self) -> tuple[tuple[str, str], ...]:
         """Of programs that read them."""
         return (CENTRAL_DEFINE,) if self.central else ()
+
+    @property
+    def fields(self) -> Fields:
+        """Of programs that read them."""
+        return CORNER_FIELDS if self.central else ()
 
     @property
     def samplers(self) -> tuple[tuple[str, str], ...]:
@@ -87,9 +104,9 @@ class Groups:
         self.starts: Texture | None = None  # of each pixel's groups in the order of pixels
         self.places: Texture | None = None  # in the list, of groups in the order of pixels; None: there
         self._list: Texture | None = None
-        # The first entry of each draw in the list, and the one after its last; None: the list is in pixel order.
-        self.ranges: list[tuple[int, int]] | None = None
-        self.open = False  # whether nothing covers some sub-sample
+        # By the first number of each draw, its first entry in the list and the one after its last; None: the list is in
+        # pixel order.
+        self.ranges: dict[int, tuple[int, int]] | None = None
         self.total = 0
 
     def group(self, view: SampleView) -> None:
@@ -99,7 +116,6 @@ class Groups:
         device.draw(group_program(buffer.lattice), self._target, uniforms=record, textures=buffer.textures)
         second = device.read(self.codes["ps_second"]).reshape(-1)
         counts = (second >> COUNT_SHIFT) & 7
-        self.open = bool((second & OPEN_BIT).any())
         ends = np.cumsum(counts, dtype=np.int64)
         self.total = int(ends[-1])
         self._forget()
@@ -131,8 +147,20 @@ class Groups:
         self._upload(order)
         self.places = self._paged(place[:, None], "R32F")
         self.lead(view, self.leaders)
-        ends = np.searchsorted(owner[order], np.arange(1, len(first_ids) + 2))
-        self.ranges = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
+        ends = np.searchsorted(owner[order], np.arange(1, len(first_ids) + 2)).tolist()
+        self.ranges = dict(zip(first_ids, pairwise(ends), strict=True))
+
+    def rectangle(self, leaders: Leaders, first_id: int) -> Rectangle | None:
+        """Returns the rectangle of texels, from 0 to 1, that a draw may have to write; None: there are none.
+
+        first_id: its lowest number.
+        """
+        if leaders.central:
+            return leaders.place[0]
+        if self.ranges is None:
+            return WHOLE
+        (columns, rows), (first, end) = leaders.size, self.ranges[first_id]
+        return None if first == end else (0.0, (first // columns) / rows, 1.0, (-(-end // columns)) / rows)
 
     def lead(self, view: SampleView, leaders: Leaders) -> None:
         """Finds the sub-samples that stand for groups."""
@@ -140,7 +168,10 @@ class Groups:
         listed = {} if leaders.list is None else {"ps_list": leaders.list}
         textures = {**self._buffer.textures, **self.codes, **listed}
         self._device.draw(
-            program, leaders.target, uniforms=view.record(GROUP_BLOCK, **self._buffer.values), textures=textures
+            program,
+            leaders.target,
+            uniforms=view.record_of(program.block, corner=(0, 0), **self._buffer.values),
+            textures=textures,
         )
 
     def _upload(self, order: np.ndarray) -> None:

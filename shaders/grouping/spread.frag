@@ -1,7 +1,7 @@
 // The picture from the shaded groups, by the pixel filter: each pixel takes from its eight neighbours and from itself what
 // their sub-samples weigh. PS_WEIGHTS: the weights of sub-samples that lie on their lattice; else `ps_weights` holds them.
 // PS_BEHIND: what open sub-samples show. PS_PLACES: groups are not listed in the order of their pixels. PS_AUXILIARY_ONLY: not
-// Combined.
+// Combined. u.corner: where in the picture the tile begins.
 
 #include "lib/visibility/groups.glsl"
 
@@ -47,7 +47,7 @@ void main()
   const float weights[9 * PS_SUB_SAMPLES] = PS_WEIGHTS;
   const float sums[9] = PS_WEIGHT_SUMS;
 #endif
-  ivec2 pixel = ivec2(gl_FragCoord.xy), last = textureSize(ps_second, 0) - 1;
+  ivec2 pixel = ivec2(gl_FragCoord.xy) - u.corner, last = textureSize(ps_second, 0) - 1;
   for (int q = 0; q < 9; q++) {
     ivec2 at = clamp(pixel + ivec2(q % 3, q / 3) - 1, ivec2(0), last);
     uvec2 codes = uvec2(texelFetch(ps_first, at, 0).x, texelFetch(ps_second, at, 0).x);

@@ -1,5 +1,5 @@
 // Groups the sub-samples of each pixel: those of one instance and material whose normals and planes agree share one
-// shading. Where there would be too many groups, sub-samples join the nearest one.
+// shading, and so do fibres whose tangents and depths agree. Where there would be too many groups, sub-samples join the nearest one.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
@@ -7,12 +7,13 @@
 
 #define PS_ALIKE 0.9  // least cosine between the normals of a group
 #define PS_APART 2.0  // pixels: farthest distance from a group's plane
+#define PS_FIBRES_APART 8.0  // pixels: greatest difference in depth of a group's fibres
 
 // Variables instead of an array, which software rasterisers would index lane by lane.
 #define PS_COMPARE(G)                                                                          \
   if (G < count) {                                                                             \
     float score = dot(n, plane##G.xyz) + (surface##G == surface ? 2.0 : 0.0) -                 \
-                  (abs(dot(plane##G.xyz, p) + plane##G.w) > apart ? 1.0 : 0.0);                \
+                  (abs((fibre ? d : dot(plane##G.xyz, p)) + plane##G.w) > apart ? 1.0 : 0.0);  \
     nearest = score > best ? G : nearest;                                                      \
     best = max(best, score);                                                                   \
   }
@@ -39,8 +40,9 @@ void main()
       float d = uintBitsToFloat(bits) + u.near;
       vec3 p = ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d);
       vec3 n = ps_key_normal(key);
-      vec4 plane = vec4(n, -dot(n, p));
-      float apart = PS_APART * ps_pixel_size(d), best = -10.0;
+      bool fibre = (key & PS_FIBRE_KEY) != 0u;
+      vec4 plane = vec4(n, fibre ? -d : -dot(n, p));
+      float apart = (fibre ? PS_FIBRES_APART : PS_APART) * ps_pixel_size(d), best = -10.0;
       int nearest = 0;
       PS_COMPARE(0)
       PS_COMPARE(1)

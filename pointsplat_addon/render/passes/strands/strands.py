@@ -20,19 +20,24 @@ STRANDS = block("Strands", CAMERA_FIELDS, FIRST)
 THIN = block("ThinStrands", CAMERA_FIELDS, FIRST, (("float", "sample_offset"),))
 
 
+def attribute_samplers(variant: Variant) -> list[str]:
+    """Returns the names of the textures of what varies along strands."""
+    named = {"ps_color": variant.color, "ps_surface": variant.surface, "ps_emission": variant.emission}
+    return [name for name, on in named.items() if on]
+
+
 def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
     """Returns the program that draws one kind of segments, THIN, STRIP or TUBE, into one variant of the G-buffer.
 
     ribbon: whether the strands are flat ribbons that have a side direction, not round hairs.
     """
     thin, tube = kind == "THIN", kind == "TUBE"
-    fetched = ["ps_list", "ps_segments", "ps_point", "ps_instances"]
+    fetched = ["ps_segment_list", "ps_segments", "ps_point", "ps_instances"]
     strip = kind == "STRIP" and not ribbon  # faces the eye, across its tangent
     fetched += ["ps_tangent"] if variant.normal or tube or strip else []
     fetched += ["ps_side"] if ribbon else []
     fetched += ["ps_materials"] if tube and variant.normal else []
-    named = {"color": variant.color, "surface": variant.surface, "emission": variant.emission}
-    fetched += [f"ps_{name}" for name, on in named.items() if on]
+    fetched += attribute_samplers(variant)
     varyings = [("flat", "vec4", "v_segment")]
     if tube:
         varyings += [("flat", "vec4", name) for name in ("v_from", "v_to", "v_begin", "v_end")]
@@ -42,7 +47,7 @@ def program(variant: Variant, ribbon: bool, kind: str) -> Interface:
         varyings += [("smooth", "vec2", "v_share")] if thin else []
     kinds = {"PS_THIN": thin, "PS_RIBBON": ribbon, "PS_TUBE": tube}
     return Interface(
-        "lines", vertex="visibility/strands.vert", fragment="visibility/strands.frag", block=THIN if thin else STRANDS,
+        "lines", vertex="strands/strands.vert", fragment="strands/strands.frag", block=THIN if thin else STRANDS,
         samplers=tuple(("FLOAT_2D", name) for name in fetched),
         varyings=tuple(varyings), outputs=variant.front_outputs, depth=True,
         defines=(*variant.front_defines, *((name, "1") for name, on in kinds.items() if on)),
@@ -62,7 +67,7 @@ def draw(
         for kind, listed in part.lists().items():
             thin = kind == "THIN"
             texture, total = listed
-            textures = {**shared, **part.page.textures, "ps_segments": part.texture, "ps_list": texture}
+            textures = {**shared, **part.page.textures, "ps_segments": part.texture, "ps_segment_list": texture}
             for first in range(0, total, CHUNK):
                 own = {"sample_offset": part.turn} if thin else {}
                 record = view.record(THIN if thin else STRANDS, first=first, **own)

@@ -1,0 +1,59 @@
+"""Divides pictures whose sub-samples would take too much memory into tiles, which are drawn one after the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ....core.numeric.lattice import Lattice
+from ...passes.uniforms import SampleView
+
+MOST_CELLS = 28_000_000  # of a tile, with 16 bytes each: a picture of 1280 x 720 pixels is one tile
+MARGIN = 1  # pixels around a tile whose sub-samples the pixel filter takes in
+
+
+@dataclass(frozen=True)
+class PictureTile:
+    """A part of a picture, in pixels."""
+
+    corner: tuple[int, int]  # of the pixels that are its own
+    end: tuple[int, int]  # beyond the last of them
+    origin: tuple[int, int]  # of all that is drawn: that of a margin, too
+    size: tuple[int, int]  # of all that is drawn
+
+    def view(self, view: SampleView) -> SampleView:
+        """Returns the view of the tile."""
+        x, y, width, height = view.camera.window
+        if self.size == (width, height):
+            return view
+        region = (x + self.origin[0], y + self.origin[1], *self.size)
+        return replace(view, camera=replace(view.camera, region=region))
+
+    def rectangle(self, size: tuple[int, int]) -> tuple[float, float, float, float]:
+        """Its own pixels in a picture of a size, from 0 to 1: low and high corner."""
+        return self.corner[0] / size[0], self.corner[1] / size[1], self.end[0] / size[0], self.end[1] / size[1]
+
+
+def picture_tiles(size: tuple[int, int], lattice: Lattice, most_side: int) -> list[PictureTile]:
+    """Returns the tiles of a picture of `size` (width, height) pixels, all of one size.
+
+    `most_side`: cells along a side of a texture.
+    """
+    if _fits(size, lattice, most_side):
+        return [PictureTile((0, 0), size, (0, 0), size)]
+    counts = [1, 1]
+    while not _fits((-(-size[0] // counts[0]) + 2 * MARGIN, -(-size[1] // counts[1]) + 2 * MARGIN), lattice, most_side):
+        wider = 0 if size[0] / counts[0] >= size[1] / counts[1] else 1
+        counts[wider] += 1
+    sides = -(-size[0] // counts[0]), -(-size[1] // counts[1])
+    found = []
+    for y in range(0, size[1], sides[1]):
+        for x in range(0, size[0], sides[0]):
+            end = min(x + sides[0], size[0]), min(y + sides[1], size[1])
+            origin = min(x, size[0] - sides[0]) - MARGIN, min(y, size[1] - sides[1]) - MARGIN
+            found.append(PictureTile((x, y), end, origin, (sides[0] + 2 * MARGIN, sides[1] + 2 * MARGIN)))
+    return found
+
+
+def _fits(size: tuple[int, int], lattice: Lattice, most_side: int) -> bool:
+    columns, rows = lattice.size(size)
+    return columns * rows <= MOST_CELLS and max(columns, rows) <= most_side

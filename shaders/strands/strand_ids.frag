@@ -1,0 +1,39 @@
+// Which segment each sub-sample shows. A strip that is wider than its strand covers a share of its cells: those whose rank, a
+// multiple of the golden ratio for each column or row and another beginning for each strand, is below the share.
+
+#include "lib/visibility/segment.glsl"
+#include "lib/visibility/lattice.glsl"
+#include "lib/visibility/surface_key.glsl"
+
+#define PS_GOLDEN 2654435769u  // 2^32 times the golden ratio
+
+void main()
+{
+#ifdef PS_TUBE
+  PsTube tube = PsTube(v_from, v_to, v_begin, v_end);
+  PsHit hit = ps_meet_tube(ps_pixel_from_cell(gl_FragCoord.xy), tube);
+  float d = hit.d;
+  if (!(d >= u.near && d <= u.far)) {
+    discard;
+  }
+  PsSegment segment = PsSegment(ps_texel(int(v_segment.x)), ps_texel(int(v_segment.y)), int(v_segment.z), v_segment.w,
+                                vec4(0.0));
+#ifdef PS_NORMAL
+  vec4 normal = ps_tube_normal(segment, tube, hit);
+  out_key = ps_surface_key(segment.instance, int(segment.material), normal.xyz) | (normal.w > 0.5 ? PS_FIBRE_KEY : 0u);
+#else
+  out_key = ps_surface_key(segment.instance, int(segment.material), vec3(0.0, 0.0, 1.0));
+#endif
+#else
+  ivec2 cell = ivec2(gl_FragCoord.xy) + u.cell_offset;
+  uint rank = uint(v_rows == 1 ? cell.y : cell.x) * PS_GOLDEN + v_phase;
+  if (float(rank >> 8u) >= 16777216.0 * abs(v_extent.x / v_extent.y)) {
+    discard;
+  }
+  float d = -v_position.z;
+  out_key = v_key;
+#endif
+  out_id = v_id;
+  out_depth = floatBitsToUint(max(d - u.near, 0.0));
+  gl_FragDepth = ps_buffer_depth(d);
+}

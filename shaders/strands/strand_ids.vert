@@ -1,0 +1,61 @@
+// Segments of strands into the cells of sub-samples. PS_TUBE: rectangles around what two balls and all between them fill.
+// Else two triangles each: PS_RIBBON, or strips that face the eye in place of tubes that are too narrow to be seen round.
+
+#include "lib/visibility/segment.glsl"
+#include "lib/visibility/covered_strip.glsl"
+#include "lib/visibility/tube_bounds.glsl"
+#include "lib/visibility/surface_key.glsl"
+
+#ifndef PS_TUBE
+// The direction that tells a strip's surface from others.
+vec3 ps_strip_direction(PsSegment segment)
+{
+  vec3 found = vec3(0.0, 0.0, 1.0);
+#ifdef PS_NORMAL
+  mat3 linear = ps_linear(segment.instance);
+  found = linear * (texelFetch(ps_tangent, segment.from, 0).xyz + texelFetch(ps_tangent, segment.to, 0).xyz);
+#ifdef PS_RIBBON
+  found = cross(found, linear * (texelFetch(ps_side, segment.from, 0).xyz + texelFetch(ps_side, segment.to, 0).xyz));
+#endif
+#endif
+  return ps_direction(found, vec3(0.0, 0.0, 1.0));
+}
+
+// Spreads numbers with an order over all of 32 bits (O'Neill 2014).
+uint ps_hash(uint number)
+{
+  uint state = number * 747796405u + 2891336453u;
+  uint word = ((state >> ((state >> 28u) + 4u)) ^ state) * 277803737u;
+  return (word >> 22u) ^ word;
+}
+#endif
+
+void main()
+{
+  int entry = u.first + gl_VertexID / 6, corner = gl_VertexID % 6;
+  ivec2 at = ivec2(texelFetch(ps_segment_list, ps_texel(entry), 0).xy);
+  PsSegment segment = ps_segment(at);
+  v_id = PS_RASTERISED | uint(u.first_id + entry);
+#ifdef PS_TUBE
+  PsTube tube = ps_tube(segment);
+  v_from = tube.from;
+  v_to = tube.to;
+  v_begin = tube.begin;
+  v_end = tube.end;
+  gl_Position = ps_cell_clip(ps_tube_corner(tube, corner));
+  v_segment = texelFetch(ps_segments, at, 0);
+#else
+  v_key = ps_surface_key(segment.instance, int(segment.material), ps_strip_direction(segment));
+#if defined(PS_NORMAL) && !defined(PS_RIBBON)
+  v_key |= PS_FIBRE_KEY;
+#endif
+  v_phase = ps_hash(floatBitsToUint(segment.rest.z)) + u.turn;
+  PsStripEnds ends;
+  bool there = ps_strip_ends(segment, ends);
+  PsStripCorner found = ps_covered_strip(segment, ends, corner);
+  v_position = found.position;
+  v_extent = found.extent;
+  v_rows = found.rows ? 1 : 0;
+  gl_Position = there ? found.clip : vec4(2.0, 2.0, 2.0, 1.0);
+#endif
+}
