@@ -132,7 +132,8 @@ class PolygonMesh:
             order = by_material if order is None else order[by_material]
         self._device = device
         self.textures: dict[str, Texture] = {}
-        self._upload("ps_corner", "RGBA32F", corner_texels(mesh, order, self.origin))
+        size = PAGE_WIDTH, max(1, -(-3 * self.triangles // PAGE_WIDTH))
+        self.textures["ps_corner"] = device.texture(size, "RGBA32F", corner_texels(mesh, order, self.origin))
 
         graphs = graphs_of(mesh, table)
         shown = {row: graph for row, graph in graphs.items() if pictured(mesh, graph)}
