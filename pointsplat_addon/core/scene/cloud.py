@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..numeric.segments import stable_order
 from ..numeric.vectors import each_block, take_rows
 
 ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
@@ -106,8 +107,9 @@ def coherent(cloud: PointCloud) -> PointCloud:
 
 
 def coherent_order(position: np.ndarray) -> np.ndarray | None:
-    """(N,) int64 order of points (N, 3) in which those that follow one another lie close together: what neighbouring
-    pixels show then lies side by side in memory. None: they stay as they are.
+    """(N,) integers: an order of points (N, 3) in which those that follow one another lie close together; None: theirs.
+
+    What neighbouring pixels show then lies side by side in memory.
 
     By cells of a grid of 32 to each side in Morton order, stably. Points that have such an order already, as those of
     most scans and files do, stay as they are, and so do those that fit the processor's caches, and those of which some
@@ -144,7 +146,7 @@ def coherent_order(position: np.ndarray) -> np.ndarray | None:
     occupied = np.count_nonzero(np.bincount(code))
     if _steps(code) < max(count // 4, 2 * occupied):
         return None
-    return np.argsort(code, kind="stable")
+    return stable_order(code)
 
 
 def _steps(code: np.ndarray) -> int:
