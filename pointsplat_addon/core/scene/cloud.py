@@ -92,6 +92,14 @@ class PointCloud:
         named = {name: getattr(self, name) for name in ATTRIBUTES}
         return {name: array for name, array in named.items() if array is not None}
 
+    def material_rows(self) -> np.ndarray:
+        """(R,) rows of the material table that the points name, rising; row 0 where they name none."""
+        material = self.material
+        if material is None or len(material) == 0:
+            return np.zeros(0 if material is not None else 1, np.uint16)
+        low, high = material.min(), material.max()
+        return np.array([low]) if low == high else np.unique(material)
+
     def take(self, index: np.ndarray | slice) -> PointCloud:
         """The points that `index` selects, in its order."""
         if isinstance(index, slice):
