@@ -5,6 +5,7 @@
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/surface_key.glsl"
 
+#define PS_HALF_CELL 0.501  // and what is lost by rounding
 #define PS_GOLDEN 2654435769u  // 2^32 times the golden ratio
 
 void main()
@@ -26,6 +27,13 @@ void main()
 #endif
 #else
   ivec2 cell = ivec2(gl_FragCoord.xy) + u.cell_offset;
+#ifdef PS_THIN
+  // Some rasterisers draw lines as rectangles, which have two cells in some columns.
+  vec2 at = v_rows == 1 ? gl_FragCoord.yx : gl_FragCoord.xy;
+  if (abs(at.y - v_line.y - v_line.z * (at.x - v_line.x)) > PS_HALF_CELL) {
+    discard;
+  }
+#endif
   uint rank = uint(v_rows == 1 ? cell.y : cell.x) * PS_GOLDEN + v_phase;
   if (float(rank >> 8u) >= 16777216.0 * abs(v_extent.x / v_extent.y)) {
     discard;

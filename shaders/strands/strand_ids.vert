@@ -1,5 +1,6 @@
 // Segments of strands into the cells of sub-samples. PS_TUBE: rectangles around what two balls and all between them fill.
-// Else two triangles each: PS_RIBBON, or strips that face the eye in place of tubes that are too narrow to be seen round.
+// PS_THIN: raster lines. Else two triangles each: PS_RIBBON, or strips that face the eye in place of tubes that are too narrow
+// to be seen round.
 
 #include "lib/visibility/segment.glsl"
 #include "lib/visibility/covered_strip.glsl"
@@ -32,7 +33,11 @@ uint ps_hash(uint number)
 
 void main()
 {
+#ifdef PS_THIN
+  int entry = u.first + gl_VertexID / 2, corner = gl_VertexID % 2;
+#else
   int entry = u.first + gl_VertexID / 6, corner = gl_VertexID % 6;
+#endif
   ivec2 at = ivec2(texelFetch(ps_segment_list, ps_texel(entry), 0).xy);
   PsSegment segment = ps_segment(at);
   v_id = PS_RASTERISED | uint(u.first_id + entry);
@@ -50,12 +55,20 @@ void main()
   v_key |= PS_FIBRE_KEY;
 #endif
   v_phase = ps_hash(floatBitsToUint(segment.rest.z)) + u.turn;
-  PsStripEnds ends;
-  bool there = ps_strip_ends(segment, ends);
-  PsStripCorner found = ps_covered_strip(segment, ends, corner);
+#ifdef PS_THIN
+  bool there = true;
+  PsCovered found = ps_covered(segment, corner);
+#else
+  PsStrip strip;
+  bool there = ps_strip(segment, strip);
+  PsCovered found = ps_covered(segment, strip, corner);
+#endif
   v_position = found.position;
   v_extent = found.extent;
   v_rows = found.rows ? 1 : 0;
+#ifdef PS_THIN
+  v_line = found.line;
+#endif
   gl_Position = there ? found.clip : vec4(2.0, 2.0, 2.0, 1.0);
 #endif
 }

@@ -27,7 +27,17 @@ from scripts.scenes.build import materials, mesh, moved, points, scene
 from scripts.scenes.cameras import camera
 from scripts.scenes.case import Case
 from scripts.scenes.clouds import plane_cloud, sphere_cloud
-from tests.support.extremes import FEW, SHADOWED, TECHNIQUES, all_kinds, every_pass, lamp, picture, without
+from tests.support.extremes import (
+    FEW,
+    SHADOWED,
+    TECHNIQUES,
+    TECHNIQUES_OF_TRANSLUCENT,
+    all_kinds,
+    every_pass,
+    lamp,
+    picture,
+    without,
+)
 
 ODD = (np.nan, np.inf, -np.inf, 1e-42, -1e30, 3e38)
 PLAIN = Settings(use_shadows=False)
@@ -121,7 +131,7 @@ TRANSLUCENT = {
 }
 
 
-@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("technique", TECHNIQUES_OF_TRANSLUCENT)
 @pytest.mark.parametrize("odd", [*ODD, -1.0])
 @pytest.mark.parametrize("name", TRANSLUCENT)
 def test_attributes_of_translucent_points(name, odd, technique, within):

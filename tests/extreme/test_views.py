@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -23,7 +24,16 @@ from scripts.scenes.case import Case
 from scripts.scenes.clouds import sphere_cloud
 from scripts.scenes.meshes import cube_mesh
 from tests.reference import opaque
-from tests.support.extremes import FEW, SHADOWED, TECHNIQUES, all_kinds, every_pass, picture, without
+from tests.support.extremes import (
+    FEW,
+    SHADOWED,
+    TECHNIQUES,
+    TECHNIQUES_OF_TRANSLUCENT,
+    all_kinds,
+    every_pass,
+    picture,
+    without,
+)
 
 # Near and far planes
 
@@ -247,8 +257,10 @@ def at_the_eye(kind: str, radius: float) -> PointCloud:
     return PointCloud(one, normal=towards, radii=radii, opacity=opacity)
 
 
-@pytest.mark.parametrize("technique", TECHNIQUES)
-@pytest.mark.parametrize("kind", ["disk", "ball", "medium", "shell"])
+@pytest.mark.parametrize(
+    ("kind", "technique"),
+    [*product(["disk", "ball"], TECHNIQUES), *product(["medium", "shell"], TECHNIQUES_OF_TRANSLUCENT)],
+)
 @pytest.mark.parametrize("radius", [1e-6, 0.5, 1e6])
 @pytest.mark.parametrize("eye", [(0, 0, 0), (0, -1e-9, 0), (0, 1e-9, 0), (1e-7, -0.05, 1e-7)])
 def test_an_eye_within_a_splat(technique, kind, radius, eye, within):

@@ -28,6 +28,11 @@ class Lattice:
         """Sub-samples of a pixel."""
         return self.p * self.p + self.q * self.q
 
+    @property
+    def spacing(self) -> float:
+        """Pixels from a sub-sample to the next."""
+        return self.count**-0.5
+
     @cached_property
     def offsets(self) -> np.ndarray:
         """(S, 2) int64: cells from the pixel's central one. The first is that one; the others are ordered so that the
@@ -66,10 +71,19 @@ class Lattice:
         """(..., 2) float64 in pixels, of differences of cells."""
         return cells @ np.array([[self.p, -self.q], [self.q, self.p]]) / self.count
 
+    def cells(self, pixels: np.ndarray) -> np.ndarray:
+        """(..., 2) float64 in cells, of differences of pixels (..., 2)."""
+        return pixels @ np.array([[self.p, self.q], [-self.q, self.p]], float)
+
 
 def lattice_of(sub_samples: int) -> Lattice:
     """Returns the lattice with so many sub-samples of a pixel. StopIteration: there is none."""
     return next(lattice for lattice in (FEW, MANY) if lattice.count == sub_samples)
 
 
-FEW, MANY = Lattice(2, 1), Lattice(4, 1)  # 5 sub-samples for views that move, 17 for pictures
+def lattice_for(interactive: bool) -> Lattice:
+    """Returns the lattice of a picture; `interactive`: of a view that moves."""
+    return FEW if interactive else MANY
+
+
+FEW, MANY = Lattice(2, 1), Lattice(4, 1)  # 5 and 17 sub-samples

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numeric.lattice import Lattice
 from ..scene.camera import Camera
 from .levels import StrandLevels
+from .segments import OWN_WIDTH
 
 SHORTEST_DIRECTED = 1e-3  # pixels: shorter segments have no direction on the screen
 NEAREST = 1e-12  # units from the eye: points nearer are projected from there, so that squares of pixels fit float32
@@ -89,14 +91,64 @@ def line_shares(
     It is the segment's width over that of the line, which is one pixel along its minor axis. Segments that replace
     several (`simplified`, (K,) bool) keep the area of those.
     """
+    direction, size = _directions(picture, first, last)
+    line = np.where(size > SHORTEST_DIRECTED, np.maximum(*np.abs(direction.T)), 1)
+    wide = _widths(strands, picture, first, last, simplified, direction, size)
+    return np.nan_to_num(wide / line[:, None], posinf=1e30).astype(np.float32)
+
+
+def cell_shares(
+    strands: StrandLevels,
+    picture: ProjectedStrands,
+    first: np.ndarray,
+    last: np.ndarray,
+    simplified: np.ndarray,
+    camera: Camera,
+    lattice: Lattice,
+) -> np.ndarray:
+    """(K, 2) float32: as `line_shares`, of lines that are one cell of a lattice wide along their minor axis.
+
+    OWN_WIDTH where an end lies before the near plane.
+    """
+    direction, size = _directions(picture, first, last)
+    sides = np.abs(lattice.cells(direction).T) / lattice.count
+    line = np.where(size > SHORTEST_DIRECTED, np.maximum(*sides), lattice.spacing)
+    wide = _widths(strands, picture, first, last, simplified, direction, size)
+    if picture.across is None and camera.perspective:
+        # Planes through the eye touch tubes: their outlines are farther apart away from the principal point.
+        fx, fy, cx, cy = camera.pixel_from_view()
+        normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+        away = np.einsum("nc,nc->n", picture.pixel[first] - np.float32([cx, cy]), normal)
+        stretch = np.square(normal * np.float32([fx, fy])).sum(axis=1) + np.square(away)
+        wide *= np.sqrt(stretch / np.float32(abs(fx * fy)))[:, None]
+    share = np.nan_to_num(wide / line[:, None], posinf=1e30).astype(np.float32)
+    if camera.perspective:
+        share[np.minimum(picture.depth[first], picture.depth[last]) < camera.near] = OWN_WIDTH
+    return share
+
+
+def _directions(picture: ProjectedStrands, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The directions of segments, (K, 2) float32, no longer than 1, and their lengths in pixels, (K,) float32."""
     chord = picture.pixel[last] - picture.pixel[first]
     size = np.sqrt(np.einsum("nc,nc->n", chord, chord))
-    line = np.where(size > SHORTEST_DIRECTED, np.maximum(*np.abs(chord.T)) / np.maximum(size, SHORTEST_DIRECTED), 1)
+    return chord / np.maximum(size, SHORTEST_DIRECTED)[:, None], size
+
+
+def _widths(
+    strands: StrandLevels,
+    picture: ProjectedStrands,
+    first: np.ndarray,
+    last: np.ndarray,
+    simplified: np.ndarray,
+    direction: np.ndarray,
+    size: np.ndarray,
+) -> np.ndarray:
+    """(K, 2) float32: the widths of segments at both ends in pixels, across them."""
     across = picture.across
     if across is None:
         wide = np.stack([picture.width[first], picture.width[last]], axis=1)
     else:
-        x, y = (chord / np.maximum(size, SHORTEST_DIRECTED)[:, None]).T
+        x, y = direction.T
         wide = 2 * np.stack([np.abs(across[i, 0] * y - across[i, 1] * x) for i in (first, last)], axis=1)
     if simplified.any():
         area = _cumulative_area(strands, picture)
@@ -106,7 +158,7 @@ def line_shares(
         wide[alike] *= (covers[alike] / straight[alike])[:, None]
         other = simplified & ~alike
         wide[other] = (covers[other] / np.maximum(size[other], SHORTEST_DIRECTED))[:, None]
-    return np.nan_to_num(wide / line[:, None], posinf=1e30).astype(np.float32)
+    return wide
 
 
 def tube_radius_scale(view_from_object: np.ndarray) -> np.ndarray:

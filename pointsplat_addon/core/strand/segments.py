@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
+from ..numeric.lattice import Lattice
 from .levels import StrandLevels
 
-ROUND = 2.0  # widths of the raster's line: below it a segment has one shade across
+ROUND = 2.0  # pixels, along the axis of the raster across a segment: narrower ones have one shade across
 THIN = 1.0  # widths of the raster's line: below it a segment is drawn as that line, in some samples
 OWN_WIDTH = -1.0  # in place of a share: the width is that of the strand, which need not be known to choose segments
 
@@ -24,9 +25,20 @@ class Segments:
     phase: np.ndarray  # (K,) float32 in [0, 1): by strand, evenly spread over strands
     share: np.ndarray  # (K, 2) float32: width at both ends over that of the raster's line; or OWN_WIDTH
     strands: int  # number of strands with a segment in the list
+    line: float = 1.0  # pixels between neighbouring lines of the raster, which may be a lattice of sub-samples
 
     def __len__(self) -> int:
         return len(self.ends)
+
+    @property
+    def on_lattice(self) -> bool:
+        """Whether many samples of a pixel are drawn at once, of which thin segments cover a share."""
+        return self.line < 1
+
+    @property
+    def _round(self) -> float:
+        """The share from which on tubes may be seen to be round."""
+        return ROUND / self.line
 
     def take(self, index: np.ndarray) -> Segments:
         """The segments at an index array."""
@@ -41,16 +53,18 @@ class Segments:
     @cached_property
     def wide(self) -> np.ndarray:
         """(n,) int64: segments that are drawn with their outlines in every sample, wide enough to look round."""
-        return np.flatnonzero(self.greatest_share >= ROUND)
+        return np.flatnonzero(self.greatest_share >= self._round)
 
     @cached_property
     def narrow(self) -> np.ndarray:
         """(n,) int64: segments that are drawn with their outlines in every sample, too narrow to look round."""
-        return np.flatnonzero((self.greatest_share >= THIN) & (self.greatest_share < ROUND))
+        return np.flatnonzero(
+            ((self.greatest_share >= THIN) | (self.greatest_share < 0)) & (self.greatest_share < self._round)
+        )
 
     @cached_property
     def thin(self) -> np.ndarray:
-        """(n,) int64: segments that are drawn as lines of one pixel, in some samples."""
+        """(n,) int64: segments that are drawn as lines of the raster, in some samples."""
         return np.flatnonzero((self.greatest_share < THIN) & (self.greatest_share > 0))
 
     def drawn(self, turn: float) -> np.ndarray:
@@ -77,20 +91,20 @@ def sample_offsets(count: int) -> np.ndarray:
     return turn
 
 
-def all_segments(strands: StrandLevels, instance: int, outlined: bool = True) -> Segments:
-    """All segments of an instance. `outlined`: drawn with their outlines in every sample; else as the strands' own
-    widths say."""
+def all_segments(strands: StrandLevels, instance: int, lattice: Lattice | None = None) -> Segments:
+    """All segments of an instance, drawn with their outlines in every sample; on a lattice, as wide as strands are."""
     ends = strands.segment_ends
     count = len(ends)
     strand = strands.strand[ends[:, 0]]
-    phase = np.zeros(count, np.float32) if outlined else strands.instance_phase(instance)[strand]
+    phase = np.zeros(count, np.float32) if lattice is None else strands.instance_phase(instance)[strand]
     return Segments(
         ends,
         np.full(count, instance, np.int32),
         strands.material[strand].astype(np.int32),
         phase,
-        np.full((count, 2), THIN if outlined else OWN_WIDTH, np.float32),
+        np.full((count, 2), THIN if lattice is None else OWN_WIDTH, np.float32),
         len(strands.start) - 1,
+        1.0 if lattice is None else lattice.spacing,
     )
 
 
@@ -108,4 +122,4 @@ def concatenate_segments(parts: list[Segments]) -> Segments:
         np.concatenate(arrays)
         for arrays in zip(*((p.ends, p.instance, p.material, p.phase, p.share) for p in parts), strict=True)
     )
-    return Segments(ends, instance, material, phase, share, sum(p.strands for p in parts))
+    return Segments(ends, instance, material, phase, share, sum(p.strands for p in parts), parts[0].line)

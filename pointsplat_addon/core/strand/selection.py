@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numeric.lattice import Lattice
 from ..scene.camera import Camera
 from .levels import StrandBounds, StrandLevels
-from .projection import ProjectedStrands, in_picture, line_shares, project
+from .projection import ProjectedStrands, cell_shares, in_picture, line_shares, project
 from .segments import ROUND, THIN, Segments, all_segments, no_segments
 
 OUTLINE_ERROR = 0.25  # of the tolerance: how far leaving out inner points may move an outline
@@ -36,11 +37,10 @@ def select(
     instance: int,
     camera: Camera,
     tolerance: float,
-    sub_samples: bool = False,
+    lattice: Lattice | None = None,
 ) -> Segments:
     """The segments of one instance that a camera may see. view_from_object: (4, 4) float64; instance: its row in
-    Scene.instances; tolerance: pixels. `sub_samples`: many samples of a pixel are drawn at once, of which segments that
-    are thinner cover a share; else those of short strands are drawn with their outlines.
+    Scene.instances; tolerance: pixels; lattice: of sub-samples, if many are drawn at once.
 
     Widths of tubes scale with the cube root of the instance's volume; ribbons are scaled as surfaces are.
     """
@@ -48,7 +48,7 @@ def select(
     if scale is None:
         return no_segments()
     if _all_outlined(strands, scale):
-        return all_segments(strands, instance, outlined=not sub_samples)
+        return all_segments(strands, instance, lattice)
     picture = project(strands, view_from_object, camera)
     first, last = strands.segment_ends.T
     level = np.zeros(len(strands.start) - 1, np.int32)
@@ -64,12 +64,15 @@ def select(
         seen = in_picture(picture, first, last, camera)
         first, last = first[seen], last[seen]
     strand = strands.strand[first]
-    share = line_shares(strands, picture, first, last, level[strand] > 0)
-    if not sub_samples:
+    simplified = level[strand] > 0
+    if lattice is not None:
+        share = cell_shares(strands, picture, first, last, simplified, camera, lattice)
+    else:
+        share = line_shares(strands, picture, first, last, simplified)
         exact = (strands.sum_over_strands(picture.length) <= UNBROKEN_LENGTH) & (level == 0)
         most = np.maximum(*share.T)
         share[exact[strand] & (most >= LEAST_OUTLINED) & (most < THIN)] = THIN
-    visible = (share[:, 0] > 0) | (share[:, 1] > 0)
+    visible = (share[:, 0] != 0) | (share[:, 1] != 0)
     first, last, share, strand = first[visible], last[visible], share[visible], strand[visible]
     return Segments(
         np.stack([first, last], axis=1).astype(np.int32),
@@ -78,6 +81,7 @@ def select(
         strands.instance_phase(instance)[strand],
         share,
         int(np.count_nonzero(np.diff(strand)) + 1) if len(strand) else 0,
+        1.0 if lattice is None else lattice.spacing,
     )
 
 

@@ -1,4 +1,4 @@
-"""Computes Cryptomatte: the ranked coverage of identities among samples."""
+"""Computes Cryptomatte: the ranked coverage of identities among samples (Cryptomatte specification 1.2)."""
 
 from __future__ import annotations
 
@@ -6,31 +6,76 @@ import numpy as np
 
 
 def cryptomatte(hashes: np.ndarray, levels: int) -> list[np.ndarray]:
-    """Ranks the identities of each pixel by coverage (Cryptomatte specification 1.2).
+    """Ranks the identities of each pixel by coverage.
 
     `hashes`: (S, H, W) uint32 identities of S samples; 0: none. Returns ceil(levels / 2) pictures (H, W, 4) float32
     with identity and coverage of two ranks each; the bits of an identity are stored as a float.
     """
     samples, height, width = hashes.shape
-    pairs = (levels + 1) // 2
-    ordered = np.sort(hashes.reshape(samples, -1), axis=0)
+    entries = hashes.reshape(samples, -1)
+    return [page.reshape(height, width, 4) for page in _ranked(entries, np.full((samples, 1), 1 / samples), levels)]
+
+
+def filtered_cryptomatte(lattices: list[tuple[np.ndarray, np.ndarray]], levels: int) -> list[np.ndarray]:
+    """Ranks the identities of each pixel by what the pixel filter makes of their coverage; returns as `cryptomatte`.
+
+    `lattices`: of each, the identities of all sub-samples, (S, H, W) uint32, and the filter's weights of those of a
+    pixel's neighbours and its own, (9, S) as `filter_weights` has them.
+    """
+    first, _ = lattices[0]
+    height, width = first.shape[1:]
+    alike = np.ones((height, width), bool)
+    for hashes, _ in lattices:
+        alike &= (hashes == first[0]).all(axis=0)
+    padded, around = np.pad(first[0], 1, mode="edge"), np.pad(alike, 1, mode="edge")
+    whole = alike.copy()
+    for x, y in _NEIGHBOURS:
+        seen = slice(1 + y, 1 + y + height), slice(1 + x, 1 + x + width)
+        whole &= around[seen] & (padded[seen] == first[0])
+    row, column = np.nonzero(~whole)
+    entries, weights = [], []
+    for hashes, weight in lattices:
+        for (x, y), of_neighbour in zip(_NEIGHBOURS, weight, strict=True):
+            at = np.clip(row + y, 0, height - 1), np.clip(column + x, 0, width - 1)
+            entries.append(hashes[:, at[0], at[1]])
+            weights.append(of_neighbour / len(lattices))
+    pictures = _ranked(np.concatenate(entries), np.concatenate(weights)[:, None], levels)
+    found = []
+    for number, of_mixed in enumerate(pictures):
+        picture = np.zeros((height, width, 4), np.float32)
+        if number == 0:
+            picture[..., 0], picture[..., 1] = np.ascontiguousarray(first[0]).view(np.float32), first[0] != 0
+        picture[row, column] = of_mixed
+        found.append(picture)
+    return found
+
+
+_NEIGHBOURS = [(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)]
+
+
+def _ranked(entries: np.ndarray, weights: np.ndarray, levels: int) -> list[np.ndarray]:
+    """The pictures (P, 4) of P pixels. entries: (N, P) uint32. weights: (N, 1), which add up to 1."""
+    order = np.argsort(entries, axis=0, kind="stable")
+    ordered = np.take_along_axis(entries, order, 0)
+    sums = np.cumsum(weights[:, 0][order], axis=0)
     begins = np.ones(ordered.shape, bool)
     begins[1:] = ordered[1:] != ordered[:-1]
-    # Length of the run that starts at each row: distance to the next begin.
-    row = np.arange(samples)[:, None]
-    following = np.where(begins, row, samples)
+    # Where each run of one identity ends: before the next begin.
+    count = len(entries)
+    following = np.where(begins, np.arange(count)[:, None], count)
     following = np.minimum.accumulate(following[::-1], axis=0)[::-1]
-    end = np.vstack([following[1:], np.full((1, ordered.shape[1]), samples)])
-    length = np.where(begins & (ordered != 0), end - row, 0)
+    end = np.vstack([following[1:], np.full((1, ordered.shape[1]), count)]) - 1
+    before = np.vstack([np.zeros((1, ordered.shape[1])), sums[:-1]])
+    covered = np.where(begins & (ordered != 0), np.take_along_axis(sums, end, 0) - before, 0)
     pictures = []
-    for _ in range(pairs):
+    for _ in range((levels + 1) // 2):
         picture = np.zeros((ordered.shape[1], 4), np.float32)
         for rank in range(2):
-            best = length.argmax(axis=0)[None]
-            count = np.take_along_axis(length, best, 0)[0]
-            identity = np.where(count > 0, np.take_along_axis(ordered, best, 0)[0], 0).astype(np.uint32)
+            best = covered.argmax(axis=0)[None]
+            share = np.take_along_axis(covered, best, 0)[0]
+            identity = np.where(share > 1e-9, np.take_along_axis(ordered, best, 0)[0], 0).astype(np.uint32)
             picture[:, 2 * rank] = identity.view(np.float32)
-            picture[:, 2 * rank + 1] = count / samples
-            np.put_along_axis(length, best, 0, 0)
-        pictures.append(picture.reshape(height, width, 4))
+            picture[:, 2 * rank + 1] = np.where(share > 1e-9, share, 0)
+            np.put_along_axis(covered, best, 0, 0)
+        pictures.append(picture)
     return pictures

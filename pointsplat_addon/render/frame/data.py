@@ -11,7 +11,7 @@ from ..device.protocol import Texture
 from ..passes.outputs import CRYPTO
 from ..passes.shading.data import data
 from ..plan.request import Request
-from .cryptomatte import cryptomatte
+from .cryptomatte import cryptomatte, filtered_cryptomatte
 
 
 class DataPasses:
@@ -20,6 +20,7 @@ class DataPasses:
     def __init__(self, scene: Scene, request: Request) -> None:
         self.scene, self.request = scene, request
         self._first: dict[str, np.ndarray] = {}
+        self._lattices: list[tuple[np.ndarray, np.ndarray]] = []  # of sub-samples: identities, weights
         self._identities: list[np.ndarray] = []  # (H, W, 2) int32 by sample: instance, material
 
     @property
@@ -45,12 +46,18 @@ class DataPasses:
             if name == "index" and self.every_sample and identify:
                 self._identities.append(picture[..., :2].astype(np.int32))
 
-    def identify(self, found: np.ndarray) -> None:
-        """Adds the instance and the material of sub-samples, (S, H, W, 2) int32, to those that are ranked."""
-        self._identities.extend(found)
+    def identify(self, found: np.ndarray, weights: np.ndarray) -> None:
+        """Adds the instance and the material of a lattice's sub-samples to those that are ranked.
 
-    def pixels(self) -> dict[str, np.ndarray]:
-        """Returns the finished passes by name, (H, W, C) float32; passes whose textures were not read are left out."""
+        found: (S, H, W, 2) int32. weights: (9, S), of the pixel filter.
+        """
+        self._lattices.append((found, weights))
+
+    def pixels(self, cropped: Callable[[np.ndarray], np.ndarray]) -> dict[str, np.ndarray]:
+        """Returns the finished passes by name, (H, W, C) float32; passes whose textures were not read are left out.
+
+        `cropped` takes the picture's own part of what lattices show.
+        """
         scene, first = self.scene, self._first
         out = {}
         if "position" in first:
@@ -61,19 +68,29 @@ class DataPasses:
             instance, material = (first["index"][..., i].astype(np.int64) for i in range(2))
             out["object_index"] = _looked_up(scene.instances.pass_index, instance)
             out["material_index"] = _looked_up(scene.materials.pass_index, material)
-        if self._identities:
+        if self._identities or self._lattices:
             tables = scene.instances.object_hash, scene.materials.hash
             for column, (key, table) in enumerate(zip(CRYPTO, tables, strict=True)):
                 if key in self.request.passes:
-                    out |= self._cryptomatte(key, column, table)
+                    pictures = self._cryptomatte(column, table, cropped)
+                    out |= {f"{key}{i:02d}": picture for i, picture in enumerate(pictures)}
         return out
 
-    def _cryptomatte(self, key: str, column: int, table: np.ndarray | None) -> dict[str, np.ndarray]:
+    def _cryptomatte(
+        self, column: int, table: np.ndarray | None, cropped: Callable[[np.ndarray], np.ndarray]
+    ) -> list[np.ndarray]:
+        """The pictures of instances (`column` 0) or materials (1), whose hashes are in a table."""
         known = np.zeros(len(self.scene.instances), np.uint32) if table is None else table.astype(np.uint32)
         padded = np.append(known, np.uint32(0))  # -1 and indices beyond the table look up the last: no identity
-        hashes = padded[np.minimum(np.stack([ids[..., column] for ids in self._identities]), len(known))]
-        pictures = cryptomatte(hashes, self.request.crypto_levels)
-        return {f"{key}{i:02d}": picture for i, picture in enumerate(pictures)}
+
+        def hashes(ids: np.ndarray) -> np.ndarray:
+            return padded[np.minimum(ids[..., column], len(known))]
+
+        levels = self.request.crypto_levels
+        if self._lattices:
+            lattices = [(hashes(ids), weights) for ids, weights in self._lattices]
+            return [cropped(picture) for picture in filtered_cryptomatte(lattices, levels)]
+        return cryptomatte(np.stack([hashes(ids) for ids in self._identities]), levels)
 
 
 def _looked_up(table: np.ndarray | None, index: np.ndarray) -> np.ndarray:

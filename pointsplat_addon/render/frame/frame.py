@@ -199,7 +199,7 @@ class Frame:
                 self.clock.run("data", lambda: self._draw_data(view))
                 self._data.read(self.targets.data, self._cropped, first, identify=False)
         if shown is not None:
-            self._data.identify(np.stack([self.frame_plan.cropped(found) for found in shown]))
+            self._data.identify(shown, visibility.weights(view))
 
     def _draw_surfels(self, view: SampleView, first: bool) -> None:
         """Draws opaque primitives into G-buffers, and the passes that do not depend on light."""
@@ -363,7 +363,7 @@ class Frame:
         for name, texture in zip(names, sums, strict=True):
             mean = self._cropped(texture) / samples
             out[name] = np.ascontiguousarray(mean[..., : BY_KEY[name].channels])
-        out |= self._data.pixels()
+        out |= self._data.pixels(self.frame_plan.cropped)
         found = {key: array for key, array in out.items() if key in wanted or key.startswith(CRYPTO)}
         found |= self._empty(frozenset(key for key in wanted if not {key, f"{key}00"} & found.keys()))
         if self.beside is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from ...core.lens.backdrop import why_not_blurred
 from ...core.lens.thin_lens import uses_lens_samples
 from ...core.lod.cost import Costs
-from ...core.numeric.lattice import FEW, MANY
+from ...core.numeric.lattice import lattice_for
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ...core.scene.validation import validate
@@ -150,7 +150,7 @@ def make_frame_plan(
     warnings = scene.warnings
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
-    lattice = FEW if request.interactive else MANY
+    lattice = lattice_for(request.interactive)
     decided = decide_technique(
         TechniqueInput(
             request.settings,

@@ -70,14 +70,14 @@ def _why_not_visibility(given: TechniqueInput) -> str:
     scene = given.scene
     if any(is_translucent(geometry, scene.materials) for geometry in scene.geometries):
         return "translucent things are blended in each sample"
+    if given.settings.budget != "NONE":
+        return "a budget decides how many samples are drawn, one by one"
     return "the camera has depth of field" if given.lens else ""
 
 
 def _why_others_are_better(given: TechniqueInput) -> str:
     """Returns why another technique draws a scene better than the visibility buffer; empty where none does."""
     scene = given.scene
-    if given.settings.budget != "NONE":
-        return "a budget decides how many samples are drawn, one by one"
     for geometry in scene.geometries:
         points = geometry.mesh is not None and geometry.primitive == "POINTS"
         if points or (geometry.cloud is not None and geometry.cloud.normal is not None):

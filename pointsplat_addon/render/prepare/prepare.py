@@ -13,6 +13,7 @@ import numpy as np
 
 from ...core.lod.cost import DEFAULT, Costs
 from ...core.lod.cut import cut_of_all_points
+from ...core.numeric.lattice import lattice_for
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
@@ -217,8 +218,9 @@ def _strand_segments(
         levels = view.store.lookup(Key(Kind.CLEAN_STRANDS, geometry.key), lambda strands=strands: with_levels(strands))
         if len(levels) == 0:
             continue
-        tolerance, by_buffer = view.settings.tolerance, view.settings.technique == "VISIBILITY"
-        parts = [select(levels, view_from_object[i], i, view.camera, tolerance, by_buffer) for i in where.tolist()]
+        tolerance = view.settings.tolerance
+        lattice = lattice_for(view.interactive) if view.settings.technique == "VISIBILITY" else None
+        parts = [select(levels, view_from_object[i], i, view.camera, tolerance, lattice) for i in where.tolist()]
         parts = [part for part in parts if len(part)]
         if parts:
             found[row] = concatenate_segments(parts)

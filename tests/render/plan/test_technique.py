@@ -114,7 +114,7 @@ def test_auto_leaves_the_visibility_buffer_where_another_draws_better(name, more
     assert because in found.because
 
 
-@pytest.mark.parametrize(("name", "more"), [("smoke", {}), ("cube", {"lens": True})])
+@pytest.mark.parametrize(("name", "more"), [("smoke", {}), ("cube", {"lens": True}), ("cube", {"budget": "ERROR"})])
 def test_the_visibility_buffer_is_not_taken_where_it_cannot_draw(name, more):
     found = decide_technique(given(cases.CASES[name]().scene, technique="VISIBILITY", **more))
     assert found.name == "IMAGE_SPACE"

@@ -28,8 +28,7 @@ class StrandUploads:
         self.instances: dict[str, Texture] = {}  # transforms, by sampler name
         if plan.lines:
             for row, segments in prepared.strands.items():
-                at_once = plan.sub_samples > 0
-                draw = StrandDraw(scope.device, self._page(row), segments, scene.instances.holdout, at_once)
+                draw = StrandDraw(scope.device, self._page(row), segments, scene.instances.holdout)
                 self.draws.append(scope.own(draw))
 
     def upload_view(self, prepared: Prepared) -> None:

@@ -81,6 +81,10 @@ class Visibility:
                 found[:, y:end_y, x:end_x] = shown[:, y - low : end_y - low, x - left : end_x - left]
         return found
 
+    def weights(self, view: SampleView) -> np.ndarray:
+        """Returns the weights of the pixel filter, (9, S): see filter_weights."""
+        return filter_weights(self._targets.buffer.lattice, view.offset, FILTER_WIDTH)
+
     def _number_primitives(self, view: SampleView) -> None:
         """Lists what a view shows, with the numbers of primitives: first splats, then triangles, then segments."""
         first = sum(draw.elements for draw in self._uploads.points.draws)
@@ -156,7 +160,7 @@ class Visibility:
     def _spread(self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], sums: Target) -> None:
         """Adds what the groups show to the sums."""
         targets, groups = self._targets, self._targets.groups
-        weights = filter_weights(targets.buffer.lattice, view.offset, FILTER_WIDTH)
+        weights = self.weights(view)
         # The weights of one lattice are constants of the program; with several it would be compiled for each.
         fixed = weights if view.offset == (0.0, 0.0) else None
         behind = self._plan.background

@@ -43,7 +43,7 @@ class StrandKind:
     """The segments of one geometry that a view draws in one way."""
 
     draw: StrandDraw
-    kind: str  # TUBE or STRIP
+    kind: str  # TUBE, STRIP or THIN
     first_id: int  # number of the first one
 
     @property
@@ -69,14 +69,14 @@ class StrandKind:
 
 
 def ids_program(normal: bool, ribbon: bool, kind: str) -> Interface:
-    """Returns the program that draws one kind of segments, TUBE or STRIP, into the visibility buffer.
+    """Returns the program that draws one kind of segments, TUBE, STRIP or THIN, into the visibility buffer.
 
     `normal`: something is lit, and directions tell surfaces apart. `ribbon`: the strands are flat ribbons.
     """
     tube = kind == "TUBE"
     fetched = ["ps_segment_list", "ps_segments", "ps_point", "ps_instances"]
-    fetched += ["ps_tangent"] if normal or not ribbon else []
-    fetched += ["ps_side"] if ribbon else []
+    fetched += ["ps_tangent"] if normal or tube or (kind == "STRIP" and not ribbon) else []
+    fetched += ["ps_side"] if ribbon and (normal or kind == "STRIP") else []
     fetched += ["ps_materials"] if tube and normal else []
     varyings = [("flat", "uint", "v_id")]
     if tube:
@@ -84,6 +84,7 @@ def ids_program(normal: bool, ribbon: bool, kind: str) -> Interface:
     else:
         varyings += [("flat", "uint", "v_key"), ("flat", "uint", "v_phase"), ("flat", "int", "v_rows")]
         varyings += [("smooth", "vec3", "v_position"), ("smooth", "vec2", "v_extent")]
+        varyings += [("flat", "vec3", "v_line")] if kind == "THIN" else []
     return Interface(
         "lines",
         vertex="strands/strand_ids.vert",
@@ -92,7 +93,11 @@ def ids_program(normal: bool, ribbon: bool, kind: str) -> Interface:
         samplers=tuple(("FLOAT_2D", name) for name in fetched),
         varyings=tuple(varyings),
         outputs=OUTPUTS,
-        defines=(LATTICE_DEFINE, *_kind_defines(ribbon, kind), *((("PS_NORMAL", "1"),) if normal else ())),
+        defines=(
+            LATTICE_DEFINE,
+            *_kind_defines(ribbon, kind),
+            *((name, "1") for name, on in {"PS_NORMAL": normal, "PS_THIN": kind == "THIN"}.items() if on),
+        ),
         depth=True,
     )
 
@@ -150,7 +155,8 @@ class StrandCover:
                     buffer.target,
                     uniforms=view.record_of(program.block, first=first, cell_offset=buffer.cell_offset(corner), **own),
                     textures={**shared, **draw.textures},
-                    vertices=6 * min(CHUNK, draw.count - first),
+                    vertices=(2 if draw.kind == "THIN" else 6) * min(CHUNK, draw.count - first),
+                    primitive="LINES" if draw.kind == "THIN" else "TRIANGLES",
                     depth_test=True,
                 )
 

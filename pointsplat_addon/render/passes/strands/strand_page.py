@@ -17,7 +17,7 @@ import numpy as np
 from ....core.scene.materials import MaterialTable
 from ....core.scene.strands import Strands
 from ....core.strand.levels import StrandLevels
-from ....core.strand.segments import ROUND, Segments
+from ....core.strand.segments import Segments
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Texture, releases_on_failure
 from ..gbuffer import Variant
@@ -60,16 +60,8 @@ class StrandDraw:
     """What one view draws of one geometry."""
 
     @releases_on_failure
-    def __init__(
-        self,
-        device: Device,
-        page: StrandPage,
-        segments: Segments,
-        holdout: np.ndarray | None = None,
-        sub_samples: bool = False,
-    ) -> None:
-        """holdout: (I,) bool, of all instances. `sub_samples`: many samples of a pixel are drawn at once; else thin
-        segments are listed for each sample."""
+    def __init__(self, device: Device, page: StrandPage, segments: Segments, holdout: np.ndarray | None = None) -> None:
+        """holdout: (I,) bool, of all instances."""
         self.device, self.page, self.segments = device, page, segments
         rows = np.zeros((len(segments), TEXELS, 4), np.float32)
         rows[:, 0, :2] = segments.ends
@@ -83,11 +75,12 @@ class StrandDraw:
             rows[wide, 1, :2] = page.strands.ends_near(segments.ends[wide])
         size, data = paged(rows.reshape(-1, 4), 4)
         self.texture = device.texture(size, "RGBA32F", data)
-        narrow = np.flatnonzero(segments.greatest_share < ROUND) if sub_samples else segments.narrow
-        # By kind, the segments that are the same in every sample, (n,) int64.
-        self.indices = {"TUBE": segments.wide, "STRIP": narrow}
+        # By kind, the segments that are drawn in every sample, (n,) int64.
+        self.indices = {"TUBE": segments.wide, "STRIP": segments.narrow}
         if page.ribbon:
-            self.indices = {"STRIP": np.concatenate([narrow, segments.wide])}
+            self.indices = {"STRIP": np.concatenate([segments.narrow, segments.wide])}
+        if segments.on_lattice:
+            self.indices["THIN"] = segments.thin
         self._lists = {kind: self._listed(index) for kind, index in self.indices.items()}
         self.thin: tuple[Texture, int] | None = None
         self.turn = -1.0  # of the sample that thin ones are listed for
@@ -109,7 +102,7 @@ class StrandDraw:
 
     def lists(self) -> dict[str, tuple[Texture, int]]:
         """Texture and length of the list of each kind that there is."""
-        named = {**self._lists, "THIN": self.thin}
+        named = self._lists if self.thin is None else {**self._lists, "THIN": self.thin}
         return {kind: listed for kind, listed in named.items() if listed is not None}
 
     def _forget(self) -> None:
