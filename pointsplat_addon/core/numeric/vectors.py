@@ -20,7 +20,7 @@ def blocks(count: int) -> Iterator[slice]:
     return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
 
 
-def each_block(count: int, work: Callable[[slice], None], block: int = BLOCK) -> None:
+def each_block(count: int, work: Callable[[slice], object], block: int = BLOCK) -> None:
     """Calls `work` for `count` items in slices of at most `block`, in several threads where there are many slices.
 
     NumPy releases the interpreter's lock within its loops. Slices must not depend on one another. Raises what `work`

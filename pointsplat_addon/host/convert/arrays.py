@@ -52,7 +52,7 @@ def digest(*parts: object) -> str:
     for part in parts:
         if isinstance(part, np.ndarray):
             state.update(f"{part.dtype.str}{part.shape}".encode())
-            _add_content(state, memoryview(np.ascontiguousarray(part)).cast("B") if part.size else memoryview(b""))
+            _add_content(state, np.ascontiguousarray(part).data.cast("B") if part.size else memoryview(b""))
         else:
             state.update(repr(part).encode())
     return state.hexdigest()

@@ -98,6 +98,7 @@ def test_a_page_holds_its_clouds_one_after_another():
 
     class Recorder(NullDevice):
         def texture(self, size, format, data=None):
+            assert callable(data)
             made[next(names)] = texels = np.full((size[0] * size[1], CHANNELS[format]), np.nan, np.float32)
             for start in range(0, len(texels), 30_001):  # across the clouds' ends
                 data(texels[start : start + 30_001], slice(start, min(start + 30_001, len(texels))))
