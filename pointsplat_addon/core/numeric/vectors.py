@@ -24,24 +24,30 @@ def each_block(count: int, work: Callable[[slice], object], block: int = BLOCK) 
     """Calls `work` for `count` items in slices of at most `block`, in several threads where there are many slices.
 
     NumPy releases the interpreter's lock within its loops. Slices must not depend on one another. Raises what `work`
-    raises.
+    raises in the first slice where it does.
     """
     slices = [slice(start, min(start + block, count)) for start in range(0, count, block)]
     threads = min(os.cpu_count() or 1, MOST_THREADS, len(slices) // 2)
-    left = iter(slices)
+    if threads < 2:
+        for one in slices:
+            work(one)
+        return
+    left, failures = iter(slices), []
 
     def work_off() -> None:
         for one in left:  # each goes to the thread that asks first
-            work(one)
+            try:
+                work(one)
+            except Exception as error:
+                failures.append((one.start, error))
+                return
 
-    if threads < 2:
-        work_off()
-        return
     with ThreadPoolExecutor(threads - 1, thread_name_prefix="PointSplat blocks") as pool:
-        others = [pool.submit(work_off) for _ in range(threads - 1)]
+        for _ in range(threads - 1):
+            pool.submit(work_off)
         work_off()
-        for other in others:
-            other.result()
+    if failures:  # of the first slice that failed, whichever thread had it
+        raise min(failures, key=lambda failure: failure[0])[1]
 
 
 def take_rows(array: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -3,11 +3,14 @@
 // Shadows of wide lights are the mean of PS_SHADOW_TAPS points of the light, of a sequence that goes on from sample to
 // sample of a picture: PS_SHADOW_SAMPLE is the sample's number. PS_SHADOW_ONE_CELL: samples are so many that each looks
 // at one cell instead of interpolating four. PS_SHADOW_SOLID: only opaque things cast.
+// PS_SHADOW_FIRST: where so many points of the light agree, no others are looked at.
 // PS_SHADOW_SUNS: all lights are suns. PS_SHADOW_HARD: none has a size.
 
 #include "lib/shadow/table.glsl"
 
 #ifdef PS_SHADOWS
+
+#define PS_SHADOW_ALIKE 0.004  // differences of transmittance that an 8-bit picture does not show
 
 PsReceiver ps_shadow_receiver(bool parallel, vec3 local, vec3 normal)
 {
@@ -112,6 +115,9 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
   int segments = !wide ? 1 : narrow ? PS_SHADOW_FEW_SEGMENTS : PS_SHADOW_SEGMENTS;
 
   vec3 sum = vec3(0.0);
+#ifdef PS_SHADOW_FIRST
+  vec3 least = vec3(1e30), most = vec3(-1e30);
+#endif
   for (int k = 0; k < taps; k++) {
     int index = PS_SHADOW_SAMPLE * PS_SHADOW_TAPS + k;
     vec2 light_point = vec2(ps_shadow_sequence(index, 0.8812714616335696), ps_shadow_sequence(index, 0.7766393890897682));
@@ -162,7 +168,15 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
       }
       left *= max(1.0 - covered, 0.0);
     }
-    sum += vec3(left * exp(-depth));
+    vec3 through = vec3(left * exp(-depth));
+    sum += through;
+#ifdef PS_SHADOW_FIRST
+    least = min(least, through);
+    most = max(most, through);
+    if (k == PS_SHADOW_FIRST - 1 && all(lessThan(most - least, vec3(PS_SHADOW_ALIKE)))) {
+      taps = PS_SHADOW_FIRST;
+    }
+#endif
   }
   return sum / float(max(taps, 1));
 }

@@ -9,6 +9,7 @@ from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, Values, block
 from .averages import averaged, averaged_defines, averaged_outputs
 from .lighting import (
     ENOUGH_CELLS,
+    FIRST_LIGHT_POINTS,
     LIGHT_FIELDS,
     LIGHT_POINTS,
     MOST_LIGHT_POINTS,
@@ -69,8 +70,11 @@ def shade_program(
              "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped,
              "PS_COARSE": coarse and any("SHADOW" in name for name in lighting)}  # fmt: skip
     names = (*variant.defines, *materials, *averaged_defines(passes), *(name for name, on in flags.items() if on))
-    points = min(max(LIGHT_POINTS // samples, 1), MOST_LIGHT_POINTS)
+    # A sample of groups is a whole picture: it looks at all points, but only where the first ones disagree.
+    points = min(max(LIGHT_POINTS // samples, 1), LIGHT_POINTS if grouped else MOST_LIGHT_POINTS)
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_SAMPLE" in lighting else ()
+    wide = "PS_SHADOW_HARD" not in lighting
+    taps += (("PS_SHADOW_FIRST", str(FIRST_LIGHT_POINTS)),) if taps and wide and points > FIRST_LIGHT_POINTS else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
     return Interface(
         "shade", fragment="shading/shade.frag", block=_block(passes, lighting, focus, combined),
