@@ -27,5 +27,5 @@ def under_a_sun(technique: str, radius: float) -> Case:
 def test_shadows_are_those_of_many_samples(radius):
     truth = render(under_a_sun("IMAGE_SPACE", radius), COMBINED, 512).pixels["combined"][..., :3]
     found = render(under_a_sun("VISIBILITY", radius), COMBINED, 16).pixels["combined"][..., :3]
-    assert np.sqrt(np.mean((found - truth) ** 2)) < 0.012  # measured MEASURED
-    assert abs(found.mean() - truth.mean()) < 0.001  # measured MEASURED_MEAN
+    assert np.sqrt(np.mean((found - truth) ** 2)) < 0.01  # measured 0.0062, 0.0047, 0.0077
+    assert abs(found.mean() - truth.mean()) < 0.001  # measured at most 2.7e-4
