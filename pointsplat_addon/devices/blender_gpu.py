@@ -49,8 +49,10 @@ def available() -> tuple[bool, str]:
 
 
 class BlenderTexture:
-    def __init__(self, device: BlenderDevice, size: tuple[int, int], format: str, data: np.ndarray | None):
+    def __init__(self, device: BlenderDevice, size: tuple[int, int], format: str, data: checks.Texels | None):
         self.size, self.format = size, format
+        if data is not None and not isinstance(data, np.ndarray):
+            data = _written(data, size[0] * size[1], CHANNELS[format])
         if data is not None and format == "RGBA16F":
             data = to_half(data)  # exact for any driver then: Blender 4.5 would round towards zero
         content = {} if data is None else {"data": _buffer(data)}
@@ -120,7 +122,7 @@ class BlenderDevice:
         atomics, blend = capabilities(self, compute=True)
         self.limits = replace(self.limits, image_atomics=atomics, float_blend=blend)
 
-    def texture(self, size: tuple[int, int], format: str, data: np.ndarray | None = None) -> BlenderTexture:
+    def texture(self, size: tuple[int, int], format: str, data: checks.Texels | None = None) -> BlenderTexture:
         checks.check_texture(size, format, data, self.limits)
         return BlenderTexture(self, size, format, data)
 
@@ -257,6 +259,13 @@ class BlenderDevice:
         for _, name in interface.samplers:
             with contextlib.suppress(ValueError):
                 program.uniform_sampler(name, textures[name].handle)
+
+
+def _written(write: checks.WriteTexels, count: int, channels: int) -> np.ndarray:
+    """All texels at once: parts of a texture cannot be replaced here."""
+    texels = np.empty((count, channels), np.float32)
+    write(texels, slice(0, count))
+    return texels.reshape(-1)
 
 
 def _buffer(array: np.ndarray) -> gpu.types.Buffer:

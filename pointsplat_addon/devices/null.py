@@ -82,7 +82,7 @@ class NullDevice:
     def uploaded_bytes(self) -> int:
         return sum(texture.uploaded for texture in self.textures)
 
-    def texture(self, size: tuple[int, int], format: str, data: np.ndarray | None = None) -> NullTexture:
+    def texture(self, size: tuple[int, int], format: str, data: checks.Texels | None = None) -> NullTexture:
         checks.check_texture(size, format, data, self.limits)
         uploaded = 0 if data is None else size[0] * size[1] * checks.BYTES_PER_PIXEL[format]
         texture = NullTexture(self, size, format, uploaded)

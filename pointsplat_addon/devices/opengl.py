@@ -23,6 +23,7 @@ from .probe import capabilities
 
 KINDS = {"RGBA32F": "f4", "RGBA16F": "f2", "RG32F": "f4", "R32F": "f4", "R32UI": "u4"}
 MODES = {"TRIANGLES": moderngl.TRIANGLES, "LINES": moderngl.LINES, "POINTS": moderngl.POINTS}
+BAND = 1 << 19  # texels that are written at once
 COMPUTE_VERSION = 430  # the first with compute shaders
 OLDEST_VERSION = 410  # macOS has no newer one
 GL_RENDERBUFFER, GL_DEPTH_COMPONENT32F = 0x8D41, 0x8CAC
@@ -32,10 +33,11 @@ FARTHEST_DEPTH = (ctypes.c_float * 1)(1.0)
 
 
 class OpenGLTexture:
-    def __init__(self, device: OpenGLDevice, size: tuple[int, int], format: str, data: np.ndarray | None):
+    def __init__(self, device: OpenGLDevice, size: tuple[int, int], format: str, data: checks.Texels | None):
         self.size, self.format = size, format
         kind = KINDS[format]
-        self.handle = device.context.texture(size, CHANNELS[format], data, dtype=kind, alignment=1)  # pyright: ignore[reportArgumentType]
+        whole = _stored(data, format) if isinstance(data, np.ndarray) else None
+        self.handle = device.context.texture(size, CHANNELS[format], whole, dtype=kind, alignment=1)  # pyright: ignore[reportArgumentType]
         self.handle.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self.handle.repeat_x = self.handle.repeat_y = False
         self.nbytes = size[0] * size[1] * checks.BYTES_PER_PIXEL[format]
@@ -43,6 +45,19 @@ class OpenGLTexture:
         self._target: moderngl.Framebuffer | None = None
         self._alive = device.alive
         self._alive.add(self)
+        if data is not None and not isinstance(data, np.ndarray):
+            self._write(data)
+
+    def _write(self, write: checks.WriteTexels) -> None:
+        """Fills the texture band by band: what is on its way to the device stays in the processor's cache."""
+        width, height = self.size
+        rows = max(1, BAND // width)
+        band = np.empty((min(rows, height) * width, CHANNELS[self.format]), np.float32)
+        for low in range(0, height, rows):
+            high = min(low + rows, height)
+            texels = band[: (high - low) * width]
+            write(texels, slice(low * width, high * width))
+            self.handle.write(_stored(texels, self.format), viewport=(0, low, width, high - low), alignment=1)
 
     @property
     def target(self) -> moderngl.Framebuffer:
@@ -137,10 +152,8 @@ class OpenGLDevice:
         atomics, blend = capabilities(self, compute=self.version >= COMPUTE_VERSION)
         self.limits = replace(self.limits, image_atomics=atomics, float_blend=blend)
 
-    def texture(self, size: tuple[int, int], format: str, data: np.ndarray | None = None) -> OpenGLTexture:
+    def texture(self, size: tuple[int, int], format: str, data: checks.Texels | None = None) -> OpenGLTexture:
         checks.check_texture(size, format, data, self.limits)
-        if data is not None:
-            data = to_half(data) if format == "RGBA16F" else np.ascontiguousarray(data, np.float32)
         return OpenGLTexture(self, size, format, data)
 
     def target(self, colors: Sequence[Texture], depth: bool = False) -> OpenGLTarget:
@@ -286,6 +299,11 @@ class OpenGLDevice:
             if name in program:
                 textures[name].handle.use(unit)
                 program[name] = unit
+
+
+def _stored(values: np.ndarray, format: str) -> np.ndarray:
+    """Numbers as a texture of the format takes them."""
+    return to_half(values) if format == "RGBA16F" else np.ascontiguousarray(values, np.float32)
 
 
 def _set_mask(target: Target, mask: str) -> None:

@@ -91,8 +91,9 @@ class MeteredDevice(OpenGLDevice):
     timed = False  # finish the device around every pass
 
     def texture(self, size, format, data=None):
-        self.uploaded += 0 if data is None else data.nbytes
-        return super().texture(size, format, data)
+        made = super().texture(size, format, data)
+        self.uploaded += 0 if data is None else made.nbytes
+        return made
 
     def _bind(self, interface, program, uniforms, textures):
         self.uploaded += 0 if uniforms is None else uniforms.nbytes

@@ -10,13 +10,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 
-import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.camera import Aperture
 from pointsplat_addon.devices.null import NullDevice, NullTarget, NullTexture, NullTimer
 from pointsplat_addon.render.device.clock import MOST_OPEN
-from pointsplat_addon.render.device.protocol import DeviceError, Texture
+from pointsplat_addon.render.device.protocol import DeviceError, Texels, Texture
 from pointsplat_addon.render.frame.report import report
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
@@ -48,7 +47,7 @@ class Failing(NullDevice):
         super().__init__()
         self.left, self.timers = after, set[CountingTimer]()
 
-    def texture(self, size: tuple[int, int], format: str, data: np.ndarray | None = None) -> NullTexture:
+    def texture(self, size: tuple[int, int], format: str, data: Texels | None = None) -> NullTexture:
         self._take()
         return super().texture(size, format, data)
 

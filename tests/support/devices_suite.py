@@ -125,6 +125,24 @@ def formats(device: Device) -> Pixels:
 
 
 @case
+def content_that_is_written(device: Device) -> Pixels:
+    """A function is asked for all texels, in slices of any size, and they come to lie where they belong."""
+    width, height = 700, 1601  # more than are asked for at once
+    for format, channels in (("RGBA16F", 4), ("R32F", 1)):
+        data = (np.arange(width * height * channels) % 2039).astype(np.float32).reshape(-1, channels)
+        asked = []
+
+        def write(out: np.ndarray, texels: slice, data: np.ndarray = data, asked: list[slice] = asked) -> None:
+            out[:] = data[texels]
+            asked.append(texels)
+
+        seen = device.read(device.texture((width, height), format, write))
+        equal(seen.reshape(-1, channels), data, format)
+        assert sum(texels.stop - texels.start for texels in asked) == width * height
+    return {}
+
+
+@case
 def unsigned_integers(device: Device) -> Pixels:
     """R32UI: filled with EMPTY, read by a shader and written by one, to the last bit."""
     found: Pixels = {}

@@ -61,6 +61,8 @@ def evaluate_materials(
     """
     if normal is None:
         graphs = {row: replace(graph, normal=None) for row, graph in graphs.items()}
+    if len(rows) and len(graphs) == 1 and (rows == (row := next(iter(graphs)))).all():
+        return _of_one_material(row, graphs[row], inputs(graphs[row], slice(None)), constants)
     channels = {name for graph in graphs.values() for name in graph.channels}
     out: dict[str, np.ndarray] = {}
     if "base_color" in channels:
@@ -78,13 +80,28 @@ def evaluate_materials(
         found = np.flatnonzero(rows == row)
         if len(found) == 0:
             continue
-        part: Part = slice(None) if len(found) == len(rows) else found
-        for name, value in evaluate_samples(graph, inputs(graph, part)).items():
+        for name, value in evaluate_samples(graph, inputs(graph, found)).items():
             if name in SURFACE_COLUMNS:
-                out["surface"][part, SURFACE_COLUMNS.index(name)] = value
+                out["surface"][found, SURFACE_COLUMNS.index(name)] = value
             else:
-                out["color" if name == "base_color" else name][part] = value
+                out["color" if name == "base_color" else name][found] = value
     return Appearance(**out)
+
+
+def _of_one_material(
+    row: int, graph: MaterialGraph, inputs: SampleInputs, constants: MaterialTable | SurfaceConstants
+) -> Appearance:
+    """The appearance of samples that all have the graph of one row."""
+    values = evaluate_samples(graph, inputs)
+    surface = None
+    if values.keys() & set(SURFACE_COLUMNS):
+        count = len(next(iter(values.values())))
+        surface = np.empty((count, len(SURFACE_COLUMNS)), np.float32)
+        for column, name in zip(surface.T, SURFACE_COLUMNS, strict=True):
+            column[:] = values.get(name, getattr(constants, name)[row])
+    return Appearance(
+        values.get("base_color"), surface, values.get("emission"), values.get("normal"), values.get("alpha")
+    )
 
 
 def evaluate_samples(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np.ndarray]:
@@ -99,7 +116,7 @@ def evaluate_samples(graph: MaterialGraph, inputs: SampleInputs) -> dict[str, np
         if not np.isfinite(value).all():
             value = np.nan_to_num(value, copy=False, posinf=0.0, neginf=0.0)
         if name == "normal":
-            value = normalize_rows(value)
+            value = normalize_rows(value).astype(np.float32, copy=False)
             flat = ~value.any(axis=1)
             value[flat] = 0 if inputs.normal is None else inputs.normal[flat]
         else:

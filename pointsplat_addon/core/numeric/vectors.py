@@ -20,7 +20,7 @@ def blocks(count: int) -> Iterator[slice]:
     return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
 
 
-def each_block(count: int, work: Callable[[slice], None], block: int = BLOCK) -> None:
+def each_block(count: int, work: Callable[[slice], object], block: int = BLOCK) -> None:
     """Calls `work` for `count` items in slices of at most `block`, in several threads where there are many slices.
 
     NumPy releases the interpreter's lock within its loops. Slices must not depend on one another. Raises what `work`
@@ -28,13 +28,27 @@ def each_block(count: int, work: Callable[[slice], None], block: int = BLOCK) ->
     """
     slices = [slice(start, min(start + block, count)) for start in range(0, count, block)]
     threads = min(os.cpu_count() or 1, MOST_THREADS, len(slices) // 2)
-    if threads < 2:
-        for one in slices:
+    left = iter(slices)
+
+    def work_off() -> None:
+        for one in left:  # each goes to the thread that asks first
             work(one)
+
+    if threads < 2:
+        work_off()
         return
-    with ThreadPoolExecutor(threads, thread_name_prefix="PointSplat blocks") as pool:
-        for done in [pool.submit(work, one) for one in slices]:
-            done.result()
+    with ThreadPoolExecutor(threads - 1, thread_name_prefix="PointSplat blocks") as pool:
+        others = [pool.submit(work_off) for _ in range(threads - 1)]
+        work_off()
+        for other in others:
+            other.result()
+
+
+def take_rows(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """The items `rows` (K,) int of an array (N, ...), (K, ...): several times as fast as indexing."""
+    found = np.empty((len(rows), *array.shape[1:]), array.dtype)
+    each_block(len(rows), lambda block: np.take(array, rows[block], axis=0, out=found[block]))
+    return found
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -28,11 +28,24 @@ def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.stack([np.where(which, high, low) for which in np.ndindex(2, 2, 2)])
 
 
+def used_positions(mesh: Mesh) -> np.ndarray:
+    """(U, 3) float32: the positions of those vertices of a mesh with valid triangles that some triangle has."""
+    used = np.bincount(mesh.triangles.reshape(-1), minlength=len(mesh.position)) > 0
+    return mesh.position if used.all() else mesh.position[used]
+
+
 def triangles_ball(mesh: Mesh) -> tuple[np.ndarray, float]:
     """Centre (3,) float64 and radius, in object space, of a ball that holds all triangles of a mesh."""
-    used = mesh.position[np.unique(mesh.triangles)].astype(np.float64)
-    middle = (used.min(axis=0) + used.max(axis=0)) / 2
-    return middle, float(np.sqrt(((used - middle) ** 2).sum(axis=1).max()))
+    used = used_positions(mesh)
+    low, high = bounding_box(used)
+    middle, squared = (low + high) / 2, []
+
+    def measure(block: slice) -> None:
+        offset = used[block].T - middle[:, None]
+        squared.append(float(dot(offset, offset).max()))
+
+    each_block(len(used), measure)
+    return middle, float(np.sqrt(max(squared)))
 
 
 def cloud_ball(cloud: PointCloud) -> tuple[np.ndarray, float, float]:

@@ -6,6 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..numeric.segments import stable_order
+from ..numeric.vectors import each_block, take_rows
+
 ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     # name: (shape of one point's value, dtype). None: any trailing shape.
     "position": ((3,), np.float32),
@@ -28,6 +31,9 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
 FARTHEST = 1e18  # of lengths: their squares fit float32
 LENGTHS = ("position", "normal", "axis", "radii", "shading_normal")
 SCATTERED = 1 << 16  # points: fewer stay in the caches, whatever their order
+CELLS = 32  # of the grid by which points are put in order, to each side
+SPREAD_BITS = np.array([sum((cell >> bit & 1) << 3 * bit for bit in range(5)) for cell in range(CELLS)], np.uint16)
+RUN, RUNS = 4096, 64  # length and number of the runs of points by which the order of very many is judged
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,33 +92,71 @@ class PointCloud:
         named = {name: getattr(self, name) for name in ATTRIBUTES}
         return {name: array for name, array in named.items() if array is not None}
 
+    def material_rows(self) -> np.ndarray:
+        """(R,) rows of the material table that the points name, rising; row 0 where they name none."""
+        material = self.material
+        if material is None or len(material) == 0:
+            return np.zeros(0 if material is not None else 1, np.uint16)
+        low, high = material.min(), material.max()
+        return np.array([low]) if low == high else np.unique(material)
+
     def take(self, index: np.ndarray | slice) -> PointCloud:
         """The points that `index` selects, in its order."""
         if isinstance(index, slice):
             return replace(self, **{name: array[index] for name, array in self.arrays().items()})
         rows = np.flatnonzero(index) if index.dtype == bool else index
-        # Several times faster than indexing.
-        return replace(self, **{name: np.take(array, rows, axis=0) for name, array in self.arrays().items()})
+        return replace(self, **{name: take_rows(array, rows) for name, array in self.arrays().items()})
 
 
 def coherent(cloud: PointCloud) -> PointCloud:
-    """The points in an order in which those that follow one another lie close together: what neighbouring pixels show
-    then lies side by side in memory.
+    """The points in an order in which those that follow one another lie close together: see `coherent_order`."""
+    order = coherent_order(cloud.position)
+    return cloud if order is None else cloud.take(order)
 
-    By cells of a grid of 32 to each side in Morton order, stably. A cloud that has such an order already, as most
-    scans and files do, stays as it is, and so does one that fits the processor's caches.
+
+def coherent_order(position: np.ndarray) -> np.ndarray | None:
+    """(N,) integers: an order of points (N, 3) in which those that follow one another lie close together; None: theirs.
+
+    What neighbouring pixels show then lies side by side in memory.
+
+    By cells of a grid of 32 to each side in Morton order, stably. Points that have such an order already, as those of
+    most scans and files do, stay as they are, and so do those that fit the processor's caches, and those of which some
+    are not finite.
     """
-    if len(cloud) < SCATTERED:
-        return cloud
-    key = np.zeros(len(cloud), np.uint16)
-    columns = cloud.position.T
-    low = [float(column.min()) for column in columns]
-    side = max(float(column.max()) for column in (c - np.float32(o) for c, o in zip(columns, low, strict=True)))
-    for axis in range(3):
-        cell = ((columns[axis] - np.float32(low[axis])) * np.float32(31.99 / max(side, 1e-30))).astype(np.uint16)
-        for bit in range(5):
-            key |= ((cell >> bit) & 1) << (3 * bit + axis)
-    occupied = np.count_nonzero(np.bincount(key))
-    if np.count_nonzero(key[1:] != key[:-1]) < max(len(key) // 4, 2 * occupied):
-        return cloud
-    return cloud.take(np.argsort(key, kind="stable"))
+    count = len(position)
+    if count < SCATTERED:
+        return None
+    low = [float(column.min()) for column in position.T]
+    high = [float(column.max()) for column in position.T]
+    if not np.isfinite([*low, *high]).all():
+        return None
+    corner = np.array(low, np.float32)
+    side = max(float(np.float32(h) - c) for h, c in zip(high, corner, strict=True))
+    scale = np.float32((CELLS - 0.01) / max(side, 1e-30))
+
+    def cells(points: np.ndarray) -> np.ndarray:
+        """(n,) uint16 Morton codes of the cells of points (n, 3)."""
+        code = np.zeros(len(points), np.uint16)
+        for axis, column in enumerate(points.T):
+            code |= SPREAD_BITS.take(((column - corner[axis]) * scale).astype(np.intp)) << np.uint16(axis)
+        return code
+
+    # Of very many points some runs tell whether neighbours follow one another.
+    runs = [position[at : at + RUN] for at in np.linspace(0, count - RUN, RUNS).astype(int)]
+    if count > 4 * RUNS * RUN and sum(_steps(cells(run)) for run in runs) < RUNS * RUN // 4:
+        return None
+    code = np.empty(count, np.uint16)
+
+    def fill(block: slice) -> None:
+        code[block] = cells(position[block])
+
+    each_block(count, fill)
+    occupied = np.count_nonzero(np.bincount(code))
+    if _steps(code) < max(count // 4, 2 * occupied):
+        return None
+    return stable_order(code)
+
+
+def _steps(code: np.ndarray) -> int:
+    """How often a cell's code (n,) is followed by another."""
+    return int(np.count_nonzero(code[1:] != code[:-1]))

@@ -118,8 +118,8 @@ def cell_shares(
         # Planes through the eye touch tubes: their outlines are farther apart away from the principal point.
         fx, fy, cx, cy = camera.pixel_from_view()
         normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-        away = np.einsum("nc,nc->n", picture.pixel[first] - np.float32([cx, cy]), normal)
-        stretch = np.square(normal * np.float32([fx, fy])).sum(axis=1) + np.square(away)
+        away = np.einsum("nc,nc->n", picture.pixel[first] - np.array([cx, cy], np.float32), normal)
+        stretch = np.square(normal * np.array([fx, fy], np.float32)).sum(axis=1) + np.square(away)
         wide *= np.sqrt(stretch / np.float32(abs(fx * fy)))[:, None]
     share = np.nan_to_num(wide / line[:, None], posinf=1e30).astype(np.float32)
     if camera.perspective:

@@ -28,8 +28,8 @@ def read_mesh(
     """
     if len(mesh.polygons) == 0:
         return None
-    position = arrays.read(mesh.attributes["position"].data, "vector", 3, np.float32)
-    corner_vert = arrays.read(mesh.attributes[".corner_vert"].data, "value", 1, np.int32)
+    position = arrays.values(mesh.attributes["position"], 3, np.float32)
+    corner_vert = arrays.values(mesh.attributes[".corner_vert"], 1, np.int32)
     offsets = arrays.view(mesh.polygons, (len(mesh.polygons) + 1,), np.int32)
     slot = _slots(mesh, len(rows))
     smooth = mesh.normals_domain == "POINT"
@@ -37,13 +37,13 @@ def read_mesh(
         normal = arrays.view(mesh.vertex_normals, (len(mesh.vertices), 3), np.float32)
     else:
         normal = arrays.view(mesh.corner_normals, (len(mesh.loops), 3), np.float32)
-    uv = {m.name: arrays.read(mesh.attributes[m.name].data, "vector", 2, np.float32) for m in mesh.uv_layers}
+    uv = {m.name: arrays.values(mesh.attributes[m.name], 2, np.float32) for m in mesh.uv_layers}
     active = next((m.name for m in mesh.uv_layers if m.active_render), None)
     colors = _read_colors(mesh, wanted)
 
     def build() -> Mesh:
-        mesh.calc_loop_triangles()
-        corners = arrays.view(mesh.loop_triangles, (len(mesh.loop_triangles), 3), np.int32)
+        of_triangles = _triangle_corners(mesh)
+        vertices = of_triangles(corner_vert)
         material = None
         used = (rows[0] if slot is None else rows[slot[0]],)
         if slot is not None and len(found := np.unique(np.asarray(rows, np.uint16)[slot])) > 1:
@@ -53,13 +53,14 @@ def read_mesh(
         return Mesh(
             key=key,
             name=name,
-            position=position,
-            triangles=corner_vert[corners],
+            position=position.copy(),
+            triangles=vertices,
             vertex_normal=normal.copy() if smooth else None,
-            corner_normal=None if smooth else normal[corners],
-            uv={n: a[corners] for n, a in uv.items()},
+            corner_normal=None if smooth else of_triangles(normal),
+            uv={n: of_triangles(a) for n, a in uv.items()},
             colors={
-                n: arrays.scene_linear(a[_attribute_rows(d, corners, corner_vert)]) for n, (d, a) in colors.items()
+                n: arrays.scene_linear(of_triangles(a) if domain == "CORNER" else a[vertices])
+                for n, (domain, a) in colors.items()
             },
             active_uv=active,
             material=material,
@@ -91,9 +92,13 @@ def _slots(mesh: bpy.types.Mesh, count: int) -> np.ndarray | None:
     return np.clip(arrays.read(attribute.data, "value", 1, np.int32), 0, count - 1)
 
 
-def _attribute_rows(domain: str, corners: np.ndarray, corner_vert: np.ndarray) -> np.ndarray:
-    """Rows (T, 3) of an attribute of the domain CORNER or POINT at the triangles' corners."""
-    return corners if domain == "CORNER" else corner_vert[corners]
+def _triangle_corners(mesh: bpy.types.Mesh) -> Callable[[np.ndarray], np.ndarray]:
+    """A function that copies values (L, ...) of the mesh's corners to the corners of its triangles, (T, 3, ...)."""
+    if len(mesh.loops) == 3 * len(mesh.polygons):  # all are triangles, as in scans
+        return lambda values: values.copy().reshape(-1, 3, *values.shape[1:])
+    mesh.calc_loop_triangles()
+    corners = arrays.view(mesh.loop_triangles, (len(mesh.loop_triangles), 3), np.int32)
+    return lambda values: values[corners]
 
 
 def _read_colors(mesh: bpy.types.Mesh, wanted: frozenset[str | None] | None) -> dict[str, tuple[str, np.ndarray]]:

@@ -16,7 +16,8 @@ import numpy as np
 from ...core.material.evaluation import Appearance, evaluate_materials
 from ...core.material.expression import Part, SampleInputs
 from ...core.material.graph import MaterialGraph, Needs, needs
-from ...core.scene.cloud import PointCloud
+from ...core.numeric.vectors import each_block, take_rows
+from ...core.scene.cloud import PointCloud, coherent_order
 from ...core.scene.volume import Medium, Volume
 from ...core.splat.kernel import PROFILES
 from ...core.surface.appearance import CLIP, ball_extinction
@@ -30,14 +31,14 @@ DEFAULT_RADIUS = 0.01  # Blender's, for points without a radius attribute
 COLOR_NAMES = ("Color", "Col")  # names that importers give to colours
 OPACITY_NAMES = ("opacity", "alpha")
 CAPTURED_ATTRIBUTE = "f_dc_0"  # an attribute of captured splats, whose opacities are logits
-READABLE_TYPES = {"FLOAT": ("value", 1), "FLOAT2": ("vector", 2), "FLOAT_VECTOR": ("vector", 3)}
+READABLE_TYPES = {"FLOAT": 1, "FLOAT2": 2, "FLOAT_VECTOR": 3}  # to numbers of a value
 Lookup = Callable[[str, Callable[[], PointCloud]], PointCloud]  # the cloud of a key, made only if it is not known
 Data = bpy.types.PointCloud | bpy.types.Mesh
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Arrays of N points as Blender has them, in object units."""
+    """Arrays of N points as Blender has them, in object units; they may be its own: see `arrays.view`."""
 
     position: np.ndarray  # (N, 3) float32
     radius: np.ndarray | None  # (N,) float32; None: half the median distance to the nearest neighbour
@@ -47,6 +48,16 @@ class Points:
     colors: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (N, 4) as stored
     uv: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (N, 2) float32
     grids: dict[str, np.ndarray] = field(default_factory=dict)  # by name, what a medium reads, (N,) or (N, 3) float32
+
+    def take(self, rows: slice | np.ndarray) -> Points:
+        """Some of the points, without what materials do not read."""
+
+        def part(array: np.ndarray) -> np.ndarray:
+            return array[rows] if isinstance(rows, slice) else array.take(rows, axis=0)
+
+        normal = None if self.normal is None else part(self.normal)
+        colors, uv = ({name: part(array) for name, array in group.items()} for group in (self.colors, self.uv))
+        return Points(part(self.position), None, normal, colors=colors, uv=uv)
 
     @property
     def key(self) -> str:
@@ -71,7 +82,7 @@ def read_pointcloud(
     if radii is None and isinstance(data, bpy.types.PointCloud):
         radii = np.full(count, DEFAULT_RADIUS, np.float32)
     points = Points(
-        arrays.read(data.attributes["position"].data, "vector", 3, np.float32),
+        arrays.values(data.attributes["position"], 3, np.float32),
         radii,
         _read(data, "normal", "FLOAT_VECTOR"),
         _opacity(data) if imported else None,
@@ -90,50 +101,89 @@ def convert_points(points: Points, material: SampleMaterial, lookup: Lookup) -> 
 
 
 def _make_cloud(points: Points, material: SampleMaterial) -> PointCloud:
-    count, graph, normal = len(points.position), material.graph, points.normal
-    linear = {name: arrays.scene_linear(array) for name, array in points.colors.items()}
-    look = Appearance()
-    if graph is not None:
-        look = _evaluate_graph(points, linear, graph, material)
-    elif linear and material.row == 0:
-        color = next(iter(linear.values()))
-        look = Appearance(np.ascontiguousarray(color[:, :3], np.float32), alpha=np.clip(color[:, 3], 0, 1))
-    facing = normal if look.normal is None else look.normal
+    """The cloud of points, in spatially coherent order."""
+    count, order = len(points.position), coherent_order(points.position)
+    found = _evaluated(points, material, order)
+    radius = points.radius
+    if radius is None:
+        radius = np.full(count, 0.5 * median_spacing(points.position) or DEFAULT_RADIUS, np.float32)
     cloud = PointCloud(
-        position=points.position,
-        normal=None if facing is None else unit_or_up(facing),
-        radii=_radii(points)[:, None],
-        color=look.color,
-        surface=look.surface,
-        emission=look.emission,
+        position=found["position"],
+        normal=found.get("normal"),
+        radii=_in_order(radius, order)[:, None],
+        color=found.get("color"),
+        surface=found.get("surface"),
+        emission=found.get("emission"),
         material=np.full(count, material.row, np.uint16) if material.row else None,
-        kernel=points.kernel,
+        kernel=None if points.kernel is None else _in_order(points.kernel, order),
     )
     if material.extinction > 0 or material.medium is not None:
-        return _with_medium(cloud, points, material)
-    alpha = np.full(count, material.alpha, np.float32) if look.alpha is None else look.alpha
-    if points.opacity is not None:
-        alpha = alpha * points.opacity
-    return _with_alpha(cloud, alpha, material)
+        return _with_medium(cloud, {name: _in_order(grid, order) for name, grid in points.grids.items()}, material)
+    alpha = found.get("alpha")
+    if alpha is None and (points.opacity is not None or material.alpha < 1):
+        alpha = np.full(count, material.alpha, np.float32)
+    if alpha is not None and points.opacity is not None:
+        alpha = alpha * _in_order(points.opacity, order)
+    return cloud if alpha is None else _with_alpha(cloud, alpha, material)
 
 
-def _radii(points: Points) -> np.ndarray:
-    """Radii (N,) float32 in object units."""
-    if points.radius is not None:
-        return points.radius
-    radius = 0.5 * median_spacing(points.position) or DEFAULT_RADIUS
-    return np.full(len(points.position), radius, np.float32)
+def _in_order(array: np.ndarray, order: np.ndarray | None) -> np.ndarray:
+    """An array (N, ...) in an order (N,), None: as it is; not in Blender's memory."""
+    if order is not None:
+        return take_rows(array, order)
+    return array if array.flags.owndata else array.copy()
 
 
-def _with_medium(cloud: PointCloud, points: Points, material: SampleMaterial) -> PointCloud:
-    """The cloud as Gaussians of the object's own extinction or of the material's medium."""
+def _evaluated(points: Points, material: SampleMaterial, order: np.ndarray | None) -> dict[str, np.ndarray]:
+    """Positions, unit normals and what of the material varies at the points, in an order (N,): arrays (N, ...) by name.
+
+    Block by block: what is in between stays in the processor's cache, and Blender's arrays are copied once.
+    """
+    count = len(points.position)
+    box = None
+    if material.graph is not None and needs(material.graph).generated:
+        box = [np.array([f(column) for column in points.position.T], np.float32) for f in (np.min, np.max)]
+
+    def look_at(rows: slice | np.ndarray) -> dict[str, np.ndarray]:
+        part = points.take(rows)
+        look = _appearance(part, material, box)
+        facing = part.normal if look.normal is None else look.normal
+        normal = None if facing is None else unit_or_up(facing)
+        named = {"position": part.position, "normal": normal, "color": look.color, "surface": look.surface,
+                 "emission": look.emission, "alpha": look.alpha}  # fmt: skip
+        return {name: array for name, array in named.items() if array is not None}
+
+    found = {name: np.empty((count, *a.shape[1:]), a.dtype) for name, a in look_at(slice(0, 1)).items()}
+
+    def fill(block: slice) -> None:
+        for name, array in look_at(block if order is None else order[block]).items():
+            found[name][block] = array
+
+    each_block(count, fill)
+    return found
+
+
+def _appearance(points: Points, material: SampleMaterial, box: list[np.ndarray] | None) -> Appearance:
+    """The appearance of points. box: low and high corner, (3,) each, of all points, where generated coordinates are
+    read."""
+    linear = {name: arrays.scene_linear(array) for name, array in points.colors.items()}
+    if material.graph is not None:
+        return _evaluate_graph(points, linear, material.graph, material, box)
+    if linear and material.row == 0:
+        color = next(iter(linear.values()))
+        return Appearance(np.ascontiguousarray(color[:, :3], np.float32), alpha=np.clip(color[:, 3], 0, 1))
+    return Appearance()
+
+
+def _with_medium(cloud: PointCloud, grids: dict[str, np.ndarray], material: SampleMaterial) -> PointCloud:
+    """The cloud as Gaussians of the object's own extinction or of the material's medium, which reads the grids."""
     if material.medium is None:
         return _gaussians(cloud, np.full(len(cloud), material.extinction, np.float32), material)
     medium = material.medium
-    if medium.density_grid not in points.grids:
+    if medium.density_grid not in grids:
         medium = replace(medium, density_grid="")
     # Points are treated as voxels without indices: their optics do not depend on where they are.
-    voxels = Volume("", "", np.empty((len(cloud), 0), np.int32), np.eye(4), points.grids)
+    voxels = Volume("", "", np.empty((len(cloud), 0), np.int32), np.eye(4), grids)
     found, _ = voxel_optics(voxels, medium, material.extinction)
     return replace(cloud, normal=None, color=found.albedo, emission=found.emission, extinction=found.extinction)
 
@@ -172,7 +222,7 @@ def _read(data: Data, name: str, kind: str) -> np.ndarray | None:
     attribute = data.attributes.get(name)
     if attribute is None or attribute.data_type != kind or attribute.domain != "POINT":
         return None
-    return arrays.read(attribute.data, *READABLE_TYPES[kind], np.float32)
+    return arrays.values(attribute, READABLE_TYPES[kind], np.float32)
 
 
 def _opacity(data: Data) -> np.ndarray | None:
@@ -188,7 +238,7 @@ def _kernel(data: Data) -> np.ndarray | None:
     attribute = data.attributes.get("kernel")
     if attribute is None or attribute.data_type != "INT":
         return None
-    row = arrays.read(attribute.data, "value", 1, np.int32)
+    row = arrays.values(attribute, 1, np.int32)
     return np.where((row >= 0) & (row < len(PROFILES)), row, 0).astype(np.uint8)
 
 
@@ -226,12 +276,16 @@ def _color_attributes(data: Data, wanted: Needs, imported: bool) -> list[Any]:
 
 
 def _evaluate_graph(
-    points: Points, colors: dict[str, np.ndarray], graph: MaterialGraph, material: SampleMaterial
+    points: Points,
+    colors: dict[str, np.ndarray],
+    graph: MaterialGraph,
+    material: SampleMaterial,
+    box: list[np.ndarray] | None,
 ) -> Appearance:
-    """Values of a material's graph at the points. colors: their colour attributes by name, (N, 4) scene-linear."""
-    position, generated = points.position, None
-    if needs(graph).generated:
-        generated = generated_coordinates(position, position.min(axis=0), position.max(axis=0))
+    """Values of a material's graph at the points. colors: their colour attributes by name, (N, 4) scene-linear; box:
+    see `_appearance`."""
+    position = points.position
+    generated = None if box is None else generated_coordinates(position, *box)
     active = next(iter(points.uv), None)
     inputs = SampleInputs(points.uv, active, colors, None, position, generated, points.normal)
 

@@ -48,8 +48,7 @@ class Kind(Enum):
     FOREST = auto()  # hierarchies of several point sets, cut together
     BALL_AND_RADIUS = auto()
     TYPICAL_RADIUS = auto()
-    MATERIAL_ROWS = auto()  # that points name
-    USED_MATERIALS = auto()  # the same as a set, with the first row where points name none
+    MATERIAL_ROWS = auto()  # that points name; the first row where they name none
     BRIGHTEST_COLOR = auto()
     IS_INVISIBLE = auto()
     AREA_SHARES = auto()  # covered fraction of each splat's ellipse

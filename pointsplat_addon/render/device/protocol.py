@@ -10,6 +10,7 @@ from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
+from ...core.numeric.vectors import each_block
 from ...shading.interface import Interface
 
 CHANNELS = {"RGBA32F": 4, "RGBA16F": 4, "RG32F": 2, "R32F": 1, "R32UI": 1}  # formats of textures
@@ -18,6 +19,12 @@ DEPTH_BYTES = 4  # per pixel of a target's depth buffer, which is 32-bit float o
 MAX_OUTPUTS = 6  # textures of a target; Blender's gpu takes no more
 MAX_GROUPS = 65535  # work groups in one direction
 EMPTY = 0xFFFFFFFF  # what a cleared R32UI texture holds
+
+
+# Content of a texture: numbers, or a function that writes the texels of a slice, counted along rows, bottom row first,
+# into an array (n, channels) float32. It is called for one slice after another: they need not exist all at once.
+WriteTexels = Callable[[np.ndarray, slice], None]
+Texels = np.ndarray | WriteTexels
 
 
 class DeviceError(RuntimeError):
@@ -78,8 +85,8 @@ class Device(Protocol):
         """All textures and targets that are not released."""
         ...
 
-    def texture(self, size: tuple[int, int], format: str, data: np.ndarray | None = None) -> Texture:
-        """A texture; `data` is float32 of size H*W*channels, bottom row first (never given for R32UI).
+    def texture(self, size: tuple[int, int], format: str, data: Texels | None = None) -> Texture:
+        """A texture; `data` is float32 of size H*W*channels, bottom row first (never given for R32UI), or writes it.
 
         Without data its content is undefined.
         """
@@ -182,7 +189,7 @@ def releases_on_failure(init: Callable[Concatenate[S, Device, P], None]) -> Call
     return made
 
 
-def check_texture(size: tuple[int, int], format: str, data: np.ndarray | None, limits: Limits) -> None:
+def check_texture(size: tuple[int, int], format: str, data: Texels | None, limits: Limits) -> None:
     """Checks a texture. DeviceError: no device can make it, or the data have another size."""
     width, height = size
     if format not in CHANNELS:
@@ -191,7 +198,7 @@ def check_texture(size: tuple[int, int], format: str, data: np.ndarray | None, l
         raise DeviceError(f"a texture of {width} x {height} is outside this GPU's 1 to {limits.texture_size}")
     if data is not None and format == "R32UI":
         raise DeviceError("a texture of unsigned integers takes no data")
-    if data is not None and data.size != width * height * CHANNELS[format]:
+    if isinstance(data, np.ndarray) and data.size != width * height * CHANNELS[format]:
         raise DeviceError(f"{data.size} numbers for a texture of {width} x {height} of {format}")
 
 
@@ -237,12 +244,18 @@ def check_call(
 def to_half(data: np.ndarray) -> np.ndarray:
     """Converts `data` to float16, to the nearest. What is too large, infinities too, becomes the largest float16, and
     NaN becomes 0: light that is too bright for a texture stays bright, where infinities would be drawn black."""
-    with np.errstate(over="ignore"):
-        found = np.ascontiguousarray(data, np.float16)
-    bits = found.view(np.uint16)
-    if (bits & 0x7FFF).max(initial=0) >= 0x7C00:
-        bits[(bits & 0x7FFF) == 0x7C00] -= 1  # of either sign
-        bits[(bits & 0x7FFF) > 0x7C00] = 0
+    found = np.empty(data.shape, np.float16)
+    flat, values = found.reshape(-1), np.ascontiguousarray(data).reshape(-1)
+
+    def convert(block: slice) -> None:
+        with np.errstate(over="ignore"):
+            flat[block] = values[block]
+        bits = flat[block].view(np.uint16)
+        if (bits & 0x7FFF).max(initial=0) >= 0x7C00:
+            bits[(bits & 0x7FFF) == 0x7C00] -= 1  # of either sign
+            bits[(bits & 0x7FFF) > 0x7C00] = 0
+
+    each_block(flat.size, convert)
     return found
 
 

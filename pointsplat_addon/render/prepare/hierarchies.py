@@ -97,7 +97,7 @@ def _with_material_constants(points: PointSet, table: MaterialTable, store: Stor
     material = cloud.material
     if material is None:
         return points
-    rows = store.lookup(Key(Kind.MATERIAL_ROWS, points.key), lambda: np.unique(material))
+    rows = store.lookup(Key(Kind.MATERIAL_ROWS, points.key), cloud.material_rows)
     rows = np.minimum(rows, len(table) - 1)  # indices beyond the table use its last row
     constants = {
         "color": table.base_color,

@@ -124,5 +124,4 @@ def _material_rows(geometry: Geometry) -> list[int]:
     """Returns the rows of the material table that a geometry uses."""
     if geometry.mesh is not None:
         return list(geometry.mesh.materials)
-    material = geometry.cloud.material if geometry.cloud is not None else None
-    return [0] if material is None else np.unique(material).tolist()
+    return [0] if geometry.cloud is None else geometry.cloud.material_rows().tolist()

@@ -128,7 +128,7 @@ def _used_materials(scene: Scene, prepared: Prepared, store: Store) -> tuple[set
     albedo, smooth = 0.0, False
     for points in _point_sets(prepared):
         cloud = points.cloud
-        rows |= store.lookup(Key(Kind.USED_MATERIALS, points.key), lambda c=cloud: _material_rows(c.material))
+        rows |= set(store.lookup(Key(Kind.MATERIAL_ROWS, points.key), cloud.material_rows).tolist())
         if (color := cloud.color) is not None:
             albedo = max(albedo, store.lookup(Key(Kind.BRIGHTEST_COLOR, points.key), lambda c=color: _brightest(c)))
         smooth |= cloud.surface is not None
@@ -145,10 +145,6 @@ def _used_materials(scene: Scene, prepared: Prepared, store: Store) -> tuple[set
         rows |= set() if lines is None else set(lines.materials)
         albedo = np.inf
     return {row for row in rows if row < len(scene.materials)}, albedo, smooth
-
-
-def _material_rows(material: np.ndarray | None) -> frozenset[int]:
-    return frozenset([0] if material is None else np.unique(material).tolist())
 
 
 def _brightest(values: np.ndarray) -> float:

@@ -47,7 +47,7 @@ def shape(kind: str, radius: float) -> tuple[Geometry, float]:
     if kind == "triangles":
         turn = rng.uniform(0, 2 * np.pi, (count, 1)) + np.arange(3) * 2 * np.pi / 3
         corners = at[:, None] + radius * np.stack([np.cos(turn), np.zeros_like(turn), np.sin(turn)], axis=-1)
-        normal = np.tile(np.float32([0, -1, 0]), (3 * count, 1))
+        normal = np.tile(np.array([0, -1, 0], np.float32), (3 * count, 1))
         triangles = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
         mesh = Mesh(key, key, corners.reshape(-1, 3).astype(np.float32), triangles, normal)
         return Geometry(key, key, mesh=mesh), count * 0.75 * np.sqrt(3) * radius**2
@@ -124,8 +124,8 @@ def edge(angle: float, offset: float) -> Geometry:
     far = 4.0 * SIDE
     corners = np.array([offset * across - far * along, offset * across + far * along, -3 * far * across])
     key = f"edge {angle} {offset}"
-    normal = np.tile(np.float32([0, -1, 0]), (3, 1))
-    return Geometry(key, key, mesh=Mesh(key, key, corners.astype(np.float32), np.int32([[0, 1, 2]]), normal))
+    normal = np.tile(np.array([0, -1, 0], np.float32), (3, 1))
+    return Geometry(key, key, mesh=Mesh(key, key, corners.astype(np.float32), np.array([[0, 1, 2]], np.int32), normal))
 
 
 def edge_error(samples: int, angles: np.ndarray) -> float:

@@ -69,7 +69,7 @@ def field(
     places = np.concatenate([np.zeros((len(middle), 1, 2)), np.cumsum(step, axis=1)], axis=1)
     places += middle[:, None] - places.mean(axis=1, keepdims=True)
     strands = np.stack([places[..., 0], np.zeros(places.shape[:2]), places[..., 1]], axis=-1)
-    toward = np.tile(np.float32([0, -1, 0]), (strands.shape[0] * points, 1)) if ribbons else None
+    toward = np.tile(np.array([0, -1, 0], np.float32), (strands.shape[0] * points, 1)) if ribbons else None
     key = f"field {width} {angles} {points} {bend} {ribbons}"
     return build.strand_lines(key, list(strands), width / 2, **({} if toward is None else {"normal": toward}))
 

@@ -62,7 +62,11 @@ class Attribute(Source):
     def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
         color = inputs.colors.get(self.name)
         if color is not None:
-            return np.column_stack([color, color[:, :3].mean(axis=1)])
+            found = np.empty((len(color), 5), np.float32)
+            found[:, :4] = color
+            # Column by column, which is many times as fast as a mean along rows.
+            found[:, 4] = (color[:, 0] + color[:, 1] + color[:, 2]) / np.float32(3)
+            return found
         uv = three_columns(inputs.uv.get(self.name), len(inputs))
         return np.column_stack([uv, np.ones(len(uv), np.float32), uv[:, 0]])
 

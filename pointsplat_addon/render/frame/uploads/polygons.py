@@ -8,7 +8,7 @@ from ....core.material.graph import MaterialGraph
 from ....core.scene.mesh import Mesh
 from ....core.scene.scene import Scene
 from ....core.surface.appearance import digest
-from ....core.surface.density import Parts, make_parts
+from ....core.surface.density import Parts, coherent_order, make_parts
 from ...cache.keys import Key, Kind
 from ...cache.store import Store
 from ...passes.visibility.polygon_mesh import PartList, Pictures, PolygonMesh
@@ -40,14 +40,15 @@ class PolygonUploads:
         geometry = scene.geometries[row]
         mesh = geometry.mesh
         assert mesh is not None
-        parts = None
-        if geometry.primitive == "AUTO":
+        parts, whole = None, plan.sub_samples > 0  # the visibility buffer draws whole meshes
+        if geometry.primitive == "AUTO" and not whole:
             parts = self._store.lookup(Key(Kind.PARTS, geometry.key), lambda: make_parts(mesh))
-        more = (plan.variant, constants_key(scene), scene.materials.cull.tobytes(), parts is not None)
+        more = (plan.variant, constants_key(scene), scene.materials.cull.tobytes(), parts is not None, whole)
         key = Key(Kind.POLYGON_MESH, geometry.key, digest(mesh, scene.materials), other=more)
 
         def make(mesh: Mesh = mesh, parts: Parts | None = parts) -> PolygonMesh:
-            return PolygonMesh(self._scope.device, mesh, scene.materials, plan.variant, parts)
+            order = parts.order if parts is not None else coherent_order(mesh) if whole else None
+            return PolygonMesh(self._scope.device, mesh, scene.materials, plan.variant, parts, order)
 
         return self._scope.lookup(key, make)
 

@@ -170,7 +170,7 @@ class Visibility:
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         if fixed is None:
             texels = weight_texels(weights)
-            named["ps_weights"] = self._device.texture(texels.shape[1::-1], "R32F", texels.reshape(-1))
+            named["ps_weights"] = self._device.texture((texels.shape[1], texels.shape[0]), "R32F", texels.reshape(-1))
         textures = {name: texture for name, texture in named.items() if texture is not None}
         record = SPREAD_BLOCK.record(rectangle=tile.rectangle(targets.size), corner=tile.origin)
         textures = {**groups.codes, **shaded, **textures}

@@ -34,8 +34,8 @@ class VisibilityTargets:
             self.central_leaders = self._own(Leaders(device, of_tile, central=True))
         self.behind: Texture | None = None  # what open sub-samples show
         if plan.background and plan.picture:
-            self.behind = self._own(device.texture(of_tile, "RGBA32F"))
-            self.behind_target: Target = self._own(device.target([self.behind]))
+            self.behind = behind = self._own(device.texture(of_tile, "RGBA32F"))
+            self.behind_target: Target = self._own(device.target([behind]))
         self._lists: _Lists | None = None
 
     def lists(self, size: tuple[int, int]) -> _Lists:

@@ -60,21 +60,21 @@ class Page(SplatPage):
         super().__init__(device, sets)
         clouds = self.clouds
         self.balls = all(cloud.normal is None for cloud in clouds)
-        self.upload("position", "RGBA32F", 4, [position_and_normal(c) for c in clouds])
-        self.upload("extent", "RGBA32F", 4, [
+        self.upload("position", "RGBA32F", [position_and_normal(c) for c in clouds])
+        self.upload("extent", "RGBA32F", [
             extent(c, points=len(points.cloud)) for c, points in zip(clouds, sets, strict=True)
         ])  # fmt: skip
         if variant.color:
-            self.upload("color", "RGBA16F", 4, [filled(c, "color", table.base_color) for c in clouds])
+            self.upload("color", "RGBA16F", [filled(c, "color", table.base_color) for c in clouds])
         if variant.surface:
             constants = np.stack([table.roughness, table.metallic], axis=1)
-            self.upload("surface", "RG32F", 2, [filled(c, "surface", constants) for c in clouds])
+            self.upload("surface", "RG32F", [filled(c, "surface", constants) for c in clouds])
         if variant.emission:
-            self.upload("emission", "RGBA16F", 4, [filled(c, "emission", table.emission) for c in clouds])
+            self.upload("emission", "RGBA16F", [filled(c, "emission", table.emission) for c in clouds])
         if options.facets:
-            self.upload("facets", "RGBA32F", 4, [facets(c) for c in clouds])
+            self.upload("facets", "RGBA32F", [facets(c) for c in clouds])
         if options.shading_normal:
-            self.upload("shading_normal", "R32F", 1, [shading_normal(c) for c in clouds])
+            self.upload("shading_normal", "R32F", [shading_normal(c) for c in clouds])
         self.clouds = []
 
 

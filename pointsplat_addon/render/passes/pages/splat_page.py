@@ -33,25 +33,32 @@ class SplatPage:
         self.textures: dict[str, Texture] = {}
         self._device = device
 
-    def upload(self, name: str, format: str, channels: int, rows: list[Write | np.ndarray]) -> None:
-        """Uploads one attribute of each cloud: what writes it, or rows (n, C <= channels).
+    def upload(self, name: str, format: str, rows: list[Write | np.ndarray]) -> None:
+        """Uploads one attribute of each cloud: what writes it, or rows (n, C) of at most the format's channels.
 
         DeviceError: more splats than a texture holds.
         """
         height = max(1, -(-self.count // PAGE_WIDTH))
-        data = np.empty((height * PAGE_WIDTH, channels), np.float32)
-        at = 0
-        for cloud, values in zip(self.clouds, rows, strict=True):
-            write = _copy(values) if isinstance(values, np.ndarray) else values
-            out = data[at : at + len(cloud)]
-            each_block(len(cloud), lambda block, write=write, out=out: write(out[block], block))
-            at += len(cloud)
-        data[at:] = 0
-        self.textures[f"ps_{name}"] = self._device.texture((PAGE_WIDTH, height), format, data.reshape(-1))
+        writes = [_copy(values) if isinstance(values, np.ndarray) else values for values in rows]
+        starts = np.cumsum([0, *(len(cloud) for cloud in self.clouds)]).tolist()
+
+        def write(out: np.ndarray, texels: slice) -> None:
+            out[max(self.count - texels.start, 0) :] = 0
+            for one, start, stop in zip(writes, starts, starts[1:], strict=False):
+                low, high = max(start, texels.start), min(stop, texels.stop)
+                if low < high:
+                    _write_blocks(one, out[low - texels.start : high - texels.start], low - start)
+
+        self.textures[f"ps_{name}"] = self._device.texture((PAGE_WIDTH, height), format, write)
 
     def release(self) -> None:
         for texture in self.textures.values():
             texture.release()
+
+
+def _write_blocks(write: Write, out: np.ndarray, first: int) -> None:
+    """Writes the splats from `first` on into an array (n, channels), in several threads where they are many."""
+    each_block(len(out), lambda block: write(out[block], slice(first + block.start, first + block.stop)))
 
 
 def _copy(values: np.ndarray) -> Write:

@@ -52,28 +52,28 @@ class TranslucentPage(SplatPage):
         self.clouds = clouds
         if options.defocus and options.fuzzy:
             held = [(shares or {}).get(points.key, 1.0) for points in sets]
-            self.upload("share", "R32F", 1, [
+            self.upload("share", "R32F", [
                 np.broadcast_to(np.float32(share), len(cloud)) for share, cloud in zip(held, clouds, strict=True)
             ])  # fmt: skip
-        self.upload("position", "RGBA32F", 4, [position_and_normal(c) for c in clouds])
-        self.upload("extent", "RGBA32F", 4, [extent(c, always_axis=True) for c in clouds])
-        self.upload("optics", "RGBA32F", 4, [
+        self.upload("position", "RGBA32F", [position_and_normal(c) for c in clouds])
+        self.upload("extent", "RGBA32F", [extent(c, always_axis=True) for c in clouds])
+        self.upload("optics", "RGBA32F", [
             _optics(c, points.is_lattice) for c, points in zip(clouds, sets, strict=True)
         ])  # fmt: skip
         if options.color:
-            self.upload("color", "RGBA16F", 4, [filled(c, "color", table.base_color) for c in clouds])
+            self.upload("color", "RGBA16F", [filled(c, "color", table.base_color) for c in clouds])
         if options.surface:
             constants = np.stack([table.roughness, table.metallic], axis=1)
-            self.upload("surface", "RG32F", 2, [filled(c, "surface", constants) for c in clouds])
+            self.upload("surface", "RG32F", [filled(c, "surface", constants) for c in clouds])
         if options.emission:
             dark = np.zeros_like(table.emission)
-            self.upload("emission", "RGBA32F", 4, [
+            self.upload("emission", "RGBA32F", [
                 filled(c, "emission", table.emission if c.extinction is None else dark) for c in clouds
             ])  # fmt: skip
         if options.tint:
-            self.upload("tint", "RGBA16F", 4, [_tint(c) for c in clouds])
+            self.upload("tint", "RGBA16F", [_tint(c) for c in clouds])
         if options.shading_normal:
-            self.upload("shading_normal", "R32F", 1, [shading_normal(c) for c in clouds])
+            self.upload("shading_normal", "R32F", [shading_normal(c) for c in clouds])
         self.clouds = []
 
 

@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ....core.material.graph import MaterialGraph
+from ....core.scene.bounds import bounding_box, used_positions
 from ....core.scene.materials import MaterialTable
 from ....core.scene.mesh import Mesh
-from ....core.surface.appearance import at_corners, baked, corner_normals, graphs_of, pictured, uv_of
+from ....core.surface.appearance import at_corners, baked, graphs_of, pictured, uv_of
 from ....core.surface.density import PART, Parts
-from ...device.packing import PAGE_WIDTH, pack_normal, paged
-from ...device.protocol import Device, Texture
+from ...device.packing import PAGE_WIDTH, paged
+from ...device.protocol import CHANNELS, Device, Texture
 from ..gbuffer import Variant
+from .corners import corner_texels
 
 LARGEST_PICTURE = 4096  # texels along a side of a baked picture
 # What may vary from corner to corner: texture, and GLSL type and name between the stages.
@@ -116,67 +118,71 @@ class PolygonMesh:
         table: MaterialTable,
         variant: Variant,
         parts: Parts | None = None,
+        order: np.ndarray | None = None,
     ) -> None:
-        self.origin = _origin(mesh)
+        """`order`: (T,) triangles in the order of the parts, or without parts in any; None: as they come."""
         self.triangles = len(mesh.triangles)
-        rows = np.full(len(mesh.triangles), mesh.materials[0]) if mesh.material is None else mesh.material.astype(int)
-        triangle = np.arange(len(mesh.triangles))
-        if parts is not None and parts.order is not None:
-            triangle = parts.order
-        by_material = np.argsort(rows[triangle], kind="stable")
-        order = triangle[by_material]
-        corners = (3 * order[:, None] + np.arange(3)).reshape(-1)
-        corner_rows = np.empty((len(corners), 4), np.float32)
-        corner_rows[:, :3] = mesh.position[mesh.triangles[order].reshape(-1)] - self.origin
-        corner_rows[:, 3] = pack_normal(corner_normals(mesh)[corners])
-        self.textures: dict[str, Texture] = {}
+        low, high = bounding_box(used_positions(mesh))
+        self.origin = ((low.astype(np.float32) + high.astype(np.float32)) / 2).astype(np.float64)
         # Low and high corner (2, 3), relative to the origin.
-        self.box = np.array([corner_rows[:, :3].min(axis=0), corner_rows[:, :3].max(axis=0)], np.float64)
+        self.box = (np.array([low, high]) - self.origin).astype(np.float32).astype(np.float64)
+        by_material: np.ndarray | None = None
+        if mesh.material is not None:
+            by_material = np.argsort(mesh.material if order is None else mesh.material[order], kind="stable")
+            order = by_material if order is None else order[by_material]
+        self._device = device
+        self.textures: dict[str, Texture] = {}
+        size = PAGE_WIDTH, max(1, -(-3 * self.triangles // PAGE_WIDTH))
+        self.textures["ps_corner"] = device.texture(size, "RGBA32F", corner_texels(mesh, order, self.origin))
 
-        def upload(name: str, format: str, channels: int, values: np.ndarray) -> None:
-            size, data = paged(values, channels)
-            self.textures[name] = device.texture(size, format, data)
-
-        upload("ps_corner", "RGBA32F", 4, corner_rows)
         graphs = graphs_of(mesh, table)
         shown = {row: graph for row, graph in graphs.items() if pictured(mesh, graph)}
         flat = {row: graph for row, graph in graphs.items() if row not in shown}
-        alpha_names: list[str] = []
-        if flat:
-            look = at_corners(mesh, table, flat, rows)
-            alpha = np.ones(len(rows) * 3, np.float32) if look.alpha is None else look.alpha
-            color = np.repeat(table.base_color[rows], 3, axis=0) if look.color is None else look.color
-            if not (look.alpha is None and look.color is None):
-                upload("ps_corner_color", "RGBA16F", 4, np.column_stack([color, alpha])[corners])
-            if look.surface is not None:
-                upload("ps_corner_surface", "RG32F", 2, look.surface[corners])
-            if variant.emission and look.emission is not None:
-                upload("ps_corner_emission", "RGBA16F", 4, look.emission[corners])
-            if look.alpha is not None:
-                alpha_names.append("PS_CORNER_ALPHA")
-        at_each_corner = (*(name.upper() for name in CORNERS if name in self.textures), *alpha_names)
-        uv = np.zeros((len(corners), 2), np.float32)
-        starts = np.searchsorted(rows[order], list(mesh.materials))
-        ends = np.searchsorted(rows[order], list(mesh.materials), side="right")
+        at_each_corner = self._upload_looks(mesh, order, table, flat, variant.emission) if flat else ()
+        uv = np.zeros((3 * self.triangles if shown else 0, 2), np.float32)
         self.groups: list[Group] = []
-        for row, start, end in zip(mesh.materials, 3 * starts, 3 * ends, strict=True):
-            if end == start:
-                continue
+        for row, first, end in _ranges(mesh, order):
             defines: tuple[str, ...] = ()
             graph = shown.get(row)
             if graph is not None:
-                uv[start:end] = uv_of(mesh, graph)[corners[start:end]]
+                uv[3 * first : 3 * end] = _ordered(uv_of(mesh, graph), order, slice(first, end))
                 defines = baked_defines(graph, variant.emission)
             elif row in flat:
                 defines = at_each_corner
             begins = None
             if parts is not None:
-                part = by_material[start // 3 : end // 3] // PART
-                begins = start + 3 * np.searchsorted(part, np.arange(len(parts) + 1))
+                part = np.arange(first, end) if by_material is None else by_material[first:end]
+                begins = 3 * (first + np.searchsorted(part // PART, np.arange(len(parts) + 1)))
             cull = bool(table.cull[row])
-            self.groups.append(Group(row, int(start), int(end - start), cull, defines, graph, start=begins))
+            self.groups.append(Group(row, 3 * first, 3 * (end - first), cull, defines, graph, start=begins))
         if shown:
-            upload("ps_corner_uv", "RG32F", 2, uv)
+            self._upload("ps_corner_uv", "RG32F", uv)
+
+    def _upload(self, name: str, format: str, values: np.ndarray) -> None:
+        size, data = paged(values, CHANNELS[format])
+        self.textures[name] = self._device.texture(size, format, data)
+
+    def _upload_looks(
+        self,
+        mesh: Mesh,
+        order: np.ndarray | None,
+        table: MaterialTable,
+        graphs: dict[int, MaterialGraph],
+        emission: bool,
+    ) -> tuple[str, ...]:
+        """Uploads what graphs vary from corner to corner, and returns the defines of shaders that read it."""
+        rows = np.full(self.triangles, mesh.materials[0]) if mesh.material is None else mesh.material.astype(int)
+        look = at_corners(mesh, table, graphs, rows)
+        alpha = np.ones(len(rows) * 3, np.float32) if look.alpha is None else look.alpha
+        color = np.repeat(table.base_color[rows], 3, axis=0) if look.color is None else look.color
+        if not (look.alpha is None and look.color is None):
+            self._upload("ps_corner_color", "RGBA16F", _ordered(np.column_stack([color, alpha]), order))
+        if look.surface is not None:
+            self._upload("ps_corner_surface", "RG32F", _ordered(look.surface, order))
+        if emission and look.emission is not None:
+            self._upload("ps_corner_emission", "RGBA16F", _ordered(look.emission, order))
+        names = [name.upper() for name in CORNERS if name in self.textures]
+        return (*names, *(("PS_CORNER_ALPHA",) if look.alpha is not None else ()))
 
     def hang(self, pictures: Callable[[MaterialGraph, int], Pictures]) -> None:
         """Give each group that shows pictures those of its graph and row of the material table."""
@@ -189,6 +195,17 @@ class PolygonMesh:
             texture.release()
 
 
-def _origin(mesh: Mesh) -> np.ndarray:
-    used = mesh.position[mesh.triangles.reshape(-1)]
-    return ((used.min(axis=0) + used.max(axis=0)) / 2).astype(np.float64) if len(used) else np.zeros(3)
+def _ranges(mesh: Mesh, order: np.ndarray | None) -> list[tuple[int, int, int]]:
+    """(row of the material table, first triangle in this order, the one after the last) of each material."""
+    if mesh.material is None:
+        return [(mesh.materials[0], 0, len(mesh.triangles))]
+    rows = mesh.material[order]
+    firsts, ends = (np.searchsorted(rows, list(mesh.materials), side=side).tolist() for side in ("left", "right"))
+    return [found for found in zip(mesh.materials, firsts, ends, strict=True) if found[2] > found[1]]
+
+
+def _ordered(corners: np.ndarray, order: np.ndarray | None, which: slice = slice(None)) -> np.ndarray:
+    """Values (3T, C) of a mesh's corners, with its triangles put in order; `which`: of these."""
+    values = corners.reshape(-1, 3, corners.shape[-1])
+    found = values[which] if order is None else values[order[which]]
+    return found.reshape(-1, corners.shape[-1])
