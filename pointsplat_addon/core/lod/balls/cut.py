@@ -71,8 +71,8 @@ def _descend(
     """Decides about some cells of one level: what is drawn goes to `found`, the children of the rest are returned."""
     last = level == len(tree.first) - 1
     view, node = views.take(front.instance), tree.start[level] + front.cell
-    m, p = view.matrix, tree.nodes.position[node].T
-    position = np.stack([m[0] * p[0] + m[1] * p[1] + m[2] * p[2] + m[3]])[0]
+    x, y, z = tree.nodes.position[node].T
+    position = np.stack([row[0] * x + row[1] * y + row[2] * z + row[3] for row in view.matrix])
     scale = np.broadcast_to(view.scale, len(node))
     # No ball is farther from the mean than the cell's diagonal.
     radius = (np.sqrt(3.0) * tree.edge[level] + tree.radius) * scale
