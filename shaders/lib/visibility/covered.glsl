@@ -33,19 +33,20 @@ float ps_node_number(vec3 position, int instance)
   return float((h ^ (h >> 15u)) >> 8u) / 16777216.0;
 }
 
-// How many of a pixel's sub-samples a node of the summed depth covers, a fraction, and the rank of the first. See
-// core/lod/balls/tree.py, saturation.
-vec2 ps_node_coverage(vec3 position, int instance, float depth, float saturation)
+// How many of a pixel's sub-samples a node of the summed depth covers, a fraction; the rank of the first; and the part of its balls'
+// radii that others leave free. See core/lod/balls/tree.py, saturation.
+vec3 ps_node_coverage(vec3 position, int instance, float depth, float saturation)
 {
   float turn = fract(ps_node_number(position, instance) + 0.618033989 * float(u.sample_index));
   float covered = depth > 0.01 ? 1.0 - exp(-depth * (1.0 + saturation * depth)) : depth;
-  return float(PS_RANKS) * vec2(covered > PS_CLOSED ? 1.0 : covered, turn);
+  float free = depth > 0.01 ? min(covered / depth, 1.0) : 1.0;
+  return vec3(float(PS_RANKS) * vec2(covered > PS_CLOSED ? 1.0 : covered, turn), free);
 }
 
 // Whether a node covers a cell where its silhouette does. The sub-samples of a pixel have ranks such that those that follow one
 // another are spread over it: a multiple of the cell's number among the translations of the lattice of pixels. The covered
 // ones are consecutive from a real number on, modulo their count, so that the mean over all numbers is the fraction.
-bool ps_is_covered(vec2 covered, ivec2 cell)
+bool ps_is_covered(vec3 covered, ivec2 cell)
 {
   ivec2 lattice = ivec2(u.lattice.xy);
   vec2 first = u.lattice.zw - 0.5 + 0.5 * vec2(lattice.x - lattice.y, lattice.x + lattice.y);
@@ -55,12 +56,19 @@ bool ps_is_covered(vec2 covered, ivec2 cell)
 }
 
 // A normal of one of a node's balls, seen along `sight`: normals of balls are spread over the node as they are over a ball.
-vec3 ps_node_normal(mat3 unit_from_view, vec3 point, vec3 sight)
+// Of balls that hide each other, only parts are seen, about the node's own normal.
+vec3 ps_node_normal(mat3 unit_from_view, vec3 point, vec3 sight, float free)
 {
   vec3 along = normalize(unit_from_view * sight);
   vec3 aside = point - dot(point, along) * along;
   vec3 across = inverse(unit_from_view) * aside;
   across -= dot(across, sight) * sight;
-  float square = min(dot(aside, aside), 1.0), size = length(across);
-  return (size > 0.0 ? sqrt(square) / size : 0.0) * across - sqrt(1.0 - square) * sight;
+  float size = length(across);
+  // That of the ellipsoid, turned to its shortest half-axis, for the surface of flat nodes is flatter than they are.
+  vec3 own = normalize(point * unit_from_view);
+  own = normalize((unit_from_view * own) * unit_from_view);
+  own *= dot(own, sight) > 0.0 ? -1.0 : 1.0;
+  across *= size > 0.0 ? length(aside) / size : 0.0;
+  vec3 ball = across - sqrt(max(1.0 - dot(across, across), 0.0)) * sight;
+  return ps_direction(mix(own, ball, free), ball);
 }

@@ -15,7 +15,7 @@ struct PsUnitSplat {
   mat3 unit_from_view;
 #endif
 #ifdef PS_NODES
-  vec2 covered;  // how many of a pixel's sub-samples, and the rank of the first
+  vec3 covered;  // see ps_node_coverage
 #endif
   vec2 centre;  // in cells
   float depth;  // of the centre
@@ -158,7 +158,7 @@ vec3 ps_splat_normal(PsUnitSplat splat, PsSplatHit hit, vec3 toward)
 #ifdef PS_ROUND
   return ps_direction(hit.point, vec3(0.0, 0.0, 1.0));
 #elif defined(PS_NODES)
-  return ps_node_normal(splat.unit_from_view, hit.point, normalize(toward));
+  return ps_node_normal(splat.unit_from_view, hit.point, normalize(toward), splat.covered.z);
 #else
   vec3 n = splat.ball ? hit.point * splat.unit_from_view : vec3(0.0, 0.0, 1.0) * splat.unit_from_view;
   n = ps_direction(n, vec3(0.0, 0.0, 1.0));
