@@ -17,7 +17,7 @@ from ..criteria import Criteria, InstanceViews, against_frustum, criteria_of, in
 from ..cut import Cut
 from .tree import BallTree
 
-EDGE = 0.75  # of the tolerance: the projected edge of the largest cells that are drawn as nodes
+EDGE = 1.0  # of the tolerance: the projected edge of the largest cells that are drawn as nodes
 PART = 128  # nodes of one level, or balls, that are drawn together though some may be out of view or finer than needed
 EVEN = 1.2  # farthest over nearest depth of what is drawn by one level
 
