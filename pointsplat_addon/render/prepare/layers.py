@@ -23,6 +23,7 @@ from ...core.lod.instances import (
 )
 from ...core.lod.levels import Levels, make_levels
 from ...core.lod.node_table import NodeTable, node_table
+from ...core.numeric.lattice import MANY, lattice_for
 from ...core.scene.scene import Geometry
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
@@ -102,7 +103,9 @@ def with_ball_nodes(
     nodes = Layer({}, np.full(len(set_of_instance), -1), NOTHING_DRAWN)
     if not sets:
         return layer, nodes
-    tolerance = view.settings.tolerance
+    # Few sub-samples show less than many of what nodes leave out, up to nodes of two pixels.
+    spacing = lattice_for(view.samples, view.interactive).spacing
+    tolerance = finest = view.settings.tolerance * min(spacing / MANY.spacing, 2.0)
     where = {key: np.flatnonzero(set_of_instance == key) for key in sets}
     while True:
         cuts = {
@@ -112,7 +115,7 @@ def with_ball_nodes(
         if sum(cut.nodes.splats + cut.balls.splats for cut in cuts.values()) <= MOST_PRIMITIVES:
             break
         tolerance *= 2
-    if tolerance > view.settings.tolerance:
+    if tolerance > finest:
         view.warnings.append(f"so many points are in view that nodes are {tolerance:g} pixels wide")
     balls = Layer(dict(layer.point_sets), layer.set_of_instance.copy(), layer.cut)
     drawn: dict[str, list[Cut]] = {"nodes": [], "balls": [layer.cut]}

@@ -37,10 +37,12 @@ float ps_node_number(vec3 position, int instance)
 // radii that others leave free. See core/lod/balls/tree.py, saturation.
 vec3 ps_node_coverage(vec3 position, int instance, float depth, float saturation)
 {
-  float turn = fract(ps_node_number(position, instance) + 0.618033989 * float(u.sample_index));
+  // From lattice to lattice ranks, and what is left of them, go on by the golden ratio.
+  const float step = floor(0.618033989 * float(PS_RANKS)) + 0.618033989;
+  float first = float(PS_RANKS) * ps_node_number(position, instance) + step * float(u.sample_index);
   float covered = depth > 0.01 ? 1.0 - exp(-depth * (1.0 + saturation * depth)) : depth;
   float free = depth > 0.01 ? min(covered / depth, 1.0) : 1.0;
-  return vec3(float(PS_RANKS) * vec2(covered > PS_CLOSED ? 1.0 : covered, turn), free);
+  return vec3(float(PS_RANKS) * (covered > PS_CLOSED ? 1.0 : covered), mod(first, float(PS_RANKS)), free);
 }
 
 // Whether a node covers a cell where its silhouette does. The sub-samples of a pixel have ranks such that those that follow one

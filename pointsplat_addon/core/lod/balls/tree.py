@@ -1,4 +1,4 @@
-"""Nodes over an opaque cloud of balls: the cells of an octree, level by level, as ellipsoids of which a part is covered.
+"""Nodes over an opaque cloud of balls: cells of an octree, level by level, as ellipsoids of which a part is covered.
 
 Balls lie in Morton order, so that the balls of a cell, and its descendants at any level, are one range: a level is a
 list of where its cells begin, and whole levels are cuts that many instances share. A node keeps the moments of its
@@ -18,14 +18,17 @@ from ...scene.cloud import PointCloud
 from .morton import DEPTH, morton_codes, sorted_by_code
 
 BALLS = 4  # in the cells of the finest level, in the mean, at least: cells of fewer save nothing
-# Squared half-axes of a node's ellipsoid over the variances of its balls' centres; their own mean square is added. With 6,
-# the circle around a square that is evenly filled: nodes of a closed surface leave no holes.
+# Squared half-axes of a node's ellipsoid over the variances of its balls' centres; their own mean square is added.
+# With 6, the circle around a square that is evenly filled: nodes of a closed surface leave no holes.
 SPREAD = 6.0
 BATCH = 1 << 16  # balls that are merged together, so that their working arrays stay in the cache
 # Of `saturation`, which was fitted to balls at random, jittered and regular places on planes, from two directions:
 RUNS, RUN = 4096, 64  # points that are looked at, and neighbours in Morton order to either side of each
 DIGAMMA_1_TO_4, DIGAMMA_4_TO_16 = 1.8333, 1.4849  # differences of the digamma function
-RANDOM_SATURATION, MOST_SATURATION, SATURATION_STEP = 0.1, 0.95, 1.8
+MOST_SATURATION, SATURATION_STEP = 0.95, 2.6
+RANDOM_EXCESS = 0.06  # what random points exceed the expected distance by, as not all neighbours are among the run
+FEW_SATURATION = 2.0  # of nodes of n random balls, times n: moments of few balls are smaller than the cells they lie in
+ONE_SATURATION = 1e4  # of a single ball, which is covered
 AVERAGED = ("color", "surface", "emission")  # attributes of nodes that are means, weighted by area
 
 
@@ -41,7 +44,7 @@ class BallTree:
     start: np.ndarray  # (L + 1,) int64: the first node of each level
     edge: np.ndarray  # (L,) float64: length of the cells' edges
     nodes: PointCloud  # M nodes: means of position and attributes, weighted by area; no radii
-    shape: np.ndarray  # (M, 8) float32: xx, xy, xz, yy, yz, zz of the ellipsoid; total area; `saturation`
+    shape: np.ndarray  # (M, 8) float32: squared half-axes xx, xy, xz, yy, yz, zz; total area; saturation
     radius: float  # of the largest ball
 
     def __len__(self) -> int:
@@ -88,7 +91,7 @@ def build_ball_tree(cloud: PointCloud) -> BallTree:
         offsets([len(f) - 1 for f in first]),
         side / 2.0 ** np.arange(depth + 1),
         _node_cloud(cloud, first, table),
-        _shapes(table, np.concatenate([np.diff(f) for f in first]), saturation(cloud.position)),
+        _shapes(table, saturation(cloud.position)),
         float(cloud.radii[:, 0].max()),
     )
 
@@ -109,8 +112,8 @@ def saturation(position: np.ndarray) -> float:
     square = np.sort((away * away).sum(axis=2), axis=1)[:, [0, 3, 15]]
     first, fourth, sixteenth = 0.5 * np.log(np.maximum(square, 1e-300)).mean(axis=0)
     inverse_dimension = max((sixteenth - fourth) / DIGAMMA_4_TO_16, 0.2)
-    excess = (first - fourth) / inverse_dimension + DIGAMMA_1_TO_4
-    return float(np.clip(RANDOM_SATURATION + SATURATION_STEP * excess, RANDOM_SATURATION, MOST_SATURATION))
+    excess = (first - fourth) / inverse_dimension + DIGAMMA_1_TO_4 - RANDOM_EXCESS
+    return float(np.clip(SATURATION_STEP * excess, 0.0, MOST_SATURATION))
 
 
 def _threshold(level: int) -> np.uint64:
@@ -123,10 +126,10 @@ def _ends(begin: np.ndarray, count: int) -> np.ndarray:
 
 
 def _merge_balls(cloud: PointCloud, first: np.ndarray) -> np.ndarray:
-    """The rows (10 + A, n) float64 of the cells that begin at balls `first` (n + 1,): see `_merged`."""
+    """The rows (11 + A, n) float64 of the cells that begin at balls `first` (n + 1,): see `_merged`."""
     assert cloud.radii is not None
     averaged = [array for name in AVERAGED if (array := getattr(cloud, name)) is not None]
-    out = np.empty((10 + sum(array.shape[1] for array in averaged), len(first) - 1))
+    out = np.empty((11 + sum(array.shape[1] for array in averaged), len(first) - 1))
     parts = list(batches(np.diff(first), BATCH))
 
     def merge(which: slice) -> None:
@@ -137,7 +140,8 @@ def _merge_balls(cloud: PointCloud, first: np.ndarray) -> np.ndarray:
             np.maximum(rows[0], 1e-30, out=rows[0])
             rows[0] *= rows[0]
             rows[1:4] = cloud.position[balls].T
-            at = 10
+            rows[10] = rows[0]
+            at = 11
             for array in averaged:
                 rows[at : at + array.shape[1]] = array[balls].T
                 at += array.shape[1]
@@ -148,9 +152,10 @@ def _merge_balls(cloud: PointCloud, first: np.ndarray) -> np.ndarray:
 
 
 def _merged(rows: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Merges the columns of `rows` (10 + A, n) between the `ends` (m + 1,) into one each, (10 + A, m) float64.
+    """Merges the columns of `rows` (11 + A, n) between the `ends` (m + 1,) into one each, (11 + A, m) float64.
 
-    Rows: weight (squared radius); mean position (3); covariance (6) about it; weighted means of A attributes.
+    Rows: weight (squared radius); mean position (3); covariance (6) about it; weighted means of the squared radius and
+    of A attributes.
     """
     begin, count = ends[:-1], np.diff(ends)
     weight = np.add.reduceat(rows[0], begin)
@@ -175,7 +180,7 @@ def _merged(rows: np.ndarray, ends: np.ndarray) -> np.ndarray:
 def _node_cloud(cloud: PointCloud, first: list[np.ndarray], table: np.ndarray) -> PointCloud:
     """The nodes' positions and attributes. Nodes have the material of the ball in their middle."""
     arrays: dict[str, np.ndarray] = {}
-    at = 10
+    at = 11
     for name in AVERAGED:
         if (array := getattr(cloud, name)) is not None:
             arrays[name] = table[at : at + array.shape[1]].T.astype(np.float32)
@@ -186,12 +191,14 @@ def _node_cloud(cloud: PointCloud, first: list[np.ndarray], table: np.ndarray) -
     return PointCloud(table[1:4].T.astype(np.float32), origin=cloud.origin, **arrays)
 
 
-def _shapes(table: np.ndarray, balls: np.ndarray, saturation: float) -> np.ndarray:
+def _shapes(table: np.ndarray, saturation: float) -> np.ndarray:
     """BallTree.shape of the rows of all nodes."""
     shape = np.empty((table.shape[1], 8), np.float32)
     for column in range(6):
         np.multiply(table[4 + column], SPREAD, out=shape[:, column], casting="same_kind")
-    shape[:, [0, 3, 5]] += (table[0] / balls)[:, None]
+    shape[:, [0, 3, 5]] += table[10, :, None]
     np.multiply(table[0], np.pi, out=shape[:, 6], casting="same_kind")
-    shape[:, 7] = saturation
+    balls = table[0] / table[10]  # of one size that would have this area and this mean square
+    np.maximum(saturation, FEW_SATURATION / balls, out=shape[:, 7], casting="same_kind")
+    shape[balls < 1.01, 7] = ONE_SATURATION
     return shape

@@ -28,9 +28,9 @@ LISTED = 1 << 18  # splats that a list holds; where more cover many cells, the r
 VERTICES = 6  # of a rectangle
 FIRST: Fields = (("int", "first_index"),)
 LIST_SIZE: Fields = (("int", "list_size"),)
-# Ranks of a pixel's sub-samples are this multiple of their numbers modulo how many there are, by p of the lattice: of all
-# multiples those by which parts of ellipses of 0.3 to 1.2 pixels are covered with the least deviation.
-RANK_STEP = {2: 2, 4: 10}
+# Ranks of a pixel's sub-samples are this multiple of their numbers modulo how many there are, by p of the lattice: of
+# all multiples those by which parts of circles of 0.3 to 1.2 pixels are covered with the least deviation.
+RANK_STEP = {1: 1, 2: 2, 4: 10}
 NODE_SCALE = 1.0  # size at which nodes are drawn, over that of the ellipsoid with their moments
 
 
