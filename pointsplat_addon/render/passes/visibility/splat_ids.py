@@ -18,7 +18,7 @@ from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..grouping.groups import Groups, Leaders
-from ..pages.point_page import POINT_SAMPLERS, PageDraw, PointOptions, attributes, page_block
+from ..pages.point_page import BALL_PAGE_FIELDS, POINT_SAMPLERS, PageDraw, PointOptions, attributes, page_block
 from ..shading.lighting import SAMPLE_FIELDS
 from ..uniforms import RECTANGLE_FIELDS, Fields, SampleView
 from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, offset_defines, sub_sample_defines
@@ -41,6 +41,7 @@ class SplatKind:
     options: PointOptions
     whole: bool  # all splats of the page are drawn, as one instance
     balls: bool  # all are balls, also in view space
+    ball_page: bool  # the page has no extents
     lattice: Lattice | None  # None: there are no nodes; else all are
 
     @property
@@ -60,19 +61,21 @@ class SplatKind:
             "PS_ELLIPSES": self.options.ellipses and not (self.balls or nodes),
             "PS_DIRECT": self.whole,
             "PS_ROUND": self.balls,
+            "PS_BALL_PAGE": self.ball_page,
         }
         return (LATTICE_DEFINE, *((name, "1") for name, on in named.items() if on), *nodes)
 
     @property
     def samplers(self) -> tuple[tuple[str, str], ...]:
         instances = () if self.options.one_instance else (("FLOAT_2D", "ps_instances"),)
-        read = tuple(sampler for sampler in POINT_SAMPLERS if sampler[1] != "ps_blocks" or not self.whole)
+        missing = {"ps_blocks": self.whole, "ps_extent": self.ball_page}
+        read = tuple(sampler for sampler in POINT_SAMPLERS if not missing.get(sampler[1], False))
         cull = (("FLOAT_2D", "ps_materials"),) if self.options.cull and self.lattice is None else ()
         return (*read, *((("FLOAT_2D", "ps_moments"),) if self.lattice is not None else ()), *instances, *cull)
 
     def block(self, name: str, *groups: Fields) -> Block:
         """The uniforms of a pass."""
-        own = SAMPLE_FIELDS if self.lattice is not None else ()
+        own = (*(BALL_PAGE_FIELDS if self.ball_page else ()), *(SAMPLE_FIELDS if self.lattice is not None else ()))
         return page_block(name, self.options, LATTICE_FIELDS, own, *groups, whole=self.whole)
 
 
@@ -201,9 +204,10 @@ class SplatCover:
             )
 
     def _kind(self, draw: PageDraw) -> SplatKind:
-        nodes = draw.page.nodes
-        lattice = self._buffer.lattice if nodes else None
-        return SplatKind(self._options, draw.whole >= 0, self._round_balls and draw.page.balls and not nodes, lattice)
+        page = draw.page
+        lattice = self._buffer.lattice if page.nodes else None
+        round_balls = self._round_balls and page.balls and not page.nodes
+        return SplatKind(self._options, draw.whole >= 0, round_balls, page.ball_material >= 0, lattice)
 
     def _listed(self, draw: PageDraw, view: SampleView, shared: dict[str, Texture]) -> int:
         """Lists the splats of a page that cover many cells, and returns how many there are."""
