@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...numeric.segments import batches, stable_order
-from ...numeric.vectors import each_block, take_rows
+from ...numeric.segments import batches, sorted_places
+from ...numeric.vectors import each_block, moved_rows
 
 DEPTH = 20  # levels: bits of each coordinate
 SPREAD = (
@@ -45,8 +45,8 @@ def sorted_by_code(code: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The order (N,) integers that sorts codes (N,) uint64, equal ones as they come, and the codes in it."""
     shift = np.uint64(3 * DEPTH - COARSE)
     coarse = (code >> shift).astype(np.uint16)
-    order = stable_order(coarse)
-    code = take_rows(code, order)
+    places = sorted_places(coarse)
+    order, code = moved_rows(np.arange(len(code), dtype=places.dtype), places), moved_rows(code, places)
     parts = list(batches(np.bincount(coarse, minlength=1 << COARSE), TOGETHER))
     ends = np.cumsum(np.bincount(coarse, minlength=1 << COARSE))
 
