@@ -31,9 +31,9 @@ struct PsSplatHit {
 // False: the ball lies outside of the picture, or is nothing.
 bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
 {
-  vec3 p = ps_view_from_point(element.z, texelFetch(ps_position, element.xy, 0).xyz);
+  vec3 p = ps_view_from_point(element.z, ps_splat_head(element).xyz);
   splat.depth = -p.z;
-  splat.radius = texelFetch(ps_extent, element.xy, 0).x * length(ps_linear(element.z)[0]);
+  splat.radius = ps_splat_extent(element).x * length(ps_linear(element.z)[0]);
   if (!(splat.radius > 1e-37) || splat.depth + splat.radius < u.near || splat.depth - splat.radius > u.far) {
     return false;
   }
