@@ -65,8 +65,9 @@ class TranslucentLayers:
         if coarse:
             self._draw_strata(view, [np.zeros(1, np.int64)], weights / weights[:, 0].sum(), shaded, touched, COARSE)
         else:
-            self._draw_strata(view, strata(lattice, lattice.count), weights, shaded, narrow)
-            self._draw_strata(view, strata(lattice, 1), weights, shaded, touched & ~narrow)
+            for tiles, count in ((narrow, lattice.count), (touched & ~narrow, 1)):
+                if tiles.any() or (count == 1 and not narrow.any()):
+                    self._draw_strata(view, strata(lattice, count), weights, shaded, tiles)
         record = ADD_TILE_BLOCK.record(rectangle=tile.rectangle(self._targets.size), corner=tile.origin)
         textures = {"ps_difference": layers.difference}
         self._run(
@@ -145,7 +146,7 @@ class TranslucentLayers:
         self, view: SampleView, layer: int, stratum: Texture, shaded: dict[str, Texture], region: Region
     ) -> None:
         targets, groups, buffer = self._targets, self._targets.groups, self._targets.buffer
-        program = expand_program(buffer.lattice, targets.behind is not None, groups.places is not None)
+        program = expand_program(targets.behind is not None, groups.places is not None)
         record = view.record(EXPAND, sub_samples=stratum.size[0], layer=layer, **buffer.values)
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         textures = {name: texture for name, texture in named.items() if texture is not None}

@@ -33,7 +33,7 @@ ADD_TILE = Interface(
 CODES = (("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"))
 
 
-def expand_program(lattice: Lattice, behind: bool, places: bool) -> Interface:
+def expand_program(behind: bool, places: bool) -> Interface:
     """Returns the program that writes a layer of each pixel and its depth.
 
     `behind`: open sub-samples show something. `places`: the list of groups is not in the order of the pixels.
@@ -45,8 +45,7 @@ def expand_program(lattice: Lattice, behind: bool, places: bool) -> Interface:
         "expand", fragment="translucent/expand.frag", block=EXPAND,
         samplers=(*CODES, ("UINT_2D", "ps_depths"), *(("FLOAT_2D", name) for name in read)),
         outputs=(("vec4", "out_layer"), ("vec4", "out_opaque"), ("vec4", "out_place")),
-        defines=(LATTICE_DEFINE, ("PS_SUB_SAMPLES", str(lattice.count)),
-                 *((name, "1") for name, on in flags.items() if on)),
+        defines=(LATTICE_DEFINE, *((name, "1") for name, on in flags.items() if on)),
     )  # fmt: skip
 
 
@@ -121,7 +120,7 @@ def touched_tiles(
 
 
 def tiles_by_layer(layers: np.ndarray, tiles: np.ndarray) -> list[np.ndarray]:
-    """Returns of tiles (rows, columns) bool those that have a first layer, a second one, and so on.
+    """Returns of tiles (rows, columns) bool those that have a first layer, a second one, and so on; at least the first.
 
     layers: (H, W) int, of each pixel.
     """
@@ -129,7 +128,7 @@ def tiles_by_layer(layers: np.ndarray, tiles: np.ndarray) -> list[np.ndarray]:
     height, width = layers.shape
     padded = np.pad(layers, [(0, rows * TILE - height), (0, columns * TILE - width)])
     most = np.where(tiles, padded.reshape(rows, TILE, columns, TILE).max(axis=(1, 3)), 0)
-    return [most > layer for layer in range(int(most.max()))]
+    return [most > layer for layer in range(max(int(most.max()), 1))]
 
 
 def widened(tiles: np.ndarray) -> np.ndarray:
@@ -140,6 +139,8 @@ def widened(tiles: np.ndarray) -> np.ndarray:
 
 
 def bounds(tiles: np.ndarray) -> Bounds:
-    """Returns the rectangle of pixels around tiles (rows, columns) bool, of which there is one: low and high corner."""
+    """Returns the rectangle of pixels around tiles (rows, columns) bool: low and high corner."""
     y, x = (np.flatnonzero(tiles.any(axis=axis)) for axis in (1, 0))
+    if len(x) == 0:
+        return 0.0, 0.0, 0.0, 0.0
     return x[0] * TILE, y[0] * TILE, (x[-1] + 1) * TILE, (y[-1] + 1) * TILE
