@@ -516,8 +516,8 @@ def test_a_volume_is_drawn_as_translucent_points():
     assert result.report["points"]["total"] == 64
 
 
-@pytest.mark.parametrize("alpha", [0.3, 0.9])
-def test_cards_let_as_much_light_through_as_coarse_nodes_of_them(alpha):
+@pytest.mark.parametrize(("alpha", "technique"), [(0.3, "IMAGE_SPACE"), (0.9, "IMAGE_SPACE"), (0.3, "VISIBILITY")])
+def test_cards_let_as_much_light_through_as_coarse_nodes_of_them(alpha, technique):
     """As leaves do: cards that face all ways, whose nodes are thick."""
     rng = np.random.default_rng(3)
     count = 20_000
@@ -533,7 +533,7 @@ def test_cards_let_as_much_light_through_as_coarse_nodes_of_them(alpha):
     seen = {}
     for tolerance in (0.05, 4.0, 8.0):
         # So many samples that a hierarchy pays for itself.
-        settings = Settings(technique="IMAGE_SPACE", tolerance=tolerance, use_shadows=False)
+        settings = Settings(technique=technique, tolerance=tolerance, use_shadows=False)
         result = draw(made, camera((0, -6, 0), resolution=(48, 48)), 96, settings)
         seen[result.report["points"]["cut"]] = result.pixels["combined"][..., 0].mean()
     every, fine, coarse = sorted(seen, reverse=True)
