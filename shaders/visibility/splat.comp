@@ -42,7 +42,7 @@ void main()
     return;
   }
 #ifdef PS_IDENTIFY
-  int material = int(texelFetch(ps_extent, element.xy, 0).w);
+  int material = int(ps_splat_extent(element).w);
   vec3 toward = ps_is_perspective() ? ps_view_from_point(element.z, texelFetch(ps_position, element.xy, 0).xyz)
                                     : vec3(0.0, 0.0, -1.0);
 #endif

@@ -18,6 +18,6 @@ void main()
   gl_FragDepth = ps_buffer_depth(hit.depth);
   vec3 toward = ps_view_from_pixel(ps_pixel_from_cell(gl_FragCoord.xy), 1.0);
   toward = ps_is_perspective() ? toward : vec3(0.0, 0.0, -1.0);
-  int material = int(texelFetch(ps_extent, element.xy, 0).w);
+  int material = int(ps_splat_extent(element).w);
   out_key = ps_surface_key(element.z, material, ps_splat_normal(splat, hit, toward));
 }

@@ -1,5 +1,6 @@
 // Where rays through sub-samples meet an opaque splat: a ball (an ellipsoid in view space) or an elliptical disk.
-// PS_ROUND: all are balls, also in view space. Reference: tests/reference/coverage.py.
+// PS_ROUND: all are balls, also in view space. PS_BALL_PAGE: the page holds balls alone, with their radius in the place of the
+// normal, and one material. Reference: tests/reference/coverage.py.
 
 #include "lib/data/splat.glsl"
 #include "lib/geometry/ellipsoid_bounds.glsl"
@@ -26,6 +27,27 @@ struct PsSplatHit {
   vec3 point;  // in the splat's coordinates
 };
 
+// Position, and packed normal (-1: a ball).
+vec4 ps_splat_head(ivec3 element)
+{
+  vec4 head = texelFetch(ps_position, element.xy, 0);
+#ifdef PS_BALL_PAGE
+  head.w = -1.0;
+#endif
+  return head;
+}
+
+// Half-axes, packed major axis, material row.
+vec4 ps_splat_extent(ivec3 element)
+{
+#ifdef PS_BALL_PAGE
+  float radius = texelFetch(ps_position, element.xy, 0).w;
+  return vec4(radius, radius, 0.0, u.ball_material);
+#else
+  return texelFetch(ps_extent, element.xy, 0);
+#endif
+}
+
 #ifndef PS_ROUND
 // The least and the greatest value of dot(along, p) / depth over the ellipsoid with the centre p and the shape S, in a parallel
 // view without the division.
@@ -39,8 +61,8 @@ vec2 ps_extent_along(vec2 along, vec3 p, mat3 shape)
 // False: the splat lies outside of the picture, or is nothing.
 bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
 {
-  vec4 head = texelFetch(ps_position, element.xy, 0);
-  vec4 extent = texelFetch(ps_extent, element.xy, 0);
+  vec4 head = ps_splat_head(element);
+  vec4 extent = ps_splat_extent(element);
   mat3 linear = ps_linear(element.z);
   vec3 p = ps_view_from_point(element.z, head.xyz);
   splat.depth = -p.z;
@@ -149,8 +171,8 @@ vec3 ps_splat_normal(PsUnitSplat splat, PsSplatHit hit, vec3 toward)
 // Whether the splat turns its back to the eye, and its material hides that.
 bool ps_is_culled(ivec3 element)
 {
-  int material = int(texelFetch(ps_extent, element.xy, 0).w);
-  float code = texelFetch(ps_position, element.xy, 0).w;
+  int material = int(ps_splat_extent(element).w);
+  float code = ps_splat_head(element).w;
   if (code < 0.0 || texelFetch(ps_materials, ivec2(2, material), 0).x <= 0.5) {
     return false;
   }

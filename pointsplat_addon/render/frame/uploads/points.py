@@ -76,8 +76,10 @@ class PointUploads:
         plan, table = self._plan, self._scene.materials
         sets = list({points.key: points for points in group.values()}.values())
         filled = constants_key(self._scene) if plan.variant.color or plan.variant.emission else b""
-        key = Key(Kind.PAGE, tuple(p.key for p in sets), other=(plan.variant, plan.options.shading_normal, filled))
-        return self._scope.lookup(key, lambda: Page(self._scope.device, sets, plan.variant, plan.options, table))
+        small = plan.sub_samples > 0
+        other = (plan.variant, plan.options.shading_normal, filled, small)
+        key = Key(Kind.PAGE, tuple(p.key for p in sets), other=other)
+        return self._scope.lookup(key, lambda: Page(self._scope.device, sets, plan.variant, plan.options, table, small))
 
 
 def _only_instance(layer: Layer, group: dict[int, PointSet], page: Page) -> int:

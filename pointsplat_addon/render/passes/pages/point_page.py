@@ -7,6 +7,8 @@ A page holds the splats of several point sets. Texture by texture, one texel a s
   surface         roughness, metallic             |
   emission        emitted radiance                |
   shading_normal  packed normal, -1: the splat's  /
+A page of balls alone, all of one material, keeps their radius in the place of the packed normal, and has no extent,
+where the visibility buffer draws it.
 A block is up to 2^shift consecutive splats of one instance: texel (x, y) of the first one, count, instance.
 """
 
@@ -24,7 +26,7 @@ from ...device.protocol import Device, Texture
 from ...prepare.point_sets import Layer, PointSet
 from ..gbuffer import Variant
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
-from .splat_page import SplatPage, extent, facets, filled, position_and_normal, shading_normal
+from .splat_page import SplatPage, extent, facets, filled, position_and_normal, position_and_radius, shading_normal
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
 # What lib/data/splat.glsl reads where a view draws all splats of a page, as one instance; else it reads the blocks.
@@ -33,6 +35,7 @@ BLOCK_FIELDS: Fields = (
     ("int", "block_count"),
     ("int", "block_shift"),  # log2 of the splats in a block
 )
+BALL_PAGE_FIELDS: Fields = (("int", "ball_material"),)  # row of the material of a page without extents
 POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_position"), ("FLOAT_2D", "ps_extent"))
 
 
@@ -55,15 +58,26 @@ class Page(SplatPage):
     """A page of opaque splats."""
 
     def __init__(
-        self, device: Device, sets: list[PointSet], variant: Variant, options: PointOptions, table: MaterialTable
+        self,
+        device: Device,
+        sets: list[PointSet],
+        variant: Variant,
+        options: PointOptions,
+        table: MaterialTable,
+        small: bool = False,
     ) -> None:
+        """`small`: without extents where it can be, for the visibility buffer."""
         super().__init__(device, sets)
         clouds = self.clouds
         self.balls = all(cloud.normal is None for cloud in clouds)
-        self.upload("position", "RGBA32F", [position_and_normal(c) for c in clouds])
-        self.upload("extent", "RGBA32F", [
-            extent(c, points=len(points.cloud)) for c, points in zip(clouds, sets, strict=True)
-        ])  # fmt: skip
+        self.ball_material = _ball_material(sets) if small else -1  # of a page without extents; else -1
+        if self.ball_material >= 0:
+            self.upload("position", "RGBA32F", [position_and_radius(c) for c in clouds])
+        else:
+            self.upload("position", "RGBA32F", [position_and_normal(c) for c in clouds])
+            self.upload("extent", "RGBA32F", [
+                extent(c, points=len(points.cloud)) for c, points in zip(clouds, sets, strict=True)
+            ])  # fmt: skip
         if variant.color:
             self.upload("color", "RGBA16F", [filled(c, "color", table.base_color) for c in clouds])
         if variant.surface:
@@ -76,6 +90,14 @@ class Page(SplatPage):
         if options.shading_normal:
             self.upload("shading_normal", "R32F", [shading_normal(c) for c in clouds])
         self.clouds = []
+
+
+def _ball_material(sets: list[PointSet]) -> int:
+    """Returns the row of the material of point sets that are round balls of one material alone; else -1."""
+    if any(points.hierarchy is not None or not points.cloud.round_balls for points in sets):
+        return -1
+    rows = {row for points in sets for row in points.cloud.material_rows().tolist()}
+    return rows.pop() if len(rows) == 1 else -1
 
 
 def blocks(layer: Layer, first: dict[int, int]) -> tuple[np.ndarray, int]:
@@ -180,6 +202,7 @@ class PageDraw:
             "block_shift": self.shift,
             "splats": self.splats,
             "only_instance": self.whole,
+            "ball_material": self.page.ball_material,
         }
         names = {name for _, name in block.fields}
         known = {name: value for name, value in known.items() if name in names}

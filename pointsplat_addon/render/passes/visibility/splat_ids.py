@@ -18,7 +18,7 @@ from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..grouping.groups import Groups, Leaders
-from ..pages.point_page import POINT_SAMPLERS, PageDraw, PointOptions, attributes, page_block
+from ..pages.point_page import BALL_PAGE_FIELDS, POINT_SAMPLERS, PageDraw, PointOptions, attributes, page_block
 from ..uniforms import RECTANGLE_FIELDS, Fields, SampleView
 from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, offset_defines, sub_sample_defines
 
@@ -36,6 +36,7 @@ class SplatKind:
     options: PointOptions
     whole: bool  # all splats of the page are drawn, as one instance
     balls: bool  # all are balls, also in view space
+    ball_page: bool  # the page has no extents
 
     @property
     def defines(self) -> tuple[tuple[str, str], ...]:
@@ -45,18 +46,21 @@ class SplatKind:
             "PS_ELLIPSES": self.options.ellipses and not self.balls,
             "PS_DIRECT": self.whole,
             "PS_ROUND": self.balls,
+            "PS_BALL_PAGE": self.ball_page,
         }
         return (LATTICE_DEFINE, *((name, "1") for name, on in named.items() if on))
 
     @property
     def samplers(self) -> tuple[tuple[str, str], ...]:
         instances = () if self.options.one_instance else (("FLOAT_2D", "ps_instances"),)
-        read = tuple(sampler for sampler in POINT_SAMPLERS if sampler[1] != "ps_blocks" or not self.whole)
+        missing = {"ps_blocks": self.whole, "ps_extent": self.ball_page}
+        read = tuple(sampler for sampler in POINT_SAMPLERS if not missing.get(sampler[1], False))
         return (*read, *instances, *((("FLOAT_2D", "ps_materials"),) if self.options.cull else ()))
 
     def block(self, name: str, *groups: Fields) -> Block:
         """The uniforms of a pass."""
-        return page_block(name, self.options, LATTICE_FIELDS, *groups, whole=self.whole)
+        ball_page = BALL_PAGE_FIELDS if self.ball_page else ()
+        return page_block(name, self.options, LATTICE_FIELDS, ball_page, *groups, whole=self.whole)
 
 
 def cover_program(kind: SplatKind, step: str) -> Interface:
@@ -184,7 +188,8 @@ class SplatCover:
             )
 
     def _kind(self, draw: PageDraw) -> SplatKind:
-        return SplatKind(self._options, draw.whole >= 0, self._round_balls and draw.page.balls)
+        page = draw.page
+        return SplatKind(self._options, draw.whole >= 0, self._round_balls and page.balls, page.ball_material >= 0)
 
     def _listed(self, draw: PageDraw, view: SampleView, shared: dict[str, Texture]) -> int:
         """Lists the splats of a page that cover many cells, and returns how many there are."""
