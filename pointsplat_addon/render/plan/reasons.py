@@ -73,7 +73,8 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
     found = {"shadows": unshadowed} if unshadowed else {}
     found |= _of_points(plan, unseen.get("points", "nothing is drawn as points"))
     if not by_buffer:
-        found |= dict.fromkeys(BY_BUFFER, "another technique draws")
+        why = "another technique draws" if plan.solid else "nothing opaque is drawn"
+        found |= dict.fromkeys(BY_BUFFER, why)
     elif not plan.points:
         found["cover"] = unseen.get("points", "nothing is drawn as points")
     if not plan.polygons:
