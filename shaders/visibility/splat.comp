@@ -49,6 +49,9 @@ void main()
   for (int y = low.y; y <= high.y; y++) {
     for (int x = low.x; x <= high.x; x++) {
       PsSplatHit hit = ps_meet_splat(splat, vec2(x, y) + 0.5 - splat.centre);
+#ifdef PS_NODES
+      hit.there = hit.there && ps_is_covered(splat.covered, ivec2(x, y));
+#endif
       if (hit.there) {
         uint key = floatBitsToUint(max(hit.depth - u.near, 0.0));
 #ifdef PS_IDENTIFY

@@ -1,6 +1,7 @@
 // Where rays through sub-samples meet an opaque splat: a ball (an ellipsoid in view space) or an elliptical disk.
 // PS_ROUND: all are balls, also in view space. PS_BALL_PAGE: the page holds balls alone, with their radius in the place of the
-// normal, and one material. Reference: tests/reference/coverage.py.
+// normal, and one material. PS_NODES: ellipsoids that stand for several balls, of which a part is covered. Reference:
+// tests/reference/coverage.py.
 
 #include "lib/data/splat.glsl"
 #include "lib/geometry/ellipsoid_bounds.glsl"
@@ -13,6 +14,9 @@ struct PsUnitSplat {
 #ifndef PS_ROUND
   bool ball;
   mat3 unit_from_view;
+#endif
+#ifdef PS_NODES
+  vec3 covered;  // see ps_node_coverage
 #endif
   vec2 centre;  // in cells
   float depth;  // of the centre
@@ -58,6 +62,10 @@ vec2 ps_extent_along(vec2 along, vec3 p, mat3 shape)
 }
 #endif
 
+#ifdef PS_NODES
+#include "lib/visibility/covered.glsl"
+#endif
+
 // False: the splat lies outside of the picture, or is nothing.
 bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
 {
@@ -72,6 +80,11 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
     return false;
   }
 #else
+#ifdef PS_NODES
+  splat.ball = true;
+  vec4 moments = texelFetch(ps_moments, element.xy, 0);
+  mat3 axes = ps_node_axes(linear, extent.xyz, moments.xyz);
+#else
   float minor = abs(extent.y);
   splat.ball = head.w < 0.0;
   mat3 axes = extent.x * linear;
@@ -85,6 +98,7 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
     major = normalize(major - dot(major, n) * n);
     axes = linear * mat3(extent.x * major, minor * cross(n, major), extent.x * n);
   }
+#endif
   mat3 cofactors = mat3(cross(axes[1], axes[2]), cross(axes[2], axes[0]), cross(axes[0], axes[1]));
   float volume = dot(axes[0], cofactors[0]);
   mat3 shape = axes * transpose(axes);
@@ -98,6 +112,11 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
   splat.unit_from_view = transpose(cofactors) * (1.0 / volume);
 #endif
   bool perspective = ps_is_perspective();
+#ifdef PS_NODES
+  vec3 sight = perspective ? normalize(p) : vec3(0.0, 0.0, -1.0);
+  float silhouette = abs(volume) * length(splat.unit_from_view * sight);
+  splat.covered = ps_node_coverage(head.xyz, element.z, ps_node_depth(moments.w, linear, silhouette), -1.0 - head.w);
+#endif
   // From cells to slopes, or positions in a parallel view: the lattice's matrix is a rotation times a scale.
   float square = dot(u.lattice.xy, u.lattice.xy);
   vec2 step_x = vec2(u.lattice.x, -u.lattice.y) / (square * u.focal), step_y = u.lattice.yx / (square * u.focal);
@@ -160,6 +179,8 @@ vec3 ps_splat_normal(PsUnitSplat splat, PsSplatHit hit, vec3 toward)
 {
 #ifdef PS_ROUND
   return ps_direction(hit.point, vec3(0.0, 0.0, 1.0));
+#elif defined(PS_NODES)
+  return ps_node_normal(splat.unit_from_view, hit.point, normalize(toward), splat.covered.z);
 #else
   vec3 n = splat.ball ? hit.point * splat.unit_from_view : vec3(0.0, 0.0, 1.0) * splat.unit_from_view;
   n = ps_direction(n, vec3(0.0, 0.0, 1.0));
