@@ -4,14 +4,7 @@
 // Combined. u.corner: where in the picture the tile begins.
 
 #include "lib/visibility/groups.glsl"
-
-#define PS_LIST_MASK 4095
-#define PS_LIST_SHIFT 12
-
-ivec2 ps_list_texel(int entry)
-{
-  return ivec2(entry & PS_LIST_MASK, entry >> PS_LIST_SHIFT);
-}
+#include "lib/visibility/list.glsl"
 
 void ps_add(float weight, ivec2 texel)
 {
@@ -73,11 +66,7 @@ void main()
       }
       open_weight -= weight;
       if (weight > 0.0) {
-        int entry = first + layer;
-#ifdef PS_PLACES
-        entry = int(texelFetch(ps_places, ps_list_texel(entry), 0).x);
-#endif
-        ps_add(weight, ps_list_texel(entry));
+        ps_add(weight, ps_group_texel(first + layer));
       }
     }
 #ifdef PS_BEHIND

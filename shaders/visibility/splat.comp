@@ -55,6 +55,9 @@ void main()
 #endif
     for (int x = first; x <= last; x++) {
       PsSplatHit hit = ps_meet_splat(splat, vec2(x, y) + 0.5 - splat.centre);
+#ifdef PS_NODES
+      hit.there = hit.there && ps_is_covered(splat.covered, ivec2(x, y));
+#endif
       if (hit.there) {
         uint key = floatBitsToUint(max(hit.depth - u.near, 0.0));
 #ifdef PS_IDENTIFY

@@ -1,6 +1,7 @@
 // Where rays through sub-samples meet an opaque splat: a ball (an ellipsoid in view space) or an elliptical disk.
 // PS_ROUND: all are balls, also in view space. PS_BALL_PAGE: the page holds balls alone, with their radius in the place of the
-// normal, and one material. Reference: tests/reference/coverage.py.
+// normal, and one material. PS_NODES: ellipsoids that stand for several balls, of which a part is covered. Reference:
+// tests/reference/coverage.py.
 
 #include "lib/data/splat.glsl"
 #include "lib/geometry/ellipsoid_bounds.glsl"
@@ -37,6 +38,9 @@ vec4 ps_splat_extent(ivec3 element)
 struct PsUnitSplat {
   bool ball;
   mat3 unit_from_view;
+#ifdef PS_NODES
+  vec3 covered;  // see ps_node_coverage
+#endif
   vec2 centre;  // in cells
   float depth;  // of the centre
   float lift;  // the centre's depth, or 1 in a parallel view
@@ -58,6 +62,10 @@ vec2 ps_extent_along(vec2 along, vec3 p, mat3 shape)
   return ps_ellipsoid_ends(dot(along, p.xy), dot(s, along), dot(along, shape[2].xy), p.z, shape[2][2]);
 }
 
+#ifdef PS_NODES
+#include "lib/visibility/covered.glsl"
+#endif
+
 // False: the splat lies outside of the picture, or is nothing.
 bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
 {
@@ -66,6 +74,11 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
   mat3 linear = ps_linear(element.z);
   vec3 p = ps_view_from_point(element.z, head.xyz);
   splat.depth = -p.z;
+#ifdef PS_NODES
+  splat.ball = true;
+  vec4 moments = texelFetch(ps_moments, element.xy, 0);
+  mat3 axes = ps_node_axes(linear, extent.xyz, moments.xyz);
+#else
   float minor = abs(extent.y);
   splat.ball = head.w < 0.0;
   mat3 axes = extent.x * linear;
@@ -79,6 +92,7 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
     major = normalize(major - dot(major, n) * n);
     axes = linear * mat3(extent.x * major, minor * cross(n, major), extent.x * n);
   }
+#endif
   mat3 cofactors = mat3(cross(axes[1], axes[2]), cross(axes[2], axes[0]), cross(axes[0], axes[1]));
   float volume = dot(axes[0], cofactors[0]);
   mat3 shape = axes * transpose(axes);
@@ -91,6 +105,11 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
   }
   splat.unit_from_view = transpose(cofactors) * (1.0 / volume);
   bool perspective = ps_is_perspective();
+#ifdef PS_NODES
+  vec3 sight = perspective ? normalize(p) : vec3(0.0, 0.0, -1.0);
+  float silhouette = abs(volume) * length(splat.unit_from_view * sight);
+  splat.covered = ps_node_coverage(head.xyz, element.z, ps_node_depth(moments.w, linear, silhouette), -1.0 - head.w);
+#endif
   // From cells to slopes, or positions in a parallel view: the lattice's matrix is a rotation times a scale.
   float square = dot(u.lattice.xy, u.lattice.xy);
   vec2 step_x = vec2(u.lattice.x, -u.lattice.y) / (square * u.focal), step_y = u.lattice.yx / (square * u.focal);
@@ -135,9 +154,13 @@ PsSplatHit ps_meet_splat(PsUnitSplat splat, vec2 cell)
 // Unit normal where a ray meets the splat, in view space; that of a disk is turned to the eye.
 vec3 ps_splat_normal(PsUnitSplat splat, PsSplatHit hit, vec3 toward)
 {
+#ifdef PS_NODES
+  return ps_node_normal(splat.unit_from_view, hit.point, normalize(toward), splat.covered.z);
+#else
   vec3 n = splat.ball ? hit.point * splat.unit_from_view : vec3(0.0, 0.0, 1.0) * splat.unit_from_view;
   n = ps_direction(n, vec3(0.0, 0.0, 1.0));
   return !splat.ball && dot(n, toward) > 0.0 ? -n : n;
+#endif
 }
 
 #endif
