@@ -4,7 +4,6 @@
 // Combined. u.corner: where in the picture the tile begins.
 
 #include "lib/visibility/groups.glsl"
-#include "lib/visibility/list.glsl"
 
 void ps_add(float weight, ivec2 texel)
 {

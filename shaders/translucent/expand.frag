@@ -5,7 +5,6 @@
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
-#include "lib/visibility/list.glsl"
 #include "lib/translucent/place.glsl"
 
 void main()
