@@ -54,7 +54,7 @@ void main()
   s.shape = vec4(leader.offset, 0.0, floor(ps_splat_extent(element).w));
 #ifdef PS_NORMAL
   vec3 own = ps_splat_normal(splat, ps_meet_splat(splat, cell - splat.centre), toward);
-#ifdef PS_ROUND
+#if defined(PS_ROUND) || defined(PS_NODES)
   s.normal.xyz = own;
 #else
   bool turned = false;

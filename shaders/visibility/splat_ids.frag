@@ -13,6 +13,11 @@ void main()
   if (!drawn || !hit.there) {
     discard;
   }
+#ifdef PS_NODES
+  if (!ps_is_covered(splat.covered, ivec2(gl_FragCoord.xy))) {
+    discard;
+  }
+#endif
   out_id = PS_RASTERISED | uint(u.first_index + index);
   out_depth = floatBitsToUint(max(hit.depth - u.near, 0.0));
   gl_FragDepth = ps_buffer_depth(hit.depth);
