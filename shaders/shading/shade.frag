@@ -1,8 +1,14 @@
 // Deferred shading: the G-buffer to scene-linear radiance, premultiplied, added to what earlier samples left. Pixels
 // that show nothing are left to background.frag. PS_AUXILIARY_ONLY: only passes beside Combined are drawn. PS_GROUPED: the
 // texels are a list of groups of sub-samples, and shape.xy is where in the pixel the one lies that stands for the group.
+// PS_FOOTPRINT: shadows are looked up at each of these sub-samples; centre.z is 1 + the packed normal of the surface's plane.
 
 #include "lib/geometry/camera.glsl"
+#ifdef PS_FOOTPRINT
+#include "lib/visibility/lattice.glsl"
+#include "lib/visibility/groups.glsl"
+#include "lib/data/pack.glsl"
+#endif
 #include "lib/geometry/surfel_kind.glsl"
 #include "lib/light/lights.glsl"
 #include "lib/data/materials.glsl"
@@ -36,6 +42,13 @@ void main()
   vec2 at = vec2(ps_listed(pixel).pixel) + 0.5 + shape.xy;
 #else
   vec2 at = gl_FragCoord.xy;
+#endif
+#ifdef PS_FOOTPRINT
+  PsListed listed = ps_listed(pixel);
+  ps_footprint.middle = ps_central_cell(listed.pixel);
+  ps_footprint.codes = uvec2(texelFetch(ps_first, listed.pixel, 0).x, texelFetch(ps_second, listed.pixel, 0).x);
+  ps_footprint.layer = uint(listed.layer);
+  ps_footprint.plane = centre.z > 0.5 ? ps_unpack_normal(centre.z - 1.0) : vec3(0.0);
 #endif
 #ifdef PS_NORMAL
   vec4 bent = texelFetch(ps_normal, pixel, 0);

@@ -109,6 +109,8 @@ class Frame:
             )
         )
         self.clock.spent |= self.uploads.spent
+        if self.uploads.lighting.lacks_maps:
+            run("shadow maps", self.uploads.lighting.draw_maps)
         if plan.backdrop:
             self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
         count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)

@@ -173,7 +173,7 @@ def make_frame_plan(
 
     prepared, out_of_view = without_invisible_layers(scene, prepared, camera, store)
     scene, reflects, negligible = without_negligible(scene, prepared, camera.view_from_world, store)
-    shadows, unshadowed = _shadows(scene, prepared, request, store, clock)
+    shadows, unshadowed = _shadows(scene, prepared, request, store, clock, limits)
     painter = technique.name == "PAINTER" and prepared.cut.splats > 0
     if painter:
         prepared = with_opaque_among_translucent(
@@ -181,7 +181,8 @@ def make_frame_plan(
         )
 
     absences = Absences(
-        unshadowed,
+        unshadowed or ("" if shadows is None or shadows.tables is not None else "depth maps show all that casts"),
+        unshadowed or ("" if shadows is None or shadows.maps is not None else "only tables hold what casts"),
         out_of_view,
         "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus",
         LENS_SAMPLES_BLUR if through_lens else why_not_blurred(scene, camera),
@@ -258,17 +259,18 @@ def _not_adaptive(request: Request, prepared: Prepared, plan: Plan, through_lens
 
 
 def _shadows(
-    scene: Scene, prepared: Prepared, request: Request, store: Store, clock: Clock
+    scene: Scene, prepared: Prepared, request: Request, store: Store, clock: Clock, limits: Limits
 ) -> tuple[Shadows | None, str]:
-    """The tables of all lights that cast shadows on what is drawn; or None, and why."""
+    """What casts the shadows of all lights on what is drawn; or None, and why."""
     layers = (prepared, prepared.translucent, prepared.spheres)
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()
-    found, unshadowed = make_shadows(scene, request.settings, store, clock.check)
+    found, unshadowed = make_shadows(scene, request.settings, store, clock.check, limits.texture_size)
     if found is None:
         return None, unshadowed or "nothing casts shadows"
-    clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
+    if found.tables is not None:
+        clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
     return found, ""
 
 

@@ -37,7 +37,7 @@ class ViewToPlan:
     scene: Scene
     prepared: Prepared  # for the painter and for defocus, with the splats that they draw among the translucent ones
     request: Request
-    shadows: Shadows | None  # None: no light has a table of shadows
+    shadows: Shadows | None  # None: no light casts any
     ewa: bool  # the technique of opaque points is EWA
     painter: bool  # the technique is the painter, and there are opaque points
     reflects: bool  # something that is drawn reflects light
@@ -214,16 +214,23 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
     if drawn and view.reflects and view.picture:
         smoothest = 0.0 if varies else float(scene.materials.roughness.min())
         found = (*_world(scene), *light_names(scene.lights, smoothest))
-    if view.shadows is not None:
-        packed = view.shadows.packed
-        named = {
+    return found + (() if view.shadows is None else _shadows(view.shadows))
+
+
+def _shadows(shadows: Shadows) -> tuple[str, ...]:
+    """Names of the defines of shadows."""
+    named = {"PS_SHADOWS": True, "PS_SHADOW_MAPS": shadows.maps is not None}
+    if shadows.tables is not None:
+        packed = shadows.tables.packed
+        named |= {
+            "PS_SHADOW_TABLES": True,
+            "PS_SHADOW_SAMPLE": True,
             "PS_SHADOW_COLORED": packed.colored,
             "PS_SHADOW_SOLID": packed.only_opaque,
             "PS_SHADOW_SUNS": packed.only_suns,
             "PS_SHADOW_HARD": packed.no_light_has_size,
         }
-        found += ("PS_SHADOWS", "PS_SHADOW_SAMPLE", *(name for name, on in named.items() if on))
-    return found
+    return tuple(name for name, on in named.items() if on)
 
 
 def _materials(scene: Scene, varies: bool) -> tuple[str, ...]:

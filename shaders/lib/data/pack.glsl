@@ -25,3 +25,11 @@ vec4 ps_unpack_facet(float code)
   float share = floor(code / 262144.0);
   return vec4(ps_unpack_octahedral(code - 262144.0 * share, PS_FACET_STEPS), share);
 }
+
+float ps_pack_normal(vec3 n)
+{
+  n /= max(abs(n.x) + abs(n.y) + abs(n.z), 1e-30);
+  vec2 e = n.z >= 0.0 ? n.xy : (1.0 - abs(n.yx)) * vec2(n.x >= 0.0 ? 1.0 : -1.0, n.y >= 0.0 ? 1.0 : -1.0);
+  vec2 steps = floor((0.5 * e + 0.5) * PS_OCT_STEPS + 0.5);
+  return steps.y * (PS_OCT_STEPS + 1.0) + steps.x;
+}

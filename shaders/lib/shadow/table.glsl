@@ -2,7 +2,7 @@
 // a distance. Reference: scripts/common/shadow_truth.py; layout: render/shadow/packed_tables.py.
 // Samplers: ps_shadow_tables (the cells of all lights), ps_shadow_lights (one row for each light, of this view).
 
-#ifdef PS_SHADOWS
+#ifdef PS_SHADOW_TABLES
 
 #ifndef PS_SHADOW_TAPS
 #define PS_SHADOW_TAPS 4

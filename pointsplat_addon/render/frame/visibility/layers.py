@@ -106,7 +106,9 @@ class Visibility:
         run("attributes", lambda: self._write_attributes(view, leaders, lists.surfaces, self._plan.variant))
         run(
             "shade",
-            lambda: self._shading.shade_groups(view, lists.surfaces, leaders.bound | groups.codes, lists.target),
+            lambda: self._shading.shade_groups(
+                view, lists.surfaces, leaders.bound | groups.codes, targets.buffer, lists.target
+            ),
         )
         if targets.behind is not None:
             run("background", lambda: self._shading.draw_open(view, groups.codes, targets.behind_target))
@@ -136,7 +138,7 @@ class Visibility:
         if splats is not None:
             self._run("cover", lambda: splats.rasterise(draws, view, shared))
         if polygons is not None:
-            self._run("polygons", lambda: polygons.cover(normal, view, shared))
+            self._run("polygons", lambda: polygons.identify(normal, view, shared))
         if strands is not None:
             self._run("lines", lambda: strands.cover(normal, view, {**shared, **instances}))
         if splats is not None:
