@@ -54,7 +54,7 @@ void main()
   s.shape = vec4(leader.offset, 0.0, floor(texelFetch(ps_extent, element.xy, 0).w));
 #ifdef PS_NORMAL
   vec3 own = ps_splat_normal(splat, ps_meet_splat(splat, cell - splat.centre), toward);
-  s.centre.z = 1.0 + ps_pack_normal(own);
+  s.centre.z = PS_PLANE_IN_KEYS;
 #ifdef PS_ROUND
   s.normal.xyz = own;
 #else

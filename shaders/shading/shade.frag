@@ -4,11 +4,10 @@
 // PS_FOOTPRINT: shadows are looked up at each of these sub-samples; centre.z is 1 + the packed normal of the surface's plane.
 
 #include "lib/geometry/camera.glsl"
-#ifdef PS_FOOTPRINT
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
+#include "lib/visibility/surface_key.glsl"
 #include "lib/data/pack.glsl"
-#endif
 #include "lib/geometry/surfel_kind.glsl"
 #include "lib/light/lights.glsl"
 #include "lib/data/materials.glsl"
@@ -49,6 +48,7 @@ void main()
   ps_footprint.codes = uvec2(texelFetch(ps_first, listed.pixel, 0).x, texelFetch(ps_second, listed.pixel, 0).x);
   ps_footprint.layer = uint(listed.layer);
   ps_footprint.plane = centre.z > 0.5 ? ps_unpack_normal(centre.z - 1.0) : vec3(0.0);
+  ps_footprint.curved = centre.z == PS_PLANE_IN_KEYS;
 #endif
 #ifdef PS_NORMAL
   vec4 bent = texelFetch(ps_normal, pixel, 0);

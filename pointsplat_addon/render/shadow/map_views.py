@@ -7,7 +7,7 @@ are spent on nothing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +18,11 @@ from ...core.shadow.grid import rotation_to
 
 WIDEST_CONE = 1.05  # radians from a single view's axis to the farthest that it sees
 FINER = 2.0  # times as many texels as cells of a table lie across a view of everything
-FINEST = 4.0  # the same, where small splats ask for it
+FINEST = 8.0  # the same, where small splats ask for it
+TEXELS_OF_RADIUS = 2.0  # in the radius of a typical splat: with one, balls shade their neighbours by 5 % too much
 MOST_TEXELS = 1 << 25  # of all maps together: 128 MiB
+MOST_TEXELS_OF_SPLATS = 1 << 26  # the same, where many splats cast
+TEXELS_OF_SPLAT = 6  # for each of these
 FEWEST = 16  # texels along a view's longer side
 MARGIN = 2  # texels around what a view sees, which nothing covers
 NEAREST = 1e-5  # nearest depth that a perspective view sees, over the farthest
@@ -101,26 +104,20 @@ def light_views(light: Light, boxes: CastingBoxes, resolution: int) -> LightView
     return LightViews("SINGLE", axes, light.position, (view,))
 
 
-def placed(lights: Sequence[LightViews | None], width: int) -> tuple[list[LightViews | None], tuple[int, int]]:
+def placed(
+    lights: Sequence[LightViews | None], width: int, splats: int = 0
+) -> tuple[list[LightViews | None], tuple[int, int]]:
     """Returns the views with places in one texture, and its (width, height): with fewer texels each, where all together
-    have more than MOST_TEXELS. `width`: texels along a side that a texture may have."""
-    shrunk = [None if one is None else _with_views(one, [v and _limited(v, width) for v in one.views]) for one in lights]
-    total = sum(v.size[0] * v.size[1] for one in shrunk if one is not None for v in one.views if v is not None)
-    share = 1.0
-    while total * share**2 > MOST_TEXELS:
-        share *= 0.99 * np.sqrt(MOST_TEXELS / (total * share**2))
-    if share < 1:
-        shrunk = [
-            None if one is None else _with_views(one, [v and _coarser(v, share) for v in one.views]) for one in shrunk
-        ]
-    found = [(v.size, i, j) for i, one in enumerate(shrunk) if one for j, v in enumerate(one.views) if v]
-    corners, size = _shelves([size for size, _, _ in found], width)
-    corner_of = {(i, j): corner for (_, i, j), corner in zip(found, corners, strict=True)}
-    result = [
-        one and _with_views(one, [v and replace(v, corner=corner_of[i, j]) for j, v in enumerate(one.views)])
-        for i, one in enumerate(shrunk)
-    ]
-    return result, size
+    have more than a budget. `width`: texels along a side that a texture may have. `splats`: how many cast."""
+    fitting = [_each_view(one, lambda view: _limited(view, width)) for one in lights]
+    total = sum(v.size[0] * v.size[1] for one in fitting if one is not None for v in one.views if v is not None)
+    budget = min(max(TEXELS_OF_SPLAT * splats, MOST_TEXELS), MOST_TEXELS_OF_SPLATS)
+    if total > budget:
+        share = 0.95 * (budget / total) ** 0.5  # margins and rounding take the rest
+        fitting = [_each_view(one, lambda view: _coarser(view, share)) for one in fitting]
+    corners, size = _shelves([v.size for one in fitting if one is not None for v in one.views if v is not None], width)
+    places = iter(corners)
+    return [_each_view(one, lambda view: replace(view, corner=next(places))) for one in fitting], size
 
 
 def _parallel(light: Light, boxes: CastingBoxes, resolution: int) -> LightViews:
@@ -199,11 +196,12 @@ def _fitted(
 ) -> MapView:
     """Returns a view of the places between two corners (2,), with a margin.
 
-    `finest`: the texel that resolves the smallest splats. `scale`: of places.
+    `finest`: the smallest radius of a typical splat, in places. `across`, `most`: texels along the longer side, and where
+    small splats ask for more. `scale`: of places.
     """
     extent = np.maximum(high - low, THINNEST * scale)
     longest = float(extent.max())
-    count = float(np.clip(longest / max(finest, 1e-30), across, most))
+    count = float(np.clip(TEXELS_OF_RADIUS * longest / max(finest, 1e-30), across, most))
     step = longest / count
     size = np.maximum(np.ceil(extent / step), 1).astype(int) + 2 * MARGIN
     middle = (low + high) / 2
@@ -213,7 +211,7 @@ def _fitted(
 def _coarser(view: MapView, share: float) -> MapView:
     """Returns a view with `share` of the texels along each side."""
     inner = np.array(view.size) - 2 * MARGIN
-    share = max(share, FEWEST / max(inner.max(), FEWEST))
+    share = max(share, FEWEST / max(float(inner.max()), FEWEST))
     step = view.step / share
     size = np.maximum(np.ceil(inner * share), 1).astype(int) + 2 * MARGIN
     middle = view.low + view.step * np.array(view.size) / 2
@@ -225,8 +223,11 @@ def _limited(view: MapView, width: int) -> MapView:
     return _coarser(view, (width - 2 * MARGIN - 1) / max(view.size)) if max(view.size) > width else view
 
 
-def _with_views(light: LightViews, views: list[MapView | None]) -> LightViews:
-    return replace(light, views=tuple(views))
+def _each_view(light: LightViews | None, change: Callable[[MapView], MapView]) -> LightViews | None:
+    """Returns a light's views, each of them changed."""
+    if light is None:
+        return None
+    return replace(light, views=tuple(None if view is None else change(view) for view in light.views))
 
 
 def _shelves(sizes: list[tuple[int, int]], width: int) -> tuple[list[tuple[int, int]], tuple[int, int]]:

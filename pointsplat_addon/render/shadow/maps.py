@@ -40,8 +40,9 @@ class ShadowMaps:
     def records(self, view_from_world: np.ndarray) -> np.ndarray:
         """Returns ps_map_lights, (lights, HEAD_TEXELS + 6 VIEW_TEXELS, 4) float32, for a view, (4, 4) float64, rigid.
 
-        Texels 0 to 2 are rows that take view space to the light's, 3 holds the index of the kind. Two for each view
-        follow: where the place (0, 0) lies in the texture and texels from a place to the next one; first and last texel.
+        Texels 0 to 2 are rows that take view space to the light's, 3 holds the index of the kind. Two follow for each
+        view: where the place (0, 0) lies in the texture, texels from a place to the next one, and the near plane; first
+        and last texel.
         """
         world_from_view = np.linalg.inv(view_from_world)
         found = np.zeros((len(self.lights), HEAD_TEXELS + 6 * VIEW_TEXELS, 4))
@@ -56,7 +57,8 @@ class ShadowMaps:
                 if view is None:
                     texels[1] = 0, 0, -1, -1
                     continue
-                texels[0, :2], texels[0, 2] = np.array(view.corner) - view.low / view.step, 1 / view.step
+                texels[0, :2] = np.array(view.corner) - view.low / view.step
+                texels[0, 2:] = 1 / view.step, view.near
                 texels[1] = *view.corner, *(np.array(view.corner) + view.size - 1)
         return found.astype(np.float32)
 
@@ -109,7 +111,8 @@ def make_maps(
     def make() -> ShadowMaps:
         boxes = _boxes(casters, store)
         views = [None if light is None else light_views(light, boxes, resolution) for light in chosen]
-        arranged, size = placed(views, min(texture_size, WIDEST_TEXTURE))
+        splats = sum(len(c.geometry.cloud) * len(c.matrices) for c in casters if c.geometry.cloud is not None)
+        arranged, size = placed(views, min(texture_size, WIDEST_TEXTURE), splats)
         return ShadowMaps(key, tuple(arranged), size, tuple((c.geometry.key, c.matrices) for c in casters))
 
     return store.lookup(key, make)

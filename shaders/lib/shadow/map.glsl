@@ -1,7 +1,7 @@
 // Shadows of lights without size, by depth maps seen from them: layout and records in render/shadow/maps.py.
 // PS_SHADOW_MAPS: some light has one. PS_FOOTPRINT: the share is a mean over the sub-samples of a group, so that edges within
 // a pixel are as smooth as its silhouettes.
-// Samplers: ps_shadow_maps (the depths of all views), ps_map_lights (one row for each light, of this view).
+// Samplers: ps_shadow_maps (bits of the depths of all views beyond their near planes, which grow with these), ps_map_lights (one row for each light, of this view).
 
 #ifdef PS_SHADOW_MAPS
 
@@ -14,6 +14,7 @@
 #define PS_MAP_STEEPEST 0.1  // cosine: surfaces that light grazes more closely are treated as this one
 
 #ifdef PS_FOOTPRINT
+#define PS_MAP_SHARP 2.0
 #define PS_MAP_FIRST 7  // sub-samples: where so many agree, no others are looked at
 
 // The sub-samples of the group that is shaded.
@@ -22,6 +23,7 @@ struct PsFootprint {
   uvec2 codes;
   uint layer;
   vec3 plane;  // unit normal of the surface's own plane in view space; zero: that of shading
+  bool curved;  // each sub-sample has a plane of its own, whose normal is in its key
 };
 PsFootprint ps_footprint;
 #endif
@@ -61,6 +63,12 @@ float ps_map_lit(PsMapLight light, vec3 position, vec3 normal)
   vec2 place = frame.xy + frame.z * (parallel ? q.xy : ray.xy) - 0.5;
   vec2 low = floor(place), share = place - low;
   float texel = (parallel ? 1.0 : q.z) / frame.z;  // world units
+#ifdef PS_FOOTPRINT
+  // Where several texels lie in a pixel, its sub-samples make the mean.
+  vec2 sharp = clamp((share - 0.5) * max(PS_MAP_SHARP * ps_pixel_size(-position.z) / texel, 1.0) + 0.5, 0.0, 1.0);
+#else
+  vec2 sharp = share;
+#endif
   bool oriented = dot(n, n) > 0.0;
   float facing = dot(n, ray);
   float cosine = max(abs(facing) * inversesqrt(dot(ray, ray)), PS_MAP_STEEPEST);
@@ -74,10 +82,10 @@ float ps_map_lit(PsMapLight light, vec3 position, vec3 normal)
     float there = facing + slope;
     float plane = parallel ? -slope / (facing == 0.0 ? 1e-20 : facing)
                            : (there * facing > 0.0 ? -q.z * slope / there : -reach);
-    float depth = q.z + clamp(plane, -reach, reach) - bias;
-    float found = texelFetch(ps_shadow_maps, clamp(ivec2(low + corner), ends.xy, ends.zw), 0).x;
-    vec2 weight = mix(1.0 - share, share, corner);
-    lit += found < depth ? 0.0 : weight.x * weight.y;
+    float depth = q.z + clamp(plane, -reach, reach) - bias - frame.w;
+    uint found = texelFetch(ps_shadow_maps, clamp(ivec2(low + corner), ends.xy, ends.zw), 0).x;
+    vec2 weight = mix(1.0 - sharp, sharp, corner);
+    lit += found < floatBitsToUint(max(depth, 0.0)) ? 0.0 : weight.x * weight.y;
   }
   return lit;
 }
@@ -101,7 +109,8 @@ float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
     if (ps_group(ps_footprint.codes, i) == ps_footprint.layer) {
       ivec2 cell = ps_footprint.middle + cells[i];
       float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
-      sum += ps_map_lit(map, ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), normal);
+      vec3 own = ps_footprint.curved ? ps_key_normal(texelFetch(ps_keys, cell, 0).x) : normal;
+      sum += ps_map_lit(map, ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own);
       count += 1.0;
       taps = count == float(PS_MAP_FIRST) && (sum == 0.0 || sum > count - 1e-3) ? 0 : taps;
     }

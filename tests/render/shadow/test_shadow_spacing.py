@@ -40,7 +40,9 @@ def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
     ball = build.mesh(meshes.sphere_mesh("many casters", 120), "POLYGONS")
     floor = build.mesh(meshes.plane_mesh("floor of many casters"), "POLYGONS")
     placed = [(ball, build.moved((0.22 * (i % 5) - 0.44, 0.22 * (i // 5) - 0.44, 0.2), 0.08)) for i in range(25)]
-    scene = build.scene(*placed, (floor, build.moved()), lights=[build.sun(3.0, (0.3, 0.2, -1.0))])
+    scene = build.scene(
+        *placed, (floor, build.moved()), lights=[replace(build.sun(3.0, (0.3, 0.2, -1.0)), radius=0.005)]
+    )
     case = Case(
         scene,
         cameras.camera((0, -2.5, 2.5), resolution=(160, 120)),
@@ -63,24 +65,31 @@ def test_shadows_are_those_of_alphas_whatever_the_colours():
     store, plane = Store(), (build.mesh(meshes.plane_mesh("coloured caster", cells=4)), build.moved())
     below = build.mesh(meshes.cube_mesh("in the shadow of colours", 0.1)), build.moved((0, 0, -0.5))
 
-    def tables(table: MaterialTable) -> Shadows:
-        scene = build.scene(plane, below, lights=[build.sun()], table=table)
+    def shadows_of(table: MaterialTable) -> Shadows:
+        lights = [replace(build.sun(), radius=0.01), build.sun()]  # one has a table, the other a map
+        scene = build.scene(plane, below, lights=lights, table=table)
         found, _ = shadows.make_shadows(scene, Settings(technique="IMAGE_SPACE", shadow_resolution=64), store)
         assert found is not None
+        assert found.tables is not None
+        assert found.maps is not None
         return found
 
     def of(**graphs: Expression) -> MaterialTable:
         return build.materials(graphs=(MaterialGraph(**graphs),))
 
     texture = texture_nodes.ImageTexture(input_nodes.UV(), build.picture())
-    plain, red = tables(build.materials()), tables(build.materials(base_color=np.array([[1, 0, 0]], np.float32)))
-    coloured = tables(of(base_color=color_nodes.Color(texture), roughness=color_nodes.Component(texture, 0)))
-    assert red is plain
-    assert coloured is plain
-    half = tables(
+    plain, red = (
+        shadows_of(build.materials()),
+        shadows_of(build.materials(base_color=np.array([[1, 0, 0]], np.float32))),
+    )
+    coloured = shadows_of(of(base_color=color_nodes.Color(texture), roughness=color_nodes.Component(texture, 0)))
+    assert red.tables is coloured.tables is plain.tables
+    assert red.maps is coloured.maps is plain.maps
+    half = shadows_of(
         of(base_color=color_nodes.Color(texture), alpha=color_nodes.Component(texture, 0))
     )  # cut out where u < 1/2
-    assert half.entries < plain.entries
+    assert half.tables.entries < plain.tables.entries
+    assert half.maps.key != plain.maps.key
 
 
 LAID = np.array([[2.0, 0, 0, 0], [0, 0, -2, 0], [0, 2, 0, 0], [0, 0, 0, 1]])  # planes stand upright

@@ -13,7 +13,7 @@ from ....core.scene.scene import Instances, Scene
 from ...cache.device_cache import DeviceCache
 from ...cache.keys import Key, Kind
 from ...cache.store import Store
-from ...device.protocol import Device, Target, Texture
+from ...device.protocol import Device, Texture
 from ...passes.pages.point_page import PointOptions
 from ...passes.shadow.keep_depths import keep_depths
 from ...passes.uniforms import SampleView, view_of
@@ -68,26 +68,34 @@ class CasterUploads:
 
 
 def draw_maps(device: Device, maps: ShadowMaps, casters: CasterUploads) -> Texture:
-    """Returns the texture of all maps: depths in front of the light, R32F."""
-    texture = device.texture(maps.size, "R32F")
-    target = device.target([texture])
+    """Returns the texture of all maps: bits of depths beyond the near planes of their views, R32UI."""
     width, height = np.max([view.size for view in maps.views], axis=0).tolist()
     depths = DepthBuffer(device, ONE_EACH, (width, height))
-    try:
+    splats = _splats(device, maps, casters, depths) if casters.plan.points else None
+    if maps.size == depths.size:
+        _draw_view(device, maps.views[0], casters, depths, splats)
+        depths.target.release()
+        texture = depths.depths
+    else:
+        texture = device.texture(maps.size, "R32UI")
+        target = device.target([texture])
         for view in maps.views:
-            _draw_view(device, view, casters, depths, target)
-    finally:
+            _draw_view(device, view, casters, depths, splats)
+            keep_depths(device, depths, view.corner, view.size, target)
         depths.release()
         target.release()
+    if splats is not None:
+        splats.release()
     return texture
 
 
-def _draw_view(device: Device, view: MapView, casters: CasterUploads, depths: DepthBuffer, target: Target) -> None:
+def _draw_view(
+    device: Device, view: MapView, casters: CasterUploads, depths: DepthBuffer, splats: SplatDepths | None
+) -> None:
     seen = view_of(view.camera)
     casters.look_from(seen)
     depths.clear()
     shared = casters.points.instances
-    splats = _splats(device, view, casters, depths) if casters.plan.points else None
     # Compute shaders compare with what the rasteriser has drawn.
     if splats is not None:
         splats.rasterise(casters.points.draws, seen, shared)
@@ -97,14 +105,12 @@ def _draw_view(device: Device, view: MapView, casters: CasterUploads, depths: De
         polygons.release()
     if splats is not None:
         splats.cover(casters.points.draws, seen, shared)
-        splats.release()
-    keep_depths(device, depths, view.near, view.corner, view.size, target)
 
 
-def _splats(device: Device, view: MapView, casters: CasterUploads, depths: DepthBuffer) -> SplatDepths:
+def _splats(device: Device, maps: ShadowMaps, casters: CasterUploads, depths: DepthBuffer) -> SplatDepths:
     prepared = casters.prepared
     round_balls = are_similarities(prepared.view_from_object[np.unique(prepared.cut.instance)])
-    wide = not view.parallel or prepared.largest > WIDE_RADIUS * view.step
+    wide = any(not view.parallel or prepared.largest > WIDE_RADIUS * view.step for view in maps.views)
     return SplatDepths(device, casters.plan.options, depths, wide, round_balls)
 
 

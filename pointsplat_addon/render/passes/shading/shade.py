@@ -24,7 +24,7 @@ MIST_EXPONENT = {"LINEAR": 1.0, "QUADRATIC": 2.0, "INVERSE_QUADRATIC": 0.5}
 MIST_FIELDS: Fields = (("float", "mist_start"), ("float", "mist_scale"), ("float", "mist_exponent"))
 WORLD_FIELDS: Fields = (("mat4", "world_from_view"),)
 # The sub-samples of groups, at which shadows are looked up in maps.
-FOOTPRINT_SAMPLERS = tuple(("UINT_2D", name) for name in ("ps_depths", "ps_first", "ps_second"))
+FOOTPRINT_SAMPLERS = tuple(("UINT_2D", name) for name in ("ps_depths", "ps_keys", "ps_first", "ps_second"))
 
 
 def _block(passes: frozenset[str], lighting: tuple[str, ...], focus: bool, combined: bool, footprint: bool) -> Block:

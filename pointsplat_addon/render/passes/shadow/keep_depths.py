@@ -5,9 +5,9 @@ from __future__ import annotations
 from ....shading.interface import Interface
 from ...device.protocol import Device, Target
 from ..uniforms import RECTANGLE_FIELDS, Fields, block
-from ..visibility.buffer import DepthBuffer
+from ..visibility.buffer import DEPTH_OUTPUT, DepthBuffer
 
-PLACE_FIELDS: Fields = (("ivec2", "corner"), ("float", "near"))  # corner: of the place, in texels
+PLACE_FIELDS: Fields = (("ivec2", "corner"),)  # of the place, in texels
 BLOCK = block("KeepDepths", RECTANGLE_FIELDS, PLACE_FIELDS)
 PROGRAM = Interface(
     "shadow maps",
@@ -15,16 +15,16 @@ PROGRAM = Interface(
     fragment="shadow/keep_depths.frag",
     block=BLOCK,
     samplers=(("UINT_2D", "ps_depths"),),
-    outputs=(("float", "out_depth"),),
+    outputs=DEPTH_OUTPUT,
 )
 
 
 def keep_depths(
-    device: Device, depths: DepthBuffer, near: float, corner: tuple[int, int], size: tuple[int, int], maps: Target
+    device: Device, depths: DepthBuffer, corner: tuple[int, int], size: tuple[int, int], maps: Target
 ) -> None:
-    """Copies the first `size` (columns, rows) texels of depths, which count from `near`, to `corner` in `maps`."""
+    """Copies the first `size` (columns, rows) texels of depths to `corner` in `maps`."""
     width, height = maps.colors[0].size
     (x, y), (columns, rows) = corner, size
     rectangle = x / width, y / height, (x + columns) / width, (y + rows) / height
-    record = BLOCK.record(rectangle=rectangle, corner=corner, near=near)
+    record = BLOCK.record(rectangle=rectangle, corner=corner)
     device.draw(PROGRAM, maps, uniforms=record, textures=depths.textures, vertices=6)

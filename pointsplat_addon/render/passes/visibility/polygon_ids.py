@@ -123,7 +123,9 @@ def _cover_program(group: Group, one: bool, identity: tuple[tuple[str, str, str]
         "polygons" if identity else "shadow maps",
         vertex="visibility/polygon_ids.vert",
         fragment="visibility/polygon_ids.frag",
-        block=_block("PolygonIds", one, own, (("int", "mirrored"),), LATTICE_FIELDS),
+        block=_block("PolygonIds", one, own, (("int", "mirrored"),), LATTICE_FIELDS)
+        if identity
+        else block("PolygonDepths", CAMERA_FIELDS, own, ONE_INSTANCE_FIELDS if one else (), LATTICE_FIELDS),
         samplers=tuple(("FLOAT_2D", name) for name in samplers),
         varyings=tuple(varyings),
         outputs=OUTPUTS if identity else DEPTH_OUTPUT,
