@@ -73,7 +73,8 @@ void main()
     normal += weights[i] * ps_view_normal(linear, ps_unpack_normal(corners[i].w));
   }
   s.normal.xyz = ps_direction(normal, vec3(0.0, 0.0, 1.0));
-  s.centre.z = 1.0 + ps_pack_normal(ps_direction(cross(a, b), s.normal.xyz));
+  vec3 plane = ps_direction(cross(a, b), s.normal.xyz);
+  s.centre.z = 1.0 + ps_pack_normal(dot(plane, s.normal.xyz) < 0.0 ? -plane : plane);
 #ifdef PS_BAKED_NORMAL
   // Of the side that the normal shows, whichever way round the corners are.
   float side = dot(cross(a, b), s.normal.xyz) < 0.0 ? -1.0 : 1.0;

@@ -54,8 +54,8 @@ void main()
   s.shape = vec4(leader.offset, 0.0, floor(texelFetch(ps_extent, element.xy, 0).w));
 #ifdef PS_NORMAL
   vec3 own = ps_splat_normal(splat, ps_meet_splat(splat, cell - splat.centre), toward);
-  s.centre.z = PS_PLANE_IN_KEYS;
 #ifdef PS_ROUND
+  s.centre.z = PS_BALL;
   s.normal.xyz = own;
 #else
   bool turned = false;
@@ -63,6 +63,7 @@ void main()
     vec3 n = ps_view_normal(ps_linear(element.z), ps_unpack_normal(texelFetch(ps_position, element.xy, 0).w));
     turned = dot(n, toward) > 0.0;
   }
+  s.centre.z = splat.ball ? PS_BALL : 1.0 + ps_pack_normal(own);
   s.normal.xyz = splat.ball ? own : ps_lit_normal(own, element, ps_linear(element.z), toward, turned);
 #endif
 #endif

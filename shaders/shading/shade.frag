@@ -1,7 +1,7 @@
 // Deferred shading: the G-buffer to scene-linear radiance, premultiplied, added to what earlier samples left. Pixels
 // that show nothing are left to background.frag. PS_AUXILIARY_ONLY: only passes beside Combined are drawn. PS_GROUPED: the
 // texels are a list of groups of sub-samples, and shape.xy is where in the pixel the one lies that stands for the group.
-// PS_FOOTPRINT: shadows are looked up at each of these sub-samples; centre.z is 1 + the packed normal of the surface's plane.
+// PS_FOOTPRINT: shadows are looked up at each of these sub-samples.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/visibility/lattice.glsl"
@@ -47,8 +47,14 @@ void main()
   ps_footprint.middle = ps_central_cell(listed.pixel);
   ps_footprint.codes = uvec2(texelFetch(ps_first, listed.pixel, 0).x, texelFetch(ps_second, listed.pixel, 0).x);
   ps_footprint.layer = uint(listed.layer);
-  ps_footprint.plane = centre.z > 0.5 ? ps_unpack_normal(centre.z - 1.0) : vec3(0.0);
-  ps_footprint.curved = centre.z == PS_PLANE_IN_KEYS;
+  // Normals of keys are interpolated over triangles: they are turned so that this one is the triangle's own.
+  ivec2 leader = ivec2(floor(ps_cell_from_pixel(vec2(listed.pixel) + 0.5 + shape.xy)));
+  ps_footprint.ball = centre.z == PS_BALL;
+  ps_footprint.keyed = centre.z != 0.0;
+  ps_footprint.turn = vec3(0.0);
+  if (centre.z > 0.5) {
+    ps_footprint.turn = ps_unpack_normal(centre.z - 1.0) - ps_key_normal(texelFetch(ps_keys, leader, 0).x);
+  }
 #endif
 #ifdef PS_NORMAL
   vec4 bent = texelFetch(ps_normal, pixel, 0);

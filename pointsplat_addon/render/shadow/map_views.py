@@ -196,8 +196,8 @@ def _fitted(
 ) -> MapView:
     """Returns a view of the places between two corners (2,), with a margin.
 
-    `finest`: the smallest radius of a typical splat, in places. `across`, `most`: texels along the longer side, and where
-    small splats ask for more. `scale`: of places.
+    `finest`: the smallest radius of a typical splat, in places. `across`, `most`: texels along the longer side, and
+    where small splats ask for more. `scale`: of places.
     """
     extent = np.maximum(high - low, THINNEST * scale)
     longest = float(extent.max())

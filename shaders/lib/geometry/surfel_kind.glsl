@@ -3,9 +3,9 @@
 #define PS_POLYGON -1e30
 // Of what extends over its own pixel only, centre.y says whether it is a strand, whose normal is its tangent.
 #define PS_STRAND 1.0
-// Of groups of sub-samples, centre.z is 1 + the packed normal of the plane in which what stands for them lies, or this: each
-// sub-sample lies in a plane of its own, whose normal is in its key.
-#define PS_PLANE_IN_KEYS -1.0
+// Of groups of sub-samples, centre.z is 1 + the packed normal of the plane in which what stands for them lies, 0 for strands,
+// and this for balls.
+#define PS_BALL -1.0
 
 // Whether something covers the pixel's centre.
 bool ps_is_there(vec4 centre)

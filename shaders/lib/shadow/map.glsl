@@ -8,7 +8,8 @@
 #define PS_MAP_PARALLEL 1.0
 #define PS_MAP_CUBE 3.0
 #define PS_MAP_HEAD 4
-#define PS_MAP_BIAS 0.1  // texels: how far above its plane a receiver is not shaded by what it is part of
+#define PS_MAP_BIAS 0.5  // texels: how far above its plane a receiver is not shaded by what it is part of
+#define PS_MAP_BIAS_OF_BALLS 0.1  // these lie below the planes of their surfaces
 #define PS_MAP_BIAS_IN_MEDIA 1.5
 #define PS_MAP_ROUNDING 2e-6  // of distances
 #define PS_MAP_STEEPEST 0.1  // cosine: surfaces that light grazes more closely are treated as this one
@@ -22,8 +23,9 @@ struct PsFootprint {
   ivec2 middle;  // central cell of the pixel
   uvec2 codes;
   uint layer;
-  vec3 plane;  // unit normal of the surface's own plane in view space; zero: that of shading
-  bool curved;  // each sub-sample has a plane of its own, whose normal is in its key
+  bool ball;
+  bool keyed;  // each sub-sample lies in a plane whose normal is that of its key, turned by
+  vec3 turn;  // what is added to it; else in that by which the group is shaded
 };
 PsFootprint ps_footprint;
 #endif
@@ -36,7 +38,8 @@ struct PsMapLight {
 
 // Share of the light, from 0 to 1, that reaches a point in view space, between the four texels around it. Each is compared
 // with the receiver's plane there, so that a surface does not shade itself. normal: unit, or zero where there is no surface.
-float ps_map_lit(PsMapLight light, vec3 position, vec3 normal)
+// above: PS_MAP_BIAS or the like.
+float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above)
 {
   vec4 point = vec4(position, 1.0);
   vec3 q = vec3(dot(light.x, point), dot(light.y, point), dot(light.z, point));
@@ -72,7 +75,7 @@ float ps_map_lit(PsMapLight light, vec3 position, vec3 normal)
   bool oriented = dot(n, n) > 0.0;
   float facing = dot(n, ray);
   float cosine = max(abs(facing) * inversesqrt(dot(ray, ray)), PS_MAP_STEEPEST);
-  float bias = texel * (oriented ? PS_MAP_BIAS / cosine : PS_MAP_BIAS_IN_MEDIA) +
+  float bias = texel * (oriented ? above / cosine : PS_MAP_BIAS_IN_MEDIA) +
                PS_MAP_ROUNDING * (abs(q.z) + length(position));
   float reach = oriented ? texel / PS_MAP_STEEPEST : 0.0;
   float lit = 0.0;
@@ -102,15 +105,18 @@ float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
   wanted = wanted && map.kind > 0.0;
 #ifdef PS_FOOTPRINT
   const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
-  normal = dot(ps_footprint.plane, ps_footprint.plane) > 0.0 ? ps_footprint.plane : normal;
+  float above = ps_footprint.ball ? PS_MAP_BIAS_OF_BALLS : PS_MAP_BIAS;
   int taps = wanted ? PS_SUB_SAMPLES : 0;
   float sum = 0.0, count = 0.0;
   for (int i = 0; i < taps; i++) {
     if (ps_group(ps_footprint.codes, i) == ps_footprint.layer) {
       ivec2 cell = ps_footprint.middle + cells[i];
       float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
-      vec3 own = ps_footprint.curved ? ps_key_normal(texelFetch(ps_keys, cell, 0).x) : normal;
-      sum += ps_map_lit(map, ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own);
+      vec3 own = normal;
+      if (ps_footprint.keyed) {
+        own = normalize(ps_key_normal(texelFetch(ps_keys, cell, 0).x) + ps_footprint.turn);
+      }
+      sum += ps_map_lit(map, ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own, above);
       count += 1.0;
       taps = count == float(PS_MAP_FIRST) && (sum == 0.0 || sum > count - 1e-3) ? 0 : taps;
     }
@@ -119,7 +125,7 @@ float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
 #else
   float lit = 1.0;
   for (int i = 0; i < (wanted ? 1 : 0); i++) {
-    lit = ps_map_lit(map, position, normal);
+    lit = ps_map_lit(map, position, normal, PS_MAP_BIAS);
   }
   return lit;
 #endif
