@@ -7,7 +7,7 @@ for lights with a size.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ...core.light.light_table import sorted_by_kind
@@ -123,7 +123,7 @@ class _TableBuilder:
         self._scene, self._resolution, self._store, self._check = scene, resolution, store, check
         self._warnings: list[str] = []
 
-    def tables(self, lights: tuple[Light, ...], wanted: list[tuple[list[Light], _Cast]]) -> Tables | None:
+    def tables(self, lights: Sequence[Light], wanted: list[tuple[list[Light], _Cast]]) -> Tables | None:
         """Returns the tables of `lights`, of which each is `wanted` for some casters or has none; None if none has
         one."""
         found: dict[int, tuple[Key, Callable[[], builder.ShadowTable | None]]] = {}

@@ -1,5 +1,7 @@
 """Views from lights without size: what they see, and where their texels lie."""
 
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+# Lights may have no views; those that are asked for have some.
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,7 @@
 """How many samples of each mesh cast shadows."""
 
+# pyright: reportOptionalMemberAccess=false
+# Shadows may have no tables, or no maps; those that are asked for have both.
 from dataclasses import replace
 
 import numpy as np
