@@ -100,7 +100,7 @@ LABELS: dict[str, tuple[str, str]] = {
     "use_shadows": ("Shadows", "Lights cast shadows, which translucent objects soften and tint"),
     "shadow_resolution": (
         "Resolution",
-        "Number of cells in half a turn around each light in which shadows are stored; more cells make sharper shadows. "
+        "Number of cells in half a turn around each light in which shadows are stored; more make sharper shadows. "
         "Depth maps of lights without a size have twice as many texels along a side",
     ),
     "dof_method": ("Depth of Field", "How cameras with depth of field blur what is out of focus"),
