@@ -51,20 +51,28 @@ void main()
   vec3 toward = ps_is_perspective() ? leader.position : vec3(0.0, 0.0, -1.0);
   PsSurfel s = ps_empty();
   s.centre = vec4(-leader.position.z, 0.0, 0.0, PS_POLYGON);
-  s.shape = vec4(leader.offset, 0.0, floor(texelFetch(ps_extent, element.xy, 0).w));
+  s.shape = vec4(leader.offset, 0.0, floor(ps_splat_extent(element).w));
 #ifdef PS_NORMAL
   vec3 own = ps_splat_normal(splat, ps_meet_splat(splat, cell - splat.centre), toward);
-#ifdef PS_ROUND
+#if defined(PS_NODES)
+  // Half as wide as it is, in pixels: the balls that it stands for rise above it.
+  s.centre.z = PS_BALL - 0.25 * length(splat.box.zw - splat.box.xy) * inversesqrt(float(PS_SUB_SAMPLES));
+#elif defined(PS_ROUND)
   s.centre.z = PS_BALL;
+#endif
+#if defined(PS_ROUND) || defined(PS_NODES)
   s.normal.xyz = own;
 #else
   bool turned = false;
   if (!splat.ball) {
-    vec3 n = ps_view_normal(ps_linear(element.z), ps_unpack_normal(texelFetch(ps_position, element.xy, 0).w));
+    vec3 n = ps_view_normal(ps_linear(element.z), ps_unpack_normal(ps_splat_head(element).w));
     turned = dot(n, toward) > 0.0;
   }
-  s.centre.z = splat.ball ? PS_BALL : 1.0 + ps_pack_normal(own);
+  s.centre.z = splat.ball ? PS_BALL : 0.0;
   s.normal.xyz = splat.ball ? own : ps_lit_normal(own, element, ps_linear(element.z), toward, turned);
+#if defined(PS_SHADING_NORMAL) || defined(PS_FACETS)
+  s.centre.z = splat.ball ? PS_BALL : 1.0 + ps_pack_normal(own);
+#endif
 #endif
 #endif
   s = ps_attributed(s, element);

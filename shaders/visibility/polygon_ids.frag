@@ -19,7 +19,7 @@ void main()
 #ifndef PS_DEPTH_ONLY
   vec3 normal = vec3(0.0, 0.0, 1.0);
 #ifdef PS_NORMAL
-  normal = v_normal;
+  normal = gl_FrontFacing ? v_normal : -v_normal;  // as the triangle is shaded
 #endif
   out_id = PS_RASTERISED | v_id;
   out_key = ps_surface_key(int(v_about.x), u.material, normal);

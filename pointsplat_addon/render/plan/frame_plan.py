@@ -83,7 +83,8 @@ class FramePlan:
     def splats(self) -> int:
         """The number of splats in the cut, of all kinds."""
         prepared = self.prepared
-        layers = (*(() if self.plan.painter else (prepared,)), prepared.translucent, prepared.spheres)
+        opaque = () if self.plan.painter else (prepared, prepared.nodes)
+        layers = (*opaque, prepared.translucent, prepared.spheres)
         return sum(layer.cut.splats for layer in layers)
 
     @property
@@ -150,7 +151,7 @@ def make_frame_plan(
     warnings = scene.warnings
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
-    lattice = lattice_for(request.interactive)
+    lattice = lattice_for(request.samples, request.interactive)
     decided = decide_technique(
         TechniqueInput(
             request.settings,
@@ -262,7 +263,7 @@ def _shadows(
     scene: Scene, prepared: Prepared, request: Request, store: Store, clock: Clock, limits: Limits
 ) -> tuple[Shadows | None, str]:
     """What casts the shadows of all lights on what is drawn; or None, and why."""
-    layers = (prepared, prepared.translucent, prepared.spheres)
+    layers = (prepared, prepared.translucent, prepared.spheres, prepared.nodes)
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()

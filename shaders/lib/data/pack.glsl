@@ -19,17 +19,17 @@ vec3 ps_unpack_normal(float code)
   return ps_unpack_octahedral(code, PS_OCT_STEPS);
 }
 
+float ps_pack_normal(vec3 n)
+{
+  vec3 m = n / max(abs(n.x) + abs(n.y) + abs(n.z), 1e-30);
+  vec2 e = m.z >= 0.0 ? m.xy : (1.0 - abs(m.yx)) * vec2(m.x >= 0.0 ? 1.0 : -1.0, m.y >= 0.0 ? 1.0 : -1.0);
+  vec2 steps = clamp(floor((0.5 * e + 0.5) * PS_OCT_STEPS + 0.5), vec2(0.0), vec2(PS_OCT_STEPS));
+  return steps.x + (PS_OCT_STEPS + 1.0) * steps.y;
+}
+
 // A normal and its share in 63rds.
 vec4 ps_unpack_facet(float code)
 {
   float share = floor(code / 262144.0);
   return vec4(ps_unpack_octahedral(code - 262144.0 * share, PS_FACET_STEPS), share);
-}
-
-float ps_pack_normal(vec3 n)
-{
-  n /= max(abs(n.x) + abs(n.y) + abs(n.z), 1e-30);
-  vec2 e = n.z >= 0.0 ? n.xy : (1.0 - abs(n.yx)) * vec2(n.x >= 0.0 ? 1.0 : -1.0, n.y >= 0.0 ? 1.0 : -1.0);
-  vec2 steps = floor((0.5 * e + 0.5) * PS_OCT_STEPS + 0.5);
-  return steps.y * (PS_OCT_STEPS + 1.0) + steps.x;
 }

@@ -3,8 +3,9 @@
 #define PS_POLYGON -1e30
 // Of what extends over its own pixel only, centre.y says whether it is a strand, whose normal is its tangent.
 #define PS_STRAND 1.0
-// Of groups of sub-samples, centre.z is 1 + the packed normal of the plane in which what stands for them lies, 0 for strands,
-// and this for balls.
+// And centre.z is 0 where its normal is that of its plane, on either side; else 1 + the packed normal of the plane, on the side
+// that is seen, as the normal is.
+// Of groups of sub-samples it is PS_BALL for balls, whose sub-samples have normals of their own, and less for nodes of balls.
 #define PS_BALL -1.0
 
 // Whether something covers the pixel's centre.

@@ -23,7 +23,8 @@ struct PsFootprint {
   ivec2 middle;  // central cell of the pixel
   uvec2 codes;
   uint layer;
-  bool ball;
+  float above;  // texels, and view units, above its plane up to which a receiver is not shaded by what it is part of
+  float rise;
   bool keyed;  // each sub-sample lies in a plane whose normal is that of its key, turned by
   vec3 turn;  // what is added to it; else in that by which the group is shaded
 };
@@ -38,8 +39,8 @@ struct PsMapLight {
 
 // Share of the light, from 0 to 1, that reaches a point in view space, between the four texels around it. Each is compared
 // with the receiver's plane there, so that a surface does not shade itself. normal: unit, or zero where there is no surface.
-// above: PS_MAP_BIAS or the like.
-float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above)
+// above, rise: see PsFootprint.
+float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above, float rise)
 {
   vec4 point = vec4(position, 1.0);
   vec3 q = vec3(dot(light.x, point), dot(light.y, point), dot(light.z, point));
@@ -75,7 +76,7 @@ float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above)
   bool oriented = dot(n, n) > 0.0;
   float facing = dot(n, ray);
   float cosine = max(abs(facing) * inversesqrt(dot(ray, ray)), PS_MAP_STEEPEST);
-  float bias = texel * (oriented ? above / cosine : PS_MAP_BIAS_IN_MEDIA) +
+  float bias = (oriented ? (texel * above + rise) / cosine : texel * PS_MAP_BIAS_IN_MEDIA) +
                PS_MAP_ROUNDING * (abs(q.z) + length(position));
   float reach = oriented ? texel / PS_MAP_STEEPEST : 0.0;
   float lit = 0.0;
@@ -105,7 +106,6 @@ float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
   wanted = wanted && map.kind > 0.0;
 #ifdef PS_FOOTPRINT
   const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
-  float above = ps_footprint.ball ? PS_MAP_BIAS_OF_BALLS : PS_MAP_BIAS;
   int taps = wanted ? PS_SUB_SAMPLES : 0;
   float sum = 0.0, count = 0.0;
   for (int i = 0; i < taps; i++) {
@@ -116,7 +116,7 @@ float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
       if (ps_footprint.keyed) {
         own = normalize(ps_key_normal(texelFetch(ps_keys, cell, 0).x) + ps_footprint.turn);
       }
-      sum += ps_map_lit(map, ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own, above);
+      sum += ps_map_lit(map, ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own, ps_footprint.above, ps_footprint.rise);
       count += 1.0;
       taps = count == float(PS_MAP_FIRST) && (sum == 0.0 || sum > count - 1e-3) ? 0 : taps;
     }
@@ -125,7 +125,7 @@ float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
 #else
   float lit = 1.0;
   for (int i = 0; i < (wanted ? 1 : 0); i++) {
-    lit = ps_map_lit(map, position, normal, PS_MAP_BIAS);
+    lit = ps_map_lit(map, position, normal, PS_MAP_BIAS, 0.0);
   }
   return lit;
 #endif

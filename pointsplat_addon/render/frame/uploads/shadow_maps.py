@@ -143,7 +143,7 @@ def _all_of(scene: Scene, store: Store) -> Prepared:
     scale = np.abs(instances.world_from_object[:, :3, :3]).sum(axis=2).max(initial=0.0)
     radii = [float(points.cloud.radii[:, 0].max()) for points in sets.values() if points.cloud.radii is not None]
     return Prepared(
-        sets, set_of_instance, cut, nothing, nothing, polygons, instances.world_from_object,
+        sets, set_of_instance, cut, nothing, nothing, nothing, polygons, instances.world_from_object,
         largest=scale * max(radii, default=0.0), total=cut.splats,
     )  # fmt: skip
 
