@@ -67,8 +67,8 @@ def test_the_shadow_of_a_straight_edge_lies_where_it_must(technique, edge):
     assert shadows_of(case) == {"shadow maps"}
     lit = np.nanmean(share(case), axis=1)
     across = 2 * 0.45 * np.tan(np.radians(20))
-    assert np.abs(lit - 0.5).max() * across < 2e-3
-    assert abs(lit.mean() - 0.5) * across < 1e-3
+    assert np.abs(lit - 0.5).max() * across < 1e-3  # measured at most 6.4e-4, a tenth of a pixel
+    assert abs(lit.mean() - 0.5) * across < 1e-3  # measured at most 6.4e-4
 
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
@@ -83,7 +83,7 @@ def test_what_nothing_shades_does_not_shade_itself(technique, light):
         toward = np.nan_to_num(share(seen(thing, light=light, technique=technique)), nan=1.0)
         lit = picture(seen(thing, light=light, technique=technique))
         bright = lit > 0.3 * lit.max()
-        assert toward[bright].min() > 0.98
+        assert toward[bright].min() > 0.999  # measured 1 but for rounding
 
 
 def test_tables_are_for_what_light_passes_and_for_lights_with_a_size():
@@ -125,7 +125,7 @@ def test_without_image_atomics_shadows_are_the_same(monkeypatch):
         renderer = Renderer(device)
         found.append(renderer.render(case.scene, case.request(COMBINED, 16)).pixels["combined"][..., 0].astype(float))
         renderer.release()
-    assert np.sqrt(((found[0] - found[1]) ** 2).mean()) < 1e-3
+    assert np.sqrt(((found[0] - found[1]) ** 2).mean()) < 1e-6  # measured 0
 
 
 def test_light_among_balls_is_that_of_rays():
@@ -163,4 +163,4 @@ def test_light_among_balls_is_that_of_rays():
     unlit = picture(replace(case, scene=replace(case.scene, lights=())))
     without = picture(replace(case, settings=replace(case.settings, use_shadows=False))) - unlit
     found = (picture(case) - unlit).mean() / without.mean() * np.maximum(cosine, 0).sum() / len(px)
-    assert abs(found / expected - 1) < 0.03
+    assert abs(found / expected - 1) < 0.02  # measured 0.0094
