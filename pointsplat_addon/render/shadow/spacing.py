@@ -94,7 +94,7 @@ def _total_area(caster: CastingGeometry, store: Store) -> float:
 
 
 def _distance_to_lit(light: Light, centre: np.ndarray, radius: np.ndarray) -> float:
-    """Returns how near balls, centre (K, 3) and radius (K,), come to a light; infinity if an area light shines on none."""
+    """Returns how near balls, centre (K, 3) and radius (K,), come to a light; infinity if it shines on none."""
     near = _distances_from_light(light, centre) - radius
     lit = near > -np.inf if light.kind != "AREA" else (centre - light.position) @ light.direction > -radius
     return float(near.min(where=lit, initial=np.inf))
