@@ -5,14 +5,6 @@
 
 #include "lib/visibility/groups.glsl"
 
-#define PS_LIST_MASK 4095
-#define PS_LIST_SHIFT 12
-
-ivec2 ps_list_texel(int entry)
-{
-  return ivec2(entry & PS_LIST_MASK, entry >> PS_LIST_SHIFT);
-}
-
 void ps_add(float weight, ivec2 texel)
 {
 #ifndef PS_AUXILIARY_ONLY
@@ -73,11 +65,7 @@ void main()
       }
       open_weight -= weight;
       if (weight > 0.0) {
-        int entry = first + layer;
-#ifdef PS_PLACES
-        entry = int(texelFetch(ps_places, ps_list_texel(entry), 0).x);
-#endif
-        ps_add(weight, ps_list_texel(entry));
+        ps_add(weight, ps_group_texel(first + layer));
       }
     }
 #ifdef PS_BEHIND

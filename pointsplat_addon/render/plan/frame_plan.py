@@ -83,7 +83,8 @@ class FramePlan:
     def splats(self) -> int:
         """The number of splats in the cut, of all kinds."""
         prepared = self.prepared
-        layers = (*(() if self.plan.painter else (prepared,)), prepared.translucent, prepared.spheres)
+        opaque = () if self.plan.painter else (prepared, prepared.nodes)
+        layers = (*opaque, prepared.translucent, prepared.spheres)
         return sum(layer.cut.splats for layer in layers)
 
     @property
@@ -188,7 +189,7 @@ def make_frame_plan(
     )
     ewa = technique.name == "EWA"
     sub_samples = 0
-    if technique.name == "VISIBILITY":
+    if technique.name == "VISIBILITY" and _has_opaque(prepared):
         sub_samples = lattice.count
         request = replace(request, samples=-(-request.samples // sub_samples))
     plan = make_plan(
@@ -243,6 +244,12 @@ def _prepared(
     )
 
 
+def _has_opaque(prepared: Prepared) -> bool:
+    """Whether a view shows something opaque. What is translucent alone is blended in each sample."""
+    splats = sum(layer.cut.splats for layer in (prepared, prepared.nodes, prepared.spheres))
+    return splats > 0 or len(prepared.polygons) > 0 or len(prepared.strands) > 0
+
+
 def _not_adaptive(request: Request, prepared: Prepared, plan: Plan, through_lens: bool) -> str:
     """Why all pixels get all samples; empty where adaptive sampling may leave some out."""
     if plan.sub_samples:
@@ -261,7 +268,7 @@ def _shadows(
     scene: Scene, prepared: Prepared, request: Request, store: Store, clock: Clock
 ) -> tuple[Shadows | None, str]:
     """The tables of all lights that cast shadows on what is drawn; or None, and why."""
-    layers = (prepared, prepared.translucent, prepared.spheres)
+    layers = (prepared, prepared.translucent, prepared.spheres, prepared.nodes)
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()
