@@ -21,7 +21,7 @@ from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from .batches import box_corner_casters, splat_batches, strand_segments
 from .casting import CastingGeometry, casting_geometries, light_key, transmission_digest, why_no_shadows
-from .floors import which_are_floors
+from .floors import split_floors
 from .maps import ShadowMaps, casts_into_map, make_maps, takes_map
 from .packed_tables import PackedTables, pack
 from .spacing import sample_spacings
@@ -83,7 +83,7 @@ def make_shadows(
     casters = casting_geometries(scene, store)
     if not casters:
         return None, "nothing casts shadows"
-    floors = which_are_floors(scene, casters, store)
+    casters, floors = split_floors(scene, casters, store)
     if all(floors):
         return None, "there is nothing in the shadow of anything"
     lights = sorted_by_kind(scene.lights)
