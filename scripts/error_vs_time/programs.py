@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from pointsplat_addon.core.numeric.pixel_filter import FILTER_SIZE, blackman_harris
 from pointsplat_addon.core.scene.camera import Camera
-from pointsplat_addon.render.frame.sample_positions import FILTER_WIDTH
 from scripts.benchmarks import frame
 from scripts.error_vs_time.curves import Row, errors
 from scripts.error_vs_time.scenes import CLOUD, KINDS, SCAN_FILE, SCAN_RADIUS, disk_radius, scan, sphere, subject
@@ -56,8 +56,7 @@ def cycles(name: str, truth: np.ndarray, folder: Path, counts: tuple[int, ...], 
     scene.render.engine = "CYCLES"
     settings = scene.cycles
     settings.device, settings.use_adaptive_sampling, settings.use_denoising = "CPU", False, False
-    settings.max_bounces, settings.pixel_filter_type = 0, "BLACKMAN_HARRIS"
-    settings.filter_width = FILTER_WIDTH / 2  # Cycles doubles it for this window
+    settings.max_bounces, settings.pixel_filter_type, settings.filter_width = 0, "BLACKMAN_HARRIS", FILTER_SIZE
     path = folder / "cycles.exr"
 
     def draw(samples: int, seed: int) -> tuple[np.ndarray, float]:
@@ -80,7 +79,7 @@ def eevee(name: str, truth: np.ndarray, folder: Path) -> list[Row]:
     bench_blender.choose_engine("EEVEE")
     import bpy
 
-    bpy.context.scene.render.filter_size = FILTER_WIDTH
+    bpy.context.scene.render.filter_size = FILTER_SIZE
     settings = bpy.context.scene.eevee
     counts = *EEVEE, settings.taa_render_samples
     rows = []
@@ -122,9 +121,21 @@ def vtk_points(
         finally:
             theirs.close()
         pixels = np.asarray(Image.open(path).convert("RGB"), float)[::-1] / 255
-        pixels = pixels.reshape(size, fine, size, fine, 3).mean(axis=(1, 3))
+        pixels = filtered(pixels, fine)
         rows.append(other(name, "VTK", fine**2, seconds, **errors(pixels, truth)) | {"points": len(cloud[0])})
     return rows
+
+
+def filtered(pixels: np.ndarray, fine: int) -> np.ndarray:
+    """The picture (H, W, 3) of one with `fine` times as many pixels a side, by the pixel filter."""
+    taken = 2 * int(FILTER_SIZE + 1) + 1  # pixels, of which the middle one is the pixel itself
+    weights = blackman_harris((np.arange(taken * fine) + 0.5) / fine - taken / 2, FILTER_SIZE)
+    for axis in (0, 1):
+        around = [(0, 0)] * 3
+        around[axis] = (taken // 2 * fine,) * 2
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(pixels, around, mode="edge"), taken * fine, axis)
+        pixels = np.take(windows, np.arange(0, pixels.shape[axis], fine), axis) @ (weights / weights.sum())
+    return pixels
 
 
 def vtk_volume(name: str, truth: np.ndarray, camera: Camera) -> list[Row]:
@@ -139,7 +150,7 @@ def vtk_volume(name: str, truth: np.ndarray, camera: Camera) -> list[Row]:
         view.frame()  # what is made once
         pixels, seconds = view.frame()
         view.close()
-        pixels = pixels.reshape(VOXELS, fine, VOXELS, fine, 3).mean(axis=(1, 3))
+        pixels = filtered(pixels, fine)
         rows.append(other(name, "VTK", fine**2, seconds, **errors(pixels, truth)))
     return rows
 

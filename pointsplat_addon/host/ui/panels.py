@@ -128,7 +128,9 @@ class POINTSPLAT_RENDER_PT_film(_Panel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        self.split_layout().prop(context.scene.render, "film_transparent", text="Transparent")
+        layout = self.split_layout()
+        layout.prop(context.scene.render, "filter_size")
+        layout.prop(context.scene.render, "film_transparent", text="Transparent")
 
 
 class POINTSPLAT_RENDER_PT_performance(_Panel, bpy.types.Panel):

@@ -99,8 +99,8 @@ class Pool:
 
     def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
         """Returns the key to give targets back with, and the targets for a plan; idle ones if they match."""
-        key = (size, count, plan.sub_samples, plan.central, plan.background, plan.points, plan.ewa, plan.polygons,
-               plan.spheres, plan.lines, plan.variant, plan.options,
+        key = (size, count, plan.sub_samples, plan.filter_size, plan.central, plan.background, plan.points,
+               plan.ewa, plan.polygons, plan.spheres, plan.lines, plan.variant, plan.options,
                plan.painter and plan.data_variant, plan.defocus, plan.picture,
                averages.averaged(passes),
                None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),

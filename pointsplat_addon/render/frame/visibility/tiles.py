@@ -8,7 +8,6 @@ from ....core.numeric.lattice import Lattice
 from ...passes.uniforms import SampleView
 
 MOST_CELLS = 28_000_000  # of a tile, with 16 bytes each: a picture of 1280 x 720 pixels is one tile
-MARGIN = 1  # pixels around a tile whose sub-samples the pixel filter takes in
 
 
 @dataclass(frozen=True)
@@ -33,15 +32,15 @@ class PictureTile:
         return self.corner[0] / size[0], self.corner[1] / size[1], self.end[0] / size[0], self.end[1] / size[1]
 
 
-def picture_tiles(size: tuple[int, int], lattice: Lattice, most_side: int) -> list[PictureTile]:
+def picture_tiles(size: tuple[int, int], lattice: Lattice, most_side: int, margin: int) -> list[PictureTile]:
     """Returns the tiles of a picture of `size` (width, height) pixels, all of one size.
 
-    `most_side`: cells along a side of a texture.
+    `most_side`: cells along a side of a texture. `margin`: pixels around a tile that the pixel filter takes in.
     """
     if _fits(size, lattice, most_side):
         return [PictureTile((0, 0), size, (0, 0), size)]
     counts = [1, 1]
-    while not _fits((-(-size[0] // counts[0]) + 2 * MARGIN, -(-size[1] // counts[1]) + 2 * MARGIN), lattice, most_side):
+    while not _fits((-(-size[0] // counts[0]) + 2 * margin, -(-size[1] // counts[1]) + 2 * margin), lattice, most_side):
         wider = 0 if size[0] / counts[0] >= size[1] / counts[1] else 1
         counts[wider] += 1
     sides = -(-size[0] // counts[0]), -(-size[1] // counts[1])
@@ -49,8 +48,8 @@ def picture_tiles(size: tuple[int, int], lattice: Lattice, most_side: int) -> li
     for y in range(0, size[1], sides[1]):
         for x in range(0, size[0], sides[0]):
             end = min(x + sides[0], size[0]), min(y + sides[1], size[1])
-            origin = min(x, size[0] - sides[0]) - MARGIN, min(y, size[1] - sides[1]) - MARGIN
-            found.append(PictureTile((x, y), end, origin, (sides[0] + 2 * MARGIN, sides[1] + 2 * MARGIN)))
+            origin = min(x, size[0] - sides[0]) - margin, min(y, size[1] - sides[1]) - margin
+            found.append(PictureTile((x, y), end, origin, (sides[0] + 2 * margin, sides[1] + 2 * margin)))
     return found
 
 
