@@ -1,4 +1,6 @@
-"""One frame of a static cloud of a million points on moderngl's device: against VTK, by pass, and what it uploads.
+"""One frame of a static cloud on moderngl's device: against VTK, by pass, and what it uploads.
+
+A million points with normals as disks, and one and ten million as balls, which the visibility buffer draws.
 
 python -m scripts.benchmarks.frame [--quick] [--no-vtk]
 
@@ -41,6 +43,7 @@ SPLATS = ("gaussian", "disk")
 TARGETS = {1: ">= 4", 2: ">= 4", 4: ">= 4", 8: ">= 10"}  # by splat radius in pixels
 BLENDED_AT, BLENDED_TARGET = 2, "<= 4"  # radius in pixels at which EWA has a limit, and that, over image space
 BLENDED_VTK = {2: ">= 0.5", 8: ">= 1"}  # VTK's time over that of EWA, by splat radius in pixels
+BALLS, BALLS_TARGET = (1_000_000, 10_000_000), ">= 10"  # VTK's time over that of the visibility buffer, at every radius
 TABLES = 4 << 20  # bytes: a frame may upload tables of blocks and uniforms, never a million points (32 MB)
 
 
@@ -67,19 +70,19 @@ def camera(angle: float, size: int) -> Camera:
     return Camera(view, clip, (size, size), near=near, far=far)
 
 
-def scene(points: tuple[np.ndarray, np.ndarray], radius: float, lit: bool) -> Scene:
-    """The sphere with its colours as emission, or as base colour under one sun."""
+def scene(points: tuple[np.ndarray, np.ndarray], radius: float, lit: bool, balls: bool = False) -> Scene:
+    """The sphere with its colours as emission, or as base colour under one sun. balls: its points have no normals."""
     position, color = points
-    table = default_materials()
-    disks = np.full((len(position), 1), radius, np.float32)
+    table, normal = default_materials(), None if balls else position
+    radii = np.full((len(position), 1), radius, np.float32)
     if lit:
-        cloud = PointCloud(position, normal=position, radii=disks, color=color)
+        cloud = PointCloud(position, normal=normal, radii=radii, color=color)
         lights = (Light("SUN", np.full(3, 3.0), np.zeros(3), np.array([-0.48, -0.6, -0.64])),)
     else:
         table = replace(table, base_color=np.zeros((1, 3), np.float32), specular=np.zeros(1, np.float32))
-        cloud = PointCloud(position, normal=position, radii=disks, emission=color)
+        cloud = PointCloud(position, normal=normal, radii=radii, emission=color)
         lights = ()
-    geometry = Geometry(f"sphere {len(position)} {radius} {lit}", "Sphere", cloud=cloud)
+    geometry = Geometry(f"sphere {len(position)} {radius} {lit} {balls}", "Sphere", cloud=cloud)
     return Scene((geometry,), Instances(np.zeros(1, np.int32), np.eye(4)[None]), table, lights, World())
 
 
@@ -157,6 +160,11 @@ class Ours:
         frame.release()
         stages = {"prepare, allocate": started - start, "read back": read - drawn if pixels else 0.0}
         return {**told, "stages": stages}
+
+    def times(self, angle: float) -> tuple[float, float]:
+        """Seconds of one frame by the clock, and of the processor."""
+        busy = time.process_time()
+        return self.frame(angle)["seconds"], time.process_time() - busy
 
 
 # ---------------------------------------------------------------------------- VTK
@@ -296,6 +304,30 @@ def against_vtk(ours: Callable[[float, bool], Ours], count: int, frames: int, qu
     return rows
 
 
+def balls_against_vtk(renderer: Renderer, device: MeteredDevice, count: int, frames: int) -> list[dict]:
+    """Ratios for each radius: balls of the visibility buffer and VTK's disks, without light, each frame beside one of
+    VTK's."""
+    rows, points, theirs = [], sphere(count), Theirs(count, SIZE)
+    try:
+        for pixels in TARGETS:
+            mine = Ours(renderer, device, scene(points, radius(pixels, SIZE), False, True), SIZE, "VISIBILITY")
+            turns = [(*theirs.times("disk", pixels, i * TURN), *mine.times(i * TURN)) for i in range(frames + 1)]
+            # The first frames compile and upload.
+            vtk, vtk_busy, clock, busy = np.array(turns[1:]).T
+            ratios = list(vtk / clock)
+            note = (f"{1e3 * np.median(vtk):.0f} ms against {1e3 * np.median(clock):.0f} ms; {spread(ratios)} in "
+                    f"{frames} turns; of the processor {np.median(vtk_busy / busy):.1f}")  # fmt: skip
+            title = f"frame, {count / 1e6:g} M balls, radius {pixels} px, VTK disk / visibility buffer"
+            rows.append(row(title, float(np.median(ratios)), "x", BALLS_TARGET, note))
+    except (EOFError, OSError):
+        rows.append(
+            row(f"frame, {count / 1e6:g} M balls, VTK / PointSplat", None, "x", BALLS_TARGET, "VTK could not draw")
+        )
+    finally:
+        theirs.close()
+    return rows
+
+
 def blended(ours: Callable[[float, bool], Ours], frames: int) -> list[dict]:
     """How many times as long as in image space EWA takes, in turns."""
     rows = []
@@ -405,6 +437,8 @@ def run(quick: bool = False, vtk: bool = True) -> tuple[list[dict], dict[str, li
         if vtk and find_spec("vtk"):
             rows += against_vtk(ours, count, frames, quick)
             rows += blended_against_vtk(ours, count, 3)
+            for many in BALLS:
+                rows += balls_against_vtk(renderer, device, many // 10 if quick else many, frames)
         elif vtk:
             rows.append(row("frame, VTK / PointSplat", None, "x", ">= 4", "VTK is not installed"))
         return rows, split_tables(ours, 3 if quick else 5, 4 if quick else 16)

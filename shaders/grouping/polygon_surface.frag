@@ -67,6 +67,8 @@ void main()
 #endif
   s.shape = vec4(leader.offset, 0.0, about.x > 0.5 ? -1.0 - material : material);
 #ifdef PS_NORMAL
+  vec3 plane = ps_direction(cross(a, b), vec3(0.0, 0.0, 1.0));
+  bool turned = dot(plane, ps_is_perspective() ? leader.position : vec3(0.0, 0.0, -1.0)) > 0.0;
   mat3 linear = ps_linear(slot);
   vec3 normal = vec3(0.0);
   for (int i = 0; i < 3; i++) {
@@ -74,11 +76,9 @@ void main()
   }
   s.normal.xyz = ps_direction(normal, vec3(0.0, 0.0, 1.0));
 #ifdef PS_BAKED_NORMAL
-  // Of the side that the normal shows, whichever way round the corners are.
-  float side = dot(cross(a, b), s.normal.xyz) < 0.0 ? -1.0 : 1.0;
-  vec3 bent = ps_repeat(ps_baked_normal, v_uv).xyz;
-  s.normal.xyz = ps_bent(s.normal.xyz, vec3(side * bent.xy, bent.z), a, b, uv[1] - uv[0], uv[2] - uv[0]);
+  s.normal.xyz = ps_bent(s.normal.xyz, ps_repeat(ps_baked_normal, v_uv).xyz, a, b, uv[1] - uv[0], uv[2] - uv[0]);
 #endif
+  ps_seen_from(s, plane, turned);
 #endif
   ps_polygon_attributes(s);
 #ifdef PS_OWNER

@@ -63,6 +63,9 @@ void main()
     turned = dot(n, toward) > 0.0;
   }
   s.normal.xyz = splat.ball ? own : ps_lit_normal(own, element, ps_linear(element.z), toward, turned);
+#if defined(PS_SHADING_NORMAL) || defined(PS_FACETS)
+  s.centre.z = splat.ball ? 0.0 : 1.0 + ps_pack_normal(own);
+#endif
 #endif
 #endif
   s = ps_attributed(s, element);

@@ -44,6 +44,9 @@ void main()
 #ifdef PS_DISCONNECTED
   if (ps_alone(covariance, extent)) {
     s.centre = vec4(pixel.z, 0.0, 0.0, PS_POLYGON);
+#if defined(PS_SHADING_NORMAL) || defined(PS_FACETS)
+    s.centre.z = ball ? 0.0 : 1.0 + ps_pack_normal(normal);
+#endif
   }
 #endif
   s.shape = vec4(ps_cholesky(covariance), floor(extent.w));

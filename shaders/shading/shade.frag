@@ -4,6 +4,7 @@
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/surfel_kind.glsl"
+#include "lib/data/pack.glsl"
 #include "lib/light/lights.glsl"
 #include "lib/data/materials.glsl"
 #include "lib/geometry/geometry.glsl"
@@ -41,8 +42,10 @@ void main()
   vec4 bent = texelFetch(ps_normal, pixel, 0);
   vec3 normal = ps_surface_normal(bent.xyz, centre, shape, at);
   vec3 position = ps_surface_position(normal, bent.xyz, centre, at);
+  bool own_pixel = centre.w <= PS_POLYGON, bends = own_pixel && centre.z > 0.5;
+  vec3 plane = bends ? ps_unpack_normal(centre.z - 1.0) : vec3(0.0);
 #else
-  vec3 normal = vec3(0.0, 0.0, 1.0);
+  vec3 normal = vec3(0.0, 0.0, 1.0), plane = vec3(0.0);
   vec3 position = ps_view_from_pixel(at, centre.x);
 #endif
 #ifdef PS_COARSE
@@ -51,6 +54,9 @@ void main()
   position += normal * (radius * ps_pixel_size(centre.x));
 #endif
   vec3 to_eye = -ps_ray(at);
+#ifdef PS_NORMAL
+  normal *= own_pixel && !bends && dot(normal, to_eye) < 0.0 ? -1.0 : 1.0;
+#endif
 #ifdef PS_STRANDS
   bool strand = ps_is_strand(centre);
   vec3 tangent = normal;
@@ -77,14 +83,14 @@ void main()
   // Loops of one turn or none, since some devices run both sides of every branch.
   vec3 radiance = vec3(0.0);
   for (int i = 0; i < (strand ? 0 : 1); i++) {
-    radiance = ps_shade(position, normal, to_eye, surface, u.light_count);
+    radiance = ps_shade(position, normal, plane, to_eye, surface, u.light_count);
   }
   for (int i = 0; i < (strand ? 1 : 0); i++) {
     vec4 fibre = texelFetch(ps_materials, ivec2(3, material), 0);
     radiance = ps_shade_strand(position, tangent, to_eye, surface, fibre, u.light_count);
   }
 #else
-  vec3 radiance = ps_shade(position, normal, to_eye, surface, u.light_count);
+  vec3 radiance = ps_shade(position, normal, plane, to_eye, surface, u.light_count);
 #endif
 #ifdef PS_FOCUS
   out_focus = covered * vec4(centre.x, 1.0, 0.0, 0.0);
@@ -93,8 +99,7 @@ void main()
 #endif
 
 #ifdef PS_OUT_NORMAL
-  vec3 facing = dot(normal, to_eye) < 0.0 ? -normal : normal;
-  out_normal_pass = covered * vec4(mat3(u.world_from_view) * facing, 1.0);
+  out_normal_pass = covered * vec4(mat3(u.world_from_view) * normal, 1.0);
 #endif
 #ifdef PS_OUT_ALBEDO
   out_albedo = covered * vec4(surface.base * (1.0 - surface.metallic), 1.0);

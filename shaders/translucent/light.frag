@@ -246,6 +246,7 @@ void main()
   surface.emission = medium ? vec3(0.0) : emission;
   if (lit_as_surface) {
     facing = dot(facing, facing) > 0.5 ? facing : to_eye;
+    facing = dot(ball || medium ? facing : normal, to_eye) < 0.0 ? -facing : facing;
 #ifdef PS_STRANDS
     bool strand = fuzzy && optics.w > 0.5;
     for (int i = 0; i < (strand ? 1 : 0); i++) {
@@ -253,10 +254,10 @@ void main()
                                 u.light_count);
     }
     for (int i = 0; i < (strand ? 0 : 1); i++) {
-      source += ps_shade(lit_position, facing, to_eye, surface, u.light_count);
+      source += ps_shade(lit_position, facing, vec3(0.0), to_eye, surface, u.light_count);
     }
 #else
-    source += ps_shade(lit_position, facing, to_eye, surface, u.light_count);
+    source += ps_shade(lit_position, facing, vec3(0.0), to_eye, surface, u.light_count);
 #endif
   }
 

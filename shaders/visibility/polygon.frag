@@ -3,6 +3,7 @@
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/store.glsl"
 #include "lib/geometry/camera.glsl"
+#include "lib/geometry/direction.glsl"
 #include "lib/data/polygon.glsl"
 
 void main()
@@ -22,10 +23,14 @@ void main()
   s.shape = vec4(0.0, 0.0, 0.0, u.holdout == 1 ? -1.0 - material : material);
 #ifdef PS_NORMAL
   s.normal.xyz = normalize(v_normal);
+  vec3 plane = ps_direction(cross(dFdx(v_position), dFdy(v_position)), vec3(0.0, 0.0, 1.0));
+  bool turned = !gl_FrontFacing, away = dot(plane, ps_is_perspective() ? v_position : vec3(0.0, 0.0, -1.0)) > 0.0;
+  plane = turned == away ? plane : -plane;
 #ifdef PS_BAKED_NORMAL
   s.normal.xyz = ps_bent(s.normal.xyz, ps_repeat(ps_baked_normal, v_uv).xyz, dFdx(v_position), dFdy(v_position),
                          dFdx(v_uv), dFdy(v_uv));
 #endif
+  ps_seen_from(s, plane, turned);
 #endif
   ps_polygon_attributes(s);
 #ifdef PS_OWNER

@@ -17,7 +17,7 @@ void main()
   float d = -v_position.z;
   vec3 normal = vec3(0.0, 0.0, 1.0);
 #ifdef PS_NORMAL
-  normal = v_normal;
+  normal = gl_FrontFacing ? v_normal : -v_normal;  // as the triangle is shaded
 #endif
   out_id = PS_RASTERISED | v_id;
   out_depth = floatBitsToUint(max(d - u.near, 0.0));

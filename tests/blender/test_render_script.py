@@ -10,7 +10,8 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 REPORT_KEYS = {
-    "device", "seconds", "passes", "skipped", "points", "technique", "triangles", "lines", "bytes", "warnings",
+    "device", "seconds", "passes", "skipped", "points", "samples", "technique", "triangles", "lines", "bytes",
+    "warnings",
 }  # fmt: skip
 
 MAKE_FILES = """

@@ -71,15 +71,18 @@ def shade(
     lights: Sequence[Light] = (),
     world: World | None = None,
     atlas: np.ndarray | None = None,
+    plane: np.ndarray | None = None,
 ) -> np.ndarray:
     """Radiance (N, 3) float64 towards the eye, in world space.
 
-    position, normal (unit), to_eye (unit): (N, 3). Surfaces are two-sided: the normal is turned to the viewer.
+    position, normal (unit), to_eye (unit): (N, 3). The normal is that of the side that is seen. `plane` (N, 3): the
+    unit normals of the surfaces' planes, turned to the eye; (0, 0, 0), as all are if it is None: that of `normal`.
     `atlas` is environment.build_atlas(world.image), built here if it is needed and None.
     """
     position, normal, to_eye = (np.asarray(a, float) for a in (position, normal, to_eye))
-    normal = np.where(_dot(normal, to_eye)[:, None] < 0, -normal, normal)
-    material = _Material(surface.broadcast(len(position)), normal, to_eye)
+    plane = np.zeros_like(normal) if plane is None else np.asarray(plane, float)
+    reflecting = reflecting_normal(normal, plane, to_eye)
+    material = _Material(surface.broadcast(len(position)), normal, reflecting, to_eye)
 
     result = material.surface.emission.copy()
     for light in lights:
@@ -89,11 +92,35 @@ def shade(
     return result
 
 
+def reflecting_normal(normal: np.ndarray, plane: np.ndarray, to_eye: np.ndarray) -> np.ndarray:
+    """The normals (N, 3) of GGX lobes: turned towards the surface's plane until the mirrored eye lies above that, by as
+    much as Cycles' `ensure_valid_specular_reflection` asks. Where there is no plane, on the side of the eye."""
+    found = np.where(_dot(normal, to_eye)[:, None] < 0, -normal, normal)
+    known = (plane**2).sum(axis=1) > 0.5
+    found[known] = normal[known]
+    mirrored = 2 * _dot(normal, to_eye)[:, None] * normal - to_eye
+    eye_z = _dot(plane, to_eye)
+    least = np.minimum(0.9 * eye_z, 0.01)
+    below = known & (_dot(plane, mirrored) < least)
+    across = normal - _dot(normal, plane)[:, None] * plane
+    below &= np.linalg.norm(across, axis=1) > 1e-6
+    across, plane, eye_z, least = unit_rows(across[below]), plane[below], eye_z[below], least[below]
+    # 4 a z^4 - 2 b z^2 + c = 0, z the cosine between the lobe's normal and the plane's.
+    eye_x = _dot(across, to_eye[below])
+    a = np.maximum(eye_x**2 + eye_z**2, 1e-12)
+    b, c = 2 * (a + eye_z * least), (least + eye_z) ** 2
+    root = np.sqrt(np.maximum(b * b - 4 * a * c, 0))
+    z2 = np.clip((b + np.where(eye_x < 0, root, -root)) / (4 * a), 0, 1)[:, None]
+    found[below] = np.sqrt(1 - z2) * across + np.sqrt(z2) * plane
+    return found
+
+
 class _Material:
     """What the BSDF needs of (N,) surfaces seen from one direction."""
 
-    def __init__(self, surface: Surface, normal: np.ndarray, to_eye: np.ndarray) -> None:
-        self.surface, self.normal, self.to_eye = surface, normal, to_eye
+    def __init__(self, surface: Surface, shading: np.ndarray, normal: np.ndarray, to_eye: np.ndarray) -> None:
+        """shading: the normals of the diffuse lobe, from whose front light comes; normal: those of the GGX lobe."""
+        self.surface, self.shading, self.normal, self.to_eye = surface, shading, normal, to_eye
         self.alpha = np.maximum(np.clip(surface.roughness, 0, 1) ** 2, MIN_ALPHA)
         self.cos_eye = np.clip(_dot(normal, to_eye), 1e-4, 1)
         metallic = np.clip(surface.metallic, 0, 1)[:, None]
@@ -109,6 +136,7 @@ class _Material:
         self.reflectance = (1 - metallic) * reflected + self.metal_scale * albedo * (
             self.metal_f0 * (1 - s_metal) + s_metal
         )
+        self.reflectance *= (_dot(normal, to_eye) > 0)[:, None]
         self.diffuse = np.maximum(surface.base, 0) * (1 - metallic) * (1 - np.minimum(reflected, 1))
 
         self.mirror = 2 * _dot(normal, to_eye)[:, None] * normal - to_eye
@@ -141,7 +169,8 @@ class _Material:
         visibility = 0.5 / (
             cl * np.sqrt(a2 + (1 - a2) * self.cos_eye**2) + self.cos_eye * np.sqrt(a2 + (1 - a2) * cl**2)
         )
-        lobe = np.where(cos_light > 0, density * visibility * cl, 0.0)[:, None]
+        lit = (cos_light > 0) & (_dot(self.shading, direction) > 0) & (_dot(self.normal, self.to_eye) > 0)
+        lobe = np.where(lit, density * visibility * cl, 0.0)[:, None]
         metal = self.metal_f0 + (1 - self.metal_f0) * ((1 - cos_between) ** 5)[:, None]
         dielectric = fresnel_dielectric(cos_between, self.eta)[:, None]
         return lobe * (self.metal_scale * metal + self.dielectric_scale * dielectric)
@@ -422,7 +451,7 @@ def _shade_world(normal: np.ndarray, material: _Material, world: World, atlas: n
     # A rough lobe leans from the mirror direction towards the normal (Lagarde and de Rousiers 2014, 4.9.3).
     smooth = 1 - material.alpha
     lean = smooth * (np.sqrt(smooth) + material.alpha)
-    direction = unit_rows(normal + lean[:, None] * (material.mirror - normal))
+    direction = unit_rows(material.normal + lean[:, None] * (material.mirror - material.normal))
     image = world.world_rotation.T
     roughness = np.clip(material.surface.roughness, 0, 1)
     return material.diffuse * environment_lookup.mean_radiance(atlas, normal @ image) + (

@@ -38,7 +38,7 @@ class Picture:
     combined: np.ndarray  # (H, W, 4) float64, premultiplied scene-linear
     depth: np.ndarray  # (H, W) float64 along the view axis, BACKGROUND_DEPTH where there is nothing
     position: np.ndarray  # (H, W, 3) float64, world space
-    normal: np.ndarray  # (H, W, 3) float64, world space, unit, towards the eye
+    normal: np.ndarray  # (H, W, 3) float64, world space, unit, of the side that is seen
     albedo: np.ndarray  # (H, W, 3) float64
     instance: np.ndarray  # (H, W) int, -1: none
     material: np.ndarray  # (H, W) int, -1: none
@@ -50,6 +50,7 @@ class _Hit:
 
     depth: np.ndarray  # (P,)
     normal: np.ndarray  # (P, 3)
+    plane: np.ndarray  # (P, 3) normals of the planes that are met
     base: np.ndarray  # (P, 3)
     emission: np.ndarray  # (P, 3)
     surface: np.ndarray  # (P, 2) roughness, metallic
@@ -58,9 +59,9 @@ class _Hit:
 
     @classmethod
     def none(cls, count: int) -> _Hit:
-        normal, base, emission = np.zeros((3, count, 3))
+        normal, plane, base, emission = np.zeros((4, count, 3))
         material, instance = np.full((2, count), -1)
-        return cls(np.full(count, np.inf), normal, base, emission, np.zeros((count, 2)), material, instance)
+        return cls(np.full(count, np.inf), normal, plane, base, emission, np.zeros((count, 2)), material, instance)
 
     def merge(self, other: _Hit) -> None:
         """Keep the nearer of the two for each ray."""
@@ -159,8 +160,8 @@ def _splats(
     constants = np.stack([table.roughness[rows], table.metallic[rows]], axis=1)
     hit.surface[some] = mean(constants if cloud.surface is None else cloud.surface)
     shading = stored if cloud.shading_normal is None else _turned(cloud.shading_normal, linear)
-    hit.normal[some] = _unit(mean(shading))
-    hit.normal[some] = hit.normal[some] @ camera.view_from_world[:3, :3]
+    hit.normal[some] = _unit(mean(shading)) @ camera.view_from_world[:3, :3]
+    hit.plane[some] = _unit(mean(stored)) @ camera.view_from_world[:3, :3]
     return hit
 
 
@@ -202,7 +203,7 @@ def _balls(
     constants = np.stack([table.roughness[rows], table.metallic[rows]], axis=1)
     hit.surface[some] = (constants if cloud.surface is None else cloud.surface)[ball]
     outwards = eye[ray, ball] + depth[ray, ball][:, None] * along[some]
-    hit.normal[some] = _unit(outwards @ inverse) @ camera.view_from_world[:3, :3]
+    hit.normal[some] = hit.plane[some] = _unit(outwards @ inverse) @ camera.view_from_world[:3, :3]
     return hit
 
 
@@ -262,6 +263,7 @@ def _triangles(
     hit.surface[some] = constants if look.surface is None else look.surface
     normal = _evaluated(mesh, samples).normal if look.normal is None else look.normal
     hit.normal[some] = _turned(normal, linear) @ camera.view_from_world[:3, :3]
+    hit.plane[some] = _unit(plane[first]) @ camera.view_from_world[:3, :3]
     return hit
 
 
@@ -315,7 +317,8 @@ def _shaded(
     to_eye = _unit(-direction) @ turn
     view = start + np.where(there, hit.depth, 0)[:, None] * direction
     position = (view - eye_from_world) @ turn
-    normal = np.where((hit.normal * to_eye).sum(axis=1, keepdims=True) < 0, -hit.normal, hit.normal)
+    side = np.where((hit.plane * to_eye).sum(axis=1, keepdims=True) < 0, -1, 1)
+    normal, plane = side * hit.normal, side * hit.plane
     atlas = None if world.image is None else environment.build_atlas(world.image)
 
     combined = np.zeros((len(start), 4))
@@ -330,7 +333,8 @@ def _shaded(
     surface = Surface(
         hit.base[there], hit.emission[there], roughness, metallic, table.ior[row], table.specular[row]
     )  # fmt: skip
-    combined[there, :3] = shade(position[there], normal[there], to_eye[there], surface, scene.lights, world, atlas)
+    seen = (a[there] for a in (position, normal, to_eye))
+    combined[there, :3] = shade(*seen, surface, scene.lights, world, atlas, plane[there])
     combined[there, 3] = 1
     if scene.instances.holdout is not None:
         combined[there & scene.instances.holdout[hit.instance]] = 0

@@ -78,12 +78,15 @@ class Lattice:
 
 def lattice_of(sub_samples: int) -> Lattice:
     """Returns the lattice with so many sub-samples of a pixel. StopIteration: there is none."""
-    return next(lattice for lattice in (FEW, MANY) if lattice.count == sub_samples)
+    return next(lattice for lattice in (ONE, FEW, MANY) if lattice.count == sub_samples)
 
 
-def lattice_for(interactive: bool) -> Lattice:
-    """Returns the lattice of a picture; `interactive`: of a view that moves."""
-    return FEW if interactive else MANY
+def lattice_for(samples: int, interactive: bool) -> Lattice:
+    """Returns the lattice of a picture that is asked for with so many samples; `interactive`: of a view that moves,
+    which is refined by more lattices of few sub-samples."""
+    if samples <= ONE.count:
+        return ONE
+    return FEW if interactive or samples <= FEW.count else MANY
 
 
-FEW, MANY = Lattice(2, 1), Lattice(4, 1)  # 5 and 17 sub-samples
+ONE, FEW, MANY = Lattice(1, 0), Lattice(2, 1), Lattice(4, 1)  # 1, 5 and 17 sub-samples

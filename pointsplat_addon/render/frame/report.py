@@ -22,6 +22,7 @@ def report(frame: Frame, seconds: float) -> dict[str, Any]:
             "cut": frame_plan.splats,
             "drawn": frame_plan.splats * frame.done,
         },
+        "samples": frame.done * max(frame_plan.plan.sub_samples, 1),
         "technique": {"name": frame_plan.technique.name, "because": frame_plan.technique.because},
         "triangles": frame_plan.triangles,
         "lines": {"strands": frame_plan.strands, "segments": frame_plan.segments, "drawn": drawn},

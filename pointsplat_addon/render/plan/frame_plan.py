@@ -150,7 +150,7 @@ def make_frame_plan(
     warnings = scene.warnings
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
-    lattice = lattice_for(request.interactive)
+    lattice = lattice_for(request.samples, request.interactive)
     decided = decide_technique(
         TechniqueInput(
             request.settings,

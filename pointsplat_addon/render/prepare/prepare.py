@@ -219,7 +219,7 @@ def _strand_segments(
         if len(levels) == 0:
             continue
         tolerance = view.settings.tolerance
-        lattice = lattice_for(view.interactive) if view.settings.technique == "VISIBILITY" else None
+        lattice = lattice_for(view.samples, view.interactive) if view.settings.technique == "VISIBILITY" else None
         parts = [select(levels, view_from_object[i], i, view.camera, tolerance, lattice) for i in where.tolist()]
         parts = [part for part in parts if len(part)]
         if parts:

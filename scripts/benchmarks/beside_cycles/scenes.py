@@ -20,6 +20,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from scripts.benchmarks.beside_cycles.everything import everything
 from scripts.benchmarks.beside_cycles.landscape import landscape
 from scripts.benchmarks.beside_cycles.room import room
 from scripts.common.point_objects import point_cloud_object
@@ -119,6 +120,11 @@ def subdivided_dragon(size: int, data: Path) -> None:
 def cards(size: int, data: Path) -> None:
     """A small tree whose leaves are pictures with alpha."""
     models.model(data / "bonsai-tree/bonsai-tree.obj", size, shadows=True)
+    add_alpha()
+
+
+def add_alpha() -> None:
+    """Give the materials of images with alpha that alpha."""
     for material in bpy.data.materials:
         for node in [n for n in material.node_tree.nodes if n.type == "TEX_IMAGE"] if material.node_tree else []:
             if node.image.depth == 32:
@@ -238,6 +244,7 @@ KINDS = {
     "room": Kind(lambda size, data: room(0.3, size, aim), (640, 360)),
     "room-flush": Kind(lambda size, data: room(0.02, size, aim), (640, 360)),
     "cube": Kind(cube, (640, 360)),
+    "everything": Kind(lambda size, data: everything(size, data, aim, add_alpha, painted), (960, 540), "peterbilt"),
 }
 
 

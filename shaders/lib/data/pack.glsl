@@ -19,6 +19,14 @@ vec3 ps_unpack_normal(float code)
   return ps_unpack_octahedral(code, PS_OCT_STEPS);
 }
 
+float ps_pack_normal(vec3 n)
+{
+  vec3 m = n / max(abs(n.x) + abs(n.y) + abs(n.z), 1e-30);
+  vec2 e = m.z >= 0.0 ? m.xy : (1.0 - abs(m.yx)) * vec2(m.x >= 0.0 ? 1.0 : -1.0, m.y >= 0.0 ? 1.0 : -1.0);
+  vec2 steps = clamp(floor((0.5 * e + 0.5) * PS_OCT_STEPS + 0.5), vec2(0.0), vec2(PS_OCT_STEPS));
+  return steps.x + (PS_OCT_STEPS + 1.0) * steps.y;
+}
+
 // A normal and its share in 63rds.
 vec4 ps_unpack_facet(float code)
 {

@@ -2,6 +2,7 @@
 // v_emission, as varyings or as globals.
 
 #include "lib/geometry/surfel.glsl"
+#include "lib/data/pack.glsl"
 
 #ifdef PS_UV
 vec4 ps_repeat(sampler2D picture, vec2 uv)
@@ -22,10 +23,23 @@ vec4 ps_repeat(sampler2D picture, vec2 uv)
 // here.
 vec3 ps_bent(vec3 n, vec3 tangent_space, vec3 px, vec3 py, vec2 ux, vec2 uy)
 {
+  // Tangents stay where they are, whichever side of the triangle n is on.
+  tangent_space.xy *= dot(cross(px, py), n) < 0.0 ? -1.0 : 1.0;
   vec3 t = cross(py, n) * ux.x + cross(n, px) * uy.x;
   vec3 b = cross(py, n) * ux.y + cross(n, px) * uy.y;
   float size = inversesqrt(max(max(dot(t, t), dot(b, b)), 1e-30));
   return normalize(t * size * tangent_space.x + b * size * tangent_space.y + n * tangent_space.z);
+}
+#endif
+
+#ifdef PS_NORMAL
+// Turns the normal to the side of the triangle that is seen (Cycles' rule: not by the normal's own direction), and keeps the
+// triangle's plane. `turned`: the eye sees the side where `plane` does not point.
+void ps_seen_from(inout PsSurfel s, vec3 plane, bool turned)
+{
+  float side = turned ? -1.0 : 1.0;
+  s.normal.xyz *= side;
+  s.centre.z = 1.0 + ps_pack_normal(side * plane);
 }
 #endif
 

@@ -4,7 +4,8 @@
 //           pixel's centre, which only its neighbours and coarser levels know
 //   shape   Cholesky factor l11, l21, l22 of the splat's covariance in pixels^2, and its material (-1 - m: a holdout).
 //           A uniform disk of radius r has the variance r^2 / 4: the splat's rim lies at 2 sigma
-//   normal  in view space, (0, 0, 0) for a ball; roughness
+//   normal  in view space, of the side of the surface's plane that is seen (it may point away from the eye where it is not
+//           the plane's), (0, 0, 0) for a ball; roughness
 //   color   base colour, metallic
 // PS_NORMAL: something shines, or a pass asks. PS_COLOR: colours come with the points; else the material table has
 // them; so do PS_SURFACE roughness and metallic, and PS_EMISSION. PS_OWNER: which instance, for passes that ask.

@@ -3,6 +3,8 @@
 #define PS_POLYGON -1e30
 // Of what extends over its own pixel only, centre.y says whether it is a strand, whose normal is its tangent.
 #define PS_STRAND 1.0
+// And centre.z is 0 where its normal is that of its plane, on either side; else 1 + the packed normal of the plane, on the side
+// that is seen, as the normal is.
 
 // Whether something covers the pixel's centre.
 bool ps_is_there(vec4 centre)

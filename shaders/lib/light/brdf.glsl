@@ -20,7 +20,8 @@ struct PsSurface {
 
 // What the BSDF needs of a surface seen from one direction.
 struct PsLobes {
-  vec3 normal;
+  vec3 normal;  // of the diffuse lobe; light from behind it is reflected by neither
+  vec3 reflecting;  // of the GGX lobe
   vec3 to_eye;
   vec3 diffuse;
   vec3 reflectance;  // of uniform light, by the GGX lobe
@@ -69,15 +70,39 @@ vec4 ps_reflectance_table(float cosine, float roughness)
   return mix(ps_table_row(row, cosine), ps_table_row(row + 1, cosine), y - float(row));
 }
 
-PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 to_eye)
+// The normal, turned towards the surface's plane as far as it must be for the mirrored eye to lie above that: Cycles'
+// ensure_valid_specular_reflection. `plane`: its normal, turned to the eye; (0, 0, 0): the normal's own plane.
+vec3 ps_reflecting_normal(vec3 normal, vec3 plane, vec3 to_eye)
+{
+  float facing = dot(normal, to_eye);
+  if (dot(plane, plane) < 0.5) {
+    return facing < 0.0 ? -normal : normal;
+  }
+  float eye_z = dot(plane, to_eye), least = min(0.9 * eye_z, 0.01);
+  vec3 across = normal - dot(normal, plane) * plane;
+  float size = length(across);
+  if (dot(plane, 2.0 * facing * normal - to_eye) >= least || size < 1e-6) {
+    return normal;
+  }
+  across /= size;
+  // Of the roots of 4 a z^4 - 2 b z^2 + c = 0, z the cosine to the plane's normal, the one that mirrors the eye to the side.
+  float eye_x = dot(across, to_eye);
+  float a = max(eye_x * eye_x + eye_z * eye_z, 1e-12), b = 2.0 * (a + eye_z * least);
+  float c = (least + eye_z) * (least + eye_z), root = sqrt(max(b * b - 4.0 * a * c, 0.0));
+  float z2 = clamp(0.25 * (b + (eye_x < 0.0 ? root : -root)) / a, 0.0, 1.0);
+  return sqrt(1.0 - z2) * across + sqrt(z2) * plane;
+}
+
+PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
 {
   PsLobes lobes;
-  float facing = dot(normal, to_eye);
   lobes.normal = normal;
+  lobes.reflecting = ps_reflecting_normal(normal, plane, to_eye);
+  float facing = dot(lobes.reflecting, to_eye);
   lobes.to_eye = to_eye;
   lobes.cos_eye = clamp(facing, 1e-4, 1.0);
-  lobes.mirror = 2.0 * facing * normal - to_eye;
-  lobes.across = cross(normal, to_eye);
+  lobes.mirror = 2.0 * facing * lobes.reflecting - to_eye;
+  lobes.across = cross(lobes.reflecting, to_eye);
   float sine = length(lobes.across);
   lobes.across = sine > 1e-6 ? lobes.across / sine : vec3(0.0);
 
@@ -113,6 +138,7 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 to_eye)
   lobes.dielectric_scale *= 1.0 - metallic;
   lobes.diffuse *= 1.0 - metallic;
 #endif
+  lobes.reflectance *= facing > 0.0 ? 1.0 : 0.0;
   return lobes;
 }
 
@@ -130,13 +156,13 @@ float ps_width_along(PsLobes lobes, vec3 direction)
 // unnormalised, h = direction + to_eye, and its length cancels.
 vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
 {
-  float cos_light = dot(lobes.normal, direction);
+  float cos_light = dot(lobes.reflecting, direction);
   float above = max(cos_light, 1e-6);
   vec3 h = direction + lobes.to_eye;
   float h2 = dot(h, h);
-  float along = dot(lobes.normal, h);
+  float along = dot(lobes.reflecting, h);
   // |n x h|^2 in place of 1 - (n.h)^2, which cancels.
-  vec3 sine = cross(lobes.normal, h);
+  vec3 sine = cross(lobes.reflecting, h);
   float spread = a2 * along * along + dot(sine, sine);
   float masked = above * sqrt(a2 + (1.0 - a2) * lobes.cos_eye * lobes.cos_eye) +
                  lobes.cos_eye * sqrt(a2 + (1.0 - a2) * above * above);
@@ -147,7 +173,8 @@ vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
   float x = 1.0 - cos_between, x2 = x * x;
   reflected += lobes.metal_scale * (lobes.metal_f0 + (1.0 - lobes.metal_f0) * (x2 * x2 * x));
 #endif
-  return cos_light > 0.0 ? lobe * reflected : vec3(0.0);
+  bool lit = cos_light > 0.0 && dot(lobes.normal, direction) > 0.0 && dot(lobes.reflecting, lobes.to_eye) > 0.0;
+  return lit ? lobe * reflected : vec3(0.0);
 }
 
 #endif

@@ -84,7 +84,7 @@ vec3 ps_shade_world(PsLobes lobes)
 #if defined(PS_HAS_ENVIRONMENT)
   // A rough lobe leans from the mirror direction towards the normal (Lagarde and de Rousiers 2014, 4.9.3).
   float smoothness = 1.0 - lobes.alpha;
-  vec3 direction = normalize(mix(lobes.normal, lobes.mirror, smoothness * (sqrt(smoothness) + lobes.alpha)));
+  vec3 direction = normalize(mix(lobes.reflecting, lobes.mirror, smoothness * (sqrt(smoothness) + lobes.alpha)));
   vec2 uv = ps_uv_from_direction(ps_image_from_view(lobes.normal));
   return lobes.diffuse * ps_environment_level(uv, PS_ROUGH_LEVELS + 1) +
          lobes.reflectance * ps_environment_radiance(ps_image_from_view(direction), lobes.roughness);

@@ -27,14 +27,14 @@
 #include "lib/light/light_loop.glsl"
 #include "lib/light/medium.glsl"
 
-// Radiance towards the eye at a point in view space. normal and to_eye are unit; the surface is two-sided: the normal
-// is turned to the viewer. light_count: how many rows of lights ps_lights holds.
-vec3 ps_shade(vec3 position, vec3 normal, vec3 to_eye, PsSurface surface, int light_count)
+// Radiance towards the eye at a point in view space. normal and to_eye are unit; the normal is that of the side that is
+// seen. plane: the unit normal of the surface's plane, turned to the eye, where that is not `normal`; else (0, 0, 0).
+// light_count: how many rows of lights ps_lights holds.
+vec3 ps_shade(vec3 position, vec3 normal, vec3 plane, vec3 to_eye, PsSurface surface, int light_count)
 {
   vec3 result = surface.emission;
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
-  normal = dot(normal, to_eye) < 0.0 ? -normal : normal;
-  PsLobes lobes = ps_lobes(surface, normal, to_eye);
+  PsLobes lobes = ps_lobes(surface, normal, plane, to_eye);
 #ifdef PS_HAS_LIGHTS
   result += ps_shade_lights(position, lobes, light_count);
 #endif

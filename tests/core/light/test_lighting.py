@@ -112,10 +112,12 @@ def test_spot_is_dark_outside_its_cone_and_full_at_its_axis():
     assert outside == 0
 
 
-def test_two_sided_surface_is_lit_from_the_side_of_the_eye():
+def test_a_normal_that_points_away_from_the_eye_is_lit_where_it_points():
     position = np.zeros((1, 3))
-    flipped = lighting.shade(position, -UP[None], UP[None], surface(), [POINT])
-    assert flipped == pytest.approx(lighting.shade(position, UP[None], UP[None], surface(), [POINT]))
+    from_below = np.array([[0.6, 0, -0.8]])
+    away = lighting.shade(position, UP[None], from_below, surface(), [POINT])
+    assert away == pytest.approx(lighting.shade(position, UP[None], UP[None], surface(), [POINT]))
+    assert lighting.shade(position, -UP[None], UP[None], surface(), [POINT]) == pytest.approx(0)
 
 
 @pytest.mark.parametrize("roughness", [0.1, 0.3, 0.6, 1.0])
@@ -128,7 +130,8 @@ def test_furnace(roughness, metallic, cos_eye):
     directions = directions[directions[:, 2] > 0]
     count = len(directions)
     eye = np.broadcast_to([np.sqrt(1 - cos_eye**2), 0, cos_eye], (count, 3))
-    lobes = lighting._Material(material.broadcast(count), np.broadcast_to(UP, (count, 3)), eye)
+    up = np.broadcast_to(UP, (count, 3))
+    lobes = lighting._Material(material.broadcast(count), up, up, eye)
     specular = lobes.specular(directions).mean(0)[0] * 2 * np.pi
     # measured 0.006; the table is read between its entries
     assert specular + lobes.diffuse[0, 0] == pytest.approx(1, abs=0.01)

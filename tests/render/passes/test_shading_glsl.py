@@ -34,7 +34,7 @@ def device():
 
 @pytest.fixture(scope="module")
 def inputs():
-    """Random position, normal, direction to the eye, surface."""
+    """Random position, normal, direction to the eye, plane (every other one known), surface."""
     rng = np.random.default_rng(3)
     unit = rng.normal(size=(2, COUNT, 3))
     unit /= np.linalg.norm(unit, axis=2, keepdims=True)
@@ -46,7 +46,17 @@ def inputs():
         ior=rng.choice([1.0, 1.1, 1.45, 2.0], COUNT),
         specular=rng.choice([0, 0.5, 1.0], COUNT),
     )
-    return rng.uniform(-2, 2, (COUNT, 3)).astype(np.float32), *unit.astype(np.float32), surface
+    plane = unit[0] + 0.8 * rng.permutation(unit[0])
+    plane /= np.linalg.norm(plane, axis=1, keepdims=True)
+    side = np.where((plane * unit[1]).sum(axis=1) < 0, -1, 1)[:, None]
+    unit[0] *= side
+    plane *= side * (np.arange(COUNT) % 2)[:, None]
+    return (
+        rng.uniform(-2, 2, (COUNT, 3)).astype(np.float32),
+        *unit.astype(np.float32),
+        plane.astype(np.float32),
+        surface,
+    )
 
 
 VIEW = np.eye(4)
@@ -56,7 +66,7 @@ VIEW[:3, 3] = 0.3, -0.2, 0.1
 
 
 def shade_on_device(device, inputs, lights, world, defines) -> np.ndarray:
-    position, normal, to_eye, surface = inputs
+    position, normal, to_eye, plane, surface = inputs
     eta = bsdf.relative_index(surface.ior, surface.specular)
     rotation = VIEW[:3, :3].T
     rows = np.zeros((6, COUNT, 4), np.float32)
@@ -64,7 +74,7 @@ def shade_on_device(device, inputs, lights, world, defines) -> np.ndarray:
     rows[1, :, :3], rows[2, :, :3] = normal @ rotation, to_eye @ rotation
     rows[3, :, :3], rows[3, :, 3] = surface.base, surface.roughness
     rows[4, :, :3], rows[4, :, 3] = surface.emission, surface.metallic
-    rows[5, :, 0] = eta
+    rows[5, :, 0], rows[5, :, 1:] = eta, plane @ rotation
     textures = {"rows": device.texture((COUNT, 6), "RGBA32F", rows)}
     if defines:
         data = light_table.light_texture(lights, world, VIEW, surface.roughness[0], eta[0])
@@ -85,9 +95,9 @@ def shade_on_device(device, inputs, lights, world, defines) -> np.ndarray:
 
 
 def compare(device, inputs, lights, world, defines):
-    position, normal, to_eye, surface = inputs
+    position, normal, to_eye, plane, surface = inputs
     got = shade_on_device(device, inputs, lights, world, defines)
-    want = lighting.shade(position, normal, to_eye, surface, lights, world)
+    want = lighting.shade(position, normal, to_eye, surface, lights, world, plane=plane)
     assert np.isfinite(got).all()
     error = np.abs(got - want) / (np.abs(want) + 0.1 * want.mean())
     assert want.mean() > 0.05
@@ -141,7 +151,7 @@ def test_dielectrics_of_one_kind_equal_reference(device, inputs, name):
 
 
 def names(lights, inputs):
-    return [*light_table.light_names(lights, inputs[3].roughness.min()), "PS_HAS_METAL"]
+    return [*light_table.light_names(lights, inputs[-1].roughness.min()), "PS_HAS_METAL"]
 
 
 def test_all_lights_and_colour_world_equal_reference(device, inputs):
@@ -158,4 +168,4 @@ def test_picture_world_equals_reference(device, inputs):
 
 def test_without_light_only_emission_is_left(device, inputs):
     got = shade_on_device(device, inputs, [], World(), [])
-    assert np.abs(got - inputs[3].emission).max() < 1e-6  # measured 3e-8
+    assert np.abs(got - inputs[-1].emission).max() < 1e-6  # measured 3e-8

@@ -90,3 +90,8 @@ def test_cryptomatte_ranks_all_sub_samples_by_the_pixel_filter():
         )  # measured 4e-7
         there = found["crypto_object00"][..., 0] != 0
         np.testing.assert_array_equal(there, found["combined"][..., 3] > 0)
+
+
+@pytest.mark.parametrize(("asked", "drawn"), [(1, 1), (4, 5), (16, 17), (20, 34)])
+def test_the_report_says_how_many_sub_samples_a_pixel_has(asked, drawn):
+    assert render(by("VISIBILITY", "cube"), samples=asked).report["samples"] == drawn

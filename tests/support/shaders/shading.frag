@@ -1,4 +1,4 @@
-// Shades one row of inputs: texel columns of `rows` are position, normal, direction to the eye, and the surface.
+// Shades one row of inputs: texel columns of `rows` are position, normal, direction to the eye, and the surface with its plane.
 #include "lib/light/lights.glsl"
 
 void main() {
@@ -8,6 +8,6 @@ void main() {
   vec4 rest = texelFetch(rows, ivec2(x, 5), 0);
   PsSurface surface = PsSurface(base.rgb, emission.rgb, base.a, emission.a, rest.x);
   vec3 radiance = ps_shade(texelFetch(rows, ivec2(x, 0), 0).xyz, texelFetch(rows, ivec2(x, 1), 0).xyz,
-                           texelFetch(rows, ivec2(x, 2), 0).xyz, surface, LIGHTS);
+                           rest.yzw, texelFetch(rows, ivec2(x, 2), 0).xyz, surface, LIGHTS);
   color = vec4(radiance, 1.0);
 }
