@@ -39,7 +39,9 @@ def can_adapt_samples(scene: bpy.types.Scene) -> bool:
     settings = scene.pointsplat
     camera = scene.camera
     through_lens = camera is not None and camera.type == "CAMERA" and camera.data.dof.use_dof
-    return settings.technique != "PAINTER" and not (through_lens and settings.dof_method == "LENS_SAMPLES")
+    return settings.technique not in ("VISIBILITY", "PAINTER") and not (
+        through_lens and settings.dof_method == "LENS_SAMPLES"
+    )
 
 
 class _Panel:
