@@ -54,6 +54,9 @@ class FinalRender:
         wanted = frozenset(p.key for p in PASSES if not p.switch or getattr(depsgraph.view_layer_eval, p.switch))
         previous = _previous(engine, depsgraph) if "vector" in wanted else None
         camera, warnings = _camera(engine, depsgraph)
+        settings = depsgraph.scene_eval.pointsplat.settings()
+        if settings.device != "BLENDER_GPU":
+            gl_thread.THREAD.prepare()  # while the scene is converted
         if previous is not None:
             # Going to another frame and back replaced the dependency graph's report of changes.
             self.synchronizer.forget()
@@ -65,7 +68,6 @@ class FinalRender:
                 previous_clip_from_view=before.clip_from_view,
             )
         scene = self.synchronizer.scene(depsgraph, previous=transforms)
-        settings = depsgraph.scene_eval.pointsplat.settings()
         if engine.is_preview:
             settings = replace(settings, samples=min(settings.samples, PREVIEW_SAMPLES), budget="NONE")
         else:

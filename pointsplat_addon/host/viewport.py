@@ -10,21 +10,23 @@ from typing import ClassVar
 
 import bpy
 
+from ..core.numeric.lattice import FEW
 from ..core.scene import camera as camera_module
 from ..core.scene import scene as scene_module
 from ..core.scene import settings as settings_module
-from ..render.budget.viewport import Moving, Refining
+from ..render.budget.viewport import Moving, PixelPace, Refining, wait
 from ..render.device.protocol import DeviceError
 from ..render.frame.frame import Frame
 from ..render.plan.request import Request
 from ..shading.sources import ShaderError
 from . import disk_cache
-from .convert.camera import viewport_camera
+from .convert.camera import pixel_size, viewport_camera
 from .device.main_gpu import MAIN_GPU
 from .sync import Synchronizer
 
 LOG = logging.getLogger(__name__)
 STILL_SECONDS = 0.2  # without a change before the picture is refined
+NAVIGATION_SAMPLES = FEW.count  # of each pixel while the view moves: one lattice of the visibility buffer
 NAVIGATION_TOLERANCE = 4.0  # factor of the tolerance while the view moves: a sixteenth of the points
 
 
@@ -41,6 +43,7 @@ class Viewport:
         self._view: tuple | None = None  # what the frame depends on besides the scene
         self._pacing: Moving | Refining | None = None  # keeps the frame within its budget
         self._coarse = False
+        self._pace = PixelPace()
         self._changed_at = float("-inf")
         self._error = ""
 
@@ -81,20 +84,25 @@ class Viewport:
         camera = viewport_camera(context, depsgraph)
         if self._scene is None or min(camera.window[2:]) <= 0:
             return
-        frame = self._frame_for(self._scene, camera, settings)
+        before, began = self._frame, time.perf_counter()
+        frame = self._frame_for(self._scene, camera, settings, pixel_size(depsgraph.scene_eval.render))
         more = frame.sample() if self._pacing is None else self._pacing.sample(frame)
+        if self._coarse and frame is not before:
+            wait(MAIN_GPU.renderer().device)
+            self._pace.measured(time.perf_counter() - began)
         _present(frame, camera)
         engine.update_stats("", "")
         if more or self._coarse:
             engine.tag_redraw()
 
     def _frame_for(
-        self, scene: scene_module.Scene, camera: camera_module.Camera, settings: settings_module.Settings
+        self, scene: scene_module.Scene, camera: camera_module.Camera, settings: settings_module.Settings, pixel: int
     ) -> Frame:
         """The frame that accumulates this view: coarse after a change, fine once nothing has moved for a while."""
         now = time.perf_counter()
         view = (
-            camera.view_from_world.tobytes(), camera.clip_from_view.tobytes(), camera.window, camera.aperture, settings
+            camera.view_from_world.tobytes(), camera.clip_from_view.tobytes(), camera.window, camera.aperture, settings,
+            pixel,
         )  # fmt: skip
         if self._frame is None or view != self._view:
             # The first picture and changes of the scene alone are drawn finely at once.
@@ -105,14 +113,22 @@ class Viewport:
         else:
             return self._frame
         self._drop()
+        camera = camera.with_coarser_pixels(pixel)
         request = Request(camera, settings, frozenset({"combined"}), settings.viewport_samples, interactive=True)
         renderer = MAIN_GPU.renderer()
         self._pacing = None
         if self._coarse and settings.budget == "TIME":
             self._pacing = Moving(renderer, scene, request)
         elif self._coarse:
-            coarse = replace(settings, tolerance=settings.tolerance * NAVIGATION_TOLERANCE)
-            request = replace(request, settings=coarse, samples=1)
+            # The tolerance is one of the picture's pixels, whatever their size.
+            coarser = max(NAVIGATION_TOLERANCE / self._pace.times, 1.0)
+            coarse = replace(settings, tolerance=settings.tolerance * coarser)
+            request = replace(
+                request,
+                camera=camera.with_coarser_pixels(self._pace.times),
+                settings=coarse,
+                samples=NAVIGATION_SAMPLES,
+            )
         elif settings.budget == "ERROR":
             self._pacing = Refining(request)
         if self._pacing is not None:

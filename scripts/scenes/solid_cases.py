@@ -88,6 +88,20 @@ def balls() -> Case:
     return Case(scene((points("balls", cloud), moved())), camera())
 
 
+def many_balls() -> Case:
+    """Sixteen clouds of balls, turned and stretched, of so many that the visibility buffer draws nodes."""
+    rng = np.random.default_rng(3)
+    direction = rng.normal(size=(3000, 3))
+    position = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
+    cloud = PointCloud(position, radii=np.full((3000, 1), 0.03, np.float32), color=np.abs(position))
+    geometry, things = points("many balls", cloud), []
+    for i in range(16):
+        matrix = moved((1.1 * (i % 4) - 1.6, 0.3 * i, 1.1 * (i // 4) - 1.6), (0.5, 0.4, 0.3 + 0.02 * i))
+        matrix[0, 1] = 0.1
+        things.append((geometry, matrix))
+    return Case(scene(*things), camera((0, -6, 0)))
+
+
 def wide_balls() -> Case:
     """Balls of many pixels that overlap, also turned to ellipsoids, mirrored, around the eye and beyond the frame."""
     rng = np.random.default_rng(5)

@@ -51,15 +51,15 @@ void main()
   vec3 toward = ps_is_perspective() ? leader.position : vec3(0.0, 0.0, -1.0);
   PsSurfel s = ps_empty();
   s.centre = vec4(-leader.position.z, 0.0, 0.0, PS_POLYGON);
-  s.shape = vec4(leader.offset, 0.0, floor(texelFetch(ps_extent, element.xy, 0).w));
+  s.shape = vec4(leader.offset, 0.0, floor(ps_splat_extent(element).w));
 #ifdef PS_NORMAL
   vec3 own = ps_splat_normal(splat, ps_meet_splat(splat, cell - splat.centre), toward);
-#ifdef PS_ROUND
+#if defined(PS_ROUND) || defined(PS_NODES)
   s.normal.xyz = own;
 #else
   bool turned = false;
   if (!splat.ball) {
-    vec3 n = ps_view_normal(ps_linear(element.z), ps_unpack_normal(texelFetch(ps_position, element.xy, 0).w));
+    vec3 n = ps_view_normal(ps_linear(element.z), ps_unpack_normal(ps_splat_head(element).w));
     turned = dot(n, toward) > 0.0;
   }
   s.normal.xyz = splat.ball ? own : ps_lit_normal(own, element, ps_linear(element.z), toward, turned);

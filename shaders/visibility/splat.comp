@@ -42,13 +42,16 @@ void main()
     return;
   }
 #ifdef PS_IDENTIFY
-  int material = int(texelFetch(ps_extent, element.xy, 0).w);
+  int material = int(ps_splat_extent(element).w);
   vec3 toward = ps_is_perspective() ? ps_view_from_point(element.z, texelFetch(ps_position, element.xy, 0).xyz)
                                     : vec3(0.0, 0.0, -1.0);
 #endif
   for (int y = low.y; y <= high.y; y++) {
     for (int x = low.x; x <= high.x; x++) {
       PsSplatHit hit = ps_meet_splat(splat, vec2(x, y) + 0.5 - splat.centre);
+#ifdef PS_NODES
+      hit.there = hit.there && ps_is_covered(splat.covered, ivec2(x, y));
+#endif
       if (hit.there) {
         uint key = floatBitsToUint(max(hit.depth - u.near, 0.0));
 #ifdef PS_IDENTIFY

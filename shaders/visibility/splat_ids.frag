@@ -13,11 +13,16 @@ void main()
   if (!drawn || !hit.there) {
     discard;
   }
+#ifdef PS_NODES
+  if (!ps_is_covered(splat.covered, ivec2(gl_FragCoord.xy))) {
+    discard;
+  }
+#endif
   out_id = PS_RASTERISED | uint(u.first_index + index);
   out_depth = floatBitsToUint(max(hit.depth - u.near, 0.0));
   gl_FragDepth = ps_buffer_depth(hit.depth);
   vec3 toward = ps_view_from_pixel(ps_pixel_from_cell(gl_FragCoord.xy), 1.0);
   toward = ps_is_perspective() ? toward : vec3(0.0, 0.0, -1.0);
-  int material = int(texelFetch(ps_extent, element.xy, 0).w);
+  int material = int(ps_splat_extent(element).w);
   out_key = ps_surface_key(element.z, material, ps_splat_normal(splat, hit, toward));
 }

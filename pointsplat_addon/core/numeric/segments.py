@@ -47,27 +47,30 @@ def ranges(first: np.ndarray, count: Counts, dtype: DTypeLike = np.int64) -> np.
     return index
 
 
-def stable_order(code: np.ndarray) -> np.ndarray:
-    """(N,) int32 or int64: the order that sorts codes (N,) uint16, equal ones as they come; several threads find it."""
+def sorted_places(code: np.ndarray) -> np.ndarray:
+    """(N,) int32 or int64: where each of the codes (N,) uint16 stands when they are sorted, equal ones as they come.
+
+    Several threads find it.
+    """
+    if len(code) == 0:
+        return np.zeros(0, np.int32)
     size = max(PIECE, -(-len(code) // MOST_THREADS))
     pieces = [slice(start, min(start + size, len(code))) for start in range(0, len(code), size)]
-    if len(pieces) < 2:
-        return np.argsort(code, kind="stable")
     codes = int(code.max()) + 1
     count = np.array([np.bincount(code[piece], minlength=codes) for piece in pieces])
     # Where the items of each piece with each code go: by code, then by piece.
     goes_to = np.empty_like(count)
     goes_to.T.flat = offsets(count.T.reshape(-1))[:-1]
-    order = np.empty(len(code), np.int32 if len(code) < 1 << 31 else np.int64)
+    place = np.empty(len(code), np.int32 if len(code) < 1 << 31 else np.int64)
 
     def sort(which: slice) -> None:
         for i in range(which.start, which.stop):
             to = np.repeat(goes_to[i] - starts(count[i]), count[i])
             to += np.arange(len(to))
-            order[to] = np.argsort(code[pieces[i]], kind="stable") + pieces[i].start
+            place[pieces[i]][np.argsort(code[pieces[i]], kind="stable")] = to
 
     each_block(len(pieces), sort, 1)
-    return order
+    return place
 
 
 def batches(count: np.ndarray, most: int) -> Iterator[tuple[int, int]]:

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 BLOCK = 1 << 15  # items: the float64 scratch of one block stays in the cache
+TOGETHER = 64  # rows that are compared as one: NumPy reduces short rows many times more slowly than long ones
 MOST_THREADS = 8  # with more, blocks wait for memory
 
 
@@ -55,6 +56,46 @@ def take_rows(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
     found = np.empty((len(rows), *array.shape[1:]), array.dtype)
     each_block(len(rows), lambda block: np.take(array, rows[block], axis=0, out=found[block]))
     return found
+
+
+def put_rows(out: np.ndarray, places: np.ndarray, values: np.ndarray) -> None:
+    """Puts items (K, ...) at places (K,) int of a contiguous array (N, ...) of the same dtype, each whole at once."""
+    # Each item as one of that many bytes: NumPy puts the columns of rows one by one.
+    item = np.dtype((np.void, out.itemsize * int(np.prod(out.shape[1:]))))
+    whole = np.ascontiguousarray(values, out.dtype).reshape(len(values), -1)
+    if whole.shape[1] > 1:
+        out.reshape(len(out), -1).view(item)[:, 0][places.astype(np.intp)] = whole.view(item)[:, 0]
+    else:
+        out.reshape(-1)[places.astype(np.intp)] = whole[:, 0]
+
+
+def moved_rows(array: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """An array (N, ...) whose item i is at places[i], (N,) int, each of which is there once.
+
+    It is read from the first item on, and what is written lies in as many places as the processor's cache holds, where
+    `places` leads to few runs: two to three times as fast as taking rows in the inverse order.
+    """
+    found = np.empty(array.shape, array.dtype)
+    each_block(len(places), lambda block: put_rows(found, places[block], array[block]))
+    return found
+
+
+def column_ranges(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the greatest value of each column, (C,) each, of rows (N, C), N > 0; NaN where there is any."""
+    columns = rows.shape[1]
+    lows: list[np.ndarray] = []
+    highs: list[np.ndarray] = []
+
+    def measure(block: slice) -> None:
+        part = np.ascontiguousarray(rows[block])
+        most = len(part) - len(part) % TOGETHER
+        for long in (part[:most].reshape(-1, TOGETHER * columns), part[most:]):
+            if len(long):
+                lows.append(long.min(axis=0).reshape(-1, columns).min(axis=0))
+                highs.append(long.max(axis=0).reshape(-1, columns).max(axis=0))
+
+    each_block(len(rows), measure)
+    return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

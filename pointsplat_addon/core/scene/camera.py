@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,25 @@ class Camera:
     @property
     def window(self) -> tuple[int, int, int, int]:
         return self.region or (0, 0, *self.resolution)
+
+    def with_coarser_pixels(self, times: int) -> Camera:
+        """Returns the camera whose picture shows this one's window, in pixels that are about `times` as wide and high:
+        whole ones fill the window."""
+        if times <= 1:
+            return self
+        (w, h), (x0, y0, *size) = self.resolution, self.window
+        width, height = (max(1, round(side / times)) for side in size)
+        # Clip space of the window, whose low corner lies at x0, y0 of the full frame.
+        clip_of_window = np.diag([w / size[0], h / size[1], 1.0, 1.0])
+        clip_of_window[:2, 3] = (w - 2 * x0) / size[0] - 1, (h - 2 * y0) / size[1] - 1
+        return replace(
+            self,
+            clip_from_view=clip_of_window @ self.clip_from_view,
+            previous_clip_from_view=None,
+            previous_view_from_world=None,
+            resolution=(width, height),
+            region=None,
+        )
 
     def pixel_from_view(self) -> tuple[float, float, float, float]:
         """(fx, fy, cx, cy): pixel = c + f * xy / d, with d = -z for perspective and d = 1 for parallel cameras."""

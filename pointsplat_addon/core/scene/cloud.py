@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..numeric.segments import stable_order
-from ..numeric.vectors import each_block, take_rows
+from ..numeric.segments import sorted_places
+from ..numeric.vectors import column_ranges, each_block, moved_rows, take_rows
 
 ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     # name: (shape of one point's value, dtype). None: any trailing shape.
@@ -87,6 +87,11 @@ class PointCloud:
     def nbytes(self) -> int:
         return sum(a.nbytes for a in self.arrays().values())
 
+    @property
+    def round_balls(self) -> bool:
+        """Whether all splats are balls with a radius of their own."""
+        return self.normal is None and self.radii is not None and self.radii.shape[1] == 1
+
     def arrays(self) -> dict[str, np.ndarray]:
         """The attributes that are present, by name."""
         named = {name: getattr(self, name) for name in ATTRIBUTES}
@@ -109,13 +114,16 @@ class PointCloud:
 
 
 def coherent(cloud: PointCloud) -> PointCloud:
-    """The points in an order in which those that follow one another lie close together: see `coherent_order`."""
-    order = coherent_order(cloud.position)
-    return cloud if order is None else cloud.take(order)
+    """The points in an order in which those that follow one another lie close together: see `coherent_places`."""
+    places = coherent_places(cloud.position)
+    if places is None:
+        return cloud
+    return replace(cloud, **{name: moved_rows(array, places) for name, array in cloud.arrays().items()})
 
 
-def coherent_order(position: np.ndarray) -> np.ndarray | None:
-    """(N,) integers: an order of points (N, 3) in which those that follow one another lie close together; None: theirs.
+def coherent_places(position: np.ndarray) -> np.ndarray | None:
+    """(N,) integers: where each of the points (N, 3) comes in an order in which those that follow one another lie close
+    together; None: where it is.
 
     What neighbouring pixels show then lies side by side in memory.
 
@@ -126,12 +134,10 @@ def coherent_order(position: np.ndarray) -> np.ndarray | None:
     count = len(position)
     if count < SCATTERED:
         return None
-    low = [float(column.min()) for column in position.T]
-    high = [float(column.max()) for column in position.T]
-    if not np.isfinite([*low, *high]).all():
+    corner, high = column_ranges(position)
+    if not np.isfinite([corner, high]).all():
         return None
-    corner = np.array(low, np.float32)
-    side = max(float(np.float32(h) - c) for h, c in zip(high, corner, strict=True))
+    side = float((high - corner).max())
     scale = np.float32((CELLS - 0.01) / max(side, 1e-30))
 
     def cells(points: np.ndarray) -> np.ndarray:
@@ -154,7 +160,7 @@ def coherent_order(position: np.ndarray) -> np.ndarray | None:
     occupied = np.count_nonzero(np.bincount(code))
     if _steps(code) < max(count // 4, 2 * occupied):
         return None
-    return stable_order(code)
+    return sorted_places(code)
 
 
 def _steps(code: np.ndarray) -> int:

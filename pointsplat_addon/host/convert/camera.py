@@ -10,6 +10,7 @@ import numpy as np
 from ...core.scene.camera import Aperture, Camera
 
 LEAST_FOCUS = 1e-5  # world units: replaces a focus distance of zero
+HIGH_RESOLUTION = 1.5  # Blender's pixel size from which on its own engines draw viewports with half as many pixels
 LEAST_STOP = 1e-5  # the smallest F-stop, as in Cycles
 
 
@@ -57,6 +58,13 @@ def from_view(
         near=near,
         far=far,
     )
+
+
+def pixel_size(render: bpy.types.RenderSettings) -> int:
+    """How many pixels of a viewport one of the picture takes each way: the scene's Pixel Size, as for Cycles."""
+    if render.preview_pixel_size == "AUTO":
+        return 2 if bpy.context.preferences.system.pixel_size > HIGH_RESOLUTION else 1
+    return int(render.preview_pixel_size)
 
 
 def _looked_through(

@@ -16,8 +16,8 @@ import numpy as np
 from ...core.material.evaluation import Appearance, evaluate_materials
 from ...core.material.expression import Part, SampleInputs
 from ...core.material.graph import MaterialGraph, Needs, needs
-from ...core.numeric.vectors import each_block, take_rows
-from ...core.scene.cloud import PointCloud, coherent_order
+from ...core.numeric.vectors import column_ranges, each_block, moved_rows, put_rows
+from ...core.scene.cloud import PointCloud, coherent_places
 from ...core.scene.volume import Medium, Volume
 from ...core.splat.kernel import PROFILES
 from ...core.surface.appearance import CLIP, ball_extinction
@@ -49,15 +49,11 @@ class Points:
     uv: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (N, 2) float32
     grids: dict[str, np.ndarray] = field(default_factory=dict)  # by name, what a medium reads, (N,) or (N, 3) float32
 
-    def take(self, rows: slice | np.ndarray) -> Points:
+    def part(self, rows: slice) -> Points:
         """Some of the points, without what materials do not read."""
-
-        def part(array: np.ndarray) -> np.ndarray:
-            return array[rows] if isinstance(rows, slice) else array.take(rows, axis=0)
-
-        normal = None if self.normal is None else part(self.normal)
-        colors, uv = ({name: part(array) for name, array in group.items()} for group in (self.colors, self.uv))
-        return Points(part(self.position), None, normal, colors=colors, uv=uv)
+        normal = None if self.normal is None else self.normal[rows]
+        colors, uv = ({name: array[rows] for name, array in group.items()} for group in (self.colors, self.uv))
+        return Points(self.position[rows], None, normal, colors=colors, uv=uv)
 
     @property
     def key(self) -> str:
@@ -102,50 +98,50 @@ def convert_points(points: Points, material: SampleMaterial, lookup: Lookup) -> 
 
 def _make_cloud(points: Points, material: SampleMaterial) -> PointCloud:
     """The cloud of points, in spatially coherent order."""
-    count, order = len(points.position), coherent_order(points.position)
-    found = _evaluated(points, material, order)
+    count, places = len(points.position), coherent_places(points.position)
+    found = _evaluated(points, material, places)
     radius = points.radius
     if radius is None:
         radius = np.full(count, 0.5 * median_spacing(points.position) or DEFAULT_RADIUS, np.float32)
     cloud = PointCloud(
         position=found["position"],
         normal=found.get("normal"),
-        radii=_in_order(radius, order)[:, None],
+        radii=_in_order(radius, places)[:, None],
         color=found.get("color"),
         surface=found.get("surface"),
         emission=found.get("emission"),
         material=np.full(count, material.row, np.uint16) if material.row else None,
-        kernel=None if points.kernel is None else _in_order(points.kernel, order),
+        kernel=None if points.kernel is None else _in_order(points.kernel, places),
     )
     if material.extinction > 0 or material.medium is not None:
-        return _with_medium(cloud, {name: _in_order(grid, order) for name, grid in points.grids.items()}, material)
+        return _with_medium(cloud, {name: _in_order(grid, places) for name, grid in points.grids.items()}, material)
     alpha = found.get("alpha")
     if alpha is None and (points.opacity is not None or material.alpha < 1):
         alpha = np.full(count, material.alpha, np.float32)
     if alpha is not None and points.opacity is not None:
-        alpha = alpha * _in_order(points.opacity, order)
+        alpha = alpha * _in_order(points.opacity, places)
     return cloud if alpha is None else _with_alpha(cloud, alpha, material)
 
 
-def _in_order(array: np.ndarray, order: np.ndarray | None) -> np.ndarray:
-    """An array (N, ...) in an order (N,), None: as it is; not in Blender's memory."""
-    if order is not None:
-        return take_rows(array, order)
+def _in_order(array: np.ndarray, places: np.ndarray | None) -> np.ndarray:
+    """An array (N, ...) with its items at places (N,), None: where they are; not in Blender's memory."""
+    if places is not None:
+        return moved_rows(array, places)
     return array if array.flags.owndata else array.copy()
 
 
-def _evaluated(points: Points, material: SampleMaterial, order: np.ndarray | None) -> dict[str, np.ndarray]:
-    """Positions, unit normals and what of the material varies at the points, in an order (N,): arrays (N, ...) by name.
+def _evaluated(points: Points, material: SampleMaterial, places: np.ndarray | None) -> dict[str, np.ndarray]:
+    """Positions, unit normals and what of the material varies at the points, at places (N,): arrays (N, ...) by name.
 
     Block by block: what is in between stays in the processor's cache, and Blender's arrays are copied once.
     """
     count = len(points.position)
     box = None
     if material.graph is not None and needs(material.graph).generated:
-        box = [np.array([f(column) for column in points.position.T], np.float32) for f in (np.min, np.max)]
+        box = list(column_ranges(points.position))
 
-    def look_at(rows: slice | np.ndarray) -> dict[str, np.ndarray]:
-        part = points.take(rows)
+    def look_at(rows: slice) -> dict[str, np.ndarray]:
+        part = points.part(rows)
         look = _appearance(part, material, box)
         facing = part.normal if look.normal is None else look.normal
         normal = None if facing is None else unit_or_up(facing)
@@ -156,8 +152,11 @@ def _evaluated(points: Points, material: SampleMaterial, order: np.ndarray | Non
     found = {name: np.empty((count, *a.shape[1:]), a.dtype) for name, a in look_at(slice(0, 1)).items()}
 
     def fill(block: slice) -> None:
-        for name, array in look_at(block if order is None else order[block]).items():
-            found[name][block] = array
+        for name, array in look_at(block).items():
+            if places is None:
+                found[name][block] = array
+            else:
+                put_rows(found[name], places[block], array)
 
     each_block(count, fill)
     return found

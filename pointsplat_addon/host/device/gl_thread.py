@@ -40,6 +40,10 @@ class GLThread:
             self._jobs.put((job, future))
         return future
 
+    def prepare(self) -> None:
+        """Make the context, so that it is there when the first job comes. Where none can be made, a job says so."""
+        self.submit(lambda renderer: None)
+
     def release(self) -> None:
         """Run the queued jobs, free the context and end the thread; a later job starts another thread."""
         with self._lock:

@@ -66,6 +66,7 @@ class POINTSPLAT_RENDER_PT_sampling(_Panel, bpy.types.Panel):
     def draw(self, context):
         settings, layout = context.scene.pointsplat, self.split_layout()
         column = layout.column(align=True)
+        column.prop(context.scene.render, "preview_pixel_size", text="Pixel Size")
         column.prop(settings, "viewport_samples", text="Viewport Samples")
         render = column.row()
         render.active = settings.budget == "NONE"

@@ -16,6 +16,31 @@ from .pacing import MOST_SAMPLES
 from .protocol import SampleRenderer, Seconds
 from .watch import BelowError, InTime
 
+FRAME_SECONDS = 0.1  # that a picture takes at most while the view moves, unless its pixels were too coarse
+COARSEST_PIXELS = 8  # pixels of the viewport that one of the picture takes each way
+SPARE = 5.0  # times that a picture was faster than it need be, where one with four times as many pixels is drawn
+
+
+class PixelPace:
+    """How coarse the pixels of a view that moves are, so that each picture is drawn in time.
+
+    A picture with pixels half as wide takes up to four times as long.
+    """
+
+    def __init__(self) -> None:
+        self.times = 1  # as wide and as high as those of a view that stands still
+        self._compiled = False
+
+    def measured(self, seconds: float) -> None:
+        """Takes in how long a picture took, from its planning to its last pixel."""
+        if not self._compiled:
+            # The first picture compiled shaders and filled caches.
+            self._compiled = True
+        elif seconds > FRAME_SECONDS:
+            self.times = min(2 * self.times, COARSEST_PIXELS)
+        elif seconds * SPARE < FRAME_SECONDS:
+            self.times = max(self.times // 2, 1)
+
 
 class Moving:
     """Draws the pictures of a viewport while its view moves, each as good as there is time for."""
@@ -37,11 +62,11 @@ class Moving:
         frame.hurried = True
         while not frame.complete:
             frame.sample()
-            _wait(self._device)
+            wait(self._device)
             if watch.enough(frame):
                 break
         frame.end()
-        _wait(self._device)
+        wait(self._device)
         watch.finished()
         self._pacer.measured(self.request.settings.tolerance, watch.splats, watch.prepared, watch.each, watch.after)
         return False
@@ -67,7 +92,7 @@ class Refining:
         return not frame.complete
 
 
-def _wait(device: Device) -> None:
+def wait(device: Device) -> None:
     """Waits until the device has finished its work: reading a texture does so on every device."""
     texel = device.texture((1, 1), "R32F", np.zeros(1, np.float32))
     device.read(texel)

@@ -36,6 +36,7 @@ from .targets import Targets
 from .translucent import Translucent, lighting_of_sample
 from .uploads.uploads import Uploads
 from .visibility.layers import Visibility
+from .visibility.tiles import cells_of_tile
 
 
 class Frame:
@@ -112,7 +113,8 @@ class Frame:
         if plan.backdrop:
             self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
         count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)
-        self._lent = self.renderer.pool.borrow(plan, request.passes, frame_plan.view.window[2:], count)
+        most_cells = cells_of_tile(frame_plan.splats + frame_plan.triangles + frame_plan.segments)
+        self._lent = self.renderer.pool.borrow(plan, request.passes, frame_plan.view.window[2:], count, most_cells)
         self.targets = self._lent[1]
         if self.targets.sums:
             device.clear(self.targets.sum_target)

@@ -17,17 +17,20 @@ class Targets:
     """The textures and targets that a sample is drawn into, and the sums over samples."""
 
     @releases_on_failure
-    def __init__(self, device: Device, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
-        """Allocates textures of `size` (width, height) pixels; `count`: levels of the pyramid above the G-buffer."""
+    def __init__(
+        self, device: Device, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int, most_cells: int
+    ) -> None:
+        """Allocates textures of `size` (width, height) pixels; `count`: levels of the pyramid above the G-buffer;
+        `most_cells`: of a tile of the visibility buffer."""
         self._owned: list[Any] = []
         self._device = device
-        self._allocate(plan, passes, size, count)
+        self._allocate(plan, passes, size, count, most_cells)
 
-    def _allocate(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> None:
+    def _allocate(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int, most_cells: int) -> None:
         device = self._device
         self.visibility: VisibilityTargets | None = None
         if plan.sub_samples and plan.solid:
-            self.visibility = self._own(VisibilityTargets(device, plan, passes, size))
+            self.visibility = self._own(VisibilityTargets(device, plan, passes, size, most_cells))
         self.projection: Projection | None = None
         if plan.points and plan.ewa is None and not plan.sub_samples:
             self.projection = self._own(Projection(device, plan.options, size))
@@ -97,10 +100,13 @@ class Pool:
         self.device = device
         self._idle: tuple[tuple, Targets] | None = None
 
-    def borrow(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int) -> tuple[tuple, Targets]:
+    def borrow(
+        self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int, most_cells: int
+    ) -> tuple[tuple, Targets]:
         """Returns the key to give targets back with, and the targets for a plan; idle ones if they match."""
-        key = (size, count, plan.sub_samples, plan.filter_size, plan.central, plan.background, plan.points,
-               plan.ewa, plan.polygons, plan.spheres, plan.lines, plan.variant, plan.options,
+        key = (size, count, most_cells,
+               plan.sub_samples, plan.filter_size, plan.central, plan.background, plan.points, plan.ewa, plan.polygons,
+               plan.spheres, plan.lines, plan.variant, plan.options,
                plan.painter and plan.data_variant, plan.defocus, plan.picture,
                averages.averaged(passes),
                None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),
@@ -110,7 +116,7 @@ class Pool:
             return idle
         if idle is not None:
             idle[1].release()
-        return key, Targets(self.device, plan, passes, size, count)
+        return key, Targets(self.device, plan, passes, size, count, most_cells)
 
     def give_back(self, key: tuple, targets: Targets) -> None:
         """Keeps targets for the next frame, and releases those that were kept before."""

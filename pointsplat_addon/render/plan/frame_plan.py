@@ -83,7 +83,8 @@ class FramePlan:
     def splats(self) -> int:
         """The number of splats in the cut, of all kinds."""
         prepared = self.prepared
-        layers = (*(() if self.plan.painter else (prepared,)), prepared.translucent, prepared.spheres)
+        opaque = () if self.plan.painter else (prepared, prepared.nodes)
+        layers = (*opaque, prepared.translucent, prepared.spheres)
         return sum(layer.cut.splats for layer in layers)
 
     @property
@@ -264,7 +265,7 @@ def _shadows(
     scene: Scene, prepared: Prepared, request: Request, store: Store, clock: Clock
 ) -> tuple[Shadows | None, str]:
     """The tables of all lights that cast shadows on what is drawn; or None, and why."""
-    layers = (prepared, prepared.translucent, prepared.spheres)
+    layers = (prepared, prepared.translucent, prepared.spheres, prepared.nodes)
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()

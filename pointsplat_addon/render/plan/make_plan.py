@@ -20,7 +20,7 @@ from ..passes.shading.averages import averaged
 from ..passes.shading.data import NEED_OWNER, data
 from ..passes.translucent.options import TranslucentOptions
 from ..passes.translucent.options import options as translucent_options
-from ..prepare.point_sets import PointSet
+from ..prepare.point_sets import Layer, PointSet
 from ..prepare.prepare import Prepared
 from ..shadow.shadows import Shadows
 from .plan import Plan
@@ -116,13 +116,15 @@ def make_plan(view: ViewToPlan) -> Plan:
 
 def _kinds(view: ViewToPlan) -> _Kinds:
     prepared = view.prepared
-    points, polygons = prepared.cut.splats > 0, len(prepared.polygons) > 0
+    points = prepared.cut.splats > 0 or prepared.nodes.cut.splats > 0
+    polygons = len(prepared.polygons) > 0
     spheres, lines = prepared.spheres.cut.splats > 0, len(prepared.strands) > 0
     return _Kinds(points, polygons, spheres, lines, polygons or spheres or lines or (points and not view.painter))
 
 
 def _opaque_sets(prepared: Prepared) -> list[PointSet]:
-    return [*prepared.point_sets.values(), *prepared.spheres.point_sets.values()]
+    layers: tuple[Layer, ...] = (prepared, prepared.spheres, prepared.nodes)
+    return [points for layer in layers for points in layer.point_sets.values()]
 
 
 def _point_options(view: ViewToPlan, kinds: _Kinds, normals: bool, ewa: EwaOptions | None) -> PointOptions:
@@ -130,7 +132,7 @@ def _point_options(view: ViewToPlan, kinds: _Kinds, normals: bool, ewa: EwaOptio
     scene, prepared, request = view.scene, view.prepared, view.request
     sets = _opaque_sets(prepared)
     normals = normals or view.painter or bool(data(request.passes))
-    shown = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])
+    shown = np.concatenate([layer.cut.instance for layer in (prepared, prepared.spheres, prepared.nodes)])
     holdout = bool(_holdouts(scene)[shown].any())
     return PointOptions(
         shading_normal=normals and any(p.cloud.shading_normal is not None for p in sets),

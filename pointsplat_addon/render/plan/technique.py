@@ -16,11 +16,10 @@ from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
 from ...core.splat.ewa import centres_decide
 from ...core.surface.appearance import graphs_of
-from ..prepare.layers import MANY_INSTANCES
+from ..prepare.layers import MANY_INSTANCES, MOST_PRIMITIVES
 from ..prepare.prepare import Prepared
 from ..prepare.separation import is_translucent
 
-MOST_PRIMITIVES = 1 << 26  # of all instances, that the visibility buffer draws one by one
 TITLES = {"EWA": "EWA", "PAINTER": "The painter"}  # of the techniques that blend floats
 
 
@@ -90,9 +89,10 @@ def _why_others_are_better(given: TechniqueInput) -> str:
 
 
 def _primitives(geometry: Geometry) -> int:
-    """How many triangles or points a geometry has."""
+    """How many triangles, or points that are no balls, a geometry has. Balls are drawn by nodes where they are many."""
     if geometry.cloud is not None:
-        return len(geometry.cloud)
+        balls = geometry.cloud.normal is None and geometry.cloud.radii is not None
+        return 0 if balls else len(geometry.cloud)
     return 0 if geometry.mesh is None else len(geometry.mesh.triangles)
 
 

@@ -7,11 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.lod.balls.tree import BallTree, build_ball_tree
 from ...core.lod.hierarchy import Hierarchy, recolor, refit
+from ...core.numeric.lattice import lattice_for
 from ...core.scene.materials import MaterialTable
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
-from .layers import MANY_INSTANCES
+from .layers import MANY_INSTANCES, MOST_PRIMITIVES
 from .point_sets import PointSet, typical_diameter
 from .view import View
 
@@ -22,6 +24,10 @@ SMALL_SPLAT = 0.25  # of the tolerance: where typical splats are smaller, most o
 SMALL_SPLAT_SHARED = 0.5
 MIN_POINTS_FOR_DEFOCUS = 1 << 12  # fewer out-of-focus points cost less without nodes
 MAX_POINTS_WITHOUT_HIERARCHY = 1 << 24  # of all instances: with more, drawing waits for the hierarchy
+# Of balls in the visibility buffer:
+BALL_TREE_COST = 12  # building costs about as much as drawing the balls this many times, 17 sub-samples a pixel
+MIN_BALLS = 1 << 20  # a viewport draws fewer in its frame time
+BALLS_PER_PIXEL = 4  # of the picture: nodes are fewer only where balls are more
 
 
 def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np.ndarray) -> PointSet:
@@ -46,6 +52,32 @@ def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np
             store.make_later(key, lambda: _hierarchy(points, store))
             return plain
     return _with_hierarchy(points, store)
+
+
+def ball_tree_if_it_pays(view: View, points: PointSet, view_from_object: np.ndarray) -> BallTree | None:
+    """Returns the nodes over opaque balls that the visibility buffer draws, if they are already built or would save
+    more time than building them takes.
+
+    `view_from_object`: (I, 4, 4) of the instances that draw the points. In an interactive view the nodes are built on
+    another thread, unless the balls are too many to be drawn without.
+    """
+    cloud, store = points.cloud, view.store
+    if view.settings.technique != "VISIBILITY" or cloud.normal is not None or cloud.radii is None:
+        return None
+    points = _with_material_constants(points, view.scene.materials, store)
+    key = Key(Kind.BALL_TREE, points.key)
+    if key not in store:
+        _, _, width, height = view.camera.window
+        drawn = len(cloud) * len(view_from_object)
+        if drawn < BALLS_PER_PIXEL * width * height:
+            return None
+        lattices = -(-view.samples // lattice_for(view.samples, view.interactive).count)
+        if drawn <= MOST_PRIMITIVES:
+            if view.interactive and len(cloud) >= MIN_BALLS:
+                store.make_later(key, lambda: build_ball_tree(points.cloud))
+            if view.interactive or lattices * len(view_from_object) < BALL_TREE_COST:
+                return None
+    return store.lookup(key, lambda: build_ball_tree(points.cloud))
 
 
 def points_once_they_have_nodes(view: View, name: Key, make: Callable[[], PointSet]) -> PointSet | None:

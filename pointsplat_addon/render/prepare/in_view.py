@@ -70,7 +70,7 @@ def ball_of_all_drawn(scene: Scene, prepared: Prepared, store: Store) -> tuple[n
     """Returns centre (3,) in view space and radius of a ball about all that is drawn; it is infinite if there are
     strands."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    layers = (prepared, prepared.translucent, prepared.spheres)
+    layers = (prepared, prepared.translucent, prepared.spheres, prepared.nodes)
     found = [ball for layer in layers for ball in layer_balls(layer, prepared.view_from_object, store)]
     for views, middle, reach in (*found, *polygon_balls(scene, prepared, store)):
         views = views[all_finite(views)]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...core.lens.thin_lens import uses_lens_samples
+from ...core.lod.balls.cut import cut_balls
+from ...core.lod.balls.tree import BallTree
 from ...core.lod.criteria import transition_band
 from ...core.lod.cut import Cut, cut_of_all_points, select_cut
 from ...core.lod.instances import (
@@ -19,12 +23,15 @@ from ...core.lod.instances import (
 )
 from ...core.lod.levels import Levels, make_levels
 from ...core.lod.node_table import NodeTable, node_table
+from ...core.numeric.lattice import MANY, lattice_for
 from ...core.scene.scene import Geometry
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .point_sets import Layer, PointSet, point_counts, set_ball
 from .view import View
 
+MOST_PRIMITIVES = 1 << 26  # of all instances, that the visibility buffer draws
+NOTHING_DRAWN = Cut(np.empty(0, np.int32), np.empty(0, np.int64), np.empty(0, np.int64))
 MANY_INSTANCES = 16  # of one geometry: from so many on, they share samples and cuts
 
 
@@ -78,6 +85,51 @@ def cut_layer(
             del sets[key]
     rest = {key: points for key, points in point_sets.items() if (own == key).any()}
     return Layer(sets, set_of_instance, joined_cuts([_cut(view, rest, own, view_from_object, wanted), *shared]))
+
+
+def with_ball_nodes(
+    view: View,
+    layer: Layer,
+    sets: dict[int, tuple[PointSet, BallTree]],
+    set_of_instance: np.ndarray,
+    view_from_object: np.ndarray,
+) -> tuple[Layer, Layer]:
+    """Returns the layer with the balls that a view draws of some more sets, and the nodes that it draws for the rest of
+    them.
+
+    `sets`: by key, with their trees; `set_of_instance` (I,): their keys, among others; `view_from_object` (I, 4, 4).
+    Where too many are left to draw, the nodes are coarser.
+    """
+    nodes = Layer({}, np.full(len(set_of_instance), -1), NOTHING_DRAWN)
+    if not sets:
+        return layer, nodes
+    # Few sub-samples show less than many of what nodes leave out, up to nodes of two pixels.
+    spacing = lattice_for(view.samples, view.interactive).spacing
+    tolerance = finest = view.settings.tolerance * min(spacing / MANY.spacing, 2.0)
+    where = {key: np.flatnonzero(set_of_instance == key) for key in sets}
+    while True:
+        cuts = {
+            key: cut_balls(tree, view_from_object[where[key]], view.camera, tolerance)
+            for key, (_, tree) in sets.items()
+        }
+        if sum(cut.nodes.splats + cut.balls.splats for cut in cuts.values()) <= MOST_PRIMITIVES:
+            break
+        tolerance *= 2
+    if tolerance > finest:
+        view.warnings.append(f"so many points are in view that nodes are {tolerance:g} pixels wide")
+    balls = Layer(dict(layer.point_sets), layer.set_of_instance.copy(), layer.cut)
+    drawn: dict[str, list[Cut]] = {"nodes": [], "balls": [layer.cut]}
+    for key, (points, tree) in sets.items():
+        as_nodes = PointSet(Key(Kind.BALL_NODES, points.key), tree.nodes, shape=tree.shape, balls=points)
+        as_balls = PointSet(Key(Kind.BALL_TREE, points.key), tree.cloud)
+        for name, to, shown in (("nodes", nodes, as_nodes), ("balls", balls, as_balls)):
+            cut = getattr(cuts[key], name).renumbered(where[key])
+            if cut.splats:
+                drawn[name].append(cut)
+                to.point_sets[key] = shown
+                to.set_of_instance[cut.instance] = key
+    found = replace(nodes, cut=joined_cuts(drawn["nodes"])) if drawn["nodes"] else nodes
+    return replace(balls, cut=joined_cuts(drawn["balls"])), found
 
 
 def _levels(points: PointSet, store: Store) -> Levels | None:

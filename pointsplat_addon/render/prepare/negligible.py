@@ -117,7 +117,7 @@ def reflection(scene: Scene, prepared: Prepared, store: Store) -> Reflection:
 
 
 def _point_sets(prepared: Prepared) -> list[PointSet]:
-    layers: tuple[Layer, ...] = (prepared, prepared.translucent, prepared.spheres)
+    layers: tuple[Layer, ...] = (prepared, prepared.translucent, prepared.spheres, prepared.nodes)
     return [points for layer in layers for points in layer.point_sets.values()]
 
 

@@ -31,6 +31,8 @@ class PointSet:
     family: Key | None = None  # shared with other poses or colourings of the points, which can reuse the hierarchy
     samples: Key | None = None  # of the mesh samples that the points were made of; None: not of a whole mesh
     is_lattice: bool = False  # the points are voxels: only their attributes differ within the family
+    shape: np.ndarray | None = None  # (N, 8) float32, BallTree.shape: the points are nodes that stand for several balls
+    balls: PointSet | None = None  # for which these nodes stand
 
     def __len__(self) -> int:
         return len(self.cloud) + (len(self.hierarchy) if self.hierarchy else 0)
@@ -75,6 +77,7 @@ def set_ball(points: PointSet, store: Store) -> tuple[np.ndarray, float, float]:
 
     All are in object space.
     """
+    points = points.balls or points
     return store.lookup(Key(Kind.BALL_AND_RADIUS, points.key), lambda: cloud_ball(points.cloud))
 
 

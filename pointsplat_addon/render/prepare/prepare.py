@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...core.lod.balls.tree import BallTree
 from ...core.lod.cost import DEFAULT, Costs
 from ...core.lod.cut import cut_of_all_points
 from ...core.numeric.lattice import lattice_for
@@ -24,9 +25,9 @@ from ...core.strand.segments import Segments, concatenate_segments
 from ...core.strand.selection import select
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
-from .hierarchies import with_hierarchy_for_defocus, with_hierarchy_if_it_pays
+from .hierarchies import ball_tree_if_it_pays, with_hierarchy_for_defocus, with_hierarchy_if_it_pays
 from .hybrid import InstanceChoice, choose_parts, primitives_by_part
-from .layers import cut_layer
+from .layers import cut_layer, with_ball_nodes
 from .meshes import Primitives, measured_mesh, points_or_polygons, sample_area_function
 from .out_of_focus import FocusSorter, OutOfFocusLayer
 from .point_sets import Layer, PointSet, cloud_points, largest_radius, point_counts, set_ball, typical_diameter
@@ -42,6 +43,7 @@ class Prepared(Layer):
 
     translucent: Layer
     spheres: Layer  # balls so wide on the screen that each is drawn by itself
+    nodes: Layer  # that stand for several balls (core/lod/balls), in the visibility buffer
     polygons: np.ndarray  # (P,) int: instances that are drawn as polygons
     view_from_object: np.ndarray  # (I, 4, 4) float64
     largest: float  # upper bound of a drawn splat's projected radius in pixels
@@ -92,7 +94,11 @@ def prepare(
     if focus is not None:
         _sort_by_focus(view, focus, drawn)
     largest = largest_radius(drawn.opaque.sets, drawn.opaque.set_of_instance, view_from_object, camera, store)
-    layer = cut_layer(view, drawn.opaque.sets, drawn.opaque.set_of_instance, view_from_object, "SHARP", drawn.ranges)
+    opaque, trees = drawn.opaque, _ball_trees(view, drawn, view_from_object)
+    others = {key: points for key, points in opaque.sets.items() if key not in trees}
+    of_others = np.where(np.isin(opaque.set_of_instance, list(trees)), -1, opaque.set_of_instance)
+    layer = cut_layer(view, others, of_others, view_from_object, "SHARP", drawn.ranges)
+    layer, nodes = with_ball_nodes(view, layer, trees, opaque.set_of_instance, view_from_object)
     behind = cut_layer(view, drawn.translucent.sets, drawn.translucent.set_of_instance, view_from_object, "ALL", {})
     balls = drawn.spheres
     return Prepared(
@@ -101,9 +107,10 @@ def prepare(
         layer.cut,
         behind,
         Layer(balls.sets, balls.set_of_instance, cut_of_all_points(point_counts(balls.sets), balls.set_of_instance)),
+        nodes,
         drawn.polygons,
         view_from_object,
-        max(largest, settings.tolerance if layer.cut.nodes else 0.0),
+        max(largest, settings.tolerance if layer.cut.nodes or nodes.cut.nodes else 0.0),
         total,
         tuple(dict.fromkeys(view.warnings)),
         drawn.parts,
@@ -173,6 +180,19 @@ def _drawn_primitives(
                 kind.set_of_instance[some] = key
     drawn.polygons = np.concatenate(polygons)
     return drawn
+
+
+def _ball_trees(
+    view: View, drawn: _DrawnPrimitives, view_from_object: np.ndarray
+) -> dict[int, tuple[PointSet, BallTree]]:
+    """Returns the opaque sets of balls that have nodes in the visibility buffer, with these, by key."""
+    found = {}
+    for key, points in drawn.opaque.sets.items():
+        view.check()
+        tree = ball_tree_if_it_pays(view, points, view_from_object[drawn.opaque.set_of_instance == key])
+        if tree is not None:
+            found[key] = points, tree
+    return found
 
 
 def _primitives(

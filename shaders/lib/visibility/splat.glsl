@@ -1,5 +1,7 @@
 // Where rays through sub-samples meet an opaque splat: a ball (an ellipsoid in view space) or an elliptical disk.
-// PS_ROUND: all are balls, also in view space. Reference: tests/reference/coverage.py.
+// PS_ROUND: all are balls, also in view space. PS_BALL_PAGE: the page holds balls alone, with their radius in the place of the
+// normal, and one material. PS_NODES: ellipsoids that stand for several balls, of which a part is covered. Reference:
+// tests/reference/coverage.py.
 
 #include "lib/data/splat.glsl"
 #include "lib/geometry/ellipsoid_bounds.glsl"
@@ -12,6 +14,9 @@ struct PsUnitSplat {
 #ifndef PS_ROUND
   bool ball;
   mat3 unit_from_view;
+#endif
+#ifdef PS_NODES
+  vec3 covered;  // see ps_node_coverage
 #endif
   vec2 centre;  // in cells
   float depth;  // of the centre
@@ -26,6 +31,27 @@ struct PsSplatHit {
   vec3 point;  // in the splat's coordinates
 };
 
+// Position, and packed normal (-1: a ball).
+vec4 ps_splat_head(ivec3 element)
+{
+  vec4 head = texelFetch(ps_position, element.xy, 0);
+#ifdef PS_BALL_PAGE
+  head.w = -1.0;
+#endif
+  return head;
+}
+
+// Half-axes, packed major axis, material row.
+vec4 ps_splat_extent(ivec3 element)
+{
+#ifdef PS_BALL_PAGE
+  float radius = texelFetch(ps_position, element.xy, 0).w;
+  return vec4(radius, radius, 0.0, u.ball_material);
+#else
+  return texelFetch(ps_extent, element.xy, 0);
+#endif
+}
+
 #ifndef PS_ROUND
 // The least and the greatest value of dot(along, p) / depth over the ellipsoid with the centre p and the shape S, in a parallel
 // view without the division.
@@ -36,11 +62,15 @@ vec2 ps_extent_along(vec2 along, vec3 p, mat3 shape)
 }
 #endif
 
+#ifdef PS_NODES
+#include "lib/visibility/covered.glsl"
+#endif
+
 // False: the splat lies outside of the picture, or is nothing.
 bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
 {
-  vec4 head = texelFetch(ps_position, element.xy, 0);
-  vec4 extent = texelFetch(ps_extent, element.xy, 0);
+  vec4 head = ps_splat_head(element);
+  vec4 extent = ps_splat_extent(element);
   mat3 linear = ps_linear(element.z);
   vec3 p = ps_view_from_point(element.z, head.xyz);
   splat.depth = -p.z;
@@ -49,6 +79,11 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
   if (!(radius > 1e-37) || splat.depth + deep < u.near || splat.depth - deep > u.far) {
     return false;
   }
+#else
+#ifdef PS_NODES
+  splat.ball = true;
+  vec4 moments = texelFetch(ps_moments, element.xy, 0);
+  mat3 axes = ps_node_axes(linear, extent.xyz, moments.xyz);
 #else
   float minor = abs(extent.y);
   splat.ball = head.w < 0.0;
@@ -63,6 +98,7 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
     major = normalize(major - dot(major, n) * n);
     axes = linear * mat3(extent.x * major, minor * cross(n, major), extent.x * n);
   }
+#endif
   mat3 cofactors = mat3(cross(axes[1], axes[2]), cross(axes[2], axes[0]), cross(axes[0], axes[1]));
   float volume = dot(axes[0], cofactors[0]);
   mat3 shape = axes * transpose(axes);
@@ -76,6 +112,11 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
   splat.unit_from_view = transpose(cofactors) * (1.0 / volume);
 #endif
   bool perspective = ps_is_perspective();
+#ifdef PS_NODES
+  vec3 sight = perspective ? normalize(p) : vec3(0.0, 0.0, -1.0);
+  float silhouette = abs(volume) * length(splat.unit_from_view * sight);
+  splat.covered = ps_node_coverage(head.xyz, element.z, ps_node_depth(moments.w, linear, silhouette), -1.0 - head.w);
+#endif
   // From cells to slopes, or positions in a parallel view: the lattice's matrix is a rotation times a scale.
   float square = dot(u.lattice.xy, u.lattice.xy);
   vec2 step_x = vec2(u.lattice.x, -u.lattice.y) / (square * u.focal), step_y = u.lattice.yx / (square * u.focal);
@@ -138,6 +179,8 @@ vec3 ps_splat_normal(PsUnitSplat splat, PsSplatHit hit, vec3 toward)
 {
 #ifdef PS_ROUND
   return ps_direction(hit.point, vec3(0.0, 0.0, 1.0));
+#elif defined(PS_NODES)
+  return ps_node_normal(splat.unit_from_view, hit.point, normalize(toward), splat.covered.z);
 #else
   vec3 n = splat.ball ? hit.point * splat.unit_from_view : vec3(0.0, 0.0, 1.0) * splat.unit_from_view;
   n = ps_direction(n, vec3(0.0, 0.0, 1.0));
@@ -149,8 +192,8 @@ vec3 ps_splat_normal(PsUnitSplat splat, PsSplatHit hit, vec3 toward)
 // Whether the splat turns its back to the eye, and its material hides that.
 bool ps_is_culled(ivec3 element)
 {
-  int material = int(texelFetch(ps_extent, element.xy, 0).w);
-  float code = texelFetch(ps_position, element.xy, 0).w;
+  int material = int(ps_splat_extent(element).w);
+  float code = ps_splat_head(element).w;
   if (code < 0.0 || texelFetch(ps_materials, ivec2(2, material), 0).x <= 0.5) {
     return false;
   }

@@ -7,6 +7,7 @@ import pytest
 
 from pointsplat_addon.core.numeric.lattice import MANY
 from pointsplat_addon.render.frame.visibility import tiles
+from pointsplat_addon.render.passes.pages import point_page
 from scripts.scenes.case import Case
 from scripts.scenes.cases import CASES
 from scripts.scenes.drawing import opengl, render
@@ -57,7 +58,7 @@ def test_tiles_show_what_the_whole_picture_shows(name, monkeypatch):
     whole = render(case, samples=20).pixels
     opengl().pool.release()
     monkeypatch.setattr(tiles, "MOST_CELLS", 12_000)
-    assert len(tiles.picture_tiles(case.camera.window[2:], MANY, 16384, 1)) > 1
+    assert len(tiles.picture_tiles(case.camera.window[2:], MANY, 16384, tiles.cells_of_tile(1), 1)) > 1
     divided = render(case, samples=20).pixels
     opengl().pool.release()
     for key, array in whole.items():
@@ -67,7 +68,7 @@ def test_tiles_show_what_the_whole_picture_shows(name, monkeypatch):
 
 @pytest.mark.parametrize("size", [(1920, 1080), (3840, 2160), (7, 20_000), (12_345, 3)])
 def test_tiles_divide_pictures_of_all_sizes(size):
-    found = tiles.picture_tiles(size, MANY, 16384, 1)
+    found = tiles.picture_tiles(size, MANY, 16384, tiles.MOST_CELLS, 1)
     owners = np.zeros(size[::-1], np.uint8)
     for tile in found:
         owners[tile.corner[1] : tile.end[1], tile.corner[0] : tile.end[0]] += 1
@@ -77,6 +78,20 @@ def test_tiles_divide_pictures_of_all_sizes(size):
         low, high = np.subtract(tile.corner, tile.origin), np.add(tile.origin, tile.size) - tile.end
         assert len(found) == 1 or min(*low, *high) >= 1
     assert (owners == 1).all()
+
+
+@pytest.mark.parametrize("name", ["balls", "wide_balls", "parallel_balls", "scales"])
+def test_balls_without_extents_are_the_same(name, monkeypatch):
+    case = by("VISIBILITY", name)
+    found = render(case, samples=20).pixels
+    opengl().kept.clear()
+    asked = []
+    monkeypatch.setattr(point_page, "_ball_material", lambda sets: asked.append(sets) or -1)
+    with_extents = render(case, samples=20).pixels
+    opengl().kept.clear()
+    assert asked
+    for key, array in found.items():
+        np.testing.assert_array_equal(array, with_extents[key], err_msg=key)
 
 
 def test_cryptomatte_ranks_all_sub_samples_by_the_pixel_filter():

@@ -31,15 +31,17 @@ class PointUploads:
         self._drawn = plan.points or plan.spheres
         if self._drawn:
             self.draws = self._draws_of(prepared)
+            self.draws += self._draws_of(prepared.nodes, sum(draw.elements for draw in self.draws))
             self.balls = self._draws_of(prepared.spheres)
 
     def upload_view(self, prepared: Prepared) -> None:
         """Uploads the transforms of a view: of the only instance as uniforms, else of all instances as a texture."""
         if not self._drawn:
             return
-        origin = origins(prepared, prepared.spheres)
+        origin = origins(prepared, prepared.spheres, prepared.nodes)
         if self._plan.options.one_instance:
-            one = np.concatenate([prepared.cut.instance, prepared.spheres.cut.instance])[:1]
+            layers = (prepared, prepared.spheres, prepared.nodes)
+            one = np.concatenate([layer.cut.instance for layer in layers])[:1]
             matrix = with_origin(prepared.view_from_object[one], origin[one])[0]
             self._transform["view_from_object"] = matrix.T.reshape(-1)
             return
@@ -58,8 +60,9 @@ class PointUploads:
                 assert draw.blocks is not None  # only the visibility buffer draws whole pages
                 self._scope.own(draw.blocks)
 
-    def _draws_of(self, layer: Layer) -> list[PageDraw]:
-        draws, index = [], 0
+    def _draws_of(self, layer: Layer, index: int = 0) -> list[PageDraw]:
+        """The draws of a layer's pages. `index`: the number of the first splat."""
+        draws = []
         for group in _page_groups(layer.point_sets, self._scope.device.limits.texture_size):
             page = self._page(group)
             first = {row: page.first[points.key] for row, points in group.items()}
@@ -76,8 +79,10 @@ class PointUploads:
         plan, table = self._plan, self._scene.materials
         sets = list({points.key: points for points in group.values()}.values())
         filled = constants_key(self._scene) if plan.variant.color or plan.variant.emission else b""
-        key = Key(Kind.PAGE, tuple(p.key for p in sets), other=(plan.variant, plan.options.shading_normal, filled))
-        return self._scope.lookup(key, lambda: Page(self._scope.device, sets, plan.variant, plan.options, table))
+        small = plan.sub_samples > 0
+        other = (plan.variant, plan.options.shading_normal, filled, small)
+        key = Key(Kind.PAGE, tuple(p.key for p in sets), other=other)
+        return self._scope.lookup(key, lambda: Page(self._scope.device, sets, plan.variant, plan.options, table, small))
 
 
 def _only_instance(layer: Layer, group: dict[int, PointSet], page: Page) -> int:

@@ -51,5 +51,8 @@ def _of_splats(device: Device, draw: PageDraw, index: np.ndarray) -> np.ndarray:
         rows = device.read(draw.blocks).reshape(-1, 4)[index >> draw.shift].astype(np.int64)
         splat = rows[:, 0] + rows[:, 1] * draw.blocks.size[0] + (index & ((1 << draw.shift) - 1))
         instance = rows[:, 3]
-    material = device.read(draw.page.textures["ps_extent"]).reshape(-1, 4)[splat, 3]
-    return np.stack([instance, np.floor(material).astype(np.int64)], axis=1)
+    if draw.page.ball_material >= 0:
+        material = np.full(len(index), draw.page.ball_material)
+    else:
+        material = np.floor(device.read(draw.page.textures["ps_extent"]).reshape(-1, 4)[splat, 3]).astype(np.int64)
+    return np.stack([instance, material], axis=1)

@@ -19,13 +19,16 @@ class VisibilityTargets:
     """The textures of one picture: of its sub-samples, and lists of what its groups are and show."""
 
     @releases_on_failure
-    def __init__(self, device: Device, plan: Plan, passes: frozenset[str], size: tuple[int, int]) -> None:
-        """`size`: (width, height) of the picture in pixels."""
+    def __init__(
+        self, device: Device, plan: Plan, passes: frozenset[str], size: tuple[int, int], most_cells: int
+    ) -> None:
+        """`size`: (width, height) of the picture in pixels. `most_cells`: of a tile, see cells_of_tile."""
         self._device, self._plan, self._owned = device, plan, []
         self._names = [*(["ps_combined"] if plan.picture else []), *map(_sampler, averaged(passes))]
         lattice = lattice_of(plan.sub_samples)
         margin = filter_reach(plan.filter_size)
-        self.size, self.tiles = size, picture_tiles(size, lattice, device.limits.texture_size, margin)
+        self.size = size
+        self.tiles = picture_tiles(size, lattice, device.limits.texture_size, most_cells, margin)
         of_tile = self.tiles[0].size
         self.buffer = self._own(VisibilityBuffer(device, lattice, of_tile))
         self.groups = self._own(Groups(device, self.buffer))

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from ....core.numeric.lattice import Lattice
 from ...passes.uniforms import SampleView
 
-MOST_CELLS = 28_000_000  # of a tile, with 16 bytes each: a picture of 1280 x 720 pixels is one tile
+# Of a tile, with 16 bytes each: 17 sub-samples of 410 x 410 pixels, and of 1280 x 720.
+FEWEST_CELLS, MOST_CELLS = 1 << 22, 28_000_000
 
 
 @dataclass(frozen=True)
@@ -32,15 +33,30 @@ class PictureTile:
         return self.corner[0] / size[0], self.corner[1] / size[1], self.end[0] / size[0], self.end[1] / size[1]
 
 
-def picture_tiles(size: tuple[int, int], lattice: Lattice, most_side: int, margin: int) -> list[PictureTile]:
+def cells_of_tile(primitives: int) -> int:
+    """Returns how many cells a tile has at most, where so many primitives are drawn for each tile: two for a primitive,
+    so that cells take about as much memory as what is drawn, and few primitives are drawn several times."""
+    wanted = 1 << (2 * primitives - 1).bit_length()  # a power of two: targets then fit the next picture, too
+    return min(max(wanted, FEWEST_CELLS), MOST_CELLS)
+
+
+def picture_tiles(
+    size: tuple[int, int], lattice: Lattice, most_side: int, most_cells: int, margin: int
+) -> list[PictureTile]:
     """Returns the tiles of a picture of `size` (width, height) pixels, all of one size.
 
-    `most_side`: cells along a side of a texture. `margin`: pixels around a tile that the pixel filter takes in.
+    `most_side`: cells along a side of a texture. `most_cells`: see cells_of_tile. `margin`: pixels around a tile that
+    the pixel filter takes in.
     """
-    if _fits(size, lattice, most_side):
+
+    def fits(size: tuple[int, int]) -> bool:
+        columns, rows = lattice.size(size)
+        return columns * rows <= most_cells and max(columns, rows) <= most_side
+
+    if fits(size):
         return [PictureTile((0, 0), size, (0, 0), size)]
     counts = [1, 1]
-    while not _fits((-(-size[0] // counts[0]) + 2 * margin, -(-size[1] // counts[1]) + 2 * margin), lattice, most_side):
+    while not fits((-(-size[0] // counts[0]) + 2 * margin, -(-size[1] // counts[1]) + 2 * margin)):
         wider = 0 if size[0] / counts[0] >= size[1] / counts[1] else 1
         counts[wider] += 1
     sides = -(-size[0] // counts[0]), -(-size[1] // counts[1])
@@ -51,8 +67,3 @@ def picture_tiles(size: tuple[int, int], lattice: Lattice, most_side: int, margi
             origin = min(x, size[0] - sides[0]) - margin, min(y, size[1] - sides[1]) - margin
             found.append(PictureTile((x, y), end, origin, (sides[0] + 2 * margin, sides[1] + 2 * margin)))
     return found
-
-
-def _fits(size: tuple[int, int], lattice: Lattice, most_side: int) -> bool:
-    columns, rows = lattice.size(size)
-    return columns * rows <= MOST_CELLS and max(columns, rows) <= most_side

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from ....core.numeric.lattice import Lattice
-from ....core.numeric.segments import ranks
+from ....core.numeric.segments import owners, ranges
 from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import EMPTY, Device, Target, Texture, releases_on_failure
@@ -120,14 +120,16 @@ class Groups:
         self.total = int(ends[-1])
         self._forget()
         self.starts = device.texture(buffer.size, "R32F", (ends - counts).astype(np.float32))
-        self._pixel = np.repeat(np.arange(len(counts)), counts)
-        self._layer = ranks(counts)
+        # Pixel and group in it; float32 holds the numbers of a tile's pixels exactly.
+        self._entries = np.empty((self.total, 2), np.float32)
+        self._entries[:, 0] = owners(counts, np.float32)
+        self._entries[:, 1] = ranges(np.zeros(len(counts), np.int32), counts, np.int32)
         rows = max(-(-self.total // PAGE_WIDTH), 1)
         if self.leaders is None or not rows <= self.leaders.size[1] <= 2 * rows:
             if self.leaders is not None:
                 self.leaders.release()
             self.leaders = Leaders(device, (PAGE_WIDTH, rows + rows // 8))
-        self._upload(np.arange(self.total))
+        self._upload(self._entries)
         self.lead(view, self.leaders)
 
     def sort(self, view: SampleView, first_ids: list[int]) -> None:
@@ -144,7 +146,7 @@ class Groups:
         order = np.argsort(owner.astype(np.uint16), kind="stable")
         place = np.empty(self.total, np.float32)
         place[order] = np.arange(self.total)
-        self._upload(order)
+        self._upload(self._entries[order])
         self.places = self._paged(place[:, None], "R32F")
         self.lead(view, self.leaders)
         ends = np.searchsorted(owner[order], np.arange(1, len(first_ids) + 2)).tolist()
@@ -174,15 +176,14 @@ class Groups:
             textures=textures,
         )
 
-    def _upload(self, order: np.ndarray) -> None:
-        """Uploads the list in an order."""
+    def _upload(self, entries: np.ndarray) -> None:
+        """Uploads the list, (total, 2) float32."""
         assert self.leaders is not None
         if self._list is not None:
             self._list.release()
         width, height = self.leaders.size
-        rows = np.zeros((width * height, 2), np.float32)
-        rows[: self.total, 0], rows[: self.total, 1] = self._pixel[order], self._layer[order]
-        rows[self.total :, 1] = -1
+        rows = np.empty((width * height, 2), np.float32)
+        rows[: self.total], rows[self.total :] = entries, (0, -1)
         self._list = self.leaders.list = self._device.texture(self.leaders.size, "RG32F", rows.reshape(-1))
 
     def _paged(self, values: np.ndarray, format: str) -> Texture:

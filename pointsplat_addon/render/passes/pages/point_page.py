@@ -7,6 +7,12 @@ A page holds the splats of several point sets. Texture by texture, one texel a s
   surface         roughness, metallic             |
   emission        emitted radiance                |
   shading_normal  packed normal, -1: the splat's  /
+A page of balls alone, all of one material, keeps their radius in the place of the packed normal, and has no extent,
+where the visibility buffer draws it.
+Pages of nodes that stand for several balls (core/lod/balls) hold their shapes instead of extents:
+  position        xyz; -1 - saturation
+  extent          xx, xy, xz of the shape, material row
+  moments         yy, yz, zz of the shape, total area
 A block is up to 2^shift consecutive splats of one instance: texel (x, y) of the first one, count, instance.
 """
 
@@ -24,7 +30,16 @@ from ...device.protocol import Device, Texture
 from ...prepare.point_sets import Layer, PointSet
 from ..gbuffer import Variant
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
-from .splat_page import SplatPage, extent, facets, filled, position_and_normal, shading_normal
+from .splat_page import (
+    SplatPage,
+    Write,
+    extent,
+    facets,
+    filled,
+    position_and_normal,
+    position_and_radius,
+    shading_normal,
+)
 
 LONG_BLOCK, SHORT_BLOCK = 6, 3  # log2 of the splats in a block: ranges of many splats, and of few
 # What lib/data/splat.glsl reads where a view draws all splats of a page, as one instance; else it reads the blocks.
@@ -33,6 +48,7 @@ BLOCK_FIELDS: Fields = (
     ("int", "block_count"),
     ("int", "block_shift"),  # log2 of the splats in a block
 )
+BALL_PAGE_FIELDS: Fields = (("int", "ball_material"),)  # row of the material of a page without extents
 POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_position"), ("FLOAT_2D", "ps_extent"))
 
 
@@ -55,15 +71,32 @@ class Page(SplatPage):
     """A page of opaque splats."""
 
     def __init__(
-        self, device: Device, sets: list[PointSet], variant: Variant, options: PointOptions, table: MaterialTable
+        self,
+        device: Device,
+        sets: list[PointSet],
+        variant: Variant,
+        options: PointOptions,
+        table: MaterialTable,
+        small: bool = False,
     ) -> None:
+        """`small`: without extents where it can be, for the visibility buffer."""
         super().__init__(device, sets)
         clouds = self.clouds
         self.balls = all(cloud.normal is None for cloud in clouds)
-        self.upload("position", "RGBA32F", [position_and_normal(c) for c in clouds])
-        self.upload("extent", "RGBA32F", [
-            extent(c, points=len(points.cloud)) for c, points in zip(clouds, sets, strict=True)
-        ])  # fmt: skip
+        self.nodes = all(points.shape is not None for points in sets)  # or none is
+        # Of a page without extents; else -1.
+        self.ball_material = _ball_material(sets) if small and not self.nodes else -1
+        if self.nodes:
+            self.upload("position", "RGBA32F", [node_position(points) for points in sets])
+            self.upload("extent", "RGBA32F", [node_extent(points) for points in sets])
+            self.upload("moments", "RGBA32F", [points.shape[:, 3:7] for points in sets if points.shape is not None])
+        elif self.ball_material >= 0:
+            self.upload("position", "RGBA32F", [position_and_radius(c) for c in clouds])
+        else:
+            self.upload("position", "RGBA32F", [position_and_normal(c) for c in clouds])
+            self.upload("extent", "RGBA32F", [
+                extent(c, points=len(points.cloud)) for c, points in zip(clouds, sets, strict=True)
+            ])  # fmt: skip
         if variant.color:
             self.upload("color", "RGBA16F", [filled(c, "color", table.base_color) for c in clouds])
         if variant.surface:
@@ -76,6 +109,40 @@ class Page(SplatPage):
         if options.shading_normal:
             self.upload("shading_normal", "R32F", [shading_normal(c) for c in clouds])
         self.clouds = []
+
+
+def node_position(points: PointSet) -> Write:
+    """Writes (N, 4) of nodes: position relative to the cloud's origin, -1 - saturation."""
+    shape, position = points.shape, points.cloud.position
+    assert shape is not None
+
+    def write(out: np.ndarray, block: slice) -> None:
+        for channel, column in enumerate(position.T):
+            out[:, channel] = column[block]
+        out[:, 3] = -1 - shape[block, 7]
+
+    return write
+
+
+def node_extent(points: PointSet) -> Write:
+    """Writes (N, 4) of nodes: xx, xy, xz of the shape, material row."""
+    shape, material = points.shape, points.cloud.material
+    assert shape is not None
+
+    def write(out: np.ndarray, block: slice) -> None:
+        for column in range(3):
+            out[:, column] = shape[block, column]
+        out[:, 3] = 0 if material is None else material[block]
+
+    return write
+
+
+def _ball_material(sets: list[PointSet]) -> int:
+    """Returns the row of the material of point sets that are round balls of one material alone; else -1."""
+    if any(points.hierarchy is not None or not points.cloud.round_balls for points in sets):
+        return -1
+    rows = {row for points in sets for row in points.cloud.material_rows().tolist()}
+    return rows.pop() if len(rows) == 1 else -1
 
 
 def blocks(layer: Layer, first: dict[int, int]) -> tuple[np.ndarray, int]:
@@ -180,6 +247,7 @@ class PageDraw:
             "block_shift": self.shift,
             "splats": self.splats,
             "only_instance": self.whole,
+            "ball_material": self.page.ball_material,
         }
         names = {name for _, name in block.fields}
         known = {name: value for name, value in known.items() if name in names}

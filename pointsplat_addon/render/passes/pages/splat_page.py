@@ -84,6 +84,18 @@ def position_and_normal(cloud: PointCloud) -> Write:
     return write
 
 
+def position_and_radius(cloud: PointCloud) -> Write:
+    """Writes (N, 4): position relative to the cloud's origin, radius."""
+    radii = cloud.radii
+    assert radii is not None
+
+    def write(out: np.ndarray, block: slice) -> None:
+        for channel, column in enumerate((*cloud.position.T, radii[:, 0])):
+            out[:, channel] = column[block]
+
+    return write
+
+
 def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = None) -> Write:
     """Writes (N, 4): half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too. The
     minor half-axis of disconnected splats is negative. `points`: what follows after so many are nodes, whose material

@@ -1,0 +1,61 @@
+"""Points in Morton order: the order of the cells of an octree of DEPTH levels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...numeric.segments import batches, sorted_places
+from ...numeric.vectors import each_block, moved_rows
+
+DEPTH = 20  # levels: bits of each coordinate
+SPREAD = (
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+COARSE = 15  # leading bits of codes by which they are sorted first
+TOGETHER = 1 << 18  # codes that are sorted together afterwards, so that they stay in the cache
+
+
+def morton_codes(position: np.ndarray) -> tuple[np.ndarray, float]:
+    """Codes (N,) uint64 of the cells of positions (N, 3) float32, finite, and the side of the cube that holds them."""
+    low = [float(column.min()) for column in position.T]
+    side = max(float(column.max()) - least for column, least in zip(position.T, low, strict=True))
+    side = max(side * (1 + 2.0**-20), 1e-30)
+    code = np.empty(len(position), np.uint64)
+
+    def fill(block: slice) -> None:
+        found = np.zeros(block.stop - block.start, np.uint64)
+        for axis, least in enumerate(low):
+            cell = ((position[block, axis] - least) * (2.0**DEPTH / side)).astype(np.uint64)
+            for shift, mask in SPREAD:
+                cell |= cell << np.uint64(shift)
+                cell &= np.uint64(mask)
+            cell <<= np.uint64(axis)
+            found |= cell
+        code[block] = found
+
+    each_block(len(position), fill)
+    return code, side
+
+
+def sorted_by_code(code: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The order (N,) integers that sorts codes (N,) uint64, equal ones as they come, and the codes in it."""
+    shift = np.uint64(3 * DEPTH - COARSE)
+    coarse = (code >> shift).astype(np.uint16)
+    places = sorted_places(coarse)
+    order, code = moved_rows(np.arange(len(code), dtype=places.dtype), places), moved_rows(code, places)
+    parts = list(batches(np.bincount(coarse, minlength=1 << COARSE), TOGETHER))
+    ends = np.cumsum(np.bincount(coarse, minlength=1 << COARSE))
+
+    def sort(which: slice) -> None:
+        for a, b in parts[which]:
+            some = slice(int(ends[a - 1]) if a else 0, int(ends[b - 1]))
+            index = np.argsort(code[some], kind="stable")
+            code[some] = code[some][index]
+            order[some] = order[some][index]
+
+    each_block(len(parts), sort, 1)
+    return order, code

@@ -1,0 +1,76 @@
+#define PS_CLOSED 0.98  // covered fraction from which on nodes have no holes
+
+// Nodes that stand for several balls: ellipsoids with the moments of these, of whose silhouettes a fraction is covered.
+// Reference: tests/reference/coverage.py.
+
+// Half-axes in view space, the columns of a lower triangular matrix, of four times the covariance of a node's balls in object
+// space: xx, xy, xz and yy, yz, zz. By Cholesky's decomposition.
+mat3 ps_node_axes(mat3 linear, vec3 first, vec3 second)
+{
+  mat3 shape = linear * mat3(first, vec3(first.y, second.xy), vec3(first.z, second.yz)) * transpose(linear);
+  float xx = sqrt(shape[0][0]);
+  vec2 below = shape[0].yz / xx;
+  float yy = sqrt(max(shape[1][1] - below.x * below.x, 0.0));
+  float zy = (shape[1][2] - below.x * below.y) / yy;
+  float zz = sqrt(max(shape[2][2] - below.y * below.y - zy * zy, 0.0));
+  return PS_NODE_SCALE * mat3(xx, below, 0.0, yy, zy, 0.0, 0.0, zz);
+}
+
+// The areas of a node's balls over its silhouette (in units of pi), both in view space.
+float ps_node_depth(float area, mat3 linear, float silhouette)
+{
+  float volume = abs(dot(linear[0], cross(linear[1], linear[2])));
+  return area * pow(volume, 2.0 / 3.0) / (3.14159265 * silhouette);
+}
+
+// A number in [0, 1) of each node of each instance, that stays.
+float ps_node_number(vec3 position, int instance)
+{
+  uvec3 bits = floatBitsToUint(position);
+  uint h = bits.x * 0x9E3779B1u ^ bits.y * 0x85EBCA77u ^ bits.z * 0xC2B2AE3Du ^ uint(instance) * 0x27D4EB2Fu;
+  h = (h ^ (h >> 15u)) * 0x2C1B3C6Du;
+  h = (h ^ (h >> 12u)) * 0x297A2D39u;
+  return float((h ^ (h >> 15u)) >> 8u) / 16777216.0;
+}
+
+// How many of a pixel's sub-samples a node of the summed depth covers, a fraction; the rank of the first; and the part of its balls'
+// radii that others leave free. See core/lod/balls/tree.py, saturation.
+vec3 ps_node_coverage(vec3 position, int instance, float depth, float saturation)
+{
+  // From lattice to lattice ranks, and what is left of them, go on by the golden ratio.
+  const float step = floor(0.618033989 * float(PS_RANKS)) + 0.618033989;
+  float first = float(PS_RANKS) * ps_node_number(position, instance) + step * float(u.sample_index);
+  float covered = depth > 0.01 ? 1.0 - exp(-depth * (1.0 + saturation * depth)) : depth;
+  float free = depth > 0.01 ? min(covered / depth, 1.0) : 1.0;
+  return vec3(float(PS_RANKS) * (covered > PS_CLOSED ? 1.0 : covered), mod(first, float(PS_RANKS)), free);
+}
+
+// Whether a node covers a cell where its silhouette does. The sub-samples of a pixel have ranks such that those that follow one
+// another are spread over it: a multiple of the cell's number among the translations of the lattice of pixels. The covered
+// ones are consecutive from a real number on, modulo their count, so that the mean over all numbers is the fraction.
+bool ps_is_covered(vec3 covered, ivec2 cell)
+{
+  ivec2 lattice = ivec2(u.lattice.xy);
+  vec2 first = u.lattice.zw - 0.5 + 0.5 * vec2(lattice.x - lattice.y, lattice.x + lattice.y);
+  cell -= ivec2(floor(first + 0.5));
+  int number = (cell.x + (PS_RANKS - lattice.x) * cell.y + PS_RANKS * 1048576) % PS_RANKS;
+  return mod(float((number * PS_RANK_STEP) % PS_RANKS) + covered.y, float(PS_RANKS)) < covered.x;
+}
+
+// A normal of one of a node's balls, seen along `sight`: normals of balls are spread over the node as they are over a ball.
+// Of balls that hide each other, only parts are seen, about the node's own normal.
+vec3 ps_node_normal(mat3 unit_from_view, vec3 point, vec3 sight, float free)
+{
+  vec3 along = normalize(unit_from_view * sight);
+  vec3 aside = point - dot(point, along) * along;
+  vec3 across = inverse(unit_from_view) * aside;
+  across -= dot(across, sight) * sight;
+  float size = length(across);
+  // That of the ellipsoid, turned to its shortest half-axis, for the surface of flat nodes is flatter than they are.
+  vec3 own = normalize(point * unit_from_view);
+  own = normalize((unit_from_view * own) * unit_from_view);
+  own *= dot(own, sight) > 0.0 ? -1.0 : 1.0;
+  across *= size > 0.0 ? length(aside) / size : 0.0;
+  vec3 ball = across - sqrt(max(1.0 - dot(across, across), 0.0)) * sight;
+  return ps_direction(mix(own, ball, free), ball);
+}
