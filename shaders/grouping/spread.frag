@@ -1,19 +1,12 @@
-// The picture from the shaded groups, by the pixel filter: each pixel takes from its neighbours and from itself what their
-// sub-samples weigh. PS_REACH: pixels to the farthest of them. PS_WEIGHTS: the weights of sub-samples that lie on their lattice; else `ps_weights` holds them.
-// PS_BEHIND: what open sub-samples show. PS_PLACES: groups are not listed in the order of their pixels. PS_AUXILIARY_ONLY: not
-// Combined. u.corner: where in the picture the tile begins.
+// The picture from the shaded groups, by the pixel filter: each pixel takes from its neighbours and from itself what
+// their sub-samples weigh. PS_REACH: pixels to the farthest of them. PS_WEIGHTS: the weights of sub-samples that lie on
+// their lattice; else `ps_weights` holds them. PS_BEHIND: what open sub-samples show. PS_PLACES: groups are not listed in
+// the order of their pixels. PS_AUXILIARY_ONLY: not Combined. u.corner: where in the picture the tile begins.
 
 #include "lib/visibility/groups.glsl"
 
 #define PS_SIDE (2 * PS_REACH + 1)
 #define PS_NEIGHBOURS (PS_SIDE * PS_SIDE)
-#define PS_LIST_MASK 4095
-#define PS_LIST_SHIFT 12
-
-ivec2 ps_list_texel(int entry)
-{
-  return ivec2(entry & PS_LIST_MASK, entry >> PS_LIST_SHIFT);
-}
 
 void ps_add(float weight, ivec2 texel)
 {
@@ -75,11 +68,7 @@ void main()
       }
       open_weight -= weight;
       if (weight > 0.0) {
-        int entry = first + layer;
-#ifdef PS_PLACES
-        entry = int(texelFetch(ps_places, ps_list_texel(entry), 0).x);
-#endif
-        ps_add(weight, ps_list_texel(entry));
+        ps_add(weight, ps_group_texel(first + layer));
       }
     }
 #ifdef PS_BEHIND

@@ -2,6 +2,7 @@
 // it lies in front of all that is opaque.
 
 #include "lib/splat/kernel.glsl"
+#include "lib/translucent/place.glsl"
 
 #ifdef PS_KERNELS
 // Over the middle's of the default kernel, as ps_kernel.
@@ -21,13 +22,18 @@ void main()
   if (!(q < PS_SUPPORT)) {
     discard;
   }
+#ifdef PS_AMONG_OPAQUE
+  float opaque = texelFetch(ps_depth, ivec2(gl_FragCoord.xy / u.scale), 0).x;
+  if (opaque == PS_NOWHERE) {
+    discard;
+  }
+#endif
 #ifdef PS_KERNELS
   float depth = v_source.w * ps_profile(int((v_conic.w < -0.5 ? -1.0 - v_conic.w : v_conic.w) + 0.5), q);
 #else
   float depth = v_source.w * ps_kernel(q);
 #endif
 #ifdef PS_AMONG_OPAQUE
-  float opaque = texelFetch(ps_depth, ivec2(gl_FragCoord.xy / u.scale), 0).x;
   float x = (opaque - v_front.x - dot(v_front.zw, v)) * v_front.y;
   depth *= ps_below(clamp(x, -6.0, 6.0));
 #endif

@@ -41,6 +41,7 @@ void main()
   vec2 side = vec2(corner == 1 || corner == 2 || corner == 4 ? 1.0 : -1.0, corner == 2 || corner >= 4 ? 1.0 : -1.0);
   side.x = corner == 5 ? -1.0 : side.x;
   vec2 pixel = v_centre + side.x * size.x * axis + side.y * size.y * vec2(-axis.y, axis.x);
+  pixel = oblique ? pixel : clamp(pixel, u.bounds.xy, u.bounds.zw);
   vec2 clip = pixel / vec2(u.size) * 2.0 - 1.0;
   gl_Position = centre.w > 0.0 ? vec4(clip, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }

@@ -3,12 +3,13 @@
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/surfel_kind.glsl"
 #include "lib/geometry/geometry.glsl"
+#include "lib/translucent/place.glsl"
 
 void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   vec4 centre = texelFetch(ps_centre, pixel, 0);
-  out_depth = 1e30;
+  out_depth = PS_BEHIND_ALL;
   if (ps_is_there(centre)) {
     out_depth = centre.x;
 #ifdef PS_NORMAL

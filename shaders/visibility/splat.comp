@@ -47,7 +47,13 @@ void main()
                                     : vec3(0.0, 0.0, -1.0);
 #endif
   for (int y = low.y; y <= high.y; y++) {
-    for (int x = low.x; x <= high.x; x++) {
+    int first = low.x, last = high.x;
+#ifdef PS_ROUND
+    vec2 ends = ps_row_ends(splat, float(y) + 0.5 - splat.centre.y) + splat.centre.x - 0.5;
+    first = splat.conic.x > 0.0 ? max(first, int(ceil(ends.x))) : first;
+    last = splat.conic.x > 0.0 ? min(last, int(floor(ends.y))) : last;
+#endif
+    for (int x = first; x <= last; x++) {
       PsSplatHit hit = ps_meet_splat(splat, vec2(x, y) + 0.5 - splat.centre);
 #ifdef PS_NODES
       hit.there = hit.there && ps_is_covered(splat.covered, ivec2(x, y));

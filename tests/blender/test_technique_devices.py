@@ -9,6 +9,7 @@ bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
 from scripts.scenes.cases import CASES
+from scripts.scenes.solid_cases import many_balls
 from tests.support.blender.devices import (
     COLORS,
     EDGES,
@@ -32,6 +33,14 @@ def test_blenders_gpu_and_moderngl_agree(blender, opengl, name, technique):
     assert np.abs(here["combined"] - there["combined"]).max() <= AGREE  # edges are soft; measured 0
     assert found["depth"] <= 1e-5
     assert found["position"] <= 1e-5
+
+
+def test_nodes_over_balls_agree(blender, opengl):
+    case = many_balls()
+    case = replace(case, settings=replace(case.settings, technique="VISIBILITY"))
+    here, there = opengl(case, True), pictures(blender, case)
+    assert differences(here, there)["edges"] <= EDGES  # measured 0, where both run on one driver
+    assert np.abs(here["combined"] - there["combined"]).max() <= AGREE  # measured 0
 
 
 @pytest.mark.parametrize("name", ["mixed", "balls", "wide_balls", "parallel_balls", "instances", "scales"])

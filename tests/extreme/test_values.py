@@ -31,7 +31,6 @@ from tests.support.extremes import (
     FEW,
     SHADOWED,
     TECHNIQUES,
-    TECHNIQUES_OF_TRANSLUCENT,
     all_kinds,
     every_pass,
     lamp,
@@ -131,7 +130,7 @@ TRANSLUCENT = {
 }
 
 
-@pytest.mark.parametrize("technique", TECHNIQUES_OF_TRANSLUCENT)
+@pytest.mark.parametrize("technique", TECHNIQUES)
 @pytest.mark.parametrize("odd", [*ODD, -1.0])
 @pytest.mark.parametrize("name", TRANSLUCENT)
 def test_attributes_of_translucent_points(name, odd, technique, within):

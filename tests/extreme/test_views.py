@@ -28,7 +28,6 @@ from tests.support.extremes import (
     FEW,
     SHADOWED,
     TECHNIQUES,
-    TECHNIQUES_OF_TRANSLUCENT,
     all_kinds,
     every_pass,
     picture,
@@ -259,7 +258,7 @@ def at_the_eye(kind: str, radius: float) -> PointCloud:
 
 @pytest.mark.parametrize(
     ("kind", "technique"),
-    [*product(["disk", "ball"], TECHNIQUES), *product(["medium", "shell"], TECHNIQUES_OF_TRANSLUCENT)],
+    [*product(["disk", "ball"], TECHNIQUES), *product(["medium", "shell"], TECHNIQUES)],
 )
 @pytest.mark.parametrize("radius", [1e-6, 0.5, 1e6])
 @pytest.mark.parametrize("eye", [(0, 0, 0), (0, -1e-9, 0), (0, 1e-9, 0), (1e-7, -0.05, 1e-7)])

@@ -16,8 +16,6 @@ from scripts.scenes.case import Case
 from scripts.scenes.drawing import render
 
 TECHNIQUES = ("VISIBILITY", "IMAGE_SPACE", "EWA", "PAINTER")
-# The visibility buffer draws no scene in which something is translucent.
-TECHNIQUES_OF_TRANSLUCENT = TECHNIQUES[1:]
 COMBINED = frozenset({"combined"})
 SHADOWED = Settings(shadow_resolution=64)
 FEW = (32, 24)  # pixels

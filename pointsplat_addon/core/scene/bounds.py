@@ -30,7 +30,12 @@ def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 def used_positions(mesh: Mesh) -> np.ndarray:
     """(U, 3) float32: the positions of those vertices of a mesh with valid triangles that some triangle has."""
-    used = np.bincount(mesh.triangles.reshape(-1), minlength=len(mesh.position)) > 0
+    used = np.zeros(len(mesh.position), bool)
+
+    def mark(block: slice) -> None:
+        used[mesh.triangles[block].reshape(-1)] = True  # threads may write the same
+
+    each_block(len(mesh.triangles), mark)
     return mesh.position if used.all() else mesh.position[used]
 
 

@@ -17,7 +17,7 @@ from .protocol import SampleRenderer, Seconds
 from .watch import BelowError, InTime
 
 FRAME_SECONDS = 0.1  # that a picture takes at most while the view moves, unless its pixels were too coarse
-COARSEST_PIXELS = 8  # pixels of the viewport that one of the picture takes each way
+COARSEST_PIXELS = 4  # pixels of a view that stands still that one of the picture takes each way
 SPARE = 5.0  # times that a picture was faster than it need be, where one with four times as many pixels is drawn
 
 

@@ -33,10 +33,12 @@ from .sample_positions import is_checkpoint, lattice_offsets, offsets
 from .shading import Shading
 from .surfels import gbuffer_textures
 from .targets import Targets
-from .translucent import Translucent, lighting_of_sample
+from .translucent import LitTranslucent, Translucent, lighting_of_sample
 from .uploads.uploads import Uploads
 from .visibility.layers import Visibility
+from .visibility.targets import VisibilityTargets
 from .visibility.tiles import cells_of_tile
+from .visibility.translucent import TranslucentLayers
 
 
 class Frame:
@@ -71,6 +73,7 @@ class Frame:
         self.lens: LensSamples | None = None
         self.backdrop: Backdrop | None = None
         self.adaptive: Adaptive | None = None
+        self.lit: LitTranslucent | None = None
         self.translucent: Translucent | None = None
         self.visibility: Visibility | None = None
         self.out_of_focus: OutOfFocus | None = None
@@ -125,16 +128,23 @@ class Frame:
             gather = 2 << count  # two pixels of the coarsest level on either side
             self.adaptive = self._own(Adaptive(device, self.targets.sums[0], threshold, gather, centre))
         self.shading = Shading(device, frame_plan.scene, plan, request, self.uploads, self.targets, self.backdrop)
-        if self.targets.visibility is not None:
-            visible = self.targets.visibility
-            self.visibility = self._own(
-                Visibility(device, plan, request.passes, self.uploads, visible, self.shading, run)
-            )
         if plan.defocus:
             transparent = frame_plan.scene.transparent
             self.out_of_focus = self._own(OutOfFocus(device, plan, self.uploads, self.targets, transparent, run))
         elif plan.translucent is not None:
-            self.translucent = self._own(Translucent(device, plan, self.uploads, self.targets, request.samples, run))
+            samples = request.samples * max(plan.sub_samples, 1)
+            self.lit = self._own(LitTranslucent(device, plan, self.uploads, samples, run))
+        if self.targets.visibility is not None:
+            self._allocate_visibility(self.targets.visibility)
+        elif self.lit is not None:
+            self.translucent = Translucent(device, plan, self.lit, self.targets, run)
+
+    def _allocate_visibility(self, targets: VisibilityTargets) -> None:
+        device, plan, run, over = self.device, self.frame_plan.plan, self.clock.run, None
+        if self.lit is not None:
+            over = TranslucentLayers(device, plan, self.lit.lit, targets, self.targets.combined_target, run)
+        passes = self.frame_plan.request.passes
+        self.visibility = self._own(Visibility(device, plan, passes, self.uploads, targets, self.shading, over, run))
 
     # Drawing
 
@@ -194,7 +204,10 @@ class Frame:
         """Draws a sample that is a whole lattice of sub-samples."""
         assert self.targets.visibility is not None
         central, identify = first and self.frame_plan.plan.central, self._data.every_sample
-        shown = visibility.draw(view, self.targets.sum_target, central, identify)
+        if self.lit is not None:
+            self._light(self.lit)
+        coarse = first and self.frame_plan.plan.coarse
+        shown = visibility.draw(view, self.targets.sum_target, central, identify, coarse)
         if central:
             self.central = self.targets.visibility.central
             if self.frame_plan.plan.data:
@@ -250,13 +263,17 @@ class Frame:
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 
     def _draw_translucent(self, translucent: Translucent, view: SampleView, first: bool) -> None:
+        self._light(translucent.light)
+        translucent.draw(view, gbuffer_textures(self.targets.surfels), coarse=first and self.frame_plan.plan.coarse)
+
+    def _light(self, lit: LitTranslucent) -> None:
+        """Lights translucent splats for the sample that is drawn, where they are not lit like that."""
         # All samples share the light of translucent splats, except with a lens or shadows of wide lights, whose points
         # are averaged over samples.
         shadows = self.frame_plan.shadows
         points = lighting_of_sample(self.frame_plan.request, self.done) if shadows is not None and shadows.wide else 0
-        if first or points != translucent.lit_by or self.lens is not None:
-            translucent.light(points, self._centred())
-        translucent.draw(view, gbuffer_textures(self.targets.surfels), coarse=first and self.frame_plan.plan.coarse)
+        if points != lit.lit_by or self.lens is not None:
+            lit.light(points, self._centred())
 
     def _adapt(self, adaptive: Adaptive) -> None:
         """Narrows the drawn points to those in tiles that still need samples."""
@@ -275,7 +292,7 @@ class Frame:
     @property
     def blends(self) -> bool:
         """Whether each sample draws translucent splats."""
-        return self.translucent is not None
+        return self.lit is not None
 
     @property
     def color(self) -> Texture:

@@ -45,6 +45,8 @@ class Targets:
             self.sum_target: Target = self._own(device.target(self.sums))
             # Translucent splats are drawn over the opaque picture of each sample, which is then added to the sums.
             self.shade_target: Target = self.sum_target
+        if plan.translucent is not None and not plan.defocus:
+            self.combined_target: Target = self._own(device.target(self.sums[:1]))
         if plan.defocus:
             # The parts in focus are summed with their depth; at the end the picture is composed of them and the rest.
             self.focus: Texture = self._own(device.texture(size, "RGBA32F"))
@@ -58,12 +60,11 @@ class Targets:
                 self.averages_target: Target = self._own(device.target(self.sums[plan.picture :]))
         self.layer: Texture | None = None
         self.depth: Texture | None = None
-        if plan.translucent is not None and not plan.defocus:
+        if plan.translucent is not None and not plan.defocus and self.visibility is None:
             self.layer = layer = self._own(device.texture(size, "RGBA32F"))
             # The share of a pixel's alpha that holdouts take away.
             self.cut: Texture | None = self._own(device.texture(size, "RGBA32F")) if plan.translucent.holdout else None
             self.layer_target: Target = self._own(device.target([layer] if self.cut is None else [layer, self.cut]))
-            self.combined_target: Target = self._own(device.target(self.sums[:1]))
             further = [] if plan.painter and plan.points else self.sums[1:]
             self.shade_target = self._own(device.target([layer, *further]))
             if plan.coarse:

@@ -1,4 +1,4 @@
-"""Draws translucent splats over the opaque picture of each sample, which is then added to the sums."""
+"""Lights translucent splats for the samples of a picture, and draws them over the opaque picture of each sample."""
 
 from __future__ import annotations
 
@@ -29,33 +29,28 @@ def lighting_of_sample(request: Request, sample: int) -> int:
     return sample // max(request.samples // LIGHTINGS, 1)
 
 
-class Translucent:
-    """Lights the translucent splats of one picture, and blends them over each of its samples."""
+class LitTranslucent:
+    """The translucent splats of one picture, lit as they are when they are drawn."""
 
     def __init__(
         self,
         device: Device,
         plan: Plan,
         uploads: Uploads,
-        targets: Targets,
         samples: int,
         run: Callable[[str, Callable[[], None]], None],
     ) -> None:
-        """Makes the programs that light and draw the splats.
+        """Makes the program that lights the splats.
 
         `samples`: of the picture. `run` times each pass. Raises DeviceError if there are more splats than a texture
         holds.
         """
         assert plan.translucent is not None
-        self.device, self.plan, self.uploads, self.targets, self._run = device, plan, uploads, targets, run
         assert uploads.translucent is not None
+        self._uploads, self._run = uploads, run
         self.splats = splats = uploads.translucent
-        self.lit_by = 0  # which points of wide lights
+        self.lit_by: int | None = None  # which points of wide lights; None: they are not lit yet
         program = light_program(plan.translucent, plan.lighting, plan.materials, splats.shared_lights)
-        variant = plan.variant
-        channels = variant.samplers(only=("centre", "shape", "normal") if variant.normal else ("centre",))
-        self._add = add_program(plan.translucent)
-        self._depth = depth_program(channels, variant.normal)
         self.lit = LitSplats(device, plan.translucent, program, splats.count, samples)
 
     def light(self, points: int, view: SampleView) -> None:
@@ -65,10 +60,33 @@ class Translucent:
         """
         self.lit_by = points
         view = replace(view, sample=points)
-        textures = {**self.splats.textures, **self.uploads.shading}
+        textures = {**self.splats.textures, **self._uploads.shading}
         if self.splats.shared_lights:
             textures |= self.splats.light_shares(points, view, self._run)
-        self._run("light", lambda: self.lit.light(view, len(self.uploads.scene.lights), textures))
+        self._run("light", lambda: self.lit.light(view, len(self._uploads.scene.lights), textures))
+
+    def release(self) -> None:
+        self.lit.release()
+
+
+class Translucent:
+    """Blends the translucent splats of one picture over each of its samples."""
+
+    def __init__(
+        self,
+        device: Device,
+        plan: Plan,
+        lit: LitTranslucent,
+        targets: Targets,
+        run: Callable[[str, Callable[[], None]], None],
+    ) -> None:
+        """Makes the programs that draw the splats. `run` times each pass."""
+        assert plan.translucent is not None
+        self.device, self.targets, self.light, self._run = device, targets, lit, run
+        variant = plan.variant
+        channels = variant.samplers(only=("centre", "shape", "normal") if variant.normal else ("centre",))
+        self._add = add_program(plan.translucent)
+        self._depth = depth_program(channels, variant.normal)
 
     def draw(self, view: SampleView, surfels: dict[str, Texture], coarse: bool) -> None:
         """Blends the splats over the opaque picture and adds the sample to the sums.
@@ -76,7 +94,7 @@ class Translucent:
         `surfels`: textures of the opaque G-buffer by sampler name. `coarse`: draw the splats at a lower resolution, and
         enlarge them.
         """
-        targets, run, lit = self.targets, self._run, self.lit
+        targets, run, lit = self.targets, self._run, self.light.lit
         assert targets.layer is not None
 
         def draw(program: Interface, target: Target, textures: dict[str, Texture], mode: str = "") -> None:
@@ -96,6 +114,3 @@ class Translucent:
             run("translucent", lambda: lit.draw(targets.layer_target, view, targets.depth))
         layer = {"ps_layer": targets.layer, **({} if targets.cut is None else {"ps_cut": targets.cut})}
         run("add", lambda: draw(self._add, targets.combined_target, layer, "blend"))
-
-    def release(self) -> None:
-        self.lit.release()

@@ -191,7 +191,7 @@ def make_frame_plan(
     )
     ewa = technique.name == "EWA"
     sub_samples = 0
-    if technique.name == "VISIBILITY":
+    if technique.name == "VISIBILITY" and _has_opaque(prepared):
         sub_samples = lattice.count
         request = replace(request, samples=-(-request.samples // sub_samples))
     plan = make_plan(
@@ -245,6 +245,12 @@ def _prepared(
         node=request.node,
         coarse=request.coarse,
     )
+
+
+def _has_opaque(prepared: Prepared) -> bool:
+    """Whether a view shows something opaque. What is translucent alone is blended in each sample."""
+    splats = sum(layer.cut.splats for layer in (prepared, prepared.nodes, prepared.spheres))
+    return splats > 0 or len(prepared.polygons) > 0 or len(prepared.strands) > 0
 
 
 def _not_adaptive(request: Request, prepared: Prepared, plan: Plan, through_lens: bool) -> str:

@@ -253,7 +253,8 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
     if not (clouds and view.picture):
         return None
     holdout = bool(_holdouts(view.scene)[layer.set_of_instance >= 0].any())
-    return translucent_options(clouds, view.scene.materials, kinds.solid, holdout, view.defocus)
+    grouped = view.sub_samples > 0 and not view.defocus
+    return translucent_options(clouds, view.scene.materials, kinds.solid, holdout, view.defocus, grouped)
 
 
 def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None) -> bool:

@@ -38,14 +38,16 @@ PASSES: dict[str, str] = {
     "tiles": "splats out of focus listed by the tiles that they blur into, on the processor",
     "defocus": "what is out of focus, gathered by each pixel over what is in focus",
     "opaque depth": "what hides translucent splats",
+    "expand": "a layer of the groups of each pixel",
     "translucent": "splats blended back to front",
     "enlarge": "a coarse translucent picture to the size of the fine one",
+    "difference": "what translucent splats change in a layer, by the pixel filter",
     "add": "a sample with what is translucent to the sums",
     "adapt": "tiles whose samples agree are found",
 }
 IMAGE_SPACE, BY_EWA = ("project", "resolve", "pull", "push"), ("splats", "visibility", "blend", "normalise")
 BY_BUFFER = ("cover", "group", "attributes", "spread")
-TRANSLUCENT = ("order", "reach", "light", "opaque depth", "translucent", "enlarge", "add")
+TRANSLUCENT = ("order", "reach", "light", "opaque depth", "expand", "translucent", "enlarge", "difference", "add")
 # Why a pass that the plan has did not run.
 LATE = {
     "order": "the order of an earlier picture still holds",
@@ -71,7 +73,8 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
     found = {"shadows": unshadowed} if unshadowed else {}
     found |= _of_points(plan, unseen.get("points", "nothing is drawn as points"))
     if not by_buffer:
-        found |= dict.fromkeys(BY_BUFFER, "another technique draws")
+        why = "another technique draws" if plan.solid else "nothing opaque is drawn"
+        found |= dict.fromkeys(BY_BUFFER, why)
     elif not plan.points:
         found["cover"] = unseen.get("points", "nothing is drawn as points")
     if not plan.polygons:
@@ -119,6 +122,10 @@ def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
     found = {}
     if not shadowed:
         found["reach"] = "no light casts shadows on it"
+    if plan.translucent.grouped:
+        found["opaque depth"] = "the visibility buffer holds it"
+    else:
+        found |= dict.fromkeys(("expand", "difference"), "translucent splats are blended over each sample")
     if not plan.translucent.opaque:
         found["opaque depth"] = "nothing opaque hides what is translucent"
     if not plan.coarse:

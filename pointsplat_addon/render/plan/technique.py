@@ -66,9 +66,6 @@ def decide_technique(given: TechniqueInput) -> Technique:
 
 def _why_not_visibility(given: TechniqueInput) -> str:
     """Returns why the visibility buffer cannot draw a scene; empty where it can."""
-    scene = given.scene
-    if any(is_translucent(geometry, scene.materials) for geometry in scene.geometries):
-        return "translucent things are blended in each sample"
     if given.settings.budget != "NONE":
         return "a budget decides how many samples are drawn, one by one"
     return "the camera has depth of field" if given.lens else ""
@@ -77,12 +74,13 @@ def _why_not_visibility(given: TechniqueInput) -> str:
 def _why_others_are_better(given: TechniqueInput) -> str:
     """Returns why another technique draws a scene better than the visibility buffer; empty where none does."""
     scene = given.scene
-    for geometry in scene.geometries:
+    opaque = [not is_translucent(geometry, scene.materials) for geometry in scene.geometries]
+    for geometry in (found for found, on in zip(scene.geometries, opaque, strict=True) if on):
         points = geometry.mesh is not None and geometry.primitive == "POINTS"
         if points or (geometry.cloud is not None and geometry.cloud.normal is not None):
             return "samples of a surface are blended into it"
     count = np.bincount(scene.instances.geometry, minlength=len(scene.geometries))
-    primitives = [_primitives(geometry) for geometry in scene.geometries]
+    primitives = [on * _primitives(geometry) for geometry, on in zip(scene.geometries, opaque, strict=True)]
     if float(count @ np.asarray(primitives, float)) > MOST_PRIMITIVES:
         return "instances have so many primitives that they are drawn by nodes"
     return ""

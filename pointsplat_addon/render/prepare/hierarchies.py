@@ -38,7 +38,8 @@ def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np
     """
     plain, points, store = points, _with_material_constants(points, view.scene.materials, view.store), view.store
     key = Key(Kind.HIERARCHY, points.key)
-    if view.settings.technique == "VISIBILITY":
+    opaque = plain.cloud.opacity is None and plain.cloud.extinction is None
+    if opaque and view.settings.technique == "VISIBILITY":
         return plain
     if key not in store:
         if not _pays(view, plain, view_from_object):

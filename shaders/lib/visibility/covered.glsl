@@ -33,16 +33,16 @@ float ps_node_number(vec3 position, int instance)
   return float((h ^ (h >> 15u)) >> 8u) / 16777216.0;
 }
 
-// How many of a pixel's sub-samples a node of the summed depth covers, a fraction; the rank of the first; and the part of its balls'
-// radii that others leave free. See core/lod/balls/tree.py, saturation.
+// How many of a pixel's sub-samples a node of the summed depth covers, a fraction; the rank of the first; and how far its balls
+// are seen as such, in 0 to 1: less where they hide more than half of each other. See core/lod/balls/tree.py, saturation.
 vec3 ps_node_coverage(vec3 position, int instance, float depth, float saturation)
 {
   // From lattice to lattice ranks, and what is left of them, go on by the golden ratio.
   const float step = floor(0.618033989 * float(PS_RANKS)) + 0.618033989;
   float first = float(PS_RANKS) * ps_node_number(position, instance) + step * float(u.sample_index);
   float covered = depth > 0.01 ? 1.0 - exp(-depth * (1.0 + saturation * depth)) : depth;
-  float free = depth > 0.01 ? min(covered / depth, 1.0) : 1.0;
-  return vec3(float(PS_RANKS) * (covered > PS_CLOSED ? 1.0 : covered), mod(first, float(PS_RANKS)), free);
+  float free = min(2.0 * covered / max(depth, 0.01), 1.0);
+  return vec3(float(PS_RANKS) * (covered > PS_CLOSED ? 1.0 : covered), mod(first, float(PS_RANKS)), free * free);
 }
 
 // Whether a node covers a cell where its silhouette does. The sub-samples of a pixel have ranks such that those that follow one

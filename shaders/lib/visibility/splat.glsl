@@ -7,30 +7,6 @@
 #include "lib/geometry/ellipsoid_bounds.glsl"
 #include "lib/visibility/lattice.glsl"
 
-// A splat in coordinates in which it is the unit ball, or the unit disk in the plane z = 0. Rays are told apart by their cells,
-// relative to that of the splat's centre, so that nothing is lost by rounding far from the eye: the ray at `cell` passes the
-// centre's depth at lift * (cell.x * across_x + cell.y * across_y), in the direction along + cell * across.
-struct PsUnitSplat {
-#ifndef PS_ROUND
-  bool ball;
-  mat3 unit_from_view;
-#endif
-#ifdef PS_NODES
-  vec3 covered;  // see ps_node_coverage
-#endif
-  vec2 centre;  // in cells
-  float depth;  // of the centre
-  float lift;  // the centre's depth, or 1 in a parallel view
-  vec3 along, across_x, across_y;
-  vec4 box;  // in cells, from the centre: low and high corner
-};
-
-struct PsSplatHit {
-  bool there;
-  float depth;
-  vec3 point;  // in the splat's coordinates
-};
-
 // Position, and packed normal (-1: a ball).
 vec4 ps_splat_head(ivec3 element)
 {
@@ -52,7 +28,32 @@ vec4 ps_splat_extent(ivec3 element)
 #endif
 }
 
-#ifndef PS_ROUND
+#ifdef PS_ROUND
+#include "lib/visibility/round_ball.glsl"
+#else
+
+// A splat in coordinates in which it is the unit ball, or the unit disk in the plane z = 0. Rays are told apart by their cells,
+// relative to that of the splat's centre, so that nothing is lost by rounding far from the eye: the ray at `cell` passes the
+// centre's depth at lift * (cell.x * across_x + cell.y * across_y), in the direction along + cell * across.
+struct PsUnitSplat {
+  bool ball;
+  mat3 unit_from_view;
+#ifdef PS_NODES
+  vec3 covered;  // see ps_node_coverage
+#endif
+  vec2 centre;  // in cells
+  float depth;  // of the centre
+  float lift;  // the centre's depth, or 1 in a parallel view
+  vec3 along, across_x, across_y;
+  vec4 box;  // in cells, from the centre: low and high corner
+};
+
+struct PsSplatHit {
+  bool there;
+  float depth;
+  vec3 point;  // in the splat's coordinates
+};
+
 // The least and the greatest value of dot(along, p) / depth over the ellipsoid with the centre p and the shape S, in a parallel
 // view without the division.
 vec2 ps_extent_along(vec2 along, vec3 p, mat3 shape)
@@ -60,7 +61,6 @@ vec2 ps_extent_along(vec2 along, vec3 p, mat3 shape)
   vec2 s = vec2(dot(along, shape[0].xy), dot(along, shape[1].xy));
   return ps_ellipsoid_ends(dot(along, p.xy), dot(s, along), dot(along, shape[2].xy), p.z, shape[2][2]);
 }
-#endif
 
 #ifdef PS_NODES
 #include "lib/visibility/covered.glsl"
@@ -74,12 +74,6 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
   mat3 linear = ps_linear(element.z);
   vec3 p = ps_view_from_point(element.z, head.xyz);
   splat.depth = -p.z;
-#ifdef PS_ROUND
-  float radius = extent.x * length(linear[0]), deep = radius;
-  if (!(radius > 1e-37) || splat.depth + deep < u.near || splat.depth - deep > u.far) {
-    return false;
-  }
-#else
 #ifdef PS_NODES
   splat.ball = true;
   vec4 moments = texelFetch(ps_moments, element.xy, 0);
@@ -110,7 +104,6 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
     return false;
   }
   splat.unit_from_view = transpose(cofactors) * (1.0 / volume);
-#endif
   bool perspective = ps_is_perspective();
 #ifdef PS_NODES
   vec3 sight = perspective ? normalize(p) : vec3(0.0, 0.0, -1.0);
@@ -122,25 +115,13 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
   vec2 step_x = vec2(u.lattice.x, -u.lattice.y) / (square * u.focal), step_y = u.lattice.yx / (square * u.focal);
   splat.lift = perspective ? splat.depth : 1.0;
   vec3 middle = perspective ? vec3(p.xy / splat.depth, -1.0) : vec3(0.0, 0.0, -1.0);
-#ifdef PS_ROUND
-  splat.across_x = vec3(step_x / radius, 0.0);
-  splat.across_y = vec3(step_y / radius, 0.0);
-  splat.along = middle / radius;
-#else
   splat.across_x = splat.unit_from_view * vec3(step_x, 0.0);
   splat.across_y = splat.unit_from_view * vec3(step_y, 0.0);
   splat.along = splat.unit_from_view * middle;
-#endif
   splat.centre = ps_cell_from_pixel(ps_pixel_from_view(p).xy);
   vec2 to_column = vec2(u.lattice.x, -u.lattice.y) * u.focal, to_row = u.lattice.yx * u.focal;
-#ifdef PS_ROUND
-  float size = radius * radius;
-  vec2 columns = ps_ellipsoid_ends(dot(to_column, p.xy), size * dot(to_column, to_column), 0.0, p.z, size);
-  vec2 rows = ps_ellipsoid_ends(dot(to_row, p.xy), size * dot(to_row, to_row), 0.0, p.z, size);
-#else
   vec2 columns = ps_extent_along(to_column, p, shape);
   vec2 rows = ps_extent_along(to_row, p, shape);
-#endif
   vec2 origin = vec2(dot(vec2(u.lattice.x, -u.lattice.y), u.principal_point), dot(u.lattice.yx, u.principal_point)) +
                 u.lattice.zw;
   splat.box = vec4(columns.x + origin.x, rows.x + origin.y, columns.y + origin.x, rows.y + origin.y);
@@ -153,11 +134,7 @@ PsSplatHit ps_meet_splat(PsUnitSplat splat, vec2 cell)
   precise vec3 across = cell.x * splat.across_x + cell.y * splat.across_y;
   precise vec3 along = splat.along + (ps_is_perspective() ? 1.0 : 0.0) * across;
   precise vec3 point = splat.lift * across;
-#ifdef PS_ROUND
-  const bool ball = true;
-#else
   bool ball = splat.ball;
-#endif
   precise float square = dot(along, along);
   precise float back = ball ? dot(point, along) / square : point.z / along.z;
   point -= back * along;
@@ -177,9 +154,7 @@ PsSplatHit ps_meet_splat(PsUnitSplat splat, vec2 cell)
 // Unit normal where a ray meets the splat, in view space; that of a disk is turned to the eye.
 vec3 ps_splat_normal(PsUnitSplat splat, PsSplatHit hit, vec3 toward)
 {
-#ifdef PS_ROUND
-  return ps_direction(hit.point, vec3(0.0, 0.0, 1.0));
-#elif defined(PS_NODES)
+#ifdef PS_NODES
   return ps_node_normal(splat.unit_from_view, hit.point, normalize(toward), splat.covered.z);
 #else
   vec3 n = splat.ball ? hit.point * splat.unit_from_view : vec3(0.0, 0.0, 1.0) * splat.unit_from_view;
@@ -187,6 +162,8 @@ vec3 ps_splat_normal(PsUnitSplat splat, PsSplatHit hit, vec3 toward)
   return !splat.ball && dot(n, toward) > 0.0 ? -n : n;
 #endif
 }
+
+#endif
 
 #ifdef PS_CULL
 // Whether the splat turns its back to the eye, and its material hides that.

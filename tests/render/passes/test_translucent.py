@@ -35,8 +35,9 @@ def draw(scene, eye_camera, samples=1, settings=None):
     )
 
 
-def picture(scene, eye_camera, samples=1):
-    return draw(scene, eye_camera, samples).pixels["combined"].astype(np.float64)
+def picture(scene, eye_camera, samples=1, technique="IMAGE_SPACE"):
+    settings = Settings(technique=technique, use_shadows=False)
+    return draw(scene, eye_camera, samples, settings).pixels["combined"].astype(np.float64)
 
 
 def alone(cloud, key, **more):
@@ -158,9 +159,10 @@ def test_a_thin_medium_scatters_by_henyey_and_greenstein(g, angle):
 # Among opaque things
 
 
+@pytest.mark.parametrize("technique", ["IMAGE_SPACE", "VISIBILITY"])
 @pytest.mark.parametrize("primitive", ["POLYGONS", "POINTS"])
 @pytest.mark.parametrize("place", [-0.2, 0.0, 0.125])
-def test_what_is_opaque_hides_what_of_a_medium_lies_behind_it(primitive, place):
+def test_what_is_opaque_hides_what_of_a_medium_lies_behind_it(technique, primitive, place):
     depth = 2.0
     wall = build.mesh(meshes.plane_mesh(f"wall {primitive}", 1.5), primitive)
     table = build.materials(base_color=np.zeros((1, 3)), specular=[0], emission=np.ones((1, 3)))
@@ -168,7 +170,7 @@ def test_what_is_opaque_hides_what_of_a_medium_lies_behind_it(primitive, place):
         (wall, moved((0, place, 0))), (points("fog", voxels(1.2, 0.5, 12, depth / 0.5)), moved()),
         lights=(), world=World(), table=table,
     )  # fmt: skip
-    found = picture(made, from_angle(0), 2)
+    found = picture(made, from_angle(0), 2, technique)
     assert found[..., 0].mean() == pytest.approx(np.exp(-depth * (0.25 + place) / 0.5), rel=1e-2)
 
 
@@ -207,9 +209,10 @@ def test_voxels_of_any_size_let_the_same_light_through(scale):
     assert picture(scaled, eye, 2)[..., 0].mean() == pytest.approx(np.exp(-1.0), rel=5e-3)
 
 
+@pytest.mark.parametrize("technique", ["IMAGE_SPACE", "VISIBILITY"])
 @pytest.mark.parametrize("primitive", ["", "POLYGONS", "POINTS"])
 @pytest.mark.parametrize("depth", [1.0, np.array([0.2, 1.0, 3.0])])
-def test_a_medium_that_holds_out_takes_of_color_and_alpha_what_it_hides(depth, primitive):
+def test_a_medium_that_holds_out_takes_of_color_and_alpha_what_it_hides(technique, depth, primitive):
     """Before glow, or an opaque wall; and behind other glow, of which it takes nothing."""
     behind = points("glow behind", voxels(1.2, 0.5, 8, 2.0, emission=(2.0, 2.0, 2.0)))
     if primitive:
@@ -225,7 +228,7 @@ def test_a_medium_that_holds_out_takes_of_color_and_alpha_what_it_hides(depth, p
         made = build.scene(
             *(things[i] for i in which), lights=(), world=World(), table=table, transparent=True, holdout=holdout
         )
-        return picture(made, from_angle(0), 2).mean(axis=(0, 1))
+        return picture(made, from_angle(0), 2, technique).mean(axis=(0, 1))
 
     before, after = mean([0], None), mean([2], None)
     through = np.exp(-depth * np.ones(3))
@@ -513,8 +516,8 @@ def test_a_volume_is_drawn_as_translucent_points():
     assert result.report["points"]["total"] == 64
 
 
-@pytest.mark.parametrize("alpha", [0.3, 0.9])
-def test_cards_let_as_much_light_through_as_coarse_nodes_of_them(alpha):
+@pytest.mark.parametrize(("alpha", "technique"), [(0.3, "IMAGE_SPACE"), (0.9, "IMAGE_SPACE"), (0.3, "VISIBILITY")])
+def test_cards_let_as_much_light_through_as_coarse_nodes_of_them(alpha, technique):
     """As leaves do: cards that face all ways, whose nodes are thick."""
     rng = np.random.default_rng(3)
     count = 20_000
@@ -530,7 +533,7 @@ def test_cards_let_as_much_light_through_as_coarse_nodes_of_them(alpha):
     seen = {}
     for tolerance in (0.05, 4.0, 8.0):
         # So many samples that a hierarchy pays for itself.
-        settings = Settings(technique="IMAGE_SPACE", tolerance=tolerance, use_shadows=False)
+        settings = Settings(technique=technique, tolerance=tolerance, use_shadows=False)
         result = draw(made, camera((0, -6, 0), resolution=(48, 48)), 96, settings)
         seen[result.report["points"]["cut"]] = result.pixels["combined"][..., 0].mean()
     every, fine, coarse = sorted(seen, reverse=True)

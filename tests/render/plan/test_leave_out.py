@@ -21,6 +21,7 @@ EWA = "splats visibility blend normalise "
 GROUPED = "group attributes shade spread "
 SEEN = "shade background "
 BLENDED = "light translucent add "
+LAYERS = "expand difference " + BLENDED
 EXPECTED = {
     "nothing": "",
     "world of one colour": "",
@@ -83,6 +84,11 @@ EXPECTED = {
     "visibility buffer, small balls": "cover data background " + GROUPED,
     "visibility buffer, wide balls among polygons": "cover polygons background " + GROUPED,
     "visibility buffer, all passes": "cover polygons data background " + GROUPED,
+    "visibility buffer, panes and a cube": "shadows order reach polygons background " + GROUPED + LAYERS,
+    "visibility buffer, coloured smoke, shadows": "shadows order reach polygons background " + GROUPED + LAYERS,
+    "visibility buffer, smoke and a cube, interactive": "order polygons background enlarge " + GROUPED + LAYERS,
+    "visibility buffer, a cube in held out smoke": "order polygons background " + GROUPED + LAYERS,
+    "visibility buffer, smoke alone": "order background " + BLENDED,
     "EWA": EWA + SEEN,
     "EWA, adaptive": "adapt " + EWA + SEEN,
     "EWA among polygons": "polygons " + EWA + SEEN,

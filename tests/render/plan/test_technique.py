@@ -91,7 +91,7 @@ def test_textured_meshes_count_as_coloured_and_polygons_do_not():
     assert decide_technique(given(solid, budget="ERROR")).name == "IMAGE_SPACE"
 
 
-@pytest.mark.parametrize("name", ["cube", "balls", "wide_balls", "split_mesh", "strands"])
+@pytest.mark.parametrize("name", ["cube", "balls", "wide_balls", "split_mesh", "strands", "panes", "tinted_smoke"])
 def test_what_the_visibility_buffer_draws_exactly_is_drawn_by_it(name):
     scene = cases.CASES[name]().scene
     for interactive in (False, True):
@@ -101,8 +101,6 @@ def test_what_the_visibility_buffer_draws_exactly_is_drawn_by_it(name):
 @pytest.mark.parametrize(
     ("name", "more", "because"),
     [
-        ("smoke", {}, "translucent"),
-        ("panes", {}, "translucent"),
         ("cube", {"lens": True}, "depth of field"),
         ("cube", {"budget": "TIME"}, "budget"),
         ("sphere", {}, "samples of a surface"),
@@ -114,7 +112,7 @@ def test_auto_leaves_the_visibility_buffer_where_another_draws_better(name, more
     assert because in found.because
 
 
-@pytest.mark.parametrize(("name", "more"), [("smoke", {}), ("cube", {"lens": True}), ("cube", {"budget": "ERROR"})])
+@pytest.mark.parametrize(("name", "more"), [("cube", {"lens": True}), ("panes", {"budget": "ERROR"})])
 def test_the_visibility_buffer_is_not_taken_where_it_cannot_draw(name, more):
     found = decide_technique(given(cases.CASES[name]().scene, technique="VISIBILITY", **more))
     assert found.name == "IMAGE_SPACE"

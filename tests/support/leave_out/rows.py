@@ -45,6 +45,7 @@ from tests.support.leave_out.scenes import (
     ribbon,
     rough_picture,
     small_balls,
+    smoke_and_cube,
     through_a_lens,
     tube,
     two_smokes,
@@ -148,6 +149,15 @@ ROWS: dict[str, Row] = {
     "visibility buffer, all passes": Row(
         lambda: with_settings(solid_cases.wide_balls(), technique="VISIBILITY"), ALL_PASSES
     ),
+    "visibility buffer, panes and a cube": Row(
+        lambda: with_settings(translucent_cases.panes(), technique="VISIBILITY")
+    ),
+    "visibility buffer, coloured smoke, shadows": Row(
+        lambda: with_settings(translucent_cases.tinted_smoke(), technique="VISIBILITY")
+    ),
+    "visibility buffer, smoke and a cube, interactive": Row(smoke_and_cube, interactive=True),
+    "visibility buffer, a cube in held out smoke": Row(lambda: smoke_and_cube(holdout=True)),
+    "visibility buffer, smoke alone": Row(lambda: with_settings(translucent_cases.in_smoke(), technique="VISIBILITY")),
     "EWA": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA")),
     "EWA, adaptive": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA"), samples=16),
     "EWA among polygons": Row(lambda: with_settings(solid_cases.mixed(), technique="EWA")),

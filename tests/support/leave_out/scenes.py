@@ -105,6 +105,17 @@ def held_smoke() -> Case:
     return Case(build.scene(*things, holdout=(False, True)), cameras.camera())
 
 
+def smoke_and_cube(holdout: bool = False) -> Case:
+    """A ball of smoke and a cube, for the visibility buffer. `holdout`: the smoke cuts a hole."""
+    cube = build.mesh(meshes.cube_mesh("leave out: cube in smoke", 0.5), "POLYGONS")
+    things = (
+        (build.points("leave out: smoke", clouds.smoke_cloud(8)), build.moved()),
+        (cube, build.moved((0.5, 0, 0))),
+    )
+    made = build.scene(*things, holdout=(True, False)) if holdout else build.scene(*things)
+    return with_settings(Case(made, cameras.camera()), technique="VISIBILITY")
+
+
 def mixed_materials() -> Case:
     """A plain cube, a metal one and one that glows."""
     table = build.materials(3, metallic=[0, 1, 0], emission=[[0, 0, 0], [0, 0, 0], [1, 2, 3]])

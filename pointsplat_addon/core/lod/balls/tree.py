@@ -25,7 +25,7 @@ BATCH = 1 << 16  # balls that are merged together, so that their working arrays 
 # Of `saturation`, which was fitted to balls at random, jittered and regular places on planes, from two directions:
 RUNS, RUN = 4096, 64  # points that are looked at, and neighbours in Morton order to either side of each
 DIGAMMA_1_TO_4, DIGAMMA_4_TO_16 = 1.8333, 1.4849  # differences of the digamma function
-MOST_SATURATION, SATURATION_STEP = 0.95, 2.6
+MOST_SATURATION, SATURATION_STEP = 1.25, 2.6
 RANDOM_EXCESS = 0.06  # what random points exceed the expected distance by, as not all neighbours are among the run
 FEW_SATURATION = 2.0  # of nodes of n random balls, times n: moments of few balls are smaller than the cells they lie in
 ONE_SATURATION = 1e4  # of a single ball, which is covered

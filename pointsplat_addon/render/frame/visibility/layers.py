@@ -29,6 +29,7 @@ from .polygon_draws import polygon_draws
 from .strand_draws import strand_draws
 from .targets import VisibilityTargets
 from .tiles import PictureTile
+from .translucent import TranslucentLayers
 
 WIDE_RADIUS = 2.5  # pixels: where no splat is wider, none covers more cells than a compute invocation draws
 Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
@@ -45,11 +46,12 @@ class Visibility:
         uploads: Uploads,
         targets: VisibilityTargets,
         shading: Shading,
+        translucent: TranslucentLayers | None,
         run: Run,
     ) -> None:
-        """`run` times each pass."""
+        """`translucent`: what is blended over the sub-samples. `run` times each pass."""
         self._device, self._plan, self._passes, self._uploads = device, plan, passes, uploads
-        self._targets, self._shading, self._run = targets, shading, run
+        self._targets, self._shading, self._translucent, self._run = targets, shading, translucent, run
         self._polygons: PolygonCover | None = None
         self._strands: StrandCover | None = None
         self._splats: SplatCover | None = None
@@ -58,11 +60,19 @@ class Visibility:
             round_balls = are_similarities(uploads.prepared.view_from_object[shown])
             self._splats = SplatCover(device, plan.options, targets.buffer, wide, round_balls)
 
-    def draw(self, view: SampleView, sums: Target, central: bool, identify: bool) -> np.ndarray | None:
+    def draw(
+        self,
+        view: SampleView,
+        sums: Target,
+        central: bool,
+        identify: bool,
+        coarse: bool,
+    ) -> np.ndarray | None:
         """Draws all sub-samples of one view, and adds what they show to the sums.
 
-        `central`: what lies under the pixels' centres is written into targets.central. Returns the instance and the
-        material of each sub-sample, (S, H, W, 2) int32, where `identify`; else None.
+        `central`: what lies under the pixels' centres is written into targets.central. `coarse`: translucent
+        splats are drawn at a lower resolution. Returns the instance and the material of each sub-sample,
+        (S, H, W, 2) int32, where `identify`; else None.
         """
         found, (width, height) = None, view.size
         for tile in self._targets.tiles:
@@ -71,7 +81,9 @@ class Visibility:
             self._targets.buffer.clear()
             self._draw_primitives(seen)
             if self._plan.shades:
-                self._shade(seen, tile, sums)
+                shaded = self._shade(seen, tile, sums)
+                if self._translucent is not None:
+                    self._translucent.draw(seen, tile, shaded, self.weights(seen), coarse)
             if central:
                 self._draw_central(seen, tile)
             if identify:
@@ -96,7 +108,8 @@ class Visibility:
         if self._plan.lines:
             self._strands = StrandCover(self._device, strand_draws(self._uploads, first), self._targets.buffer)
 
-    def _shade(self, view: SampleView, tile: PictureTile, sums: Target) -> None:
+    def _shade(self, view: SampleView, tile: PictureTile, sums: Target) -> dict[str, Texture]:
+        """Shades the groups of a tile, and adds them to the sums; returns what they show, by sampler name."""
         targets, groups, run = self._targets, self._targets.groups, self._run
         run("group", lambda: self._group(view))
         assert groups.leaders is not None
@@ -111,6 +124,7 @@ class Visibility:
         if targets.behind is not None:
             run("background", lambda: self._shading.draw_open(view, groups.codes, targets.behind_target))
         run("spread", lambda: self._spread(view, tile, lists.shaded, sums))
+        return lists.shaded
 
     def _draw_central(self, view: SampleView, tile: PictureTile) -> None:
         """Writes what lies under the pixels' centres of a tile into its place in a G-buffer of the picture."""

@@ -10,6 +10,7 @@ from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.gbuffer import GBuffer
 from ...passes.grouping.groups import Groups, Leaders
 from ...passes.shading.averages import averaged
+from ...passes.translucent.blend import COARSE
 from ...passes.visibility.buffer import VisibilityBuffer
 from ...plan.plan import Plan
 from .tiles import picture_tiles
@@ -41,6 +42,9 @@ class VisibilityTargets:
         if plan.background and plan.picture:
             self.behind = behind = self._own(device.texture(of_tile, "RGBA32F"))
             self.behind_target: Target = self._own(device.target([behind]))
+        self.translucent: LayerTargets | None = None
+        if plan.translucent is not None and not plan.defocus:
+            self.translucent = self._own(LayerTargets(device, plan, of_tile))
         self._lists: _Lists | None = None
 
     def lists(self, size: tuple[int, int]) -> _Lists:
@@ -58,6 +62,41 @@ class VisibilityTargets:
     def release(self) -> None:
         if self._lists is not None:
             self._lists.release()
+        for item in reversed(self._owned):
+            item.release()
+
+
+class LayerTargets:
+    """A layer of each pixel, over which translucent splats are blended, and what they change in all of them."""
+
+    @releases_on_failure
+    def __init__(self, device: Device, plan: Plan, size: tuple[int, int]) -> None:
+        """`size`: (width, height) of a tile in pixels."""
+        assert plan.translucent is not None
+        self._owned: list[Any] = []
+        self.layer, self.opaque, self.difference = (self._texture(device, size, "RGBA32F") for _ in range(3))
+        self.place = self._texture(device, size, "RG32F")  # depth, group
+        # The share of a pixel's alpha that holdouts take away.
+        self.cut = self._texture(device, size, "RGBA32F") if plan.translucent.holdout else None
+        self.expanded = self._target(device, self.layer, self.opaque, self.place)
+        self.place_target = self._target(device, self.place)
+        self.difference_target = self._target(device, self.difference)
+        self.blended = self._target(device, self.layer, *([] if self.cut is None else [self.cut]))
+        if self.cut is not None:
+            self.cut_target = self._target(device, self.cut)
+        if plan.coarse:
+            self.coarse = self._texture(device, (-(-size[0] // COARSE), -(-size[1] // COARSE)), "RGBA32F")
+            self.coarse_target = self._target(device, self.coarse)
+
+    def _texture(self, device: Device, size: tuple[int, int], format: str) -> Texture:
+        self._owned.append(found := device.texture(size, format))
+        return found
+
+    def _target(self, device: Device, *textures: Texture) -> Target:
+        self._owned.append(found := device.target(textures))
+        return found
+
+    def release(self) -> None:
         for item in reversed(self._owned):
             item.release()
 

@@ -14,6 +14,7 @@ from ...device.protocol import EMPTY, Device, Target, Texture, releases_on_failu
 from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
 from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, RASTERISED, VisibilityBuffer, sub_sample_defines
 
+OPEN = 0x2000000  # in a pixel's second word: shaders/lib/visibility/groups.glsl
 COUNT_SHIFT = 21  # of a pixel's number of groups in its second word: shaders/lib/visibility/groups.glsl
 GROUP_BLOCK = block("Group", CAMERA_FIELDS, LATTICE_FIELDS)
 CENTRAL_DEFINE = ("PS_CENTRAL", "1")
@@ -108,6 +109,8 @@ class Groups:
         # pixel order.
         self.ranges: dict[int, tuple[int, int]] | None = None
         self.total = 0
+        self._counts = np.zeros(0, np.uint32)  # of groups by pixel
+        self._open = np.zeros(0, np.bool_)
 
     def group(self, view: SampleView) -> None:
         """Groups the sub-samples of all pixels, and lists the groups."""
@@ -118,6 +121,7 @@ class Groups:
         counts = (second >> COUNT_SHIFT) & 7
         ends = np.cumsum(counts, dtype=np.int64)
         self.total = int(ends[-1])
+        self._counts, self._open = counts, second & OPEN != 0
         self._forget()
         self.starts = device.texture(buffer.size, "R32F", (ends - counts).astype(np.float32))
         # Pixel and group in it; float32 holds the numbers of a tile's pixels exactly.
@@ -131,6 +135,12 @@ class Groups:
             self.leaders = Leaders(device, (PAGE_WIDTH, rows + rows // 8))
         self._upload(self._entries)
         self.lead(view, self.leaders)
+
+    @property
+    def layers(self) -> np.ndarray:
+        """(H, W) int64: how many groups each pixel has, with what is open in it."""
+        width, height = self._buffer.size
+        return (self._counts + self._open).astype(np.int64).reshape(height, width)
 
     def sort(self, view: SampleView, first_ids: list[int]) -> None:
         """Sorts the list by what draws the groups' leaders, where that pays.

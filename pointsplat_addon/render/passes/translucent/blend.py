@@ -8,9 +8,11 @@ from ..uniforms import CAMERA_FIELDS, block
 from .options import TranslucentOptions
 
 COARSE = 2  # pixels of the picture along a side of the coarse one's
+Bounds = tuple[float, float, float, float]  # pixels: low and high corner
 CHANNELS = ("R", "GA", "B")  # drawn one after the other where extinction is coloured
 
 BLEND = block("Blend", (
+    ("vec4", "bounds"),  # pixels of the target: low and high corner of where splats are wanted
     ("vec2", "principal_point"),  # pixels of the whole picture
     ("ivec2", "size"),  # of the target
     ("float", "scale"),  # pixels of the target along a pixel of the picture

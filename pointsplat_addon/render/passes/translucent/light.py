@@ -107,8 +107,8 @@ def light_shares_program(options: TranslucentOptions, lighting: tuple[str, ...],
 
 def _fuzzy_defines(options: TranslucentOptions, lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """One point of each wide light a sample is enough for splats that overlap, and blur what they receive; opaque ones
-    do not."""
-    points = MOST_LIGHT_POINTS if options.fuzzy else 1
+    do not, and a sample of groups is a whole picture."""
+    points = MOST_LIGHT_POINTS if options.fuzzy or options.grouped else 1
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOWS" in lighting else ()
     narrow = float(np.sqrt(4 * painter.SUPPORT / SUPPORT))
     return (*taps, *((("PS_FUZZY", repr(narrow)),) if options.fuzzy else ()))

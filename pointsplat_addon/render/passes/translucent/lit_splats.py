@@ -9,7 +9,7 @@ from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..uniforms import SampleView
-from .blend import BLEND, CHANNELS, draw_program
+from .blend import BLEND, CHANNELS, Bounds, draw_program
 from .options import TranslucentOptions
 
 CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
@@ -44,13 +44,25 @@ class LitSplats:
         )
         self.device.draw(self.program, self.target, uniforms=record, textures=dict(textures))
 
-    def draw(self, target: Target, view: SampleView, depth: Texture | None, pixels: int = 1) -> None:
-        """Blends the splats over `target`, of which a pixel spans `pixels` of the picture; `depth` is that of what is
-        opaque, in pixels of the picture."""
+    def draw(
+        self,
+        target: Target,
+        view: SampleView,
+        depth: Texture | None,
+        pixels: int = 1,
+        bounds: Bounds | None = None,
+    ) -> None:
+        """Blends the splats over `target`, of which a pixel spans `pixels` of the picture.
+
+        `depth`: of what is opaque, in pixels of the picture. `bounds`: in the picture, what lies outside of them is not
+        wanted.
+        """
+        size = target.colors[0].size
+        rectangle = (0.0, 0.0, *size) if bounds is None else tuple(side / pixels for side in bounds)
         textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth})}
         for program, mask in self.draws:
             for first in range(0, self.count, CHUNK):
-                record = view.record(BLEND, size=target.colors[0].size, scale=1 / pixels, first=first)
+                record = view.record(BLEND, size=size, bounds=rectangle, scale=1 / pixels, first=first)
                 vertices = 6 * min(CHUNK, self.count - first)
                 self.device.draw(
                     program, target, uniforms=record, textures=textures, vertices=vertices, over=True, mask=mask

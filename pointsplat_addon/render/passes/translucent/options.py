@@ -25,6 +25,7 @@ class TranslucentOptions:
     cull: bool = False  # and some of these are not drawn where they show their backs
     disconnected: bool = False  # and some of these stand apart: core/lod/foliage.py
     defocus: bool = False  # for the pass of what is out of focus: passes/defocus.py
+    grouped: bool = False  # they are blended over groups of sub-samples, and lit once for all of these
     strands: bool = False  # some of these splats are pieces of strands: core/lens/strand_splats.py
 
     @property
@@ -34,10 +35,15 @@ class TranslucentOptions:
 
 
 def options(
-    clouds: list[PointCloud], table: MaterialTable, opaque: bool, holdout: bool = False, defocus: bool = False
+    clouds: list[PointCloud],
+    table: MaterialTable,
+    opaque: bool,
+    holdout: bool = False,
+    defocus: bool = False,
+    grouped: bool = False,
 ) -> TranslucentOptions:
     """Returns the options that these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of
-    them cuts a hole. `defocus`: for what is out of focus."""
+    them cuts a hole. `defocus`: for what is out of focus. `grouped`: they are drawn among groups of sub-samples."""
     fuzzy = any(is_fuzzy(c) for c in clouds)
     return TranslucentOptions(
         media=any(c.extinction is not None for c in clouds),
@@ -54,6 +60,7 @@ def options(
         cull=fuzzy and bool(table.cull.any()),
         disconnected=not defocus and any(is_fuzzy(c) and c.disconnected is not None for c in clouds),
         defocus=defocus,
+        grouped=grouped,
         strands=defocus and any(is_fuzzy(c) and c.kernel is not None for c in clouds),
     )
 

@@ -1,0 +1,177 @@
+"""Blends translucent splats over the layers of a picture's sub-samples, and adds what that changes to the sums."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ...device.protocol import Device, Target, Texture
+from ...passes.tiles import Region
+from ...passes.translucent.blend import COARSE, ENLARGE, Bounds
+from ...passes.translucent.lit_splats import LitSplats
+from ...passes.translucent.strata import (
+    ADD_TILE,
+    ADD_TILE_BLOCK,
+    DIFFERENCE,
+    EXPAND,
+    NOWHERE,
+    are_narrow,
+    bounds,
+    difference_program,
+    expand_program,
+    strata,
+    stratum_texels,
+    tiles_by_layer,
+    touched_tiles,
+    weight_rows,
+    widened,
+)
+from ...passes.uniforms import SampleView
+from ...plan.plan import Plan
+from .targets import VisibilityTargets
+from .tiles import PictureTile
+
+Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
+
+
+class TranslucentLayers:
+    """Draws the translucent splats of one picture whose opaque part the visibility buffer holds."""
+
+    def __init__(
+        self, device: Device, plan: Plan, lit: LitSplats, targets: VisibilityTargets, sums: Target, run: Run
+    ) -> None:
+        """`sums`: of Combined alone. `run` times each pass."""
+        assert plan.translucent is not None
+        assert targets.translucent is not None
+        self._device, self._lit, self._sums, self._run = device, lit, sums, run
+        self._options = plan.translucent
+        self._targets, self._layers = targets, targets.translucent
+        self._difference = difference_program(plan.translucent)
+
+    def draw(
+        self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray, coarse: bool
+    ) -> None:
+        """Adds to the sums what translucent splats change in a tile.
+
+        `shaded`: what groups show, by sampler name. weights: (N, S), of the pixel filter. `coarse`: one sub-sample
+        stands for all, and splats are drawn at a lower resolution.
+        """
+        device, layers, lattice = self._device, self._layers, self._targets.buffer.lattice
+        device.clear(layers.difference_target)
+        around = len(weights) ** 0.5 // 2 + 2 * COARSE
+        touched, narrow = self._touched_tiles(view, around)
+        if coarse:
+            self._draw_strata(view, [np.zeros(1, np.int64)], weights / weights[:, 0].sum(), shaded, touched, COARSE)
+        else:
+            for tiles, count in ((narrow, lattice.count), (touched & ~narrow, 1)):
+                if tiles.any() or (count == 1 and not narrow.any()):
+                    self._draw_strata(view, strata(lattice, count), weights, shaded, tiles)
+        record = ADD_TILE_BLOCK.record(rectangle=tile.rectangle(self._targets.size), corner=tile.origin)
+        textures = {"ps_difference": layers.difference}
+        self._run(
+            "add", lambda: device.draw(ADD_TILE, self._sums, uniforms=record, textures=textures, vertices=6, blend=True)
+        )
+
+    def _touched_tiles(self, view: SampleView, around: float) -> tuple[np.ndarray, np.ndarray]:
+        """Returns which tiles splats touch, and which of them narrow ones touch, (rows, columns) bool each.
+
+        around: pixels around a splat that count as touched.
+        """
+        lit = self._lit
+        centre, shape = (
+            self._device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_centre", "ps_shape")
+        )
+        narrow = are_narrow(shape, self._options.kernels)
+        where = view.principal_point, view.size, around
+        touched = touched_tiles(centre, shape, *where)
+        return touched, touched_tiles(centre[narrow], shape[narrow], *where) if narrow.any() else np.zeros_like(touched)
+
+    def _draw_strata(
+        self,
+        view: SampleView,
+        parts: list[np.ndarray],
+        weights: np.ndarray,
+        shaded: dict[str, Texture],
+        tiles: np.ndarray,
+        pixels: int = 1,
+    ) -> None:
+        """Adds the differences in tiles (rows, columns) bool, stratum by stratum.
+
+        parts: sub-samples of each. `pixels`: of the picture along one of what splats are drawn into.
+        """
+        positions, layers = self._targets.buffer.lattice.positions, tiles_by_layer(self._targets.groups.layers, tiles)
+        for members in parts:
+            # Where one place stands for a whole pixel, it is the middle.
+            x, y = positions[members[0]].tolist()
+            moved = replace(view, offset=(view.offset[0] + x, view.offset[1] + y))
+            stratum = self._texture(stratum_texels(self._targets.buffer.lattice, members), "RGBA32F")
+            rows = self._texture(weight_rows(weights, members), "R32F")
+            for layer, where in enumerate(layers[: len(members)]):
+                self._draw_layer(view, moved, layer, (stratum, rows), shaded, where, pixels)
+            stratum.release()
+            rows.release()
+
+    def _draw_layer(
+        self,
+        view: SampleView,
+        moved: SampleView,
+        layer: int,
+        tables: tuple[Texture, Texture],
+        shaded: dict[str, Texture],
+        tiles: np.ndarray,
+        pixels: int,
+    ) -> None:
+        """Adds the differences of a layer of a stratum in tiles.
+
+        `moved`: the view of the stratum. `tables`: its sub-samples, and what the pixel filter weighs them by.
+        """
+        stratum, rows = tables
+        # The pixel filter takes in pixels of tiles beside those that change.
+        outer = widened(tiles)
+        inside, around = (self._texture(mask[..., None], "R32F") for mask in (tiles, outer))
+        self._device.clear(self._layers.place_target, (NOWHERE, -1.0, 0.0, 0.0))
+        self._run("expand", lambda: self._expand(view, layer, stratum, shaded, Region(around)))
+        self._blend(moved, bounds(outer), pixels)
+        self._run("difference", lambda: self._subtract(stratum, rows, Region(inside)))
+        inside.release()
+        around.release()
+
+    def _texture(self, texels: np.ndarray, format: str) -> Texture:
+        """A texture of texels (rows, columns, channels) that is released after use."""
+        return self._device.texture(texels.shape[1::-1], format, texels.astype(np.float32).reshape(-1))
+
+    def _expand(
+        self, view: SampleView, layer: int, stratum: Texture, shaded: dict[str, Texture], region: Region
+    ) -> None:
+        targets, groups, buffer = self._targets, self._targets.groups, self._targets.buffer
+        program = expand_program(targets.behind is not None, groups.places is not None)
+        record = view.record(EXPAND, sub_samples=stratum.size[0], layer=layer, **buffer.values)
+        named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
+        textures = {name: texture for name, texture in named.items() if texture is not None}
+        textures |= {"ps_depths": buffer.depths, "ps_combined": shaded["ps_combined"], "ps_stratum": stratum}
+        textures |= groups.codes
+        region.draw(self._device, program, self._layers.expanded, uniforms=record, textures=textures)
+
+    def _blend(self, view: SampleView, bounds: Bounds, pixels: int) -> None:
+        device, layers, lit = self._device, self._layers, self._lit
+        if layers.cut is not None:
+            device.clear(layers.cut_target)
+        if pixels == 1:
+            self._run("translucent", lambda: lit.draw(layers.blended, view, layers.place, bounds=bounds))
+            return
+        device.clear(layers.coarse_target)
+        self._run("translucent", lambda: lit.draw(layers.coarse_target, view, layers.place, pixels, bounds))
+        textures = {"ps_coarse": layers.coarse}
+        self._run("enlarge", lambda: device.draw(ENLARGE, layers.blended, textures=textures, over=True))
+
+    def _subtract(self, stratum: Texture, rows: Texture, region: Region) -> None:
+        layers = self._layers
+        textures = {**self._targets.groups.codes, "ps_layer": layers.layer, "ps_opaque": layers.opaque}
+        textures |= {"ps_place": layers.place, "ps_stratum": stratum, "ps_weights": rows}
+        textures |= {} if layers.cut is None else {"ps_cut": layers.cut}
+        record = DIFFERENCE.record(sub_samples=stratum.size[0], neighbours=rows.size[1])
+        region.draw(
+            self._device, self._difference, layers.difference_target, uniforms=record, textures=textures, blend=True
+        )

@@ -1,0 +1,146 @@
+"""Blends translucent splats over the layers that the sub-samples of the visibility buffer show.
+
+The sub-samples of a pixel are divided into strata. In each, splats are looked at once for each layer: a group, or what
+is open. With L what they send to the eye and T what they let through, the layer gains L - (1 - T) opaque, and these
+differences go through the pixel filter by the weights of the layer's sub-samples. Edges of what is opaque are as exact
+as without them, whatever the strata; those of the splats are as exact as the strata are many. Splats that are many
+pixels wide need one only.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.numeric.lattice import Lattice
+from ....core.splat.kernel import SUPPORT
+from ....shading.interface import Interface
+from ..tiles import TILE
+from ..uniforms import CAMERA_FIELDS, RECTANGLE_FIELDS, block
+from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS
+from .blend import Bounds
+from .options import TranslucentOptions
+
+NARROW = 1.0  # pixels: standard deviation of the narrower axis below which splats are looked at in all sub-samples
+FINEST_KERNEL = 3.0  # how many times as fine as the default kernel others may be
+NOWHERE = -1e30  # depth of pixels over which nothing is blended: shaders/lib/translucent/place.glsl
+EXPAND = block("Expand", CAMERA_FIELDS, LATTICE_FIELDS, (("int", "sub_samples"), ("int", "layer")))
+DIFFERENCE = block("Difference", (("int", "sub_samples"), ("int", "neighbours")))
+ADD_TILE_BLOCK = block("AddTile", RECTANGLE_FIELDS, (("ivec2", "corner"),))
+ADD_TILE = Interface(
+    "add", vertex="common/rectangle.vert", fragment="translucent/add_tile.frag", block=ADD_TILE_BLOCK,
+    samplers=(("FLOAT_2D", "ps_difference"),), outputs=(("vec4", "out_combined"),),
+)  # fmt: skip
+CODES = (("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"))
+
+
+def expand_program(behind: bool, places: bool) -> Interface:
+    """Returns the program that writes a layer of each pixel and its depth.
+
+    `behind`: open sub-samples show something. `places`: the list of groups is not in the order of the pixels.
+    """
+    flags = {"PS_BEHIND": behind, "PS_PLACES": places}
+    read = ("ps_stratum", "ps_starts", "ps_combined")
+    read += (*(("ps_behind",) if behind else ()), *(("ps_places",) if places else ()))
+    return Interface(
+        "expand", fragment="translucent/expand.frag", block=EXPAND,
+        samplers=(*CODES, ("UINT_2D", "ps_depths"), *(("FLOAT_2D", name) for name in read)),
+        outputs=(("vec4", "out_layer"), ("vec4", "out_opaque"), ("vec4", "out_place")),
+        defines=(LATTICE_DEFINE, *((name, "1") for name, on in flags.items() if on)),
+    )  # fmt: skip
+
+
+def difference_program(options: TranslucentOptions) -> Interface:
+    """Returns the program that adds what blending has changed in a layer."""
+    read = ("ps_layer", "ps_opaque", "ps_place", "ps_stratum", "ps_weights", *(("ps_cut",) if options.holdout else ()))
+    return Interface(
+        "difference", fragment="translucent/difference.frag", block=DIFFERENCE,
+        samplers=(*CODES, *(("FLOAT_2D", name) for name in read)), outputs=(("vec4", "out_difference"),),
+        defines=(("PS_HOLDOUT", "1"),) if options.holdout else (),
+    )  # fmt: skip
+
+
+def strata(lattice: Lattice, count: int) -> list[np.ndarray]:
+    """Returns the sub-samples of each stratum: those nearest to one of the first `count`, which comes first."""
+    at = lattice.positions
+    owner = np.argmin(np.square(at[:, None] - at[None, :count]).sum(axis=2), axis=1)
+    return [np.flatnonzero(owner == stratum) for stratum in range(count)]
+
+
+def stratum_texels(lattice: Lattice, members: np.ndarray) -> np.ndarray:
+    """Returns the sub-samples of a stratum (K,), (1, K, 4) float32: index, cell from the pixel's central one, 0."""
+    found = np.zeros((1, len(members), 4), np.float32)
+    found[0, :, 0], found[0, :, 1:3] = members, lattice.offsets[members]
+    return found
+
+
+def weight_rows(weights: np.ndarray, members: np.ndarray) -> np.ndarray:
+    """Returns the neighbours that sub-samples (K,) weigh something of, (R, 3 + K, 1) float32: x, y, the sum of the
+    weights, and each of them.
+
+    weights: (N, S) of the pixel filter, its rows as those of `filter_weights`.
+    """
+    side = round(len(weights) ** 0.5)
+    y, x = (axis.reshape(-1) - side // 2 for axis in np.indices((side, side)))
+    own = weights[:, members]
+    rows = np.column_stack([x, y, own.sum(axis=1), own])
+    return rows[rows[:, 2] > 0][..., None].astype(np.float32)
+
+
+def are_narrow(shape: np.ndarray, kernels: bool) -> np.ndarray:
+    """Returns which splats one place in a pixel is not enough for, (N,) bool.
+
+    shape: (N, 4) as the pass `light` left it. `kernels`: some have kernels of their own, with finer parts.
+    """
+    xx, xy, yy = shape[:, 0], shape[:, 1], shape[:, 2]
+    least = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
+    return least < (NARROW * (FINEST_KERNEL if kernels else 1.0)) ** 2
+
+
+def touched_tiles(
+    centre: np.ndarray, shape: np.ndarray, principal_point: tuple[float, float], size: tuple[int, int], around: float
+) -> np.ndarray:
+    """Returns which tiles of a picture splats touch, (rows, columns) bool.
+
+    centre, shape: (N, 4) as the pass `light` left them. size: (width, height) of the picture in pixels. around: pixels
+    around a splat that count as touched.
+    """
+    last = np.array([-(-side // TILE) for side in size])
+    with np.errstate(all="ignore"):
+        half = np.sqrt(SUPPORT * np.maximum(shape[:, [0, 2]], 0)) + around
+        middle = centre[:, :2] + np.asarray(principal_point, np.float32)
+        low, high = np.floor((middle - half) / TILE), np.floor((middle + half) / TILE) + 1
+        there = (centre[:, 3] > 0) & (high > 0).all(axis=1) & (low < last).all(axis=1)
+    low, high = (np.clip(corner[there], 0, last).astype(np.int64) for corner in (low, high))
+    # How many boxes begin less how many end at each corner of tiles; summed over both axes, how many hold a tile.
+    columns, rows = (last + 1).tolist()
+    corners = np.zeros(columns * rows, np.int64)
+    for sign, x, y in ((1, low, low), (-1, high, low), (-1, low, high), (1, high, high)):
+        corners += sign * np.bincount(y[:, 1] * columns + x[:, 0], minlength=columns * rows)
+    return corners.reshape(rows, columns).cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
+
+
+def tiles_by_layer(layers: np.ndarray, tiles: np.ndarray) -> list[np.ndarray]:
+    """Returns of tiles (rows, columns) bool those that have a first layer, a second one, and so on; at least the first.
+
+    layers: (H, W) int, of each pixel.
+    """
+    rows, columns = tiles.shape
+    height, width = layers.shape
+    padded = np.pad(layers, [(0, rows * TILE - height), (0, columns * TILE - width)])
+    most = np.where(tiles, padded.reshape(rows, TILE, columns, TILE).max(axis=(1, 3)), 0)
+    return [most > layer for layer in range(max(int(most.max()), 1))]
+
+
+def widened(tiles: np.ndarray) -> np.ndarray:
+    """Returns tiles (rows, columns) bool and their eight neighbours."""
+    rows, columns = tiles.shape
+    around = np.pad(tiles, 1)
+    return np.any([around[y : y + rows, x : x + columns] for y in range(3) for x in range(3)], axis=0)
+
+
+def bounds(tiles: np.ndarray) -> Bounds:
+    """Returns the rectangle of pixels around tiles (rows, columns) bool: low and high corner."""
+    y, x = (np.flatnonzero(tiles.any(axis=axis)) for axis in (1, 0))
+    if len(x) == 0:
+        return 0.0, 0.0, 0.0, 0.0
+    return x[0] * TILE, y[0] * TILE, (x[-1] + 1) * TILE, (y[-1] + 1) * TILE
