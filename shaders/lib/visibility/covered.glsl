@@ -50,11 +50,11 @@ vec3 ps_node_coverage(vec3 position, int instance, float depth, float saturation
 // ones are consecutive from a real number on, modulo their count, so that the mean over all numbers is the fraction.
 bool ps_is_covered(vec3 covered, ivec2 cell)
 {
-  ivec2 lattice = ivec2(u.lattice.xy);
-  vec2 first = u.lattice.zw - 0.5 + 0.5 * vec2(lattice.x - lattice.y, lattice.x + lattice.y);
-  cell -= ivec2(floor(first + 0.5));
-  int number = (cell.x + (PS_RANKS - lattice.x) * cell.y + PS_RANKS * 1048576) % PS_RANKS;
-  return mod(float((number * PS_RANK_STEP) % PS_RANKS) + covered.y, float(PS_RANKS)) < covered.x;
+  // From the first pixel's central cell.
+  vec2 at = vec2(cell) - floor(u.lattice.zw + 0.5 * vec2(u.lattice.x - u.lattice.y, u.lattice.x + u.lattice.y));
+  float multiple = float(PS_RANK_COLUMN) * at.x + float(PS_RANK_ROW) * at.y;
+  float rank = multiple - float(PS_RANKS) * floor((multiple + 0.5) / float(PS_RANKS)) + covered.y;
+  return (rank < float(PS_RANKS) ? rank : rank - float(PS_RANKS)) < covered.x;
 }
 
 // A normal of one of a node's balls, seen along `sight`: normals of balls are spread over the node as they are over a ball.

@@ -40,6 +40,9 @@ struct PsUnitSplat {
   mat3 unit_from_view;
 #ifdef PS_NODES
   vec3 covered;  // see ps_node_coverage
+  vec3 conic;  // 1 - conic . (x x, x y, y y) is what ps_meet_splat calls outside, with all rays parallel to the one at the centre
+  vec2 slope;  // of the depth of the chords' middles, a cell
+  float chord;  // half of the one through the centre
 #endif
   vec2 centre;  // in cells
   float depth;  // of the centre
@@ -118,6 +121,14 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
   splat.across_x = splat.unit_from_view * vec3(step_x, 0.0);
   splat.across_y = splat.unit_from_view * vec3(step_y, 0.0);
   splat.along = splat.unit_from_view * middle;
+#ifdef PS_NODES
+  vec3 column = splat.lift * splat.across_x, row = splat.lift * splat.across_y;
+  float square_along = dot(splat.along, splat.along);
+  splat.slope = vec2(dot(column, splat.along), dot(row, splat.along)) / square_along;
+  splat.conic = vec3(dot(column, column), 2.0 * dot(column, row), dot(row, row)) -
+                square_along * vec3(splat.slope.x * splat.slope.x, 2.0 * splat.slope.x * splat.slope.y, splat.slope.y * splat.slope.y);
+  splat.chord = inversesqrt(square_along);
+#endif
   splat.centre = ps_cell_from_pixel(ps_pixel_from_view(p).xy);
   vec2 to_column = vec2(u.lattice.x, -u.lattice.y) * u.focal, to_row = u.lattice.yx * u.focal;
   vec2 columns = ps_extent_along(to_column, p, shape);
@@ -131,6 +142,16 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
 // Where the ray through a cell, relative to the centre of the splat, meets it.
 PsSplatHit ps_meet_splat(PsUnitSplat splat, vec2 cell)
 {
+#ifdef PS_NODES
+  precise float outside = 1.0 - (splat.conic.x * cell.x * cell.x + splat.conic.y * cell.x * cell.y + splat.conic.z * cell.y * cell.y);
+  precise float back = dot(splat.slope, cell), chord = splat.chord * sqrt(max(outside, 0.0));
+  precise float depth = splat.depth - back - chord;
+  PsSplatHit hit;
+  hit.there = outside >= 0.0 && depth >= u.near && depth <= u.far;
+  hit.depth = depth;
+  hit.point = splat.lift * (cell.x * splat.across_x + cell.y * splat.across_y) - (back + chord) * splat.along;
+  return hit;
+#else
   precise vec3 across = cell.x * splat.across_x + cell.y * splat.across_y;
   precise vec3 along = splat.along + (ps_is_perspective() ? 1.0 : 0.0) * across;
   precise vec3 point = splat.lift * across;
@@ -149,6 +170,7 @@ PsSplatHit ps_meet_splat(PsUnitSplat splat, vec2 cell)
   hit.depth = depth;
   hit.point = point + (open ? chord : -chord) * along;
   return hit;
+#endif
 }
 
 // Unit normal where a ray meets the splat, in view space; that of a disk is turned to the eye.

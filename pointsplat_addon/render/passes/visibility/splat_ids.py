@@ -48,12 +48,13 @@ class SplatKind:
     def defines(self) -> tuple[tuple[str, str], ...]:
         nodes: tuple[tuple[str, str], ...] = ()
         if self.lattice is not None:
-            ranks, step = str(self.lattice.count), str(RANK_STEP[self.lattice.p])
+            ranks, step = self.lattice.count, RANK_STEP[self.lattice.p]
             nodes = (
                 ("PS_NODES", "1"),
                 ("PS_NODE_SCALE", str(NODE_SCALE)),
-                ("PS_RANKS", ranks),
-                ("PS_RANK_STEP", step),
+                ("PS_RANKS", str(ranks)),
+                ("PS_RANK_COLUMN", str(step)),
+                ("PS_RANK_ROW", str(step * (ranks - self.lattice.p) % ranks)),
             )
         named = {
             "PS_ONE_INSTANCE": self.options.one_instance,
