@@ -19,7 +19,7 @@ from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from .batches import box_corner_casters, splat_batches, strand_segments
 from .casting import casting_geometries, light_key, transmission_digest, why_no_shadows
-from .floors import which_are_floors
+from .floors import split_floors
 from .packed_tables import PackedTables, pack
 from .spacing import sample_spacings
 
@@ -56,7 +56,7 @@ def make_shadows(
     casters = casting_geometries(scene, store)
     if not casters:
         return None, "nothing casts shadows"
-    floors = which_are_floors(scene, casters, store)
+    casters, floors = split_floors(scene, casters, store)
     if all(floors):
         return None, "there is nothing in the shadow of anything"
     held = tuple((c.geometry.key, c.matrices.tobytes()) for c in casters)

@@ -8,13 +8,14 @@ import pytest
 from pointsplat_addon.core.material.expression import Expression
 from pointsplat_addon.core.material.graph import MaterialGraph
 from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
+from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.materials import MaterialTable
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.shadow import batches, shadows
 from pointsplat_addon.render.shadow.casting import casting_geometries
-from pointsplat_addon.render.shadow.floors import which_are_floors
+from pointsplat_addon.render.shadow.floors import split_floors
 from pointsplat_addon.render.shadow.shadows import Shadows
 from pointsplat_addon.render.shadow.spacing import samples_per_mesh
 from scripts.scenes import build, cameras, clouds, drawing, meshes
@@ -102,7 +103,7 @@ def floored(*more, lights=None, sunk: float = 0.0) -> Case:
 def names_of_casters(case: Case) -> set[str]:
     store = Store()
     casters = casting_geometries(case.scene, store)
-    floors = which_are_floors(case.scene, casters, store)
+    casters, floors = split_floors(case.scene, casters, store)
     return {c.geometry.name for c, floor in zip(casters, floors, strict=True) if not floor}
 
 
@@ -111,7 +112,8 @@ def test_a_floor_with_nothing_behind_it_casts_nothing_and_looks_the_same(monkeyp
     for keep in (False, True):
         STORE.clear()
         if keep:
-            monkeypatch.setattr(shadows, "which_are_floors", lambda scene, casters, store: (False,) * len(casters))
+            keep_all = lambda scene, casters, store: (casters, (False,) * len(casters))  # noqa: E731
+            monkeypatch.setattr(shadows, "split_floors", keep_all)
         renderer = Renderer(drawing.opengl().device, STORE)
         pixels = renderer.render(case.scene, case.request(frozenset({"combined"}), 4)).pixels["combined"]
         renderer.release()
@@ -131,6 +133,41 @@ def test_what_may_have_something_behind_it_casts():
     assert names_of_casters(floored(sunk=0.01)) == {ball, floor}
     assert names_of_casters(floored(cellar)) == {ball, floor, "in the cellar"}
     assert names_of_casters(floored(cloud)) == {ball, floor, "cloud"}  # its lowest points lie below
+
+
+def walls(thickness: float, *, open_below: bool = False) -> list:
+    """Boxes of one mesh that enclose the cube from -1 to 1 but for its top."""
+    cube = meshes.cube_mesh("wall")
+    if open_below:
+        cube = meshes.flat_mesh("wall without a side", cube.position, np.delete(cube.triangles, [0, 6], axis=0))
+    box, found = build.mesh(cube, "POLYGONS"), []
+    for axis, side in ((0, -1), (0, 1), (1, -1), (1, 1), (2, -1)):
+        matrix = np.eye(4)
+        matrix[axis, axis], matrix[axis, 3] = thickness / 2, side * (1 + thickness / 2)
+        found.append((box, matrix))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("thickness", "open_below", "outside", "cast"),
+    [
+        (0.1, False, None, 0),
+        (1.0, False, None, 5),  # thick enough for a camera inside
+        (0.1, True, None, 5),
+        (0.1, False, (1.5, 0.3, 0.3), 1),  # the wall between it and the light
+        (0.1, False, (0.3, 0.3, -1.5), 1),
+    ],
+)
+def test_walls_cast_where_something_is_behind_them(thickness, open_below, outside, cast):
+    light = Light("POINT", np.ones(3), np.array([0.2, 0.1, 0.5]), np.array([0.0, 0, -1]), radius=0.1)
+    inside = build.mesh(meshes.sphere_mesh("within walls", 20), "POLYGONS"), build.moved((0, 0, -0.5), 0.2)
+    behind = [] if outside is None else [(inside[0], build.moved(outside, 0.2))]
+    scene = build.scene(*walls(thickness, open_below=open_below), inside, *behind, lights=[light])
+    store = Store()
+    casters, floors = split_floors(scene, casting_geometries(scene, store), store)
+    found = [len(c.matrices) for c, floor in zip(casters, floors, strict=True)
+             if not floor and c.geometry.name.startswith("wall")]  # fmt: skip
+    assert sum(found) == cast
 
 
 def test_where_only_floors_could_cast_there_are_no_tables():
