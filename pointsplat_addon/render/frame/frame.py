@@ -137,7 +137,7 @@ class Frame:
         if self.targets.visibility is not None:
             self._allocate_visibility(self.targets.visibility)
         elif self.lit is not None:
-            self.translucent = Translucent(device, plan, self.lit, self.targets, run)
+            self.translucent = Translucent(device, plan, self.lit.lit, self.targets, run)
 
     def _allocate_visibility(self, targets: VisibilityTargets) -> None:
         device, plan, run, over = self.device, self.frame_plan.plan, self.clock.run, None
@@ -184,6 +184,8 @@ class Frame:
             view = replace(view, near=near, far=far)
         if first and self.backdrop is not None:
             self.clock.run("backdrop", lambda: self.shading.draw_backdrop(self._centred()))
+        if self.lit is not None:
+            self._light(self.lit)
         if self.visibility is not None:
             self._draw_visible(self.visibility, view, first)
             return
@@ -204,8 +206,6 @@ class Frame:
         """Draws a sample that is a whole lattice of sub-samples."""
         assert self.targets.visibility is not None
         central, identify = first and self.frame_plan.plan.central, self._data.every_sample
-        if self.lit is not None:
-            self._light(self.lit)
         coarse = first and self.frame_plan.plan.coarse
         shown = visibility.draw(view, self.targets.sum_target, central, identify, coarse)
         if central:
@@ -263,7 +263,6 @@ class Frame:
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 
     def _draw_translucent(self, translucent: Translucent, view: SampleView, first: bool) -> None:
-        self._light(translucent.light)
         translucent.draw(view, gbuffer_textures(self.targets.surfels), coarse=first and self.frame_plan.plan.coarse)
 
     def _light(self, lit: LitTranslucent) -> None:

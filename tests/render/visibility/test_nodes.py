@@ -20,7 +20,7 @@ from scripts.scenes.drawing import opengl, render
 from scripts.scenes.solid_cases import balls, many_balls
 from tests.support.leave_out.rows import Row, draw
 
-CLOSED = 0.98  # shaders/lib/visibility/covered.glsl, PS_CLOSED
+CLOSED = 0.98  # shaders/lib/splat/covered.glsl, PS_CLOSED
 
 SIDE = 64  # pixels of a picture
 SETTINGS = Settings(technique="VISIBILITY", use_shadows=False)
@@ -159,7 +159,7 @@ def test_nodes_flicker_no_more_than_their_balls(divided):
             )
             seen.append(picture(divided, nodes, scene, camera, 5)[20:-20, 20:-20, 3])
         steps = np.diff(np.array(seen), axis=0)
-        changes[nodes] = np.sqrt((steps**2).mean(axis=(1, 2)))
+        changes[nodes] = np.sqrt(np.square(steps).mean(axis=(1, 2)))
         means[nodes] = np.array(seen).mean(axis=(1, 2))
     assert changes[True].max() < changes[False].max()  # measured 0.61
     assert changes[True].mean() < 0.9 * changes[False].mean()  # measured 0.58
