@@ -243,10 +243,12 @@ class Frame:
 
     def _sample_view(self, index: int) -> SampleView:
         """Returns the view of one sample, with its offset within the pixel."""
-        samples, sub_samples = self.frame_plan.request.samples, self.frame_plan.plan.sub_samples
+        samples, plan = self.frame_plan.request.samples, self.frame_plan.plan
         x, y = (0.0, 0.0)
-        if samples > 1:
-            x, y = lattice_offsets(samples, lattice_of(sub_samples))[index] if sub_samples else offsets(samples)[index]
+        if samples > 1 and plan.sub_samples:
+            x, y = lattice_offsets(samples, lattice_of(plan.sub_samples))[index]
+        elif samples > 1:
+            x, y = offsets(samples, plan.filter_size)[index]
         return view_of(self.view, (float(x), float(y)), index)
 
     def _centred(self) -> SampleView:

@@ -101,6 +101,7 @@ def make_plan(view: ViewToPlan) -> Plan:
         world=() if scene.transparent else _world(scene),
         painter=view.painter,
         sub_samples=view.sub_samples,
+        filter_size=view.request.settings.filter_size,
         presented=view.presented,
         defocus=view.defocus,
         backdrop=not view.absences.blurred_world,
@@ -156,7 +157,8 @@ def _ewa(view: ViewToPlan, kinds: _Kinds) -> EwaOptions | None:
     if not (view.ewa and kinds.points):
         return None
     balls = any(p.cloud.normal is None for p in view.prepared.point_sets.values())
-    return ewa_options(view.request.camera, view.prepared.largest, balls, view.request.samples)
+    request = view.request
+    return ewa_options(request.camera, view.prepared.largest, balls, request.samples, request.settings.filter_size)
 
 
 # Variants of the G-buffer
