@@ -87,7 +87,7 @@ def build() -> bpy.types.Scene:
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
     scene.pointsplat.dof_method = "LENS_SAMPLES"
     cycles = scene.cycles
-    cycles.device, cycles.max_bounces, cycles.filter_width = "CPU", 0, 0.75  # doubled for the Blackman-Harris window
+    cycles.device, cycles.max_bounces = "CPU", 0
     cycles.use_adaptive_sampling = cycles.use_denoising = False
     return scene
 

@@ -1,20 +1,23 @@
 """What scripts/error_vs_time/measure.py measured: errors of pictures, Pareto fronts, exponents, tables and plots.
 
 A row is a dict of one picture: scene, program, technique, tolerance (pixels), samples, shadow_resolution, dof_method,
-series (which sweep it belongs to), rmse (scene-linear), psnr (decibels, sRGB), flip (0..1, or None), seconds (of the
-processor in all threads), prepare and passes (of these, PointSplat alone), points, bytes.
+series (which sweep it belongs to), rmse (scene-linear), psnr (decibels, sRGB), flip (0..1, or None), to_cycles (the
+RMSE against what Cycles comes to; absent where Cycles does not draw the scene), seconds (of the processor in all
+threads), prepare and passes (of these, PointSplat alone), points, bytes.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from scripts.benchmarks.beside_cycles.figures import rmse
 from scripts.common.images import displayed, psnr
 
 Row = dict[str, Any]
@@ -38,11 +41,20 @@ BEGIN, END = "<!-- figures -->\n", "<!-- end of figures -->\n"
 # ---------------------------------------------------------------------------- figures
 
 
-def errors(found: np.ndarray, truth: np.ndarray) -> Row:
+@dataclass(frozen=True)
+class Truths:
+    """What pictures of one scene are compared with, scene-linear (H, W, 3 or 4): its own truth, and two pictures of
+    Cycles with many samples and different random numbers, None where Cycles does not draw the scene."""
+
+    own: np.ndarray
+    cycles: tuple[np.ndarray, np.ndarray] | None = None
+
+
+def errors(found: np.ndarray, truths: Truths) -> Row:
     """Of pictures (H, W, 3 or 4), scene-linear and premultiplied: RMSE of their linear colours; PSNR in decibels and
     the mean of FLIP (Andersson et al. 2020, at 67 pixels a degree) of what a display shows. FLIP is None where
     flip-evaluator is not installed."""
-    a, b = np.asarray(found, float)[..., :3], np.asarray(truth, float)[..., :3]
+    a, b = np.asarray(found, float)[..., :3], np.asarray(truths.own, float)[..., :3]
     flip = None
     if find_spec("flip_evaluator"):
         import flip_evaluator
@@ -50,7 +62,10 @@ def errors(found: np.ndarray, truth: np.ndarray) -> Row:
         right, seen = (np.ascontiguousarray(displayed(picture), np.float32) for picture in (b, a))
         flip = float(flip_evaluator.evaluate(right, seen, "LDR", applyMagma=False)[1])
     everywhere = np.ones(a.shape[:2], bool)
-    return {"rmse": math.sqrt(((a - b) ** 2).mean()), "psnr": psnr(a, b, everywhere), "flip": flip}
+    row = {"rmse": math.sqrt(((a - b) ** 2).mean()), "psnr": psnr(a, b, everywhere), "flip": flip}
+    if truths.cycles is not None:
+        row["to_cycles"] = rmse(a, *(picture[..., :3] for picture in truths.cycles))
+    return row
 
 
 def pareto(seconds: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -69,9 +84,14 @@ def exponent(count: np.ndarray, cost: np.ndarray) -> float:
     return float(np.polyfit(np.log(count), np.log(cost), 1)[0])
 
 
-def fastest(rows: Iterable[Row], level: float) -> Row | None:
-    """The row that takes least time of those whose RMSE is at most `level`."""
-    return min((row for row in rows if row["rmse"] <= level), key=lambda row: row["seconds"], default=None)
+def fastest(rows: Iterable[Row], level: float, error: str = "rmse") -> Row | None:
+    """The row that takes least time of those whose error of that name is at most `level`."""
+    return min((row for row in rows if row[error] <= level), key=lambda row: row["seconds"], default=None)
+
+
+def with_error(rows: Iterable[Row], error: str) -> list[Row]:
+    """The pictures whose error of that name was measured."""
+    return [row for row in rows if row["series"] != "count" and row.get(error) is not None]
 
 
 def series(rows: list[Row]) -> dict[str, list[Row]]:
@@ -104,16 +124,17 @@ def markdown(header: list[str], lines: list[list[str]]) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in every)
 
 
-def level_table(rows: list[Row]) -> str:
-    """Least seconds for each error, by scene and by what draws."""
+def level_table(rows: list[Row], error: str) -> str:
+    """Least seconds for each error of that name, by scene and by what draws."""
     lines = []
+    rows = with_error(rows, error)
     for scene in dict.fromkeys(row["scene"] for row in rows):
-        for name, curve in series([r for r in rows if r["scene"] == scene and r["series"] != "count"]).items():
-            best = [fastest(curve, level) for level in LEVELS]
-            least = min(curve, key=lambda row: row["rmse"])
+        for name, curve in series([r for r in rows if r["scene"] == scene]).items():
+            best = [fastest(curve, level, error) for level in LEVELS]
+            least = min(curve, key=lambda row: row[error])
             lines.append(
                 [scene, name, *(f"{b['seconds']:.2f}" if b else "" for b in best),
-                 f"{least['rmse']:.4f} ({least['seconds']:.2f} s: {said(least)})"]
+                 f"{least[error]:.4f} ({least['seconds']:.2f} s: {said(least)})"]
             )  # fmt: skip
     return markdown(["scene", "drawn by", *(f"{level:g}" for level in LEVELS), "least RMSE"], lines)
 
@@ -131,10 +152,10 @@ def front_table(rows: list[Row]) -> str:
             flip = "" if r["flip"] is None else f"{r['flip']:.4f}"
             points = f"{r['points']}" if r["points"] else ""
             size = f"{r['bytes']['gpu'] / 2**20:.1f}" if r.get("bytes") else ""
-            own = f"{r['own']:.4f}" if r.get("own") is not None else ""
+            to_cycles = f"{r['to_cycles']:.5f}" if r.get("to_cycles") is not None else ""
             lines.append([scene, name, said(r), f"{r['seconds']:.3f}", f"{r['rmse']:.5f}", f"{r['psnr']:.1f}", flip,
-                          own, points, size, longest(r)])  # fmt: skip
-    header = ["scene", "drawn by", "how", "seconds", "RMSE", "PSNR", "FLIP", "own RMSE", "points", "GPU MiB", "ms"]
+                          to_cycles, points, size, longest(r)])  # fmt: skip
+    header = ["scene", "drawn by", "how", "seconds", "RMSE", "PSNR", "FLIP", "to Cycles", "points", "GPU MiB", "ms"]
     return markdown(header, lines)
 
 
@@ -160,7 +181,8 @@ def written(text: str, rows: list[Row]) -> str:
     """A page with its part between BEGIN and END replaced by tables."""
     fits = "".join(f"- {name}: {value:.2f}\n" for name, value in exponents(rows).items())
     tables = (
-        f"### Seconds to an error\n\n{level_table(rows)}\n"
+        f"### Seconds to an error\n\n{level_table(rows, 'rmse')}\n"
+        f"### Seconds to an error against Cycles' converged pictures\n\n{level_table(rows, 'to_cycles')}\n"
         f"### Exponents of the time over the number of points\n\n{fits}\n"
         "### Pareto fronts, and the other programs\n\n"
         f"<details>\n<summary>Every picture on them</summary>\n\n{front_table(rows)}\n</details>\n\n"
@@ -172,21 +194,24 @@ def written(text: str, rows: list[Row]) -> str:
 # ---------------------------------------------------------------------------- plots
 
 
-def plot(rows: list[Row], path: Path) -> None:
-    """A panel for each scene, of error over time with PointSplat's Pareto front."""
+def plot(rows: list[Row], path: Path, error: str = "rmse") -> None:
+    """A panel for each scene, of the error of that name over time with PointSplat's Pareto front."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    names = list(dict.fromkeys(row["scene"] for row in rows if row["series"] != "count"))
+    rows = with_error(rows, error)
+    names = list(dict.fromkeys(row["scene"] for row in rows))
     panels = len(names)
+    if panels == 0:
+        return
     across = min(panels, 4)
     down = -(-panels // across)
     size = 3.4 * across, 3.1 * down + 0.7
     figure, axes = pyplot.subplots(down, across, figsize=size, squeeze=False, layout="constrained")
     for axis, name in zip(axes.flat, names, strict=False):
-        draw_scene(axis, name, [r for r in rows if r["scene"] == name and r["series"] != "count"])
+        draw_scene(axis, name, [r for r in rows if r["scene"] == name], error)
     for axis in list(axes.flat)[panels:]:
         axis.set_axis_off()
     seen = labels(axes)
@@ -207,9 +232,9 @@ def plot_brief(rows: list[Row], path: Path) -> None:
                                        layout="constrained")  # fmt: skip
         for axis, name in zip(axes.flat, names, strict=True):
             found = [r for r in rows if r["scene"] == name and r["series"] != "count"]
-            draw_front(axis, [row for row in found if row["program"] == "PointSplat"])
+            draw_front(axis, [row for row in found if row["program"] == "PointSplat"], "rmse")
             for label, curve in series([r for r in found if r["series"] in ("defaults", "other")]).items():
-                draw_curve(axis, label, "defaults" if label == "AUTO" else "other", curve)
+                draw_curve(axis, label, "defaults" if label == "AUTO" else "other", curve, "rmse")
             axis.set(title=name, xlabel="processor time (s)")
             logarithmic(axis)
         axes[0, 0].set_ylabel("RMSE, scene-linear")
@@ -252,29 +277,25 @@ def labels(axes: np.ndarray) -> dict[str, Any]:
     return {label: handle for handle, label in pairs if " ~ " not in label}
 
 
-def draw_front(axis: Any, ours: list[Row]) -> None:
+def draw_front(axis: Any, ours: list[Row], error: str) -> None:
     """The Pareto front of PointSplat's pictures."""
-    seconds, error = np.array([r["seconds"] for r in ours]), np.array([r["rmse"] for r in ours])
-    front = pareto(seconds, error)
+    seconds, errors = np.array([r["seconds"] for r in ours]), np.array([r[error] for r in ours])
+    front = pareto(seconds, errors)
     order = np.flatnonzero(front)[np.argsort(seconds[front])]
-    axis.step(seconds[order], error[order], where="post", color="0.6", linewidth=4, alpha=0.6, zorder=1,
+    axis.step(seconds[order], errors[order], where="post", color="0.6", linewidth=4, alpha=0.6, zorder=1,
               label="Pareto front of PointSplat")  # fmt: skip
 
 
-def draw_scene(axis: Any, title: str, rows: list[Row]) -> None:
-    draw_front(axis, [row for row in rows if row["program"] == "PointSplat"])
+def draw_scene(axis: Any, title: str, rows: list[Row], error: str) -> None:
+    draw_front(axis, [row for row in rows if row["program"] == "PointSplat"], error)
     for name, curve in series(rows).items():
         for kind in dict.fromkeys(row["series"] for row in curve):
-            draw_curve(axis, name, kind, [row for row in curve if row["series"] == kind])
-        own = [row for row in curve if row.get("own") is not None]
-        if own:
-            axis.plot([r["seconds"] for r in own], [r["own"] for r in own], ":", color=COLORS[name], linewidth=1.2,
-                      label=f"{name} against its own limit")  # fmt: skip
+            draw_curve(axis, name, kind, [row for row in curve if row["series"] == kind], error)
     axis.set(title=title, xlabel="processor time (s)", ylabel="RMSE, scene-linear")
     logarithmic(axis)
 
 
-def draw_curve(axis: Any, name: str, kind: str, rows: list[Row]) -> None:
+def draw_curve(axis: Any, name: str, kind: str, rows: list[Row], error: str) -> None:
     """Pictures of one series: joined over samples where all else is the same."""
     label = f"defaults ({name})" if name == "AUTO" else name + SERIES.get(kind, "")
     strong = kind in ("defaults", "other")
@@ -282,7 +303,7 @@ def draw_curve(axis: Any, name: str, kind: str, rows: list[Row]) -> None:
     for row in rows:
         lines.setdefault((row["tolerance"], row["shadow_resolution"], row["dof_method"]), []).append(row)
     for line in lines.values():
-        axis.plot([r["seconds"] for r in line], [r["rmse"] for r in line], marker=MARKS[kind], color=COLORS[name],
+        axis.plot([r["seconds"] for r in line], [r[error] for r in line], marker=MARKS[kind], color=COLORS[name],
                   markersize=5 if strong else 3, linewidth=1.4 if strong else 0.5, label=label,
                   fillstyle="none" if kind == "shadows" else "full", zorder=3 if strong else 2)  # fmt: skip
 

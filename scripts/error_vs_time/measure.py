@@ -5,11 +5,11 @@
 
 DIR (or the folder that POINTSPLAT_DATA names) holds meshes, and folders beside it what else there is
 (scripts/error_vs_time/scenes.py): scenes of what is missing are left out; what DOCS has of scenes that are not drawn
-stays. DOCS receives error_vs_time.json and, in images/, error_vs_time.png, error_vs_time_brief.png and
-cost_over_points.png; the tables in error_vs_time.md are replaced. `--from` makes tables and plots anew from rows.
-`--quick` draws small pictures of one scene and writes nothing but the rows that `--rows` names. Needs bpy for all
-scenes but one, matplotlib for plots, and takes FLIP where the package flip-evaluator is there
-(requirements/benchmark.txt).
+stays. DOCS receives error_vs_time.json and, in images/, error_vs_time.png, error_vs_time_to_cycles.png (of the errors
+against Cycles' converged pictures), error_vs_time_brief.png and cost_over_points.png; the tables in error_vs_time.md
+are replaced. `--from` makes tables and plots anew from rows. `--quick` draws small pictures of one scene and writes
+nothing but the rows that `--rows` names. Needs bpy for all scenes but one, matplotlib for plots, and takes FLIP where
+the package flip-evaluator is there (requirements/benchmark.txt).
 
 Every scene is drawn in a process of its own, as are the other programs. Times are those of the processor in all
 threads, from Blender's data to the finished picture, shaders compiled before: converting the scene, sampling, shadow
@@ -42,7 +42,8 @@ from pointsplat_addon.render.frame.report import report
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks import frame as bench_frame
-from scripts.error_vs_time.curves import Row, errors, plot, plot_brief, plot_counts, written
+from scripts.error_vs_time.curves import Row, Truths, errors, plot, plot_brief, plot_counts, written
+from scripts.error_vs_time.programs import converged as converged_cycles
 from scripts.error_vs_time.programs import theirs
 from scripts.error_vs_time.scenes import KINDS, Subject, sphere_subject, subject
 from scripts.error_vs_time.truths import TRUTH
@@ -166,10 +167,11 @@ def ours(
     tolerances: tuple[float, ...] = TOLERANCES,
     samples: tuple[int, ...] = SAMPLES,
     truth_samples: int = TRUTH,
-) -> tuple[np.ndarray, list[Row]]:
-    """The truth (H, W, 3 or 4), and PointSplat's rows."""
+    cycles: tuple[np.ndarray, np.ndarray] | None = None,
+) -> tuple[Truths, list[Row]]:
+    """The truths, of which `cycles` may be one, and PointSplat's rows."""
     many = max(truth_samples, TRUTH_MANY) if subject.lens or subject.strands else truth_samples
-    truth = converged(renderer, subject, many) if subject.truth is None else subject.truth()
+    truths = Truths(converged(renderer, subject, many) if subject.truth is None else subject.truth(), cycles)
     rows: list[Row] = []
     too_long = set()  # techniques at tolerances that no finer ones follow
     for series, primitive, settings in swept(subject, tolerances, samples):
@@ -189,8 +191,8 @@ def ours(
             if series == "defaults":
                 row["samples"] = settings.samples
             rows.append({"scene": name, "program": "PointSplat", "series": series, **described(subject, settings),
-                         **row, **errors(pixels, truth)})  # fmt: skip
-    return truth, rows
+                         **row, **errors(pixels, truths)})  # fmt: skip
+    return truths, rows
 
 
 def described(subject: Subject, settings: Settings) -> Row:
@@ -223,16 +225,21 @@ def counted(renderer: Renderer, counts: tuple[int, ...], size: int) -> list[Row]
 def work(what: str, name: str, arguments: argparse.Namespace) -> None:
     """In a process of its own: the rows of one scene, of PointSplat or of other programs."""
     folder: Path = arguments.worker_folder
-    truth = folder / "truth.npy"
-    if what == "ours":
+    kept = folder / "own.npy", *(folder / f"cycles_{i}.npy" for i in (1, 2))
+    cycles = (np.load(kept[1]), np.load(kept[2])) if kept[1].exists() else None
+    rows: list[Row] = []
+    if what == "converged":
+        for path, pixels in zip(kept[1:], converged_cycles(name, SIZE, arguments.data, folder) or (), strict=False):
+            np.save(path, pixels)
+    elif what == "ours":
         renderer = Renderer(ProcessorDevice())
         drawn = subject(name, SIZE, arguments.data, folder)
-        found, rows = ours(renderer, name, drawn, tuple(arguments.tolerances), tuple(arguments.samples))
-        np.save(truth, found)
+        found, rows = ours(renderer, name, drawn, tuple(arguments.tolerances), tuple(arguments.samples), cycles=cycles)
+        np.save(kept[0], found.own)
         if KINDS[name].build is None:
             rows += counted(renderer, COUNTS, SIZE)
     else:
-        rows = theirs(name, np.load(truth), SIZE, arguments.data, folder, COUNTS, what == "eevee")
+        rows = theirs(name, Truths(np.load(kept[0]), cycles), SIZE, arguments.data, folder, COUNTS, what == "eevee")
     (folder / f"{what}.json").write_text(json.dumps(rows), encoding="utf-8")
 
 
@@ -250,7 +257,7 @@ def in_processes(names: list[str], arguments: argparse.Namespace) -> tuple[list[
             kept = () if arguments.eevee else ("EEVEE",)
             others = [row for row in rows if row["scene"] not in drawn_again or row["program"] in kept]
             found: list[Row] = []
-            for what in ("ours", "theirs", *(("eevee",) if KINDS[name].eevee and arguments.eevee else ())):
+            for what in ("converged", "ours", "theirs", *(("eevee",) if KINDS[name].eevee and arguments.eevee else ())):
                 command = [sys.executable, "-m", "scripts.error_vs_time", "--worker", what, name]
                 command += ["--worker-folder", folder]
                 command += ["--data", str(arguments.data), "--tolerances", *map(str, arguments.tolerances)]
@@ -335,6 +342,7 @@ def main() -> int:
     if find_spec("matplotlib"):
         images = arguments.docs / "images"
         plot(rows, images / "error_vs_time.png")
+        plot(rows, images / "error_vs_time_to_cycles.png", "to_cycles")
         plot_brief(rows, images / "error_vs_time_brief.png")
         plot_counts(rows, images / "cost_over_points.png")
     else:

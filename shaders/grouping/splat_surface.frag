@@ -54,6 +54,12 @@ void main()
   s.shape = vec4(leader.offset, 0.0, floor(ps_splat_extent(element).w));
 #ifdef PS_NORMAL
   vec3 own = ps_splat_normal(splat, ps_meet_splat(splat, cell - splat.centre), toward);
+#if defined(PS_NODES)
+  // Half as wide as it is, in pixels: the balls that it stands for rise above it.
+  s.centre.z = PS_BALL - 0.25 * length(splat.box.zw - splat.box.xy) * inversesqrt(float(PS_SUB_SAMPLES));
+#elif defined(PS_ROUND)
+  s.centre.z = PS_BALL;
+#endif
 #if defined(PS_ROUND) || defined(PS_NODES)
   s.normal.xyz = own;
 #else
@@ -62,9 +68,10 @@ void main()
     vec3 n = ps_view_normal(ps_linear(element.z), ps_unpack_normal(ps_splat_head(element).w));
     turned = dot(n, toward) > 0.0;
   }
+  s.centre.z = splat.ball ? PS_BALL : 0.0;
   s.normal.xyz = splat.ball ? own : ps_lit_normal(own, element, ps_linear(element.z), toward, turned);
 #ifdef PS_SHADING_NORMAL
-  s.centre.z = splat.ball ? 0.0 : 1.0 + ps_pack_normal(own);
+  s.centre.z = splat.ball ? PS_BALL : 1.0 + ps_pack_normal(own);
 #endif
 #endif
 #endif

@@ -1,9 +1,12 @@
-// The picture from the shaded groups, by the pixel filter: each pixel takes from its eight neighbours and from itself what
-// their sub-samples weigh. PS_WEIGHTS: the weights of sub-samples that lie on their lattice; else `ps_weights` holds them.
-// PS_BEHIND: what open sub-samples show. PS_PLACES: groups are not listed in the order of their pixels. PS_AUXILIARY_ONLY: not
-// Combined. u.corner: where in the picture the tile begins.
+// The picture from the shaded groups, by the pixel filter: each pixel takes from its neighbours and from itself what
+// their sub-samples weigh. PS_REACH: pixels to the farthest of them. PS_WEIGHTS: the weights of sub-samples that lie on
+// their lattice; else `ps_weights` holds them. PS_BEHIND: what open sub-samples show. PS_PLACES: groups are not listed in
+// the order of their pixels. PS_AUXILIARY_ONLY: not Combined. u.corner: where in the picture the tile begins.
 
 #include "lib/visibility/groups.glsl"
+
+#define PS_SIDE (2 * PS_REACH + 1)
+#define PS_NEIGHBOURS (PS_SIDE * PS_SIDE)
 
 void ps_add(float weight, ivec2 texel)
 {
@@ -36,12 +39,12 @@ void main()
   out_mist = vec4(0.0);
 #endif
 #ifdef PS_WEIGHTS
-  const float weights[9 * PS_SUB_SAMPLES] = PS_WEIGHTS;
-  const float sums[9] = PS_WEIGHT_SUMS;
+  const float weights[PS_NEIGHBOURS * PS_SUB_SAMPLES] = PS_WEIGHTS;
+  const float sums[PS_NEIGHBOURS] = PS_WEIGHT_SUMS;
 #endif
   ivec2 pixel = ivec2(gl_FragCoord.xy) - u.corner, last = textureSize(ps_second, 0) - 1;
-  for (int q = 0; q < 9; q++) {
-    ivec2 at = clamp(pixel + ivec2(q % 3, q / 3) - 1, ivec2(0), last);
+  for (int q = 0; q < PS_NEIGHBOURS; q++) {
+    ivec2 at = clamp(pixel + ivec2(q % PS_SIDE, q / PS_SIDE) - PS_REACH, ivec2(0), last);
     uvec2 codes = uvec2(texelFetch(ps_first, at, 0).x, texelFetch(ps_second, at, 0).x);
     bool whole = (codes.y & PS_UNIFORM) != 0u, open = (codes.y & PS_OPEN) != 0u;
     int count = ps_group_count(codes), first = int(texelFetch(ps_starts, at, 0).x);
@@ -53,15 +56,15 @@ void main()
 #else
       weight = whole ? texelFetch(ps_weights, ivec2(PS_SUB_SAMPLES, q), 0).x : 0.0;
 #endif
-      if (!whole) {
-        for (int i = 0; i < PS_SUB_SAMPLES; i++) {
+      // A loop ends where no invocation goes on; both sides of a branch would be run.
+      int separate = whole ? 0 : PS_SUB_SAMPLES;
+      for (int i = 0; i < separate; i++) {
 #ifdef PS_WEIGHTS
-          float one = weights[q * PS_SUB_SAMPLES + i];
+        float one = weights[q * PS_SUB_SAMPLES + i];
 #else
-          float one = texelFetch(ps_weights, ivec2(i, q), 0).x;
+        float one = texelFetch(ps_weights, ivec2(i, q), 0).x;
 #endif
-          weight += ps_group(codes, i) == uint(layer) ? one : 0.0;
-        }
+        weight += ps_group(codes, i) == uint(layer) ? one : 0.0;
       }
       open_weight -= weight;
       if (weight > 0.0) {

@@ -1,8 +1,12 @@
 // Deferred shading: the G-buffer to scene-linear radiance, premultiplied, added to what earlier samples left. Pixels
 // that show nothing are left to background.frag. PS_AUXILIARY_ONLY: only passes beside Combined are drawn. PS_GROUPED: the
 // texels are a list of groups of sub-samples, and shape.xy is where in the pixel the one lies that stands for the group.
+// PS_FOOTPRINT: shadows are looked up at each of these sub-samples.
 
 #include "lib/geometry/camera.glsl"
+#include "lib/visibility/lattice.glsl"
+#include "lib/visibility/groups.glsl"
+#include "lib/visibility/surface_key.glsl"
 #include "lib/geometry/surfel_kind.glsl"
 #include "lib/data/pack.glsl"
 #include "lib/light/lights.glsl"
@@ -37,6 +41,23 @@ void main()
   vec2 at = vec2(ps_listed(pixel).pixel) + 0.5 + shape.xy;
 #else
   vec2 at = gl_FragCoord.xy;
+#endif
+#ifdef PS_FOOTPRINT
+  PsListed listed = ps_listed(pixel);
+  ps_footprint.middle = ps_central_cell(listed.pixel);
+  ps_footprint.codes = uvec2(texelFetch(ps_first, listed.pixel, 0).x, texelFetch(ps_second, listed.pixel, 0).x);
+  ps_footprint.layer = uint(listed.layer);
+  ps_footprint.keyed = !ps_is_strand(centre);
+  ps_footprint.turn = vec3(0.0);
+  if (centre.z > 0.5) {
+    // Normals of keys are interpolated over triangles: they are turned so that this one is the triangle's own.
+    ivec2 leader = ivec2(floor(ps_cell_from_pixel(vec2(listed.pixel) + 0.5 + shape.xy)));
+    vec3 shown = ps_key_normal(texelFetch(ps_keys, leader, 0).x), own = ps_unpack_normal(centre.z - 1.0);
+    ps_footprint.turn = (dot(shown, own) < 0.0 ? -own : own) - shown;
+  }
+  bool balls = centre.z <= PS_BALL;
+  ps_footprint.above = balls ? PS_MAP_BIAS_OF_BALLS : PS_MAP_BIAS;
+  ps_footprint.rise = balls ? (PS_BALL - centre.z) * ps_pixel_size(centre.x) : 0.0;
 #endif
 #ifdef PS_NORMAL
   vec4 bent = texelFetch(ps_normal, pixel, 0);

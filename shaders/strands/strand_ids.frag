@@ -1,7 +1,7 @@
 // Which segment each sub-sample shows. A strip that is wider than its strand covers a share of its cells: those whose rank, a
 // multiple of the golden ratio for each column or row and another beginning for each strand, is below the share.
 
-#include "lib/visibility/segment.glsl"
+#include "lib/strands/segment.glsl"
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/surface_key.glsl"
 

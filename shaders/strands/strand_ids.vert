@@ -2,9 +2,9 @@
 // PS_THIN: raster lines. Else two triangles each: PS_RIBBON, or strips that face the eye in place of tubes that are too narrow
 // to be seen round.
 
-#include "lib/visibility/segment.glsl"
-#include "lib/visibility/covered_strip.glsl"
-#include "lib/visibility/tube_bounds.glsl"
+#include "lib/strands/segment.glsl"
+#include "lib/strands/covered_strip.glsl"
+#include "lib/strands/tube_bounds.glsl"
 #include "lib/visibility/surface_key.glsl"
 
 #ifndef PS_TUBE

@@ -6,8 +6,8 @@
 #include "lib/visibility/groups.glsl"
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/leader.glsl"
-#include "lib/visibility/segment.glsl"
-#include "lib/visibility/strand_attributes.glsl"
+#include "lib/strands/segment.glsl"
+#include "lib/strands/strand_attributes.glsl"
 #include "lib/visibility/surface_key.glsl"
 
 #if !defined(PS_TUBE) && !defined(PS_CENTRAL)

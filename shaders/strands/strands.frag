@@ -3,8 +3,8 @@
 
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/store.glsl"
-#include "lib/visibility/segment.glsl"
-#include "lib/visibility/strand_attributes.glsl"
+#include "lib/strands/segment.glsl"
+#include "lib/strands/strand_attributes.glsl"
 
 void main()
 {

@@ -3,9 +3,9 @@
 // fill. Else two triangles each: PS_RIBBON, or strips that face the eye in place of tubes that are too narrow to be seen
 // round.
 
-#include "lib/visibility/segment.glsl"
-#include "lib/visibility/strip.glsl"
-#include "lib/visibility/tube_bounds.glsl"
+#include "lib/strands/segment.glsl"
+#include "lib/strands/strip.glsl"
+#include "lib/strands/tube_bounds.glsl"
 
 void main()
 {

@@ -1,4 +1,5 @@
 // Triangles of one material of all instances of a mesh, corner by corner from textures, into the cells of sub-samples.
+// PS_DEPTH_ONLY: which triangle it is does not matter.
 
 #include "lib/geometry/instance.glsl"
 #include "lib/data/pack.glsl"
@@ -19,11 +20,13 @@ void main()
 #ifdef PS_CORNER_COLOR
   v_color = texelFetch(ps_corner_color, texel, 0);
 #endif
+#ifndef PS_DEPTH_ONLY
   v_id = uint(u.first_id) + uint(slot) * uint(u.triangles) + uint(corner_index) / 3u;
 #ifdef PS_ONE_INSTANCE
   v_about = vec2(u.instance, u.mirrored);
 #else
   v_about = ps_instance_row(slot, 3).yz;
+#endif
 #endif
   gl_Position = ps_cell_clip(ps_clip_from_view(v_position));
 }

@@ -1,4 +1,4 @@
-// Which splat each sub-sample shows, of those that cover many cells.
+// Which splat each sub-sample shows, of those that cover many cells. PS_DEPTH_ONLY: only how far away it is.
 
 #include "lib/visibility/splat.glsl"
 #include "lib/visibility/surface_key.glsl"
@@ -18,11 +18,13 @@ void main()
     discard;
   }
 #endif
-  out_id = PS_RASTERISED | uint(u.first_index + index);
   out_depth = floatBitsToUint(max(hit.depth - u.near, 0.0));
   gl_FragDepth = ps_buffer_depth(hit.depth);
+#ifndef PS_DEPTH_ONLY
+  out_id = PS_RASTERISED | uint(u.first_index + index);
   vec3 toward = ps_view_from_pixel(ps_pixel_from_cell(gl_FragCoord.xy), 1.0);
   toward = ps_is_perspective() ? toward : vec3(0.0, 0.0, -1.0);
   int material = int(ps_splat_extent(element).w);
   out_key = ps_surface_key(element.z, material, ps_splat_normal(splat, hit, toward));
+#endif
 }

@@ -115,7 +115,8 @@ def test_the_last_render_is_shown_with_a_bar_for_each_pass(tmp_path):
     rendered(scene, tmp_path)
     found = drawn(panels.POINTSPLAT_RENDER_PT_last_render, scene)
     labels = [named["text"] for name, _, named in found if name == "label"]
-    assert labels[::2][:3] == ["Time", "Points", "Technique"]
+    assert labels[::2][:4] == ["Time", "Points", "Samples", "Technique"]
+    assert labels[5] == "5 of each pixel"
     bars = [named["factor"] for name, _, named in found if name == "progress"]
     assert bars == sorted(bars, reverse=True)
     assert bars[0] == 1.0

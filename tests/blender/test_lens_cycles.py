@@ -36,7 +36,6 @@ def scene():
     render.image_settings.file_format, render.image_settings.color_depth = "OPEN_EXR", "32"
     cycles.device, cycles.samples, cycles.max_bounces = "CPU", 1024, 0
     cycles.use_adaptive_sampling = cycles.use_denoising = False
-    cycles.filter_width = 0.75  # Cycles doubles it for its Blackman-Harris window
     scene.pointsplat.dof_method, scene.pointsplat.samples = "LENS_SAMPLES", 1024
     yield scene
     pointsplat_addon.unregister()

@@ -31,7 +31,7 @@ def names(cls):
 @pytest.mark.usefixtures("registered")
 def test_every_setting_is_a_property_with_its_default_and_range():
     properties = bpy.context.scene.pointsplat.bl_rna.properties
-    for field in fields(Settings):
+    for field in (f for f in fields(Settings) if f.name not in Settings.OF_BLENDER):
         found = properties[field.name]
         assert found.description
         if field.name in Settings.RANGES:
@@ -40,6 +40,14 @@ def test_every_setting_is_a_property_with_its_default_and_range():
             assert found.hard_max == high
         assert found.default == field.default
     assert bpy.context.scene.pointsplat.settings() == Settings()
+
+
+@pytest.mark.usefixtures("registered")
+def test_the_pixel_filter_is_blenders():
+    render = bpy.context.scene.render
+    for given, taken in ((0.0, 0.01), (0.75, 0.75), (500.0, 10.0)):
+        render.filter_size = given
+        assert bpy.context.scene.pointsplat.settings() == Settings(filter_size=taken)
 
 
 @pytest.mark.usefixtures("registered")

@@ -42,10 +42,19 @@ def test_the_exponent_of_a_power_law_is_found():
 
 def test_errors_are_those_of_linear_colours_and_leave_alpha_out():
     truth = RNG.random((8, 9, 3))
-    found = np.dstack([truth + 0.25, np.zeros((8, 9))])
-    assert curves.errors(found, truth)["rmse"] == pytest.approx(0.25, abs=1e-12)  # measured 1e-16
-    assert curves.errors(truth, truth)["rmse"] == 0
-    assert curves.errors(truth, truth)["psnr"] == np.inf
+    truths, found = curves.Truths(truth), np.dstack([truth + 0.25, np.zeros((8, 9))])
+    assert curves.errors(found, truths)["rmse"] == pytest.approx(0.25, abs=1e-12)  # measured 1e-16
+    assert curves.errors(truth, truths)["rmse"] == 0
+    assert curves.errors(truth, truths)["psnr"] == np.inf
+
+
+def test_noise_of_cycles_is_no_error():
+    """Two independent pictures tell what their mean alone would not: how far a picture is from what they tend to."""
+    truth = RNG.random((200, 200, 3))
+    cycles = truth + RNG.normal(0, 0.1, truth.shape), truth + RNG.normal(0, 0.1, truth.shape)
+    found = curves.errors(truth + 0.02, curves.Truths(truth, cycles))["to_cycles"]
+    assert found == pytest.approx(0.02, rel=0.1)  # measured 0.7 %
+    assert "to_cycles" not in curves.errors(truth, curves.Truths(truth))
 
 
 def test_the_fastest_picture_of_an_error_is_right_enough():
@@ -76,14 +85,17 @@ def test_the_longest_parts_of_a_picture_and_the_rest_are_all_of_it():
 
 def test_a_plot_is_written_for_every_kind_of_row(tmp_path: Path):
     pytest.importorskip("matplotlib")
-    rows = [row("a", "PointSplat", 1.0, 0.1), row("a", "Cycles", 3.0, 0.05, own=0.01), row("b", "EEVEE", 3.0, 0.05),
+    rows = [row("a", "PointSplat", 1.0, 0.1), row("a", "Cycles", 3.0, 0.05, to_cycles=0.01),
+            row("b", "EEVEE", 3.0, 0.05),
             row("b", "PointSplat", 1.0, 0.1, series="defaults", technique="AUTO")]  # fmt: skip
     count = [row("counts", "VTK", n / 1e4, None, series="count", points=n) for n in (100, 10_000)]
     curves.plot(rows + count, tmp_path / "plot.png")
+    curves.plot(rows + count, tmp_path / "cycles.png", "to_cycles")
     curves.plot_counts(rows + count, tmp_path / "counts.png")
     named = [{**r, "scene": curves.BRIEF[0]} for r in rows]
     curves.plot_brief(named, tmp_path / "brief.png")
-    for name in ("plot", "counts", "brief"):
+    for name in ("plot", "cycles", "counts", "brief"):
         assert (tmp_path / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
+    curves.plot(rows[2:], tmp_path / "no scene.png", "to_cycles")
     curves.plot_brief(rows, tmp_path / "no scene.png")
     assert not (tmp_path / "no scene.png").exists()

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from ..numeric.pixel_filter import FILTER_SIZE
+
 TECHNIQUES = ("AUTO", "VISIBILITY", "IMAGE_SPACE", "EWA", "PAINTER")
 DOF_METHODS = ("SPLAT", "LENS_SAMPLES")
 BUDGETS = ("NONE", "TIME", "ERROR")
@@ -14,13 +16,17 @@ PRIMITIVES = ("AUTO", "POINTS", "POLYGONS", "LINES")
 
 @dataclass(frozen=True)
 class Settings:
-    """The only defaults and ranges: Blender's properties (scene.pointsplat) are made from this table."""
+    """The only defaults and ranges: Blender's properties (scene.pointsplat) are made from this table.
+
+    OF_BLENDER: fields that Blender has properties of its own for, in scene.render.
+    """
 
     technique: str = "AUTO"  # one of TECHNIQUES
     tolerance: float = 1.0  # pixels: projected size below which a node is drawn instead of its children
     samples: int = 16  # sub-pixel samples averaged in a final render
     viewport_samples: int = 16  # the same in the viewport, when it is still
     use_adaptive_sampling: bool = True  # parts of the picture whose samples agree get fewer of them
+    filter_size: float = FILTER_SIZE  # pixels from the centre of the pixel filter to its end
     adaptive_threshold: float = 1 / 64  # over the root of the brightness: what a display of 8 bits just shows
     use_shadows: bool = True  # lights cast shadows, through translucent matter too
     shadow_resolution: int = 1024  # cells of a light's shadow table per half turn
@@ -30,10 +36,12 @@ class Settings:
     error_budget: float = 1 / 128  # root mean square error that a picture may have, scene-linear
     device: str = "AUTO"  # one of DEVICES
 
+    OF_BLENDER: ClassVar[frozenset[str]] = frozenset({"filter_size"})
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
         "tolerance": (0.05, 64.0),
         "samples": (1, 4096),
         "viewport_samples": (1, 1024),
+        "filter_size": (0.01, 10.0),
         "adaptive_threshold": (0.0, 1.0),
         "shadow_resolution": (16, 16384),
         "time_budget": (1.0, 3_600_000.0),

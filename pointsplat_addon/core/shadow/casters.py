@@ -56,6 +56,14 @@ class Casters:
         # Row by row: along the last, short axis NumPy is many times slower.
         return np.sqrt(reduce(np.maximum, squared))
 
+    def extent_along(self, direction: np.ndarray) -> np.ndarray:
+        """Returns (N,) float32: how far each splat extends from its middle along a unit vector (3,)."""
+        if self.axes is None:
+            assert self.radius is not None
+            return self.radius
+        along = self.axes @ direction.astype(np.float32)
+        return np.sqrt(np.einsum("nk,nk->n", along, along))
+
     @cached_property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
         """The low and high corner (3,) float64 of a box around all splats."""

@@ -1,16 +1,20 @@
-"""Floors: flat casters of which everything else lies on the light's side, so that leaving them out changes no
-shadow."""
+"""Floors: flat casters, and slabs as of walls, of which everything else lies on the light's side, so that leaving them
+out changes no shadow."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..numeric.vectors import unit_rows
 from ..scene.bounds import box_corners
 from ..scene.lights import Light
 from ..scene.mesh import Mesh
 from .samples import MeshExtents
 
 FLATNESS = 1e-6  # of a mesh's size, and of the distances at hand: float32 tells no less apart
+SLAB_TRIANGLES = 64  # at most: each is compared with all corners
+SLAB_THICKNESS = 0.1  # of a slab's diagonal, at most: no camera is to be inside, where it would be dark
+FLAT_COSINE = 0.999  # least cosine between the normals of a slab's corners and those of its triangles
 
 
 def plane_of_mesh(mesh: Mesh, extents: MeshExtents) -> tuple[np.ndarray, np.ndarray] | None:
@@ -26,6 +30,34 @@ def plane_of_mesh(mesh: Mesh, extents: MeshExtents) -> tuple[np.ndarray, np.ndar
     )
     used = mesh.position[np.unique(mesh.triangles)].astype(np.float64)
     return (a, normal) if np.abs((used - a) @ normal).max() <= slack else None
+
+
+def planes_of_body(mesh: Mesh, extents: MeshExtents) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Points (3,) and unit outward normals (3,) float64, object space, of the faces of a mesh that is closed and
+    convex, with flat shading; none if it is not. What of it is turned to a light is never in its own shadow."""
+    count = len(mesh.triangles)
+    if not 4 <= count <= SLAB_TRIANGLES or not extents.area.min() > 0 or mesh.vertex_normal is not None:
+        return []
+    corners = mesh.position[mesh.triangles].astype(np.float64)
+    normal = unit_rows(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    if mesh.corner_normal is not None and np.einsum("tkc,tc->tk", mesh.corner_normal, normal).min() < FLAT_COSINE:
+        return []
+    edges = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=-1).reshape(-1, 2).tolist()
+    once = {(a, b) for a, b in edges}
+    if len(once) != len(edges) or not all((b, a) in once for a, b in edges):
+        return []
+    height = normal @ corners.reshape(-1, 3).T - np.einsum("tc,tc->t", normal, corners[:, 0])[:, None]
+    if height.max() > FLATNESS * (np.linalg.norm(extents.high - extents.low) + np.abs(corners).max()):
+        return []
+    _, first = np.unique(np.round(normal, 4), axis=0, return_index=True)
+    return [(corners[i, 0], normal[i]) for i in first]
+
+
+def is_thin(mesh: Mesh, world_from_object: np.ndarray, point: np.ndarray, normal: np.ndarray) -> bool:
+    """Whether an instance (4, 4) of a mesh lies close below a plane in the world through one of its faces."""
+    world = mesh.position[mesh.triangles.reshape(-1)] @ world_from_object[:3, :3].T + world_from_object[:3, 3]
+    size = np.linalg.norm(world.max(axis=0) - world.min(axis=0))
+    return bool(((world - point) @ normal).min() >= -SLAB_THICKNESS * size)
 
 
 def light_is_above(light: Light, point: np.ndarray, normal: np.ndarray) -> bool:

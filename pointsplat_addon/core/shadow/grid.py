@@ -22,6 +22,7 @@ FINER_OCTAVES = 2  # octaves by which the finest cells may be narrower than the 
 # angle or a simple slope.
 TILT = 0.3
 COARSEST_STEP = 0.5  # radians: the widest cell of a grid without poles
+GRAZING = 1e-3  # sine of the angle to an area light's plane below which casters count as lying in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,10 +184,12 @@ def lit_casters(light: Light, batch: Casters) -> Casters:
     if light.kind not in ("SPOT", "AREA"):
         return batch
     seen = batch.position + (batch.origin - light.position).astype(np.float32)
-    reach = batch.reach + np.float32(light.radius)
     depth = seen @ light.direction.astype(np.float32)
+    reach = batch.reach + np.float32(light.radius)
     if light.kind == "AREA":
-        keep = depth > -reach
+        # What does not rise before the light's plane is between no point of it and what it shines on.
+        risen = depth + batch.extent_along(light.direction)
+        keep = risen > GRAZING * np.sqrt(np.einsum("nc,nc->n", seen, seen))
     elif light.axis_u is not None or light.spot_cos <= 0:
         return batch
     else:

@@ -85,12 +85,21 @@ LABELS: dict[str, tuple[str, str]] = {
         "Tolerance",
         "Size in pixels below which one point is drawn instead of the finer ones that it covers; smaller is more exact",
     ),
-    "samples": ("Render", "Number of sub-pixel samples that are averaged for each pixel of a final render"),
-    "viewport_samples": ("Viewport", "Number of sub-pixel samples that are averaged in the viewport while it is still"),
+    "samples": (
+        "Render",
+        "Number of sub-pixel samples that are averaged for each pixel of a final render. The Visibility Buffer rounds "
+        "it up to 1, 5 or a multiple of 17",
+    ),
+    "viewport_samples": (
+        "Viewport",
+        "Number of sub-pixel samples that are averaged in the viewport while it is still. The Visibility Buffer rounds "
+        "it up to a multiple of 5",
+    ),
     "use_adaptive_sampling": (
         "Adaptive Sampling",
-        "Parts of the picture whose samples agree get no more of them. Pictures with translucent objects or strands "
-        "thinner than a pixel, the technique Painter and depth of field by Lens Samples need all samples everywhere",
+        "Parts of the picture whose samples agree get no more of them. The Visibility Buffer draws all samples of a "
+        "pixel at once; pictures with translucent objects or strands thinner than a pixel, the technique Painter and "
+        "depth of field by Lens Samples need all samples everywhere",
     ),
     "adaptive_threshold": (
         "Threshold",
@@ -100,7 +109,8 @@ LABELS: dict[str, tuple[str, str]] = {
     "use_shadows": ("Shadows", "Lights cast shadows, which translucent objects soften and tint"),
     "shadow_resolution": (
         "Resolution",
-        "Number of cells in half a turn around each light in which shadows are stored; more cells make sharper shadows",
+        "Number of cells in half a turn around each light in which shadows are stored; more make sharper shadows. "
+        "Depth maps of lights without a size have twice as many texels along a side",
     ),
     "dof_method": ("Depth of Field", "How cameras with depth of field blur what is out of focus"),
     "budget": ("Budget", "What decides how many samples are drawn and how coarse the points may be"),

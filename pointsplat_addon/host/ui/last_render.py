@@ -19,6 +19,7 @@ def lines(report: dict[str, Any]) -> list[tuple[str, str]]:
     found = [
         ("Time", f"{report['seconds']:.3f} s"),
         ("Points", f"{points['cut']:,} of {points['total']:,}"),
+        ("Samples", f"{report['samples']} of each pixel"),
         ("Technique", f"{TECHNIQUE_ITEMS[report['technique']['name']][1]}: {report['technique']['because']}"),
     ]
     if "estimate" in report:

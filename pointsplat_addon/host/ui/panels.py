@@ -39,7 +39,9 @@ def can_adapt_samples(scene: bpy.types.Scene) -> bool:
     settings = scene.pointsplat
     camera = scene.camera
     through_lens = camera is not None and camera.type == "CAMERA" and camera.data.dof.use_dof
-    return settings.technique != "PAINTER" and not (through_lens and settings.dof_method == "LENS_SAMPLES")
+    return settings.technique not in ("VISIBILITY", "PAINTER") and not (
+        through_lens and settings.dof_method == "LENS_SAMPLES"
+    )
 
 
 class _Panel:
@@ -129,7 +131,9 @@ class POINTSPLAT_RENDER_PT_film(_Panel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        self.split_layout().prop(context.scene.render, "film_transparent", text="Transparent")
+        layout = self.split_layout()
+        layout.prop(context.scene.render, "filter_size")
+        layout.prop(context.scene.render, "film_transparent", text="Transparent")
 
 
 class POINTSPLAT_RENDER_PT_performance(_Panel, bpy.types.Panel):

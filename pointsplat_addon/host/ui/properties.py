@@ -4,6 +4,7 @@ from dataclasses import fields
 from typing import Any
 
 import bpy
+import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ...core.scene.settings import PRIMITIVES, Settings
@@ -39,16 +40,20 @@ def _property(name: str, default: Any) -> Any:
 
 
 UPDATES = {"device": device_changed}
+OF_BLENDER = Settings.OF_BLENDER
 
 
 class PointSplatScene(bpy.types.PropertyGroup):
-    """Settings of the render engine; one property for each field of core.scene.settings.Settings."""
+    """Settings of the render engine; one property for each field of core.scene.settings.Settings that Blender does not
+    have."""
 
-    __annotations__ = {f.name: _property(f.name, f.default) for f in fields(Settings)}
+    __annotations__ = {f.name: _property(f.name, f.default) for f in fields(Settings) if f.name not in OF_BLENDER}
 
     def settings(self) -> Settings:
-        """The present values."""
-        return Settings(**{f.name: getattr(self, f.name) for f in fields(Settings)})
+        """The present values; those of Blender's own properties within the ranges that PointSplat has."""
+        render, own = self.id_data.render, self.__annotations__
+        found = {name: float(np.clip(getattr(render, name), *Settings.RANGES[name])) for name in OF_BLENDER}
+        return Settings(**found, **{name: getattr(self, name) for name in own})
 
 
 class PointSplatObject(bpy.types.PropertyGroup):

@@ -67,6 +67,7 @@ class Kind(Enum):
     CASTERS = auto()  # all of a scene: a part of other keys only
     SHADOW_TABLE = auto()  # of one light
     SHADOW_TABLES = auto()  # of all lights, packed for the device
+    SHADOW_MAPS = auto()  # the views of all depth maps
     # On the device
     PAGE = auto()
     TRANSLUCENT_PAGE = auto()
@@ -76,6 +77,7 @@ class Kind(Enum):
     ENVIRONMENT = auto()
     ENVIRONMENT_LEVELS = auto()
     SHADOW_TEXTURE = auto()
+    SHADOW_MAP_TEXTURE = auto()
     DRAW_ORDER = auto()  # of the translucent splats of one of the frames in the making
     LIGHT_SHARES = auto()  # that reach the translucent splats of one of the frames in the making
     # Of the host

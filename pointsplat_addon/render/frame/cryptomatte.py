@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+
+MOST_ENTRIES = 1 << 24  # identities that are ranked at once
+LEAST_SHARE = 1e-12  # less is rounding; the least weight of one sub-sample is 1e-10
 
 
 def cryptomatte(hashes: np.ndarray, levels: int) -> list[np.ndarray]:
@@ -20,37 +25,34 @@ def filtered_cryptomatte(lattices: list[tuple[np.ndarray, np.ndarray]], levels: 
     """Ranks the identities of each pixel by what the pixel filter makes of their coverage; returns as `cryptomatte`.
 
     `lattices`: of each, the identities of all sub-samples, (S, H, W) uint32, and the filter's weights of those of a
-    pixel's neighbours and its own, (9, S) as `filter_weights` has them.
+    pixel's neighbours and its own, (N, S) as `filter_weights` has them.
     """
-    first, _ = lattices[0]
+    first, weight = lattices[0]
     height, width = first.shape[1:]
+    reach = math.isqrt(len(weight)) // 2
+    neighbours = [(x, y) for y in range(-reach, reach + 1) for x in range(-reach, reach + 1)]
     alike = np.ones((height, width), bool)
     for hashes, _ in lattices:
         alike &= (hashes == first[0]).all(axis=0)
-    padded, around = np.pad(first[0], 1, mode="edge"), np.pad(alike, 1, mode="edge")
+    padded, around = np.pad(first[0], reach, mode="edge"), np.pad(alike, reach, mode="edge")
     whole = alike.copy()
-    for x, y in _NEIGHBOURS:
-        seen = slice(1 + y, 1 + y + height), slice(1 + x, 1 + x + width)
+    for x, y in neighbours:
+        seen = slice(reach + y, reach + y + height), slice(reach + x, reach + x + width)
         whole &= around[seen] & (padded[seen] == first[0])
+    found = [np.zeros((height, width, 4), np.float32) for _ in range((levels + 1) // 2)]
+    found[0][..., 0], found[0][..., 1] = np.ascontiguousarray(first[0]).view(np.float32), first[0] != 0
     row, column = np.nonzero(~whole)
-    entries, weights = [], []
-    for hashes, weight in lattices:
-        for (x, y), of_neighbour in zip(_NEIGHBOURS, weight, strict=True):
-            at = np.clip(row + y, 0, height - 1), np.clip(column + x, 0, width - 1)
-            entries.append(hashes[:, at[0], at[1]])
-            weights.append(of_neighbour / len(lattices))
-    pictures = _ranked(np.concatenate(entries), np.concatenate(weights)[:, None], levels)
-    found = []
-    for number, of_mixed in enumerate(pictures):
-        picture = np.zeros((height, width, 4), np.float32)
-        if number == 0:
-            picture[..., 0], picture[..., 1] = np.ascontiguousarray(first[0]).view(np.float32), first[0] != 0
-        picture[row, column] = of_mixed
-        found.append(picture)
+    weights = np.concatenate([weight.reshape(-1, 1) for _, weight in lattices]) / len(lattices)
+    runs = -(-len(row) * len(weights) // MOST_ENTRIES)
+    for some in np.array_split(np.arange(len(row)), max(runs, 1)):
+        entries = []
+        for hashes, _ in lattices:
+            for x, y in neighbours:
+                at = np.clip(row[some] + y, 0, height - 1), np.clip(column[some] + x, 0, width - 1)
+                entries.append(hashes[:, at[0], at[1]])
+        for picture, of_mixed in zip(found, _ranked(np.concatenate(entries), weights, levels), strict=True):
+            picture[row[some], column[some]] = of_mixed
     return found
-
-
-_NEIGHBOURS = [(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)]
 
 
 def _ranked(entries: np.ndarray, weights: np.ndarray, levels: int) -> list[np.ndarray]:
@@ -73,9 +75,9 @@ def _ranked(entries: np.ndarray, weights: np.ndarray, levels: int) -> list[np.nd
         for rank in range(2):
             best = covered.argmax(axis=0)[None]
             share = np.take_along_axis(covered, best, 0)[0]
-            identity = np.where(share > 1e-9, np.take_along_axis(ordered, best, 0)[0], 0).astype(np.uint32)
+            identity = np.where(share > LEAST_SHARE, np.take_along_axis(ordered, best, 0)[0], 0).astype(np.uint32)
             picture[:, 2 * rank] = identity.view(np.float32)
-            picture[:, 2 * rank + 1] = np.where(share > 1e-9, share, 0)
+            picture[:, 2 * rank + 1] = np.where(share > LEAST_SHARE, share, 0)
             np.put_along_axis(covered, best, 0, 0)
         pictures.append(picture)
     return pictures

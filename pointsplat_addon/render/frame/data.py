@@ -49,7 +49,7 @@ class DataPasses:
     def identify(self, found: np.ndarray, weights: np.ndarray) -> None:
         """Adds the instance and the material of a lattice's sub-samples to those that are ranked.
 
-        found: (S, H, W, 2) int32. weights: (9, S), of the pixel filter.
+        found: (S, H, W, 2) int32. weights: (N, S), of the pixel filter.
         """
         self._lattices.append((found, weights))
 

@@ -113,6 +113,8 @@ class Frame:
             )
         )
         self.clock.spent |= self.uploads.spent
+        if self.uploads.lighting.lacks_maps:
+            run("shadow maps", self.uploads.lighting.draw_maps)
         if plan.backdrop:
             self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
         count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)
@@ -137,7 +139,7 @@ class Frame:
         if self.targets.visibility is not None:
             self._allocate_visibility(self.targets.visibility)
         elif self.lit is not None:
-            self.translucent = Translucent(device, plan, self.lit, self.targets, run)
+            self.translucent = Translucent(device, plan, self.lit.lit, self.targets, run)
 
     def _allocate_visibility(self, targets: VisibilityTargets) -> None:
         device, plan, run, over = self.device, self.frame_plan.plan, self.clock.run, None
@@ -184,6 +186,8 @@ class Frame:
             view = replace(view, near=near, far=far)
         if first and self.backdrop is not None:
             self.clock.run("backdrop", lambda: self.shading.draw_backdrop(self._centred()))
+        if self.lit is not None:
+            self._light(self.lit)
         if self.visibility is not None:
             self._draw_visible(self.visibility, view, first)
             return
@@ -204,8 +208,6 @@ class Frame:
         """Draws a sample that is a whole lattice of sub-samples."""
         assert self.targets.visibility is not None
         central, identify = first and self.frame_plan.plan.central, self._data.every_sample
-        if self.lit is not None:
-            self._light(self.lit)
         coarse = first and self.frame_plan.plan.coarse
         shown = visibility.draw(view, self.targets.sum_target, central, identify, coarse)
         if central:
@@ -241,10 +243,12 @@ class Frame:
 
     def _sample_view(self, index: int) -> SampleView:
         """Returns the view of one sample, with its offset within the pixel."""
-        samples, sub_samples = self.frame_plan.request.samples, self.frame_plan.plan.sub_samples
+        samples, plan = self.frame_plan.request.samples, self.frame_plan.plan
         x, y = (0.0, 0.0)
-        if samples > 1:
-            x, y = lattice_offsets(samples, lattice_of(sub_samples))[index] if sub_samples else offsets(samples)[index]
+        if samples > 1 and plan.sub_samples:
+            x, y = lattice_offsets(samples, lattice_of(plan.sub_samples))[index]
+        elif samples > 1:
+            x, y = offsets(samples, plan.filter_size)[index]
         return view_of(self.view, (float(x), float(y)), index)
 
     def _centred(self) -> SampleView:
@@ -261,7 +265,6 @@ class Frame:
         self.device.draw(program, self.targets.data_target, uniforms=record, textures=textures)
 
     def _draw_translucent(self, translucent: Translucent, view: SampleView, first: bool) -> None:
-        self._light(translucent.light)
         translucent.draw(view, gbuffer_textures(self.targets.surfels), coarse=first and self.frame_plan.plan.coarse)
 
     def _light(self, lit: LitTranslucent) -> None:

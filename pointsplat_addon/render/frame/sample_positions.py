@@ -7,24 +7,22 @@ from functools import lru_cache
 import numpy as np
 
 from ...core.numeric.lattice import Lattice
+from ...core.numeric.pixel_filter import FILTER_SIZE, blackman_harris
 from ...core.numeric.sequences import R2, centred_pairs
-
-FILTER_WIDTH = 1.5  # pixels: Cycles' default
 
 
 @lru_cache(maxsize=8)
-def _blackman_harris(width: float) -> tuple[np.ndarray, np.ndarray]:
+def _distribution(filter_size: float) -> tuple[np.ndarray, np.ndarray]:
     """Returns the filter's cumulative distribution and the offsets where it is tabulated, in pixels from the centre."""
-    x = np.linspace(-0.5, 0.5, 2049)
-    t = 2 * np.pi * (x + 0.5)
-    weight = 0.35875 - 0.48829 * np.cos(t) + 0.14128 * np.cos(2 * t) - 0.01168 * np.cos(3 * t)
+    x = np.linspace(-filter_size, filter_size, 2049)
+    weight = blackman_harris(x, filter_size)
     cumulative = np.concatenate([[0.0], np.cumsum((weight[1:] + weight[:-1]) / 2)])
-    return cumulative / cumulative[-1], x * width
+    return cumulative / cumulative[-1], x
 
 
 @lru_cache(maxsize=64)
-def offsets(count: int, width: float = FILTER_WIDTH) -> np.ndarray:
-    """Returns sample positions (count, 2) float64, pixels from the centre, distributed by the Blackman-Harris filter.
+def offsets(count: int, filter_size: float = FILTER_SIZE) -> np.ndarray:
+    """Returns sample positions (count, 2) float64, pixels from the centre, distributed by the pixel filter.
 
     The first is the centre; then follow pairs that are symmetric about it, the first of each pair from a rank-1
     sequence. Any number of first samples fills the pixel evenly, and the mean of all is its centre (except for count
@@ -32,7 +30,7 @@ def offsets(count: int, width: float = FILTER_WIDTH) -> np.ndarray:
     than with the sequence alone.
     """
     first = (0.5 + np.arange(count // 2 + 1)[:, None] * R2) % 1.0
-    cumulative, x = _blackman_harris(width)
+    cumulative, x = _distribution(filter_size)
     result = centred_pairs(np.interp(first, cumulative, x), np.interp(1.0 - first, cumulative, x), count)
     result.setflags(write=False)
     return result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...core.numeric.lattice import lattice_of
 from ...core.scene.scene import Scene
 from ...shading.interface import Interface
 from ..device.protocol import Device, Target, Texture
@@ -14,6 +15,7 @@ from ..passes.shading.background import background_program
 from ..passes.shading.shade import shade_program, shade_values
 from ..passes.tiles import Region
 from ..passes.uniforms import SampleView
+from ..passes.visibility.buffer import VisibilityBuffer
 from ..plan.plan import Plan
 from ..plan.request import Request
 from .surfels import gbuffer_textures
@@ -49,7 +51,7 @@ class Shading:
             passes = frozenset({"combined"})
         self._shade = shade_program(
             plan.variant, plan.lighting, plan.materials, passes, request.samples, coverage, plan.lines, plan.defocus,
-            plan.picture, coarse=request.coarse, grouped=plan.sub_samples > 0,
+            plan.picture, coarse=request.coarse, lattice=lattice_of(plan.sub_samples) if plan.sub_samples else None,
         )  # fmt: skip
         self._background = background_program(
             plan.background_defines,
@@ -93,11 +95,14 @@ class Shading:
         textures = gbuffer_textures(self._targets.surfels) | self._uploads.shading | self.backdrop_textures
         self._add(self._background, view, region, textures)
 
-    def shade_groups(self, view: SampleView, surfaces: GBuffer, groups: dict[str, Texture], target: Target) -> None:
+    def shade_groups(
+        self, view: SampleView, surfaces: GBuffer, groups: dict[str, Texture], buffer: VisibilityBuffer, target: Target
+    ) -> None:
         """Shades a list of groups of sub-samples: `surfaces` has their attributes, `groups` tells of which pixels they
-        are, by sampler name."""
-        textures = surfaces.bound() | self._uploads.shading | groups
-        self._device.draw(self._shade, target, uniforms=self._record(self._shade, view), textures=textures)
+        are, by sampler name, `buffer` has the sub-samples themselves."""
+        textures = surfaces.bound() | self._uploads.shading | groups | buffer.textures
+        record = self._record(self._shade, view, **buffer.values)
+        self._device.draw(self._shade, target, uniforms=record, textures=textures)
 
     def draw_open(self, view: SampleView, codes: dict[str, Texture], target: Target) -> None:
         """Draws the world where sub-samples are open; `codes`: the groups of sub-samples, by sampler name."""
@@ -117,6 +122,6 @@ class Shading:
         record = self._record(program, view)
         region.draw(self._device, program, self._targets.shade_target, uniforms=record, textures=textures, blend=True)
 
-    def _record(self, program: Interface, view: SampleView) -> np.ndarray:
+    def _record(self, program: Interface, view: SampleView, **own: object) -> np.ndarray:
         values = shade_values(self._scene)
-        return view.record_of(program.block, backdrop_texels=self.backdrop_texels, **values)
+        return view.record_of(program.block, backdrop_texels=self.backdrop_texels, **values, **own)

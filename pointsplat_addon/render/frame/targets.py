@@ -106,7 +106,7 @@ class Pool:
     ) -> tuple[tuple, Targets]:
         """Returns the key to give targets back with, and the targets for a plan; idle ones if they match."""
         key = (size, count, most_cells,
-               plan.sub_samples, plan.central, plan.background, plan.points, plan.ewa, plan.polygons,
+               plan.sub_samples, plan.filter_size, plan.central, plan.background, plan.points, plan.ewa, plan.polygons,
                plan.spheres, plan.lines, plan.variant, plan.options,
                plan.painter and plan.data_variant, plan.defocus, plan.picture,
                averages.averaged(passes),

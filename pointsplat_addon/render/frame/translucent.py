@@ -76,13 +76,13 @@ class Translucent:
         self,
         device: Device,
         plan: Plan,
-        lit: LitTranslucent,
+        lit: LitSplats,
         targets: Targets,
         run: Callable[[str, Callable[[], None]], None],
     ) -> None:
         """Makes the programs that draw the splats. `run` times each pass."""
         assert plan.translucent is not None
-        self.device, self.targets, self.light, self._run = device, targets, lit, run
+        self.device, self.targets, self.lit, self._run = device, targets, lit, run
         variant = plan.variant
         channels = variant.samplers(only=("centre", "shape", "normal") if variant.normal else ("centre",))
         self._add = add_program(plan.translucent)
@@ -94,7 +94,7 @@ class Translucent:
         `surfels`: textures of the opaque G-buffer by sampler name. `coarse`: draw the splats at a lower resolution, and
         enlarge them.
         """
-        targets, run, lit = self.targets, self._run, self.light.lit
+        targets, run, lit = self.targets, self._run, self.lit
         assert targets.layer is not None
 
         def draw(program: Interface, target: Target, textures: dict[str, Texture], mode: str = "") -> None:

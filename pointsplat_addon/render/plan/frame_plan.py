@@ -12,6 +12,7 @@ from ...core.lens.backdrop import why_not_blurred
 from ...core.lens.thin_lens import uses_lens_samples
 from ...core.lod.cost import Costs
 from ...core.numeric.lattice import lattice_for
+from ...core.numeric.pixel_filter import filter_reach
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ...core.scene.validation import validate
@@ -41,7 +42,6 @@ from .request import Request
 from .technique import Technique, TechniqueInput, confirm_technique, decide_technique
 
 MOST_MARGIN = 64  # pixels around the window in which the centres of wide splats are looked for
-FILTER_REACH = 1.0  # pixels around the window whose sub-samples the pixel filter takes in
 LENS_SAMPLES_BLUR = "each sample sees it through a point on the lens"  # the reason why the world has no picture
 
 
@@ -172,9 +172,11 @@ def make_frame_plan(
         request = replace(request, passes=frozenset({"combined"}))
         prepared = with_defocus_among_translucent(prepared)
 
-    prepared, out_of_view = without_invisible_layers(scene, prepared, camera, store)
+    prepared, out_of_view = without_invisible_layers(
+        scene, prepared, with_filter_margin(camera, request.settings.filter_size), store
+    )
     scene, reflects, negligible = without_negligible(scene, prepared, camera.view_from_world, store)
-    shadows, unshadowed = _shadows(scene, prepared, request, store, clock)
+    shadows, unshadowed = _shadows(scene, prepared, request, store, clock, limits)
     painter = technique.name == "PAINTER" and prepared.cut.splats > 0
     if painter:
         prepared = with_opaque_among_translucent(
@@ -182,7 +184,8 @@ def make_frame_plan(
         )
 
     absences = Absences(
-        unshadowed,
+        unshadowed or ("" if shadows is None or shadows.tables is not None else "depth maps show all that casts"),
+        unshadowed or ("" if shadows is None or shadows.maps is not None else "only tables hold what casts"),
         out_of_view,
         "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus",
         LENS_SAMPLES_BLUR if through_lens else why_not_blurred(scene, camera),
@@ -195,7 +198,7 @@ def make_frame_plan(
     plan = make_plan(
         ViewToPlan(scene, prepared, request, shadows, ewa, painter, reflects, picture, sub_samples, presented, absences)
     )
-    radius = FILTER_REACH if sub_samples else plan.splat_radius(prepared.largest)
+    radius = filter_reach(plan.filter_size) if sub_samples else plan.splat_radius(prepared.largest)
     view, corner = with_margin(camera, radius, limits.texture_size)
     return FramePlan(
         scene,
@@ -230,9 +233,10 @@ def _prepared(
     clock: Clock,
 ) -> Prepared:
     """What the camera, or any point on its lens, sees, prepared for a technique."""
+    camera = with_filter_margin(request.camera, request.settings.filter_size)
     return prepare(
         scene,
-        camera_of_whole_lens(scene, request.camera, store) if through_lens else request.camera,
+        camera_of_whole_lens(scene, camera, store) if through_lens else camera,
         replace(request.settings, technique=technique.name),
         request.samples,
         store,
@@ -265,18 +269,29 @@ def _not_adaptive(request: Request, prepared: Prepared, plan: Plan, through_lens
 
 
 def _shadows(
-    scene: Scene, prepared: Prepared, request: Request, store: Store, clock: Clock
+    scene: Scene, prepared: Prepared, request: Request, store: Store, clock: Clock, limits: Limits
 ) -> tuple[Shadows | None, str]:
-    """The tables of all lights that cast shadows on what is drawn; or None, and why."""
+    """What casts the shadows of all lights on what is drawn; or None, and why."""
     layers = (prepared, prepared.translucent, prepared.spheres, prepared.nodes)
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()
-    found, unshadowed = make_shadows(scene, request.settings, store, clock.check)
+    found, unshadowed = make_shadows(scene, request.settings, store, clock.check, limits.texture_size)
     if found is None:
         return None, unshadowed or "nothing casts shadows"
-    clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
+    if found.tables is not None:
+        clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
     return found, ""
+
+
+def with_filter_margin(camera: Camera, filter_size: float) -> Camera:
+    """Returns the camera with a window that holds what its pixels take in, but for the pixel around it that whoever
+    looks for what is in view adds (core/lod)."""
+    more = filter_reach(filter_size) - 1
+    if more == 0:
+        return camera
+    x, y, width, height = camera.window
+    return replace(camera, region=(x - more, y - more, width + 2 * more, height + 2 * more))
 
 
 def with_margin(camera: Camera, radius: float, most: int) -> tuple[Camera, tuple[int, int]]:

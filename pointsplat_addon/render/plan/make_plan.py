@@ -37,7 +37,7 @@ class ViewToPlan:
     scene: Scene
     prepared: Prepared  # for the painter and for defocus, with the splats that they draw among the translucent ones
     request: Request
-    shadows: Shadows | None  # None: no light has a table of shadows
+    shadows: Shadows | None  # None: no light casts any
     ewa: bool  # the technique of opaque points is EWA
     painter: bool  # the technique is the painter, and there are opaque points
     reflects: bool  # something that is drawn reflects light
@@ -101,6 +101,7 @@ def make_plan(view: ViewToPlan) -> Plan:
         world=() if scene.transparent else _world(scene),
         painter=view.painter,
         sub_samples=view.sub_samples,
+        filter_size=view.request.settings.filter_size,
         presented=view.presented,
         defocus=view.defocus,
         backdrop=not view.absences.blurred_world,
@@ -156,7 +157,8 @@ def _ewa(view: ViewToPlan, kinds: _Kinds) -> EwaOptions | None:
     if not (view.ewa and kinds.points):
         return None
     balls = any(p.cloud.normal is None for p in view.prepared.point_sets.values())
-    return ewa_options(view.request.camera, view.prepared.largest, balls, view.request.samples)
+    request = view.request
+    return ewa_options(request.camera, view.prepared.largest, balls, request.samples, request.settings.filter_size)
 
 
 # Variants of the G-buffer
@@ -216,16 +218,23 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
     if drawn and view.reflects and view.picture:
         smoothest = 0.0 if varies else float(scene.materials.roughness.min())
         found = (*_world(scene), *light_names(scene.lights, smoothest))
-    if view.shadows is not None:
-        packed = view.shadows.packed
-        named = {
+    return found + (() if view.shadows is None else _shadows(view.shadows))
+
+
+def _shadows(shadows: Shadows) -> tuple[str, ...]:
+    """Names of the defines of shadows."""
+    named = {"PS_SHADOWS": True, "PS_SHADOW_MAPS": shadows.maps is not None}
+    if shadows.tables is not None:
+        packed = shadows.tables.packed
+        named |= {
+            "PS_SHADOW_TABLES": True,
+            "PS_SHADOW_SAMPLE": True,
             "PS_SHADOW_COLORED": packed.colored,
             "PS_SHADOW_SOLID": packed.only_opaque,
             "PS_SHADOW_SUNS": packed.only_suns,
             "PS_SHADOW_HARD": packed.no_light_has_size,
         }
-        found += ("PS_SHADOWS", "PS_SHADOW_SAMPLE", *(name for name, on in named.items() if on))
-    return found
+    return tuple(name for name, on in named.items() if on)
 
 
 def _materials(scene: Scene, varies: bool) -> tuple[str, ...]:

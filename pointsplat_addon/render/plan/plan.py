@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from ...core.numeric.pixel_filter import FILTER_SIZE
 from ..passes.ewa.options import EwaOptions
 from ..passes.gbuffer import Variant
 from ..passes.pages.point_page import PointOptions
@@ -38,6 +39,7 @@ class Plan:
     sub_samples: int = (
         0  # of each pixel in each sample of the picture, by the visibility buffer; 0: by another technique
     )
+    filter_size: float = FILTER_SIZE  # pixels: core/numeric/pixel_filter.py
     defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus.py
 
     @property

@@ -12,6 +12,7 @@ from .plan import Plan
 # In the order in which they run; the names of the report.
 PASSES: dict[str, str] = {
     "shadows": "tables of what light meets, on the processor",
+    "shadow maps": "depths of what lights without size see, once for all views",
     "order": "translucent splats sorted back to front, on the processor",
     "cover": "splats into the visibility buffer",
     "project": "splats to pixels, the nearest of each pixel",
@@ -50,6 +51,7 @@ BY_BUFFER = ("cover", "group", "attributes", "spread")
 TRANSLUCENT = ("order", "reach", "light", "opaque depth", "expand", "translucent", "enlarge", "difference", "add")
 # Why a pass that the plan has did not run.
 LATE = {
+    "shadow maps": "those of an earlier picture still hold",
     "order": "the order of an earlier picture still holds",
     "reach": "what reaches them is known from an earlier picture",
 }
@@ -60,7 +62,8 @@ UNKNOWN = "no sample came so far"
 class Absences:
     """Why a view lacks what it might have; each is empty where the view has it."""
 
-    shadows: str = "nothing casts shadows"
+    tables: str = "nothing casts shadows"  # of shadows
+    maps: str = "nothing casts shadows"  # of their depths
     out_of_view: Mapping[str, str] = field(default_factory=dict)  # by kind of things (render/prepare/in_view.py)
     out_of_focus: str = ""  # beyond that the camera has no depth of field
     blurred_world: str = "the camera has no depth of field"
@@ -69,8 +72,9 @@ class Absences:
 def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str, str]:
     """Returns why each pass that a plan leaves out is not needed, by its name. `passes`: those that are asked for."""
     by_buffer = plan.sub_samples > 0
-    unshadowed, unseen = absences.shadows, absences.out_of_view
-    found = {"shadows": unshadowed} if unshadowed else {}
+    unseen = absences.out_of_view
+    unshadowed = bool(absences.tables and absences.maps)
+    found = {name: why for name, why in (("shadows", absences.tables), ("shadow maps", absences.maps)) if why}
     found |= _of_points(plan, unseen.get("points", "nothing is drawn as points"))
     if not by_buffer:
         why = "another technique draws" if plan.solid else "nothing opaque is drawn"
@@ -113,7 +117,7 @@ def _of_points(plan: Plan, none: str) -> dict[str, str]:
 
 
 def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
-    """Why translucent passes are left out. `shadowed`: a light has a table of shadows. `none`: why nothing is."""
+    """Why translucent passes are left out. `shadowed`: a light casts shadows. `none`: why nothing is."""
     if plan.translucent is None:
         return dict.fromkeys(TRANSLUCENT, none)
     if plan.defocus:

@@ -31,6 +31,10 @@ class CastingGeometry:
     centre: np.ndarray  # (I, 3) float64, in world space, of balls that bound the instances
     radius: np.ndarray  # (I,) float64
 
+    def take(self, which: np.ndarray) -> CastingGeometry:
+        """Returns the same with some of the instances, (I,) bool."""
+        return CastingGeometry(self.geometry, self.matrices[which], self.centre[which], self.radius[which])
+
 
 def why_no_shadows(scene: Scene, settings: Settings) -> str:
     """Returns why no light of the scene needs a shadow table; an empty string if one does."""

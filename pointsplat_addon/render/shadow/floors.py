@@ -1,4 +1,5 @@
-"""Finds casters that are floors: flat meshes with all lights and all geometry on one side, which shadow nothing."""
+"""Finds casters that are floors: flat meshes and slabs with all lights and all geometry on one side, which shadow
+nothing."""
 
 from __future__ import annotations
 
@@ -6,18 +7,40 @@ import numpy as np
 
 from ...core.numeric.linear import all_finite
 from ...core.scene.scene import Geometry, Scene
-from ...core.shadow.floor import FLATNESS, light_is_above, lowest_box_height, lowest_height, plane_of_mesh
+from ...core.shadow.floor import (
+    FLATNESS,
+    is_thin,
+    light_is_above,
+    lowest_box_height,
+    lowest_height,
+    plane_of_mesh,
+    planes_of_body,
+)
 from ..cache.keys import Key, Kind
 from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from .casting import CastingGeometry, bounding_box, cached_mesh_extents, light_key
 
-MAX_FLOOR_INSTANCES = 16  # instances of one flat mesh up to which they may be floors
+MAX_FLOOR_INSTANCES = 64  # instances of one mesh up to which they may be floors
 MAX_HEIGHTS = 1 << 22  # vertices of all instances up to which each is tested against a floor
 
 
-def which_are_floors(scene: Scene, casters: list[CastingGeometry], store: Store) -> tuple[bool, ...]:
-    """Returns for each caster whether it is a floor: flat, with all lights and all geometry on one side.
+def split_floors(
+    scene: Scene, casters: list[CastingGeometry], store: Store
+) -> tuple[list[CastingGeometry], tuple[bool, ...]]:
+    """Returns the casters, those of which some instances are floors as two, and for each whether it is a floor."""
+    found, floors = [], []
+    for caster, which in zip(casters, which_are_floors(scene, casters, store), strict=True):
+        for kind in (False, True):
+            if (which == kind).any():
+                found.append(caster.take(which == kind))
+                floors.append(kind)
+    return found, tuple(floors)
+
+
+def which_are_floors(scene: Scene, casters: list[CastingGeometry], store: Store) -> tuple[np.ndarray, ...]:
+    """Returns for each caster (I,) bool: which instances are floors: flat or a slab, with all lights and all geometry
+    on one side.
 
     A floor shadows nothing, and would need as many samples as the tables have cells.
     """
@@ -26,48 +49,56 @@ def which_are_floors(scene: Scene, casters: list[CastingGeometry], store: Store)
     held = instances.world_from_object.tobytes() + instances.geometry.tobytes()
     key = Key(Kind.FLOORS, (every, tuple(c.geometry.key for c in casters)), other=hashed(held))
 
-    def look() -> tuple[bool, ...]:
-        return tuple(_is_floor(scene, caster, store) for caster in casters)
+    def look() -> tuple[np.ndarray, ...]:
+        return tuple(_floors(scene, caster, store) for caster in casters)
 
     return store.lookup(key, look)
 
 
-def _is_floor(scene: Scene, caster: CastingGeometry, store: Store) -> bool:
-    """Tells whether all instances of a caster are flat and have nothing behind them."""
+def _floors(scene: Scene, caster: CastingGeometry, store: Store) -> np.ndarray:
+    """Tells (I,) which instances of a caster are flat, or slabs, and have nothing behind them."""
     mesh = caster.geometry.mesh
     if mesh is None or len(caster.matrices) > MAX_FLOOR_INSTANCES:
-        return False
-    found = store.lookup(
-        Key(Kind.CASTER_PLANE, caster.geometry.key),
-        lambda: (plane_of_mesh(mesh, cached_mesh_extents(caster.geometry, mesh, store)),),
-    )[0]
-    if found is None:
-        return False
-    point, normal = found
-    return all(_has_nothing_behind(scene, point, normal, matrix, store) for matrix in caster.matrices)
+        return np.zeros(len(caster.matrices), bool)
+
+    def planes() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        extents = cached_mesh_extents(caster.geometry, mesh, store)
+        flat = plane_of_mesh(mesh, extents)
+        return tuple(planes_of_body(mesh, extents)) if flat is None else (flat, (flat[0], -flat[1]))
+
+    found = store.lookup(Key(Kind.CASTER_PLANE, caster.geometry.key), planes)
+    return np.array(
+        [
+            any(_has_nothing_behind(scene, caster.geometry, *plane, matrix, store) for plane in found)
+            for matrix in caster.matrices
+        ]
+    )
 
 
-def _has_nothing_behind(scene: Scene, point: np.ndarray, normal: np.ndarray, matrix: np.ndarray, store: Store) -> bool:
-    """Tells whether all lights and all geometry are on one side of an instance's plane, or in it.
+def _has_nothing_behind(
+    scene: Scene, own: Geometry, point: np.ndarray, normal: np.ndarray, matrix: np.ndarray, store: Store
+) -> bool:
+    """Tells whether all lights, and all geometry but an instance of `own`, are above a plane of that, or in it.
 
-    `point`, `normal`: (3,) of the plane in object space. `matrix`: (4, 4) world from object.
+    `point`, `normal`: (3,) of the plane in object space. `matrix`: (4, 4) of the instance, world from object.
     """
     linear = matrix[:3, :3]
     cofactors = np.cross(np.roll(linear, -1, axis=0), np.roll(linear, -2, axis=0))
-    point, normal = linear @ point + matrix[:3, 3], cofactors @ normal
+    point, normal = linear @ point + matrix[:3, 3], np.sign(np.linalg.det(linear)) * (cofactors @ normal)
     length = np.linalg.norm(normal)
     if not 0 < length < np.inf:
         return False
     normal = normal / length
-    lights = [light for light in scene.lights if light.shadow]
-    if not all(light_is_above(light, point, normal) for light in lights):
-        normal = -normal
-        if not all(light_is_above(light, point, normal) for light in lights):
-            return False
+    if not all(light_is_above(light, point, normal) for light in scene.lights if light.shadow):
+        return False
+    if own.mesh is None or not is_thin(own.mesh, matrix, point, normal):
+        return False
     with np.errstate(all="ignore"):
         drawn = all_finite(scene.instances.world_from_object.astype(np.float32))  # no others are
     for row, geometry in enumerate(scene.geometries):
         matrices = scene.instances.world_from_object[drawn & (scene.instances.geometry == row)]
+        if geometry is own:
+            matrices = matrices[(matrices != matrix).any(axis=(1, 2))]
         if len(matrices) and not _lies_above(geometry, matrices, point, normal, store):
             return False
     return True

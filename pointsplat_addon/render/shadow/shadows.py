@@ -1,11 +1,13 @@
-"""Makes the shadow tables of a scene's lights, once for all views, and caches them by lights and geometry.
+"""Makes what casts the shadows of a scene's lights, once for all views, and caches it by lights and geometry.
 
-All point sets, polygons and strands cast shadows, sampled as densely as the tables resolve, independent of any view.
+Lights without size see opaque meshes and clouds in depth maps, which the device draws (maps.py). All else casts into
+tables, sampled as densely as these resolve, independent of any view: strands, what light passes through, and all of it
+for lights with a size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ...core.light.light_table import sorted_by_kind
@@ -18,8 +20,9 @@ from ..cache.keys import Key, Kind
 from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from .batches import box_corner_casters, splat_batches, strand_segments
-from .casting import casting_geometries, light_key, transmission_digest, why_no_shadows
-from .floors import which_are_floors
+from .casting import CastingGeometry, casting_geometries, light_key, transmission_digest, why_no_shadows
+from .floors import split_floors
+from .maps import ShadowMaps, casts_into_map, make_maps, takes_map
 from .packed_tables import PackedTables, pack
 from .spacing import sample_spacings
 
@@ -27,8 +30,8 @@ MAX_TEXTURE_ROWS = 16384  # rows of a texture
 
 
 @dataclass(frozen=True, eq=False)
-class Shadows:
-    """The shadow tables of all lights of a scene, packed for a device."""
+class Tables:
+    """The shadow tables of those lights of a scene that have one, packed for a device."""
 
     key: Key
     packed: PackedTables
@@ -41,14 +44,38 @@ class Shadows:
         return self.packed.data.nbytes
 
 
-def make_shadows(
-    scene: Scene, settings: Settings, store: Store, check: Callable[[], None] = lambda: None
-) -> tuple[Shadows | None, str]:
-    """Returns the shadow tables of all lights and an empty string; or None and the reason, if no light needs a table.
+@dataclass(frozen=True, eq=False)
+class Shadows:
+    """What casts the shadows of a scene: at least one of the two."""
 
-    The tables are in the order of the light table's rows.
-    `check` is called between steps, and may raise to stop. A light whose table cannot be built casts no shadow, and
-    a warning says so.
+    tables: Tables | None
+    maps: ShadowMaps | None
+
+    @property
+    def key(self) -> tuple[Key | None, Key | None]:
+        return self.tables and self.tables.key, self.maps and self.maps.key
+
+    @property
+    def wide(self) -> bool:
+        """Whether each sample of a picture uses another point of some light."""
+        return self.tables is not None and self.tables.wide
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return () if self.tables is None else self.tables.warnings
+
+
+def make_shadows(
+    scene: Scene,
+    settings: Settings,
+    store: Store,
+    check: Callable[[], None] = lambda: None,
+    texture_size: int = MAX_TEXTURE_ROWS,
+) -> tuple[Shadows | None, str]:
+    """Returns the shadows of all lights and an empty string; or None and the reason, if no light casts any.
+
+    Tables and maps are in the order of the light table's rows. `check` is called between steps, and may raise to stop.
+    A light whose table cannot be built casts no shadow, and a warning says so. `texture_size`: of the device.
     """
     why = why_no_shadows(scene, settings)
     if why:
@@ -56,53 +83,106 @@ def make_shadows(
     casters = casting_geometries(scene, store)
     if not casters:
         return None, "nothing casts shadows"
-    floors = which_are_floors(scene, casters, store)
+    casters, floors = split_floors(scene, casters, store)
     if all(floors):
         return None, "there is nothing in the shadow of anything"
-    held = tuple((c.geometry.key, c.matrices.tobytes()) for c in casters)
-    casting_lights = tuple(light_key(light) for light in scene.lights if light.shadow)
-    spacing = store.lookup(
-        Key(Kind.CASTER_SPACINGS, hashed((held, casting_lights)), other=(settings.shadow_resolution, floors)),
-        lambda: sample_spacings(casters, scene.lights, settings.shadow_resolution, store, floors),
-    )
-    look = tuple(
-        (c.geometry.key, transmission_digest(scene, c.geometry), c.matrices.tobytes(), s)
-        for c, s in zip(casters, spacing, strict=True)
-    )
-    casters_key = Key(Kind.CASTERS, hashed(look), other=settings.shadow_resolution)
-    # Cells are as wide as if floors cast, so that shadows on a floor do not shift when the objects on it move.
-    around = [box_corner_casters(c, store) for c, floor in zip(casters, floors, strict=True) if floor]
     lights = sorted_by_kind(scene.lights)
-    keys = tuple(light_key(light) if light.shadow else None for light in lights)
+    solid = [casts_into_map(scene, caster) for caster in casters]
+    shown = [caster for caster, one, floor in zip(casters, solid, floors, strict=True) if one and not floor]
+    maps = make_maps(scene, lights, shown, settings.shadow_resolution, store, texture_size)
+    build = _TableBuilder(scene, settings.shadow_resolution, store, check)
+    wide = [light for light in lights if light.shadow and not takes_map(light)]
+    sharp = [light for light in lights if light.shadow and takes_map(light)]
+    everything = _Cast(casters, floors)
+    rest = _Cast(
+        [caster for caster, one in zip(casters, solid, strict=True) if not one],
+        tuple(floor for floor, one in zip(floors, solid, strict=True) if not one),
+    )
+    tables = build.tables(lights, [(wide, everything), (sharp, rest)])
+    if tables is None and maps is None:
+        return None, "there is nothing in the shadow of anything"
+    return Shadows(tables, maps), ""
 
-    tables_key = Key(Kind.SHADOW_TABLES, casters_key, other=keys)
 
-    def make() -> Shadows:
+@dataclass(frozen=True, eq=False)
+class _Cast:
+    """Casters of some tables."""
+
+    casters: list[CastingGeometry]
+    floors: tuple[bool, ...]  # which of them have nothing behind them
+
+    @property
+    def any(self) -> bool:
+        return not all(self.floors)
+
+
+class _TableBuilder:
+    """Builds tables of lights."""
+
+    def __init__(self, scene: Scene, resolution: int, store: Store, check: Callable[[], None]) -> None:
+        self._scene, self._resolution, self._store, self._check = scene, resolution, store, check
+        self._warnings: list[str] = []
+
+    def tables(self, lights: Sequence[Light], wanted: list[tuple[list[Light], _Cast]]) -> Tables | None:
+        """Returns the tables of `lights`, of which each is `wanted` for some casters or has none; None if none has
+        one."""
+        found: dict[int, tuple[Key, Callable[[], builder.ShadowTable | None]]] = {}
+        for some, cast in wanted:
+            if some and cast.any:
+                found |= self._of_lights(some, cast)
+        if not found:
+            return None
+        keys = tuple(found[id(light)][0] if id(light) in found else None for light in lights)
+        key = Key(Kind.SHADOW_TABLES, keys)
+
+        def make() -> Tables:
+            made: list[builder.ShadowTable | None] = []
+            for light in lights:
+                self._check()
+                one = found.get(id(light))
+                made.append(None if one is None else self._store.lookup(*one))
+            entries = sum(table.entries for table in made if table is not None)
+            wide = any(light.radius > 0 or light.kind == "AREA" for light in lights if id(light) in found)
+            return Tables(key, pack(made, MAX_TEXTURE_ROWS), entries, wide, tuple(self._warnings))
+
+        return self._store.lookup(key, make)
+
+    def _of_lights(
+        self, lights: list[Light], cast: _Cast
+    ) -> dict[int, tuple[Key, Callable[[], builder.ShadowTable | None]]]:
+        """Returns the key of each light's table, and what builds it."""
+        scene, store, resolution, casters = self._scene, self._store, self._resolution, cast.casters
+        held = tuple((c.geometry.key, c.matrices.tobytes()) for c in casters)
+        spacing = store.lookup(
+            Key(
+                Kind.CASTER_SPACINGS,
+                hashed((held, tuple(light_key(light) for light in lights))),
+                other=(resolution, cast.floors),
+            ),
+            lambda: sample_spacings(casters, tuple(lights), resolution, store, cast.floors),
+        )
+        look = tuple(
+            (c.geometry.key, transmission_digest(scene, c.geometry), c.matrices.tobytes(), s)
+            for c, s in zip(casters, spacing, strict=True)
+        )
+        casters_key = Key(Kind.CASTERS, hashed(look), other=resolution)
+        # Cells are as wide as if floors cast, so that shadows on a floor do not shift when the objects on it move.
+        around = [box_corner_casters(c, store) for c, floor in zip(casters, cast.floors, strict=True) if floor]
         batches: list[builder.Casters] = []
         strands: list[StrandSegments] = []
-        warnings: list[str] = []
-        tables: list[builder.ShadowTable | None] = []
-        for light, key in zip(lights, keys, strict=True):
-            check()
-            if key is None:
-                tables.append(None)
-                continue
 
-            def build(light: Light = light) -> builder.ShadowTable | None:
-                if not batches and not strands:
-                    batches.extend(splat_batches(scene, casters, spacing, store, check))
-                    strands.extend(strand_segments(casters, spacing, store))
-                try:
-                    all_casters = [*batches, *(one.casters_toward(light) for one in strands)]
-                    return builder.build_table(light, all_casters, settings.shadow_resolution, around)
-                except ValueError as error:
-                    warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")
-                    return None
+        def build(light: Light) -> builder.ShadowTable | None:
+            if not batches and not strands:
+                batches.extend(splat_batches(scene, casters, spacing, store, self._check))
+                strands.extend(strand_segments(casters, spacing, store))
+            try:
+                all_casters = [*batches, *(one.casters_toward(light) for one in strands)]
+                return builder.build_table(light, all_casters, resolution, around)
+            except ValueError as error:
+                self._warnings.append(f"{light.name or 'A light'} casts no shadow: {error}")
+                return None
 
-            tables.append(store.lookup(Key(Kind.SHADOW_TABLE, casters_key, other=key), build))
-        packed = pack(tables, MAX_TEXTURE_ROWS)
-        entries = sum(table.entries for table in tables if table is not None)
-        wide = any(light.shadow and (light.radius > 0 or light.kind == "AREA") for light in lights)
-        return Shadows(tables_key, packed, entries, wide, tuple(warnings))
-
-    return store.lookup(tables_key, make), ""
+        return {
+            id(light): (Key(Kind.SHADOW_TABLE, casters_key, other=light_key(light)), lambda light=light: build(light))
+            for light in lights
+        }

@@ -41,9 +41,7 @@ def sample_spacings(
         if light.shadow:
             step = _finest_cell(light, centre, radius, (low + high) / 2, resolution)
             near = [
-                1.0
-                if light.kind == "SUN"
-                else max(float((_distances_from_light(light, c) - r).min()), MIN_LIGHT_DISTANCE * reach)
+                1.0 if light.kind == "SUN" else max(_distance_to_lit(light, c, r), MIN_LIGHT_DISTANCE * reach)
                 for c, r in balls
             ]
             cell = np.minimum(cell, step * np.array(near))
@@ -93,6 +91,13 @@ def _total_area(caster: CastingGeometry, store: Store) -> float:
     """Returns the area of a mesh times its instances, in object units squared; 0 for other geometry."""
     mesh = caster.geometry.mesh
     return 0.0 if mesh is None else len(caster.matrices) * cached_mesh_extents(caster.geometry, mesh, store).size
+
+
+def _distance_to_lit(light: Light, centre: np.ndarray, radius: np.ndarray) -> float:
+    """Returns how near balls, centre (K, 3) and radius (K,), come to a light; infinity if it shines on none."""
+    near = _distances_from_light(light, centre) - radius
+    lit = near > -np.inf if light.kind != "AREA" else (centre - light.position) @ light.direction > -radius
+    return float(near.min(where=lit, initial=np.inf))
 
 
 def _distances_from_light(light: Light, points: np.ndarray) -> np.ndarray:

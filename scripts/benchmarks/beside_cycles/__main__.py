@@ -75,7 +75,6 @@ def measure(name: str, options: argparse.Namespace) -> list[dict]:
     file = folder / "scenes" / f"{title}.blend"
     if options.again or not file.exists():
         given = ["--shading", look.shading, "--sun-angle", str(look.sun_angle)]
-        given += ["--filter-width", str(look.filter_width)]
         given += ["--flat"] * look.flat + ["--no-shadows"] * (not look.shadows)
         scene_file(
             file, [name, str(file), "--data", str(options.data.resolve()), "--size", str(wide), str(high), *given]

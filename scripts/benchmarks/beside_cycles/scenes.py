@@ -41,14 +41,12 @@ class Look:
     shadows: bool = True
     sun_angle: float = 0.0  # radians
     flat: bool = False  # no smooth normals
-    filter_width: float = 1.5  # as Cycles counts it: half of what the window is wide, in pixels
 
     def suffix(self) -> str:
         """Of names of files: nothing for the default."""
         angle = f"-sun{self.sun_angle:g}" if self.sun_angle else ""
         shading = f"-{self.shading}" if self.shading != LAMBERT else ""
-        flat, filtered = "-flat" * self.flat, f"-filter{self.filter_width:g}" if self.filter_width != 1.5 else ""
-        return shading + "-unshadowed" * (not self.shadows) + angle + flat + filtered
+        return shading + "-unshadowed" * (not self.shadows) + angle + "-flat" * self.flat
 
 
 @dataclass(frozen=True)
@@ -182,8 +180,7 @@ def make_alike(scene: Any, look: Look) -> None:
     cycles = scene.cycles
     cycles.device, cycles.max_bounces, cycles.transparent_max_bounces = "CPU", 0, TRANSPARENT
     cycles.use_adaptive_sampling = cycles.use_denoising = False
-    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", look.filter_width
-    scene.render.filter_size = look.filter_width
+    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", scene.render.filter_size
     image = scene.render.image_settings
     if hasattr(image, "media_type"):
         image.media_type = "IMAGE"
@@ -280,11 +277,10 @@ def add_look(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-shadows", dest="shadows", action="store_false")
     parser.add_argument("--sun-angle", type=float, default=0.0, metavar="RADIANS")
     parser.add_argument("--flat", action="store_true", help="no smooth normals")
-    parser.add_argument("--filter-width", type=float, default=1.5, metavar="PIXELS")
 
 
 def look_of(options: argparse.Namespace) -> Look:
-    return Look(options.shading, options.shadows, options.sun_angle, options.flat, options.filter_width)
+    return Look(options.shading, options.shadows, options.sun_angle, options.flat)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,8 @@
 #define PS_STRAND 1.0
 // And centre.z is 0 where its normal is that of its plane, on either side; else 1 + the packed normal of the plane, on the side
 // that is seen, as the normal is.
+// Of groups of sub-samples it is PS_BALL for balls, whose sub-samples have normals of their own, and less for nodes of balls.
+#define PS_BALL -1.0
 
 // Whether something covers the pixel's centre.
 bool ps_is_there(vec4 centre)

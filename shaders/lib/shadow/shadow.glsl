@@ -1,5 +1,6 @@
 // How much of a light's light reaches a point. Reference: scripts/common/shadow_truth.py; layout: render/shadow/packed_tables.py.
-// PS_SHADOWS: some light casts shadows; else nothing here exists. PS_SHADOW_COLORED: optical depths have three channels.
+// PS_SHADOWS: some light casts shadows; else nothing here exists. PS_SHADOW_MAPS: some by a depth map (map.glsl);
+// PS_SHADOW_TABLES: some by a table, and of these: PS_SHADOW_COLORED: optical depths have three channels.
 // Shadows of wide lights are the mean of PS_SHADOW_TAPS points of the light, of a sequence that goes on from sample to
 // sample of a picture: PS_SHADOW_SAMPLE is the sample's number. PS_SHADOW_ONE_CELL: samples are so many that each looks
 // at one cell instead of interpolating four. PS_SHADOW_SOLID: only opaque things cast.
@@ -7,8 +8,9 @@
 // PS_SHADOW_SUNS: all lights are suns. PS_SHADOW_HARD: none has a size.
 
 #include "lib/shadow/table.glsl"
+#include "lib/shadow/map.glsl"
 
-#ifdef PS_SHADOWS
+#ifdef PS_SHADOW_TABLES
 
 #define PS_SHADOW_ALIKE 0.004  // differences of transmittance that an 8-bit picture does not show
 
@@ -83,9 +85,8 @@ float ps_shadow_reach(int light, PsReceiver p, float nearest, float radius)
   return spread;
 }
 
-// Share of the light of light `light` (a row of ps_shadow_lights) that reaches a point in view space. `normal`: unit, of
-// the surface there, or zero where there is none. Surfaces that face away from the light do not want to know.
-vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
+// Share of the light of light `light` (a row of ps_shadow_lights) that what casts into tables lets through to a point.
+vec3 ps_table_transmittance(int light, vec3 position, vec3 normal, bool wanted)
 {
   vec4 x = texelFetch(ps_shadow_lights, ivec2(0, light), 0), y = texelFetch(ps_shadow_lights, ivec2(1, light), 0);
   vec4 z = texelFetch(ps_shadow_lights, ivec2(2, light), 0), head = texelFetch(ps_shadow_lights, ivec2(3, light), 0);
@@ -179,6 +180,25 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
 #endif
   }
   return sum / float(max(taps, 1));
+}
+
+#endif
+
+#ifdef PS_SHADOWS
+
+// Share of the light of light `light` that reaches a point in view space. `normal`: unit, of the surface there, or zero where
+// there is none. Surfaces that face away from the light do not want to know.
+vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
+{
+  vec3 share = vec3(1.0);
+#ifdef PS_SHADOW_MAPS
+  share *= ps_map_share(light, position, normal, wanted);
+  wanted = wanted && share.x > 0.0;
+#endif
+#ifdef PS_SHADOW_TABLES
+  share *= ps_table_transmittance(light, position, normal, wanted);
+#endif
+  return share;
 }
 
 #endif

@@ -2,7 +2,7 @@
 // a distance. Reference: scripts/common/shadow_truth.py; layout: render/shadow/packed_tables.py.
 // Samplers: ps_shadow_tables (the cells of all lights), ps_shadow_lights (one row for each light, of this view).
 
-#ifdef PS_SHADOWS
+#ifdef PS_SHADOW_TABLES
 
 #ifndef PS_SHADOW_TAPS
 #define PS_SHADOW_TAPS 4
@@ -191,6 +191,8 @@ PsDepth ps_shadow_look_up(PsShadowLevel level, PsReceiver p, PsTap tap)
       for (int end = tap.near > 0.0 ? 2 : 1; end > 0; end--) {
         found = ps_shadow_up_to(level, range, min(end == 2 ? until : tap.far, limit), 0.5 * width) - found;
       }
+      // llvmpipe ends all loops of an invocation after 65,535 turns, also these searches: light is never to be gained.
+      found = max(found, PsDepth(0.0));
       result += share * (level.kind == PS_OPAQUE ? 1.0 - exp(-found) : found);
     }
   }

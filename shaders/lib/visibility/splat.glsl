@@ -66,7 +66,7 @@ vec2 ps_extent_along(vec2 along, vec3 p, mat3 shape)
 }
 
 #ifdef PS_NODES
-#include "lib/visibility/covered.glsl"
+#include "lib/splat/covered.glsl"
 #endif
 
 // False: the splat lies outside of the picture, or is nothing.

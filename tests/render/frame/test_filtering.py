@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from pointsplat_addon.core.numeric.pixel_filter import FILTER_SIZE
 from pointsplat_addon.render.frame.cryptomatte import cryptomatte
-from pointsplat_addon.render.frame.sample_positions import FILTER_WIDTH, offsets
+from pointsplat_addon.render.frame.sample_positions import offsets
 
 
 def blackman_harris(x):
@@ -27,7 +28,7 @@ def test_all_samples_together_lie_around_the_centre(count):
 def test_edges_are_near_the_filters_integral(count, bound):
     """Half-planes at all angles. With the last of an even number where the sequence has it: 0.114, 0.058, 0.039."""
     rng = np.random.default_rng(0)
-    angle, edge = rng.uniform(0, 2 * np.pi, 4000), rng.uniform(-0.75, 0.75, 4000)
+    angle, edge = rng.uniform(0, 2 * np.pi, 4000), rng.uniform(-FILTER_SIZE, FILTER_SIZE, 4000)
     normal = np.array([np.cos(angle), np.sin(angle)])
     few, many = ((offsets(n) @ normal < edge).mean(axis=0) for n in (count, 8193))
     assert np.sqrt(((few - many) ** 2).mean()) < bound  # measured 0.0841, 0.0558, 0.0358
@@ -38,8 +39,8 @@ def test_samples_are_distributed_as_the_filter():
     weight = blackman_harris(x)
     cumulative = np.cumsum(weight) / weight.sum()
     for column in offsets(4096).T:
-        assert np.abs(column).max() <= FILTER_WIDTH / 2
-        rank = np.interp(np.sort(column), x * FILTER_WIDTH, cumulative)
+        assert np.abs(column).max() <= FILTER_SIZE
+        rank = np.interp(np.sort(column), x * 2 * FILTER_SIZE, cumulative)
         # Kolmogorov and Smirnov's distance; random samples would have about 0.01
         assert np.abs(rank - (np.arange(4096) + 0.5) / 4096).max() < 2e-3  # measured 9.2e-4
 
@@ -49,7 +50,7 @@ def test_the_plane_is_filled_evenly(count):
     """No square of the unit square, a quarter wide, has far more samples than its share."""
     x = np.linspace(-0.5, 0.5, 4097)
     cumulative = np.concatenate([[0], np.cumsum(blackman_harris((x[1:] + x[:-1]) / 2))])
-    uniform = np.interp(offsets(count), x * FILTER_WIDTH, cumulative / cumulative[-1])
+    uniform = np.interp(offsets(count), x * 2 * FILTER_SIZE, cumulative / cumulative[-1])
     cells = np.histogram2d(*uniform.T, bins=4, range=[[0, 1], [0, 1]])[0]
     assert np.abs(cells - count / 16).max() <= 3  # measured 1, 2 and 3 of 16, 64 and 256
 

@@ -42,7 +42,7 @@ def with_aperture(name: str, aperture: Aperture | None = PENTAGON) -> Case:
 ])  # fmt: skip
 def test_a_picture_is_the_mean_of_those_of_cameras_at_places_on_the_lens(name, technique, monkeypatch):
     """Each of which decides anew what it draws. All of their samples are alike, for pixels have one place here."""
-    monkeypatch.setattr(frame, "offsets", lambda count: np.zeros((count, 2)))
+    monkeypatch.setattr(frame, "offsets", lambda count, filter_size: np.zeros((count, 2)))
     case = with_aperture(name)
     found = seen(case, 5, technique=technique).pixels["combined"]
     alone = [

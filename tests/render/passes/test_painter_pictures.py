@@ -160,7 +160,7 @@ def test_surfaces_receive_shadows_as_in_image_space():
     found = [picture(Case(scene, camera, Settings(technique=technique)), 8) for technique in ("IMAGE_SPACE", "PAINTER")]
     shadow = found[0][..., 0] < 0.5 * np.median(found[0][..., 0])
     assert shadow.sum() > 100
-    assert np.abs(found[0] - found[1])[eroded(shadow)].max() < 0.05  # measured 0.021
+    assert np.abs(found[0] - found[1])[eroded(eroded(shadow))].max() < 0.05  # beyond the pixel filter
     assert np.abs(found[0] - found[1]).mean() < 0.01  # measured 0.0015
 
 

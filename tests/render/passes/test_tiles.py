@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.frame.frame import Frame
 from pointsplat_addon.render.frame.report import report
@@ -123,9 +124,10 @@ def test_where_all_samples_are_needed_nothing_asks(case, passes, samples, settin
 
 
 def test_blocks_of_points_that_no_tile_needs_are_not_projected():
-    """Rows of a plane, of which only the rim still changes."""
+    """Rows of a plane, of which only the rim still changes: with a narrow filter not of all rows."""
     cloud = build.points("tiles plane", clouds.plane_cloud(300))
-    case = Case(build.scene((cloud, np.eye(4))), cameras.camera(eye=(0, -1, 4), resolution=(256, 256)))
+    settings = Settings(technique="IMAGE_SPACE", use_shadows=False, filter_size=0.75)
+    case = Case(build.scene((cloud, np.eye(4))), cameras.camera(eye=(0, -1, 4), resolution=(256, 256)), settings)
     frame = Frame(drawing.opengl(), case.scene, case.request(COMBINED, SAMPLES))
     before = sum(draw.count for draw in frame.uploads.points.draws)
     while frame.sample():

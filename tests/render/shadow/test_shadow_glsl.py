@@ -82,7 +82,7 @@ def on_device(device, packed, light, position, normal):
         samplers=tuple(("FLOAT_2D", name) for name in textures),
         outputs=(("vec4", "color"),),
         defines=(("LIGHT", str(light)), ("PS_SHADOW_TAPS", str(TAPS))),
-    ).with_defines("PS_SHADOWS", *(["PS_SHADOW_COLORED"] if packed.colored else []))
+    ).with_defines("PS_SHADOWS", "PS_SHADOW_TABLES", *(["PS_SHADOW_COLORED"] if packed.colored else []))
     target = device.target([device.texture((COUNT, 1), "RGBA32F")])
     device.draw(interface, target, textures=textures)
     return device.read(target.colors[0])[0, :, :3]

@@ -1,5 +1,7 @@
 """How many samples of each mesh cast shadows."""
 
+# pyright: reportOptionalMemberAccess=false
+# Shadows may have no tables, or no maps; those that are asked for have both.
 from dataclasses import replace
 
 import numpy as np
@@ -8,13 +10,14 @@ import pytest
 from pointsplat_addon.core.material.expression import Expression
 from pointsplat_addon.core.material.graph import MaterialGraph
 from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
+from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.materials import MaterialTable
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.renderer import Renderer
 from pointsplat_addon.render.shadow import batches, shadows
 from pointsplat_addon.render.shadow.casting import casting_geometries
-from pointsplat_addon.render.shadow.floors import which_are_floors
+from pointsplat_addon.render.shadow.floors import split_floors
 from pointsplat_addon.render.shadow.shadows import Shadows
 from pointsplat_addon.render.shadow.spacing import samples_per_mesh
 from scripts.scenes import build, cameras, clouds, drawing, meshes
@@ -40,7 +43,9 @@ def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
     ball = build.mesh(meshes.sphere_mesh("many casters", 120), "POLYGONS")
     floor = build.mesh(meshes.plane_mesh("floor of many casters"), "POLYGONS")
     placed = [(ball, build.moved((0.22 * (i % 5) - 0.44, 0.22 * (i // 5) - 0.44, 0.2), 0.08)) for i in range(25)]
-    scene = build.scene(*placed, (floor, build.moved()), lights=[build.sun(3.0, (0.3, 0.2, -1.0))])
+    scene = build.scene(
+        *placed, (floor, build.moved()), lights=[replace(build.sun(3.0, (0.3, 0.2, -1.0)), radius=0.005)]
+    )
     case = Case(
         scene,
         cameras.camera((0, -2.5, 2.5), resolution=(160, 120)),
@@ -63,24 +68,31 @@ def test_shadows_are_those_of_alphas_whatever_the_colours():
     store, plane = Store(), (build.mesh(meshes.plane_mesh("coloured caster", cells=4)), build.moved())
     below = build.mesh(meshes.cube_mesh("in the shadow of colours", 0.1)), build.moved((0, 0, -0.5))
 
-    def tables(table: MaterialTable) -> Shadows:
-        scene = build.scene(plane, below, lights=[build.sun()], table=table)
+    def shadows_of(table: MaterialTable) -> Shadows:
+        lights = [replace(build.sun(), radius=0.01), build.sun()]  # one has a table, the other a map
+        scene = build.scene(plane, below, lights=lights, table=table)
         found, _ = shadows.make_shadows(scene, Settings(technique="IMAGE_SPACE", shadow_resolution=64), store)
         assert found is not None
+        assert found.tables is not None
+        assert found.maps is not None
         return found
 
     def of(**graphs: Expression) -> MaterialTable:
         return build.materials(graphs=(MaterialGraph(**graphs),))
 
     texture = texture_nodes.ImageTexture(input_nodes.UV(), build.picture())
-    plain, red = tables(build.materials()), tables(build.materials(base_color=np.array([[1, 0, 0]], np.float32)))
-    coloured = tables(of(base_color=color_nodes.Color(texture), roughness=color_nodes.Component(texture, 0)))
-    assert red is plain
-    assert coloured is plain
-    half = tables(
+    plain, red = (
+        shadows_of(build.materials()),
+        shadows_of(build.materials(base_color=np.array([[1, 0, 0]], np.float32))),
+    )
+    coloured = shadows_of(of(base_color=color_nodes.Color(texture), roughness=color_nodes.Component(texture, 0)))
+    assert red.tables is coloured.tables is plain.tables
+    assert red.maps is coloured.maps is plain.maps
+    half = shadows_of(
         of(base_color=color_nodes.Color(texture), alpha=color_nodes.Component(texture, 0))
     )  # cut out where u < 1/2
-    assert half.entries < plain.entries
+    assert half.tables.entries < plain.tables.entries
+    assert half.maps.key != plain.maps.key
 
 
 LAID = np.array([[2.0, 0, 0, 0], [0, 0, -2, 0], [0, 2, 0, 0], [0, 0, 0, 1]])  # planes stand upright
@@ -102,7 +114,7 @@ def floored(*more, lights=None, sunk: float = 0.0) -> Case:
 def names_of_casters(case: Case) -> set[str]:
     store = Store()
     casters = casting_geometries(case.scene, store)
-    floors = which_are_floors(case.scene, casters, store)
+    casters, floors = split_floors(case.scene, casters, store)
     return {c.geometry.name for c, floor in zip(casters, floors, strict=True) if not floor}
 
 
@@ -111,7 +123,8 @@ def test_a_floor_with_nothing_behind_it_casts_nothing_and_looks_the_same(monkeyp
     for keep in (False, True):
         STORE.clear()
         if keep:
-            monkeypatch.setattr(shadows, "which_are_floors", lambda scene, casters, store: (False,) * len(casters))
+            keep_all = lambda scene, casters, store: (casters, (False,) * len(casters))  # noqa: E731
+            monkeypatch.setattr(shadows, "split_floors", keep_all)
         renderer = Renderer(drawing.opengl().device, STORE)
         pixels = renderer.render(case.scene, case.request(frozenset({"combined"}), 4)).pixels["combined"]
         renderer.release()
@@ -131,6 +144,41 @@ def test_what_may_have_something_behind_it_casts():
     assert names_of_casters(floored(sunk=0.01)) == {ball, floor}
     assert names_of_casters(floored(cellar)) == {ball, floor, "in the cellar"}
     assert names_of_casters(floored(cloud)) == {ball, floor, "cloud"}  # its lowest points lie below
+
+
+def walls(thickness: float, *, open_below: bool = False) -> list:
+    """Boxes of one mesh that enclose the cube from -1 to 1 but for its top."""
+    cube = meshes.cube_mesh("wall")
+    if open_below:
+        cube = meshes.flat_mesh("wall without a side", cube.position, np.delete(cube.triangles, [0, 6], axis=0))
+    box, found = build.mesh(cube, "POLYGONS"), []
+    for axis, side in ((0, -1), (0, 1), (1, -1), (1, 1), (2, -1)):
+        matrix = np.eye(4)
+        matrix[axis, axis], matrix[axis, 3] = thickness / 2, side * (1 + thickness / 2)
+        found.append((box, matrix))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("thickness", "open_below", "outside", "cast"),
+    [
+        (0.1, False, None, 0),
+        (1.0, False, None, 5),  # thick enough for a camera inside
+        (0.1, True, None, 5),
+        (0.1, False, (1.5, 0.3, 0.3), 1),  # the wall between it and the light
+        (0.1, False, (0.3, 0.3, -1.5), 1),
+    ],
+)
+def test_walls_cast_where_something_is_behind_them(thickness, open_below, outside, cast):
+    light = Light("POINT", np.ones(3), np.array([0.2, 0.1, 0.5]), np.array([0.0, 0, -1]), radius=0.1)
+    inside = build.mesh(meshes.sphere_mesh("within walls", 20), "POLYGONS"), build.moved((0, 0, -0.5), 0.2)
+    behind = [] if outside is None else [(inside[0], build.moved(outside, 0.2))]
+    scene = build.scene(*walls(thickness, open_below=open_below), inside, *behind, lights=[light])
+    store = Store()
+    casters, floors = split_floors(scene, casting_geometries(scene, store), store)
+    found = [len(c.matrices) for c, floor in zip(casters, floors, strict=True)
+             if not floor and c.geometry.name.startswith("wall")]  # fmt: skip
+    assert sum(found) == cast
 
 
 def test_where_only_floors_could_cast_there_are_no_tables():

@@ -58,7 +58,7 @@ def test_tiles_show_what_the_whole_picture_shows(name, monkeypatch):
     whole = render(case, samples=20).pixels
     opengl().pool.release()
     monkeypatch.setattr(tiles, "MOST_CELLS", 12_000)
-    assert len(tiles.picture_tiles(case.camera.window[2:], MANY, 16384, tiles.cells_of_tile(1))) > 1
+    assert len(tiles.picture_tiles(case.camera.window[2:], MANY, 16384, tiles.cells_of_tile(1), 1)) > 1
     divided = render(case, samples=20).pixels
     opengl().pool.release()
     for key, array in whole.items():
@@ -68,7 +68,7 @@ def test_tiles_show_what_the_whole_picture_shows(name, monkeypatch):
 
 @pytest.mark.parametrize("size", [(1920, 1080), (3840, 2160), (7, 20_000), (12_345, 3)])
 def test_tiles_divide_pictures_of_all_sizes(size):
-    found = tiles.picture_tiles(size, MANY, 16384, tiles.MOST_CELLS)
+    found = tiles.picture_tiles(size, MANY, 16384, tiles.MOST_CELLS, 1)
     owners = np.zeros(size[::-1], np.uint8)
     for tile in found:
         owners[tile.corner[1] : tile.end[1], tile.corner[0] : tile.end[0]] += 1
@@ -76,7 +76,7 @@ def test_tiles_divide_pictures_of_all_sizes(size):
         assert max(columns, rows) <= 16384
         assert columns * rows <= tiles.MOST_CELLS
         low, high = np.subtract(tile.corner, tile.origin), np.add(tile.origin, tile.size) - tile.end
-        assert len(found) == 1 or min(*low, *high) >= tiles.MARGIN
+        assert len(found) == 1 or min(*low, *high) >= 1
     assert (owners == 1).all()
 
 

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.numeric.lattice import MANY
+from pointsplat_addon.core.numeric.pixel_filter import FILTER_SIZE, blackman_harris
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.render.device.protocol import EMPTY
 from pointsplat_addon.render.frame.frame import Frame
-from pointsplat_addon.render.frame.sample_positions import FILTER_WIDTH
-from pointsplat_addon.render.passes.grouping.spread import blackman_harris
 from scripts.scenes import build, cameras
 from scripts.scenes.case import Case
 from scripts.scenes.drawing import opengl, render
@@ -121,9 +120,9 @@ def test_many_lattices_together_are_the_filters_integral():
     for y in (-1, 0, 1):
         for x in (-1, 0, 1):
             at = low + np.array([x, y])
-            weight = np.prod(blackman_harris(place[inside] - at - 0.5, FILTER_WIDTH), axis=1)
+            weight = np.prod(blackman_harris(place[inside] - at - 0.5, FILTER_SIZE), axis=1)
             np.add.at(exact, (at[:, 1], at[:, 0]), weight)
-    whole = blackman_harris(np.linspace(-1, 1, 20_001), FILTER_WIDTH).sum() * 1e-4
+    whole = blackman_harris(np.linspace(-2, 2, 40_001), FILTER_SIZE).sum() * 1e-4
     exact *= width * (t[1] - t[0]) / whole**2
     inner = slice(3, -3)
     assert np.sqrt(np.mean((found - exact)[inner, inner] ** 2)) < 0.005  # measured 0.002, of up to 0.15

@@ -3,7 +3,7 @@
 Balls lie in Morton order, so that the balls of a cell, and its descendants at any level, are one range: a level is a
 list of where its cells begin, and whole levels are cuts that many instances share. A node keeps the moments of its
 balls and the sum of their areas; what a ray meets of it follows from both when it is drawn
-(shaders/lib/visibility/covered.glsl).
+(shaders/lib/splat/covered.glsl).
 """
 
 from __future__ import annotations
@@ -74,24 +74,25 @@ def build_ball_tree(cloud: PointCloud) -> BallTree:
         depth += 1
     at = np.flatnonzero(step >= _threshold(depth))
     step = step[at]
-    first = [_ends(at, count)]
-    rows = [_merge_balls(cloud, first[0])]
+    first, fastest = [_ends(at, count)], saturation(cloud.position)
+    rows = _merge_balls(cloud, first[0])
+    columns = [_node_columns(rows, fastest)]
     for level in range(depth - 1, -1, -1):
         begin = np.flatnonzero(step >= _threshold(level))
         step = step[begin]
         first.append(_ends(first[-1][begin], count))
-        rows.append(_merged(rows[-1], _ends(begin, rows[-1].shape[1])))
+        rows = _merged(rows, _ends(begin, rows.shape[1]))
+        columns.append(_node_columns(rows, fastest))
     first.reverse()
-    rows.reverse()
-    table = np.concatenate(rows, axis=1)
+    position, shape, averages = (np.concatenate(levels) for levels in zip(*reversed(columns), strict=True))
     assert cloud.radii is not None
     return BallTree(
         cloud,
         tuple(first),
         offsets([len(f) - 1 for f in first]),
         side / 2.0 ** np.arange(depth + 1),
-        _node_cloud(cloud, first, table),
-        _shapes(table, saturation(cloud.position)),
+        _node_cloud(cloud, first, position, averages),
+        shape,
         float(cloud.radii[:, 0].max()),
     )
 
@@ -177,28 +178,28 @@ def _merged(rows: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return out
 
 
-def _node_cloud(cloud: PointCloud, first: list[np.ndarray], table: np.ndarray) -> PointCloud:
-    """The nodes' positions and attributes. Nodes have the material of the ball in their middle."""
+def _node_columns(rows: np.ndarray, saturation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions (n, 3), BallTree.shape (n, 8) and averages (n, A) of nodes, float32, from the rows of `_merged`."""
+    shape = np.empty((rows.shape[1], 8), np.float32)
+    for column in range(6):
+        np.multiply(rows[4 + column], SPREAD, out=shape[:, column], casting="same_kind")
+    shape[:, [0, 3, 5]] += rows[10, :, None]
+    np.multiply(rows[0], np.pi, out=shape[:, 6], casting="same_kind")
+    balls = rows[0] / rows[10]  # of one size that would have this area and this mean square
+    np.maximum(saturation, FEW_SATURATION / balls, out=shape[:, 7], casting="same_kind")
+    shape[balls < 1.01, 7] = ONE_SATURATION
+    return rows[1:4].T.astype(np.float32), shape, rows[11:].T.astype(np.float32)
+
+
+def _node_cloud(cloud: PointCloud, first: list[np.ndarray], position: np.ndarray, averages: np.ndarray) -> PointCloud:
+    """The nodes, of all levels, with their attributes. Nodes have the material of the ball in their middle."""
     arrays: dict[str, np.ndarray] = {}
-    at = 11
+    at = 0
     for name in AVERAGED:
         if (array := getattr(cloud, name)) is not None:
-            arrays[name] = table[at : at + array.shape[1]].T.astype(np.float32)
+            arrays[name] = np.ascontiguousarray(averages[:, at : at + array.shape[1]])
             at += array.shape[1]
     if cloud.material is not None:
         middle = np.concatenate([(f[:-1].astype(np.int64) + f[1:]) // 2 for f in first])
         arrays["material"] = cloud.material[middle]
-    return PointCloud(table[1:4].T.astype(np.float32), origin=cloud.origin, **arrays)
-
-
-def _shapes(table: np.ndarray, saturation: float) -> np.ndarray:
-    """BallTree.shape of the rows of all nodes."""
-    shape = np.empty((table.shape[1], 8), np.float32)
-    for column in range(6):
-        np.multiply(table[4 + column], SPREAD, out=shape[:, column], casting="same_kind")
-    shape[:, [0, 3, 5]] += table[10, :, None]
-    np.multiply(table[0], np.pi, out=shape[:, 6], casting="same_kind")
-    balls = table[0] / table[10]  # of one size that would have this area and this mean square
-    np.maximum(saturation, FEW_SATURATION / balls, out=shape[:, 7], casting="same_kind")
-    shape[balls < 1.01, 7] = ONE_SATURATION
-    return shape
+    return PointCloud(position, origin=cloud.origin, **arrays)

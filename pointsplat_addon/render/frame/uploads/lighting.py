@@ -1,4 +1,4 @@
-"""Uploads that shading reads: the material table, lights, the environment and tables of shadows."""
+"""Uploads that shading reads: the material table, lights, the environment, and tables and maps of shadows."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from ...device.protocol import Texture
 from ...passes.shading.lighting import bound_textures
 from ...passes.shading.materials import material_rows
 from ...plan.plan import Plan
-from ...shadow.shadows import Shadows
+from ...shadow.shadows import Shadows, Tables
 from .scope import UploadScope
+from .shadow_maps import CasterUploads, draw_maps
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,9 @@ class LightingUploads:
 
     def __init__(self, scope: UploadScope, store: Store, scene: Scene, plan: Plan, shadows: Shadows | None) -> None:
         self._scope, self._store, self._scene, self._plan = scope, store, scene, plan
-        self._packed = None if shadows is None else shadows.packed
-        self.shadow_key = None if shadows is None else shadows.key
+        self._tables = None if shadows is None else shadows.tables
+        self._maps = None if shadows is None else shadows.maps
+        self.shadow_key = None if shadows is None else shadows.key  # None: nothing casts shadows
         table = material_rows(scene.materials, self._hair_escape())
         self._surface = float(table[0, 2, 1]), float(table[0, 2, 3])  # roughness and relative index of the first one
         self.materials: dict[str, Texture] = {}  # the material table, by sampler name, where a pass reads it
@@ -55,26 +57,59 @@ class LightingUploads:
             self._environment = self._upload_environment(scene.world.image)
             if plan.backdrop:
                 self.levels = self._upload_levels(scene.world.image)
-        self.shadow_tables = None if shadows is None else self._upload_shadows(shadows)
-        self._shadow_records: Texture | None = None  # of the lights in this view
+        self._shadow_tables = None if self._tables is None else self._upload_tables(self._tables)
+        self._shadow_maps: Texture | None = None
+        if self._maps is not None and self._map_key in scope.kept:
+            self.draw_maps()
+        self._table_records: Texture | None = None  # of the lights in this view
+        self._map_records: Texture | None = None
 
     @property
     def textures(self) -> dict[str, Texture]:
         """What shading reads, by sampler name."""
         return bound_textures(
             materials=self.materials.get("ps_materials"), lights=self._lights, environment=self._environment,
-            shadow_tables=self.shadow_tables, shadow_lights=self._shadow_records,
+            shadow_tables=self._shadow_tables, shadow_lights=self._table_records,
+            shadow_maps=self._shadow_maps, map_lights=self._map_records,
         )  # fmt: skip
 
+    @property
+    def lacks_maps(self) -> bool:
+        """Whether `draw_maps` is to be called before anything is shaded."""
+        return self._maps is not None and self._shadow_maps is None
+
+    def draw_maps(self) -> None:
+        """Draws the depth maps of lights, or takes those that are kept."""
+        assert self._maps is not None
+        scope, maps = self._scope, self._maps
+
+        def make() -> Texture:
+            return draw_maps(scope.device, maps, casters)
+
+        if self._map_key in scope.kept:
+            self._shadow_maps = scope.lookup(self._map_key, make)
+            return
+        casters = CasterUploads(scope.kept, self._store, self._scene, self._plan, maps)
+        try:
+            self._shadow_maps = scope.lookup(self._map_key, make)
+        finally:
+            casters.release()
+
+    @property
+    def _map_key(self) -> Key:
+        assert self._maps is not None
+        return Key(Kind.SHADOW_MAP_TEXTURE, self._maps.key)
+
     def upload_view(self, camera: Camera) -> None:
-        """Uploads the lights, and the records of their shadow tables, in the space of a view."""
+        """Uploads the lights, and the records of their shadow tables and maps, in the space of a view."""
         scene = self._scene
         if self._plan.lighting or self._plan.world:
             rows = light_texture(scene.lights, scene.world, camera.view_from_world, *self._surface)
             self._lights = self._scope.view_texture(rows)
-        if self._packed is not None:
-            records = self._packed.records(camera.view_from_world).astype(np.float32)
-            self._shadow_records = self._scope.view_texture(records)
+        if self._tables is not None:
+            self._table_records = self._scope.view_texture(self._tables.packed.records(camera.view_from_world))
+        if self._maps is not None:
+            self._map_records = self._scope.view_texture(self._maps.records(camera.view_from_world))
 
     def _hair_escape(self) -> np.ndarray:
         """Returns how much light leaves the hair of each material, (M,): of the strands with most hairs, in view or
@@ -89,13 +124,13 @@ class LightingUploads:
                 most[rows] = np.maximum(most[rows], number)
         return hair.escape_share(most)
 
-    def _upload_shadows(self, shadows: Shadows) -> Texture:
-        data, device = shadows.packed.data, self._scope.device
+    def _upload_tables(self, tables: Tables) -> Texture:
+        data, device = tables.packed.data, self._scope.device
 
         def make() -> Texture:
             return device.texture((data.shape[1], data.shape[0]), "RGBA32F", data.reshape(-1))
 
-        return self._scope.lookup(Key(Kind.SHADOW_TEXTURE, shadows.key), make)
+        return self._scope.lookup(Key(Kind.SHADOW_TEXTURE, tables.key), make)
 
     def _upload_environment(self, image: np.ndarray) -> Texture:
         def make() -> Texture:

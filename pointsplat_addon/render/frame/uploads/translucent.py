@@ -116,7 +116,7 @@ class TranslucentUploads:
         lights that cast shadows are few."""
         layer, lights = self._layer, len(self._scene.lights)
         shown = layer.set_of_instance[layer.set_of_instance >= 0]
-        if self._lighting.shadow_tables is None or len(np.unique(shown)) < len(shown) or lights > MOST_SHARED_LIGHTS:
+        if self._lighting.shadow_key is None or len(np.unique(shown)) < len(shown) or lights > MOST_SHARED_LIGHTS:
             return
         instance = np.zeros(page.count, np.int64)
         for row in np.flatnonzero(layer.set_of_instance >= 0):

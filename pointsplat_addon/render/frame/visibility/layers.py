@@ -12,16 +12,16 @@ from collections.abc import Callable
 import numpy as np
 
 from ....core.numeric.linear import are_similarities
+from ....core.numeric.pixel_filter import filter_reach, filter_weights
 from ...device.protocol import Device, Target, Texture
 from ...passes.gbuffer import GBuffer, Variant
 from ...passes.grouping.groups import Leaders
-from ...passes.grouping.spread import SPREAD_BLOCK, filter_weights, spread_program, weight_texels
+from ...passes.grouping.spread import SPREAD_BLOCK, spread_program, weight_texels
 from ...passes.strands.strand_ids import StrandCover
 from ...passes.uniforms import SampleView
 from ...passes.visibility.polygon_ids import PolygonCover
 from ...passes.visibility.splat_ids import SplatCover
 from ...plan.plan import Plan
-from ..sample_positions import FILTER_WIDTH
 from ..shading import Shading
 from ..uploads.uploads import Uploads
 from .identities import identities
@@ -94,8 +94,8 @@ class Visibility:
         return found
 
     def weights(self, view: SampleView) -> np.ndarray:
-        """Returns the weights of the pixel filter, (9, S): see filter_weights."""
-        return filter_weights(self._targets.buffer.lattice, view.offset, FILTER_WIDTH)
+        """Returns the weights of the pixel filter, (N, S): see filter_weights."""
+        return filter_weights(self._targets.buffer.lattice, view.offset, self._plan.filter_size)
 
     def _number_primitives(self, view: SampleView) -> None:
         """Lists what a view shows, with the numbers of primitives: first splats, then triangles, then segments."""
@@ -119,7 +119,9 @@ class Visibility:
         run("attributes", lambda: self._write_attributes(view, leaders, lists.surfaces, self._plan.variant))
         run(
             "shade",
-            lambda: self._shading.shade_groups(view, lists.surfaces, leaders.bound | groups.codes, lists.target),
+            lambda: self._shading.shade_groups(
+                view, lists.surfaces, leaders.bound | groups.codes, targets.buffer, lists.target
+            ),
         )
         if targets.behind is not None:
             run("background", lambda: self._shading.draw_open(view, groups.codes, targets.behind_target))
@@ -150,7 +152,7 @@ class Visibility:
         if splats is not None:
             self._run("cover", lambda: splats.rasterise(draws, view, shared))
         if polygons is not None:
-            self._run("polygons", lambda: polygons.cover(normal, view, shared))
+            self._run("polygons", lambda: polygons.identify(normal, view, shared))
         if strands is not None:
             self._run("lines", lambda: strands.cover(normal, view, {**shared, **instances}))
         if splats is not None:
@@ -175,11 +177,17 @@ class Visibility:
         """Adds what the groups show to the sums."""
         targets, groups = self._targets, self._targets.groups
         weights = self.weights(view)
+        reach, behind = filter_reach(self._plan.filter_size), self._plan.background
         # The weights of one lattice are constants of the program; with several it would be compiled for each.
-        fixed = weights if view.offset == (0.0, 0.0) else None
-        behind = self._plan.background
+        fixed = weights if view.offset == (0.0, 0.0) and reach == 1 else None
         program = spread_program(
-            targets.buffer.lattice, self._passes, self._plan.picture, fixed, behind, groups.places is not None
+            targets.buffer.lattice,
+            self._passes,
+            self._plan.picture,
+            reach,
+            fixed,
+            behind,
+            groups.places is not None,
         )
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         if fixed is None:

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
+from ....core.scene.scene import Scene
 from ...device.protocol import Device
 from ...passes.uniforms import SampleView
 from ...passes.visibility.polygon_ids import PolygonDraw
-from ..uploads.uploads import Uploads
+from ...prepare.prepare import Prepared
+from ..uploads.polygons import PolygonUploads
 
 
-def polygon_draws(device: Device, uploads: Uploads, view: SampleView, first_id: int) -> list[PolygonDraw]:
+class PolygonSource(Protocol):
+    """What is on the device of a scene, and which of its instances a view draws as polygons."""
+
+    scene: Scene
+    prepared: Prepared
+    polygons: PolygonUploads
+
+
+def polygon_draws(device: Device, uploads: PolygonSource, view: SampleView, first_id: int) -> list[PolygonDraw]:
     """Returns what a view draws of each mesh. `first_id`: the number of the first triangle."""
     instances, found = uploads.scene.instances, []
     shown = uploads.prepared.polygons

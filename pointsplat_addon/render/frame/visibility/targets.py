@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ....core.numeric.lattice import lattice_of
+from ....core.numeric.pixel_filter import filter_reach
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.gbuffer import GBuffer
 from ...passes.grouping.groups import Groups, Leaders
@@ -26,7 +27,9 @@ class VisibilityTargets:
         self._device, self._plan, self._owned = device, plan, []
         self._names = [*(["ps_combined"] if plan.picture else []), *map(_sampler, averaged(passes))]
         lattice = lattice_of(plan.sub_samples)
-        self.size, self.tiles = size, picture_tiles(size, lattice, device.limits.texture_size, most_cells)
+        margin = filter_reach(plan.filter_size)
+        self.size = size
+        self.tiles = picture_tiles(size, lattice, device.limits.texture_size, most_cells, margin)
         of_tile = self.tiles[0].size
         self.buffer = self._own(VisibilityBuffer(device, lattice, of_tile))
         self.groups = self._own(Groups(device, self.buffer))

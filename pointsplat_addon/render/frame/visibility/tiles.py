@@ -9,7 +9,6 @@ from ...passes.uniforms import SampleView
 
 # Of a tile, with 16 bytes each: 17 sub-samples of 410 x 410 pixels, and of 1280 x 720.
 FEWEST_CELLS, MOST_CELLS = 1 << 22, 28_000_000
-MARGIN = 1  # pixels around a tile whose sub-samples the pixel filter takes in
 
 
 @dataclass(frozen=True)
@@ -41,10 +40,13 @@ def cells_of_tile(primitives: int) -> int:
     return min(max(wanted, FEWEST_CELLS), MOST_CELLS)
 
 
-def picture_tiles(size: tuple[int, int], lattice: Lattice, most_side: int, most_cells: int) -> list[PictureTile]:
+def picture_tiles(
+    size: tuple[int, int], lattice: Lattice, most_side: int, most_cells: int, margin: int
+) -> list[PictureTile]:
     """Returns the tiles of a picture of `size` (width, height) pixels, all of one size.
 
-    `most_side`: cells along a side of a texture. `most_cells`: see cells_of_tile.
+    `most_side`: cells along a side of a texture. `most_cells`: see cells_of_tile. `margin`: pixels around a tile that
+    the pixel filter takes in.
     """
 
     def fits(size: tuple[int, int]) -> bool:
@@ -54,7 +56,7 @@ def picture_tiles(size: tuple[int, int], lattice: Lattice, most_side: int, most_
     if fits(size):
         return [PictureTile((0, 0), size, (0, 0), size)]
     counts = [1, 1]
-    while not fits((-(-size[0] // counts[0]) + 2 * MARGIN, -(-size[1] // counts[1]) + 2 * MARGIN)):
+    while not fits((-(-size[0] // counts[0]) + 2 * margin, -(-size[1] // counts[1]) + 2 * margin)):
         wider = 0 if size[0] / counts[0] >= size[1] / counts[1] else 1
         counts[wider] += 1
     sides = -(-size[0] // counts[0]), -(-size[1] // counts[1])
@@ -62,6 +64,6 @@ def picture_tiles(size: tuple[int, int], lattice: Lattice, most_side: int, most_
     for y in range(0, size[1], sides[1]):
         for x in range(0, size[0], sides[0]):
             end = min(x + sides[0], size[0]), min(y + sides[1], size[1])
-            origin = min(x, size[0] - sides[0]) - MARGIN, min(y, size[1] - sides[1]) - MARGIN
-            found.append(PictureTile((x, y), end, origin, (sides[0] + 2 * MARGIN, sides[1] + 2 * MARGIN)))
+            origin = min(x, size[0] - sides[0]) - margin, min(y, size[1] - sides[1]) - margin
+            found.append(PictureTile((x, y), end, origin, (sides[0] + 2 * margin, sides[1] + 2 * margin)))
     return found

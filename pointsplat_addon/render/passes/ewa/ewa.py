@@ -36,7 +36,6 @@ from .options import WIDEST_POINT, EwaOptions
 from .programs import NORMALISE, blended_attributes, programs
 from .projected import ProjectedSplats
 
-JITTER = 1.0  # pixels that samples shift the picture by at most
 CHUNK = 1 << 20  # splats of one draw; Blender wants a vertex buffer, if an empty one, for all its vertices
 
 
@@ -72,7 +71,7 @@ class Ewa:
             textures = {**shared, **draw.textures}
             record = draw.record(view, program.block, low_pass=self.options.low_pass)
             self.device.draw(program, splats.target, uniforms=record, textures=textures)
-            splats.find(self.device, view, self.options.reach(WIDEST_POINT) + JITTER)
+            splats.find(self.device, view, self.options.reach(WIDEST_POINT) + self.options.shift)
         self._leave_out(view, shared)
         for splats in self._splats:
             splats.list_found(self.device)
@@ -99,7 +98,7 @@ class Ewa:
         if ewa_cover.closed_share(device, self.nearest, sizes) < ewa_cover.ENOUGH:
             self._begun = not sizes.thin
             return
-        margin = 0.0 if self.options.low_pass == 1 else JITTER
+        margin = 0.0 if self.options.low_pass == 1 else self.options.shift
         cover = ewa_cover.Cover(device, self.nearest, sizes, margin)
         for splats, index in zip(self._splats, drawn, strict=True):
             splats.keep(index, cover.needed(splats.textures, view, self.options.low_pass))

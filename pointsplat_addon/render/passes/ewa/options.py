@@ -18,6 +18,7 @@ class EwaOptions:
     """What a view's splats need beyond PointOptions."""
 
     low_pass: float  # pixels^2: core.ewa.low_pass
+    shift: float  # pixels that samples shift the picture by at most
     hard: bool  # core.ewa.centres_decide
     balls: bool = False  # some have no normal
     large: bool = False  # some may be wide, or near
@@ -28,11 +29,11 @@ class EwaOptions:
         return math.sqrt(NODE_RIM * (min(largest, WIDEST_POINT) ** 2 / 4 + self.low_pass))
 
 
-def options(camera: Camera, largest: float, balls: bool, samples: int) -> EwaOptions:
+def options(camera: Camera, largest: float, balls: bool, samples: int, filter_size: float) -> EwaOptions:
     """Returns the options of a view. `largest`: bound of the splats' radii in pixels. A rim's projection errs by its
     radius times the share of the depth that it extends over, at most the radius squared over the focal length in
     pixels."""
     focal = min(abs(f) for f in camera.pixel_from_view()[:2])
     affine = math.sqrt(AFFINE_ERROR * focal) if camera.perspective else math.inf
     wide = not largest <= min(WIDEST_POINT, affine)
-    return EwaOptions(low_pass(samples), centres_decide(samples), balls, wide)
+    return EwaOptions(low_pass(samples), filter_size, centres_decide(samples), balls, wide)

@@ -25,10 +25,12 @@ def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
         ("ps_lights", bool(lighting) and lighting != ("PS_BACKDROP",)),
         ("ps_backdrop", "PS_BACKDROP" in lighting),
         ("ps_environment", "PS_HAS_ENVIRONMENT" in lighting),
-        ("ps_shadow_tables", "PS_SHADOWS" in lighting),
-        ("ps_shadow_lights", "PS_SHADOWS" in lighting),
+        ("ps_shadow_tables", "PS_SHADOW_TABLES" in lighting),
+        ("ps_shadow_lights", "PS_SHADOW_TABLES" in lighting),
+        ("ps_map_lights", "PS_SHADOW_MAPS" in lighting),
     )
-    return tuple(("FLOAT_2D", name) for name, needed in wanted if needed)
+    maps = (("UINT_2D", "ps_shadow_maps"),) if "PS_SHADOW_MAPS" in lighting else ()
+    return (*(("FLOAT_2D", name) for name, needed in wanted if needed), *maps)
 
 
 def bound_textures(**named: Texture | None) -> dict[str, Texture]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from ....core.numeric.lattice import Lattice
 from ....core.scene.scene import Scene
 from ....shading.interface import Block, Interface
 from ..gbuffer import Variant
 from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, Values, block
+from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, sub_sample_defines
 from .averages import averaged, averaged_defines, averaged_outputs
 from .lighting import (
     ENOUGH_CELLS,
@@ -21,9 +23,11 @@ from .lighting import (
 MIST_EXPONENT = {"LINEAR": 1.0, "QUADRATIC": 2.0, "INVERSE_QUADRATIC": 0.5}
 MIST_FIELDS: Fields = (("float", "mist_start"), ("float", "mist_scale"), ("float", "mist_exponent"))
 WORLD_FIELDS: Fields = (("mat4", "world_from_view"),)
+# The sub-samples of groups, at which shadows are looked up in maps.
+FOOTPRINT_SAMPLERS = tuple(("UINT_2D", name) for name in ("ps_depths", "ps_keys", "ps_first", "ps_second"))
 
 
-def _block(passes: frozenset[str], lighting: tuple[str, ...], focus: bool, combined: bool) -> Block:
+def _block(passes: frozenset[str], lighting: tuple[str, ...], focus: bool, combined: bool, footprint: bool) -> Block:
     """The uniforms of one variant."""
     wanted = (
         (LIGHT_FIELDS, combined),
@@ -31,6 +35,7 @@ def _block(passes: frozenset[str], lighting: tuple[str, ...], focus: bool, combi
         (LENS_FIELDS, focus),
         (MIST_FIELDS, "mist" in averaged(passes)),
         (WORLD_FIELDS, "normal" in averaged(passes)),
+        (LATTICE_FIELDS, footprint),
     )
     return block("Shade", CAMERA_FIELDS, *(fields for fields, on in wanted if on))
 
@@ -57,17 +62,20 @@ def shade_program(
     focus: bool = False,
     combined: bool = True,
     coarse: bool = False,
-    grouped: bool = False,
+    lattice: Lattice | None = None,
 ) -> Interface:
     """Returns the program that shades. `lighting`, `materials`: the PS_ names of what shines and of what surfaces do
     with it. Wide lights are sampled at as many points as the `samples` of a picture leave over from LIGHT_POINTS.
     `coverage`: edges are soft. `lines`: there are strands. `focus`: only what is in focus, with its depth. `combined`:
     the picture, not only passes beside it. `coarse`: nodes are so wide that they would lie in the shadow of what they
-    stand for. `grouped`: surfels are groups of sub-samples."""
+    stand for. `lattice`: surfels are groups of sub-samples of this one."""
+    grouped = lattice is not None
+    footprint = lattice if combined and "PS_SHADOW_MAPS" in lighting else None
     read = variant.samplers(only=("centre", "shape", "normal", "color", "emission"))
     read += (("FLOAT_2D", "ps_list"),) if grouped else ()
+    read += FOOTPRINT_SAMPLERS if footprint else ()
     flags = {"PS_COVERAGE": coverage, "PS_STRANDS": lines and variant.normal, "PS_FOCUS": focus,
-             "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped,
+             "PS_AUXILIARY_ONLY": not combined, "PS_GROUPED": grouped, "PS_FOOTPRINT": footprint is not None,
              "PS_COARSE": coarse and any("SHADOW" in name for name in lighting)}  # fmt: skip
     names = (*variant.defines, *materials, *averaged_defines(passes), *(name for name, on in flags.items() if on))
     # A sample of groups is a whole picture: it looks at all points, but only where the first ones disagree.
@@ -76,9 +84,11 @@ def shade_program(
     wide = "PS_SHADOW_HARD" not in lighting
     taps += (("PS_SHADOW_FIRST", str(FIRST_LIGHT_POINTS)),) if taps and wide and points > FIRST_LIGHT_POINTS else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
+    cells = (LATTICE_DEFINE, *sub_sample_defines(footprint)) if footprint else ()
     return Interface(
-        "shade", fragment="shading/shade.frag", block=_block(passes, lighting, focus, combined),
+        "shade", fragment="shading/shade.frag",
+        block=_block(passes, lighting, focus, combined, footprint is not None),
         outputs=(*averaged_outputs(passes, combined), *((("vec4", "out_focus"),) if focus else ())),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
-        defines=(*lighting_defines(lighting), *taps, *((name, "1") for name in names)),
+        defines=(*lighting_defines(lighting), *taps, *cells, *((name, "1") for name in names)),
     )  # fmt: skip

@@ -109,7 +109,7 @@ def _fuzzy_defines(options: TranslucentOptions, lighting: tuple[str, ...]) -> tu
     """One point of each wide light a sample is enough for splats that overlap, and blur what they receive; opaque ones
     do not, and a sample of groups is a whole picture."""
     points = MOST_LIGHT_POINTS if options.fuzzy or options.grouped else 1
-    taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOWS" in lighting else ()
+    taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_TABLES" in lighting else ()
     narrow = float(np.sqrt(4 * painter.SUPPORT / SUPPORT))
     return (*taps, *((("PS_FUZZY", repr(narrow)),) if options.fuzzy else ()))
 

@@ -16,6 +16,8 @@ from ..uniforms import Fields, Values
 RASTERISED = 1 << 31  # of a primitive's number: the hardware has rasterised it
 MOST_PRIMITIVES = RASTERISED - (1 << 20)  # of each of the two ways
 OUTPUTS = (("uint", "out_id"), ("uint", "out_depth"), ("uint", "out_key"))
+DEPTH_OUTPUT = (("uint", "out_depth"),)  # of passes into depths alone
+DEPTH_ONLY_DEFINE = ("PS_DEPTH_ONLY", "1")
 # What lib/visibility/lattice.glsl reads, with its define.
 LATTICE_FIELDS: Fields = (("vec4", "lattice"), ("vec2", "cells"))
 LATTICE_DEFINE = ("PS_LATTICE", "1")
@@ -33,16 +35,20 @@ def offset_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
     return ("PS_SUB_SAMPLES", str(lattice.count)), ("PS_OFFSETS", f"vec2[{lattice.count}]({offsets})")
 
 
-class VisibilityBuffer:
-    """The nearest primitive of each sub-sample of a picture."""
+class DepthBuffer:
+    """The depth of what is nearest at each cell: of the three textures the one."""
 
     @releases_on_failure
     def __init__(self, device: Device, lattice: Lattice, size: tuple[int, int]) -> None:
         """`size`: (width, height) of the picture in pixels."""
         self._device, self.lattice, self.size = device, lattice, size
         self.cells = lattice.size(size)
-        self.ids, self.depths, self.keys = (device.texture(self.cells, "R32UI") for _ in range(3))
-        self.target = device.target([self.ids, self.depths, self.keys], depth=True)
+        self.depths = device.texture(self.cells, "R32UI")
+        self.target = device.target(self._colors(), depth=True)
+
+    def _colors(self) -> list[Texture]:
+        """The textures that are drawn into."""
+        return [self.depths]
 
     def clear(self) -> None:
         """Empties all sub-samples."""
@@ -55,6 +61,23 @@ class VisibilityBuffer:
         # The centre of pixel (0, 0) is that of the cell (x, y).
         origin = x + 0.5 - 0.5 * (lattice.p - lattice.q), y + 0.5 - 0.5 * (lattice.p + lattice.q)
         return {"lattice": (lattice.p, lattice.q, *origin), "cells": self.cells}
+
+    @property
+    def textures(self) -> dict[str, Texture]:
+        """The textures by sampler name."""
+        return {"ps_depths": self.depths}
+
+    def release(self) -> None:
+        for item in (self.target, *self.textures.values()):
+            item.release()
+
+
+class VisibilityBuffer(DepthBuffer):
+    """The nearest primitive of each sub-sample of a picture."""
+
+    def _colors(self) -> list[Texture]:
+        self.ids, self.keys = (self._device.texture(self.cells, "R32UI") for _ in range(2))
+        return [self.ids, self.depths, self.keys]
 
     def cell_offset(self, corner: tuple[int, int]) -> tuple[int, int]:
         """Returns what takes cells to those of a picture of which this one is a part, the same for all parts: (columns,
@@ -75,7 +98,3 @@ class VisibilityBuffer:
         column, row = corner[0] + p * x - q * y, corner[1] + q * x + p * y
         offsets = self.lattice.offsets
         return ids[row[..., None] + offsets[:, 1], column[..., None] + offsets[:, 0]]
-
-    def release(self) -> None:
-        for item in (self.target, self.ids, self.depths, self.keys):
-            item.release()

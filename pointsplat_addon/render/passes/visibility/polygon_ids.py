@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -13,7 +15,16 @@ from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..grouping.groups import Groups, Leaders
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, RECTANGLE_FIELDS, Fields, SampleView, Values, block
-from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, offset_defines
+from .buffer import (
+    DEPTH_ONLY_DEFINE,
+    DEPTH_OUTPUT,
+    LATTICE_DEFINE,
+    LATTICE_FIELDS,
+    OUTPUTS,
+    DepthBuffer,
+    VisibilityBuffer,
+    offset_defines,
+)
 from .polygon_mesh import CORNERS, Group, PolygonMesh
 from .polygons import needed_defines
 
@@ -75,19 +86,31 @@ def _block(name: str, one: bool, own: Fields, of_one: Fields, *groups: Fields) -
     return block(name, CAMERA_FIELDS, MESH_FIELDS, own, alone, *groups)
 
 
+def depths_program(group: Group, one: bool) -> Interface:
+    """Returns the program that draws the depth of a group of triangles, whichever side they show. `one`: there is one
+    instance."""
+    return _cover_program(replace(group, cull=False), one, ())
+
+
 def ids_program(normal: bool, group: Group, one: bool) -> Interface:
     """Returns the program that draws a group of triangles into the visibility buffer.
 
     `normal`: something is lit, and normals tell surfaces apart. `one`: there is one instance.
     """
+    varyings = [("flat", "uint", "v_id"), ("flat", "vec2", "v_about")]
+    return _cover_program(group, one, (*varyings, *((("smooth", "vec3", "v_normal"),) if normal else ())))
+
+
+def _cover_program(group: Group, one: bool, identity: tuple[tuple[str, str, str], ...]) -> Interface:
+    """Returns the program that draws a group of triangles. `identity`: varyings that tell triangles and surfaces apart;
+    none: only depths are drawn."""
+    normal = any(name == "v_normal" for _, _, name in identity)
     alpha = tuple(name for name in group.defines if name in ("PS_UV", "PS_BAKED_ALPHA", "PS_CORNER_ALPHA"))
     names = [name for name in alpha if name != "PS_UV" or "PS_BAKED_ALPHA" in alpha]
     if "PS_CORNER_ALPHA" in names:
         names.append("PS_CORNER_COLOR")
     samplers = ["ps_corner", *(() if one else ("ps_instances",))]
-    varyings = [("smooth", "vec3", "v_position"), ("flat", "uint", "v_id"), ("flat", "vec2", "v_about")]
-    if normal:
-        varyings.append(("smooth", "vec3", "v_normal"))
+    varyings = [("smooth", "vec3", "v_position"), *identity]
     if "PS_UV" in names:
         samplers += ["ps_corner_uv", "ps_baked_color"]
         varyings.append(("smooth", "vec2", "v_uv"))
@@ -95,15 +118,17 @@ def ids_program(normal: bool, group: Group, one: bool) -> Interface:
         samplers.append("ps_corner_color")
         varyings.append(("smooth", "vec4", "v_color"))
     own: Fields = (("int", "first"), ("int", "corners"), ("int", "first_slot"))  # corners: of the group
-    flags = {"PS_CULL": group.cull, "PS_NORMAL": normal, "PS_ONE_INSTANCE": one}
+    flags = {"PS_CULL": group.cull, "PS_NORMAL": normal, "PS_ONE_INSTANCE": one, DEPTH_ONLY_DEFINE[0]: not identity}
     return Interface(
-        "polygons",
+        "polygons" if identity else "shadow maps",
         vertex="visibility/polygon_ids.vert",
         fragment="visibility/polygon_ids.frag",
-        block=_block("PolygonIds", one, own, (("int", "mirrored"),), LATTICE_FIELDS),
+        block=_block("PolygonIds", one, own, (("int", "mirrored"),), LATTICE_FIELDS)
+        if identity
+        else block("PolygonDepths", CAMERA_FIELDS, own, ONE_INSTANCE_FIELDS if one else (), LATTICE_FIELDS),
         samplers=tuple(("FLOAT_2D", name) for name in samplers),
         varyings=tuple(varyings),
-        outputs=OUTPUTS,
+        outputs=OUTPUTS if identity else DEPTH_OUTPUT,
         defines=(LATTICE_DEFINE, *((name, "1") for name in (*names, *(name for name, on in flags.items() if on)))),
         depth=True,
     )
@@ -135,18 +160,23 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
 
 
 @dataclass(frozen=True, eq=False)
-class PolygonCover:
-    """Draws the polygons of one picture into its visibility buffer."""
+class PolygonDepths:
+    """Draws the depths of polygons."""
 
     device: Device
     draws: list[PolygonDraw]
-    buffer: VisibilityBuffer
+    buffer: DepthBuffer
 
-    def cover(self, normal: bool, view: SampleView, shared: dict[str, Texture]) -> None:
-        """Draws all polygons. `normal`: normals tell surfaces apart."""
+    def cover(self, view: SampleView, shared: dict[str, Texture]) -> None:
+        """Draws all polygons."""
+        self._cover(depths_program, view, shared)
+
+    def _cover(
+        self, program_of: Callable[[Group, bool], Interface], view: SampleView, shared: dict[str, Texture]
+    ) -> None:
         for draw in self.draws:
             for group in draw.mesh.groups:
-                program = ids_program(normal, group, draw.slots == 1)
+                program = program_of(group, draw.slots == 1)
                 step = max(MOST_VERTICES // group.count, 1)
                 for slot in range(0, draw.slots, step):
                     own = {"first": group.first, "corners": group.count, "first_slot": slot}
@@ -158,6 +188,27 @@ class PolygonCover:
                         vertices=group.count * min(step, draw.slots - slot),
                         depth_test=True,
                     )
+
+    def _record(
+        self, program: Interface, draw: PolygonDraw, group: Group, view: SampleView, **own: object
+    ) -> np.ndarray:
+        about = {"material": group.material, "first_id": draw.first_id, "triangles": draw.mesh.triangles}
+        return view.record_of(program.block, **about, **draw.values, **own)
+
+    def release(self) -> None:
+        for draw in self.draws:
+            draw.release()
+
+
+@dataclass(frozen=True, eq=False)
+class PolygonCover(PolygonDepths):
+    """Draws the polygons of one picture into its visibility buffer."""
+
+    buffer: VisibilityBuffer
+
+    def identify(self, normal: bool, view: SampleView, shared: dict[str, Texture]) -> None:
+        """Draws all polygons with their numbers. `normal`: normals tell surfaces apart."""
+        self._cover(partial(ids_program, normal), view, shared)
 
     def write_attributes(
         self,
@@ -184,13 +235,3 @@ class PolygonCover:
                     textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures, **leaders.bound},
                     vertices=6,
                 )
-
-    def _record(
-        self, program: Interface, draw: PolygonDraw, group: Group, view: SampleView, **own: object
-    ) -> np.ndarray:
-        about = {"material": group.material, "first_id": draw.first_id, "triangles": draw.mesh.triangles}
-        return view.record_of(program.block, **about, **draw.values, **own)
-
-    def release(self) -> None:
-        for draw in self.draws:
-            draw.release()

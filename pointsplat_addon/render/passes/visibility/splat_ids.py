@@ -21,7 +21,17 @@ from ..grouping.groups import Groups, Leaders
 from ..pages.point_page import BALL_PAGE_FIELDS, POINT_SAMPLERS, PageDraw, PointOptions, attributes, page_block
 from ..shading.lighting import SAMPLE_FIELDS
 from ..uniforms import RECTANGLE_FIELDS, Fields, SampleView
-from .buffer import LATTICE_DEFINE, LATTICE_FIELDS, OUTPUTS, VisibilityBuffer, offset_defines, sub_sample_defines
+from .buffer import (
+    DEPTH_ONLY_DEFINE,
+    DEPTH_OUTPUT,
+    LATTICE_DEFINE,
+    LATTICE_FIELDS,
+    OUTPUTS,
+    DepthBuffer,
+    VisibilityBuffer,
+    offset_defines,
+    sub_sample_defines,
+)
 
 MOST_CELLS = 512  # of a splat that a compute invocation draws: a ball of 3 pixels in radius
 LISTED = 1 << 18  # splats that a list holds; where more cover many cells, the rasteriser is given all
@@ -98,17 +108,22 @@ def cover_program(kind: SplatKind, step: str) -> Interface:
     )
 
 
-def raster_program(kind: SplatKind, listed: bool) -> Interface:
-    """Returns the program that rasterises splats. `listed`: those of a list; else all of a page's."""
+def raster_program(kind: SplatKind, listed: bool, identified: bool = True) -> Interface:
+    """Returns the program that rasterises splats. `listed`: those of a list; else all of a page's. `identified`: into a
+    visibility buffer; else into depths alone."""
     return Interface(
         "cover",
         vertex="visibility/splat.vert",
         fragment="visibility/splat_ids.frag",
-        block=kind.block("RasterSplats", FIRST),
+        block=kind.block("RasterSplats", FIRST if identified else ()),
         samplers=(*kind.samplers, *((("UINT_2D", "ps_list"),) if listed else ())),
         varyings=(("flat", "uint", "v_index"),),
-        outputs=OUTPUTS,
-        defines=(*kind.defines, *((("PS_LISTED", "1"),) if listed else ())),
+        outputs=OUTPUTS if identified else DEPTH_OUTPUT,
+        defines=(
+            *kind.defines,
+            *((("PS_LISTED", "1"),) if listed else ()),
+            *(() if identified else (DEPTH_ONLY_DEFINE,)),
+        ),
         depth=True,
     )
 
@@ -137,14 +152,15 @@ def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders
     )
 
 
-class SplatCover:
-    """Draws the opaque splats of one picture into its visibility buffer."""
+class SplatDepths:
+    """Draws the depths of opaque splats."""
 
     def __init__(
-        self, device: Device, options: PointOptions, buffer: VisibilityBuffer, wide: bool, round_balls: bool
+        self, device: Device, options: PointOptions, buffer: DepthBuffer, wide: bool, round_balls: bool
     ) -> None:
         """`wide`: some splats may cover more than MOST_CELLS cells. `round_balls`: all balls stay round."""
-        self._device, self._options, self._buffer, self._round_balls = device, options, buffer, round_balls
+        self._device, self._options, self._round_balls = device, options, round_balls
+        self._depths, self._identified = buffer, isinstance(buffer, VisibilityBuffer)
         self._atomics = device.limits.image_atomics
         self._listing = wide and self._atomics
         if self._listing:
@@ -158,11 +174,11 @@ class SplatCover:
             if self._atomics and count == 0:
                 continue
             listed = self._atomics and count <= LISTED
-            program = raster_program(self._kind(draw), listed)
+            program = raster_program(self._kind(draw), listed, self._identified)
             textures = {**self._textures(draw, shared), **({"ps_list": self._list} if listed else {})}
             self._device.draw(
                 program,
-                self._buffer.target,
+                self._depths.target,
                 uniforms=self._record(program, draw, view),
                 textures=textures,
                 vertices=VERTICES * (count if listed else draw.elements),
@@ -171,42 +187,25 @@ class SplatCover:
 
     def cover(self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture]) -> None:
         """Draws all other splats, nearer than what is there."""
-        if not self._atomics:
-            return
-        buffer = self._buffer
-        for step, images in (
-            ("DEPTH", {"depths": buffer.depths}),
-            ("IDENTIFY", {"ids": buffer.ids, "keys": buffer.keys}),
-        ):
-            for draw in draws:
-                program = cover_program(self._kind(draw), step)
-                self._dispatch(program, draw, view, {**self._textures(draw, shared), **buffer.textures}, images)
+        if self._atomics:
+            self._cover("DEPTH", draws, view, shared, {"depths": self._depths.depths})
 
-    def write_attributes(
+    def _cover(
         self,
-        variant: Variant,
+        step: str,
         draws: list[PageDraw],
         view: SampleView,
         shared: dict[str, Texture],
-        groups: Groups,
-        leaders: Leaders,
-        out: GBuffer,
+        images: dict[str, Texture],
     ) -> None:
-        """Writes the attributes of the splats that stand for groups."""
+        """Runs one step of the compute shaders over all splats."""
         for draw in draws:
-            program = surface_program(self._kind(draw), variant, self._buffer.lattice, leaders)
-            read = {**leaders.bound, **groups.codes, "ps_ids": self._buffer.ids}
-            self._device.draw(
-                program,
-                out.target,
-                uniforms=self._record(program, draw, view, rectangle=leaders.place[0], corner=leaders.place[1]),
-                textures={**self._textures(draw, shared), **read},
-                vertices=6,
-            )
+            program = cover_program(self._kind(draw), step)
+            self._dispatch(program, draw, view, {**self._textures(draw, shared), **self._depths.textures}, images)
 
     def _kind(self, draw: PageDraw) -> SplatKind:
         page = draw.page
-        lattice = self._buffer.lattice if page.nodes else None
+        lattice = self._depths.lattice if page.nodes else None
         round_balls = self._round_balls and page.balls and not page.nodes
         return SplatKind(self._options, draw.whole >= 0, round_balls, page.ball_material >= 0, lattice)
 
@@ -235,7 +234,7 @@ class SplatCover:
 
     def _record(self, program: Interface, draw: PageDraw, view: SampleView, **own: object) -> np.ndarray:
         assert program.block is not None
-        known = {**self._buffer.values, "first_index": draw.first_index, "list_size": LISTED, **own}
+        known = {**self._depths.values, "first_index": draw.first_index, "list_size": LISTED, **own}
         names = {name for _, name in program.block.fields}
         return draw.record(view, program.block, **{name: value for name, value in known.items() if name in names})
 
@@ -243,3 +242,42 @@ class SplatCover:
         if self._listing:
             self._list.release()
             self._length.release()
+
+
+class SplatCover(SplatDepths):
+    """Draws the opaque splats of one picture into its visibility buffer."""
+
+    def __init__(
+        self, device: Device, options: PointOptions, buffer: VisibilityBuffer, wide: bool, round_balls: bool
+    ) -> None:
+        """`wide`: some splats may cover more than MOST_CELLS cells. `round_balls`: all balls stay round."""
+        super().__init__(device, options, buffer, wide, round_balls)
+        self._buffer = buffer
+
+    def cover(self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture]) -> None:
+        """Draws all other splats, nearer than what is there."""
+        super().cover(draws, view, shared)
+        if self._atomics:
+            self._cover("IDENTIFY", draws, view, shared, {"ids": self._buffer.ids, "keys": self._buffer.keys})
+
+    def write_attributes(
+        self,
+        variant: Variant,
+        draws: list[PageDraw],
+        view: SampleView,
+        shared: dict[str, Texture],
+        groups: Groups,
+        leaders: Leaders,
+        out: GBuffer,
+    ) -> None:
+        """Writes the attributes of the splats that stand for groups."""
+        for draw in draws:
+            program = surface_program(self._kind(draw), variant, self._buffer.lattice, leaders)
+            read = {**leaders.bound, **groups.codes, "ps_ids": self._buffer.ids}
+            self._device.draw(
+                program,
+                out.target,
+                uniforms=self._record(program, draw, view, rectangle=leaders.place[0], corner=leaders.place[1]),
+                textures={**self._textures(draw, shared), **read},
+                vertices=6,
+            )

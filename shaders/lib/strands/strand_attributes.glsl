@@ -1,7 +1,7 @@
 // What a strand's material is at a point of it.
 
 #include "lib/geometry/surfel.glsl"
-#include "lib/visibility/segment.glsl"
+#include "lib/strands/segment.glsl"
 
 void ps_strand_attributes(inout PsSurfel s, PsSegment segment, float along)
 {

@@ -2,8 +2,8 @@
 // across which they run, are as wide as one: one cell of each column, or row, that they cross. They cover a share of these.
 // PS_THIN: raster lines. Else pairs of triangles, of which those that are thin are parallelograms.
 
-#include "lib/visibility/segment.glsl"
-#include "lib/visibility/strip.glsl"
+#include "lib/strands/segment.glsl"
+#include "lib/strands/strip.glsl"
 #include "lib/visibility/lattice.glsl"
 
 struct PsCovered {

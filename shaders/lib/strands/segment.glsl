@@ -2,7 +2,7 @@
 // render/passes/strands/strand_page.py.
 
 #include "lib/geometry/instance.glsl"
-#include "lib/visibility/tube.glsl"
+#include "lib/strands/tube.glsl"
 
 struct PsSegment {
   ivec2 from, to;  // texels of the points at both ends

@@ -1,7 +1,7 @@
 // Rectangles around the pictures of tubes.
 
 #include "lib/geometry/camera.glsl"
-#include "lib/visibility/tube.glsl"
+#include "lib/strands/tube.glsl"
 
 // Pixels around the picture of a ball's middle (perspective: the middle no nearer than the near plane) that hold what
 // lies before the eye.

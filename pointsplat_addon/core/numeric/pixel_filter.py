@@ -1,0 +1,44 @@
+"""The pixel filter: a Blackman-Harris window along each axis (Harris 1978), as Cycles and EEVEE have it.
+
+A filter's size is what Blender calls so: the pixels from the filter's centre to its end. The window is twice as wide.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .lattice import Lattice
+
+FILTER_SIZE = 1.5  # Blender's default
+
+
+def blackman_harris(x: np.ndarray, size: float) -> np.ndarray:
+    """Returns the weights, not normalised, at distances of `x` pixels from the centre; 0 from `size` pixels on."""
+    t = np.pi * (np.asarray(x, float) / size + 1)
+    found = 0.35875 - 0.48829 * np.cos(t) + 0.14128 * np.cos(2 * t) - 0.01168 * np.cos(3 * t)
+    return np.where(np.abs(x) < size, found, 0.0)
+
+
+def filter_reach(size: float) -> int:
+    """Returns how many pixels lie between a pixel and the farthest neighbour whose sub-samples it takes in, at least 1.
+
+    Sub-samples lie within half a pixel of their pixel's centre. Lattices that are moved within a cell have some that
+    lie farther away; what the filter would take of those of the next neighbours is left out: 1e-4 in the mean.
+    """
+    return max(math.ceil(size - 0.5), 1)
+
+
+def filter_weights(lattice: Lattice, offset: tuple[float, float], size: float) -> np.ndarray:
+    """Returns the weights by which a pixel takes from itself and its neighbours, (N, S) float64, which add up to 1.
+
+    With a reach of r, N = (2 r + 1)^2. Row (2 r + 1) (y + r) + x + r is the neighbour at (x, y); column s is its
+    sub-sample s. offset: pixels by which the sub-samples are moved. The filter ends no nearer than the next sub-samples
+    on the lattice, so that it holds one wherever they are moved to.
+    """
+    size, reach = max(size, lattice.spacing), filter_reach(size)
+    y, x = (axis.reshape(-1) - reach for axis in np.indices(2 * (2 * reach + 1,)))
+    at = lattice.positions[None] + np.stack([x, y], axis=1)[:, None] + np.asarray(offset)
+    weights = blackman_harris(at[..., 0], size) * blackman_harris(at[..., 1], size)
+    return weights / weights.sum()

@@ -1,0 +1,161 @@
+"""Draws depth maps seen from lights: what casts is uploaded as for a picture, and drawn into one view after another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ....core.lod.cut import cut_of_all_points
+from ....core.numeric.lattice import Lattice
+from ....core.numeric.linear import are_similarities
+from ....core.scene.scene import Instances, Scene
+from ...cache.device_cache import DeviceCache
+from ...cache.keys import Key, Kind
+from ...cache.store import Store
+from ...device.protocol import Device, Texture
+from ...passes.pages.point_page import PointOptions
+from ...passes.shadow.keep_depths import keep_depths
+from ...passes.uniforms import SampleView, view_of
+from ...passes.visibility.buffer import DepthBuffer
+from ...passes.visibility.polygon_ids import PolygonDepths
+from ...passes.visibility.splat_ids import SplatDepths
+from ...plan.plan import Plan
+from ...prepare.point_sets import Layer, PointSet, coherent_with_foliage, point_counts
+from ...prepare.prepare import Prepared
+from ...shadow.map_views import MapView
+from ...shadow.maps import ShadowMaps
+from ..visibility.polygon_draws import polygon_draws
+from .points import PointUploads
+from .polygons import PolygonUploads
+from .scope import UploadScope
+
+ONE_EACH = Lattice(1, 0)  # a texel is a cell
+WIDE_RADIUS = 2.5  # texels: where no splat is wider, none covers more than a compute invocation draws
+
+
+class CasterUploads:
+    """What casts into maps, on the device: pages and meshes are those of pictures, where these draw all of it."""
+
+    def __init__(self, kept: DeviceCache, store: Store, scene: Scene, plan: Plan, maps: ShadowMaps) -> None:
+        self._scope = UploadScope(kept)
+        self.scene = _scene_of_casters(scene, maps)
+        self.prepared = _all_of(self.scene, store)
+        self.plan = replace(
+            plan,
+            points=self.prepared.cut.splats > 0,
+            polygons=len(self.prepared.polygons) > 0,
+            spheres=False,
+            lines=False,
+            options=_options(plan.options, self.prepared),
+        )
+        try:
+            self.points = PointUploads(self._scope, self.scene, self.prepared, self.plan)
+            self.polygons = PolygonUploads(self._scope, store, self.scene, self.prepared, self.plan)
+        except Exception:
+            self.release()
+            raise
+
+    def look_from(self, view: SampleView) -> None:
+        """Uploads the transforms of a view."""
+        self._scope.release_view()
+        matrices = view.camera.view_from_world @ self.scene.instances.world_from_object
+        self.prepared = replace(self.prepared, view_from_object=matrices)
+        self.points.upload_view(self.prepared)
+
+    def release(self) -> None:
+        self._scope.release()
+
+
+def draw_maps(device: Device, maps: ShadowMaps, casters: CasterUploads) -> Texture:
+    """Returns the texture of all maps: bits of depths beyond the near planes of their views, R32UI."""
+    width, height = np.max([view.size for view in maps.views], axis=0).tolist()
+    depths = DepthBuffer(device, ONE_EACH, (width, height))
+    splats = _splats(device, maps, casters, depths) if casters.plan.points else None
+    if maps.size == depths.size:
+        _draw_view(device, maps.views[0], casters, depths, splats)
+        depths.target.release()
+        texture = depths.depths
+    else:
+        texture = device.texture(maps.size, "R32UI")
+        target = device.target([texture])
+        for view in maps.views:
+            _draw_view(device, view, casters, depths, splats)
+            keep_depths(device, depths, view.corner, view.size, target)
+        depths.release()
+        target.release()
+    if splats is not None:
+        splats.release()
+    return texture
+
+
+def _draw_view(
+    device: Device, view: MapView, casters: CasterUploads, depths: DepthBuffer, splats: SplatDepths | None
+) -> None:
+    seen = view_of(view.camera)
+    casters.look_from(seen)
+    depths.clear()
+    shared = casters.points.instances
+    # Compute shaders compare with what the rasteriser has drawn.
+    if splats is not None:
+        splats.rasterise(casters.points.draws, seen, shared)
+    if casters.plan.polygons:
+        polygons = PolygonDepths(device, polygon_draws(device, casters, seen, 0), depths)
+        polygons.cover(seen, shared)
+        polygons.release()
+    if splats is not None:
+        splats.cover(casters.points.draws, seen, shared)
+
+
+def _splats(device: Device, maps: ShadowMaps, casters: CasterUploads, depths: DepthBuffer) -> SplatDepths:
+    prepared = casters.prepared
+    round_balls = are_similarities(prepared.view_from_object[np.unique(prepared.cut.instance)])
+    wide = any(not view.parallel or prepared.largest > WIDE_RADIUS * view.step for view in maps.views)
+    return SplatDepths(device, casters.plan.options, depths, wide, round_balls)
+
+
+def _scene_of_casters(scene: Scene, maps: ShadowMaps) -> Scene:
+    """Returns a scene of the instances that cast, and of nothing else."""
+    by_key = {geometry.key: geometry for geometry in scene.geometries}
+    counts = [len(matrices) for _, matrices in maps.casters]
+    geometry = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+    instances = Instances(geometry, np.concatenate([matrices for _, matrices in maps.casters]))
+    return replace(scene, geometries=tuple(by_key[key] for key, _ in maps.casters), instances=instances)
+
+
+def _all_of(scene: Scene, store: Store) -> Prepared:
+    """Returns everything in a scene of clouds and meshes, clouds as points and meshes as polygons."""
+    sets: dict[int, PointSet] = {}
+    meshes = []
+    for row, geometry in enumerate(scene.geometries):
+        cloud = geometry.cloud
+        if cloud is None:
+            meshes.append(row)
+            continue
+        points = store.lookup(Key(Kind.COHERENT_POINTS, geometry.key), lambda cloud=cloud: coherent_with_foliage(cloud))
+        sets[row] = PointSet(Key(Kind.CLOUD, geometry.key), points)
+    instances = scene.instances
+    set_of_instance = np.where(np.isin(instances.geometry, list(sets)), instances.geometry, -1)
+    none = np.full(len(instances), -1)
+    nothing = Layer({}, none, cut_of_all_points(point_counts({}), none))
+    cut = cut_of_all_points(point_counts(sets), set_of_instance)
+    polygons = np.flatnonzero(np.isin(instances.geometry, meshes))
+    scale = np.abs(instances.world_from_object[:, :3, :3]).sum(axis=2).max(initial=0.0)
+    radii = [float(points.cloud.radii[:, 0].max()) for points in sets.values() if points.cloud.radii is not None]
+    return Prepared(
+        sets, set_of_instance, cut, nothing, nothing, nothing, polygons, instances.world_from_object,
+        largest=scale * max(radii, default=0.0), total=cut.splats,
+    )  # fmt: skip
+
+
+def _options(options: PointOptions, prepared: Prepared) -> PointOptions:
+    """Returns the shader variants that draw all points of casters, whichever side they show."""
+    clouds = [points.cloud for points in prepared.point_sets.values()]
+    return replace(
+        options,
+        cull=False,
+        holdout=False,
+        ellipses=any(cloud.axis is not None for cloud in clouds),
+        one_instance=len(np.unique(prepared.cut.instance)) == 1,
+        depth=True,
+    )

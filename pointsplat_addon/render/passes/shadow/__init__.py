@@ -1,0 +1,1 @@
+"""Passes that draw depth maps seen from lights."""

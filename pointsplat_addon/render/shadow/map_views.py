@@ -1,0 +1,263 @@
+"""Depth maps seen from lights without size: from where each is seen, and how fine it is.
+
+A sun sees what casts by one parallel view. So does a light that all casters lie within a cone about, or a spot, by one
+perspective view; other lights by up to six, the faces of a cube. Each view is cut to what it sees, so that no texels
+are spent on nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...core.scene.camera import Camera
+from ...core.scene.lights import Light
+from ...core.shadow.grid import rotation_to
+
+WIDEST_CONE = 1.05  # radians from a single view's axis to the farthest that it sees
+FINER = 2.0  # times as many texels as cells of a table lie across a view of everything
+FINEST = 8.0  # the same, where small splats ask for it
+TEXELS_OF_RADIUS = 2.0  # in the radius of a typical splat: with one, balls shade their neighbours by 5 % too much
+MOST_TEXELS = 1 << 25  # of all maps together: 128 MiB
+MOST_TEXELS_OF_SPLATS = 1 << 26  # the same, where many splats cast
+TEXELS_OF_SPLAT = 6  # for each of these
+FEWEST = 16  # texels along a view's longer side
+MARGIN = 2  # texels around what a view sees, which nothing covers
+NEAREST = 1e-5  # nearest depth that a perspective view sees, over the farthest
+THINNEST = 1e-6  # least extent of a view, over that of what it may see
+
+
+@dataclass(frozen=True, eq=False)
+class MapView:
+    """One view from a light. Its coordinates are right, up and the depth in front of the light, with `right` cross `up`
+    = -`forward`; a place in it is (right, up), over the depth where the view is a perspective one."""
+
+    axes: np.ndarray  # (3, 3) float64: right, up, forward in the world
+    origin: np.ndarray  # (3,) float64, world: where depths count from
+    parallel: bool
+    low: np.ndarray  # (2,) float64: the place of the lower left corner
+    step: float  # places from a texel to the next
+    size: tuple[int, int]  # texels
+    far: float
+    corner: tuple[int, int] = (0, 0)  # of its texels in the texture of all maps
+
+    @property
+    def near(self) -> float:
+        return 0.0 if self.parallel else NEAREST * self.far
+
+    @property
+    def camera(self) -> Camera:
+        """The camera whose picture the view is."""
+        view, clip = np.eye(4), np.zeros((4, 4))
+        view[:3, :3] = self.axes * [[1], [1], [-1]]
+        view[:3, 3] = -view[:3, :3] @ self.origin
+        extent = self.step * np.array(self.size)
+        middle = (2 * self.low + extent) / extent
+        clip[0, 0], clip[1, 1] = 2 / extent
+        near, far = self.near, self.far
+        if self.parallel:
+            clip[:2, 3], clip[2, 2], clip[2, 3], clip[3, 3] = -middle, -2 / far, -1, 1
+        else:
+            clip[:2, 2] = middle
+            clip[2, 2], clip[2, 3], clip[3, 2] = -(far + near) / (far - near), -2 * far * near / (far - near), -1
+        return Camera(view, clip, self.size, near=near, far=far)
+
+
+@dataclass(frozen=True, eq=False)
+class LightViews:
+    """All views from one light."""
+
+    kind: str  # PARALLEL, SINGLE or CUBE
+    axes: np.ndarray  # (3, 3) float64 and
+    origin: np.ndarray  # (3,) of the coordinates in which a cube's faces lie across the axes, or of the only view
+    views: tuple[MapView | None, ...]  # faces of a cube: toward +x, -x, +y, -y, +z, -z; None: nothing is there
+
+
+@dataclass(frozen=True, eq=False)
+class CastingBoxes:
+    """What casts into maps: corners of boxes around instances, and how small their splats are."""
+
+    corners: np.ndarray  # (I, 8, 3) float64, world
+    radius: np.ndarray  # (I,) float64, world: of a typical splat; infinite: there are none
+
+
+def light_views(light: Light, boxes: CastingBoxes, resolution: int) -> LightViews:
+    """Returns the views from a light without size. `resolution`: cells along a shadow table."""
+    if light.kind == "SUN":
+        return _parallel(light, boxes, resolution)
+    offset = boxes.corners - light.position
+    away = np.maximum(np.linalg.norm(offset, axis=2), 1e-30)
+    far = float(away.max()) * (1 + 1e-4)
+    axis, widest = _cone_of_corners(offset / away[..., None])
+    lit = _spot_angle(light) if light.kind == "SPOT" else np.pi
+    if lit <= WIDEST_CONE and (lit <= widest or widest > WIDEST_CONE):
+        axis, widest = light.direction, lit
+    if widest > WIDEST_CONE:
+        return _cube(light, boxes, offset, far, resolution)
+    forward, right, up = rotation_to(axis)
+    axes = np.stack([up, right, forward])
+    local = offset @ axes.T
+    bound = np.full(2, np.tan(lit)) if light.kind == "SPOT" and lit <= WIDEST_CONE else np.full(2, np.inf)
+    view = _perspective(axes, light.position, local, boxes, bound, far, FINER * resolution, FINEST * resolution)
+    return LightViews("SINGLE", axes, light.position, (view,))
+
+
+def placed(
+    lights: Sequence[LightViews | None], width: int, splats: int = 0
+) -> tuple[list[LightViews | None], tuple[int, int]]:
+    """Returns the views with places in one texture, and its (width, height): with fewer texels each, where all together
+    have more than a budget. `width`: texels along a side that a texture may have. `splats`: how many cast."""
+    fitting = [_each_view(one, lambda view: _limited(view, width)) for one in lights]
+    total = sum(v.size[0] * v.size[1] for one in fitting if one is not None for v in one.views if v is not None)
+    budget = min(max(TEXELS_OF_SPLAT * splats, MOST_TEXELS), MOST_TEXELS_OF_SPLATS)
+    if total > budget:
+        share = 0.95 * (budget / total) ** 0.5  # margins and rounding take the rest
+        fitting = [_each_view(one, lambda view: _coarser(view, share)) for one in fitting]
+    corners, size = _shelves([v.size for one in fitting if one is not None for v in one.views if v is not None], width)
+    places = iter(corners)
+    return [_each_view(one, lambda view: replace(view, corner=next(places))) for one in fitting], size
+
+
+def _parallel(light: Light, boxes: CastingBoxes, resolution: int) -> LightViews:
+    forward, right, up = rotation_to(light.direction)
+    axes = np.stack([up, right, forward])
+    middle = boxes.corners.reshape(-1, 3).mean(axis=0)
+    local = (boxes.corners - middle) @ axes.T
+    low, high = local.min(axis=(0, 1)), local.max(axis=(0, 1))
+    size = float(max((high - low).max(), np.abs(middle).max() * 1e-7, 1e-30))
+    before = low[2] - 1e-3 * size  # nothing lies at depth 0
+    origin = middle + before * axes[2]
+    finest = float(boxes.radius.min(initial=np.inf))
+    view = _fitted(
+        axes, origin, True, low[:2], high[:2], float(high[2] - before) * (1 + 1e-4) + THINNEST * size,
+        finest, FINER * resolution, FINEST * resolution, size,
+    )  # fmt: skip
+    return LightViews("PARALLEL", axes, origin, (view,))
+
+
+def _cube(light: Light, boxes: CastingBoxes, offset: np.ndarray, far: float, resolution: int) -> LightViews:
+    """Views through the faces of a cube along the world's axes. `offset`: (I, 8, 3) of the corners from the light."""
+    views = []
+    for face in range(6):
+        axis, side = divmod(face, 2)
+        unit = np.eye(3)
+        second, third = unit[(axis + 1) % 3], unit[(axis + 2) % 3]
+        axes = np.stack([second, third, -unit[axis]] if side else [third, second, unit[axis]])
+        bound = np.ones(2)
+        view = _perspective(axes, light.position, offset @ axes.T, boxes, bound, far, resolution, 2 * resolution)
+        views.append(view)
+    return LightViews("CUBE", np.eye(3), light.position, tuple(views))
+
+
+def _perspective(
+    axes: np.ndarray,
+    origin: np.ndarray,
+    local: np.ndarray,
+    boxes: CastingBoxes,
+    bound: np.ndarray,
+    far: float,
+    across: float,
+    most: float,
+) -> MapView | None:
+    """Returns the view of what lies within the slopes `bound` (2,) on either side of the axis; None if nothing does.
+
+    local: (I, 8, 3), corners in the view's coordinates. `across`, `most`: texels along its longer side, and where small
+    splats ask for more.
+    """
+    depth = local[..., 2]
+    ahead = (depth > 0).any(axis=1)
+    beyond = (depth <= NEAREST * far).any(axis=1) & ahead
+    with np.errstate(all="ignore"):
+        slope = local[..., :2] / np.maximum(depth, 1e-30)[..., None]
+    low, high = slope.min(axis=1), slope.max(axis=1)
+    low[beyond], high[beyond] = -np.inf, np.inf
+    seen = ahead & (low < bound).all(axis=1) & (high > -bound).all(axis=1)
+    if not seen.any():
+        return None
+    low, high = np.maximum(low[seen].min(axis=0), -bound), np.minimum(high[seen].max(axis=0), bound)
+    away = np.linalg.norm(local[seen], axis=2).mean(axis=1)
+    finest = float((boxes.radius[seen] / np.maximum(away, 1e-30)).min(initial=np.inf))
+    return _fitted(axes, origin, False, low, high, far, finest, across, most, 1.0)
+
+
+def _fitted(
+    axes: np.ndarray,
+    origin: np.ndarray,
+    parallel: bool,
+    low: np.ndarray,
+    high: np.ndarray,
+    far: float,
+    finest: float,
+    across: float,
+    most: float,
+    scale: float,
+) -> MapView:
+    """Returns a view of the places between two corners (2,), with a margin.
+
+    `finest`: the smallest radius of a typical splat, in places. `across`, `most`: texels along the longer side, and
+    where small splats ask for more. `scale`: of places.
+    """
+    extent = np.maximum(high - low, THINNEST * scale)
+    longest = float(extent.max())
+    count = float(np.clip(TEXELS_OF_RADIUS * longest / max(finest, 1e-30), across, most))
+    step = longest / count
+    size = np.maximum(np.ceil(extent / step), 1).astype(int) + 2 * MARGIN
+    middle = (low + high) / 2
+    return MapView(axes, origin, parallel, middle - step * size / 2, step, (int(size[0]), int(size[1])), far)
+
+
+def _coarser(view: MapView, share: float) -> MapView:
+    """Returns a view with `share` of the texels along each side."""
+    inner = np.array(view.size) - 2 * MARGIN
+    share = max(share, FEWEST / max(float(inner.max()), FEWEST))
+    step = view.step / share
+    size = np.maximum(np.ceil(inner * share), 1).astype(int) + 2 * MARGIN
+    middle = view.low + view.step * np.array(view.size) / 2
+    return replace(view, low=middle - step * size / 2, step=step, size=(int(size[0]), int(size[1])))
+
+
+def _limited(view: MapView, width: int) -> MapView:
+    """Returns a view that a texture of `width` texels holds."""
+    return _coarser(view, (width - 2 * MARGIN - 1) / max(view.size)) if max(view.size) > width else view
+
+
+def _each_view(light: LightViews | None, change: Callable[[MapView], MapView]) -> LightViews | None:
+    """Returns a light's views, each of them changed."""
+    if light is None:
+        return None
+    return replace(light, views=tuple(None if view is None else change(view) for view in light.views))
+
+
+def _shelves(sizes: list[tuple[int, int]], width: int) -> tuple[list[tuple[int, int]], tuple[int, int]]:
+    """Places rectangles on shelves, the highest first. Returns the lower left corner of each, and what holds all."""
+    total = sum(w * h for w, h in sizes)
+    width = min(width, max([1 << int(np.ceil(np.log2(max(total, 1) ** 0.5))), *(w for w, _ in sizes)]))
+    corners, x, y, top, used = [(0, 0)] * len(sizes), 0, 0, 0, 1
+    for i in sorted(range(len(sizes)), key=lambda i: -sizes[i][1]):
+        w, h = sizes[i]
+        if x + w > width:
+            x, y = 0, top
+        corners[i] = x, y
+        x, top, used = x + w, max(top, y + h), max(used, x + w)
+    return corners, (used, max(top, 1))
+
+
+def _cone_of_corners(toward: np.ndarray) -> tuple[np.ndarray, float]:
+    """Returns the axis of a cone that holds unit vectors (I, 8, 3), and its angle."""
+    axis = toward.reshape(-1, 3).mean(axis=0)
+    length = float(np.linalg.norm(axis))
+    if length < 1e-6:
+        return np.array([0.0, 0.0, -1.0]), float(np.pi)
+    axis = axis / length
+    return axis, float(np.arccos(np.clip((toward @ axis).min(), -1, 1)))
+
+
+def _spot_angle(light: Light) -> float:
+    """Returns the angle of the narrowest round cone that holds that of a spot, in radians."""
+    angle = float(np.arccos(np.clip(light.spot_cos, -1, 1)))
+    if light.axis_u is None or light.axis_v is None or angle >= np.pi / 2:
+        return angle
+    least = float(np.linalg.svd(np.stack([light.axis_u, light.axis_v]), compute_uv=False).min())
+    return float(np.arctan(np.tan(angle) / max(least, 1e-9)))

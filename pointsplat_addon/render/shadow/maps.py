@@ -1,0 +1,135 @@
+"""Depth maps of the lights without size: which lights and casters have them, and their records for a view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.numeric.linear import all_finite, largest_singular_value
+from ...core.scene.bounds import box_corners
+from ...core.scene.lights import Light
+from ...core.scene.scene import Geometry, Scene
+from ..cache.keys import Key, Kind
+from ..cache.keys import digest as hashed
+from ..cache.store import Store
+from ..prepare.separation import is_translucent
+from .casting import CastingGeometry, bounding_box, light_key, transmission_digest
+from .map_views import CastingBoxes, LightViews, MapView, light_views, placed
+
+MOST_PRIMITIVES = 1 << 25  # of all instances of a geometry that maps draw: where there are more, nodes cast into tables
+WIDEST_TEXTURE = 8192  # texels
+HEAD_TEXELS, VIEW_TEXELS = 4, 2  # of a light's record, and of each of its views
+KINDS = ("NONE", "PARALLEL", "SINGLE", "CUBE")
+
+
+@dataclass(frozen=True, eq=False)
+class ShadowMaps:
+    """The views of all depth maps of a scene, and what is drawn into them."""
+
+    key: Key
+    lights: tuple[LightViews | None, ...]  # in the order of the light table's rows; None: the light has no map
+    size: tuple[int, int]  # of the texture that holds all
+    casters: tuple[tuple[str, np.ndarray], ...]  # key of a geometry, (I, 4, 4) its casting instances
+
+    @property
+    def views(self) -> list[MapView]:
+        return [view for light in self.lights if light is not None for view in light.views if view is not None]
+
+    def records(self, view_from_world: np.ndarray) -> np.ndarray:
+        """Returns ps_map_lights, (lights, HEAD_TEXELS + 6 VIEW_TEXELS, 4) float32, for a view, (4, 4) float64, rigid.
+
+        Texels 0 to 2 are rows that take view space to the light's, 3 holds the index of the kind. Two follow for each
+        view: where the place (0, 0) lies in the texture, texels from a place to the next one, and the near plane; first
+        and last texel.
+        """
+        world_from_view = np.linalg.inv(view_from_world)
+        found = np.zeros((len(self.lights), HEAD_TEXELS + 6 * VIEW_TEXELS, 4))
+        for row, light in zip(found, self.lights, strict=True):
+            if light is None:
+                continue
+            row[:3, :3] = light.axes @ world_from_view[:3, :3]
+            row[:3, 3] = light.axes @ (world_from_view[:3, 3] - light.origin)
+            row[3, 0] = KINDS.index(light.kind)
+            for i, view in enumerate(light.views):
+                texels = row[HEAD_TEXELS + VIEW_TEXELS * i :]
+                if view is None:
+                    texels[1] = 0, 0, -1, -1
+                    continue
+                texels[0, :2] = np.array(view.corner) - view.low / view.step
+                texels[0, 2:] = 1 / view.step, view.near
+                texels[1] = *view.corner, *(np.array(view.corner) + view.size - 1)
+        return found.astype(np.float32)
+
+
+def takes_map(light: Light) -> bool:
+    """Tells whether a light casts shadows by a depth map: it has no size, and a place."""
+    return (
+        light.shadow
+        and light.kind in ("POINT", "SPOT", "SUN")
+        and light.radius == 0
+        and bool(np.isfinite(light.position).all() and np.isfinite(light.direction).all())
+    )
+
+
+def casts_into_map(scene: Scene, caster: CastingGeometry) -> bool:
+    """Tells whether maps show a caster: a mesh or a cloud that no light passes through."""
+    geometry = caster.geometry
+    primitives = _primitives(geometry)
+    if primitives == 0 or is_translucent(geometry, scene.materials):
+        return False
+    return primitives * len(caster.matrices) <= MOST_PRIMITIVES and bool(
+        all_finite(caster.matrices.astype(np.float32)).all()
+    )
+
+
+def _primitives(geometry: Geometry) -> int:
+    if geometry.mesh is not None:
+        return len(geometry.mesh.triangles)
+    return len(geometry.cloud) if geometry.cloud is not None and geometry.cloud.radii is not None else 0
+
+
+def make_maps(
+    scene: Scene,
+    lights: Sequence[Light],
+    casters: Sequence[CastingGeometry],
+    resolution: int,
+    store: Store,
+    texture_size: int,
+) -> ShadowMaps | None:
+    """Returns the maps of `lights`, those that take one, of casters that cast into maps; None where there are none."""
+    chosen = [light if takes_map(light) else None for light in lights]
+    if not casters or not any(chosen):
+        return None
+    look = tuple(
+        (c.geometry.key, transmission_digest(scene, c.geometry), hashed(c.matrices.tobytes())) for c in casters
+    )
+    keys = tuple(None if light is None else light_key(light) for light in chosen)
+    key = Key(Kind.SHADOW_MAPS, hashed((look, keys)), other=(resolution, texture_size))
+
+    def make() -> ShadowMaps:
+        boxes = _boxes(casters, store)
+        views = [None if light is None else light_views(light, boxes, resolution) for light in chosen]
+        splats = sum(len(c.geometry.cloud) * len(c.matrices) for c in casters if c.geometry.cloud is not None)
+        arranged, size = placed(views, min(texture_size, WIDEST_TEXTURE), splats)
+        return ShadowMaps(key, tuple(arranged), size, tuple((c.geometry.key, c.matrices) for c in casters))
+
+    return store.lookup(key, make)
+
+
+def _boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:
+    corners, radius = [], []
+    for caster in casters:
+        geometry = caster.geometry
+        low, high = store.lookup(
+            Key(Kind.CASTER_BOX, geometry.key), lambda geometry=geometry: bounding_box(geometry, store)
+        )
+        linear = caster.matrices[:, :3, :3]
+        corners.append(np.einsum("iab,cb->ica", linear, box_corners(low, high)) + caster.matrices[:, None, :3, 3])
+        cloud = geometry.cloud
+        typical = np.inf
+        if cloud is not None and cloud.radii is not None:
+            typical = float(np.median(cloud.radii[:: max(1, len(cloud) // 4096), 0]))
+        radius.append(typical * largest_singular_value(linear))
+    return CastingBoxes(np.concatenate(corners), np.concatenate(radius))

@@ -1,0 +1,134 @@
+// Shadows of lights without size, by depth maps seen from them: layout and records in render/shadow/maps.py.
+// PS_SHADOW_MAPS: some light has one. PS_FOOTPRINT: the share is a mean over the sub-samples of a group, so that edges within
+// a pixel are as smooth as its silhouettes.
+// Samplers: ps_shadow_maps (bits of the depths of all views beyond their near planes, which grow with these), ps_map_lights (one row for each light, of this view).
+
+#ifdef PS_SHADOW_MAPS
+
+#define PS_MAP_PARALLEL 1.0
+#define PS_MAP_CUBE 3.0
+#define PS_MAP_HEAD 4
+#define PS_MAP_BIAS 0.5  // texels: how far above its plane a receiver is not shaded by what it is part of
+#define PS_MAP_BIAS_OF_BALLS 0.1  // these lie below the planes of their surfaces
+#define PS_MAP_BIAS_IN_MEDIA 1.5
+#define PS_MAP_ROUNDING 2e-6  // of distances
+#define PS_MAP_STEEPEST 0.1  // cosine: surfaces that light grazes more closely are treated as this one
+
+#ifdef PS_FOOTPRINT
+#define PS_MAP_SHARP 2.0
+#define PS_MAP_FIRST 7  // sub-samples: where so many agree, no others are looked at
+
+// The sub-samples of the group that is shaded.
+struct PsFootprint {
+  ivec2 middle;  // central cell of the pixel
+  uvec2 codes;
+  uint layer;
+  float above;  // texels, and view units, above its plane up to which a receiver is not shaded by what it is part of
+  float rise;
+  bool keyed;  // each sub-sample lies in a plane whose normal is that of its key, turned by
+  vec3 turn;  // what is added to it; else in that by which the group is shaded
+};
+PsFootprint ps_footprint;
+#endif
+
+struct PsMapLight {
+  int row;
+  vec4 x, y, z;  // rows of the matrix from view space
+  float kind;
+};
+
+// Share of the light, from 0 to 1, that reaches a point in view space, between the four texels around it. Each is compared
+// with the receiver's plane there, so that a surface does not shade itself. normal: unit, or zero where there is no surface.
+// above, rise: see PsFootprint.
+float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above, float rise)
+{
+  vec4 point = vec4(position, 1.0);
+  vec3 q = vec3(dot(light.x, point), dot(light.y, point), dot(light.z, point));
+  vec3 n = vec3(dot(light.x.xyz, normal), dot(light.y.xyz, normal), dot(light.z.xyz, normal));
+  int view = 0;
+  if (light.kind == PS_MAP_CUBE) {
+    // The face's axis first.
+    vec3 size = abs(q);
+    int axis = size.x >= size.y && size.x >= size.z ? 0 : (size.y >= size.z ? 1 : 2);
+    q = axis == 0 ? q : (axis == 1 ? q.yzx : q.zxy);
+    n = axis == 0 ? n : (axis == 1 ? n.yzx : n.zxy);
+    bool positive = q.x > 0.0;
+    view = 2 * axis + (positive ? 0 : 1);
+    q = positive ? q.zyx : vec3(q.yz, -q.x);
+    n = positive ? n.zyx : vec3(n.yz, -n.x);
+  }
+  vec4 frame = texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view, light.row), 0);
+  ivec4 ends = ivec4(texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view + 1, light.row), 0));
+  bool parallel = light.kind == PS_MAP_PARALLEL;
+  if (ends.z < 0 || !(parallel || q.z > 0.0)) {
+    return 1.0;
+  }
+  vec3 ray = parallel ? vec3(0.0, 0.0, 1.0) : vec3(q.xy / q.z, 1.0);
+  vec2 place = frame.xy + frame.z * (parallel ? q.xy : ray.xy) - 0.5;
+  vec2 low = floor(place), share = place - low;
+  float texel = (parallel ? 1.0 : q.z) / frame.z;  // world units
+#ifdef PS_FOOTPRINT
+  // Where several texels lie in a pixel, its sub-samples make the mean.
+  vec2 sharp = clamp((share - 0.5) * max(PS_MAP_SHARP * ps_pixel_size(-position.z) / texel, 1.0) + 0.5, 0.0, 1.0);
+#else
+  vec2 sharp = share;
+#endif
+  bool oriented = dot(n, n) > 0.0;
+  float facing = dot(n, ray);
+  float cosine = max(abs(facing) * inversesqrt(dot(ray, ray)), PS_MAP_STEEPEST);
+  float bias = (oriented ? (texel * above + rise) / cosine : texel * PS_MAP_BIAS_IN_MEDIA) +
+               PS_MAP_ROUNDING * (abs(q.z) + length(position));
+  float reach = oriented ? texel / PS_MAP_STEEPEST : 0.0;
+  float lit = 0.0;
+  for (int i = 0; i < 4; i++) {
+    vec2 corner = vec2(i & 1, i >> 1);
+    float slope = dot(n.xy, (corner - share) / frame.z);
+    float there = facing + slope;
+    float plane = parallel ? -slope / (facing == 0.0 ? 1e-20 : facing)
+                           : (there * facing > 0.0 ? -q.z * slope / there : -reach);
+    float depth = q.z + clamp(plane, -reach, reach) - bias - frame.w;
+    uint found = texelFetch(ps_shadow_maps, clamp(ivec2(low + corner), ends.xy, ends.zw), 0).x;
+    vec2 weight = mix(1.0 - sharp, sharp, corner);
+    lit += found < floatBitsToUint(max(depth, 0.0)) ? 0.0 : weight.x * weight.y;
+  }
+  return lit;
+}
+
+// Share of the light of light `light` that no caster of its map keeps from a point in view space.
+float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
+{
+  PsMapLight map;
+  map.row = light;
+  map.kind = texelFetch(ps_map_lights, ivec2(3, light), 0).x;
+  map.x = texelFetch(ps_map_lights, ivec2(0, light), 0);
+  map.y = texelFetch(ps_map_lights, ivec2(1, light), 0);
+  map.z = texelFetch(ps_map_lights, ivec2(2, light), 0);
+  wanted = wanted && map.kind > 0.0;
+#ifdef PS_FOOTPRINT
+  const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
+  int taps = wanted ? PS_SUB_SAMPLES : 0;
+  float sum = 0.0, count = 0.0;
+  for (int i = 0; i < taps; i++) {
+    if (ps_group(ps_footprint.codes, i) == ps_footprint.layer) {
+      ivec2 cell = ps_footprint.middle + cells[i];
+      float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
+      vec3 own = normal;
+      if (ps_footprint.keyed) {
+        own = normalize(ps_key_normal(texelFetch(ps_keys, cell, 0).x) + ps_footprint.turn);
+      }
+      sum += ps_map_lit(map, ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own, ps_footprint.above, ps_footprint.rise);
+      count += 1.0;
+      taps = count == float(PS_MAP_FIRST) && (sum == 0.0 || sum > count - 1e-3) ? 0 : taps;
+    }
+  }
+  return count > 0.0 ? sum / count : 1.0;
+#else
+  float lit = 1.0;
+  for (int i = 0; i < (wanted ? 1 : 0); i++) {
+    lit = ps_map_lit(map, position, normal, PS_MAP_BIAS, 0.0);
+  }
+  return lit;
+#endif
+}
+
+#endif

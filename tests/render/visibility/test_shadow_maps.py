@@ -1,0 +1,166 @@
+"""Shadows by depth maps: where their edges lie, that surfaces do not shade themselves, and what is left to tables."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pointsplat_addon.core.scene.lights import Light
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.render.renderer import Renderer
+from scripts.scenes import build, cameras, clouds, meshes
+from scripts.scenes.case import Case
+from scripts.scenes.drawing import opengl, render
+
+COMBINED = frozenset({"combined"})
+DOWN = np.array([0.0, 0.0, -1.0])
+LAID = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # planes stand upright
+KEPT = "those of an earlier picture still hold"
+TECHNIQUES = "VISIBILITY", "IMAGE_SPACE"
+ABOVE = Light("POINT", np.full(3, 30.0), np.array([0.2, 0.0, 2.0]), DOWN)
+
+
+def seen(*things, light: Light, eye=(0.0, -4.0, 2.5), technique: str = "VISIBILITY", **more) -> Case:
+    settings = Settings(technique=technique, use_adaptive_sampling=False)
+    camera = cameras.camera(eye, resolution=(96, 72), **more)
+    return Case(build.scene(*things, lights=[light]), camera, settings)
+
+
+def picture(case: Case, samples: int = 16) -> np.ndarray:
+    return render(case, COMBINED, samples).pixels["combined"][..., 0].astype(float)
+
+
+def share(case: Case) -> np.ndarray:
+    """Of the light that is there without shadows; NaN where there is none."""
+    without = picture(replace(case, settings=replace(case.settings, use_shadows=False)))
+    ambient = picture(replace(case, scene=replace(case.scene, lights=())))
+    with np.errstate(all="ignore"):
+        return np.where(without - ambient > 1e-3, (picture(case) - ambient) / (without - ambient), np.nan)
+
+
+def shadows_of(case: Case) -> set[str]:
+    """What casts the shadows of a picture."""
+    report = render(case, COMBINED).report
+    kept = {entry["name"] for entry in report["skipped"] if entry["because"] == KEPT}
+    return {"shadows", "shadow maps"} & ({entry["name"] for entry in report["passes"]} | kept)
+
+
+def floor(size: float = 4.0):
+    return build.mesh(meshes.plane_mesh(f"floor of {size}", size), "POLYGONS"), LAID
+
+
+def card(edge: float):
+    """A wide card at height 0.5 that ends at x = `edge`."""
+    corners = np.array([[-8, -8, 0.5], [edge, -8, 0.5], [edge, 8, 0.5], [-8, 8, 0.5]], np.float32)
+    made = meshes.flat_mesh(f"card to {edge}", corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    return build.mesh(made, "POLYGONS"), build.moved()
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("edge", [0.03, 0.1, -0.17])
+def test_the_shadow_of_a_straight_edge_lies_where_it_must(technique, edge):
+    """Seen from between the card and the floor; the light's height is 2, so that the edge's shadow lies at 4/3."""
+    light = replace(ABOVE, position=np.array([0.2, 0.0, 2.0]))
+    shadow = 0.2 + (edge - 0.2) * 4 / 3
+    case = seen(floor(), card(edge), light=light, eye=(shadow, -1e-3, 0.45), technique=technique, near=0.01)
+    case = replace(case, camera=cameras.camera((shadow, -1e-3, 0.45), (shadow, 0, 0), resolution=(96, 72), near=0.01))
+    assert shadows_of(case) == {"shadow maps"}
+    lit = np.nanmean(share(case), axis=1)
+    across = 2 * 0.45 * np.tan(np.radians(20))
+    assert np.abs(lit - 0.5).max() * across < 1e-3  # measured at most 6.4e-4, a fifth of a pixel
+    assert abs(lit.mean() - 0.5) * across < 1e-3  # measured at most 6.4e-4
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("light", [ABOVE, build.sun(3.0, (0.3, 0.4, -1.0))], ids=["point", "sun"])
+def test_what_nothing_shades_does_not_shade_itself(technique, light):
+    """A ball of triangles, a bowl, which is hollow toward the light, and balls, each alone."""
+    smooth = build.mesh(meshes.sphere_mesh("ball that is lit", 48), "POLYGONS"), build.moved((0, 0, 0), 0.8)
+    lone = build.points(
+        "lone ball", replace(clouds.sphere_cloud(1), normal=None, radii=np.full((1, 1), 0.5, np.float32))
+    )
+    for thing in (smooth, (lone, build.moved((0, 0, -1)))):
+        toward = np.nan_to_num(share(seen(thing, light=light, technique=technique)), nan=1.0)
+        lit = picture(seen(thing, light=light, technique=technique))
+        bright = lit > 0.3 * lit.max()
+        assert toward[bright].min() > 0.999  # measured 1 but for rounding
+
+
+def test_tables_are_for_what_light_passes_and_for_lights_with_a_size():
+    ball = build.mesh(meshes.sphere_mesh("ball of tables", 24), "POLYGONS"), build.moved((0, 0, 0.6), 0.4)
+    smoke = build.points("smoke of tables", clouds.smoke_cloud()), build.moved((1, 0, 1), 0.3)
+    sharp, wide = ABOVE, replace(ABOVE, radius=0.2)
+    assert shadows_of(seen(floor(), ball, light=sharp)) == {"shadow maps"}
+    assert shadows_of(seen(floor(), ball, light=wide)) == {"shadows"}
+    assert shadows_of(seen(floor(), ball, smoke, light=sharp)) == {"shadows", "shadow maps"}
+
+
+def test_maps_stay_where_they_are_when_the_camera_moves():
+    ball = build.mesh(meshes.sphere_mesh("ball of kept maps", 24), "POLYGONS"), build.moved((0, 0, 0.6), 0.4)
+    renderer = Renderer(opengl().device)
+    passes = []
+    for eye in ((0.0, -4.0, 2.5), (1.0, -4.0, 2.0)):
+        case = seen(floor(), ball, light=ABOVE, eye=eye)
+        report = renderer.render(case.scene, case.request(COMBINED, 16)).report
+        passes.append({entry["name"] for entry in report["passes"]})
+        skipped = {entry["name"]: entry["because"] for entry in report["skipped"]}
+    renderer.release()
+    assert "shadow maps" in passes[0]
+    assert "shadow maps" not in passes[1]
+    assert skipped["shadow maps"] == KEPT
+    assert skipped["shadows"] == "depth maps show all that casts"
+
+
+def test_without_image_atomics_shadows_are_the_same(monkeypatch):
+    scan = clouds.sphere_cloud(2000)
+    scan = (
+        build.points("scan in a light", replace(scan, normal=None, radii=np.full((2000, 1), 0.05, np.float32))),
+        build.moved((0, 0, 0.6), 0.5),
+    )
+    case = seen(floor(), scan, light=ABOVE)
+    found = []
+    for atomics in (True, False):
+        device = opengl().device
+        monkeypatch.setattr(device, "limits", replace(device.limits, image_atomics=atomics))
+        renderer = Renderer(device)
+        found.append(renderer.render(case.scene, case.request(COMBINED, 16)).pixels["combined"][..., 0].astype(float))
+        renderer.release()
+    assert np.sqrt(((found[0] - found[1]) ** 2).mean()) < 1e-6  # measured 0
+
+
+def test_light_among_balls_is_that_of_rays():
+    """A layer of balls that touch, under a sun: the share of its light that the balls seen from above receive."""
+    cells, spacing = 24, 2.0
+    x, y = np.meshgrid(np.arange(cells) - cells / 2 + 0.5, np.arange(cells) - cells / 2 + 0.5)
+    centre = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * spacing
+    cloud = replace(
+        clouds.sphere_cloud(x.size),
+        position=centre.astype(np.float32), normal=None, radii=np.full((x.size, 1), 1.0, np.float32),
+    )  # fmt: skip
+    direction = np.array([0.8, 0.0, -0.6])
+    light = Light("SUN", np.full(3, 3.0), np.zeros(3), direction)
+    width = 8.0
+    case = seen((build.points("layer", cloud), build.moved()), light=light)
+    case = replace(case, camera=cameras.camera((0, -1e-6, 20), (0, 0, 0), resolution=(64, 64), parallel=width, far=50))
+    # Rays straight down onto the balls, and from there to the sun.
+    u = (np.arange(512) + 0.5) / 512 * width - width / 2
+    px, py = (a.ravel() for a in np.meshgrid(u, u))
+    offset = np.stack([px - np.round((px - 1) / 2) * 2 - 1, py - np.round((py - 1) / 2) * 2 - 1])
+    height2 = 1 - (offset**2).sum(axis=0)
+    on = height2 > 0
+    point = np.stack([px[on], py[on], np.sqrt(height2[on])], axis=1)
+    normal = np.stack([offset[0, on], offset[1, on], point[:, 2]], axis=1)
+    cosine = -normal @ direction
+    free = cosine > 0
+    for dx in range(-4, 1):
+        for dy in (-2, 0, 2):
+            other = point - normal + [2 * dx, dy, 0] - point  # centres of neighbours from the point
+            along = -(other @ direction)
+            apart = (other**2).sum(axis=1) - along**2
+            itself = dx == 0 and dy == 0
+            free &= itself | ~((along > 0) & (apart < 1 - 1e-9))
+    expected = np.sum(np.where(free, cosine, 0)) / len(px)
+    unlit = picture(replace(case, scene=replace(case.scene, lights=())))
+    without = picture(replace(case, settings=replace(case.settings, use_shadows=False))) - unlit
+    found = (picture(case) - unlit).mean() / without.mean() * np.maximum(cosine, 0).sum() / len(px)
+    assert abs(found / expected - 1) < 0.02  # measured 0.0094
