@@ -138,7 +138,7 @@ def filtered(pixels: np.ndarray, fine: int) -> np.ndarray:
     weights = blackman_harris((np.arange(taken * fine) + 0.5) / fine - taken / 2, FILTER_SIZE)
     for axis in (0, 1):
         around = [(0, 0)] * 3
-        around[axis] = (taken // 2 * fine,) * 2
+        around[axis] = taken // 2 * fine, taken // 2 * fine
         windows = np.lib.stride_tricks.sliding_window_view(np.pad(pixels, around, mode="edge"), taken * fine, axis)
         pixels = np.take(windows, np.arange(0, pixels.shape[axis], fine), axis) @ (weights / weights.sum())
     return pixels

@@ -333,8 +333,8 @@ def _shaded(
     surface = Surface(
         hit.base[there], hit.emission[there], roughness, metallic, table.ior[row], table.specular[row]
     )  # fmt: skip
-    seen = (a[there] for a in (position, normal, to_eye))
-    combined[there, :3] = shade(*seen, surface, scene.lights, world, atlas, plane[there])
+    at, facing, toward = position[there], normal[there], to_eye[there]
+    combined[there, :3] = shade(at, facing, toward, surface, scene.lights, world, atlas, plane[there])
     combined[there, 3] = 1
     if scene.instances.holdout is not None:
         combined[there & scene.instances.holdout[hit.instance]] = 0

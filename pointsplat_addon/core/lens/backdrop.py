@@ -3,8 +3,8 @@
 What is infinitely far has the same disk of confusion everywhere in a picture (Křivánek 2003, equation 8): its radius is
 C = F r / D, in pixels (core/lens/kernel.py). Parallel rays all see one direction, and nothing is blurred.
 Seen through the lens the world is therefore the sharp picture of it convolved with that disk. Both are drawn on a grid
-whose texels are C / DISK_TEXELS pixels wide, but not finer than pixels: however wide the disk is, it holds as many
-texels, and the picture as many texels or fewer. Texels of the sharp picture are means of the world over their area,
+whose texels are C / DISK_TEXELS pixels wide, but not finer than FINEST: however wide the disk is, it holds as many
+texels, and the picture at most four a pixel. Texels of the sharp picture are means of the world over their area,
 from a pyramid (core/light/environment.py), so that small bright things keep their light."""
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from ..scene.scene import Scene
 from ..splat.blur import IN_FOCUS, defocus_blur
 
 DISK_TEXELS = 8.0  # texels, the largest radius of the disk
+FINEST = 0.5  # pixels: texels of a pixel would blur by more than disks of less than a pixel do
 RIM_SQUARE = 0.25  # texels^2, subtracted from the squared radius because the rim and the pixels are a texel wide
 LEAST_RADIUS = 0.05  # texels, the least radius
 
@@ -58,7 +59,7 @@ def backdrop_grid(camera: Camera, most: int) -> BackdropGrid:
     margin = int(DISK_TEXELS) + 2
     step, radius, size = [], [], []
     for disk, pixels in zip(_radii(camera), camera.window[2:], strict=True):
-        step.append(max(disk / DISK_TEXELS, 1.0, pixels / (most - 2 * margin - 3)))
+        step.append(max(disk / DISK_TEXELS, FINEST, pixels / (most - 2 * margin - 3)))
         radius.append(max(np.sqrt(max((disk / step[-1]) ** 2 - RIM_SQUARE, 0.0)), LEAST_RADIUS))
         size.append(int(np.ceil(pixels / step[-1])) + 2)
     return BackdropGrid((step[0], step[1]), (radius[0], radius[1]), int(max(radius)) + 2, (size[0], size[1]))

@@ -69,7 +69,7 @@ def _floors(scene: Scene, caster: CastingGeometry, store: Store) -> np.ndarray:
     found = store.lookup(Key(Kind.CASTER_PLANE, caster.geometry.key), planes)
     return np.array(
         [
-            any(_has_nothing_behind(scene, caster.geometry, *plane, matrix, store) for plane in found)
+            any(_has_nothing_behind(scene, caster.geometry, point, normal, matrix, store) for point, normal in found)
             for matrix in caster.matrices
         ]
     )

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.lens.backdrop import DISK_TEXELS, backdrop_grid
+from pointsplat_addon.core.lens.backdrop import DISK_TEXELS, FINEST, backdrop_grid
 from pointsplat_addon.core.light import environment
 from pointsplat_addon.core.scene.camera import Aperture
 from scripts.scenes.cameras import camera
@@ -21,15 +21,15 @@ def through(radius: float, ratio: float = 1.0, focus: float = 4.0):
 
 @pytest.mark.parametrize("ratio", [1.0, 0.4])
 @pytest.mark.parametrize("radius", [0.02, 0.1, 0.5, 3.0, 1e4])
-def test_the_grid_holds_the_picture_and_never_more_texels_than_pixels_and_the_disk(radius, ratio):
+def test_the_grid_holds_the_picture_and_never_more_texels_than_four_a_pixel_and_the_disk(radius, ratio):
     grid = backdrop_grid(through(radius, ratio), 4096)
     for pixels, step, disk, size, larger in zip((96, 64), grid.step, grid.radius, grid.size, grid.larger, strict=True):
-        assert step >= 1
+        assert step >= FINEST
         assert disk <= DISK_TEXELS
         # The centres of the first and the last texel lie outside the first and the last pixel's.
         assert -0.5 * step <= 0.5
         assert (size - 1.5) * step >= pixels - 0.5
-        assert larger <= pixels + 2 * DISK_TEXELS + 8
+        assert larger <= pixels / FINEST + 2 * DISK_TEXELS + 8
     assert grid.margin >= max(grid.radius) + 0.5
 
 

@@ -319,7 +319,7 @@ def test_a_wide_lamp_has_a_penumbra():
 def test_a_ceiling_does_not_shadow_the_area_light_below_it(below, ellipse):
     """Nothing lies between the light and the floor or a wall; below: metres from a ceiling at a height of 3 m."""
     flat = plane(6, 0.03)
-    ceiling = PointCloud(flat.position + np.float32([0, 0, 3]), normal=flat.normal, radii=flat.radii)
+    ceiling = PointCloud(flat.position + np.array([0, 0, 3], np.float32), normal=flat.normal, radii=flat.radii)
     lamp = Light("AREA", np.ones(3), np.array([0.4, 0.2, 3 - below]), DOWN, axis_u=np.array([0.15, 0, 0]),
                  axis_v=np.array([0, 0.15, 0]), ellipse=ellipse)  # fmt: skip
     found = table(lamp, ceiling, flat)

@@ -155,7 +155,7 @@ def test_light_among_balls_is_that_of_rays():
     for dx in range(-4, 1):
         for dy in (-2, 0, 2):
             other = point - normal + [2 * dx, dy, 0] - point  # centres of neighbours from the point
-            along = -(other @ direction)
+            along = other @ -direction
             apart = (other**2).sum(axis=1) - along**2
             itself = dx == 0 and dy == 0
             free &= itself | ~((along > 0) & (apart < 1 - 1e-9))

@@ -140,7 +140,7 @@ class TranslucentLayers:
 
     def _texture(self, texels: np.ndarray, format: str) -> Texture:
         """A texture of texels (rows, columns, channels) that is released after use."""
-        return self._device.texture(texels.shape[1::-1], format, texels.astype(np.float32).reshape(-1))
+        return self._device.texture((texels.shape[1], texels.shape[0]), format, texels.astype(np.float32).reshape(-1))
 
     def _expand(
         self, view: SampleView, layer: int, stratum: Texture, shaded: dict[str, Texture], region: Region
