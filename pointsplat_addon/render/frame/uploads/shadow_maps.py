@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
@@ -70,22 +71,26 @@ class CasterUploads:
 def draw_maps(device: Device, maps: ShadowMaps, casters: CasterUploads) -> Texture:
     """Returns the texture of all maps: bits of depths beyond the near planes of their views, R32UI."""
     width, height = np.max([view.size for view in maps.views], axis=0).tolist()
-    depths = DepthBuffer(device, ONE_EACH, (width, height))
-    splats = _splats(device, maps, casters, depths) if casters.plan.points else None
-    if maps.size == depths.size:
-        _draw_view(device, maps.views[0], casters, depths, splats)
-        depths.target.release()
-        texture = depths.depths
-    else:
+    with ExitStack() as unfinished, ExitStack() as temporary:  # what is released if it fails, and in any case
+        depths = DepthBuffer(device, ONE_EACH, (width, height))
+        unfinished.callback(depths.depths.release)
+        temporary.callback(depths.target.release)
+        splats = _splats(device, maps, casters, depths) if casters.plan.points else None
+        if splats is not None:
+            temporary.callback(splats.release)
+        if maps.size == depths.size:
+            _draw_view(device, maps.views[0], casters, depths, splats)
+            unfinished.pop_all()
+            return depths.depths
         texture = device.texture(maps.size, "R32UI")
+        unfinished.callback(texture.release)
         target = device.target([texture])
+        temporary.callback(target.release)
         for view in maps.views:
             _draw_view(device, view, casters, depths, splats)
             keep_depths(device, depths, view.corner, view.size, target)
-        depths.release()
-        target.release()
-    if splats is not None:
-        splats.release()
+        unfinished.pop_all()
+        depths.depths.release()
     return texture
 
 
@@ -101,8 +106,10 @@ def _draw_view(
         splats.rasterise(casters.points.draws, seen, shared)
     if casters.plan.polygons:
         polygons = PolygonDepths(device, polygon_draws(device, casters, seen, 0), depths)
-        polygons.cover(seen, shared)
-        polygons.release()
+        try:
+            polygons.cover(seen, shared)
+        finally:
+            polygons.release()
     if splats is not None:
         splats.cover(casters.points.draws, seen, shared)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -106,12 +107,12 @@ class TranslucentLayers:
             # Where one place stands for a whole pixel, it is the middle.
             x, y = positions[members[0]].tolist()
             moved = replace(view, offset=(view.offset[0] + x, view.offset[1] + y))
-            stratum = self._texture(stratum_texels(self._targets.buffer.lattice, members), "RGBA32F")
-            rows = self._texture(weight_rows(weights, members), "R32F")
-            for layer, where in enumerate(layers[: len(members)]):
-                self._draw_layer(view, moved, layer, (stratum, rows), shaded, where, pixels)
-            stratum.release()
-            rows.release()
+            with (
+                self._texture(stratum_texels(self._targets.buffer.lattice, members), "RGBA32F") as stratum,
+                self._texture(weight_rows(weights, members), "R32F") as rows,
+            ):
+                for layer, where in enumerate(layers[: len(members)]):
+                    self._draw_layer(view, moved, layer, (stratum, rows), shaded, where, pixels)
 
     def _draw_layer(
         self,
@@ -130,17 +131,21 @@ class TranslucentLayers:
         stratum, rows = tables
         # The pixel filter takes in pixels of tiles beside those that change.
         outer = widened(tiles)
-        inside, around = (self._texture(mask[..., None], "R32F") for mask in (tiles, outer))
-        self._device.clear(self._layers.place_target, (NOWHERE, -1.0, 0.0, 0.0))
-        self._run("expand", lambda: self._expand(view, layer, stratum, shaded, Region(around)))
-        self._blend(moved, bounds(outer), pixels)
-        self._run("difference", lambda: self._subtract(stratum, rows, Region(inside)))
-        inside.release()
-        around.release()
+        with self._texture(tiles[..., None], "R32F") as inside, self._texture(outer[..., None], "R32F") as around:
+            self._device.clear(self._layers.place_target, (NOWHERE, -1.0, 0.0, 0.0))
+            self._run("expand", lambda: self._expand(view, layer, stratum, shaded, Region(around)))
+            self._blend(moved, bounds(outer), pixels)
+            self._run("difference", lambda: self._subtract(stratum, rows, Region(inside)))
 
-    def _texture(self, texels: np.ndarray, format: str) -> Texture:
+    @contextmanager
+    def _texture(self, texels: np.ndarray, format: str) -> Iterator[Texture]:
         """A texture of texels (rows, columns, channels) that is released after use."""
-        return self._device.texture((texels.shape[1], texels.shape[0]), format, texels.astype(np.float32).reshape(-1))
+        size = texels.shape[1], texels.shape[0]
+        made = self._device.texture(size, format, texels.astype(np.float32).reshape(-1))
+        try:
+            yield made
+        finally:
+            made.release()
 
     def _expand(
         self, view: SampleView, layer: int, stratum: Texture, shaded: dict[str, Texture], region: Region
