@@ -115,7 +115,8 @@ def make_maps(
         arranged, size = placed(views, min(texture_size, WIDEST_TEXTURE), splats)
         return ShadowMaps(key, tuple(arranged), size, tuple((c.geometry.key, c.matrices) for c in casters))
 
-    return store.lookup(key, make)
+    found = store.lookup(key, make)
+    return found if found.views else None  # where all that casts lies where no light looks
 
 
 def _boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:

@@ -102,7 +102,7 @@ def test_points_that_are_odd_in_anything_leave_the_rest(attribute, odd):
 
 def test_extinction_of_a_million_beside_a_millionth():
     """The one is opaque, and the other is not there."""
-    cloud = replace(balls([[-0.4, 0, 0], [0.4, 0, 0]], 0.3, [1e6, 1e-6]), color=np.zeros((2, 3), np.float32))
+    cloud = replace(balls([[-0.4, 0, 0], [0.4, 0, 0]], 0.2, [1e6, 1e-6]), color=np.zeros((2, 3), np.float32))
     found = assert_room_is_right((points("far apart", cloud), RIGHT))
     none = draw(room())
     thick = np.abs(found - none)[:, : SIZE[0] * 7 // 10, :3]
