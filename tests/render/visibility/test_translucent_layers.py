@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.numeric.lattice import FEW, MANY, ONE
+from pointsplat_addon.core.numeric.pixel_filter import filter_weights
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat.kernel import SUPPORT
 from pointsplat_addon.render.frame.visibility import tiles as picture_tiles
-from pointsplat_addon.render.passes.grouping.spread import filter_weights
 from pointsplat_addon.render.passes.tiles import TILE
 from pointsplat_addon.render.passes.translucent.strata import (
     bounds,
