@@ -199,7 +199,9 @@ def make_alike(scene: Any, look: Look) -> None:
         if look.flat and item.type == "MESH":
             item.data.shade_flat()
     for material in bpy.data.materials:
-        if look.shading != OWN and material.node_tree and "Principled BSDF" in material.node_tree.nodes:
+        tree = material.node_tree
+        shown = tree and "Principled BSDF" in tree.nodes and tree.get_output_node("ALL")
+        if look.shading != OWN and shown:  # Blender's first file has a material without an output
             simplify(material.node_tree, look.shading == GLOW)
 
 
