@@ -108,13 +108,13 @@ def of_nodes(settings: Settings, tolerance: float) -> tuple[dict[str, float], fl
     return figures, 255 * float(1 - alpha.min())
 
 
-def shape_picture(geometry, view: int, technique: str, samples: int, tolerance: float = 1.0) -> np.ndarray:
-    """As test_quality's, over nothing."""
+def shape_picture(geometry, view: int, technique: str, samples: int, tolerance: float = 1.0, **more) -> np.ndarray:
+    """As test_quality's, over nothing; `more`: settings."""
     eye = VIEWS[view] * 3.5
     camera = cameras.camera(eye, resolution=(SIZE, SIZE), field_of_view=35)
     sun = build.sun(4.0, camera.view_from_world[:3, :3].T @ (0.45, -0.5, -1.0))
     scene = build.scene(
         (geometry, build.moved()), lights=[sun], world=World(np.zeros(3)), table=build.materials(), transparent=True
     )
-    settings = Settings(technique=technique, tolerance=tolerance, use_shadows=False)
+    settings = Settings(technique=technique, tolerance=tolerance, use_shadows=False, **more)
     return render(Case(scene, camera, settings), ONLY_COMBINED, samples).pixels["combined"]

@@ -269,9 +269,9 @@ def test_where_samples_alone_would_do_the_cut_gets_finer():
     """Of what all samples leave and what the cut does, each is less than the error may be, and both are more."""
     case = through_lens(CASES["emission"]())
     STORE.clear()
-    settings = replace(case.settings, technique="AUTO", budget="ERROR", error_budget=0.0033)
+    settings = replace(case.settings, technique="AUTO", budget="ERROR", error_budget=0.003, filter_size=0.75)
     report = drawing.opengl().render(case.scene, replace(case.request(COMBINED, 16), settings=settings)).report
-    assert report["estimate"]["rmse"] <= 0.0033  # measured 0.0032
+    assert report["estimate"]["rmse"] <= 0.003  # measured 0.0026; 0.0034 with the first cut
     assert report["points"]["cut"] > 10_000  # 87,435; the first cut has 2,410
 
 

@@ -272,31 +272,34 @@ def test_silhouettes_do_not_thicken_and_surfaces_have_no_holes(name, samples):
         assert found["iou"] > 0.99  # measured 0.9955
 
 
+NARROW = {"filter_size": 0.75}  # pixels: a wider filter hides what techniques differ by
+
+
 @pytest.mark.parametrize("tolerance", [1.0, 2.0])
 def test_surfaces_are_nearer_to_the_polygons_than_in_image_space(tolerance):
     """In decibels, without the edges."""
     mesh = meshes.shape("torus")
-    truth = shape_picture(build.mesh(mesh, "POLYGONS"), 0, "AUTO", 64)
+    truth = shape_picture(build.mesh(mesh, "POLYGONS"), 0, "AUTO", 64, **NARROW)
     STORE.clear()
     found = {
-        technique: compare(shape_picture(build.mesh(mesh, "POINTS"), 0, technique, 16, tolerance), truth)
+        technique: compare(shape_picture(build.mesh(mesh, "POINTS"), 0, technique, 16, tolerance, **NARROW), truth)
         for technique in ("IMAGE_SPACE", "EWA")
     }
-    assert found["EWA"]["interior_psnr"] - found["IMAGE_SPACE"]["interior_psnr"] > 2  # measured 2.7
+    assert found["EWA"]["interior_psnr"] - found["IMAGE_SPACE"]["interior_psnr"] > 3  # measured 7.3
 
 
 @pytest.mark.parametrize("name", meshes.SHAPES)
 def test_many_samples_are_nearer_to_the_polygons_than_those_of_any_other_technique(name):
     """In decibels, with the edges."""
     mesh = meshes.shape(name)
-    truth = shape_picture(build.mesh(mesh, "POLYGONS"), 0, "AUTO", 64)
+    truth = shape_picture(build.mesh(mesh, "POLYGONS"), 0, "AUTO", 64, **NARROW)
     STORE.clear()
     found = {
-        technique: compare(shape_picture(build.mesh(mesh, "POINTS"), 0, technique, 16), truth)
+        technique: compare(shape_picture(build.mesh(mesh, "POINTS"), 0, technique, 16, **NARROW), truth)
         for technique in ("IMAGE_SPACE", "PAINTER", "EWA")
     }
     for other in ("IMAGE_SPACE", "PAINTER"):
-        assert found["EWA"]["psnr"] - found[other]["psnr"] > 0.2  # measured 0.25
+        assert found["EWA"]["psnr"] - found[other]["psnr"] > 0.3  # measured 0.42
         assert found["EWA"]["interior_psnr"] > found[other]["interior_psnr"]
 
 

@@ -157,10 +157,11 @@ def test_surfaces_receive_shadows_as_in_image_space():
     floor = build.mesh(plane_mesh("floor", 2.0, cells=16), "POINTS")
     scene = build.scene((ball, build.moved((0, -1.2, 0), 0.4)), (floor, build.moved()), lights=[build.sun()])
     camera = cameras.camera((0, -6, 0), resolution=(96, 80))
-    found = [picture(Case(scene, camera, Settings(technique=technique)), 8) for technique in ("IMAGE_SPACE", "PAINTER")]
+    settings = [Settings(technique=technique, filter_size=0.75) for technique in ("IMAGE_SPACE", "PAINTER")]
+    found = [picture(Case(scene, camera, each), 8) for each in settings]
     shadow = found[0][..., 0] < 0.5 * np.median(found[0][..., 0])
     assert shadow.sum() > 100
-    assert np.abs(found[0] - found[1])[eroded(eroded(shadow))].max() < 0.05  # beyond the pixel filter
+    assert np.abs(found[0] - found[1])[eroded(shadow)].max() < 0.05  # measured 0.021
     assert np.abs(found[0] - found[1]).mean() < 0.01  # measured 0.0015
 
 

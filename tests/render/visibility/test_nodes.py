@@ -86,14 +86,16 @@ def clusters(depth: float, side: int = 32) -> tuple[Geometry, Geometry]:
 @pytest.mark.parametrize("depth", [0.005, 0.02, 0.1, 0.3, 0.8, 2.0])
 def test_nodes_cover_the_fraction_of_their_silhouettes_that_they_should(depth, divided):
     """In the mean over a thousand nodes with 32 lattices, from fractions of 0.005 to 1. Measured: within
-    0.54 % at 0.005, of whose 6,400 sub-samples as many at random deviate by 1.2 %; 0.25 % above."""
+    0.47 % at 0.005, of whose 6,400 sub-samples as many at random deviate by 1.2 %; 0.30 % above."""
     clustered, silhouettes = clusters(depth)
     camera = cameras.camera((0, -400, 0), resolution=(128, 128), parallel=128.0, near=1, far=900)
-    found = picture(divided, True, scene_of(clustered), camera, 32 * LATTICE, tolerance=5.0)[..., 3].sum()
-    whole = picture(divided, False, scene_of(silhouettes), camera, 32 * LATTICE)[..., 3].sum()
+    found = picture(divided, True, scene_of(clustered), camera, 32 * LATTICE, tolerance=5.0, filter_size=0.75)[
+        ..., 3
+    ].sum()
+    whole = picture(divided, False, scene_of(silhouettes), camera, 32 * LATTICE, filter_size=0.75)[..., 3].sum()
     covered = 1 - np.exp(-depth * (1 + MOST_SATURATION * depth)) if depth > 0.01 else depth
     covered = 1.0 if covered > CLOSED else covered
-    assert abs(found / (whole * covered) - 1) < (0.006 if depth < 0.01 else 0.005)
+    assert abs(found / (whole * covered) - 1) < 0.005
 
 
 # Beside the balls
