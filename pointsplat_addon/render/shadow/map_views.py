@@ -1,8 +1,9 @@
-"""Depth maps seen from lights without size: from where each is seen, and how fine it is.
+"""Depth maps seen from lights: from where each is seen, and how fine it is.
 
 A sun sees what casts by one parallel view. So does a light that all casters lie within a cone about, or a spot, by one
 perspective view; other lights by up to six, the faces of a cube. Each view is cut to what it sees, so that no texels
-are spent on nothing.
+are spent on nothing. Lights with a size see what casts from several of their points (light_points.py): all by views that
+differ only in where they are, side by side.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from ...core.scene.camera import Camera
 from ...core.scene.lights import Light
 from ...core.shadow.grid import rotation_to
+from .light_points import LightShape, cell_points, grid_shifts, light_shape
 
 WIDEST_CONE = 1.05  # radians from a single view's axis to the farthest that it sees
 FINER = 2.0  # times as many texels as cells of a table lie across a view of everything
@@ -27,6 +29,8 @@ FEWEST = 16  # texels along a view's longer side
 MARGIN = 2  # texels around what a view sees, which nothing covers
 NEAREST = 1e-5  # nearest depth that a perspective view sees, over the farthest
 THINNEST = 1e-6  # least extent of a view, over that of what it may see
+MOST_TEXELS_OF_LIGHT = 1 << 23  # with a size
+BEYOND = 0.2  # of the bounds of a view from a light with a size, beyond those: where its other points see the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +46,36 @@ class MapView:
     size: tuple[int, int]  # texels
     far: float
     corner: tuple[int, int] = (0, 0)  # of its texels in the texture of all maps
+    across: np.ndarray | None = None  # (2, 2) float64: half-axes of a light with a size as columns, in its plane
+    points: np.ndarray | None = None  # (N, 2) float64, of the light: each has such a view of its own; None: there is one
+    point: tuple[float, float] = (0.0, 0.0)  # from which this one is seen
+
+    @property
+    def tiles(self) -> tuple[int, int]:
+        """How many views lie side by side, and one above the other."""
+        return (1, 1) if self.points is None else tile_grid(len(self.points))
+
+    @property
+    def block(self) -> tuple[int, int]:
+        """Texels of the views from all points together."""
+        return self.size[0] * self.tiles[0], self.size[1] * self.tiles[1]
+
+    @property
+    def each(self) -> list[MapView]:
+        """The views from all points, each in its place."""
+        if self.points is None:
+            return [self]
+        (x, y), columns = self.corner, self.tiles[0]
+        return [
+            replace(
+                self,
+                corner=(x + i % columns * self.size[0], y + i // columns * self.size[1]),
+                low=self.low - self.step * moved,
+                points=None,
+                point=tuple(point),
+            )
+            for i, (point, moved) in enumerate(zip(self.points.tolist(), grid_shifts(len(self.points)), strict=True))
+        ]
 
     @property
     def near(self) -> float:
@@ -53,6 +87,10 @@ class MapView:
         view, clip = np.eye(4), np.zeros((4, 4))
         view[:3, :3] = self.axes * [[1], [1], [-1]]
         view[:3, 3] = -view[:3, :3] @ self.origin
+        if self.parallel:
+            view[:2] -= np.array(self.point)[:, None] * view[2]  # rays from the point are upright
+        else:
+            view[:2, 3] -= self.point
         extent = self.step * np.array(self.size)
         middle = (2 * self.low + extent) / extent
         clip[0, 0], clip[1, 1] = 2 / extent
@@ -73,6 +111,7 @@ class LightViews:
     axes: np.ndarray  # (3, 3) float64 and
     origin: np.ndarray  # (3,) of the coordinates in which a cube's faces lie across the axes, or of the only view
     views: tuple[MapView | None, ...]  # faces of a cube: toward +x, -x, +y, -y, +z, -z; None: nothing is there
+    shape: LightShape | None = None  # of a light with a size
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +122,26 @@ class CastingBoxes:
     radius: np.ndarray  # (I,) float64, world: of a typical splat; infinite: there are none
 
 
-def light_views(light: Light, boxes: CastingBoxes, resolution: int) -> LightViews:
-    """Returns the views from a light without size. `resolution`: cells along a shadow table."""
+def tile_grid(count: int) -> tuple[int, int]:
+    """Returns the columns and rows in which so many views of a light lie."""
+    columns = 8 if count > 16 else 4
+    return columns, count // columns
+
+
+def light_views(light: Light, boxes: CastingBoxes, resolution: int, points: int = 0) -> LightViews:
+    """Returns the views from a light. `resolution`: cells along a shadow table. `points`: from how many of its points, if it
+    has a size."""
+    shape = light_shape(light) if points else None
     if light.kind == "SUN":
-        return _parallel(light, boxes, resolution)
+        found = _parallel(light, boxes, resolution, shape)
+    elif light.kind == "AREA":
+        found = _from_area(light, boxes, resolution, shape)
+    else:
+        found = _from_point(light, boxes, resolution, shape)
+    return found if shape is None else _of_points(replace(found, shape=shape), points)
+
+
+def _from_point(light: Light, boxes: CastingBoxes, resolution: int, shape: LightShape | None) -> LightViews:
     offset = boxes.corners - light.position
     away = np.maximum(np.linalg.norm(offset, axis=2), 1e-30)
     far = float(away.max()) * (1 + 1e-4)
@@ -95,13 +150,59 @@ def light_views(light: Light, boxes: CastingBoxes, resolution: int) -> LightView
     if lit <= WIDEST_CONE and (lit <= widest or widest > WIDEST_CONE):
         axis, widest = light.direction, lit
     if widest > WIDEST_CONE:
-        return _cube(light, boxes, offset, far, resolution)
+        return _cube(light, np.eye(3), boxes, offset, far, resolution, shape)
+    bound = np.full(2, np.tan(lit)) if light.kind == "SPOT" and lit <= WIDEST_CONE else np.full(2, np.inf)
+    return _single(light, axis, bound, boxes, offset, far, resolution, shape)
+
+
+def _from_area(light: Light, boxes: CastingBoxes, resolution: int, shape: LightShape | None) -> LightViews:
+    """Views of what lies in front of an area light, along its axis where that is enough."""
+    offset = boxes.corners - light.position
+    lit = (offset @ light.direction > 0).any(axis=1)
+    boxes, offset = CastingBoxes(boxes.corners[lit], boxes.radius[lit]), offset[lit]
+    away = np.maximum(np.linalg.norm(offset, axis=2), 1e-30)
+    far = float(away.max(initial=0.0)) * (1 + 1e-4)
+    forward, right, up = rotation_to(light.direction)
+    cosine = float((offset @ light.direction / away).min(initial=1.0))
+    if cosine >= np.cos(WIDEST_CONE):
+        return _single(light, light.direction, np.full(2, np.inf), boxes, offset, far, resolution, shape)
+    return _cube(light, np.stack([up, right, forward]), boxes, offset, far, resolution, shape)
+
+
+def _single(
+    light: Light,
+    axis: np.ndarray,
+    bound: np.ndarray,
+    boxes: CastingBoxes,
+    offset: np.ndarray,
+    far: float,
+    resolution: int,
+    shape: LightShape | None,
+) -> LightViews:
+    """One view along an axis. `offset`: (I, 8, 3) of the corners from the light."""
     forward, right, up = rotation_to(axis)
     axes = np.stack([up, right, forward])
-    local = offset @ axes.T
-    bound = np.full(2, np.tan(lit)) if light.kind == "SPOT" and lit <= WIDEST_CONE else np.full(2, np.inf)
-    view = _perspective(axes, light.position, local, boxes, bound, far, FINER * resolution, FINEST * resolution)
+    across = FINER * resolution, FINEST * resolution
+    view = _perspective(axes, light.position, offset @ axes.T, boxes, bound, far, *across, shape)
     return LightViews("SINGLE", axes, light.position, (view,))
+
+
+def _of_points(light: LightViews, points: int) -> LightViews:
+    """Returns the views from so many points of a light with a size, with fewer texels where all have more than a budget."""
+    shape = light.shape
+    assert shape is not None
+    middles, _ = cell_points(points, shape.rectangle)
+
+    def seen(view: MapView) -> MapView:
+        middle = view.low + view.step * np.array(view.size) / 2
+        across = shape.across(view.axes, view.parallel, middle)
+        return replace(view, across=across, points=middles @ across.T)
+
+    found = _each_view(light, seen)
+    assert found is not None
+    total = sum(view.block[0] * view.block[1] for view in found.views if view is not None)
+    share = (MOST_TEXELS_OF_LIGHT / max(total, 1)) ** 0.5
+    return found if share >= 1 else replace(found, views=tuple(v and _coarser(v, share) for v in found.views))
 
 
 def placed(
@@ -110,17 +211,17 @@ def placed(
     """Returns the views with places in one texture, and its (width, height): with fewer texels each, where all together
     have more than a budget. `width`: texels along a side that a texture may have. `splats`: how many cast."""
     fitting = [_each_view(one, lambda view: _limited(view, width)) for one in lights]
-    total = sum(v.size[0] * v.size[1] for one in fitting if one is not None for v in one.views if v is not None)
+    total = sum(v.block[0] * v.block[1] for one in fitting if one is not None for v in one.views if v is not None)
     budget = min(max(TEXELS_OF_SPLAT * splats, MOST_TEXELS), MOST_TEXELS_OF_SPLATS)
     if total > budget:
         share = 0.95 * (budget / total) ** 0.5  # margins and rounding take the rest
         fitting = [_each_view(one, lambda view: _coarser(view, share)) for one in fitting]
-    corners, size = _shelves([v.size for one in fitting if one is not None for v in one.views if v is not None], width)
+    corners, size = _shelves([v.block for one in fitting if one is not None for v in one.views if v is not None], width)
     places = iter(corners)
     return [_each_view(one, lambda view: replace(view, corner=next(places))) for one in fitting], size
 
 
-def _parallel(light: Light, boxes: CastingBoxes, resolution: int) -> LightViews:
+def _parallel(light: Light, boxes: CastingBoxes, resolution: int, shape: LightShape | None) -> LightViews:
     forward, right, up = rotation_to(light.direction)
     axes = np.stack([up, right, forward])
     middle = boxes.corners.reshape(-1, 3).mean(axis=0)
@@ -129,26 +230,35 @@ def _parallel(light: Light, boxes: CastingBoxes, resolution: int) -> LightViews:
     size = float(max((high - low).max(), np.abs(middle).max() * 1e-7, 1e-30))
     before = low[2] - 1e-3 * size  # nothing lies at depth 0
     origin = middle + before * axes[2]
+    aside = 0.0 if shape is None else shape.reach * float(high[2] - before)
     finest = float(boxes.radius.min(initial=np.inf))
     view = _fitted(
-        axes, origin, True, low[:2], high[:2], float(high[2] - before) * (1 + 1e-4) + THINNEST * size,
+        axes, origin, True, low[:2] - aside, high[:2] + aside, float(high[2] - before) * (1 + 1e-4) + THINNEST * size,
         finest, FINER * resolution, FINEST * resolution, size,
     )  # fmt: skip
     return LightViews("PARALLEL", axes, origin, (view,))
 
 
-def _cube(light: Light, boxes: CastingBoxes, offset: np.ndarray, far: float, resolution: int) -> LightViews:
-    """Views through the faces of a cube along the world's axes. `offset`: (I, 8, 3) of the corners from the light."""
+def _cube(
+    light: Light,
+    turned: np.ndarray,
+    boxes: CastingBoxes,
+    offset: np.ndarray,
+    far: float,
+    resolution: int,
+    shape: LightShape | None,
+) -> LightViews:
+    """Views through the faces of a cube along the rows of `turned` (3, 3). `offset`: (I, 8, 3) of the corners from the
+    light."""
     views = []
+    bound = np.full(2, 1.0 if shape is None else 1 + BEYOND)
     for face in range(6):
         axis, side = divmod(face, 2)
-        unit = np.eye(3)
-        second, third = unit[(axis + 1) % 3], unit[(axis + 2) % 3]
-        axes = np.stack([second, third, -unit[axis]] if side else [third, second, unit[axis]])
-        bound = np.ones(2)
-        view = _perspective(axes, light.position, offset @ axes.T, boxes, bound, far, resolution, 2 * resolution)
-        views.append(view)
-    return LightViews("CUBE", np.eye(3), light.position, tuple(views))
+        second, third = turned[(axis + 1) % 3], turned[(axis + 2) % 3]
+        axes = np.stack([second, third, -turned[axis]] if side else [third, second, turned[axis]])
+        across = resolution, 2 * resolution
+        views.append(_perspective(axes, light.position, offset @ axes.T, boxes, bound, far, *across, shape))
+    return LightViews("CUBE", turned, light.position, tuple(views))
 
 
 def _perspective(
@@ -160,18 +270,20 @@ def _perspective(
     far: float,
     across: float,
     most: float,
+    shape: LightShape | None,
 ) -> MapView | None:
     """Returns the view of what lies within the slopes `bound` (2,) on either side of the axis; None if nothing does.
 
     local: (I, 8, 3), corners in the view's coordinates. `across`, `most`: texels along its longer side, and where small
-    splats ask for more.
+    splats ask for more. `shape`: of the light: all of its points see what the view holds.
     """
     depth = local[..., 2]
     ahead = (depth > 0).any(axis=1)
     beyond = (depth <= NEAREST * far).any(axis=1) & ahead
+    aside = 0.0 if shape is None else shape.reach
     with np.errstate(all="ignore"):
-        slope = local[..., :2] / np.maximum(depth, 1e-30)[..., None]
-    low, high = slope.min(axis=1), slope.max(axis=1)
+        apart = np.maximum(depth, 1e-30)[..., None]
+        low, high = ((local[..., :2] - aside) / apart).min(axis=1), ((local[..., :2] + aside) / apart).max(axis=1)
     low[beyond], high[beyond] = -np.inf, np.inf
     seen = ahead & (low < bound).all(axis=1) & (high > -bound).all(axis=1)
     if not seen.any():
@@ -220,7 +332,8 @@ def _coarser(view: MapView, share: float) -> MapView:
 
 def _limited(view: MapView, width: int) -> MapView:
     """Returns a view that a texture of `width` texels holds."""
-    return _coarser(view, (width - 2 * MARGIN - 1) / max(view.size)) if max(view.size) > width else view
+    tiles = max(view.tiles)
+    return _coarser(view, (width / tiles - 2 * MARGIN - 1) / max(view.size)) if max(view.block) > width else view
 
 
 def _each_view(light: LightViews | None, change: Callable[[MapView], MapView]) -> LightViews | None:
