@@ -1,7 +1,8 @@
 """Points of lights with a size: from some of them depth maps are drawn, and from all of them receivers are looked at.
 
-A light's outline, a disk or a rectangle, is divided into cells of equal area. Each cell's middle is a view of the light;
-the rays to the points of the cell are told by that view's map, where they pass it at the depth of what casts the shadow.
+A light's outline, a disk or a rectangle, is divided into cells of equal area. From one point of each the light sees what
+casts; rays to other points of the cell are told by that view's map, where they pass it at the depth of what casts the shadow.
+Views of outer cells are from their outlines, so that these agree where no part of the light is hidden, or none shines.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from ...core.scene.lights import Light
 from ...core.shadow.grid import rotation_to
 
 POINTS_OF_CELL = 8
+WIDENED = 1.2  # outlines of lights that face receivers, in views that do not face all of them
 VIEWS = 8, 16, 32  # of a light: cells of its outline
+GOLDEN = 5**0.5 / 2 - 0.5  # of Vogel's spiral (1979)
 # Additive recurrence in two dimensions (Roberts 2018).
 PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 
@@ -33,6 +36,10 @@ class LightShape:
         """How far from its middle the light extends."""
         return float(np.linalg.norm(self.axes, axis=1).max()) * (2**0.5 if self.rectangle else 1.0)
 
+    def bounds(self, across: np.ndarray) -> np.ndarray:
+        """Returns (2,): how far the outline extends to either side, given its half-axes as columns."""
+        return np.abs(across).sum(axis=1) if self.rectangle else np.linalg.norm(across, axis=1)
+
     def across(self, axes: np.ndarray, parallel: bool, place: np.ndarray) -> np.ndarray:
         """Returns (2, 2): the half-axes as columns, where rays from them to a `place` (2,) of a view with the rows `axes`
         (3, 3) meet the plane of its origin."""
@@ -44,7 +51,7 @@ class LightShape:
             ray /= np.linalg.norm(ray)
             first = np.array([1.0, 0, 0]) - ray[0] * ray
             first /= np.linalg.norm(first)
-            half = self.reach * np.stack([first, np.cross(ray, first)])
+            half = WIDENED * self.reach * np.stack([first, np.cross(ray, first)])
         return (half[:, :2] - half[:, 2:] * place).T
 
 
@@ -63,16 +70,30 @@ def light_shape(light: Light) -> LightShape | None:
 
 @cache
 def cell_points(views: int, rectangle: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the middles of the cells, (N, 2) float64, and POINTS_OF_CELL points of each, (N, K, 2): of the unit disk,
+    """Returns from where each cell sees, (N, 2) float64, and POINTS_OF_CELL points of each, (N, K, 2): of the unit disk,
     or of the square from -1 to 1. The first half of the cells are spread all over it."""
-    low, high = _cells(views, rectangle)
-    order = np.argsort((np.arange(views) * PLASTIC[0]) % 1, kind="stable")
-    low, high = low[order], high[order]
-    number = np.arange(POINTS_OF_CELL)[None] + POINTS_OF_CELL * np.arange(views)[:, None]
-    within = (0.5 + number[..., None] * PLASTIC) % 1
-    place = low[:, None] + within * (high - low)[:, None]
-    middle = (low + high) / 2
-    return (place_in_shape(middle, rectangle), place_in_shape(place, rectangle))
+    rows = {8: (4, 4), 16: (4, 4, 4, 4), 32: (8, 8, 8, 8)} if rectangle else {8: (2, 6), 16: (4, 12), 32: (4, 12, 16)}
+    total = views * POINTS_OF_CELL
+    number = np.arange(total) + 0.5
+    lattice = np.stack([number / total, number * GOLDEN % 1], axis=1)
+    seen, places, start = [], [], 0
+    for row, count in enumerate(rows[views]):
+        here = lattice[start : start + count * POINTS_OF_CELL]
+        places.append(here[np.argsort(here[:, 1], kind="stable")].reshape(count, POINTS_OF_CELL, 2))
+        start += len(here)
+        along = np.arange(count)
+        if rectangle:
+            last = len(rows[views]) - 1
+            seen += [(row / last, k / (count - 1)) for k in along]
+        else:
+            # The outermost ones see from the outline.
+            outer = start == total
+            seen += [(1.0 if outer else (start - len(here) / 2) / total, (k + 0.5) / count) for k in along]
+    order = np.argsort(np.arange(views) * GOLDEN % 1, kind="stable")
+    return (
+        place_in_shape(np.array(seen)[order], rectangle),
+        place_in_shape(np.concatenate(places)[order], rectangle),
+    )
 
 
 def grid_shifts(views: int) -> np.ndarray:
@@ -87,16 +108,3 @@ def place_in_shape(place: np.ndarray, rectangle: bool) -> np.ndarray:
         return 2 * place - 1
     radius, angle = np.sqrt(place[..., 0]), 2 * np.pi * place[..., 1]
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
-
-
-def _cells(views: int, rectangle: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the corners of cells of equal area in the unit square, each (N, 2)."""
-    rows = {8: (4, 4), 16: (4, 4, 4, 4), 32: (8, 8, 8, 8)} if rectangle else {8: (2, 6), 16: (4, 12), 32: (4, 12, 16)}
-    low, high, start = [], [], 0
-    for count in rows[views]:
-        ends = start / views, (start + count) / views
-        for k in range(count):
-            low.append((ends[0], k / count))
-            high.append((ends[1], (k + 1) / count))
-        start += count
-    return np.array(low), np.array(high)

@@ -47,7 +47,9 @@ class MapView:
     far: float
     corner: tuple[int, int] = (0, 0)  # of its texels in the texture of all maps
     across: np.ndarray | None = None  # (2, 2) float64: half-axes of a light with a size as columns, in its plane
-    points: np.ndarray | None = None  # (N, 2) float64, of the light: each has such a view of its own; None: there is one
+    points: np.ndarray | None = (
+        None  # (N, 2) float64, of the light: each has such a view of its own; None: there is one
+    )
     point: tuple[float, float] = (0.0, 0.0)  # from which this one is seen
 
     @property
@@ -182,8 +184,8 @@ def _single(
     """One view along an axis. `offset`: (I, 8, 3) of the corners from the light."""
     forward, right, up = rotation_to(axis)
     axes = np.stack([up, right, forward])
-    across = FINER * resolution, FINEST * resolution
-    view = _perspective(axes, light.position, offset @ axes.T, boxes, bound, far, *across, shape)
+    texels = FINER * resolution, FINEST * resolution
+    view = _perspective(axes, light.position, offset @ axes.T, boxes, bound, far, texels, shape)
     return LightViews("SINGLE", axes, light.position, (view,))
 
 
@@ -194,9 +196,7 @@ def _of_points(light: LightViews, points: int) -> LightViews:
     middles, _ = cell_points(points, shape.rectangle)
 
     def seen(view: MapView) -> MapView:
-        middle = view.low + view.step * np.array(view.size) / 2
-        across = shape.across(view.axes, view.parallel, middle)
-        return replace(view, across=across, points=middles @ across.T)
+        return view if view.across is None else replace(view, points=middles @ view.across.T)
 
     found = _each_view(light, seen)
     assert found is not None
@@ -230,11 +230,12 @@ def _parallel(light: Light, boxes: CastingBoxes, resolution: int, shape: LightSh
     size = float(max((high - low).max(), np.abs(middle).max() * 1e-7, 1e-30))
     before = low[2] - 1e-3 * size  # nothing lies at depth 0
     origin = middle + before * axes[2]
-    aside = 0.0 if shape is None else shape.reach * float(high[2] - before)
+    across = None if shape is None else shape.across(axes, True, np.zeros(2))
+    aside = 0.0 if shape is None or across is None else shape.bounds(across) * float(high[2] - before)
     finest = float(boxes.radius.min(initial=np.inf))
     view = _fitted(
         axes, origin, True, low[:2] - aside, high[:2] + aside, float(high[2] - before) * (1 + 1e-4) + THINNEST * size,
-        finest, FINER * resolution, FINEST * resolution, size,
+        finest, FINER * resolution, FINEST * resolution, size, across,
     )  # fmt: skip
     return LightViews("PARALLEL", axes, origin, (view,))
 
@@ -256,8 +257,8 @@ def _cube(
         axis, side = divmod(face, 2)
         second, third = turned[(axis + 1) % 3], turned[(axis + 2) % 3]
         axes = np.stack([second, third, -turned[axis]] if side else [third, second, turned[axis]])
-        across = resolution, 2 * resolution
-        views.append(_perspective(axes, light.position, offset @ axes.T, boxes, bound, far, *across, shape))
+        texels = resolution, 2 * resolution
+        views.append(_perspective(axes, light.position, offset @ axes.T, boxes, bound, far, texels, shape))
     return LightViews("CUBE", turned, light.position, tuple(views))
 
 
@@ -268,30 +269,42 @@ def _perspective(
     boxes: CastingBoxes,
     bound: np.ndarray,
     far: float,
-    across: float,
-    most: float,
+    resolution: tuple[float, float],
     shape: LightShape | None,
 ) -> MapView | None:
     """Returns the view of what lies within the slopes `bound` (2,) on either side of the axis; None if nothing does.
 
-    local: (I, 8, 3), corners in the view's coordinates. `across`, `most`: texels along its longer side, and where small
+    local: (I, 8, 3), corners in the view's coordinates. `resolution`: texels along its longer side, and where small
     splats ask for more. `shape`: of the light: all of its points see what the view holds.
     """
     depth = local[..., 2]
     ahead = (depth > 0).any(axis=1)
     beyond = (depth <= NEAREST * far).any(axis=1) & ahead
-    aside = 0.0 if shape is None else shape.reach
+    low, high, seen = _window(local, beyond, ahead, bound, np.zeros(2))
+    across = None
+    if shape is not None and seen.any():
+        across = shape.across(axes, False, (low + high) / 2)
+        low, high, seen = _window(local, beyond, ahead, bound, shape.bounds(across))
+    if not seen.any():
+        return None
+    away = np.linalg.norm(local[seen], axis=2).mean(axis=1)
+    finest = float((boxes.radius[seen] / np.maximum(away, 1e-30)).min(initial=np.inf))
+    return _fitted(axes, origin, False, low, high, far, finest, resolution[0], resolution[1], 1.0, across)
+
+
+def _window(
+    local: np.ndarray, beyond: np.ndarray, ahead: np.ndarray, bound: np.ndarray, aside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns the low and the high corner, (2,), of what boxes cover in a perspective view within a bound, and which boxes
+    are seen, (I,) bool. `beyond`: those that reach behind it. `aside`: (2,) how far the points lie from which it is seen."""
     with np.errstate(all="ignore"):
-        apart = np.maximum(depth, 1e-30)[..., None]
+        apart = np.maximum(local[..., 2], 1e-30)[..., None]
         low, high = ((local[..., :2] - aside) / apart).min(axis=1), ((local[..., :2] + aside) / apart).max(axis=1)
     low[beyond], high[beyond] = -np.inf, np.inf
     seen = ahead & (low < bound).all(axis=1) & (high > -bound).all(axis=1)
     if not seen.any():
-        return None
-    low, high = np.maximum(low[seen].min(axis=0), -bound), np.minimum(high[seen].max(axis=0), bound)
-    away = np.linalg.norm(local[seen], axis=2).mean(axis=1)
-    finest = float((boxes.radius[seen] / np.maximum(away, 1e-30)).min(initial=np.inf))
-    return _fitted(axes, origin, False, low, high, far, finest, across, most, 1.0)
+        return -bound, bound, seen
+    return np.maximum(low[seen].min(axis=0), -bound), np.minimum(high[seen].max(axis=0), bound), seen
 
 
 def _fitted(
@@ -302,22 +315,25 @@ def _fitted(
     high: np.ndarray,
     far: float,
     finest: float,
-    across: float,
+    texels: float,
     most: float,
     scale: float,
+    across: np.ndarray | None,
 ) -> MapView:
     """Returns a view of the places between two corners (2,), with a margin.
 
-    `finest`: the smallest radius of a typical splat, in places. `across`, `most`: texels along the longer side, and
-    where small splats ask for more. `scale`: of places.
+    `finest`: the smallest radius of a typical splat, in places. `texels`, `most`: along the longer side, and where small
+    splats ask for more. `scale`: of places. `across`: see MapView.
     """
     extent = np.maximum(high - low, THINNEST * scale)
     longest = float(extent.max())
-    count = float(np.clip(TEXELS_OF_RADIUS * longest / max(finest, 1e-30), across, most))
+    count = float(np.clip(TEXELS_OF_RADIUS * longest / max(finest, 1e-30), texels, most))
     step = longest / count
     size = np.maximum(np.ceil(extent / step), 1).astype(int) + 2 * MARGIN
     middle = (low + high) / 2
-    return MapView(axes, origin, parallel, middle - step * size / 2, step, (int(size[0]), int(size[1])), far)
+    return MapView(
+        axes, origin, parallel, middle - step * size / 2, step, (int(size[0]), int(size[1])), far, across=across
+    )
 
 
 def _coarser(view: MapView, share: float) -> MapView:

@@ -24,7 +24,9 @@ WIDEST_TEXTURE = 8192  # texels
 HEAD_TEXELS, VIEW_TEXELS = 4, 2  # of a light's record, and of each of its views
 SHAPE_TEXELS = 8  # after them: of a light with a size
 KINDS = ("NONE", "PARALLEL", "SINGLE", "CUBE")
-MOST_DRAWN = 1 << 22  # primitives that all views of the points of lights together draw, if they are not as few as can be
+MOST_DRAWN = (
+    1 << 22
+)  # primitives that all views of the points of lights together draw, if they are not as few as can be
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,5 +190,6 @@ def _boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:
         typical = np.inf
         if cloud is not None and cloud.radii is not None:
             typical = float(np.median(cloud.radii[:: max(1, len(cloud) // 4096), 0]))
-        radius.append(typical * largest_singular_value(linear))
+        scale = largest_singular_value(linear)
+        radius.append(typical * scale if np.isfinite(typical) else np.full(len(linear), np.inf))
     return CastingBoxes(np.concatenate(corners), np.concatenate(radius))

@@ -196,7 +196,7 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
   share *= ps_map_share(light, position, normal, wanted);
   wanted = wanted && share.x > 0.0;
 #endif
-#ifdef PS_SOFT_MAPS
+#ifdef PS_SHADOW_SOFT
   share *= ps_soft_share(light, position, normal, wanted);
   wanted = wanted && share.x > 0.0;
 #endif

@@ -1,12 +1,12 @@
 // Shadows of lights with a size, by depth maps seen from some of their points: layout and records in render/shadow/maps.py,
-// points in render/shadow/light_points.py. PS_SOFT_MAPS: some light has them.
+// points in render/shadow/light_points.py. PS_SHADOW_SOFT: some light has them.
 //
 // Heights here are what grows linearly along rays in a view's coordinates: one over the depth, or minus the depth where rays
 // are parallel. A ray from `place` at the height `own` to the point c of a light is at place + c * (height - own), whatever the
 // light; the view from c sees it at place - c * own. So a map tells of other points of its cell too: their rays pass it at
 // a place that differs by how far they have gone at the height of what casts the shadow.
 
-#ifdef PS_SOFT_MAPS
+#ifdef PS_SHADOW_SOFT
 
 #define PS_SOFT_SHAPE 16  // first texel about a light's size
 #define PS_POINTS_OF_CELL 8
@@ -90,7 +90,11 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
   float texel = (s.parallel ? 1.0 : q.z) / s.frame.z;  // world units
   float bias = oriented ? texel * PS_SOFT_BIAS / cosine : texel * PS_MAP_BIAS_IN_MEDIA;
   s.bias = (bias + PS_MAP_ROUNDING * (abs(q.z) + length(position))) * (s.parallel ? 1.0 : scale * scale);
-  s.gain = max(2.0 * ps_pixel_size(-position.z) / texel, 1.0);
+#ifdef PS_FOOTPRINT
+  s.gain = max(PS_MAP_SHARP * ps_pixel_size(-position.z) / texel, 1.0);
+#else
+  s.gain = 1.0;
+#endif
 
   if (first.w > 0.5) {
     vec3 toward = ray * along, across = normalize(vec3(1.0, 0.0, 0.0) - toward.x * toward);
@@ -117,7 +121,10 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     vec2 seen = middle.x * cell.xy + middle.y * cell.zw;
     for (int k = 1; k <= PS_POINTS_OF_CELL; k++) {
       vec2 own = texelFetch(ps_map_lights, ivec2(column + k, row), 0).xy;
-      soft += ps_soft_tap(s, seen, middle.zw, ivec2(i % columns, i / columns), gone * (own.x * u_axis + own.y * v_axis - seen)).x;
+      vec2 moved = gone * (own.x * u_axis + own.y * v_axis - seen);
+      vec3 tap = ps_soft_tap(s, seen, middle.zw, ivec2(i % columns, i / columns), moved);
+      gone = tap.z > 0.0 ? tap.y / tap.z - s.own : gone;
+      soft += tap.x;
     }
   }
   return mixed ? soft / (total * float(PS_POINTS_OF_CELL)) : lit;
