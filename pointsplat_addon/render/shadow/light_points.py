@@ -1,8 +1,9 @@
 """Points of lights with a size: from some of them depth maps are drawn, and from all of them receivers are looked at.
 
-A light's outline, a disk or a rectangle, is divided into cells of equal area. From one point of each the light sees what
-casts; rays to other points of the cell are told by that view's map, where they pass it at the depth of what casts the shadow.
-Views of outer cells are from their outlines, so that these agree where no part of the light is hidden, or none shines.
+A light's outline, a disk or a rectangle, is divided into cells of equal area. From one point of each the light sees
+what casts; rays to other points of the cell are told by that view's map, where they pass it at the depth of what
+casts the shadow. Views of outer cells are from their outlines, so that these agree where no part of the light is
+hidden, or none shines.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ class LightShape:
         return np.abs(across).sum(axis=1) if self.rectangle else np.linalg.norm(across, axis=1)
 
     def across(self, axes: np.ndarray, parallel: bool, place: np.ndarray) -> np.ndarray:
-        """Returns (2, 2): the half-axes as columns, where rays from them to a `place` (2,) of a view with the rows `axes`
-        (3, 3) meet the plane of its origin."""
+        """Returns (2, 2): the half-axes as columns, where rays from them to a `place` (2,) of a view with the rows
+        `axes` (3, 3) meet the plane of its origin."""
         if parallel:
             return (self.axes @ axes.T)[:, :2].T
         half = self.axes @ axes.T
@@ -70,8 +71,8 @@ def light_shape(light: Light) -> LightShape | None:
 
 @cache
 def cell_points(views: int, rectangle: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Returns from where each cell sees, (N, 2) float64, and POINTS_OF_CELL points of each, (N, K, 2): of the unit disk,
-    or of the square from -1 to 1. The first half of the cells are spread all over it."""
+    """Returns from where each cell sees, (N, 2) float64, and POINTS_OF_CELL points of each, (N, K, 2): of the unit
+    disk, or of the square from -1 to 1. The first half of the cells are spread all over it."""
     rows = {8: (4, 4), 16: (4, 4, 4, 4), 32: (8, 8, 8, 8)} if rectangle else {8: (2, 6), 16: (4, 12), 32: (4, 12, 16)}
     total = views * POINTS_OF_CELL
     number = np.arange(total) + 0.5
@@ -97,8 +98,8 @@ def cell_points(views: int, rectangle: bool) -> tuple[np.ndarray, np.ndarray]:
 
 
 def grid_shifts(views: int) -> np.ndarray:
-    """Returns (N, 2) float64, in [-0.5, 0.5): by how much of a texel the texels of each view lie further on, so that edges
-    that fall on texels of one fall between those of others."""
+    """Returns (N, 2) float64, in [-0.5, 0.5): by how much of a texel the texels of each view lie further on, so that
+    edges that fall on texels of one fall between those of others."""
     return (0.5 + (1 + np.arange(views)[:, None]) * PLASTIC[::-1]) % 1 - 0.5
 
 

@@ -2,8 +2,8 @@
 
 A sun sees what casts by one parallel view. So does a light that all casters lie within a cone about, or a spot, by one
 perspective view; other lights by up to six, the faces of a cube. Each view is cut to what it sees, so that no texels
-are spent on nothing. Lights with a size see what casts from several of their points (light_points.py): all by views that
-differ only in where they are, side by side.
+are spent on nothing. Lights with a size see what casts from several of their points (light_points.py): all by views
+that differ only in where they are, side by side.
 """
 
 from __future__ import annotations
@@ -131,8 +131,8 @@ def tile_grid(count: int) -> tuple[int, int]:
 
 
 def light_views(light: Light, boxes: CastingBoxes, resolution: int, points: int = 0) -> LightViews:
-    """Returns the views from a light. `resolution`: cells along a shadow table. `points`: from how many of its points, if it
-    has a size."""
+    """Returns the views from a light. `resolution`: cells along a shadow table. `points`: from how many of its
+    points, if it has a size."""
     shape = light_shape(light) if points else None
     if light.kind == "SUN":
         found = _parallel(light, boxes, resolution, shape)
@@ -190,7 +190,8 @@ def _single(
 
 
 def _of_points(light: LightViews, points: int) -> LightViews:
-    """Returns the views from so many points of a light with a size, with fewer texels where all have more than a budget."""
+    """Returns the views from so many points of a light with a size, with fewer texels where all have more than a
+    budget."""
     shape = light.shape
     assert shape is not None
     middles, _ = cell_points(points, shape.rectangle)
@@ -295,8 +296,9 @@ def _perspective(
 def _window(
     local: np.ndarray, beyond: np.ndarray, ahead: np.ndarray, bound: np.ndarray, aside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the low and the high corner, (2,), of what boxes cover in a perspective view within a bound, and which boxes
-    are seen, (I,) bool. `beyond`: those that reach behind it. `aside`: (2,) how far the points lie from which it is seen."""
+    """Returns the low and the high corner, (2,), of what boxes cover in a perspective view within a bound, and which
+    boxes are seen, (I,) bool. `beyond`: those that reach behind it. `aside`: (2,) how far the points lie from which
+    it is seen."""
     with np.errstate(all="ignore"):
         apart = np.maximum(local[..., 2], 1e-30)[..., None]
         low, high = ((local[..., :2] - aside) / apart).min(axis=1), ((local[..., :2] + aside) / apart).max(axis=1)
@@ -322,8 +324,8 @@ def _fitted(
 ) -> MapView:
     """Returns a view of the places between two corners (2,), with a margin.
 
-    `finest`: the smallest radius of a typical splat, in places. `texels`, `most`: along the longer side, and where small
-    splats ask for more. `scale`: of places. `across`: see MapView.
+    `finest`: the smallest radius of a typical splat, in places. `texels`, `most`: along the longer side, and where
+    small splats ask for more. `scale`: of places. `across`: see MapView.
     """
     extent = np.maximum(high - low, THINNEST * scale)
     longest = float(extent.max())

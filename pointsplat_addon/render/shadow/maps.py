@@ -53,9 +53,9 @@ class ShadowMaps:
 
         Texels 0 to 2 are rows that take view space to the light's, 3 holds the index of the kind. Two follow for each
         view: where the place (0, 0) lies in the texture, texels from a place to the next one, and the near plane; first
-        and last texel. For lights with a size the kind is negative, beside it are how many points are seen from, and the row
-        of their places; the views are those of the first point; and what follows them is, from SHAPE on: the half-axes in
-        the light's space, with whether they face receivers, and for each view both half-axes in its plane.
+        and last texel. For lights with a size the kind is negative, beside it are how many points are seen from, and
+        the row of their places; the views are those of the first point; and what follows them is, from SHAPE on: the
+        half-axes in the light's space, with whether they face receivers, and for each view both half-axes in its plane.
 
         Two more rows, if some light has a size, are for disks and for rectangles: for each cell its middle, by how
         many texels those of its view lie further on, and its points.

@@ -62,7 +62,8 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
   if (-head.x == PS_MAP_CUBE) {
     vec3 size = abs(q);
     int axis = size.x >= size.y && size.x >= size.z ? 0 : (size.y >= size.z ? 1 : 2);
-    mat3 turned = axis == 0 ? mat3(1.0) : (axis == 1 ? mat3(0, 0, 1, 1, 0, 0, 0, 1, 0) : mat3(0, 1, 0, 0, 0, 1, 1, 0, 0));
+    mat3 second_first = mat3(0, 0, 1, 1, 0, 0, 0, 1, 0), third_first = mat3(0, 1, 0, 0, 0, 1, 1, 0, 0);
+    mat3 turned = axis == 0 ? mat3(1.0) : (axis == 1 ? second_first : third_first);
     bool positive = (turned * q).x > 0.0;
     turned = (positive ? mat3(0, 0, 1, 0, 1, 0, 1, 0, 0) : mat3(0, 0, -1, 1, 0, 0, 0, 1, 0)) * turned;
     view = 2 * axis + (positive ? 0 : 1);

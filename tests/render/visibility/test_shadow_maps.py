@@ -77,7 +77,8 @@ WIDE = {
 @pytest.mark.parametrize("name", WIDE)
 @pytest.mark.parametrize("wide", [2.0, 4.0])
 def test_the_penumbra_of_a_straight_edge_is_the_visible_share_of_the_light(name, wide):
-    """The light's middle is above x = 0.2 at height 2, and it reaches 0.2 to each side; the sun's middle is overhead."""
+    """The light's middle is above x = 0.2 at height 2, and it reaches 0.2 to each side; the sun's middle is
+    overhead."""
     edge, above, width = 0.1, 0.3, 160
     middle, half = (edge, 0.5 * 0.1) if name == "sun" else (0.2 + (edge - 0.2) * 4 / 3, 0.2 * 0.5 / 1.5)
     case = seen(floor(), small_card(edge, wide), light=WIDE[name])
