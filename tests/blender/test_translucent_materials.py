@@ -123,6 +123,22 @@ def test_a_mix_with_transparent_is_translucent():
     assert row.constants["alpha"] == pytest.approx((0.3,))
 
 
+def test_a_mix_with_transparent_by_a_picture_cuts_out():
+    """As leaves are made of a Diffuse BSDF."""
+
+    def build(tree):
+        texture = node(tree, "ShaderNodeTexImage", image=picture(np.array([[0.0, 1]])))
+        clear = node(tree, "ShaderNodeBsdfTransparent").outputs[0]
+        matt = node(tree, "ShaderNodeBsdfDiffuse", {"Color": texture.outputs["Color"]}).outputs[0]
+        factor = texture.outputs["Alpha"]
+        return node(tree, "ShaderNodeMixShader", {"Fac": factor, "Shader": clear, "Shader_001": matt})
+
+    row = convert_material(linked(build))
+    assert not row.translucent
+    assert row.graph is not None
+    assert row.graph.alpha is not None
+
+
 def test_what_only_shadow_rays_see_does_not_show():
     """A usual way to have clear shadows of a surface that is opaque to the eye."""
 
