@@ -133,6 +133,18 @@ def surfels(count: int, instances: int = 1):
     return build.scene(*((ball, build.moved((0.1 * i, 0, 0))) for i in range(instances)))
 
 
+def test_points_with_normals_take_no_passes_of_other_techniques():
+    sphere = case("a surface", 0.5)
+    sphere = replace(sphere, settings=replace(sphere.settings, dof_method="SPLAT"))
+    name, programs, _ = drawn(replace(sphere, camera=replace(sphere.camera, aperture=None)), 16)
+    assert name == "VISIBILITY"
+    assert not programs & (EWA | IMAGE_SPACE)
+    name, programs, _ = drawn(sphere, 16)
+    assert name == "VISIBILITY"
+    assert "defocus" in programs
+    assert not programs & (EWA | IMAGE_SPACE)
+
+
 def test_surfels_that_nodes_draw_faster_are_left_to_nodes():
     """Many instances share nodes; views that move draw few points."""
     assert decide_technique(given(surfels(500, MANY_INSTANCES - 1))).name == "VISIBILITY"
