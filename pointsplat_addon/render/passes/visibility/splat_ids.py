@@ -30,6 +30,7 @@ from .buffer import (
     DepthBuffer,
     VisibilityBuffer,
     offset_defines,
+    rank_defines,
     sub_sample_defines,
 )
 
@@ -58,14 +59,8 @@ class SplatKind:
     def defines(self) -> tuple[tuple[str, str], ...]:
         nodes: tuple[tuple[str, str], ...] = ()
         if self.lattice is not None:
-            ranks, step = self.lattice.count, RANK_STEP[self.lattice.p]
-            nodes = (
-                ("PS_NODES", "1"),
-                ("PS_NODE_SCALE", str(NODE_SCALE)),
-                ("PS_RANKS", str(ranks)),
-                ("PS_RANK_COLUMN", str(step)),
-                ("PS_RANK_ROW", str(step * (ranks - self.lattice.p) % ranks)),
-            )
+            ranks = rank_defines(self.lattice, RANK_STEP[self.lattice.p])
+            nodes = (("PS_NODES", "1"), ("PS_NODE_SCALE", str(NODE_SCALE)), *ranks)
         named = {
             "PS_ONE_INSTANCE": self.options.one_instance,
             "PS_CULL": self.options.cull and not nodes,
