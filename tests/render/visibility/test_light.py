@@ -33,8 +33,7 @@ def test_shadows_are_those_of_many_samples(radius):
 
 
 def sphere_of_disks(side: int) -> Case:
-    """A sphere of disks, each about 1.5 pixels in radius, in parallel view; it reflects diffusely and fills a picture of
-    `side` pixels."""
+    """A diffuse sphere of disks in parallel view; it fills a picture of `side` pixels."""
     ball = build.points("a sphere of disks to shade", clouds.sphere_cloud(16_000))
     table = build.materials(roughness=[1.0], specular=[0.0], base_color=[[0.5, 0.5, 0.5]])
     drawn = build.scene((ball, build.moved()), lights=[build.sun()], world=World(np.zeros(3)), table=table)
