@@ -92,6 +92,7 @@ EXPECTED = {
     "visibility buffer, smoke and a cube, interactive": "order polygons background enlarge " + GROUPED + LAYERS,
     "visibility buffer, a cube in held out smoke": "order polygons background " + GROUPED + LAYERS,
     "visibility buffer, smoke alone": "order background " + BLENDED,
+    "visibility buffer, points and polygons, out of focus, depth": "cover polygons data light tiles defocus " + GROUPED,
     "EWA": EWA + SEEN,
     "EWA, adaptive": "adapt " + EWA + SEEN,
     "EWA among polygons": "polygons " + EWA + SEEN,

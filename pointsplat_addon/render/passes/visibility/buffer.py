@@ -35,6 +35,12 @@ def offset_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
     return ("PS_SUB_SAMPLES", str(lattice.count)), ("PS_OFFSETS", f"vec2[{lattice.count}]({offsets})")
 
 
+def rank_defines(lattice: Lattice, multiple: int = 1) -> tuple[tuple[str, str], ...]:
+    """The defines of lib/visibility/ranks.glsl; `multiple`: of cells' numbers, which ranks are."""
+    column, row = multiple, multiple * (lattice.count - lattice.p) % lattice.count
+    return ("PS_RANKS", str(lattice.count)), ("PS_RANK_COLUMN", str(column)), ("PS_RANK_ROW", str(row))
+
+
 class DepthBuffer:
     """The depth of what is nearest at each cell: of the three textures the one."""
 
