@@ -22,6 +22,10 @@ from .lighting import (
 
 MIST_EXPONENT = {"LINEAR": 1.0, "QUADRATIC": 2.0, "INVERSE_QUADRATIC": 0.5}
 MIST_FIELDS: Fields = (("float", "mist_start"), ("float", "mist_scale"), ("float", "mist_exponent"))
+FOCUS_OUTPUT = (
+    "vec4",
+    "out_focus",
+)  # the share of a texel that is in focus, in the second channel; in the first, times its depth
 WORLD_FIELDS: Fields = (("mat4", "world_from_view"),)
 # The sub-samples of groups, at which shadows are looked up in maps.
 FOOTPRINT_SAMPLERS = tuple(("UINT_2D", name) for name in ("ps_depths", "ps_keys", "ps_first", "ps_second"))
@@ -88,7 +92,7 @@ def shade_program(
     return Interface(
         "shade", fragment="shading/shade.frag",
         block=_block(passes, lighting, focus, combined, footprint is not None),
-        outputs=(*averaged_outputs(passes, combined), *((("vec4", "out_focus"),) if focus else ())),
+        outputs=(*averaged_outputs(passes, combined), *((FOCUS_OUTPUT,) if focus else ())),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
         defines=(*lighting_defines(lighting), *taps, *cells, *((name, "1") for name in names)),
     )  # fmt: skip

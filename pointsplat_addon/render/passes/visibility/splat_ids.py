@@ -127,7 +127,8 @@ def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders
     """Returns the program that writes the attributes of splats that stand for groups of sub-samples."""
     samplers, named = attributes(variant, kind.options)
     added = tuple(sampler for sampler in samplers if sampler not in POINT_SAMPLERS and sampler[1] != "ps_instances")
-    averaged = ("ps_ids", "ps_first", "ps_second") if variant.color or variant.emission else ()
+    disks = variant.normal and not (kind.balls or kind.lattice)
+    averaged = ("ps_ids", "ps_first", "ps_second") if variant.color or variant.emission or disks else ()
     read = (*leaders.samplers, *(("UINT_2D", name) for name in (() if leaders.central else averaged)))
     return Interface(
         "attributes",
