@@ -28,6 +28,7 @@ COMPUTE_VERSION = 430  # the first with compute shaders
 OLDEST_VERSION = 410  # macOS has no newer one
 GL_RENDERBUFFER, GL_DEPTH_COMPONENT32F = 0x8D41, 0x8CAC
 GL_COLOR, GL_DEPTH = 0x1800, 0x1801
+GL_TIME_ELAPSED, GL_QUERY_RESULT = 0x88BF, 0x8866
 EMPTY_TEXEL = (ctypes.c_uint * 4)(EMPTY, EMPTY, EMPTY, EMPTY)
 FARTHEST_DEPTH = (ctypes.c_float * 1)(1.0)
 
@@ -97,23 +98,25 @@ class OpenGLTarget:
 
 
 class OpenGLTimer:
-    """Time on the GPU itself, by a query."""
+    """Time on the GPU itself, by a query: moderngl's have 32 bits of nanoseconds, 4.3 seconds at most."""
 
-    def __init__(self, device: OpenGLDevice, query: moderngl.Query):
+    def __init__(self, device: OpenGLDevice, query: int):
         self._device, self._elapsed = device, -1.0
-        self._query: moderngl.Query | None = query  # None: the device has it back
+        self._query: int | None = query  # None: the device has it back
 
     def start(self) -> None:
         if self._query is not None:
-            self._query.__enter__()
+            self._device.begin_query(GL_TIME_ELAPSED, self._query)
 
     def stop(self) -> None:
         if self._query is not None:
-            self._query.__exit__(None, None, None)  # pyright: ignore[reportArgumentType] - as `with` does
+            self._device.end_query(GL_TIME_ELAPSED)
 
     def milliseconds(self) -> float:
         if self._query is not None:
-            self._elapsed = self._query.elapsed / 1e6
+            nanoseconds = ctypes.c_uint64()
+            self._device.query_result(self._query, GL_QUERY_RESULT, ctypes.addressof(nanoseconds))
+            self._elapsed = nanoseconds.value / 1e6
             self.release()
         if self._elapsed < 0.0:
             raise DeviceError("this timer was released before it was read")
@@ -141,8 +144,11 @@ class OpenGLDevice:
         )
         self.version = COMPUTE_VERSION if self.context.version_code >= COMPUTE_VERSION else OLDEST_VERSION
         self.alive: set[OpenGLTexture | OpenGLTarget] = set()
-        # moderngl cannot release a query, so each is used again: the one that ended first.
-        self.free_queries: deque[moderngl.Query] = deque()
+        self._make_queries = _function(gl, "glGenQueries", ctypes.c_int, ctypes.c_void_p)
+        self.begin_query = _function(gl, "glBeginQuery", ctypes.c_uint, ctypes.c_uint)
+        self.end_query = _function(gl, "glEndQuery", ctypes.c_uint)
+        self.query_result = _function(gl, "glGetQueryObjectui64v", ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p)
+        self.free_queries: deque[int] = deque()  # each is used again, the one that ended first
         self._timing: OpenGLTimer | None = None
         self._programs: dict[Interface, tuple[moderngl.Program | moderngl.ComputeShader, object]] = {}
         self._blocks: dict[int, moderngl.Buffer] = {}
@@ -242,8 +248,11 @@ class OpenGLDevice:
     def start_timer(self) -> OpenGLTimer:
         if self._timing:
             raise DeviceError("a timer is running already")
-        query = self.free_queries.popleft() if self.free_queries else self.context.query(time=True)
-        self._timing = OpenGLTimer(self, query)
+        if not self.free_queries:
+            query = ctypes.c_uint()
+            self._make_queries(1, ctypes.addressof(query))
+            self.free_queries.append(query.value)
+        self._timing = OpenGLTimer(self, self.free_queries.popleft())
         self._timing.start()
         return self._timing
 

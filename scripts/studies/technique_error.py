@@ -41,7 +41,7 @@ from scripts.scenes import build, cameras, meshes
 
 ROOT = Path(__file__).resolve().parents[2]
 TOLERANCES = (0.5, 1.0, 2.0, 4.0, 8.0)  # pixels
-TECHNIQUES = ("IMAGE_SPACE", "EWA", "PAINTER")
+TECHNIQUES = ("IMAGE_SPACE", "EWA", "PAINTER", "VISIBILITY")
 SAMPLES = (16, 1)
 VIEWS = {"plane, facing": (0.0, -4.0, 0.0), "plane, oblique": (1.2, -3.2, 1.0)}
 EYE = np.array([0.5, -1.0, 0.45])  # of models, from their middle

@@ -1,5 +1,5 @@
 // Attributes of the triangle that stands for a group of sub-samples, where its sub-sample meets it: one texel of the
-// G-buffer.
+// G-buffer. PS_AVERAGE: what pictures show is the mean over those of the group's sub-samples that show the triangle.
 
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/store.glsl"
@@ -16,6 +16,48 @@ vec3 v_emission;
 
 #include "lib/data/polygon.glsl"
 
+#ifdef PS_AVERAGE
+#include "lib/visibility/groups.glsl"
+#include "lib/visibility/lattice.glsl"
+#include "lib/visibility/surface_key.glsl"
+#endif
+
+#ifdef PS_AVERAGE
+#define PS_MAGNIFIED 0.5  // texels that a pixel spans: up to here colours change linearly over it
+
+vec2 ps_texels()
+{
+#if defined(PS_BAKED_COLOR)
+  return vec2(ps_picture_size(ps_baked_color));
+#elif defined(PS_BAKED_EMISSION)
+  return vec2(ps_picture_size(ps_baked_emission));
+#else
+  return vec2(ps_picture_size(ps_baked_surface));
+#endif
+}
+
+// Texels that a pixel spans at most, of a triangle with these edges and changes of UV along them, at depth d.
+float ps_texels_of_pixel(vec3 a, vec3 b, vec2 along_a, vec2 along_b, vec3 toward, float d)
+{
+  vec3 plane = cross(a, b);
+  float square = max(dot(plane, plane), 1e-37);
+  vec3 by_a = cross(b, plane) / square, by_b = cross(plane, a) / square;  // gradients of the weights
+  vec2 steps = ps_texels() * vec2(length(along_a.x * by_a + along_b.x * by_b), length(along_a.y * by_a + along_b.y * by_b));
+  float cosine = abs(dot(plane, toward)) * inversesqrt(square * dot(toward, toward));
+  return max(steps.x, steps.y) * ps_pixel_size(d) / max(cosine, 1e-4);
+}
+#endif
+
+// Weights of a triangle's corners at a point of it, which the rasteriser has found: q, from the first corner, as a and b, which
+// lead to the others.
+vec3 ps_weights(vec3 a, vec3 b, vec3 q)
+{
+  float aa = dot(a, a), ab = dot(a, b), bb = dot(b, b);
+  float det = aa * bb - ab * ab;
+  vec2 w = det > 0.0 ? vec2(bb * dot(q, a) - ab * dot(q, b), aa * dot(q, b) - ab * dot(q, a)) / det : vec2(1.0 / 3.0);
+  return vec3(1.0 - w.x - w.y, w);
+}
+
 void main()
 {
   PsLeader leader = ps_leader(ivec2(gl_FragCoord.xy));
@@ -31,12 +73,8 @@ void main()
     corners[i] = texelFetch(ps_corner, texels[i], 0);
     p[i] = ps_view_from_point(slot, corners[i].xyz);
   }
-  // Weights of the corners from the point itself, which the rasteriser has found on the triangle.
-  vec3 a = p[1] - p[0], b = p[2] - p[0], q = leader.position - p[0];
-  float aa = dot(a, a), ab = dot(a, b), bb = dot(b, b);
-  float det = aa * bb - ab * ab;
-  vec2 w = det > 0.0 ? vec2(bb * dot(q, a) - ab * dot(q, b), aa * dot(q, b) - ab * dot(q, a)) / det : vec2(1.0 / 3.0);
-  vec3 weights = clamp(vec3(1.0 - w.x - w.y, w), vec3(0.0), vec3(1.0));
+  vec3 a = p[1] - p[0], b = p[2] - p[0];
+  vec3 weights = clamp(ps_weights(a, b, leader.position - p[0]), vec3(0.0), vec3(1.0));
   weights /= weights.x + weights.y + weights.z;
 #ifdef PS_UV
   vec2 uv[3] = vec2[3](texelFetch(ps_corner_uv, texels[0], 0).xy, texelFetch(ps_corner_uv, texels[1], 0).xy,
@@ -76,11 +114,57 @@ void main()
   }
   s.normal.xyz = ps_direction(normal, vec3(0.0, 0.0, 1.0));
 #ifdef PS_BAKED_NORMAL
-  s.normal.xyz = ps_bent(s.normal.xyz, ps_repeat(ps_baked_normal, v_uv).xyz, a, b, uv[1] - uv[0], uv[2] - uv[0]);
+  s.normal.xyz = ps_bent(s.normal.xyz, ps_picture(ps_baked_normal, v_uv).xyz, a, b, uv[1] - uv[0], uv[2] - uv[0]);
 #endif
   ps_seen_from(s, plane, turned);
 #endif
   ps_polygon_attributes(s);
+#ifdef PS_AVERAGE
+  const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
+  const vec2 offsets[PS_SUB_SAMPLES] = PS_OFFSETS;
+  uvec2 codes = uvec2(texelFetch(ps_first, leader.pixel, 0).x, texelFetch(ps_second, leader.pixel, 0).x);
+  ivec2 middle = ps_central_cell(leader.pixel);
+  uint id = PS_RASTERISED | uint(leader.index);
+  PsSurfel sum = ps_empty();
+  float count = 0.0;
+  vec3 toward = ps_is_perspective() ? leader.position : vec3(0.0, 0.0, -1.0);
+  float spanned = ps_texels_of_pixel(a, b, uv[1] - uv[0], uv[2] - uv[0], toward, -leader.position.z);
+#ifdef PS_PICTURE_CLOSEST
+  spanned = PS_MAGNIFIED + 1.0;  // colours jump
+#endif
+  int members = spanned > PS_MAGNIFIED ? PS_SUB_SAMPLES : 0;
+  for (int i = 0; i < members; i++) {
+    ivec2 cell = middle + cells[i];
+    if (ps_group(codes, i) == uint(leader.layer) && texelFetch(ps_ids, cell, 0).x == id) {
+      float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
+      vec3 w = ps_weights(a, b, ps_view_from_pixel(vec2(leader.pixel) + 0.5 + offsets[i], d) - p[0]);
+      v_uv = w.x * uv[0] + w.y * uv[1] + w.z * uv[2];
+      PsSurfel one = ps_empty();
+      ps_polygon_attributes(one);
+#ifdef PS_COLOR
+      sum.color += one.color;
+#endif
+#ifdef PS_SURFACE
+      sum.normal.w += one.normal.w;
+#endif
+#ifdef PS_EMISSION
+      sum.emission += one.emission;
+#endif
+      count += 1.0;
+    }
+  }
+  if (count > 0.0) {
+#ifdef PS_COLOR
+    s.color = sum.color / count;
+#endif
+#ifdef PS_SURFACE
+    s.normal.w = sum.normal.w / count;
+#endif
+#ifdef PS_EMISSION
+    s.emission = sum.emission / count;
+#endif
+  }
+#endif
 #ifdef PS_OWNER
   s.owner = uint(about.y);
 #endif

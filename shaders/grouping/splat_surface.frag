@@ -1,5 +1,5 @@
-// Attributes of the splats that stand for groups of sub-samples: one texel of the G-buffer. Colours are the mean over all
-// sub-samples of the group.
+// Attributes of the splats that stand for groups of sub-samples: one texel of the G-buffer. Colours, and the normals by
+// which disks are shaded, are the mean over all sub-samples of the group.
 
 #include "lib/visibility/splat.glsl"
 #include "lib/visibility/leader.glsl"
@@ -11,18 +11,36 @@
 #include "lib/light/lit_normal.glsl"
 #endif
 
-#if (defined(PS_COLOR) || defined(PS_EMISSION)) && !defined(PS_CENTRAL)
+#if defined(PS_NORMAL) && !defined(PS_ROUND) && !defined(PS_NODES)
+#define PS_DISKS
+#endif
+#if (defined(PS_COLOR) || defined(PS_EMISSION) || defined(PS_DISKS)) && !defined(PS_CENTRAL)
 #define PS_AVERAGE
+#endif
+
+#ifdef PS_DISKS
+// The normal by which a disk is shaded, turned to the eye. `toward`: from the eye to the disk.
+vec3 ps_disk_normal(ivec3 element, vec3 toward)
+{
+  mat3 linear = ps_linear(element.z);
+  vec3 n = ps_view_normal(linear, ps_unpack_normal(ps_splat_head(element).w));
+  bool turned = dot(n, toward) > 0.0;
+  return ps_lit_normal(turned ? -n : n, element, linear, toward, turned);
+}
 #endif
 
 #ifdef PS_AVERAGE
 // Adds the attributes of the splat that a sub-sample shows, where it is one of this page.
-void ps_add_attributes(inout PsSurfel sum, inout float count, ivec2 cell)
+void ps_add_attributes(inout PsSurfel sum, inout float count, ivec2 cell, vec3 toward)
 {
   int index = int(texelFetch(ps_ids, cell, 0).x & 0x7FFFFFFFu) - u.first_index;
   ivec3 element = index >= 0 ? ps_element(index) : ivec3(-1);
   if (element.x >= 0) {
     PsSurfel s = ps_attributed(ps_empty(), element);
+#ifdef PS_DISKS
+    // Balls and disks may share a page, but no group: what balls add is not read.
+    sum.normal.xyz += ps_disk_normal(element, toward);
+#endif
 #ifdef PS_COLOR
     sum.color += s.color;
 #endif
@@ -63,13 +81,8 @@ void main()
 #if defined(PS_ROUND) || defined(PS_NODES)
   s.normal.xyz = own;
 #else
-  bool turned = false;
-  if (!splat.ball) {
-    vec3 n = ps_view_normal(ps_linear(element.z), ps_unpack_normal(ps_splat_head(element).w));
-    turned = dot(n, toward) > 0.0;
-  }
   s.centre.z = splat.ball ? PS_BALL : 0.0;
-  s.normal.xyz = splat.ball ? own : ps_lit_normal(own, element, ps_linear(element.z), toward, turned);
+  s.normal.xyz = splat.ball ? own : ps_disk_normal(element, toward);
 #ifdef PS_SHADING_NORMAL
   s.centre.z = splat.ball ? PS_BALL : 1.0 + ps_pack_normal(own);
 #endif
@@ -83,9 +96,12 @@ void main()
   float count = 0.0;
   uvec2 members = ps_group_members(codes, uint(leader.layer));
   while ((members.x | members.y) != 0u) {
-    ps_add_attributes(sum, count, middle + ps_next_member(members));
+    ps_add_attributes(sum, count, middle + ps_next_member(members), toward);
   }
   if (count > 0.0) {
+#ifdef PS_DISKS
+    s.normal.xyz = splat.ball ? s.normal.xyz : ps_direction(sum.normal.xyz, s.normal.xyz);
+#endif
 #ifdef PS_COLOR
     s.color = sum.color / count;
 #endif

@@ -1,7 +1,8 @@
 // The picture from the shaded groups, by the pixel filter: each pixel takes from its neighbours and from itself what
 // their sub-samples weigh. PS_REACH: pixels to the farthest of them. PS_WEIGHTS: the weights of sub-samples that lie on
 // their lattice; else `ps_weights` holds them. PS_BEHIND: what open sub-samples show. PS_PLACES: groups are not listed in
-// the order of their pixels. PS_AUXILIARY_ONLY: not Combined. u.corner: where in the picture the tile begins.
+// the order of their pixels. PS_AUXILIARY_ONLY: not Combined. PS_FOCUS: what is
+// out of focus is left out, and the rest has its depth. u.corner: where in the picture the tile begins.
 
 #include "lib/visibility/groups.glsl"
 
@@ -22,6 +23,9 @@ void ps_add(float weight, ivec2 texel)
 #ifdef PS_OUT_MIST
   out_mist += weight * texelFetch(ps_mist, texel, 0);
 #endif
+#ifdef PS_FOCUS
+  out_focus += weight * texelFetch(ps_focus, texel, 0);
+#endif
 }
 
 void main()
@@ -37,6 +41,9 @@ void main()
 #endif
 #ifdef PS_OUT_MIST
   out_mist = vec4(0.0);
+#endif
+#ifdef PS_FOCUS
+  out_focus = vec4(0.0);
 #endif
 #ifdef PS_WEIGHTS
   const float weights[PS_NEIGHBOURS * PS_SUB_SAMPLES] = PS_WEIGHTS;

@@ -5,12 +5,17 @@
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/direction.glsl"
 #include "lib/data/polygon.glsl"
+#ifdef PS_CUT
+#include "lib/visibility/cut.glsl"
+#endif
 
 void main()
 {
-  if (ps_see_through()) {
+#ifdef PS_CUT
+  if (ps_is_cut_out(ps_polygon_alpha(), v_cut, 0.0, gl_FragCoord.xy)) {
     discard;
   }
+#endif
 #ifdef PS_CULL
   if (gl_FrontFacing == (u.mirrored == 1)) {
     discard;
@@ -27,7 +32,7 @@ void main()
   bool turned = !gl_FrontFacing, away = dot(plane, ps_is_perspective() ? v_position : vec3(0.0, 0.0, -1.0)) > 0.0;
   plane = turned == away ? plane : -plane;
 #ifdef PS_BAKED_NORMAL
-  s.normal.xyz = ps_bent(s.normal.xyz, ps_repeat(ps_baked_normal, v_uv).xyz, dFdx(v_position), dFdy(v_position),
+  s.normal.xyz = ps_bent(s.normal.xyz, ps_picture(ps_baked_normal, v_uv).xyz, dFdx(v_position), dFdy(v_position),
                          dFdx(v_uv), dFdy(v_uv));
 #endif
   ps_seen_from(s, plane, turned);

@@ -4,6 +4,9 @@
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/direction.glsl"
 #include "lib/data/pack.glsl"
+#ifdef PS_CUT
+#include "lib/visibility/cut.glsl"
+#endif
 
 ivec2 ps_texel(int index)
 {
@@ -41,6 +44,9 @@ void main()
 #endif
 #ifdef PS_CORNER_EMISSION
   v_emission = texelFetch(ps_corner_emission, texel, 0).rgb;
+#endif
+#ifdef PS_CUT
+  v_cut = ps_cut_of((texel.x + (texel.y << 12)) / 3, u.instance);
 #endif
   gl_Position = ps_clip_from_view(v_position);
 }

@@ -1,14 +1,20 @@
-// Which triangle each sub-sample shows. PS_DEPTH_ONLY: only how far away it is.
+// Which triangle each sub-sample shows. PS_DEPTH_ONLY: only how far away it is. PS_CUT: its alpha is not always 1.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/data/polygon.glsl"
+#include "lib/visibility/lattice.glsl"
 #include "lib/visibility/surface_key.glsl"
+#ifdef PS_CUT
+#include "lib/visibility/cut.glsl"
+#endif
 
 void main()
 {
-  if (ps_see_through()) {
+#ifdef PS_CUT
+  if (ps_is_cut_out(ps_polygon_alpha(), v_cut, ps_cell_rank(ivec2(gl_FragCoord.xy)), ps_pixel_from_cell(gl_FragCoord.xy))) {
     discard;
   }
+#endif
 #ifdef PS_CULL
   if (gl_FrontFacing == (v_about.y > 0.5)) {
     discard;

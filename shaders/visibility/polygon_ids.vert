@@ -4,6 +4,9 @@
 #include "lib/geometry/instance.glsl"
 #include "lib/data/pack.glsl"
 #include "lib/visibility/lattice.glsl"
+#ifdef PS_CUT
+#include "lib/visibility/cut.glsl"
+#endif
 
 void main()
 {
@@ -20,12 +23,22 @@ void main()
 #ifdef PS_CORNER_COLOR
   v_color = texelFetch(ps_corner_color, texel, 0);
 #endif
+#if defined(PS_CUT) || !defined(PS_DEPTH_ONLY)
+#ifdef PS_ONE_INSTANCE
+  int instance = u.instance;
+#else
+  int instance = int(ps_instance_row(slot, 3).y);
+#endif
+#endif
+#ifdef PS_CUT
+  v_cut = ps_cut_of(corner_index / 3, instance);
+#endif
 #ifndef PS_DEPTH_ONLY
   v_id = uint(u.first_id) + uint(slot) * uint(u.triangles) + uint(corner_index) / 3u;
 #ifdef PS_ONE_INSTANCE
-  v_about = vec2(u.instance, u.mirrored);
+  v_about = vec2(instance, u.mirrored);
 #else
-  v_about = ps_instance_row(slot, 3).yz;
+  v_about = vec2(instance, ps_instance_row(slot, 3).z);
 #endif
 #endif
   gl_Position = ps_cell_clip(ps_clip_from_view(v_position));

@@ -22,3 +22,13 @@ def test_blenders_gpu_and_moderngl_agree_on_what_is_blurred(blender, opengl, nam
     case = replace(case, camera=camera, settings=settings)
     here, there = opengl(case, True), pictures(blender, case)
     assert np.abs(here["combined"] - there["combined"]).max() <= 2 / 255  # measured 0, where both run on one driver
+
+
+@pytest.mark.parametrize("name", ["mixed", "parallel", "strands", "smoke", "environment", "balls"])
+def test_blenders_gpu_and_moderngl_agree_on_splats_over_the_visibility_buffer(blender, opengl, name):
+    """Parts are in focus, and drawn by the visibility buffer; the rest is gathered over it."""
+    case = CASES[name]()
+    camera = replace(case.camera, aperture=Aperture(0.02 if case.camera.perspective else 0.1, 4.0))
+    case = replace(case, camera=camera, settings=replace(case.settings, technique="VISIBILITY"))
+    here, there = opengl(case, True), pictures(blender, case)
+    assert np.abs(here["combined"] - there["combined"]).max() <= 2 / 255  # measured 0, where both run on one driver

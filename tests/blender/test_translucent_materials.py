@@ -85,7 +85,7 @@ def test_a_scene_of_opaque_materials_has_no_columns_for_others():
         ("gradient", np.linspace(0, 1, 16)[None].repeat(4, 0), False, True),
         ("window", np.array([[0.3, 0.3, 1, 1]] * 4), False, True),
         ("smooth edge", np.repeat([0.0, 0.5, 1], [20, 2, 20])[None].repeat(4, 0), False, False),
-        ("smooth edge", np.repeat([0.0, 0.5, 1], [20, 2, 20])[None].repeat(4, 0), True, True),
+        ("smooth edge", np.repeat([0.0, 0.5, 1], [20, 2, 20])[None].repeat(4, 0), True, False),
     ],
 )
 def test_pictures_that_cut_out_stay_opaque_with_holes(name, alpha, blended, expected):
@@ -121,6 +121,22 @@ def test_a_mix_with_transparent_is_translucent():
     row = convert_material(linked(build))
     assert row.translucent
     assert row.constants["alpha"] == pytest.approx((0.3,))
+
+
+def test_a_mix_with_transparent_by_a_picture_cuts_out():
+    """As leaves are made of a Diffuse BSDF."""
+
+    def build(tree):
+        texture = node(tree, "ShaderNodeTexImage", image=picture(np.array([[0.0, 1]])))
+        clear = node(tree, "ShaderNodeBsdfTransparent").outputs[0]
+        matt = node(tree, "ShaderNodeBsdfDiffuse", {"Color": texture.outputs["Color"]}).outputs[0]
+        factor = texture.outputs["Alpha"]
+        return node(tree, "ShaderNodeMixShader", {"Fac": factor, "Shader": clear, "Shader_001": matt})
+
+    row = convert_material(linked(build))
+    assert not row.translucent
+    assert row.graph is not None
+    assert row.graph.alpha is not None
 
 
 def test_what_only_shadow_rays_see_does_not_show():

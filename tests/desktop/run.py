@@ -452,7 +452,8 @@ def orbit_file(folder, path):
     bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
     yield 1.0
     bpy.context.scene.render.engine = "POINTSPLAT"
-    _, area, _, space = viewport()
+    bpy.context.preferences.view.smooth_view = 0
+    window, area, region, space = viewport()
     view = space.region_3d
     space.overlay.show_overlays = False
     view.view_perspective = "CAMERA"
@@ -460,6 +461,12 @@ def orbit_file(folder, path):
     yield 20.0
     pictures = [shoot(folder, f"{path.stem}_camera")]
     view.view_perspective = "PERSP"
+    view.view_rotation = Euler((math.radians(78), 0, math.radians(-40))).to_quaternion()
+    bpy.ops.object.select_all(action="DESELECT")
+    for item in bpy.context.visible_objects:
+        item.select_set(item.type not in {"CAMERA", "LIGHT"})
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.view3d.view_selected()
     frames = []
     for step in range(24):
         view.view_rotation = Euler((math.radians(78), 0, math.radians(15 * step - 40))).to_quaternion()

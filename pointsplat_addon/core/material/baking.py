@@ -1,34 +1,95 @@
-"""Bakes materials into textures over the unit square of a UV map, where that loses nothing."""
+"""Bakes materials into pictures over the unit square of a UV map, where that loses nothing.
+
+Cycles interpolates the texels of images as they are stored: encoded with the sRGB curve, and multiplied by alpha. A
+picture therefore holds colours in the way of the images that they come from, and is decoded after interpolation.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .color_models import srgb_from_linear
 from .evaluation import evaluate_samples
 from .expression import Expression, SampleInputs, evaluate, walk
 from .graph import MaterialGraph, needs
+from .nodes.color_nodes import Component
 from .nodes.input_nodes import UV, Constant, Coordinates
-from .nodes.math_nodes import Mapping
+from .nodes.math_nodes import Clamp, Mapping
 from .nodes.normal_nodes import NormalMap
 from .nodes.texture_nodes import ImageTexture
 
 MAX_RESOLUTION = 4096  # texels along a side of a baked texture
 PROCEDURAL_RESOLUTION = 1024  # where no image determines the resolution
+FINER = 2  # texels of a picture for one of an image with cubic interpolation: in between pictures are linear
+BORDER = 2 * FINER  # texels around a picture that neither repeats nor is mirrored: as far as cubic B-splines extend
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a picture is read between its texels and beyond them, so that it shows what the graph's images would."""
+
+    extension: str  # REPEAT, MIRROR, or BORDER: it has a border, whose last texels go on
+    closest: bool  # texels are not interpolated
+    encoded: frozenset[str]  # channels that hold sRGB
+    associated: frozenset[str]  # channels that are multiplied by alpha
+
+    @property
+    def border(self) -> int:
+        """Texels around the unit square."""
+        return BORDER if self.extension == "BORDER" else 0
+
+
+def reading(graph: MaterialGraph) -> Reading:
+    """Returns how the picture of a bakeable graph is read."""
+    images = [node for node in walk(*graph.channels.values()) if isinstance(node, ImageTexture)]
+    colors = {name: graph.channels[name] for name in ("base_color", "emission") if name in graph.channels}
+    return Reading(
+        _extension(graph) or "BORDER",
+        closest=bool(images) and all(image.interpolation == "Closest" for image in images),
+        encoded=frozenset(name for name, color in colors.items() if any(node.image.srgb for node in _images(color))),
+        associated=frozenset(name for name, color in colors.items() if _shares_alpha(color, graph.alpha)),
+    )
+
+
+def _images(output: Expression) -> list[ImageTexture]:
+    return [node for node in walk(output) if isinstance(node, ImageTexture)]
+
+
+def _shares_alpha(color: Expression, alpha: Expression | None) -> bool:
+    """Whether the alpha of a material is that of the one image which its colour reads, multiplied by it as stored."""
+    while isinstance(alpha, Clamp):
+        alpha = alpha.value
+    if not (isinstance(alpha, Component) and alpha.index == 3 and isinstance(alpha.source, ImageTexture)):
+        return False
+    known, images = alpha.source, _images(color)
+    return bool(images) and known.image.associated and all(image.digest == known.digest for image in images)
+
+
+def stored(graph: MaterialGraph, picture: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Returns the channels of a picture as they are interpolated: `reading` says which are encoded."""
+    how, found = reading(graph), dict(picture)
+    for name in how.encoded:
+        found[name] = srgb_from_linear(found[name])
+    for name in how.associated:
+        found[name] = found[name] * picture["alpha"]
+    return found
 
 
 def bake(graph: MaterialGraph, resolution: tuple[int, int]) -> dict[str, np.ndarray]:
-    """Each varying channel at the texel centres of the unit square of its UV map, (H, W, C) float32.
+    """Each varying channel at the texel centres of the unit square of its UV map, (H, W, C) float32, and of a border.
 
-    `resolution` is (width, height); row 0 has the smallest v. Normals are in tangent space (z outward).
+    `resolution` is (width, height) of the square; row 0 has the smallest v. Normals are in tangent space (z outward).
     Meaningful for graphs that are `bakeable`.
     """
-    width, height = resolution
+    border = reading(graph).border
+    width, height = (side + 2 * border for side in resolution)
     uv = np.empty((height, width, 2), np.float32)
-    uv[..., 0] = (np.arange(width) + 0.5) / width
-    uv[..., 1] = ((np.arange(height) + 0.5) / height)[:, None]
+    uv[..., 0] = (np.arange(width) - border + 0.5) / resolution[0]
+    uv[..., 1] = ((np.arange(height) - border + 0.5) / resolution[1])[:, None]
     uv = uv.reshape(-1, 2)
     axes = np.eye(3, dtype=np.float32)
     inputs = SampleInputs(
@@ -36,17 +97,16 @@ def bake(graph: MaterialGraph, resolution: tuple[int, int]) -> dict[str, np.ndar
         active_uv="",
         normal=np.broadcast_to(axes[2], (len(uv), 3)),
         tangent=np.broadcast_to(axes[0], (len(uv), 3)),
-        grid=resolution,
+        grid=None if border else resolution,
     )
     return {name: a.reshape(height, width, -1) for name, a in evaluate_samples(graph, inputs).items()}
 
 
 def bakeable(graph: MaterialGraph, unit_square: bool = False, active_uv: str | None = None) -> bool:
-    """Whether `bake`, drawn with a repeating texture, shows the same as evaluating the graph at every sample.
+    """Whether `bake`, drawn as `reading` says, shows the same as evaluating the graph at every sample.
 
-    The graph must read exactly one UV map and nothing else, and have period 1 along u and v, so that its
-    images repeat a whole number of times. unit_square: no UV of the mesh leaves [0, 1]; then any function of the map
-    will do.
+    The graph must read exactly one UV map and nothing else, and go on beyond the unit square in a way that a picture
+    can. unit_square: no UV of the mesh leaves [0, 1]; then any function of the map will do.
     """
     wanted = needs(graph)
     nodes = list(walk(*graph.channels.values()))
@@ -56,23 +116,43 @@ def bakeable(graph: MaterialGraph, unit_square: bool = False, active_uv: str | N
         return False
     if any(isinstance(n, Coordinates) for n in nodes):
         return False
-    return unit_square or all(_periodic(output) for output in graph.channels.values())
+    return unit_square or _extension(graph) is not None
 
 
-def _periodic(node: Expression) -> bool:
-    """Whether the value repeats with period 1 in u and v: every path to the UV map passes a repeating image."""
+def _extension(graph: MaterialGraph) -> str | None:
+    """Returns the extension with which a picture shows a graph everywhere; None: there is none."""
+    ways: dict[str, Callable[[ImageTexture], bool]] = {
+        "REPEAT": _repeats,
+        "MIRROR": lambda image: image.extension == "MIRROR" and isinstance(image.uv, UV),
+        "BORDER": lambda image: image.extension in ("EXTEND", "CLIP") and isinstance(image.uv, UV),
+    }
+    for name, goes_on in ways.items():
+        if all(_goes_on(output, goes_on) for output in graph.channels.values()):
+            return name
+    return None
+
+
+def _goes_on(node: Expression, image_goes_on: Callable[[ImageTexture], bool]) -> bool:
+    """Whether a value goes on beyond the unit square in a certain way: every path to the UV map passes an image that
+    does."""
     if isinstance(node, UV):
         return False
-    if isinstance(node, NormalMap):
-        return _periodic(node.strength) and _periodic(node.color)  # its UV only names the tangent
-    if isinstance(node, ImageTexture):
-        matrix = _texture_from_uv(node.uv)
-        if matrix is None:
-            return _periodic(node.uv)
-        # A mirrored image has period 2
-        period = {"REPEAT": 1, "MIRROR": 2}.get(node.extension)
-        return period is not None and bool(np.all(np.abs(matrix / period - np.round(matrix / period)) < 1e-4))
-    return all(_periodic(a) for a in node.arguments)
+    if isinstance(node, NormalMap):  # its UV only names the tangent
+        return _goes_on(node.strength, image_goes_on) and _goes_on(node.color, image_goes_on)
+    if isinstance(node, ImageTexture) and _texture_from_uv(node.uv) is not None:
+        return image_goes_on(node)
+    return all(_goes_on(a, image_goes_on) for a in node.arguments)
+
+
+def _repeats(image: ImageTexture) -> bool:
+    """Whether an image at a mapped UV has period 1 in u and v: it repeats a whole number of times."""
+    matrix = _texture_from_uv(image.uv)
+    period = {"REPEAT": 1, "MIRROR": 2}.get(image.extension)  # a mirrored image has period 2
+    return (
+        matrix is not None
+        and period is not None
+        and bool(np.all(np.abs(matrix / period - np.round(matrix / period)) < 1e-4))
+    )
 
 
 def _texture_from_uv(node: Expression) -> np.ndarray | None:
@@ -98,7 +178,7 @@ def suggested_resolution(graph: MaterialGraph, largest: int = MAX_RESOLUTION) ->
             matrix = _texture_from_uv(node.uv)
             scale = np.eye(2) if matrix is None else np.abs(matrix)
             # Texels along u: those that one step of u crosses, on either axis of the image
-            along = np.maximum(scale[0] * columns, scale[1] * rows)
+            along = np.maximum(scale[0] * columns, scale[1] * rows) * (FINER if node.interpolation == "Cubic" else 1)
             width, height = max(width, along[0]), max(height, along[1])
     if not width or not height:
         width = height = PROCEDURAL_RESOLUTION

@@ -67,3 +67,9 @@ def linear_from_srgb(encoded: np.ndarray) -> np.ndarray:
     """IEC 61966-2-1 decoding; values below 0 stay linear."""
     high = ((np.maximum(encoded, 0) + 0.055) / 1.055) ** 2.4
     return np.where(encoded < 0.04045, encoded / 12.92, high).astype(encoded.dtype)
+
+
+def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1 encoding; values below 0 stay linear."""
+    high = 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055
+    return np.where(linear < 0.04045 / 12.92, linear * 12.92, high).astype(linear.dtype)

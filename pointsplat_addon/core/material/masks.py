@@ -16,13 +16,12 @@ COMPARISONS = frozenset(("GREATER_THAN", "LESS_THAN", "COMPARE"))  # operations 
 MASK_OPERATIONS = frozenset(("MULTIPLY", "MINIMUM", "MAXIMUM", "SUBTRACT"))
 
 
-def is_mask(alpha: Expression, edges: bool = True) -> bool:
+def is_mask(alpha: Expression) -> bool:
     """Whether an alpha that varies is 0 or 1 but for the edges of what it cuts out.
 
-    True for images, constant ramps and comparisons of which at most MASK_EDGES lie clearly between (`edges` False:
-    none), and for their products, minima, maxima and complements. Anything else may be anything.
+    True for images, constant ramps and comparisons of which at most MASK_EDGES lie clearly between, and for
+    their products, minima, maxima and complements. Anything else may be anything.
     """
-    between = MASK_EDGES if edges else 0.0
 
     def follow(node: Expression) -> bool:
         if isinstance(node, Constant):
@@ -34,7 +33,7 @@ def is_mask(alpha: Expression, edges: bool = True) -> bool:
             if isinstance(source, Component | Color | Gray):
                 return follow(source)
             if isinstance(source, ImageTexture):
-                return _share_between(source.image.texels[..., channels]) <= between
+                return _share_between(source.image.texels[..., channels]) <= MASK_EDGES
             return isinstance(source, ColorRamp) and _steps(source, channels)
         if isinstance(node, Math):
             if node.operation in COMPARISONS:

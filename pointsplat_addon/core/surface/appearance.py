@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..material.baking import bake, bakeable, suggested_resolution
+from ..material.baking import bake, bakeable, stored, suggested_resolution
 from ..material.evaluation import Appearance, evaluate_materials, triangle_tangents
 from ..material.expression import Part, SampleInputs
 from ..material.graph import MaterialGraph, needs
@@ -202,9 +202,9 @@ def pictured(mesh: Mesh, graph: MaterialGraph) -> bool:
 
 
 def baked(graph: MaterialGraph, largest: int) -> dict[str, np.ndarray]:
-    """Pictures (H, W, C) float32 of a graph's varying channels over the UV square, sides at most `largest`: the same
-    for all meshes."""
-    return bake(graph, suggested_resolution(graph, largest))
+    """Pictures (H, W, C) float32 of a graph's varying channels over the UV square, whose sides are at most `largest`,
+    the same for all meshes. core.material.baking.reading says what they hold."""
+    return stored(graph, bake(graph, suggested_resolution(graph, largest)))
 
 
 def _uv_name(mesh: Mesh, graph: MaterialGraph) -> str:

@@ -33,7 +33,7 @@ def in_focus(camera: Camera, plan: Plan, largest: float) -> tuple[float, float]:
     blur = defocus_blur(camera)
     assert blur is not None
     near, far = blur.depth_range(OUT_OF_FOCUS)
-    if plan.points and plan.ewa is None:
+    if plan.points and plan.ewa is None and not plan.sub_samples:
         reach = (NEIGHBOUR_EXTENT - 1) * largest / abs(camera.pixel_from_view()[0])
         near -= reach * (near if camera.perspective else 1.0)
         far += reach * (far if camera.perspective else 1.0)

@@ -190,7 +190,14 @@ class Frame:
             self._light(self.lit)
         if self.visibility is not None:
             self._draw_visible(self.visibility, view, first)
-            return
+        else:
+            self._draw_shifted(view, first)
+        if self.beside is not None:
+            self.beside.sample()
+
+    def _draw_shifted(self, view: SampleView, first: bool) -> None:
+        """Draws a sample that is a picture of its own, shifted by a part of a pixel."""
+        plan = self.frame_plan.plan
         self._draw_surfels(view, first)
         shown = self.adaptive.shown if self.adaptive else EVERYWHERE
         if self.translucent is not None:
@@ -201,8 +208,6 @@ class Frame:
             self.clock.run("background", lambda: self.shading.draw_background(view, shown))
         if self.translucent is not None:
             self._draw_translucent(self.translucent, view, first)
-        if self.beside is not None:
-            self.beside.sample()
 
     def _draw_visible(self, visibility: Visibility, view: SampleView, first: bool) -> None:
         """Draws a sample that is a whole lattice of sub-samples."""
@@ -342,8 +347,9 @@ class Frame:
             return self.adaptive.centre
         if self.central is not None:
             return self.central.textures["centre"]
-        drawn = self if self.beside is None or self.beside.frame_plan.trivial else self.beside
-        return gbuffer_textures(drawn.targets.data_surfels).get("ps_centre")
+        if self.beside is not None and not self.beside.frame_plan.trivial:
+            return self.beside._centre
+        return gbuffer_textures(self.targets.data_surfels).get("ps_centre")
 
     def _present_constant(self) -> None:
         """Presents a world of one colour, for which one texel suffices."""

@@ -152,17 +152,10 @@ def make_frame_plan(
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
     lattice = lattice_for(request.samples, request.interactive)
-    decided = decide_technique(
-        TechniqueInput(
-            request.settings,
-            scene,
-            request.samples,
-            request.interactive,
-            lens=camera.aperture is not None,
-            float_blend=limits.float_blend,
-        )
-    )
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
+    decided = decide_technique(
+        TechniqueInput(request.settings, scene, request.samples, request.interactive, through_lens, limits.float_blend)
+    )
     prepared = _prepared(scene, request, decided, through_lens, store, costs, clock)
     technique = confirm_technique(decided, prepared)
     auxiliary = None

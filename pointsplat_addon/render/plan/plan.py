@@ -50,7 +50,7 @@ class Plan:
     @property
     def central(self) -> bool:
         """Whether a G-buffer holds what lies under the pixels' centres, beside the groups of sub-samples."""
-        return self.sub_samples > 0 and (self.data or self.presented)
+        return self.sub_samples > 0 and (self.data or (self.presented and not self.defocus))
 
     @property
     def shaded(self) -> Plan:

@@ -20,6 +20,7 @@ from ..prepare.layers import MANY_INSTANCES, MOST_PRIMITIVES
 from ..prepare.prepare import Prepared
 from ..prepare.separation import is_translucent
 
+MOST_SURFELS_AT_ONCE = 1 << 22  # points on surfaces in a view that moves: with more, nodes of them are faster
 TITLES = {"EWA": "EWA", "PAINTER": "The painter"}  # of the techniques that blend floats
 
 
@@ -31,7 +32,7 @@ class TechniqueInput:
     scene: Scene
     samples: int
     interactive: bool  # a view that is drawn repeatedly and at once
-    lens: bool  # the camera has depth of field
+    lens: bool  # each sample sees through another point on the lens
     float_blend: bool  # the device can blend floats, as EWA and the painter do
 
 
@@ -48,8 +49,8 @@ class Technique:
 def decide_technique(given: TechniqueInput) -> Technique:
     """Returns the technique that the settings ask for; for AUTO the nearest to the truth that is worth its time.
 
-    AUTO is the visibility buffer, but for what it cannot draw or would draw worse; there it is EWA where enough samples
-    are drawn and some points have colours to average, else image space.
+    AUTO is the visibility buffer, but for what it cannot draw or would draw more slowly; there it is EWA where enough
+    samples are drawn and some points have colours to average, else image space.
     """
     asked = given.settings.technique
     found = _automatic(given) if asked == "AUTO" else Technique(asked, "the settings say so", automatic=False)
@@ -68,22 +69,33 @@ def _why_not_visibility(given: TechniqueInput) -> str:
     """Returns why the visibility buffer cannot draw a scene; empty where it can."""
     if given.settings.budget != "NONE":
         return "a budget decides how many samples are drawn, one by one"
-    return "the camera has depth of field" if given.lens else ""
+    return "each sample sees through another point on the lens" if given.lens else ""
 
 
-def _why_others_are_better(given: TechniqueInput) -> str:
-    """Returns why another technique draws a scene better than the visibility buffer; empty where none does."""
+def _why_others_are_faster(given: TechniqueInput) -> str:
+    """Returns why another technique is worth its time more than the visibility buffer; empty where none is."""
     scene = given.scene
-    opaque = [not is_translucent(geometry, scene.materials) for geometry in scene.geometries]
-    for geometry in (found for found, on in zip(scene.geometries, opaque, strict=True) if on):
-        points = geometry.mesh is not None and geometry.primitive == "POINTS"
-        if points or (geometry.cloud is not None and geometry.cloud.normal is not None):
-            return "samples of a surface are blended into it"
-    count = np.bincount(scene.instances.geometry, minlength=len(scene.geometries))
-    primitives = [on * _primitives(geometry) for geometry, on in zip(scene.geometries, opaque, strict=True)]
-    if float(count @ np.asarray(primitives, float)) > MOST_PRIMITIVES:
+    opaque = np.array([not is_translucent(geometry, scene.materials) for geometry in scene.geometries], bool)
+    count = np.bincount(scene.instances.geometry, minlength=len(scene.geometries)) * opaque
+    if any(
+        _is_surfels(geometry) for geometry, many in zip(scene.geometries, count >= MANY_INSTANCES, strict=True) if many
+    ):
+        return "many instances share nodes of surfaces"
+    surfels = [len(g.cloud) * _is_surfels(g) if g.cloud is not None else 0 for g in scene.geometries]
+    if given.interactive and float(count @ np.array(surfels, float)) > MOST_SURFELS_AT_ONCE:
+        return "views that move draw nodes of so many points on surfaces"
+    primitives = np.array([_primitives(geometry) for geometry in scene.geometries], float)
+    if float(count @ primitives) > MOST_PRIMITIVES:
         return "instances have so many primitives that they are drawn by nodes"
     return ""
+
+
+def _is_surfels(geometry: Geometry) -> bool:
+    """Whether a geometry is points with normals, samples of its surface or given ones: nodes of these are not drawn by
+    the visibility buffer."""
+    if geometry.cloud is not None:
+        return geometry.cloud.normal is not None
+    return geometry.mesh is not None and geometry.primitive == "POINTS"
 
 
 def _primitives(geometry: Geometry) -> int:
@@ -110,7 +122,7 @@ def confirm_technique(decided: Technique, prepared: Prepared) -> Technique:
 
 def _automatic(given: TechniqueInput) -> Technique:
     """The choice that AUTO makes."""
-    why_not = _why_not_visibility(given) or _why_others_are_better(given)
+    why_not = _why_not_visibility(given) or _why_others_are_faster(given)
     if not why_not:
         return Technique("VISIBILITY", "every sub-sample is exact, and each surface is shaded once")
     name, because = _without_visibility(given)

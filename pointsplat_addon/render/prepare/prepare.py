@@ -149,6 +149,7 @@ def _drawn_primitives(
     `divided`: by geometry row of meshes that are chosen for part by part, the choice of each instance.
     """
     scene, instances = view.scene, view.scene.instances
+    by_buffer = view.settings.technique == "VISIBILITY"  # which draws balls of all sizes
     opaque, translucent, spheres = (_LayerPoints(np.full(len(instances), -1)) for _ in range(3))
     polygons = [np.empty(0, np.int64)]
     drawn = _DrawnPrimitives(opaque, translucent, spheres, polygons[0])
@@ -166,7 +167,7 @@ def _drawn_primitives(
             if len(points) == 0:
                 continue
             some = where[rows]
-            if kind is drawn.opaque:
+            if kind is drawn.opaque and not by_buffer:
                 wide = _instances_of_wide_balls(view, points, view_from_object[some])
                 if wide.any():
                     drawn.spheres.sets[row] = points
@@ -218,8 +219,7 @@ def _primitives(
 
 def _instances_of_wide_balls(view: View, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:
     """Returns (I,) bool: in which instances the typical splat is a ball that is wide on the screen."""
-    by_buffer = view.settings.technique == "VISIBILITY"  # which draws balls of all sizes
-    if points.cloud.normal is not None or points.cloud.radii is None or by_buffer:
+    if points.cloud.normal is not None or points.cloud.radii is None:
         return np.zeros(len(view_from_object), bool)
     return typical_diameter(points, view_from_object, view.camera, view.store) > 2 * WIDE_BALL
 
@@ -254,17 +254,22 @@ def _sort_by_focus(view: View, focus: FocusSorter, drawn: _DrawnPrimitives) -> N
     """Adds to `focus` all opaque primitives that may be out of focus, and removes from `drawn` all that cannot be in
     focus."""
     geometries, geometry_of = view.scene.geometries, view.scene.instances.geometry
+    by_buffer = view.settings.technique == "VISIBILITY"  # which draws the points in focus without nodes
     for kind in (drawn.opaque, drawn.spheres):
         for key, points in list(kind.sets.items()):
             where = np.flatnonzero(kind.set_of_instance == key)
             middle, far, radius = set_ball(points, view.store)
             inside, outside = focus.in_and_out_of_focus(where, middle, far + radius)
-            if outside.any() and kind is drawn.spheres:
-                focus.add_balls(where[outside], points)
-            elif outside.any():
+            wide = outside.copy()
+            wide[outside] = _instances_of_wide_balls(view, points, focus.view_from_object[where[outside]])
+            if wide.any():
+                focus.add_balls(where[wide], points)
+            if (outside & ~wide).any():
                 area = sample_area_function(view, geometries[geometry_of[where[0]]], points)
-                kind.sets[key] = points = with_hierarchy_for_defocus(view, points, always=area is None)
-                focus.add_points(where[outside], points, area)
+                nodes = with_hierarchy_for_defocus(view, points, always=area is None)
+                focus.add_points(where[outside & ~wide], nodes, area)
+                if not by_buffer:
+                    kind.sets[key] = nodes
             kind.set_of_instance[where[~inside]] = -1
             if not inside.any():
                 del kind.sets[key]

@@ -5,17 +5,80 @@
 #include "lib/data/pack.glsl"
 
 #ifdef PS_UV
-vec4 ps_repeat(sampler2D picture, vec2 uv)
+// Where a picture over the unit square holds what lies at a texel inside or beyond it. PS_PICTURE_BORDER: it has so many texels
+// around it, of which the last go on. PS_PICTURE_MIRROR: it is mirrored. Otherwise it repeats.
+ivec2 ps_picture_texel(ivec2 texel, ivec2 size)
 {
-  ivec2 size = textureSize(picture, 0);
-  vec2 p = (uv - floor(uv)) * vec2(size) - 0.5;
-  ivec2 low = ivec2(floor(p));
-  vec2 f = p - vec2(low);
-  ivec2 a = (low + size) % size;
-  ivec2 b = (low + 1) % size;
+#if defined(PS_PICTURE_BORDER)
+  return clamp(texel + PS_PICTURE_BORDER, ivec2(0), size + 2 * PS_PICTURE_BORDER - 1);
+#elif defined(PS_PICTURE_MIRROR)
+  texel = (texel + 2 * size) % (2 * size);
+  return min(texel, 2 * size - 1 - texel);
+#else
+  return (texel + size) % size;
+#endif
+}
+
+// Of what lies over the unit square.
+ivec2 ps_picture_size(sampler2D picture)
+{
+#ifdef PS_PICTURE_BORDER
+  return textureSize(picture, 0) - 2 * PS_PICTURE_BORDER;
+#else
+  return textureSize(picture, 0);
+#endif
+}
+
+// A baked picture, interpolated as its images are: core/material/baking.py. PS_PICTURE_CLOSEST: not at all.
+vec4 ps_picture(sampler2D picture, vec2 uv)
+{
+  ivec2 size = ps_picture_size(picture);
+#if defined(PS_PICTURE_BORDER)
+  uv = clamp(uv, vec2(-8.0), vec2(9.0));  // numbers of texels stay small
+#elif defined(PS_PICTURE_MIRROR)
+  uv -= 2.0 * floor(0.5 * uv);
+#else
+  uv -= floor(uv);
+#endif
+#ifdef PS_PICTURE_CLOSEST
+  return texelFetch(picture, ps_picture_texel(ivec2(floor(uv * vec2(size))), size), 0);
+#else
+  vec2 p = uv * vec2(size) - 0.5;
+  vec2 f = p - floor(p);
+  ivec2 a = ps_picture_texel(ivec2(floor(p)), size), b = ps_picture_texel(ivec2(floor(p)) + 1, size);
   return mix(mix(texelFetch(picture, a, 0), texelFetch(picture, ivec2(b.x, a.y), 0), f.x),
              mix(texelFetch(picture, ivec2(a.x, b.y), 0), texelFetch(picture, b, 0), f.x), f.y);
+#endif
 }
+
+// The colour that a texel holds: encoded with the sRGB curve, multiplied by alpha, both or neither.
+vec3 ps_picture_color(vec4 texel, bool encoded, bool associated)
+{
+  vec3 color = associated && texel.a > 0.0 ? texel.rgb / texel.a : texel.rgb;
+  vec3 high = pow((max(color, vec3(0.0)) + 0.055) / 1.055, vec3(2.4));
+  return encoded ? mix(high, color / 12.92, lessThan(color, vec3(0.04045))) : color;
+}
+#endif
+
+#ifdef PS_ENCODED_COLOR
+#define PS_COLOR_IS_ENCODED true
+#else
+#define PS_COLOR_IS_ENCODED false
+#endif
+#ifdef PS_ASSOCIATED_COLOR
+#define PS_COLOR_IS_ASSOCIATED true
+#else
+#define PS_COLOR_IS_ASSOCIATED false
+#endif
+#ifdef PS_ENCODED_EMISSION
+#define PS_EMISSION_IS_ENCODED true
+#else
+#define PS_EMISSION_IS_ENCODED false
+#endif
+#ifdef PS_ASSOCIATED_EMISSION
+#define PS_EMISSION_IS_ASSOCIATED true
+#else
+#define PS_EMISSION_IS_ASSOCIATED false
 #endif
 
 #ifdef PS_BAKED_NORMAL
@@ -43,24 +106,23 @@ void ps_seen_from(inout PsSurfel s, vec3 plane, bool turned)
 }
 #endif
 
-// Whether the material has a hole there.
-bool ps_see_through()
+#ifdef PS_CUT
+// Of the material.
+float ps_polygon_alpha()
 {
-  bool hole = false;
 #ifdef PS_BAKED_ALPHA
-  hole = ps_repeat(ps_baked_color, v_uv).a < 0.5;
+  return ps_picture(ps_baked_color, v_uv).a;
+#else
+  return v_color.a;
 #endif
-#ifdef PS_CORNER_ALPHA
-  hole = hole || v_color.a < 0.5;
-#endif
-  return hole;
 }
+#endif
 
 void ps_polygon_attributes(inout PsSurfel s)
 {
 #ifdef PS_COLOR
 #if defined(PS_BAKED_COLOR)
-  s.color.rgb = ps_repeat(ps_baked_color, v_uv).rgb;
+  s.color.rgb = ps_picture_color(ps_picture(ps_baked_color, v_uv), PS_COLOR_IS_ENCODED, PS_COLOR_IS_ASSOCIATED);
 #elif defined(PS_CORNER_COLOR)
   s.color.rgb = v_color.rgb;
 #else
@@ -69,7 +131,7 @@ void ps_polygon_attributes(inout PsSurfel s)
 #endif
 #ifdef PS_SURFACE
 #if defined(PS_BAKED_SURFACE)
-  vec2 surface = ps_repeat(ps_baked_surface, v_uv).xy;
+  vec2 surface = ps_picture(ps_baked_surface, v_uv).xy;
 #elif defined(PS_CORNER_SURFACE)
   vec2 surface = v_surface;
 #else
@@ -80,7 +142,8 @@ void ps_polygon_attributes(inout PsSurfel s)
 #endif
 #ifdef PS_EMISSION
 #if defined(PS_BAKED_EMISSION)
-  s.emission = vec4(ps_repeat(ps_baked_emission, v_uv).rgb, 0.0);
+  vec4 emission = ps_picture(ps_baked_emission, v_uv);
+  s.emission = vec4(ps_picture_color(emission, PS_EMISSION_IS_ENCODED, PS_EMISSION_IS_ASSOCIATED), 0.0);
 #elif defined(PS_CORNER_EMISSION)
   s.emission = vec4(v_emission, 0.0);
 #else

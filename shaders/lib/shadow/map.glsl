@@ -9,7 +9,7 @@
 #define PS_MAP_CUBE 3.0
 #define PS_MAP_HEAD 4
 #define PS_MAP_BIAS 0.5  // texels: how far above its plane a receiver is not shaded by what it is part of
-#define PS_MAP_BIAS_OF_BALLS 0.1  // these lie below the planes of their surfaces
+#define PS_MAP_BIAS_OF_BALLS 0.8  // the surfaces of other balls rise above that plane within a texel, where they meet
 #define PS_MAP_BIAS_IN_MEDIA 1.5
 #define PS_MAP_ROUNDING 2e-6  // of distances
 #define PS_MAP_STEEPEST 0.1  // cosine: surfaces that light grazes more closely are treated as this one

@@ -45,15 +45,11 @@ vec3 ps_node_coverage(vec3 position, int instance, float depth, float saturation
   return vec3(float(PS_RANKS) * (covered > PS_CLOSED ? 1.0 : covered), mod(first, float(PS_RANKS)), free * free);
 }
 
-// Whether a node covers a cell where its silhouette does. The sub-samples of a pixel have ranks such that those that follow one
-// another are spread over it: a multiple of the cell's number among the translations of the lattice of pixels. The covered
-// ones are consecutive from a real number on, modulo their count, so that the mean over all numbers is the fraction.
+// Whether a node covers a cell where its silhouette does. Ranks are such that consecutive ones are spread over the pixel. The
+// covered ones are consecutive from a real number on, modulo their count, so that the mean over all numbers is the fraction.
 bool ps_is_covered(vec3 covered, ivec2 cell)
 {
-  // From the first pixel's central cell.
-  vec2 at = vec2(cell) - floor(u.lattice.zw + 0.5 * vec2(u.lattice.x - u.lattice.y, u.lattice.x + u.lattice.y));
-  float multiple = float(PS_RANK_COLUMN) * at.x + float(PS_RANK_ROW) * at.y;
-  float rank = multiple - float(PS_RANKS) * floor((multiple + 0.5) / float(PS_RANKS)) + covered.y;
+  float rank = ps_cell_rank(cell) + covered.y;
   return (rank < float(PS_RANKS) ? rank : rank - float(PS_RANKS)) < covered.x;
 }
 

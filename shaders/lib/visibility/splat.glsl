@@ -66,6 +66,7 @@ vec2 ps_extent_along(vec2 along, vec3 p, mat3 shape)
 }
 
 #ifdef PS_NODES
+#include "lib/visibility/ranks.glsl"
 #include "lib/splat/covered.glsl"
 #endif
 

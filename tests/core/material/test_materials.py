@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointsplat_addon.core.material.baking import bake, bakeable, suggested_resolution
+from pointsplat_addon.core.material.baking import bake, bakeable, reading, stored, suggested_resolution
 from pointsplat_addon.core.material.evaluation import evaluate_samples, triangle_tangents
 from pointsplat_addon.core.material.expression import CHUNK, SampleInputs, evaluate
 from pointsplat_addon.core.material.graph import MaterialGraph, Needs, needs
@@ -511,26 +511,30 @@ def scaled(scale, angle=0.0):
 @pytest.mark.parametrize(
     ("uv", "extension", "expected"),
     [
-        (input_nodes.UV(), "REPEAT", True),
-        (input_nodes.UV("map"), "REPEAT", True),
-        (input_nodes.UV(), "MIRROR", False),
-        (input_nodes.UV(), "CLIP", False),
-        (scaled((3.0, 2.0)), "REPEAT", True),
-        (scaled((3.0, 2.0)), "MIRROR", False),
-        (scaled((4.0, 2.0)), "MIRROR", True),
-        (scaled((1.5, 2.0)), "REPEAT", False),
-        (scaled((2.0, 3.0), math.pi / 2), "REPEAT", True),
-        (scaled((1.0, 1.0), 0.3), "REPEAT", False),
-        (input_nodes.Coordinates("generated"), "REPEAT", False),
+        (input_nodes.UV(), "REPEAT", "REPEAT"),
+        (input_nodes.UV("map"), "REPEAT", "REPEAT"),
+        (input_nodes.UV(), "MIRROR", "MIRROR"),
+        (input_nodes.UV(), "CLIP", "BORDER"),
+        (input_nodes.UV(), "EXTEND", "BORDER"),
+        (scaled((3.0, 2.0)), "REPEAT", "REPEAT"),
+        (scaled((3.0, 2.0)), "MIRROR", None),
+        (scaled((4.0, 2.0)), "MIRROR", "REPEAT"),
+        (scaled((1.5, 2.0)), "REPEAT", None),
+        (scaled((2.0, 3.0)), "EXTEND", None),
+        (scaled((2.0, 3.0), math.pi / 2), "REPEAT", "REPEAT"),
+        (scaled((1.0, 1.0), 0.3), "REPEAT", None),
+        (input_nodes.Coordinates("generated"), "REPEAT", None),
     ],
 )
-def test_baking_asks_for_whole_periods(uv, extension, expected):
+def test_pictures_go_on_beyond_the_square_as_their_images_do(uv, extension, expected):
     graph = MaterialGraph(
         base_color=color_nodes.Color(texture_nodes.ImageTexture(uv, noise(4, 4), extension=extension))
     )
-    assert bakeable(graph) is expected
+    assert bakeable(graph) is (expected is not None)
     assert bakeable(graph, unit_square=True) is not isinstance(uv, input_nodes.Coordinates)
-    if expected:
+    if bakeable(graph, unit_square=True):
+        assert reading(graph).extension == (expected or "BORDER")
+    if expected == "REPEAT":
         # A period further the graph shows the same
         uv_here = random((50, 2))
         here, there = (
@@ -558,6 +562,27 @@ def test_the_suggested_resolution_keeps_every_texel(uv, expected):
     graph = MaterialGraph(alpha=color_nodes.Component(texture_nodes.ImageTexture(uv, noise(6, 4)), 3))
     assert suggested_resolution(graph) == expected
     assert suggested_resolution(graph, largest=7) == tuple(min(s, 7) for s in expected)
+
+
+def leaf(**properties):
+    """An image whose colour is multiplied by its alpha, as Cycles stores it where both are used."""
+    texels = np.array([[[200, 100, 50, 255], [0, 0, 0, 0]]], np.uint8)
+    image = Image(texels, srgb=True, associated=True)
+    return texture_nodes.ImageTexture(input_nodes.UV(), image, straight=True, **properties)
+
+
+def test_pictures_hold_colours_as_their_images_do():
+    """What is interpolated are encoded colours, multiplied by alpha where the image is."""
+    graph = MaterialGraph(base_color=color_nodes.Color(leaf()), alpha=color_nodes.Component(leaf(), 3))
+    how = reading(graph)
+    assert how.encoded == how.associated == {"base_color"}
+    picture = stored(graph, bake(graph, (2, 1)))
+    np.testing.assert_allclose(picture["base_color"][0] * 255, [[200, 100, 50], [0, 0, 0]], atol=1e-4)  # measured 1e-5
+
+    other = MaterialGraph(
+        base_color=color_nodes.Color(leaf()), alpha=color_nodes.Component(leaf(interpolation="Closest"), 3)
+    )
+    assert reading(other).associated == frozenset()
 
 
 def test_baking_evaluates_at_texel_centres_with_normals_in_tangent_space():

@@ -208,7 +208,7 @@ def with_technique(case: Case, technique: str) -> Case:
     return replace(case, settings=replace(case.settings, technique=technique))
 
 
-@pytest.mark.parametrize("technique", ["AUTO", "IMAGE_SPACE", "EWA"])
+@pytest.mark.parametrize("technique", ["IMAGE_SPACE", "EWA"])
 def test_the_other_technique_compiles_nothing_and_says_why(technique):
     device, result = record(with_technique(solid_cases.sphere(), technique))
     names = {interface.name for interface in device.interfaces}

@@ -104,7 +104,7 @@ def test_a_holdout_of_fog_takes_of_edges_what_it_hides():
 
 
 def variation(image, reach):
-    """How much an image (H, W, C) varies within `reach` pixels of each of its pixels, at most of all channels: (H, W)."""
+    """How much an image (H, W, C) varies within `reach` pixels of each pixel, at most of all channels: (H, W)."""
     sides = (reach, reach), (reach, reach), (0, 0)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(image, sides, "edge"), (2 * reach + 1,) * 2, axis=(0, 1))
     return np.ptp(windows.reshape(*image.shape, -1), axis=3).max(axis=2)
@@ -112,8 +112,8 @@ def variation(image, reach):
 
 @pytest.mark.parametrize("samples", [5, 40])
 def test_tiles_of_a_picture_meet_without_seams(monkeypatch, samples):
-    """Sub-samples on the common edge of two triangles are rounded to either of them, by their places in a tile: here of a
-    white one and one of glass. A seam would show elsewhere."""
+    """Sub-samples on the common edge of two triangles are rounded to either of them, by their places in a tile: here of
+    a white one and one of glass. A seam would show elsewhere."""
     scene = cases.CASES["panes"]().scene
     eye = camera((0.5, -4, 0.5), resolution=(150, 130))
     whole = picture(scene, eye, samples)

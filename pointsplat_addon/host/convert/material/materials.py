@@ -137,23 +137,23 @@ def convert_material(material: bpy.types.Material) -> MaterialRow:
         pass_index=material.pass_index,
         name=material.name,
         hash=cryptomatte_hash(material.name),
-        translucent=_is_translucent(surface.alpha, material),
+        translucent=_is_translucent(surface.alpha),
         medium=None if output is None else read_medium(tree, output.inputs["Volume"]),
         hair=tree.hair,
         warnings=tuple(tree.warnings),
     )
 
 
-def _is_translucent(alpha: Expression, material: bpy.types.Material) -> bool:
+def _is_translucent(alpha: Expression) -> bool:
     """Whether a surface has to be blended: its alpha is neither 1 nor a mask.
 
-    A mask lies between 0 and 1 along its edges alone. It is cut out, which is sharp and fast, unless the material asks
-    to be blended.
+    A mask lies between 0 and 1 along its edges alone. It is cut out, which is sharp and fast, and of whose edges pixels
+    show the mean; what the material asks of other engines, blended or dithered, changes nothing.
     """
     value = constant(alpha)
     if value is not None:
         return bool(value[0] < 1 - 1e-6)
-    return not is_mask(alpha, edges=material.surface_render_method != "BLENDED")
+    return not is_mask(alpha)
 
 
 def _node_tree(material: bpy.types.Material) -> bpy.types.ShaderNodeTree | None:

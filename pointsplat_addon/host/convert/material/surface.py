@@ -41,8 +41,10 @@ def scale_color(color: Expression, factor: Expression) -> Expression:
 
 
 def multiply(a: Expression, b: Expression) -> Expression:
-    """The product of two numbers."""
-    return math_nodes.Math(a, b, ZERO, "MULTIPLY")
+    """The product of two numbers, without factors of 0 and 1: what is left of a mask is told to be one."""
+    if is_constant(a, 0) or is_constant(b, 1):
+        return a
+    return b if is_constant(b, 0) or is_constant(a, 1) else math_nodes.Math(a, b, ZERO, "MULTIPLY")
 
 
 def divide_color(color: Expression, weight: Expression) -> Expression:

@@ -188,6 +188,7 @@ class Visibility:
             fixed,
             behind,
             groups.places is not None,
+            self._plan.defocus,
         )
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         if fixed is None:

@@ -25,7 +25,8 @@ class VisibilityTargets:
     ) -> None:
         """`size`: (width, height) of the picture in pixels. `most_cells`: of a tile, see cells_of_tile."""
         self._device, self._plan, self._owned = device, plan, []
-        self._names = [*(["ps_combined"] if plan.picture else []), *map(_sampler, averaged(passes))]
+        focus = ["ps_focus"] if plan.defocus else []
+        self._names = [*(["ps_combined"] if plan.picture else []), *map(_sampler, averaged(passes)), *focus]
         lattice = lattice_of(plan.sub_samples)
         margin = filter_reach(plan.filter_size)
         self.size = size

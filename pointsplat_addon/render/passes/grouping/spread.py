@@ -8,6 +8,7 @@ import numpy as np
 from ....core.numeric.lattice import Lattice
 from ....shading.interface import Interface
 from ..shading.averages import averaged_defines, averaged_outputs
+from ..shading.shade import FOCUS_OUTPUT
 from ..uniforms import RECTANGLE_FIELDS, block
 
 # Where in the sums the tile's own pixels lie, from 0 to 1, and where in them the tile begins, in pixels.
@@ -22,16 +23,17 @@ def spread_program(
     weights: np.ndarray | None,
     behind: bool,
     places: bool,
+    focus: bool = False,
 ) -> Interface:
     """Returns the program that adds the shaded groups to the sums.
 
     `combined`: the picture, not only passes beside it. `reach`: of the filter, in pixels. weights: of `filter_weights`,
     or None where a texture holds them. `behind`: open sub-samples show something. `places`: the list is not in the
-    order of the pixels.
+    order of the pixels. `focus`: groups tell how much of them is in focus, and at which depth.
     """
-    outputs = averaged_outputs(passes, combined)
+    outputs = (*averaged_outputs(passes, combined), *((FOCUS_OUTPUT,) if focus else ()))
     shaded = tuple(("FLOAT_2D", name.replace("out_", "ps_")) for _, name in outputs)
-    flags = {"PS_BEHIND": behind, "PS_PLACES": places, "PS_AUXILIARY_ONLY": not combined}
+    flags = {"PS_BEHIND": behind, "PS_PLACES": places, "PS_AUXILIARY_ONLY": not combined, "PS_FOCUS": focus}
     names = (*averaged_defines(passes), *(name for name, on in flags.items() if on))
     read = {"ps_starts": True, "ps_weights": weights is None, "ps_behind": behind and combined, "ps_places": places}
     constants = ()

@@ -7,7 +7,7 @@ from ....core.scene.scene import Scene
 from ....shading.interface import Block, Interface
 from ..gbuffer import Variant
 from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, Values, block
-from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, sub_sample_defines
+from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, member_defines
 from .averages import averaged, averaged_defines, averaged_outputs
 from .lighting import (
     ENOUGH_CELLS,
@@ -22,6 +22,10 @@ from .lighting import (
 
 MIST_EXPONENT = {"LINEAR": 1.0, "QUADRATIC": 2.0, "INVERSE_QUADRATIC": 0.5}
 MIST_FIELDS: Fields = (("float", "mist_start"), ("float", "mist_scale"), ("float", "mist_exponent"))
+FOCUS_OUTPUT = (
+    "vec4",
+    "out_focus",
+)  # the share of a texel that is in focus, in the second channel; in the first, times its depth
 WORLD_FIELDS: Fields = (("mat4", "world_from_view"),)
 # The sub-samples of groups, at which shadows are looked up in maps.
 FOOTPRINT_SAMPLERS = tuple(("UINT_2D", name) for name in ("ps_depths", "ps_keys", "ps_first", "ps_second"))
@@ -84,11 +88,11 @@ def shade_program(
     wide = "PS_SHADOW_HARD" not in lighting
     taps += (("PS_SHADOW_FIRST", str(FIRST_LIGHT_POINTS)),) if taps and wide and points > FIRST_LIGHT_POINTS else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
-    cells = (LATTICE_DEFINE, *sub_sample_defines(footprint)) if footprint else ()
+    cells = (LATTICE_DEFINE, *member_defines(footprint)) if footprint else ()
     return Interface(
         "shade", fragment="shading/shade.frag",
         block=_block(passes, lighting, focus, combined, footprint is not None),
-        outputs=(*averaged_outputs(passes, combined), *((("vec4", "out_focus"),) if focus else ())),
+        outputs=(*averaged_outputs(passes, combined), *((FOCUS_OUTPUT,) if focus else ())),
         samplers=(*read, ("FLOAT_2D", "ps_materials"), *lighting_samplers(lighting)),
         defines=(*lighting_defines(lighting), *taps, *cells, *((name, "1") for name in names)),
     )  # fmt: skip

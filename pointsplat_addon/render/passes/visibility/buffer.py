@@ -25,20 +25,20 @@ LATTICE_DEFINE = ("PS_LATTICE", "1")
 
 
 def sub_sample_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
-    """The defines of shaders that loop over a pixel's sub-samples: how many, and their cells; and for those that loop
-    over a group's, words of three bits a sub-sample as in lib/visibility/groups.glsl: columns and rows of the cells,
-    from the least on, and ones."""
+    """The defines of shaders that loop over a pixel's sub-samples: how many, and their cells."""
     cells = ", ".join(f"ivec2({x}, {y})" for x, y in lattice.offsets.tolist())
+    return ("PS_SUB_SAMPLES", str(lattice.count)), ("PS_CELLS", f"ivec2[{lattice.count}]({cells})")
+
+
+def member_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
+    """The defines of shaders that loop over the sub-samples of a group: words of three bits a sub-sample, as those of
+    lib/visibility/groups.glsl, with ones and with columns and rows of the cells from the least on, which is that far
+    from the central one."""
     reach = int(np.abs(lattice.offsets).max())
     columns, rows = (lattice.offsets + reach).T.tolist()
-    return (
-        ("PS_SUB_SAMPLES", str(lattice.count)),
-        ("PS_CELLS", f"ivec2[{lattice.count}]({cells})"),
-        ("PS_CELL_REACH", str(reach)),
-        ("PS_CELL_COLUMNS", _words(columns)),
-        ("PS_CELL_ROWS", _words(rows)),
-        ("PS_LOWEST_BITS", _words([1] * lattice.count)),
-    )
+    ones = [1] * lattice.count
+    words = {"PS_MEMBER_BITS": ones, "PS_MEMBER_COLUMNS": columns, "PS_MEMBER_ROWS": rows}
+    return *((name, _words(values)) for name, values in words.items()), ("PS_MEMBER_REACH", str(reach))
 
 
 def _words(values: list[int]) -> str:
@@ -53,6 +53,12 @@ def offset_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
     """The defines of shaders that read where a pixel's sub-samples lie: how many, and their offsets in pixels."""
     offsets = ", ".join(f"vec2({x!r}, {y!r})" for x, y in lattice.positions.tolist())
     return ("PS_SUB_SAMPLES", str(lattice.count)), ("PS_OFFSETS", f"vec2[{lattice.count}]({offsets})")
+
+
+def rank_defines(lattice: Lattice, multiple: int = 1) -> tuple[tuple[str, str], ...]:
+    """The defines of lib/visibility/ranks.glsl; `multiple`: of cells' numbers, which ranks are."""
+    column, row = multiple, multiple * (lattice.count - lattice.p) % lattice.count
+    return ("PS_RANKS", str(lattice.count)), ("PS_RANK_COLUMN", str(column)), ("PS_RANK_ROW", str(row))
 
 
 class DepthBuffer:

@@ -14,6 +14,7 @@ from ...device.packing import paged
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..grouping.groups import Groups, Leaders
+from ..shading.lighting import SAMPLE_FIELDS
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, RECTANGLE_FIELDS, Fields, SampleView, Values, block
 from .buffer import (
     DEPTH_ONLY_DEFINE,
@@ -24,11 +25,14 @@ from .buffer import (
     DepthBuffer,
     VisibilityBuffer,
     offset_defines,
+    rank_defines,
+    sub_sample_defines,
 )
-from .polygon_mesh import CORNERS, Group, PolygonMesh
-from .polygons import needed_defines
+from .polygon_mesh import CORNERS, Group, PolygonMesh, define_entries
+from .polygons import CUT_VARYING, needed_defines
 
 MOST_VERTICES = 1 << 26  # of one draw
+AVERAGE_DEFINE = ("PS_AVERAGE", "1")  # pictures are averaged over sub-samples
 MESH_FIELDS: Fields = (
     ("int", "material"),
     ("int", "first_id"),  # number of the first triangle of the first instance
@@ -86,27 +90,27 @@ def _block(name: str, one: bool, own: Fields, of_one: Fields, *groups: Fields) -
     return block(name, CAMERA_FIELDS, MESH_FIELDS, own, alone, *groups)
 
 
-def depths_program(group: Group, one: bool) -> Interface:
+def depths_program(lattice: Lattice, group: Group, one: bool) -> Interface:
     """Returns the program that draws the depth of a group of triangles, whichever side they show. `one`: there is one
     instance."""
-    return _cover_program(replace(group, cull=False), one, ())
+    return _cover_program(lattice, replace(group, cull=False), one, ())
 
 
-def ids_program(normal: bool, group: Group, one: bool) -> Interface:
+def ids_program(normal: bool, lattice: Lattice, group: Group, one: bool) -> Interface:
     """Returns the program that draws a group of triangles into the visibility buffer.
 
     `normal`: something is lit, and normals tell surfaces apart. `one`: there is one instance.
     """
     varyings = [("flat", "uint", "v_id"), ("flat", "vec2", "v_about")]
-    return _cover_program(group, one, (*varyings, *((("smooth", "vec3", "v_normal"),) if normal else ())))
+    return _cover_program(lattice, group, one, (*varyings, *((("smooth", "vec3", "v_normal"),) if normal else ())))
 
 
-def _cover_program(group: Group, one: bool, identity: tuple[tuple[str, str, str], ...]) -> Interface:
+def _cover_program(lattice: Lattice, group: Group, one: bool, identity: tuple[tuple[str, str, str], ...]) -> Interface:
     """Returns the program that draws a group of triangles. `identity`: varyings that tell triangles and surfaces apart;
     none: only depths are drawn."""
     normal = any(name == "v_normal" for _, _, name in identity)
-    alpha = tuple(name for name in group.defines if name in ("PS_UV", "PS_BAKED_ALPHA", "PS_CORNER_ALPHA"))
-    names = [name for name in alpha if name != "PS_UV" or "PS_BAKED_ALPHA" in alpha]
+    baked = ("PS_UV", "PS_PICTURE", "PS_BAKED_ALPHA") if "PS_BAKED_ALPHA" in group.defines else ()
+    names = [name for name in group.defines if name.startswith((*baked, "PS_CORNER_ALPHA"))]
     if "PS_CORNER_ALPHA" in names:
         names.append("PS_CORNER_COLOR")
     samplers = ["ps_corner", *(() if one else ("ps_instances",))]
@@ -117,19 +121,29 @@ def _cover_program(group: Group, one: bool, identity: tuple[tuple[str, str, str]
     if "PS_CORNER_COLOR" in names:
         samplers.append("ps_corner_color")
         varyings.append(("smooth", "vec4", "v_color"))
+    cut = any(name.endswith("ALPHA") for name in names)
+    if cut:
+        varyings.append(CUT_VARYING)
     own: Fields = (("int", "first"), ("int", "corners"), ("int", "first_slot"))  # corners: of the group
-    flags = {"PS_CULL": group.cull, "PS_NORMAL": normal, "PS_ONE_INSTANCE": one, DEPTH_ONLY_DEFINE[0]: not identity}
+    sample = SAMPLE_FIELDS if cut else ()
+    alone = (*ONE_INSTANCE_FIELDS, *((("int", "instance"),) if cut else ())) if one else ()
+    flags = {"PS_CULL": group.cull, "PS_NORMAL": normal, "PS_ONE_INSTANCE": one, "PS_CUT": cut,
+             DEPTH_ONLY_DEFINE[0]: not identity}  # fmt: skip
     return Interface(
         "polygons" if identity else "shadow maps",
         vertex="visibility/polygon_ids.vert",
         fragment="visibility/polygon_ids.frag",
-        block=_block("PolygonIds", one, own, (("int", "mirrored"),), LATTICE_FIELDS)
+        block=_block("PolygonIds", one, own, (("int", "mirrored"),), LATTICE_FIELDS, sample)
         if identity
-        else block("PolygonDepths", CAMERA_FIELDS, own, ONE_INSTANCE_FIELDS if one else (), LATTICE_FIELDS),
+        else block("PolygonDepths", CAMERA_FIELDS, own, alone, LATTICE_FIELDS, sample),
         samplers=tuple(("FLOAT_2D", name) for name in samplers),
         varyings=tuple(varyings),
         outputs=OUTPUTS if identity else DEPTH_OUTPUT,
-        defines=(LATTICE_DEFINE, *((name, "1") for name in (*names, *(name for name, on in flags.items() if on)))),
+        defines=(
+            LATTICE_DEFINE,
+            *define_entries([*names, *(name for name, on in flags.items() if on)]),
+            *(rank_defines(lattice) if cut else ()),
+        ),
         depth=True,
     )
 
@@ -143,17 +157,28 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
     kinds = {"COLOR": variant.color, "SURFACE": variant.surface, "EMISSION": variant.emission}
     if any(on and not {f"PS_BAKED_{kind}", f"PS_CORNER_{kind}"} & set(names) for kind, on in kinds.items()):
         samplers.append("ps_materials")
+    averaged = not leaders.central and any(name.startswith("PS_BAKED") and name != "PS_BAKED_NORMAL" for name in names)
+    read = ("ps_ids", "ps_depths", "ps_first", "ps_second") if averaged else ()
     own: Fields = (("int", "first_triangle"), ("int", "last_triangle"), ("int", "slots"))
     return Interface(
         "attributes",
         vertex="common/rectangle.vert",
         fragment="grouping/polygon_surface.frag",
-        block=_block("PolygonSurface", one, own, (("int", "holdout"),), RECTANGLE_FIELDS, leaders.fields),
-        samplers=(*(("FLOAT_2D", name) for name in samplers), *leaders.samplers),
+        block=_block(
+            "PolygonSurface",
+            one,
+            own,
+            (("int", "holdout"),),
+            RECTANGLE_FIELDS,
+            leaders.fields,
+            LATTICE_FIELDS if averaged else (),
+        ),
+        samplers=(*(("FLOAT_2D", name) for name in samplers), *leaders.samplers, *(("UINT_2D", name) for name in read)),
         outputs=variant.outputs(),
         defines=(
-            *((name, "1") for name in (*variant.defines, *names, *(("PS_ONE_INSTANCE",) if one else ()))),
+            *define_entries([*variant.defines, *names, *(("PS_ONE_INSTANCE",) if one else ())]),
             *offset_defines(lattice),
+            *((LATTICE_DEFINE, AVERAGE_DEFINE, *sub_sample_defines(lattice)[1:]) if averaged else ()),
             *leaders.defines,
         ),
     )
@@ -172,11 +197,11 @@ class PolygonDepths:
         self._cover(depths_program, view, shared)
 
     def _cover(
-        self, program_of: Callable[[Group, bool], Interface], view: SampleView, shared: dict[str, Texture]
+        self, program_of: Callable[[Lattice, Group, bool], Interface], view: SampleView, shared: dict[str, Texture]
     ) -> None:
         for draw in self.draws:
             for group in draw.mesh.groups:
-                program = program_of(group, draw.slots == 1)
+                program = program_of(self.buffer.lattice, group, draw.slots == 1)
                 step = max(MOST_VERTICES // group.count, 1)
                 for slot in range(0, draw.slots, step):
                     own = {"first": group.first, "corners": group.count, "first_slot": slot}
@@ -220,6 +245,7 @@ class PolygonCover(PolygonDepths):
         out: GBuffer,
     ) -> None:
         """Writes the attributes of the triangles that stand for groups."""
+        sub_samples = {**leaders.bound, **groups.codes, **self.buffer.textures}
         for draw in self.draws:
             where = groups.rectangle(leaders, draw.first_id)
             if where is None:
@@ -228,10 +254,11 @@ class PolygonCover(PolygonDepths):
                 program = surface_program(variant, self.buffer.lattice, group, draw.slots == 1, leaders)
                 first = group.first // 3
                 own = {"first_triangle": first, "last_triangle": first + group.count // 3, "slots": draw.slots}
+                own |= {"rectangle": where, "corner": leaders.place[1], **self.buffer.values}
                 self.device.draw(
                     program,
                     out.target,
-                    uniforms=self._record(program, draw, group, view, **own, rectangle=where, corner=leaders.place[1]),
-                    textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures, **leaders.bound},
+                    uniforms=self._record(program, draw, group, view, **own),
+                    textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures, **sub_samples},
                     vertices=6,
                 )

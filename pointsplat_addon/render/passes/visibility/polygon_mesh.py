@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from ....core.material.baking import BORDER, reading
 from ....core.material.graph import MaterialGraph
 from ....core.scene.bounds import bounding_box, used_positions
 from ....core.scene.materials import MaterialTable
@@ -58,7 +59,7 @@ class PartList:
 
 def baked_defines(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
     """Returns the defines of shaders that read the baked pictures of a graph."""
-    on = graph.channels.keys()
+    on, how = graph.channels.keys(), reading(graph)
     names = {
         "PS_UV": True,
         "PS_BAKED_COLOR": bool(on & {"base_color", "alpha"}),
@@ -66,8 +67,19 @@ def baked_defines(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
         "PS_BAKED_SURFACE": bool(on & {"roughness", "metallic"}),
         "PS_BAKED_EMISSION": emission and "emission" in on,
         "PS_BAKED_NORMAL": "normal" in on,
+        "PS_PICTURE_MIRROR": how.extension == "MIRROR",
+        "PS_PICTURE_BORDER": how.extension == "BORDER",
+        "PS_PICTURE_CLOSEST": how.closest,
     }
+    for channel, kind in (("base_color", "COLOR"), ("emission", "EMISSION")):
+        names[f"PS_ENCODED_{kind}"] = channel in how.encoded and names[f"PS_BAKED_{kind}"]
+        names[f"PS_ASSOCIATED_{kind}"] = channel in how.associated and names[f"PS_BAKED_{kind}"]
     return tuple(name for name, there in names.items() if there)
+
+
+def define_entries(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
+    """Returns defines with their values."""
+    return tuple((name, str(BORDER) if name == "PS_PICTURE_BORDER" else "1") for name in names)
 
 
 class Pictures:
@@ -96,7 +108,7 @@ class Pictures:
         if "PS_BAKED_SURFACE" in names:
             add("ps_baked_surface", "RG32F", "roughness", "metallic")
         if "PS_BAKED_EMISSION" in names:
-            add("ps_baked_emission", "RGBA16F", "emission", "")
+            add("ps_baked_emission", "RGBA16F", "emission", "alpha" if "PS_ASSOCIATED_EMISSION" in names else "")
         if "PS_BAKED_NORMAL" in names:
             add("ps_baked_normal", "RGBA16F", "normal", "")
 

@@ -8,8 +8,11 @@ from ....core.surface.density import PART
 from ....shading.interface import Block, Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
+from ..shading.lighting import SAMPLE_FIELDS
 from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
-from .polygon_mesh import CORNERS, Group, PartList, PolygonMesh
+from .polygon_mesh import CORNERS, Group, PartList, PolygonMesh, define_entries
+
+CUT_VARYING = ("flat", "vec4", "v_cut")  # see lib/visibility/cut.glsl
 
 
 def _block(variant: Variant, group: Group, parted: bool) -> Block:
@@ -22,21 +25,27 @@ def _block(variant: Variant, group: Group, parted: bool) -> Block:
     mirrored: Fields = (("int", "mirrored"),)  # 1 where the transform turns triangles over
     first: Fields = (("int", "first"),)  # corner of the group
     instance: Fields = (("int", "instance"),)
-    further = ((mirrored, group.cull), (first, not parted), (instance, variant.owner))
+    cut = is_cut(group)
+    further = ((mirrored, group.cull), (first, not parted), (instance, variant.owner or cut), (SAMPLE_FIELDS, cut))
     return block("Polygons", CAMERA_FIELDS, own, *(fields for fields, on in further if on))
+
+
+def is_cut(group: Group) -> bool:
+    """Whether the group's triangles have an alpha."""
+    return any(name.endswith("ALPHA") for name in group.defines)
 
 
 def needed_defines(variant: Variant, group: Group) -> tuple[str, ...]:
     """Returns the defines of a group's shader in a G-buffer of this variant."""
     held = {"PS_BAKED_NORMAL": variant.normal}
     for kind, on in (("COLOR", variant.color), ("SURFACE", variant.surface), ("EMISSION", variant.emission)):
-        held |= {f"PS_BAKED_{kind}": on, f"PS_CORNER_{kind}": on}
+        held |= {f"PS_{way}_{kind}": on for way in ("BAKED", "CORNER", "ENCODED", "ASSOCIATED")}
     # Alpha is a colour's.
     held["PS_BAKED_COLOR"] |= "PS_BAKED_ALPHA" in group.defines
     held["PS_CORNER_COLOR"] |= "PS_CORNER_ALPHA" in group.defines
     names = [name for name in group.defines if held.get(name, True)]
     pictures = any(name.startswith("PS_BAKED") for name in names)
-    return tuple(name for name in names if name != "PS_UV" or pictures)
+    return tuple(name for name in names if pictures or not name.startswith(("PS_UV", "PS_PICTURE")))
 
 
 def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
@@ -59,6 +68,10 @@ def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
         samplers.append(("FLOAT_2D", "ps_materials"))
     if parted:
         samplers.append(("FLOAT_2D", "ps_parts"))
+    cut: tuple[tuple[str, str], ...] = ()
+    if is_cut(group):
+        varyings.append(CUT_VARYING)
+        cut = ("PS_CUT", "1"), ("PS_RANKS", "1")
     more = ((("PS_CULL", "1"),) if group.cull else ()) + ((("PS_PARTS", str(3 * PART)),) if parted else ())
     return Interface(
         "polygons",
@@ -68,7 +81,7 @@ def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
         samplers=tuple(samplers),
         varyings=tuple(varyings),
         outputs=variant.front_outputs,
-        defines=(*variant.front_defines, *((name, "1") for name in names), *more),
+        defines=(*variant.front_defines, *define_entries(names), *more, *cut),
         depth=True,
     )
 

@@ -29,8 +29,9 @@ from .buffer import (
     OUTPUTS,
     DepthBuffer,
     VisibilityBuffer,
+    member_defines,
     offset_defines,
-    sub_sample_defines,
+    rank_defines,
 )
 
 MOST_CELLS = 512  # of a splat that a compute invocation draws: a ball of 3 pixels in radius
@@ -58,14 +59,8 @@ class SplatKind:
     def defines(self) -> tuple[tuple[str, str], ...]:
         nodes: tuple[tuple[str, str], ...] = ()
         if self.lattice is not None:
-            ranks, step = self.lattice.count, RANK_STEP[self.lattice.p]
-            nodes = (
-                ("PS_NODES", "1"),
-                ("PS_NODE_SCALE", str(NODE_SCALE)),
-                ("PS_RANKS", str(ranks)),
-                ("PS_RANK_COLUMN", str(step)),
-                ("PS_RANK_ROW", str(step * (ranks - self.lattice.p) % ranks)),
-            )
+            ranks = rank_defines(self.lattice, RANK_STEP[self.lattice.p])
+            nodes = (("PS_NODES", "1"), ("PS_NODE_SCALE", str(NODE_SCALE)), *ranks)
         named = {
             "PS_ONE_INSTANCE": self.options.one_instance,
             "PS_CULL": self.options.cull and not nodes,
@@ -132,7 +127,8 @@ def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders
     """Returns the program that writes the attributes of splats that stand for groups of sub-samples."""
     samplers, named = attributes(variant, kind.options)
     added = tuple(sampler for sampler in samplers if sampler not in POINT_SAMPLERS and sampler[1] != "ps_instances")
-    averaged = ("ps_ids", "ps_first", "ps_second") if variant.color or variant.emission else ()
+    disks = variant.normal and not (kind.balls or kind.lattice)
+    averaged = ("ps_ids", "ps_first", "ps_second") if variant.color or variant.emission or disks else ()
     read = (*leaders.samplers, *(("UINT_2D", name) for name in (() if leaders.central else averaged)))
     return Interface(
         "attributes",
@@ -146,7 +142,7 @@ def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders
             *((name, "1") for name in variant.defines),
             *(entry for entry in named if entry[0] != "PS_ONE_INSTANCE"),
             *offset_defines(lattice),
-            *(sub_sample_defines(lattice)[1:] if averaged and not leaders.central else ()),
+            *(member_defines(lattice) if averaged and not leaders.central else ()),
             *leaders.defines,
         ),
     )
