@@ -214,7 +214,8 @@ class Frame:
         assert self.targets.visibility is not None
         central, identify = first and self.frame_plan.plan.central, self._data.every_sample
         coarse = first and self.frame_plan.plan.coarse
-        shown = visibility.draw(view, self.targets.sum_target, central, identify, coarse)
+        sums = self.targets.sum_target if self.targets.sums else None
+        shown = visibility.draw(view, sums, central, identify, coarse)
         if central:
             self.central = self.targets.visibility.central
             if self.frame_plan.plan.data:

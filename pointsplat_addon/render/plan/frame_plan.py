@@ -161,7 +161,8 @@ def make_frame_plan(
     auxiliary = None
     if prepared.out_of_focus is not None:
         # What is out of focus goes into Combined alone; the other passes are of the auxiliary picture.
-        auxiliary = auxiliary_picture(scene, request, presented)
+        at_once = lattice.count if technique.name == "VISIBILITY" else 1
+        auxiliary = auxiliary_picture(scene, request, presented, at_once)
         request = replace(request, passes=frozenset({"combined"}))
         prepared = with_defocus_among_translucent(prepared)
 

@@ -223,7 +223,8 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
 
 def _shadows(shadows: Shadows) -> tuple[str, ...]:
     """Names of the defines of shadows."""
-    named = {"PS_SHADOWS": True, "PS_SHADOW_MAPS": shadows.maps is not None}
+    maps = shadows.maps
+    named = {"PS_SHADOWS": True, "PS_SHADOW_MAPS": maps is not None, "PS_SHADOW_SOFT": maps is not None and maps.soft}
     if shadows.tables is not None:
         packed = shadows.tables.packed
         named |= {

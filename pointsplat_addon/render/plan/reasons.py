@@ -12,7 +12,7 @@ from .plan import Plan
 # In the order in which they run; the names of the report.
 PASSES: dict[str, str] = {
     "shadows": "tables of what light meets, on the processor",
-    "shadow maps": "depths of what lights without size see, once for all views",
+    "shadow maps": "depths of what lights see, once for all views",
     "order": "translucent splats sorted back to front, on the processor",
     "cover": "splats into the visibility buffer",
     "project": "splats to pixels, the nearest of each pixel",

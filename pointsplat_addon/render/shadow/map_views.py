@@ -1,8 +1,9 @@
-"""Depth maps seen from lights without size: from where each is seen, and how fine it is.
+"""Depth maps seen from lights: from where each is seen, and how fine it is.
 
 A sun sees what casts by one parallel view. So does a light that all casters lie within a cone about, or a spot, by one
 perspective view; other lights by up to six, the faces of a cube. Each view is cut to what it sees, so that no texels
-are spent on nothing.
+are spent on nothing. Lights with a size see what casts from several of their points (light_points.py): all by views
+that differ only in where they are, side by side.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from ...core.scene.camera import Camera
 from ...core.scene.lights import Light
 from ...core.shadow.grid import rotation_to
+from .light_points import LightShape, cell_points, grid_shifts, light_shape
 
 WIDEST_CONE = 1.05  # radians from a single view's axis to the farthest that it sees
 FINER = 2.0  # times as many texels as cells of a table lie across a view of everything
@@ -27,6 +29,8 @@ FEWEST = 16  # texels along a view's longer side
 MARGIN = 2  # texels around what a view sees, which nothing covers
 NEAREST = 1e-5  # nearest depth that a perspective view sees, over the farthest
 THINNEST = 1e-6  # least extent of a view, over that of what it may see
+MOST_TEXELS_OF_LIGHT = 1 << 23  # with a size
+BEYOND = 0.2  # of the bounds of a view from a light with a size, beyond those: where its other points see the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +46,38 @@ class MapView:
     size: tuple[int, int]  # texels
     far: float
     corner: tuple[int, int] = (0, 0)  # of its texels in the texture of all maps
+    across: np.ndarray | None = None  # (2, 2) float64: half-axes of a light with a size as columns, in its plane
+    points: np.ndarray | None = (
+        None  # (N, 2) float64, of the light: each has such a view of its own; None: there is one
+    )
+    point: tuple[float, float] = (0.0, 0.0)  # from which this one is seen
+
+    @property
+    def tiles(self) -> tuple[int, int]:
+        """How many views lie side by side, and one above the other."""
+        return (1, 1) if self.points is None else tile_grid(len(self.points))
+
+    @property
+    def block(self) -> tuple[int, int]:
+        """Texels of the views from all points together."""
+        return self.size[0] * self.tiles[0], self.size[1] * self.tiles[1]
+
+    @property
+    def each(self) -> list[MapView]:
+        """The views from all points, each in its place."""
+        if self.points is None:
+            return [self]
+        (x, y), columns = self.corner, self.tiles[0]
+        return [
+            replace(
+                self,
+                corner=(x + i % columns * self.size[0], y + i // columns * self.size[1]),
+                low=self.low - self.step * moved,
+                points=None,
+                point=tuple(point),
+            )
+            for i, (point, moved) in enumerate(zip(self.points.tolist(), grid_shifts(len(self.points)), strict=True))
+        ]
 
     @property
     def near(self) -> float:
@@ -53,6 +89,10 @@ class MapView:
         view, clip = np.eye(4), np.zeros((4, 4))
         view[:3, :3] = self.axes * [[1], [1], [-1]]
         view[:3, 3] = -view[:3, :3] @ self.origin
+        if self.parallel:
+            view[:2] -= np.array(self.point)[:, None] * view[2]  # rays from the point are upright
+        else:
+            view[:2, 3] -= self.point
         extent = self.step * np.array(self.size)
         middle = (2 * self.low + extent) / extent
         clip[0, 0], clip[1, 1] = 2 / extent
@@ -73,6 +113,7 @@ class LightViews:
     axes: np.ndarray  # (3, 3) float64 and
     origin: np.ndarray  # (3,) of the coordinates in which a cube's faces lie across the axes, or of the only view
     views: tuple[MapView | None, ...]  # faces of a cube: toward +x, -x, +y, -y, +z, -z; None: nothing is there
+    shape: LightShape | None = None  # of a light with a size
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +124,26 @@ class CastingBoxes:
     radius: np.ndarray  # (I,) float64, world: of a typical splat; infinite: there are none
 
 
-def light_views(light: Light, boxes: CastingBoxes, resolution: int) -> LightViews:
-    """Returns the views from a light without size. `resolution`: cells along a shadow table."""
+def tile_grid(count: int) -> tuple[int, int]:
+    """Returns the columns and rows in which so many views of a light lie."""
+    columns = 8 if count > 16 else 4
+    return columns, count // columns
+
+
+def light_views(light: Light, boxes: CastingBoxes, resolution: int, points: int = 0) -> LightViews:
+    """Returns the views from a light. `resolution`: cells along a shadow table. `points`: from how many of its
+    points, if it has a size."""
+    shape = light_shape(light) if points else None
     if light.kind == "SUN":
-        return _parallel(light, boxes, resolution)
+        found = _parallel(light, boxes, resolution, shape)
+    elif light.kind == "AREA":
+        found = _from_area(light, boxes, resolution, shape)
+    else:
+        found = _from_point(light, boxes, resolution, shape)
+    return found if shape is None else _of_points(replace(found, shape=shape), points)
+
+
+def _from_point(light: Light, boxes: CastingBoxes, resolution: int, shape: LightShape | None) -> LightViews:
     offset = boxes.corners - light.position
     away = np.maximum(np.linalg.norm(offset, axis=2), 1e-30)
     far = float(away.max()) * (1 + 1e-4)
@@ -95,13 +152,58 @@ def light_views(light: Light, boxes: CastingBoxes, resolution: int) -> LightView
     if lit <= WIDEST_CONE and (lit <= widest or widest > WIDEST_CONE):
         axis, widest = light.direction, lit
     if widest > WIDEST_CONE:
-        return _cube(light, boxes, offset, far, resolution)
+        return _cube(light, np.eye(3), boxes, offset, far, resolution, shape)
+    bound = np.full(2, np.tan(lit)) if light.kind == "SPOT" and lit <= WIDEST_CONE else np.full(2, np.inf)
+    return _single(light, axis, bound, boxes, offset, far, resolution, shape)
+
+
+def _from_area(light: Light, boxes: CastingBoxes, resolution: int, shape: LightShape | None) -> LightViews:
+    """Views of what lies in front of an area light, along its axis where that is enough."""
+    offset = boxes.corners - light.position
+    lit = (offset @ light.direction > 0).any(axis=1)
+    boxes, offset = CastingBoxes(boxes.corners[lit], boxes.radius[lit]), offset[lit]
+    away = np.maximum(np.linalg.norm(offset, axis=2), 1e-30)
+    far = float(away.max(initial=0.0)) * (1 + 1e-4)
+    forward, right, up = rotation_to(light.direction)
+    cosine = float((offset @ light.direction / away).min(initial=1.0))
+    if cosine >= np.cos(WIDEST_CONE):
+        return _single(light, light.direction, np.full(2, np.inf), boxes, offset, far, resolution, shape)
+    return _cube(light, np.stack([up, right, forward]), boxes, offset, far, resolution, shape)
+
+
+def _single(
+    light: Light,
+    axis: np.ndarray,
+    bound: np.ndarray,
+    boxes: CastingBoxes,
+    offset: np.ndarray,
+    far: float,
+    resolution: int,
+    shape: LightShape | None,
+) -> LightViews:
+    """One view along an axis. `offset`: (I, 8, 3) of the corners from the light."""
     forward, right, up = rotation_to(axis)
     axes = np.stack([up, right, forward])
-    local = offset @ axes.T
-    bound = np.full(2, np.tan(lit)) if light.kind == "SPOT" and lit <= WIDEST_CONE else np.full(2, np.inf)
-    view = _perspective(axes, light.position, local, boxes, bound, far, FINER * resolution, FINEST * resolution)
+    texels = FINER * resolution, FINEST * resolution
+    view = _perspective(axes, light.position, offset @ axes.T, boxes, bound, far, texels, shape)
     return LightViews("SINGLE", axes, light.position, (view,))
+
+
+def _of_points(light: LightViews, points: int) -> LightViews:
+    """Returns the views from so many points of a light with a size, with fewer texels where all have more than a
+    budget."""
+    shape = light.shape
+    assert shape is not None
+    middles, _ = cell_points(points, shape.rectangle)
+
+    def seen(view: MapView) -> MapView:
+        return view if view.across is None else replace(view, points=middles @ view.across.T)
+
+    found = _each_view(light, seen)
+    assert found is not None
+    total = sum(view.block[0] * view.block[1] for view in found.views if view is not None)
+    share = (MOST_TEXELS_OF_LIGHT / max(total, 1)) ** 0.5
+    return found if share >= 1 else replace(found, views=tuple(v and _coarser(v, share) for v in found.views))
 
 
 def placed(
@@ -110,17 +212,17 @@ def placed(
     """Returns the views with places in one texture, and its (width, height): with fewer texels each, where all together
     have more than a budget. `width`: texels along a side that a texture may have. `splats`: how many cast."""
     fitting = [_each_view(one, lambda view: _limited(view, width)) for one in lights]
-    total = sum(v.size[0] * v.size[1] for one in fitting if one is not None for v in one.views if v is not None)
+    total = sum(v.block[0] * v.block[1] for one in fitting if one is not None for v in one.views if v is not None)
     budget = min(max(TEXELS_OF_SPLAT * splats, MOST_TEXELS), MOST_TEXELS_OF_SPLATS)
     if total > budget:
         share = 0.95 * (budget / total) ** 0.5  # margins and rounding take the rest
         fitting = [_each_view(one, lambda view: _coarser(view, share)) for one in fitting]
-    corners, size = _shelves([v.size for one in fitting if one is not None for v in one.views if v is not None], width)
+    corners, size = _shelves([v.block for one in fitting if one is not None for v in one.views if v is not None], width)
     places = iter(corners)
     return [_each_view(one, lambda view: replace(view, corner=next(places))) for one in fitting], size
 
 
-def _parallel(light: Light, boxes: CastingBoxes, resolution: int) -> LightViews:
+def _parallel(light: Light, boxes: CastingBoxes, resolution: int, shape: LightShape | None) -> LightViews:
     forward, right, up = rotation_to(light.direction)
     axes = np.stack([up, right, forward])
     middle = boxes.corners.reshape(-1, 3).mean(axis=0)
@@ -129,26 +231,36 @@ def _parallel(light: Light, boxes: CastingBoxes, resolution: int) -> LightViews:
     size = float(max((high - low).max(), np.abs(middle).max() * 1e-7, 1e-30))
     before = low[2] - 1e-3 * size  # nothing lies at depth 0
     origin = middle + before * axes[2]
+    across = None if shape is None else shape.across(axes, True, np.zeros(2))
+    aside = 0.0 if shape is None or across is None else shape.bounds(across) * float(high[2] - before)
     finest = float(boxes.radius.min(initial=np.inf))
     view = _fitted(
-        axes, origin, True, low[:2], high[:2], float(high[2] - before) * (1 + 1e-4) + THINNEST * size,
-        finest, FINER * resolution, FINEST * resolution, size,
+        axes, origin, True, low[:2] - aside, high[:2] + aside, float(high[2] - before) * (1 + 1e-4) + THINNEST * size,
+        finest, FINER * resolution, FINEST * resolution, size, across,
     )  # fmt: skip
     return LightViews("PARALLEL", axes, origin, (view,))
 
 
-def _cube(light: Light, boxes: CastingBoxes, offset: np.ndarray, far: float, resolution: int) -> LightViews:
-    """Views through the faces of a cube along the world's axes. `offset`: (I, 8, 3) of the corners from the light."""
+def _cube(
+    light: Light,
+    turned: np.ndarray,
+    boxes: CastingBoxes,
+    offset: np.ndarray,
+    far: float,
+    resolution: int,
+    shape: LightShape | None,
+) -> LightViews:
+    """Views through the faces of a cube along the rows of `turned` (3, 3). `offset`: (I, 8, 3) of the corners from the
+    light."""
     views = []
+    bound = np.full(2, 1.0 if shape is None else 1 + BEYOND)
     for face in range(6):
         axis, side = divmod(face, 2)
-        unit = np.eye(3)
-        second, third = unit[(axis + 1) % 3], unit[(axis + 2) % 3]
-        axes = np.stack([second, third, -unit[axis]] if side else [third, second, unit[axis]])
-        bound = np.ones(2)
-        view = _perspective(axes, light.position, offset @ axes.T, boxes, bound, far, resolution, 2 * resolution)
-        views.append(view)
-    return LightViews("CUBE", np.eye(3), light.position, tuple(views))
+        second, third = turned[(axis + 1) % 3], turned[(axis + 2) % 3]
+        axes = np.stack([second, third, -turned[axis]] if side else [third, second, turned[axis]])
+        texels = resolution, 2 * resolution
+        views.append(_perspective(axes, light.position, offset @ axes.T, boxes, bound, far, texels, shape))
+    return LightViews("CUBE", turned, light.position, tuple(views))
 
 
 def _perspective(
@@ -158,28 +270,43 @@ def _perspective(
     boxes: CastingBoxes,
     bound: np.ndarray,
     far: float,
-    across: float,
-    most: float,
+    resolution: tuple[float, float],
+    shape: LightShape | None,
 ) -> MapView | None:
     """Returns the view of what lies within the slopes `bound` (2,) on either side of the axis; None if nothing does.
 
-    local: (I, 8, 3), corners in the view's coordinates. `across`, `most`: texels along its longer side, and where small
-    splats ask for more.
+    local: (I, 8, 3), corners in the view's coordinates. `resolution`: texels along its longer side, and where small
+    splats ask for more. `shape`: of the light: all of its points see what the view holds.
     """
     depth = local[..., 2]
     ahead = (depth > 0).any(axis=1)
     beyond = (depth <= NEAREST * far).any(axis=1) & ahead
+    low, high, seen = _window(local, beyond, ahead, bound, np.zeros(2))
+    across = None
+    if shape is not None and seen.any():
+        across = shape.across(axes, False, (low + high) / 2)
+        low, high, seen = _window(local, beyond, ahead, bound, shape.bounds(across))
+    if not seen.any():
+        return None
+    away = np.linalg.norm(local[seen], axis=2).mean(axis=1)
+    finest = float((boxes.radius[seen] / np.maximum(away, 1e-30)).min(initial=np.inf))
+    return _fitted(axes, origin, False, low, high, far, finest, resolution[0], resolution[1], 1.0, across)
+
+
+def _window(
+    local: np.ndarray, beyond: np.ndarray, ahead: np.ndarray, bound: np.ndarray, aside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns the low and the high corner, (2,), of what boxes cover in a perspective view within a bound, and which
+    boxes are seen, (I,) bool. `beyond`: those that reach behind it. `aside`: (2,) how far the points lie from which
+    it is seen."""
     with np.errstate(all="ignore"):
-        slope = local[..., :2] / np.maximum(depth, 1e-30)[..., None]
-    low, high = slope.min(axis=1), slope.max(axis=1)
+        apart = np.maximum(local[..., 2], 1e-30)[..., None]
+        low, high = ((local[..., :2] - aside) / apart).min(axis=1), ((local[..., :2] + aside) / apart).max(axis=1)
     low[beyond], high[beyond] = -np.inf, np.inf
     seen = ahead & (low < bound).all(axis=1) & (high > -bound).all(axis=1)
     if not seen.any():
-        return None
-    low, high = np.maximum(low[seen].min(axis=0), -bound), np.minimum(high[seen].max(axis=0), bound)
-    away = np.linalg.norm(local[seen], axis=2).mean(axis=1)
-    finest = float((boxes.radius[seen] / np.maximum(away, 1e-30)).min(initial=np.inf))
-    return _fitted(axes, origin, False, low, high, far, finest, across, most, 1.0)
+        return -bound, bound, seen
+    return np.maximum(low[seen].min(axis=0), -bound), np.minimum(high[seen].max(axis=0), bound), seen
 
 
 def _fitted(
@@ -190,22 +317,25 @@ def _fitted(
     high: np.ndarray,
     far: float,
     finest: float,
-    across: float,
+    texels: float,
     most: float,
     scale: float,
+    across: np.ndarray | None,
 ) -> MapView:
     """Returns a view of the places between two corners (2,), with a margin.
 
-    `finest`: the smallest radius of a typical splat, in places. `across`, `most`: texels along the longer side, and
-    where small splats ask for more. `scale`: of places.
+    `finest`: the smallest radius of a typical splat, in places. `texels`, `most`: along the longer side, and where
+    small splats ask for more. `scale`: of places. `across`: see MapView.
     """
     extent = np.maximum(high - low, THINNEST * scale)
     longest = float(extent.max())
-    count = float(np.clip(TEXELS_OF_RADIUS * longest / max(finest, 1e-30), across, most))
+    count = float(np.clip(TEXELS_OF_RADIUS * longest / max(finest, 1e-30), texels, most))
     step = longest / count
     size = np.maximum(np.ceil(extent / step), 1).astype(int) + 2 * MARGIN
     middle = (low + high) / 2
-    return MapView(axes, origin, parallel, middle - step * size / 2, step, (int(size[0]), int(size[1])), far)
+    return MapView(
+        axes, origin, parallel, middle - step * size / 2, step, (int(size[0]), int(size[1])), far, across=across
+    )
 
 
 def _coarser(view: MapView, share: float) -> MapView:
@@ -220,7 +350,8 @@ def _coarser(view: MapView, share: float) -> MapView:
 
 def _limited(view: MapView, width: int) -> MapView:
     """Returns a view that a texture of `width` texels holds."""
-    return _coarser(view, (width - 2 * MARGIN - 1) / max(view.size)) if max(view.size) > width else view
+    tiles = max(view.tiles)
+    return _coarser(view, (width / tiles - 2 * MARGIN - 1) / max(view.size)) if max(view.block) > width else view
 
 
 def _each_view(light: LightViews | None, change: Callable[[MapView], MapView]) -> LightViews | None:

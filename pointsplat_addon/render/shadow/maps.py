@@ -1,4 +1,4 @@
-"""Depth maps of the lights without size: which lights and casters have them, and their records for a view."""
+"""Depth maps of lights: which lights and casters have them, and their records for a view."""
 
 from __future__ import annotations
 
@@ -16,12 +16,17 @@ from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from ..prepare.separation import is_translucent
 from .casting import CastingGeometry, bounding_box, light_key, transmission_digest
+from .light_points import VIEWS, cell_points, grid_shifts, light_shape
 from .map_views import CastingBoxes, LightViews, MapView, light_views, placed
 
 MOST_PRIMITIVES = 1 << 25  # of all instances of a geometry that maps draw: where there are more, nodes cast into tables
 WIDEST_TEXTURE = 8192  # texels
 HEAD_TEXELS, VIEW_TEXELS = 4, 2  # of a light's record, and of each of its views
+SHAPE_TEXELS = 8  # after them: of a light with a size
 KINDS = ("NONE", "PARALLEL", "SINGLE", "CUBE")
+MOST_DRAWN = (
+    1 << 22
+)  # primitives that all views of the points of lights together draw, if they are not as few as can be
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,23 +40,42 @@ class ShadowMaps:
 
     @property
     def views(self) -> list[MapView]:
-        return [view for light in self.lights if light is not None for view in light.views if view is not None]
+        found = [view for light in self.lights if light is not None for view in light.views if view is not None]
+        return [each for view in found for each in view.each]
+
+    @property
+    def soft(self) -> bool:
+        """Whether some light has a size."""
+        return any(light is not None and light.shape is not None for light in self.lights)
 
     def records(self, view_from_world: np.ndarray) -> np.ndarray:
-        """Returns ps_map_lights, (lights, HEAD_TEXELS + 6 VIEW_TEXELS, 4) float32, for a view, (4, 4) float64, rigid.
+        """Returns ps_map_lights, float32 texels of four, for a view, (4, 4) float64, rigid: a row for each light.
 
         Texels 0 to 2 are rows that take view space to the light's, 3 holds the index of the kind. Two follow for each
         view: where the place (0, 0) lies in the texture, texels from a place to the next one, and the near plane; first
-        and last texel.
+        and last texel. For lights with a size the kind is negative, beside it are how many points are seen from, and
+        the row of their places; the views are those of the first point; and what follows them is, from SHAPE on: the
+        half-axes in the light's space, with whether they face receivers, and for each view both half-axes in its plane.
+
+        Two more rows, if some light has a size, are for disks and for rectangles: for each cell its middle, by how
+        many texels those of its view lie further on, and its points.
         """
         world_from_view = np.linalg.inv(view_from_world)
-        found = np.zeros((len(self.lights), HEAD_TEXELS + 6 * VIEW_TEXELS, 4))
-        for row, light in zip(found, self.lights, strict=True):
+        shape = HEAD_TEXELS + 6 * VIEW_TEXELS
+        points = self._points
+        found = np.zeros((len(self.lights) + len(points), max([shape + SHAPE_TEXELS, *map(len, points)]), 4))
+        for row, places in zip(found[len(self.lights) :], points, strict=True):
+            row[: len(places)] = places
+        for row, light in zip(found, self.lights, strict=False):
             if light is None:
                 continue
             row[:3, :3] = light.axes @ world_from_view[:3, :3]
             row[:3, 3] = light.axes @ (world_from_view[:3, 3] - light.origin)
             row[3, 0] = KINDS.index(light.kind)
+            if light.shape is not None:
+                row[3] = -row[3, 0], self._count, len(self.lights) + light.shape.rectangle, 0
+                row[shape : shape + 2, :3] = light.shape.axes @ light.axes.T
+                row[shape : shape + 2, 3] = light.shape.facing
             for i, view in enumerate(light.views):
                 texels = row[HEAD_TEXELS + VIEW_TEXELS * i :]
                 if view is None:
@@ -60,16 +84,42 @@ class ShadowMaps:
                 texels[0, :2] = np.array(view.corner) - view.low / view.step
                 texels[0, 2:] = 1 / view.step, view.near
                 texels[1] = *view.corner, *(np.array(view.corner) + view.size - 1)
+                if view.across is not None:
+                    row[shape + 2 + i] = view.across.T.ravel()
         return found.astype(np.float32)
+
+    @property
+    def _count(self) -> int:
+        """How many points of lights with a size are seen from; 0: there are no such lights."""
+        counts = [
+            len(view.points)
+            for light in self.lights
+            if light is not None
+            for view in light.views
+            if view is not None and view.points is not None
+        ]
+        return max(counts, default=0)
+
+    @property
+    def _points(self) -> list[np.ndarray]:
+        """Rows of disks and of rectangles, see `records`."""
+        if self._count == 0:
+            return []
+        found = []
+        for rectangle in (False, True):
+            middle, places = cell_points(self._count, rectangle)
+            row = np.zeros((self._count, 1 + places.shape[1], 4))
+            row[:, 0, :2], row[:, 1:, :2], row[:, 0, 2:] = middle, places, grid_shifts(self._count)
+            found.append(row.reshape(-1, 4))
+        return found
 
 
 def takes_map(light: Light) -> bool:
-    """Tells whether a light casts shadows by a depth map: it has no size, and a place."""
+    """Tells whether a light casts shadows by depth maps: where it has a place."""
     return (
         light.shadow
-        and light.kind in ("POINT", "SPOT", "SUN")
-        and light.radius == 0
         and bool(np.isfinite(light.position).all() and np.isfinite(light.direction).all())
+        and np.isfinite(light.radius)
     )
 
 
@@ -110,13 +160,21 @@ def make_maps(
 
     def make() -> ShadowMaps:
         boxes = _boxes(casters, store)
-        views = [None if light is None else light_views(light, boxes, resolution) for light in chosen]
+        points = _light_points(chosen, casters)
+        views = [None if light is None else light_views(light, boxes, resolution, points) for light in chosen]
         splats = sum(len(c.geometry.cloud) * len(c.matrices) for c in casters if c.geometry.cloud is not None)
         arranged, size = placed(views, min(texture_size, WIDEST_TEXTURE), splats)
         return ShadowMaps(key, tuple(arranged), size, tuple((c.geometry.key, c.matrices) for c in casters))
 
     found = store.lookup(key, make)
     return found if found.views else None  # where all that casts lies where no light looks
+
+
+def _light_points(lights: Sequence[Light | None], casters: Sequence[CastingGeometry]) -> int:
+    """Returns from how many points of each light with a size what casts is seen."""
+    soft = sum(light is not None and light_shape(light) is not None for light in lights)
+    drawn = soft * sum(_primitives(caster.geometry) * len(caster.matrices) for caster in casters)
+    return max(count for count in VIEWS if count == VIEWS[0] or count * drawn <= MOST_DRAWN)
 
 
 def _boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:
@@ -132,5 +190,6 @@ def _boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:
         typical = np.inf
         if cloud is not None and cloud.radii is not None:
             typical = float(np.median(cloud.radii[:: max(1, len(cloud) // 4096), 0]))
-        radius.append(typical * largest_singular_value(linear))
+        scale = largest_singular_value(linear)
+        radius.append(typical * scale if np.isfinite(typical) else np.full(len(linear), np.inf))
     return CastingBoxes(np.concatenate(corners), np.concatenate(radius))

@@ -1,8 +1,7 @@
 """Makes what casts the shadows of a scene's lights, once for all views, and caches it by lights and geometry.
 
-Lights without size see opaque meshes and clouds in depth maps, which the device draws (maps.py). All else casts into
-tables, sampled as densely as these resolve, independent of any view: strands, what light passes through, and all of it
-for lights with a size.
+Lights see opaque meshes and clouds in depth maps, which the device draws (maps.py). All else casts into tables,
+sampled as densely as these resolve, independent of any view: strands, and what light passes through.
 """
 
 from __future__ import annotations
@@ -91,14 +90,14 @@ def make_shadows(
     shown = [caster for caster, one, floor in zip(casters, solid, floors, strict=True) if one and not floor]
     maps = make_maps(scene, lights, shown, settings.shadow_resolution, store, texture_size)
     build = _TableBuilder(scene, settings.shadow_resolution, store, check)
-    wide = [light for light in lights if light.shadow and not takes_map(light)]
-    sharp = [light for light in lights if light.shadow and takes_map(light)]
+    unmapped = [light for light in lights if light.shadow and not takes_map(light)]
+    mapped = [light for light in lights if light.shadow and takes_map(light)]
     everything = _Cast(casters, floors)
     rest = _Cast(
         [caster for caster, one in zip(casters, solid, strict=True) if not one],
         tuple(floor for floor, one in zip(floors, solid, strict=True) if not one),
     )
-    tables = build.tables(lights, [(wide, everything), (sharp, rest)])
+    tables = build.tables(lights, [(unmapped, everything), (mapped, rest)])
     if tables is None and maps is None:
         return None, "there is nothing in the shadow of anything"
     return Shadows(tables, maps), ""

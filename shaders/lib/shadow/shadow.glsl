@@ -9,6 +9,7 @@
 
 #include "lib/shadow/table.glsl"
 #include "lib/shadow/map.glsl"
+#include "lib/shadow/soft.glsl"
 
 #ifdef PS_SHADOW_TABLES
 
@@ -193,6 +194,10 @@ vec3 ps_transmittance(int light, vec3 position, vec3 normal, bool wanted)
   vec3 share = vec3(1.0);
 #ifdef PS_SHADOW_MAPS
   share *= ps_map_share(light, position, normal, wanted);
+  wanted = wanted && share.x > 0.0;
+#endif
+#ifdef PS_SHADOW_SOFT
+  share *= ps_soft_share(light, position, normal, wanted);
   wanted = wanted && share.x > 0.0;
 #endif
 #ifdef PS_SHADOW_TABLES

@@ -310,11 +310,12 @@ def test_lens_samples_take_no_pass_of_splats(monkeypatch):
 # All else
 
 
+@pytest.mark.parametrize("technique", ["IMAGE_SPACE", "VISIBILITY"])
+@pytest.mark.parametrize("passes", [ALL_PASSES, frozenset({"combined", "depth"})])
 @pytest.mark.parametrize("name", ["mixed", "smoke", "strands", "holdout", "moving", "panes"])
-def test_other_passes_are_those_of_a_camera_without_a_lens(name):
+def test_other_passes_are_those_of_a_camera_without_a_lens(name, passes, technique):
     case = CASES[name]()
-    passes = ALL_PASSES - {"combined"}
-    blurred, sharp = (drawn(case, a, 5, passes | COMBINED).pixels for a in (Aperture(0.3, 2.0), None))
+    blurred, sharp = (drawn(case, a, 5, passes, technique=technique).pixels for a in (Aperture(0.3, 2.0), None))
     assert blurred.keys() == sharp.keys()
     for key in sharp:
         if key != "combined":

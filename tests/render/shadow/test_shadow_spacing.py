@@ -15,7 +15,7 @@ from pointsplat_addon.core.scene.materials import MaterialTable
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.renderer import Renderer
-from pointsplat_addon.render.shadow import batches, shadows
+from pointsplat_addon.render.shadow import batches, maps, shadows
 from pointsplat_addon.render.shadow.casting import casting_geometries
 from pointsplat_addon.render.shadow.floors import split_floors
 from pointsplat_addon.render.shadow.shadows import Shadows
@@ -52,6 +52,8 @@ def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
         Settings(technique="IMAGE_SPACE", shadow_resolution=512),
     )
     found = []
+    for module in (shadows, maps):
+        monkeypatch.setattr(module, "takes_map", lambda light: False)
     for limit in (1 << 60, 0):
         STORE.clear()
         monkeypatch.setattr(batches, "MAX_POINTS_WITHOUT_NODES", limit)
@@ -64,18 +66,25 @@ def test_nodes_of_many_instances_cast_the_shadows_of_their_points(monkeypatch):
     assert np.sqrt((difference**2).mean()) < 5e-3  # measured 2.8e-3, at the rims of shadows
 
 
-def test_shadows_are_those_of_alphas_whatever_the_colours():
+def test_shadows_are_those_of_alphas_whatever_the_colours(monkeypatch):
     store, plane = Store(), (build.mesh(meshes.plane_mesh("coloured caster", cells=4)), build.moved())
     below = build.mesh(meshes.cube_mesh("in the shadow of colours", 0.1)), build.moved((0, 0, -0.5))
 
     def shadows_of(table: MaterialTable) -> Shadows:
-        lights = [replace(build.sun(), radius=0.01), build.sun()]  # one has a table, the other a map
+        lights = [replace(build.sun(), radius=0.01), build.sun()]
         scene = build.scene(plane, below, lights=lights, table=table)
-        found, _ = shadows.make_shadows(scene, Settings(technique="IMAGE_SPACE", shadow_resolution=64), store)
+        settings = Settings(technique="IMAGE_SPACE", shadow_resolution=64)
+        with monkeypatch.context() as changed:
+            found, _ = shadows.make_shadows(scene, settings, store)
+            for module in (shadows, maps):
+                changed.setattr(module, "takes_map", lambda light: False)
+            without, _ = shadows.make_shadows(scene, settings, store)
         assert found is not None
-        assert found.tables is not None
         assert found.maps is not None
-        return found
+        assert found.tables is None
+        assert without is not None
+        assert without.tables is not None
+        return Shadows(without.tables, found.maps)
 
     def of(**graphs: Expression) -> MaterialTable:
         return build.materials(graphs=(MaterialGraph(**graphs),))

@@ -56,6 +56,45 @@ def card(edge: float):
     return build.mesh(made, "POLYGONS"), build.moved()
 
 
+def small_card(edge: float, wide: float):
+    """A square card at height 0.5 that ends at x = `edge`."""
+    low, half = edge - wide, wide / 2
+    corners = np.array([[low, -half, 0.5], [edge, -half, 0.5], [edge, half, 0.5], [low, half, 0.5]], np.float32)
+    made = meshes.flat_mesh(f"card of {wide} to {edge}", corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    return build.mesh(made, "POLYGONS"), build.moved()
+
+
+SIDES = np.array([[0.2, 0.0, 0.0], [0.0, 0.2, 0.0]])
+DISK = replace(ABOVE, kind="AREA", color=np.full(3, 300.0), axis_u=SIDES[0], axis_v=SIDES[1], ellipse=True)
+WIDE = {
+    "disk": DISK,
+    "square": replace(DISK, ellipse=False),
+    "lamp": replace(ABOVE, radius=0.2),
+    "sun": replace(build.sun(3.0, (0.0, 0.0, -1.0)), radius=float(np.arctan(0.1))),
+}
+
+
+@pytest.mark.parametrize("name", WIDE)
+@pytest.mark.parametrize("wide", [2.0, 4.0])
+def test_the_penumbra_of_a_straight_edge_is_the_visible_share_of_the_light(name, wide):
+    """The light's middle is above x = 0.2 at height 2, and it reaches 0.2 to each side; the sun's middle is
+    overhead."""
+    edge, above, width = 0.1, 0.3, 160
+    middle, half = (edge, 0.5 * 0.1) if name == "sun" else (0.2 + (edge - 0.2) * 4 / 3, 0.2 * 0.5 / 1.5)
+    case = seen(floor(), small_card(edge, wide), light=WIDE[name])
+    camera = cameras.camera((middle, -1e-4, above), (middle, 0, 0), resolution=(width, 32), near=0.01)
+    case = replace(case, camera=camera)
+    assert shadows_of(case) == {"shadow maps"}
+    across = 2 * above * np.tan(np.radians(20))
+    part = ((np.arange(width) + 0.5) / width - 0.5) * across / half
+    inside = np.clip(part, -1, 1)
+    disk = 0.5 + (inside * np.sqrt(1 - inside**2) + np.arcsin(inside)) / np.pi
+    error = np.nanmean(share(case), axis=0) - ((inside + 1) / 2 if name == "square" else disk)
+    assert np.sqrt((error**2).mean()) < 0.01  # measured at most 0.0092 (a disk above a card of 4)
+    assert np.abs(error).max() < 0.025  # measured at most 0.0238 (a square)
+    assert abs(error.mean()) < 8e-3  # measured at most 0.0064
+
+
 @pytest.mark.parametrize("technique", TECHNIQUES)
 @pytest.mark.parametrize("edge", [0.03, 0.1, -0.17])
 def test_the_shadow_of_a_straight_edge_lies_where_it_must(technique, edge):
@@ -72,7 +111,11 @@ def test_the_shadow_of_a_straight_edge_lies_where_it_must(technique, edge):
 
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
-@pytest.mark.parametrize("light", [ABOVE, build.sun(3.0, (0.3, 0.4, -1.0))], ids=["point", "sun"])
+@pytest.mark.parametrize(
+    "light",
+    [ABOVE, build.sun(3.0, (0.3, 0.4, -1.0)), replace(ABOVE, radius=0.3), DISK],
+    ids=["point", "sun", "lamp", "disk"],
+)
 def test_what_nothing_shades_does_not_shade_itself(technique, light):
     """A ball of triangles, a bowl, which is hollow toward the light, and balls, each alone."""
     smooth = build.mesh(meshes.sphere_mesh("ball that is lit", 48), "POLYGONS"), build.moved((0, 0, 0), 0.8)
@@ -86,12 +129,12 @@ def test_what_nothing_shades_does_not_shade_itself(technique, light):
         assert toward[bright].min() > 0.999  # measured 1 but for rounding
 
 
-def test_tables_are_for_what_light_passes_and_for_lights_with_a_size():
+def test_tables_are_for_what_light_passes():
     ball = build.mesh(meshes.sphere_mesh("ball of tables", 24), "POLYGONS"), build.moved((0, 0, 0.6), 0.4)
     smoke = build.points("smoke of tables", clouds.smoke_cloud()), build.moved((1, 0, 1), 0.3)
     sharp, wide = ABOVE, replace(ABOVE, radius=0.2)
     assert shadows_of(seen(floor(), ball, light=sharp)) == {"shadow maps"}
-    assert shadows_of(seen(floor(), ball, light=wide)) == {"shadows"}
+    assert shadows_of(seen(floor(), ball, light=wide)) == {"shadow maps"}
     assert shadows_of(seen(floor(), ball, smoke, light=sharp)) == {"shadows", "shadow maps"}
 
 

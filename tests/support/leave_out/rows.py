@@ -158,6 +158,9 @@ ROWS: dict[str, Row] = {
     "visibility buffer, smoke and a cube, interactive": Row(smoke_and_cube, interactive=True),
     "visibility buffer, a cube in held out smoke": Row(lambda: smoke_and_cube(holdout=True)),
     "visibility buffer, smoke alone": Row(lambda: with_settings(translucent_cases.in_smoke(), technique="VISIBILITY")),
+    "visibility buffer, points and polygons, out of focus, depth": Row(
+        lambda: with_settings(through_a_lens("SPLAT"), technique="VISIBILITY"), COMBINED | {"depth"}
+    ),
     "EWA": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA")),
     "EWA, adaptive": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA"), samples=16),
     "EWA among polygons": Row(lambda: with_settings(solid_cases.mixed(), technique="EWA")),

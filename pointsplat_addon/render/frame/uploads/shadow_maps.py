@@ -116,7 +116,8 @@ def _draw_view(
 
 def _splats(device: Device, maps: ShadowMaps, casters: CasterUploads, depths: DepthBuffer) -> SplatDepths:
     prepared = casters.prepared
-    round_balls = are_similarities(prepared.view_from_object[np.unique(prepared.cut.instance)])
+    sheared = any(view.parallel and any(view.point) for view in maps.views)
+    round_balls = not sheared and are_similarities(prepared.view_from_object[np.unique(prepared.cut.instance)])
     wide = any(not view.parallel or prepared.largest > WIDE_RADIUS * view.step for view in maps.views)
     return SplatDepths(device, casters.plan.options, depths, wide, round_balls)
 

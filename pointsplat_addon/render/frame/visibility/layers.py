@@ -63,12 +63,12 @@ class Visibility:
     def draw(
         self,
         view: SampleView,
-        sums: Target,
+        sums: Target | None,
         central: bool,
         identify: bool,
         coarse: bool,
     ) -> np.ndarray | None:
-        """Draws all sub-samples of one view, and adds what they show to the sums.
+        """Draws all sub-samples of one view, and adds what they show to the sums; None: nothing is shaded.
 
         `central`: what lies under the pixels' centres is written into targets.central. `coarse`: translucent
         splats are drawn at a lower resolution. Returns the instance and the material of each sub-sample,
@@ -80,7 +80,7 @@ class Visibility:
             self._number_primitives(seen)
             self._targets.buffer.clear()
             self._draw_primitives(seen)
-            if self._plan.shades:
+            if sums is not None:
                 shaded = self._shade(seen, tile, sums)
                 if self._translucent is not None:
                     self._translucent.draw(seen, tile, shaded, self.weights(seen), coarse)

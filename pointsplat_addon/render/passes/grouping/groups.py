@@ -95,12 +95,10 @@ class Leaders:
 class Groups:
     """The groups of all pixels of a picture, in a list."""
 
-    @releases_on_failure
     def __init__(self, device: Device, buffer: VisibilityBuffer) -> None:
         self._device, self._buffer = device, buffer
-        size = buffer.size
-        self.codes: dict[str, Texture] = {name: device.texture(size, "R32UI") for name in ("ps_first", "ps_second")}
-        self._target = device.target(list(self.codes.values()))
+        self.codes: dict[str, Texture] = {}  # of each pixel's sub-samples; empty before they are grouped
+        self._target: Target | None = None
         self.leaders: Leaders | None = None
         self.starts: Texture | None = None  # of each pixel's groups in the order of pixels
         self.places: Texture | None = None  # in the list, of groups in the order of pixels; None: there
@@ -116,6 +114,9 @@ class Groups:
         """Groups the sub-samples of all pixels, and lists the groups."""
         device, buffer = self._device, self._buffer
         record = view.record(GROUP_BLOCK, **buffer.values)
+        if self._target is None:
+            self.codes |= {name: device.texture(buffer.size, "R32UI") for name in ("ps_first", "ps_second")}
+            self._target = device.target(list(self.codes.values()))
         device.draw(group_program(buffer.lattice), self._target, uniforms=record, textures=buffer.textures)
         second = device.read(self.codes["ps_second"]).reshape(-1)
         counts = (second >> COUNT_SHIFT) & 7

@@ -1,0 +1,134 @@
+// Shadows of lights with a size, by depth maps seen from some of their points: layout and records in render/shadow/maps.py,
+// points in render/shadow/light_points.py. PS_SHADOW_SOFT: some light has them.
+//
+// Heights here are what grows linearly along rays in a view's coordinates: one over the depth, or minus the depth where rays
+// are parallel. A ray from `place` at the height `own` to the point c of a light is at place + c * (height - own), whatever the
+// light; the view from c sees it at place - c * own. So a map tells of other points of its cell too: their rays pass it at
+// a place that differs by how far they have gone at the height of what casts the shadow.
+
+#ifdef PS_SHADOW_SOFT
+
+#define PS_SOFT_SHAPE 16  // first texel about a light's size
+#define PS_POINTS_OF_CELL 8
+#define PS_SOFT_BIAS 0.5  // texels
+
+struct PsSoftLight {
+  bool parallel;
+  vec4 frame;
+  ivec4 ends;
+  float own;  // height of the receiver
+  vec2 place, slope;  // of the receiver in the view from the light's middle, and how its plane's height grows there
+  float bias, gain;  // gain: how sharp edges between texels are
+};
+
+// Of four texels about a place in the view of a point of the light: x: the share that lets the light through; y, z: the sum
+// of the heights of what does not, and its weight. moved: places from the receiver to the ray.
+vec3 ps_soft_tap(PsSoftLight s, vec2 point, vec2 shift, ivec2 tile, vec2 moved)
+{
+  vec2 place = shift + s.frame.xy + s.frame.z * (s.place - s.own * point + moved) - 0.5;
+  vec2 low = floor(place), share = place - low;
+  // A plane's height in the view of a point.
+  float straight = 1.0 - dot(s.slope, point);
+  vec2 slope = s.slope / (abs(straight) < 0.1 ? (straight < 0.0 ? -0.1 : 0.1) : straight);
+  vec2 sharp = clamp((share - 0.5) * s.gain + 0.5, 0.0, 1.0);
+  ivec2 first = ivec2(low), offset = tile * (s.ends.zw - s.ends.xy + 1);
+  vec3 sum = vec3(0.0);
+  for (int i = 0; i < 4; i++) {
+    ivec2 corner = ivec2(i & 1, i >> 1);
+    uint found = texelFetch(ps_shadow_maps, offset + clamp(first + corner, s.ends.xy, s.ends.zw), 0).x;
+    float depth = uintBitsToFloat(found) + s.frame.w;
+    float height = s.parallel ? -depth : 1.0 / depth;
+    float plane = s.own + dot(slope, moved + (vec2(corner) - share) / s.frame.z) + s.bias;
+    vec2 weights = mix(1.0 - sharp, sharp, vec2(corner));
+    float weight = weights.x * weights.y;
+    bool hidden = found != 0xFFFFFFFFu && height > plane;
+    sum += weight * (hidden ? vec3(0.0, height, 1.0) : vec3(1.0, 0.0, 0.0));
+  }
+  return sum;
+}
+
+// Share of the light of light `light`, one with a size, that no caster of its maps keeps from a point in view space.
+float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
+{
+  vec4 head = texelFetch(ps_map_lights, ivec2(3, light), 0);
+  vec4 point = vec4(position, 1.0);
+  vec4 x = texelFetch(ps_map_lights, ivec2(0, light), 0), y = texelFetch(ps_map_lights, ivec2(1, light), 0);
+  vec4 z = texelFetch(ps_map_lights, ivec2(2, light), 0);
+  vec4 first = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE, light), 0);
+  vec3 second = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE + 1, light), 0).xyz;
+  vec3 q = vec3(dot(x, point), dot(y, point), dot(z, point)), half_u = first.xyz, half_v = second;
+  vec3 n = vec3(dot(x.xyz, normal), dot(y.xyz, normal), dot(z.xyz, normal));
+  int view = 0;
+  if (-head.x == PS_MAP_CUBE) {
+    vec3 size = abs(q);
+    int axis = size.x >= size.y && size.x >= size.z ? 0 : (size.y >= size.z ? 1 : 2);
+    mat3 second_first = mat3(0, 0, 1, 1, 0, 0, 0, 1, 0), third_first = mat3(0, 1, 0, 0, 0, 1, 1, 0, 0);
+    mat3 turned = axis == 0 ? mat3(1.0) : (axis == 1 ? second_first : third_first);
+    bool positive = (turned * q).x > 0.0;
+    turned = (positive ? mat3(0, 0, 1, 0, 1, 0, 1, 0, 0) : mat3(0, 0, -1, 1, 0, 0, 0, 1, 0)) * turned;
+    view = 2 * axis + (positive ? 0 : 1);
+    q = turned * q;
+    n = turned * n;
+    half_u = turned * half_u;
+    half_v = turned * half_v;
+  }
+  PsSoftLight s;
+  s.frame = texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view, light), 0);
+  s.ends = ivec4(texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view + 1, light), 0));
+  s.parallel = -head.x == PS_MAP_PARALLEL;
+  vec4 cell = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE + 2 + view, light), 0);
+  int count = wanted && head.x < 0.0 && s.ends.z >= 0 && (s.parallel || q.z > 0.0) ? int(head.y) : 0;
+  int columns = count > 16 ? 8 : 4, row = int(head.z);
+
+  float scale = s.parallel ? 1.0 : 1.0 / q.z;
+  s.place = q.xy * scale;
+  s.own = s.parallel ? -q.z : scale;
+  vec3 ray = vec3(s.parallel ? vec2(0.0) : s.place, 1.0);
+  float along = inversesqrt(dot(ray, ray)), facing = dot(n, ray);
+  bool oriented = dot(n, n) > 0.0;
+  float cosine = max(abs(facing) * along, PS_MAP_STEEPEST);
+  s.slope = oriented ? n.xy * scale / ((facing < 0.0 ? -1.0 : 1.0) * cosine / along) : vec2(0.0);
+  float texel = (s.parallel ? 1.0 : q.z) / s.frame.z;  // world units
+  float bias = oriented ? texel * PS_SOFT_BIAS / cosine : texel * PS_MAP_BIAS_IN_MEDIA;
+  s.bias = (bias + PS_MAP_ROUNDING * (abs(q.z) + length(position))) * (s.parallel ? 1.0 : scale * scale);
+#ifdef PS_FOOTPRINT
+  s.gain = max(PS_MAP_SHARP * ps_pixel_size(-position.z) / texel, 1.0);
+#else
+  s.gain = 1.0;
+#endif
+
+  if (first.w > 0.5) {
+    vec3 toward = ray * along, across = normalize(vec3(1.0, 0.0, 0.0) - toward.x * toward);
+    half_v = length(half_u) * cross(toward, across);
+    half_u = length(half_u) * across;
+  }
+  // Where rays from the light's points meet the plane of its middle.
+  vec2 u_axis = s.parallel ? half_u.xy : half_u.xy - half_u.z * s.place;
+  vec2 v_axis = s.parallel ? half_v.xy : half_v.xy - half_v.z * s.place;
+
+  vec3 sum = vec3(0.0);
+  for (int i = 0; i < count; i++) {
+    vec4 middle = texelFetch(ps_map_lights, ivec2(i * (1 + PS_POINTS_OF_CELL), row), 0);
+    sum += ps_soft_tap(s, middle.x * cell.xy + middle.y * cell.zw, middle.zw, ivec2(i % columns, i / columns), vec2(0.0));
+  }
+  float total = float(count);
+  bool mixed = sum.z > 1e-3 && sum.x > 1e-3;
+  float lit = count > 0 ? sum.x / total : 1.0, gone = mixed ? sum.y / sum.z - s.own : 0.0;
+  int turns = mixed ? count : 0;
+  float soft = 0.0;
+  for (int i = 0; i < turns; i++) {
+    int column = i * (1 + PS_POINTS_OF_CELL);
+    vec4 middle = texelFetch(ps_map_lights, ivec2(column, row), 0);
+    vec2 seen = middle.x * cell.xy + middle.y * cell.zw;
+    for (int k = 1; k <= PS_POINTS_OF_CELL; k++) {
+      vec2 own = texelFetch(ps_map_lights, ivec2(column + k, row), 0).xy;
+      vec2 moved = gone * (own.x * u_axis + own.y * v_axis - seen);
+      vec3 tap = ps_soft_tap(s, seen, middle.zw, ivec2(i % columns, i / columns), moved);
+      gone = tap.z > 0.0 ? tap.y / tap.z - s.own : gone;
+      soft += tap.x;
+    }
+  }
+  return mixed ? soft / (total * float(PS_POINTS_OF_CELL)) : lit;
+}
+
+#endif
