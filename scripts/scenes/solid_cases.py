@@ -16,6 +16,8 @@ from scripts.scenes.case import Case
 from scripts.scenes.clouds import plane_cloud, sphere_cloud, sphere_points
 from scripts.scenes.meshes import cube_mesh, plane_mesh
 
+EXTENSIONS = "MIRROR", "CLIP"  # of the images of `cut_out_cards`
+
 
 def empty() -> Case:
     return Case(scene(), camera())
@@ -100,6 +102,18 @@ def many_balls() -> Case:
         matrix[0, 1] = 0.1
         things.append((geometry, matrix))
     return Case(scene(*things), camera((0, -6, 0)))
+
+
+def cut_out_cards() -> Case:
+    """Cards with an alpha, instances of one mesh and one of another, that cast onto a cube under a sun."""
+    images = [texture_nodes.ImageTexture(input_nodes.UV(), picture(), straight=True, extension=e) for e in EXTENSIONS]
+    graphs = (MaterialGraph(base_color=color_nodes.Color(i), alpha=color_nodes.Component(i, 0)) for i in images)
+    several, one = (replace(plane_mesh(f"cut out {row}"), materials=(row,)) for row in (1, 2))
+    cards = [(mesh(several, "POLYGONS"), moved((0.3 * i - 0.4, -1.0 - 0.2 * i, 0.1 * i))) for i in range(3)]
+    cards.append((mesh(one, "POLYGONS"), moved((0.5, -2.0, 0.4))))
+    return Case(
+        scene((mesh(cube_mesh("behind")), moved()), *cards, table=materials(3, graphs=(None, *graphs))), camera()
+    )
 
 
 def wide_balls() -> Case:

@@ -1,5 +1,5 @@
 // Attributes of the triangle that stands for a group of sub-samples, where its sub-sample meets it: one texel of the
-// G-buffer. PS_AVERAGE: what pictures show is the mean over those of the group's sub-samples that show the triangle.
+// G-buffer. PS_AVERAGE: what pictures show is the mean over the group's sub-samples.
 
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/store.glsl"
@@ -21,6 +21,17 @@ vec3 v_emission;
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/surface_key.glsl"
 #endif
+
+// Weights of a triangle's corners at a point of it, which the rasteriser has found: q, from the first corner, as a and b, which
+// lead to the others.
+vec3 ps_weights(vec3 a, vec3 b, vec3 q)
+{
+  float aa = dot(a, a), ab = dot(a, b), bb = dot(b, b);
+  float det = aa * bb - ab * ab;
+  vec2 w = det > 0.0 ? vec2(bb * dot(q, a) - ab * dot(q, b), aa * dot(q, b) - ab * dot(q, a)) / det : vec2(1.0 / 3.0);
+  vec3 weights = clamp(vec3(1.0 - w.x - w.y, w), vec3(0.0), vec3(1.0));
+  return weights / (weights.x + weights.y + weights.z);
+}
 
 #ifdef PS_AVERAGE
 #define PS_MAGNIFIED 0.5  // texels that a pixel spans: up to here colours change linearly over it
@@ -46,17 +57,19 @@ float ps_texels_of_pixel(vec3 a, vec3 b, vec2 along_a, vec2 along_b, vec3 toward
   float cosine = abs(dot(plane, toward)) * inversesqrt(square * dot(toward, toward));
   return max(steps.x, steps.y) * ps_pixel_size(d) / max(cosine, 1e-4);
 }
-#endif
 
-// Weights of a triangle's corners at a point of it, which the rasteriser has found: q, from the first corner, as a and b, which
-// lead to the others.
-vec3 ps_weights(vec3 a, vec3 b, vec3 q)
+// UV of a point of a triangle of an instance.
+vec2 ps_uv_at(int slot, int triangle, vec3 position)
 {
-  float aa = dot(a, a), ab = dot(a, b), bb = dot(b, b);
-  float det = aa * bb - ab * ab;
-  vec2 w = det > 0.0 ? vec2(bb * dot(q, a) - ab * dot(q, b), aa * dot(q, b) - ab * dot(q, a)) / det : vec2(1.0 / 3.0);
-  return vec3(1.0 - w.x - w.y, w);
+  ivec2 first = ps_texel(3 * triangle), second = ps_texel(3 * triangle + 1), third = ps_texel(3 * triangle + 2);
+  vec3 p = ps_view_from_point(slot, texelFetch(ps_corner, first, 0).xyz);
+  vec3 a = ps_view_from_point(slot, texelFetch(ps_corner, second, 0).xyz) - p;
+  vec3 b = ps_view_from_point(slot, texelFetch(ps_corner, third, 0).xyz) - p;
+  vec3 weights = ps_weights(a, b, position - p);
+  return weights.x * texelFetch(ps_corner_uv, first, 0).xy + weights.y * texelFetch(ps_corner_uv, second, 0).xy +
+         weights.z * texelFetch(ps_corner_uv, third, 0).xy;
 }
+#endif
 
 void main()
 {
@@ -74,8 +87,7 @@ void main()
     p[i] = ps_view_from_point(slot, corners[i].xyz);
   }
   vec3 a = p[1] - p[0], b = p[2] - p[0];
-  vec3 weights = clamp(ps_weights(a, b, leader.position - p[0]), vec3(0.0), vec3(1.0));
-  weights /= weights.x + weights.y + weights.z;
+  vec3 weights = ps_weights(a, b, leader.position - p[0]);
 #ifdef PS_UV
   vec2 uv[3] = vec2[3](texelFetch(ps_corner_uv, texels[0], 0).xy, texelFetch(ps_corner_uv, texels[1], 0).xy,
                        texelFetch(ps_corner_uv, texels[2], 0).xy);
@@ -124,7 +136,6 @@ void main()
   const vec2 offsets[PS_SUB_SAMPLES] = PS_OFFSETS;
   uvec2 codes = uvec2(texelFetch(ps_first, leader.pixel, 0).x, texelFetch(ps_second, leader.pixel, 0).x);
   ivec2 middle = ps_central_cell(leader.pixel);
-  uint id = PS_RASTERISED | uint(leader.index);
   PsSurfel sum = ps_empty();
   float count = 0.0;
   vec3 toward = ps_is_perspective() ? leader.position : vec3(0.0, 0.0, -1.0);
@@ -135,10 +146,10 @@ void main()
   int members = spanned > PS_MAGNIFIED ? PS_SUB_SAMPLES : 0;
   for (int i = 0; i < members; i++) {
     ivec2 cell = middle + cells[i];
-    if (ps_group(codes, i) == uint(leader.layer) && texelFetch(ps_ids, cell, 0).x == id) {
+    int other = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id - slot * u.triangles;
+    if (ps_group(codes, i) == uint(leader.layer) && other >= u.first_triangle && other < u.last_triangle) {
       float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
-      vec3 w = ps_weights(a, b, ps_view_from_pixel(vec2(leader.pixel) + 0.5 + offsets[i], d) - p[0]);
-      v_uv = w.x * uv[0] + w.y * uv[1] + w.z * uv[2];
+      v_uv = ps_uv_at(slot, other, ps_view_from_pixel(vec2(leader.pixel) + 0.5 + offsets[i], d));
       PsSurfel one = ps_empty();
       ps_polygon_attributes(one);
 #ifdef PS_COLOR

@@ -90,15 +90,13 @@ void main()
 #endif
   s = ps_attributed(s, element);
 #ifdef PS_AVERAGE
-  const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
   uvec2 codes = uvec2(texelFetch(ps_first, leader.pixel, 0).x, texelFetch(ps_second, leader.pixel, 0).x);
   ivec2 middle = ps_central_cell(leader.pixel);
   PsSurfel sum = ps_empty();
   float count = 0.0;
-  for (int i = 0; i < PS_SUB_SAMPLES; i++) {
-    if (ps_group(codes, i) == uint(leader.layer)) {
-      ps_add_attributes(sum, count, middle + cells[i], toward);
-    }
+  uvec2 members = ps_group_members(codes, uint(leader.layer));
+  while ((members.x | members.y) != 0u) {
+    ps_add_attributes(sum, count, middle + ps_next_member(members), toward);
   }
   if (count > 0.0) {
 #ifdef PS_DISKS

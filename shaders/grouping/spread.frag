@@ -55,24 +55,25 @@ void main()
     uvec2 codes = uvec2(texelFetch(ps_first, at, 0).x, texelFetch(ps_second, at, 0).x);
     bool whole = (codes.y & PS_UNIFORM) != 0u, open = (codes.y & PS_OPEN) != 0u;
     int count = ps_group_count(codes), first = int(texelFetch(ps_starts, at, 0).x);
+    vec4 shares = vec4(0.0);  // weights of the groups
+#ifdef PS_WEIGHTS
+    shares.x = whole ? sums[q] : 0.0;
+#else
+    shares.x = whole ? texelFetch(ps_weights, ivec2(PS_SUB_SAMPLES, q), 0).x : 0.0;
+#endif
+    // A loop ends where no invocation goes on; both sides of a branch would be run.
+    int separate = whole ? 0 : PS_SUB_SAMPLES;
+    for (int i = 0; i < separate; i++) {
+#ifdef PS_WEIGHTS
+      float one = weights[q * PS_SUB_SAMPLES + i];
+#else
+      float one = texelFetch(ps_weights, ivec2(i, q), 0).x;
+#endif
+      shares += one * vec4(equal(uvec4(ps_group(codes, i)), uvec4(0u, 1u, 2u, 3u)));
+    }
     float open_weight = 0.0;
     for (int layer = 0; layer < count; layer++) {
-      float weight = 0.0;
-#ifdef PS_WEIGHTS
-      weight = whole ? sums[q] : 0.0;
-#else
-      weight = whole ? texelFetch(ps_weights, ivec2(PS_SUB_SAMPLES, q), 0).x : 0.0;
-#endif
-      // A loop ends where no invocation goes on; both sides of a branch would be run.
-      int separate = whole ? 0 : PS_SUB_SAMPLES;
-      for (int i = 0; i < separate; i++) {
-#ifdef PS_WEIGHTS
-        float one = weights[q * PS_SUB_SAMPLES + i];
-#else
-        float one = texelFetch(ps_weights, ivec2(i, q), 0).x;
-#endif
-        weight += ps_group(codes, i) == uint(layer) ? one : 0.0;
-      }
+      float weight = layer == 0 ? shares.x : (layer == 1 ? shares.y : (layer == 2 ? shares.z : shares.w));
       open_weight -= weight;
       if (weight > 0.0) {
         ps_add(weight, ps_group_texel(first + layer));

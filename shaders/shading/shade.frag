@@ -45,8 +45,8 @@ void main()
 #ifdef PS_FOOTPRINT
   PsListed listed = ps_listed(pixel);
   ps_footprint.middle = ps_central_cell(listed.pixel);
-  ps_footprint.codes = uvec2(texelFetch(ps_first, listed.pixel, 0).x, texelFetch(ps_second, listed.pixel, 0).x);
-  ps_footprint.layer = uint(listed.layer);
+  uvec2 codes = uvec2(texelFetch(ps_first, listed.pixel, 0).x, texelFetch(ps_second, listed.pixel, 0).x);
+  ps_footprint.members = ps_group_members(codes, uint(listed.layer));
   ps_footprint.keyed = !ps_is_strand(centre);
   ps_footprint.turn = vec3(0.0);
   if (centre.z > 0.5) {

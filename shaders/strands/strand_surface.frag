@@ -95,21 +95,19 @@ void main()
 #endif
   ps_strand_attributes(s, segment, along);
 #if defined(PS_AVERAGE) || defined(PS_AVERAGE_TANGENT)
-  const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
   uvec2 codes = uvec2(texelFetch(ps_first, leader.pixel, 0).x, texelFetch(ps_second, leader.pixel, 0).x);
   ivec2 middle = ps_central_cell(leader.pixel);
   PsSurfel sum = ps_empty();
   float count = 0.0;
-  for (int i = 0; i < PS_SUB_SAMPLES; i++) {
-    if (ps_group(codes, i) == uint(leader.layer)) {
-      ivec2 cell = middle + cells[i];
+  uvec2 members = ps_group_members(codes, uint(leader.layer));
+  while ((members.x | members.y) != 0u) {
+    ivec2 cell = middle + ps_next_member(members);
 #ifdef PS_AVERAGE
-      ps_add_attributes(sum, count, cell);
+    ps_add_attributes(sum, count, cell);
 #endif
 #ifdef PS_AVERAGE_TANGENT
-      sum.normal.xyz += ps_key_normal(texelFetch(ps_keys, cell, 0).x);
+    sum.normal.xyz += ps_key_normal(texelFetch(ps_keys, cell, 0).x);
 #endif
-    }
   }
 #ifdef PS_AVERAGE_TANGENT
   s.normal.xyz = ps_direction(sum.normal.xyz, s.normal.xyz);

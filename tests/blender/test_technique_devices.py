@@ -9,7 +9,7 @@ bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
 from scripts.scenes.cases import CASES
-from scripts.scenes.solid_cases import many_balls
+from scripts.scenes.solid_cases import cut_out_cards, many_balls
 from tests.support.blender.devices import (
     COLORS,
     EDGES,
@@ -38,6 +38,15 @@ def test_blenders_gpu_and_moderngl_agree(blender, opengl, name, technique):
 def test_nodes_over_balls_agree(blender, opengl):
     case = many_balls()
     case = replace(case, settings=replace(case.settings, technique="VISIBILITY"))
+    here, there = opengl(case, True), pictures(blender, case)
+    assert differences(here, there)["edges"] <= EDGES  # measured 0, where both run on one driver
+    assert np.abs(here["combined"] - there["combined"]).max() <= AGREE  # measured 0
+
+
+@pytest.mark.parametrize("technique", ["VISIBILITY", "IMAGE_SPACE"])
+def test_surfaces_that_alpha_cuts_out_agree(blender, opengl, technique):
+    case = cut_out_cards()
+    case = replace(case, settings=replace(case.settings, technique=technique))
     here, there = opengl(case, True), pictures(blender, case)
     assert differences(here, there)["edges"] <= EDGES  # measured 0, where both run on one driver
     assert np.abs(here["combined"] - there["combined"]).max() <= AGREE  # measured 0

@@ -14,6 +14,10 @@
 #define PS_MAP_ROUNDING 2e-6  // of distances
 #define PS_MAP_STEEPEST 0.1  // cosine: surfaces that light grazes more closely are treated as this one
 
+#if defined(PS_HAS_POINTS) || defined(PS_HAS_SPOTS)
+#define PS_MAP_VIEWS  // a map may have several, or none of a point
+#endif
+
 #ifdef PS_FOOTPRINT
 #define PS_MAP_SHARP 2.0
 #define PS_MAP_FIRST 7  // sub-samples: where so many agree, no others are looked at
@@ -21,8 +25,7 @@
 // The sub-samples of the group that is shaded.
 struct PsFootprint {
   ivec2 middle;  // central cell of the pixel
-  uvec2 codes;
-  uint layer;
+  uvec2 members;  // see ps_group_members
   float above;  // texels, and view units, above its plane up to which a receiver is not shaded by what it is part of
   float rise;
   bool keyed;  // each sub-sample lies in a plane whose normal is that of its key, turned by
@@ -31,11 +34,30 @@ struct PsFootprint {
 PsFootprint ps_footprint;
 #endif
 
+// Its row in ps_map_lights, and what all its views share.
 struct PsMapLight {
   int row;
   vec4 x, y, z;  // rows of the matrix from view space
   float kind;
+#ifndef PS_MAP_VIEWS
+  vec4 frame, ends;  // of its only view
+#endif
 };
+
+PsMapLight ps_map_light(int row)
+{
+  PsMapLight light;
+  light.row = row;
+  light.kind = texelFetch(ps_map_lights, ivec2(3, row), 0).x;
+  light.x = texelFetch(ps_map_lights, ivec2(0, row), 0);
+  light.y = texelFetch(ps_map_lights, ivec2(1, row), 0);
+  light.z = texelFetch(ps_map_lights, ivec2(2, row), 0);
+#ifndef PS_MAP_VIEWS
+  light.frame = texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD, row), 0);
+  light.ends = texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 1, row), 0);
+#endif
+  return light;
+}
 
 // Share of the light, from 0 to 1, that reaches a point in view space, between the four texels around it. Each is compared
 // with the receiver's plane there, so that a surface does not shade itself. normal: unit, or zero where there is no surface.
@@ -45,6 +67,7 @@ float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above, floa
   vec4 point = vec4(position, 1.0);
   vec3 q = vec3(dot(light.x, point), dot(light.y, point), dot(light.z, point));
   vec3 n = vec3(dot(light.x.xyz, normal), dot(light.y.xyz, normal), dot(light.z.xyz, normal));
+#ifdef PS_MAP_VIEWS
   int view = 0;
   if (light.kind == PS_MAP_CUBE) {
     // The face's axis first.
@@ -60,13 +83,18 @@ float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above, floa
   vec4 frame = texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view, light.row), 0);
   ivec4 ends = ivec4(texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view + 1, light.row), 0));
   bool parallel = light.kind == PS_MAP_PARALLEL;
+#else
+  vec4 frame = light.frame;
+  ivec4 ends = ivec4(light.ends);
+  const bool parallel = true;
+#endif
   if (ends.z < 0 || !(parallel || q.z > 0.0)) {
     return 1.0;
   }
   vec3 ray = parallel ? vec3(0.0, 0.0, 1.0) : vec3(q.xy / q.z, 1.0);
   vec2 place = frame.xy + frame.z * (parallel ? q.xy : ray.xy) - 0.5;
   vec2 low = floor(place), share = place - low;
-  float texel = (parallel ? 1.0 : q.z) / frame.z;  // world units
+  float step = 1.0 / frame.z, texel = (parallel ? 1.0 : q.z) * step;  // world units
 #ifdef PS_FOOTPRINT
   // Where several texels lie in a pixel, its sub-samples make the mean.
   vec2 sharp = clamp((share - 0.5) * max(PS_MAP_SHARP * ps_pixel_size(-position.z) / texel, 1.0) + 0.5, 0.0, 1.0);
@@ -78,14 +106,14 @@ float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above, floa
   float cosine = max(abs(facing) * inversesqrt(dot(ray, ray)), PS_MAP_STEEPEST);
   float bias = (oriented ? (texel * above + rise) / cosine : texel * PS_MAP_BIAS_IN_MEDIA) +
                PS_MAP_ROUNDING * (abs(q.z) + length(position));
-  float reach = oriented ? texel / PS_MAP_STEEPEST : 0.0;
+  float reach = oriented ? texel * (1.0 / PS_MAP_STEEPEST) : 0.0;
+  float rising = parallel ? -1.0 / (facing == 0.0 ? 1e-20 : facing) : 0.0;
   float lit = 0.0;
   for (int i = 0; i < 4; i++) {
     vec2 corner = vec2(i & 1, i >> 1);
-    float slope = dot(n.xy, (corner - share) / frame.z);
+    float slope = dot(n.xy, (corner - share) * step);
     float there = facing + slope;
-    float plane = parallel ? -slope / (facing == 0.0 ? 1e-20 : facing)
-                           : (there * facing > 0.0 ? -q.z * slope / there : -reach);
+    float plane = parallel ? slope * rising : (there * facing > 0.0 ? -q.z * slope / there : -reach);
     float depth = q.z + clamp(plane, -reach, reach) - bias - frame.w;
     uint found = texelFetch(ps_shadow_maps, clamp(ivec2(low + corner), ends.xy, ends.zw), 0).x;
     vec2 weight = mix(1.0 - sharp, sharp, corner);
@@ -97,29 +125,21 @@ float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above, floa
 // Share of the light of light `light` that no caster of its map keeps from a point in view space.
 float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
 {
-  PsMapLight map;
-  map.row = light;
-  map.kind = texelFetch(ps_map_lights, ivec2(3, light), 0).x;
-  map.x = texelFetch(ps_map_lights, ivec2(0, light), 0);
-  map.y = texelFetch(ps_map_lights, ivec2(1, light), 0);
-  map.z = texelFetch(ps_map_lights, ivec2(2, light), 0);
+  PsMapLight map = ps_map_light(light);
   wanted = wanted && map.kind > 0.0;
 #ifdef PS_FOOTPRINT
-  const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
-  int taps = wanted ? PS_SUB_SAMPLES : 0;
+  uvec2 members = wanted ? ps_footprint.members : uvec2(0u);
   float sum = 0.0, count = 0.0;
-  for (int i = 0; i < taps; i++) {
-    if (ps_group(ps_footprint.codes, i) == ps_footprint.layer) {
-      ivec2 cell = ps_footprint.middle + cells[i];
-      float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
-      vec3 own = normal;
-      if (ps_footprint.keyed) {
-        own = normalize(ps_key_normal(texelFetch(ps_keys, cell, 0).x) + ps_footprint.turn);
-      }
-      sum += ps_map_lit(map, ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own, ps_footprint.above, ps_footprint.rise);
-      count += 1.0;
-      taps = count == float(PS_MAP_FIRST) && (sum == 0.0 || sum > count - 1e-3) ? 0 : taps;
+  while ((members.x | members.y) != 0u) {
+    ivec2 cell = ps_footprint.middle + ps_next_member(members);
+    float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
+    vec3 own = normal;
+    if (ps_footprint.keyed) {
+      own = normalize(ps_key_normal(texelFetch(ps_keys, cell, 0).x) + ps_footprint.turn);
     }
+    sum += ps_map_lit(map, ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own, ps_footprint.above, ps_footprint.rise);
+    count += 1.0;
+    members = count == float(PS_MAP_FIRST) && (sum == 0.0 || sum > count - 1e-3) ? uvec2(0u) : members;
   }
   return count > 0.0 ? sum / count : 1.0;
 #else

@@ -18,6 +18,29 @@ uvec2 ps_with_group(uvec2 codes, int sub_sample, uint group)
                          : uvec2(codes.x, codes.y | (group << uint(3 * (sub_sample - 10))));
 }
 
+#ifdef PS_MEMBER_BITS
+// The sub-samples of one group that are still to be looked at: the lowest bit of each's three, in both words.
+uvec2 ps_group_members(uvec2 codes, uint group)
+{
+  const uvec2 lowest = PS_MEMBER_BITS;
+  uvec2 differ = codes ^ (lowest * group);
+  return ~(differ | (differ >> 1u) | (differ >> 2u)) & lowest;
+}
+
+// Takes the first of the members out, and returns its cell from the pixel's central one. A software renderer goes through
+// a loop over members as often as the largest group that it draws at once has some; through one over all sub-samples that
+// picks them, as often as there are sub-samples.
+ivec2 ps_next_member(inout uvec2 members)
+{
+  const uvec2 columns = PS_MEMBER_COLUMNS, rows = PS_MEMBER_ROWS;
+  bool second = members.x == 0u;
+  int bit = findLSB(second ? members.y : members.x);
+  uvec2 at = (second ? uvec2(columns.y, rows.y) : uvec2(columns.x, rows.x)) >> uint(bit);
+  members = second ? uvec2(0u, members.y & (members.y - 1u)) : uvec2(members.x & (members.x - 1u), members.y);
+  return ivec2(at & 7u) - PS_MEMBER_REACH;
+}
+#endif
+
 int ps_group_count(uvec2 codes)
 {
   return int((codes.y >> PS_COUNT_SHIFT) & 7u);

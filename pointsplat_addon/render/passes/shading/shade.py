@@ -7,7 +7,7 @@ from ....core.scene.scene import Scene
 from ....shading.interface import Block, Interface
 from ..gbuffer import Variant
 from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, Values, block
-from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, sub_sample_defines
+from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, member_defines
 from .averages import averaged, averaged_defines, averaged_outputs
 from .lighting import (
     ENOUGH_CELLS,
@@ -88,7 +88,7 @@ def shade_program(
     wide = "PS_SHADOW_HARD" not in lighting
     taps += (("PS_SHADOW_FIRST", str(FIRST_LIGHT_POINTS)),) if taps and wide and points > FIRST_LIGHT_POINTS else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
-    cells = (LATTICE_DEFINE, *sub_sample_defines(footprint)) if footprint else ()
+    cells = (LATTICE_DEFINE, *member_defines(footprint)) if footprint else ()
     return Interface(
         "shade", fragment="shading/shade.frag",
         block=_block(passes, lighting, focus, combined, footprint is not None),

@@ -23,8 +23,8 @@ from ..visibility.buffer import (
     LATTICE_FIELDS,
     OUTPUTS,
     VisibilityBuffer,
+    member_defines,
     offset_defines,
-    sub_sample_defines,
 )
 from .strand_page import StrandDraw
 from .strands import CHUNK, attribute_samplers
@@ -123,7 +123,7 @@ def surface_program(variant: Variant, lattice: Lattice, ribbon: bool, kind: str,
             *((name, "1") for name in variant.defines),
             *_kind_defines(ribbon, kind),
             *offset_defines(lattice),
-            *(sub_sample_defines(lattice)[1:] if averages else ()),
+            *(member_defines(lattice) if averages else ()),
             *leaders.defines,
         ),
     )

@@ -18,6 +18,7 @@ MOST_PRIMITIVES = RASTERISED - (1 << 20)  # of each of the two ways
 OUTPUTS = (("uint", "out_id"), ("uint", "out_depth"), ("uint", "out_key"))
 DEPTH_OUTPUT = (("uint", "out_depth"),)  # of passes into depths alone
 DEPTH_ONLY_DEFINE = ("PS_DEPTH_ONLY", "1")
+IN_A_WORD = 10  # sub-samples of which a word holds three bits each
 # What lib/visibility/lattice.glsl reads, with its define.
 LATTICE_FIELDS: Fields = (("vec4", "lattice"), ("vec2", "cells"))
 LATTICE_DEFINE = ("PS_LATTICE", "1")
@@ -27,6 +28,25 @@ def sub_sample_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
     """The defines of shaders that loop over a pixel's sub-samples: how many, and their cells."""
     cells = ", ".join(f"ivec2({x}, {y})" for x, y in lattice.offsets.tolist())
     return ("PS_SUB_SAMPLES", str(lattice.count)), ("PS_CELLS", f"ivec2[{lattice.count}]({cells})")
+
+
+def member_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
+    """The defines of shaders that loop over the sub-samples of a group: words of three bits a sub-sample, as those of
+    lib/visibility/groups.glsl, with ones and with columns and rows of the cells from the least on, which is that far
+    from the central one."""
+    reach = int(np.abs(lattice.offsets).max())
+    columns, rows = (lattice.offsets + reach).T.tolist()
+    ones = [1] * lattice.count
+    words = {"PS_MEMBER_BITS": ones, "PS_MEMBER_COLUMNS": columns, "PS_MEMBER_ROWS": rows}
+    return *((name, _words(values)) for name, values in words.items()), ("PS_MEMBER_REACH", str(reach))
+
+
+def _words(values: list[int]) -> str:
+    """Two words of GLSL that hold three bits of each value, the first ten in the first."""
+    first, second = (
+        sum(value << 3 * i for i, value in enumerate(part)) for part in (values[:IN_A_WORD], values[IN_A_WORD:])
+    )
+    return f"uvec2({first}u, {second}u)"
 
 
 def offset_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:

@@ -29,9 +29,9 @@ from .buffer import (
     OUTPUTS,
     DepthBuffer,
     VisibilityBuffer,
+    member_defines,
     offset_defines,
     rank_defines,
-    sub_sample_defines,
 )
 
 MOST_CELLS = 512  # of a splat that a compute invocation draws: a ball of 3 pixels in radius
@@ -142,7 +142,7 @@ def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders
             *((name, "1") for name in variant.defines),
             *(entry for entry in named if entry[0] != "PS_ONE_INSTANCE"),
             *offset_defines(lattice),
-            *(sub_sample_defines(lattice)[1:] if averaged and not leaders.central else ()),
+            *(member_defines(lattice) if averaged and not leaders.central else ()),
             *leaders.defines,
         ),
     )
