@@ -278,14 +278,11 @@ def _perspective(
     local: (I, 8, 3), corners in the view's coordinates. `resolution`: texels along its longer side, and where small
     splats ask for more. `shape`: of the light: all of its points see what the view holds.
     """
-    depth = local[..., 2]
-    ahead = (depth > 0).any(axis=1)
-    beyond = (depth <= NEAREST * far).any(axis=1) & ahead
-    low, high, seen = _window(local, beyond, ahead, bound, np.zeros(2))
+    low, high, seen = _window(local, far, bound, np.zeros(2))
     across = None
     if shape is not None and seen.any():
         across = shape.across(axes, False, (low + high) / 2)
-        low, high, seen = _window(local, beyond, ahead, bound, shape.bounds(across))
+        low, high, seen = _window(local, far, bound, shape.bounds(across))
     if not seen.any():
         return None
     away = np.linalg.norm(local[seen], axis=2).mean(axis=1)
@@ -294,11 +291,13 @@ def _perspective(
 
 
 def _window(
-    local: np.ndarray, beyond: np.ndarray, ahead: np.ndarray, bound: np.ndarray, aside: np.ndarray
+    local: np.ndarray, far: float, bound: np.ndarray, aside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the low and the high corner, (2,), of what boxes cover in a perspective view within a bound, and which
-    boxes are seen, (I,) bool. `beyond`: those that reach behind it. `aside`: (2,) how far the points lie from which
-    it is seen."""
+    boxes are seen, (I,) bool. `aside`: (2,) how far the points lie from which it is seen."""
+    depth = local[..., 2]
+    ahead = np.any(depth > 0, axis=1)
+    beyond = np.any(depth <= NEAREST * far, axis=1) & ahead
     with np.errstate(all="ignore"):
         apart = np.maximum(local[..., 2], 1e-30)[..., None]
         low, high = ((local[..., :2] - aside) / apart).min(axis=1), ((local[..., :2] + aside) / apart).max(axis=1)
