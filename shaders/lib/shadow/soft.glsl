@@ -31,20 +31,17 @@ vec3 ps_soft_tap(PsSoftLight s, vec2 point, vec2 shift, ivec2 tile, vec2 moved)
   float straight = 1.0 - dot(s.slope, point);
   vec2 slope = s.slope / (abs(straight) < 0.1 ? (straight < 0.0 ? -0.1 : 0.1) : straight);
   vec2 sharp = clamp((share - 0.5) * s.gain + 0.5, 0.0, 1.0);
-  ivec2 first = ivec2(low), offset = tile * (s.ends.zw - s.ends.xy + 1);
-  vec3 sum = vec3(0.0);
-  for (int i = 0; i < 4; i++) {
-    ivec2 corner = ivec2(i & 1, i >> 1);
-    uint found = texelFetch(ps_shadow_maps, offset + clamp(first + corner, s.ends.xy, s.ends.zw), 0).x;
-    float depth = uintBitsToFloat(found) + s.frame.w;
-    float height = s.parallel ? -depth : 1.0 / depth;
-    float plane = s.own + dot(slope, moved + (vec2(corner) - share) / s.frame.z) + s.bias;
-    vec2 weights = mix(1.0 - sharp, sharp, vec2(corner));
-    float weight = weights.x * weights.y;
-    bool hidden = found != 0xFFFFFFFFu && height > plane;
-    sum += weight * (hidden ? vec3(0.0, height, 1.0) : vec3(1.0, 0.0, 0.0));
-  }
-  return sum;
+  // In the order in which they are gathered.
+  vec4 right = vec4(0.0, 1.0, 1.0, 0.0), up = vec4(1.0, 1.0, 0.0, 0.0);
+  ivec2 first = clamp(ivec2(low), s.ends.xy, s.ends.zw - 1) + tile * (s.ends.zw - s.ends.xy + 1);
+  uvec4 found = textureGather(ps_shadow_maps, (vec2(first) + 1.0) / vec2(textureSize(ps_shadow_maps, 0)));
+  vec4 depth = uintBitsToFloat(min(found, uvec4(0x7F000000u))) + s.frame.w;  // nothing is far away
+  vec4 height = s.parallel ? -depth : 1.0 / depth;
+  vec2 step = slope / s.frame.z;
+  vec4 plane = s.own + dot(slope, moved) + s.bias + step.x * (right - share.x) + step.y * (up - share.y);
+  vec4 weight = mix(vec4(1.0 - sharp.x), vec4(sharp.x), right) * mix(vec4(1.0 - sharp.y), vec4(sharp.y), up);
+  vec4 hidden = weight * vec4(greaterThan(height, plane));
+  return vec3(1.0 - dot(hidden, vec4(1.0)), dot(hidden, height), dot(hidden, vec4(1.0)));
 }
 
 // Share of the light of light `light`, one with a size, that no caster of its maps keeps from a point in view space.

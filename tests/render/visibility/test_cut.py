@@ -27,7 +27,7 @@ def table(alpha: float):
     return build.materials(2, graphs=(None, MaterialGraph(alpha=color_nodes.Component(image, 3))))
 
 
-def card(i: int, across: np.ndarray, cells: int):
+def card(i: int, across: cameras.Vector, cells: int):
     """A square of 2 cells^2 triangles across the view of `covered`, a mesh of its own."""
     mesh = replace(meshes.plane_mesh(f"card {i} of {cells}", 8.0, cells), materials=(1,))
     return build.mesh(mesh, "POLYGONS"), build.moved(across)

@@ -10,6 +10,7 @@ import numpy as np
 from ....core.lod.cut import cut_of_all_points
 from ....core.numeric.lattice import Lattice
 from ....core.numeric.linear import are_similarities
+from ....core.scene.bounds import box_corners
 from ....core.scene.scene import Instances, Scene
 from ...cache.device_cache import DeviceCache
 from ...cache.keys import Key, Kind
@@ -56,12 +57,29 @@ class CasterUploads:
         except Exception:
             self.release()
             raise
+        self._all_polygons, self._corners = self.prepared.polygons, self._polygon_corners()
+
+    def _polygon_corners(self) -> np.ndarray:
+        """Returns (P, 8, 3) float64, the corners in the world of the boxes around all instances of polygons."""
+        instances, shown = self.scene.instances, self.prepared.polygons
+        corners = np.zeros((len(shown), 8, 3))
+        for row, mesh in self.polygons.meshes.items():
+            here = instances.geometry[shown] == row
+            matrices = instances.world_from_object[shown[here]]
+            local = box_corners(*mesh.box) + mesh.origin
+            corners[here] = np.einsum("iab,cb->ica", matrices[:, :3, :3], local) + matrices[:, None, :3, 3]
+        return corners
 
     def look_from(self, view: SampleView) -> None:
-        """Uploads the transforms of a view."""
+        """Uploads the transforms of a view, of polygons only where their boxes may lie in it."""
         self._scope.release_view()
-        matrices = view.camera.view_from_world @ self.scene.instances.world_from_object
-        self.prepared = replace(self.prepared, view_from_object=matrices)
+        camera = view.camera
+        matrices = camera.view_from_world @ self.scene.instances.world_from_object
+        clip = camera.clip_from_view @ camera.view_from_world
+        place = self._corners @ clip[:, :3].T + clip[:, 3]
+        outside = np.concatenate([place[..., :3] > place[..., 3:], place[..., :3] < -place[..., 3:]], axis=2)
+        polygons = self._all_polygons[~outside.all(axis=1).any(axis=1)]
+        self.prepared = replace(self.prepared, view_from_object=matrices, polygons=polygons)
         self.points.upload_view(self.prepared)
 
     def release(self) -> None:

@@ -28,6 +28,8 @@ def polygon_draws(device: Device, uploads: PolygonSource, view: SampleView, firs
     shown = uploads.prepared.polygons
     for row, mesh in uploads.polygons.meshes.items():
         here = shown[instances.geometry[shown] == row]
+        if not len(here):
+            continue
         matrices = uploads.prepared.view_from_object[here].copy()
         matrices[:, :3, 3] += matrices[:, :3, :3] @ mesh.origin
         rectangles = rectangles_in_picture(mesh.box, matrices, view)
