@@ -47,9 +47,8 @@ class MapView:
     far: float
     corner: tuple[int, int] = (0, 0)  # of its texels in the texture of all maps
     across: np.ndarray | None = None  # (2, 2) float64: half-axes of a light with a size as columns, in its plane
-    points: np.ndarray | None = (
-        None  # (N, 2) float64, of the light: each has such a view of its own; None: there is one
-    )
+    # (N, 2) float64, of the light: each has such a view of its own; None: there is one.
+    points: np.ndarray | None = None
     point: tuple[float, float] = (0.0, 0.0)  # from which this one is seen
 
     @property

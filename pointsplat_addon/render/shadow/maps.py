@@ -24,9 +24,8 @@ WIDEST_TEXTURE = 8192  # texels
 HEAD_TEXELS, VIEW_TEXELS = 4, 2  # of a light's record, and of each of its views
 SHAPE_TEXELS = 8  # after them: of a light with a size
 KINDS = ("NONE", "PARALLEL", "SINGLE", "CUBE")
-MOST_DRAWN = (
-    1 << 22
-)  # primitives that all views of the points of lights together draw, if they are not as few as can be
+# Primitives that all views of the points of lights together draw, if they are not as few as can be.
+MOST_DRAWN = 1 << 22
 
 
 @dataclass(frozen=True, eq=False)
