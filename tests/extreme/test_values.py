@@ -155,7 +155,8 @@ def test_nodes_of_points_of_rows_that_no_table_has():
     """So many, so far away, that they are drawn by nodes."""
     cloud = sphere_cloud(40_000)
     beyond = points("nodes beyond", replace(cloud, material=np.full(len(cloud), 65535, np.uint16)))
-    case = Case(scene((beyond, moved())), camera((0, -40, 0), resolution=(32, 32)), PLAIN)
+    settings = replace(PLAIN, technique="IMAGE_SPACE")
+    case = Case(scene((beyond, moved())), camera((0, -40, 0), resolution=(32, 32)), settings)
     every_pass(case, samples=128)  # so many that a hierarchy pays
     assert 0 < drawing.render(case, samples=128).report["points"]["cut"] < len(cloud) / 4
 

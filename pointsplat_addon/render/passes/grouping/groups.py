@@ -115,7 +115,8 @@ class Groups:
         device, buffer = self._device, self._buffer
         record = view.record(GROUP_BLOCK, **buffer.values)
         if self._target is None:
-            self.codes |= {name: device.texture(buffer.size, "R32UI") for name in ("ps_first", "ps_second")}
+            for name in ("ps_first", "ps_second"):
+                self.codes[name] = device.texture(buffer.size, "R32UI")
             self._target = device.target(list(self.codes.values()))
         device.draw(group_program(buffer.lattice), self._target, uniforms=record, textures=buffer.textures)
         second = device.read(self.codes["ps_second"]).reshape(-1)
