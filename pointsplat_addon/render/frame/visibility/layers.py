@@ -70,7 +70,7 @@ class Visibility:
     ) -> np.ndarray | None:
         """Draws all sub-samples of one view, and adds what they show to the sums; None: nothing is shaded.
 
-        `central`: what lies under the pixels' centres is written into targets.central. `coarse`: translucent
+        `central`: what lies under the pixels' centres is written into targets.central, or its depth into targets.depths. `coarse`: translucent
         splats are drawn at a lower resolution. Returns the instance and the material of each sub-sample,
         (S, H, W, 2) int32, where `identify`; else None.
         """
@@ -129,8 +129,12 @@ class Visibility:
         return lists.shaded
 
     def _draw_central(self, view: SampleView, tile: PictureTile) -> None:
-        """Writes what lies under the pixels' centres of a tile into its place in a G-buffer of the picture."""
+        """Writes what lies under the pixels' centres of a tile into its place in a G-buffer of the picture, or its
+        depth alone."""
         targets, leaders = self._targets, self._targets.central_leaders
+        if targets.depths is not None:
+            targets.depths.draw(view, targets.buffer, tile.rectangle(targets.size), tile.origin)
+            return
         assert targets.central is not None
         assert leaders is not None
         targets.groups.lead(view, leaders)

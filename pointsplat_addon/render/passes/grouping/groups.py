@@ -12,7 +12,14 @@ from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import EMPTY, Device, Target, Texture, releases_on_failure
 from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
-from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, RASTERISED, VisibilityBuffer, sub_sample_defines
+from ..visibility.buffer import (
+    LATTICE_DEFINE,
+    LATTICE_FIELDS,
+    RASTERISED,
+    VisibilityBuffer,
+    member_defines,
+    sub_sample_defines,
+)
 
 OPEN = 0x2000000  # in a pixel's second word: shaders/lib/visibility/groups.glsl
 COUNT_SHIFT = 21  # of a pixel's number of groups in its second word: shaders/lib/visibility/groups.glsl
@@ -48,7 +55,7 @@ def leader_program(lattice: Lattice, central: bool) -> Interface:
         "group", fragment="grouping/leader.frag", block=_leader_block(central),
         samplers=(*(("UINT_2D", name) for name in read), *(() if central else (LIST_SAMPLER,))),
         outputs=(("uint", "out_leader"), ("uint", "out_depth"), ("uint", "out_member")),
-        defines=(LATTICE_DEFINE, *((CENTRAL_DEFINE,) if central else sub_sample_defines(lattice))),
+        defines=(LATTICE_DEFINE, *((CENTRAL_DEFINE,) if central else member_defines(lattice))),
     )  # fmt: skip
 
 
