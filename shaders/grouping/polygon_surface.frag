@@ -76,7 +76,7 @@ void main()
   PsLeader leader = ps_leader(ivec2(gl_FragCoord.xy));
   int number = leader.index - u.first_id, slot = number / u.triangles, triangle = number - slot * u.triangles;
   bool mine = triangle >= u.first_triangle && triangle < u.last_triangle;
-  if (!leader.rasterised || number < 0 || slot >= u.slots || !mine) {
+  if (number < 0 || slot >= u.slots || !mine) {
     discard;
   }
   ivec2 texels[3] = ivec2[3](ps_texel(3 * triangle), ps_texel(3 * triangle + 1), ps_texel(3 * triangle + 2));

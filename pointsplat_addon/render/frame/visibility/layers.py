@@ -102,8 +102,9 @@ class Visibility:
         first = sum(draw.elements for draw in self._uploads.points.draws)
         if self._plan.polygons:
             self._forget_polygons()
-            draws = polygon_draws(self._device, self._uploads, view, first)
-            self._polygons = PolygonCover(self._device, draws, self._targets.buffer)
+            buffer = self._targets.buffer
+            draws = polygon_draws(self._device, self._uploads, view, first, buffer.cells)
+            self._polygons = PolygonCover(self._device, draws, buffer, self._plan.variant.normal)
             first += sum(draw.triangles for draw in draws)
         if self._plan.lines:
             self._strands = StrandCover(self._device, strand_draws(self._uploads, first), self._targets.buffer)
@@ -156,11 +157,18 @@ class Visibility:
         if splats is not None:
             self._run("cover", lambda: splats.rasterise(draws, view, shared))
         if polygons is not None:
-            self._run("polygons", lambda: polygons.identify(normal, view, shared))
+            self._run("polygons", lambda: polygons.rasterise(view, shared))
         if strands is not None:
             self._run("lines", lambda: strands.cover(normal, view, {**shared, **instances}))
+        # All depths come before all numbers: what has the least depth is known then.
         if splats is not None:
             self._run("cover", lambda: splats.cover(draws, view, shared))
+        if polygons is not None:
+            self._run("polygons", lambda: polygons.cover(view, shared))
+        if splats is not None:
+            self._run("cover", lambda: splats.identify(draws, view, shared))
+        if polygons is not None:
+            self._run("polygons", lambda: polygons.identify(view, shared))
 
     def _group(self, view: SampleView) -> None:
         self._targets.groups.group(view)
