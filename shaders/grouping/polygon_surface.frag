@@ -74,7 +74,12 @@ vec2 ps_uv_at(int slot, int triangle, vec3 position)
 void main()
 {
   PsLeader leader = ps_leader(ivec2(gl_FragCoord.xy));
-  int number = leader.index - u.first_id, slot = number / u.triangles, triangle = number - slot * u.triangles;
+  int number = leader.index - u.first_id;
+#ifdef PS_ONE_INSTANCE
+  int slot = 0, triangle = number;  // software renderers divide integers one by one
+#else
+  int slot = number / u.triangles, triangle = number - slot * u.triangles;
+#endif
   bool mine = triangle >= u.first_triangle && triangle < u.last_triangle;
   if (number < 0 || slot >= u.slots || !mine) {
     discard;

@@ -15,7 +15,11 @@ void main()
 #else
   int number = gl_VertexID;
 #endif
+#ifdef PS_ONE_INSTANCE
+  int slot = 0, corner_index = u.first + number;
+#else
   int slot = u.first_slot + number / u.corners, corner_index = u.first + number % u.corners;
+#endif
   ivec2 texel = ps_texel(corner_index);
   vec4 corner = texelFetch(ps_corner, texel, 0);
   v_position = ps_view_from_point(slot, corner.xyz);

@@ -25,7 +25,11 @@ void main()
   if (index >= u.elements) {
     return;
   }
+#ifdef PS_ONE_INSTANCE
+  int slot = 0, first = u.first + 3 * index;
+#else
   int triangles = u.corners / 3, slot = u.first_slot + index / triangles, first = u.first + 3 * (index % triangles);
+#endif
   vec4 corner0 = texelFetch(ps_corner, ps_texel(first), 0), corner1 = texelFetch(ps_corner, ps_texel(first + 1), 0);
   vec4 corner2 = texelFetch(ps_corner, ps_texel(first + 2), 0);
   vec3 p0 = ps_view_from_point(slot, corner0.xyz), p1 = ps_view_from_point(slot, corner1.xyz);
@@ -44,7 +48,7 @@ void main()
   if (!crosses && (span.x <= 0 || span.y <= 0)) {
     return;
   }
-  bool wide = crosses || span.x > PS_MOST_CELLS / span.y;
+  bool wide = crosses || span.x * span.y > PS_MOST_CELLS;
 #ifdef PS_LIST
   if (wide) {
     // The length counts from -1, which EMPTY is.
@@ -72,11 +76,13 @@ void main()
   }
 #ifdef PS_IDENTIFY
   uint number = uint(u.first_id) + uint(slot) * uint(u.triangles) + uint(first) / 3u;
+  vec3 normal = vec3(0.0, 0.0, 1.0);
 #ifdef PS_NORMAL
-  mat3 linear = ps_linear(slot);
-  vec3 n0 = ps_view_normal(linear, ps_unpack_normal(corner0.w)), n1 = ps_view_normal(linear, ps_unpack_normal(corner1.w));
-  vec3 n2 = ps_view_normal(linear, ps_unpack_normal(corner2.w));
+  // It covers so few cells that they share the normal of its middle.
+  vec3 mean = ps_unpack_normal(corner0.w) + ps_unpack_normal(corner1.w) + ps_unpack_normal(corner2.w);
+  normal = (front ? 1.0 : -1.0) * ps_view_normal(ps_linear(slot), mean);
 #endif
+  uint surface = ps_surface_key(instance, u.material, normal);
 #endif
   vec3 scale = ps_is_perspective() ? 1.0 / d : vec3(1.0);
   float turned = front ? 1.0 : -1.0;
@@ -96,11 +102,7 @@ void main()
         if (texelFetch(ps_depths, ivec2(x, y), 0).x == key) {
           // Of several at one depth any may write its key: they then lie upon each other.
           if (imageAtomicMin(ids, ivec2(x, y), number) > number) {
-            vec3 normal = vec3(0.0, 0.0, 1.0);
-#ifdef PS_NORMAL
-            normal = (weights.x * n0 + weights.y * n1 + weights.z * n2) * (front ? 1.0 / sum : -1.0 / sum);
-#endif
-            imageStore(keys, ivec2(x, y), uvec4(ps_surface_key(instance, u.material, normal)));
+            imageStore(keys, ivec2(x, y), uvec4(surface));
           }
         }
 #else
