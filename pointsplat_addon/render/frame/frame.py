@@ -15,8 +15,8 @@ from ...core.strand.segments import sample_offsets
 from ..device.clock import Clock
 from ..device.protocol import Texture
 from ..passes.gbuffer import GBuffer
-from ..passes.image_space.pyramid import levels
 from ..passes.grouping.centre import CentreDepths
+from ..passes.image_space.pyramid import levels
 from ..passes.output import present
 from ..passes.output.adaptive import Adaptive
 from ..passes.outputs import BY_KEY, CRYPTO, empty_pixels

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.materials import default_materials
 from pointsplat_addon.core.scene.mesh import Mesh
@@ -29,7 +30,9 @@ def with_floor(key: str) -> Geometry:
     floor = np.array([[-50, -50, -1], [50, -50, -1], [50, 50, -1], [-50, 50, -1]], np.float32)
     position = np.concatenate([dense.position, floor])
     rows = np.array([[0, 1, 2], [0, 2, 3]], np.int32) + len(dense.position)
-    return build.mesh(meshes.with_smooth_normals(f"{key} on a floor", position, np.concatenate([dense.triangles, rows])))
+    return build.mesh(
+        meshes.with_smooth_normals(f"{key} on a floor", position, np.concatenate([dense.triangles, rows]))
+    )
 
 
 def turned(*, mirrored: bool = False) -> np.ndarray:
@@ -60,9 +63,7 @@ SCENES = {
 }
 
 
-def points():
-    from pointsplat_addon.core.scene.cloud import PointCloud
-
+def points() -> PointCloud:
     at = np.random.default_rng(3).uniform(-1.2, 1.2, (3000, 3)).astype(np.float32)
     return PointCloud(at, radii=np.full((3000, 1), 0.02, np.float32))
 
@@ -99,7 +100,7 @@ def test_compute_shaders_draw_them():
 
 @pytest.mark.parametrize("size", [3.0, 11.0, 40.0])
 def test_closed_surfaces_have_no_holes(size):
-    """A wavy sheet of 80,000 triangles, seen along slanting lines: whatever edges sub-samples lie on, something is hit."""
+    """A wavy sheet of 80,000 triangles, seen along slanting lines: on whatever edges, something is hit."""
     side = 200
     at = np.linspace(-1, 1, side + 1)
     x, z = np.meshgrid(at, at)

@@ -1,4 +1,4 @@
-"""The depth under each pixel's centre, of pictures that are shown and have no passes that need more of what lies there."""
+"""The depth under each pixel's centre, of pictures that are shown and have no passes that read more of it."""
 
 from __future__ import annotations
 

@@ -273,9 +273,7 @@ class PolygonDepths:
                 depth_test=True,
             )
 
-    def _rasterise_wide(
-        self, draw: PolygonDraw, group: Group, view: SampleView, shared: dict[str, Texture]
-    ) -> None:
+    def _rasterise_wide(self, draw: PolygonDraw, group: Group, view: SampleView, shared: dict[str, Texture]) -> None:
         """Draws the triangles of a group that are not small; where they are too many, all."""
         assert self._list is not None
         assert self._length is not None
