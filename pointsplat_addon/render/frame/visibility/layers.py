@@ -71,8 +71,8 @@ class Visibility:
         """Draws all sub-samples of one view, and adds what they show to the sums; None: nothing is shaded.
 
         `central`: what lies under the pixels' centres is written into targets.central, or its depth into
-        targets.depths. `coarse`: translucent splats are drawn at a lower resolution. Returns the instance and the material of each sub-sample,
-        (S, H, W, 2) int32, where `identify`; else None.
+        targets.depths. `coarse`: translucent splats are drawn at a lower resolution. Returns the instance and the
+        material of each sub-sample, (S, H, W, 2) int32, where `identify`; else None.
         """
         found, (width, height) = None, view.size
         for tile in self._targets.tiles:
