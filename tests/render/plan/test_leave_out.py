@@ -261,6 +261,7 @@ def test_what_differs_between_scenes_is_what_the_feature_needs():
         ("points", "points, indices", {("data", "ps_owner")}, "PS_OWNER"),
         ("environment picture", "environment picture, out of focus", {("background", "ps_backdrop")}, "PS_BACKDROP"),
         ("pane", "panes and a cube", {("translucent", "ps_depth")}, "PS_AMONG_OPAQUE"),
+        ("pane", "panes and a cube", {("reach", "ps_shadow_panes"), ("reach", "ps_pane_lights")}, "PS_SHADOW_PANES"),
         ("smoke", "coloured smoke, shadows", {("translucent", "ps_tint")}, "PS_TINT"),
         ("smoke", "smoke that is held out", {("add", "ps_cut")}, "PS_HOLDOUT"),
         ("tube", "ribbon", {("lines", "ps_side")}, "PS_RIBBON"),
