@@ -209,8 +209,8 @@ def placed(
     lights: Sequence[LightViews | None], width: int, splats: int = 0, most: int = MOST_TEXELS
 ) -> tuple[list[LightViews | None], tuple[int, int]]:
     """Returns the views with places in one texture, and its (width, height): with fewer texels each, where all together
-    have more than a budget. `width`: texels along a side that a texture may have. `splats`: how many cast. `most`: texels
-    of the budget, where these are few."""
+    have more than a budget. `width`: texels along a side that a texture may have. `splats`: how many cast. `most`:
+    texels of the budget, where these are few."""
     fitting = [_each_view(one, lambda view: _limited(view, width)) for one in lights]
     total = sum(v.block[0] * v.block[1] for one in fitting if one is not None for v in one.views if v is not None)
     budget = min(max(TEXELS_OF_SPLAT * splats, most), MOST_TEXELS_OF_SPLATS)
