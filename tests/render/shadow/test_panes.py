@@ -99,9 +99,8 @@ def test_panes_behind_each_other_multiply_what_they_let_through(name):
     assert len(np.unique(np.round(near[4], 6))) >= 2  # shares of light; with lights above all panes 8
     assert even.mean() > 0.4
     assert np.abs(share - near[4])[even].max() < 1e-4  # measured 3e-7
-    assert (
-        abs((share - near[4]).mean()) < 4e-3
-    )  # measured 2.2e-3: pixels that edges cross are compared at their centres
+    # Where edges cross pixels, their centres are compared.
+    assert abs((share - near[4]).mean()) < 4e-3  # measured 2.2e-3
 
 
 def test_what_lies_between_panes_is_shaded_by_those_above_it():
