@@ -32,6 +32,23 @@ struct PsFootprint {
   vec3 turn;  // what is added to it; else in that by which the group is shaded
 };
 PsFootprint ps_footprint;
+
+// A sub-sample of the group, in view space.
+struct PsMember {
+  vec3 position, normal;
+};
+
+// Takes one of `members`. normal: the one by which the group is shaded.
+PsMember ps_member(inout uvec2 members, vec3 normal)
+{
+  ivec2 cell = ps_footprint.middle + ps_next_member(members);
+  float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
+  vec3 own = normal;
+  if (ps_footprint.keyed) {
+    own = normalize(ps_key_normal(texelFetch(ps_keys, cell, 0).x) + ps_footprint.turn);
+  }
+  return PsMember(ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own);
+}
 #endif
 
 // Its row in ps_map_lights, and what all its views share.
@@ -131,13 +148,8 @@ float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
   uvec2 members = wanted ? ps_footprint.members : uvec2(0u);
   float sum = 0.0, count = 0.0;
   while ((members.x | members.y) != 0u) {
-    ivec2 cell = ps_footprint.middle + ps_next_member(members);
-    float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
-    vec3 own = normal;
-    if (ps_footprint.keyed) {
-      own = normalize(ps_key_normal(texelFetch(ps_keys, cell, 0).x) + ps_footprint.turn);
-    }
-    sum += ps_map_lit(map, ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own, ps_footprint.above, ps_footprint.rise);
+    PsMember member = ps_member(members, normal);
+    sum += ps_map_lit(map, member.position, member.normal, ps_footprint.above, ps_footprint.rise);
     count += 1.0;
     members = count == float(PS_MAP_FIRST) && (sum == 0.0 || sum > count - 1e-3) ? uvec2(0u) : members;
   }
