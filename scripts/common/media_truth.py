@@ -182,6 +182,16 @@ def box(low: ArrayLike, high: ArrayLike, extinction: ArrayLike, **medium) -> Fie
     )
 
 
+def blob(centre: ArrayLike, deviation: float, extinction: ArrayLike, **medium) -> Field:
+    """A Gaussian with a standard deviation in units of length and an extinction at its centre; 9 deviations wide."""
+    centre, peak = np.asarray(centre, float), np.broadcast_to(np.asarray(extinction, float), 3)
+
+    def at(p: np.ndarray) -> np.ndarray:
+        return np.exp(-((p - centre) ** 2).sum(axis=1) / (2 * deviation**2))[:, None] * peak
+
+    return Field(at, lambda o, d: chord(o, d, centre, 9 * deviation), **medium)
+
+
 def voxels(values: np.ndarray, world_from_index: np.ndarray, extinction: ArrayLike = 1.0, **medium) -> Field:
     """Voxels (X, Y, Z) of density, trilinear between their centres at integer indices, 0 one voxel outside.
 
