@@ -34,6 +34,23 @@ struct PsFootprint {
   vec3 turn;  // what is added to it; else in that by which the group is shaded
 };
 PsFootprint ps_footprint;
+
+// A sub-sample of the group, in view space.
+struct PsMember {
+  vec3 position, normal;
+};
+
+// Takes one of `members`. normal: the one by which the group is shaded.
+PsMember ps_member(inout uvec2 members, vec3 normal)
+{
+  ivec2 cell = ps_footprint.middle + ps_next_member(members);
+  float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
+  vec3 own = normal;
+  if (ps_footprint.keyed) {
+    own = normalize(ps_key_normal(texelFetch(ps_keys, cell, 0).x) + ps_footprint.turn);
+  }
+  return PsMember(ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d), own);
+}
 #endif
 
 // Its row among the records of lights, and what all its views share.
@@ -147,19 +164,6 @@ ivec2 ps_map_texel(PsMapPlace at, vec2 corner)
   return clamp(at.low + ivec2(corner), at.ends.xy, at.ends.zw);
 }
 
-#ifdef PS_FOOTPRINT
-// Of the sub-sample of a group that comes next, its place in view space, and the normal of its plane.
-void ps_next_receiver(inout uvec2 members, inout vec3 position, inout vec3 normal)
-{
-  ivec2 cell = ps_footprint.middle + ps_next_member(members);
-  float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
-  position = ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d);
-  if (ps_footprint.keyed) {
-    normal = normalize(ps_key_normal(texelFetch(ps_keys, cell, 0).x) + ps_footprint.turn);
-  }
-}
-#endif
-
 #endif
 
 #ifdef PS_SHADOW_MAPS
@@ -189,9 +193,8 @@ float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
   uvec2 members = wanted ? ps_footprint.members : uvec2(0u);
   float sum = 0.0, count = 0.0;
   while ((members.x | members.y) != 0u) {
-    vec3 there = position, own = normal;
-    ps_next_receiver(members, there, own);
-    sum += ps_map_lit(map, there, own, ps_footprint.above, ps_footprint.rise);
+    PsMember member = ps_member(members, normal);
+    sum += ps_map_lit(map, member.position, member.normal, ps_footprint.above, ps_footprint.rise);
     count += 1.0;
     members = count == float(PS_MAP_FIRST) && (sum == 0.0 || sum > count - 1e-3) ? uvec2(0u) : members;
   }

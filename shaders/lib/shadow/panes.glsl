@@ -38,9 +38,8 @@ float ps_pane_share(int light, vec3 position, vec3 normal, bool wanted)
   uvec2 members = wanted ? ps_footprint.members : uvec2(0u);
   float sum = 0.0, count = 0.0, least = 1.0, most = 0.0;
   while ((members.x | members.y) != 0u) {
-    vec3 there = position, own = normal;
-    ps_next_receiver(members, there, own);
-    float through = ps_panes_through(map, there, own, ps_footprint.above, ps_footprint.rise);
+    PsMember member = ps_member(members, normal);
+    float through = ps_panes_through(map, member.position, member.normal, ps_footprint.above, ps_footprint.rise);
     sum += through;
     count += 1.0;
     least = min(least, through);
