@@ -33,6 +33,8 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
+from scripts.common.process import environment
+
 ROOT = Path(__file__).resolve().parents[2]
 MARK = "RESULT "  # begins the line of the worker's answer, among Blender's own lines
 LIMIT = 3600  # seconds for one process
@@ -177,7 +179,6 @@ def worker(task: dict[str, Any]) -> None:
 
     found["import: bpy"] = 1e3 * (clock() - start)
     if task["engine"] == "POINTSPLAT":
-        sys.pycache_prefix, sys.dont_write_bytecode = task["bytecode"], False
         sys.meta_path.insert(0, Watcher)
         import pointsplat_addon
 
@@ -238,14 +239,12 @@ def choose(scene: Any, task: dict[str, Any]) -> None:
 
 def measure(task: dict[str, Any]) -> list[dict[str, float]] | str:
     """Phases of the pictures of one process in milliseconds, or why there are none."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    if not task["shader_cache"]:
-        environment["MESA_SHADER_CACHE_DISABLE"] = "true"
     code = "import sys, json; from scripts.benchmarks.first_picture import worker; worker(json.loads(sys.argv[1]))"
     task = {**task, "started": time.monotonic()}
     done = subprocess.run(
         [sys.executable, "-c", code, json.dumps(task)],
-        cwd=ROOT, env=environment, capture_output=True, text=True, timeout=LIMIT,
+        cwd=ROOT, env=environment(Path(task["bytecode"]), task["shader_cache"]), capture_output=True, text=True,
+        timeout=LIMIT,
     )  # fmt: skip
     for line in done.stdout.splitlines():
         if line.startswith(MARK):

@@ -24,6 +24,7 @@ Row = dict[str, Any]
 LEVELS = (0.05, 0.03, 0.02, 0.01, 0.005, 0.003, 0.002)  # RMSE that the table asks for
 LONGEST = 3  # passes of a picture that the table names
 COLORS = {
+    "VISIBILITY": "tab:cyan",
     "IMAGE_SPACE": "tab:blue",
     "EWA": "tab:green",
     "PAINTER": "tab:orange",

@@ -1,15 +1,17 @@
 """Error against time: each technique over tolerance, samples, shadow resolution and lens, beside Cycles, EEVEE and VTK.
 
     python -m scripts.error_vs_time [--data DIR] [--only NAME ...] [--quick] [--docs docs] [--rows FILE.json]
+        [--keep DIR] [--no-eevee]
     python -m scripts.error_vs_time --from docs/notes/error_vs_time.json
 
 DIR (or the folder that POINTSPLAT_DATA names) holds meshes, and folders beside it what else there is
 (scripts/error_vs_time/scenes.py): scenes of what is missing are left out; what DOCS has of scenes that are not drawn
 stays. DOCS receives error_vs_time.json and, in images/, error_vs_time.png, error_vs_time_to_cycles.png (of the errors
 against Cycles' converged pictures), error_vs_time_brief.png and cost_over_points.png; the tables in error_vs_time.md
-are replaced. `--from` makes tables and plots anew from rows. `--quick` draws small pictures of one scene and writes
-nothing but the rows that `--rows` names. Needs bpy for all scenes but one, matplotlib for plots, and takes FLIP where
-the package flip-evaluator is there (requirements/benchmark.txt).
+are replaced. `--keep` takes Cycles' converged pictures from a folder, and leaves those there that it lacked. `--from`
+makes tables and plots anew from rows. `--quick` draws small pictures of one scene and writes nothing but the rows that
+`--rows` names. Needs bpy for all scenes but one, matplotlib for plots, and takes FLIP where the package flip-evaluator
+is there (requirements/benchmark.txt).
 
 Every scene is drawn in a process of its own, as are the other programs. Times are those of the processor in all
 threads, from Blender's data to the finished picture, shaders compiled before: converting the scene, sampling, shadow
@@ -27,6 +29,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -50,8 +53,9 @@ from scripts.error_vs_time.truths import TRUTH
 
 ROOT = Path(__file__).resolve().parents[2]
 SIZE = 256  # pixels
-TECHNIQUES = ("IMAGE_SPACE", "EWA", "PAINTER")
-TOLERANCES = (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25)  # pixels
+FRAMES = ("IMAGE_SPACE", "EWA", "PAINTER")  # techniques of which a picture of more samples is more frames
+TECHNIQUES = (*FRAMES, "VISIBILITY")
+TOLERANCES = (8.0, 4.0, 2.0, 1.0, 0.5)  # pixels
 LENS_TOLERANCES = (4.0, 1.0)  # of samples through the lens
 SAMPLES = (1, 4, 16, 64)
 RESOLUTIONS = (64, 256, 4096)  # of shadows, beside the default
@@ -133,13 +137,18 @@ def swept(subject: Subject, tolerances: tuple[float, ...], samples: tuple[int, .
     found = [
         ("tolerance", "POINTS", replace(plain, technique=technique, tolerance=tolerance))
         for tolerance in tolerances
-        for technique in TECHNIQUES
+        for technique in FRAMES
+    ]
+    found += [
+        ("tolerance", "POINTS", replace(plain, technique="VISIBILITY", tolerance=tolerance, samples=count))
+        for tolerance in tolerances
+        for count in samples
     ]
     if subject.lens:
         found += [
             ("lens", "POINTS", replace(plain, technique=technique, tolerance=tolerance, dof_method="LENS_SAMPLES"))
             for tolerance in LENS_TOLERANCES
-            for technique in TECHNIQUES
+            for technique in FRAMES
         ]
     if subject.shadows:
         found += [
@@ -173,11 +182,15 @@ def ours(
     many = max(truth_samples, TRUTH_MANY) if subject.lens or subject.strands else truth_samples
     truths = Truths(converged(renderer, subject, many) if subject.truth is None else subject.truth(), cycles)
     rows: list[Row] = []
-    too_long = set()  # techniques at tolerances that no finer ones follow
+    too_long = set()  # techniques that no finer tolerances follow; with a tolerance: that no more samples follow
     for series, primitive, settings in swept(subject, tolerances, samples):
-        if series == "tolerance" and settings.technique in too_long:
+        tried = {settings.technique, (settings.technique, settings.tolerance)}
+        if series == "tolerance" and tried & too_long:
             continue
-        counts = (settings.samples,) if series == "defaults" else samples
+        whole = (
+            series == "defaults" or settings.technique == "VISIBILITY"
+        )  # each number of samples is a picture of its own
+        counts = (settings.samples,) if whole else samples
         scene = subject.drawn_as(primitive)
         # Compiles shaders, which software renderers do anew for other sizes of textures; those of tiles that get no
         # more samples are first used after five
@@ -185,10 +198,11 @@ def ours(
         _ = list(pictures(renderer, scene, subject.camera, settings, (min(few, counts[-1]),), subject.lens))
         longest = math.inf if series == "defaults" else LONGEST
         for pixels, row in pictures(renderer, scene, subject.camera, settings, counts, subject.lens, longest):
-            if series == "tolerance" and row["samples"] == 1 and row["seconds"] > LONGEST:
-                too_long.add(settings.technique)
+            if series == "tolerance" and row["seconds"] > LONGEST:
+                few = (settings.samples if whole else row["samples"]) == samples[0]
+                too_long.add(settings.technique if few else (settings.technique, settings.tolerance))
             row |= {"seconds": row["seconds"] + subject.converted, "prepare": row["prepare"] + subject.converted}
-            if series == "defaults":
+            if whole:
                 row["samples"] = settings.samples
             rows.append({"scene": name, "program": "PointSplat", "series": series, **described(subject, settings),
                          **row, **errors(pixels, truths)})  # fmt: skip
@@ -211,7 +225,7 @@ def counted(renderer: Renderer, counts: tuple[int, ...], size: int) -> list[Row]
     for count in counts:
         drawn = sphere_subject(count, size)
         for technique in TECHNIQUES:
-            settings = Settings(technique, tolerance=0.05, use_shadows=False, use_adaptive_sampling=False)
+            settings = Settings(technique, samples=1, tolerance=0.05, use_shadows=False, use_adaptive_sampling=False)
             for _ in range(2):  # the first compiles shaders
                 [(_, row)] = pictures(renderer, drawn.scene, drawn.camera, settings, (1,), False)
             rows.append({"scene": "counts", "program": "PointSplat", "series": "count", **described(drawn, settings),
@@ -229,8 +243,9 @@ def work(what: str, name: str, arguments: argparse.Namespace) -> None:
     cycles = (np.load(kept[1]), np.load(kept[2])) if kept[1].exists() else None
     rows: list[Row] = []
     if what == "converged":
-        for path, pixels in zip(kept[1:], converged_cycles(name, SIZE, arguments.data, folder) or (), strict=False):
-            np.save(path, pixels)
+        if cycles is None:
+            for path, pixels in zip(kept[1:], converged_cycles(name, SIZE, arguments.data, folder) or (), strict=False):
+                np.save(path, pixels)
     elif what == "ours":
         renderer = Renderer(ProcessorDevice())
         drawn = subject(name, SIZE, arguments.data, folder)
@@ -252,7 +267,7 @@ def in_processes(names: list[str], arguments: argparse.Namespace) -> tuple[list[
     failed: list[str] = []
     rows: list[Row] = json.loads(arguments.rows.read_text(encoding="utf-8")) if arguments.rows.exists() else []
     for name in names:
-        with tempfile.TemporaryDirectory() as folder:
+        with kept_folder(arguments.keep, name) as folder:
             drawn_again = (name,) if KINDS[name].build else (name, "counts")
             kept = () if arguments.eevee else ("EEVEE",)
             others = [row for row in rows if row["scene"] not in drawn_again or row["program"] in kept]
@@ -278,6 +293,17 @@ def in_processes(names: list[str], arguments: argparse.Namespace) -> tuple[list[
         rows.sort(key=lambda row: (order.index(row["scene"]), row["program"] != "PointSplat", row["program"]))
         save(rows, arguments.rows)
     return rows, list(dict.fromkeys(failed))
+
+
+def kept_folder(keep: Path | None, name: str) -> AbstractContextManager[str]:
+    """A scene's own in `keep`, or one that goes when it was used."""
+    if keep is None:
+        return tempfile.TemporaryDirectory()
+    folder = keep.absolute() / name.replace(", ", "-").replace(" ", "-")
+    folder.mkdir(parents=True, exist_ok=True)
+    for rows in folder.glob("*.json"):  # of a run before
+        rows.unlink()
+    return nullcontext(str(folder))
 
 
 def quick(size: int = 64, count: int = 3000) -> list[Row]:
@@ -319,6 +345,9 @@ def main() -> int:
         "--docs", type=Path, default=ROOT / "docs" / "notes", help="where the page is that is written to"
     )
     parser.add_argument("--rows", type=Path, help="where the rows go; by default into DOCS")
+    parser.add_argument(
+        "--keep", type=Path, help="where Cycles' converged pictures are kept; remove them to change scenes"
+    )
     parser.add_argument("--from", dest="known", type=Path, help="rows that were measured before: draws them again")
     parser.add_argument("--worker", nargs=2, metavar=("WHAT", "NAME"), help=argparse.SUPPRESS)
     parser.add_argument("--worker-folder", type=Path, help=argparse.SUPPRESS)

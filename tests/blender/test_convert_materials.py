@@ -17,7 +17,7 @@ from pointsplat_addon.core.material.expression import SampleInputs
 from pointsplat_addon.core.material.graph import needs
 from pointsplat_addon.core.numeric.cryptomatte import cryptomatte_hash
 from pointsplat_addon.host.convert.material import images
-from pointsplat_addon.host.convert.material.materials import convert_material, convert_materials, material_key
+from pointsplat_addon.host.convert.material.materials import convert_material, convert_materials
 from pointsplat_addon.host.convert.material.nodes.colors import curve_table
 from tests.support.blender.scenes import new_material, node
 
@@ -739,14 +739,14 @@ def test_keys_tell_materials_apart_by_what_they_show():
 
     one, other = surface("one", build), surface("other", build)
     assert graph_of(convert_material(one)).digest == graph_of(convert_material(other)).digest
-    before = material_key(one)
-    assert before == material_key(one)
+    before = convert_material(one).key
+    assert before == convert_material(one).key
     shader = next(n for n in one.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
     shader.inputs["Roughness"].default_value = 0.123
-    after = material_key(one)
+    after = convert_material(one).key
     assert after != before
     image.pixels[1] = 1 - image.pixels[1]
-    assert material_key(one) != after
+    assert convert_material(one).key != after
 
 
 def test_a_picture_baked_at_its_own_resolution_is_the_picture():

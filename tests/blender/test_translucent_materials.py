@@ -12,7 +12,7 @@ bpy = pytest.importorskip("bpy")
 from pointsplat_addon.core.material.evaluation import evaluate_samples
 from pointsplat_addon.core.material.expression import SampleInputs
 from pointsplat_addon.core.splat.kernel import PEAK
-from pointsplat_addon.host.convert.material.materials import convert_material, convert_materials, material_key
+from pointsplat_addon.host.convert.material.materials import convert_material, convert_materials
 from tests.support.blender.scenes import new_material, node
 
 FRESNEL = 0.04  # of glass with an index of refraction of 1.5, at normal incidence
@@ -381,9 +381,9 @@ def test_the_table_has_media_and_their_anisotropy():
     assert table.anisotropy is not None
     np.testing.assert_array_equal(table.anisotropy, np.array([0, 0, 0.5], np.float32))
     assert [m is None for m in table.media] == [True, True, False]
-    before = material_key(fog)
+    before = convert_material(fog).key
     next(n for n in fog.node_tree.nodes if n.bl_idname == "ShaderNodeVolumeScatter").inputs["Density"].default_value = 7
-    assert material_key(fog) != before
+    assert convert_material(fog).key != before
 
 
 # Points

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.numeric.vectors import each_block
-
 PAGE_WIDTH = 4096
 OCT_STEPS = 4095
 FACET_STEPS = 511  # of normals in 18 bits
@@ -16,23 +14,12 @@ FACET_SHARE = 512.0 * 512.0  # above these: a share in 63rds
 NO_NORMAL = -1.0  # code of a splat without a normal: a ball
 
 
-def pack_normal(normal: np.ndarray) -> np.ndarray:
-    """Returns octahedral codes (Meyer et al. 2010), 12 bits each way, of directions (N, 3), whatever their length: (N,)
-    float32.
-
-    The decoded direction is within 0.06 degrees; that of a zero vector is +Z.
-    """
-    code = np.empty(len(normal), np.float32)
-
-    def pack(block: slice) -> None:
-        code[block] = octahedral(normal[block])
-
-    each_block(len(normal), pack)
-    return code
-
-
 def octahedral(normal: np.ndarray, steps: int = OCT_STEPS) -> np.ndarray:
-    """Returns octahedral codes (N,) of directions (N, 3) in `steps` each way; for as many as fit the cache."""
+    """Returns octahedral codes (Meyer et al. 2010) of directions (N, 3), whatever their length: (N,) float32.
+
+    In `steps` each way: at 12 bits the decoded direction is within 0.06 degrees; that of a zero vector is +Z. For as
+    many directions as fit the processor's cache.
+    """
     # One after another, coordinates are read much faster than as rows of a transposed array.
     x, y, z = (np.array(column, np.float32) for column in normal.T)
     with np.errstate(over="ignore"):

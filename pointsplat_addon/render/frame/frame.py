@@ -121,7 +121,8 @@ class Frame:
         if plan.backdrop:
             self.backdrop = self._own(Backdrop(device, backdrop_grid(frame_plan.view, device.limits.texture_size)))
         count = levels(frame_plan.prepared.largest, frame_plan.view.resolution)
-        most_cells = cells_of_tile(frame_plan.splats + frame_plan.triangles + frame_plan.segments)
+        primitives = frame_plan.splats + frame_plan.triangles + frame_plan.segments
+        most_cells = cells_of_tile(primitives, plan.presented)
         self._lent = self.renderer.pool.borrow(plan, request.passes, frame_plan.view.window[2:], count, most_cells)
         self.targets = self._lent[1]
         if self.targets.sums:

@@ -158,7 +158,7 @@ def make_maps(
     key = Key(Kind.SHADOW_MAPS, hashed((look, keys)), other=(resolution, texture_size))
 
     def make() -> ShadowMaps:
-        boxes = _boxes(casters, store)
+        boxes = casting_boxes(casters, store)
         points = _light_points(chosen, casters)
         views = [None if light is None else light_views(light, boxes, resolution, points) for light in chosen]
         splats = sum(len(c.geometry.cloud) * len(c.matrices) for c in casters if c.geometry.cloud is not None)
@@ -176,7 +176,8 @@ def _light_points(lights: Sequence[Light | None], casters: Sequence[CastingGeome
     return max(count for count in VIEWS if count == VIEWS[0] or count * drawn <= MOST_DRAWN)
 
 
-def _boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:
+def casting_boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:
+    """Returns the boxes around all instances of casters, in the world, and how small their splats are."""
     corners, radius = [], []
     for caster in casters:
         geometry = caster.geometry

@@ -2,15 +2,18 @@
 
     python -m scripts.benchmarks.beside_cycles --data DIR --folder WORK [--only SCENE ...] [--size WxH]
         [--techniques VISIBILITY AUTO ...] [--samples 16] [--cycles-samples 16 64 ...] [--truth 512] [--repeats 1]
-        [--shading lambert|glow|own] [--no-shadows] [--sun-angle RADIANS] [--flat] [--set NAME=VALUE ...]
+        [--no-shader-cache] [--shading lambert|glow|own] [--no-shadows] [--sun-angle RADIANS] [--flat]
+        [--set NAME=VALUE ...]
 
 DIR holds real meshes, and beside it are folders of other data (`../points`, `../hair`): scenes whose files are missing
 are left out. WORK keeps scenes, truths and pictures, for each version of Blender: --again makes them anew.
 
 Each render has a process of its own, which opens a .blend file, renders it into an EXR file, moves the camera and
 renders again (Cycles with persistent data). The time of the first picture is that from the start of the process to the
-file written; programs take turns, and of several runs the median counts. Errors are those against two independent
-pictures of Cycles. `of Cycles` are shares of the first of --cycles-samples; where there are several of them, `equal` is
+file written; programs take turns, and of several runs the median counts. A run of each program that is not counted
+comes first: it leaves modules compiled, as those of an installed extension are, and the driver's shaders, except with
+--no-shader-cache, which measures the very first picture on a machine. Errors are those against two independent pictures
+of Cycles. `of Cycles` are shares of the first of --cycles-samples; where there are several of them, `equal` is
 the time in which Cycles comes to the same error of colour. WORK/pictures has what was drawn beside the truth, and the
 difference times 8. The table goes to stdout, all figures to --json.
 """
@@ -48,6 +51,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--cycles-samples", type=int, nargs="+", default=[16])
     parser.add_argument("--truth", type=int, default=512, help="samples of each of its two pictures; 0: no errors")
     parser.add_argument("--repeats", type=int, default=1)
+    parser.add_argument("--no-shader-cache", action="store_true", help="as if no shader had ever been compiled")
     parser.add_argument("--set", type=assignment, action="append", default=[], metavar="NAME=VALUE",
                         help="number or name for scene.pointsplat")  # fmt: skip
     parser.add_argument("--again", action="store_true", help="make scenes and truths anew")
@@ -85,11 +89,14 @@ def measure(name: str, options: argparse.Namespace) -> list[dict]:
     programs += [Program(technique, options.samples) for technique in options.techniques]
     runs: dict[Program, list[dict]] = {program: [] for program in programs}
     settings = {key: value(text) for key, text in options.set}
-    for _ in range(options.repeats):
+    for turn in range(1 + options.repeats):
         for program in programs:
             outputs = [folder / "pictures" / f"{title}-{program.name}-{program.samples}-{i}.exr" for i in (1, 2)]
-            ours = program.name not in ("CYCLES", "BLENDER_WORKBENCH")
-            runs[program].append(rendered(file, program, outputs, 0, settings if ours else None))
+            given = settings if program.name not in ("CYCLES", "BLENDER_WORKBENCH") else None
+            before = {"bytecode": folder / "bytecode", "shader_cache": not options.no_shader_cache}
+            found = rendered(file, program, outputs, 0, given, **before)
+            if turn:
+                runs[program].append(found)
     rows = []
     for program in programs:
         row = {"scene": name, "look": look.suffix(), "size": [wide, high], "program": program.name,
@@ -107,7 +114,7 @@ def known(folder: Path, file: Path, title: str, seed: int, options: argparse.Nam
     """One of the truth's pictures, rendered if it is not kept. RuntimeError: it could not be."""
     path = folder / "truths" / f"{title}-{options.truth}-{seed}.exr"
     if options.again or not path.exists():
-        found = rendered(file, Program("CYCLES", options.truth), [path], seed)
+        found = rendered(file, Program("CYCLES", options.truth), [path], seed, bytecode=folder / "bytecode")
         if "failed" in found:
             raise RuntimeError(found["failed"])
     return pictures.read(path)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scripts.benchmarks.beside_cycles.worker import MARK
+from scripts.common.process import environment
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -26,13 +27,22 @@ class Program:
 
 
 def rendered(
-    file: Path, program: Program, outputs: list[Path], seed: int = 0, settings: dict | None = None, limit: float = 3600
+    file: Path,
+    program: Program,
+    outputs: list[Path],
+    seed: int = 0,
+    settings: dict | None = None,
+    limit: float = 3600,
+    *,
+    bytecode: Path,
+    shader_cache: bool = True,
 ) -> dict:
     """What rendering a .blend file into EXR files took, the process being born for it; {"failed": why} if it did not.
 
     seconds, processor: of the clock and of all threads, from the start of the process to the first file written;
     second, second_processor: between the first and the second; peak, second_peak: bytes of memory (not the GPU's)
     until the first and the second; stages: seconds of the clock; reports: of PointSplat, for each picture.
+    `bytecode` and `shader_cache` say what earlier processes have left (scripts/common/process.py).
     """
     asked = {"file": str(file), "program": program.name, "samples": program.samples, "seed": seed,
              "settings": settings or {}, "outputs": [str(path) for path in outputs]}  # fmt: skip
@@ -42,7 +52,8 @@ def rendered(
     command = [sys.executable, "-m", "scripts.benchmarks.beside_cycles.worker", json.dumps(asked)]
     start = time.monotonic()
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, cwd=ROOT)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, cwd=ROOT,
+                              env=environment(bytecode, shader_cache))  # fmt: skip
     except subprocess.TimeoutExpired:
         return {"failed": f"took longer than {limit:g} s"}
     answer = next((line for line in done.stdout.splitlines() if line.startswith(MARK)), None)

@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.keys import Key, Kind
-from pointsplat_addon.render.device.packing import NO_NORMAL, PAGE_WIDTH, pack_normal, paged, unpack_normal
+from pointsplat_addon.render.device.packing import NO_NORMAL, PAGE_WIDTH, octahedral, paged, unpack_normal
 from pointsplat_addon.render.device.protocol import CHANNELS
 from pointsplat_addon.render.passes.gbuffer import Variant
 from pointsplat_addon.render.passes.pages.point_page import Page, PointOptions
@@ -26,12 +26,12 @@ def _unit(v):
 
 def test_a_packed_normal_is_within_six_hundredths_of_a_degree():
     n = directions()
-    angle = np.degrees(np.arccos(np.clip((unpack_normal(pack_normal(n.astype(np.float32))) * n).sum(axis=1), -1, 1)))
+    angle = np.degrees(np.arccos(np.clip((unpack_normal(octahedral(n.astype(np.float32))) * n).sum(axis=1), -1, 1)))
     assert angle.max() < 0.06  # measured 0.0588; half a step on both axes, thrice as long in an octant's middle: 0.0593
 
 
 def test_codes_are_whole_numbers_that_float32_holds():
-    code = pack_normal(directions().astype(np.float32))
+    code = octahedral(directions().astype(np.float32))
     assert code.dtype == np.float32
     assert (code == np.rint(code)).all()
     assert code.min() >= 0 > NO_NORMAL
@@ -41,25 +41,25 @@ def test_codes_are_whole_numbers_that_float32_holds():
 def test_axes_survive_packing():
     axes = np.concatenate([np.eye(3), -np.eye(3)]).astype(np.float32)
     # 4,095 steps have no middle: half a step off, 2^-12
-    np.testing.assert_allclose(unpack_normal(pack_normal(axes)), axes, atol=3e-4)  # measured 2.44e-4
+    np.testing.assert_allclose(unpack_normal(octahedral(axes)), axes, atol=3e-4)  # measured 2.44e-4
 
 
 def test_unpacking_a_code_and_packing_it_again_is_the_identity():
-    code = pack_normal(directions().astype(np.float32))
+    code = octahedral(directions().astype(np.float32))
     # The fold's rim has two codes for one direction.
-    again = pack_normal(unpack_normal(code).astype(np.float32))
+    again = octahedral(unpack_normal(code).astype(np.float32))
     same = np.abs((unpack_normal(again) * unpack_normal(code)).sum(axis=1) - 1)
     assert same.max() < 1e-12  # measured 4.4e-16
 
 
 def test_a_normal_of_length_zero_packs_without_warning():
-    assert np.isfinite(pack_normal(np.zeros((1, 3), np.float32))).all()
+    assert np.isfinite(octahedral(np.zeros((1, 3), np.float32))).all()
 
 
 @pytest.mark.parametrize("count", [(1 << 18) - 1, 1 << 18, (1 << 18) + 1])
 def test_blocks_of_rows_join_without_a_seam(count):
     n = np.tile(directions(1000), (count // 1000 + 1, 1))[:count].astype(np.float32)
-    np.testing.assert_array_equal(pack_normal(n)[-1000:], pack_normal(n[-1000:]))
+    np.testing.assert_array_equal(octahedral(n)[-1000:], octahedral(n[-1000:]))
 
 
 def test_a_page_is_4096_wide_and_padded_with_zeros():
@@ -112,15 +112,15 @@ def test_a_page_holds_its_clouds_one_after_another():
     wanted = {name: np.asarray(array) for name, array in first.arrays().items()}
     place, extent, color, shading = (made[name][:41_000] for name in ("place", "extent", "color", "shading_normal"))
     np.testing.assert_array_equal(place[:, :3], np.concatenate([first.position, second.position]))
-    np.testing.assert_array_equal(place[:40_000, 3], pack_normal(wanted["normal"]))
+    np.testing.assert_array_equal(place[:40_000, 3], octahedral(wanted["normal"]))
     assert (place[40_000:, 3] == NO_NORMAL).all()
     np.testing.assert_array_equal(extent[:, :2], np.concatenate([wanted["radii"], second.arrays()["radii"]]))
     np.testing.assert_array_equal(
-        extent[:40_000, 2:], np.stack([pack_normal(wanted["axis"]), wanted["material"]], axis=1)
+        extent[:40_000, 2:], np.stack([octahedral(wanted["axis"]), wanted["material"]], axis=1)
     )
     assert not extent[40_000:, 2:].any()
     np.testing.assert_array_equal(color[:40_000, :3], table.base_color[wanted["material"]])
     assert (shading[:40_000:7] == NO_NORMAL).all()
-    np.testing.assert_array_equal(shading[1:40_000:7, 0], pack_normal(own[1::7]))
+    np.testing.assert_array_equal(shading[1:40_000:7, 0], octahedral(own[1::7]))
     assert (shading[40_000:] == NO_NORMAL).all()
     assert not any(data[41_000:].any() for data in made.values())

@@ -116,11 +116,6 @@ def _default_row(table: MaterialTable) -> MaterialRow:
     )
 
 
-def material_key(material: bpy.types.Material) -> str:
-    """Content key of all that affects how a material looks, the texels of its images included."""
-    return convert_material(material).key
-
-
 def convert_material(material: bpy.types.Material) -> MaterialRow:
     """One material as a row of the table.
 

@@ -24,9 +24,10 @@ class PolygonSource(Protocol):
 
 
 def polygon_draws(
-    device: Device, uploads: PolygonSource, view: SampleView, first_id: int, cells: tuple[int, int]
+    device: Device, uploads: PolygonSource, view: SampleView, first_id: int, cells: tuple[int, int] | None
 ) -> list[PolygonDraw]:
-    """Returns what a view draws of each mesh. `first_id`: the number of the first triangle. `cells`: of the picture."""
+    """Returns what a view draws of each mesh. `first_id`: the number of the first triangle. `cells`: of the
+    picture; None: the rasteriser draws all."""
     instances, found = uploads.scene.instances, []
     shown = uploads.prepared.polygons
     for row, mesh in uploads.polygons.meshes.items():
@@ -41,7 +42,8 @@ def polygon_draws(
             continue
         here = here[seen]
         holdout = np.zeros(len(here), bool) if instances.holdout is None else instances.holdout[here].astype(bool)
-        small = device.limits.image_atomics and are_small(mesh.triangles, rectangles[seen], cells)
+        computed = cells is not None and device.limits.image_atomics
+        small = computed and are_small(mesh.triangles, rectangles[seen], cells)
         found.append(PolygonDraw(device, mesh, here, matrices[seen], holdout, first_id, small))
         first_id += found[-1].triangles
     return found

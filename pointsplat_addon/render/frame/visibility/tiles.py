@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from ....core.numeric.lattice import Lattice
 from ...passes.uniforms import SampleView
 
-# Of a tile, with 16 bytes each: 17 sub-samples of 410 x 410 pixels, and of 1280 x 720.
-FEWEST_CELLS, MOST_CELLS = 1 << 22, 28_000_000
+# Of a tile, with 16 bytes each and about as much for its groups: 17 sub-samples of 290 x 290 pixels, of 410 x 410 in a
+# picture that is shown while it is drawn, whose viewport is mostly one tile then; and of 1280 x 720.
+FEWEST_CELLS, FEWEST_SHOWN_CELLS, MOST_CELLS = 1 << 21, 1 << 22, 28_000_000
 
 
 @dataclass(frozen=True)
@@ -33,11 +34,12 @@ class PictureTile:
         return self.corner[0] / size[0], self.corner[1] / size[1], self.end[0] / size[0], self.end[1] / size[1]
 
 
-def cells_of_tile(primitives: int) -> int:
+def cells_of_tile(primitives: int, shown: bool) -> int:
     """Returns how many cells a tile has at most, where so many primitives are drawn for each tile: two for a primitive,
-    so that cells take about as much memory as what is drawn, and few primitives are drawn several times."""
+    so that cells take about as much memory as what is drawn, and few primitives are drawn several times. `shown`: the
+    picture is shown while it is drawn, and another one of the same view follows."""
     wanted = 1 << (2 * primitives - 1).bit_length()  # a power of two: targets then fit the next picture, too
-    return min(max(wanted, FEWEST_CELLS), MOST_CELLS)
+    return min(max(wanted, FEWEST_SHOWN_CELLS if shown else FEWEST_CELLS), MOST_CELLS)
 
 
 def picture_tiles(

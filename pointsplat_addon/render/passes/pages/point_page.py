@@ -1,7 +1,7 @@
 """Pages of opaque splats, and the blocks of consecutive splats that a view draws of them.
 
 A page holds the splats of several point sets. Texture by texture, one texel a splat:
-  position        xyz relative to the set's origin; packed normal (pack_normal; -1: a ball)
+  position        xyz relative to the set's origin; packed normal (octahedral; -1: a ball)
   extent          half-axes (major, minor; negative: a disconnected splat), packed major axis, material row
   color           base colour                    \\  where any set of the scene has them
   surface         roughness, metallic             |
