@@ -13,7 +13,7 @@ from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, V
 from ..visibility.buffer import DEPTH_OUTPUT, LATTICE_FIELDS, DepthBuffer
 from ..visibility.polygon_ids import PolygonDepths, PolygonDraw, depths_program
 from ..visibility.polygon_mesh import Group
-from ..visibility.small_triangles import GROUP_FIELDS
+from ..visibility.small_triangles import group_fields
 
 PANE_FIELDS: Fields = (("float", "through"),)  # share of light
 LAYER_FIELDS: Fields = (("ivec2", "before"), ("int", "height"))  # texels from a view to the layer before; to its shares
@@ -39,7 +39,7 @@ def pane_program(first: bool, lattice: Lattice, group: Group, one: bool) -> Inte
     alone = ONE_INSTANCE_FIELDS if one else ()
     return replace(
         program,
-        block=block("Panes", CAMERA_FIELDS, GROUP_FIELDS, PANE_FIELDS, further, alone, LATTICE_FIELDS),
+        block=block("Panes", CAMERA_FIELDS, group_fields(one), PANE_FIELDS, further, alone, LATTICE_FIELDS),
         samplers=(*program.samplers, *(() if first else (("UINT_2D", "ps_before"),))),
         outputs=(*DEPTH_OUTPUT, ("uint", "out_share")),
         defines=(*program.defines, ("PS_PANES", "1"), *(() if first else (("PS_BEHIND_LAYER", "1"),))),

@@ -29,7 +29,7 @@ from .buffer import (
 )
 from .polygon_mesh import CORNERS, Group, PolygonMesh, define_entries
 from .polygons import CUT_VARYING, needed_defines
-from .small_triangles import GROUP_FIELDS, LIST_SAMPLER, LISTED, is_cut, triangle_program
+from .small_triangles import LIST_SAMPLER, LISTED, group_fields, is_cut, triangle_program
 
 MOST_VERTICES = 1 << 26  # of one draw
 AVERAGE_DEFINE = ("PS_AVERAGE", "1")  # pictures are averaged over sub-samples
@@ -129,7 +129,7 @@ def _cover_program(
     cut = any(name.endswith("ALPHA") for name in names)
     if cut:
         varyings.append(CUT_VARYING)
-    own = GROUP_FIELDS
+    own = group_fields(one)
     sample = SAMPLE_FIELDS if cut else ()
     alone = (*ONE_INSTANCE_FIELDS, *((("int", "instance"),) if cut else ())) if one else ()
     flags = {"PS_CULL": group.cull, "PS_NORMAL": normal, "PS_ONE_INSTANCE": one, "PS_CUT": cut,
@@ -164,7 +164,7 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
         samplers.append("ps_materials")
     averaged = not leaders.central and any(name.startswith("PS_BAKED") and name != "PS_BAKED_NORMAL" for name in names)
     read = ("ps_ids", "ps_depths", "ps_first", "ps_second") if averaged else ()
-    own: Fields = (("int", "first_triangle"), ("int", "last_triangle"), ("int", "slots"))
+    own: Fields = (("int", "first_triangle"), ("int", "last_triangle"), *(() if one else (("int", "slots"),)))
     return Interface(
         "attributes",
         vertex="common/rectangle.vert",

@@ -19,8 +19,13 @@ MOST_CELLS = 64  # of the rectangle around a triangle that a compute invocation 
 FEWEST_TRIANGLES = 20_000  # fewer are rasterised in the time that the passes take to start
 CELLS_OF_SMALL = 8.0  # of a mesh's rectangle in the picture, for each of its triangles
 LISTED = 1 << 18  # triangles that a list holds; where more are not small, the rasteriser is given all
-GROUP_FIELDS: Fields = (("int", "first"), ("int", "corners"), ("int", "first_slot"))  # corners: of the group
 LIST_SAMPLER = ("UINT_2D", "ps_list")
+
+
+def group_fields(one: bool) -> Fields:
+    """Which triangles are drawn: the first corner of the group, its corners, and the first instance. `one`: there is
+    one."""
+    return (("int", "first"), *(() if one else (("int", "corners"), ("int", "first_slot"))))
 
 
 def are_small(triangles: int, rectangles: np.ndarray, cells: tuple[int, int]) -> bool:
@@ -45,7 +50,7 @@ def triangle_program(lattice: Lattice, group: Group, one: bool, step: str, norma
     normals tell surfaces apart."""
     images = {"LIST": ("list", "list_length"), "DEPTH": ("depths",), "IDENTIFY": ("ids", "keys")}[step]
     identify, culled = step == "IDENTIFY", group.cull and step != "LIST"
-    own: Fields = (*GROUP_FIELDS, ("int", "elements"), *((("int", "list_size"),) if step == "LIST" else ()))
+    own: Fields = (*group_fields(one), ("int", "elements"), *((("int", "list_size"),) if step == "LIST" else ()))
     if identify:
         own = (*own, ("int", "material"), ("int", "first_id"), ("int", "triangles"))
     alone: Fields = ONE_INSTANCE_FIELDS if one else ()
