@@ -1,4 +1,6 @@
 // Which triangle each sub-sample shows. PS_DEPTH_ONLY: only how far away it is. PS_CUT: its alpha is not always 1.
+// PS_PANES: a light shines on panes: also which share of it passes. PS_BEHIND_LAYER: all up to the nearest one behind those of
+// ps_before.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/data/polygon.glsl"
@@ -7,6 +9,9 @@
 #ifdef PS_CUT
 #include "lib/visibility/cut.glsl"
 #endif
+
+#define PS_NOWHERE 0xFFFFFFFFu
+#define PS_ROUNDING 8u  // units in the last place: a pane does not lie behind itself
 
 void main()
 {
@@ -22,6 +27,18 @@ void main()
 #endif
   float d = -v_position.z;
   out_depth = floatBitsToUint(max(d - u.near, 0.0));
+#ifdef PS_PANES
+  float share = u.through;
+#ifdef PS_BEHIND_LAYER
+  ivec2 texel = ivec2(gl_FragCoord.xy) + u.before;
+  uint before = texelFetch(ps_before, texel, 0).x;
+  if (before == PS_NOWHERE || out_depth <= before + PS_ROUNDING) {
+    discard;
+  }
+  share *= uintBitsToFloat(texelFetch(ps_before, texel + ivec2(0, u.height), 0).x);
+#endif
+  out_share = floatBitsToUint(share);
+#endif
 #ifndef PS_DEPTH_ONLY
   vec3 normal = vec3(0.0, 0.0, 1.0);
 #ifdef PS_NORMAL

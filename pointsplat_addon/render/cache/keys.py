@@ -68,6 +68,7 @@ class Kind(Enum):
     SHADOW_TABLE = auto()  # of one light
     SHADOW_TABLES = auto()  # of all lights, packed for the device
     SHADOW_MAPS = auto()  # the views of all depth maps
+    PANE_MAPS = auto()  # those of panes
     # On the device
     PAGE = auto()
     TRANSLUCENT_PAGE = auto()
@@ -78,6 +79,7 @@ class Kind(Enum):
     ENVIRONMENT_LEVELS = auto()
     SHADOW_TEXTURE = auto()
     SHADOW_MAP_TEXTURE = auto()
+    PANE_TEXTURE = auto()
     DRAW_ORDER = auto()  # of the translucent splats of one of the frames in the making
     LIGHT_SHARES = auto()  # that reach the translucent splats of one of the frames in the making
     # Of the host

@@ -179,7 +179,7 @@ def make_frame_plan(
 
     absences = Absences(
         unshadowed or ("" if shadows is None or shadows.tables is not None else "depth maps show all that casts"),
-        unshadowed or ("" if shadows is None or shadows.maps is not None else "only tables hold what casts"),
+        unshadowed or ("" if shadows is None or shadows.maps or shadows.panes else "only tables hold what casts"),
         out_of_view,
         "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus",
         LENS_SAMPLES_BLUR if through_lens else why_not_blurred(scene, camera),

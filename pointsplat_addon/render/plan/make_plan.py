@@ -224,7 +224,12 @@ def _lighting(view: ViewToPlan, varies: bool, drawn: bool) -> tuple[str, ...]:
 def _shadows(shadows: Shadows) -> tuple[str, ...]:
     """Names of the defines of shadows."""
     maps = shadows.maps
-    named = {"PS_SHADOWS": True, "PS_SHADOW_MAPS": maps is not None, "PS_SHADOW_SOFT": maps is not None and maps.soft}
+    named = {
+        "PS_SHADOWS": True,
+        "PS_SHADOW_MAPS": maps is not None,
+        "PS_SHADOW_SOFT": maps is not None and maps.soft,
+        "PS_SHADOW_PANES": shadows.panes is not None,
+    }
     if shadows.tables is not None:
         packed = shadows.tables.packed
         named |= {

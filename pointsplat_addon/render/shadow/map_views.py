@@ -217,13 +217,14 @@ def _of_points(light: LightViews, points: int) -> LightViews:
 
 
 def placed(
-    lights: Sequence[LightViews | None], width: int, splats: int = 0
+    lights: Sequence[LightViews | None], width: int, splats: int = 0, most: int = MOST_TEXELS
 ) -> tuple[list[LightViews | None], tuple[int, int]]:
     """Returns the views with places in one texture, and its (width, height): with fewer texels each, where all together
-    have more than a budget. `width`: texels along a side that a texture may have. `splats`: how many cast."""
+    have more than a budget. `width`: texels along a side that a texture may have. `splats`: how many cast. `most`:
+    texels of the budget, where these are few."""
     fitting = [_each_view(one, lambda view: _limited(view, width)) for one in lights]
     total = sum(v.block[0] * v.block[1] for one in fitting if one is not None for v in one.views if v is not None)
-    budget = min(max(TEXELS_OF_SPLAT * splats, MOST_TEXELS), MOST_TEXELS_OF_SPLATS)
+    budget = min(max(TEXELS_OF_SPLAT * splats, most), MOST_TEXELS_OF_SPLATS)
     if total > budget:
         share = 0.95 * (budget / total) ** 0.5  # margins and rounding take the rest
         fitting = [_each_view(one, lambda view: _coarser(view, share)) for one in fitting]

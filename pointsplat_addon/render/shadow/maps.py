@@ -150,7 +150,7 @@ def make_maps(
     key = Key(Kind.SHADOW_MAPS, hashed((look, keys)), other=(resolution, texture_size))
 
     def make() -> ShadowMaps:
-        boxes = _boxes(casters, store)
+        boxes = casting_boxes(casters, store)
         points = _light_points(chosen, casters, boxes)
         views = [
             None if light is None else light_views(light, boxes, resolution, count)
@@ -172,7 +172,8 @@ def _light_points(lights: Sequence[Light | None], casters: Sequence[CastingGeome
     return [0 if spread is None else views_of_light(spread, drawn) for spread in spreads]
 
 
-def _boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:
+def casting_boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:
+    """Returns the boxes around all instances of casters, in the world, and how small their splats are."""
     corners, radius = [], []
     for caster in casters:
         geometry = caster.geometry

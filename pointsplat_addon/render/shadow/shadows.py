@@ -23,6 +23,7 @@ from .casting import CastingGeometry, casting_geometries, light_key, transmissio
 from .floors import split_floors
 from .maps import ShadowMaps, casts_into_map, make_maps, takes_map
 from .packed_tables import PackedTables, pack
+from .panes import PaneMaps, casts_as_pane, make_panes, takes_panes
 from .spacing import sample_spacings
 
 MAX_TEXTURE_ROWS = 16384  # rows of a texture
@@ -45,14 +46,15 @@ class Tables:
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """What casts the shadows of a scene: at least one of the two."""
+    """What casts the shadows of a scene: at least one of these."""
 
     tables: Tables | None
     maps: ShadowMaps | None
+    panes: PaneMaps | None = None
 
     @property
-    def key(self) -> tuple[Key | None, Key | None]:
-        return self.tables and self.tables.key, self.maps and self.maps.key
+    def key(self) -> tuple[Key | None, ...]:
+        return self.tables and self.tables.key, self.maps and self.maps.key, self.panes and self.panes.key
 
     @property
     def wide(self) -> bool:
@@ -89,18 +91,21 @@ def make_shadows(
     solid = [casts_into_map(scene, caster) for caster in casters]
     shown = [caster for caster, one, floor in zip(casters, solid, floors, strict=True) if one and not floor]
     maps = make_maps(scene, lights, shown, settings.shadow_resolution, store, texture_size)
+    clear = [casts_as_pane(scene, caster) for caster in casters]
+    shown = [caster for caster, one, floor in zip(casters, clear, floors, strict=True) if one and not floor]
+    panes = make_panes(scene, lights, shown, settings.shadow_resolution, store, texture_size)
     build = _TableBuilder(scene, settings.shadow_resolution, store, check)
+    everything = _Cast(casters, floors)
     unmapped = [light for light in lights if light.shadow and not takes_map(light)]
     mapped = [light for light in lights if light.shadow and takes_map(light)]
-    everything = _Cast(casters, floors)
-    rest = _Cast(
-        [caster for caster, one in zip(casters, solid, strict=True) if not one],
-        tuple(floor for floor, one in zip(floors, solid, strict=True) if not one),
-    )
-    tables = build.tables(lights, [(unmapped, everything), (mapped, rest)])
-    if tables is None and maps is None:
+    hard = [light for light in mapped if panes is not None and takes_panes(light)]
+    soft = [light for light in mapped if panes is None or not takes_panes(light)]
+    neither = [one or other for one, other in zip(solid, clear, strict=True)]
+    wanted = [(unmapped, everything), (soft, everything.without(solid)), (hard, everything.without(neither))]
+    tables = build.tables(lights, wanted)
+    if tables is None and maps is None and panes is None:
         return None, "there is nothing in the shadow of anything"
-    return Shadows(tables, maps), ""
+    return Shadows(tables, maps, panes), ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +118,11 @@ class _Cast:
     @property
     def any(self) -> bool:
         return not all(self.floors)
+
+    def without(self, some: Sequence[bool]) -> _Cast:
+        """Returns all casters but some, (C,)."""
+        rest = [k for k, one in enumerate(some) if not one]
+        return _Cast([self.casters[k] for k in rest], tuple(self.floors[k] for k in rest))
 
 
 class _TableBuilder:

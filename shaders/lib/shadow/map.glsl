@@ -1,9 +1,11 @@
 // Shadows of lights without size, by depth maps seen from them: layout and records in render/shadow/maps.py.
-// PS_SHADOW_MAPS: some light has one. PS_FOOTPRINT: the share is a mean over the sub-samples of a group, so that edges within
-// a pixel are as smooth as its silhouettes.
-// Samplers: ps_shadow_maps (bits of the depths of all views beyond their near planes, which grow with these), ps_map_lights (one row for each light, of this view).
+// PS_SHADOW_MAPS: some light has one. PS_SHADOW_PANES: some light has one of panes, layer behind layer (render/shadow/panes.py).
+// PS_FOOTPRINT: the share is a mean over the sub-samples of a group, so that edges within a pixel are as smooth as its
+// silhouettes.
+// Samplers: ps_shadow_maps (bits of the depths of all views beyond their near planes, which grow with these), ps_map_lights (one
+// row for each light, of this view), ps_shadow_panes and ps_pane_lights (the same of panes, with shares of light).
 
-#ifdef PS_SHADOW_MAPS
+#if defined(PS_SHADOW_MAPS) || defined(PS_SHADOW_PANES)
 
 #define PS_MAP_PARALLEL 1.0
 #define PS_MAP_CUBE 3.0
@@ -51,42 +53,51 @@ PsMember ps_member(inout uvec2 members, vec3 normal)
 }
 #endif
 
-// Its row in ps_map_lights, and what all its views share.
+// Its row among the records of lights, and what all its views share.
 struct PsMapLight {
   int row;
   vec4 x, y, z;  // rows of the matrix from view space
-  float kind;
+  vec4 head;  // kind; of panes also the number of layers, and texels from one to the next
 #ifndef PS_MAP_VIEWS
   vec4 frame, ends;  // of its only view
 #endif
 };
 
-PsMapLight ps_map_light(int row)
+PsMapLight ps_map_light(sampler2D records, int row)
 {
   PsMapLight light;
   light.row = row;
-  light.kind = texelFetch(ps_map_lights, ivec2(3, row), 0).x;
-  light.x = texelFetch(ps_map_lights, ivec2(0, row), 0);
-  light.y = texelFetch(ps_map_lights, ivec2(1, row), 0);
-  light.z = texelFetch(ps_map_lights, ivec2(2, row), 0);
+  light.head = texelFetch(records, ivec2(3, row), 0);
+  light.x = texelFetch(records, ivec2(0, row), 0);
+  light.y = texelFetch(records, ivec2(1, row), 0);
+  light.z = texelFetch(records, ivec2(2, row), 0);
 #ifndef PS_MAP_VIEWS
-  light.frame = texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD, row), 0);
-  light.ends = texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 1, row), 0);
+  light.frame = texelFetch(records, ivec2(PS_MAP_HEAD, row), 0);
+  light.ends = texelFetch(records, ivec2(PS_MAP_HEAD + 1, row), 0);
 #endif
   return light;
 }
 
-// Share of the light, from 0 to 1, that reaches a point in view space, between the four texels around it. Each is compared
-// with the receiver's plane there, so that a surface does not shade itself. normal: unit, or zero where there is no surface.
-// above, rise: see PsFootprint.
-float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above, float rise)
+// A receiver in a view: the four texels around it, and its plane there.
+struct PsMapPlace {
+  bool seen, parallel;
+  ivec2 low;
+  ivec4 ends;
+  vec2 share, sharp;  // of the way to the next texel; as it weighs texels
+  vec3 q, n;
+  float step, facing, bias, reach, near;
+};
+
+// normal: unit, or zero where there is no surface. above, rise: see PsFootprint.
+PsMapPlace ps_map_place(PsMapLight light, sampler2D records, vec3 position, vec3 normal, float above, float rise)
 {
+  PsMapPlace at;
   vec4 point = vec4(position, 1.0);
   vec3 q = vec3(dot(light.x, point), dot(light.y, point), dot(light.z, point));
   vec3 n = vec3(dot(light.x.xyz, normal), dot(light.y.xyz, normal), dot(light.z.xyz, normal));
 #ifdef PS_MAP_VIEWS
   int view = 0;
-  if (light.kind == PS_MAP_CUBE) {
+  if (light.head.x == PS_MAP_CUBE) {
     // The face's axis first.
     vec3 size = abs(q);
     int axis = size.x >= size.y && size.x >= size.z ? 0 : (size.y >= size.z ? 1 : 2);
@@ -97,44 +108,78 @@ float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above, floa
     q = positive ? q.zyx : vec3(q.yz, -q.x);
     n = positive ? n.zyx : vec3(n.yz, -n.x);
   }
-  vec4 frame = texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view, light.row), 0);
-  ivec4 ends = ivec4(texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view + 1, light.row), 0));
-  bool parallel = light.kind == PS_MAP_PARALLEL;
+  vec4 frame = texelFetch(records, ivec2(PS_MAP_HEAD + 2 * view, light.row), 0);
+  at.ends = ivec4(texelFetch(records, ivec2(PS_MAP_HEAD + 2 * view + 1, light.row), 0));
+  at.parallel = light.head.x == PS_MAP_PARALLEL;
 #else
   vec4 frame = light.frame;
-  ivec4 ends = ivec4(light.ends);
-  const bool parallel = true;
+  at.ends = ivec4(light.ends);
+  at.parallel = true;
 #endif
-  if (ends.z < 0 || !(parallel || q.z > 0.0)) {
-    return 1.0;
-  }
-  vec3 ray = parallel ? vec3(0.0, 0.0, 1.0) : vec3(q.xy / q.z, 1.0);
-  vec2 place = frame.xy + frame.z * (parallel ? q.xy : ray.xy) - 0.5;
-  vec2 low = floor(place), share = place - low;
-  float step = 1.0 / frame.z, texel = (parallel ? 1.0 : q.z) * step;  // world units
+  at.seen = at.ends.z >= 0 && (at.parallel || q.z > 0.0);
+  vec3 ray = at.parallel ? vec3(0.0, 0.0, 1.0) : vec3(q.xy / q.z, 1.0);
+  vec2 place = frame.xy + frame.z * (at.parallel ? q.xy : ray.xy) - 0.5;
+  vec2 low = floor(place);
+  at.low = ivec2(low);
+  at.share = place - low;
+  at.step = 1.0 / frame.z;
+  float texel = (at.parallel ? 1.0 : q.z) * at.step;  // world units
 #ifdef PS_FOOTPRINT
   // Where several texels lie in a pixel, its sub-samples make the mean.
-  vec2 sharp = clamp((share - 0.5) * max(PS_MAP_SHARP * ps_pixel_size(-position.z) / texel, 1.0) + 0.5, 0.0, 1.0);
+  at.sharp = clamp((at.share - 0.5) * max(PS_MAP_SHARP * ps_pixel_size(-position.z) / texel, 1.0) + 0.5, 0.0, 1.0);
 #else
-  vec2 sharp = share;
+  at.sharp = at.share;
 #endif
   bool oriented = dot(n, n) > 0.0;
-  float facing = dot(n, ray);
-  float cosine = max(abs(facing) * inversesqrt(dot(ray, ray)), PS_MAP_STEEPEST);
-  float bias = (oriented ? (texel * above + rise) / cosine : texel * PS_MAP_BIAS_IN_MEDIA) +
-               PS_MAP_ROUNDING * (abs(q.z) + length(position));
-  float reach = oriented ? texel * (1.0 / PS_MAP_STEEPEST) : 0.0;
-  float rising = parallel ? -1.0 / (facing == 0.0 ? 1e-20 : facing) : 0.0;
+  at.facing = dot(n, ray);
+  float cosine = max(abs(at.facing) * inversesqrt(dot(ray, ray)), PS_MAP_STEEPEST);
+  at.bias = (oriented ? (texel * above + rise) / cosine : texel * PS_MAP_BIAS_IN_MEDIA) +
+            PS_MAP_ROUNDING * (abs(q.z) + length(position));
+  at.reach = oriented ? texel * (1.0 / PS_MAP_STEEPEST) : 0.0;
+  at.near = frame.w;
+  at.q = q;
+  at.n = n;
+  return at;
+}
+
+// Bits of the depth up to which what a texel holds lies before the receiver: that of its plane there, so that a surface does not
+// shade itself. corner: which of the four texels.
+uint ps_map_limit(PsMapPlace at, vec2 corner)
+{
+  float rising = at.parallel ? -1.0 / (at.facing == 0.0 ? 1e-20 : at.facing) : 0.0;
+  float slope = dot(at.n.xy, (corner - at.share) * at.step);
+  float there = at.facing + slope;
+  float plane = at.parallel ? slope * rising : (there * at.facing > 0.0 ? -at.q.z * slope / there : -at.reach);
+  return floatBitsToUint(max(at.q.z + clamp(plane, -at.reach, at.reach) - at.bias - at.near, 0.0));
+}
+
+float ps_map_weight(PsMapPlace at, vec2 corner)
+{
+  vec2 weight = mix(1.0 - at.sharp, at.sharp, corner);
+  return weight.x * weight.y;
+}
+
+ivec2 ps_map_texel(PsMapPlace at, vec2 corner)
+{
+  return clamp(at.low + ivec2(corner), at.ends.xy, at.ends.zw);
+}
+
+#endif
+
+#ifdef PS_SHADOW_MAPS
+
+// Share of the light, from 0 to 1, that reaches a point in view space, between the four texels around it.
+float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above, float rise)
+{
+  PsMapPlace at = ps_map_place(light, ps_map_lights, position, normal, above, rise);
+  if (!at.seen) {
+    return 1.0;
+  }
   float lit = 0.0;
   for (int i = 0; i < 4; i++) {
     vec2 corner = vec2(i & 1, i >> 1);
-    float slope = dot(n.xy, (corner - share) * step);
-    float there = facing + slope;
-    float plane = parallel ? slope * rising : (there * facing > 0.0 ? -q.z * slope / there : -reach);
-    float depth = q.z + clamp(plane, -reach, reach) - bias - frame.w;
-    uint found = texelFetch(ps_shadow_maps, clamp(ivec2(low + corner), ends.xy, ends.zw), 0).x;
-    vec2 weight = mix(1.0 - sharp, sharp, corner);
-    lit += found < floatBitsToUint(max(depth, 0.0)) ? 0.0 : weight.x * weight.y;
+    uint found = texelFetch(ps_shadow_maps, ps_map_texel(at, corner), 0).x;
+    lit += found < ps_map_limit(at, corner) ? 0.0 : ps_map_weight(at, corner);
   }
   return lit;
 }
@@ -142,8 +187,8 @@ float ps_map_lit(PsMapLight light, vec3 position, vec3 normal, float above, floa
 // Share of the light of light `light` that no caster of its map keeps from a point in view space.
 float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
 {
-  PsMapLight map = ps_map_light(light);
-  wanted = wanted && map.kind > 0.0;
+  PsMapLight map = ps_map_light(ps_map_lights, light);
+  wanted = wanted && map.head.x > 0.0;
 #ifdef PS_FOOTPRINT
   uvec2 members = wanted ? ps_footprint.members : uvec2(0u);
   float sum = 0.0, count = 0.0;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +18,9 @@ from ...device.protocol import Texture
 from ...passes.shading.lighting import bound_textures
 from ...passes.shading.materials import material_rows
 from ...plan.plan import Plan
+from ...shadow.maps import ShadowMaps
 from ...shadow.shadows import Shadows, Tables
+from .pane_maps import draw_panes
 from .scope import UploadScope
 from .shadow_maps import CasterUploads, draw_maps
 
@@ -42,6 +45,7 @@ class LightingUploads:
         self._scope, self._store, self._scene, self._plan = scope, store, scene, plan
         self._tables = None if shadows is None else shadows.tables
         self._maps = None if shadows is None else shadows.maps
+        self._panes = None if shadows is None else shadows.panes
         self.shadow_key = None if shadows is None else shadows.key  # None: nothing casts shadows
         table = material_rows(scene.materials, self._hair_escape())
         self._surface = float(table[0, 2, 1]), float(table[0, 2, 3])  # roughness and relative index of the first one
@@ -59,10 +63,12 @@ class LightingUploads:
                 self.levels = self._upload_levels(scene.world.image)
         self._shadow_tables = None if self._tables is None else self._upload_tables(self._tables)
         self._shadow_maps: Texture | None = None
-        if self._maps is not None and self._map_key in scope.kept:
+        self._shadow_panes: Texture | None = None
+        if self._maps_are_kept:
             self.draw_maps()
         self._table_records: Texture | None = None  # of the lights in this view
         self._map_records: Texture | None = None
+        self._pane_records: Texture | None = None
 
     @property
     def textures(self) -> dict[str, Texture]:
@@ -71,34 +77,45 @@ class LightingUploads:
             materials=self.materials.get("ps_materials"), lights=self._lights, environment=self._environment,
             shadow_tables=self._shadow_tables, shadow_lights=self._table_records,
             shadow_maps=self._shadow_maps, map_lights=self._map_records,
+            shadow_panes=self._shadow_panes, pane_lights=self._pane_records,
         )  # fmt: skip
 
     @property
     def lacks_maps(self) -> bool:
         """Whether `draw_maps` is to be called before anything is shaded."""
-        return self._maps is not None and self._shadow_maps is None
+        return (self._maps is not None and self._shadow_maps is None) or (
+            self._panes is not None and self._shadow_panes is None
+        )
 
     def draw_maps(self) -> None:
-        """Draws the depth maps of lights, or takes those that are kept."""
-        assert self._maps is not None
-        scope, maps = self._scope, self._maps
+        """Draws the depth maps of lights, and those of panes, or takes those that are kept."""
+        device, maps, panes = self._scope.device, self._maps, self._panes
+        if maps is not None:
+            key = Key(Kind.SHADOW_MAP_TEXTURE, maps.key)
+            self._shadow_maps = self._drawn(key, maps, lambda casters: draw_maps(device, maps, casters))
+        if panes is not None:
+            key = Key(Kind.PANE_TEXTURE, panes.key)
+            self._shadow_panes = self._drawn(key, panes.maps, lambda casters: draw_panes(device, panes, casters))
+
+    def _drawn(self, key: Key, maps: ShadowMaps, draw: Callable[[CasterUploads], Texture]) -> Texture:
+        """Returns the texture with a key, which `draw` makes where it is not kept."""
+        scope = self._scope
 
         def make() -> Texture:
-            return draw_maps(scope.device, maps, casters)
+            casters = CasterUploads(scope.kept, self._store, self._scene, self._plan, maps)
+            try:
+                return draw(casters)
+            finally:
+                casters.release()
 
-        if self._map_key in scope.kept:
-            self._shadow_maps = scope.lookup(self._map_key, make)
-            return
-        casters = CasterUploads(scope.kept, self._store, self._scene, self._plan, maps)
-        try:
-            self._shadow_maps = scope.lookup(self._map_key, make)
-        finally:
-            casters.release()
+        return scope.lookup(key, make)
 
     @property
-    def _map_key(self) -> Key:
-        assert self._maps is not None
-        return Key(Kind.SHADOW_MAP_TEXTURE, self._maps.key)
+    def _maps_are_kept(self) -> bool:
+        kept, maps, panes = self._scope.kept, self._maps, self._panes
+        return (maps is None or Key(Kind.SHADOW_MAP_TEXTURE, maps.key) in kept) and (
+            panes is None or Key(Kind.PANE_TEXTURE, panes.key) in kept
+        )
 
     def upload_view(self, camera: Camera) -> None:
         """Uploads the lights, and the records of their shadow tables and maps, in the space of a view."""
@@ -110,6 +127,8 @@ class LightingUploads:
             self._table_records = self._scope.view_texture(self._tables.packed.records(camera.view_from_world))
         if self._maps is not None:
             self._map_records = self._scope.view_texture(self._maps.records(camera.view_from_world))
+        if self._panes is not None:
+            self._pane_records = self._scope.view_texture(self._panes.records(camera.view_from_world))
 
     def _hair_escape(self) -> np.ndarray:
         """Returns how much light leaves the hair of each material, (M,): of the strands with most hairs, in view or

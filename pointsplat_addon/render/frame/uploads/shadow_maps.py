@@ -106,7 +106,7 @@ def draw_maps(device: Device, maps: ShadowMaps, casters: CasterUploads) -> Textu
         temporary.callback(target.release)
         for view in maps.views:
             _draw_view(device, view, casters, depths, splats)
-            keep_depths(device, depths, view.corner, view.size, target)
+            keep_depths(device, depths.depths, view.corner, view.size, target)
         unfinished.pop_all()
         depths.depths.release()
     return texture

@@ -12,7 +12,14 @@ from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import EMPTY, Device, Target, Texture, releases_on_failure
 from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
-from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, RASTERISED, VisibilityBuffer, sub_sample_defines
+from ..visibility.buffer import (
+    LATTICE_DEFINE,
+    LATTICE_FIELDS,
+    RASTERISED,
+    VisibilityBuffer,
+    member_defines,
+    sub_sample_defines,
+)
 
 OPEN = 0x2000000  # in a pixel's second word: shaders/lib/visibility/groups.glsl
 COUNT_SHIFT = 21  # of a pixel's number of groups in its second word: shaders/lib/visibility/groups.glsl
@@ -32,7 +39,8 @@ def group_program(lattice: Lattice) -> Interface:
     return Interface(
         "group", fragment="grouping/group.frag", block=GROUP_BLOCK,
         samplers=(("UINT_2D", "ps_depths"), ("UINT_2D", "ps_keys")),
-        outputs=(("uint", "out_first"), ("uint", "out_second")), defines=(LATTICE_DEFINE, *sub_sample_defines(lattice)),
+        outputs=(("uint", "out_first"), ("uint", "out_second")),
+        defines=(LATTICE_DEFINE, *sub_sample_defines(lattice)[:1], *member_defines(lattice)),
     )  # fmt: skip
 
 

@@ -28,9 +28,12 @@ def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
         ("ps_shadow_tables", "PS_SHADOW_TABLES" in lighting),
         ("ps_shadow_lights", "PS_SHADOW_TABLES" in lighting),
         ("ps_map_lights", "PS_SHADOW_MAPS" in lighting),
+        ("ps_pane_lights", "PS_SHADOW_PANES" in lighting),
     )
-    maps = (("UINT_2D", "ps_shadow_maps"),) if "PS_SHADOW_MAPS" in lighting else ()
-    return (*(("FLOAT_2D", name) for name, needed in wanted if needed), *maps)
+    maps = (("ps_shadow_maps", "PS_SHADOW_MAPS" in lighting), ("ps_shadow_panes", "PS_SHADOW_PANES" in lighting))
+    return tuple(
+        (kind, name) for kind, names in (("FLOAT_2D", wanted), ("UINT_2D", maps)) for name, needed in names if needed
+    )
 
 
 def bound_textures(**named: Texture | None) -> dict[str, Texture]:

@@ -74,7 +74,7 @@ def shade_program(
     the picture, not only passes beside it. `coarse`: nodes are so wide that they would lie in the shadow of what they
     stand for. `lattice`: surfels are groups of sub-samples of this one."""
     grouped = lattice is not None
-    footprint = lattice if combined and "PS_SHADOW_MAPS" in lighting else None
+    footprint = lattice if combined and {"PS_SHADOW_MAPS", "PS_SHADOW_PANES"} & set(lighting) else None
     read = variant.samplers(only=("centre", "shape", "normal", "color", "emission"))
     read += (("FLOAT_2D", "ps_list"),) if grouped else ()
     read += FOOTPRINT_SAMPLERS if footprint else ()

@@ -1,11 +1,11 @@
-"""Brings the depths of one view from a light into its place in the texture of all maps."""
+"""Brings the depths of one view from a light, or what belongs to them, to their place in the texture of all maps."""
 
 from __future__ import annotations
 
 from ....shading.interface import Interface
-from ...device.protocol import Device, Target
+from ...device.protocol import Device, Target, Texture
 from ..uniforms import RECTANGLE_FIELDS, Fields, block
-from ..visibility.buffer import DEPTH_OUTPUT, DepthBuffer
+from ..visibility.buffer import DEPTH_OUTPUT
 
 PLACE_FIELDS: Fields = (("ivec2", "corner"),)  # of the place, in texels
 BLOCK = block("KeepDepths", RECTANGLE_FIELDS, PLACE_FIELDS)
@@ -19,12 +19,10 @@ PROGRAM = Interface(
 )
 
 
-def keep_depths(
-    device: Device, depths: DepthBuffer, corner: tuple[int, int], size: tuple[int, int], maps: Target
-) -> None:
+def keep_depths(device: Device, depths: Texture, corner: tuple[int, int], size: tuple[int, int], maps: Target) -> None:
     """Copies the first `size` (columns, rows) texels of depths to `corner` in `maps`."""
     width, height = maps.colors[0].size
     (x, y), (columns, rows) = corner, size
     rectangle = x / width, y / height, (x + columns) / width, (y + rows) / height
     record = BLOCK.record(rectangle=rectangle, corner=corner)
-    device.draw(PROGRAM, maps, uniforms=record, textures=depths.textures, vertices=6)
+    device.draw(PROGRAM, maps, uniforms=record, textures={"ps_depths": depths}, vertices=6)

@@ -197,7 +197,11 @@ class PolygonDepths:
         self._cover(depths_program, view, shared)
 
     def _cover(
-        self, program_of: Callable[[Lattice, Group, bool], Interface], view: SampleView, shared: dict[str, Texture]
+        self,
+        program_of: Callable[[Lattice, Group, bool], Interface],
+        view: SampleView,
+        shared: dict[str, Texture],
+        **values: object,
     ) -> None:
         for draw in self.draws:
             for group in draw.mesh.groups:
@@ -208,7 +212,7 @@ class PolygonDepths:
                     self.device.draw(
                         program,
                         self.buffer.target,
-                        uniforms=self._record(program, draw, group, view, **own, **self.buffer.values),
+                        uniforms=self._record(program, draw, group, view, **own, **self.buffer.values, **values),
                         textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures},
                         vertices=group.count * min(step, draw.slots - slot),
                         depth_test=True,

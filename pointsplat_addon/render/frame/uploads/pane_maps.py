@@ -1,0 +1,44 @@
+"""Draws the maps of panes as lights see them, one layer behind another."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+import numpy as np
+
+from ...device.protocol import Device, Texture
+from ...passes.shadow.keep_depths import keep_depths
+from ...passes.shadow.panes import PaneBuffer, PaneLayers
+from ...passes.uniforms import view_of
+from ...shadow.panes import PaneMaps
+from ..visibility.polygon_draws import polygon_draws
+from .shadow_maps import ONE_EACH, CasterUploads
+
+
+def draw_panes(device: Device, panes: PaneMaps, casters: CasterUploads) -> Texture:
+    """Returns the texture of all layers, R32UI: bits of depths beyond the near planes of their views, and those of the
+    shares of light (float32) that the panes up to there let through; see PaneMaps.size."""
+    views, height = panes.maps.views, panes.maps.size[1]
+    width, rows = np.max([view.size for view in views], axis=0).tolist()
+    through = 1 - casters.scene.materials.alpha
+    with ExitStack() as unfinished, ExitStack() as temporary:  # what is released if it fails, and in any case
+        buffer = PaneBuffer(device, ONE_EACH, (width, rows))
+        temporary.callback(buffer.release)
+        texture = device.texture(panes.size, "R32UI")
+        unfinished.callback(texture.release)
+        target = device.target([texture])
+        temporary.callback(target.release)
+        for view in views:
+            seen = view_of(view.camera)
+            casters.look_from(seen)
+            drawn = PaneLayers(device, polygon_draws(device, casters, seen, 0), buffer, through)
+            temporary.callback(drawn.release)
+            x, y = view.corner
+            before = None
+            for layer in range(panes.layers):
+                drawn.draw_layer(seen, casters.points.instances, texture, before, height)
+                before = x, y + 2 * layer * height
+                keep_depths(device, buffer.depths, before, view.size, target)
+                keep_depths(device, buffer.shares, (x, before[1] + height), view.size, target)
+        unfinished.pop_all()
+    return texture
