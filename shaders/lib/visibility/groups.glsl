@@ -19,6 +19,13 @@ uvec2 ps_with_group(uvec2 codes, int sub_sample, uint group)
 }
 
 #ifdef PS_MEMBER_BITS
+// The cell of a sub-sample from the pixel's central one, out of words and not out of an array, for which compilers unroll
+// loops over sub-samples: a software renderer would be busy with that for longer than with a picture.
+ivec2 ps_sub_sample_cell(int sub_sample)
+{
+  return ivec2(ps_group(PS_MEMBER_COLUMNS, sub_sample), ps_group(PS_MEMBER_ROWS, sub_sample)) - PS_MEMBER_REACH;
+}
+
 // The sub-samples of one group that are still to be looked at: the lowest bit of each's three, in both words.
 uvec2 ps_group_members(uvec2 codes, uint group)
 {

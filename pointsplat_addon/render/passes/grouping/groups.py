@@ -39,7 +39,8 @@ def group_program(lattice: Lattice) -> Interface:
     return Interface(
         "group", fragment="grouping/group.frag", block=GROUP_BLOCK,
         samplers=(("UINT_2D", "ps_depths"), ("UINT_2D", "ps_keys")),
-        outputs=(("uint", "out_first"), ("uint", "out_second")), defines=(LATTICE_DEFINE, *sub_sample_defines(lattice)),
+        outputs=(("uint", "out_first"), ("uint", "out_second")),
+        defines=(LATTICE_DEFINE, *sub_sample_defines(lattice)[:1], *member_defines(lattice)),
     )  # fmt: skip
 
 
