@@ -68,6 +68,8 @@ class Kind(Enum):
     SHADOW_TABLE = auto()  # of one light
     SHADOW_TABLES = auto()  # of all lights, packed for the device
     SHADOW_MAPS = auto()  # the views of all depth maps
+    NESTED_MAPS = auto()  # and of those that are nested in them, for a camera
+    SKETCH = auto()  # of a geometry, by which is found what is seen
     PANE_MAPS = auto()  # those of panes
     # On the device
     PAGE = auto()

@@ -32,6 +32,7 @@ from ..prepare.negligible import without_negligible
 from ..prepare.painter import with_defocus_among_translucent, with_opaque_among_translucent
 from ..prepare.prepare import Prepared, prepare
 from ..prepare.separation import separate_translucent
+from ..shadow.nested import with_nested
 from ..shadow.shadows import Shadows, make_shadows
 from .auxiliary import auxiliary_picture
 from .lens_view import camera_of_whole_lens
@@ -273,6 +274,8 @@ def _shadows(
     found, unshadowed = make_shadows(scene, request.settings, store, clock.check, limits.texture_size)
     if found is None:
         return None, unshadowed or "nothing casts shadows"
+    if found.maps is not None and not request.interactive:
+        found = replace(found, maps=with_nested(found.maps, scene, request.camera, store, limits.texture_size))
     if found.tables is not None:
         clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
     return found, ""

@@ -34,6 +34,16 @@ BEYOND = 0.2  # of the bounds of a view from a light with a size, beyond those: 
 
 
 @dataclass(frozen=True, eq=False)
+class Nested:
+    """For which receivers a nested map stands in for that of the scene (nested.py)."""
+
+    low: np.ndarray  # (2,) float64, places in the light's space between which they lie, and
+    high: np.ndarray
+    depths: tuple[float, float]  # their range of depths
+    lift: float  # the height at which its views from all points of the light show the same place
+
+
+@dataclass(frozen=True, eq=False)
 class MapView:
     """One view from a light. Its coordinates are right, up and the depth in front of the light, with `right` cross `up`
     = -`forward`; a place in it is (right, up), over the depth where the view is a perspective one."""
@@ -50,6 +60,8 @@ class MapView:
     # (N, 2) float64, of the light: each has such a view of its own; None: there is one.
     points: np.ndarray | None = None
     point: tuple[float, float] = (0.0, 0.0)  # from which this one is seen
+    finest: float = 0.0  # finer texels show gaps between splats
+    nested: Nested | None = None
 
     @property
     def tiles(self) -> tuple[int, int]:
@@ -71,11 +83,11 @@ class MapView:
             replace(
                 self,
                 corner=(x + i % columns * self.size[0], y + i // columns * self.size[1]),
-                low=self.low - self.step * moved,
+                low=self.low - self.step * moved - (0.0 if self.nested is None else self.nested.lift * point),
                 points=None,
-                point=tuple(point),
+                point=(float(point[0]), float(point[1])),
             )
-            for i, (point, moved) in enumerate(zip(self.points.tolist(), grid_shifts(len(self.points)), strict=True))
+            for i, (point, moved) in enumerate(zip(self.points, grid_shifts(len(self.points)), strict=True))
         ]
 
     @property
@@ -111,7 +123,8 @@ class LightViews:
     kind: str  # PARALLEL, SINGLE or CUBE
     axes: np.ndarray  # (3, 3) float64 and
     origin: np.ndarray  # (3,) of the coordinates in which a cube's faces lie across the axes, or of the only view
-    views: tuple[MapView | None, ...]  # faces of a cube: toward +x, -x, +y, -y, +z, -z; None: nothing is there
+    # Faces of a cube: toward +x, -x, +y, -y, +z, -z; None: nothing is there. The only view, and nested ones.
+    views: tuple[MapView | None, ...]
     shape: LightShape | None = None  # of a light with a size
 
 
@@ -228,7 +241,7 @@ def placed(
     if total > budget:
         share = 0.95 * (budget / total) ** 0.5  # margins and rounding take the rest
         fitting = [_each_view(one, lambda view: _coarser(view, share)) for one in fitting]
-    corners, size = _shelves([v.block for one in fitting if one is not None for v in one.views if v is not None], width)
+    corners, size = arranged_blocks([v.block for one in fitting if one is not None for v in one.views if v is not None], width)
     places = iter(corners)
     return [_each_view(one, lambda view: replace(view, corner=next(places))) for one in fitting], size
 
@@ -344,8 +357,9 @@ def _fitted(
     size = np.maximum(np.ceil(extent / step), 1).astype(int) + 2 * MARGIN
     middle = (low + high) / 2
     return MapView(
-        axes, origin, parallel, middle - step * size / 2, step, (int(size[0]), int(size[1])), far, across=across
-    )
+        axes, origin, parallel, middle - step * size / 2, step, (int(size[0]), int(size[1])), far, across=across,
+        finest=finest / TEXELS_OF_RADIUS if np.isfinite(finest) else 0.0,
+    )  # fmt: skip
 
 
 def _coarser(view: MapView, share: float) -> MapView:
@@ -371,7 +385,7 @@ def _each_view(light: LightViews | None, change: Callable[[MapView], MapView]) -
     return replace(light, views=tuple(None if view is None else change(view) for view in light.views))
 
 
-def _shelves(sizes: list[tuple[int, int]], width: int) -> tuple[list[tuple[int, int]], tuple[int, int]]:
+def arranged_blocks(sizes: list[tuple[int, int]], width: int) -> tuple[list[tuple[int, int]], tuple[int, int]]:
     """Places rectangles on shelves, the highest first. Returns the lower left corner of each, and what holds all."""
     total = sum(w * h for w, h in sizes)
     width = min(width, max([1 << int(np.ceil(np.log2(max(total, 1) ** 0.5))), *(w for w, _ in sizes)]))

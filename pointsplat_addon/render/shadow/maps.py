@@ -23,6 +23,7 @@ MOST_PRIMITIVES = 1 << 25  # of all instances of a geometry that maps draw: wher
 WIDEST_TEXTURE = 8192  # texels
 HEAD_TEXELS, VIEW_TEXELS = 4, 2  # of a light's record, and of each of its views
 SHAPE_TEXELS = 8  # after them: of a light with a size
+NESTED_TEXELS = 6  # of nested maps
 KINDS = ("NONE", "PARALLEL", "SINGLE", "CUBE")
 
 
@@ -34,11 +35,18 @@ class ShadowMaps:
     lights: tuple[LightViews | None, ...]  # in the order of the light table's rows; None: the light has no map
     size: tuple[int, int]  # of the texture that holds all
     casters: tuple[tuple[str, np.ndarray], ...]  # key of a geometry, (I, 4, 4) its casting instances
+    of_scene: ShadowMaps | None = None  # whose texture this one's begins with; what follows are nested maps
 
     @property
     def views(self) -> list[MapView]:
+        """All that are drawn."""
         found = [view for light in self.lights if light is not None for view in light.views if view is not None]
-        return [each for view in found for each in view.each]
+        return [each for view in found if self.of_scene is None or view.nested is not None for each in view.each]
+
+    @property
+    def nested(self) -> bool:
+        """Whether some are nested in others."""
+        return self.of_scene is not None
 
     @property
     def soft(self) -> bool:
@@ -53,6 +61,8 @@ class ShadowMaps:
         and last texel. For lights with a size the kind is negative, beside it are how many points are seen from, and
         the row of their places; the views are those of the first point; and what follows them is, from SHAPE on: the
         half-axes in the light's space, with whether they face receivers, and for each view both half-axes in its plane.
+        Behind all that, from NESTED on, two more for each nested map, whose view is the second, third or fourth: the
+        places of receivers that look at it, from and to; their depths, and the height at which its views meet.
 
         More rows hold, for each outline and number of cells that some light has, of each cell its middle, by how many
         texels those of its view lie further on, and its points.
@@ -61,7 +71,9 @@ class ShadowMaps:
         shape = HEAD_TEXELS + 6 * VIEW_TEXELS
         outlines = sorted({_cells(light) for light in self.lights if light is not None and light.shape is not None})
         points = [_record_of_cells(*outline) for outline in outlines]
-        found = np.zeros((len(self.lights) + len(points), max([shape + SHAPE_TEXELS, *map(len, points)]), 4))
+        nested = shape + SHAPE_TEXELS
+        width = nested + (NESTED_TEXELS if self.nested else 0)
+        found = np.zeros((len(self.lights) + len(points), max([width, *map(len, points)]), 4))
         for row, places in zip(found[len(self.lights) :], points, strict=True):
             row[: len(places)] = places
         for row, light in zip(found, self.lights, strict=False):
@@ -85,6 +97,9 @@ class ShadowMaps:
                 texels[1] = *view.corner, *(np.array(view.corner) + view.size - 1)
                 if view.across is not None:
                     row[shape + 2 + i] = view.across.T.ravel()
+                if view.nested is not None:
+                    row[nested + 2 * i - 2] = *view.nested.low, *view.nested.high
+                    row[nested + 2 * i - 1, :3] = *view.nested.depths, view.nested.lift
         return found.astype(np.float32)
 
 

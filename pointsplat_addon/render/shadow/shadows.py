@@ -54,7 +54,9 @@ class Shadows:
 
     @property
     def key(self) -> tuple[Key | None, ...]:
-        return self.tables and self.tables.key, self.maps and self.maps.key, self.panes and self.panes.key
+        """Of what casts, for all views."""
+        maps = self.maps and (self.maps.of_scene or self.maps)
+        return self.tables and self.tables.key, maps and maps.key, self.panes and self.panes.key
 
     @property
     def wide(self) -> bool:

@@ -1,5 +1,6 @@
 // Shadows of lights without size, by depth maps seen from them: layout and records in render/shadow/maps.py.
 // PS_SHADOW_MAPS: some light has one. PS_SHADOW_PANES: some light has one of panes, layer behind layer (render/shadow/panes.py).
+// PS_SHADOW_NESTED: maps of suns may hold finer ones for what is near (render/shadow/nested.py).
 // PS_FOOTPRINT: the share is a mean over the sub-samples of a group, so that edges within a pixel are as smooth as its
 // silhouettes.
 // Samplers: ps_shadow_maps (bits of the depths of all views beyond their near planes, which grow with these), ps_map_lights (one
@@ -16,7 +17,7 @@
 #define PS_MAP_ROUNDING 2e-6  // of distances
 #define PS_MAP_STEEPEST 0.1  // cosine: surfaces that light grazes more closely are treated as this one
 
-#if defined(PS_HAS_POINTS) || defined(PS_HAS_SPOTS)
+#if defined(PS_HAS_POINTS) || defined(PS_HAS_SPOTS) || defined(PS_SHADOW_NESTED)
 #define PS_MAP_VIEWS  // a map may have several, or none of a point
 #endif
 
@@ -53,11 +54,31 @@ PsMember ps_member(inout uvec2 members, vec3 normal)
 }
 #endif
 
+#ifdef PS_SHADOW_NESTED
+#define PS_MAP_NESTED 24  // first texel about nested maps
+
+// Which map of a sun shows the finest what is around a place in its space: 0: that of the scene, or one nested in it.
+int ps_nested_map(int row, vec3 q)
+{
+  int map = 0;
+  for (int i = 0; i < 3; i++) {
+    vec4 ends = texelFetch(ps_map_lights, ivec2(PS_MAP_NESTED + 2 * i, row), 0);
+    vec2 depths = texelFetch(ps_map_lights, ivec2(PS_MAP_NESTED + 2 * i + 1, row), 0).xy;
+    bool holds = all(greaterThan(q, vec3(ends.xy, depths.x))) && all(lessThan(q, vec3(ends.zw, depths.y)));
+    map = holds ? i + 1 : map;
+  }
+  return map;
+}
+#endif
+
 // Its row among the records of lights, and what all its views share.
 struct PsMapLight {
   int row;
   vec4 x, y, z;  // rows of the matrix from view space
   vec4 head;  // kind; of panes also the number of layers, and texels from one to the next
+#ifdef PS_SHADOW_NESTED
+  int nested;  // of a sun: see ps_nested_map
+#endif
 #ifndef PS_MAP_VIEWS
   vec4 frame, ends;  // of its only view
 #endif
@@ -71,6 +92,9 @@ PsMapLight ps_map_light(sampler2D records, int row)
   light.x = texelFetch(records, ivec2(0, row), 0);
   light.y = texelFetch(records, ivec2(1, row), 0);
   light.z = texelFetch(records, ivec2(2, row), 0);
+#ifdef PS_SHADOW_NESTED
+  light.nested = 0;
+#endif
 #ifndef PS_MAP_VIEWS
   light.frame = texelFetch(records, ivec2(PS_MAP_HEAD, row), 0);
   light.ends = texelFetch(records, ivec2(PS_MAP_HEAD + 1, row), 0);
@@ -96,7 +120,11 @@ PsMapPlace ps_map_place(PsMapLight light, sampler2D records, vec3 position, vec3
   vec3 q = vec3(dot(light.x, point), dot(light.y, point), dot(light.z, point));
   vec3 n = vec3(dot(light.x.xyz, normal), dot(light.y.xyz, normal), dot(light.z.xyz, normal));
 #ifdef PS_MAP_VIEWS
+#ifdef PS_SHADOW_NESTED
+  int view = light.nested;
+#else
   int view = 0;
+#endif
   if (light.head.x == PS_MAP_CUBE) {
     // The face's axis first.
     vec3 size = abs(q);
@@ -189,6 +217,10 @@ float ps_map_share(int light, vec3 position, vec3 normal, bool wanted)
 {
   PsMapLight map = ps_map_light(ps_map_lights, light);
   wanted = wanted && map.head.x > 0.0;
+#ifdef PS_SHADOW_NESTED
+  vec4 point = vec4(position, 1.0);
+  map.nested = ps_nested_map(light, vec3(dot(map.x, point), dot(map.y, point), dot(map.z, point)));
+#endif
 #ifdef PS_FOOTPRINT
   uvec2 members = wanted ? ps_footprint.members : uvec2(0u);
   float sum = 0.0, count = 0.0;

@@ -21,6 +21,9 @@ struct PsSoftLight {
   ivec4 ends;
   float gain;  // how sharp edges between texels are
   float own;  // height of the receiver
+#ifdef PS_SHADOW_NESTED
+  float lift;  // at which all views show the same place
+#endif
   vec2 place, slope;  // of the receiver in the view from the light's middle, and how its plane's height grows there
   float bias;
 };
@@ -60,7 +63,12 @@ void ps_soft_receive_next(inout PsSoftLight s, inout uvec2 members, vec3 normal)
 // of the heights above the receiver of what does not, and its weight. moved: places from the receiver to the ray.
 vec3 ps_soft_tap(PsSoftLight s, vec2 point, vec2 shift, ivec2 tile, vec2 moved)
 {
-  vec2 place = shift + s.frame.xy + s.frame.z * (s.place - s.own * point + moved) - 0.5;
+#ifdef PS_SHADOW_NESTED
+  float above = s.own - s.lift;
+#else
+  float above = s.own;
+#endif
+  vec2 place = shift + s.frame.xy + s.frame.z * (s.place - above * point + moved) - 0.5;
   vec2 low = floor(place), share = place - low;
   // A plane's height in the view of a point.
   float straight = 1.0 - dot(s.slope, point);
@@ -106,6 +114,12 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     s.turn = turned * s.turn;
     s.offset = turned * s.offset;
   }
+#ifdef PS_SHADOW_NESTED
+  view = -head.x == PS_MAP_PARALLEL ? ps_nested_map(light, q) : view;
+  s.lift = -head.x == PS_MAP_PARALLEL && view > 0
+               ? texelFetch(ps_map_lights, ivec2(PS_MAP_NESTED + 2 * view - 1, light), 0).z
+               : 0.0;
+#endif
   s.frame = texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view, light), 0);
   s.ends = ivec4(texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view + 1, light), 0));
   s.parallel = -head.x == PS_MAP_PARALLEL;

@@ -91,11 +91,18 @@ class LightingUploads:
         """Draws the depth maps of lights, and those of panes, or takes those that are kept."""
         device, maps, panes = self._scope.device, self._maps, self._panes
         if maps is not None:
-            key = Key(Kind.SHADOW_MAP_TEXTURE, maps.key)
-            self._shadow_maps = self._drawn(key, maps, lambda casters: draw_maps(device, maps, casters))
+            self._shadow_maps = self._drawn_maps(maps)
         if panes is not None:
             key = Key(Kind.PANE_TEXTURE, panes.key)
             self._shadow_panes = self._drawn(key, panes.maps, lambda casters: draw_panes(device, panes, casters))
+
+    def _drawn_maps(self, maps: ShadowMaps) -> Texture:
+        """Returns the texture of maps; those that others are nested in are drawn once for all views."""
+        device, key = self._scope.device, Key(Kind.SHADOW_MAP_TEXTURE, maps.key)
+        if maps.of_scene is None:
+            return self._drawn(key, maps, lambda casters: draw_maps(device, maps, casters))
+        of_scene = self._drawn_maps(maps.of_scene)
+        return self._drawn(key, maps, lambda casters: draw_maps(device, maps, casters, of_scene))
 
     def _drawn(self, key: Key, maps: ShadowMaps, draw: Callable[[CasterUploads], Texture]) -> Texture:
         """Returns the texture with a key, which `draw` makes where it is not kept."""

@@ -86,8 +86,9 @@ class CasterUploads:
         self._scope.release()
 
 
-def draw_maps(device: Device, maps: ShadowMaps, casters: CasterUploads) -> Texture:
-    """Returns the texture of all maps: bits of depths beyond the near planes of their views, R32UI."""
+def draw_maps(device: Device, maps: ShadowMaps, casters: CasterUploads, of_scene: Texture | None = None) -> Texture:
+    """Returns the texture of all maps: bits of depths beyond the near planes of their views, R32UI. `of_scene`: what it
+    begins with, where others are nested in maps of the scene."""
     width, height = np.max([view.size for view in maps.views], axis=0).tolist()
     with ExitStack() as unfinished, ExitStack() as temporary:  # what is released if it fails, and in any case
         depths = DepthBuffer(device, ONE_EACH, (width, height))
@@ -96,7 +97,7 @@ def draw_maps(device: Device, maps: ShadowMaps, casters: CasterUploads) -> Textu
         splats = _splats(device, maps, casters, depths) if casters.plan.points else None
         if splats is not None:
             temporary.callback(splats.release)
-        if maps.size == depths.size:
+        if maps.size == depths.size and of_scene is None:
             _draw_view(device, maps.views[0], casters, depths, splats)
             unfinished.pop_all()
             return depths.depths
@@ -104,6 +105,8 @@ def draw_maps(device: Device, maps: ShadowMaps, casters: CasterUploads) -> Textu
         unfinished.callback(texture.release)
         target = device.target([texture])
         temporary.callback(target.release)
+        if of_scene is not None:
+            keep_depths(device, of_scene, (0, 0), of_scene.size, target)
         for view in maps.views:
             _draw_view(device, view, casters, depths, splats)
             keep_depths(device, depths.depths, view.corner, view.size, target)

@@ -93,6 +93,8 @@ def light_program(
 def light_shares_program(options: TranslucentOptions, lighting: tuple[str, ...], lights: int) -> Interface:
     """Returns the program that finds the share of each light that reaches every splat of a page; its draw list holds
     all splats in their own order."""
+    # All cameras share what arrives, and nested maps are for one.
+    lighting = tuple(name for name in lighting if name != "PS_SHADOW_NESTED")
     colored = "PS_SHADOW_COLORED" in lighting
     read = ("order", "instances", "position", "extent", "optics", "materials")
     read += ("shading_normal",) if options.shading_normal else ()
