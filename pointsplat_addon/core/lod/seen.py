@@ -16,8 +16,8 @@ from ..numeric.linear import largest_singular_value
 from ..scene.camera import Camera
 
 CELLS = 40  # along the longer side of the picture
-MOST_SAMPLES = 1 << 17  # of a geometry
-MOST_SAMPLES_OF_NEAR = 1 << 19  # of all instances of a geometry that are wide in the picture
+MOST_SAMPLES = 1 << 15  # of a geometry
+MOST_SAMPLES_OF_NEAR = 1 << 17  # of all instances of a geometry that are wide in the picture
 FEW_SAMPLES = 32  # of each other instance
 WIDE = 4.0  # cells: instances wider than this are sampled densely
 MOST_LARGE = 64  # triangles of a geometry

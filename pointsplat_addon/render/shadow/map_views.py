@@ -241,7 +241,9 @@ def placed(
     if total > budget:
         share = 0.95 * (budget / total) ** 0.5  # margins and rounding take the rest
         fitting = [_each_view(one, lambda view: _coarser(view, share)) for one in fitting]
-    corners, size = arranged_blocks([v.block for one in fitting if one is not None for v in one.views if v is not None], width)
+    corners, size = arranged_blocks(
+        [v.block for one in fitting if one is not None for v in one.views if v is not None], width
+    )
     places = iter(corners)
     return [_each_view(one, lambda view: replace(view, corner=next(places))) for one in fitting], size
 

@@ -104,9 +104,7 @@ def _nested(light: LightViews) -> list[MapView]:
     return [view for view in light.views if view is not None and view.nested is not None]
 
 
-def _with_levels(
-    light: LightViews, places: np.ndarray, pixel: np.ndarray, cell: float, texels: int
-) -> LightViews:
+def _with_levels(light: LightViews, places: np.ndarray, pixel: np.ndarray, cell: float, texels: int) -> LightViews:
     """Returns a sun's views with nested ones, the widest first. places, pixel, cell: see seen_places."""
     outer = light.views[0]
     assert outer is not None
