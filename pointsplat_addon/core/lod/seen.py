@@ -51,10 +51,14 @@ def sketch_of_points(position: np.ndarray) -> Sketch:
 
 
 def _sketch(points: np.ndarray, large: np.ndarray, bounded: np.ndarray) -> Sketch:
+    points, bounded = (one[np.isfinite(one).all(axis=1)] for one in (points, bounded))
+    if len(points) == 0:
+        return Sketch(points, large, np.zeros(3), 0.0)
     low, high = bounded.min(axis=0), bounded.max(axis=0)
     return Sketch(points, large, (low + high) / 2, float(np.linalg.norm(high - low) / 2))
 
 
+@np.errstate(all="ignore")  # what is too far away for float64 is not seen
 def seen_places(camera: Camera, things: Sequence[tuple[Sketch, np.ndarray]]) -> tuple[np.ndarray, np.ndarray, float]:
     """Returns world-space places (N, 3) float64 that a camera sees, how far a pixel reaches there, (N,), and how many
     pixels wide a cell is.

@@ -10,7 +10,7 @@ for what a camera sees directly; all else looks at the map of the scene.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -21,7 +21,7 @@ from ...core.scene.scene import Geometry, Scene
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .map_views import MARGIN, LightViews, MapView, Nested, arranged_blocks
-from .maps import ShadowMaps
+from .maps import WIDEST_TEXTURE, ShadowMaps
 
 MOST_LEVELS = 3
 TEXELS = 1 << 22  # of a level of a light, seen from all its points
@@ -44,12 +44,29 @@ def with_nested(maps: ShadowMaps, scene: Scene, camera: Camera, store: Store, te
     places, pixel, cell = seen_places(camera, _sketches(scene, store))
     if len(places) == 0 or all(view.step <= pixel.min() for light in suns for view in light.views if view is not None):
         return maps
-    texels = min(TEXELS, MOST_TEXELS // len(suns))
+    texels, widest = min(TEXELS, MOST_TEXELS // len(suns)), min(WIDEST_TEXTURE, texture_size)
     found = [
-        light if light is None or light.kind != "PARALLEL" else _with_levels(light, places, pixel, cell, texels)
+        light if light is None or light.kind != "PARALLEL"
+        else _with_levels(light, _Seen(places, pixel, cell), texels, widest)
         for light in maps.lights
-    ]
-    return _arranged(maps, found, texture_size)
+    ]  # fmt: skip
+    return _arranged(maps, found, widest, texture_size)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What seen_places finds."""
+
+    places: np.ndarray  # (N, 3) float64: in the world, or in a light's space
+    pixel: np.ndarray  # (N,) world units
+    cell: float  # pixels
+
+    def take(self, which: np.ndarray | slice) -> _Seen:
+        return _Seen(self.places[which], self.pixel[which], self.cell)
+
+    def octaves(self, step: np.ndarray | float) -> float:
+        """Returns by how many octaves texels, (N,) or all of one width, are wider than pixels, on average."""
+        return float(np.maximum(np.log2(step / self.pixel), 0).mean()) if len(self.pixel) else 0.0
 
 
 def _sketches(scene: Scene, store: Store) -> list[tuple[Sketch, np.ndarray]]:
@@ -71,13 +88,13 @@ def _sketch(geometry: Geometry) -> Sketch | None:
     return None
 
 
-def _arranged(maps: ShadowMaps, lights: Sequence[LightViews | None], texture_size: int) -> ShadowMaps:
+def _arranged(maps: ShadowMaps, lights: Sequence[LightViews | None], widest: int, texture_size: int) -> ShadowMaps:
     """Returns maps whose nested ones have places in the texture, above those of the scene; those of the scene alone
     where a texture does not hold them."""
     blocks = [view.block for light in lights if light is not None for view in _nested(light)]
     if not blocks:
         return maps
-    corners, (width, height) = arranged_blocks(blocks, texture_size)
+    corners, (width, height) = arranged_blocks(blocks, widest)
     below = maps.size[1]
     if max(width, below + height) > texture_size:
         return maps
@@ -104,60 +121,57 @@ def _nested(light: LightViews) -> list[MapView]:
     return [view for view in light.views if view is not None and view.nested is not None]
 
 
-def _with_levels(light: LightViews, places: np.ndarray, pixel: np.ndarray, cell: float, texels: int) -> LightViews:
-    """Returns a sun's views with nested ones, the widest first. places, pixel, cell: see seen_places."""
+def _with_levels(light: LightViews, seen: _Seen, texels: int, widest: int) -> LightViews:
+    """Returns a sun's views with nested ones, the outermost first. widest: texels along a side of a texture."""
     outer = light.views[0]
     assert outer is not None
-    local = (places - light.origin) @ light.axes.T
-    nearest = np.argsort(pixel, kind="stable")
-    local, pixel = local[nearest], pixel[nearest]
-    ends = np.unique(np.linspace(0, len(pixel), CANDIDATES + 1)[1:].astype(int))
-    ends = ends[ends > 0]
-    levels = [_level(light, outer, local[:end], pixel[:end], cell, texels) for end in ends]
-    fine = [(end, level) for end, level in zip(ends.tolist(), levels, strict=True) if level is not None]
-    steps = np.full((len(fine), len(pixel)), outer.step)
+    local = (seen.places - light.origin) @ light.axes.T
+    shaded = ((local[:, :2] > outer.low) & (local[:, :2] < outer.low + outer.step * np.array(outer.size))).all(axis=1)
+    seen = _Seen(local, seen.pixel, seen.cell).take(np.flatnonzero(shaded))
+    seen = seen.take(np.argsort(seen.pixel, kind="stable"))
+    ends = np.unique(np.linspace(0, len(seen.pixel), CANDIDATES + 1).astype(int))[1:].tolist()
+    found = [(end, _level(light, outer, seen.take(slice(end)), texels, widest)) for end in ends]
+    fine = [(end, level) for end, level in found if level is not None]
+    steps = np.full((len(fine), len(seen.pixel)), outer.step)
     for row, (end, level) in zip(steps, fine, strict=True):
         row[:end] = level.step
     chosen: tuple[int, ...] = ()
-    wide = _octaves(np.full(len(pixel), outer.step), pixel)
+    wide = seen.octaves(outer.step)
     for count in range(1, min(MOST_LEVELS, len(fine)) + 1):
         sets = list(combinations(range(len(fine)), count))
-        cost = [_octaves(steps[list(rows)].min(axis=0), pixel) for rows in sets]
-        best = int(np.argmin(cost))
-        if wide - cost[best] < GAIN:
+        octaves = [seen.octaves(steps[list(rows)].min(axis=0)) for rows in sets]
+        best = int(np.argmin(octaves))
+        if wide - octaves[best] < GAIN:
             break
-        wide, chosen = cost[best], sets[best]
+        wide, chosen = octaves[best], sets[best]
     return replace(light, views=(outer, *(fine[k][1] for k in reversed(chosen))))
 
 
-def _octaves(step: np.ndarray, pixel: np.ndarray) -> float:
-    """Returns by how many octaves texels (N,) are wider than pixels (N,), on average."""
-    return float(np.maximum(np.log2(step / pixel), 0).mean())
-
-
-def _level(
-    light: LightViews, outer: MapView, local: np.ndarray, pixel: np.ndarray, cell: float, texels: int
-) -> MapView | None:
-    """Returns the view of places (N, 3) in a light's space where pixels are so wide, (N,); None where its texels are
+def _level(light: LightViews, outer: MapView, seen: _Seen, texels: int, widest: int) -> MapView | None:
+    """Returns the view of places in a light's space, those with the narrowest pixels first; None where its texels are
     hardly narrower than those of the outer view."""
-    around = (cell * pixel)[:, None]
-    low, high = (local - around).min(axis=0), (local + around).max(axis=0)
+    around = (seen.cell * seen.pixel)[:, None]
+    low, high = (seen.places - around).min(axis=0), (seen.places + around).max(axis=0)
     more = DEEPER * (high[2] - low[2])
     depths = float(max(low[2] - more, 0.0)), float(high[2] + more)
     lift = 0.0
     aside = np.zeros(2)
-    views = 1
-    if light.shape is not None and outer.across is not None and outer.points is not None:
+    if light.shape is not None and outer.across is not None:
         # A ray to a point c passes the height h at c (h - own), which is seen from c' at c' (lift - h) from there: at
         # most as far aside as another point is from c', over all heights, and c' over half of the range of own ones.
-        lift, views = -sum(depths) / 2, len(outer.points)
+        lift = -sum(depths) / 2
         aside = light.shape.bounds(outer.across) * (depths[1] + (depths[1] - depths[0]) / 2)
     extent = high[:2] - low[:2] + 2 * aside
-    needed = max(float((extent.prod() * views / texels) ** 0.5), FINEST * float(pixel[0]), outer.finest)
-    finer = int(np.floor(2 * np.log2(outer.step / needed)))
-    if finer < LEAST:
+    columns, rows = outer.tiles
+    needed = max(
+        float(np.sqrt(extent.prod() * columns * rows / texels)),
+        float((extent / (widest / np.array([columns, rows]) - 6 * MARGIN)).max()),
+        FINEST * float(seen.pixel[0]),
+        outer.finest,
+    )
+    if not needed * 2 ** (LEAST / 2) <= outer.step:
         return None
-    step = outer.step * 2 ** (-finer / 2)
+    step = outer.step * 2 ** (-np.floor(2 * np.log2(outer.step / needed)) / 2)
     first = np.floor((low[:2] - aside - outer.low) / step) - 2 * MARGIN
     size = np.ceil((high[:2] + aside - outer.low) / step) + 2 * MARGIN - first
     corner = outer.low + step * first
