@@ -56,7 +56,7 @@ def leader_program(lattice: Lattice, central: bool) -> Interface:
         "group", fragment="grouping/leader.frag", block=_leader_block(central),
         samplers=(*(("UINT_2D", name) for name in read), *(() if central else (LIST_SAMPLER,))),
         outputs=(("uint", "out_leader"), ("uint", "out_depth"), ("uint", "out_member")),
-        defines=(LATTICE_DEFINE, *((CENTRAL_DEFINE,) if central else sub_sample_defines(lattice))),
+        defines=(LATTICE_DEFINE, *((CENTRAL_DEFINE,) if central else member_defines(lattice))),
     )  # fmt: skip
 
 
@@ -155,14 +155,14 @@ class Groups:
     def sort(self, view: SampleView, first_ids: list[int]) -> None:
         """Sorts the list by what draws the groups' leaders, where that pays.
 
-        first_ids: the lowest number of the rasterised primitives of each draw, rising.
+        first_ids: the lowest number of the triangles or segments of each draw, rising; splats have lower ones.
         """
         assert self.leaders is not None
         if (len(first_ids) - 1) * self.total < SORTED_FROM:
             return
         ids = self._device.read(self.leaders.textures["ps_leaders"]).reshape(-1)[: self.total]
-        rasterised = (ids & RASTERISED != 0) & (ids != EMPTY)
-        owner = np.searchsorted(np.asarray(first_ids), ids & ~np.uint32(RASTERISED), side="right") * rasterised
+        numbers = np.where(ids == EMPTY, 0, ids & ~np.uint32(RASTERISED))
+        owner = np.searchsorted(np.asarray(first_ids), numbers, side="right") * (ids != EMPTY)
         order = np.argsort(owner.astype(np.uint16), kind="stable")
         place = np.empty(self.total, np.float32)
         place[order] = np.arange(self.total)
