@@ -113,10 +113,10 @@ class MeteredDevice(OpenGLDevice):
 
 
 class Stopwatch:
-    def __init__(self, device: MeteredDevice) -> None:
-        self._device = device
+    def __init__(self, device: MeteredDevice, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._device, self._clock = device, clock
         self._finish()
-        self._start = time.perf_counter()
+        self._start = clock()
 
     def _finish(self) -> None:
         if self._device.timed:
@@ -124,7 +124,7 @@ class Stopwatch:
 
     def stop(self) -> None:
         self._finish()
-        self._elapsed = time.perf_counter() - self._start
+        self._elapsed = self._clock() - self._start
 
     def milliseconds(self) -> float:
         return 1e3 * self._elapsed

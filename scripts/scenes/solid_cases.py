@@ -14,7 +14,7 @@ from scripts.scenes.build import materials, mesh, moved, picture, points, scene
 from scripts.scenes.cameras import camera, look_at
 from scripts.scenes.case import Case
 from scripts.scenes.clouds import plane_cloud, sphere_cloud, sphere_points
-from scripts.scenes.meshes import cube_mesh, plane_mesh
+from scripts.scenes.meshes import cube_mesh, plane_mesh, sphere_mesh
 
 EXTENSIONS = "MIRROR", "CLIP"  # of the images of `cut_out_cards`
 
@@ -102,6 +102,12 @@ def many_balls() -> Case:
         matrix[0, 1] = 0.1
         things.append((geometry, matrix))
     return Case(scene(*things), camera((0, -6, 0)))
+
+
+def many_triangles() -> Case:
+    """A ball of so many triangles that compute shaders draw them, and an instance of it."""
+    geometry = mesh(sphere_mesh("many triangles", 120), "POLYGONS")
+    return Case(scene((geometry, moved()), (geometry, moved((0.9, 0.5, 0.4), (-0.6, 0.5, 0.7)))), camera((0, -4, 0)))
 
 
 def cut_out_cards() -> Case:

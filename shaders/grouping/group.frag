@@ -24,7 +24,6 @@
 void main()
 {
   ivec2 middle = ps_central_cell(ivec2(gl_FragCoord.xy));
-  const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
   uint surface0 = 0u, surface1 = 0u, surface2 = 0u, surface3 = 0u;
   vec4 plane0 = vec4(0.0), plane1 = vec4(0.0), plane2 = vec4(0.0), plane3 = vec4(0.0);
   uvec2 codes = uvec2(0u);
@@ -32,7 +31,7 @@ void main()
   uint first = 0u;
   bool uniform_code = true, open = false;
   for (int i = 0; i < PS_SUB_SAMPLES; i++) {
-    ivec2 cell = middle + cells[i];
+    ivec2 cell = middle + ps_sub_sample_cell(i);
     uint bits = texelFetch(ps_depths, cell, 0).x;
     uint code = PS_NO_GROUP;
     if (bits != 0xFFFFFFFFu) {

@@ -11,24 +11,25 @@ void main()
   ivec2 middle = ps_central_cell(listed.pixel);
   int chosen = 0;
 #ifndef PS_CENTRAL
-  const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
   uvec2 codes = uvec2(texelFetch(ps_first, listed.pixel, 0).x, texelFetch(ps_second, listed.pixel, 0).x);
-  int members = (codes.y & PS_UNIFORM) != 0u ? 0 : PS_SUB_SAMPLES;
+  uvec2 members = (codes.y & PS_UNIFORM) != 0u ? uvec2(0u) : ps_group_members(codes, uint(listed.layer));
   ivec2 sum = ivec2(0);
   int count = 0;
-  for (int i = 0; i < members; i++) {
-    bool mine = ps_group(codes, i) == uint(listed.layer);
-    sum += mine ? cells[i] : ivec2(0);
-    count += mine ? 1 : 0;
+  for (uvec2 left = members; (left.x | left.y) != 0u; count++) {
+    sum += ps_next_member(left);
   }
+  vec2 mean = vec2(sum) / float(max(count, 1));
   float least = 1e30;
-  for (int i = 0; i < members; i++) {
-    vec2 away = vec2(cells[i]) - vec2(sum) / float(max(count, 1));
-    bool nearer = ps_group(codes, i) == uint(listed.layer) && dot(away, away) < least;
-    chosen = nearer ? i : chosen;
+  ivec2 cell = middle;
+  for (uvec2 left = members; (left.x | left.y) != 0u;) {
+    int number;
+    ivec2 at = ps_next_member(left, number);
+    vec2 away = vec2(at) - mean;
+    bool nearer = dot(away, away) < least;
+    chosen = nearer ? number : chosen;
+    cell = nearer ? middle + at : cell;
     least = nearer ? dot(away, away) : least;
   }
-  ivec2 cell = middle + cells[chosen];
 #else
   ivec2 cell = middle;
 #endif

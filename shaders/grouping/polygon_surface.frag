@@ -74,9 +74,16 @@ vec2 ps_uv_at(int slot, int triangle, vec3 position)
 void main()
 {
   PsLeader leader = ps_leader(ivec2(gl_FragCoord.xy));
-  int number = leader.index - u.first_id, slot = number / u.triangles, triangle = number - slot * u.triangles;
+  int number = leader.index - u.first_id;
+#ifdef PS_ONE_INSTANCE
+  int slot = 0, triangle = number;  // software renderers divide integers one by one
+  bool there = number >= 0 && number < u.triangles;
+#else
+  int slot = number / u.triangles, triangle = number - slot * u.triangles;
+  bool there = number >= 0 && slot < u.slots;
+#endif
   bool mine = triangle >= u.first_triangle && triangle < u.last_triangle;
-  if (!leader.rasterised || number < 0 || slot >= u.slots || !mine) {
+  if (!there || !mine) {
     discard;
   }
   ivec2 texels[3] = ivec2[3](ps_texel(3 * triangle), ps_texel(3 * triangle + 1), ps_texel(3 * triangle + 2));

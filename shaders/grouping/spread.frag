@@ -50,8 +50,10 @@ void main()
   const float sums[PS_NEIGHBOURS] = PS_WEIGHT_SUMS;
 #endif
   ivec2 pixel = ivec2(gl_FragCoord.xy) - u.corner, last = textureSize(ps_second, 0) - 1;
+  ivec2 away = ivec2(-PS_REACH);
   for (int q = 0; q < PS_NEIGHBOURS; q++) {
-    ivec2 at = clamp(pixel + ivec2(q % PS_SIDE, q / PS_SIDE) - PS_REACH, ivec2(0), last);
+    ivec2 at = clamp(pixel + away, ivec2(0), last);
+    away = away.x < PS_REACH ? ivec2(away.x + 1, away.y) : ivec2(-PS_REACH, away.y + 1);
     uvec2 codes = uvec2(texelFetch(ps_first, at, 0).x, texelFetch(ps_second, at, 0).x);
     bool whole = (codes.y & PS_UNIFORM) != 0u, open = (codes.y & PS_OPEN) != 0u;
     int count = ps_group_count(codes), first = int(texelFetch(ps_starts, at, 0).x);

@@ -1,5 +1,5 @@
 // Triangles of one material of all instances of a mesh, corner by corner from textures, into the cells of sub-samples.
-// PS_DEPTH_ONLY: which triangle it is does not matter.
+// PS_DEPTH_ONLY: which triangle it is does not matter. PS_LISTED: only those that a list names, counted through the instances.
 
 #include "lib/geometry/instance.glsl"
 #include "lib/data/pack.glsl"
@@ -10,7 +10,16 @@
 
 void main()
 {
-  int slot = u.first_slot + gl_VertexID / u.corners, corner_index = u.first + gl_VertexID % u.corners;
+#ifdef PS_LISTED
+  int number = 3 * int(texelFetch(ps_list, ps_texel(gl_VertexID / 3), 0).x) + gl_VertexID % 3;
+#else
+  int number = gl_VertexID;
+#endif
+#ifdef PS_ONE_INSTANCE
+  int slot = 0, corner_index = u.first + number;
+#else
+  int slot = u.first_slot + number / u.corners, corner_index = u.first + number % u.corners;
+#endif
   ivec2 texel = ps_texel(corner_index);
   vec4 corner = texelFetch(ps_corner, texel, 0);
   v_position = ps_view_from_point(slot, corner.xyz);

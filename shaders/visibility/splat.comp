@@ -28,7 +28,7 @@ void main()
   if (span.x <= 0 || span.y <= 0) {
     return;
   }
-  bool wide = span.x > PS_MOST_CELLS / span.y;
+  bool wide = span.x * span.y > PS_MOST_CELLS;
 #ifdef PS_LIST
   if (wide) {
     // The length counts from -1, which EMPTY is.

@@ -15,6 +15,7 @@ from ...core.strand.segments import sample_offsets
 from ..device.clock import Clock
 from ..device.protocol import Texture
 from ..passes.gbuffer import GBuffer
+from ..passes.grouping.centre import CentreDepths
 from ..passes.image_space.pyramid import levels
 from ..passes.output import present
 from ..passes.output.adaptive import Adaptive
@@ -77,7 +78,9 @@ class Frame:
         self.translucent: Translucent | None = None
         self.visibility: Visibility | None = None
         self.out_of_focus: OutOfFocus | None = None
-        self.central: GBuffer | None = None  # of what lies under the pixels' centres, where it is known
+        # Of what lies under the pixels' centres, where it is known.
+        self.central: GBuffer | None = None
+        self.depths: CentreDepths | None = None
         self._turns = sample_offsets(self.frame_plan.request.samples)
         self._data = DataPasses(self.frame_plan.scene, self.frame_plan.request)
         self._owned: list[Any] = []
@@ -218,7 +221,7 @@ class Frame:
         sums = self.targets.sum_target if self.targets.sums else None
         shown = visibility.draw(view, sums, central, identify, coarse)
         if central:
-            self.central = self.targets.visibility.central
+            self.central, self.depths = self.targets.visibility.central, self.targets.visibility.depths
             if self.frame_plan.plan.data:
                 self.clock.run("data", lambda: self._draw_data(view))
                 self._data.read(self.targets.data, self._cropped, first, identify=False)
@@ -347,8 +350,9 @@ class Frame:
             return self.lens.centre
         if self.adaptive is not None and self.out_of_focus is None:
             return self.adaptive.centre
-        if self.central is not None:
-            return self.central.textures["centre"]
+        under_centres = self.central or self.depths
+        if under_centres is not None:
+            return under_centres.textures["centre"]
         if self.beside is not None and not self.beside.frame_plan.trivial:
             return self.beside._centre
         return gbuffer_textures(self.targets.data_surfels).get("ps_centre")

@@ -18,7 +18,11 @@ from ...core.shadow.grid import rotation_to
 
 POINTS_OF_CELL = 8
 WIDENED = 1.2  # outlines of lights that face receivers, in views that do not face all of them
-VIEWS = 8, 16, 32  # of a light: cells of its outline
+NARROW = 0.02  # radians that a light extends to each side
+# Views of a light, as many as cells of its outline, and for how many primitives at most that each shows; fewer
+# are enough for narrow ones.
+VIEWS: tuple[tuple[int, int | None], ...] = ((32, 1 << 17), (16, 1 << 18), (8, 1 << 20), (4, None))
+VIEWS_OF_NARROW: tuple[tuple[int, int | None], ...] = ((8, 1 << 16), (4, None))
 GOLDEN = 5**0.5 / 2 - 0.5  # of Vogel's spiral (1979)
 # Additive recurrence in two dimensions (Roberts 2018).
 PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
@@ -69,11 +73,25 @@ def light_shape(light: Light) -> LightShape | None:
     return LightShape(radius * np.stack([up, right]), light.kind != "SUN", False)
 
 
+def views_of_light(reach: float, drawn: int) -> int:
+    """Returns from how many points of a light with a size depth maps are drawn.
+
+    reach: radians that it extends to each side, as what casts sees it; `drawn`: primitives that one view of each such
+    light of the scene draws, together.
+    """
+    choices = VIEWS_OF_NARROW if reach <= NARROW else VIEWS
+    return next(count for count, most in choices if most is None or drawn <= most)
+
+
 @cache
 def cell_points(views: int, rectangle: bool) -> tuple[np.ndarray, np.ndarray]:
     """Returns from where each cell sees, (N, 2) float64, and POINTS_OF_CELL points of each, (N, K, 2): of the unit
     disk, or of the square from -1 to 1. The first half of the cells are spread all over it."""
-    rows = {8: (4, 4), 16: (4, 4, 4, 4), 32: (8, 8, 8, 8)} if rectangle else {8: (2, 6), 16: (4, 12), 32: (4, 12, 16)}
+    rows = (
+        {4: (2, 2), 8: (4, 4), 16: (4, 4, 4, 4), 32: (8, 8, 8, 8)}
+        if rectangle
+        else {4: (4,), 8: (2, 6), 16: (4, 12), 32: (4, 12, 16)}
+    )
     total = views * POINTS_OF_CELL
     number = np.arange(total) + 0.5
     lattice = np.stack([number / total, number * GOLDEN % 1], axis=1)

@@ -129,6 +129,17 @@ def tile_grid(count: int) -> tuple[int, int]:
     return columns, count // columns
 
 
+def angular_reach(light: Light, boxes: CastingBoxes) -> float | None:
+    """Returns how far a light extends to each side, in radians, as the nearest of what casts may see it; None: it has
+    no size."""
+    shape = light_shape(light)
+    if shape is None or light.kind == "SUN":
+        return None if shape is None else float(np.arctan(shape.reach))
+    low, high = boxes.corners.min(axis=1), boxes.corners.max(axis=1)
+    apart = np.linalg.norm(np.maximum(np.maximum(low - light.position, light.position - high), 0), axis=1)
+    return float(np.arctan2(shape.reach, apart.min()))
+
+
 def light_views(light: Light, boxes: CastingBoxes, resolution: int, points: int = 0) -> LightViews:
     """Returns the views from a light. `resolution`: cells along a shadow table. `points`: from how many of its
     points, if it has a size."""

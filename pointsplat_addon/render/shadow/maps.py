@@ -16,16 +16,14 @@ from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from ..prepare.separation import is_translucent
 from .casting import CastingGeometry, bounding_box, light_key, transmission_digest
-from .light_points import VIEWS, cell_points, grid_shifts, light_shape
-from .map_views import CastingBoxes, LightViews, MapView, light_views, placed
+from .light_points import cell_points, grid_shifts, views_of_light
+from .map_views import CastingBoxes, LightViews, MapView, angular_reach, light_views, placed
 
 MOST_PRIMITIVES = 1 << 25  # of all instances of a geometry that maps draw: where there are more, nodes cast into tables
 WIDEST_TEXTURE = 8192  # texels
 HEAD_TEXELS, VIEW_TEXELS = 4, 2  # of a light's record, and of each of its views
 SHAPE_TEXELS = 8  # after them: of a light with a size
 KINDS = ("NONE", "PARALLEL", "SINGLE", "CUBE")
-# Primitives that all views of the points of lights together draw, if they are not as few as can be.
-MOST_DRAWN = 1 << 22
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +54,13 @@ class ShadowMaps:
         the row of their places; the views are those of the first point; and what follows them is, from SHAPE on: the
         half-axes in the light's space, with whether they face receivers, and for each view both half-axes in its plane.
 
-        Two more rows, if some light has a size, are for disks and for rectangles: for each cell its middle, by how
-        many texels those of its view lie further on, and its points.
+        More rows hold, for each outline and number of cells that some light has, of each cell its middle, by how many
+        texels those of its view lie further on, and its points.
         """
         world_from_view = np.linalg.inv(view_from_world)
         shape = HEAD_TEXELS + 6 * VIEW_TEXELS
-        points = self._points
+        outlines = sorted({_cells(light) for light in self.lights if light is not None and light.shape is not None})
+        points = [_record_of_cells(*outline) for outline in outlines]
         found = np.zeros((len(self.lights) + len(points), max([shape + SHAPE_TEXELS, *map(len, points)]), 4))
         for row, places in zip(found[len(self.lights) :], points, strict=True):
             row[: len(places)] = places
@@ -72,7 +71,8 @@ class ShadowMaps:
             row[:3, 3] = light.axes @ (world_from_view[:3, 3] - light.origin)
             row[3, 0] = KINDS.index(light.kind)
             if light.shape is not None:
-                row[3] = -row[3, 0], self._count, len(self.lights) + light.shape.rectangle, 0
+                cells = _cells(light)
+                row[3] = -row[3, 0], cells[0], len(self.lights) + outlines.index(cells), 0
                 row[shape : shape + 2, :3] = light.shape.axes @ light.axes.T
                 row[shape : shape + 2, 3] = light.shape.facing
             for i, view in enumerate(light.views):
@@ -87,30 +87,22 @@ class ShadowMaps:
                     row[shape + 2 + i] = view.across.T.ravel()
         return found.astype(np.float32)
 
-    @property
-    def _count(self) -> int:
-        """How many points of lights with a size are seen from; 0: there are no such lights."""
-        counts = [
-            len(view.points)
-            for light in self.lights
-            if light is not None
-            for view in light.views
-            if view is not None and view.points is not None
-        ]
-        return max(counts, default=0)
 
-    @property
-    def _points(self) -> list[np.ndarray]:
-        """Rows of disks and of rectangles, see `records`."""
-        if self._count == 0:
-            return []
-        found = []
-        for rectangle in (False, True):
-            middle, places = cell_points(self._count, rectangle)
-            row = np.zeros((self._count, 1 + places.shape[1], 4))
-            row[:, 0, :2], row[:, 1:, :2], row[:, 0, 2:] = middle, places, grid_shifts(self._count)
-            found.append(row.reshape(-1, 4))
-        return found
+def _cells(light: LightViews) -> tuple[int, bool]:
+    """Returns into how many cells the outline of a light with a size is divided, and whether it is a rectangle."""
+    assert light.shape is not None
+    counts = [len(view.points) for view in light.views if view is not None and view.points is not None]
+    return max(counts, default=0), light.shape.rectangle
+
+
+def _record_of_cells(count: int, rectangle: bool) -> np.ndarray:
+    """Returns the texels of a divided outline, (N, 4), see `ShadowMaps.records`."""
+    if count == 0:
+        return np.zeros((0, 4))
+    middle, places = cell_points(count, rectangle)
+    row = np.zeros((count, 1 + places.shape[1], 4))
+    row[:, 0, :2], row[:, 1:, :2], row[:, 0, 2:] = middle, places, grid_shifts(count)
+    return row.reshape(-1, 4)
 
 
 def takes_map(light: Light) -> bool:
@@ -159,8 +151,11 @@ def make_maps(
 
     def make() -> ShadowMaps:
         boxes = casting_boxes(casters, store)
-        points = _light_points(chosen, casters)
-        views = [None if light is None else light_views(light, boxes, resolution, points) for light in chosen]
+        points = _light_points(chosen, casters, boxes)
+        views = [
+            None if light is None else light_views(light, boxes, resolution, count)
+            for light, count in zip(chosen, points, strict=True)
+        ]
         splats = sum(len(c.geometry.cloud) * len(c.matrices) for c in casters if c.geometry.cloud is not None)
         arranged, size = placed(views, min(texture_size, WIDEST_TEXTURE), splats)
         return ShadowMaps(key, tuple(arranged), size, tuple((c.geometry.key, c.matrices) for c in casters))
@@ -169,11 +164,12 @@ def make_maps(
     return found if found.views else None  # where all that casts lies where no light looks
 
 
-def _light_points(lights: Sequence[Light | None], casters: Sequence[CastingGeometry]) -> int:
-    """Returns from how many points of each light with a size what casts is seen."""
-    soft = sum(light is not None and light_shape(light) is not None for light in lights)
-    drawn = soft * sum(_primitives(caster.geometry) * len(caster.matrices) for caster in casters)
-    return max(count for count in VIEWS if count == VIEWS[0] or count * drawn <= MOST_DRAWN)
+def _light_points(lights: Sequence[Light | None], casters: Sequence[CastingGeometry], boxes: CastingBoxes) -> list[int]:
+    """Returns for each light from how many of its points, if it has a size, what casts is seen."""
+    primitives = sum(_primitives(caster.geometry) * len(caster.matrices) for caster in casters)
+    spreads = [None if light is None else angular_reach(light, boxes) for light in lights]
+    drawn = primitives * sum(spread is not None for spread in spreads)
+    return [0 if spread is None else views_of_light(spread, drawn) for spread in spreads]
 
 
 def casting_boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBoxes:

@@ -19,6 +19,13 @@ uvec2 ps_with_group(uvec2 codes, int sub_sample, uint group)
 }
 
 #ifdef PS_MEMBER_BITS
+// The cell of a sub-sample from the pixel's central one, out of words and not out of an array, for which compilers unroll
+// loops over sub-samples: a software renderer would be busy with that for longer than with a picture.
+ivec2 ps_sub_sample_cell(int sub_sample)
+{
+  return ivec2(ps_group(PS_MEMBER_COLUMNS, sub_sample), ps_group(PS_MEMBER_ROWS, sub_sample)) - PS_MEMBER_REACH;
+}
+
 // The sub-samples of one group that are still to be looked at: the lowest bit of each's three, in both words.
 uvec2 ps_group_members(uvec2 codes, uint group)
 {
@@ -27,17 +34,24 @@ uvec2 ps_group_members(uvec2 codes, uint group)
   return ~(differ | (differ >> 1u) | (differ >> 2u)) & lowest;
 }
 
-// Takes the first of the members out, and returns its cell from the pixel's central one. A software renderer goes through
-// a loop over members as often as the largest group that it draws at once has some; through one over all sub-samples that
-// picks them, as often as there are sub-samples.
-ivec2 ps_next_member(inout uvec2 members)
+// Takes the first of the members out, and returns its cell from the pixel's central one, and its number. A software
+// renderer goes through a loop over members as often as the largest group that it draws at once has some; through one over
+// all sub-samples that picks them, as often as there are sub-samples.
+ivec2 ps_next_member(inout uvec2 members, out int number)
 {
   const uvec2 columns = PS_MEMBER_COLUMNS, rows = PS_MEMBER_ROWS;
   bool second = members.x == 0u;
   int bit = findLSB(second ? members.y : members.x);
   uvec2 at = (second ? uvec2(columns.y, rows.y) : uvec2(columns.x, rows.x)) >> uint(bit);
   members = second ? uvec2(0u, members.y & (members.y - 1u)) : uvec2(members.x & (members.x - 1u), members.y);
+  number = bit / 3 + (second ? 10 : 0);
   return ivec2(at & 7u) - PS_MEMBER_REACH;
+}
+
+ivec2 ps_next_member(inout uvec2 members)
+{
+  int number;
+  return ps_next_member(members, number);
 }
 #endif
 

@@ -12,7 +12,9 @@ PsListed ps_listed(ivec2 texel)
   return PsListed(texel - u.corner, 0);
 #else
   vec2 entry = texelFetch(ps_list, texel, 0).xy;
-  int number = int(entry.x), width = u.size.x;
-  return PsListed(ivec2(number % width, number / width), int(entry.y));
+  // Software renderers divide integers one by one; the quotient of floats is off by one at most.
+  float width = float(u.size.x), row = floor(entry.x / width), column = entry.x - row * width;
+  row += column < 0.0 ? -1.0 : (column < width ? 0.0 : 1.0);
+  return PsListed(ivec2(entry.x - row * width, row), int(entry.y));
 #endif
 }

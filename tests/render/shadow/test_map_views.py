@@ -10,7 +10,8 @@ import pytest
 from pointsplat_addon.core.scene.bounds import box_corners
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.render.shadow import map_views
-from pointsplat_addon.render.shadow.map_views import MARGIN, CastingBoxes, MapView, light_views, placed
+from pointsplat_addon.render.shadow.light_points import NARROW, views_of_light
+from pointsplat_addon.render.shadow.map_views import MARGIN, CastingBoxes, MapView, angular_reach, light_views, placed
 from pointsplat_addon.render.shadow.maps import ShadowMaps
 
 RNG = np.random.default_rng(3)
@@ -142,3 +143,17 @@ def test_records_take_points_of_the_picture_to_texels():
     expected = texels(sun, point[None])[0][0] + sun.corner
     np.testing.assert_allclose(records[1, 4, :2] + records[1, 4, 2] * local[:2], expected, rtol=1e-4)
     np.testing.assert_allclose(records[2, :3] @ seen, point - AMONG.position, atol=1e-5)
+
+
+def test_lights_that_what_casts_sees_as_narrow_have_fewer_views():
+    near, sharp = replace(AMONG, radius=0.3), replace(AMONG, radius=0.0)
+    far = replace(near, position=np.array([0.0, 0.0, 100.0]))
+    assert angular_reach(sharp, CASTERS) is None
+    sun, apart, among = (angular_reach(light, CASTERS) for light in (replace(SUN, radius=0.01), far, near))
+    assert sun is not None
+    assert apart is not None
+    assert among is not None
+    assert abs(sun - 0.01) < 1e-6
+    assert 0.3 / 103 < apart < NARROW < among
+    counts = [[views_of_light(reach, drawn) for drawn in (100, 1 << 18, 1 << 24)] for reach in (0.009, 0.1)]
+    assert counts == [[8, 4, 4], [32, 16, 4]]

@@ -129,6 +129,35 @@ def test_what_nothing_shades_does_not_shade_itself(technique, light):
         assert toward[bright].min() > 0.999  # measured 1 but for rounding
 
 
+@pytest.mark.parametrize("name", WIDE)
+def test_normals_that_lean_do_not_make_a_surface_shade_itself(name):
+    """A plane whose corners' normals are bent by 40 degrees, as those of a leaf; below it lies what it shades, so that
+    it casts."""
+    flat = meshes.plane_mesh(f"leaf under a {name}", 1.0, cells=8)
+    a, b, c = flat.position[flat.triangles[0]]
+    own = np.cross(b - a, c - a)
+    leaning = np.cos(0.7) * own / np.linalg.norm(own) + [np.sin(0.7), 0, 0]
+    leaning = np.broadcast_to(leaning.astype(np.float32), (len(flat.position), 3))
+    leaf = build.mesh(replace(flat, vertex_normal=leaning, corner_normal=None), "POLYGONS"), LAID
+    below = build.mesh(meshes.sphere_mesh("what a leaf hides", 12), "POLYGONS"), build.moved((0, 0, -0.5), 0.1)
+    case = seen(leaf, below, light=WIDE[name])
+    close = cameras.camera((0, -0.03, 0.02), (0, 0, 0), resolution=(96, 72), near=1e-3)  # texels are wider than pixels
+    lit = share(replace(case, camera=close))
+    assert np.nanmin(lit) > 0.999  # measured 1 but for rounding
+
+
+def test_lights_of_different_size_add_up():
+    """A narrow sun and a wide lamp are seen from different numbers of points."""
+    ball = build.mesh(meshes.sphere_mesh("ball of two lights", 48), "POLYGONS"), build.moved((0, 0, 0.6), 0.4)
+    narrow, wide = replace(build.sun(1.0, (0.3, 0.4, -1.0)), radius=0.01), replace(ABOVE, radius=0.2)
+    case = seen(floor(), ball, light=wide)
+    dark, *alone, both = (
+        picture(replace(case, scene=replace(case.scene, lights=lights)))
+        for lights in ((), (narrow,), (wide,), (narrow, wide))
+    )
+    assert np.abs(both - alone[0] - alone[1] + dark).max() < 1e-5 * both.max()
+
+
 def test_tables_are_for_what_light_passes():
     ball = build.mesh(meshes.sphere_mesh("ball of tables", 24), "POLYGONS"), build.moved((0, 0, 0.6), 0.4)
     smoke = build.points("smoke of tables", clouds.smoke_cloud()), build.moved((1, 0, 1), 0.3)

@@ -31,7 +31,7 @@ def draw_panes(device: Device, panes: PaneMaps, casters: CasterUploads) -> Textu
         for view in views:
             seen = view_of(view.camera)
             casters.look_from(seen)
-            drawn = PaneLayers(device, polygon_draws(device, casters, seen, 0), buffer, through)
+            drawn = PaneLayers(device, polygon_draws(device, casters, seen, 0, None), buffer, through)
             temporary.callback(drawn.release)
             x, y = view.corner
             before = None

@@ -123,8 +123,9 @@ def _draw_view(
     if splats is not None:
         splats.rasterise(casters.points.draws, seen, shared)
     if casters.plan.polygons:
-        polygons = PolygonDepths(device, polygon_draws(device, casters, seen, 0), depths)
+        polygons = PolygonDepths(device, polygon_draws(device, casters, seen, 0, depths.cells), depths)
         try:
+            polygons.rasterise(seen, shared)
             polygons.cover(seen, shared)
         finally:
             polygons.release()

@@ -28,7 +28,7 @@ def identities(
             found[mine] = _of_splats(device, draw, number[mine] - draw.first_index)
     for draw in polygons:
         local = number - draw.first_id
-        mine = (ids != EMPTY) & (ids & RASTERISED != 0) & (local >= 0) & (local < draw.triangles)
+        mine = (ids != EMPTY) & (local >= 0) & (local < draw.triangles)
         slot, triangle = np.divmod(local[mine], draw.mesh.triangles)
         starts = np.array([group.first // 3 for group in draw.mesh.groups])
         materials = np.array([group.material for group in draw.mesh.groups])

@@ -70,9 +70,9 @@ class Visibility:
     ) -> np.ndarray | None:
         """Draws all sub-samples of one view, and adds what they show to the sums; None: nothing is shaded.
 
-        `central`: what lies under the pixels' centres is written into targets.central. `coarse`: translucent
-        splats are drawn at a lower resolution. Returns the instance and the material of each sub-sample,
-        (S, H, W, 2) int32, where `identify`; else None.
+        `central`: what lies under the pixels' centres is written into targets.central, or its depth into
+        targets.depths. `coarse`: translucent splats are drawn at a lower resolution. Returns the instance and the
+        material of each sub-sample, (S, H, W, 2) int32, where `identify`; else None.
         """
         found, (width, height) = None, view.size
         for tile in self._targets.tiles:
@@ -102,8 +102,9 @@ class Visibility:
         first = sum(draw.elements for draw in self._uploads.points.draws)
         if self._plan.polygons:
             self._forget_polygons()
-            draws = polygon_draws(self._device, self._uploads, view, first)
-            self._polygons = PolygonCover(self._device, draws, self._targets.buffer)
+            buffer = self._targets.buffer
+            draws = polygon_draws(self._device, self._uploads, view, first, buffer.cells)
+            self._polygons = PolygonCover(self._device, draws, buffer, self._plan.variant.normal)
             first += sum(draw.triangles for draw in draws)
         if self._plan.lines:
             self._strands = StrandCover(self._device, strand_draws(self._uploads, first), self._targets.buffer)
@@ -129,8 +130,12 @@ class Visibility:
         return lists.shaded
 
     def _draw_central(self, view: SampleView, tile: PictureTile) -> None:
-        """Writes what lies under the pixels' centres of a tile into its place in a G-buffer of the picture."""
+        """Writes what lies under the pixels' centres of a tile into its place in a G-buffer of the picture, or its
+        depth alone."""
         targets, leaders = self._targets, self._targets.central_leaders
+        if targets.depths is not None:
+            targets.depths.draw(view, targets.buffer, tile.rectangle(targets.size), tile.origin)
+            return
         assert targets.central is not None
         assert leaders is not None
         targets.groups.lead(view, leaders)
@@ -152,11 +157,18 @@ class Visibility:
         if splats is not None:
             self._run("cover", lambda: splats.rasterise(draws, view, shared))
         if polygons is not None:
-            self._run("polygons", lambda: polygons.identify(normal, view, shared))
+            self._run("polygons", lambda: polygons.rasterise(view, shared))
         if strands is not None:
             self._run("lines", lambda: strands.cover(normal, view, {**shared, **instances}))
+        # All depths come before all numbers: what has the least depth is known then.
         if splats is not None:
             self._run("cover", lambda: splats.cover(draws, view, shared))
+        if polygons is not None:
+            self._run("polygons", lambda: polygons.cover(view, shared))
+        if splats is not None:
+            self._run("cover", lambda: splats.identify(draws, view, shared))
+        if polygons is not None:
+            self._run("polygons", lambda: polygons.identify(view, shared))
 
     def _group(self, view: SampleView) -> None:
         self._targets.groups.group(view)

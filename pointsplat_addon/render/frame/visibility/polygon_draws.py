@@ -10,6 +10,7 @@ from ....core.scene.scene import Scene
 from ...device.protocol import Device
 from ...passes.uniforms import SampleView
 from ...passes.visibility.polygon_ids import PolygonDraw
+from ...passes.visibility.small_triangles import are_small
 from ...prepare.prepare import Prepared
 from ..uploads.polygons import PolygonUploads
 
@@ -22,8 +23,11 @@ class PolygonSource(Protocol):
     polygons: PolygonUploads
 
 
-def polygon_draws(device: Device, uploads: PolygonSource, view: SampleView, first_id: int) -> list[PolygonDraw]:
-    """Returns what a view draws of each mesh. `first_id`: the number of the first triangle."""
+def polygon_draws(
+    device: Device, uploads: PolygonSource, view: SampleView, first_id: int, cells: tuple[int, int] | None
+) -> list[PolygonDraw]:
+    """Returns what a view draws of each mesh. `first_id`: the number of the first triangle. `cells`: of the
+    picture; None: the rasteriser draws all."""
     instances, found = uploads.scene.instances, []
     shown = uploads.prepared.polygons
     for row, mesh in uploads.polygons.meshes.items():
@@ -38,7 +42,9 @@ def polygon_draws(device: Device, uploads: PolygonSource, view: SampleView, firs
             continue
         here = here[seen]
         holdout = np.zeros(len(here), bool) if instances.holdout is None else instances.holdout[here].astype(bool)
-        found.append(PolygonDraw(device, mesh, here, matrices[seen], holdout, first_id))
+        computed = cells is not None and device.limits.image_atomics
+        small = computed and are_small(mesh.triangles, rectangles[seen], cells)
+        found.append(PolygonDraw(device, mesh, here, matrices[seen], holdout, first_id, small))
         first_id += found[-1].triangles
     return found
 

@@ -8,6 +8,7 @@ from ....core.numeric.lattice import lattice_of
 from ....core.numeric.pixel_filter import filter_reach
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ...passes.gbuffer import GBuffer
+from ...passes.grouping.centre import CentreDepths
 from ...passes.grouping.groups import Groups, Leaders
 from ...passes.shading.averages import averaged
 from ...passes.translucent.blend import COARSE
@@ -36,7 +37,10 @@ class VisibilityTargets:
         self.groups = self._own(Groups(device, self.buffer))
         self.central: GBuffer | None = None  # of what lies under the pixels' centres, for passes that are not averaged
         self.central_leaders: Leaders | None = None
-        if plan.central:
+        self.depths: CentreDepths | None = None  # of what lies there, where only its depth is shown
+        if plan.central and not plan.data:
+            self.depths = self._own(CentreDepths(device, size))
+        elif plan.central:
             self.central = self._own(GBuffer(device, plan.data_variant, size))
             self.central_leaders = self._own(Leaders(device, of_tile, central=True))
         self.behind: Texture | None = None  # what open sub-samples show

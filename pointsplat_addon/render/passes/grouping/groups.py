@@ -12,7 +12,14 @@ from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import EMPTY, Device, Target, Texture, releases_on_failure
 from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
-from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS, RASTERISED, VisibilityBuffer, sub_sample_defines
+from ..visibility.buffer import (
+    LATTICE_DEFINE,
+    LATTICE_FIELDS,
+    RASTERISED,
+    VisibilityBuffer,
+    member_defines,
+    sub_sample_defines,
+)
 
 OPEN = 0x2000000  # in a pixel's second word: shaders/lib/visibility/groups.glsl
 COUNT_SHIFT = 21  # of a pixel's number of groups in its second word: shaders/lib/visibility/groups.glsl
@@ -32,7 +39,8 @@ def group_program(lattice: Lattice) -> Interface:
     return Interface(
         "group", fragment="grouping/group.frag", block=GROUP_BLOCK,
         samplers=(("UINT_2D", "ps_depths"), ("UINT_2D", "ps_keys")),
-        outputs=(("uint", "out_first"), ("uint", "out_second")), defines=(LATTICE_DEFINE, *sub_sample_defines(lattice)),
+        outputs=(("uint", "out_first"), ("uint", "out_second")),
+        defines=(LATTICE_DEFINE, *sub_sample_defines(lattice)[:1], *member_defines(lattice)),
     )  # fmt: skip
 
 
@@ -48,7 +56,7 @@ def leader_program(lattice: Lattice, central: bool) -> Interface:
         "group", fragment="grouping/leader.frag", block=_leader_block(central),
         samplers=(*(("UINT_2D", name) for name in read), *(() if central else (LIST_SAMPLER,))),
         outputs=(("uint", "out_leader"), ("uint", "out_depth"), ("uint", "out_member")),
-        defines=(LATTICE_DEFINE, *((CENTRAL_DEFINE,) if central else sub_sample_defines(lattice))),
+        defines=(LATTICE_DEFINE, *((CENTRAL_DEFINE,) if central else member_defines(lattice))),
     )  # fmt: skip
 
 
@@ -147,14 +155,14 @@ class Groups:
     def sort(self, view: SampleView, first_ids: list[int]) -> None:
         """Sorts the list by what draws the groups' leaders, where that pays.
 
-        first_ids: the lowest number of the rasterised primitives of each draw, rising.
+        first_ids: the lowest number of the triangles or segments of each draw, rising; splats have lower ones.
         """
         assert self.leaders is not None
         if (len(first_ids) - 1) * self.total < SORTED_FROM:
             return
         ids = self._device.read(self.leaders.textures["ps_leaders"]).reshape(-1)[: self.total]
-        rasterised = (ids & RASTERISED != 0) & (ids != EMPTY)
-        owner = np.searchsorted(np.asarray(first_ids), ids & ~np.uint32(RASTERISED), side="right") * rasterised
+        numbers = np.where(ids == EMPTY, 0, ids & ~np.uint32(RASTERISED))
+        owner = np.searchsorted(np.asarray(first_ids), numbers, side="right") * (ids != EMPTY)
         order = np.argsort(owner.astype(np.uint16), kind="stable")
         place = np.empty(self.total, np.float32)
         place[order] = np.arange(self.total)

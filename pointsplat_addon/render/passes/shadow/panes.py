@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 
 from ....core.numeric.lattice import Lattice
 from ....shading.interface import Interface
-from ...device.protocol import Texture
-from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, block
+from ...device.protocol import Device, Texture
+from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
 from ..visibility.buffer import DEPTH_OUTPUT, LATTICE_FIELDS, DepthBuffer
 from ..visibility.polygon_ids import PolygonDepths, PolygonDraw, depths_program
 from ..visibility.polygon_mesh import Group
+from ..visibility.small_triangles import group_fields
 
 PANE_FIELDS: Fields = (("float", "through"),)  # share of light
 LAYER_FIELDS: Fields = (("ivec2", "before"), ("int", "height"))  # texels from a view to the layer before; to its shares
@@ -36,23 +36,24 @@ def pane_program(first: bool, lattice: Lattice, group: Group, one: bool) -> Inte
     instance."""
     program = depths_program(lattice, group, one)
     further = () if first else LAYER_FIELDS
-    own: Fields = (("int", "first"), ("int", "corners"), ("int", "first_slot"))
     alone = ONE_INSTANCE_FIELDS if one else ()
     return replace(
         program,
-        block=block("Panes", CAMERA_FIELDS, own, PANE_FIELDS, further, alone, LATTICE_FIELDS),
+        block=block("Panes", CAMERA_FIELDS, group_fields(one), PANE_FIELDS, further, alone, LATTICE_FIELDS),
         samplers=(*program.samplers, *(() if first else (("UINT_2D", "ps_before"),))),
         outputs=(*DEPTH_OUTPUT, ("uint", "out_share")),
         defines=(*program.defines, ("PS_PANES", "1"), *(() if first else (("PS_BEHIND_LAYER", "1"),))),
     )
 
 
-@dataclass(frozen=True, eq=False)
 class PaneLayers(PolygonDepths):
     """Draws panes layer by layer."""
 
-    buffer: PaneBuffer
-    through: np.ndarray  # (M,) float32: share of light that each material lets through
+    def __init__(self, device: Device, draws: list[PolygonDraw], buffer: PaneBuffer, through: np.ndarray) -> None:
+        """`draws`: all of the rasteriser. through: (M,) float32, share of light that each material lets through."""
+        super().__init__(device, draws, buffer)
+        self._through = through
+        self._before: Values = {}  # where the layer before the one that is drawn lies; empty: it is the first
 
     def draw_layer(
         self,
@@ -66,13 +67,15 @@ class PaneLayers(PolygonDepths):
 
         height: texels there from a layer's depths to its shares.
         """
-        self.buffer.clear()
-        first = before is None
-        further = {} if first else {"before": before, "height": height}
-        textures = shared if first else {**shared, "ps_before": layers}
-        self._cover(partial(pane_program, first), view, textures, **further)
+        self._depths.clear()
+        self._before = {} if before is None else {"before": before, "height": height}
+        self.rasterise(view, shared if before is None else {**shared, "ps_before": layers})
+
+    def _raster_program(self, draw: PolygonDraw, group: Group, listed: bool) -> Interface:
+        return pane_program(not self._before, self._depths.lattice, group, draw.slots == 1)
 
     def _record(
         self, program: Interface, draw: PolygonDraw, group: Group, view: SampleView, **own: object
     ) -> np.ndarray:
-        return super()._record(program, draw, group, view, through=float(self.through[group.material]), **own)
+        through = float(self._through[group.material])
+        return super()._record(program, draw, group, view, through=through, **self._before, **own)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from ....core.numeric.lattice import Lattice
 from ....shading.interface import Block, Interface
-from ...device.packing import paged
+from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..grouping.groups import Groups, Leaders
@@ -30,6 +29,7 @@ from .buffer import (
 )
 from .polygon_mesh import CORNERS, Group, PolygonMesh, define_entries
 from .polygons import CUT_VARYING, needed_defines
+from .small_triangles import LIST_SAMPLER, LISTED, group_fields, is_cut, triangle_program
 
 MOST_VERTICES = 1 << 26  # of one draw
 AVERAGE_DEFINE = ("PS_AVERAGE", "1")  # pictures are averaged over sub-samples
@@ -51,11 +51,12 @@ class PolygonDraw:
         view_from_object: np.ndarray,
         holdout: np.ndarray,
         first_id: int,
+        small: bool,
     ) -> None:
         """instance: (I,) int. view_from_object: (I, 4, 4) float64, from positions relative to the mesh's origin.
-        holdout: (I,) bool.
+        holdout: (I,) bool. `small`: most triangles cover few cells.
         """
-        self.mesh, self.first_id, self.slots = mesh, first_id, len(instance)
+        self.mesh, self.first_id, self.slots, self.small = mesh, first_id, len(instance), small
         self.instance = instance
         mirrored = np.linalg.det(view_from_object[:, :3, :3]) < 0
         self.textures: dict[str, Texture] = {}
@@ -90,22 +91,26 @@ def _block(name: str, one: bool, own: Fields, of_one: Fields, *groups: Fields) -
     return block(name, CAMERA_FIELDS, MESH_FIELDS, own, alone, *groups)
 
 
-def depths_program(lattice: Lattice, group: Group, one: bool) -> Interface:
+def depths_program(lattice: Lattice, group: Group, one: bool, listed: bool = False) -> Interface:
     """Returns the program that draws the depth of a group of triangles, whichever side they show. `one`: there is one
-    instance."""
-    return _cover_program(lattice, replace(group, cull=False), one, ())
+    instance. `listed`: those of a list alone."""
+    return _cover_program(lattice, replace(group, cull=False), one, (), listed)
 
 
-def ids_program(normal: bool, lattice: Lattice, group: Group, one: bool) -> Interface:
+def ids_program(normal: bool, lattice: Lattice, group: Group, one: bool, listed: bool = False) -> Interface:
     """Returns the program that draws a group of triangles into the visibility buffer.
 
-    `normal`: something is lit, and normals tell surfaces apart. `one`: there is one instance.
+    `normal`: something is lit, and normals tell surfaces apart. `one`: there is one instance. `listed`: those of a list
+    alone.
     """
     varyings = [("flat", "uint", "v_id"), ("flat", "vec2", "v_about")]
-    return _cover_program(lattice, group, one, (*varyings, *((("smooth", "vec3", "v_normal"),) if normal else ())))
+    identity = (*varyings, *((("smooth", "vec3", "v_normal"),) if normal else ()))
+    return _cover_program(lattice, group, one, identity, listed)
 
 
-def _cover_program(lattice: Lattice, group: Group, one: bool, identity: tuple[tuple[str, str, str], ...]) -> Interface:
+def _cover_program(
+    lattice: Lattice, group: Group, one: bool, identity: tuple[tuple[str, str, str], ...], listed: bool
+) -> Interface:
     """Returns the program that draws a group of triangles. `identity`: varyings that tell triangles and surfaces apart;
     none: only depths are drawn."""
     normal = any(name == "v_normal" for _, _, name in identity)
@@ -124,11 +129,11 @@ def _cover_program(lattice: Lattice, group: Group, one: bool, identity: tuple[tu
     cut = any(name.endswith("ALPHA") for name in names)
     if cut:
         varyings.append(CUT_VARYING)
-    own: Fields = (("int", "first"), ("int", "corners"), ("int", "first_slot"))  # corners: of the group
+    own = group_fields(one)
     sample = SAMPLE_FIELDS if cut else ()
     alone = (*ONE_INSTANCE_FIELDS, *((("int", "instance"),) if cut else ())) if one else ()
     flags = {"PS_CULL": group.cull, "PS_NORMAL": normal, "PS_ONE_INSTANCE": one, "PS_CUT": cut,
-             DEPTH_ONLY_DEFINE[0]: not identity}  # fmt: skip
+             "PS_LISTED": listed, DEPTH_ONLY_DEFINE[0]: not identity}  # fmt: skip
     return Interface(
         "polygons" if identity else "shadow maps",
         vertex="visibility/polygon_ids.vert",
@@ -136,7 +141,7 @@ def _cover_program(lattice: Lattice, group: Group, one: bool, identity: tuple[tu
         block=_block("PolygonIds", one, own, (("int", "mirrored"),), LATTICE_FIELDS, sample)
         if identity
         else block("PolygonDepths", CAMERA_FIELDS, own, alone, LATTICE_FIELDS, sample),
-        samplers=tuple(("FLOAT_2D", name) for name in samplers),
+        samplers=(*(("FLOAT_2D", name) for name in samplers), *((LIST_SAMPLER,) if listed else ())),
         varyings=tuple(varyings),
         outputs=OUTPUTS if identity else DEPTH_OUTPUT,
         defines=(
@@ -159,7 +164,7 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
         samplers.append("ps_materials")
     averaged = not leaders.central and any(name.startswith("PS_BAKED") and name != "PS_BAKED_NORMAL" for name in names)
     read = ("ps_ids", "ps_depths", "ps_first", "ps_second") if averaged else ()
-    own: Fields = (("int", "first_triangle"), ("int", "last_triangle"), ("int", "slots"))
+    own: Fields = (("int", "first_triangle"), ("int", "last_triangle"), *(() if one else (("int", "slots"),)))
     return Interface(
         "attributes",
         vertex="common/rectangle.vert",
@@ -184,60 +189,148 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
     )
 
 
-@dataclass(frozen=True, eq=False)
 class PolygonDepths:
     """Draws the depths of polygons."""
 
-    device: Device
-    draws: list[PolygonDraw]
-    buffer: DepthBuffer
+    def __init__(self, device: Device, draws: list[PolygonDraw], buffer: DepthBuffer) -> None:
+        self._device, self.draws, self._depths = device, draws, buffer
+        self._list: Texture | None = None  # of triangles that are not small, and its length
+        self._length: Texture | None = None
+        if any(draw.small for draw in draws):
+            self._list = device.texture((PAGE_WIDTH, LISTED // PAGE_WIDTH), "R32UI")
+            self._length = device.texture((1, 1), "R32UI")
 
-    def cover(self, view: SampleView, shared: dict[str, Texture]) -> None:
-        """Draws all polygons."""
-        self._cover(depths_program, view, shared)
-
-    def _cover(
-        self,
-        program_of: Callable[[Lattice, Group, bool], Interface],
-        view: SampleView,
-        shared: dict[str, Texture],
-        **values: object,
-    ) -> None:
+    def rasterise(self, view: SampleView, shared: dict[str, Texture]) -> None:
+        """Draws polygons, but for small ones of meshes that have many. Comes before `cover`."""
         for draw in self.draws:
             for group in draw.mesh.groups:
-                program = program_of(self.buffer.lattice, group, draw.slots == 1)
-                step = max(MOST_VERTICES // group.count, 1)
-                for slot in range(0, draw.slots, step):
-                    own = {"first": group.first, "corners": group.count, "first_slot": slot}
-                    self.device.draw(
-                        program,
-                        self.buffer.target,
-                        uniforms=self._record(program, draw, group, view, **own, **self.buffer.values, **values),
-                        textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures},
-                        vertices=group.count * min(step, draw.slots - slot),
-                        depth_test=True,
-                    )
+                if _in_compute(draw, group):
+                    self._rasterise_wide(draw, group, view, shared)
+                else:
+                    self._rasterise(draw, group, view, shared)
+
+    def cover(self, view: SampleView, shared: dict[str, Texture]) -> None:
+        """Draws the others, nearer than what is there."""
+        self._compute("DEPTH", view, shared, {"depths": self._depths.depths})
+
+    def _raster_program(self, draw: PolygonDraw, group: Group, listed: bool) -> Interface:
+        return depths_program(self._depths.lattice, group, draw.slots == 1, listed)
+
+    def _compute_program(self, draw: PolygonDraw, group: Group, step: str) -> Interface:
+        return triangle_program(self._depths.lattice, replace(group, cull=False), draw.slots == 1, step)
+
+    def _compute(self, step: str, view: SampleView, shared: dict[str, Texture], images: dict[str, Texture]) -> None:
+        """Runs one step of the compute shaders over all meshes of many small triangles."""
+        for draw in self.draws:
+            for group in draw.mesh.groups:
+                if _in_compute(draw, group):
+                    program = self._compute_program(draw, group, step)
+                    for slot, slots in _steps(draw, group):
+                        self._dispatch(program, draw, group, slot, slots, view, shared, images)
+
+    def _dispatch(
+        self,
+        program: Interface,
+        draw: PolygonDraw,
+        group: Group,
+        slot: int,
+        slots: int,
+        view: SampleView,
+        shared: dict[str, Texture],
+        images: dict[str, Texture],
+    ) -> None:
+        elements = group.count // 3 * slots
+        own = {"first_slot": slot, "elements": elements, "list_size": LISTED}
+        textures = {**shared, **draw.mesh.textures, **draw.textures, **self._depths.textures}
+        self._device.dispatch(
+            program,
+            -(-elements // program.local_size),
+            uniforms=self._record(program, draw, group, view, **own),
+            textures=textures,
+            images=images,
+        )
+
+    def _rasterise(
+        self,
+        draw: PolygonDraw,
+        group: Group,
+        view: SampleView,
+        shared: dict[str, Texture],
+        slot: int = 0,
+        slots: int | None = None,
+        listed: int = 0,
+    ) -> None:
+        """Draws a group of triangles, of `slots` instances from `slot` on; `listed`: so many that are listed."""
+        program = self._raster_program(draw, group, listed > 0)
+        lists = {} if self._list is None or not listed else {"ps_list": self._list}
+        for first, count in _steps(draw, group, slot, slots):
+            self._device.draw(
+                program,
+                self._depths.target,
+                uniforms=self._record(program, draw, group, view, first_slot=first),
+                textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures, **lists},
+                vertices=3 * listed or group.count * count,
+                depth_test=True,
+            )
+
+    def _rasterise_wide(self, draw: PolygonDraw, group: Group, view: SampleView, shared: dict[str, Texture]) -> None:
+        """Draws the triangles of a group that are not small; where they are too many, all."""
+        assert self._list is not None
+        assert self._length is not None
+        program = self._compute_program(draw, group, "LIST")
+        for slot, slots in _steps(draw, group):
+            self._device.fill(self._list)
+            self._device.fill(self._length)
+            images = {"list": self._list, "list_length": self._length}
+            self._dispatch(program, draw, group, slot, slots, view, shared, images)
+            count = (int(self._device.read(self._length)[0, 0]) + 1) & 0xFFFFFFFF
+            if count:
+                self._rasterise(draw, group, view, shared, slot, slots, count if count <= LISTED else 0)
 
     def _record(
         self, program: Interface, draw: PolygonDraw, group: Group, view: SampleView, **own: object
     ) -> np.ndarray:
         about = {"material": group.material, "first_id": draw.first_id, "triangles": draw.mesh.triangles}
-        return view.record_of(program.block, **about, **draw.values, **own)
+        where = {"first": group.first, "corners": group.count, **self._depths.values}
+        return view.record_of(program.block, **about, **where, **draw.values, **own)
 
     def release(self) -> None:
         for draw in self.draws:
             draw.release()
+        for texture in (self._list, self._length):
+            if texture is not None:
+                texture.release()
 
 
-@dataclass(frozen=True, eq=False)
+def _in_compute(draw: PolygonDraw, group: Group) -> bool:
+    """Whether compute shaders draw the small triangles of a group."""
+    return draw.small and not is_cut(group)
+
+
+def _steps(draw: PolygonDraw, group: Group, slot: int = 0, slots: int | None = None) -> Iterator[tuple[int, int]]:
+    """(first slot, number of slots) of what is drawn at once, of `slots` from `slot` on; None: of all."""
+    end, step = draw.slots if slots is None else slot + slots, max(MOST_VERTICES // group.count, 1)
+    for first in range(slot, end, step):
+        yield first, min(step, end - first)
+
+
 class PolygonCover(PolygonDepths):
     """Draws the polygons of one picture into its visibility buffer."""
 
-    buffer: VisibilityBuffer
+    def __init__(self, device: Device, draws: list[PolygonDraw], buffer: VisibilityBuffer, normal: bool) -> None:
+        """`normal`: normals tell surfaces apart."""
+        super().__init__(device, draws, buffer)
+        self._buffer, self._normal = buffer, normal
 
-    def identify(self, normal: bool, view: SampleView, shared: dict[str, Texture]) -> None:
-        """Draws all polygons with their numbers. `normal`: normals tell surfaces apart."""
-        self._cover(partial(ids_program, normal), view, shared)
+    def identify(self, view: SampleView, shared: dict[str, Texture]) -> None:
+        """Draws the numbers of what `cover` has drawn."""
+        self._compute("IDENTIFY", view, shared, {"ids": self._buffer.ids, "keys": self._buffer.keys})
+
+    def _raster_program(self, draw: PolygonDraw, group: Group, listed: bool) -> Interface:
+        return ids_program(self._normal, self._buffer.lattice, group, draw.slots == 1, listed)
+
+    def _compute_program(self, draw: PolygonDraw, group: Group, step: str) -> Interface:
+        return triangle_program(self._buffer.lattice, group, draw.slots == 1, step, self._normal)
 
     def write_attributes(
         self,
@@ -249,17 +342,17 @@ class PolygonCover(PolygonDepths):
         out: GBuffer,
     ) -> None:
         """Writes the attributes of the triangles that stand for groups."""
-        sub_samples = {**leaders.bound, **groups.codes, **self.buffer.textures}
+        sub_samples = {**leaders.bound, **groups.codes, **self._buffer.textures}
         for draw in self.draws:
             where = groups.rectangle(leaders, draw.first_id)
             if where is None:
                 continue
             for group in draw.mesh.groups:
-                program = surface_program(variant, self.buffer.lattice, group, draw.slots == 1, leaders)
+                program = surface_program(variant, self._buffer.lattice, group, draw.slots == 1, leaders)
                 first = group.first // 3
                 own = {"first_triangle": first, "last_triangle": first + group.count // 3, "slots": draw.slots}
-                own |= {"rectangle": where, "corner": leaders.place[1], **self.buffer.values}
-                self.device.draw(
+                own |= {"rectangle": where, "corner": leaders.place[1]}
+                self._device.draw(
                     program,
                     out.target,
                     uniforms=self._record(program, draw, group, view, **own),

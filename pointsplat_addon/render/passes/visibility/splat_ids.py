@@ -250,9 +250,8 @@ class SplatCover(SplatDepths):
         super().__init__(device, options, buffer, wide, round_balls)
         self._buffer = buffer
 
-    def cover(self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture]) -> None:
-        """Draws all other splats, nearer than what is there."""
-        super().cover(draws, view, shared)
+    def identify(self, draws: list[PageDraw], view: SampleView, shared: dict[str, Texture]) -> None:
+        """Draws the numbers of what `cover` has drawn."""
         if self._atomics:
             self._cover("IDENTIFY", draws, view, shared, {"ids": self._buffer.ids, "keys": self._buffer.keys})
 
