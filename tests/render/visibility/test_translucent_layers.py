@@ -146,7 +146,9 @@ def test_strata_share_the_sub_samples_and_their_weights(lattice):
     for count in {1, min(5, lattice.count), lattice.count}:
         parts = strata(lattice, count)
         assert sorted(np.concatenate(parts).tolist()) == list(range(lattice.count))
-        assert [members[0] for members in parts] == list(range(count))
+        middles = np.stack([lattice.positions[members].mean(axis=0) for members in parts])
+        nearest = np.square(lattice.positions[:, None] - middles).sum(axis=2).argmin(axis=1)
+        assert all((nearest[members] == stratum).all() for stratum, members in enumerate(parts))
         rows = [weight_rows(weights, members)[..., 0] for members in parts]
         assert sum(part[:, 2].sum() for part in rows) == pytest.approx(1)
         for part in rows:

@@ -17,6 +17,9 @@ from ...passes.translucent.strata import (
     ADD_TILE_BLOCK,
     DIFFERENCE,
     EXPAND,
+    FEW_PLACES,
+    NARROW,
+    NARROWEST,
     NOWHERE,
     are_narrow,
     bounds,
@@ -62,32 +65,38 @@ class TranslucentLayers:
         device, layers, lattice = self._device, self._layers, self._targets.buffer.lattice
         device.clear(layers.difference_target)
         around = len(weights) ** 0.5 // 2 + 2 * COARSE
-        touched, narrow = self._touched_tiles(view, around)
+        touched = self._touched_tiles(view, around, coarse)
         if coarse:
-            self._draw_strata(view, [np.zeros(1, np.int64)], weights / weights[:, 0].sum(), shaded, touched, COARSE)
+            weights = weights / weights[:, 0].sum()
+            self._draw_strata(view, [np.zeros(1, np.int64)], weights, shaded, touched[0][1], COARSE)
         else:
-            for tiles, count in ((narrow, lattice.count), (touched & ~narrow, 1)):
-                if tiles.any() or (count == 1 and not narrow.any()):
-                    self._draw_strata(view, strata(lattice, count), weights, shaded, tiles)
+            drawn = [(count, tiles) for count, tiles in touched if tiles.any()]
+            for count, tiles in drawn or touched[:1]:
+                self._draw_strata(view, strata(lattice, count), weights, shaded, tiles)
         record = ADD_TILE_BLOCK.record(rectangle=tile.rectangle(self._targets.size), corner=tile.origin)
         textures = {"ps_difference": layers.difference}
         self._run(
             "add", lambda: device.draw(ADD_TILE, self._sums, uniforms=record, textures=textures, vertices=6, blend=True)
         )
 
-    def _touched_tiles(self, view: SampleView, around: float) -> tuple[np.ndarray, np.ndarray]:
-        """Returns which tiles splats touch, and which of them narrow ones touch, (rows, columns) bool each.
+    def _touched_tiles(self, view: SampleView, around: float, coarse: bool) -> list[tuple[int, np.ndarray]]:
+        """Returns numbers of places in a pixel, and for which tiles, (rows, columns) bool, no fewer are enough.
 
-        around: pixels around a splat that count as touched.
+        around: pixels around a splat that count as touched. `coarse`: one place is taken to be enough for all.
         """
         lit = self._lit
         centre, shape = (
             self._device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_centre", "ps_shape")
         )
-        narrow = are_narrow(shape, self._options.kernels)
         where = view.principal_point, view.size, around
-        touched = touched_tiles(centre, shape, *where)
-        return touched, touched_tiles(centre[narrow], shape[narrow], *where) if narrow.any() else np.zeros_like(touched)
+        found = touched_tiles(centre, shape, *where)
+        if coarse:
+            return [(1, found)]
+        narrow, sub_samples = are_narrow(shape, self._options.kernels, NARROW), self._targets.buffer.lattice.count
+        # For all tiles alike, wherever the picture is divided.
+        few = not are_narrow(shape[centre[:, 3] > 0], self._options.kernels, NARROWEST).any()
+        tiles = touched_tiles(centre[narrow], shape[narrow], *where)
+        return [(1, found & ~tiles), (min(FEW_PLACES, sub_samples) if few else sub_samples, tiles)]
 
     def _draw_strata(
         self,
@@ -104,8 +113,7 @@ class TranslucentLayers:
         """
         positions, layers = self._targets.buffer.lattice.positions, tiles_by_layer(self._targets.groups.layers, tiles)
         for members in parts:
-            # Where one place stands for a whole pixel, it is the middle.
-            x, y = positions[members[0]].tolist()
+            x, y = positions[members].mean(axis=0).tolist()
             moved = replace(view, offset=(view.offset[0] + x, view.offset[1] + y))
             with (
                 self._texture(stratum_texels(self._targets.buffer.lattice, members), "RGBA32F") as stratum,

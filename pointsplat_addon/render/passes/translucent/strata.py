@@ -20,7 +20,10 @@ from ..visibility.buffer import LATTICE_DEFINE, LATTICE_FIELDS
 from .blend import Bounds
 from .options import TranslucentOptions
 
-NARROW = 1.0  # pixels: standard deviation of the narrower axis below which splats are looked at in all sub-samples
+NARROW = 1.0  # pixels: standard deviation of the narrower axis below which one place in a pixel is not enough
+FEW_PLACES = 5  # in a pixel, which are enough
+NARROWEST = 0.26  # pixels: down to this one, where a Gaussian lacks 1e-3 between the places; below it all are looked at
+REPEATS = 8  # of Lloyd's iteration
 FINEST_KERNEL = 3.0  # how many times as fine as the default kernel others may be
 NOWHERE = -1e30  # depth of pixels over which nothing is blended: shaders/lib/translucent/place.glsl
 EXPAND = block("Expand", CAMERA_FIELDS, LATTICE_FIELDS, (("int", "sub_samples"), ("int", "layer")))
@@ -60,10 +63,15 @@ def difference_program(options: TranslucentOptions) -> Interface:
 
 
 def strata(lattice: Lattice, count: int) -> list[np.ndarray]:
-    """Returns the sub-samples of each stratum: those nearest to one of the first `count`, which comes first."""
+    """Returns the sub-samples of `count` strata: those nearest to the stratum's middle (Lloyd 1982)."""
     at = lattice.positions
-    owner = np.argmin(np.square(at[:, None] - at[None, :count]).sum(axis=2), axis=1)
-    return [np.flatnonzero(owner == stratum) for stratum in range(count)]
+    middles = at[:count]
+    parts: list[np.ndarray] = []
+    for _ in range(REPEATS):
+        owner = np.argmin(np.square(at[:, None] - middles).sum(axis=2), axis=1)
+        parts = [np.flatnonzero(owner == stratum) for stratum in range(count)]
+        middles = np.stack([at[members].mean(axis=0) for members in parts])
+    return parts
 
 
 def stratum_texels(lattice: Lattice, members: np.ndarray) -> np.ndarray:
@@ -86,14 +94,14 @@ def weight_rows(weights: np.ndarray, members: np.ndarray) -> np.ndarray:
     return rows[rows[:, 2] > 0][..., None].astype(np.float32)
 
 
-def are_narrow(shape: np.ndarray, kernels: bool) -> np.ndarray:
-    """Returns which splats one place in a pixel is not enough for, (N,) bool.
+def are_narrow(shape: np.ndarray, kernels: bool, least: float) -> np.ndarray:
+    """Returns which splats are narrower than a standard deviation of `least` pixels, (N,) bool.
 
     shape: (N, 4) as the pass `light` left it. `kernels`: some have kernels of their own, with finer parts.
     """
     xx, xy, yy = shape[:, 0], shape[:, 1], shape[:, 2]
-    least = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
-    return least < (NARROW * (FINEST_KERNEL if kernels else 1.0)) ** 2
+    narrower = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
+    return narrower < (least * (FINEST_KERNEL if kernels else 1.0)) ** 2
 
 
 def touched_tiles(
