@@ -16,21 +16,22 @@ COMBINED = frozenset({"combined"})
 SIDE = 96  # pixels
 AROUND = 2  # pixels that the filter reaches to
 RATIO = np.array([1.0, 1.0, 3.0])  # of the instance's scale along its axes, where balls are ellipsoids
-EYE = cameras.camera((0, 0, 0), (0, 1, 0), (SIDE, SIDE), field_of_view=110, near=1e-3, far=10)
+WIDE = 150.0  # degrees
+EYE = cameras.camera((0, 0, 0), (0, 1, 0), (SIDE, SIDE), field_of_view=WIDE, near=1e-3, far=10)
 
 
-def around(seed: int, least: float) -> tuple[np.ndarray, np.ndarray]:
+def around(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Centres (N, 3) and radii (N,) of balls on all sides, none of which, drawn out by RATIO, holds the eye."""
     rng = np.random.default_rng(seed)
-    at = rng.uniform(-1, 1, (400, 3))
-    radius = rng.uniform(0.02, 0.12, 400)
-    out = np.linalg.norm(at, axis=1) > np.maximum(least, 1.5 * radius)
+    at = rng.uniform(-1, 1, (60, 3))
+    radius = rng.uniform(0.05, 0.3, 60)
+    out = np.linalg.norm(at, axis=1) > 1.2 * radius
     return at[out], radius[out]
 
 
 def met(at: np.ndarray, radius: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     """(SIDE, SIDE) bool, bottom row first: whether the ray through a pixel's centre meets an ellipsoid."""
-    slope = np.tan(np.radians(55)) * ((np.arange(SIDE) + 0.5) / SIDE * 2 - 1)
+    slope = np.tan(np.radians(WIDE / 2)) * ((np.arange(SIDE) + 0.5) / SIDE * 2 - 1)
     x, z = np.meshgrid(slope, slope)
     ray = np.stack([x, np.ones_like(x), z], axis=-1).reshape(-1, 1, 3) / ratio
     along, across = (ray * at).sum(axis=-1), (ray**2).sum(axis=-1)
@@ -43,7 +44,7 @@ def met(at: np.ndarray, radius: np.ndarray, ratio: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("ratio", [np.ones(3), RATIO], ids=["round", "drawn out"])
 @pytest.mark.parametrize("seed", range(4))
 def test_balls_beside_the_eye_are_where_rays_meet_them(seed, ratio):
-    at, radius = around(seed, 0.0)
+    at, radius = around(seed)
     cloud = PointCloud(at.astype(np.float32), radii=radius[:, None].astype(np.float32))
     scene = build.scene(
         (build.points(f"near {seed}", cloud), np.diag([*ratio, 1.0])), lights=[build.sun()], transparent=True
@@ -60,8 +61,8 @@ def test_balls_beside_the_eye_are_where_rays_meet_them(seed, ratio):
     assert whole.sum() > 500
     assert none.sum() > 500
     # Rays between pixels' centres may pass a notch, or meet a tip.
-    assert np.mean(alpha[whole] < 0.999) < 0.01
-    assert np.mean(alpha[none] > 0.001) < 0.01
+    assert np.mean(alpha[whole] < 0.999) < 0.01  # measured 0.0037
+    assert np.mean(alpha[none] > 0.001) < 0.01  # measured 0
 
 
 @pytest.mark.parametrize("ratio", [np.ones(3), RATIO], ids=["round", "drawn out"])
