@@ -7,6 +7,7 @@ place of Blender's.
 from __future__ import annotations
 
 import ctypes
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -102,10 +103,12 @@ class OpenGLTimer:
 
     def __init__(self, device: OpenGLDevice, query: int):
         self._device, self._elapsed = device, -1.0
+        self._started = 0.0
         self._query: int | None = query  # None: the device has it back
 
     def start(self) -> None:
         if self._query is not None:
+            self._started = time.perf_counter()
             self._device.begin_query(GL_TIME_ELAPSED, self._query)
 
     def stop(self) -> None:
@@ -116,7 +119,8 @@ class OpenGLTimer:
         if self._query is not None:
             nanoseconds = ctypes.c_uint64()
             self._device.query_result(self._query, GL_QUERY_RESULT, ctypes.addressof(nanoseconds))
-            self._elapsed = nanoseconds.value / 1e6
+            # At times llvmpipe answers with the time since the machine was started.
+            self._elapsed = min(nanoseconds.value / 1e6, 1e3 * (time.perf_counter() - self._started))
             self.release()
         if self._elapsed < 0.0:
             raise DeviceError("this timer was released before it was read")

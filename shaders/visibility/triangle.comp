@@ -76,13 +76,11 @@ void main()
   }
 #ifdef PS_IDENTIFY
   uint number = uint(u.first_id) + uint(slot) * uint(u.triangles) + uint(first) / 3u;
-  vec3 normal = vec3(0.0, 0.0, 1.0);
 #ifdef PS_NORMAL
-  // It covers so few cells that they share the normal of its middle.
-  vec3 mean = ps_unpack_normal(corner0.w) + ps_unpack_normal(corner1.w) + ps_unpack_normal(corner2.w);
-  normal = (front ? 1.0 : -1.0) * ps_view_normal(ps_linear(slot), mean);
+  mat3 linear = ps_linear(slot);
+  vec3 n0 = ps_view_normal(linear, ps_unpack_normal(corner0.w)), n1 = ps_view_normal(linear, ps_unpack_normal(corner1.w));
+  vec3 n2 = ps_view_normal(linear, ps_unpack_normal(corner2.w));
 #endif
-  uint surface = ps_surface_key(instance, u.material, normal);
 #endif
   vec3 scale = ps_is_perspective() ? 1.0 / d : vec3(1.0);
   float turned = front ? 1.0 : -1.0;
@@ -102,7 +100,12 @@ void main()
         if (texelFetch(ps_depths, ivec2(x, y), 0).x == key) {
           // Of several at one depth any may write its key: they then lie upon each other.
           if (imageAtomicMin(ids, ivec2(x, y), number) > number) {
-            imageStore(keys, ivec2(x, y), uvec4(surface));
+            vec3 normal = vec3(0.0, 0.0, 1.0);
+#ifdef PS_NORMAL
+            // Of the sub-sample: leaves of a few pixels may be bent by more than what one group's normals differ.
+            normal = turned / sum * (weights.x * n0 + weights.y * n1 + weights.z * n2);
+#endif
+            imageStore(keys, ivec2(x, y), uvec4(ps_surface_key(instance, u.material, normal)));
           }
         }
 #else

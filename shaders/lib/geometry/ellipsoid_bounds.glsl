@@ -20,6 +20,21 @@ vec2 ps_ellipsoid_bounds(vec3 p, mat3 shape, int axis)
   return a > 1e-6 * p.z * p.z ? vec2(-b - root, -b + root) / a : vec2(-1e8, 1e8);
 }
 
+// The ends of an ellipsoid that the plane through the eye, across the view, cuts. What is before that plane lies between one
+// of the tangents and the plane itself, on the side where the plane cuts it; everything where the eye is inside. Arguments as for
+// ps_ellipsoid_ends.
+vec2 ps_ends_beside_eye(float across, float across_across, float across_deep, float z, float deep_deep)
+{
+  float a = min(z * z / deep_deep - 1.0, -1e-6), b = (across * z - across_deep) / deep_deep;
+  float c = (across * across - across_across) / deep_deep, square = b * b - a * c;
+  if (!(square > 0.0 && square < 1e37)) {
+    return vec2(-1e8, 1e8);
+  }
+  float root = sqrt(square), q = -(b + (b < 0.0 ? -root : root));
+  float one = q / a, other = c / q;
+  return across - across_deep / deep_deep * z > 0.0 ? vec2(max(one, other), 1e8) : vec2(-1e8, min(one, other));
+}
+
 // The same along any axis of the picture, given the products of the centre p and of the shape S with it: across = a . p,
 // a . S a, and the component along z of S a; and z and S_zz. The root is taken of what is left once the large terms have
 // cancelled, so that splats much smaller than a pixel keep their size.
@@ -35,5 +50,5 @@ vec2 ps_ellipsoid_ends(float across, float across_across, float across_deep, flo
   float square = (across_across - slope * (2.0 * across_deep - slope * deep_deep)) / (z * z) +
                  (across_deep / (z * z)) * (across_deep / (z * z)) - (deep_deep / (z * z)) * (across_across / (z * z));
   float root = sqrt(max(square, 0.0));
-  return a > 1e-6 ? vec2(-b - root, -b + root) / a : vec2(-1e8, 1e8);
+  return a > 1e-6 ? vec2(-b - root, -b + root) / a : ps_ends_beside_eye(across, across_across, across_deep, z, deep_deep);
 }

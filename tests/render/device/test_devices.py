@@ -1,10 +1,12 @@
 """The devices without Blender: moderngl draws every case of the suite; the null device records."""
 
+import ctypes
 import os
 import subprocess
 import sys
 import textwrap
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +85,17 @@ def test_devices_on_two_threads_draw_at_once():
     for thread in threads:
         thread.join()
     assert not failures
+
+
+def test_no_timer_tells_more_than_has_passed(device, monkeypatch):
+    def since_the_start_of_the_machine(query, name, address):
+        ctypes.c_uint64.from_address(address).value = 1 << 60
+
+    before = time.perf_counter()
+    timer = device.start_timer()
+    device.stop_timer(timer)
+    monkeypatch.setattr(device, "query_result", since_the_start_of_the_machine)
+    assert timer.milliseconds() <= 1e3 * (time.perf_counter() - before)
 
 
 def test_release_gives_memory_back_and_may_be_called_twice():

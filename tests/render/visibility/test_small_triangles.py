@@ -35,6 +35,23 @@ def with_floor(key: str) -> Geometry:
     )
 
 
+def with_leaves(key: str) -> Geometry:
+    """A dense ball that is small in the picture, and triangles of some pixels whose corners' normals differ."""
+    dense = meshes.sphere_mesh(key, RINGS)
+    side = 40
+    x, z = np.meshgrid(np.linspace(-1.8, 1.8, side), np.linspace(-1.2, 1.4, side))
+    middle = np.stack([x, np.full_like(x, 0.5), z], axis=-1).reshape(-1, 1, 3)
+    leaf = middle + np.array([[-0.045, 0, -0.03], [0.045, 0, -0.03], [0, 0, 0.035]])
+    rng = np.random.default_rng(5)
+    bent = np.array([0, -1.0, 0]) + rng.uniform(-1, 1, (3 * side**2, 3)) * (0.8, 0.2, 0.8)
+    position = np.concatenate([0.05 * dense.position, leaf.reshape(-1, 3)]).astype(np.float32)
+    normal = np.concatenate([dense.vertex_normal, bent / np.linalg.norm(bent, axis=1, keepdims=True)]).astype(
+        np.float32
+    )
+    rows = np.arange(3 * side**2, dtype=np.int32).reshape(-1, 3) + len(dense.position)
+    return build.mesh(Mesh(key, key, position, np.concatenate([dense.triangles, rows]), normal))
+
+
 def turned(*, mirrored: bool = False) -> np.ndarray:
     matrix = build.moved((2.2, 1.0, 0.3), (-1.0 if mirrored else 1.0, 0.8, 1.0))
     cos, sin = np.cos(0.4), np.sin(0.4)
@@ -48,6 +65,7 @@ def lights() -> tuple[Light, ...]:
 SCENES = {
     "ball": lambda: build.scene((ball("ball"), np.eye(4)), lights=lights()),
     "floor": lambda: build.scene((with_floor("floor"), np.eye(4)), lights=lights()),
+    "leaves": lambda: build.scene((with_leaves("leaves"), np.eye(4)), lights=lights()),
     "instances": lambda: build.scene(
         *[(geometry, matrix) for geometry in [ball("instances")] for matrix in (np.eye(4), turned(mirrored=True))],
         lights=lights(),

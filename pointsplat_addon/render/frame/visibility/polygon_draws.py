@@ -42,8 +42,7 @@ def polygon_draws(
             continue
         here = here[seen]
         holdout = np.zeros(len(here), bool) if instances.holdout is None else instances.holdout[here].astype(bool)
-        computed = cells is not None and device.limits.image_atomics
-        small = computed and are_small(mesh.triangles, rectangles[seen], cells)
+        small = cells is not None and are_small(mesh.triangles, rectangles[seen], cells) and device.limits.image_atomics
         found.append(PolygonDraw(device, mesh, here, matrices[seen], holdout, first_id, small))
         first_id += found[-1].triangles
     return found

@@ -1,7 +1,7 @@
 """Draws small triangles into the visibility buffer by compute shaders, where a mesh has many of them.
 
-A rasteriser sets each triangle up before it knows whether it covers anything, and software renderers do so on one
-thread. One compute invocation draws a triangle of some cells, in two passes of atomics, as splats are drawn
+A rasteriser sets each triangle up before it knows whether it covers anything, which takes longer than drawing one of
+a few cells. One compute invocation draws a triangle of some cells, in two passes of atomics, as splats are drawn
 (splat_ids.py). Triangles that cover many cells or cross the near plane are listed and rasterised before that.
 """
 
