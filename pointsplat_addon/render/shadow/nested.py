@@ -15,9 +15,9 @@ from itertools import combinations
 
 import numpy as np
 
-from ...core.lod.seen import Sketch, seen_places, sketch_of_points, sketch_of_triangles
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
+from ...core.surface.seen import Sketch, seen_places, sketch_of_points, sketch_of_triangles
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .map_views import MARGIN, LightViews, MapView, Nested, arranged_blocks
@@ -109,10 +109,10 @@ def _arranged(maps: ShadowMaps, lights: Sequence[LightViews | None], widest: int
         else replace(light, views=(light.views[0], *(placed(view) for view in _nested(light))))
         for light in lights
     )  # fmt: skip
+    views = [view for light in arranged if light is not None for view in _nested(light)]
     look = tuple(
-        tuple((*view.low.tolist(), view.step, *view.size, *view.corner, view.nested.lift) for view in _nested(light))
-        for light in arranged if light is not None
-    )  # fmt: skip
+        (*view.low.tolist(), view.step, *view.size, *view.corner, view.nested and view.nested.depths) for view in views
+    )
     key = Key(Kind.NESTED_MAPS, maps.key, other=look)
     return ShadowMaps(key, arranged, (max(width, maps.size[0]), below + height), maps.casters, maps)
 

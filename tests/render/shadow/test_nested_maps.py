@@ -1,6 +1,6 @@
 """Nested maps of suns: what they add to a picture, where their texels lie, and when there are none."""
 
-# pyright: reportOptionalMemberAccess=false
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false, reportOptionalIterable=false
 # Lights may have no views; those that are asked for have some.
 from dataclasses import replace
 
@@ -62,7 +62,7 @@ def maps_of(case: Case) -> ShadowMaps:
 def in_card(place: np.ndarray) -> np.ndarray:
     """Tells which places (..., 2) lie in a card's square."""
     within = np.abs(np.abs(place) % SPACING - SPACING / 2) < SIDE / 2
-    return within.all(axis=-1) & (np.abs(place) < PATCH * SPACING / 2).all(axis=-1)
+    return np.logical_and(within.all(axis=-1), (np.abs(place) < PATCH * SPACING / 2).all(axis=-1))
 
 
 def by_rays(light, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +125,7 @@ def test_shadows_of_small_cards_on_a_wide_plane_are_those_of_rays(sun, view, mon
 
 
 def levels(maps: ShadowMaps) -> list[MapView]:
-    return [view for light in maps.lights for view in light.views]
+    return [view for light in maps.lights for view in light.views if view is not None]
 
 
 @pytest.mark.parametrize("sun", SUNS)

@@ -91,13 +91,11 @@ def seen_places(camera: Camera, things: Sequence[tuple[Sketch, np.ndarray]]) -> 
     at = place[:, :2] * [fx, fy] / (depth[:, None] if camera.perspective else 1.0) + [cx, cy]
     index = np.floor(at / cell).astype(int)
     inside = ((index >= 0) & (index < [columns, rows])).all(axis=1)
-    index, place, depth = index[inside] @ [1, columns], place[inside], depth[inside]
-    order = np.lexsort((depth, index))
-    found, first = np.unique(index[order], return_index=True)
-    nearest = np.full(columns * rows, np.inf)
-    nearest[found] = depth[order][first]
-    where = np.zeros((columns * rows, 3))
-    where[found] = place[order][first]
+    number = index[inside, 0] + columns * index[inside, 1]
+    place, depth = place[inside], depth[inside]
+    order = np.argsort(-depth)  # the nearest of each cell is written last
+    nearest, where = np.full(columns * rows, np.inf), np.zeros((columns * rows, 3))
+    nearest[number[order]], where[number[order]] = depth[order], place[order]
 
     row, column = np.divmod(np.arange(columns * rows), columns)
     slope = (np.stack([column + 0.5, row + 0.5], axis=1) * cell - [cx, cy]) / [fx, fy]
