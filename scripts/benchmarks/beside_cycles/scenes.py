@@ -62,7 +62,7 @@ class Kind:
 
 
 def hills(count: int, among: bool, size: int, data: Path) -> None:
-    """Balls of radius half their spacing over 100 m of hills and boxes, from a scanner's height or from among the boxes."""
+    """Balls of radius half their spacing over 100 m of hills and boxes, from a scanner's height or among the boxes."""
     scene = gallery.studio(size)
     position, color, spacing = landscape(count)
     cloud = point_cloud_object("Scan", position, spacing / 2, color)
