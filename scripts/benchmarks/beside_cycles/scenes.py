@@ -61,15 +61,15 @@ class Kind:
 # ---------------------------------------------------------------------------- points
 
 
-def hills(count: int, size: int, data: Path) -> None:
-    """Balls of radius half their spacing over 100 m of hills and boxes, from an airborne scanner's height."""
+def hills(count: int, among: bool, size: int, data: Path) -> None:
+    """Balls of radius half their spacing over 100 m of hills and boxes, from a scanner's height or among the boxes."""
     scene = gallery.studio(size)
     position, color, spacing = landscape(count)
     cloud = point_cloud_object("Scan", position, spacing / 2, color)
     cloud.data.materials.append(painted("Scan"))
     camera = scene.camera
     camera.data.angle, camera.data.clip_end = math.radians(50), 500.0
-    aim(camera, (34.0, -62.0, 34.0), (0.0, 2.0, -2.0))
+    aim(camera, *(((3.0, 2.0, 14.0), (13.0, 5.0, 10.5)) if among else ((34.0, -62.0, 34.0), (0.0, 2.0, -2.0))))
     scene.objects["Sun"].rotation_euler = (math.radians(40), math.radians(25), 0.0)
 
 
@@ -228,8 +228,9 @@ def simplify(tree: Any, glows: bool) -> None:
 
 
 KINDS = {
-    "hills-1M": Kind(partial(hills, 1_000_000), (960, 540)),
-    "hills-10M": Kind(partial(hills, 10_000_000), (960, 540)),
+    "hills-1M": Kind(partial(hills, 1_000_000, False), (960, 540)),
+    "hills-10M": Kind(partial(hills, 10_000_000, False), (960, 540)),
+    "hills-inside": Kind(partial(hills, 1_000_000, True), (960, 540)),
     "scan-sparse": Kind(partial(scan, 0.25), needs=models.SCAN_FILE),
     "scan-touching": Kind(partial(scan, 0.5), needs=models.SCAN_FILE),
     "scan-dense": Kind(partial(scan, 1.5), needs=models.SCAN_FILE),

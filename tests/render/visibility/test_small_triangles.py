@@ -38,6 +38,7 @@ def with_floor(key: str) -> Geometry:
 def with_leaves(key: str) -> Geometry:
     """A dense ball that is small in the picture, and triangles of some pixels whose corners' normals differ."""
     dense = meshes.sphere_mesh(key, RINGS)
+    assert dense.vertex_normal is not None
     side = 40
     x, z = np.meshgrid(np.linspace(-1.8, 1.8, side), np.linspace(-1.2, 1.4, side))
     middle = np.stack([x, np.full_like(x, 0.5), z], axis=-1).reshape(-1, 1, 3)

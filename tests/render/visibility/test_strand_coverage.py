@@ -33,7 +33,8 @@ def case(geometry: Geometry, camera: Camera, **more) -> Case:
 def covered(geometry: Geometry, camera: Camera = EYE, lattices: int = 1) -> np.ndarray:
     """(H, W) float64: the share of each pixel's sub-samples that a geometry covers, before the pixel filter."""
     drawn = case(geometry, camera)
-    frame = Frame(opengl(), drawn.scene, drawn.request(COMBINED, lattices * MANY.count))
+    # One that is shown while it is drawn has all of this picture in one tile.
+    frame = Frame(opengl(), drawn.scene, drawn.request(COMBINED, lattices * MANY.count), presented=True)
     try:
         found = np.zeros(camera.window[:1:-1])
         for _ in range(lattices):
