@@ -27,6 +27,11 @@ class Cache:
         with self._lock:
             return key in self._items
 
+    def keys(self) -> set[Key]:
+        """Those of all items."""
+        with self._lock:
+            return set(self._items)
+
     @property
     def nbytes(self) -> int:
         """Bytes that count against the limit: of the arrays that items hold."""
@@ -54,9 +59,15 @@ class Cache:
                 if self.nbytes <= self.limit:
                     return
                 if key not in in_use:
-                    item, size = self._items.pop(key)
-                    self._bytes -= size
-                    self._dispose(item)
+                    self.drop({key})
+
+    def drop(self, keys: Set[Key]) -> None:
+        """Drops the items of these keys."""
+        with self._lock:
+            for key in keys:
+                item, size = self._items.pop(key)
+                self._bytes -= size
+                self._dispose(item)
 
     def clear(self) -> None:
         """Drops all items."""

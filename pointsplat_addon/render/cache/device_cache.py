@@ -45,11 +45,17 @@ class DeviceCache(Cache):
         return next(key for key in (Key(kind, number) for number in count()) if key not in taken)
 
     def lookup(self, key: Key, make: Callable[[], Any]) -> Any:
-        """Returns what is on the device for `key`; uploads it with `make` if it is not. Nothing stays if that fails."""
+        """Returns what is on the device for `key`; uploads it with `make` if it is not. Nothing stays if that fails,
+        nor what `make` has looked up for the first time."""
 
         def make_whole() -> Any:
-            with released_on_failure(self.device):
-                return make()
+            before = self.keys()
+            try:
+                with released_on_failure(self.device):
+                    return make()
+            except BaseException:
+                self.drop(self.keys() - before)
+                raise
 
         return super().lookup(key, make_whole)
 
