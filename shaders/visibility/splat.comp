@@ -8,7 +8,11 @@
 
 void main()
 {
+#ifdef PS_DIRECT
+  int index = u.first_splat + ps_index();
+#else
   int index = ps_index();
+#endif
   ivec3 element = ps_element(index);
   if (element.x < 0) {
     return;

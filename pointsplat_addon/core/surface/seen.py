@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..numeric.linear import largest_singular_value
+from ..numeric.segments import owners, ranks
+from ..numeric.vectors import cross, dot
 from ..scene.camera import Camera
 
 CELLS = 40  # along the longer side of the picture
@@ -58,6 +60,17 @@ def _sketch(points: np.ndarray, large: np.ndarray, bounded: np.ndarray) -> Sketc
     return Sketch(points, large, (low + high) / 2, float(np.linalg.norm(high - low) / 2))
 
 
+@np.errstate(all="ignore")
+def narrowest_pixel(camera: Camera, things: Sequence[tuple[Sketch, np.ndarray]]) -> float:
+    """Returns how far a pixel reaches at least, in world units, at any place that seen_places may find."""
+    nearest = np.inf
+    for sketch, matrices in things:
+        middle, radius = _balls(camera.view_from_world @ matrices, sketch)
+        reached = -middle[:, 2] - radius
+        nearest = min(nearest, float(np.where(np.isfinite(reached), reached, -np.inf).min(initial=np.inf)))
+    return float(_pixels(camera, np.maximum(nearest, camera.nearest)))
+
+
 @np.errstate(all="ignore")  # what is too far away for float64 is not seen
 def seen_places(camera: Camera, things: Sequence[tuple[Sketch, np.ndarray]]) -> tuple[np.ndarray, np.ndarray, float]:
     """Returns world-space places (N, 3) float64 that a camera sees, how far a pixel reaches there, (N,), and how many
@@ -72,8 +85,7 @@ def seen_places(camera: Camera, things: Sequence[tuple[Sketch, np.ndarray]]) -> 
     points, large = [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
     for sketch, matrices in things:
         view = camera.view_from_world @ matrices
-        middle = view[:, :3, :3] @ sketch.middle + view[:, :3, 3]
-        radius = sketch.radius * largest_singular_value(view[:, :3, :3])
+        middle, radius = _balls(view, sketch)
         ahead = np.maximum(-middle[:, 2], radius) if camera.perspective else np.ones(len(view))
         reach = radius * max(abs(fx), abs(fy)) / np.maximum(ahead, 1e-30)
         away = np.abs(middle[:, :2] * [fx, fy] / ahead[:, None] + [cx - width / 2, cy - height / 2])
@@ -99,14 +111,25 @@ def seen_places(camera: Camera, things: Sequence[tuple[Sketch, np.ndarray]]) -> 
 
     row, column = np.divmod(np.arange(columns * rows), columns)
     slope = (np.stack([column + 0.5, row + 0.5], axis=1) * cell - [cx, cy]) / [fx, fy]
-    met = _met(slope, np.concatenate(large), camera)
+    met = _met(slope, columns, np.concatenate(large), camera)
     nearer = met < nearest
     ray = np.column_stack([slope * (met[:, None] if camera.perspective else 1.0), -met])
     where[nearer], nearest[nearer] = ray[nearer], met[nearer]
     hit = np.isfinite(nearest)
     back = np.linalg.inv(camera.view_from_world)
-    pixel = (nearest[hit] if camera.perspective else np.ones(int(hit.sum()))) / max(abs(fx), abs(fy))
-    return where[hit] @ back[:3, :3].T + back[:3, 3], pixel, cell
+    return where[hit] @ back[:3, :3].T + back[:3, 3], _pixels(camera, nearest[hit]), cell
+
+
+def _pixels(camera: Camera, depth: np.ndarray) -> np.ndarray:
+    """Returns how far a pixel reaches at depths, in world units."""
+    fx, fy = camera.pixel_from_view()[:2]
+    return (depth if camera.perspective else np.ones_like(depth)) / max(abs(fx), abs(fy))
+
+
+def _balls(view_from_object: np.ndarray, sketch: Sketch) -> tuple[np.ndarray, np.ndarray]:
+    """Returns middles (I, 3) and radii (I,) of balls around a sketch's instances (I, 4, 4)."""
+    linear = view_from_object[:, :3, :3]
+    return linear @ sketch.middle + view_from_object[:, :3, 3], sketch.radius * largest_singular_value(linear)
 
 
 def _moved(matrices: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -114,26 +137,54 @@ def _moved(matrices: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.einsum("iab,nb->ina", matrices[:, :3, :3], points) + matrices[:, None, :3, 3]
 
 
-def _met(slope: np.ndarray, corners: np.ndarray, camera: Camera) -> np.ndarray:
+def _met(slope: np.ndarray, columns: int, corners: np.ndarray, camera: Camera) -> np.ndarray:
     """Returns (R,) float64: the least depth at which a camera's rays meet triangles (K, 3, 3) of view space; infinite
-    where none is met. slope: (R, 2), of rays, or where they start in a parallel view (Möller and Trumbore 1997)."""
+    where none is met (Möller and Trumbore 1997).
+
+    slope: (R, 2), of rays, or where they start in a parallel view, row by row of a grid with so many columns.
+    """
     if len(corners) > MOST_MET:
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         away = np.linalg.norm(corners, axis=2).min(axis=1) if camera.perspective else np.ones(len(corners))
         corners = corners[np.argsort(area / np.maximum(away, 1e-30) ** 2)[-MOST_MET:]]
-    if len(corners) == 0:
-        return np.full(len(slope), np.inf)
-    start, ahead = np.zeros((len(slope), 3)), np.column_stack([slope, -np.ones(len(slope))])
-    if not camera.perspective:
-        start[:, :2], ahead[:, :2] = slope, 0.0
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    across = np.cross(ahead[:, None], second)
-    with np.errstate(all="ignore"):
-        scale = 1 / (across * first).sum(axis=2)
-        offset = start[:, None] - corners[:, 0]
-        u = (offset * across).sum(axis=2) * scale
-        turned = np.cross(offset, first)
-        v = (turned @ ahead[:, :, None])[..., 0] * scale
-        depth = (turned * second).sum(axis=2) * scale
-        hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (depth > camera.nearest) & (depth < camera.far)
-    return np.where(hit, depth, np.inf).min(axis=1)
+    found = np.full(len(slope), np.inf)
+    triangle, ray = _pairs(slope, columns, corners, camera)
+    x, y = slope[ray].T
+    nothing, one = np.zeros_like(x), np.ones_like(x)
+    perspective = camera.perspective
+    start = np.stack([nothing, nothing, nothing] if perspective else [x, y, nothing])
+    ahead = np.stack([x, y, -one] if perspective else [nothing, nothing, -one])
+    base, second, third = corners[triangle].transpose(1, 2, 0)
+    first, second = second - base, third - base
+    across = cross(ahead, second)
+    scale = 1 / dot(across, first)
+    offset = start - base
+    u = dot(offset, across) * scale
+    turned = cross(offset, first)
+    v = dot(turned, ahead) * scale
+    depth = dot(turned, second) * scale
+    hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (depth > camera.nearest) & (depth < camera.far)
+    np.minimum.at(found, ray[hit], depth[hit])
+    return found
+
+
+def _pairs(slope: np.ndarray, columns: int, corners: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Returns triangles (P,) and rays (P,), all that may meet: those in the rectangle around each triangle's picture,
+    and all of triangles that reach behind the nearest depth."""
+    lattice = slope.reshape(-1, columns, 2)
+    rows = len(lattice)
+    low, high = lattice[0, 0], lattice[-1, -1]
+    step = (high - low) / np.maximum([columns - 1, rows - 1], 1)
+    depth = -corners[..., 2:]
+    at = (corners[..., :2] / depth if camera.perspective else corners[..., :2]) - low
+    at = at / np.where(step == 0, 1.0, step)
+    whole = (depth[..., 0] <= camera.nearest).any(axis=1) | ~np.isfinite(at).all(axis=(1, 2))
+    at[whole] = 0.0
+    most = np.array([columns, rows]) - 1
+    first = np.where(whole[:, None], 0, np.clip(np.floor(at.min(axis=1)), 0, most + 1)).astype(int)
+    last = np.where(whole[:, None], most, np.clip(np.ceil(at.max(axis=1)), -1, most)).astype(int)
+    width, height = (last - first + 1).clip(0).T
+    count = width * height
+    triangle, rank = owners(count), ranks(count)
+    row, column = np.divmod(rank, width[triangle])
+    return triangle, first[triangle, 0] + column + columns * (first[triangle, 1] + row)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
-from ...core.surface.seen import Sketch, seen_places, sketch_of_points, sketch_of_triangles
+from ...core.surface.seen import Sketch, narrowest_pixel, seen_places, sketch_of_points, sketch_of_triangles
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .map_views import MARGIN, LightViews, MapView, Nested, arranged_blocks
@@ -41,8 +41,12 @@ def with_nested(maps: ShadowMaps, scene: Scene, camera: Camera, store: Store, te
     suns = [light for light in maps.lights if light is not None and light.kind == "PARALLEL"]
     if not suns:
         return maps
-    places, pixel, cell = seen_places(camera, _sketches(scene, store))
-    if len(places) == 0 or all(view.step <= pixel.min() for light in suns for view in light.views if view is not None):
+    widest_step = max(view.step for light in suns for view in light.views if view is not None)
+    sketches = _sketches(scene, store)
+    if widest_step <= narrowest_pixel(camera, sketches):
+        return maps
+    places, pixel, cell = seen_places(camera, sketches)
+    if len(places) == 0 or widest_step <= pixel.min():
         return maps
     texels, widest = min(TEXELS, MOST_TEXELS // len(suns)), min(WIDEST_TEXTURE, texture_size)
     found = [

@@ -39,6 +39,10 @@ class PointUploads:
         if not self._drawn:
             return
         origin = origins(prepared, prepared.spheres, prepared.nodes)
+        for draw in self.draws:
+            if draw.whole >= 0:
+                only = slice(draw.whole, draw.whole + 1)
+                draw.view_from_page = with_origin(prepared.view_from_object[only], origin[only])[0]
         if self._plan.options.one_instance:
             layers = (prepared, prepared.spheres, prepared.nodes)
             one = np.concatenate([layer.cut.instance for layer in layers])[:1]

@@ -38,6 +38,7 @@ from .splat_page import (
     filled,
     position_and_normal,
     position_and_radius,
+    row_bounds,
     shading_normal,
 )
 
@@ -86,6 +87,8 @@ class Page(SplatPage):
         self.nodes = all(points.shape is not None for points in sets)  # or none is
         # Of a page without extents; else -1.
         self.ball_material = _ball_material(sets) if small and not self.nodes else -1
+        # (R, 2, 3): boxes around rows of splats, where one set fills more than one; see splat_page.row_bounds.
+        self.bounds = row_bounds(clouds[0]) if len(sets) == 1 and not self.nodes and self.count > PAGE_WIDTH else None
         if self.nodes:
             self.upload("position", "RGBA32F", [node_position(points) for points in sets])
             self.upload("extent", "RGBA32F", [node_extent(points) for points in sets])
@@ -225,6 +228,7 @@ class PageDraw:
     first_index: int  # of this page's splats among all that are drawn
     transform: Values  # of ONE_INSTANCE_FIELDS, where there is only one instance; else none
     whole: int = -1  # the instance as which all splats of the page are drawn; -1: there is no such one
+    view_from_page: np.ndarray | None = None  # (4, 4), of that one
 
     @property
     def textures(self) -> dict[str, Texture]:
@@ -251,4 +255,4 @@ class PageDraw:
         }
         names = {name for _, name in block.fields}
         known = {name: value for name, value in known.items() if name in names}
-        return view.record(block, **known, **self.transform, **own)
+        return view.record(block, **{**known, **self.transform, **own})

@@ -14,6 +14,7 @@ from ...device.packing import FACET_SHARE, FACET_STEPS, NO_NORMAL, PAGE_WIDTH, o
 from ...device.protocol import Device, Texture
 from ...prepare.point_sets import PointSet
 
+ROWS_AT_ONCE = 8  # of a page whose bounds are measured: what they need stays in the processor's cache
 NODE = 0.25  # tells nodes from points beside a material row, which is whole
 SMALLEST_NORMAL = 1e-6  # of shading: what is shorter has no direction
 Write = Callable[[np.ndarray, slice], None]  # an attribute of the splats in a slice, into an array (n, channels)
@@ -118,6 +119,25 @@ def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = No
             out[max(points - block.start, 0) :, 3] += NODE
 
     return write
+
+
+def row_bounds(cloud: PointCloud) -> np.ndarray:
+    """Returns (R, 2, 3) float32: low and high corner of a box around the splats of each row of a page's textures,
+    relative to the cloud's origin."""
+    rows = -(-len(cloud) // PAGE_WIDTH)
+    found = np.empty((rows, 2, 3), np.float32)
+    radii = cloud.radii
+
+    def measure(block: slice) -> None:
+        splats = slice(block.start * PAGE_WIDTH, min(block.stop * PAGE_WIDTH, len(cloud)))
+        starts = np.arange(0, splats.stop - splats.start, PAGE_WIDTH)
+        reach = 0.0 if radii is None else radii[splats].max(axis=1) if radii.shape[1] > 1 else radii[splats, 0]
+        for channel, column in enumerate(cloud.position[splats].T):
+            found[block, 0, channel] = np.minimum.reduceat(column - reach, starts)
+            found[block, 1, channel] = np.maximum.reduceat(column + reach, starts)
+
+    each_block(rows, measure, ROWS_AT_ONCE)
+    return found
 
 
 def filled(cloud: PointCloud, name: str, constants: np.ndarray) -> np.ndarray:

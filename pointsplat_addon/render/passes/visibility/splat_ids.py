@@ -33,11 +33,13 @@ from .buffer import (
     offset_defines,
     rank_defines,
 )
+from .in_picture import splats_in_picture
 
 MOST_CELLS = 512  # of a splat that a compute invocation draws: a ball of 3 pixels in radius
 LISTED = 1 << 18  # splats that a list holds; where more cover many cells, the rasteriser is given all
 VERTICES = 6  # of a rectangle
 FIRST: Fields = (("int", "first_index"),)
+RUN: Fields = (("int", "first_splat"),)  # of a whole page: where a run of its splats begins, which ends before `splats`
 LIST_SIZE: Fields = (("int", "list_size"),)
 # Ranks of a pixel's sub-samples are this multiple of their numbers modulo how many there are, by p of the lattice: of
 # all multiples those by which parts of circles of 0.3 to 1.2 pixels are covered with the least deviation.
@@ -92,7 +94,7 @@ def cover_program(kind: SplatKind, step: str) -> Interface:
     return Interface(
         "cover",
         compute="visibility/splat.comp",
-        block=kind.block("Cover", own),
+        block=kind.block("Cover", own, RUN if kind.whole else ()),
         samplers=(*kind.samplers, *((("UINT_2D", "ps_depths"),) if step == "IDENTIFY" else ())),
         images=tuple(("R32UI", name) for name in images),
         defines=(
@@ -222,8 +224,10 @@ class SplatDepths:
         textures: dict[str, Texture],
         images: dict[str, Texture],
     ) -> None:
-        groups, record = -(-draw.elements // program.local_size), self._record(program, draw, view)
-        self._device.dispatch(program, groups, uniforms=record, textures=textures, images=images)
+        for first, last in splats_in_picture(draw, view):
+            record = self._record(program, draw, view, first_splat=first, splats=last)
+            groups = -(-(last - first) // program.local_size)
+            self._device.dispatch(program, groups, uniforms=record, textures=textures, images=images)
 
     def _textures(self, draw: PageDraw, shared: dict[str, Texture]) -> dict[str, Texture]:
         return {**shared, **draw.textures}
