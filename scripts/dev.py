@@ -313,7 +313,8 @@ def test_groups(arguments):
 class Process:
     """One pytest process over a group of paths, whose output is kept until it ends."""
 
-    def __init__(self, python, options, paths, limit, environment):
+    def __init__(self, task, limit, environment):
+        python, options, paths = self.task = task
         self.name = "%s %s" % (os.path.relpath(python, ROOT), " ".join(paths))
         self.limit, self.begin = limit, time.monotonic()
         self.output = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the process)
@@ -345,23 +346,31 @@ class Process:
 
 
 def run_all(tasks, jobs, limit):
-    """Run (python, options, paths) in so many processes at a time; (name, exit code) of each, as they end."""
+    """Run (python, options, paths) in so many processes at a time; (name, exit code) of each, as they end.
+
+    One that a signal ends runs once more: Mesa 22.3's llvmpipe crashes in one of some hundred processes, each time at
+    another draw. What crashes twice has failed.
+    """
     # llvmpipe draws with all cores; processes side by side would fight for them.
     threads = max(1, (os.cpu_count() or 1) // jobs)
     environment = dict(os.environ, LP_NUM_THREADS=os.environ.get("LP_NUM_THREADS", str(threads)))
-    waiting, running, found = list(tasks), [], []
+    waiting, running, found, crashed = list(tasks), [], [], set()
     try:
         while waiting or running:
             while waiting and len(running) < jobs:
-                python, options, paths = waiting.pop(0)
-                running.append(Process(python, options, paths, limit, environment))
+                running.append(Process(waiting.pop(0), limit, environment))
             time.sleep(0.1)
             for process in list(running):
                 code = process.ended()
                 if code is not None:
                     running.remove(process)
                     process.print_output()
-                    found.append((process.name, code))
+                    if code < 0 and process.name not in crashed:
+                        say("CRASHED by signal %d, and runs once more: %s" % (-code, process.name))
+                        crashed.add(process.name)
+                        waiting.insert(0, process.task)
+                    else:
+                        found.append((process.name, code))
     finally:
         for process in running:
             process.kill()

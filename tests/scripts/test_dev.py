@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -97,6 +98,20 @@ def test_processes_run_side_by_side_and_one_that_hangs_is_killed(
     hanging = [(sys.executable, [], [str(tmp_path / "test_hangs.py")])]
     assert [code for _, code in dev.run_all(hanging, 1, 4)] == [1]
     assert "killed after 4 s" in capfd.readouterr().out
+
+
+def test_a_process_that_crashes_runs_once_more(
+    dev: ModuleType, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    marker = tmp_path / "crashed"
+    crash = "    os.kill(os.getpid(), signal.SIGSEGV)\n"
+    once = f"    if not os.path.exists({str(marker)!r}):\n        open({str(marker)!r}, 'w')\n    {crash}"
+    for name, body in (("once", once), ("always", crash)):
+        (tmp_path / f"test_{name}.py").write_text(f"import os, signal\ndef test_{name}():\n{body}")
+    tasks = [(sys.executable, ["-p", "no:cacheprovider"], [str(tmp_path / f"test_{n}.py")]) for n in ("once", "always")]
+    codes = {Path(name.split()[-1]).stem: code for name, code in dev.run_all(tasks, 1, 300)}
+    assert codes == {"test_once": 0, "test_always": -signal.SIGSEGV}
+    assert capfd.readouterr().out.count("CRASHED by signal 11") == 2
 
 
 def test_shares_of_the_drawing_tests_have_no_test_twice_and_leave_none_out() -> None:
