@@ -6,30 +6,47 @@ from __future__ import annotations
 import numpy as np
 
 from ..numeric.vectors import unit_rows
-from ..scene.bounds import box_corners
+from ..scene.bounds import box_corners, used_positions
 from ..scene.lights import Light
 from ..scene.mesh import Mesh
 from .samples import MeshExtents
 
 FLATNESS = 1e-6  # of a mesh's size, and of the distances at hand: float32 tells no less apart
+SOME_TRIANGLES = 256  # that are looked at before all of a mesh, and
+LOOSE = 4.0  # times as far from their plane as all may be
 SLAB_TRIANGLES = 64  # at most: each is compared with all corners
 SLAB_THICKNESS = 0.1  # of a slab's diagonal, at most: no camera is to be inside, where it would be dark
 FLAT_COSINE = 0.999  # least cosine between the normals of a slab's corners and those of its triangles
 
 
-def plane_of_mesh(mesh: Mesh, extents: MeshExtents) -> tuple[np.ndarray, np.ndarray] | None:
+def plane_of_mesh(mesh: Mesh, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """A point (3,) and the unit normal (3,) float64, object space, of the plane that holds all triangles of a
-    mesh; None if there is no such plane."""
-    if len(mesh.triangles) == 0 or not extents.size > 0:
+    mesh between corners (3,); None if there is no such plane."""
+    slack = FLATNESS * float(np.linalg.norm(high - low) + np.abs(box_corners(low, high)).max())
+    some = mesh.triangles[:: max(1, len(mesh.triangles) // SOME_TRIANGLES)]
+    found = _plane_through(mesh.position[some.reshape(-1)])
+    if found is not None and not found[2] <= LOOSE * slack:
+        return None  # some triangles tell of nearly every mesh that it is not flat
+    found = _plane_through(used_positions(mesh))
+    return found[:2] if found is not None and found[2] <= slack else None
+
+
+def _plane_through(position: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """A point, the unit normal of a plane through three of the points (N, 3) that lie far from each other, and how far
+    others lie from it; None for points on a line, or fewer than three."""
+    if len(position) == 0:
         return None
-    a, b, c = mesh.position[mesh.triangles[extents.area.argmax()]].astype(np.float64)
-    normal = np.cross(b - a, c - a)
-    normal /= np.linalg.norm(normal)
-    slack = FLATNESS * (
-        np.linalg.norm(extents.high - extents.low) + np.abs(box_corners(extents.low, extents.high)).max()
-    )
-    used = mesh.position[np.unique(mesh.triangles)].astype(np.float64)
-    return (a, normal) if np.abs((used - a) @ normal).max() <= slack else None
+    offset = position.astype(np.float64)
+    first = offset[0].copy()
+    offset -= first
+    along = offset[(offset**2).sum(axis=1).argmax()]
+    normals = np.cross(along, offset)
+    normal = normals[(normals**2).sum(axis=1).argmax()]
+    length = np.linalg.norm(normal)
+    if not length > 0:
+        return None
+    normal /= length
+    return first, normal, float(np.abs(offset @ normal).max())
 
 
 def planes_of_body(mesh: Mesh, extents: MeshExtents) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -20,7 +20,7 @@ from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from ..prepare.layers import MANY_INSTANCES
 from ..prepare.point_sets import coherent_with_foliage
-from .casting import CastingGeometry, bounding_box, cached_mesh_extents, cached_strands, transmission_digest
+from .casting import CastingGeometry, cached_bounding_box, cached_mesh_extents, cached_strands, transmission_digest
 from .spacing import MAX_SAMPLES
 
 MAX_POINTS_WITHOUT_NODES = 1 << 22  # of all instances of one mesh: if there are more, nodes replace them
@@ -28,7 +28,7 @@ MAX_POINTS_WITHOUT_NODES = 1 << 22  # of all instances of one mesh: if there are
 
 def box_corner_casters(caster: CastingGeometry, store: Store) -> builder.Casters:
     """Returns the corners of the bounding boxes of all instances, in world space, as casters without size."""
-    corners = box_corners(*bounding_box(caster.geometry, store))
+    corners = box_corners(*cached_bounding_box(caster.geometry, store))
     world = np.einsum("iab,nb->ina", caster.matrices[:, :3, :3], corners) + caster.matrices[:, None, :3, 3]
     world = world.reshape(-1, 3)
     middle = world.mean(axis=0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.numeric.linear import largest_singular_value
+from ...core.scene.bounds import bounding_box, used_positions
 from ...core.scene.lights import Light
 from ...core.scene.mesh import Mesh
 from ...core.scene.scene import Geometry, Scene
@@ -85,15 +86,18 @@ def casting_geometries(scene: Scene, store: Store) -> list[CastingGeometry]:
     return found
 
 
-def bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the low and high corner, (3,) float64, of a geometry's bounding box, in object space.
+def cached_bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the low and high corner, (3,) float64, of a geometry's bounding box, in object space; measured once.
 
     The box includes the radii of splats and strands. If the geometry is empty, low > high.
     """
+    return store.lookup(Key(Kind.CASTER_BOX, geometry.key), lambda: _bounding_box(geometry, store))
+
+
+def _bounding_box(geometry: Geometry, store: Store) -> tuple[np.ndarray, np.ndarray]:
     mesh, cloud = geometry.mesh, geometry.cloud
     if mesh is not None and len(mesh.triangles):
-        found = cached_mesh_extents(geometry, mesh, store)
-        return found.low, found.high
+        return bounding_box(used_positions(mesh))
     if cloud is not None and len(cloud):
         widest = 0.0 if cloud.radii is None else float(cloud.radii.max(initial=0.0))
         low, high = (
@@ -116,8 +120,7 @@ def _bounding_ball(geometry: Geometry, store: Store) -> tuple[np.ndarray, float]
     """Returns the centre and radius of a ball around a geometry's box, in object space; radius < 0: it is empty."""
     mesh, cloud = geometry.mesh, geometry.cloud
     if mesh is not None and len(mesh.triangles):
-        found = cached_mesh_extents(geometry, mesh, store)
-        low, high, origin = found.low, found.high, np.zeros(3)
+        (low, high), origin = cached_bounding_box(geometry, store), np.zeros(3)
     elif cloud is not None and len(cloud):
         position, origin = cloud.position, cloud.origin
         low, high = (np.array([f(column, initial=start) for column in position.T], float) for f, start in _EXTREMES)

@@ -9,6 +9,7 @@ from ...core.numeric.linear import all_finite
 from ...core.scene.scene import Geometry, Scene
 from ...core.shadow.floor import (
     FLATNESS,
+    SLAB_TRIANGLES,
     is_thin,
     light_is_above,
     lowest_box_height,
@@ -19,7 +20,7 @@ from ...core.shadow.floor import (
 from ..cache.keys import Key, Kind
 from ..cache.keys import digest as hashed
 from ..cache.store import Store
-from .casting import CastingGeometry, bounding_box, cached_mesh_extents, light_key
+from .casting import CastingGeometry, cached_bounding_box, cached_mesh_extents, light_key
 
 MAX_FLOOR_INSTANCES = 64  # instances of one mesh up to which they may be floors
 MAX_HEIGHTS = 1 << 22  # vertices of all instances up to which each is tested against a floor
@@ -62,9 +63,11 @@ def _floors(scene: Scene, caster: CastingGeometry, store: Store) -> np.ndarray:
         return np.zeros(len(caster.matrices), bool)
 
     def planes() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        extents = cached_mesh_extents(caster.geometry, mesh, store)
-        flat = plane_of_mesh(mesh, extents)
-        return tuple(planes_of_body(mesh, extents)) if flat is None else (flat, (flat[0], -flat[1]))
+        flat = plane_of_mesh(mesh, *cached_bounding_box(caster.geometry, store))
+        if flat is not None:
+            return flat, (flat[0], -flat[1])
+        few = len(mesh.triangles) <= SLAB_TRIANGLES
+        return tuple(planes_of_body(mesh, cached_mesh_extents(caster.geometry, mesh, store))) if few else ()
 
     found = store.lookup(Key(Kind.CASTER_PLANE, caster.geometry.key), planes)
     return np.array(
@@ -107,7 +110,7 @@ def _has_nothing_behind(
 def _lies_above(geometry: Geometry, matrices: np.ndarray, point: np.ndarray, normal: np.ndarray, store: Store) -> bool:
     """Tells whether all instances of a geometry, (I, 4, 4) world from object, lie above a plane in the world, or on
     it."""
-    low, high = store.lookup(Key(Kind.CASTER_BOX, geometry.key), lambda: bounding_box(geometry, store))
+    low, high = cached_bounding_box(geometry, store)
     if not (low <= high).all():
         return True
     with np.errstate(all="ignore"):

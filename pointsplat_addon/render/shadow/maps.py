@@ -15,7 +15,7 @@ from ..cache.keys import Key, Kind
 from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from ..prepare.separation import is_translucent
-from .casting import CastingGeometry, bounding_box, light_key, transmission_digest
+from .casting import CastingGeometry, cached_bounding_box, light_key, transmission_digest
 from .light_points import cell_points, grid_shifts, views_of_light
 from .map_views import CastingBoxes, LightViews, MapView, angular_reach, light_views, placed
 
@@ -192,9 +192,7 @@ def casting_boxes(casters: Sequence[CastingGeometry], store: Store) -> CastingBo
     corners, radius = [], []
     for caster in casters:
         geometry = caster.geometry
-        low, high = store.lookup(
-            Key(Kind.CASTER_BOX, geometry.key), lambda geometry=geometry: bounding_box(geometry, store)
-        )
+        low, high = cached_bounding_box(geometry, store)
         linear = caster.matrices[:, :3, :3]
         corners.append(np.einsum("iab,cb->ica", linear, box_corners(low, high)) + caster.matrices[:, None, :3, 3])
         cloud = geometry.cloud

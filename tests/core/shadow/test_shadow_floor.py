@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pointsplat_addon.core.scene.bounds import bounding_box
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.shadow.floor import (
@@ -11,14 +12,13 @@ from pointsplat_addon.core.shadow.floor import (
     lowest_height,
     plane_of_mesh,
 )
-from pointsplat_addon.core.shadow.samples import mesh_extents
 from scripts.scenes import build, meshes
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
 def plane(mesh: Mesh) -> tuple[np.ndarray, np.ndarray] | None:
-    return plane_of_mesh(mesh, mesh_extents(mesh))
+    return plane_of_mesh(mesh, *bounding_box(mesh.position))
 
 
 def flat(key: str) -> Mesh:
@@ -51,6 +51,20 @@ def test_what_is_not_flat_has_no_plane():
     assert plane(meshes.cube_mesh("no floor")) is None
     assert plane(Mesh("bumpy", "bumpy", position, bumpy.triangles)) is None
     assert plane(Mesh("none", "none", np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32))) is None
+
+
+@pytest.mark.parametrize("offset", [(5.0, -7.0, 2.0), (3000.0, 400.0, -50.0)])
+def test_small_triangles_lie_in_one_plane_whatever_their_own_normals(offset):
+    """Of 80,000 triangles, whose corners float32 moves by up to an eighth of their size."""
+    grid = meshes.plane_mesh("fine floor", cells=200)
+    fine = Mesh("fine", "fine", np.ascontiguousarray(grid.position[:, [0, 2, 1]]), grid.triangles)
+    normal = np.array([0.36, 0.48, 0.8])
+    found = plane(turned(fine, normal, np.array(offset)))
+    assert found is not None
+    assert abs(found[1] @ normal) == pytest.approx(1, abs=1e-6)  # measured 7e-10
+    bumpy = fine.position.copy()
+    bumpy[7, 2] += 1e-4
+    assert plane(Mesh("fine and bumpy", "bumpy", bumpy, fine.triangles)) is None
 
 
 @pytest.mark.parametrize(
