@@ -30,6 +30,9 @@ OLDEST_VERSION = 410  # macOS has no newer one
 GL_RENDERBUFFER, GL_DEPTH_COMPONENT32F = 0x8D41, 0x8CAC
 GL_COLOR, GL_DEPTH = 0x1800, 0x1801
 GL_TIME_ELAPSED, GL_QUERY_RESULT = 0x88BF, 0x8866
+# A query that begins anew frees the fence that it waited for. A thread of Mesa 22.3's llvmpipe may have signalled that
+# and not yet unlocked it, which then writes into what was freed: what others have ended after, all threads have left.
+SPARE_QUERIES = 8
 EMPTY_TEXEL = (ctypes.c_uint * 4)(EMPTY, EMPTY, EMPTY, EMPTY)
 FARTHEST_DEPTH = (ctypes.c_float * 1)(1.0)
 
@@ -146,6 +149,11 @@ class OpenGLDevice:
         self.renderbuffer_storage = _function(
             gl, "glRenderbufferStorage", ctypes.c_uint, ctypes.c_uint, ctypes.c_int, ctypes.c_int
         )
+        # moderngl keeps Python's lock during these, in which software renderers draw for long. Without it another
+        # thread builds hierarchies meanwhile, and Blender's window stays alive.
+        self._use_program = _function(gl, "glUseProgram", ctypes.c_uint)
+        self._dispatch = _function(gl, "glDispatchCompute", *[ctypes.c_uint] * 3)
+        self._finish = _function(gl, "glFinish")
         self.version = COMPUTE_VERSION if self.context.version_code >= COMPUTE_VERSION else OLDEST_VERSION
         self.alive: set[OpenGLTexture | OpenGLTarget] = set()
         self._make_queries = _function(gl, "glGenQueries", ctypes.c_int, ctypes.c_void_p)
@@ -239,20 +247,26 @@ class OpenGLDevice:
         for unit, (_, name) in enumerate(interface.images):
             if images:  # their units stand in the header: moderngl sets no uniforms of images
                 images[name].handle.bind_to_image(unit)
-        program.run(*checks.layout_groups(groups))  # type: ignore[union-attr]
+        self._use_program(program.glo)
+        self._dispatch(*checks.layout_groups(groups), 1)
         self.context.memory_barrier()
 
     def read(self, texture: Texture) -> np.ndarray:
         width, height = texture.size
         kind = KINDS[texture.format]
         array = np.empty((height, width, CHANNELS[texture.format]), kind)
+        self.finish()
         texture.handle.read_into(array, alignment=1)  # pyright: ignore[reportArgumentType]
         return array[..., 0] if kind == "u4" else array.astype(np.float32, copy=False)
+
+    def finish(self) -> None:
+        """Waits until all is drawn, without Python's lock."""
+        self._finish()
 
     def start_timer(self) -> OpenGLTimer:
         if self._timing:
             raise DeviceError("a timer is running already")
-        if not self.free_queries:
+        while len(self.free_queries) < SPARE_QUERIES:
             query = ctypes.c_uint()
             self._make_queries(1, ctypes.addressof(query))
             self.free_queries.append(query.value)

@@ -108,9 +108,6 @@ class MeteredDevice(OpenGLDevice):
     def stop_timer(self, timer):
         timer.stop()
 
-    def finish(self) -> None:
-        self.context.finish()
-
 
 class Stopwatch:
     def __init__(self, device: MeteredDevice, clock: Callable[[], float] = time.perf_counter) -> None:

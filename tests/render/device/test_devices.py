@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.devices.null import NullDevice
-from pointsplat_addon.devices.opengl import OpenGLDevice
+from pointsplat_addon.devices.opengl import SPARE_QUERIES, OpenGLDevice
 from pointsplat_addon.render.device.protocol import DeviceError, Limits, layout_groups
 from pointsplat_addon.shading import sources
 from pointsplat_addon.shading.interface import Block, Interface
@@ -39,7 +39,7 @@ def test_opengl(device, case):
 def test_opengl_41_prints_shaders_without_compute():
     """macOS has no newer OpenGL than 4.1: no compute shaders, hence no image atomics; all else works."""
     script = """
-        from pointsplat_addon.devices.opengl import OpenGLDevice
+        from pointsplat_addon.devices.opengl import SPARE_QUERIES, OpenGLDevice
         from pointsplat_addon.render.device.protocol import DeviceError
         from tests.support import devices_suite as suite
         device = OpenGLDevice()
@@ -96,6 +96,20 @@ def test_no_timer_tells_more_than_has_passed(device, monkeypatch):
     device.stop_timer(timer)
     monkeypatch.setattr(device, "query_result", since_the_start_of_the_machine)
     assert timer.milliseconds() <= 1e3 * (time.perf_counter() - before)
+
+
+def test_queries_rest_before_they_begin_anew():
+    """So that the driver frees nothing of one that its threads have hardly left, and few serve all timers."""
+    device, began = OpenGLDevice(), []
+    begin = device.begin_query
+    device.begin_query = lambda target, query: (began.append(query), begin(target, query))[1]
+    for _ in range(40):
+        timer = device.start_timer()
+        device.stop_timer(timer)
+        timer.milliseconds()
+    device.release()
+    assert all(len(set(began[i : i + SPARE_QUERIES])) == SPARE_QUERIES for i in range(40 - SPARE_QUERIES))
+    assert len(set(began)) == SPARE_QUERIES
 
 
 def test_release_gives_memory_back_and_may_be_called_twice():
