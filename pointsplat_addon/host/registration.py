@@ -7,9 +7,10 @@ import atexit
 import bpy
 
 from . import caches, engine
+from .scans import operators as scans
 from .ui import operators, panels, preferences, properties
 
-MODULES = (properties, operators, preferences, engine, panels)
+MODULES = (properties, operators, scans, preferences, engine, panels)
 CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)
 
 _registered = False
@@ -31,6 +32,7 @@ def register() -> None:
         raise
     properties.register()
     operators.register()
+    scans.register()
     panels.register()
     caches.register()
     if bpy.app.module:
@@ -48,6 +50,7 @@ def unregister() -> None:
     _registered = False
     atexit.unregister(unregister)
     panels.unregister()
+    scans.unregister()
     operators.unregister()
     properties.unregister()
     for cls in reversed(CLASSES):

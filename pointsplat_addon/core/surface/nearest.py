@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from ..numeric.segments import ranges
+from ..numeric.vectors import column_ranges
 
 QUERIES = 1 << 13  # points that are asked for their neighbour; the median of fewer is as good as that of all
 MOST_IN_CELL = 1 << 7  # candidates of one cell: crowded ones are no less dense for those left out
 TAIL = 0.005  # of the points along each axis: outliers do not set the size of the cells of the first order
 STEPS = 4  # neighbours in Morton order on either side, for a first bound
+ENOUGH = 1 << 18  # points whose spacing is that of all
+GRID, GOLDEN = 128, 1296175  # cells to a side; a step that is near the golden section of their number and prime to it
 FARTHEST_CELL = 2.0**40
 _PRIMES = np.array([73856093, 19349663, 83492791], np.uint64)  # spatial hash (Teschner et al. 2003)
 
@@ -32,6 +35,29 @@ def median_spacing(position: np.ndarray) -> float:
     # At least half of the neighbours are no farther than a cell is wide, so that the median is found in the 27 cells
     # around each point.
     return float(np.median(np.minimum(distance, _within_cells(points, query, side))))
+
+
+def scan_spacing(position: np.ndarray) -> float:
+    """Returns `median_spacing` of very many points (N, 3), of which whole cells of a grid stand for all."""
+    count = len(position)
+    if count <= ENOUGH:
+        return median_spacing(position)
+    low, high = column_ranges(position)
+    if not np.isfinite([low, high]).all():
+        return scan_spacing(position[np.isfinite(position).all(axis=1)])
+    scale = np.float32((GRID - 0.01) / max(float((high - low).max()), 1e-30))
+    cell = np.zeros(count, np.int32)
+    for axis in range(3):
+        cell *= GRID
+        cell += ((position[:, axis] - low[axis]) * scale).astype(np.int32)
+    occupied = np.flatnonzero(points_of_cells := np.bincount(cell))
+    # Cells at even steps through the grid, until there are enough points.
+    order = occupied[np.argsort(occupied * np.int64(GOLDEN) % GRID**3, kind="stable")]
+    taken = order[: np.searchsorted(np.cumsum(points_of_cells[order]), ENOUGH) + 1]
+    chosen = np.zeros(len(points_of_cells), bool)
+    chosen[taken] = True
+    found = position[chosen[cell]]
+    return median_spacing(found[:: len(found) // (4 * ENOUGH) + 1])
 
 
 def _morton_key(points: np.ndarray) -> np.ndarray:

@@ -91,17 +91,20 @@ def scene_linear(stored: np.ndarray) -> np.ndarray:
 
 
 COLOR_TYPES = ("FLOAT_COLOR", "BYTE_COLOR")
+NUMBER_TYPES: dict[str, type] = {"FLOAT": np.float32, "INT": np.int32, "INT8": np.int8, "BOOLEAN": np.bool_}
+READABLE_TYPES = (*COLOR_TYPES, *NUMBER_TYPES, "FLOAT_VECTOR")  # what an Attribute node reads
 
 
 def attribute_as_color(attribute: Any) -> np.ndarray:
     """An attribute as the Color output of an Attribute node: (N, 4), colours as stored.
 
-    A float fills all three channels, a vector is taken as it is.
+    A number fills all three channels, a vector is taken as it is.
     """
     if attribute.data_type in COLOR_TYPES:
         return stored_colors(attribute)
-    if attribute.data_type == "FLOAT":
-        value = np.repeat(values(attribute, 1, np.float32)[:, None], 3, axis=1)
+    if attribute.data_type in NUMBER_TYPES:
+        number = values(attribute, 1, NUMBER_TYPES[attribute.data_type]).astype(np.float32)
+        value = np.repeat(number[:, None], 3, axis=1)
     else:
         value = values(attribute, 3, np.float32)
     return np.concatenate([value, np.ones((len(value), 1), np.float32)], axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.scene.mesh import Mesh
 from . import arrays
-from .arrays import COLOR_TYPES, attribute_as_color
+from .arrays import READABLE_TYPES, attribute_as_color
 
 Lookup = Callable[[str, Callable[[], Mesh]], Mesh]  # the mesh of a content key, made only if it is not known
 
@@ -119,5 +119,4 @@ def _read_colors(mesh: bpy.types.Mesh, wanted: frozenset[str | None] | None) -> 
 
 def _readable(attribute: Any) -> bool:
     """Whether an attribute has a type and a domain that materials can read here."""
-    known = attribute.data_type in (*COLOR_TYPES, "FLOAT", "FLOAT_VECTOR")
-    return known and attribute.domain in ("POINT", "CORNER")
+    return attribute.data_type in READABLE_TYPES and attribute.domain in ("POINT", "CORNER")

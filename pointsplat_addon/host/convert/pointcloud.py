@@ -267,9 +267,8 @@ def _color_attributes(data: Data, wanted: Needs, imported: bool) -> list[Any]:
     colors.sort(key=lambda a: COLOR_NAMES.index(a.name) if a.name in COLOR_NAMES else len(COLOR_NAMES))
     if imported:
         return colors[:1]
-    readable = (*COLOR_TYPES, "FLOAT", "FLOAT_VECTOR")
     named = (data.attributes.get(name) for name in sorted(n for n in wanted.colors if n is not None))
-    found = [a for a in named if a is not None and a.data_type in readable and a.domain == "POINT"]
+    found = [a for a in named if a is not None and a.data_type in arrays.READABLE_TYPES and a.domain == "POINT"]
     # The first one is what a node without a name reads.
     return [*colors[:1], *found] if None in wanted.colors else found
 

@@ -10,7 +10,7 @@ import numpy as np
 from ....core.material.graph import Needs
 from ....core.strand.curves import AUTO, CATMULL_ROM, MINIMUM_TWIST, NURBS, Curves
 from .. import arrays
-from ..arrays import COLOR_TYPES, attribute_as_color
+from ..arrays import COLOR_TYPES, READABLE_TYPES, attribute_as_color
 from ..sample_material import SampleMaterial, needs_of_materials
 from .control_points import VECTOR_HANDLE, ControlPoints
 
@@ -18,7 +18,6 @@ DEFAULT_RADIUS = 0.005  # Cycles', for curves without a radius attribute
 DEFAULT_RESOLUTION = 12  # Blender's, for curves without one
 SURFACE_UV = "surface_uv_coordinate"  # attribute: where on the surface each strand is attached
 CUSTOM_KNOTS = 4  # Blender's mode of knots that Python cannot read
-READABLE_TYPES = (*COLOR_TYPES, "FLOAT", "FLOAT_VECTOR")
 
 
 def read_curves(data: bpy.types.Curves, materials: tuple[SampleMaterial, ...], ribbons: bool) -> ControlPoints | None:

@@ -1,0 +1,161 @@
+"""Brings the points of one or several files together, as arrays that an object keeps: what is wanted of them, by columns."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .reader import CHUNK, Attribute, Columns, Reader
+
+
+STRAY = 1e-3  # share of colours that may have other low bytes where fields of 16 bits hold 8: marks of what has no colour
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which points, and what of them."""
+
+    attributes: frozenset[str] | None = None  # beside the position; None: all
+    every: int = 1  # of so many points one
+    box: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None  # low and high corner, map coordinates
+    classes: frozenset[int] | None = None  # of classification; None: all
+
+
+@dataclass(eq=False)
+class Gathered:
+    """Points of all files, N of them."""
+
+    origin: np.ndarray  # (3,) float64, which positions are relative to
+    columns: Columns = field(default_factory=dict)  # position (N, 3) float32; color (N, 4) uint8 or float32, sRGB
+    time_start: float = 0.0  # the first GPS time; gps_time counts from it
+    dropped: int = 0  # points without a finite position
+    stations: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))  # (S, 3) float64, relative to the origin
+    warnings: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.columns["position"])
+
+
+def gather(
+    readers: Sequence[Reader], selection: Selection, origin: np.ndarray, size: int = CHUNK
+) -> Generator[float, None, Gathered]:
+    """Reads all files; yields the share that is read, and returns what was found.
+
+    Attributes that some files lack are zero there; those that are zero everywhere are left out. Raises PointFileError and
+    OSError.
+    """
+    found = Gathered(np.asarray(origin, np.float64))
+    types = _types(readers, selection)
+    total = sum(reader.header.count for reader in readers)
+    room = -(-total // selection.every) + len(readers)
+    columns = {name: np.zeros((room, *shape), dtype) for name, (dtype, shape) in types.items()}
+    at, seen, first_station = 0, 0, 0
+    start: float | None = None
+    read = {*types, *(("classification",) if selection.classes is not None else ()), "gps_time" if "gps_time" in types else ""}
+    for reader in readers:
+        stations = reader.header.stations
+        before = 0  # points of this file
+        for chunk in reader.chunks(read, size):
+            count = len(chunk["position"])
+            seen += count
+            rows = _chosen(chunk, selection, before)
+            before += count
+            finite = np.isfinite(chunk["position"]).all(axis=1)
+            found.dropped += int(np.count_nonzero(~finite[rows]))
+            rows = rows[finite[rows]]
+            end = at + len(rows)
+            if end > room:  # more points than promised
+                room = max(end, room + room // 2)
+                columns = {name: _longer(array, room) for name, array in columns.items()}
+            columns["position"][at:end] = chunk["position"][rows] - found.origin
+            for name in types:
+                if name in ("position", "gps_time") or name not in chunk:
+                    continue
+                columns[name][at:end] = chunk[name][rows] + (first_station if name == "station" else 0)
+            if "gps_time" in chunk and len(rows):
+                time = chunk["gps_time"][rows] + reader.header.time_start
+                if start is None:
+                    known = time[np.isfinite(time)]
+                    start = float(known.min()) if len(known) else 0.0
+                columns["gps_time"][at:end] = time - start
+            at = end
+            yield min(seen / max(total, 1), 1.0)
+        found.warnings += reader.warnings
+        first_station += len(stations)
+        found.stations = np.concatenate([found.stations, stations - found.origin])
+    found.time_start = start or 0.0
+    for name, array in columns.items():
+        array = array[:at]
+        if name == "color":
+            found.columns[name] = _color(array)
+        elif name == "position" or array.any():
+            found.columns[name] = array
+    return found
+
+
+def _types(readers: Sequence[Reader], selection: Selection) -> dict[str, tuple[np.dtype, tuple[int, ...]]]:
+    """The columns that are kept: type and shape of a point's value."""
+    attributes: dict[str, Attribute] = {}
+    for attribute in (a for reader in readers for a in reader.header.attributes):
+        if attribute.name != "position" and selection.attributes is not None and attribute.name not in selection.attributes:
+            continue
+        known = attributes.get(attribute.name, attribute)
+        dtype = np.result_type(known.dtype, attribute.dtype)
+        components = max(known.components, attribute.components)
+        attributes[attribute.name] = Attribute(attribute.name, dtype, components)
+    found = {}
+    for name, attribute in attributes.items():
+        dtype = np.dtype(np.float32) if name in ("position", "gps_time", "normal") else attribute.dtype
+        dtype = np.dtype(np.float32) if dtype == np.float64 else dtype
+        found[name] = dtype, () if attribute.components == 1 else (attribute.components,)
+    return found
+
+
+def _chosen(chunk: Columns, selection: Selection, before: int) -> np.ndarray:
+    """Rows of a chunk that are wanted; `before`: points of the file that precede it."""
+    first = -before % selection.every
+    rows = np.arange(first, len(chunk["position"]), selection.every)
+    if selection.box is not None:
+        low, high = np.array(selection.box)
+        position = chunk["position"][rows]
+        rows = rows[((position >= low) & (position <= high)).all(axis=1)]
+    if selection.classes is not None and "classification" in chunk:
+        rows = rows[np.isin(chunk["classification"][rows], list(selection.classes))]
+    return rows
+
+
+def _longer(array: np.ndarray, room: int) -> np.ndarray:
+    found = np.zeros((room, *array.shape[1:]), array.dtype)
+    found[: len(array)] = array
+    return found
+
+
+def _color(values: np.ndarray) -> np.ndarray:
+    """Colours (N, 4): uint8 where 8 bits hold all of them, else float32 from 0 to 1; sRGB, as files have them.
+
+    Fields of 16 bits often hold 8: as they are, times 256, or times 257.
+    """
+    rgba = np.empty((len(values), 4), np.uint8)
+    rgba[:, 3] = 255
+    given = values.shape[1]
+    if values.dtype == np.uint8:
+        rgba[:, :given] = values
+        return rgba
+    if values.dtype.kind in "iu":
+        most = int(values.max(initial=0))
+        if most <= 255:
+            rgba[:, :given] = np.clip(values, 0, 255)
+            return rgba
+        low = (values & 255).astype(np.uint8)
+        high = (values >> 8).astype(np.uint8)
+        if np.count_nonzero((low != 0) & (low != high)) <= STRAY * low.size:
+            rgba[:, :given] = high
+            return rgba
+        scale = 65535.0 if most <= 65535 else float(np.iinfo(values.dtype).max)
+    else:
+        scale = 255.0 if float(np.nanmax(values, initial=0.0)) > 1.0 else 1.0
+    found = np.ones((len(values), 4), np.float32)
+    found[:, :given] = np.nan_to_num(values * np.float32(1 / scale))
+    return found

@@ -1,0 +1,1 @@
+"""Scans in Blender: PointCloud objects out of files."""

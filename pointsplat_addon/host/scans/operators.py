@@ -1,0 +1,262 @@
+"""Operators of scans: importing them, and how they look; and the panel of a scan."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import BoolProperty, CollectionProperty, EnumProperty, FloatVectorProperty, IntProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
+
+from ...formats.points.gather import Selection
+from ...formats.points.opening import FORMATS, open_points
+from ...formats.points.reader import PointFileError
+from . import looks
+from .importing import import_scan, unit_of
+from .objects import ORIGIN
+
+ENDS = tuple(end for end in FORMATS if end.startswith("."))
+SLICE = 0.1  # seconds of reading between two looks at the window
+IMPORTED = "pointsplat.import_points"
+
+
+class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
+    """Import a scan: LAS, LAZ, COPC, E57, PLY, PCD, PTS, PTX, text, Entwine (ept.json) or Potree 1.7 (cloud.js)"""
+
+    bl_idname = IMPORTED
+    bl_label = "Import Point Cloud"
+    bl_options = {"REGISTER", "UNDO", "PRESET"}
+
+    filter_glob: StringProperty(default=";".join(f"*{end}" for end in FORMATS), options={"HIDDEN"})
+    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
+    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    attributes: EnumProperty(
+        name="Attributes",
+        description="What is kept beside positions",
+        items=(
+            ("ALL", "All", "All attributes of the file that are not zero everywhere"),
+            ("LOOK", "Colour and Intensity", "Colours, intensities, normals and classes alone"),
+            ("NONE", "None", "Positions alone"),
+        ),
+        default="ALL",
+    )
+    every: IntProperty(name="Every nth Point", description="Of so many points one is kept", default=1, min=1, soft_max=100)
+    use_box: BoolProperty(name="Bounds", description="Keep the points within a box of map coordinates", default=False)
+    box_low: FloatVectorProperty(name="Low", description="Low corner of the box, map coordinates", size=3, precision=3)
+    box_high: FloatVectorProperty(name="High", description="High corner of the box, map coordinates", size=3, precision=3)
+    classes: StringProperty(
+        name="Classes", description="Numbers of the classes that are kept, such as 2, 6; empty keeps all", default=""
+    )
+    use_unit: BoolProperty(
+        name="Feet to Metres",
+        description="Scale objects of files whose coordinate reference system counts in feet",
+        default=True,
+    )
+
+    def draw(self, _context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(self, "attributes")
+        layout.prop(self, "every")
+        layout.prop(self, "classes")
+        layout.prop(self, "use_unit")
+        column = layout.column(heading="Bounds")
+        column.prop(self, "use_box", text="")
+        if self.use_box:
+            column.prop(self, "box_low")
+            column.prop(self, "box_high")
+        _draw_columns(layout, self.filepath)
+
+    def invoke(self, context, event):
+        dropped = self.directory and len(self.files)
+        return self.invoke_popup(context) if dropped else ImportHelper.invoke(self, context, event)
+
+    def execute(self, context):
+        paths = self._paths()
+        try:
+            selection = Selection(self._attributes(), self.every, self._box(), self._classes())
+            unit = self._unit(paths[0])
+        except (PointFileError, OSError, ValueError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self._work = import_scan(context, paths, selection, unit)
+        manager = context.window_manager
+        if context.window is None or bpy.app.background or not self.options.is_invoke:
+            result = None
+            while result is None:
+                result = self._step(1e9)
+            return result
+        manager.progress_begin(0, 100)
+        self._timer = manager.event_timer_add(0.02, window=context.window)
+        manager.modal_handler_add(self)
+        context.workspace.status_text_set("Importing points; Esc cancels")
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        result = None
+        if event.type == "ESC":
+            self._work.close()
+            self.report({"INFO"}, "The import is cancelled")
+            result = {"CANCELLED"}
+        elif event.type == "TIMER":
+            result = self._step(SLICE)
+            context.window_manager.progress_update(100 * self._share)
+        if result is None:
+            return {"RUNNING_MODAL"}
+        context.window_manager.progress_end()
+        context.window_manager.event_timer_remove(self._timer)
+        context.workspace.status_text_set(None)
+        return result
+
+    def _step(self, seconds: float) -> set[str] | None:
+        """Reads on for a while; returns the operator's result once it is there."""
+        end = time.monotonic() + seconds
+        try:
+            while time.monotonic() < end:
+                self._share = next(self._work)
+        except StopIteration as done:
+            ob, warnings = done.value
+            for warning in warnings:
+                self.report({"WARNING"}, warning)
+            self.report({"INFO"}, f"{ob.name}: {len(ob.data.points):,} points")
+            return {"FINISHED"}
+        except (PointFileError, OSError, MemoryError) as error:
+            self.report({"ERROR"}, str(error) or "There is not enough memory for the points")
+            return {"CANCELLED"}
+        return None
+
+    _work: Generator[float, None, tuple[bpy.types.Object, list[str]]]
+    _share = 0.0
+
+    def _paths(self) -> list[Path]:
+        folder = Path(bpy.path.abspath(self.directory)) if self.directory else Path()
+        named = [folder / item.name for item in self.files if item.name]
+        return named or [Path(bpy.path.abspath(self.filepath))]
+
+    def _attributes(self) -> frozenset[str] | None:
+        kept = {"NONE": (), "LOOK": ("color", "alpha", "intensity", "normal", "classification", "radius")}
+        return frozenset(kept[self.attributes]) if self.attributes in kept else None
+
+    def _box(self) -> Any:
+        return (tuple(self.box_low), tuple(self.box_high)) if self.use_box else None
+
+    def _classes(self) -> frozenset[int] | None:
+        words = self.classes.replace(",", " ").split()
+        if not all(word.isdigit() for word in words):
+            raise ValueError(f'Classes are numbers such as 2, 6; "{self.classes}" has something else')
+        return frozenset(map(int, words)) or None
+
+    def _unit(self, path: Path) -> float:
+        if not self.use_unit:
+            return 1.0
+        reader = open_points(path)
+        try:
+            return unit_of(reader)
+        finally:
+            reader.close()
+
+
+def _draw_columns(layout: bpy.types.UILayout, filepath: str) -> None:
+    """What the columns of a text file are taken for."""
+    path = Path(bpy.path.abspath(filepath)) if filepath else None
+    if path is None or path.suffix.lower() not in (".xyz", ".txt", ".asc", ".csv", ".pts") or not path.is_file():
+        return
+    from ...formats.points.text import guess
+
+    try:
+        layout.label(text=f"Columns: {guess(path)}")
+    except (PointFileError, OSError) as error:
+        layout.label(text=str(error), icon="ERROR")
+
+
+class POINTSPLAT_FH_points(bpy.types.FileHandler):
+    bl_idname = "POINTSPLAT_FH_points"
+    bl_label = "Point Cloud"
+    bl_import_operator = IMPORTED
+    bl_file_extensions = ";".join((*ENDS, ".json", ".js"))
+
+    @classmethod
+    def poll_drop(cls, context):
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+class POINTSPLAT_OT_scan_look(bpy.types.Operator):
+    """Give the scan a material that shows one of its attributes"""
+
+    bl_idname = "pointsplat.scan_look"
+    bl_label = "Scan Look"
+    bl_options = {"REGISTER", "UNDO"}
+
+    look: EnumProperty(
+        name="Look",
+        description="What the points show",
+        items=[(key, label, tip) for key, (_, _, label, tip) in looks.LOOKS.items()],
+        default="COLOR",
+    )
+    attribute: StringProperty(name="Attribute", description="The attribute that is shown", default="")
+    lit: BoolProperty(name="Lit", description="Lights and shadows fall on the points; otherwise they emit", default=True)
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and context.object.type == "POINTCLOUD"
+
+    def execute(self, context):
+        ob = context.object
+        name = self.attribute if self.look == "ATTRIBUTE" else looks.LOOKS[self.look][0]
+        if name is not None and name not in ob.data.attributes:
+            self.report({"ERROR"}, f'{ob.name} has no attribute "{name}"')
+            return {"CANCELLED"}
+        made = looks.look_material(ob, self.look, self.attribute, self.lit)
+        if len(ob.data.materials):
+            ob.data.materials[0] = made
+        else:
+            ob.data.materials.append(made)
+        return {"FINISHED"}
+
+
+class POINTSPLAT_OBJECT_PT_scan(bpy.types.Panel):
+    bl_label = "Scan"
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
+    bl_context = "object"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and context.object.type == "POINTCLOUD" and ORIGIN in context.object
+
+    def draw(self, context):
+        ob, layout = context.object, self.layout
+        column = layout.column(align=True)
+        column.label(text=f"{len(ob.data.points):,} points")
+        for axis, value in zip("XYZ", ob[ORIGIN], strict=True):
+            column.label(text=f"Map {axis} of the origin: {value:,.3f}")
+        flow = layout.grid_flow(columns=3, align=True)
+        for key in looks.available(ob.data):
+            if key != "ATTRIBUTE":
+                flow.operator("pointsplat.scan_look", text=looks.LOOKS[key][2]).look = key
+        layout.operator("pointsplat.scan_look", text="By Attribute").look = "ATTRIBUTE"
+
+
+def _menu(self: Any, _context: bpy.types.Context) -> None:
+    self.layout.operator(IMPORTED, text=f"Point Cloud ({', '.join(e[1:] for e in ENDS[:5])}, ...)")
+
+
+CLASSES = (
+    POINTSPLAT_OT_import_points,
+    POINTSPLAT_FH_points,
+    POINTSPLAT_OT_scan_look,
+    POINTSPLAT_OBJECT_PT_scan,
+)
+
+
+def register() -> None:
+    bpy.types.TOPBAR_MT_file_import.append(_menu)
+
+
+def unregister() -> None:
+    bpy.types.TOPBAR_MT_file_import.remove(_menu)
