@@ -29,7 +29,7 @@ class Gathered:
 
     origin: np.ndarray  # (3,) float64, which positions are relative to
     columns: Columns = field(default_factory=dict)  # position (N, 3) float32; color (N, 4) uint8 or float32, sRGB
-    time_start: float = 0.0  # the first GPS time; gps_time counts from it
+    time_start: float = 0.0  # GPS time of the first point; gps_time counts from it
     dropped: int = 0  # points without a finite position
     stations: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))  # (S, 3) float64, relative to the origin
     warnings: list[str] = field(default_factory=list)
@@ -78,7 +78,7 @@ def gather(
                 time = chunk["gps_time"][rows] + reader.header.time_start
                 if start is None:
                     known = time[np.isfinite(time)]
-                    start = float(known.min()) if len(known) else 0.0
+                    start = float(known[0]) if len(known) else 0.0
                 columns["gps_time"][at:end] = time - start
             at = end
             yield min(seen / max(total, 1), 1.0)

@@ -123,9 +123,8 @@ class TextReader(FileReader):
         wanted = self.wanted(columns)
         for rows in self._rows.chunks(size):
             yield assemble(dict(zip(distinct(list(self._layout.names)), rows.T, strict=True)), wanted)
-        title = 1 if self._layout.named else 0
-        if self._rows.left_out > title:
-            left_out = self._rows.left_out - title
+        left_out = self._rows.left_out
+        if left_out:
             self.warnings.append(
                 f"{self._path.name}: {left_out:,} lines that do not have {len(self._layout.names)} numbers are left out"
             )

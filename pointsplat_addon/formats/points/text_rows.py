@@ -27,7 +27,7 @@ class TextRows:
         """`start`: bytes before the first line. `skip`: lines of numbers before the first row. `count`: rows there
         should be; None: as many as there are. `columns`: numbers on a line."""
         self._path, self._start, self._skip, self._count, self._columns = path, start, skip, count, columns
-        self.left_out = 0  # lines with another number of tokens
+        self.left_out = 0  # lines that begin with a number and have another number of tokens
         if count is not None and 2 * columns * count > path.stat().st_size - start + 1:
             raise PointFileError(path, f"promises {count:,} points, for which it is too short")
 
@@ -53,7 +53,7 @@ class TextRows:
         counts, starts, ends, leads = tokens_of_lines(text)
         good = (counts == self._columns) & NUMERIC[leads]
         if not good.all():
-            self.left_out += int((~good & (counts > 0)).sum())
+            self.left_out += int((~good & (counts > 0) & NUMERIC[leads]).sum())
             kept = np.repeat(good, ends - starts)
             text = np.frombuffer(text, np.uint8)[: len(kept)][kept].tobytes()
         rows = int(good.sum())
