@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WHEELS = ROOT / "wheels"
 PINS = ROOT / "requirements" / "wheels.txt"
 PYTHONS = ("311", "313", "314")  # Blender 4.5 LTS, 5.2 LTS, and as distributions build it
-PLATFORMS = ("manylinux_2_28_x86_64", "win_amd64", "macosx_11_0_arm64")
+PLATFORMS = (("manylinux_2_28_x86_64", "manylinux2014_x86_64"), ("win_amd64",), ("macosx_11_0_arm64",))
 
 
 class UnavailableError(Exception):
@@ -44,13 +44,14 @@ def download_wheels(names: set[str]) -> None:
         return
     WHEELS.mkdir(exist_ok=True)
     for python in PYTHONS:
-        for platform in PLATFORMS:
+        for platforms in PLATFORMS:
             command = [sys.executable, "-m", "pip", "download", "-q", "--disable-pip-version-check", "--no-deps"]
             command += ["--only-binary=:all:", "--require-hashes", "-r", str(PINS), "-d", str(WHEELS)]
-            command += ["--implementation", "cp", "--python-version", python, "--platform", platform]
+            command += ["--implementation", "cp", "--python-version", python]
+            command += [word for platform in platforms for word in ("--platform", platform)]
             result = subprocess.run(command, capture_output=True, text=True, check=False)
             if result.returncode != 0:
-                raise UnavailableError(f"pip could not download the wheels for {platform}:\n{result.stderr}")
+                raise UnavailableError(f"pip could not download the wheels for {platforms[0]}:\n{result.stderr}")
     missing = sorted(name for name in names if not pinned(WHEELS / name))
     if missing:
         raise UnavailableError(f"blender_manifest.toml names wheels that pip did not bring: {', '.join(missing)}")

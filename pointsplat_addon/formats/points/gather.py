@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .reader import CHUNK, Attribute, Columns, Reader
+from .reader import CHUNK, Attribute, Columns, Reader, origin_of
 
 
 STRAY = 1e-3  # share of colours that may have other low bytes where fields of 16 bits hold 8: marks of what has no colour
@@ -39,14 +39,15 @@ class Gathered:
 
 
 def gather(
-    readers: Sequence[Reader], selection: Selection, origin: np.ndarray, size: int = CHUNK
+    readers: Sequence[Reader], selection: Selection, size: int = CHUNK
 ) -> Generator[float, None, Gathered]:
     """Reads all files; yields the share that is read, and returns what was found.
 
+    The origin is near the first points, whatever headers say of the bounds.
     Attributes that some files lack are zero there; those that are zero everywhere are left out. Raises PointFileError and
     OSError.
     """
-    found = Gathered(np.asarray(origin, np.float64))
+    found = Gathered(np.zeros(3))
     types = _types(readers, selection)
     total = sum(reader.header.count for reader in readers)
     room = -(-total // selection.every) + len(readers)
@@ -69,6 +70,8 @@ def gather(
             if end > room:  # more points than promised
                 room = max(end, room + room // 2)
                 columns = {name: _longer(array, room) for name, array in columns.items()}
+            if at == 0:
+                found.origin = origin_of(None, chunk["position"][rows])
             columns["position"][at:end] = chunk["position"][rows] - found.origin
             for name in types:
                 if name in ("position", "gps_time") or name not in chunk:
@@ -84,8 +87,9 @@ def gather(
             yield min(seen / max(total, 1), 1.0)
         found.warnings += reader.warnings
         first_station += len(stations)
-        found.stations = np.concatenate([found.stations, stations - found.origin])
+        found.stations = np.concatenate([found.stations, stations])
     found.time_start = start or 0.0
+    found.stations = found.stations - found.origin
     for name, array in columns.items():
         array = array[:at]
         if name == "color":

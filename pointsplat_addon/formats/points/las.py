@@ -73,8 +73,10 @@ class LasReader(FileReader):
         )
 
     def _opened(self, threads: bool) -> LaspyReader:
-        import laspy
-
+        try:
+            import laspy
+        except ImportError:
+            raise PointFileError(self._path, "needs the library laspy, which the extension brings") from None
         backend = laspy.LazBackend.LazrsParallel if threads else laspy.LazBackend.Lazrs
         return self._guarded(lambda: laspy.open(self._file, laz_backend=backend, closefd=False))
 

@@ -96,9 +96,11 @@ class PcdReader(FileReader):
 
     def _decompressed(self) -> np.ndarray:
         """Records out of LZF, which holds each field of all points on its own."""
-        import lzf
-
         header, path = self._pcd, self._path
+        try:
+            import lzf
+        except ImportError:
+            raise PointFileError(path, "needs the library python-neo-lzf, which the extension brings") from None
         with path.open("rb") as file:
             file.seek(header.size)
             sizes = np.frombuffer(file.read(8), "<u4")

@@ -37,7 +37,7 @@ def import_scan(
         warnings = _of_several(readers)
         for reader in readers:
             warnings += reader.header.warnings
-        found = yield from gather(readers, selection, readers[0].header.origin, STEP)
+        found = yield from gather(readers, selection, STEP)
     if len(found) == 0:
         raise PointFileError(paths[0], "has no points" + (" that are wanted" if selection != Selection() else ""))
     if found.dropped:

@@ -66,8 +66,8 @@ def test_only_wanted_columns_are_read(tmp_path):
 
 
 def run(readers, selection=None):
-    """What gather returns, of float64 origins near the points."""
-    work = gather(readers, selection or Selection(), readers[0].header.origin, 300)
+    """What gather returns."""
+    work = gather(readers, selection or Selection(), 300)
     shares = []
     while True:
         try:
@@ -89,6 +89,15 @@ def test_positions_keep_a_millimetre_in_float32(tmp_path):
     assert found.columns["color"].dtype == np.uint8  # multiples of 257 are eight bits
     assert np.abs(found.columns["gps_time"]).max() <= 1.0
     assert found.time_start == las.gps_time[0]
+
+
+def test_bounds_that_lie_cost_no_precision(tmp_path):
+    las, position = scan(6)
+    las.write(str(tmp_path / "a.las"))
+    damaged(tmp_path / "a.las", 179, "<2d", 5e9, 5e9)  # of x
+    with open_points(tmp_path / "a.las") as reader:
+        found = run([reader])
+    np.testing.assert_allclose(found.columns["position"] + found.origin, position, rtol=0, atol=1.6e-5)
 
 
 def test_points_are_chosen(tmp_path):
