@@ -16,7 +16,13 @@ PLY_TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "u2": "ushort", "i4":
 def write_ply(path: Path, records: np.ndarray, order: str, before: str = "", after: str = "") -> None:
     """A PLY file of structured records, as ascii, binary_little_endian or binary_big_endian; `before` and `after` are
     further lines of the header, about the elements that follow and that are not written."""
-    lines = ["ply", f"format {order} 1.0", "comment made by a test", *before.splitlines(), f"element vertex {len(records)}"]
+    lines = [
+        "ply",
+        f"format {order} 1.0",
+        "comment made by a test",
+        *before.splitlines(),
+        f"element vertex {len(records)}",
+    ]
     lines += [f"property {PLY_TYPES[records.dtype[n].str[1:]]} {n}" for n in records.dtype.names or ()]
     head = "\n".join([*lines, *after.splitlines(), "end_header", ""]).encode()
     if order == "ascii":
@@ -32,7 +38,8 @@ def write_pcd(path: Path, records: np.ndarray, data: str, compress=None, viewpoi
     kinds = {"f": "F", "u": "U", "i": "I"}
     fields = [records.dtype[n] for n in names]
     head = "\n".join([
-        "# .PCD v0.7", "VERSION 0.7", "FIELDS " + " ".join(names), "SIZE " + " ".join(str(d.base.itemsize) for d in fields),
+        "# .PCD v0.7", "VERSION 0.7", "FIELDS " + " ".join(names),
+        "SIZE " + " ".join(str(d.base.itemsize) for d in fields),
         "TYPE " + " ".join(kinds[d.base.kind] for d in fields),
         "COUNT " + " ".join(str(d.shape[0] if d.shape else 1) for d in fields), f"WIDTH {len(records)}", "HEIGHT 1",
         f"VIEWPOINT {viewpoint}", f"POINTS {len(records)}", f"DATA {data}", "",
@@ -57,7 +64,9 @@ def paged(content: bytes) -> bytes:
     return np.concatenate([pages, stored], axis=1).tobytes()
 
 
-def write_e57(path: Path, prototype: str, streams: list[bytes], count: int, pose: str = "", split: int = 1 << 14) -> None:
+def write_e57(
+    path: Path, prototype: str, streams: list[bytes], count: int, pose: str = "", split: int = 1 << 14
+) -> None:
     """An E57 file of one scan: `prototype` is XML, `streams` are the bytes of its fields, in packets of at most `split`
     bytes of each."""
     packets = b""

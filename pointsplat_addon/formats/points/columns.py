@@ -1,7 +1,7 @@
 """Names of attributes: those that readers share, and how files spell them.
 
-`position` and the tuples below are put together from columns of their own; all other attributes are one column each, under
-the standard name where there is one and else under the file's.
+`position` and the tuples below are put together from columns of their own; all other attributes are one column each,
+under the standard name where there is one and else under the file's.
 """
 
 from __future__ import annotations

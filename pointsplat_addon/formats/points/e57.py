@@ -53,9 +53,7 @@ class E57Reader(FileReader):
             root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
             raise PointFileError(path, f"has text that cannot be read: {error}") from None
-        self._scans = [
-            self._scan(item) for item in _children(root, "data3D") if _child(item, "points") is not None
-        ]
+        self._scans = [self._scan(item) for item in _children(root, "data3D") if _child(item, "points") is not None]
         poses = [scan.pose for scan in self._scans if scan.pose is not None]
         several = len(self._scans) > 1
         attributes = _attributes(self._scans)

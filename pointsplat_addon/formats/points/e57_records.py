@@ -1,4 +1,6 @@
-"""The records of an E57 file's compressed vectors: packets of byte streams, one for each field, of floats or packed integers.
+"""The records of an E57 file's compressed vectors: packets of byte streams, one for each field.
+
+A stream holds floats or packed integers.
 
 Integers take as many bits as their range needs, the lowest first, without gaps between them or between packets.
 """
@@ -89,7 +91,7 @@ class Stream:
 
 
 def unpacked(data: bytes, first: int, bits: int, count: int) -> np.ndarray:
-    """Returns `count` integers (N,) int64 of so many bits each, from bit `first` of the data on, the lowest bits first."""
+    """Returns `count` integers (N,) int64 of so many bits each, the lowest first, from bit `first` of the data on."""
     padded = np.frombuffer(data + bytes(8), np.uint8)
     places = first + bits * np.arange(count, dtype=np.int64)
     words = np.lib.stride_tricks.as_strided(padded[:8].view("<u8"), (len(padded) - 7,), (1,))

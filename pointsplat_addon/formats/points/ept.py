@@ -39,7 +39,8 @@ class EptReader(FileReader):
             raise PointFileError(path, "has no schema, bounds and points that belong together") from None
         count = sum(self._nodes.values())
         columns = [
-            (name, np.dtype(np.float64) if name in self._scales else self._record[name]) for name in self._record.names or ()
+            (name, np.dtype(np.float64) if name in self._scales else self._record[name])
+            for name in self._record.names or ()
         ]
         attributes = attributes_of(columns, path)
         if self._end == "laz" and self._nodes:

@@ -1,4 +1,4 @@
-"""Brings the points of one or several files together, as arrays that an object keeps: what is wanted of them, by columns."""
+"""Brings the points of one or several files together as arrays, of what is wanted of them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 
 from .reader import CHUNK, Attribute, Columns, Reader, origin_of
 
-
-STRAY = 1e-3  # share of colours that may have other low bytes where fields of 16 bits hold 8: marks of what has no colour
+STRAY = (
+    1e-3  # share of colours that may have other low bytes where fields of 16 bits hold 8: marks of what has no colour
+)
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,9 @@ class Selection:
 
     attributes: frozenset[str] | None = None  # beside the position; None: all
     every: int = 1  # of so many points one
-    box: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None  # low and high corner, map coordinates
+    box: tuple[tuple[float, float, float], tuple[float, float, float]] | None = (
+        None  # low and high corner, map coordinates
+    )
     classes: frozenset[int] | None = None  # of classification; None: all
 
 
@@ -38,14 +41,12 @@ class Gathered:
         return len(self.columns["position"])
 
 
-def gather(
-    readers: Sequence[Reader], selection: Selection, size: int = CHUNK
-) -> Generator[float, None, Gathered]:
+def gather(readers: Sequence[Reader], selection: Selection, size: int = CHUNK) -> Generator[float, None, Gathered]:
     """Reads all files; yields the share that is read, and returns what was found.
 
     The origin is near the first points, whatever headers say of the bounds.
-    Attributes that some files lack are zero there; those that are zero everywhere are left out. Raises PointFileError and
-    OSError.
+    Attributes that some files lack are zero there; those that are zero everywhere are left out. Raises PointFileError
+    and OSError.
     """
     found = Gathered(np.zeros(3))
     types = _types(readers, selection)
@@ -54,7 +55,11 @@ def gather(
     columns = {name: np.zeros((room, *shape), dtype) for name, (dtype, shape) in types.items()}
     at, seen, first_station = 0, 0, 0
     start: float | None = None
-    read = {*types, *(("classification",) if selection.classes is not None else ()), "gps_time" if "gps_time" in types else ""}
+    read = {
+        *types,
+        *(("classification",) if selection.classes is not None else ()),
+        "gps_time" if "gps_time" in types else "",
+    }
     for reader in readers:
         stations = reader.header.stations
         before = 0  # points of this file
@@ -63,7 +68,7 @@ def gather(
             seen += count
             rows = _chosen(chunk, selection, before)
             before += count
-            finite = np.isfinite(chunk["position"]).all(axis=1)
+            finite = np.asarray(np.isfinite(chunk["position"]).all(axis=1))
             found.dropped += int(np.count_nonzero(~finite[rows]))
             rows = rows[finite[rows]]
             end = at + len(rows)
@@ -103,7 +108,11 @@ def _types(readers: Sequence[Reader], selection: Selection) -> dict[str, tuple[n
     """The columns that are kept: type and shape of a point's value."""
     attributes: dict[str, Attribute] = {}
     for attribute in (a for reader in readers for a in reader.header.attributes):
-        if attribute.name != "position" and selection.attributes is not None and attribute.name not in selection.attributes:
+        if (
+            attribute.name != "position"
+            and selection.attributes is not None
+            and attribute.name not in selection.attributes
+        ):
             continue
         known = attributes.get(attribute.name, attribute)
         dtype = np.result_type(known.dtype, attribute.dtype)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Collection, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +39,7 @@ class LasReader(FileReader):
             self._file.close()
             raise
         header = self._las.header
-        names = list(header.point_format.dimension_names)
+        names = [str(name) for name in header.point_format.dimension_names]
         extra = set(header.point_format.extra_dimension_names)
         attributes = [Attribute("position", np.dtype(np.float64), 3, ("X", "Y", "Z"))]
         if set(COLORS) <= set(names):
@@ -47,7 +48,7 @@ class LasReader(FileReader):
         for name in names:
             if name in COORDINATES or name in COLORS:
                 continue
-            standard = name if name in extra else STANDARD.get(normalised(name), name)
+            standard = name if name in extra else STANDARD.get(normalised(name), name) or name
             standard = f"{name}_extra" if standard in taken else standard
             taken.add(standard)
             dimension = header.point_format.dimension_by_name(name)
@@ -81,8 +82,8 @@ class LasReader(FileReader):
         return self._guarded(lambda: laspy.open(self._file, laz_backend=backend, closefd=False))
 
     def _guarded(self, read: Any) -> Any:
-        """What `read` returns. Raises PointFileError for all that laspy and lazrs raise, also panics of the latter, which
-        are no Exceptions."""
+        """What `read` returns. Raises PointFileError for all that laspy and lazrs raise, also panics of the latter,
+        which are no Exceptions."""
         try:
             return read()
         except (KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError, PointFileError):
@@ -109,13 +110,16 @@ class LasReader(FileReader):
         self._guarded(lambda: self._las.seek(0) if self.header.count else None)
         found = 0
         while found < self.header.count:
-            points = self._guarded(lambda: self._las.read_points(min(size, self.header.count - found)))
+            count = min(size, self.header.count - found)
+            points = self._guarded(partial(self._las.read_points, count))
             if len(points) == 0:
                 break
             found += len(points)
             yield {attribute.name: self._column(points, attribute) for attribute in wanted}
         if found < self.header.count:
-            self.warnings = [f"{self._path.name}: its header promises {self.header.count:,} points, and it has {found:,}"]
+            self.warnings = [
+                f"{self._path.name}: its header promises {self.header.count:,} points, and it has {found:,}"
+            ]
 
     def _column(self, points: Any, attribute: Attribute) -> np.ndarray:
         if attribute.name == "position":
@@ -147,7 +151,9 @@ def _check_header(path: Path) -> int | None:
         if head[25] >= 4 and len(head) == 375:
             first, extended = struct.unpack_from("<QI", head, 235)
             if extended and (first > size or 60 * extended > size - first):
-                raise PointFileError(path, f"promises {extended:,} records behind its points, for which there is no room")
+                raise PointFileError(
+                    path, f"promises {extended:,} records behind its points, for which there is no room"
+                )
     if point_format & 0x80:
         return None
     if length == 0:

@@ -62,7 +62,9 @@ class PcdReader(FileReader):
                 there = size // max(header.record.itemsize, 1)
                 raise PointFileError(path, f"promises {header.count:,} points and ends after {there:,}")
             self._records = (
-                np.memmap(path, header.record, "r", header.size, (header.count,)) if header.count else np.empty(0, header.record)
+                np.memmap(path, header.record, "r", header.size, (header.count,))
+                if header.count
+                else np.empty(0, header.record)
             )
         title = f"PCD, {header.data.replace('_', ' ')}"
         pose = np.array(header.viewpoint)
@@ -136,7 +138,11 @@ def _from_text(rows: np.ndarray, record: np.dtype) -> np.ndarray:
         count = int(np.prod(dtype.shape, dtype=np.int64))
         values = rows[:, column : column + count].reshape(len(rows), *dtype.shape)
         # A colour's bytes are written as the number that they are, in words of either kind.
-        packed = name.lower() in PACKED and dtype.kind == "f" and bool((values == np.trunc(values)).all() & (values > 1).any())
+        packed = (
+            name.lower() in PACKED
+            and dtype.kind == "f"
+            and bool((values == np.trunc(values)).all() & (values > 1).any())
+        )
         with np.errstate(over="ignore", invalid="ignore"):
             records[name] = values.astype(np.uint32).view(np.float32) if packed else values.astype(dtype.base)
         column += count

@@ -114,7 +114,9 @@ class PlyReader(FileReader):
             if record.itemsize * vertex.count > path.stat().st_size - start:
                 there = max(0, path.stat().st_size - start) // max(record.itemsize, 1)
                 raise PointFileError(path, f"promises {vertex.count:,} points and ends after {there:,}")
-            self._records = np.memmap(path, record, "r", start, (vertex.count,)) if vertex.count else np.empty(0, record)
+            self._records = (
+                np.memmap(path, record, "r", start, (vertex.count,)) if vertex.count else np.empty(0, record)
+            )
         columns = [(name, np.dtype(dtype)) for name, dtype in vertex.properties]
         attributes = attributes_of(columns, path)
         title = f"PLY, {header.order.replace('_', ' ')}"
@@ -138,6 +140,6 @@ class PlyReader(FileReader):
 
 def _record(element: Element, order: str) -> np.dtype:
     names = [f"{i} {name}" for i, (name, _) in enumerate(element.properties)]
-    if len(set(name for name, _ in element.properties)) == len(names):
+    if len({name for name, _ in element.properties}) == len(names):
         names = [name for name, _ in element.properties]
     return np.dtype([(name, order + dtype) for name, (_, dtype) in zip(names, element.properties, strict=True)])

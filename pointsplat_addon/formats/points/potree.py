@@ -1,7 +1,8 @@
 """Reads Potree 1.7: a folder with cloud.js, an octree of files of points, level by level.
 
-A node's name is "r" and the digits of its octants; its file lies in folders of as many digits as a step of the hierarchy
-has, and the file .hrc of such a folder lists the nodes of the step. Positions count from the low corner of the node's cube.
+A node's name is "r" and the digits of its octants; its file lies in folders of as many digits as a step of the
+hierarchy has, and the file .hrc of such a folder lists the nodes of the step. Positions count from the low corner of
+the node's cube.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ DEEPEST = 30  # levels
 STORED = {
     "POSITION_CARTESIAN": ("<u4", 3, "position"), "COLOR_PACKED": ("u1", 4, "color"), "RGBA_PACKED": ("u1", 4, "color"),
     "RGB_PACKED": ("u1", 3, "color"), "NORMAL": ("<f4", 3, "normal"), "NORMAL_FLOATS": ("<f4", 3, "normal"),
-    "NORMAL_SPHEREMAPPED": ("u1", 2, "normal"), "NORMAL_OCT16": ("u1", 2, "normal"), "INTENSITY": ("<u2", 1, "intensity"),
+    "NORMAL_SPHEREMAPPED": ("u1", 2, "normal"), "NORMAL_OCT16": ("u1", 2, "normal"),
+    "INTENSITY": ("<u2", 1, "intensity"),
     "CLASSIFICATION": ("u1", 1, "classification"), "RETURN_NUMBER": ("u1", 1, "return_number"),
     "NUMBER_OF_RETURNS": ("u1", 1, "number_of_returns"), "SOURCE_ID": ("<u2", 1, "point_source_id"),
     "GPS_TIME": ("<f8", 1, "gps_time"), "FILLER_1B": ("u1", 1, ""), "SPACING": ("<f4", 1, "spacing"),
@@ -35,7 +37,7 @@ class PotreeReader(FileReader):
         self._path, self.warnings = path, []
         try:
             facts = json.loads(path.read_text(encoding="utf-8"))
-            low, high = ([float(facts["boundingBox"][end + axis] ) for axis in "xyz"] for end in "lu")
+            low, high = ([float(facts["boundingBox"][end + axis]) for axis in "xyz"] for end in "lu")
             tight = facts.get("tightBoundingBox", facts["boundingBox"])
             box = np.array([[float(tight[end + axis]) for axis in "xyz"] for end in "lu"])
             self._low, self._side = np.array(low), float(max(np.subtract(high, low)))
@@ -149,8 +151,8 @@ def _attribute(stored: str) -> Attribute:
 
 
 def sphere_mapped(value: np.ndarray) -> np.ndarray:
-    """Unit normals (N, 3) float32 of sphere map coordinates (N, 2) uint8 (Mittring 2009: the Lambert azimuthal equal-area
-    projection); zero where none is stored."""
+    """Unit normals (N, 3) float32 of sphere map coordinates (N, 2) uint8 (Mittring 2009: the Lambert azimuthal
+    equal-area projection)."""
     at = value.astype(np.float32) / 255 * 2 - 1
     length = np.maximum(1 - (at * at).sum(axis=1), 0)
     across = at * 2 * np.sqrt(length)[:, None]

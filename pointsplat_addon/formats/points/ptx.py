@@ -1,7 +1,7 @@
 """Reads PTX, Leica's text of gridded scans: each scan has a scanner's pose, and a line for each place of its grid.
 
-A scan begins with ten lines: columns, rows, the scanner's position and axes, and a matrix of row vectors that leads from
-the scanner's coordinates to the world's. A line "0 0 0 0.5" is a ray that nothing answered.
+A scan begins with ten lines: columns, rows, the scanner's position and axes, and a matrix of row vectors that leads
+from the scanner's coordinates to the world's. A line "0 0 0 0.5" is a ray that nothing answered.
 """
 
 from __future__ import annotations

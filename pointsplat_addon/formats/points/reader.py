@@ -1,7 +1,7 @@
 """What all readers of scans offer: a header, and the points in chunks.
 
-A reader takes nothing for granted that a file says of itself: sizes are compared with the bytes in the file before memory
-is allocated for them, and nothing is read whole that grows with the number of points.
+A reader takes nothing for granted that a file says of itself: sizes are compared with the bytes in the file before
+memory is allocated for them, and nothing is read whole that grows with the number of points.
 """
 
 from __future__ import annotations
@@ -62,14 +62,20 @@ class Reader(Protocol):
     warnings: list[str]  # what was found while reading; complete when `chunks` has ended
 
     def chunks(self, columns: Collection[str] | None = None, size: int = CHUNK) -> Iterator[Columns]:
-        """Yields the points in order, at most `size` at a time: `position` (N, 3) float64 in the file's unit, and of the
-        other attributes those in `columns`; None: all.
+        """Yields the points in order, at most `size` at a time: `position` (N, 3) float64 in the file's unit, and of
+        the other attributes those in `columns`; None: all.
 
         Raises PointFileError where the file is damaged, after the chunks before that place.
         """
         ...
 
     def close(self) -> None: ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
 
 
 class FileReader:

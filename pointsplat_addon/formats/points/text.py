@@ -89,12 +89,8 @@ def _guessed(values: np.ndarray) -> tuple[str, ...]:
             names += ["nx", "ny", "nz"]
         elif left >= 3 and left != 4 and colors[column : column + 3].all() and "red" not in names:
             names += ["red", "green", "blue"]
-        elif left == 4 and colors[column + 1 :].all() and "red" not in names and "intensity" not in names:
-            names.append("intensity")
-        elif "intensity" not in names:
-            names.append("intensity")
         else:
-            names.append(f"column_{column + 4}")
+            names.append(f"column_{column + 4}" if "intensity" in names else "intensity")
         column = len(names)
     return (*Z_ALONE, *names)
 

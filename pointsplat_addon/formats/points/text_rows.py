@@ -94,7 +94,8 @@ def tokens_of_lines(text: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np
     begins[1:] &= ~word[:-1]
     ends = np.flatnonzero(codes == NEWLINE) + 1
     if len(ends) == 0:
-        return (*(np.empty(0, np.int64) for _ in range(3)), np.empty(0, np.uint8))
+        nothing = np.empty(0, np.int64)
+        return nothing, nothing, nothing, np.empty(0, np.uint8)
     starts = np.concatenate([[0], ends[:-1]])
     words = np.append(np.flatnonzero(begins), len(codes) - 1)
     leads = codes[words[np.searchsorted(words[:-1], starts)]]

@@ -17,9 +17,19 @@ from .objects import COLOR
 
 LOOKS = {  # attribute ("": chosen by the person), whether its values pass a colour ramp, label, tooltip
     "COLOR": (COLOR, False, "Colour", "The colours of the file"),
-    "INTENSITY": ("intensity", False, "Intensity", "How much came back, as grey from the lowest to the highest per cent"),
+    "INTENSITY": (
+        "intensity",
+        False,
+        "Intensity",
+        "How much came back, as grey from the lowest to the highest per cent",
+    ),
     "HEIGHT": ("position", True, "Height", "Height above the lowest points, from blue to red"),
-    "CLASS": ("classification", True, "Class", "The class of the standard (LAS): ground brown, vegetation green, buildings red"),
+    "CLASS": (
+        "classification",
+        True,
+        "Class",
+        "The class of the standard (LAS): ground brown, vegetation green, buildings red",
+    ),
     "RETURN": ("return_number", True, "Return", "Which of a pulse's echoes a point is"),
     "TIME": ("gps_time", True, "Time", "When the point was measured"),
     "SOURCE": ("point_source_id", True, "Source", "Which flight line or file the point is from"),

@@ -1,8 +1,9 @@
 """PointCloud objects out of gathered points, in all versions of Blender, and where they lie on the map.
 
 Positions are relative to an origin in float64, which the object keeps as the custom property `pointsplat_origin`, three
-doubles: an object's point p lies at origin + p. The scene's origin is kept as BlenderGIS keeps it: the custom properties
-`crs x`, `crs y` and `SRID`. All scans of a scene share it; objects whose own origin differs are moved by the difference.
+doubles: an object's point p lies at origin + p. The scene's origin is kept as BlenderGIS keeps it: the custom
+properties `crs x`, `crs y` and `SRID`. All scans of a scene share it; objects whose own origin differs are moved by the
+difference.
 """
 
 from __future__ import annotations
@@ -27,8 +28,10 @@ KINDS = {"FLOAT": ("value", np.float32), "INT": ("value", np.int32), "INT8": ("v
 
 
 def scan_object(name: str, found: Gathered, crs: str) -> bpy.types.Object:
-    """Returns a new PointCloud object, in no collection, whose points these are. Columns are taken out of `found` as they
-    are written, so that no more than one of them is held twice."""
+    """Returns a new PointCloud object, in no collection, whose points these are.
+
+    Columns are taken out of `found` as they are written, so that no more than one of them is held twice.
+    """
     count = len(found)
     position = found.columns["position"]
     radius = found.columns.pop("radius", None)
@@ -83,7 +86,9 @@ def _as_object(name: str, data: Any) -> bpy.types.Object:
     scene = bpy.context.scene
     scene.collection.objects.link(ob)
     try:
-        with bpy.context.temp_override(object=ob, active_object=ob, selected_objects=[ob], selected_editable_objects=[ob]):
+        with bpy.context.temp_override(
+            object=ob, active_object=ob, selected_objects=[ob], selected_editable_objects=[ob]
+        ):
             bpy.context.view_layer.objects.active = ob
             ob.select_set(True)
             bpy.ops.object.convert(target="POINTCLOUD")

@@ -43,10 +43,14 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
         ),
         default="ALL",
     )
-    every: IntProperty(name="Every nth Point", description="Of so many points one is kept", default=1, min=1, soft_max=100)
+    every: IntProperty(
+        name="Every nth Point", description="Of so many points one is kept", default=1, min=1, soft_max=100
+    )
     use_box: BoolProperty(name="Bounds", description="Keep the points within a box of map coordinates", default=False)
     box_low: FloatVectorProperty(name="Low", description="Low corner of the box, map coordinates", size=3, precision=3)
-    box_high: FloatVectorProperty(name="High", description="High corner of the box, map coordinates", size=3, precision=3)
+    box_high: FloatVectorProperty(
+        name="High", description="High corner of the box, map coordinates", size=3, precision=3
+    )
     classes: StringProperty(
         name="Classes", description="Numbers of the classes that are kept, such as 2, 6; empty keeps all", default=""
     )
@@ -198,7 +202,9 @@ class POINTSPLAT_OT_scan_look(bpy.types.Operator):
         default="COLOR",
     )
     attribute: StringProperty(name="Attribute", description="The attribute that is shown", default="")
-    lit: BoolProperty(name="Lit", description="Lights and shadows fall on the points; otherwise they emit", default=True)
+    lit: BoolProperty(
+        name="Lit", description="Lights and shadows fall on the points; otherwise they emit", default=True
+    )
 
     @classmethod
     def poll(cls, context):

@@ -37,7 +37,10 @@ def test_records_are_put_together_from_packets(tmp_path):
     count, random = 5000, np.random.default_rng(2)
     position = random.normal(size=(count, 3))
     level = random.integers(-3, 10, count)
-    prototype = FLOATS + '<intensity type="Integer" minimum="-3" maximum="9"/><rowIndex type="Integer" minimum="5" maximum="5"/>'
+    prototype = (
+        FLOATS
+        + '<intensity type="Integer" minimum="-3" maximum="9"/><rowIndex type="Integer" minimum="5" maximum="5"/>'
+    )
     streams = [*(np.ascontiguousarray(column).tobytes() for column in position.T),
                packed_integers([int(v) + 3 for v in level], 4), b""]  # fmt: skip
     write_e57(tmp_path / "a.e57", prototype, streams, count, split=1000)
@@ -124,8 +127,9 @@ def test_a_wrong_checksum_is_found(tmp_path):
 
 def test_points_that_are_promised_and_missing(tmp_path):
     write_e57(tmp_path / "a.e57", FLOATS, [np.arange(300.0).tobytes()] * 3, 320)
-    found = 0
-    with pytest.raises(PointFileError, match="promises 320 points and ends after 300"), open_points(tmp_path / "a.e57") as r:
-        for chunk in r.chunks():
-            found += len(chunk["position"])
-    assert found == 300
+    found: list[np.ndarray] = []
+    with open_points(tmp_path / "a.e57") as reader:
+        chunks = (chunk["position"] for chunk in reader.chunks())
+        with pytest.raises(PointFileError, match="promises 320 points and ends after 300"):
+            found.extend(chunks)
+    assert len(np.concatenate(found)) == 300

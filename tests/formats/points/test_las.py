@@ -24,7 +24,7 @@ def scan(point_format: int, count: int = 2000):
     header.add_extra_dim(laspy.ExtraBytesParams("deviation", "float32"))
     las = laspy.LasData(header)
     random = np.random.default_rng(point_format)
-    position = np.round(random.uniform(-100, 100, (count, 3)), 3) + [5e6, 4e5, 100.0]
+    position = np.round(random.uniform(-100, 100, (count, 3)), 3) + np.array([5e6, 4e5, 100.0])
     las.x, las.y, las.z = position.T
     las.intensity = random.integers(0, 65536, count)
     las.classification = random.integers(0, 32, count)
@@ -51,10 +51,9 @@ def test_all_point_formats(tmp_path, point_format, end):
     las.write(str(tmp_path / f"a.{end}"))
     found = whole(tmp_path / f"a.{end}")
     np.testing.assert_allclose(found["position"], position, rtol=0, atol=1e-9)  # half a unit in the last place of 5e6
-    for name, own in (("intensity", "intensity"), ("classification", "classification"), ("return_number", "return_number"),
-                      ("deviation", "deviation"), ("gps_time", "gps_time"), ("infrared", "nir")):  # fmt: skip
+    for name in ("intensity", "classification", "return_number", "deviation", "gps_time", "infrared"):
         if name in found:
-            np.testing.assert_array_equal(found[name], np.asarray(las[own]))
+            np.testing.assert_array_equal(found[name], np.asarray(las["nir" if name == "infrared" else name]))
     assert ("color" in found) == (point_format in (2, 3, 7, 8))
     if "color" in found:
         np.testing.assert_array_equal(found["color"][:, 1], las.green)
@@ -111,9 +110,7 @@ def test_points_are_chosen(tmp_path):
     with open_points(tmp_path / "a.las") as reader:
         found = run([reader], Selection(frozenset(), classes=frozenset({2, 6}), box=(tuple(low), tuple(high))))
     assert set(found.columns) == {"position"}
-    np.testing.assert_allclose(
-        found.columns["position"] + found.origin, position[kept & inside], rtol=0, atol=1.6e-5
-    )
+    np.testing.assert_allclose(found.columns["position"] + found.origin, position[kept & inside], rtol=0, atol=1.6e-5)
 
 
 def test_tiles_of_a_survey_share_an_origin(tmp_path):
@@ -160,7 +157,7 @@ def test_headers_that_lie_are_told(tmp_path, place, layout, value, says):
 
 
 def test_more_points_promised_than_there_are(tmp_path):
-    las, position = scan(6)
+    las, _ = scan(6)
     las.write(str(tmp_path / "a.las"))
     damaged(tmp_path / "a.las", 247, "<Q", 1 << 40)
     with open_points(tmp_path / "a.las") as reader:
@@ -212,5 +209,7 @@ def test_a_potree_folder_is_read_level_by_level(tmp_path):
         nodes[name] = corner + random.random((10, 3)) * size
     write_potree(tmp_path / "p", nodes, low, side, 1e-6, 2)
     found = whole(tmp_path / "p")
-    np.testing.assert_allclose(found["position"], np.concatenate(list(nodes.values())), rtol=0, atol=5.1e-7)  # half a step
+    np.testing.assert_allclose(
+        found["position"], np.concatenate(list(nodes.values())), rtol=0, atol=5.1e-7
+    )  # half a step
     assert (found["color"] == [10, 20, 30, 255]).all()

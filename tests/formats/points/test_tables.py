@@ -141,12 +141,15 @@ def test_scans_of_ptx_are_posed(tmp_path):
     ("name", "content", "says"),
     [
         ("a.ply", b"plx", "is no PLY file"),
-        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nproperty float x\nproperty float y\n"
-                  b"property float z\nend_header\n" + bytes(24), "promises 999,999,999,999 points and ends after 2"),
-        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "no columns x, y and z"),
+        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nproperty float x\n"
+                  b"property float y\nproperty float z\nend_header\n" + bytes(24),
+         "promises 999,999,999,999 points and ends after 2"),
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n",
+         "no columns x, y and z"),
         ("a.pcd", b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 99\nDATA binary\n" + bytes(24), "ends after 2"),
         ("a.pcd", b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F\nPOINTS 9\nDATA ascii\n", "do not belong together"),
-        ("a.ptx", b"99999\n99999\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n1 2 3 4\n", "too short"),
+        ("a.ptx", b"99999\n99999\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n1 2 3 4\n",
+         "too short"),
         ("a.xyz", b"no numbers\nhere\n", "no line of three numbers"),
         ("a.xyz", b"1 2 3\n4 5x 6\n", 'what is no number: "5x"'),
         ("a.bin", b"", "is none of"),
