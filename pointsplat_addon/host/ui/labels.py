@@ -33,7 +33,7 @@ TECHNIQUE_ITEMS: dict[str, Item] = {
         "PAINTER",
         "Painter",
         "Paint points as fuzzy ellipses from back to front, so that they mix with smoke and glass point by point. "
-        "Sparse balls cover what they should, but their colours mix with those of balls behind them",
+        "Sparse balls cover what they should, but are too bright and mix with those behind them",
     ),
 }
 BUDGET_ITEMS: dict[str, Item] = {
