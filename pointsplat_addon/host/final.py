@@ -22,7 +22,7 @@ from ..render.renderer import Renderer
 from . import disk_cache
 from .convert.camera import render_camera
 from .convert.objects import collect
-from .device import gl_thread, main_gpu
+from .device import device_costs, gl_thread, main_gpu
 from .sync import Synchronizer
 from .ui import last_render
 
@@ -140,7 +140,12 @@ class Job:
 
     def on_opengl(self) -> Future[Result]:
         """Start the job on the OpenGL thread."""
-        return gl_thread.THREAD.submit(self._render)
+
+        def job(renderer: Renderer) -> Result:
+            device_costs.apply(renderer, self.request.settings)
+            return self._render(renderer)
+
+        return gl_thread.THREAD.submit(job)
 
     def on_blender(self, engine: bpy.types.RenderEngine) -> Future[Result]:
         """Run the job on Blender's gpu module, now or later on the main thread."""

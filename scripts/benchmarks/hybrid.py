@@ -1,4 +1,5 @@
-"""What AUTO chooses between points and triangles, against all points and all triangles, as ratios of processor time.
+"""What image space chooses between points and triangles, against all points and all triangles, as ratios of processor
+time.
 
     python -m scripts.benchmarks.hybrid [--quick]
 
@@ -33,7 +34,7 @@ from scripts.benchmarks import instances as bench_instances
 from scripts.benchmarks.frame import row
 
 SIZE = (512, 512)  # pixels
-SETTINGS = Settings(use_shadows=False, use_adaptive_sampling=False)
+SETTINGS = Settings(technique="IMAGE_SPACE", use_shadows=False, use_adaptive_sampling=False)
 KINDS = ("AUTO", "POINTS", "POLYGONS")
 SAMPLES = 4  # of each picture
 DENSE = 700  # rings and half the segments of the dense ball: a million triangles

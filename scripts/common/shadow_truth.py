@@ -6,9 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from pointsplat_addon.core.numeric.segments import starts
 from pointsplat_addon.core.shadow.casters import CHUNK, OPAQUE_DEPTH
 from pointsplat_addon.core.shadow.grid import LEAST_COSINE, Frame, directions, plane_distance
 from pointsplat_addon.core.shadow.level import MASK_CELLS, TEXEL_CELLS, TableLevel
+from pointsplat_addon.core.shadow.nearest import NearestEntries
 from pointsplat_addon.core.shadow.table import Emitter, ShadowTable
 
 BIAS = 1.0  # cells: how far along its normal a receiver is lifted
@@ -28,6 +30,23 @@ OVERLAP_CELLS = 1.0  # and as many cells
 
 def _bit_count(words: np.ndarray) -> np.ndarray:
     return np.unpackbits(words.astype("<u4")[..., None].view(np.uint8), axis=-1).sum(axis=-1, dtype=np.int64)
+
+
+def nearest_around(
+    nearest: NearestEntries, latitude: np.ndarray, longitude: np.ndarray, reach: np.ndarray
+) -> np.ndarray:
+    """(P,) distances that no entry within `reach` (P,) of directions (P,) falls below. Reach: radians, for suns
+    units."""
+    size = np.ceil(np.log2(np.maximum(reach / nearest.side, 1)))
+    size = np.minimum(size, len(nearest.distance) - 1).astype(np.int64)
+    count = len(nearest.distance[0]) >> size
+    place = [
+        np.floor((v - low) / (nearest.side * 2.0**size))
+        for v, low in zip((latitude, longitude), nearest.low, strict=True)
+    ]
+    row, column = (np.clip(v, 0, count - 1).astype(np.int64) for v in place)
+    first = starts([d.size for d in nearest.distance])
+    return nearest.flat[first[size] + row * count + column].astype(float)
 
 
 class Receiver:
@@ -56,7 +75,7 @@ class Receiver:
         # What is known of the nearest narrows the directions in which there may be a nearer one.
         for _ in range(NARROWINGS):
             reach = spread * table.emitter.radius * CORNER / (LOOSE * narrowed)
-            spread = self._spread(table, table.nearest.around(self.latitude, self.longitude, reach))
+            spread = self._spread(table, nearest_around(table.nearest, self.latitude, self.longitude, reach))
         return spread
 
     def _spread(self, table: ShadowTable, nearest: np.ndarray) -> np.ndarray:

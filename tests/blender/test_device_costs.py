@@ -6,6 +6,7 @@ from dataclasses import asdict
 import pytest
 
 from pointsplat_addon.core.lod.cost import Costs
+from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.host.device import device_costs
 
 
@@ -19,3 +20,10 @@ def test_figures_come_back_as_they_were():
 )
 def test_what_is_no_table_of_positive_numbers_is_left_out(text):
     assert device_costs.parsed(text) == {}
+
+
+def test_costs_matter_only_where_another_technique_than_the_visibility_buffer_may_draw():
+    assert not device_costs.matter(Settings())
+    assert not device_costs.matter(Settings(technique="VISIBILITY"))
+    others = {"technique": "IMAGE_SPACE"}, {"technique": "EWA"}, {"budget": "TIME"}, {"dof_method": "LENS_SAMPLES"}
+    assert all(device_costs.matter(Settings(**other)) for other in others)

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ..numeric.segments import starts
 from .grid import Frame
 from .level import TableLevel
 
@@ -24,27 +23,12 @@ class NearestEntries:
 
     low: np.ndarray  # (2,) float64, least latitude and longitude
     side: float  # of the finest squares
-    wraps: bool  # the last column borders on the first
     distance: tuple[np.ndarray, ...]  # (P, P) float32 each, rows of latitude; inf: nothing
 
     @property
     def least(self) -> float:
         """The least distance of all entries; 0 if there are none."""
         return float(np.nan_to_num(self.distance[-1][0, 0], posinf=0.0))
-
-    def around(self, latitude: np.ndarray, longitude: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """(P,) distances that no entry within `reach` (P,) of directions (P,) falls below. Reach: radians, for suns
-        units."""
-        size = np.ceil(np.log2(np.maximum(reach / self.side, 1)))
-        size = np.minimum(size, len(self.distance) - 1).astype(np.int64)
-        count = len(self.distance[0]) >> size
-        place = [
-            np.floor((v - low) / (self.side * 2.0**size))
-            for v, low in zip((latitude, longitude), self.low, strict=True)
-        ]
-        row, column = (np.clip(v, 0, count - 1).astype(np.int64) for v in place)
-        first = starts([d.size for d in self.distance])
-        return self.flat[first[size] + row * count + column].astype(float)
 
     @cached_property
     def flat(self) -> np.ndarray:
@@ -57,7 +41,7 @@ def nearest_entries(frame: Frame, levels: tuple[TableLevel, ...], wide: bool) ->
     square."""
     if not levels or not wide:
         least = min((float(level.distance.min()) for level in levels), default=np.inf)
-        return NearestEntries(frame.low, 1.0, frame.full, (np.full((1, 1), least, np.float32),))
+        return NearestEntries(frame.low, 1.0, (np.full((1, 1), least, np.float32),))
     finest = SQUARE_CELLS * min(level.grid.step for level in levels)
     if frame.full:
         count = 1 << max(int(np.floor(np.log2(2 * np.pi / finest))), 0)
@@ -89,7 +73,7 @@ def nearest_entries(frame: Frame, levels: tuple[TableLevel, ...], wide: bool) ->
     for here, all_ in reversed(own):
         distance.insert(0, np.minimum(_minimum_of_neighbours(all_, frame.full), coarser))
         coarser = np.minimum(_minimum_of_neighbours(here, frame.full), coarser).repeat(2, axis=0).repeat(2, axis=1)
-    return NearestEntries(low, side, frame.full, tuple(distance))
+    return NearestEntries(low, side, tuple(distance))
 
 
 def _minimum_of_neighbours(distance: np.ndarray, wraps: bool) -> np.ndarray:

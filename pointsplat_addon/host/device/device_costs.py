@@ -9,6 +9,7 @@ from dataclasses import asdict
 import bpy
 
 from ...core.lod.cost import DEFAULT, Costs
+from ...core.scene.settings import Settings
 from ...render.budget.calibrate import calibrate
 from ...render.device.protocol import DeviceError
 from ...render.renderer import Renderer
@@ -37,13 +38,19 @@ def parsed(text: str) -> dict[str, Costs]:
     return {name: costs for name, costs in found.items() if costs.valid()}
 
 
-def apply(renderer: Renderer) -> None:
-    """Give the renderer the costs of its device, measured now if they are not known.
+def matter(settings: Settings) -> bool:
+    """Whether costs may decide anything in a picture: the visibility buffer draws meshes by triangles in any case."""
+    by_buffer = settings.technique in ("AUTO", "VISIBILITY")
+    return not by_buffer or settings.budget != "NONE" or settings.dof_method == "LENS_SAMPLES"
+
+
+def apply(renderer: Renderer, settings: Settings) -> None:
+    """Give the renderer the costs of its device, measured now if they are not known and may matter.
 
     Background renders use the defaults instead of measuring, so that they do not depend on what else the machine does.
     """
     name = renderer.device.limits.renderer
-    if name not in KNOWN and not bpy.app.background:
+    if name not in KNOWN and matter(settings) and not bpy.app.background:
         try:
             measure(renderer)
             bpy.app.timers.register(write)  # preferences belong to the main thread

@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 from ...render.renderer import Renderer
 from ..shared_store import STORE
-from . import device_costs
 
 T = TypeVar("T")
 
@@ -64,7 +63,6 @@ def _work(jobs: queue.SimpleQueue) -> None:
             if renderer is None:
                 device = _make_device()
                 renderer = Renderer(device, STORE)
-                device_costs.apply(renderer)
             future.set_result(job(renderer))
         except BaseException as error:
             future.set_exception(error)

@@ -8,28 +8,32 @@ TECHNIQUE_ITEMS: dict[str, Item] = {
     "AUTO": (
         "AUTO",
         "Automatic",
-        "The visibility buffer wherever it can draw the scene; else EWA for points that have colours of their own, "
-        "and image space for the rest",
+        "The default: the Visibility Buffer wherever it can draw the scene. With a budget, Lens Samples or more "
+        "triangles than it can draw, EWA for points that have colours of their own and Image Space for the rest",
     ),
     "VISIBILITY": (
         "VISIBILITY",
         "Visibility Buffer",
-        "Find the nearest primitive of all samples of a pixel at once, and shade each surface in a pixel once",
+        "Exact edges, and each surface in a pixel is shaded once: what Automatic takes for nearly all scenes. "
+        "Sparse balls cover what they should; meshes are polygons unless their objects are set to Points",
     ),
     "IMAGE_SPACE": (
         "IMAGE_SPACE",
         "Image Space",
-        "Project each point to one pixel and fill the gaps between them in the picture",
+        "Project each point to one pixel and fill the gaps between them in the picture, for surfaces of so many "
+        "points that levels of detail stand for them. Sparse balls run together: they cover too much",
     ),
     "EWA": (
         "EWA",
         "EWA",
-        "Blend points as Gaussians no finer than the pixels: textures do not flicker from afar, edges are soft",
+        "Blend points as Gaussians no finer than the pixels, so that textures of surfaces do not flicker from afar; "
+        "edges are soft. Sparse balls are too faint: they cover too little",
     ),
     "PAINTER": (
         "PAINTER",
         "Painter",
-        "Paint points as fuzzy ellipses from back to front: they mix with smoke and glass point by point",
+        "Paint points as fuzzy ellipses from back to front, so that they mix with smoke and glass point by point. "
+        "Sparse balls cover what they should, but are too bright and mix with those behind them",
     ),
 }
 BUDGET_ITEMS: dict[str, Item] = {
@@ -68,7 +72,12 @@ DOF_ITEMS: dict[str, Item] = {
     ),
 }
 PRIMITIVE_ITEMS: dict[str, Item] = {
-    "AUTO": ("AUTO", "Automatic", "Polygons where triangles are large in the picture, points where they are small"),
+    "AUTO": (
+        "AUTO",
+        "Automatic",
+        "Polygons. The other techniques than the Visibility Buffer draw points where triangles are small in the "
+        "picture",
+    ),
     "POINTS": ("POINTS", "Points", "Sample the surface with points"),
     "POLYGONS": (
         "POLYGONS",

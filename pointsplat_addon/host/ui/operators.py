@@ -40,7 +40,7 @@ class POINTSPLAT_OT_clear_cache(bpy.types.Operator):
 
 
 class POINTSPLAT_OT_calibrate(bpy.types.Operator):
-    """Measure how fast the device draws points and triangles; which parts of meshes are points follows from it"""
+    """Measure how fast the device draws points and triangles in image space, which decides what is points there"""
 
     bl_idname = "pointsplat.calibrate"
     bl_label = "Calibrate"

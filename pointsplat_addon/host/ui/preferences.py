@@ -24,7 +24,7 @@ class PointSplatPreferences(bpy.types.AddonPreferences):
 
     device_costs: StringProperty(
         name="Device Costs",
-        description="What drawing costs on each device, as measured: which parts of a mesh are points follows from it",
+        description="What drawing in image space costs on each device, as measured; decides what is points there",
         default="",
         options={"HIDDEN"},
     )

@@ -1,4 +1,5 @@
-"""How fast a device draws points and triangles: `core.cost.Costs`, measured by drawing a few small scenes."""
+"""How fast a device draws points and triangles in image space: `core.lod.cost.Costs`, measured by drawing a few small
+scenes. The visibility buffer draws meshes by triangles whatever they cost (docs/notes/techniques.md)."""
 
 from __future__ import annotations
 
@@ -121,7 +122,8 @@ def _timed(frame: Frame, clock: Callable[[], float]) -> float:
 
 
 def _request() -> Request:
-    return Request(_camera(), Settings(use_shadows=False, use_adaptive_sampling=False), frozenset({"combined"}), 1)
+    settings = Settings(technique="IMAGE_SPACE", use_shadows=False, use_adaptive_sampling=False)
+    return Request(_camera(), settings, frozenset({"combined"}), 1)
 
 
 def _camera() -> Camera:

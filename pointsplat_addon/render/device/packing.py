@@ -37,16 +37,6 @@ def octahedral(normal: np.ndarray, steps: int = OCT_STEPS) -> np.ndarray:
     return np.rint((y * 0.5 + 0.5) * steps) * (steps + 1) + np.rint((x * 0.5 + 0.5) * steps)
 
 
-def unpack_normal(code: np.ndarray) -> np.ndarray:
-    """Returns unit vectors (N, 3) float64 of codes (N,): the reference for ps_unpack_normal."""
-    row = np.floor(np.asarray(code, np.float64) / 4096)
-    x, y = (code - 4096 * row) / OCT_STEPS * 2 - 1, row / OCT_STEPS * 2 - 1
-    z = 1 - np.abs(x) - np.abs(y)
-    sign_x, sign_y = np.where(x >= 0, 1, -1), np.where(y >= 0, 1, -1)
-    n = np.stack([np.where(z < 0, (1 - np.abs(y)) * sign_x, x), np.where(z < 0, (1 - np.abs(x)) * sign_y, y), z], 1)
-    return n / np.linalg.norm(n, axis=1, keepdims=True)
-
-
 def paged(values: np.ndarray, channels: int) -> tuple[tuple[int, int], np.ndarray]:
     """Lays out rows (N, C <= channels) as a texture: returns its (width, height) and flat float32 data, zero padded.
 

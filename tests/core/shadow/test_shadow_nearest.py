@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.shadow import builder
 from pointsplat_addon.render.shadow.packed_tables import pack
-from scripts.common.shadow_truth import LOOSE, SHARP, receiver_of, transmittance
+from scripts.common.shadow_truth import LOOSE, SHARP, nearest_around, receiver_of, transmittance
 
 DOWN = np.array([0.0, 0.0, -1.0])
 LIGHTS = {
@@ -46,7 +46,7 @@ def test_no_entry_that_a_look_up_reads_is_nearer(name):
     cosine = np.ones(400) if table.frame.parallel else np.cos(latitude)
     for reach in (0.0, 2.0, 8.0, 30.0):
         reach = np.full(400, reach * table.frame.step)
-        found = table.nearest.around(latitude, longitude, reach / np.maximum(cosine - 1 + LOOSE, 1e-3))
+        found = nearest_around(table.nearest, latitude, longitude, reach / np.maximum(cosine - 1 + LOOSE, 1e-3))
         least = np.full(400, np.inf)
         for level in table.levels:
             there, along, width, distance = cells(level)

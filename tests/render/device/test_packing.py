@@ -8,12 +8,13 @@ import pytest
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.cache.keys import Key, Kind
-from pointsplat_addon.render.device.packing import NO_NORMAL, PAGE_WIDTH, octahedral, paged, unpack_normal
+from pointsplat_addon.render.device.packing import NO_NORMAL, PAGE_WIDTH, octahedral, paged
 from pointsplat_addon.render.device.protocol import CHANNELS
 from pointsplat_addon.render.passes.gbuffer import Variant
 from pointsplat_addon.render.passes.pages.point_page import Page, PointOptions
 from pointsplat_addon.render.prepare.point_sets import PointSet
 from scripts.scenes import build
+from tests.reference.packing import unpack_normal
 
 
 def directions(count=20000):

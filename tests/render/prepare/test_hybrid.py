@@ -8,10 +8,12 @@ import pytest
 
 from pointsplat_addon.core.lod.cost import Costs
 from pointsplat_addon.core.surface.density import PART
+from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.budget.calibrate import calibrate
 from pointsplat_addon.render.cache.store import Store
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.prepare.prepare import prepare
+from pointsplat_addon.render.renderer import Renderer
 from scripts.common.images import eroded
 from scripts.scenes import build, clouds, drawing, meshes
 from scripts.scenes.case import Case
@@ -139,3 +141,11 @@ def test_a_device_can_be_calibrated():
     costs = calibrate(drawing.opengl())
     assert costs.valid()
     assert costs.triangle > 1  # nanoseconds: no device that runs this test draws a billion a second
+
+
+def test_a_device_is_calibrated_in_image_space_where_its_costs_decide():
+    device = NullDevice()
+    calibrate(Renderer(device, Store()))
+    names = {interface.name for interface in device.interfaces}
+    assert {"project", "resolve", "push"} <= names
+    assert not names & {"group", "spread"}

@@ -68,7 +68,6 @@ class Leaders:
         """`size`: (columns, rows) of the list, or of the picture."""
         self.size, self.central = size, central
         self.textures: dict[str, Texture] = {name: device.texture(size, "R32UI") for _, name in LEADER_SAMPLERS}
-        self._ids = self.textures["ps_leaders"]
         self.target: Target = device.target(list(self.textures.values()))
         self.list: Texture | None = None
         # Of leaders at the centres of pixels: where in the picture their tile's own pixels lie, from 0 to 1, and where

@@ -14,8 +14,6 @@ from ..pages.point_page import POINT_SAMPLERS, PageDraw, PointOptions, attribute
 from ..tiles import TILE_DEFINE, Region
 from ..uniforms import SampleView
 
-DRAWN_LIMIT = 2**31 - 2**20  # indices of drawn splats are 32-bit
-
 
 @dataclass(frozen=True)
 class PointPrograms:

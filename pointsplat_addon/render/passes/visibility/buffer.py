@@ -14,7 +14,6 @@ from ...device.protocol import Device, Texture, releases_on_failure
 from ..uniforms import Fields, Values
 
 RASTERISED = 1 << 31  # of a primitive's number: the hardware has rasterised it
-MOST_PRIMITIVES = RASTERISED - (1 << 20)  # of each of the two ways
 OUTPUTS = (("uint", "out_id"), ("uint", "out_depth"), ("uint", "out_key"))
 DEPTH_OUTPUT = (("uint", "out_depth"),)  # of passes into depths alone
 DEPTH_ONLY_DEFINE = ("PS_DEPTH_ONLY", "1")
