@@ -25,11 +25,13 @@ def handling(folder):
         yield from editing(folder, meter, before)
         yield from techniques(folder, meter, before)
         yield from splitting(folder, meter, before)
+        meter.tell_longest("from Solid to areas that are split")
         # From within the monkey, and along an axis in parallel.
         kept = view.view_location.copy(), view.view_distance, view.view_rotation.copy()
         view.view_location, view.view_distance = bpy.data.objects["Monkey"].location, 0.05
         yield from rest(meter, area)
         check(difference(before, shoot(folder, "within")) > OTHER, "a view from within a mesh is drawn")
+        meter.tell_longest("from within a mesh of points")
         view.view_location, view.view_distance, _ = kept
         view.view_perspective, view.view_rotation = "ORTHO", Quaternion((0.7071, 0.7071, 0, 0))
         yield from rest(meter, area)

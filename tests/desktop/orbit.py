@@ -5,7 +5,7 @@ import math
 import time
 
 import bpy
-from mathutils import Euler
+from mathutils import Euler, Vector
 from window import check, difference, say, shoot, viewport
 
 STEPS, PAUSE = 24, 6  # of the orbit, and how many between two pictures of a view that stands still
@@ -22,6 +22,7 @@ class Meter:
         self._before = None
         self.pictures = []  # of a view that moves: seconds by the clock, of the processor, and pixels' width
         self.wanted, self.mean, self.complete = False, None, False
+        self.longest = (0.0, 0.0)  # seconds of the processor and by the clock that a drawing took
         meter = self
 
         def draw(drawn, *given):
@@ -32,6 +33,7 @@ class Meter:
         self._viewport._draw = draw
 
     def seen(self, drawn, seconds, busy):
+        self.longest = max(self.longest, (busy, seconds))
         frame = drawn._frame
         if frame is None:
             return
@@ -41,6 +43,12 @@ class Meter:
         self._before, self.complete = frame, frame.complete and not drawn._coarse
         if self.wanted:
             self.mean, self.wanted = frame.mean(), False
+
+    def tell_longest(self, what):
+        """Says how long the window waited at most for a drawing, and begins anew."""
+        busy, seconds = self.longest
+        say(f"figure: {what}: a drawing takes at most {seconds:.2f} s by the clock, {busy:.2f} s of the processor")
+        self.longest = (0.0, 0.0)
 
     def end(self):
         self._viewport._draw = self._draw
@@ -56,20 +64,18 @@ def rest(meter, area):
     check(meter.complete, "a view that stands still is drawn to its end")
 
 
-def look_at_the_same(view, area, region):
-    """Leave the camera, and look from as far at what it sees; at all there is, where nothing meets its ray."""
-    camera = bpy.context.scene.camera.matrix_world
-    eye, along = camera.translation.copy(), -camera.col[2].xyz
-    found, place, *_ = bpy.context.scene.ray_cast(bpy.context.evaluated_depsgraph_get(), eye, along)
+def look_at_the_same(view):
+    """Leave the camera, and look from as far at what it sees: where its ray meets a mesh, else at the middle of all."""
+    scene = bpy.context.scene
+    camera = scene.camera.matrix_world
+    eye, along = camera.translation.copy(), -camera.col[2].xyz.normalized()
+    found, place, *_ = scene.ray_cast(bpy.context.evaluated_depsgraph_get(), eye, along)
+    if not found:
+        shown = [o for o in bpy.context.visible_objects if o.type not in {"CAMERA", "LIGHT"}]
+        corners = [o.matrix_world @ Vector(corner) for o in shown for corner in o.bound_box]
+        place = sum(corners, Vector()) / len(corners)
     view.view_perspective, view.view_rotation = "PERSP", turned(0)
-    if found:
-        view.view_location, view.view_distance = place, (place - eye).length
-        return
-    bpy.ops.object.select_all(action="DESELECT")
-    for item in bpy.context.visible_objects:
-        item.select_set(item.type not in {"CAMERA", "LIGHT"})
-    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=area, region=region):
-        bpy.ops.view3d.view_selected()
+    view.view_location, view.view_distance = place, (place - eye).length
 
 
 def orbit_file(folder, path, full):
@@ -98,7 +104,7 @@ def orbit_file(folder, path, full):
         yield from rest(meter, area)
         say(f"figure: {time.monotonic() - began:.1f} s until the first view is complete")
         pictures = [shoot(folder, f"{path.stem}_camera")]
-        look_at_the_same(view, area, region)
+        look_at_the_same(view)
         for step in range(STEPS):
             view.view_rotation = turned(step)
             meter.wanted = step % PAUSE == PAUSE - 1
