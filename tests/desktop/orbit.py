@@ -56,7 +56,7 @@ class Meter:
 
 def rest(meter, area):
     """Waits until the picture of a view that stands still is complete."""
-    began = time.monotonic()
+    began, meter.complete = time.monotonic(), False
     area.tag_redraw()
     yield 0.3
     while not meter.complete and time.monotonic() - began < PATIENCE:

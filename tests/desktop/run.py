@@ -27,7 +27,7 @@ from mathutils import Euler, Quaternion
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender runs this file alone
 from handling import handling
-from orbit import orbit_file
+from orbit import Meter, orbit_file, rest
 from window import check, difference, problems, save_picture, say, shoot, viewport
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,7 +43,7 @@ def arguments():
     parser.add_argument("--scene", type=Path, help="orbit this file instead of telling the whole story")
     parser.add_argument("--full", action="store_true", help="--scene fills the window, with pixels as at rest")
     parser.add_argument("--parts", nargs="+", help="tell only these parts of the story")
-    parser.add_argument("--limit", type=float, default=400, help="seconds until a hang is taken for one")
+    parser.add_argument("--limit", type=float, default=600, help="seconds until a hang is taken for one")
     parser.add_argument("--output", type=Path, default=ROOT / "out" / "desktop")
     argv = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
     return parser.parse_args(argv)
@@ -167,26 +167,33 @@ def views(folder):
 
 def lens(folder):
     """Depth of field in camera view, by both methods, and as it follows the focus distance."""
+    meter = Meter()
+    try:
+        yield from blurred(folder, meter)
+    finally:
+        meter.end()
+
+
+def blurred(folder, meter):
     _, area, _, space = viewport()
     view = space.region_3d
     scene = bpy.context.scene
     of = scene.camera.data.dof
     view.view_perspective = "CAMERA"
-    area.tag_redraw()
-    yield 2.0
+    yield from rest(meter, area)
     sharp = shoot(folder, "lens_off")
     of.use_dof, of.aperture_fstop, of.focus_distance = True, 0.1, 4.0
-    yield 4.0
+    yield from rest(meter, area)
     near = shoot(folder, "lens_near")
     check(difference(sharp, near) > 0.004, "depth of field blurs the camera view")
     of.focus_distance = 14.0
-    yield 4.0
+    yield from rest(meter, area)
     far = shoot(folder, "lens_far")
     check(difference(near, far) > 0.002, "the blur follows the focus distance")
     settings = scene.pointsplat
     samples_before, settings.viewport_samples = settings.viewport_samples, 32
     settings.dof_method = "LENS_SAMPLES"
-    yield 40.0  # the first samples show the scene a few times over, and a picture of the window begins anew
+    yield from rest(meter, area)
     samples = shoot(folder, "lens_samples")
     alike = difference(far, samples) < difference(sharp, samples) / 2
     check(alike, "both methods show the same blur")
