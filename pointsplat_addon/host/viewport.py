@@ -90,7 +90,7 @@ class Viewport:
         if self._coarse and frame is not before:
             wait(MAIN_GPU.renderer().device)
             self._pace.measured(time.perf_counter() - began)
-        _present(frame, camera)
+        _present(frame, camera, smooth=self._coarse and frame.frame_plan.request.camera.window != camera.window)
         engine.update_stats("", "")
         if more or self._coarse:
             engine.tag_redraw()
@@ -143,14 +143,14 @@ class Viewport:
         self._frame = None
 
 
-def _present(frame: Frame, camera: camera_module.Camera) -> None:
-    """Draw the frame into the region, at its border."""
+def _present(frame: Frame, camera: camera_module.Camera, smooth: bool) -> None:
+    """Draw the frame into the region, at its border; `smooth`: without showing the squares of coarser pixels."""
     import gpu
 
     x0, y0, width, height = camera.window
     before = gpu.state.viewport_get()
     gpu.state.viewport_set(before[0] + x0, before[1] + y0, width, height)
     try:
-        frame.present()
+        frame.present(smooth)
     finally:
         gpu.state.viewport_set(*before)

@@ -646,6 +646,16 @@ def test_an_unknown_surface_shows_the_viewport_colour_with_one_warning():
     assert "Sheen BSDF" in warnings[0]
 
 
+@pytest.mark.skipif(bpy.app.version >= (5, 0, 0), reason="Blender 5 has no materials without nodes")
+def test_a_material_without_nodes_is_lamberts_as_in_cycles():
+    plain = bpy.data.materials.new("plain")
+    plain.diffuse_color, plain.metallic, plain.specular_intensity = (0.3, 0.2, 0.1, 1), 0.5, 0.8
+    row = convert_material(plain)
+    assert row.constants["base_color"] == pytest.approx((0.3, 0.2, 0.1))
+    assert (*row.constants["specular"], *row.constants["metallic"]) == (0.0, 0.0)
+    assert not row.warnings
+
+
 def test_an_unknown_node_leaves_its_input_at_its_own_value():
     def build(tree):
         noise = node(tree, "ShaderNodeTexNoise").outputs[0]

@@ -28,7 +28,7 @@ def test_a_desktop_blender_draws_orbits_renders_cancels_reloads_and_quits(tmp_pa
     command = [*desktop_command(), "--factory-startup", "--python", script]
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(tmp_path)}
     process = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=420, check=False
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=630, check=False
     )
     output = process.stdout + process.stderr
     assert process.returncode == 0, output

@@ -1,7 +1,7 @@
 """Drive the add-on inside a desktop Blender with a window; the exit status tells whether all went well.
 
     blender --factory-startup --python tests/desktop/run.py [-- --zip dist/pointsplat-0.1.0.zip] [--output out/desktop]
-        [--scene FILE.blend]
+        [--scene FILE.blend [--full]] [--parts orbit views ...] [--limit SECONDS]
 
 Facts decide the exit status; times are printed as figures, because they are the machine's.
 Without --zip the checkout is registered as it lies. With --scene, a file is orbited in the Rendered viewport, and that
@@ -25,11 +25,15 @@ from pathlib import Path
 import bpy
 from mathutils import Euler, Quaternion
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender runs this file alone
+from handling import handling
+from orbit import Meter, orbit_file, rest
+from window import check, difference, problems, save_picture, say, shoot, viewport
+
 ROOT = Path(__file__).resolve().parents[2]
 EXTENSION = "bl_ext.user_default.pointsplat"
-LIMIT = 400  # seconds until a hang is taken for one
+NEED_BEFORE = "off", "undo", "load"  # parts that come back to how the viewport was
 
-problems = []
 events = {"complete": 0, "cancel": 0}
 
 
@@ -37,19 +41,12 @@ def arguments():
     parser = argparse.ArgumentParser(prog="run.py")
     parser.add_argument("--zip", type=Path, help="install this archive instead of registering the checkout")
     parser.add_argument("--scene", type=Path, help="orbit this file instead of telling the whole story")
+    parser.add_argument("--full", action="store_true", help="--scene fills the window, with pixels as at rest")
+    parser.add_argument("--parts", nargs="+", help="tell only these parts of the story")
+    parser.add_argument("--limit", type=float, default=600, help="seconds until a hang is taken for one")
     parser.add_argument("--output", type=Path, default=ROOT / "out" / "desktop")
     argv = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
     return parser.parse_args(argv)
-
-
-def say(text):
-    print(f"desktop: {text}", flush=True)
-
-
-def check(truth, fact):
-    say(f"{'ok' if truth else 'WRONG'}: {fact}")
-    if not truth:
-        problems.append(fact)
 
 
 # ---------------------------------------------------------------------------- the add-on
@@ -82,57 +79,6 @@ def install(archive):
 def registered():
     classes = bpy.types.RenderEngine.__subclasses__()
     return any(getattr(c, "bl_idname", "") == "POINTSPLAT" and c.is_registered for c in classes)
-
-
-# ---------------------------------------------------------------------------- the window
-
-
-def viewport():
-    """(window, area, region, space) of the 3D viewport."""
-    window = bpy.context.window_manager.windows[0]
-    area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
-    region = next(r for r in area.regions if r.type == "WINDOW")
-    return window, area, region, area.spaces.active
-
-
-def save_picture(path, area=None):
-    """Save a picture of Blender's window: with ImageMagick and xdotool where they are, else with Blender's operator.
-
-    Blender reads the front buffer, which is black on software OpenGL under X11.
-    """
-    if os.environ.get("DISPLAY") and shutil.which("import") and shutil.which("xdotool"):
-        search = ["xdotool", "search", "--onlyvisible", "--class", "blender"]
-        found = subprocess.run(search, capture_output=True, text=True, check=True).stdout.split()
-        subprocess.run(["import", "-window", found[0], str(path)], check=True)
-        return
-    window = bpy.context.window_manager.windows[0]
-    area = area or viewport()[1]
-    region = next(r for r in area.regions if r.type == "WINDOW")
-    with bpy.context.temp_override(window=window, screen=window.screen, area=area, region=region):
-        bpy.ops.screen.screenshot(filepath=str(path), check_existing=False)
-
-
-def shoot(folder, name):
-    """Save a picture of the window and return the viewport's pixels as rows of RGB triples, every eighth each way."""
-    region = viewport()[2]
-    path = folder / f"{name}.png"
-    save_picture(path)
-    image = bpy.data.images.load(str(path))
-    width = image.size[0]
-    pixels = image.pixels[:]
-    bpy.data.images.remove(image)
-    if not any(pixels[i] for i in range(0, len(pixels), 4)):
-        raise RuntimeError("pictures of the window are black here; install ImageMagick and xdotool")
-    return [
-        [pixels[(y * width + x) * 4 : (y * width + x) * 4 + 3] for x in range(region.x, region.x + region.width, 8)]
-        for y in range(region.y, region.y + region.height, 8)
-    ]
-
-
-def difference(a, b):
-    """Mean absolute difference of two such pictures, in display units from 0 to 1."""
-    pairs = [(p, q) for row, other in zip(a, b, strict=True) for p, q in zip(row, other, strict=True)]
-    return sum(abs(u - v) for p, q in pairs for u, v in zip(p, q, strict=True)) / (3 * len(pairs))
 
 
 def press_escape():
@@ -221,26 +167,33 @@ def views(folder):
 
 def lens(folder):
     """Depth of field in camera view, by both methods, and as it follows the focus distance."""
+    meter = Meter()
+    try:
+        yield from blurred(folder, meter)
+    finally:
+        meter.end()
+
+
+def blurred(folder, meter):
     _, area, _, space = viewport()
     view = space.region_3d
     scene = bpy.context.scene
     of = scene.camera.data.dof
     view.view_perspective = "CAMERA"
-    area.tag_redraw()
-    yield 2.0
+    yield from rest(meter, area)
     sharp = shoot(folder, "lens_off")
     of.use_dof, of.aperture_fstop, of.focus_distance = True, 0.1, 4.0
-    yield 4.0
+    yield from rest(meter, area)
     near = shoot(folder, "lens_near")
     check(difference(sharp, near) > 0.004, "depth of field blurs the camera view")
     of.focus_distance = 14.0
-    yield 4.0
+    yield from rest(meter, area)
     far = shoot(folder, "lens_far")
     check(difference(near, far) > 0.002, "the blur follows the focus distance")
     settings = scene.pointsplat
     samples_before, settings.viewport_samples = settings.viewport_samples, 32
     settings.dof_method = "LENS_SAMPLES"
-    yield 40.0  # the first samples show the scene a few times over, and a picture of the window begins anew
+    yield from rest(meter, area)
     samples = shoot(folder, "lens_samples")
     alike = difference(far, samples) < difference(sharp, samples) / 2
     check(alike, "both methods show the same blur")
@@ -447,50 +400,13 @@ def strands(folder):
     check(difference(grown, shoot(folder, "unconverted")) < 0.01, "after undo the viewport is as before")
 
 
-def orbit_file(folder, path):
-    """A file as its camera sees it, then from all around, in motion and at rest."""
-    bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
-    yield 1.0
-    bpy.context.scene.render.engine = "POINTSPLAT"
-    bpy.context.preferences.view.smooth_view = 0
-    window, area, region, space = viewport()
-    view = space.region_3d
-    space.overlay.show_overlays = False
-    view.view_perspective = "CAMERA"
-    space.shading.type = "RENDERED"
-    yield 20.0
-    pictures = [shoot(folder, f"{path.stem}_camera")]
-    view.view_perspective = "PERSP"
-    view.view_rotation = Euler((math.radians(78), 0, math.radians(-40))).to_quaternion()
-    bpy.ops.object.select_all(action="DESELECT")
-    for item in bpy.context.visible_objects:
-        item.select_set(item.type not in {"CAMERA", "LIGHT"})
-    with bpy.context.temp_override(window=window, area=area, region=region):
-        bpy.ops.view3d.view_selected()
-    frames = []
-    for step in range(24):
-        view.view_rotation = Euler((math.radians(78), 0, math.radians(15 * step - 40))).to_quaternion()
-        area.tag_redraw()
-        started = time.monotonic()
-        yield 0.05
-        frames.append(time.monotonic() - started)
-        if step % 6 == 0:
-            shoot(folder, f"{path.stem}_moving_{step:02d}")
-        if step % 6 == 5:
-            yield 8.0
-            pictures.append(shoot(folder, f"{path.stem}_still_{step:02d}"))
-    for i in range(1, len(pictures)):
-        check(difference(pictures[i - 1], pictures[i]) > 0.005, f"the viewport follows the orbit of {path.stem} ({i})")
-    say(f"figure: {sorted(frames)[len(frames) // 2]:.2f} s a step of the orbit in the median")
-
-
 def story(args):
     args.output.mkdir(parents=True, exist_ok=True)
     yield 1.0
     install(args.zip)
     check(registered(), "the engine is registered")
     if args.scene:
-        yield from orbit_file(args.output, args.scene)
+        yield from orbit_file(args.output, args.scene, args.full)
         return
     watch_renders()
     bpy.context.preferences.view.render_display_type = "NONE"  # F12 leaves the window as it is
@@ -505,18 +421,29 @@ def story(args):
     check(difference(solid, rendered) > 0.02, "Rendered looks different from Solid")
     colors = {tuple(round(c * 15) for c in pixel) for row in rendered for pixel in row}
     check(len(colors) > 12, f"the rendered viewport shows shaded objects ({len(colors)} coarse colours)")
-    yield from orbit(args.output)
-    yield from views(args.output)
-    yield from lens(args.output)
-    yield from budgets(args.output)
-    yield from final_render(args.output)
-    yield from cancelled_render()
-    yield 2.0
-    before = shoot(args.output, "before")
-    yield from off_and_on(args.output, args.zip, before)
-    yield from undo(args.output, before)
-    yield from save_and_load(args.output, before)
-    yield from strands(args.output)
+    before = []
+
+    def remember():
+        yield 2.0
+        before.append(shoot(args.output, "before"))
+
+    parts = {
+        "orbit": lambda: orbit(args.output),
+        "views": lambda: views(args.output),
+        "handling": lambda: handling(args.output),
+        "lens": lambda: lens(args.output),
+        "budgets": lambda: budgets(args.output),
+        "render": lambda: final_render(args.output),
+        "cancel": cancelled_render,
+        "off": lambda: off_and_on(args.output, args.zip, before[0]),
+        "undo": lambda: undo(args.output, before[0]),
+        "load": lambda: save_and_load(args.output, before[0]),
+        "strands": lambda: strands(args.output),
+    }
+    for name in args.parts or parts:
+        if name in NEED_BEFORE and not before:
+            yield from remember()
+        yield from parts[name]()
 
 
 def quit_blender():
@@ -533,7 +460,8 @@ def quit_blender():
 
 
 def main():
-    faulthandler.dump_traceback_later(LIMIT, exit=True)
+    args = arguments()
+    faulthandler.dump_traceback_later(args.limit, exit=True)
     bpy.context.preferences.view.show_splash = False  # in time: it is shown after this script
 
     # Blender prints what is raised in a draw callback and goes on; here it is a failure.
@@ -542,7 +470,7 @@ def main():
         traceback.print_exception(kind, value, trace)
 
     sys.excepthook = on_exception
-    steps = story(arguments())
+    steps = story(args)
 
     def tick():
         try:

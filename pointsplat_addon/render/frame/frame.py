@@ -332,8 +332,11 @@ class Frame:
         if self.adaptive is not None:
             self.adaptive.hold(self.frame_plan.padded(squares), limit)
 
-    def present(self) -> None:
-        """Draws the average so far and its depth into the bound framebuffer, within the current viewport."""
+    def present(self, smooth: bool = False) -> None:
+        """Draws the average so far and its depth into the bound framebuffer, within the current viewport.
+
+        `smooth`: where pixels are wider than the viewport's, colours change evenly between their centres.
+        """
         if self.frame_plan.trivial:
             self._present_constant()
             return
@@ -341,7 +344,8 @@ class Frame:
         adaptive = self.adaptive if self.out_of_focus is None else None
         counts = None if adaptive is None else adaptive.known
         camera = self.frame_plan.request.camera
-        present.draw_picture(self.device, camera, self.frame_plan.corner, self.color, weight, self._centre, counts)
+        corner, centre = self.frame_plan.corner, self._centre
+        present.draw_picture(self.device, camera, corner, self.color, weight, centre, counts, smooth=smooth)
 
     @property
     def _centre(self) -> Texture | None:

@@ -167,7 +167,7 @@ def _output_node(material: bpy.types.Material) -> bpy.types.Node | None:
 
 def _material_surface(material: bpy.types.Material, output: bpy.types.Node | None, tree: TreeReader) -> Surface:
     if output is None:
-        return Surface() if _node_tree(material) else _viewport_surface(material)
+        return Surface() if _node_tree(material) else _surface_without_nodes(material)
     if not output.inputs["Surface"].is_linked:
         # A volume has no surface of its own
         return Surface(alpha=ZERO) if output.inputs["Volume"].is_linked else Surface()
@@ -178,6 +178,13 @@ def _material_surface(material: bpy.types.Material, output: bpy.types.Node | Non
         tree.hair = None
         tree.warnings[:] = [f'Material "{material.name}": {reason}; its viewport colour is shown']
         return _viewport_surface(material)
+
+
+def _surface_without_nodes(material: bpy.types.Material) -> Surface:
+    """What Cycles makes of a material without nodes: Lambert's, of its viewport colour alone."""
+    return Surface(
+        base_color=input_nodes.Constant(tuple(material.diffuse_color)[:3]), specular=input_nodes.Constant((0.0,))
+    )
 
 
 def _viewport_surface(material: bpy.types.Material) -> Surface:

@@ -21,15 +21,19 @@ def present_block(surface: bool) -> Block:
     return block("Present", own, depth if surface else ())
 
 
-def present_program(surface: bool, adaptive: bool = False) -> Interface:
-    """Returns the program that draws the picture into the viewport. `surface`: something has a depth. `adaptive`:
-    pixels differ in how many samples they have (render/passes/tiles.py)."""
+def present_program(surface: bool, adaptive: bool = False, smooth: bool = False) -> Interface:
+    """Returns the program that draws the picture into the viewport.
+
+    `surface`: something has a depth. `adaptive`: pixels differ in how many samples they have (render/passes/tiles.py).
+    `smooth`: they are wider than the viewport's.
+    """
     named = {"ps_centre": surface, "ps_counts": adaptive}
     return Interface(
         "present", vertex="output/present.vert", fragment="output/present.frag", block=present_block(surface),
         samplers=(("FLOAT_2D", "ps_combined"), *(("FLOAT_2D", name) for name, on in named.items() if on)),
         varyings=(("smooth", "vec2", "v_uv"),), outputs=(("vec4", "out_color"),), depth=True,
-        defines=((("PS_SURFACES", "1"),) if surface else ()) + ((TILE_DEFINE,) if adaptive else ()),
+        defines=((("PS_SURFACES", "1"),) if surface else ()) + ((TILE_DEFINE,) if adaptive else ())
+        + ((("PS_SMOOTH", "1"),) if smooth else ()),
     )  # fmt: skip
 
 
@@ -42,17 +46,19 @@ def draw_picture(
     centre: Texture | None = None,
     counts: Texture | None = None,
     size: tuple[int, int] | None = None,
+    smooth: bool = False,
 ) -> None:
     """Draws a picture and its depth into the framebuffer that is bound, in the viewport that is set.
 
     `corner`: of the viewport in the texture `combined`. `sample_weight`: 1 over the samples in that. `centre`: of the
     G-buffer, where something has a depth. `counts`: samples of each tile, where they differ. `size`: of the viewport in
-    pixels; None: that of the camera's window.
+    pixels of the picture; None: that of the camera's window. `smooth`: these are wider than the viewport's, and colours
+    change evenly between their centres.
     """
     _, _, *window = camera.window
     m = camera.clip_from_view
     depth = {"clip_from_depth": (m[2, 2], m[2, 3], m[3, 2], m[3, 3])} if centre is not None else {}
-    program = present_program(centre is not None, counts is not None)
+    program = present_program(centre is not None, counts is not None, smooth)
     record = present_block(centre is not None).record(
         size=size or window, corner=corner, sample_weight=sample_weight, **depth
     )
