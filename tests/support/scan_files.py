@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pointsplat_addon.formats.points.e57_pages import PAGE, PAYLOAD, checksums
+from pointsplat_addon.formats.points.e57.pages import PAGE, PAYLOAD, checksums
 
 PLY_TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "u2": "ushort", "i4": "int", "i1": "char"}
 

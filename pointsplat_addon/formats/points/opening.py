@@ -9,7 +9,7 @@ from .reader import PointFileError, Reader
 
 
 def _las(path: Path) -> Reader:
-    from .las import LasReader
+    from .lidar.las import LasReader
 
     return LasReader(path)
 
@@ -27,31 +27,31 @@ def _pcd(path: Path) -> Reader:
 
 
 def _e57(path: Path) -> Reader:
-    from .e57 import E57Reader
+    from .e57.scans import E57Reader
 
     return E57Reader(path)
 
 
 def _ptx(path: Path) -> Reader:
-    from .ptx import PtxReader
+    from .text.ptx import PtxReader
 
     return PtxReader(path)
 
 
 def _text(path: Path) -> Reader:
-    from .text import TextReader
+    from .text.table import TextReader
 
     return TextReader(path)
 
 
 def _ept(path: Path) -> Reader:
-    from .ept import EptReader
+    from .lidar.ept import EptReader
 
     return EptReader(path)
 
 
 def _potree(path: Path) -> Reader:
-    from .potree import PotreeReader
+    from .lidar.potree import PotreeReader
 
     return PotreeReader(path)
 

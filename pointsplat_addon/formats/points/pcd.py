@@ -6,6 +6,7 @@ Organised clouds hold NaN where a camera saw nothing. Fields `rgb` and `rgba` ho
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 
 from .columns import assemble, attributes_of
 from .reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
-from .text_rows import TextRows
+from .text.rows import TextRows
 
 LONGEST_HEADER = 1 << 16  # bytes
 TYPES = {
@@ -105,14 +106,17 @@ class PcdReader(FileReader):
             raise PointFileError(path, "needs the library python-neo-lzf, which the extension brings") from None
         with path.open("rb") as file:
             file.seek(header.size)
-            sizes = np.frombuffer(file.read(8), "<u4")
-            packed, unpacked = (int(n) for n in sizes) if len(sizes) == 2 else (0, 0)
+            sizes = file.read(8)
+            packed, unpacked = struct.unpack("<II", sizes) if len(sizes) == 8 else (0, 0)
             there = path.stat().st_size - header.size - 8
             wanted = header.count * header.record.itemsize
             if packed > there or unpacked < wanted or unpacked > COMPRESSION * packed + 64:
                 raise PointFileError(path, f"promises {packed:,} bytes that hold {unpacked:,}, and has {there:,}")
             data = file.read(packed)
-        bytes_of_fields = lzf.decompress(data, unpacked) if packed else b""
+        try:
+            bytes_of_fields = lzf.decompress(data, unpacked) if packed else b""
+        except ValueError:
+            bytes_of_fields = None
         if bytes_of_fields is None or len(bytes_of_fields) != unpacked:
             raise PointFileError(path, f"is damaged after byte {header.size + 8:,}: its LZF data cannot be unpacked")
         records = np.empty(header.count, header.record)

@@ -13,7 +13,7 @@ import numpy as np
 
 from .columns import assemble, attributes_of
 from .reader import CHUNK, Columns, FileReader, Header, PointFileError, origin_of
-from .text_rows import TextRows
+from .text.rows import TextRows
 
 LONGEST_HEADER = 1 << 18  # bytes
 TYPES = {

@@ -169,7 +169,7 @@ def _draw_columns(layout: bpy.types.UILayout, filepath: str) -> None:
     path = Path(bpy.path.abspath(filepath)) if filepath else None
     if path is None or path.suffix.lower() not in (".xyz", ".txt", ".asc", ".csv", ".pts") or not path.is_file():
         return
-    from ...formats.points.text import guess
+    from ...formats.points.text.table import guess
 
     try:
         layout.label(text=f"Columns: {guess(path)}")

@@ -7,8 +7,8 @@ import struct
 import numpy as np
 import pytest
 
-from pointsplat_addon.formats.points.e57_pages import checksums
-from pointsplat_addon.formats.points.e57_records import unpacked
+from pointsplat_addon.formats.points.e57.pages import checksums
+from pointsplat_addon.formats.points.e57.records import unpacked
 from pointsplat_addon.formats.points.opening import open_points
 from pointsplat_addon.formats.points.reader import PointFileError
 from tests.support.scan_files import packed_integers, write_e57

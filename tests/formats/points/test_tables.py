@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.formats.points.opening import open_points
 from pointsplat_addon.formats.points.ply import kind_of
 from pointsplat_addon.formats.points.reader import PointFileError
-from pointsplat_addon.formats.points.text import guess
+from pointsplat_addon.formats.points.text.table import guess
 from tests.support.scan_files import write_pcd, write_ply
 
 
@@ -115,7 +115,7 @@ def test_lines_that_are_no_points_are_left_out_and_counted(tmp_path):
 
 
 def test_text_is_read_in_blocks(tmp_path, monkeypatch):
-    from pointsplat_addon.formats.points import text_rows
+    from pointsplat_addon.formats.points.text import rows as text_rows
 
     monkeypatch.setattr(text_rows, "BLOCK", 100)
     given = np.random.default_rng(1).normal(size=(500, 3))

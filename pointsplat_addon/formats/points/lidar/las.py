@@ -9,17 +9,20 @@ import struct
 from collections.abc import Collection, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from .columns import STANDARD, normalised
-from .reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
+from ..columns import STANDARD, normalised
+from .laz_check import check_chunks
+from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
 
 if TYPE_CHECKING:
     from laspy import LasReader as LaspyReader
 
-SMALLEST_HEADER, RECORD_HEADER = 227, 54  # bytes of LAS 1.0's header, and of a variable length record's
+SMALLEST_HEADER = 227  # bytes of LAS 1.0's header
+RECORD_HEADER, EXTENDED_HEADER = 54, 60  # bytes before a variable length record, and before one behind the points
+LASZIP = 22204  # the record of LASzip
 GPS_START = 1e9  # seconds that "adjusted standard" GPS time leaves out
 COORDINATES = {"X", "Y", "Z"}
 COLORS = ("red", "green", "blue")
@@ -79,7 +82,16 @@ class LasReader(FileReader):
         except ImportError:
             raise PointFileError(self._path, "needs the library laspy, which the extension brings") from None
         backend = laspy.LazBackend.LazrsParallel if threads else laspy.LazBackend.Lazrs
-        return self._guarded(lambda: laspy.open(self._file, laz_backend=backend, closefd=False))
+        found = self._guarded(lambda: laspy.open(self._file, laz_backend=backend, closefd=False))
+        header = found.header
+        if header.are_points_compressed and header.point_count:
+            records = [r for r in header.vlrs if r.user_id == "laszip encoded" and r.record_id == LASZIP]
+            if not records:
+                raise PointFileError(self._path, "has compressed points, and no record that says how")
+            start, length = header.offset_to_point_data, header.point_format.size
+            check_chunks(self._path, self._file, start, length, self._guarded(records[0].record_data_bytes))
+            self._file.seek(start)
+        return found
 
     def _guarded(self, read: Any) -> Any:
         """What `read` returns. Raises PointFileError for all that laspy and lazrs raise, also panics of the latter,
@@ -159,3 +171,16 @@ def _check_header(path: Path) -> int | None:
     if length == 0:
         raise PointFileError(path, "has points of no bytes")
     return (size - start) // length
+
+
+def _check_extended(path: Path, file: BinaryIO, first: int, count: int, size: int) -> None:
+    """Compares the records behind the points with the file."""
+    if count and (first > size or EXTENDED_HEADER * count > size - first):
+        raise PointFileError(path, f"promises {count:,} records behind its points, for which there is no room")
+    at = first
+    for _ in range(count):
+        file.seek(at)
+        record = file.read(EXTENDED_HEADER)
+        at += EXTENDED_HEADER + (struct.unpack_from("<Q", record, 20)[0] if len(record) == EXTENDED_HEADER else size)
+        if at > size:
+            raise PointFileError(path, f"has a record behind its points that ends at byte {at:,} of {size:,}")

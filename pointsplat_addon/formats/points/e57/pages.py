@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .reader import PointFileError
+from ..reader import PointFileError
 
 PAGE, PAYLOAD = 1024, 1020  # bytes
 WINDOW = 4096  # pages that are checked at once

@@ -13,10 +13,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from .columns import STANDARD, normalised
-from .e57_pages import Pages
-from .e57_records import Field, records
-from .reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
+from ..columns import STANDARD, normalised
+from .pages import Pages
+from .records import Field, records
+from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
 
 CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")

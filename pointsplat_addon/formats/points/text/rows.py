@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .reader import PointFileError
+from ..reader import PointFileError
 
 BLOCK = 1 << 24  # bytes
 BLANK = bytes.maketrans(b",;\t\r\"'", b"      ")  # what stands between numbers becomes a blank

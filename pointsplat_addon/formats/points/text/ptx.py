@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
-from .text_rows import TextRows
+from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
+from .rows import TextRows
 
 HEAD = 10  # lines
 LONGEST_LINE = 4096  # bytes

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .columns import assemble, attributes_of, distinct
-from .reader import CHUNK, Columns, FileReader, Header, PointFileError, origin_of
-from .text_rows import BLANK, NUMERIC, TextRows, blocks, tokens_of_lines
+from ..columns import assemble, attributes_of, distinct
+from ..reader import CHUNK, Columns, FileReader, Header, PointFileError, origin_of
+from .rows import BLANK, NUMERIC, TextRows, blocks, tokens_of_lines
 
 SAMPLE = 1 << 16  # bytes from which columns are guessed
 MOST_NAMED_LINES = 64  # lines among which one of names may be

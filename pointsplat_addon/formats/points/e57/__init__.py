@@ -1,0 +1,1 @@
+"""E57: pages, records, scans."""

@@ -1,0 +1,1 @@
+"""LAS, LAZ and COPC, and octrees of files."""

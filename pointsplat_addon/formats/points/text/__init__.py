@@ -1,0 +1,1 @@
+"""Scans as text: a point a line."""

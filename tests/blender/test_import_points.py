@@ -1,0 +1,138 @@
+"""Scans imported by the operator: objects, attributes, where they lie on the map, looks, and what is refused."""
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+import pointsplat_addon
+from pointsplat_addon.formats.points.gather import Selection
+from pointsplat_addon.host.scans import looks
+from pointsplat_addon.host.scans.importing import import_scan
+from tests.support.scan_files import write_ply
+
+FAR = np.array([5_000_123.0, 400_456.0, 100.0])
+
+
+@pytest.fixture(autouse=True)
+def empty_scene():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    pointsplat_addon.register()
+    yield
+    pointsplat_addon.unregister()
+
+
+def scan_file(path, count=500, far=FAR):
+    random = np.random.default_rng(count)
+    found = np.zeros(count, [("x", "f8"), ("y", "f8"), ("z", "f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
+                             ("intensity", "u2"), ("classification", "u1"), ("quality", "f4")])  # fmt: skip
+    for axis, offset in zip("xyz", far, strict=True):
+        found[axis] = offset + random.uniform(-50, 50, count)
+    for name in ("red", "green", "blue", "intensity", "classification", "quality"):
+        found[name] = random.integers(1, 200, count)
+    write_ply(path, found, "binary_little_endian")
+    return found
+
+
+def positions(ob):
+    found = np.empty(3 * len(ob.data.points), np.float32)
+    ob.data.attributes["position"].data.foreach_get("vector", found)
+    return found.reshape(-1, 3)
+
+
+def test_a_scan_becomes_a_point_cloud_with_its_attributes(tmp_path):
+    given = scan_file(tmp_path / "a.ply")
+    assert bpy.ops.pointsplat.import_points(filepath=str(tmp_path / "a.ply")) == {"FINISHED"}
+    ob = bpy.context.object
+    assert (ob.type, len(ob.data.points)) == ("POINTCLOUD", 500)
+    kinds = {a.name: a.data_type for a in ob.data.attributes}
+    assert kinds["Col"] == "BYTE_COLOR"
+    assert kinds["intensity"] == "INT"
+    assert kinds["quality"] == "FLOAT"
+    color = np.array([item.color_srgb[:3] for item in ob.data.attributes["Col"].data])
+    expected = np.stack([given[name] for name in ("red", "green", "blue")], axis=1) / 255
+    np.testing.assert_allclose(color, expected, atol=1e-6)
+    radius = np.array([item.value for item in ob.data.attributes["radius"].data])
+    assert radius[0] > 0
+    assert (radius == radius[0]).all()
+
+
+def test_map_coordinates_come_back_to_a_millimetre(tmp_path):
+    given = scan_file(tmp_path / "a.ply")
+    bpy.ops.pointsplat.import_points(filepath=str(tmp_path / "a.ply"))
+    ob = bpy.context.object
+    found = positions(ob).astype(np.float64) + np.array(ob["pointsplat_origin"])
+    expected = np.stack([given[axis] for axis in "xyz"], axis=1)
+    assert np.abs(found - expected).max() < 3.1e-5  # measured 3.0e-5: half a unit in the last place of 500 m
+
+
+def test_scans_of_one_scene_share_its_origin(tmp_path):
+    scan_file(tmp_path / "a.ply")
+    scan_file(tmp_path / "b.ply", 300, FAR + [7_000, -2_000, 0])
+    scan_file(tmp_path / "local.ply", 200, np.zeros(3))
+    objects = []
+    for name in ("a", "b", "local"):
+        bpy.ops.pointsplat.import_points(filepath=str(tmp_path / f"{name}.ply"))
+        objects.append(bpy.context.object)
+    scene = bpy.context.scene
+    shared = np.array([scene["crs x"], scene["crs y"]])
+    for ob in objects[:2]:
+        np.testing.assert_array_equal(shared + ob.location[:2], np.array(ob["pointsplat_origin"])[:2])
+    assert tuple(objects[2].location) == (0, 0, 0)  # coordinates near zero are no map's
+
+
+def test_several_files_become_one_object(tmp_path):
+    scan_file(tmp_path / "a.ply")
+    scan_file(tmp_path / "b.ply", 300)
+    files = [{"name": "a.ply"}, {"name": "b.ply"}]
+    bpy.ops.pointsplat.import_points(directory=str(tmp_path), files=files)
+    assert len(bpy.context.object.data.points) == 800
+
+
+def test_points_are_chosen(tmp_path):
+    given = scan_file(tmp_path / "a.ply")
+    bpy.ops.pointsplat.import_points(filepath=str(tmp_path / "a.ply"), classes="2, 6, 7", attributes="NONE")
+    ob = bpy.context.object
+    assert len(ob.data.points) == np.isin(given["classification"], (2, 6, 7)).sum()
+    assert "Col" not in ob.data.attributes
+
+
+@pytest.mark.parametrize("look", [key for key in looks.LOOKS if key not in ("RETURN", "TIME", "SOURCE", "ATTRIBUTE")])
+def test_looks_are_materials_of_attributes(tmp_path, look):
+    scan_file(tmp_path / "a.ply")
+    bpy.ops.pointsplat.import_points(filepath=str(tmp_path / "a.ply"))
+    assert bpy.ops.pointsplat.scan_look(look=look) == {"FINISHED"}
+    [material] = bpy.context.object.data.materials
+    names = [node.attribute_name for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeAttribute"]
+    own = looks.LOOKS[look][0]
+    assert names == ([] if own is None else [own])
+
+
+def test_what_is_refused_is_named_and_leaves_nothing(tmp_path):
+    (tmp_path / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 5\nend_header\n")
+    before = len(bpy.data.objects), len(bpy.data.pointclouds), len(bpy.data.meshes)
+    with pytest.raises(RuntimeError, match=r"broken\.ply: has no columns x, y and z"):
+        bpy.ops.pointsplat.import_points(filepath=str(tmp_path / "broken.ply"))
+    with pytest.raises(RuntimeError, match=r"missing\.ply"):
+        bpy.ops.pointsplat.import_points(filepath=str(tmp_path / "missing.ply"))
+    assert (len(bpy.data.objects), len(bpy.data.pointclouds), len(bpy.data.meshes)) == before
+
+
+def test_an_import_that_is_closed_leaves_nothing(tmp_path):
+    scan_file(tmp_path / "a.ply")
+    work = import_scan(bpy.context, [tmp_path / "a.ply"], Selection())
+    next(work)
+    work.close()
+    assert len(bpy.data.objects) == 0
+    assert len(bpy.data.pointclouds) == 0
+
+
+def test_a_scan_survives_saving(tmp_path):
+    scan_file(tmp_path / "a.ply")
+    bpy.ops.pointsplat.import_points(filepath=str(tmp_path / "a.ply"))
+    origin, first = list(bpy.context.object["pointsplat_origin"]), positions(bpy.context.object)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    ob = bpy.data.objects["a"]
+    assert list(ob["pointsplat_origin"]) == origin
+    np.testing.assert_array_equal(positions(ob), first)
