@@ -5,6 +5,7 @@
 #include "lib/data/store.glsl"
 #include "lib/data/pack.glsl"
 #include "lib/geometry/instance.glsl"
+#include "lib/visibility/block.glsl"
 #include "lib/visibility/leader.glsl"
 
 // The point, as lib/data/polygon.glsl wants it.
@@ -13,6 +14,11 @@ vec2 v_uv;
 vec4 v_color;
 vec2 v_surface;
 vec3 v_emission;
+
+#ifdef PS_BLOCKS
+int material_row;
+#define PS_MATERIAL material_row
+#endif
 
 #include "lib/data/polygon.glsl"
 
@@ -75,6 +81,14 @@ void main()
 {
   PsLeader leader = ps_leader(ivec2(gl_FragCoord.xy));
   int number = leader.index - u.first_id;
+#if defined(PS_BLOCKS)
+  if (number < 0 || number >= u.triangles) {
+    discard;
+  }
+  vec4 block = ps_block(number);
+  int slot = int(block.z), triangle = int(block.x) + (number & PS_BLOCK_MASK);
+  material_row = int(block.w);
+#else
 #ifdef PS_ONE_INSTANCE
   int slot = 0, triangle = number;  // software renderers divide integers one by one
   bool there = number >= 0 && number < u.triangles;
@@ -86,6 +100,7 @@ void main()
   if (!there || !mine) {
     discard;
   }
+#endif
   ivec2 texels[3] = ivec2[3](ps_texel(3 * triangle), ps_texel(3 * triangle + 1), ps_texel(3 * triangle + 2));
   vec4 corners[3];
   vec3 p[3];
@@ -114,7 +129,7 @@ void main()
                weights.y * texelFetch(ps_corner_emission, texels[1], 0).rgb +
                weights.z * texelFetch(ps_corner_emission, texels[2], 0).rgb;
 #endif
-  float material = float(u.material);
+  float material = float(PS_MATERIAL);
   PsSurfel s = ps_empty();
   s.centre = vec4(-leader.position.z, 0.0, 0.0, PS_POLYGON);
 #ifdef PS_ONE_INSTANCE
@@ -153,8 +168,16 @@ void main()
   int members = spanned > PS_MAGNIFIED ? PS_SUB_SAMPLES : 0;
   for (int i = 0; i < members; i++) {
     ivec2 cell = middle + cells[i];
-    int other = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id - slot * u.triangles;
-    if (ps_group(codes, i) == uint(leader.layer) && other >= u.first_triangle && other < u.last_triangle) {
+    int other = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id;
+#ifdef PS_BLOCKS
+    vec4 other_block = ps_block(clamp(other, 0, u.triangles - 1));
+    bool like = other >= 0 && other < u.triangles && int(other_block.z) == slot;
+    other = int(other_block.x) + (other & PS_BLOCK_MASK);
+#else
+    other -= slot * u.triangles;
+    bool like = other >= u.first_triangle && other < u.last_triangle;
+#endif
+    if (ps_group(codes, i) == uint(leader.layer) && like) {
       float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
       v_uv = ps_uv_at(slot, other, ps_view_from_pixel(vec2(leader.pixel) + 0.5 + offsets[i], d));
       PsSurfel one = ps_empty();

@@ -45,7 +45,12 @@ void main()
   normal = gl_FrontFacing ? v_normal : -v_normal;  // as the triangle is shaded
 #endif
   out_id = PS_RASTERISED | v_id;
-  out_key = ps_surface_key(int(v_about.x), u.material, normal);
+#ifdef PS_BLOCKS
+  int material = int(v_about.z);
+#else
+  int material = u.material;
+#endif
+  out_key = ps_surface_key(int(v_about.x), material, normal);
 #endif
   gl_FragDepth = ps_buffer_depth(d);
 }

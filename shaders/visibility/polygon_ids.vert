@@ -1,8 +1,10 @@
 // Triangles of one material of all instances of a mesh, corner by corner from textures, into the cells of sub-samples.
-// PS_DEPTH_ONLY: which triangle it is does not matter. PS_LISTED: only those that a list names, counted through the instances.
+// PS_BLOCKS: those of many meshes and materials. PS_DEPTH_ONLY: which triangle it is does not matter. PS_LISTED: only those that
+// a list names, counted through the instances.
 
 #include "lib/geometry/instance.glsl"
 #include "lib/data/pack.glsl"
+#include "lib/visibility/block.glsl"
 #include "lib/visibility/lattice.glsl"
 #ifdef PS_CUT
 #include "lib/visibility/cut.glsl"
@@ -15,7 +17,13 @@ void main()
 #else
   int number = gl_VertexID;
 #endif
-#ifdef PS_ONE_INSTANCE
+#if defined(PS_BLOCKS)
+  int triangle = number / 3, in_block = triangle & PS_BLOCK_MASK;
+  vec4 block = ps_block(triangle);
+  // Those that a block lacks have one corner, thrice.
+  bool there = in_block < int(block.y);
+  int slot = int(block.z), corner_index = 3 * (int(block.x) + (there ? in_block : 0)) + (there ? number - 3 * triangle : 0);
+#elif defined(PS_ONE_INSTANCE)
   int slot = 0, corner_index = u.first + number;
 #else
   int slot = u.first_slot + number / u.corners, corner_index = u.first + number % u.corners;
@@ -40,14 +48,23 @@ void main()
 #endif
 #endif
 #ifdef PS_CUT
+#ifdef PS_BLOCKS
+  v_cut = ps_cut_of(corner_index / 3 - int(ps_instance_row(slot, 3).w), instance);
+#else
   v_cut = ps_cut_of(corner_index / 3, instance);
 #endif
+#endif
 #ifndef PS_DEPTH_ONLY
+#if defined(PS_BLOCKS)
+  v_id = uint(u.first_id + triangle);
+  v_about = vec3(instance, ps_instance_row(slot, 3).z, block.w);
+#else
   v_id = uint(u.first_id) + uint(slot) * uint(u.triangles) + uint(corner_index) / 3u;
 #ifdef PS_ONE_INSTANCE
   v_about = vec2(instance, u.mirrored);
 #else
   v_about = vec2(instance, ps_instance_row(slot, 3).z);
+#endif
 #endif
 #endif
   gl_Position = ps_cell_clip(ps_clip_from_view(v_position));

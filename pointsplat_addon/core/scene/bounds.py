@@ -24,8 +24,8 @@ def bounding_box(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The corners (8, 3) of the box between two opposite corners (3,)."""
-    return np.stack([np.where(which, high, low) for which in np.ndindex(2, 2, 2)])
+    """The corners (..., 8, 3) of the boxes between two opposite corners (..., 3)."""
+    return np.stack([np.where(which, high, low) for which in np.ndindex(2, 2, 2)], axis=-2)
 
 
 def used_positions(mesh: Mesh) -> np.ndarray:

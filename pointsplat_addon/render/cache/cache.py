@@ -55,11 +55,13 @@ class Cache:
     def trim(self, in_use: Set[Key] = frozenset()) -> None:
         """Drops items that are not `in_use`, least recently used first, until the rest fits the limit."""
         with self._lock:
+            if self.nbytes <= self.limit:
+                return  # before the keys are listed: each of many small items would list all of them
             for key in list(self._items):
-                if self.nbytes <= self.limit:
-                    return
                 if key not in in_use:
                     self.drop({key})
+                    if self.nbytes <= self.limit:
+                        return
 
     def drop(self, keys: Set[Key]) -> None:
         """Drops the items of these keys."""

@@ -76,6 +76,7 @@ class Kind(Enum):
     TRANSLUCENT_PAGE = auto()
     STRAND_PAGE = auto()
     POLYGON_MESH = auto()
+    POLYGON_PAGE = auto()  # of many small meshes
     TEXTURES = auto()  # of a material graph
     ENVIRONMENT = auto()
     ENVIRONMENT_LEVELS = auto()

@@ -1,8 +1,12 @@
 // What a polygon's material is at a point of it. The including shader knows the point's v_uv, v_color, v_surface and
-// v_emission, as varyings or as globals.
+// v_emission, as varyings or as globals. PS_MATERIAL: the row of its material, where that is no uniform.
 
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/pack.glsl"
+
+#ifndef PS_MATERIAL
+#define PS_MATERIAL u.material
+#endif
 
 #ifdef PS_UV
 // Where a picture over the unit square holds what lies at a texel inside or beyond it. PS_PICTURE_BORDER: it has so many texels
@@ -126,7 +130,7 @@ void ps_polygon_attributes(inout PsSurfel s)
 #elif defined(PS_CORNER_COLOR)
   s.color.rgb = v_color.rgb;
 #else
-  s.color.rgb = texelFetch(ps_materials, ivec2(0, u.material), 0).rgb;
+  s.color.rgb = texelFetch(ps_materials, ivec2(0, PS_MATERIAL), 0).rgb;
 #endif
 #endif
 #ifdef PS_SURFACE
@@ -135,7 +139,7 @@ void ps_polygon_attributes(inout PsSurfel s)
 #elif defined(PS_CORNER_SURFACE)
   vec2 surface = v_surface;
 #else
-  vec2 surface = texelFetch(ps_materials, ivec2(2, u.material), 0).yz;
+  vec2 surface = texelFetch(ps_materials, ivec2(2, PS_MATERIAL), 0).yz;
 #endif
   s.normal.w = surface.x;
   s.color.w = surface.y;
@@ -147,7 +151,7 @@ void ps_polygon_attributes(inout PsSurfel s)
 #elif defined(PS_CORNER_EMISSION)
   s.emission = vec4(v_emission, 0.0);
 #else
-  s.emission = vec4(texelFetch(ps_materials, ivec2(1, u.material), 0).rgb, 0.0);
+  s.emission = vec4(texelFetch(ps_materials, ivec2(1, PS_MATERIAL), 0).rgb, 0.0);
 #endif
 #endif
 }

@@ -1,5 +1,6 @@
 // Instances, and pages of 4,096-wide textures. PS_ONE_INSTANCE: its matrix is a uniform; else `ps_instances` has three
-// rows for each, and a fourth: holdout, scale of lengths (only of strands). Layout: render/passes/image_space/projection.py.
+// rows for each, and a fourth: holdout, scale of lengths (only of strands); of polygons see render/passes/visibility/polygon_draw.py.
+// Layout: render/passes/image_space/projection.py.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/direction.glsl"
@@ -33,9 +34,9 @@ vec4 ps_instance_row(int instance, int row)
 
 vec3 ps_view_from_point(int instance, vec3 p)
 {
-  vec4 q = vec4(p, 1.0);
-  return vec3(dot(ps_instance_row(instance, 0), q), dot(ps_instance_row(instance, 1), q),
-              dot(ps_instance_row(instance, 2), q));
+  vec4 x = ps_instance_row(instance, 0), y = ps_instance_row(instance, 1), z = ps_instance_row(instance, 2);
+  // In the order of a product with a matrix: one instance alone then lies where it lies among others, to the last bit.
+  return vec3(x.x, y.x, z.x) * p.x + vec3(x.y, y.y, z.y) * p.y + vec3(x.z, y.z, z.z) * p.z + vec3(x.w, y.w, z.w);
 }
 
 mat3 ps_linear(int instance)

@@ -53,7 +53,7 @@ class CasterUploads:
         )
         try:
             self.points = PointUploads(self._scope, self.scene, self.prepared, self.plan)
-            self.polygons = PolygonUploads(self._scope, store, self.scene, self.prepared, self.plan)
+            self.polygons = PolygonUploads(self._scope, store, self.scene, self.prepared, self.plan, scene)
         except Exception:
             self.release()
             raise
@@ -68,6 +68,13 @@ class CasterUploads:
             matrices = instances.world_from_object[shown[here]]
             local = box_corners(*mesh.box) + mesh.origin
             corners[here] = np.einsum("iab,cb->ica", matrices[:, :3, :3], local) + matrices[:, None, :3, 3]
+        for paged in self.polygons.pages:
+            member = paged.member[instances.geometry[shown]]
+            here = member >= 0
+            matrices, member = instances.world_from_object[shown[here]], member[here]
+            low, high = np.moveaxis(paged.page.box[member] + paged.page.origin[member, None], 1, 0)
+            local = box_corners(low, high)
+            corners[here] = np.einsum("iab,icb->ica", matrices[:, :3, :3], local) + matrices[:, None, :3, 3]
         return corners
 
     def look_from(self, view: SampleView) -> None:

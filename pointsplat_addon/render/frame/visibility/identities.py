@@ -8,14 +8,14 @@ from ...device.protocol import EMPTY, Device
 from ...passes.pages.point_page import PageDraw
 from ...passes.strands.strand_ids import StrandKind
 from ...passes.visibility.buffer import RASTERISED, VisibilityBuffer
-from ...passes.visibility.polygon_ids import PolygonDraw
+from ...passes.visibility.polygon_draw import Drawn
 
 
 def identities(
     device: Device,
     buffer: VisibilityBuffer,
     splats: list[PageDraw],
-    polygons: list[PolygonDraw],
+    polygons: list[Drawn],
     strands: list[StrandKind],
 ) -> np.ndarray:
     """Returns the instance and the material of each sub-sample of each pixel, (S, H, W, 2) int32; -1: there is none."""
@@ -29,11 +29,7 @@ def identities(
     for draw in polygons:
         local = number - draw.first_id
         mine = (ids != EMPTY) & (local >= 0) & (local < draw.triangles)
-        slot, triangle = np.divmod(local[mine], draw.mesh.triangles)
-        starts = np.array([group.first // 3 for group in draw.mesh.groups])
-        materials = np.array([group.material for group in draw.mesh.groups])
-        group = np.searchsorted(starts, triangle, side="right") - 1
-        found[mine] = np.stack([draw.instance[slot], materials[group]], axis=1)
+        found[mine] = draw.identify(local[mine])
     for draw in strands:
         local = number - draw.first_id
         mine = (ids != EMPTY) & (ids & RASTERISED != 0) & (local >= 0) & (local < draw.count)

@@ -11,7 +11,8 @@ from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, SampleView, Values, block
 from ..visibility.buffer import DEPTH_OUTPUT, LATTICE_FIELDS, DepthBuffer
-from ..visibility.polygon_ids import PolygonDepths, PolygonDraw, depths_program
+from ..visibility.polygon_draw import Drawn
+from ..visibility.polygon_ids import PolygonDepths, depths_program
 from ..visibility.polygon_mesh import Group
 from ..visibility.small_triangles import group_fields
 
@@ -49,7 +50,7 @@ def pane_program(first: bool, lattice: Lattice, group: Group, one: bool) -> Inte
 class PaneLayers(PolygonDepths):
     """Draws panes layer by layer."""
 
-    def __init__(self, device: Device, draws: list[PolygonDraw], buffer: PaneBuffer, through: np.ndarray) -> None:
+    def __init__(self, device: Device, draws: list[Drawn], buffer: PaneBuffer, through: np.ndarray) -> None:
         """`draws`: all of the rasteriser. through: (M,) float32, share of light that each material lets through."""
         super().__init__(device, draws, buffer)
         self._through = through
@@ -71,11 +72,9 @@ class PaneLayers(PolygonDepths):
         self._before = {} if before is None else {"before": before, "height": height}
         self.rasterise(view, shared if before is None else {**shared, "ps_before": layers})
 
-    def _raster_program(self, draw: PolygonDraw, group: Group, listed: bool) -> Interface:
-        return pane_program(not self._before, self._depths.lattice, group, draw.slots == 1)
+    def _raster_program(self, draw: Drawn, group: Group, listed: bool) -> Interface:
+        return pane_program(not self._before, self._depths.lattice, group, draw.one)
 
-    def _record(
-        self, program: Interface, draw: PolygonDraw, group: Group, view: SampleView, **own: object
-    ) -> np.ndarray:
+    def _record(self, program: Interface, draw: Drawn, group: Group, view: SampleView, **own: object) -> np.ndarray:
         through = float(self._through[group.material])
         return super()._record(program, draw, group, view, through=through, **self._before, **own)

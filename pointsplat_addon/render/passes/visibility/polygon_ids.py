@@ -9,12 +9,12 @@ import numpy as np
 
 from ....core.numeric.lattice import Lattice
 from ....shading.interface import Block, Interface
-from ...device.packing import PAGE_WIDTH, paged
+from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..grouping.groups import Groups, Leaders
 from ..shading.lighting import SAMPLE_FIELDS
-from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, RECTANGLE_FIELDS, Fields, SampleView, Values, block
+from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, RECTANGLE_FIELDS, Fields, SampleView, block
 from .buffer import (
     DEPTH_ONLY_DEFINE,
     DEPTH_OUTPUT,
@@ -27,68 +27,25 @@ from .buffer import (
     rank_defines,
     sub_sample_defines,
 )
-from .polygon_mesh import CORNERS, Group, PolygonMesh, define_entries
+from .polygon_draw import Drawn
+from .polygon_mesh import BLOCK_DEFINES, CORNERS, Group, define_entries
 from .polygons import CUT_VARYING, needed_defines
 from .small_triangles import LIST_SAMPLER, LISTED, group_fields, is_cut, triangle_program
 
 MOST_VERTICES = 1 << 26  # of one draw
 AVERAGE_DEFINE = ("PS_AVERAGE", "1")  # pictures are averaged over sub-samples
+ID_FIELDS: Fields = (("int", "first_id"),)  # number of the first triangle of the first instance
 MESH_FIELDS: Fields = (
     ("int", "material"),
-    ("int", "first_id"),  # number of the first triangle of the first instance
+    *ID_FIELDS,
     ("int", "triangles"),  # of the mesh
 )
 
 
-class PolygonDraw:
-    """All instances of one mesh that a view shows: slots, of which each has the number of a mesh's triangles."""
-
-    def __init__(
-        self,
-        device: Device,
-        mesh: PolygonMesh,
-        instance: np.ndarray,
-        view_from_object: np.ndarray,
-        holdout: np.ndarray,
-        first_id: int,
-        small: bool,
-    ) -> None:
-        """instance: (I,) int. view_from_object: (I, 4, 4) float64, from positions relative to the mesh's origin.
-        holdout: (I,) bool. `small`: most triangles cover few cells.
-        """
-        self.mesh, self.first_id, self.slots, self.small = mesh, first_id, len(instance), small
-        self.instance = instance
-        mirrored = np.linalg.det(view_from_object[:, :3, :3]) < 0
-        self.textures: dict[str, Texture] = {}
-        self.values: Values = {}
-        if self.slots == 1:
-            self.values = {
-                "view_from_object": view_from_object[0],
-                "instance": int(instance[0]),
-                "holdout": bool(holdout[0]),
-                "mirrored": bool(mirrored[0]),
-            }
-            return
-        rows = np.zeros((self.slots, 4, 4), np.float32)
-        rows[:, :3] = view_from_object[:, :3]
-        rows[:, 3, :3] = np.stack([holdout, instance, mirrored], axis=1)
-        size, data = paged(rows.reshape(-1, 4), 4)
-        self.textures["ps_instances"] = device.texture(size, "RGBA32F", data)
-
-    @property
-    def triangles(self) -> int:
-        """Of all slots."""
-        return self.slots * self.mesh.triangles
-
-    def release(self) -> None:
-        for texture in self.textures.values():
-            texture.release()
-
-
-def _block(name: str, one: bool, own: Fields, of_one: Fields, *groups: Fields) -> Block:
+def _block(name: str, group: Group, one: bool, own: Fields, of_one: Fields, *groups: Fields) -> Block:
     """The uniforms of a pass; `of_one`: what is read only where there is one instance."""
     alone = (*ONE_INSTANCE_FIELDS, ("int", "instance"), *of_one) if one else ()
-    return block(name, CAMERA_FIELDS, MESH_FIELDS, own, alone, *groups)
+    return block(name, CAMERA_FIELDS, ID_FIELDS if group.blocks else MESH_FIELDS, own, alone, *groups)
 
 
 def depths_program(lattice: Lattice, group: Group, one: bool, listed: bool = False) -> Interface:
@@ -103,7 +60,7 @@ def ids_program(normal: bool, lattice: Lattice, group: Group, one: bool, listed:
     `normal`: something is lit, and normals tell surfaces apart. `one`: there is one instance. `listed`: those of a list
     alone.
     """
-    varyings = [("flat", "uint", "v_id"), ("flat", "vec2", "v_about")]
+    varyings = [("flat", "uint", "v_id"), ("flat", "vec3" if group.blocks else "vec2", "v_about")]
     identity = (*varyings, *((("smooth", "vec3", "v_normal"),) if normal else ()))
     return _cover_program(lattice, group, one, identity, listed)
 
@@ -118,7 +75,7 @@ def _cover_program(
     names = [name for name in group.defines if name.startswith((*baked, "PS_CORNER_ALPHA"))]
     if "PS_CORNER_ALPHA" in names:
         names.append("PS_CORNER_COLOR")
-    samplers = ["ps_corner", *(() if one else ("ps_instances",))]
+    samplers = ["ps_corner", *(() if one else ("ps_instances",)), *(("ps_blocks",) if group.blocks else ())]
     varyings = [("smooth", "vec3", "v_position"), *identity]
     if "PS_UV" in names:
         samplers += ["ps_corner_uv", "ps_baked_color"]
@@ -129,7 +86,7 @@ def _cover_program(
     cut = any(name.endswith("ALPHA") for name in names)
     if cut:
         varyings.append(CUT_VARYING)
-    own = group_fields(one)
+    own = group_fields(one, group.blocks)
     sample = SAMPLE_FIELDS if cut else ()
     alone = (*ONE_INSTANCE_FIELDS, *((("int", "instance"),) if cut else ())) if one else ()
     flags = {"PS_CULL": group.cull, "PS_NORMAL": normal, "PS_ONE_INSTANCE": one, "PS_CUT": cut,
@@ -138,7 +95,7 @@ def _cover_program(
         "polygons" if identity else "shadow maps",
         vertex="visibility/polygon_ids.vert",
         fragment="visibility/polygon_ids.frag",
-        block=_block("PolygonIds", one, own, (("int", "mirrored"),), LATTICE_FIELDS, sample)
+        block=_block("PolygonIds", group, one, own, (("int", "mirrored"),), LATTICE_FIELDS, sample)
         if identity
         else block("PolygonDepths", CAMERA_FIELDS, own, alone, LATTICE_FIELDS, sample),
         samplers=(*(("FLOAT_2D", name) for name in samplers), *((LIST_SAMPLER,) if listed else ())),
@@ -147,6 +104,7 @@ def _cover_program(
         defines=(
             LATTICE_DEFINE,
             *define_entries([*names, *(name for name, on in flags.items() if on)]),
+            *(BLOCK_DEFINES if group.blocks else ()),
             *(rank_defines(lattice) if cut else ()),
         ),
         depth=True,
@@ -157,6 +115,7 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
     """Returns the program that writes the attributes of triangles that stand for groups of sub-samples."""
     names = [name for name in needed_defines(variant, group) if not name.endswith("ALPHA")]
     samplers = ["ps_corner", *(("ps_corner_uv",) if "PS_UV" in names else ()), *(() if one else ("ps_instances",))]
+    samplers += ["ps_blocks"] if group.blocks else []
     samplers += [name for name in CORNERS if name.upper() in names]
     samplers += [name for name in group.textures if name.upper() in names]
     kinds = {"COLOR": variant.color, "SURFACE": variant.surface, "EMISSION": variant.emission}
@@ -165,12 +124,15 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
     averaged = not leaders.central and any(name.startswith("PS_BAKED") and name != "PS_BAKED_NORMAL" for name in names)
     read = ("ps_ids", "ps_depths", "ps_first", "ps_second") if averaged else ()
     own: Fields = (("int", "first_triangle"), ("int", "last_triangle"), *(() if one else (("int", "slots"),)))
+    if group.blocks:
+        own = (*group_fields(one, group.blocks), ("int", "triangles"))
     return Interface(
         "attributes",
         vertex="common/rectangle.vert",
         fragment="grouping/polygon_surface.frag",
         block=_block(
             "PolygonSurface",
+            group,
             one,
             own,
             (("int", "holdout"),),
@@ -184,6 +146,7 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
             *define_entries([*variant.defines, *names, *(("PS_ONE_INSTANCE",) if one else ())]),
             *offset_defines(lattice),
             *((LATTICE_DEFINE, AVERAGE_DEFINE, *sub_sample_defines(lattice)[1:]) if averaged else ()),
+            *(BLOCK_DEFINES if group.blocks else ()),
             *leaders.defines,
         ),
     )
@@ -192,7 +155,7 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
 class PolygonDepths:
     """Draws the depths of polygons."""
 
-    def __init__(self, device: Device, draws: list[PolygonDraw], buffer: DepthBuffer) -> None:
+    def __init__(self, device: Device, draws: list[Drawn], buffer: DepthBuffer) -> None:
         self._device, self.draws, self._depths = device, draws, buffer
         self._list: Texture | None = None  # of triangles that are not small, and its length
         self._length: Texture | None = None
@@ -203,7 +166,7 @@ class PolygonDepths:
     def rasterise(self, view: SampleView, shared: dict[str, Texture]) -> None:
         """Draws polygons, but for small ones of meshes that have many. Comes before `cover`."""
         for draw in self.draws:
-            for group in draw.mesh.groups:
+            for group in draw.groups:
                 if _in_compute(draw, group):
                     self._rasterise_wide(draw, group, view, shared)
                 else:
@@ -213,16 +176,16 @@ class PolygonDepths:
         """Draws the others, nearer than what is there."""
         self._compute("DEPTH", view, shared, {"depths": self._depths.depths})
 
-    def _raster_program(self, draw: PolygonDraw, group: Group, listed: bool) -> Interface:
-        return depths_program(self._depths.lattice, group, draw.slots == 1, listed)
+    def _raster_program(self, draw: Drawn, group: Group, listed: bool) -> Interface:
+        return depths_program(self._depths.lattice, group, draw.one, listed)
 
-    def _compute_program(self, draw: PolygonDraw, group: Group, step: str) -> Interface:
-        return triangle_program(self._depths.lattice, replace(group, cull=False), draw.slots == 1, step)
+    def _compute_program(self, draw: Drawn, group: Group, step: str) -> Interface:
+        return triangle_program(self._depths.lattice, replace(group, cull=False), draw.one, step)
 
     def _compute(self, step: str, view: SampleView, shared: dict[str, Texture], images: dict[str, Texture]) -> None:
         """Runs one step of the compute shaders over all meshes of many small triangles."""
         for draw in self.draws:
-            for group in draw.mesh.groups:
+            for group in draw.groups:
                 if _in_compute(draw, group):
                     program = self._compute_program(draw, group, step)
                     for slot, slots in _steps(draw, group):
@@ -231,7 +194,7 @@ class PolygonDepths:
     def _dispatch(
         self,
         program: Interface,
-        draw: PolygonDraw,
+        draw: Drawn,
         group: Group,
         slot: int,
         slots: int,
@@ -252,7 +215,7 @@ class PolygonDepths:
 
     def _rasterise(
         self,
-        draw: PolygonDraw,
+        draw: Drawn,
         group: Group,
         view: SampleView,
         shared: dict[str, Texture],
@@ -273,7 +236,7 @@ class PolygonDepths:
                 depth_test=True,
             )
 
-    def _rasterise_wide(self, draw: PolygonDraw, group: Group, view: SampleView, shared: dict[str, Texture]) -> None:
+    def _rasterise_wide(self, draw: Drawn, group: Group, view: SampleView, shared: dict[str, Texture]) -> None:
         """Draws the triangles of a group that are not small; where they are too many, all."""
         assert self._list is not None
         assert self._length is not None
@@ -287,10 +250,8 @@ class PolygonDepths:
             if count:
                 self._rasterise(draw, group, view, shared, slot, slots, count if count <= LISTED else 0)
 
-    def _record(
-        self, program: Interface, draw: PolygonDraw, group: Group, view: SampleView, **own: object
-    ) -> np.ndarray:
-        about = {"material": group.material, "first_id": draw.first_id, "triangles": draw.mesh.triangles}
+    def _record(self, program: Interface, draw: Drawn, group: Group, view: SampleView, **own: object) -> np.ndarray:
+        about = {"material": group.material, "first_id": draw.first_id, "triangles": draw.of_slot}
         where = {"first": group.first, "corners": group.count, **self._depths.values}
         return view.record_of(program.block, **about, **where, **draw.values, **own)
 
@@ -302,14 +263,14 @@ class PolygonDepths:
                 texture.release()
 
 
-def _in_compute(draw: PolygonDraw, group: Group) -> bool:
+def _in_compute(draw: Drawn, group: Group) -> bool:
     """Whether compute shaders draw the small triangles of a group."""
     return draw.small and not is_cut(group)
 
 
-def _steps(draw: PolygonDraw, group: Group, slot: int = 0, slots: int | None = None) -> Iterator[tuple[int, int]]:
+def _steps(draw: Drawn, group: Group, slot: int = 0, slots: int | None = None) -> Iterator[tuple[int, int]]:
     """(first slot, number of slots) of what is drawn at once, of `slots` from `slot` on; None: of all."""
-    end, step = draw.slots if slots is None else slot + slots, max(MOST_VERTICES // group.count, 1)
+    end, step = draw.repeats if slots is None else slot + slots, max(MOST_VERTICES // group.count, 1)
     for first in range(slot, end, step):
         yield first, min(step, end - first)
 
@@ -317,7 +278,7 @@ def _steps(draw: PolygonDraw, group: Group, slot: int = 0, slots: int | None = N
 class PolygonCover(PolygonDepths):
     """Draws the polygons of one picture into its visibility buffer."""
 
-    def __init__(self, device: Device, draws: list[PolygonDraw], buffer: VisibilityBuffer, normal: bool) -> None:
+    def __init__(self, device: Device, draws: list[Drawn], buffer: VisibilityBuffer, normal: bool) -> None:
         """`normal`: normals tell surfaces apart."""
         super().__init__(device, draws, buffer)
         self._buffer, self._normal = buffer, normal
@@ -326,11 +287,11 @@ class PolygonCover(PolygonDepths):
         """Draws the numbers of what `cover` has drawn."""
         self._compute("IDENTIFY", view, shared, {"ids": self._buffer.ids, "keys": self._buffer.keys})
 
-    def _raster_program(self, draw: PolygonDraw, group: Group, listed: bool) -> Interface:
-        return ids_program(self._normal, self._buffer.lattice, group, draw.slots == 1, listed)
+    def _raster_program(self, draw: Drawn, group: Group, listed: bool) -> Interface:
+        return ids_program(self._normal, self._buffer.lattice, group, draw.one, listed)
 
-    def _compute_program(self, draw: PolygonDraw, group: Group, step: str) -> Interface:
-        return triangle_program(self._buffer.lattice, group, draw.slots == 1, step, self._normal)
+    def _compute_program(self, draw: Drawn, group: Group, step: str) -> Interface:
+        return triangle_program(self._buffer.lattice, group, draw.one, step, self._normal)
 
     def write_attributes(
         self,
@@ -347,10 +308,10 @@ class PolygonCover(PolygonDepths):
             where = groups.rectangle(leaders, draw.first_id)
             if where is None:
                 continue
-            for group in draw.mesh.groups:
-                program = surface_program(variant, self._buffer.lattice, group, draw.slots == 1, leaders)
+            for group in draw.groups:
+                program = surface_program(variant, self._buffer.lattice, group, draw.one, leaders)
                 first = group.first // 3
-                own = {"first_triangle": first, "last_triangle": first + group.count // 3, "slots": draw.slots}
+                own = {"first_triangle": first, "last_triangle": first + group.count // 3, "slots": draw.repeats}
                 own |= {"rectangle": where, "corner": leaders.place[1]}
                 self._device.draw(
                     program,

@@ -15,16 +15,26 @@ from ....core.scene.mesh import Mesh
 from ....core.surface.appearance import at_corners, baked, graphs_of, pictured, uv_of
 from ....core.surface.density import PART, Parts
 from ...device.packing import PAGE_WIDTH, paged
-from ...device.protocol import CHANNELS, Device, Texture
+from ...device.protocol import CHANNELS, Device, Texture, WriteTexels
 from ..gbuffer import Variant
 from .corners import corner_texels
 
 LARGEST_PICTURE = 4096  # texels along a side of a baked picture
+BLOCK_SHIFT = 4
+BLOCK = 1 << BLOCK_SHIFT  # triangles: few, so that meshes of few do not fill a block with nothing
+BLOCK_DEFINES = (("PS_BLOCKS", "1"), ("PS_BLOCK_SHIFT", str(BLOCK_SHIFT)))
 # What may vary from corner to corner: texture, and GLSL type and name between the stages.
 CORNERS = {
     "ps_corner_color": ("vec4", "v_color"),
     "ps_corner_surface": ("vec2", "v_surface"),
     "ps_corner_emission": ("vec3", "v_emission"),
+}
+# Formats of the textures of what is known at corners.
+LOOKS = {
+    "ps_corner_color": "RGBA16F",
+    "ps_corner_surface": "RG32F",
+    "ps_corner_emission": "RGBA16F",
+    "ps_corner_uv": "RG32F",
 }
 
 
@@ -40,6 +50,7 @@ class Group:
     graph: MaterialGraph | None = None  # whose pictures it shows
     textures: dict[str, Texture] = field(default_factory=dict)  # these pictures
     start: np.ndarray | None = None  # (B + 1,) int64: the first corner of each part of the mesh
+    blocks: bool = False  # a range of blocks of triangles that a view lists, of any meshes and materials of a page
 
     def rows(self, parts: np.ndarray) -> np.ndarray:
         """(P, 4) float32 of those of the parts that have corners here: texel (x, y) of the first one, how many."""
@@ -117,10 +128,87 @@ class Pictures:
             texture.release()
 
 
+@dataclass(frozen=True)
+class Arranged:
+    """The triangles of a mesh in the order in which they are drawn, by material, and what varies at their corners."""
+
+    origin: np.ndarray  # (3,) float64 that float32 holds: positions are relative to it
+    box: np.ndarray  # (2, 3) float64: low and high corner, relative to the origin
+    triangles: int
+    corners: WriteTexels  # of the texture ps_corner
+    looks: dict[str, np.ndarray]  # (3T, C) by sampler name, in the formats of LOOKS
+    groups: list[Group]
+
+
+def arrange(
+    mesh: Mesh,
+    table: MaterialTable,
+    emission: bool,
+    parts: Parts | None = None,
+    order: np.ndarray | None = None,
+) -> Arranged:
+    """Returns what is uploaded of a mesh. `emission`: something glows.
+
+    `order`: (T,) triangles in the order of the parts, or without parts in any; None: as they come.
+    """
+    low, high = bounding_box(used_positions(mesh))
+    origin = ((low.astype(np.float32) + high.astype(np.float32)) / 2).astype(np.float64)
+    box = (np.array([low, high]) - origin).astype(np.float32).astype(np.float64)
+    by_material: np.ndarray | None = None
+    if mesh.material is not None:
+        by_material = np.argsort(mesh.material if order is None else mesh.material[order], kind="stable")
+        order = by_material if order is None else order[by_material]
+    graphs = graphs_of(mesh, table)
+    shown = {row: graph for row, graph in graphs.items() if pictured(mesh, graph)}
+    flat = {row: graph for row, graph in graphs.items() if row not in shown}
+    looks, at_each_corner = _looks(mesh, order, table, flat, emission) if flat else ({}, ())
+    if shown:
+        looks["ps_corner_uv"] = np.zeros((3 * len(mesh.triangles), 2), np.float32)
+    groups = []
+    for row, first, end in _ranges(mesh, order):
+        defines: tuple[str, ...] = ()
+        graph = shown.get(row)
+        if graph is not None:
+            looks["ps_corner_uv"][3 * first : 3 * end] = _ordered(uv_of(mesh, graph), order, slice(first, end))
+            defines = baked_defines(graph, emission)
+        elif row in flat:
+            defines = at_each_corner
+        begins = None
+        if parts is not None:
+            part = np.arange(first, end) if by_material is None else by_material[first:end]
+            begins = 3 * (first + np.searchsorted(part // PART, np.arange(len(parts) + 1)))
+        groups.append(Group(row, 3 * first, 3 * (end - first), bool(table.cull[row]), defines, graph, start=begins))
+    return Arranged(origin, box, len(mesh.triangles), corner_texels(mesh, order, origin), looks, groups)
+
+
+def _looks(
+    mesh: Mesh, order: np.ndarray | None, table: MaterialTable, graphs: dict[int, MaterialGraph], emission: bool
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Returns what graphs vary from corner to corner, and the defines of shaders that read it."""
+    rows = np.full(len(mesh.triangles), mesh.materials[0]) if mesh.material is None else mesh.material.astype(int)
+    look, found = at_corners(mesh, table, graphs, rows), {}
+    alpha = np.ones(len(rows) * 3, np.float32) if look.alpha is None else look.alpha
+    color = np.repeat(table.base_color[rows], 3, axis=0) if look.color is None else look.color
+    if not (look.alpha is None and look.color is None):
+        found["ps_corner_color"] = _ordered(np.column_stack([color, alpha]), order)
+    if look.surface is not None:
+        found["ps_corner_surface"] = _ordered(look.surface, order)
+    if emission and look.emission is not None:
+        found["ps_corner_emission"] = _ordered(look.emission, order)
+    return found, (*map(str.upper, found), *(("PS_CORNER_ALPHA",) if look.alpha is not None else ()))
+
+
+def hang(groups: Iterable[Group], pictures: Callable[[MaterialGraph, int], Pictures]) -> None:
+    """Gives each group that shows pictures those of its graph and row of the material table."""
+    for group in groups:
+        if group.graph is not None:
+            group.textures = pictures(group.graph, group.material).textures
+
+
 class PolygonMesh:
     """One mesh on the device, its triangles sorted by material, and within one by parts where there are any.
 
-    `hang` gives it the pictures that it shows, before it is drawn.
+    `hang` gives its groups the pictures that they show, before it is drawn.
     """
 
     def __init__(
@@ -132,75 +220,15 @@ class PolygonMesh:
         parts: Parts | None = None,
         order: np.ndarray | None = None,
     ) -> None:
-        """`order`: (T,) triangles in the order of the parts, or without parts in any; None: as they come."""
-        self.triangles = len(mesh.triangles)
-        low, high = bounding_box(used_positions(mesh))
-        self.origin = ((low.astype(np.float32) + high.astype(np.float32)) / 2).astype(np.float64)
-        # Low and high corner (2, 3), relative to the origin.
-        self.box = (np.array([low, high]) - self.origin).astype(np.float32).astype(np.float64)
-        by_material: np.ndarray | None = None
-        if mesh.material is not None:
-            by_material = np.argsort(mesh.material if order is None else mesh.material[order], kind="stable")
-            order = by_material if order is None else order[by_material]
-        self._device = device
-        self.textures: dict[str, Texture] = {}
+        """`parts`, `order`: see arrange."""
+        arranged = arrange(mesh, table, variant.emission, parts, order)
+        self.triangles, self.origin, self.box = arranged.triangles, arranged.origin, arranged.box
+        self.groups = arranged.groups
         size = PAGE_WIDTH, max(1, -(-3 * self.triangles // PAGE_WIDTH))
-        self.textures["ps_corner"] = device.texture(size, "RGBA32F", corner_texels(mesh, order, self.origin))
-
-        graphs = graphs_of(mesh, table)
-        shown = {row: graph for row, graph in graphs.items() if pictured(mesh, graph)}
-        flat = {row: graph for row, graph in graphs.items() if row not in shown}
-        at_each_corner = self._upload_looks(mesh, order, table, flat, variant.emission) if flat else ()
-        uv = np.zeros((3 * self.triangles if shown else 0, 2), np.float32)
-        self.groups: list[Group] = []
-        for row, first, end in _ranges(mesh, order):
-            defines: tuple[str, ...] = ()
-            graph = shown.get(row)
-            if graph is not None:
-                uv[3 * first : 3 * end] = _ordered(uv_of(mesh, graph), order, slice(first, end))
-                defines = baked_defines(graph, variant.emission)
-            elif row in flat:
-                defines = at_each_corner
-            begins = None
-            if parts is not None:
-                part = np.arange(first, end) if by_material is None else by_material[first:end]
-                begins = 3 * (first + np.searchsorted(part // PART, np.arange(len(parts) + 1)))
-            cull = bool(table.cull[row])
-            self.groups.append(Group(row, 3 * first, 3 * (end - first), cull, defines, graph, start=begins))
-        if shown:
-            self._upload("ps_corner_uv", "RG32F", uv)
-
-    def _upload(self, name: str, format: str, values: np.ndarray) -> None:
-        size, data = paged(values, CHANNELS[format])
-        self.textures[name] = self._device.texture(size, format, data)
-
-    def _upload_looks(
-        self,
-        mesh: Mesh,
-        order: np.ndarray | None,
-        table: MaterialTable,
-        graphs: dict[int, MaterialGraph],
-        emission: bool,
-    ) -> tuple[str, ...]:
-        """Uploads what graphs vary from corner to corner, and returns the defines of shaders that read it."""
-        rows = np.full(self.triangles, mesh.materials[0]) if mesh.material is None else mesh.material.astype(int)
-        look = at_corners(mesh, table, graphs, rows)
-        alpha = np.ones(len(rows) * 3, np.float32) if look.alpha is None else look.alpha
-        color = np.repeat(table.base_color[rows], 3, axis=0) if look.color is None else look.color
-        if not (look.alpha is None and look.color is None):
-            self._upload("ps_corner_color", "RGBA16F", _ordered(np.column_stack([color, alpha]), order))
-        if look.surface is not None:
-            self._upload("ps_corner_surface", "RG32F", _ordered(look.surface, order))
-        if emission and look.emission is not None:
-            self._upload("ps_corner_emission", "RGBA16F", _ordered(look.emission, order))
-        names = [name.upper() for name in CORNERS if name in self.textures]
-        return (*names, *(("PS_CORNER_ALPHA",) if look.alpha is not None else ()))
-
-    def hang(self, pictures: Callable[[MaterialGraph, int], Pictures]) -> None:
-        """Give each group that shows pictures those of its graph and row of the material table."""
-        for group in self.groups:
-            if group.graph is not None:
-                group.textures = pictures(group.graph, group.material).textures
+        self.textures: dict[str, Texture] = {"ps_corner": device.texture(size, "RGBA32F", arranged.corners)}
+        for name, values in arranged.looks.items():
+            size, data = paged(values, CHANNELS[LOOKS[name]])
+            self.textures[name] = device.texture(size, LOOKS[name], data)
 
     def release(self) -> None:
         for texture in self.textures.values():

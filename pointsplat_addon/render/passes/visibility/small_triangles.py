@@ -22,9 +22,11 @@ LISTED = 1 << 18  # triangles that a list holds; where more are not small, the r
 LIST_SAMPLER = ("UINT_2D", "ps_list")
 
 
-def group_fields(one: bool) -> Fields:
+def group_fields(one: bool, blocks: bool = False) -> Fields:
     """Which triangles are drawn: the first corner of the group, its corners, and the first instance. `one`: there is
-    one."""
+    one. `blocks`: the first block alone."""
+    if blocks:
+        return (("int", "first"),)
     return (("int", "first"), *(() if one else (("int", "corners"), ("int", "first_slot"))))
 
 

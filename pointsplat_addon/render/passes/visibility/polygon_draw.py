@@ -1,0 +1,149 @@
+"""What a view shows of meshes: instances of one, or blocks of triangles of a page of many."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ....core.numeric.segments import owners, ranges
+from ...device.packing import paged
+from ...device.protocol import Device, Texture
+from ..uniforms import Values
+from .polygon_mesh import BLOCK, BLOCK_SHIFT, PolygonMesh
+from .polygon_page import Kind, PolygonPage
+
+
+def instance_rows(
+    view_from_object: np.ndarray, holdout: np.ndarray, instance: np.ndarray, first: np.ndarray | int = 0
+) -> np.ndarray:
+    """Returns the four rows of each slot in `ps_instances`, (I, 4, 4) float32: transform; holdout, instance, whether it
+    mirrors, and the first triangle of its mesh on a page.
+
+    view_from_object: (I, 4, 4) float64. holdout, instance, first: (I,).
+    """
+    rows = np.zeros((len(instance), 4, 4), np.float32)
+    rows[:, :3] = view_from_object[:, :3]
+    rows[:, 3, 0], rows[:, 3, 1], rows[:, 3, 3] = holdout, instance, first
+    rows[:, 3, 2] = np.linalg.det(view_from_object[:, :3, :3]) < 0
+    return rows
+
+
+class PolygonDraw:
+    """All instances of one mesh that a view shows: slots, of which each has the number of a mesh's triangles."""
+
+    def __init__(
+        self,
+        device: Device,
+        mesh: PolygonMesh,
+        instance: np.ndarray,
+        view_from_object: np.ndarray,
+        holdout: np.ndarray,
+        first_id: int,
+        small: bool,
+    ) -> None:
+        """instance: (I,) int. view_from_object: (I, 4, 4) float64, from positions relative to the mesh's origin.
+        holdout: (I,) bool. `small`: most triangles cover few cells.
+        """
+        self.mesh, self.groups, self.first_id, self.small = mesh, mesh.groups, first_id, small
+        self.instance, self.repeats, self.of_slot = instance, len(instance), mesh.triangles
+        self.one = self.repeats == 1
+        self.textures: dict[str, Texture] = {}
+        self.values: Values = {}
+        rows = instance_rows(view_from_object, holdout, instance)
+        if self.one:
+            self.values = {
+                "view_from_object": view_from_object[0],
+                "instance": int(instance[0]),
+                "holdout": bool(holdout[0]),
+                "mirrored": bool(rows[0, 3, 2]),
+            }
+            return
+        size, data = paged(rows.reshape(-1, 4), 4)
+        self.textures["ps_instances"] = device.texture(size, "RGBA32F", data)
+
+    @property
+    def triangles(self) -> int:
+        """Of all slots."""
+        return self.repeats * self.of_slot
+
+    def identify(self, number: np.ndarray) -> np.ndarray:
+        """Returns the instance and the material, (N, 2), of triangles by their numbers (N,) in this draw."""
+        slot, triangle = np.divmod(number, self.of_slot)
+        starts = np.array([group.first // 3 for group in self.groups])
+        materials = np.array([group.material for group in self.groups])
+        group = np.searchsorted(starts, triangle, side="right") - 1
+        return np.stack([self.instance[slot], materials[group]], axis=1)
+
+    def release(self) -> None:
+        for texture in self.textures.values():
+            texture.release()
+
+
+class BlockDraw:
+    """What a view shows of a kind of a page: slots, each an instance of a mesh, and blocks of their triangles."""
+
+    one = small = False
+    values: Values = {}
+
+    def __init__(
+        self, page: PolygonPage, kind: Kind, blocks: np.ndarray, first: int, instance: np.ndarray, first_id: int
+    ) -> None:
+        """blocks: (B, 4), first triangle on the page, number of triangles, slot and material; `first`: the first of
+        them among those of all kinds. instance: (I,) int, of each slot."""
+        self.mesh, self.instance, self.first_id, self.repeats, self._blocks = page, instance, first_id, 1, blocks
+        self.groups = [replace(kind.group, first=first, count=3 * BLOCK * len(blocks))]
+        self.triangles = self.of_slot = BLOCK * len(blocks)  # numbers of triangles, of which some have none
+        self.textures: dict[str, Texture] = {}
+        self._owned: list[Texture] = []
+
+    def identify(self, number: np.ndarray) -> np.ndarray:
+        """Returns the instance and the material, (N, 2), of triangles by their numbers (N,) in this draw."""
+        block = self._blocks[number >> BLOCK_SHIFT]
+        return np.stack([self.instance[block[:, 2]], block[:, 3]], axis=1)
+
+    def bind(self, textures: dict[str, Texture], owned: bool) -> None:
+        """Gives it the textures of slots and blocks; those that it has `owned` are released with it."""
+        self.textures, self._owned = textures, list(textures.values()) if owned else []
+
+    def release(self) -> None:
+        for texture in self._owned:
+            texture.release()
+
+
+def block_draws(
+    device: Device,
+    page: PolygonPage,
+    member: np.ndarray,
+    instance: np.ndarray,
+    view_from_object: np.ndarray,
+    holdout: np.ndarray,
+    first_id: int,
+) -> list[BlockDraw]:
+    """Returns what a view shows of a page, kind by kind.
+
+    member: (I,) int, the mesh of each instance that is shown. instance, holdout: (I,). view_from_object: (I, 4, 4)
+    float64, from positions relative to the origins of the meshes. first_id: the number of the first triangle.
+    """
+    found, lists, first = [], [], 0
+    for kind in page.kinds:
+        count = (kind.start[1:] - kind.start[:-1])[member]
+        blocks = kind.blocks[ranges(kind.start[member], count)]
+        if len(blocks):
+            rows = np.column_stack([blocks[:, :2], owners(count), blocks[:, 2]])
+            found.append(BlockDraw(page, kind, rows, first, instance, first_id))
+            lists.append(rows)
+            first, first_id = first + len(rows), first_id + found[-1].triangles
+    if found:
+        rows = instance_rows(view_from_object, holdout, instance, page.first[member])
+        named = {"ps_instances": rows.reshape(-1, 4), "ps_blocks": np.concatenate(lists)}
+        textures = {}
+        for name, values in named.items():
+            size, data = paged(values, 4)
+            textures[name] = device.texture(size, "RGBA32F", data)
+        for draw in found:
+            draw.bind(textures, owned=draw is found[0])
+    return found
+
+
+Drawn = PolygonDraw | BlockDraw
