@@ -68,7 +68,7 @@ def test_map_coordinates_come_back_to_a_millimetre(tmp_path):
 
 def test_scans_of_one_scene_share_its_origin(tmp_path):
     scan_file(tmp_path / "a.ply")
-    scan_file(tmp_path / "b.ply", 300, FAR + [7_000, -2_000, 0])
+    scan_file(tmp_path / "b.ply", 300, FAR + np.array([7_000, -2_000, 0]))
     scan_file(tmp_path / "local.ply", 200, np.zeros(3))
     objects = []
     for name in ("a", "b", "local"):

@@ -1,5 +1,7 @@
-"""Damaged scans of every format: truncated, with flipped bits, with numbers of headers overwritten. Whatever a file says, a
-reader ends, names the file, and takes no memory that the file's size does not allow."""
+"""Damaged scans of every format: truncated, with flipped bits, with numbers of headers overwritten.
+
+Whatever a file says, a reader ends, names the file, and takes no memory that the file's size does not allow.
+"""
 
 from __future__ import annotations
 
@@ -90,12 +92,14 @@ def damaged(data: bytes, random: np.random.Generator) -> bytes:
 
 def read(path) -> None:
     """Reads all of a file; what is wrong with it has to be told with its name."""
+    said = path.name
     try:
         with open_points(path) as reader:
             for chunk in reader.chunks():
                 assert {len(value) for value in chunk.values()} == {len(chunk["position"])}
     except PointFileError as error:
-        assert path.name in str(error)
+        said = str(error)
+    assert path.name in said
 
 
 @pytest.mark.parametrize("name", WRITERS)

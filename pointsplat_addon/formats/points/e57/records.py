@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .pages import Pages
 from ..reader import PointFileError
+from .pages import Pages
 
 SECTION_HEADER, PACKET_HEADER = 32, 4  # bytes
 DATA = 1  # the type of a packet that holds records

@@ -14,9 +14,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..columns import STANDARD, normalised
+from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
 from .pages import Pages
 from .records import Field, records
-from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
 
 CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ..columns import assemble, attributes_of
-from .las import LasReader
 from ..reader import CHUNK, Columns, FileReader, Header, PointFileError, origin_of
+from .las import LasReader
 
 KINDS = {"signed": "i", "unsigned": "u", "float": "f"}
 ENDS = {"laszip": "laz", "binary": "bin", "zstandard": "zst"}

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from ..columns import STANDARD, normalised
-from .laz_check import check_chunks
 from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
+from .laz_check import check_chunks
 
 if TYPE_CHECKING:
     from laspy import LasReader as LaspyReader

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .las import LasReader
 from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
+from .las import LasReader
 
 HIERARCHY = np.dtype([("children", "u1"), ("points", "<u4")])
 DEEPEST = 30  # levels
