@@ -1,7 +1,7 @@
 """Compares what a LAZ file says of its chunks with the file, before a decoder allocates memory for that.
 
-LASzip (Isenburg 2013): points are packed in chunks; a table at the end tells how many bytes and points each has. Chunks of
-point formats 6 and above begin with a raw point and the sizes of their layers.
+LASzip (Isenburg 2013): points are packed in chunks; a table at the end tells how many bytes and points each has. Chunks
+of point formats 6 and above begin with a raw point and the sizes of their layers.
 """
 
 from __future__ import annotations
