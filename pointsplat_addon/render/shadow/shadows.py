@@ -7,9 +7,9 @@ sampled as densely as these resolve, independent of any view: strands, and what 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from ...core.light.light_table import sorted_by_kind
+from ...core.numeric.record import record
 from ...core.scene.lights import Light
 from ...core.scene.scene import Scene
 from ...core.scene.settings import Settings
@@ -29,7 +29,7 @@ from .spacing import sample_spacings
 MAX_TEXTURE_ROWS = 16384  # rows of a texture
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Tables:
     """The shadow tables of those lights of a scene that have one, packed for a device."""
 
@@ -44,7 +44,7 @@ class Tables:
         return self.packed.data.nbytes
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Shadows:
     """What casts the shadows of a scene: at least one of these."""
 
@@ -110,7 +110,7 @@ def make_shadows(
     return Shadows(tables, maps, panes), ""
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class _Cast:
     """Casters of some tables."""
 
