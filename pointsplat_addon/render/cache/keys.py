@@ -59,6 +59,7 @@ class Kind(Enum):
     CASTER_BALL = auto()
     CASTER_BOX = auto()
     CASTER_PLANE = auto()
+    CASTER_BODY = auto()  # planes of a closed, convex mesh
     CASTER_EXTENTS = auto()
     CASTER_POSITIONS = auto()  # points all over a mesh
     CASTER_SAMPLES = auto()

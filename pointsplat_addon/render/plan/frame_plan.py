@@ -272,7 +272,7 @@ def _shadows(
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()
-    found, unshadowed = make_shadows(scene, request.settings, store, clock.check, limits.texture_size)
+    found, unshadowed = make_shadows(scene, request.settings, store, clock.check, limits.texture_size, request.camera)
     if found is None:
         return None, unshadowed or "nothing casts shadows"
     if found.maps is not None and not request.interactive:
