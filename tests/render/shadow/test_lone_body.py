@@ -55,7 +55,7 @@ def test_of_a_light_that_its_plane_cuts_a_face_has_what_is_above() -> None:
     matt = build.materials(specular=np.zeros(1), roughness=np.ones(1))
     scene = build.scene((cube(), LEANING), lights=[SQUARE], table=matt, world=World(np.zeros(3)))
     pixels = render(Case(scene, CAMERA, SETTINGS), frozenset({"combined", "position", "normal"})).pixels
-    lit, position, normal = pixels["combined"][..., 0], pixels["position"].astype(float), pixels["normal"]
+    lit, position, normal = pixels["combined"][..., 0], pixels["position"].astype(float), pixels["normal"].astype(float)
 
     def share(axis: int, sign: int) -> float:
         """The radiance of a face over a numerical integral over the light: the same number for all faces."""
@@ -64,18 +64,19 @@ def test_of_a_light_that_its_plane_cuts_a_face_has_what_is_above() -> None:
             face = face & np.roll(face, by, axis=along)
         of = np.argwhere(face)
         of = of[:: max(1, len(of) // 40)]
-        return float(np.median([lit[y, x] / irradiance(position[y, x], axis, sign) for y, x in of]))
+        return float(np.median([lit[y, x] / irradiance(position[y, x], normal[y, x]) for y, x in of]))
 
-    # By the shares of maps, to which the light's points below the plane are hidden, the upper face had a third of it.
+    # 2.1e-4 apart, by the picture's own normals: by (0, 0, 1), 0.8 %. By the shares of maps, to which the light's points
+    # below the plane are hidden, the upper face had a third of its light.
     assert share(2, 1) == pytest.approx(share(1, -1), rel=1e-3)
 
 
-def irradiance(at: np.ndarray, axis: int, sign: int) -> float:
-    """Of a face across an axis, by the square for one unit of radiance, by 200 by 200 points of it."""
+def irradiance(at: np.ndarray, normal: np.ndarray) -> float:
+    """At a position of a face, by the square for one unit of radiance, by 200 by 200 points of it."""
     side = (np.arange(200) + 0.5) / 100 - 1
     u, v = (grid.reshape(-1, 1) for grid in np.meshgrid(side, side))
     toward = SQUARE.position + u * SQUARE.axis_u + v * SQUARE.axis_v - at
-    received = np.maximum(sign * toward[:, axis], 0) * np.maximum(-toward @ SQUARE.direction, 0)
+    received = np.maximum(toward @ normal, 0) * np.maximum(-toward @ SQUARE.direction, 0)
     return float((received / (toward**2).sum(axis=1) ** 2).mean())
 
 
