@@ -66,8 +66,8 @@ def test_of_a_light_that_its_plane_cuts_a_face_has_what_is_above() -> None:
         of = of[:: max(1, len(of) // 40)]
         return float(np.median([lit[y, x] / irradiance(position[y, x], normal[y, x]) for y, x in of]))
 
-    # 2.1e-4 apart, by the picture's own normals: by (0, 0, 1), 0.8 %. By the shares of maps, to which the light's points
-    # below the plane are hidden, the upper face had a third of its light.
+    # 2.1e-4 apart, by the normals that the picture shows: by (0, 0, 1), 0.8 %. By the shares of maps, to which what
+    # is below the plane is hidden, the upper face had a third of its light.
     assert share(2, 1) == pytest.approx(share(1, -1), rel=1e-3)
 
 
