@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import glcontext
 import moderngl
@@ -358,9 +359,9 @@ def _make_context() -> tuple[moderngl.Context, object]:
     raise DeviceError("no OpenGL 4.1 context: " + "; ".join(dict.fromkeys(failures)))
 
 
-def _egl_by_name() -> Callable[..., object]:
-    """EGL from the libraries as Linux names them. glcontext asks other programs for these names, which takes longer
-    than making the context. ImportError: this is not Linux."""
+def _egl_by_name() -> Callable[..., Any]:
+    """EGL from the libraries as Linux names them. glcontext asks other programs for these names, which takes a third
+    of the time until there is a context. ImportError: this is not Linux."""
     from glcontext import egl
 
     return partial(egl.create_context, libgl="libGL.so.1", libegl="libEGL.so.1")
