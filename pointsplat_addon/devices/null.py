@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
 
+from ..core.numeric.record import record
 from ..render.device import protocol as checks
 from ..render.device.protocol import CHANNELS, DEPTH_BYTES, DeviceError, Limits, Target, Texture, Timer
 from ..shading import sources
@@ -16,7 +17,7 @@ from ..shading.interface import Interface
 LIMITS = Limits("null", texture_size=16384, image_atomics=True, float_blend=True)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Call:
     """One draw or dispatch."""
 

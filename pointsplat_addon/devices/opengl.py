@@ -11,6 +11,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import glcontext
 import moderngl
@@ -347,7 +349,7 @@ def _make_context() -> tuple[moderngl.Context, object]:
     the version that was asked for.
     """
     failures = []
-    for backend in (lambda: glcontext.get_backend_by_name("egl"), glcontext.default_backend):
+    for backend in (_egl_by_name, lambda: glcontext.get_backend_by_name("egl"), glcontext.default_backend):
         for version in (COMPUTE_VERSION, OLDEST_VERSION):
             try:
                 loader = backend()(mode="standalone", glversion=version)
@@ -355,6 +357,14 @@ def _make_context() -> tuple[moderngl.Context, object]:
             except Exception as error:  # glcontext raises a plain one, or OSError for a missing library
                 failures.append(str(error))
     raise DeviceError("no OpenGL 4.1 context: " + "; ".join(dict.fromkeys(failures)))
+
+
+def _egl_by_name() -> Callable[..., Any]:
+    """EGL from the libraries as Linux names them. glcontext asks other programs for these names, which takes a third
+    of the time until there is a context. ImportError: this is not Linux."""
+    from glcontext import egl
+
+    return partial(egl.create_context, libgl="libGL.so.1", libegl="libEGL.so.1")
 
 
 def _function(loader, name: str, *arguments: type) -> Callable[..., None]:

@@ -7,9 +7,11 @@ OpenGL; a device with its own way of declaring (Blender's GPUShaderCreateInfo) r
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+
+from ..core.numeric.record import value_record
 
 # GLSL type: (numpy format, count, alignment in bytes), std140. Types whose array stride or size is
 # surprising (vec3, mat3, arrays) are left out on purpose.
@@ -28,7 +30,7 @@ SAMPLERS = {"FLOAT_2D": "sampler2D", "UINT_2D": "usampler2D"}
 IMAGES = {"R32UI": "uimage2D", "RGBA32F": "image2D"}
 
 
-@dataclass(frozen=True)
+@value_record
 class Block:
     """A uniform block `name` of struct type `type`: both the GLSL struct and the numpy record come from `fields`."""
 
@@ -77,7 +79,7 @@ class Block:
         return f"struct {self.type} {{\n{body}}};\n"
 
 
-@dataclass(frozen=True)
+@value_record
 class Interface:
     """A program: its source files in shaders/ (or at absolute paths) and all that they read and write."""
 

@@ -8,9 +8,10 @@ by Mesa, and Metal's compiler refuses it.)
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+
+from ..core.numeric.record import value_record
 
 FOLDER = Path(__file__).resolve().parent.parent.parent / "shaders"
 INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
@@ -24,7 +25,7 @@ class ShaderError(RuntimeError):
     """A shader does not compile or link, or a file is missing; the message names the file and the line in it."""
 
 
-@dataclass(frozen=True)
+@value_record
 class Source:
     """A file with its includes."""
 

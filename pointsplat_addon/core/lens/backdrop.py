@@ -9,10 +9,9 @@ from a pyramid (core/light/environment.py), so that small bright things keep the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..numeric.record import value_record
 from ..scene.camera import Camera
 from ..scene.scene import Scene
 from ..splat.blur import IN_FOCUS, defocus_blur
@@ -23,7 +22,7 @@ RIM_SQUARE = 0.25  # texels^2, subtracted from the squared radius because the ri
 LEAST_RADIUS = 0.05  # texels, the least radius
 
 
-@dataclass(frozen=True)
+@value_record
 class BackdropGrid:
     """The texels of the world behind one picture. Texel (i, j) of the blurred picture is centred on the position
     ((i - 0.5) step x, (j - 0.5) step y), in pixels from the corner of what is drawn."""

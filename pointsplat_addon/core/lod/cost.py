@@ -8,9 +8,11 @@ the octave of spacing at which all parts together cost least.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
+
+from ..numeric.record import record, value_record
 
 OVERLAP = 0.1  # share of the spacing that is needed within which a part is drawn as points and as triangles
 # Points leave an error that more samples do not remove, triangles leave none: with up to this many times fewer samples,
@@ -19,7 +21,7 @@ OVERLAP = 0.1  # share of the spacing that is needed within which a part is draw
 MAX_SAMPLES_RATIO = 4
 
 
-@dataclass(frozen=True)
+@value_record
 class Costs:
     """Nanoseconds that drawing takes for one sample of an image, and once for all its samples.
 
@@ -63,7 +65,7 @@ class Costs:
 DEFAULT = Costs()
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class PrimitiveChoice:
     """How one instance of a mesh of B parts is drawn."""
 

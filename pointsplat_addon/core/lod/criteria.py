@@ -6,11 +6,11 @@ Pajarola 2003, section 6; Křivánek 2003, sections 3.4 and 3.5 (nodes out of fo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..numeric.linear import largest_singular_value
+from ..numeric.record import value_record
 from ..scene.camera import Camera
 from ..splat.blur import Blur
 from .node_table import NodeTable
@@ -20,7 +20,7 @@ TRANSITION_BAND = 0.25  # octaves, see `transition_band`: costs a fifth more nod
 SINGULAR = 1e-12  # determinant over scale^3 below which a transform has no inverse worth using
 
 
-@dataclass(frozen=True)
+@value_record
 class Criteria:
     """What a view asks of the nodes that are drawn in it."""
 
@@ -47,7 +47,7 @@ class Criteria:
         return np.maximum(depth - radius, self.near), np.maximum(depth + radius, self.near)
 
 
-@dataclass(frozen=True)
+@value_record
 class InstanceViews:
     """How each of I instances is seen, in columns."""
 
@@ -69,7 +69,7 @@ class InstanceViews:
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
+@value_record
 class BlurExtent:
     """Circles of confusion of n balls."""
 

@@ -9,11 +9,12 @@ Splats are counted per geometry as `node_splats.points_and_nodes` lays them out:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..numeric.linear import all_finite
+from ..numeric.record import record, value_record
 from ..numeric.segments import ranges
 from ..scene.camera import Camera
 from ..splat.blur import IN_FOCUS, OUT_OF_FOCUS, Blur
@@ -32,7 +33,7 @@ from .node_table import NodeTable
 CHUNK = 1 << 15  # nodes that are classified together, so that their working arrays stay in the cache
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Cut:
     """Ranges of splats to draw, sorted by (instance, first); no two of them touch or overlap."""
 
@@ -107,7 +108,7 @@ def select_cut(
     return found.cut()
 
 
-@dataclass(frozen=True)
+@value_record
 class _Front:
     """Nodes of one level that are to be decided about."""
 
@@ -124,7 +125,7 @@ class _Front:
         return _Front(*(np.concatenate([getattr(front, name) for front in fronts]) for name in names))
 
 
-@dataclass(frozen=True)
+@value_record
 class _Ranges:
     """Ranges of splats, sorted by (instance, first); int64 all, (R,)."""
 

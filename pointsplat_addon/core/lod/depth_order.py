@@ -12,11 +12,11 @@ another sort.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..numeric.linear import largest_singular_value
+from ..numeric.record import record
 from ..numeric.segments import ranges, starts
 from ..scene.cloud import PointCloud
 from .cut import Cut
@@ -28,7 +28,7 @@ OPAQUE_SLICES = 1 / 16  # of the smallest splat: of two opaque ones the right on
 MIN_THICKNESS = 1e-300  # a slice: quotients by it keep their digits
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Slices:
     """The K finite ones among some depths, back to front."""
 
@@ -66,7 +66,7 @@ def _number(depth: np.ndarray, smallest: float) -> tuple[np.ndarray, float]:
     return (np.subtract(farthest, depth, dtype=np.float64) / thickness).astype(np.uint32), thickness
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Order:
     """The splats of a cut back to front, for one view direction."""
 
@@ -116,7 +116,7 @@ def sort_cut(
     return Order(slices.index, slices.slice, slices.thickness, radius, direction, cut)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class _Part:
     """The splats of one geometry in a cut, range after range."""
 

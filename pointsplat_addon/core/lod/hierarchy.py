@@ -6,10 +6,11 @@ Points are split at their mean into eight octants until at most `leaf_size` rema
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.vectors import as_columns, as_rows
 from ..scene.cloud import ATTRIBUTES, PointCloud
 from ..splat.ellipsoids import splat_frames, splat_weight
@@ -34,7 +35,7 @@ NODE_ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Hierarchy:
     """Points in tree order and the nodes above them. Lengths are object units, positions relative to cloud.origin.
 

@@ -13,11 +13,10 @@ that nothing jumps as the camera moves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..numeric.linear import all_finite, largest_singular_value
+from ..numeric.record import record, value_record
 from ..numeric.vectors import golden_ratio_sequence
 from ..scene.camera import Camera
 from .criteria import Criteria, against_frustum, criteria_of
@@ -32,7 +31,7 @@ FADE = 0.5  # share of the remaining instances that are not at their full size
 OWN_CUT, ALL_POINTS, NOTHING = -1, -2, -3
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class LevelChoice:
     """What each of I instances draws (a level, its own cut, all points or nothing), and how much it is enlarged."""
 
@@ -96,7 +95,7 @@ def visible_instances(
     return _bounding_balls(criteria_of(camera, 1.0, margin), view_from_object, center, radius).visible
 
 
-@dataclass(frozen=True)
+@value_record
 class _Balls:
     """Balls around I instances."""
 

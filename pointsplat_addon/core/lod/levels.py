@@ -7,10 +7,11 @@ the directions of a surface that faces several ways.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.segments import ranges, starts
 from ..scene.cloud import PointCloud
 from ..splat.ellipsoids import splat_frames, splat_weight
@@ -35,7 +36,7 @@ MAX_GROWTH = 1.25  # largest factor on the size of a splat
 SIDE_AXES = np.linalg.qr(np.array([[1, 0.13, 0.09], [-0.13, 1, 0.17], [-0.09, -0.17, 1]]))[0].astype(np.float32)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Levels:
     """Cuts of one hierarchy at K sizes of nodes, coarsest first."""
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.segments import starts
 from ..numeric.vectors import golden_ratio_sequence
 from ..scene.cloud import PointCloud
 from .hierarchy import Hierarchy
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class NodeTable:
     """What a cut reads of M nodes of several geometries, one geometry after the other; made once per set of
     hierarchies.

@@ -7,11 +7,11 @@ rounded outwards, far enough to hold the disks as they are unpacked.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from ..numeric.record import record, value_record
 from ..scene.cloud import ATTRIBUTES, PointCloud
 from .encoding import (
     LENGTH_ERROR,
@@ -35,7 +35,7 @@ CODES = {"color": "rgb", "emission": "rgb", "opacity": "unorm", "covered": "unor
 MAX_COLUMN_WIDTH = 64  # values of one column of one splat, where the table of attributes sets no shape
 
 
-@dataclass(frozen=True)
+@value_record
 class Layout:
     """Which attributes are present; the types of the records follow from it.
 
@@ -80,7 +80,7 @@ class Layout:
         return np.dtype(record)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Packed:
     """A quantised hierarchy: N points in tree order and M nodes breadth first, as records of Layout.dtype."""
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..numeric.record import value_record
 from .color_models import srgb_from_linear
 from .evaluation import evaluate_samples
 from .expression import Expression, SampleInputs, evaluate, walk
@@ -28,7 +29,7 @@ FINER = 2  # texels of a picture for one of an image with cubic interpolation: i
 BORDER = 2 * FINER  # texels around a picture that neither repeats nor is mirrored: as far as cubic B-splines extend
 
 
-@dataclass(frozen=True)
+@value_record
 class Reading:
     """How a picture is read between its texels and beyond them, so that it shows what the graph's images would."""
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..numeric.record import record
 from ..scene.materials import MaterialTable
 from .expression import Part, SampleInputs, evaluate
 from .graph import MaterialGraph
@@ -24,7 +25,7 @@ CHANNELS: dict[str, tuple[int, float | None]] = {
 SURFACE_COLUMNS = ("roughness", "metallic")  # of Appearance.surface
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Appearance:
     """The attributes of N samples that vary between them. None: the material table's constants hold everywhere."""
 
@@ -35,7 +36,7 @@ class Appearance:
     alpha: np.ndarray | None = None  # (N,) float32
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class SurfaceConstants:
     """The constants of M materials, for inputs that no graph varies: columns as in MaterialTable."""
 

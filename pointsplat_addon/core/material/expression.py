@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from functools import cached_property
 
 import numpy as np
 
+from ..numeric.record import record
 from .image import Image
 
 CHUNK = 1 << 16  # samples evaluated at once: temporaries stay in the processor's cache
 Part = slice | np.ndarray  # some of the samples: a slice of step 1, or (K,) indices
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class SampleInputs:
     """What is known at N samples of one mesh. Whatever is None or missing reads as Blender's default (zero)."""
 
@@ -78,7 +79,7 @@ class SampleInputs:
         return None if name is None else self.colors.get(name)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Expression:
     """A node of a material's DAG. Fields that are expressions are its arguments, all others are parameters."""
 

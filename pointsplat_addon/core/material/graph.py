@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
+from ..numeric.record import record, value_record
 from .expression import Expression, walk
 from .nodes.input_nodes import UV, Attribute, ColorAttribute, Coordinates
 from .nodes.normal_nodes import NormalMap
 from .nodes.texture_nodes import ImageTexture
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class MaterialGraph:
     """The inputs of one material that vary; None is a constant, held by the material table."""
 
@@ -35,7 +36,7 @@ class MaterialGraph:
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-@dataclass(frozen=True)
+@value_record
 class Needs:
     """What `SampleInputs` must hold for a graph. None among the names means the active map or attribute."""
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ..numeric.record import record
 
-@dataclass(frozen=True, eq=False)
+
+@record
 class Image:
     """An image: texels with row 0 at the bottom, and their encoding. uint8 texels stand for value / 255.
 

@@ -8,15 +8,15 @@ texel a cell.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from .record import value_record
 from .sequences import R2
 
 
-@dataclass(frozen=True)
+@value_record
 class Lattice:
     """Sub-samples at the centres of cells; one of them lies at each pixel's centre. p + q is odd."""
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..numeric.record import record, value_record
 
-@dataclass(frozen=True)
+
+@value_record
 class Aperture:
     """The opening of a thin lens, in the plane through the eye that the camera looks along the normal of."""
 
@@ -18,7 +20,7 @@ class Aperture:
     ratio: float = 1.0  # height over width
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Camera:
     """A pinhole or parallel camera. View space looks along -Z, +Y up. Pixels count from the bottom left."""
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.segments import sorted_places
 from ..numeric.vectors import column_ranges, each_block, moved_rows, take_rows
 
@@ -36,7 +37,7 @@ SPREAD_BITS = np.array([sum((cell >> bit & 1) << 3 * bit for bit in range(5)) fo
 RUN, RUNS = 4096, 64  # length and number of the runs of points by which the order of very many is judged
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class PointCloud:
     """Splats of one object, in object units relative to `origin`. An absent attribute is None and costs nothing.
 

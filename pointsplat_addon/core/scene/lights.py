@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..numeric.record import record
 
-@dataclass(frozen=True, eq=False)
+
+@record
 class Light:
     """A light in world space, in radiometric quantities; host/convert turns Blender's power into them."""
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..numeric.record import record
 from .volume import Medium
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class HairTable:
     """The Principled Hair values of each row of a MaterialTable; rows that are not hair hold Blender's defaults.
 
@@ -24,7 +23,7 @@ class HairTable:
     lobes: np.ndarray  # (M, 3) float32: factors of reflection, transmission and second reflection; 1 in Chiang's model
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class MaterialTable:
     """Constants for each material (row 0 is the default material). Attributes on points override them."""
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.vectors import dot
 
 SMALLEST, LARGEST = 1e-18, 1e18  # edge length and coordinate whose squares float32 still holds
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Mesh:
     """Triangles of one evaluated mesh, in object space. Per-corner attributes are (T, 3, ...)."""
 

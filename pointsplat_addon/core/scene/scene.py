@@ -6,10 +6,11 @@ scene-linear. Lengths are Blender units in world space unless said otherwise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
+from ..numeric.record import record
 from .cloud import PointCloud
 from .lights import Light
 from .materials import MaterialTable
@@ -19,7 +20,7 @@ from .volume import Volume
 from .world import Mist, World
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Geometry:
     """What an instance refers to: a mesh (points or polygons), a cloud or a volume (both points), or strands."""
 
@@ -35,7 +36,7 @@ class Geometry:
     extinction: float = 0.0  # of this geometry's points, per object unit; 0 takes it from the material
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Instances:
     """One row for each thing that is drawn."""
 
@@ -52,7 +53,7 @@ class Instances:
         return len(self.geometry)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Scene:
     """Everything that a frame needs but the camera."""
 

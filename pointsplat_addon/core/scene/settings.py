@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from ..numeric.pixel_filter import FILTER_SIZE
+from ..numeric.record import value_record
 
 TECHNIQUES = ("AUTO", "VISIBILITY", "IMAGE_SPACE", "EWA", "PAINTER")
 DOF_METHODS = ("SPLAT", "LENS_SAMPLES")
@@ -14,7 +14,7 @@ DEVICES = ("AUTO", "BLENDER_GPU", "OPENGL")
 PRIMITIVES = ("AUTO", "POINTS", "POLYGONS", "LINES")
 
 
-@dataclass(frozen=True)
+@value_record
 class Settings:
     """The only defaults and ranges: Blender's properties (scene.pointsplat) are made from this table.
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
+from ..numeric.record import record
 
-@dataclass(frozen=True, eq=False)
+
+@record
 class Strands:
     """Strands of one object, in object space: P points in S strands, one after another.
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..numeric.record import value_record
 from ..numeric.segments import offsets, owners
 from ..numeric.vectors import cross, dot, each_block
 from .cloud import FARTHEST, LENGTHS, PointCloud
@@ -42,7 +43,7 @@ def valid_points(cloud: PointCloud) -> tuple[PointCloud, int]:
 # Triangles
 
 
-@dataclass(frozen=True)
+@value_record
 class DroppedTriangles:
     """Counts of triangles that are not drawn, by reason. Each is counted once, under the first reason that holds."""
 

@@ -8,12 +8,13 @@ validates again, but for products that can overflow although their factors are v
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..numeric.linear import all_finite
+from ..numeric.record import record, value_record
 from .camera import Aperture, Camera
 from .cloud import FARTHEST, LENGTHS, PointCloud
 from .lights import Light
@@ -38,7 +39,7 @@ WORLD_ONLY = "only the world is seen, and that is said"
 LATER = "what is made of it is checked instead"  # the reason why stands beside the rule
 
 
-@dataclass(frozen=True)
+@value_record
 class Rule:
     """The range that a field's numbers must lie in (NaN lies in none), and what is done where they do not."""
 
@@ -190,7 +191,7 @@ def _valid_geometry(geometry: Geometry, warnings: list[str], lookup: Lookup) -> 
     return geometry if changed is None else replace(geometry, **{changed.name: changed.data})
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class _Changed:
     """Data of a geometry that had to be changed, and the name of its field."""
 

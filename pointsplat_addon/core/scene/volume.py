@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
+from ..numeric.record import record
 
-@dataclass(frozen=True, eq=False)
+
+@record
 class Volume:
     """Active voxels of one evaluated volume object, sparse, in index space: an integer index is a voxel's centre."""
 
@@ -21,7 +23,7 @@ class Volume:
     transfer: Transfer | None = None  # instead of what the material says
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Transfer:
     """A transfer function: a colour ramp over the values of one grid."""
 
@@ -32,7 +34,7 @@ class Transfer:
     density: float = 1.0  # extinction per object unit where the ramp's opacity is 1
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Medium:
     """What fills a volume: Blender's Principled Volume, Volume Absorption and Volume Scatter, per object unit.
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
+from ..numeric.record import record
 
-@dataclass(frozen=True, eq=False)
+
+@record
 class World:
     """Light from infinitely far: a colour, or an equirectangular picture."""
 
@@ -16,7 +18,7 @@ class World:
     world_rotation: np.ndarray = field(default_factory=lambda: np.eye(3))  # (3, 3) image_from_world
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Mist:
     start: float = 5.0
     depth: float = 25.0

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property, reduce
 
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.vectors import cross, each_block
 from ..scene.cloud import PointCloud
 
@@ -17,7 +17,7 @@ QUANTILE_SAMPLES = 1 << 16  # radii that the quantile is taken from
 CHUNK = 1 << 14  # splats that are handled together, so that scratch arrays stay in the cache
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Casters:
     """Splats of one kind in world space: balls (`radius`), ellipses or ellipsoids (`axes`)."""
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.segments import starts
 from ..numeric.vectors import unit_rows
 from ..scene.lights import Light
@@ -25,7 +25,7 @@ COARSEST_STEP = 0.5  # radians: the widest cell of a grid without poles
 GRAZING = 1e-3  # sine of the angle to an area light's plane below which casters count as lying in it
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Frame:
     """The coordinate system of a light's cells, whose rows lie along latitudes and columns along longitudes.
 
@@ -55,7 +55,7 @@ class Frame:
         return np.pi / self.rows if self.full else float((self.high - self.low).max() / self.rows)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Grid:
     """Cells of one size. Row i lies about latitude low + i step, its cells about longitudes (column0 + j) / density."""
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..numeric.record import record
 from .grid import Grid
 
 MASK_CELLS = 24  # cells to a mask: as many bits as a float32 holds as an integer
 TEXEL_CELLS = 3 * MASK_CELLS  # cells to a texel: where its entries start, then three masks
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class TableLevel:
     """Cells of one size and kind. Cell c holds entries links[k] .. links[k + 1], k its rank among occupied cells."""
 

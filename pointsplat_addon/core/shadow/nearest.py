@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ..numeric.record import record
 from .grid import Frame
 from .level import TableLevel
 
 SQUARE_CELLS = 4  # cells of a level: sides of the squares that know its nearest entry
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class NearestEntries:
     """The distance from the light to the nearest entry, for squares of directions of all sizes.
 

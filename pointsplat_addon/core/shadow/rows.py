@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..numeric import segments
+from ..numeric.record import value_record
 from ..splat.kernel import SUPPORT
 from .casters import CHUNK, KINDS, Casters, typical_radius
 from .grid import FINER_OCTAVES, FINEST_STEP, Frame, Grid
@@ -81,7 +81,7 @@ def _finer_octaves(frame: Frame) -> int:
     return int(np.clip(room if frame.parallel else min(room, np.log2(frame.step / FINEST_STEP)), 0, FINER_OCTAVES))
 
 
-@dataclass(frozen=True)
+@value_record
 class DistanceSpans:
     """How the splats of a batch are assigned to levels (`level_of_splats`)."""
 

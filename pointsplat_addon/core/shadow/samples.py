@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..lod.foliage import FOLIAGE_VERTICES, is_foliage
 from ..material.graph import needs
+from ..numeric.record import record
 from ..numeric.vectors import blocks, cross, dot
 from ..scene.bounds import mesh_centre
 from ..scene.cloud import PointCloud
@@ -28,7 +29,7 @@ SURFACE_POINTS = 4096  # points that represent a mesh
 PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class MeshExtents:
     """The bounding box of a mesh, and the areas and longest edges of its triangles."""
 

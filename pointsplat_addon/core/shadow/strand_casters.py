@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.segments import owners, ranks
 from ..scene.lights import Light
 from ..strand.levels import StrandLevels
@@ -15,7 +14,7 @@ from .casters import Casters
 MOST_ACROSS = 64  # balls across a strand
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class StrandSegments:
     """N segments of strands in world space, no longer than shadows resolve."""
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ..numeric.record import record
 from ..scene.lights import Light
 from .grid import Frame
 from .level import TableLevel
@@ -15,7 +15,7 @@ from .nearest import NearestEntries, nearest_entries
 SHAPES = ("POINT", "DISK", "RECTANGLE", "ELLIPSE")
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Emitter:
     """The shape of a light, which shadows are soft by."""
 
@@ -36,7 +36,7 @@ def emitter_of(light: Light, frame: Frame) -> Emitter:
     return Emitter("DISK" if radius > 0 else "POINT", np.eye(3)[:2] * radius)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class ShadowTable:
     """Cumulated optical depths around a light, for each direction; renderers look up transmittances in it."""
 

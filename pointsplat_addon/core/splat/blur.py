@@ -5,10 +5,9 @@ Křivánek 2003, sections 3.4 and 3.5: what is out of focus is drawn from coarse
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..numeric.record import value_record
 from ..scene.camera import Camera
 
 # Radii of circles of confusion in pixels. Up to IN_FOCUS a circle adds less than a fifth to the variance of a pixel's
@@ -24,7 +23,7 @@ COARSEST_TOLERANCE = 2.0
 NEAREST = 1e-9  # depth over the focus distance; nearer circles of confusion do not grow any more
 
 
-@dataclass(frozen=True)
+@value_record
 class Blur:
     """The circles of confusion of one camera (thin lens), in pixels."""
 

@@ -6,11 +6,11 @@ positions, radii and attributes alike. Cyclic curves end with a copy of their fi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.segments import owners
 
 CATMULL_ROM, POLY, BEZIER, NURBS = range(4)  # Blender's numbers for kinds of curves
@@ -18,7 +18,7 @@ MINIMUM_TWIST, Z_UP, FREE = range(3)  # and for normals
 AUTO = 0  # a resolution of Catmull-Rom curves: as many steps as their radius requires
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Curves:
     """C curves of P control points, one curve after another, none of them empty.
 
@@ -47,7 +47,7 @@ class Curves:
         return np.diff(self.start)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class EvaluatedCurves:
     """E evaluated points on C curves, as weighted sums of control points."""
 

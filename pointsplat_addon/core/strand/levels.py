@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ..numeric.record import record, value_record
 from ..numeric.segments import owners, ranks, starts
 
 BLOCK = 64  # consecutive strands, of which each sample draws its share
@@ -15,7 +15,7 @@ BELOW_ONE = 1 - 2.0**-24  # the largest float32
 VISIBLE_CHANGE = 1 / 64  # largest change of colours and surface values that leaving out points may cause
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class StrandLevels:
     """Strands that can be drawn: all points are finite, consecutive ones differ, and every strand has at least two
     points and a radius. P points in S strands, one after another."""
@@ -113,7 +113,7 @@ class StrandLevels:
         return (np.arange(len(self)) - self.start[self.strand]).astype(np.int32)
 
 
-@dataclass(frozen=True)
+@value_record
 class StrandBounds:
     """The extents of all strands of one geometry, in object units."""
 
@@ -124,7 +124,7 @@ class StrandBounds:
     typical: float  # median over strands of the greatest diameter
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Level:
     """The points that one level leaves out of the level before, each between two that stay."""
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..numeric.lattice import Lattice
+from ..numeric.record import record
 from ..scene.camera import Camera
 from .levels import StrandLevels
 from .segments import OWN_WIDTH, THIN
@@ -15,7 +14,7 @@ SHORTEST_DIRECTED = 1e-3  # pixels: shorter segments have no direction on the sc
 NEAREST = 1e-12  # units from the eye: points nearer are projected from there, so that squares of pixels fit float32
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class ProjectedStrands:
     """The P points of strands as one view sees them."""
 

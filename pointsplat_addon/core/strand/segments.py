@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from ..numeric.lattice import Lattice
+from ..numeric.record import record
 from .levels import StrandLevels
 
 ROUND = 2.0  # pixels, along the axis of the raster across a segment: narrower ones have one shade across
@@ -15,7 +16,7 @@ THIN = 1.0  # widths of the raster's line: below it a segment is drawn as that l
 OWN_WIDTH = -1.0  # in place of a share: the width is that of the strand, which need not be known to choose segments
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Segments:
     """The segments of one geometry's strands that one view draws, K of them."""
 

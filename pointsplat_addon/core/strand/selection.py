@@ -9,11 +9,10 @@ out by powers of two, and what is drawn keeps the area of what it stands for.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..numeric.lattice import Lattice
+from ..numeric.record import value_record
 from ..scene.camera import Camera
 from .levels import StrandBounds, StrandLevels
 from .projection import ProjectedStrands, cell_shares, in_picture, line_shares, project
@@ -85,7 +84,7 @@ def select(
     )
 
 
-@dataclass(frozen=True)
+@value_record
 class _Scale:
     """The range of sizes at which a view shows one instance."""
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..numeric.linear import all_finite, largest_singular_value
+from ..numeric.record import record
 from ..numeric.vectors import blocks, clip, cross, dot, each_block
 from ..scene.bounds import bounding_box
 from ..scene.camera import Camera
@@ -22,7 +22,7 @@ SCATTERED = 0.4  # of a mesh's size: where its parts are larger, on average, ano
 _CORNERS = np.array(np.meshgrid([False, True], [False, True], [False, True], indexing="ij")).reshape(3, 8)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Parts:
     """Valid triangles in parts that lie together, and their boxes: most parts then need no closer look."""
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.vectors import cross, dot, each_block
 from ..scene.bounds import mesh_centre
 from ..scene.mesh import Mesh, copy_to_columns, copy_to_rows, triangle_corners
@@ -15,7 +14,7 @@ from .vertex_sampling import normalised, one_rings
 _MIN_ASPECT = 2.0**-20  # minor over major half-axis: keeps conics invertible in float32
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Evaluated:
     """Samples on one pose of their mesh: what a PointCloud needs of geometry."""
 

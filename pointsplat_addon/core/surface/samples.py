@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.vectors import blocks
 from ..scene.mesh import Mesh
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Samples:
     """N positions on a mesh's triangles and the ellipses of their splats, independent of pose and camera."""
 

@@ -8,11 +8,11 @@ do well without.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..numeric.linear import largest_singular_value
+from ..numeric.record import record
 from ..numeric.segments import owners, ranks
 from ..numeric.vectors import cross, dot
 from ..scene.camera import Camera
@@ -27,7 +27,7 @@ LARGE_SHARE = 1 / 1024  # of a geometry's area: triangles that are larger are me
 MOST_MET = 512  # triangles by rays
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Sketch:
     """Samples of a geometry, in object space."""
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..numeric.record import record
 from ..numeric.vectors import blocks, cross, dot, each_block
 from ..scene.mesh import Mesh, squared_edges, triangle_corners
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Measures:
     """Shape of the M valid triangles of a mesh."""
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numeric.record import record
 from ..scene.volume import Medium, Transfer, Volume
 from .blackbody import blackbody
 
@@ -14,7 +15,7 @@ MOST_EXTINCTION = 1e30  # extinction, and radiance per unit of length, that leav
 BLACKBODY_RADIANCE = 5.670374e-8 * 1e-6 / np.pi
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Optics:
     """The medium in each of N voxels, per object unit."""
 

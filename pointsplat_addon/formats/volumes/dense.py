@@ -10,11 +10,12 @@ import os
 import struct
 import tokenize
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+
+from ...core.numeric.record import record
 
 SUFFIXES = (".npy", ".nii", ".nii.gz")
 HEADER = 348  # bytes
@@ -36,7 +37,7 @@ FIELDS = np.dtype({
 })  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Dense:
     """Values on a lattice. An integer index is a voxel's centre."""
 

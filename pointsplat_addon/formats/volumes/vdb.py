@@ -6,12 +6,12 @@ The module is handed in (host/openvdb.py finds it), so that nothing here needs B
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...core.numeric.record import record
 from ...core.numeric.segments import owners, ranks
 from ...core.volume.lattice import index_bounds, lattice_keys
 
@@ -37,7 +37,7 @@ KINDS: dict[str, Any] = {  # grids that are read, and a background that no value
 }
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Grid:
     """Active voxels of one grid. An integer index is a voxel's centre."""
 
@@ -47,7 +47,7 @@ class Grid:
     object_from_index: np.ndarray  # (4, 4) float64
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Grids:
     """Grids of one file or object on one lattice."""
 

@@ -7,7 +7,7 @@ medium of a material with a volume and no surface, or such that a ray through th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 import bpy
@@ -16,6 +16,7 @@ import numpy as np
 from ...core.material.evaluation import Appearance, evaluate_materials
 from ...core.material.expression import Part, SampleInputs
 from ...core.material.graph import MaterialGraph, Needs, needs
+from ...core.numeric.record import record
 from ...core.numeric.vectors import column_ranges, each_block, moved_rows, put_rows
 from ...core.scene.cloud import PointCloud, coherent_places
 from ...core.scene.volume import Medium, Volume
@@ -36,7 +37,7 @@ Lookup = Callable[[str, Callable[[], PointCloud]], PointCloud]  # the cloud of a
 Data = bpy.types.PointCloud | bpy.types.Mesh
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Points:
     """Arrays of N points as Blender has them, in object units; they may be its own: see `arrays.view`."""
 

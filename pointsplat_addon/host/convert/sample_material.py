@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...core.material.evaluation import SurfaceConstants
 from ...core.material.graph import MaterialGraph, Needs, needs
+from ...core.numeric.record import record
 from ...core.scene.materials import MaterialTable
 from ...core.scene.volume import Medium
 
@@ -23,7 +23,7 @@ def needs_of_materials(materials: tuple[SampleMaterial, ...]) -> Needs:
     )
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class SampleMaterial:
     """One row of the table of materials, as the conversion of points and strands needs it."""
 

@@ -7,7 +7,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...core.numeric.record import record
 from ...core.scene.volume import Medium, Transfer, Volume
 from ...formats.volumes import vdb
 from . import arrays
@@ -24,7 +25,7 @@ RAMP_SAMPLES = 256  # samples of a colour ramp
 Lookup = Callable[[str, Callable[[], Any]], Any]
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Voxels:
     """The grids of one file or of one evaluated object."""
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...core.numeric.record import value_record
 from ...core.scene.scene import Scene
 from ..plan.request import Request
 
@@ -28,7 +29,7 @@ CLOSE = 0.06  # of the budget: what is predicted that near is left as it is, so 
 SCENES = 16  # that a device remembers
 
 
-@dataclass(frozen=True)
+@value_record
 class Choice:
     """How a picture is drawn."""
 

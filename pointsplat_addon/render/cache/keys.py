@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Hashable
-from dataclasses import dataclass
 from enum import Enum, auto
+
+from ...core.numeric.record import value_record
 
 
 class Kind(Enum):
@@ -58,6 +59,7 @@ class Kind(Enum):
     CASTER_BALL = auto()
     CASTER_BOX = auto()
     CASTER_PLANE = auto()
+    CASTER_BODY = auto()  # planes of a closed, convex mesh
     CASTER_EXTENTS = auto()
     CASTER_POSITIONS = auto()  # points all over a mesh
     CASTER_SAMPLES = auto()
@@ -92,7 +94,7 @@ class Kind(Enum):
     __hash__ = object.__hash__
 
 
-@dataclass(frozen=True)
+@value_record
 class Key:
     """What an item is and what it depends on; two keys are equal if all of it is."""
 

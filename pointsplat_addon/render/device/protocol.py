@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
+from ...core.numeric.record import value_record
 from ...core.numeric.vectors import each_block
 from ...shading.interface import Interface
 
@@ -31,7 +31,7 @@ class DeviceError(RuntimeError):
     """The device cannot do what was asked; the message says what and why."""
 
 
-@dataclass(frozen=True)
+@value_record
 class Limits:
     """What the device was found to offer, by asking it."""
 

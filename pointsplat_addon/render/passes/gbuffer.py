@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from ...core.numeric.record import value_record
 from ..device.protocol import Device, Target, Texture
 
 
-@dataclass(frozen=True)
+@value_record
 class Variant:
     """What the G-buffer of a scene holds beyond geometry; each True is a `#define` and a texture."""
 

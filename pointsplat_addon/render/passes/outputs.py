@@ -4,12 +4,13 @@ hold where nothing is."""
 from __future__ import annotations
 
 from collections.abc import Set
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.numeric.record import value_record
 
-@dataclass(frozen=True)
+
+@value_record
 class RenderPass:
     """One pass of a view layer, named as Cycles names it."""
 

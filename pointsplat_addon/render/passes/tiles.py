@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from ...core.numeric.record import value_record
 from ...shading.interface import Block, Interface
 from ..device.protocol import Device, Target, Texture
 
@@ -27,7 +28,7 @@ def _tiled_block(block: Block) -> Block:
     return block.extended("Tiles", ("vec2", "tile_size"))
 
 
-@dataclass(frozen=True)
+@value_record
 class Region:
     """Where full-screen passes draw: everywhere, or in the tiles where `mask` (R32F, one texel a tile) is not 0."""
 

@@ -6,10 +6,9 @@ Each pass declares its own block, named `u` in its shaders, with the fields that
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...core.numeric.record import value_record
 from ...core.scene.camera import Camera
 from ...core.splat.blur import defocus_blur
 from ...shading.interface import Block
@@ -46,7 +45,7 @@ def block(name: str, *groups: Fields) -> Block:
     return Block(f"Ps{name}", "u", tuple(field for group in groups for field in group))
 
 
-@dataclass(frozen=True)
+@value_record
 class SampleView:
     """The camera of one sample, and which sample it is."""
 

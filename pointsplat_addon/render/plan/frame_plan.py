@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ...core.lens.thin_lens import uses_lens_samples
 from ...core.lod.cost import Costs
 from ...core.numeric.lattice import lattice_for
 from ...core.numeric.pixel_filter import filter_reach
+from ...core.numeric.record import record
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ...core.scene.validation import validate
@@ -46,7 +47,7 @@ MOST_MARGIN = 64  # pixels around the window in which the centres of wide splats
 LENS_SAMPLES_BLUR = "each sample sees it through a point on the lens"  # the reason why the world has no picture
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class FramePlan:
     """One view of a scene, prepared and planned."""
 
@@ -271,7 +272,7 @@ def _shadows(
     if not (any(layer.cut.splats for layer in layers) or len(prepared.polygons) or prepared.strands):
         return None, "nothing is drawn"
     before = time.perf_counter()
-    found, unshadowed = make_shadows(scene, request.settings, store, clock.check, limits.texture_size)
+    found, unshadowed = make_shadows(scene, request.settings, store, clock.check, limits.texture_size, request.camera)
     if found is None:
         return None, unshadowed or "nothing casts shadows"
     if found.maps is not None and not request.interactive:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...core.light.light_table import light_names
 from ...core.material.graph import MaterialGraph
+from ...core.numeric.record import record, value_record
 from ...core.scene.cloud import PointCloud
 from ...core.scene.scene import Scene
 from ...core.scene.strands import Strands
@@ -30,7 +31,7 @@ from .request import Request
 EXACT_HALF = 2048  # integers below it are exact as half floats
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class ViewToPlan:
     """All that a plan depends on: one view of a scene, prepared."""
 
@@ -52,7 +53,7 @@ class ViewToPlan:
         return self.prepared.out_of_focus is not None
 
 
-@dataclass(frozen=True)
+@value_record
 class _Kinds:
     """The kinds of opaque things that a view has."""
 
@@ -63,7 +64,7 @@ class _Kinds:
     solid: bool  # the G-buffer that is shaded holds something
 
 
-@dataclass(frozen=True)
+@value_record
 class _Attributes:
     """What varies within a material, among all that is opaque: the G-buffer has a texture for each."""
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from ...core.numeric.pixel_filter import FILTER_SIZE
+from ...core.numeric.record import value_record
 from ..passes.ewa.options import EwaOptions
 from ..passes.gbuffer import Variant
 from ..passes.pages.point_page import PointOptions
 from ..passes.translucent.options import TranslucentOptions
 
 
-@dataclass(frozen=True)
+@value_record
 class Plan:
     """Everything that is decided before the first draw of one view; `make_plan` makes it."""
 

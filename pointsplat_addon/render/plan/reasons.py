@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Set
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from ...core.numeric.record import value_record
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import data
 from .plan import Plan
@@ -58,7 +59,7 @@ LATE = {
 UNKNOWN = "no sample came so far"
 
 
-@dataclass(frozen=True)
+@value_record
 class Absences:
     """Why a view lacks what it might have; each is empty where the view has it."""
 

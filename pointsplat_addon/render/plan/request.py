@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from ...core.numeric.record import value_record
 from ...core.scene.camera import Camera
 from ...core.scene.settings import Settings
 from ...core.splat.blur import NODE_SIZE
 
 
-@dataclass(frozen=True)
+@value_record
 class Request:
     """One picture that the renderer is asked for."""
 
@@ -27,7 +27,7 @@ class Request:
     node: float = NODE_SIZE
 
 
-@dataclass(frozen=True)
+@value_record
 class Result:
     """Pictures (H, W, C) float32 by pass, bottom row first, and the report."""
 

@@ -7,10 +7,11 @@ something is out of focus. Nothing else chooses a technique.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...core.numeric.record import record, value_record
 from ...core.scene.materials import MaterialTable
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
@@ -24,7 +25,7 @@ MOST_SURFELS_AT_ONCE = 1 << 22  # points on surfaces in a view that moves: with 
 TITLES = {"EWA": "EWA", "PAINTER": "The painter"}  # of the techniques that blend floats
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class TechniqueInput:
     """What the technique depends on before a view is prepared."""
 
@@ -36,7 +37,7 @@ class TechniqueInput:
     float_blend: bool  # the device can blend floats, as EWA and the painter do
 
 
-@dataclass(frozen=True)
+@value_record
 class Technique:
     """The technique that draws opaque points, with the reason."""
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...core.lod.cost import Costs, PrimitiveChoice, choose_primitives
+from ...core.numeric.record import record
 from ...core.scene.bounds import mesh_centre
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud
@@ -44,7 +45,7 @@ NODE_COST = (
 )
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class InstanceChoice:
     """Which parts of one instance are drawn as points and which as polygons in one view."""
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 
 import numpy as np
 
 from ...core.lod.cost import Costs, mask_runs
+from ...core.numeric.record import record
 from ...core.scene.mesh import Mesh
 from ...core.surface.area_sampling import estimate_by_part
 from ...core.surface.density import PART, Parts
@@ -17,7 +18,7 @@ from ...core.surface.spacing import quantise_spacing
 from ...core.surface.triangles import Measures, measures_of_some
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class DividedMesh:
     """The parts of a mesh, with the area and sample counts of each that decide between points and triangles."""
 
@@ -85,7 +86,7 @@ class DividedMesh:
         return found if samples[found].sum() <= most else np.zeros_like(found)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class PartSamples:
     """Samples of some parts of a mesh, sorted by part."""
 

@@ -7,7 +7,7 @@ mesh that deforms keeps them and does not shimmer.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from ...core.lod.foliage import is_foliage
 from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import largest_singular_value
+from ...core.numeric.record import record
 from ...core.scene.bounds import mesh_centre, triangles_ball
 from ...core.scene.cloud import PointCloud
 from ...core.scene.mesh import Mesh
@@ -45,7 +46,7 @@ COARSEST_OCTAVE = 6  # beyond it, the few samples that are left cost less than a
 VERTEX_PIXELS = 2.0  # vertices are samples enough where no edge spans more; with pictures on them, one sample a pixel
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class MeasuredMesh:
     """A mesh with valid triangles, and measurements of it that are cached for all views."""
 
@@ -111,7 +112,7 @@ def max_samples(tolerance: float) -> int:
     return int(min(MAX_SAMPLES / min(tolerance, 1.0) ** 2, MOST_SAMPLES))
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Primitives:
     """The points and polygons that instances of one geometry are drawn as; rows index these instances."""
 

@@ -16,12 +16,13 @@ bound. Mist affects only its own pass.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...core.light.bsdf import MIN_ALPHA, largest_multiple_scattering, relative_index
 from ...core.light.light_shapes import irradiance_bound
+from ...core.numeric.record import value_record
 from ...core.scene.lights import Light
 from ...core.scene.scene import Scene
 from ...core.scene.world import World
@@ -37,7 +38,7 @@ LIGHTS, WORLD, EMISSION = MEASURABLE / 2, MEASURABLE / 4, MEASURABLE / 4  # the 
 FIRST_TEXELS = 4096  # texels of a picture that are tested first: most pictures are bright
 
 
-@dataclass(frozen=True)
+@value_record
 class Reflection:
     """Upper bounds of how much light anything that is drawn reflects toward the eye; infinite: unknown."""
 

@@ -14,6 +14,7 @@ from ...core.lod.cut import cut_of_all_points, select_cut
 from ...core.lod.instances import joined_cuts
 from ...core.lod.node_table import node_table
 from ...core.numeric.linear import largest_singular_value
+from ...core.numeric.record import record
 from ...core.scene.bounds import mesh_centre
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud
@@ -30,7 +31,7 @@ from ..cache.store import Store
 from .point_sets import Layer, PointSet
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class OutOfFocusLayer(Layer):
     """Opaque splats that may be out of focus, with the fraction of its ellipse that each covers."""
 

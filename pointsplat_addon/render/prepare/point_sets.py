@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from ...core.lod.foliage import disconnected_splats
 from ...core.lod.hierarchy import Hierarchy
 from ...core.lod.instances import visible_instances
 from ...core.numeric.linear import largest_singular_value
+from ...core.numeric.record import record
 from ...core.scene.bounds import cloud_ball
 from ...core.scene.camera import Camera
 from ...core.scene.cloud import PointCloud, coherent
@@ -21,7 +22,7 @@ from ..cache.store import Store
 from .view import View
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class PointSet:
     """Splats of one geometry: its points, or points and the nodes over them."""
 
@@ -38,7 +39,7 @@ class PointSet:
         return len(self.cloud) + (len(self.hierarchy) if self.hierarchy else 0)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Layer:
     """Points that one view draws together."""
 

@@ -15,6 +15,7 @@ from ...core.lod.balls.tree import BallTree
 from ...core.lod.cost import DEFAULT, Costs
 from ...core.lod.cut import cut_of_all_points
 from ...core.numeric.lattice import lattice_for
+from ...core.numeric.record import record
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
 from ...core.scene.settings import Settings
@@ -37,7 +38,7 @@ from .view import View
 WIDE_BALL = 2.0  # pixels of radius: means of wider balls that overlap would show
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Prepared(Layer):
     """What one view draws: opaque points (the layer itself), translucent points, spheres, polygons and strands."""
 
@@ -119,7 +120,7 @@ def prepare(
     )
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class _LayerPoints:
     """Point sets that are drawn in the same way, with the set of each instance."""
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from ...core.lod.cost import Costs
+from ...core.numeric.record import record
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ...core.scene.settings import Settings
@@ -13,7 +14,7 @@ from ...core.splat.blur import Blur
 from ..cache.store import Store
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class View:
     """A scene as one camera sees it, with the settings, caches and costs for preparing it, and the warnings so far."""
 

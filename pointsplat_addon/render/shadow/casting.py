@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...core.numeric.linear import largest_singular_value
+from ...core.numeric.record import record
 from ...core.scene.bounds import bounding_box, used_positions
 from ...core.scene.lights import Light
 from ...core.scene.mesh import Mesh
@@ -23,7 +22,7 @@ MAX_COORDINATE = 1e18  # units from the origin: squares of distances must be in 
 _EXTREMES = (np.min, np.inf), (np.max, -np.inf)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class CastingGeometry:
     """One geometry and those of its instances that cast shadows."""
 

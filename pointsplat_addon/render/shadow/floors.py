@@ -1,11 +1,13 @@
-"""Finds casters that are floors: flat meshes and slabs with all lights and all geometry on one side, which shadow
-nothing."""
+"""Finds casters that shadow nothing: floors, flat meshes and slabs with all lights and all geometry on one side; and a
+convex body that is alone."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ...core.numeric.linear import all_finite
+from ...core.scene.bounds import box_corners
+from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
 from ...core.shadow.floor import (
     FLATNESS,
@@ -20,10 +22,35 @@ from ...core.shadow.floor import (
 from ..cache.keys import Key, Kind
 from ..cache.keys import digest as hashed
 from ..cache.store import Store
+from ..prepare.separation import is_translucent
 from .casting import CastingGeometry, cached_bounding_box, cached_mesh_extents, light_key
 
 MAX_FLOOR_INSTANCES = 64  # instances of one mesh up to which they may be floors
 MAX_HEIGHTS = 1 << 22  # vertices of all instances up to which each is tested against a floor
+
+
+def is_lone_body(scene: Scene, casters: list[CastingGeometry], camera: Camera, store: Store) -> bool:
+    """Returns whether nothing is there but one closed, convex and opaque mesh with flat shading, and the camera is
+    outside of it: what of such a body is turned to a light is never in its own shadow."""
+    if len(scene.instances) != 1 or len(casters) != 1:
+        return False
+    caster, materials = casters[0], scene.materials
+    mesh, matrix = caster.geometry.mesh, caster.matrices[0]
+    if mesh is None or len(mesh.triangles) > SLAB_TRIANGLES or is_translucent(caster.geometry, materials):
+        return False
+    graphs = [materials.graphs[row] for row in mesh.materials if row < len(materials.graphs)]
+    if any(graph is not None and getattr(graph, "normal", None) is not None for graph in graphs):
+        return False  # its normals may be turned to a light that is behind its surface
+    view = camera.view_from_world @ matrix
+    depth = -(box_corners(*cached_bounding_box(caster.geometry, store)) @ view[2, :3] + view[2, 3])
+    if not depth.min() > camera.nearest:
+        return False  # the inside may be seen, where it is dark
+    return bool(
+        store.lookup(
+            Key(Kind.CASTER_BODY, caster.geometry.key),
+            lambda: planes_of_body(mesh, cached_mesh_extents(caster.geometry, mesh, store)),
+        )
+    )
 
 
 def split_floors(

@@ -8,11 +8,11 @@ hidden, or none shines.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
+from ...core.numeric.record import record
 from ...core.scene.lights import Light
 from ...core.shadow.grid import rotation_to
 
@@ -28,7 +28,7 @@ GOLDEN = 5**0.5 / 2 - 0.5  # of Vogel's spiral (1979)
 PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class LightShape:
     """The outline of a light, seen from what it shines on."""
 

@@ -9,10 +9,11 @@ that differ only in where they are, side by side.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...core.numeric.record import record
 from ...core.scene.camera import Camera
 from ...core.scene.lights import Light
 from ...core.shadow.grid import rotation_to
@@ -33,7 +34,7 @@ MOST_TEXELS_OF_LIGHT = 1 << 23  # with a size
 BEYOND = 0.2  # of the bounds of a view from a light with a size, beyond those: where its other points see the same
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Nested:
     """For which receivers a nested map stands in for that of the scene (nested.py)."""
 
@@ -43,7 +44,7 @@ class Nested:
     lift: float  # the height at which its views from all points of the light show the same place
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class MapView:
     """One view from a light. Its coordinates are right, up and the depth in front of the light, with `right` cross `up`
     = -`forward`; a place in it is (right, up), over the depth where the view is a perspective one."""
@@ -116,7 +117,7 @@ class MapView:
         return Camera(view, clip, self.size, near=near, far=far)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class LightViews:
     """All views from one light."""
 
@@ -128,7 +129,7 @@ class LightViews:
     shape: LightShape | None = None  # of a light with a size
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class CastingBoxes:
     """What casts into maps: corners of boxes around instances, and how small their splats are."""
 

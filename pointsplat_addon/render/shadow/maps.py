@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...core.numeric.linear import all_finite, largest_singular_value
+from ...core.numeric.record import record
 from ...core.scene.bounds import box_corners
 from ...core.scene.lights import Light
 from ...core.scene.scene import Geometry, Scene
@@ -27,7 +27,7 @@ NESTED_TEXELS = 6  # of nested maps
 KINDS = ("NONE", "PARALLEL", "SINGLE", "CUBE")
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class ShadowMaps:
     """The views of all depth maps of a scene, and what is drawn into them."""
 

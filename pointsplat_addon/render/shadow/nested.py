@@ -10,11 +10,12 @@ for what a camera sees directly; all else looks at the map of the scene.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
+from ...core.numeric.record import record
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Geometry, Scene
 from ...core.surface.seen import Sketch, narrowest_pixel, seen_places, sketch_of_points, sketch_of_triangles
@@ -57,7 +58,7 @@ def with_nested(maps: ShadowMaps, scene: Scene, camera: Camera, store: Store, te
     return _arranged(maps, found, widest, texture_size)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class _Seen:
     """What seen_places finds."""
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.numeric.record import record
 from ...core.numeric.segments import starts
 from ...core.shadow.casters import KINDS
 from ...core.shadow.level import TableLevel
@@ -18,7 +18,7 @@ NO_ENTRY_DISTANCE = np.float32(1e30)  # distance of the nearest entry where ther
 LEVEL_TEXELS = 3  # texels of a level's record
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class PackedTables:
     """The tables of all lights as one texture that no view changes, and what each view needs to read it.
 
@@ -89,8 +89,8 @@ def pack(tables: Sequence[ShadowTable | None], texture_size: int = 16384) -> Pac
     records = np.zeros((len(tables), most, LEVEL_TEXELS, 4), np.float32)
     squares = np.zeros(len(tables), np.int64)
     parts, texels = [], 0
-    for light, (table, record) in enumerate(zip(tables, records, strict=True)):
-        for level, texel in zip(() if table is None else table.levels, record, strict=False):
+    for light, (table, row) in enumerate(zip(tables, records, strict=True)):
+        for level, texel in zip(() if table is None else table.levels, row, strict=False):
             blocks = _level_blocks(level, colored)
             sizes = np.array([len(b) for b in blocks])
             base = texels + starts(sizes)

@@ -8,12 +8,12 @@ samples. Where more panes lie behind each other than there are layers, tables ho
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...core.numeric import segments
 from ...core.numeric.linear import all_finite
+from ...core.numeric.record import record
 from ...core.scene.lights import Light
 from ...core.scene.scene import Scene
 from ...core.surface.appearance import graphs_of
@@ -33,7 +33,7 @@ PLACES = 64  # along the longer side of a view, at which panes behind each other
 MOST_TESTED = 1 << 22  # places in the boxes around all triangles: if there are more, so are layers
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class PaneMaps:
     """The views of all maps of panes, how many layers each has, and what is drawn into them."""
 

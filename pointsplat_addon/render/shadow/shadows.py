@@ -7,9 +7,10 @@ sampled as densely as these resolve, independent of any view: strands, and what 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from ...core.light.light_table import sorted_by_kind
+from ...core.numeric.record import record
+from ...core.scene.camera import Camera
 from ...core.scene.lights import Light
 from ...core.scene.scene import Scene
 from ...core.scene.settings import Settings
@@ -20,7 +21,7 @@ from ..cache.keys import digest as hashed
 from ..cache.store import Store
 from .batches import box_corner_casters, splat_batches, strand_segments
 from .casting import CastingGeometry, casting_geometries, light_key, transmission_digest, why_no_shadows
-from .floors import split_floors
+from .floors import is_lone_body, split_floors
 from .maps import ShadowMaps, casts_into_map, make_maps, takes_map
 from .packed_tables import PackedTables, pack
 from .panes import PaneMaps, casts_as_pane, make_panes, takes_panes
@@ -29,7 +30,7 @@ from .spacing import sample_spacings
 MAX_TEXTURE_ROWS = 16384  # rows of a texture
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Tables:
     """The shadow tables of those lights of a scene that have one, packed for a device."""
 
@@ -44,7 +45,7 @@ class Tables:
         return self.packed.data.nbytes
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Shadows:
     """What casts the shadows of a scene: at least one of these."""
 
@@ -74,11 +75,13 @@ def make_shadows(
     store: Store,
     check: Callable[[], None] = lambda: None,
     texture_size: int = MAX_TEXTURE_ROWS,
+    camera: Camera | None = None,
 ) -> tuple[Shadows | None, str]:
     """Returns the shadows of all lights and an empty string; or None and the reason, if no light casts any.
 
     Tables and maps are in the order of the light table's rows. `check` is called between steps, and may raise to stop.
-    A light whose table cannot be built casts no shadow, and a warning says so. `texture_size`: of the device.
+    A light whose table cannot be built casts no shadow, and a warning says so. `texture_size`: of the device. `camera`:
+    that sees the shadows; None: they are for all cameras, also inside of things.
     """
     why = why_no_shadows(scene, settings)
     if why:
@@ -86,6 +89,8 @@ def make_shadows(
     casters = casting_geometries(scene, store)
     if not casters:
         return None, "nothing casts shadows"
+    if camera is not None and is_lone_body(scene, casters, camera, store):
+        return None, "a convex body is alone"
     casters, floors = split_floors(scene, casters, store)
     if all(floors):
         return None, "there is nothing in the shadow of anything"
@@ -110,7 +115,7 @@ def make_shadows(
     return Shadows(tables, maps, panes), ""
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class _Cast:
     """Casters of some tables."""
 

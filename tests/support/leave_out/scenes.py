@@ -161,6 +161,12 @@ def small_balls() -> Case:
     return cloud_case(cloud, "leave out: small balls")
 
 
+def two_cubes() -> Case:
+    """Of which one may shadow the other; a cube that is alone shadows nothing."""
+    cube = solid_cases.cube().scene.geometries[0]
+    return Case(build.scene((cube, build.moved()), (cube, build.moved((2.5, 0, 0)))), solid_cases.cube().camera)
+
+
 def one_light(case: Case, radius: float) -> Case:
     light = Light("POINT", np.full(3, 20.0), np.array([1.0, -3, 2]), np.array([0.0, 0, -1]), radius)
     return with_settings(with_scene(case, lights=(light,)), use_shadows=True, shadow_resolution=64)

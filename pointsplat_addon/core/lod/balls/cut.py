@@ -6,11 +6,10 @@ nodes of the level that they need, not of nodes: it takes milliseconds, whatever
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...numeric.linear import all_finite
+from ...numeric.record import record, value_record
 from ...numeric.segments import ranges
 from ...scene.camera import Camera
 from ..criteria import Criteria, InstanceViews, against_frustum, criteria_of, instance_views
@@ -22,7 +21,7 @@ PART = 128  # nodes of one level, or balls, that are drawn together though some 
 EVEN = 1.2  # farthest over nearest depth of what is drawn by one level
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class BallCut:
     """What instances of one tree draw: nodes, counted over all levels, and balls in the tree's order."""
 
@@ -30,7 +29,7 @@ class BallCut:
     balls: Cut
 
 
-@dataclass(frozen=True)
+@value_record
 class _Front:
     """Cells of one level, (n,) each."""
 

@@ -8,10 +8,9 @@ balls and the sum of their areas; what a ray meets of it follows from both when 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...numeric.record import record
 from ...numeric.segments import batches, offsets
 from ...numeric.vectors import each_block
 from ...scene.cloud import PointCloud
@@ -32,7 +31,7 @@ ONE_SATURATION = 1e4  # of a single ball, which is covered
 AVERAGED = ("color", "surface", "emission")  # attributes of nodes that are means, weighted by area
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class BallTree:
     """The balls of a cloud and the nodes above them. Lengths are object units, positions relative to cloud.origin.
 

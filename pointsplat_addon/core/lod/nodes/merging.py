@@ -7,11 +7,10 @@ A uniform disk of radius r has the variance r^2 / 4 along each axis of its plane
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...numeric.linear import bilinear_form, outer_product, principal_axes
+from ...numeric.record import value_record
 from ...numeric.segments import batches, owners, starts
 from ...numeric.vectors import basis, lengths
 from ...scene.cloud import PointCloud
@@ -57,7 +56,7 @@ def _merge_runs(rows: NodeRows, count: np.ndarray, cloud: PointCloud) -> NodeRow
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
+@value_record
 class _Kernels:
     """Ellipses of n nodes."""
 

@@ -7,17 +7,17 @@ order, so that the points below a node are one range.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...numeric.record import record
 from ...numeric.segments import batches, starts
 
 MAX_DEPTH = 64  # levels; only geometric sequences of points come near it
 CHUNK = 1 << 15  # points or children that are merged together, so that their working arrays stay in the cache
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Tree:
     """Links of M nodes over N points, breadth first: node 0 is the root."""
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...numeric.record import record
 from ..color_models import COLOR_MODELS, LUMINANCE, hsv_to_rgb, rgb_to_hsv
 from ..expression import Expression, SampleInputs
 from .math_functions import divide_or_zero, fraction, linear_blend
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Component(Expression):
     """One channel of a value, (N, 1)."""
 
@@ -23,7 +23,7 @@ class Component(Expression):
         return values[0][:, self.index : self.index + 1]
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Color(Expression):
     """The first three channels of a value with alpha; one channel becomes grey."""
 
@@ -34,7 +34,7 @@ class Color(Expression):
         return np.repeat(value, 3, axis=1) if value.shape[1] == 1 else value[:, :3]
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Gray(Expression):
     """Luminance of a colour, or the mean of a vector: Blender's implicit conversions to a scalar."""
 
@@ -46,7 +46,7 @@ class Gray(Expression):
         return value.mean(axis=1, keepdims=True) if self.mean else (value @ LUMINANCE)[:, None]
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Combine(Expression):
     """Three scalars as a vector or colour."""
 
@@ -58,7 +58,7 @@ class Combine(Expression):
         return np.concatenate(np.broadcast_arrays(*values), axis=1)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class ColorModel(Expression):
     """A change of colour model, one of COLOR_MODELS."""
 
@@ -132,7 +132,7 @@ BLEND: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Mix(Expression):
     """Two scalars, vectors or colours blended by a factor."""
 
@@ -149,7 +149,7 @@ class Mix(Expression):
         return np.clip(out, 0, 1) if self.clamp_result else out
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Invert(Expression):
     """The complement of a colour, blended in by a factor."""
 
@@ -161,7 +161,7 @@ class Invert(Expression):
         return t * (1 - color) + (1 - t) * color
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Gamma(Expression):
     """A colour raised to a power; channels that are not positive stay."""
 
@@ -175,7 +175,7 @@ class Gamma(Expression):
         return np.where(gamma == 0, 1, out)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class BrightContrast(Expression):
     """A colour with changed brightness and contrast, at least 0."""
 
@@ -188,7 +188,7 @@ class BrightContrast(Expression):
         return np.maximum((1 + contrast) * color + bright - contrast / 2, 0)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class HueSaturation(Expression):
     """A colour with changed hue, saturation and value; 0.5, 1 and 1 change nothing."""
 

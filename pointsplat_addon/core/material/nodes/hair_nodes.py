@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...numeric.record import record
 from ..expression import Expression, SampleInputs
 from ..hair_color import LEAST, absorption_from_color, absorption_from_melanin, color_from_absorption
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class HairColor(Expression):
     """The colour (N, 3) that hair of some absorption has, whatever the absorption is given by."""
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...numeric.record import record
 from ..expression import Expression, SampleInputs
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Constant(Expression):
     """A scalar, vector or colour that is the same at all samples."""
 
@@ -19,7 +18,7 @@ class Constant(Expression):
         return np.array([self.value], np.float32)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Source(Expression):
     """Base of the nodes that read the samples, so that their values vary."""
 
@@ -28,7 +27,7 @@ class Source(Expression):
         return True
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class UV(Source):
     """A UV map as (u, v, 0); None is the active map."""
 
@@ -39,7 +38,7 @@ class UV(Source):
         return three_columns(None if name is None else inputs.uv.get(name), len(inputs))
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class ColorAttribute(Source):
     """A colour attribute with its alpha, (N, 4); None is the active one."""
 
@@ -50,7 +49,7 @@ class ColorAttribute(Source):
         return np.zeros((len(inputs), 4), np.float32) if color is None else color
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Attribute(Source):
     """A named attribute, (N, 5): colour, alpha, and the mean that Blender's Fac output gives.
 
@@ -71,7 +70,7 @@ class Attribute(Source):
         return np.column_stack([uv, np.ones(len(uv), np.float32), uv[:, 0]])
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Coordinates(Source):
     """`position`, `generated` or `normal` of SampleInputs."""
 

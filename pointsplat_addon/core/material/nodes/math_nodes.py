@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...numeric.record import record
 from ..expression import Expression, SampleInputs
 from .math_functions import MATH, VECTOR_MATH, divide_or_zero, normalize_rows, rotate_euler, smooth_step
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Math(Expression):
     """A scalar operation of MATH."""
 
@@ -25,7 +24,7 @@ class Math(Expression):
         return np.clip(out, 0, 1) if self.clamp else out
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class VectorMath(Expression):
     """A vector operation of VECTOR_MATH; DOT_PRODUCT, DISTANCE and LENGTH yield scalars."""
 
@@ -39,7 +38,7 @@ class VectorMath(Expression):
         return VECTOR_MATH[self.operation](*values)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Clamp(Expression):
     """A value limited to a range."""
 
@@ -55,7 +54,7 @@ class Clamp(Expression):
         return np.minimum(np.maximum(value, low), high)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class MapRange(Expression):
     """A value mapped from one range to another."""
 
@@ -87,7 +86,7 @@ class MapRange(Expression):
         return out
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Mapping(Expression):
     """Blender's Mapping node; rotation in radians, XYZ Euler."""
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...numeric.record import record
 from ..expression import Expression, SampleInputs
 from .input_nodes import UV, three_columns
 from .math_functions import normalize_rows, row_dot
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class NormalMap(Expression):
     """Unit normal (N, 3) in object space from a normal map's colour.
 

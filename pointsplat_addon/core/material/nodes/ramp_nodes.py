@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ...numeric.record import record, value_record
 from ..color_models import COLOR_MODELS
 from ..expression import Expression, SampleInputs
 from ..textures import uniform_b_spline
@@ -36,7 +36,7 @@ def _blend_hue(left: np.ndarray, right: np.ndarray, t: np.ndarray, path: str) ->
     return (left + t * (gap + turn)) % 1
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class ColorRamp(Expression):
     """Colour and alpha (N, 4) of a gradient, as Blender's ColorRamp.evaluate gives them."""
 
@@ -80,7 +80,7 @@ class ColorRamp(Expression):
         return np.concatenate([COLOR_MODELS[f"RGB_FROM_{self.mode}"](out), alpha], axis=1)
 
 
-@dataclass(frozen=True)
+@value_record
 class CurveTable:
     """A curve as equidistant samples with straight continuations."""
 
@@ -101,7 +101,7 @@ class CurveTable:
         return inside + before * np.minimum(x - self.low, 0) + after * np.maximum(x - self.high, 0)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Curves(Expression):
     """Curves for each channel, after `combined` (if any) for all: RGB, vector and float curves."""
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ...numeric.record import record
 from ..color_models import linear_from_srgb
 from ..expression import Expression, SampleInputs, compute_node
 from ..image import Image
@@ -16,7 +16,7 @@ from .input_nodes import UV
 _FROM_BYTES = linear_from_srgb(np.arange(256, dtype=np.uint8) / np.float32(255))
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class ImageTexture(Expression):
     """Colour and alpha (N, 4) of an image at `uv`; texel centres lie at (i + 1/2) / size.
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...numeric.record import record
 from .measures import area_vectors, sums_by_row, triangle_areas
 from .result import AREA_ERROR, FLAT_RATIO
 
@@ -13,7 +12,7 @@ MOST_TRIANGLES = 128  # triangles that a leaf has at most
 CURLED_RATIO = 0.1  # a leaf's variance across its plane over that of its narrower axis, at most
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class FlatParts:
     """C flat parts, and the T triangles of one side of each."""
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...numeric.record import record
 from ...numeric.segments import owners
 from .flat import FlatParts
 from .measures import sums_by_row, triangle_areas
@@ -16,7 +15,7 @@ PROFILE_STEPS = 16  # along a lobe, to find where it is widest
 EDGE_SAMPLES = 4  # along an edge of a triangle whose area is shared out
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class _SurfaceSamples:
     """N samples all over flat parts. Coordinates are along the parts' two axes and across them, from the hubs."""
 

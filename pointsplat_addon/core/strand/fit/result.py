@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
+
+from ...numeric.record import record
 
 FLAT_RATIO = 0.02  # least ratio of the two variances of a section of a tube
 AREA_ERROR = 0.2  # by which a ribbon's area may differ from that of its triangles, relative
 NUDGE = 1e-6  # of a section's distance from the next, so that no cut goes through a vertex
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class FittedStrands:
     """Strands fitted to a mesh: P points in S strands, tubes and ribbons, one after another."""
 
@@ -32,7 +34,7 @@ class FittedStrands:
         return len(self.start) - 1
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class PartStrands:
     """Strands that one kind of fit found: P points in S strands, one after another."""
 

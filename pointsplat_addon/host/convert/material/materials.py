@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import bpy
 import numpy as np
@@ -18,6 +18,7 @@ from ....core.material.graph import MaterialGraph
 from ....core.material.masks import is_mask
 from ....core.material.nodes import input_nodes
 from ....core.numeric.cryptomatte import cryptomatte_hash
+from ....core.numeric.record import record
 from ....core.scene.materials import HairTable, MaterialTable, default_materials
 from ....core.scene.volume import Medium
 from .media import read_medium
@@ -36,7 +37,7 @@ VARYING_DEFAULTS = {  # the table's constant of a channel that varies
 }
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class MaterialRow:
     """One material as a row of core's MaterialTable."""
 

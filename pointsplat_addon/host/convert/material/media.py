@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import bpy
 import numpy as np
@@ -11,11 +11,12 @@ import numpy as np
 from ....core.material import expression
 from ....core.material.expression import Expression
 from ....core.material.nodes import color_nodes, input_nodes, math_nodes
+from ....core.numeric.record import record
 from ....core.scene.volume import Medium
 from .nodes.tree import NodeReader, Path, TreeReader, UnsupportedNodeError, default_value, resolve
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Coefficients:
     """Coefficients of a medium per unit of length; those of a sum of media are the sums of theirs."""
 

@@ -7,12 +7,13 @@ transmittance of the rest, and the colour that the tint has beyond its mean is s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 
 from ....core.material.expression import Expression, constant
 from ....core.material.nodes import color_nodes, input_nodes, math_nodes
+from ....core.numeric.record import record
 
 BLACK = input_nodes.Constant((0.0, 0.0, 0.0))
 ZERO, ONE = input_nodes.Constant((0.0,)), input_nodes.Constant((1.0,))
@@ -21,7 +22,7 @@ WHITE = input_nodes.Constant((1.0, 1.0, 1.0))
 SURFACE_NORMAL = input_nodes.Coordinates("normal")
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Surface:
     """Parameters of the Principled model. The defaults are an opaque black surface that reflects nothing."""
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
 
+from ....core.numeric.record import record
 from ....core.numeric.segments import offsets, owners
 from ....core.strand.curves import Curves
 from .. import arrays
@@ -16,7 +17,7 @@ POINT_FIELDS = ("position", "radius", "handle_left", "handle_right", "vector_lef
 CURVE_FIELDS = ("kind", "cyclic", "resolution", "order", "knots")
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class ControlPoints:
     """Arrays of P control points of S strands as Blender has them, in object units."""
 

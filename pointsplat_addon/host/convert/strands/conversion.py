@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from ....core.material.evaluation import evaluate_materials
 from ....core.material.expression import Part, SampleInputs
 from ....core.material.graph import MaterialGraph, Needs
 from ....core.material.hair_color import random_of_strands, strand_attribute
+from ....core.numeric.record import record
 from ....core.numeric.segments import owners
 from ....core.scene.strands import Strands
 from ....core.strand.curves import EvaluatedCurves
@@ -25,7 +26,7 @@ from .control_points import ControlPoints, without_invalid_points
 Lookup = Callable[[str, Callable[[], Any]], Any]  # the object of a content key, made only if it is not known
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class ConvertedStrands:
     """Strands, None if there is nothing to draw, and messages about what is left out, which do not name the object."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import bpy
@@ -12,12 +11,13 @@ import numpy as np
 
 from ....core.material.color_models import linear_from_srgb
 from ....core.material.graph import Needs
+from ....core.numeric.record import record
 from ....core.strand.curves import AUTO, CATMULL_ROM, Curves
 from ..sample_material import SampleMaterial, needs_of_materials
 from .control_points import ControlPoints
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class ParticleHair:
     """A particle system that is drawn as hair. Its Blender data are valid until the dependency graph changes."""
 

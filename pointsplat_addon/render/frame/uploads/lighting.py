@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from ....core.light import hair
 from ....core.light.environment import build_atlas, pyramid, stack_levels
 from ....core.light.light_table import light_texture
+from ....core.numeric.record import value_record
 from ....core.scene.camera import Camera
 from ....core.scene.scene import Scene
 from ...cache.keys import Key, Kind
@@ -25,7 +26,7 @@ from .scope import UploadScope
 from .shadow_maps import CasterUploads, draw_maps
 
 
-@dataclass(frozen=True)
+@value_record
 class ArrayIdentity:
     """An array as part of a key: equal to itself only. It holds the array, so that no other one takes its identity."""
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from ....core.numeric.lattice import Lattice
+from ....core.numeric.record import value_record
 from ...passes.uniforms import SampleView
 
 # Of a tile, with 16 bytes each and about as much for its groups: 17 sub-samples of 290 x 290 pixels, of 410 x 410 in a
@@ -12,7 +13,7 @@ from ...passes.uniforms import SampleView
 FEWEST_CELLS, FEWEST_SHOWN_CELLS, MOST_CELLS = 1 << 21, 1 << 22, 28_000_000
 
 
-@dataclass(frozen=True)
+@value_record
 class PictureTile:
     """A part of a picture, in pixels."""
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ....core.lens.kernel import NEGLIGIBLE, SOFT_RIM
+from ....core.numeric.record import record
 from ....core.numeric.segments import owners, ranges, starts
 
 TILE = 4  # pixels on a side of tiles
 MOST_ENTRIES = 1 << 24  # of all tiles: beyond it they are made larger
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class TileLists:
     """Which splats each tile of a picture shows, the nearest first."""
 

@@ -10,10 +10,9 @@ so many overlap there that what shows of a back is looked at by some of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ....core.numeric.record import value_record
 from ....shading.interface import Interface
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..tiles import TILE
@@ -67,7 +66,7 @@ NEEDED = Interface(
 THINNED = NEEDED.with_defines("PS_THIN")
 
 
-@dataclass(frozen=True)
+@value_record
 class Sizes:
     """Sizes of the splats that face the eye."""
 

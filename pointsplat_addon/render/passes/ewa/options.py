@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+from ....core.numeric.record import value_record
 from ....core.scene.camera import Camera
 from ....core.splat.ewa import centres_decide, low_pass
 
@@ -13,7 +13,7 @@ AFFINE_ERROR = 0.1  # pixels, as there
 NODE_RIM = 6.0  # squared Mahalanobis distance, beyond CUTOFF: shaders/lib/splat/ewa.glsl
 
 
-@dataclass(frozen=True)
+@value_record
 class EwaOptions:
     """What a view's splats need beyond PointOptions."""
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from ....core.numeric.record import value_record
 from ....shading.interface import Block, Interface
 from ..gbuffer import Variant
 from ..pages.point_page import PointOptions, attributes, page_block
@@ -30,7 +29,7 @@ def _drawn_block(points: PointOptions, blend: bool, large: bool) -> Block:
     return block("SmallSplats", CAMERA_FIELDS, *own)
 
 
-@dataclass(frozen=True)
+@value_record
 class EwaPrograms:
     """Interfaces of one variant."""
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ....core.numeric.record import value_record
 from ....shading.interface import Block, Interface
 from ...device.packing import paged
 from ...device.protocol import EMPTY, Device, Target, Texture
@@ -15,7 +16,7 @@ from ..tiles import TILE_DEFINE, Region
 from ..uniforms import SampleView
 
 
-@dataclass(frozen=True)
+@value_record
 class PointPrograms:
     """Interfaces of the passes that bring points to pixels."""
 

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ....core.numeric.record import value_record
 from ....core.numeric.segments import owners, ranks
 from ....core.scene.materials import MaterialTable
 from ....shading.interface import Block
@@ -53,7 +54,7 @@ BALL_PAGE_FIELDS: Fields = (("int", "ball_material"),)  # row of the material of
 POINT_SAMPLERS = (("FLOAT_2D", "ps_blocks"), ("FLOAT_2D", "ps_position"), ("FLOAT_2D", "ps_extent"))
 
 
-@dataclass(frozen=True)
+@value_record
 class PointOptions:
     """Shader variants of the point passes."""
 

@@ -8,11 +8,10 @@ sub-samples has their area.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ....core.numeric.lattice import Lattice
+from ....core.numeric.record import record
 from ....shading.interface import Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
@@ -38,7 +37,7 @@ SURFACE_FIELDS: Fields = (*RECTANGLE_FIELDS, *NUMBERS, ("int", "count"))
 AVERAGED = tuple(("UINT_2D", name) for name in ("ps_ids", "ps_depths", "ps_keys", "ps_first", "ps_second"))
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class StrandKind:
     """The segments of one geometry that a view draws in one way."""
 
@@ -134,7 +133,7 @@ def _kind_defines(ribbon: bool, kind: str) -> tuple[tuple[str, str], ...]:
     return tuple((name, "1") for name, on in named.items() if on)
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class StrandCover:
     """Draws the strands of one picture into its visibility buffer."""
 

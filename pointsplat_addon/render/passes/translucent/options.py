@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from ....core.numeric.record import value_record
 from ....core.scene.cloud import PointCloud
 from ....core.scene.materials import MaterialTable
 
 
-@dataclass(frozen=True)
+@value_record
 class TranslucentOptions:
     """What translucent splats have beyond geometry and optical depth."""
 

@@ -8,11 +8,10 @@ same textures. Without image atomics all are rasterised.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ....core.numeric.lattice import Lattice
+from ....core.numeric.record import value_record
 from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
 from ...device.protocol import Device, Texture
@@ -47,7 +46,7 @@ RANK_STEP = {1: 1, 2: 2, 4: 10}
 NODE_SCALE = 1.0  # size at which nodes are drawn, over that of the ellipsoid with their moments
 
 
-@dataclass(frozen=True)
+@value_record
 class SplatKind:
     """The shader variant of the splats of one page."""
 

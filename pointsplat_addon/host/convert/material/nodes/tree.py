@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
 from .....core.material.expression import Expression
 from .....core.material.nodes import color_nodes, input_nodes
+from .....core.numeric.record import value_record
 
 Path = tuple[bpy.types.Node, ...]  # the group nodes that lead to a tree, outermost first
 Outputs = dict[str, Expression]  # output identifier to its value
@@ -20,7 +20,7 @@ class UnsupportedNodeError(Exception):
     """A node, or a setting of it, that cannot be evaluated per sample; the text completes "node X ..."."""
 
 
-@dataclass(frozen=True)
+@value_record
 class HairConstants:
     """Constants of a Principled Hair BSDF, as in core.scene.materials.HairTable."""
 
