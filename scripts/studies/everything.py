@@ -28,9 +28,8 @@ from scripts.common.process import run
 from scripts.render import size
 
 SEEDS = 101, 202
-# Parts by the names of their objects; the others are called as these are.
-NAMES = {"Plane": "floor", "Scan": "scan", "Smoke": "smoke", "japaneseMaple": "maple", "decorativePlant": "plant",
-         "bonsai-tree": "bonsai", "dragon_vrip_res2": "dragon", "spot_triangulated": "Spot"}  # fmt: skip
+# Of parts whose objects have names of their files.
+NAMES = {"tree_CUtree": "maple", "Ground_Untitled": "plant", "1": "bonsai"}
 VEILS = "smoke", "panes"  # which others are seen through
 LEAST = 0.05  # of a pixel that a veil covers
 
@@ -40,7 +39,7 @@ def part_of(item: Any) -> str:
         return "panes"
     if item.type == "CURVES":
         return "fur"
-    return NAMES.get(item.name.split(".")[0], item.name)
+    return NAMES.get(str(item.name).split(".")[0], str(item.name).lower())
 
 
 def flat(scene: Any, path: Path) -> np.ndarray:
