@@ -26,20 +26,20 @@ class Segments:
     phase: np.ndarray  # (K,) float32 in [0, 1): by strand, evenly spread over strands
     share: np.ndarray  # (K, 2) float32: width at both ends over that of the raster's line; or OWN_WIDTH
     strands: int  # number of strands with a segment in the list
-    line: float = 1.0  # pixels between neighbouring lines of the raster, which may be a lattice of sub-samples
+    lattice: Lattice | None = None  # of the sub-samples that are drawn at once; None: a sample of each pixel in turn
 
     def __len__(self) -> int:
         return len(self.ends)
 
     @property
     def on_lattice(self) -> bool:
-        """Whether many samples of a pixel are drawn at once, of which thin segments cover a share."""
-        return self.line < 1
+        """Whether all sub-samples are drawn at once, of which thin segments cover a share."""
+        return self.lattice is not None
 
     @property
     def _round(self) -> float:
         """The share from which on tubes may be seen to be round."""
-        return ROUND / self.line
+        return ROUND if self.lattice is None else ROUND / self.lattice.spacing
 
     def take(self, index: np.ndarray) -> Segments:
         """The segments at an index array."""
@@ -105,7 +105,7 @@ def all_segments(strands: StrandLevels, instance: int, lattice: Lattice | None =
         phase,
         np.full((count, 2), THIN if lattice is None else OWN_WIDTH, np.float32),
         len(strands.start) - 1,
-        1.0 if lattice is None else lattice.spacing,
+        lattice,
     )
 
 
@@ -123,4 +123,4 @@ def concatenate_segments(parts: list[Segments]) -> Segments:
         np.concatenate(arrays)
         for arrays in zip(*((p.ends, p.instance, p.material, p.phase, p.share) for p in parts), strict=True)
     )
-    return Segments(ends, instance, material, phase, share, sum(p.strands for p in parts), parts[0].line)
+    return Segments(ends, instance, material, phase, share, sum(p.strands for p in parts), parts[0].lattice)

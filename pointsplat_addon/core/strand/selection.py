@@ -80,7 +80,7 @@ def select(
         strands.instance_phase(instance)[strand],
         share,
         int(np.count_nonzero(np.diff(strand)) + 1) if len(strand) else 0,
-        1.0 if lattice is None else lattice.spacing,
+        lattice,
     )
 
 

@@ -106,6 +106,14 @@ def test_bends_neither_add_nor_take(width, points):
     assert abs(found.mean() - 1) < 0.01
 
 
+@pytest.mark.parametrize("samples", [1, 5])
+@pytest.mark.parametrize("width", [0.05, 0.2, 0.5, 0.9, 1.5])
+def test_few_sub_samples_show_thin_strands_too(width, samples):
+    """All strands together: with one sub-sample a pixel those below a pixel are as rare as they are thin."""
+    found = alpha(field(width), EYE, samples).sum() / (width * LENGTH * BLOCKS**2)
+    assert abs(found - 1) < 0.01  # measured at most 0.007; nothing at all with one, when its lines were told by widths
+
+
 def test_many_lattices_together_are_the_filters_integral():
     """A straight strand of a tenth of a pixel, pixel by pixel."""
     side, angle, width = 24, 0.37, 0.1
