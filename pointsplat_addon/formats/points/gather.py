@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...core.numeric.record import value_record
 from .reader import CHUNK, Attribute, Columns, Reader, origin_of
 
 STRAY = (
@@ -14,7 +15,7 @@ STRAY = (
 )
 
 
-@dataclass(frozen=True)
+@value_record
 class Selection:
     """Which points, and what of them."""
 

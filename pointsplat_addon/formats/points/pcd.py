@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ...core.numeric.record import record
 from .columns import assemble, attributes_of
 from .reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
 from .text.rows import TextRows
@@ -26,7 +26,7 @@ PACKED = {"rgb": 3, "rgba": 4}  # components of a number that holds b, g, r, a
 COMPRESSION = 130  # the most bytes that a byte of LZF stands for, roughly: 264 of 3, 32 of 33
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class PcdHeader:
     """The header of a file."""
 

@@ -6,11 +6,11 @@ A .ply file is a mesh, a scan, or captured Gaussian splats: `kind_of` looks into
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ...core.numeric.record import value_record
 from .columns import assemble, attributes_of
 from .reader import CHUNK, Columns, FileReader, Header, PointFileError, origin_of
 from .text.rows import TextRows
@@ -26,7 +26,7 @@ SPLAT_PROPERTIES = {"f_dc_0", "opacity", "scale_0", "rot_0"}
 PACKED_PROPERTIES = {"packed_position", "packed_rotation", "packed_scale", "packed_color"}
 
 
-@dataclass(frozen=True)
+@value_record
 class Element:
     """One element of the header."""
 
@@ -35,7 +35,7 @@ class Element:
     properties: tuple[tuple[str, str], ...]  # name and NumPy's type; an empty type: a list
 
 
-@dataclass(frozen=True)
+@value_record
 class PlyHeader:
     """The header of a file."""
 

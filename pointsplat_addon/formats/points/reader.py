@@ -7,12 +7,14 @@ memory is allocated for them, and nothing is read whole that grows with the numb
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
 import numpy as np
+
+from ...core.numeric.record import record, value_record
 
 CHUNK = 1 << 20  # points
 Columns = dict[str, np.ndarray]  # (N, ...) by the name of the attribute
@@ -25,7 +27,7 @@ class PointFileError(ValueError):
         super().__init__(f"{path.name}: {what}")
 
 
-@dataclass(frozen=True)
+@value_record
 class Attribute:
     """One attribute of the points, as `chunks` yields it."""
 
@@ -35,7 +37,7 @@ class Attribute:
     source: tuple[str, ...] = ()  # columns of the file
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Header:
     """What a file says of its points before they are read."""
 

@@ -8,11 +8,11 @@ Integers take as many bits as their range needs, the lowest first, without gaps 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ....core.numeric.record import value_record
 from ..reader import PointFileError
 from .pages import Pages
 
@@ -21,7 +21,7 @@ DATA = 1  # the type of a packet that holds records
 MOST_GATHERED = 56  # bits that eight bytes hold wherever they begin within a byte
 
 
-@dataclass(frozen=True)
+@value_record
 class Field:
     """A field of a record's prototype."""
 

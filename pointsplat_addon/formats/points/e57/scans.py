@@ -7,12 +7,12 @@ neither poses nor flags; so this one reads what it needs, in chunks. Tests compa
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
+from ....core.numeric.record import record
 from ..columns import STANDARD, normalised
 from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
 from .pages import Pages
@@ -27,7 +27,7 @@ RENAMED = {"timeStamp": "gps_time", "returnIndex": "return_number", "returnCount
 MOST_TEXT = 1 << 28  # bytes of XML
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Scan:
     """One scan of a file."""
 

@@ -7,11 +7,11 @@ from the scanner's coordinates to the world's. A line "0 0 0 0.5" is a ray that 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ....core.numeric.record import record
 from ..reader import CHUNK, Attribute, Columns, FileReader, Header, PointFileError, origin_of
 from .rows import TextRows
 
@@ -20,7 +20,7 @@ LONGEST_LINE = 4096  # bytes
 BLOCK = 1 << 22  # bytes
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Scan:
     """One scan of a file."""
 

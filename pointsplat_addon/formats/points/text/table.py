@@ -7,11 +7,11 @@ says what it came to, so that a person can look at it before the points are read
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ....core.numeric.record import value_record
 from ..columns import assemble, attributes_of, distinct
 from ..reader import CHUNK, Columns, FileReader, Header, PointFileError, origin_of
 from .rows import BLANK, NUMERIC, TextRows, blocks, tokens_of_lines
@@ -21,7 +21,7 @@ MOST_NAMED_LINES = 64  # lines among which one of names may be
 Z_ALONE = ("x", "y", "z")
 
 
-@dataclass(frozen=True)
+@value_record
 class Layout:
     """What the columns of a text file are."""
 
