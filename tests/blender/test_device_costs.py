@@ -25,5 +25,10 @@ def test_what_is_no_table_of_positive_numbers_is_left_out(text):
 def test_costs_matter_only_where_another_technique_than_the_visibility_buffer_may_draw():
     assert not device_costs.matter(Settings())
     assert not device_costs.matter(Settings(technique="VISIBILITY"))
-    others = {"technique": "IMAGE_SPACE"}, {"technique": "EWA"}, {"budget": "TIME"}, {"dof_method": "LENS_SAMPLES"}
-    assert all(device_costs.matter(Settings(**other)) for other in others)
+    others = (
+        Settings(technique="IMAGE_SPACE"),
+        Settings(technique="EWA"),
+        Settings(budget="TIME"),
+        Settings(dof_method="LENS_SAMPLES"),
+    )
+    assert all(map(device_costs.matter, others))

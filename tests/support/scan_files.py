@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,9 @@ def write_ply(path: Path, records: np.ndarray, order: str, before: str = "", aft
     path.write_bytes(head + body)
 
 
-def write_pcd(path: Path, records: np.ndarray, data: str, compress=None, viewpoint: str = "0 0 0 1 0 0 0") -> None:
+def write_pcd(
+    path: Path, records: np.ndarray, data: str, compress: Any = None, viewpoint: str = "0 0 0 1 0 0 0"
+) -> None:
     """A PCD file of structured records; `compress` packs bytes by LZF."""
     names = records.dtype.names or ()
     kinds = {"f": "F", "u": "U", "i": "I"}
