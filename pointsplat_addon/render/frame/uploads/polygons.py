@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ....core.material.graph import MaterialGraph
+from ....core.numeric.record import value_record
 from ....core.scene.mesh import Mesh
 from ....core.scene.scene import Geometry, Scene
 from ....core.surface.appearance import digest, passing
@@ -22,7 +21,7 @@ from .instances import constants_key
 from .scope import UploadScope
 
 
-@dataclass(frozen=True)
+@value_record
 class PageInScene:
     """A page, and which of its meshes each geometry of a scene is."""
 

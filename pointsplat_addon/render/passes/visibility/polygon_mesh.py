@@ -9,6 +9,7 @@ import numpy as np
 
 from ....core.material.baking import BORDER, reading
 from ....core.material.graph import MaterialGraph
+from ....core.numeric.record import value_record
 from ....core.scene.bounds import bounding_box, used_positions
 from ....core.scene.materials import MaterialTable
 from ....core.scene.mesh import Mesh
@@ -128,7 +129,7 @@ class Pictures:
             texture.release()
 
 
-@dataclass(frozen=True)
+@value_record
 class Arranged:
     """The triangles of a mesh in the order in which they are drawn, by material, and what varies at their corners."""
 

@@ -6,10 +6,11 @@ show of a page is not listed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ....core.numeric.record import value_record
 from ....core.numeric.segments import offsets, ranks
 from ....core.scene.materials import MaterialTable
 from ....core.scene.mesh import Mesh
@@ -22,7 +23,7 @@ from .polygon_mesh import BLOCK, LOOKS, Arranged, Group, arrange
 MOST_TRIANGLES = 1 << 17  # of a page: a mesh that changes takes along those on its page
 
 
-@dataclass(frozen=True)
+@value_record
 class Kind:
     """What is drawn alike of a page: its shader, and blocks sorted by mesh."""
 
