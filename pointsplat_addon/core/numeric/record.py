@@ -32,10 +32,15 @@ def record(cls: type[T]) -> type[T]:
 
 @dataclass_transform(frozen_default=True, eq_default=True, field_specifiers=(field,))
 def value_record(cls: type[T]) -> type[T]:
-    """Makes a frozen dataclass of a class. Instances with equal fields are equal and have the same hash."""
+    """Makes a frozen dataclass of a class.
+
+    Instances with equal fields are equal and have the same hash, unless the class has an __eq__ and a __hash__ of its own.
+    """
     made: Any = record(cls)
     made._compared = tuple(f.name for f in fields(made) if f.compare)
-    made.__eq__, made.__hash__ = _equal, _hash
+    for name, function in {"__eq__": _equal, "__hash__": _hash}.items():
+        if cls.__dict__.get(name) is None:  # a class with an __eq__ of its own and no hash has None there
+            setattr(made, name, function)
     return made
 
 

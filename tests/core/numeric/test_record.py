@@ -79,6 +79,26 @@ def test_only_value_records_are_equal_by_their_fields() -> None:
     assert len({Thing([]), Thing([])}) == 2
 
 
+@value_record
+class Own:
+    """Equal where parts are one object."""
+
+    parts: list
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Own) and other.parts is self.parts
+
+    def __hash__(self) -> int:
+        return id(self.parts)
+
+
+def test_a_class_keeps_an_equality_of_its_own() -> None:
+    parts: list = []
+    assert Own(parts) == Own(parts)
+    assert Own(parts) != Own([])
+    assert hash(Own(parts)) == id(parts)
+
+
 def test_the_functions_of_dataclasses_take_records() -> None:
     assert replace(Point(1.0, names=["a"]), y=4.0) == Point(1.0, 4.0)
     assert replace(Point(1.0), y=4.0).sum == 5.0
