@@ -34,7 +34,7 @@ def record(cls: type[T]) -> type[T]:
 def value_record(cls: type[T]) -> type[T]:
     """Makes a frozen dataclass of a class.
 
-    Instances with equal fields are equal and have the same hash, unless the class has an __eq__ and a __hash__ of its own.
+    Instances with equal fields are equal and have the same hash, unless the class has functions of its own for that.
     """
     made: Any = record(cls)
     made._compared = tuple(f.name for f in fields(made) if f.compare)
