@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.lod.balls.cut import EDGE, cut_balls
-from pointsplat_addon.core.lod.balls.morton import morton_codes, sorted_by_code
+from pointsplat_addon.core.numeric.morton import morton_codes, sorted_by_code
 from pointsplat_addon.core.lod.balls.tree import (
     BALLS,
     MOST_SATURATION,
