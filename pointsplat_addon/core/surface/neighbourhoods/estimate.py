@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...numeric.vectors import each_block, take_rows
-from .ellipses import closing_ellipses
+from .ellipses import FITTING, closing_ellipses
 from .nearest import WINDOW, Orders, make_orders, nearest
 from .planes import fit_planes
 
@@ -20,8 +20,8 @@ NEIGHBOURS = 16  # with fewer, noise of a third of the spacing turns normals by 
 BLOCK = 1 << 12  # points at once: their candidates stay in the processor's cache
 LEAST_FITTING = 5  # neighbours on the plane, below which it is not reliable
 # Roughness, the mean of `Planes.thickness` near a point and half of how far normals near it differ from its own: of
-# surfaces with noise of a third of the spacing it is 0.16 and at most 0.4, at their edges 0.4, of points at random in space
-# 0.9. Up to SURFACE an ellipse closes the surface, from SPACE on a point is a ball; between them ellipses shrink.
+# surfaces with noise of a third of the spacing it is 0.16 and at most 0.4, at their edges 0.4, of points at random in
+# space 0.9. Up to SURFACE an ellipse closes the surface, from SPACE on a point is a ball; between them ellipses shrink.
 SURFACE, SPACE = 0.45, 0.65
 INCOHERENCE = 0.5
 LINE = 0.01  # of `Planes.breadth`: below that the neighbours lie on a line
@@ -47,34 +47,44 @@ def estimate_ellipses(position: np.ndarray) -> Ellipses:
     turned upwards; see `turn_towards`.
     """
     orders = make_orders(position)
-    normal, axis = np.zeros((len(orders), 3), np.float32), np.zeros((len(orders), 3), np.float32)
-    radii, ball = np.zeros((len(orders), 2), np.float32), np.zeros(len(orders), np.float32)
-    thickness = np.ones(len(orders), np.float32)
+    place = orders.place
+    arrays = _distinct_ellipses(orders)
+    del orders  # so that little is held twice
+    for name in list(arrays):
+        arrays[name] = _spread(arrays.pop(name), place)
+    return Ellipses(**arrays)
+
+
+def _distinct_ellipses(orders: Orders) -> dict[str, np.ndarray]:
+    """The fields of Ellipses for distinct positions (M, ...), by name."""
+    count = len(orders)
+    normal, axis, radii = (np.zeros((count, width), np.float32) for width in (3, 3, 2))
+    ball, thickness = np.zeros(count, np.float32), np.ones(count, np.float32)
 
     def fit(block: slice) -> None:
         offset, squared = _neighbours(orders, block)
         planes = fit_planes(offset, squared)
-        major, half_axes, _ = closing_ellipses(offset, squared, planes.normal, planes.weight)
+        major, half_axes = closing_ellipses(offset, squared, planes.normal, planes.weight)
         normal[block], axis[block], radii[block] = planes.normal.T, major.T, half_axes.T
-        few = (planes.weight > 0.25).sum(axis=0) < LEAST_FITTING
+        few = (planes.weight > FITTING).sum(axis=0) < LEAST_FITTING
         thickness[block] = np.where(few | (planes.breadth < LINE), 1, planes.thickness)
         ball[block] = _ball_radius(squared)
 
-    if len(orders) > 1:
-        each_block(len(orders), fit, BLOCK)
+    if count > 1:
+        each_block(count, fit, BLOCK)
     roughness = _mean_of_neighbours(orders, thickness) + INCOHERENCE * (1 - _coherence(orders, normal))
     lone = ~((thickness < 1) & (roughness < SPACE) & (radii[:, 1] > 0))
     # Outliers have far neighbours.
     typical = float(np.median(ball[ball > 0])) if (ball > 0).any() else 0.0
-    ball = np.minimum(ball, MOST_BALL * typical)
-    normal[normal[:, 2] < 0] *= -1
+    np.minimum(ball, MOST_BALL * typical, out=ball)
+    np.negative(normal, out=normal, where=normal[:, 2:] < 0)
     normal[lone], axis[lone] = 0, 0
-    closing = np.clip((SPACE - roughness) / (SPACE - SURFACE), 0, 1)[:, None]
-    closing[lone] = 0
-    radii = np.minimum(ball[:, None], radii) * (1 - closing) + radii * closing
-    radii[lone] = ball[lone, None]
-    reliability = np.where(lone, 0, np.clip(1 - roughness, 0, 1))
-    return Ellipses(*(_spread(array, orders.place) for array in (normal, axis, radii, reliability)))
+    closing = np.clip((SPACE - roughness) / (SPACE - SURFACE), 0, 1)
+    for half_axis in radii.T:
+        half_axis += (1 - closing) * (np.minimum(ball, half_axis) - half_axis)
+        half_axis[lone] = ball[lone]
+    reliability = np.where(lone, 0, np.clip(1 - roughness, 0, 1)).astype(np.float32)
+    return {"normal": normal, "axis": axis, "radii": radii, "reliability": reliability}
 
 
 def turn_towards(normal: np.ndarray, position: np.ndarray, station: np.ndarray) -> None:
@@ -113,23 +123,28 @@ def _coherence(orders: Orders, normal: np.ndarray) -> np.ndarray:
     for i in range(3):
         for j in range(i, 3):
             product = normal[:, i] * normal[:, j]
-            result += (1 if i == j else 2) * product * _mean_of_neighbours(orders, product)
+            product *= _mean_of_neighbours(orders, product)
+            result += product if i == j else 2 * product
     return result
 
 
 def _mean_of_neighbours(orders: Orders, values: np.ndarray) -> np.ndarray:
     """Means (M,) over windows of all orders: over what lies near each point."""
-    count = len(values)
-    result = np.zeros(count, np.float32)
-    half = WINDOW // 2
-    at = np.arange(count)
-    low, high = np.maximum(at - half, 0), np.minimum(at + half + 1, count)
+    result = np.zeros(len(values), np.float32)
+    half = min(WINDOW // 2, len(values) - 1)
+    total, mean = np.empty(len(values) + 1), np.empty(len(values), np.float32)
     for i in range(1 + len(orders.order)):
-        total = np.zeros(count + 1)
+        total[0] = 0
         np.cumsum(values if i == 0 else values[orders.order[i - 1]], out=total[1:])
-        mean = ((total[high] - total[low]) / (high - low)).astype(np.float32)
+        width = 2 * half + 1
+        if len(values) >= width:
+            mean[half : len(values) - half] = (total[width:] - total[:-width]) / width
+        for at in {*range(min(half, len(values))), *range(max(len(values) - half, 0), len(values))}:  # the ends
+            low, high = max(at - half, 0), min(at + half + 1, len(values))
+            mean[at] = (total[high] - total[low]) / (high - low)
         result += mean if i == 0 else mean[orders.rank[i - 1]]
-    return result / (1 + len(orders.order))
+    result /= 1 + len(orders.order)
+    return result
 
 
 def _spread(array: np.ndarray, place: np.ndarray) -> np.ndarray:

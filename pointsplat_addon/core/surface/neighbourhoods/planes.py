@@ -11,7 +11,7 @@ import numpy as np
 
 from ...numeric.vectors import cross, dot
 
-PASSES = 2  # of reweighting
+PASSES = 1  # of reweighting
 RIM = 1.3  # radius at which a neighbour's weight by distance becomes zero, in distances of the farthest
 MEDIAN_SIGMA = 1.4826  # standard deviation of a normal distribution over the median of absolute values
 OUTLIER = 2.0  # standard deviations of the residuals at which a neighbour's weight is halved
