@@ -2,8 +2,8 @@
 
     python -m scripts.studies.scan_surfaces MESH.obj|MESH.ply[.gz] ... [--side 256] [--views 24] [--pictures DIR]
 
-Points are random on the surface, with normally distributed noise of a third of the spacing. For each spacing in pixels:
-the share of the silhouette, eroded by a pixel, that is covered in the worst view; the least intersection over union; the
+Points are random on the surface, with normally distributed noise of a third of the spacing. For each spacing in
+pixels: the share of the silhouette, eroded by a pixel, that is covered in the worst view; the least intersection over union; the
 PSNR against the mesh, of all views together, and that of balls of the best of RADII.
 """
 
@@ -140,8 +140,8 @@ def main() -> None:
             balls = pictures(build.points(f"{name} {pixels} best", ball_cloud(points, best * spacing)), looks)
             own, other = psnr(found, truth), psnr(balls, truth)
             print(
-                f"| {name} | {pixels:g} | {len(points):,} | {100 * min(covered):.2f} % | {min(union):.4f} | {own:.1f} | "
-                f"{other:.1f} | {best:g} | {own - other:+.1f} |",
+                f"| {name} | {pixels:g} | {len(points):,} | {100 * min(covered):.2f} % | {min(union):.4f} | "
+                f"{own:.1f} | {other:.1f} | {best:g} | {own - other:+.1f} |",
                 flush=True,
             )
             if given.pictures:

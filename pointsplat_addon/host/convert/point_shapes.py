@@ -36,6 +36,9 @@ class PointShape:
         return self.kind in ("DISKS", "SURFACE")
 
 
+AS_GIVEN = PointShape()
+
+
 class Elements(NamedTuple):
     """Normals (N, 3), major axes (N, 3) or None and half-axes (N,) or (N, 2) of points."""
 

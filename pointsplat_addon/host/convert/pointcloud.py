@@ -25,7 +25,7 @@ from ...core.surface.nearest import median_spacing
 from ...core.volume.optics import voxel_optics
 from . import arrays
 from .arrays import COLOR_TYPES, attribute_as_color, unit_or_up
-from .point_shapes import STATION, PointShape, elements, radius_of
+from .point_shapes import AS_GIVEN, STATION, PointShape, elements, radius_of
 from .sample_material import SampleMaterial, generated_coordinates, surface_constants
 
 DEFAULT_RADIUS = 0.01  # Blender's, for points without a radius attribute
@@ -66,7 +66,7 @@ class Points:
 
 
 def read_pointcloud(
-    data: Data, material: SampleMaterial, lookup: Lookup, shape: PointShape = PointShape()
+    data: Data, material: SampleMaterial, lookup: Lookup, shape: PointShape = AS_GIVEN
 ) -> tuple[str, PointCloud] | None:
     """(content key, cloud) of a point cloud, or of the vertices of a mesh, in object space; None if it is empty.
 
@@ -97,7 +97,7 @@ def read_pointcloud(
 
 
 def convert_points(
-    points: Points, material: SampleMaterial, lookup: Lookup, shape: PointShape = PointShape()
+    points: Points, material: SampleMaterial, lookup: Lookup, shape: PointShape = AS_GIVEN
 ) -> tuple[str, PointCloud]:
     """(content key, cloud) of points with their material; the cloud is made only if `lookup` does not know the key."""
     key = f"{points.key} {arrays.digest(material.key, shape)}"

@@ -37,8 +37,8 @@ def surfaces() -> dict[str, tuple[np.ndarray, np.ndarray, float]]:
 
 @pytest.mark.parametrize(
     ("name", "noise", "median", "worst"),
-    # Degrees. Measured: 0, 0; 0.42, 1.29; 0.21, 0.71; with noise up to 6.5, 22.2. With exact neighbours from a k-d tree:
-    # 0, 0; 0.40, 1.17; 0.20, 0.65; 6.6, 22.6.
+    # Degrees. Measured: 0, 0; 0.42, 1.29; 0.21, 0.71; with noise up to 6.5, 22.2. With exact neighbours from a k-d
+    # tree: 0, 0; 0.40, 1.17; 0.20, 0.65; 6.6, 22.6.
     [
         ("plane", 0, 0.01, 0.01),
         ("sphere", 0, 0.5, 1.5),

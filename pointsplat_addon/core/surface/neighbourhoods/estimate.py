@@ -25,6 +25,7 @@ LEAST_FITTING = 5  # neighbours on the plane, below which it is not reliable
 SURFACE, SPACE = 0.45, 0.65
 INCOHERENCE = 0.5
 LINE = 0.01  # of `Planes.breadth`: below that the neighbours lie on a line
+STRAY = 2.5  # half-axis of ellipses above which points are strays, in the geometric mean of those near them
 BALL_NEIGHBOURS = 3  # to which the mean distance tells the size of balls
 MOST_BALL = 2.0  # radius of the largest balls in those of the median: outliers are no larger
 HALF = 0.5  # of a ball's radius in the distance of its neighbours
@@ -74,6 +75,9 @@ def _distinct_ellipses(orders: Orders) -> dict[str, np.ndarray]:
         each_block(count, fit, BLOCK)
     roughness = _mean_of_neighbours(orders, thickness) + INCOHERENCE * (1 - _coherence(orders, normal))
     lone = ~((thickness < 1) & (roughness < SPACE) & (radii[:, 1] > 0))
+    # Disks of stray points would be far larger than those near them.
+    size = np.log(np.maximum(radii[:, 0], np.float32(1e-30)))
+    lone |= size > _mean_of_neighbours(orders, size) + np.log(STRAY)
     # Outliers have far neighbours.
     typical = float(np.median(ball[ball > 0])) if (ball > 0).any() else 0.0
     np.minimum(ball, MOST_BALL * typical, out=ball)

@@ -70,8 +70,8 @@ def _plane(offset: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarr
     total = 1 + weight.sum(axis=0)
     x, y, z = weighted = weight * offset
     centre = weighted.sum(axis=1) / total
-    moments = [(a * b).sum(axis=0) for a, b in
-               ((x, offset[0]), (x, offset[1]), (x, offset[2]), (y, offset[1]), (y, offset[2]), (z, offset[2]))]  # fmt: skip
+    products = ((x, 0), (x, 1), (x, 2), (y, 1), (y, 2), (z, 2))
+    moments = [(a * offset[axis]).sum(axis=0) for a, axis in products]
     centre = centre.astype(np.float64)
     pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     covariance = np.stack([m / total - centre[i] * centre[j] for m, (i, j) in zip(moments, pairs, strict=True)])
