@@ -2,9 +2,9 @@
 
     python -m scripts.studies.scan_surfaces MESH.obj|MESH.ply[.gz] ... [--side 256] [--views 24] [--pictures DIR]
 
-Points are random on the surface, with normally distributed noise of a third of the spacing. For each spacing in
-pixels: the share of the silhouette, eroded by a pixel, that is covered in the worst view; the least intersection over union; the
-PSNR against the mesh, of all views together, and that of balls of the best of RADII.
+Points are random on the surface, with normally distributed noise of a third of the spacing. For each
+spacing in pixels: the share of the silhouette, eroded by a pixel, that is covered in the worst view; the least
+intersection over union; the PSNR against the mesh, of all views together, and that of balls of the best of RADII.
 """
 
 import argparse
