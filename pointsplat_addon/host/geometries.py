@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import bpy
 
@@ -13,6 +13,7 @@ from ..core.scene import scene
 from ..core.scene.cloud import PointCloud
 from ..core.scene.materials import MaterialTable
 from ..core.scene.volume import Medium
+from ..core.surface.neighbourhoods.estimate import Ellipses
 from .convert.mesh import is_loose_vertices, read_mesh
 from .convert.objects import Source
 from .convert.pointcloud import convert_points, read_pointcloud
@@ -31,6 +32,7 @@ class Known(NamedTuple):
     voxels: Voxels | None = None
     warnings: tuple[str, ...] = ()
     strands: conversion.ConvertedStrands | None = None
+    ellipses: tuple[Ellipses, ...] = ()  # of points, which other materials find again
 
 
 class Geometries:
@@ -40,7 +42,7 @@ class Geometries:
         self._cache = cache
         self._known: dict[tuple, Known] = {}
         # Kept alive so that another transfer function finds voxels, and strands that are read again stay evaluated
-        self._shared: tuple[Voxels | conversion.ConvertedStrands | None, ...] = ()
+        self._shared: tuple[Voxels | conversion.ConvertedStrands | tuple[Ellipses, ...] | None, ...] = ()
 
     def warnings(self) -> dict[str, None]:
         """Warnings about the sources of the last `convert`, without repetitions, as the keys of a dictionary."""
@@ -65,6 +67,7 @@ class Geometries:
             keys.append(key)
             last = known.get(key) or self._known.get(key)
             voxels, warnings, strands = (last.voxels, last.warnings, last.strands) if last else (None, (), None)
+            ellipses = last.ellipses if last else ()
             if last and not source.editing:
                 geometry = last.geometry
             elif source.smoke or isinstance(source.data, bpy.types.Volume):
@@ -72,23 +75,33 @@ class Geometries:
             elif source.strands:
                 geometry, strands, warnings = self._convert_strands(source, rows, table)
             else:
-                geometry = self._convert_surface(source, rows, table)
+                geometry, ellipses = self._convert_surface(source, rows, table)
             owners = {source.owner, source.data.original.session_uid, source.data.session_uid}
             owners |= last.owners if last else set()
             generated = source.generated or bool(last and last.generated)
-            known[key] = Known(geometry, frozenset(owners), generated, voxels, warnings, strands)
+            known[key] = Known(geometry, frozenset(owners), generated, voxels, warnings, strands, ellipses)
         self._known = known
-        self._shared = tuple(entry.voxels or entry.strands for entry in known.values())
+        self._shared = tuple(entry.voxels or entry.strands or entry.ellipses for entry in known.values())
         return [known[key].geometry for key in keys]
 
-    def _convert_surface(self, source: Source, rows: tuple[int, ...], table: MaterialTable) -> scene.Geometry | None:
-        """The geometry of a mesh, or of points."""
+    def _convert_surface(
+        self, source: Source, rows: tuple[int, ...], table: MaterialTable
+    ) -> tuple[scene.Geometry | None, tuple[Ellipses, ...]]:
+        """The geometry of a mesh, or of points, and what was estimated of the points."""
         mesh = cloud = None
-        material, lookup = sample_material(table, rows[0], source.extinction), self._cache.lookup
+        material = sample_material(table, rows[0], source.extinction)
+        ellipses: list[Ellipses] = []
+
+        def lookup(key: str, make: Callable[[], Any]) -> Any:
+            found = self._cache.lookup(key, make)
+            if isinstance(found, Ellipses):
+                ellipses.append(found)
+            return found
+
         if source.particles:
             key, cloud = convert_points(source.particles, material, lookup)
         elif isinstance(source.data, bpy.types.PointCloud):
-            key, cloud = read_pointcloud(source.data, material, lookup, source.radius) or ("", None)
+            key, cloud = read_pointcloud(source.data, material, lookup, source.shape) or ("", None)
         else:
             found = _read_evaluated(source, rows, _attributes(table, rows), material, lookup)
             if isinstance(found, mesh_module.Mesh):
@@ -96,7 +109,7 @@ class Geometries:
             else:
                 key, cloud = found or ("", None)
         if mesh is None and cloud is None:
-            return None
+            return None, ()
         primitive, spacing, extinction = source.primitive, source.spacing, source.extinction
 
         def build() -> scene.Geometry:
@@ -105,7 +118,7 @@ class Geometries:
             )
 
         key = f"{key} {primitive} {spacing:g} {extinction:g}"
-        return self._cache.lookup(key, build)
+        return self._cache.lookup(key, build), tuple(ellipses)
 
     def _convert_strands(
         self, source: Source, rows: tuple[int, ...], table: MaterialTable
@@ -151,7 +164,7 @@ def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> 
     rows: of its materials in the table.
     """
     digests = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
-    settings = source.primitive, source.spacing, source.extinction, source.radius
+    settings = source.primitive, source.spacing, source.extinction, source.shape
     key = (source.data.session_uid, rows, digests, *settings)
     if source.smoke:
         key = (*key, source.smoke.key)
@@ -203,7 +216,7 @@ def _read_evaluated(
 
     def read(data: bpy.types.Mesh) -> mesh_module.Mesh | tuple[str, PointCloud] | None:
         if is_loose_vertices(data):
-            return read_pointcloud(data, material, lookup, source.radius)
+            return read_pointcloud(data, material, lookup, source.shape)
         return read_mesh(data, source.name, rows, wanted, lookup)
 
     if source.editing is None:

@@ -16,21 +16,26 @@ TILT = 1e-4  # radians by which quantised normals and axes are off at most
 
 
 def encode_normal(normal: np.ndarray) -> np.ndarray:
-    """Unit vectors (n, 3) to octahedral coordinates (n, 2) uint16."""
+    """Unit vectors (n, 3) to octahedral coordinates (n, 2) uint16; zero vectors to (0, 0)."""
     n = normal.astype(np.float64)
     n /= np.maximum(np.abs(n).sum(axis=1, keepdims=True), 1e-30)
     folded = (1 - np.abs(n[:, 1::-1])) * np.copysign(1.0, n[:, :2])
     square = np.where(n[:, 2:] < 0, folded, n[:, :2])
-    return np.round(np.clip(square * 0.5 + 0.5, 0, 1) * 65535).astype(np.uint16)
+    code = np.round(np.clip(square * 0.5 + 0.5, 0, 1) * 65535).astype(np.uint16)
+    code[~code.any(axis=1)] = 65535  # all corners are -Z
+    code[~normal.any(axis=1)] = 0
+    return code
 
 
 def decode_normal(code: np.ndarray) -> np.ndarray:
-    """Octahedral coordinates (n, 2) uint16 to unit vectors (n, 3) float32."""
+    """Octahedral coordinates (n, 2) uint16 to unit vectors (n, 3) float32; (0, 0) to zero vectors."""
     x, y = (code.astype(np.float64) * (2 / 65535) - 1).T
     z = 1 - np.abs(x) - np.abs(y)
     fold = np.maximum(-z, 0)
     n = np.stack([x - np.copysign(fold, x), y - np.copysign(fold, y), z], axis=1)
-    return (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    n[~code.any(axis=1)] = 0
+    return n.astype(np.float32)
 
 
 def encode_axis(normal_code: np.ndarray, axis: np.ndarray) -> np.ndarray:

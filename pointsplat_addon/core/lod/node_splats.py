@@ -27,6 +27,7 @@ def points_and_nodes(hierarchy: Hierarchy) -> PointCloud:
         arrays["radii"] = np.concatenate([points, drawn[:, 0]])[:, None]
     else:
         normal, axis, radii = (a.astype(np.float32).T for a in splat_frames(cloud, slice(None)))
+        normal[~cloud.normal.any(axis=1)] = 0  # they stay balls
         given = 2 if cloud.radii is None else cloud.radii.shape[1]
         columns = 3 if cloud.extinction is not None or cloud.opacity is not None or given == 3 else 2
         arrays["normal"] = np.concatenate([normal, hierarchy.normal])

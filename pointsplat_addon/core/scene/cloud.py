@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -43,12 +44,12 @@ class PointCloud:
 
     A surface sample is a flat ellipse: `normal`, major half-axis direction `axis`, half-axes `radii`
     (major, minor). With `axis` None the ellipse is a disk of radius radii[:, 0]; with `normal` None the
-    splat faces the viewer (a ball of that radius).
+    splat faces the viewer (a ball of that radius). Among disks, a splat whose normal is zero is a ball.
     """
 
     position: np.ndarray  # (N, 3) float32, relative to origin
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) float64, object space
-    normal: np.ndarray | None = None  # (N, 3) float32, unit
+    normal: np.ndarray | None = None  # (N, 3) float32, unit, or zero
     axis: np.ndarray | None = None  # (N, 3) float32, unit, perpendicular to normal
     radii: np.ndarray | None = None  # (N, 1 | 2 | 3) float32, half-axes in object units
     color: np.ndarray | None = None  # (N, 3) float32, scene-linear base colour
@@ -92,6 +93,11 @@ class PointCloud:
     def round_balls(self) -> bool:
         """Whether all splats are balls with a radius of their own."""
         return self.normal is None and self.radii is not None and self.radii.shape[1] == 1
+
+    @cached_property
+    def has_balls(self) -> bool:
+        """Whether some splats are balls."""
+        return self.normal is None or not self.normal.any(axis=1).all()
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The attributes that are present, by name."""

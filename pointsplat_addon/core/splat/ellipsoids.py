@@ -56,6 +56,10 @@ def splat_frames(cloud: PointCloud, which: slice) -> SplatFrames:
     else:
         axis = cloud.axis[which].T.astype(np.float64)
         radii[: len(given)] = given
+    balls = ~normal.any(axis=0)
+    if balls.any():
+        normal[2, balls], axis[:, balls] = 1, np.array([[1.0], [0.0], [0.0]])
+        radii[:, balls] = given[0, balls]
     if cloud.extinction is not None and len(given) < 3:
         radii[2] = np.sqrt(radii[0] * radii[1])
     return SplatFrames(normal, axis, radii)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.scene.volume import Transfer
 from .particles import read_particles
+from .point_shapes import PointShape, shape_of
 from .pointcloud import Points
 from .strands.bevels import has_round_bevel
 from .strands.particle_hair import ParticleHair, hair_systems
@@ -35,7 +36,7 @@ class Source:
     primitive: str
     spacing: float
     extinction: float
-    radius: float  # of points, in object units; 0 takes their attribute, else a default
+    shape: PointShape  # of points
     pass_index: int
     holdout: bool
     casts: bool  # whether it casts shadows
@@ -138,7 +139,7 @@ def _make_source(ob: bpy.types.Object, override: bpy.types.Material | None, visi
         primitive="AUTO" if ob.pointsplat.primitive == "LINES" else ob.pointsplat.primitive,
         spacing=ob.pointsplat.spacing,
         extinction=ob.pointsplat.extinction,
-        radius=ob.pointsplat.radius,
+        shape=shape_of(ob),
         pass_index=ob.pass_index,
         holdout=visible.holdout,
         casts=visible.casts,

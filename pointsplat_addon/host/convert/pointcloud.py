@@ -26,6 +26,7 @@ from ...core.surface.nearest import median_spacing
 from ...core.volume.optics import voxel_optics
 from . import arrays
 from .arrays import COLOR_TYPES, attribute_as_color, unit_or_up
+from .point_shapes import AS_GIVEN, STATION, PointShape, elements, radius_of
 from .sample_material import SampleMaterial, generated_coordinates, surface_constants
 
 DEFAULT_RADIUS = 0.01  # Blender's, for points without a radius attribute
@@ -33,7 +34,7 @@ COLOR_NAMES = ("Color", "Col")  # names that importers give to colours
 OPACITY_NAMES = ("opacity", "alpha")
 CAPTURED_ATTRIBUTE = "f_dc_0"  # an attribute of captured splats, whose opacities are logits
 READABLE_TYPES = {"FLOAT": 1, "FLOAT2": 2, "FLOAT_VECTOR": 3}  # to numbers of a value
-Lookup = Callable[[str, Callable[[], PointCloud]], PointCloud]  # the cloud of a key, made only if it is not known
+Lookup = Callable[[str, Callable[[], Any]], Any]  # the object of a key, made only if it is not known
 Data = bpy.types.PointCloud | bpy.types.Mesh
 
 
@@ -44,6 +45,7 @@ class Points:
     position: np.ndarray  # (N, 3) float32
     radius: np.ndarray | None  # (N,) float32; None: half the median distance to the nearest neighbour
     normal: np.ndarray | None = None  # (N, 3) float32
+    station: np.ndarray | None = None  # (N,) int32
     opacity: np.ndarray | None = None  # (N,) float32
     kernel: np.ndarray | None = None  # (N,) uint8, rows of core.splat.kernel.PROFILES
     colors: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (N, 4) as stored
@@ -60,54 +62,67 @@ class Points:
     def key(self) -> str:
         """Content key of all arrays."""
         named = [part for group in (self.colors, self.uv, self.grids) for item in group.items() for part in item]
-        return arrays.digest("pointcloud", self.position, self.radius, self.normal, self.opacity, self.kernel, *named)
+        own = self.position, self.radius, self.normal, self.station, self.opacity, self.kernel
+        return arrays.digest("pointcloud", *own, *named)
 
 
 def read_pointcloud(
-    data: Data, material: SampleMaterial, lookup: Lookup, radius: float = 0.0
+    data: Data, material: SampleMaterial, lookup: Lookup, shape: PointShape = AS_GIVEN
 ) -> tuple[str, PointCloud] | None:
     """(content key, cloud) of a point cloud, or of the vertices of a mesh, in object space; None if it is empty.
 
-    radius: of all points, in object units; 0 takes their attribute. Without such an attribute, points of a point cloud
-    have Blender's default radius, and vertices half the median distance to their nearest neighbours.
+    Where the shape has no radius, it is the points' attribute. Without such an attribute, points of a point cloud have
+    Blender's default radius, and vertices half the median distance to their nearest neighbours.
     """
     count = len(data.vertices if isinstance(data, bpy.types.Mesh) else data.points)
     if "position" not in data.attributes or count == 0:
         return None
     wanted, imported = needs(material.graph) if material.graph else Needs(), material.row == 0
+    position = arrays.values(data.attributes["position"], 3, np.float32)
+    radius = 0.0 if shape.kind == "SURFACE" else radius_of(shape, position)
     radii = np.full(count, radius, np.float32) if radius > 0 else _read(data, "radius", "FLOAT")
     if radii is None and isinstance(data, bpy.types.PointCloud):
         radii = np.full(count, DEFAULT_RADIUS, np.float32)
     points = Points(
-        arrays.values(data.attributes["position"], 3, np.float32),
+        position,
         radii,
-        _read(data, "normal", "FLOAT_VECTOR"),
+        None if shape.kind == "BALLS" else _read(data, "normal", "FLOAT_VECTOR"),
+        _station(data) if shape.stations else None,
         _opacity(data) if imported else None,
         _kernel(data),
         {a.name: attribute_as_color(a) for a in _color_attributes(data, wanted, imported)},
         _present((name, _read(data, name, "FLOAT2")) for name in wanted.uv if name is not None),
         _present((name, _grid(data, name)) for name in _grid_names(material.medium)),
     )
-    return convert_points(points, material, lookup)
+    return convert_points(points, material, lookup, shape)
 
 
-def convert_points(points: Points, material: SampleMaterial, lookup: Lookup) -> tuple[str, PointCloud]:
+def convert_points(
+    points: Points, material: SampleMaterial, lookup: Lookup, shape: PointShape = AS_GIVEN
+) -> tuple[str, PointCloud]:
     """(content key, cloud) of points with their material; the cloud is made only if `lookup` does not know the key."""
-    key = f"{points.key} {arrays.digest(material.key)}"
-    return key, lookup(key, lambda: _make_cloud(points, material))
+    key = f"{points.key} {arrays.digest(material.key, shape)}"
+    return key, lookup(key, lambda: _make_cloud(points, material, shape, lookup))
 
 
-def _make_cloud(points: Points, material: SampleMaterial) -> PointCloud:
+def _make_cloud(points: Points, material: SampleMaterial, shape: PointShape, lookup: Lookup) -> PointCloud:
     """The cloud of points, in spatially coherent order."""
     count, places = len(points.position), coherent_places(points.position)
-    found = _evaluated(points, material, places)
-    radius = points.radius
+    radius, axis = points.radius, None
     if radius is None:
         radius = np.full(count, 0.5 * median_spacing(points.position) or DEFAULT_RADIUS, np.float32)
+    # What is a medium has no surface.
+    shaped = shape.estimates and not material.extinction > 0 and material.medium is None
+    if shaped:
+        normal, axis, radius = elements(shape, points.position, radius, points.normal, points.station, lookup)
+        points = replace(points, normal=normal)
+    found = _evaluated(points, material, places, shaped)
+    radii = _in_order(radius, places)
     cloud = PointCloud(
         position=found["position"],
         normal=found.get("normal"),
-        radii=_in_order(radius, places)[:, None],
+        axis=None if axis is None else _in_order(axis, places),
+        radii=radii[:, None] if radii.ndim == 1 else radii,
         color=found.get("color"),
         surface=found.get("surface"),
         emission=found.get("emission"),
@@ -131,8 +146,12 @@ def _in_order(array: np.ndarray, places: np.ndarray | None) -> np.ndarray:
     return array if array.flags.owndata else array.copy()
 
 
-def _evaluated(points: Points, material: SampleMaterial, places: np.ndarray | None) -> dict[str, np.ndarray]:
+def _evaluated(
+    points: Points, material: SampleMaterial, places: np.ndarray | None, shaped: bool
+) -> dict[str, np.ndarray]:
     """Positions, unit normals and what of the material varies at the points, at places (N,): arrays (N, ...) by name.
+
+    `shaped`: points whose normal is zero are balls; else they look upwards.
 
     Block by block: what is in between stays in the processor's cache, and Blender's arrays are copied once.
     """
@@ -146,6 +165,8 @@ def _evaluated(points: Points, material: SampleMaterial, places: np.ndarray | No
         look = _appearance(part, material, box)
         facing = part.normal if look.normal is None else look.normal
         normal = None if facing is None else unit_or_up(facing)
+        if shaped and normal is not None and part.normal is not None:
+            normal[~part.normal.any(axis=1)] = 0  # balls among disks
         named = {"position": part.position, "normal": normal, "color": look.color, "surface": look.surface,
                  "emission": look.emission, "alpha": look.alpha}  # fmt: skip
         return {name: array for name, array in named.items() if array is not None}
@@ -223,6 +244,16 @@ def _read(data: Data, name: str, kind: str) -> np.ndarray | None:
     if attribute is None or attribute.data_type != kind or attribute.domain != "POINT":
         return None
     return arrays.values(attribute, READABLE_TYPES[kind], np.float32)
+
+
+def _station(data: Data) -> np.ndarray | None:
+    """Which station saw each point, (N,) int32; None without such an attribute."""
+    attribute = data.attributes.get(STATION)
+    if attribute is None or attribute.domain != "POINT" or attribute.data_type not in ("INT", "INT8"):
+        return None
+    found = np.empty(len(attribute.data), np.int32)
+    attribute.data.foreach_get("value", found)
+    return found
 
 
 def _opacity(data: Data) -> np.ndarray | None:

@@ -17,6 +17,7 @@ import numpy as np
 from ...core.material.color_models import linear_from_srgb
 from ...core.surface.nearest import scan_spacing
 from ...formats.points.gather import Gathered
+from ..convert.point_shapes import STATIONS
 from ..convert.pointcloud import DEFAULT_RADIUS
 
 ORIGIN = "pointsplat_origin"
@@ -53,7 +54,7 @@ def scan_object(name: str, found: Gathered, crs: str) -> bpy.types.Object:
     if crs:
         ob[CRS] = crs
     if len(found.stations):
-        ob["pointsplat_stations"] = [float(x) for x in found.stations.ravel()]
+        ob[STATIONS] = [float(x) for x in found.stations.ravel()]
     return ob
 
 

@@ -86,6 +86,24 @@ PRIMITIVE_ITEMS: dict[str, Item] = {
     ),
     "LINES": ("LINES", "Lines", "Draw curves with a round bevel as tubes along their points; the rest as by Automatic"),
 }
+SHAPE_ITEMS: dict[str, Item] = {
+    "BALLS": ("BALLS", "Balls", "Balls, as other engines draw points"),
+    "DISKS": (
+        "DISKS",
+        "Disks",
+        "Disks across the attribute normal, else across the plane of each point's neighbours, with the points' radius",
+    ),
+    "SURFACE": (
+        "SURFACE",
+        "Surface",
+        "Disks that close the surface of a scan between its points, however dense they are. "
+        "Points whose neighbours lie on no plane, as those of leaves and wires, stay balls",
+    ),
+}
+RADIUS_UNIT_ITEMS: dict[str, Item] = {
+    "OBJECT": ("OBJECT", "Object", "The object's unit of length, before its scale"),
+    "SPACING": ("SPACING", "Spacing", "The median distance between points and their nearest neighbours"),
+}
 
 # Name and tooltip of each field of Settings
 LABELS: dict[str, tuple[str, str]] = {

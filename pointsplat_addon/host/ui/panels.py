@@ -214,7 +214,12 @@ class POINTSPLAT_OBJECT_PT_pointsplat(_Panel, bpy.types.Panel):
             return
         is_points = ob.type == "POINTCLOUD" or (ob.type == "MESH" and is_loose_vertices(ob.data))
         if is_points:  # they are drawn as they are: nothing is sampled
-            layout.prop(ob.pointsplat, "radius")
+            if ob.type == "POINTCLOUD":
+                layout.prop(ob.pointsplat, "shape")
+            column = layout.column(align=True)
+            column.prop(ob.pointsplat, "radius")
+            if ob.type == "POINTCLOUD":
+                column.prop(ob.pointsplat, "radius_unit")
         else:
             layout.prop(ob.pointsplat, "primitive")
             row = layout.row()

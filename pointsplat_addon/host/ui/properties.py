@@ -7,9 +7,9 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ...core.scene.settings import PRIMITIVES, Settings
+from ...core.scene.settings import PRIMITIVES, RADIUS_UNITS, SHAPES, Settings
 from .. import engine
-from .labels import ITEMS, LABELS, PRIMITIVE_ITEMS
+from .labels import ITEMS, LABELS, PRIMITIVE_ITEMS, RADIUS_UNIT_ITEMS, SHAPE_ITEMS
 
 
 def changed(_properties: Any, _context: bpy.types.Context) -> None:
@@ -76,16 +76,29 @@ class PointSplatObject(bpy.types.PropertyGroup):
         subtype="DISTANCE",
         update=changed,
     )
+    shape: EnumProperty(
+        name="Shape",
+        description="What each point of a point cloud is drawn as",
+        items=[SHAPE_ITEMS[n] for n in SHAPES],
+        default="BALLS",
+        update=changed,
+    )
     radius: FloatProperty(
         name="Radius",
         description="Radius of the points of a point cloud or of a mesh without edges and faces, before the object's "
-        "scale; zero takes their radius attribute, else 0.01 for point clouds and half the median distance between "
-        "neighbours for meshes",
+        "scale; of a surface, that of its largest disks. Zero takes their radius attribute, else 0.01 for point clouds "
+        "and half the median distance between neighbours for meshes; surfaces have what closes them",
         default=0.0,
         min=0.0,
         soft_max=1.0,
         precision=4,
-        subtype="DISTANCE",
+        update=changed,
+    )
+    radius_unit: EnumProperty(
+        name="Unit",
+        description="What the radius of the points of a point cloud counts in",
+        items=[RADIUS_UNIT_ITEMS[n] for n in RADIUS_UNITS],
+        default="OBJECT",
         update=changed,
     )
     extinction: FloatProperty(

@@ -157,7 +157,7 @@ def _ewa(view: ViewToPlan, kinds: _Kinds) -> EwaOptions | None:
     """The options of EWA; None where it draws nothing."""
     if not (view.ewa and kinds.points):
         return None
-    balls = any(p.cloud.normal is None for p in view.prepared.point_sets.values())
+    balls = any(p.cloud.has_balls for p in view.prepared.point_sets.values())
     request = view.request
     return ewa_options(request.camera, view.prepared.largest, balls, request.samples, request.settings.filter_size)
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.lod.balls.cut import EDGE, cut_balls
-from pointsplat_addon.core.lod.balls.morton import morton_codes, sorted_by_code
 from pointsplat_addon.core.lod.balls.tree import (
     BALLS,
     MOST_SATURATION,
@@ -15,6 +14,7 @@ from pointsplat_addon.core.lod.balls.tree import (
     build_ball_tree,
     saturation,
 )
+from pointsplat_addon.core.numeric.morton import morton_codes, sorted_by_code
 from pointsplat_addon.core.scene.cloud import PointCloud
 from scripts.scenes import build, cameras
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...numeric.morton import DEPTH, morton_codes, sorted_by_code
 from ...numeric.record import record
 from ...numeric.segments import batches, offsets
 from ...numeric.vectors import each_block
 from ...scene.cloud import PointCloud
-from .morton import DEPTH, morton_codes, sorted_by_code
 
 BALLS = 4  # in the cells of the finest level, in the mean, at least: cells of fewer save nothing
 # Squared half-axes of a node's ellipsoid over the variances of its balls' centres; their own mean square is added.

@@ -80,7 +80,10 @@ def position_and_normal(cloud: PointCloud) -> Write:
     def write(out: np.ndarray, block: slice) -> None:
         for channel, column in enumerate(cloud.position.T):
             out[:, channel] = column[block]
-        out[:, 3] = NO_NORMAL if cloud.normal is None else octahedral(cloud.normal[block])
+        out[:, 3] = NO_NORMAL
+        if cloud.normal is not None:
+            directed = cloud.normal[block].any(axis=1)
+            np.copyto(out[:, 3], octahedral(cloud.normal[block]), where=directed)
 
     return write
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from ...numeric.segments import batches, sorted_places
-from ...numeric.vectors import each_block, moved_rows
+from .segments import batches, sorted_places
+from .vectors import each_block, moved_rows
 
 DEPTH = 20  # levels: bits of each coordinate
 SPREAD = (
@@ -24,12 +26,19 @@ def morton_codes(position: np.ndarray) -> tuple[np.ndarray, float]:
     low = [float(column.min()) for column in position.T]
     side = max(float(column.max()) - least for column, least in zip(position.T, low, strict=True))
     side = max(side * (1 + 2.0**-20), 1e-30)
-    code = np.empty(len(position), np.uint64)
+    return codes_in_cube(position.T, low, side), side
+
+
+def codes_in_cube(columns: np.ndarray, low: Sequence[float], side: float) -> np.ndarray:
+    """Codes (N,) uint64 of the cells of a cube, with the low corner `low`, in which positions (3, N) float32 lie;
+    those outside of it count to the nearest cells."""
+    code = np.empty(columns.shape[1], np.uint64)
+    most = np.nextafter(np.float32(2.0**DEPTH), np.float32(0))
 
     def fill(block: slice) -> None:
         found = np.zeros(block.stop - block.start, np.uint64)
-        for axis, least in enumerate(low):
-            cell = ((position[block, axis] - least) * (2.0**DEPTH / side)).astype(np.uint64)
+        for axis, (column, least) in enumerate(zip(columns, low, strict=True)):
+            cell = np.clip((column[block] - least) * (2.0**DEPTH / side), 0, most).astype(np.uint64)
             for shift, mask in SPREAD:
                 cell |= cell << np.uint64(shift)
                 cell &= np.uint64(mask)
@@ -37,8 +46,8 @@ def morton_codes(position: np.ndarray) -> tuple[np.ndarray, float]:
             found |= cell
         code[block] = found
 
-    each_block(len(position), fill)
-    return code, side
+    each_block(columns.shape[1], fill)
+    return code
 
 
 def sorted_by_code(code: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
