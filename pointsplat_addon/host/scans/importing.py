@@ -56,7 +56,6 @@ def _placed(context: Any, name: str, found: Gathered, crs: str, unit: float) -> 
     if origin.any():  # coordinates near zero are no map's
         ob.location = (origin - scene_origin(context.scene, origin, crs)) * unit
     ob.scale = (unit, unit, unit)
-    ob.pointsplat.shape = "SURFACE"
     context.collection.objects.link(ob)
     for other in context.selected_objects:
         other.select_set(False)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ....core.scene.bounds import box_corners
 from ....core.scene.scene import Instances, Scene
-from ...device.protocol import Device
+from ...device.protocol import Device, released_on_failure
 from ...passes.uniforms import SampleView
 from ...passes.visibility.polygon_draw import Drawn, PolygonDraw, block_draws
 from ...passes.visibility.small_triangles import are_small
@@ -30,6 +30,14 @@ def polygon_draws(
 ) -> list[Drawn]:
     """Returns what a view draws of each mesh. `first_id`: the number of the first triangle. `cells`: of the
     picture; None: the rasteriser draws all."""
+    with released_on_failure(device):
+        return _polygon_draws(device, uploads, view, first_id, cells)
+
+
+def _polygon_draws(
+    device: Device, uploads: PolygonSource, view: SampleView, first_id: int, cells: tuple[int, int] | None
+) -> list[Drawn]:
+    """See `polygon_draws`; where the device refuses one, those before it stay."""
     instances, shown = uploads.scene.instances, uploads.prepared.polygons
     found: list[Drawn] = []
     for paged in uploads.polygons.pages:
