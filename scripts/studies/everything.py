@@ -29,7 +29,8 @@ from scripts.render import size
 
 SEEDS = 101, 202
 # Of parts whose objects have names of their files.
-NAMES = {"tree_CUtree": "maple", "Ground_Untitled": "plant", "1": "bonsai"}
+NAMES = {"tree_CUtree": "maple", "Ground_Untitled": "plant", "1": "bonsai", "dragon_vrip_res2": "dragon",
+         "spot_triangulated": "Spot", "Plane": "floor"}  # fmt: skip
 VEILS = "smoke", "panes"  # which others are seen through
 LEAST = 0.05  # of a pixel that a veil covers
 
