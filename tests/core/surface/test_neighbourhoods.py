@@ -53,7 +53,7 @@ def test_normals_are_those_of_the_surface(name, noise, median, worst):
     points = points + noise * spacing * np.random.default_rng(2).normal(size=points.shape)
     found = estimate_ellipses(points.astype(np.float32))
     flat = found.normal.any(axis=1)
-    assert flat.mean() > 0.99
+    assert flat.mean() > 0.99  # measured 0.9994
     off = angles(found.normal, true)[flat]
     assert np.median(off) < median
     assert np.quantile(off, 0.99) < worst
@@ -91,7 +91,7 @@ def test_ellipses_leave_no_hole_in_a_plane(noise):
     inside = (major / radii[..., 0]) ** 2 + minor / radii[..., 1] ** 2 <= 1
     assert inside.any(axis=1).mean() > 0.999  # measured 0.9999
     # They are no larger than that takes: a square lattice, which is the best case, takes pi / 2.
-    assert np.pi * radii.prod(axis=-1).mean() / spacing**2 < 4.5  # measured 3.0, with noise 3.5
+    assert np.pi * radii.prod(axis=-1).mean() / spacing**2 < 4.5  # measured 2.8, with noise 3.2
 
 
 def test_ellipses_are_longer_across_the_lines_of_a_scanner():
@@ -99,7 +99,7 @@ def test_ellipses_are_longer_across_the_lines_of_a_scanner():
     points = np.stack([along.ravel(), across.ravel(), np.zeros(along.size)], axis=1).astype(np.float32)
     found = estimate_ellipses(points)
     inner = (along.ravel() > 0.1) & (along.ravel() < 1.9) & (across.ravel() > 0.1) & (across.ravel() < 1.6)
-    assert np.abs(found.axis[inner][:, 1]).min() > 0.9
+    assert np.abs(found.axis[inner][:, 1]).min() > 0.9  # measured 1.0
     ratio = found.radii[inner, 0] / found.radii[inner, 1]
     assert 1.5 < np.median(ratio) < 3.5
 
@@ -112,8 +112,8 @@ def test_two_sheets_stay_apart():
     points[:, 2] = 3 * side * (np.arange(2 * COUNT) % 2)
     found = estimate_ellipses(points.astype(np.float32))
     flat = found.normal.any(axis=1)
-    assert flat.mean() > 0.99
-    assert np.quantile(angles(found.normal[flat], np.array([[0, 0, 1.0]])), 0.99) < 1
+    assert flat.mean() > 0.99  # measured 0.9999
+    assert np.quantile(angles(found.normal[flat], np.array([[0, 0, 1.0]])), 0.99) < 1  # measured 0
 
 
 def test_edges_stay_sharp():
@@ -140,7 +140,7 @@ def test_densities_may_differ_by_a_hundred():
     points[:, 2] = 0
     points[COUNT:, :2] = points[COUNT:, :2] * 0.01 + 2
     found = estimate_ellipses(points.astype(np.float32))
-    assert found.normal.any(axis=1).mean() > 0.99
+    assert found.normal.any(axis=1).mean() > 0.99  # measured 0.9998
     ratio = np.median(found.radii[:COUNT]) / np.median(found.radii[COUNT:])
     assert ratio == pytest.approx(100, rel=0.05)
 
@@ -162,7 +162,7 @@ def test_outliers_are_balls_no_larger_than_others_and_turn_no_normal():
     points = np.concatenate([points, rng.uniform(0, 1, (200, 3)) * [1, 1, 40 * spacing] + [0, 0, 2 * spacing]])
     points[-1] = 1e5
     found = estimate_ellipses(points.astype(np.float32))
-    assert np.quantile(angles(found.normal[:COUNT], np.array([[0, 0, 1.0]])), 0.99) < 1
+    assert np.quantile(angles(found.normal[:COUNT], np.array([[0, 0, 1.0]])), 0.99) < 1  # measured 0
     assert not found.normal[-1].any()
     assert found.radii[-1, 0] < 2 * spacing
 
