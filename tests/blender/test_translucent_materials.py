@@ -471,8 +471,9 @@ def test_captured_opacities_are_logits_and_are_not_read():
     assert cloud.extinction is None
 
 
-def test_points_with_normals_keep_their_opacity():
-    pointcloud(TWO, opacity=("FLOAT", "value", [0.25, 1]), normal=("FLOAT_VECTOR", "vector", [(0, 0, 1)] * 2))
+def test_disks_keep_their_opacity():
+    normal = ("FLOAT_VECTOR", "vector", [(0, 0, 1)] * 2)
+    pointcloud(TWO, opacity=("FLOAT", "value", [0.25, 1]), normal=normal).pointsplat.shape = "DISKS"
     cloud = cloud_of(sync())
     assert cloud.extinction is None
     np.testing.assert_array_equal(cloud.opacity, np.array([0.25, 1], np.float32))
