@@ -11,6 +11,8 @@
 
 #define PS_SOFT_SHAPE 16  // first texel about a light's size
 #define PS_POINTS_OF_CELL 8
+#define PS_SOFT_ALIKE 1e-4  // shares of a light that do not matter
+#define PS_SOFT_STEEPEST 0.05  // cosine: planes that a point of the light grazes more closely are treated as this one
 
 // A view of a light, and what receives there.
 struct PsSoftLight {
@@ -24,29 +26,29 @@ struct PsSoftLight {
 #ifdef PS_SHADOW_NESTED
   float lift;  // at which all views show the same place
 #endif
-  vec2 place, slope;  // of the receiver in the view from the light's middle, and how its plane's height grows there
-  float bias;
+  vec2 place;  // of the receiver in the view from the light's middle
+  float scale;  // of lengths there
+  vec3 at, normal;  // of the receiver in the view's space
+  bool oriented;
+  float above, rounding;  // how far the receiver is lifted from its plane, and towards the light
 };
 
 // Sets what receives: a point in view space. normal: of its plane; (0, 0, 0) in a medium.
 void ps_soft_receive(inout PsSoftLight s, vec3 position, vec3 normal)
 {
   vec3 q = s.turn * position + s.offset, n = s.turn * normal;
-  float scale = s.parallel ? 1.0 : 1.0 / q.z;
-  s.place = q.xy * scale;
-  s.own = s.parallel ? -q.z : scale;
-  vec3 ray = vec3(s.parallel ? vec2(0.0) : s.place, 1.0);
-  float along = inversesqrt(dot(ray, ray)), facing = dot(n, ray);
-  bool oriented = dot(n, n) > 0.0;
-  float cosine = max(abs(facing) * along, PS_MAP_STEEPEST);
-  s.slope = oriented ? n.xy * scale / ((facing < 0.0 ? -1.0 : 1.0) * cosine / along) : vec2(0.0);
+  s.scale = s.parallel ? 1.0 : 1.0 / q.z;
+  s.place = q.xy * s.scale;
+  s.own = s.parallel ? -q.z : s.scale;
+  s.at = q;
+  s.normal = n;
+  s.oriented = dot(n, n) > 0.0;
   float texel = (s.parallel ? 1.0 : q.z) / s.frame.z;  // world units
-  float above = texel * PS_MAP_BIAS;
+  s.above = texel * (s.oriented ? PS_MAP_BIAS : PS_MAP_BIAS_IN_MEDIA);
 #ifdef PS_FOOTPRINT
-  above += ps_footprint.rise;
+  s.above += s.oriented ? ps_footprint.rise : 0.0;
 #endif
-  float bias = oriented ? above / cosine : texel * PS_MAP_BIAS_IN_MEDIA;
-  s.bias = (bias + PS_MAP_ROUNDING * (abs(q.z) + length(position))) * (s.parallel ? 1.0 : scale * scale);
+  s.rounding = PS_MAP_ROUNDING * (abs(q.z) + length(position));
 }
 
 #ifdef PS_FOOTPRINT
@@ -59,6 +61,16 @@ void ps_soft_receive_next(inout PsSoftLight s, inout uvec2 members, vec3 normal)
 }
 #endif
 
+// How much of the light at a point of the light, in the view's space, comes to the receiver if nothing keeps it, in a unit of
+// its own: by Lambert's law from a plane light. What is below the receiver's plane counts only where all of the light is.
+float ps_soft_weight(PsSoftLight s, vec3 point)
+{
+  float unit = inversesqrt(max(dot(s.at, s.at), 1e-30));
+  vec3 toward = s.parallel ? vec3(point.xy, -1.0) : (point - s.at) * unit;
+  float square = s.parallel ? 1.0 : max(dot(toward, toward), 1e-8);
+  return s.oriented ? max(dot(s.normal, toward), 1e-6) / (square * square) : 1.0;
+}
+
 // Of four texels about a place in the view of a point of the light: x: the share that lets the light through; y, z: the sum
 // of the heights above the receiver of what does not, and its weight. moved: places from the receiver to the ray.
 vec3 ps_soft_tap(PsSoftLight s, vec2 point, vec2 shift, ivec2 tile, vec2 moved)
@@ -70,9 +82,13 @@ vec3 ps_soft_tap(PsSoftLight s, vec2 point, vec2 shift, ivec2 tile, vec2 moved)
 #endif
   vec2 place = shift + s.frame.xy + s.frame.z * (s.place - above * point + moved) - 0.5;
   vec2 low = floor(place), share = place - low;
-  // A plane's height in the view of a point.
-  float straight = 1.0 - dot(s.slope, point);
-  vec2 slope = s.slope / (abs(straight) < 0.1 ? (straight < 0.0 ? -0.1 : 0.1) : straight);
+  // How the plane's height grows in the view of the point.
+  vec3 ray = vec3((s.parallel ? vec2(0.0) : s.place) - s.scale * point, 1.0);
+  float along = inversesqrt(dot(ray, ray)), cosine = dot(s.normal, ray) * along;
+  cosine = (cosine < 0.0 ? -1.0 : 1.0) * max(abs(cosine), PS_SOFT_STEEPEST);
+  vec2 slope = s.normal.xy * s.scale * along / cosine;
+  float bias = (s.oriented ? s.above / abs(cosine) : s.above) + s.rounding;
+  bias *= s.parallel ? 1.0 : s.scale * s.scale;
   vec2 sharp = clamp((share - 0.5) * s.gain + 0.5, 0.0, 1.0);
   // In the order in which they are gathered.
   vec4 right = vec4(0.0, 1.0, 1.0, 0.0), up = vec4(1.0, 1.0, 0.0, 0.0);
@@ -81,7 +97,7 @@ vec3 ps_soft_tap(PsSoftLight s, vec2 point, vec2 shift, ivec2 tile, vec2 moved)
   vec4 depth = uintBitsToFloat(min(found, uvec4(0x7F000000u))) + s.frame.w;  // nothing is far away
   vec4 height = (s.parallel ? -depth : 1.0 / depth) - s.own;
   vec2 step = slope / s.frame.z;
-  vec4 plane = dot(slope, moved) + s.bias + step.x * (right - share.x) + step.y * (up - share.y);
+  vec4 plane = dot(slope, moved) + bias + step.x * (right - share.x) + step.y * (up - share.y);
   vec4 weight = mix(vec4(1.0 - sharp.x), vec4(sharp.x), right) * mix(vec4(1.0 - sharp.y), vec4(sharp.y), up);
   vec4 hidden = weight * vec4(greaterThan(height, plane));
   return vec3(1.0 - dot(hidden, vec4(1.0)), dot(hidden, height), dot(hidden, vec4(1.0)));
@@ -147,19 +163,22 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
   ps_soft_receive(s, position, normal);
 #endif
   vec3 sum = vec3(0.0);
+  float total = 0.0;
   for (int i = 0; i < count; i++) {
 #ifdef PS_FOOTPRINT
     ps_soft_receive_next(s, members, normal);
 #endif
     vec4 middle = texelFetch(ps_map_lights, ivec2(i * (1 + PS_POINTS_OF_CELL), row), 0);
     vec2 seen = middle.x * cell.xy + middle.y * cell.zw;
-    sum += ps_soft_tap(s, seen, middle.zw, ivec2(i % columns, i / columns), vec2(0.0));
+    float weight = ps_soft_weight(s, middle.x * half_u + middle.y * half_v);
+    sum += weight * ps_soft_tap(s, seen, middle.zw, ivec2(i % columns, i / columns), vec2(0.0));
+    total += weight;
   }
-  float total = float(count);
-  bool mixed = sum.z > 1e-3 && sum.x > 1e-3;
+  bool mixed = min(sum.x, sum.z) > PS_SOFT_ALIKE * total;
   float lit = count > 0 ? sum.x / total : 1.0, gone = mixed ? sum.y / sum.z : 0.0;
   int turns = mixed ? count : 0;
   float soft = 0.0;
+  total = 0.0;
   for (int i = 0; i < turns; i++) {
 #ifdef PS_FOOTPRINT
     ps_soft_receive_next(s, members, normal);
@@ -168,15 +187,19 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     ivec2 tile = ivec2(i % columns, i / columns);
     vec4 middle = texelFetch(ps_map_lights, ivec2(column, row), 0);
     vec2 seen = middle.x * cell.xy + middle.y * cell.zw;
+    // A view from below the receiver's plane shows its other side.
+    float from = ps_soft_weight(s, middle.x * half_u + middle.y * half_v);
     for (int k = 1; k <= PS_POINTS_OF_CELL; k++) {
       vec2 own = texelFetch(ps_map_lights, ivec2(column + k, row), 0).xy;
       vec2 moved = gone * (own.x * u_axis + own.y * v_axis - seen);
       vec3 tap = ps_soft_tap(s, seen, middle.zw, tile, moved);
       gone = tap.z > 0.0 ? tap.y / tap.z : gone;
-      soft += tap.x;
+      float weight = from > 2e-6 ? ps_soft_weight(s, own.x * half_u + own.y * half_v) : from;
+      soft += weight * tap.x;
+      total += weight;
     }
   }
-  return mixed ? soft / (total * float(PS_POINTS_OF_CELL)) : lit;
+  return mixed ? soft / total : lit;
 }
 
 #endif
