@@ -22,10 +22,13 @@ int material_row;
 
 #include "lib/data/polygon.glsl"
 
-#ifdef PS_AVERAGE
+#if defined(PS_AVERAGE) || defined(PS_SPREAD)
 #include "lib/visibility/groups.glsl"
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/surface_key.glsl"
+#endif
+#ifdef PS_SPREAD
+#include "lib/visibility/normal_spread.glsl"
 #endif
 
 // Weights of a triangle's corners at a point of it, which the rasteriser has found: q, from the first corner, as a and b, which
@@ -151,6 +154,9 @@ void main()
   s.normal.xyz = ps_bent(s.normal.xyz, ps_picture(ps_baked_normal, v_uv).xyz, a, b, uv[1] - uv[0], uv[2] - uv[0]);
 #endif
   ps_seen_from(s, plane, turned);
+#ifdef PS_SPREAD
+  ps_shade_by_keys(s, leader.pixel, leader.layer);
+#endif
 #endif
   ps_polygon_attributes(s);
 #ifdef PS_AVERAGE
