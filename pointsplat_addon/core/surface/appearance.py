@@ -21,6 +21,7 @@ from .samples import Samples, difference_along_half_axes, interpolate, material_
 
 CLIP = 0.5  # of alpha: surfaces that are not translucent are cut out below it
 OPAQUE = 100.0  # the largest optical depth
+STEP = 0.125  # of the way to a splat's rim, over which the change of heights is taken
 # Half-axes of translucent splats over those that cover the surface: sums of kernels are then even within 0.6 percent,
 # also where samples are no perfect lattice (where they are, 2 EVEN sqrt(2) = 1.1 does; elsewhere that errs by 4).
 OVERLAP = 1.7
@@ -267,7 +268,48 @@ def _inputs(
         bitangent_sign=sign,
         count=len(samples),
     )
-    return replace(inputs, displaced=_displaced(mesh, samples, inputs)) if wide and wanted.images else inputs
+    if not (wide and wanted.images or wanted.heights):
+        return inputs
+    displaced = _displaced(mesh, samples, inputs)
+    if wanted.heights:
+        filtered = displaced if wide and wanted.images else None
+        return with_heights(inputs, displaced, filtered, difference_along_half_axes(samples, mesh.position[mesh.triangles]))
+    return replace(inputs, displaced=displaced)
+
+
+def with_heights(
+    inputs: SampleInputs,
+    displaced: tuple[SampleInputs, SampleInputs],
+    filtered: tuple[SampleInputs, SampleInputs] | None,
+    ways: np.ndarray,
+) -> SampleInputs:
+    """Inputs that tell how heights change: at STEP of the way to the displaced ones, which lie `ways` (2, N, 3) off.
+    `filtered`: the displaced inputs where images are filtered over splats."""
+    moved = tuple(
+        replace(
+            _between(inputs, end, STEP),
+            displaced=None if filtered is None else tuple(_sum(f, end, inputs, STEP) for f in filtered),
+        )
+        for end in displaced
+    )
+    return replace(inputs, displaced=filtered, moved=moved, steps=np.float32(STEP) * ways)
+
+
+def _between(start: SampleInputs, end: SampleInputs, share: float) -> SampleInputs:
+    """Coordinates a share of the way from some inputs to others."""
+    return _sum(start, end, start, share)
+
+
+def _sum(of: SampleInputs, end: SampleInputs, start: SampleInputs, share: float) -> SampleInputs:
+    """Coordinates of some inputs, moved by a share of the way from `start` to `end`."""
+    share = np.float32(share)
+    places = {
+        name: getattr(of, name) + share * (getattr(end, name) - getattr(start, name))
+        for name in ("position", "generated")
+        if getattr(of, name) is not None
+    }
+    uv = {name: array + share * (end.uv[name] - start.uv[name]) for name, array in of.uv.items()}
+    return replace(of, uv=uv, **places)
 
 
 def _displaced(mesh: Mesh, samples: Samples, inputs: SampleInputs) -> tuple[SampleInputs, SampleInputs]:

@@ -99,6 +99,39 @@ vec3 ps_bent(vec3 n, vec3 tangent_space, vec3 px, vec3 py, vec2 ux, vec2 uy)
 }
 #endif
 
+#ifdef PS_BAKED_HEIGHT
+// How the height of a baked picture, interpolated between its texels, changes along u and v, and the strength of the bump.
+vec3 ps_slope(vec2 uv)
+{
+  ivec2 size = ps_picture_size(ps_baked_height);
+#if defined(PS_PICTURE_BORDER)
+  uv = clamp(uv, vec2(-8.0), vec2(9.0));
+#elif defined(PS_PICTURE_MIRROR)
+  uv -= 2.0 * floor(0.5 * uv);
+#else
+  uv -= floor(uv);
+#endif
+  vec2 p = uv * vec2(size) - 0.5, f = p - floor(p);
+  ivec2 a = ps_picture_texel(ivec2(floor(p)), size), b = ps_picture_texel(ivec2(floor(p)) + 1, size);
+  vec2 low = texelFetch(ps_baked_height, a, 0).xy, right = texelFetch(ps_baked_height, ivec2(b.x, a.y), 0).xy;
+  vec2 above = texelFetch(ps_baked_height, ivec2(a.x, b.y), 0).xy, high = texelFetch(ps_baked_height, b, 0).xy;
+  vec2 slope = vec2(mix(right.x - low.x, high.x - above.x, f.y), mix(above.x - low.x, high.x - right.x, f.x));
+  return vec3(slope * vec2(size), mix(mix(low.y, right.y, f.x), mix(above.y, high.y, f.x), f.y));
+}
+
+// The normal n of a surface that is raised by the height at `uv` (Mikkelsen 2010), from how position (px, py) and UV (ux, uy)
+// change along two directions. `side`: -1 where the surface is seen from behind, which is raised towards the eye too.
+vec3 ps_raised(vec3 n, vec2 uv, float side, vec3 px, vec3 py, vec2 ux, vec2 uy)
+{
+  vec3 slope = ps_slope(uv);
+  vec3 across = cross(py, n), along = cross(n, px);
+  float d = dot(px, across);
+  vec3 rise = (dot(slope.xy, ux) * across + dot(slope.xy, uy) * along) / (abs(d) > 0.0 ? d : 1e30);
+  vec3 raised = ps_direction(n - side * rise, n);
+  return ps_direction(mix(n, raised, max(slope.z, 0.0)), n);
+}
+#endif
+
 #ifdef PS_NORMAL
 // Turns the normal to the side of the triangle that is seen (Cycles' rule: not by the normal's own direction), and keeps the
 // triangle's plane. `turned`: the eye sees the side where `plane` does not point.

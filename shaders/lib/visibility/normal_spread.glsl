@@ -16,7 +16,7 @@ float ps_normal_spread(PsNormals normals)
   return normals.count > 1.5 ? max(1.0 - length2, 0.0) / length2 * normals.count / (normals.count - 1.0) : 0.0;
 }
 
-#ifdef PS_MEMBER_BITS
+#if defined(PS_MEMBER_BITS) && !defined(PS_BAKED_NORMAL) && !defined(PS_BAKED_HEIGHT)
 // Shades a group by the mean of the normals in its sub-samples' keys, and keeps their spread. Where that is no larger than the
 // steps of keys, the normal stays the leader's own, which has none. `pixel`, `layer`: the group.
 void ps_shade_by_keys(inout PsSurfel s, ivec2 pixel, int layer)

@@ -122,10 +122,11 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
     kinds = {"COLOR": variant.color, "SURFACE": variant.surface, "EMISSION": variant.emission}
     if any(on and not {f"PS_BAKED_{kind}", f"PS_CORNER_{kind}"} & set(names) for kind, on in kinds.items()):
         samplers.append("ps_materials")
-    averaged = not leaders.central and any(name.startswith("PS_BAKED") and name != "PS_BAKED_NORMAL" for name in names)
+    averaged = not leaders.central and bool({"PS_BAKED_COLOR", "PS_BAKED_SURFACE", "PS_BAKED_EMISSION"} & set(names))
     read = ("ps_first", "ps_second") if averaged or variant.spread else ()
-    read += ("ps_ids", "ps_depths") if averaged else ()
-    read += ("ps_keys",) if variant.spread else ()
+    bent = variant.spread and bool({"PS_BAKED_NORMAL", "PS_BAKED_HEIGHT"} & set(names))
+    read += ("ps_ids", "ps_depths") if averaged or bent else ()
+    read += ("ps_keys",) if variant.spread and not bent else ()
     own: Fields = (("int", "first_triangle"), ("int", "last_triangle"), *(() if one else (("int", "slots"),)))
     if group.blocks:
         own = (*group_fields(one, group.blocks), ("int", "triangles"))
