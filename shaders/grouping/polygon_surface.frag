@@ -109,12 +109,20 @@ PsShown ps_shown(int slot, PsCorners corners, vec3 weights, vec3 position)
   shown.turned = dot(shown.plane, ps_is_perspective() ? position : vec3(0.0, 0.0, -1.0)) > 0.0;
   mat3 linear = ps_linear(slot);
   vec3 normal = vec3(0.0);
+#ifdef PS_BAKED_NORMAL
+  // In object space, where tangents are made.
+  for (int i = 0; i < 3; i++) {
+    normal += weights[i] * ps_unpack_normal(corners.texels[i].w);
+  }
+  vec3 first = corners.texels[0].xyz;
+  normal = ps_bent(ps_direction(normal, vec3(0.0, 0.0, 1.0)), ps_picture(ps_baked_normal, at).xyz,
+                   corners.texels[1].xyz - first, corners.texels[2].xyz - first, uv[1] - uv[0], uv[2] - uv[0]);
+  shown.normal = ps_view_normal(linear, normal);
+#else
   for (int i = 0; i < 3; i++) {
     normal += weights[i] * ps_view_normal(linear, ps_unpack_normal(corners.texels[i].w));
   }
   shown.normal = ps_direction(normal, vec3(0.0, 0.0, 1.0));
-#ifdef PS_BAKED_NORMAL
-  shown.normal = ps_bent(shown.normal, ps_picture(ps_baked_normal, at).xyz, a, b, uv[1] - uv[0], uv[2] - uv[0]);
 #endif
 #ifdef PS_BAKED_HEIGHT
   shown.normal = ps_raised(shown.normal, at, shown.turned ? -1.0 : 1.0, a, b, uv[1] - uv[0], uv[2] - uv[0]);

@@ -3,6 +3,7 @@
 
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/pack.glsl"
+#include "lib/geometry/direction.glsl"
 
 #ifndef PS_MATERIAL
 #define PS_MATERIAL u.material
@@ -86,16 +87,14 @@ vec3 ps_picture_color(vec4 texel, bool encoded, bool associated)
 #endif
 
 #ifdef PS_BAKED_NORMAL
-// The tangent frame from how position (px, py) and UV (ux, uy) change along two directions, since meshes carry no tangents
-// here.
+// The tangent along growing u, from how position (px, py) and UV (ux, uy) change along two directions, since meshes carry no
+// tangents here; as in Cycles tangent and bitangent are of unit length, however pictures are stretched.
 vec3 ps_bent(vec3 n, vec3 tangent_space, vec3 px, vec3 py, vec2 ux, vec2 uy)
 {
-  // Tangents stay where they are, whichever side of the triangle n is on.
-  tangent_space.xy *= dot(cross(px, py), n) < 0.0 ? -1.0 : 1.0;
-  vec3 t = cross(py, n) * ux.x + cross(n, px) * uy.x;
-  vec3 b = cross(py, n) * ux.y + cross(n, px) * uy.y;
-  float size = inversesqrt(max(max(dot(t, t), dot(b, b)), 1e-30));
-  return normalize(t * size * tangent_space.x + b * size * tangent_space.y + n * tangent_space.z);
+  float area = ux.x * uy.y - ux.y * uy.x;
+  float sense = area * dot(cross(px, py), n) < 0.0 ? -1.0 : 1.0;
+  vec3 t = ps_direction(area == 0.0 ? px : (px * uy.y - py * ux.y) * sign(area), vec3(0.0));
+  return ps_direction(t * tangent_space.x + sense * cross(n, t) * tangent_space.y + n * tangent_space.z, n);
 }
 #endif
 
