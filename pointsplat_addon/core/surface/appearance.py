@@ -268,40 +268,29 @@ def _inputs(
         bitangent_sign=sign,
         count=len(samples),
     )
-    if not (wide and wanted.images or wanted.heights):
+    wide = wide and wanted.images
+    if not (wide or wanted.heights):
         return inputs
     displaced = _displaced(mesh, samples, inputs)
-    if wanted.heights:
-        filtered = displaced if wide and wanted.images else None
-        return with_heights(inputs, displaced, filtered, difference_along_half_axes(samples, mesh.position[mesh.triangles]))
-    return replace(inputs, displaced=displaced)
+    filtered = replace(inputs, displaced=displaced if wide else None)
+    if not wanted.heights:
+        return filtered
+    first, second = (_moved_to(filtered, inputs, end) for end in displaced)
+    ways = difference_along_half_axes(samples, mesh.position[mesh.triangles])
+    return replace(filtered, moved=(first, second), steps=np.float32(STEP) * ways)
 
 
-def with_heights(
-    inputs: SampleInputs,
-    displaced: tuple[SampleInputs, SampleInputs],
-    filtered: tuple[SampleInputs, SampleInputs] | None,
-    ways: np.ndarray,
-) -> SampleInputs:
-    """Inputs that tell how heights change: at STEP of the way to the displaced ones, which lie `ways` (2, N, 3) off.
-    `filtered`: the displaced inputs where images are filtered over splats."""
-    moved = tuple(
-        replace(
-            _between(inputs, end, STEP),
-            displaced=None if filtered is None else tuple(_sum(f, end, inputs, STEP) for f in filtered),
-        )
-        for end in displaced
-    )
-    return replace(inputs, displaced=filtered, moved=moved, steps=np.float32(STEP) * ways)
+def _moved_to(filtered: SampleInputs, inputs: SampleInputs, end: SampleInputs) -> SampleInputs:
+    """Inputs at STEP of the way from `inputs` to others, with the splats over which images are filtered."""
+    moved = _shifted(inputs, end, inputs, STEP)
+    if filtered.displaced is None:
+        return moved
+    first, second = (_shifted(rim, end, inputs, STEP) for rim in filtered.displaced)
+    return replace(moved, displaced=(first, second))
 
 
-def _between(start: SampleInputs, end: SampleInputs, share: float) -> SampleInputs:
-    """Coordinates a share of the way from some inputs to others."""
-    return _sum(start, end, start, share)
-
-
-def _sum(of: SampleInputs, end: SampleInputs, start: SampleInputs, share: float) -> SampleInputs:
-    """Coordinates of some inputs, moved by a share of the way from `start` to `end`."""
+def _shifted(of: SampleInputs, end: SampleInputs, start: SampleInputs, share: float) -> SampleInputs:
+    """Some inputs with their coordinates moved by a share of the way from `start` to `end`."""
     share = np.float32(share)
     places = {
         name: getattr(of, name) + share * (getattr(end, name) - getattr(start, name))

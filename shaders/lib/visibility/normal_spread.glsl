@@ -1,5 +1,5 @@
 // The spread of the normals that a group of sub-samples shows: it widens the GGX lobe (Toksvig 2005; Olano and Baker 2010) and
-// changes what Lambert's law gives. lib/light/brdf.glsl and round_lights.glsl read it; float64 twin: tests/reference/normal_spread.py.
+// changes what Lambert's law gives. lib/light/brdf.glsl and round_lights.glsl read it; float64 twin: tests/reference/lighting.py.
 
 #define PS_LEAST_SPREAD 1e-4  // variance of slopes up to which the steps of keys are as large as the spread
 

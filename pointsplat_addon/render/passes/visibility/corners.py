@@ -16,8 +16,8 @@ def corner_texels(
 ) -> WriteTexels:
     """Writes the position relative to `origin` and the packed normal of each corner, (n, 4); beyond the last, zeros.
 
-    order: (T,) rows of triangles; None: as they come. origin: (3,) float64, numbers that float32 holds. normals: (3T, 3),
-    by which corners are shaded; None: the mesh's own.
+    order: (T,) rows of triangles; None: as they come. origin: (3,) float64, numbers that float32 holds. normals:
+    (3T, 3), by which corners are shaded; None: the mesh's own.
     """
     normals = mesh.corner_normal if normals is None else normals.reshape(-1, 3, 3)
     smooth = normals is None and mesh.vertex_normal is not None
