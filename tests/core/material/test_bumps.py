@@ -30,7 +30,6 @@ def on_plane(expression, turn: np.ndarray, step: float = 5e-4) -> tuple[np.ndarr
     ways = np.zeros((2, len(x), 3), np.float32)
     ways[:, :, :2] = step * turn[:, None]
     normal = np.broadcast_to(np.float32([0, 0, 1]), place.shape)
-    inputs = SampleInputs(position=place, normal=normal)
     moved = tuple(SampleInputs(position=place + way, normal=normal) for way in ways)
     return evaluate(expression, SampleInputs(position=place, normal=normal, moved=moved, steps=ways)), x[:, 0]
 
