@@ -84,6 +84,23 @@ vec2 ps_uv_at(int slot, int triangle, vec3 position)
 #define PS_BENT
 #endif
 
+#if defined(PS_AVERAGE) || (defined(PS_SPREAD) && defined(PS_BENT))
+// Whether a sub-sample shows a triangle of an instance that is drawn as the leader's. `triangle`: in, its number among those
+// of the draw; out, that in the mesh.
+bool ps_is_like(int slot, inout int triangle)
+{
+#ifdef PS_BLOCKS
+  int number = triangle;
+  vec4 block = ps_block(clamp(number, 0, u.triangles - 1));
+  triangle = int(block.x) + (number & PS_BLOCK_MASK);
+  return number >= 0 && number < u.triangles && int(block.z) == slot;
+#else
+  triangle -= slot * u.triangles;
+  return triangle >= u.first_triangle && triangle < u.last_triangle;
+#endif
+}
+#endif
+
 #ifdef PS_NORMAL
 struct PsCorners {
   vec4 texels[3];  // the last is the packed normal
@@ -141,8 +158,8 @@ void ps_shade_by_bends(inout PsSurfel s, PsLeader leader, int slot)
   for (uvec2 members = ps_group_members(codes, uint(leader.layer)); (members.x | members.y) != 0u;) {
     int member;
     ivec2 cell = middle + ps_next_member(members, member);
-    int triangle = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id - slot * u.triangles;
-    if (triangle >= u.first_triangle && triangle < u.last_triangle) {
+    int triangle = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id;
+    if (ps_is_like(slot, triangle)) {
       float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
       vec3 position = ps_view_from_pixel(vec2(leader.pixel) + 0.5 + offsets[member], d);
       PsCorners corners;
@@ -259,14 +276,7 @@ void main()
   for (int i = 0; i < members; i++) {
     ivec2 cell = middle + cells[i];
     int other = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id;
-#ifdef PS_BLOCKS
-    vec4 other_block = ps_block(clamp(other, 0, u.triangles - 1));
-    bool like = other >= 0 && other < u.triangles && int(other_block.z) == slot;
-    other = int(other_block.x) + (other & PS_BLOCK_MASK);
-#else
-    other -= slot * u.triangles;
-    bool like = other >= u.first_triangle && other < u.last_triangle;
-#endif
+    bool like = ps_is_like(slot, other);
     if (ps_group(codes, i) == uint(leader.layer) && like) {
       float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
       v_uv = ps_uv_at(slot, other, ps_view_from_pixel(vec2(leader.pixel) + 0.5 + offsets[i], d));

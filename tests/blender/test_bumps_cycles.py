@@ -126,4 +126,3 @@ def test_bent_normals_are_lit_as_in_cycles(scene, tmp_path, case):
     assert truth[inside][:, 0].std() > 0.05
     # Measured: 0.0017 to 0.0124, and 0.0176 where a sphere's poles are a pixel wide.
     assert np.sqrt(np.square(error).mean()) < 0.02, f"{np.sqrt(np.square(error).mean()):.4f}"
-
