@@ -212,7 +212,7 @@ def _round_light(
         if light.kind == "SPOT":
             cone_seen, cone = _spot_factors(position, normal, to_light, light)
     cosine = cap_cosine(_dot(normal, to_light), sine2)
-    spread = material.surface.spread
+    spread = np.asarray(material.surface.spread)
     cosine = np.where(spread > 0, spread_cosine(_dot(normal, to_light), spread, sine2), cosine)
     if light.kind != "SUN" and not light.soft:
         # Inside the sphere light comes from everywhere.

@@ -134,8 +134,8 @@ def _half_axes(cloud: PointCloud, radii: np.ndarray, solid: bool) -> np.ndarray:
     first, balls = cloud.axis, ~normal.any(axis=1)
     if balls.any():
         # Balls among disks cast as disks that lie flat.
-        normal = np.where(balls[:, None], np.float32([0, 0, 1]), normal)
-        first = None if first is None else np.where(balls[:, None], np.float32([1, 0, 0]), first)
+        normal = np.where(balls[:, None], np.array([0, 0, 1], np.float32), normal)
+        first = None if first is None else np.where(balls[:, None], np.array([1, 0, 0], np.float32), first)
     if first is None:
         # Any direction in the plane of a disk: the cross product with the axis that is farthest from the normal.
         least = np.eye(3, dtype=np.float32)[np.abs(normal).argmin(axis=1)]

@@ -291,13 +291,13 @@ def _moved_to(filtered: SampleInputs, inputs: SampleInputs, end: SampleInputs) -
 
 def _shifted(of: SampleInputs, end: SampleInputs, start: SampleInputs, share: float) -> SampleInputs:
     """Some inputs with their coordinates moved by a share of the way from `start` to `end`."""
-    share = np.float32(share)
+    part = np.float32(share)
     places = {
-        name: getattr(of, name) + share * (getattr(end, name) - getattr(start, name))
+        name: getattr(of, name) + part * (getattr(end, name) - getattr(start, name))
         for name in ("position", "generated")
         if getattr(of, name) is not None
     }
-    uv = {name: array + share * (end.uv[name] - start.uv[name]) for name, array in of.uv.items()}
+    uv = {name: array + part * (end.uv[name] - start.uv[name]) for name, array in of.uv.items()}
     return replace(of, uv=uv, **places)
 
 

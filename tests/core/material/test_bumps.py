@@ -3,7 +3,7 @@
 import numpy as np
 
 from pointsplat_addon.core.material.baking import bake, bakeable, split_bumps
-from pointsplat_addon.core.material.expression import SampleInputs, evaluate
+from pointsplat_addon.core.material.expression import Expression, SampleInputs, evaluate
 from pointsplat_addon.core.material.graph import MaterialGraph, needs
 from pointsplat_addon.core.material.nodes.color_nodes import Component
 from pointsplat_addon.core.material.nodes.input_nodes import UV, Constant, Coordinates
@@ -19,7 +19,7 @@ def wave(source) -> Math:
     return Math(Math(Component(source, 0), Constant((FREQUENCY,)), ZERO, "MULTIPLY"), ZERO, ZERO, "SINE")
 
 
-def bump(height, strength=1.0, distance=DISTANCE, normal=NORMAL) -> Bump:
+def bump(height, strength=1.0, distance=DISTANCE, normal: Expression = NORMAL) -> Bump:
     return Bump(height, Constant((strength,)), Constant((distance,)), normal)
 
 
@@ -29,8 +29,8 @@ def on_plane(expression, turn: np.ndarray, step: float = 5e-4) -> tuple[np.ndarr
     place = np.column_stack([x, 0 * x[:, 0]]).astype(np.float32)
     ways = np.zeros((2, len(x), 3), np.float32)
     ways[:, :, :2] = step * turn[:, None]
-    normal = np.broadcast_to(np.float32([0, 0, 1]), place.shape)
-    moved = tuple(SampleInputs(position=place + way, normal=normal) for way in ways)
+    normal = np.broadcast_to(np.array([0, 0, 1], np.float32), place.shape)
+    moved = SampleInputs(position=place + ways[0], normal=normal), SampleInputs(position=place + ways[1], normal=normal)
     return evaluate(expression, SampleInputs(position=place, normal=normal, moved=moved, steps=ways)), x[:, 0]
 
 
@@ -52,7 +52,7 @@ def test_normals_are_those_of_the_raised_surface_along_any_two_ways():
 
 
 def test_without_steps_the_normal_stays():
-    normal = np.float32([[0, 0.6, 0.8]])
+    normal = np.array([[0, 0.6, 0.8]], np.float32)
     inputs = SampleInputs(position=np.zeros((1, 3), np.float32), normal=normal)
     assert np.array_equal(evaluate(bump(wave(Coordinates("position"))), inputs), normal)
 
@@ -74,6 +74,8 @@ def test_heights_of_bumps_upon_bumps_add_up():
     first = bump(Constant((2.0,)), strength=0.5)
     below, height, strength = split_bumps(bump(Constant((3.0,)), normal=first))
     assert below is None
+    assert height is not None
+    assert strength is not None
     one = SampleInputs(count=1)
     assert np.isclose(evaluate(height, one)[0, 0], DISTANCE * (3 + 0.5 * 2))
     assert evaluate(strength, one)[0, 0] == 1

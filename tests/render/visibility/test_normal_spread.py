@@ -31,7 +31,8 @@ def drawn(mesh: Mesh, roughness: float, specular: float, base: float, width: flo
 
 def radiance(normal: np.ndarray, roughness: float, specular: float, base: float, sun: Light) -> np.ndarray:
     """(N,) float64 of normals (N, 3) seen along +Y."""
-    seen = lighting.Surface(np.full(3, base), np.zeros(3), roughness, 0.0, 1.5, specular)
+    given = map(np.array, (roughness, 0.0, 1.5, specular))
+    seen = lighting.Surface(np.full(3, base), np.zeros(3), *given)
     to_eye = np.broadcast_to(TO_EYE, normal.shape)
     return lighting.shade(np.zeros_like(normal), normal, to_eye, seen, [sun])[:, 0]
 
