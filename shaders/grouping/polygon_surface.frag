@@ -22,10 +22,13 @@ int material_row;
 
 #include "lib/data/polygon.glsl"
 
-#ifdef PS_AVERAGE
+#if defined(PS_AVERAGE) || defined(PS_SPREAD)
 #include "lib/visibility/groups.glsl"
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/surface_key.glsl"
+#endif
+#ifdef PS_SPREAD
+#include "lib/visibility/normal_spread.glsl"
 #endif
 
 // Weights of a triangle's corners at a point of it, which the rasteriser has found: q, from the first corner, as a and b, which
@@ -75,6 +78,109 @@ vec2 ps_uv_at(int slot, int triangle, vec3 position)
   return weights.x * texelFetch(ps_corner_uv, first, 0).xy + weights.y * texelFetch(ps_corner_uv, second, 0).xy +
          weights.z * texelFetch(ps_corner_uv, third, 0).xy;
 }
+#endif
+
+#if defined(PS_BAKED_NORMAL) || defined(PS_BAKED_HEIGHT)
+#define PS_BENT
+#endif
+
+#if defined(PS_AVERAGE) || (defined(PS_SPREAD) && defined(PS_BENT))
+// Whether a sub-sample shows a triangle of an instance that is drawn as the leader's. `triangle`: in, its number among those
+// of the draw; out, that in the mesh.
+bool ps_is_like(int slot, inout int triangle)
+{
+#ifdef PS_BLOCKS
+  int number = triangle;
+  vec4 block = ps_block(clamp(number, 0, u.triangles - 1));
+  triangle = int(block.x) + (number & PS_BLOCK_MASK);
+  return number >= 0 && number < u.triangles && int(block.z) == slot;
+#else
+  triangle -= slot * u.triangles;
+  return triangle >= u.first_triangle && triangle < u.last_triangle;
+#endif
+}
+#endif
+
+#ifdef PS_NORMAL
+struct PsCorners {
+  vec4 texels[3];  // the last is the packed normal
+  vec3 p[3];  // in view space
+};
+
+// How a point of a triangle is shaded.
+struct PsShown {
+  vec3 normal;  // on the side of the corners' normals
+  vec3 plane;
+  bool turned;  // the other side is seen
+};
+
+#ifdef PS_BENT
+PsShown ps_shown(int slot, PsCorners corners, vec2 uv[3], vec3 weights, vec2 at, vec3 position)
+#else
+PsShown ps_shown(int slot, PsCorners corners, vec3 weights, vec3 position)
+#endif
+{
+  vec3 a = corners.p[1] - corners.p[0], b = corners.p[2] - corners.p[0];
+  PsShown shown;
+  shown.plane = ps_direction(cross(a, b), vec3(0.0, 0.0, 1.0));
+  shown.turned = dot(shown.plane, ps_is_perspective() ? position : vec3(0.0, 0.0, -1.0)) > 0.0;
+  mat3 linear = ps_linear(slot);
+  vec3 normal = vec3(0.0);
+#ifdef PS_BAKED_NORMAL
+  // In object space, where tangents are made.
+  for (int i = 0; i < 3; i++) {
+    normal += weights[i] * ps_unpack_normal(corners.texels[i].w);
+  }
+  vec3 first = corners.texels[0].xyz;
+  normal = ps_bent(ps_direction(normal, vec3(0.0, 0.0, 1.0)), ps_picture(ps_baked_normal, at).xyz,
+                   corners.texels[1].xyz - first, corners.texels[2].xyz - first, uv[1] - uv[0], uv[2] - uv[0]);
+  shown.normal = ps_view_normal(linear, normal);
+#else
+  for (int i = 0; i < 3; i++) {
+    normal += weights[i] * ps_view_normal(linear, ps_unpack_normal(corners.texels[i].w));
+  }
+  shown.normal = ps_direction(normal, vec3(0.0, 0.0, 1.0));
+#endif
+#ifdef PS_BAKED_HEIGHT
+  shown.normal = ps_raised(shown.normal, at, shown.turned ? -1.0 : 1.0, a, b, uv[1] - uv[0], uv[2] - uv[0]);
+#endif
+  return shown;
+}
+
+#if defined(PS_SPREAD) && defined(PS_BENT)
+// Shades a group by the mean of its sub-samples' normals, which pictures bend, and keeps their spread.
+void ps_shade_by_bends(inout PsSurfel s, PsLeader leader, int slot)
+{
+  const vec2 offsets[PS_SUB_SAMPLES] = PS_OFFSETS;
+  uvec2 codes = uvec2(texelFetch(ps_first, leader.pixel, 0).x, texelFetch(ps_second, leader.pixel, 0).x);
+  ivec2 middle = ps_central_cell(leader.pixel);
+  PsNormals normals = PsNormals(vec3(0.0), 0.0);
+  for (uvec2 members = ps_group_members(codes, uint(leader.layer)); (members.x | members.y) != 0u;) {
+    int member;
+    ivec2 cell = middle + ps_next_member(members, member);
+    int triangle = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id;
+    if (ps_is_like(slot, triangle)) {
+      float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
+      vec3 position = ps_view_from_pixel(vec2(leader.pixel) + 0.5 + offsets[member], d);
+      PsCorners corners;
+      vec2 uv[3];
+      for (int i = 0; i < 3; i++) {
+        ivec2 texel = ps_texel(3 * triangle + i);
+        corners.texels[i] = texelFetch(ps_corner, texel, 0);
+        corners.p[i] = ps_view_from_point(slot, corners.texels[i].xyz);
+        uv[i] = texelFetch(ps_corner_uv, texel, 0).xy;
+      }
+      vec3 weights = ps_weights(corners.p[1] - corners.p[0], corners.p[2] - corners.p[0], position - corners.p[0]);
+      vec2 at = weights.x * uv[0] + weights.y * uv[1] + weights.z * uv[2];
+      PsShown shown = ps_shown(slot, corners, uv, weights, at, position);
+      normals.sum += shown.turned ? -shown.normal : shown.normal;
+      normals.count += 1.0;
+    }
+  }
+  s.normal.xyz = ps_direction(normals.sum, s.normal.xyz);
+  s.centre.y = ps_normal_spread(normals);
+}
+#endif
 #endif
 
 void main()
@@ -139,18 +245,19 @@ void main()
 #endif
   s.shape = vec4(leader.offset, 0.0, about.x > 0.5 ? -1.0 - material : material);
 #ifdef PS_NORMAL
-  vec3 plane = ps_direction(cross(a, b), vec3(0.0, 0.0, 1.0));
-  bool turned = dot(plane, ps_is_perspective() ? leader.position : vec3(0.0, 0.0, -1.0)) > 0.0;
-  mat3 linear = ps_linear(slot);
-  vec3 normal = vec3(0.0);
-  for (int i = 0; i < 3; i++) {
-    normal += weights[i] * ps_view_normal(linear, ps_unpack_normal(corners[i].w));
-  }
-  s.normal.xyz = ps_direction(normal, vec3(0.0, 0.0, 1.0));
-#ifdef PS_BAKED_NORMAL
-  s.normal.xyz = ps_bent(s.normal.xyz, ps_picture(ps_baked_normal, v_uv).xyz, a, b, uv[1] - uv[0], uv[2] - uv[0]);
+  PsCorners own = PsCorners(corners, p);
+#ifdef PS_BENT
+  PsShown shown = ps_shown(slot, own, uv, weights, v_uv, leader.position);
+#else
+  PsShown shown = ps_shown(slot, own, weights, leader.position);
 #endif
-  ps_seen_from(s, plane, turned);
+  s.normal.xyz = shown.normal;
+  ps_seen_from(s, shown.plane, shown.turned);
+#if defined(PS_SPREAD) && defined(PS_BENT)
+  ps_shade_by_bends(s, leader, slot);
+#elif defined(PS_SPREAD)
+  ps_shade_by_keys(s, leader.pixel, leader.layer);
+#endif
 #endif
   ps_polygon_attributes(s);
 #ifdef PS_AVERAGE
@@ -169,14 +276,7 @@ void main()
   for (int i = 0; i < members; i++) {
     ivec2 cell = middle + cells[i];
     int other = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id;
-#ifdef PS_BLOCKS
-    vec4 other_block = ps_block(clamp(other, 0, u.triangles - 1));
-    bool like = other >= 0 && other < u.triangles && int(other_block.z) == slot;
-    other = int(other_block.x) + (other & PS_BLOCK_MASK);
-#else
-    other -= slot * u.triangles;
-    bool like = other >= u.first_triangle && other < u.last_triangle;
-#endif
+    bool like = ps_is_like(slot, other);
     if (ps_group(codes, i) == uint(leader.layer) && like) {
       float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
       v_uv = ps_uv_at(slot, other, ps_view_from_pixel(vec2(leader.pixel) + 0.5 + offsets[i], d));

@@ -10,6 +10,10 @@
 #ifdef PS_NORMAL
 #include "lib/light/lit_normal.glsl"
 #endif
+#ifdef PS_SPREAD
+#include "lib/visibility/surface_key.glsl"
+#include "lib/visibility/normal_spread.glsl"
+#endif
 
 #if defined(PS_NORMAL) && !defined(PS_ROUND) && !defined(PS_NODES)
 #define PS_DISKS
@@ -89,6 +93,9 @@ void main()
 #endif
 #endif
   s = ps_attributed(s, element);
+#ifdef PS_SPREAD
+  ps_shade_by_keys(s, leader.pixel, leader.layer);
+#endif
 #ifdef PS_AVERAGE
   uvec2 codes = uvec2(texelFetch(ps_first, leader.pixel, 0).x, texelFetch(ps_second, leader.pixel, 0).x);
   ivec2 middle = ps_central_cell(leader.pixel);
@@ -101,6 +108,9 @@ void main()
   if (count > 0.0) {
 #ifdef PS_DISKS
     s.normal.xyz = splat.ball ? s.normal.xyz : ps_direction(sum.normal.xyz, s.normal.xyz);
+#ifdef PS_SPREAD
+    s.centre.y = splat.ball ? s.centre.y : ps_normal_spread(PsNormals(sum.normal.xyz, count));
+#endif
 #endif
 #ifdef PS_COLOR
     s.color = sum.color / count;

@@ -96,6 +96,9 @@ void main()
   surface.roughness = bent.w;
   surface.metallic = tint.w;
 #endif
+#ifdef PS_SPREAD
+  surface.spread = centre.w <= PS_POLYGON ? centre.y : 0.0;
+#endif
 #ifdef PS_EMISSION
   surface.emission = texelFetch(ps_emission, pixel, 0).rgb;
 #endif

@@ -35,6 +35,9 @@ void main()
   s.normal.xyz = ps_bent(s.normal.xyz, ps_picture(ps_baked_normal, v_uv).xyz, dFdx(v_position), dFdy(v_position),
                          dFdx(v_uv), dFdy(v_uv));
 #endif
+#ifdef PS_BAKED_HEIGHT
+  s.normal.xyz = ps_raised(s.normal.xyz, v_uv, turned ? -1.0 : 1.0, dFdx(v_position), dFdy(v_position), dFdx(v_uv), dFdy(v_uv));
+#endif
   ps_seen_from(s, plane, turned);
 #endif
   ps_polygon_attributes(s);

@@ -51,6 +51,7 @@ class Surface:
     metallic: np.ndarray  # (N,)
     ior: np.ndarray  # (N,)
     specular: np.ndarray  # (N,) IOR level: 0.5 leaves F0 as the ior says
+    spread: np.ndarray | float = 0.0  # (N,) variance of slopes of the normals, both directions together
 
     def broadcast(self, count: int) -> Surface:
         """The same with full-length float64 arrays."""
@@ -58,7 +59,7 @@ class Surface:
             *(np.broadcast_to(np.asarray(a, float), (count, 3)) for a in (self.base, self.emission)),
             *(
                 np.broadcast_to(np.asarray(a, float), (count,))
-                for a in (self.roughness, self.metallic, self.ior, self.specular)
+                for a in (self.roughness, self.metallic, self.ior, self.specular, self.spread)
             ),
         )
 
@@ -122,6 +123,8 @@ class _Material:
         """shading: the normals of the diffuse lobe, from whose front light comes; normal: those of the GGX lobe."""
         self.surface, self.shading, self.normal, self.to_eye = surface, shading, normal, to_eye
         self.alpha = np.maximum(np.clip(surface.roughness, 0, 1) ** 2, MIN_ALPHA)
+        self.widened = np.minimum(surface.spread, 1 - self.alpha**2)
+        self.alpha = np.sqrt(self.alpha**2 + self.widened)
         self.cos_eye = np.clip(_dot(normal, to_eye), 1e-4, 1)
         metallic = np.clip(surface.metallic, 0, 1)[:, None]
         self.metal_f0 = np.clip(surface.base, 0, 1)
@@ -165,9 +168,15 @@ class _Material:
         # |n x h|^2 in place of 1 - (n.h)^2, which cancels in float32.
         sin2 = (np.cross(self.normal, half) ** 2).sum(1)
         density = a2 / (np.pi * (a2 * cos_half**2 + sin2) ** 2)
+        # The spread of normals is a Gaussian of slopes, without the tails of GGX, and of those that are seen none masks
+        # another.
+        tan2 = sin2 / np.where(cos_half > 0, cos_half, 1e-5) ** 2
+        gaussian = np.exp(-tan2 / a2) / (np.pi * a2 * np.maximum(cos_half, 1e-5) ** 4)
+        share, own = self.widened / a2, a2 - self.widened
+        density = (1 - share) * density + share * np.where(cos_half > 0, gaussian, 0)
         cl = np.maximum(cos_light, 1e-6)
         visibility = 0.5 / (
-            cl * np.sqrt(a2 + (1 - a2) * self.cos_eye**2) + self.cos_eye * np.sqrt(a2 + (1 - a2) * cl**2)
+            cl * np.sqrt(own + (1 - own) * self.cos_eye**2) + self.cos_eye * np.sqrt(own + (1 - own) * cl**2)
         )
         lit = (cos_light > 0) & (_dot(self.shading, direction) > 0) & (_dot(self.normal, self.to_eye) > 0)
         lobe = np.where(lit, density * visibility * cl, 0.0)[:, None]
@@ -203,6 +212,8 @@ def _round_light(
         if light.kind == "SPOT":
             cone_seen, cone = _spot_factors(position, normal, to_light, light)
     cosine = cap_cosine(_dot(normal, to_light), sine2)
+    spread = np.asarray(material.surface.spread)
+    cosine = np.where(spread > 0, spread_cosine(_dot(normal, to_light), spread, sine2), cosine)
     if light.kind != "SUN" and not light.soft:
         # Inside the sphere light comes from everywhere.
         cosine = np.where(d2 < light.radius**2, 1.0, cosine)
@@ -296,6 +307,16 @@ def cap_cosine(cosine: np.ndarray, sine2: np.ndarray) -> np.ndarray:
     chord = sin_theta * np.sqrt(1 - y**2)
     cut = (c * np.arccos(y) - x * chord + np.arctan2(chord, x) / s2) / np.pi
     return np.where(partial, np.maximum(cut, 0), np.maximum(cosine, 0))
+
+
+def spread_cosine(cosine: np.ndarray, spread: np.ndarray, sine2: np.ndarray) -> np.ndarray:
+    """Mean (N,) of max(n.l, 0) over normals of this spread about the mean, and over a cone of light: cosines of an even
+    distribution, 1.6 deviations to each side, which has the mean positive part of a Gaussian about 0."""
+    length2 = 1 / (1 + spread)
+    middle = cosine * np.sqrt(length2)
+    reach = 1.6 * np.sqrt(0.5 * spread * length2 * np.maximum(1 - cosine**2, 0) + 0.25 * sine2)
+    across = (middle + reach) ** 2 / np.maximum(4 * reach, 1e-30)
+    return np.where(np.abs(middle) < reach, across, np.maximum(middle, 0))
 
 
 def _spot_factors(

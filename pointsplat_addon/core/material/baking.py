@@ -19,8 +19,8 @@ from .expression import Expression, SampleInputs, evaluate, walk
 from .graph import MaterialGraph, needs
 from .nodes.color_nodes import Component
 from .nodes.input_nodes import UV, Constant, Coordinates
-from .nodes.math_nodes import Clamp, Mapping
-from .nodes.normal_nodes import NormalMap
+from .nodes.math_nodes import Clamp, Mapping, Math
+from .nodes.normal_nodes import Bump, NormalMap
 from .nodes.texture_nodes import ImageTexture
 
 MAX_RESOLUTION = 4096  # texels along a side of a baked texture
@@ -83,7 +83,8 @@ def stored(graph: MaterialGraph, picture: dict[str, np.ndarray]) -> dict[str, np
 def bake(graph: MaterialGraph, resolution: tuple[int, int]) -> dict[str, np.ndarray]:
     """Each varying channel at the texel centres of the unit square of its UV map, (H, W, C) float32, and of a border.
 
-    `resolution` is (width, height) of the square; row 0 has the smallest v. Normals are in tangent space (z outward).
+    `resolution` is (width, height) of the square; row 0 has the smallest v. Normals are in tangent space (z outward),
+    without bumps; `height` has these: heights in object units, and strengths.
     Meaningful for graphs that are `bakeable`.
     """
     border = reading(graph).border
@@ -100,7 +101,32 @@ def bake(graph: MaterialGraph, resolution: tuple[int, int]) -> dict[str, np.ndar
         tangent=np.broadcast_to(axes[0], (len(uv), 3)),
         grid=None if border else resolution,
     )
-    return {name: a.reshape(height, width, -1) for name, a in evaluate_samples(graph, inputs).items()}
+    below, heights, strength = split_bumps(graph.normal)
+    found = evaluate_samples(replace(graph, normal=below), inputs)
+    if heights is not None and strength is not None:
+        found["height"] = np.concatenate([evaluate(heights, inputs), evaluate(strength, inputs)], axis=1)
+    return {name: a.reshape(height, width, -1) for name, a in found.items()}
+
+
+def split_bumps(normal: Expression | None) -> tuple[Expression | None, Expression | None, Expression | None]:
+    """(what is raised, heights times distances, strength) of a normal that bump nodes make; None for the surface's own
+    normal, and where there are no bumps. Heights of several add up, each times its strength."""
+    bumps: list[Bump] = []
+    while isinstance(normal, Bump):
+        bumps.append(normal)
+        normal = normal.normal
+    if isinstance(normal, Coordinates) and normal.kind == "normal":
+        normal = None
+    if not bumps:
+        return normal, None, None
+    zero = Constant((0.0,))
+    heights = [Math(bump.height, bump.distance, zero, "MULTIPLY") for bump in bumps]
+    if len(bumps) == 1:
+        return normal, heights[0], bumps[0].strength
+    total: Expression = zero
+    for bump, height in zip(bumps, heights, strict=True):
+        total = Math(total, Math(height, bump.strength, zero, "MULTIPLY"), zero, "ADD")
+    return normal, total, Constant((1.0,))
 
 
 def bakeable(graph: MaterialGraph, unit_square: bool = False, active_uv: str | None = None) -> bool:
@@ -112,12 +138,20 @@ def bakeable(graph: MaterialGraph, unit_square: bool = False, active_uv: str | N
     wanted = needs(graph)
     nodes = list(walk(*graph.channels.values()))
     object_normals = any(isinstance(n, NormalMap) and n.uv is None for n in nodes)
+    object_normals |= any(isinstance(n, Bump) for n in walk(split_bumps(graph.normal)[0]))  # below mixtures of normals
     maps = {active_uv if name is None else name for name in wanted.uv}
     if len(maps) != 1 or wanted.colors or wanted.position or wanted.generated or object_normals:
         return False
-    if any(isinstance(n, Coordinates) for n in nodes):
+    if any(isinstance(n, Coordinates) for n in nodes if not _is_own_normal(n, nodes)):
         return False
     return unit_square or _extension(graph) is not None
+
+
+def _is_own_normal(node: Expression, nodes: list[Expression]) -> bool:
+    """Whether nothing but bump nodes read a node, which is the surface's own normal."""
+    readers = [n for n in nodes if any(a is node for a in n.arguments)]
+    own = isinstance(node, Coordinates) and node.kind == "normal"
+    return own and bool(readers) and all(isinstance(n, Bump) and n.normal is node for n in readers)
 
 
 def _extension(graph: MaterialGraph) -> str | None:
@@ -138,6 +172,8 @@ def _goes_on(node: Expression, image_goes_on: Callable[[ImageTexture], bool]) ->
     does."""
     if isinstance(node, UV):
         return False
+    if isinstance(node, Coordinates):  # below bumps: see `bakeable`
+        return True
     if isinstance(node, NormalMap):  # its UV only names the tangent
         return _goes_on(node.strength, image_goes_on) and _goes_on(node.color, image_goes_on)
     if isinstance(node, ImageTexture) and _texture_from_uv(node.uv) is not None:

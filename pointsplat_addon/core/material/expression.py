@@ -37,6 +37,10 @@ class SampleInputs:
     count: int | None = None  # N; None: the length of any array given
     # The inputs at the ends of two conjugate half-diameters of each sample's splat: images are filtered that wide
     displaced: tuple[SampleInputs, SampleInputs] | None = None
+    # The inputs a little way along two directions in the surface, and these ways, (2, N, 3) in object space: heights
+    # change along them
+    moved: tuple[SampleInputs, SampleInputs] | None = None
+    steps: np.ndarray | None = None
     # (width, height) of an image whose texel centres every UV map holds, row by row, from the texel `first` on:
     # images of that size are then read and not interpolated
     grid: tuple[int, int] | None = None
@@ -66,7 +70,9 @@ class SampleInputs:
             uv={name: array[part] for name, array in self.uv.items()},
             colors={name: array[part] for name, array in self.colors.items()},
             count=count,
-            displaced=None if self.displaced is None else (self.displaced[0].take(part), self.displaced[1].take(part)),
+            displaced=_take(self.displaced, part),
+            moved=_take(self.moved, part),
+            steps=None if self.steps is None else self.steps[:, part],
             grid=grid,
             first=first,
             **single,
@@ -77,6 +83,10 @@ class SampleInputs:
         if name is None:
             name = self.active_color or next(iter(self.colors), None)
         return None if name is None else self.colors.get(name)
+
+
+def _take(pair: tuple[SampleInputs, SampleInputs] | None, part: Part) -> tuple[SampleInputs, SampleInputs] | None:
+    return None if pair is None else (pair[0].take(part), pair[1].take(part))
 
 
 @record

@@ -8,7 +8,7 @@ from dataclasses import fields
 from ..numeric.record import record, value_record
 from .expression import Expression, walk
 from .nodes.input_nodes import UV, Attribute, ColorAttribute, Coordinates
-from .nodes.normal_nodes import NormalMap
+from .nodes.normal_nodes import Bump, NormalMap
 from .nodes.texture_nodes import ImageTexture
 
 
@@ -46,6 +46,7 @@ class Needs:
     generated: bool = False
     normal: bool = False
     tangent: frozenset[str | None] = frozenset()  # the UV maps whose tangent is read
+    heights: bool = False  # whether it is read how heights change
     images: bool = False  # whether images are mapped by any of these
 
 
@@ -62,6 +63,7 @@ def needs(graph: MaterialGraph) -> Needs:
         position="position" in coordinates,
         generated="generated" in coordinates,
         normal="normal" in coordinates or bool(normal_maps),
+        heights=any(isinstance(n, Bump) for n in nodes),
         tangent=frozenset(tangents),
         images=any(isinstance(n, ImageTexture) and n.uv.varies for n in nodes),
     )

@@ -21,6 +21,7 @@ from .samples import Samples, difference_along_half_axes, interpolate, material_
 
 CLIP = 0.5  # of alpha: surfaces that are not translucent are cut out below it
 OPAQUE = 100.0  # the largest optical depth
+STEP = 0.125  # of the way to a splat's rim, over which the change of heights is taken
 # Half-axes of translucent splats over those that cover the surface: sums of kernels are then even within 0.6 percent,
 # also where samples are no perfect lattice (where they are, 2 EVEN sqrt(2) = 1.1 does; elsewhere that errs by 4).
 OVERLAP = 1.7
@@ -267,7 +268,37 @@ def _inputs(
         bitangent_sign=sign,
         count=len(samples),
     )
-    return replace(inputs, displaced=_displaced(mesh, samples, inputs)) if wide and wanted.images else inputs
+    wide = wide and wanted.images
+    if not (wide or wanted.heights):
+        return inputs
+    displaced = _displaced(mesh, samples, inputs)
+    filtered = replace(inputs, displaced=displaced if wide else None)
+    if not wanted.heights:
+        return filtered
+    first, second = (_moved_to(filtered, inputs, end) for end in displaced)
+    ways = difference_along_half_axes(samples, mesh.position[mesh.triangles])
+    return replace(filtered, moved=(first, second), steps=np.float32(STEP) * ways)
+
+
+def _moved_to(filtered: SampleInputs, inputs: SampleInputs, end: SampleInputs) -> SampleInputs:
+    """Inputs at STEP of the way from `inputs` to others, with the splats over which images are filtered."""
+    moved = _shifted(inputs, end, inputs, STEP)
+    if filtered.displaced is None:
+        return moved
+    first, second = (_shifted(rim, end, inputs, STEP) for rim in filtered.displaced)
+    return replace(moved, displaced=(first, second))
+
+
+def _shifted(of: SampleInputs, end: SampleInputs, start: SampleInputs, share: float) -> SampleInputs:
+    """Some inputs with their coordinates moved by a share of the way from `start` to `end`."""
+    part = np.float32(share)
+    places = {
+        name: getattr(of, name) + part * (getattr(end, name) - getattr(start, name))
+        for name in ("position", "generated")
+        if getattr(of, name) is not None
+    }
+    uv = {name: array + part * (end.uv[name] - start.uv[name]) for name, array in of.uv.items()}
+    return replace(of, uv=uv, **places)
 
 
 def _displaced(mesh: Mesh, samples: Samples, inputs: SampleInputs) -> tuple[SampleInputs, SampleInputs]:

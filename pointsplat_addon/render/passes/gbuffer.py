@@ -16,13 +16,14 @@ class Variant:
     emission: bool = False
     owner: bool = False  # a pass asks which instance a pixel shows
     wide: bool = False  # more materials than half floats count
+    spread: bool = False  # groups of sub-samples keep the spread of their normals, in the centre's second channel
     front: bool = True  # a pyramid asks for the depth of the near end
 
     @property
     def defines(self) -> tuple[str, ...]:
         named = {
             "PS_NORMAL": self.normal, "PS_COLOR": self.color, "PS_SURFACE": self.surface,
-            "PS_EMISSION": self.emission, "PS_OWNER": self.owner,
+            "PS_EMISSION": self.emission, "PS_OWNER": self.owner, "PS_SPREAD": self.spread,
         }  # fmt: skip
         return tuple(name for name, on in named.items() if on)
 

@@ -83,6 +83,7 @@ def make_plan(view: ViewToPlan) -> Plan:
     lighting = _lighting(view, varies, drawn=kinds.solid or translucent is not None)
     normals = bool(lighting) or attributes.surface or "normal" in passes
     variant, data_variant = _variants(view, kinds, attributes, normals)
+    variant = replace(variant, spread=_spreads(view, kinds, variant))
     ewa = _ewa(view, kinds)
     plan = Plan(
         kinds.points,
@@ -206,6 +207,13 @@ def _variants(view: ViewToPlan, kinds: _Kinds, attributes: _Attributes, normals:
     if not view.picture and not averaged(passes):
         variant = data_variant
     return variant, data_variant
+
+
+def _spreads(view: ViewToPlan, kinds: _Kinds, variant: Variant) -> bool:
+    """Whether the spread of normals among a group's sub-samples changes how it is lit: not by a world of one colour."""
+    scene = view.scene
+    shone = view.picture and view.reflects and (len(scene.lights) > 0 or scene.world.image is not None)
+    return view.sub_samples > 1 and variant.normal and shone and (kinds.polygons or kinds.points)
 
 
 # Lighting and materials

@@ -14,5 +14,9 @@ PsSurface ps_material(int row)
 #else
   vec4 rest = texelFetch(ps_materials, ivec2(2, row), 0);
 #endif
+#ifdef PS_SPREAD
+  return PsSurface(base.rgb, emission, rest.y, rest.z, rest.w, 0.0);
+#else
   return PsSurface(base.rgb, emission, rest.y, rest.z, rest.w);
+#endif
 }

@@ -3,6 +3,7 @@
 
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/pack.glsl"
+#include "lib/geometry/direction.glsl"
 
 #ifndef PS_MATERIAL
 #define PS_MATERIAL u.material
@@ -86,16 +87,47 @@ vec3 ps_picture_color(vec4 texel, bool encoded, bool associated)
 #endif
 
 #ifdef PS_BAKED_NORMAL
-// The tangent frame from how position (px, py) and UV (ux, uy) change along two directions, since meshes carry no tangents
-// here.
+// The tangent along growing u, from how position (px, py) and UV (ux, uy) change along two directions, since meshes carry no
+// tangents here; as in Cycles tangent and bitangent are of unit length, however pictures are stretched.
 vec3 ps_bent(vec3 n, vec3 tangent_space, vec3 px, vec3 py, vec2 ux, vec2 uy)
 {
-  // Tangents stay where they are, whichever side of the triangle n is on.
-  tangent_space.xy *= dot(cross(px, py), n) < 0.0 ? -1.0 : 1.0;
-  vec3 t = cross(py, n) * ux.x + cross(n, px) * uy.x;
-  vec3 b = cross(py, n) * ux.y + cross(n, px) * uy.y;
-  float size = inversesqrt(max(max(dot(t, t), dot(b, b)), 1e-30));
-  return normalize(t * size * tangent_space.x + b * size * tangent_space.y + n * tangent_space.z);
+  float area = ux.x * uy.y - ux.y * uy.x;
+  float sense = area * dot(cross(px, py), n) < 0.0 ? -1.0 : 1.0;
+  vec3 t = ps_direction(area == 0.0 ? px : (px * uy.y - py * ux.y) * sign(area), vec3(0.0));
+  return ps_direction(t * tangent_space.x + sense * cross(n, t) * tangent_space.y + n * tangent_space.z, n);
+}
+#endif
+
+#ifdef PS_BAKED_HEIGHT
+// How the height of a baked picture, interpolated between its texels, changes along u and v, and the strength of the bump.
+vec3 ps_slope(vec2 uv)
+{
+  ivec2 size = ps_picture_size(ps_baked_height);
+#if defined(PS_PICTURE_BORDER)
+  uv = clamp(uv, vec2(-8.0), vec2(9.0));
+#elif defined(PS_PICTURE_MIRROR)
+  uv -= 2.0 * floor(0.5 * uv);
+#else
+  uv -= floor(uv);
+#endif
+  vec2 p = uv * vec2(size) - 0.5, f = p - floor(p);
+  ivec2 a = ps_picture_texel(ivec2(floor(p)), size), b = ps_picture_texel(ivec2(floor(p)) + 1, size);
+  vec2 low = texelFetch(ps_baked_height, a, 0).xy, right = texelFetch(ps_baked_height, ivec2(b.x, a.y), 0).xy;
+  vec2 above = texelFetch(ps_baked_height, ivec2(a.x, b.y), 0).xy, high = texelFetch(ps_baked_height, b, 0).xy;
+  vec2 slope = vec2(mix(right.x - low.x, high.x - above.x, f.y), mix(above.x - low.x, high.x - right.x, f.x));
+  return vec3(slope * vec2(size), mix(mix(low.y, right.y, f.x), mix(above.y, high.y, f.x), f.y));
+}
+
+// The normal n of a surface that is raised by the height at `uv` (Mikkelsen 2010), from how position (px, py) and UV (ux, uy)
+// change along two directions. `side`: -1 where the surface is seen from behind, which is raised towards the eye too.
+vec3 ps_raised(vec3 n, vec2 uv, float side, vec3 px, vec3 py, vec2 ux, vec2 uy)
+{
+  vec3 slope = ps_slope(uv);
+  vec3 across = cross(py, n), along = cross(n, px);
+  float d = dot(px, across);
+  vec3 rise = (dot(slope.xy, ux) * across + dot(slope.xy, uy) * along) / (abs(d) > 0.0 ? d : 1e30);
+  vec3 raised = ps_direction(n - side * rise, n);
+  return ps_direction(mix(n, raised, max(slope.z, 0.0)), n);
 }
 #endif
 

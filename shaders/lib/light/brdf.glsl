@@ -14,6 +14,9 @@ struct PsSurface {
   float roughness;
   float metallic;
   float eta;  // index of refraction that stands for IOR and specular level: core/light/bsdf.py, relative_index
+#ifdef PS_SPREAD
+  float spread;  // variance of the slopes of normals within the footprint, in both directions together
+#endif
 };
 
 #if defined(PS_HAS_LIGHTS) || defined(PS_HAS_WORLD) || defined(PS_HAS_ENVIRONMENT)
@@ -32,6 +35,10 @@ struct PsLobes {
   float roughness;
   float alpha;
   float cos_eye;
+#ifdef PS_SPREAD
+  float spread;  // as the surface's
+  float widened;  // what of alpha squared is the spread
+#endif
   vec3 mirror;  // the reflected view direction
   vec3 across;  // unit, perpendicular to the plane of incidence; 0 where there is none
 };
@@ -126,6 +133,13 @@ PsLobes ps_lobes(PsSurface surface, vec3 normal, vec3 plane, vec3 to_eye)
   float reflected = surface.eta == 1.0 ? 0.0 : mix(f0, 1.0, table.z) * table.x * lobes.dielectric_scale;
 #endif
   lobes.alpha = max(lobes.roughness * lobes.roughness, PS_MIN_ALPHA);
+#ifdef PS_SPREAD
+  // Squares of alpha are twice the variance of slopes along one direction.
+  lobes.spread = surface.spread;
+  lobes.widened = max(min(surface.spread, 1.0 - lobes.alpha * lobes.alpha), 0.0);
+  lobes.alpha = sqrt(lobes.alpha * lobes.alpha + lobes.widened);
+  lobes.roughness = sqrt(lobes.alpha);
+#endif
   lobes.reflectance = vec3(reflected);
   lobes.diffuse = max(surface.base, 0.0) * (1.0 - min(reflected, 1.0));
 #ifdef PS_HAS_METAL
@@ -164,10 +178,22 @@ vec3 ps_specular(PsLobes lobes, vec3 direction, float a2)
   // |n x h|^2 in place of 1 - (n.h)^2, which cancels.
   vec3 sine = cross(lobes.reflecting, h);
   float spread = a2 * along * along + dot(sine, sine);
-  float masked = above * sqrt(a2 + (1.0 - a2) * lobes.cos_eye * lobes.cos_eye) +
-                 lobes.cos_eye * sqrt(a2 + (1.0 - a2) * above * above);
-  float lobe = a2 * h2 * h2 * above / (2.0 * PS_PI * spread * spread * masked);
   float cos_between = min(0.5 * sqrt(h2), 1.0);
+  float rough2 = a2;
+#ifdef PS_SPREAD
+  // Normals that are seen do not mask each other, and have no tails as those of a GGX lobe.
+  float share = lobes.widened / a2;
+  rough2 = a2 - lobes.widened;
+#endif
+  float masked = above * sqrt(rough2 + (1.0 - rough2) * lobes.cos_eye * lobes.cos_eye) +
+                 lobes.cos_eye * sqrt(rough2 + (1.0 - rough2) * above * above);
+  float density = a2 / (spread * spread);
+#ifdef PS_SPREAD
+  float along2 = along > 0.0 ? along * along : 1e-9;
+  float tan2 = dot(sine, sine) / along2;
+  density = mix(density, exp(-tan2 / a2) / (a2 * along2 * along2), share);
+#endif
+  float lobe = density * h2 * h2 * above / (2.0 * PS_PI * masked);
   vec3 reflected = vec3(lobes.dielectric_scale * ps_fresnel_dielectric(cos_between, lobes.eta));
 #ifdef PS_HAS_METAL
   float x = 1.0 - cos_between, x2 = x * x;

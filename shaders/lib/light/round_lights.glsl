@@ -54,17 +54,41 @@ vec3 ps_cone_specular(PsLobes lobes, vec3 to_light, float sine2, float cosine)
 
 #endif
 
+#ifdef PS_SPREAD
+
+#define PS_HALF_RANGE 1.6  // of an even distribution about 0 with the positive part of a Gaussian's, in its deviations
+
+// Mean of max(n.l, 0) over normals with a spread about the mean, and over a cone of light. Normals of which some face the
+// light and some do not are taken to be spread evenly.
+float ps_spread_cosine(float cosine, float spread, float sine2)
+{
+  float length2 = 1.0 / (1.0 + spread);
+  float middle = cosine * sqrt(length2);
+  float range = PS_HALF_RANGE * sqrt(0.5 * spread * length2 * max(1.0 - cosine * cosine, 0.0) + 0.25 * sine2);
+  return abs(middle) < range ? (middle + range) * (middle + range) / (4.0 * range) : max(middle, 0.0);
+}
+
+#endif
+
 // A light that fills a cone around to_light, of which sine2 is the squared sine of half the angle. scale: irradiance
 // of a surface that faces it.
 PsReceived ps_round_light(PsLobes lobes, vec3 to_light, float sine2, float scale)
 {
+  float facing = dot(lobes.normal, to_light);
+#ifdef PS_HAS_WIDE_LIGHTS
+  float received = ps_cap_cosine(facing, sine2);
+#else
+  float received = max(facing, 0.0);
+#endif
+#ifdef PS_SPREAD
+  received = lobes.spread > 0.0 ? ps_spread_cosine(facing, lobes.spread, sine2) : received;
+#endif
 #ifdef PS_HAS_WIDE_LIGHTS
   float cosine = sqrt(max(1.0 - sine2, 0.0));
   float energy = scale * 2.0 / (1.0 + cosine);
-  return PsReceived(scale * ps_cap_cosine(dot(lobes.normal, to_light), sine2),
-                    energy * ps_cone_specular(lobes, to_light, sine2, cosine));
+  return PsReceived(scale * received, energy * ps_cone_specular(lobes, to_light, sine2, cosine));
 #else
-  return PsReceived(scale * max(dot(lobes.normal, to_light), 0.0),
+  return PsReceived(scale * received,
                     scale * ps_specular(lobes, to_light, lobes.alpha * lobes.alpha));
 #endif
 }

@@ -71,6 +71,7 @@ def shade_on_device(device, inputs, lights, world, defines) -> np.ndarray:
     rotation = VIEW[:3, :3].T
     rows = np.zeros((6, COUNT, 4), np.float32)
     rows[0, :, :3] = position @ rotation + VIEW[:3, 3]
+    rows[0, :, 3] = surface.spread
     rows[1, :, :3], rows[2, :, :3] = normal @ rotation, to_eye @ rotation
     rows[3, :, :3], rows[3, :, 3] = surface.base, surface.roughness
     rows[4, :, :3], rows[4, :, 3] = surface.emission, surface.metallic
@@ -135,6 +136,16 @@ LIGHTS = {
 @pytest.mark.parametrize("name", LIGHTS)
 def test_light_equals_reference(device, inputs, name):
     compare(device, inputs, [LIGHTS[name]], World(), names([LIGHTS[name]], inputs))
+
+
+@pytest.mark.parametrize("name", ["point", "sun", "soft spot", "rectangle"])
+def test_light_on_spread_normals_equals_reference(device, inputs, name):
+    *geometry, surface = inputs
+    spread = np.where(np.arange(COUNT) % 4 == 0, 0, np.random.default_rng(5).uniform(0, 0.3, COUNT))
+    inputs = *geometry, replace(surface, spread=spread.astype(np.float32))
+    # Where lobes are as wide as they can be, a sun of 0.2 is on the brink between one point and seven.
+    light = [replace(LIGHTS[name], radius=0.25) if name == "sun" else LIGHTS[name]]
+    compare(device, inputs, light, World(), (*names(light, inputs), "PS_SPREAD"))
 
 
 ONE_SURFACE = {"roughness": 0.4, "metallic": 0.0, "ior": 1.45, "specular": 0.5}

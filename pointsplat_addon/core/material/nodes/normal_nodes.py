@@ -1,11 +1,11 @@
-"""The normal map node: normals in tangent or object space from a colour."""
+"""The normal map node, normals in tangent or object space from a colour, and the bump node, normals from heights."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ...numeric.record import record
-from ..expression import Expression, SampleInputs
+from ..expression import Expression, SampleInputs, compute_node
 from .input_nodes import UV, three_columns
 from .math_functions import normalize_rows, row_dot
 
@@ -47,3 +47,42 @@ def _tangent_frame(normal: np.ndarray, inputs: SampleInputs) -> tuple[np.ndarray
     tangent = three_columns(inputs.tangent, len(inputs))
     sign = 1 if inputs.bitangent_sign is None else inputs.bitangent_sign[:, None]
     return tangent, np.cross(normal, tangent) * sign
+
+
+@record
+class Bump(Expression):
+    """Unit normal (N, 3) in object space of a surface that is raised by a height (Mikkelsen 2010), as in Cycles.
+
+    With p and q two ways in the surface, along which the height changes by a and b, and d = p . (q x n):
+    n' = |d| n - sign(d) distance (a q x n + b n x p), made unit and blended with n by the strength. Where nothing is
+    known of how heights change, the normal stays.
+    """
+
+    height: Expression
+    strength: Expression
+    distance: Expression  # object units of a height of 1; negative: heights lead inwards
+    normal: Expression  # what is raised
+
+    @property
+    def varies(self) -> bool:
+        return True
+
+    def compute(self, inputs: SampleInputs, *values: np.ndarray) -> np.ndarray:
+        height, strength, distance, normal = values
+        if inputs.moved is None or inputs.steps is None:
+            return normal
+        a, b = (compute_node(self.height, moved, {}) - height for moved in inputs.moved)
+        return bumped(normal, inputs.steps[0], inputs.steps[1], distance * a, distance * b, strength)
+
+
+def bumped(
+    normal: np.ndarray, p: np.ndarray, q: np.ndarray, a: np.ndarray, b: np.ndarray, strength: np.ndarray
+) -> np.ndarray:
+    """Normals (N, 3), made unit, of surfaces that rise by a and b (N, 1) along p and q (N, 3): see Bump."""
+    across, along = np.cross(q, normal), np.cross(normal, p)
+    d = row_dot(p, across)
+    # Steps of small splats: products of four of their lengths would vanish in float32.
+    scale = np.float32(1) / np.maximum(np.abs(d), np.finfo(np.float32).tiny)
+    raised = normalize_rows(normal - np.sign(d) * scale * (a * across + b * along))
+    raised = np.where(row_dot(raised, raised) > 0, raised, normal)
+    return normalize_rows(normal + np.maximum(strength, 0) * (raised - normal))

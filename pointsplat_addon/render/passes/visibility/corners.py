@@ -11,12 +11,15 @@ from ...device.packing import octahedral
 from ...device.protocol import WriteTexels
 
 
-def corner_texels(mesh: Mesh, order: np.ndarray | None, origin: np.ndarray) -> WriteTexels:
+def corner_texels(
+    mesh: Mesh, order: np.ndarray | None, origin: np.ndarray, normals: np.ndarray | None = None
+) -> WriteTexels:
     """Writes the position relative to `origin` and the packed normal of each corner, (n, 4); beyond the last, zeros.
 
-    order: (T,) rows of triangles; None: as they come. origin: (3,) float64, numbers that float32 holds.
+    order: (T,) rows of triangles; None: as they come. origin: (3,) float64, numbers that float32 holds. normals:
+    (3T, 3), by which corners are shaded; None: the mesh's own.
     """
-    normals = mesh.corner_normal
+    normals = mesh.corner_normal if normals is None else normals.reshape(-1, 3, 3)
     smooth = normals is None and mesh.vertex_normal is not None
     if normals is None and not smooth:
         normals = corner_normals(mesh).reshape(-1, 3, 3)

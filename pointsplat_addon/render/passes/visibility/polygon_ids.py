@@ -23,6 +23,7 @@ from .buffer import (
     OUTPUTS,
     DepthBuffer,
     VisibilityBuffer,
+    member_defines,
     offset_defines,
     rank_defines,
     sub_sample_defines,
@@ -121,8 +122,11 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
     kinds = {"COLOR": variant.color, "SURFACE": variant.surface, "EMISSION": variant.emission}
     if any(on and not {f"PS_BAKED_{kind}", f"PS_CORNER_{kind}"} & set(names) for kind, on in kinds.items()):
         samplers.append("ps_materials")
-    averaged = not leaders.central and any(name.startswith("PS_BAKED") and name != "PS_BAKED_NORMAL" for name in names)
-    read = ("ps_ids", "ps_depths", "ps_first", "ps_second") if averaged else ()
+    averaged = not leaders.central and bool({"PS_BAKED_COLOR", "PS_BAKED_SURFACE", "PS_BAKED_EMISSION"} & set(names))
+    read = ("ps_first", "ps_second") if averaged or variant.spread else ()
+    bent = variant.spread and bool({"PS_BAKED_NORMAL", "PS_BAKED_HEIGHT"} & set(names))
+    read += ("ps_ids", "ps_depths") if averaged or bent else ()
+    read += ("ps_keys",) if variant.spread and not bent else ()
     own: Fields = (("int", "first_triangle"), ("int", "last_triangle"), *(() if one else (("int", "slots"),)))
     if group.blocks:
         own = (*group_fields(one, group.blocks), ("int", "triangles"))
@@ -138,14 +142,16 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
             (("int", "holdout"),),
             RECTANGLE_FIELDS,
             leaders.fields,
-            LATTICE_FIELDS if averaged else (),
+            LATTICE_FIELDS if read else (),
         ),
         samplers=(*(("FLOAT_2D", name) for name in samplers), *leaders.samplers, *(("UINT_2D", name) for name in read)),
         outputs=variant.outputs(),
         defines=(
             *define_entries([*variant.defines, *names, *(("PS_ONE_INSTANCE",) if one else ())]),
             *offset_defines(lattice),
-            *((LATTICE_DEFINE, AVERAGE_DEFINE, *sub_sample_defines(lattice)[1:]) if averaged else ()),
+            *((LATTICE_DEFINE,) if read else ()),
+            *((AVERAGE_DEFINE, *sub_sample_defines(lattice)[1:]) if averaged else ()),
+            *(member_defines(lattice) if variant.spread else ()),
             *(BLOCK_DEFINES if group.blocks else ()),
             *leaders.defines,
         ),

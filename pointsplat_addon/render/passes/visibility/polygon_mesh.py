@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ....core.material.baking import BORDER, reading
+from ....core.material.baking import BORDER, reading, split_bumps
 from ....core.material.graph import MaterialGraph
 from ....core.numeric.record import value_record
 from ....core.scene.bounds import bounding_box, used_positions
@@ -72,13 +72,15 @@ class PartList:
 def baked_defines(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
     """Returns the defines of shaders that read the baked pictures of a graph."""
     on, how = graph.channels.keys(), reading(graph)
+    below, heights, _ = split_bumps(graph.normal)
     names = {
         "PS_UV": True,
         "PS_BAKED_COLOR": bool(on & {"base_color", "alpha"}),
         "PS_BAKED_ALPHA": "alpha" in on,
         "PS_BAKED_SURFACE": bool(on & {"roughness", "metallic"}),
         "PS_BAKED_EMISSION": emission and "emission" in on,
-        "PS_BAKED_NORMAL": "normal" in on,
+        "PS_BAKED_NORMAL": below is not None,
+        "PS_BAKED_HEIGHT": heights is not None,
         "PS_PICTURE_MIRROR": how.extension == "MIRROR",
         "PS_PICTURE_BORDER": how.extension == "BORDER",
         "PS_PICTURE_CLOSEST": how.closest,
@@ -123,6 +125,8 @@ class Pictures:
             add("ps_baked_emission", "RGBA16F", "emission", "alpha" if "PS_ASSOCIATED_EMISSION" in names else "")
         if "PS_BAKED_NORMAL" in names:
             add("ps_baked_normal", "RGBA16F", "normal", "")
+        if "PS_BAKED_HEIGHT" in names:
+            add("ps_baked_height", "RG32F", "height")
 
     def release(self) -> None:
         for texture in self.textures.values():
@@ -162,7 +166,7 @@ def arrange(
     graphs = graphs_of(mesh, table)
     shown = {row: graph for row, graph in graphs.items() if pictured(mesh, graph)}
     flat = {row: graph for row, graph in graphs.items() if row not in shown}
-    looks, at_each_corner = _looks(mesh, order, table, flat, emission) if flat else ({}, ())
+    looks, at_each_corner, normals = _looks(mesh, order, table, flat, emission) if flat else ({}, (), None)
     if shown:
         looks["ps_corner_uv"] = np.zeros((3 * len(mesh.triangles), 2), np.float32)
     groups = []
@@ -179,13 +183,14 @@ def arrange(
             part = np.arange(first, end) if by_material is None else by_material[first:end]
             begins = 3 * (first + np.searchsorted(part // PART, np.arange(len(parts) + 1)))
         groups.append(Group(row, 3 * first, 3 * (end - first), bool(table.cull[row]), defines, graph, start=begins))
-    return Arranged(origin, box, len(mesh.triangles), corner_texels(mesh, order, origin), looks, groups)
+    return Arranged(origin, box, len(mesh.triangles), corner_texels(mesh, order, origin, normals), looks, groups)
 
 
 def _looks(
     mesh: Mesh, order: np.ndarray | None, table: MaterialTable, graphs: dict[int, MaterialGraph], emission: bool
-) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """Returns what graphs vary from corner to corner, and the defines of shaders that read it."""
+) -> tuple[dict[str, np.ndarray], tuple[str, ...], np.ndarray | None]:
+    """Returns what graphs vary from corner to corner, the defines of shaders that read it, and the normals of corners,
+    (3T, 3), where graphs bend them."""
     rows = np.full(len(mesh.triangles), mesh.materials[0]) if mesh.material is None else mesh.material.astype(int)
     look, found = at_corners(mesh, table, graphs, rows), {}
     alpha = np.ones(len(rows) * 3, np.float32) if look.alpha is None else look.alpha
@@ -196,7 +201,8 @@ def _looks(
         found["ps_corner_surface"] = _ordered(look.surface, order)
     if emission and look.emission is not None:
         found["ps_corner_emission"] = _ordered(look.emission, order)
-    return found, (*map(str.upper, found), *(("PS_CORNER_ALPHA",) if look.alpha is not None else ()))
+    names = *map(str.upper, found), *(("PS_CORNER_ALPHA",) if look.alpha is not None else ())
+    return found, names, look.normal
 
 
 def hang(groups: Iterable[Group], pictures: Callable[[MaterialGraph, int], Pictures]) -> None:

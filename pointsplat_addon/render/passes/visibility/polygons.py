@@ -37,7 +37,7 @@ def is_cut(group: Group) -> bool:
 
 def needed_defines(variant: Variant, group: Group) -> tuple[str, ...]:
     """Returns the defines of a group's shader in a G-buffer of this variant."""
-    held = {"PS_BAKED_NORMAL": variant.normal}
+    held = {"PS_BAKED_NORMAL": variant.normal, "PS_BAKED_HEIGHT": variant.normal}
     for kind, on in (("COLOR", variant.color), ("SURFACE", variant.surface), ("EMISSION", variant.emission)):
         held |= {f"PS_{way}_{kind}": on for way in ("BAKED", "CORNER", "ENCODED", "ASSOCIATED")}
     # Alpha is a colour's.

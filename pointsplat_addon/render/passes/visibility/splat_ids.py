@@ -129,7 +129,9 @@ def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders
     samplers, named = attributes(variant, kind.options)
     added = tuple(sampler for sampler in samplers if sampler not in POINT_SAMPLERS and sampler[1] != "ps_instances")
     disks = variant.normal and not (kind.balls or kind.lattice)
-    averaged = ("ps_ids", "ps_first", "ps_second") if variant.color or variant.emission or disks else ()
+    averaged = ("ps_ids",) if variant.color or variant.emission or disks else ()
+    averaged += ("ps_keys",) if variant.spread else ()
+    averaged += ("ps_first", "ps_second") if averaged else ()
     read = (*leaders.samplers, *(("UINT_2D", name) for name in (() if leaders.central else averaged)))
     return Interface(
         "attributes",
@@ -271,7 +273,7 @@ class SplatCover(SplatDepths):
         """Writes the attributes of the splats that stand for groups."""
         for draw in draws:
             program = surface_program(self._kind(draw), variant, self._buffer.lattice, leaders)
-            read = {**leaders.bound, **groups.codes, "ps_ids": self._buffer.ids}
+            read = {**leaders.bound, **groups.codes, "ps_ids": self._buffer.ids, "ps_keys": self._buffer.keys}
             self._device.draw(
                 program,
                 out.target,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from .....core.material.nodes import input_nodes, normal_nodes
-from .tree import NodeConverter, NodeReader, Outputs, UnsupportedNodeError
+from .....core.material.nodes import input_nodes, math_nodes, normal_nodes
+from .tree import NodeConverter, NodeReader, Outputs, UnsupportedNodeError, constant_input
+
+ZERO = input_nodes.Constant((0.0,))
 
 
 def _normal_map(node: NodeReader) -> Outputs:
@@ -20,8 +22,13 @@ def _normal_map(node: NodeReader) -> Outputs:
 
 
 def _bump(node: NodeReader) -> Outputs:
-    node.warn("is ignored: bumps need derivatives of their height")
-    return {"Normal": node["Normal"]}
+    height, normal = node["Height"], node["Normal"]
+    if not height.varies:
+        return {"Normal": normal}
+    distance = constant_input(node, "Distance")
+    if node.node.invert:
+        distance = math_nodes.Math(ZERO, distance, ZERO, "SUBTRACT")
+    return {"Normal": normal_nodes.Bump(height, node["Strength"], distance, normal)}
 
 
 NORMALS: dict[str, NodeConverter] = {"ShaderNodeNormalMap": _normal_map, "ShaderNodeBump": _bump}
