@@ -277,9 +277,9 @@ NARROW = {"filter_size": 0.75}  # pixels: a wider filter hides what techniques d
 
 @pytest.mark.parametrize("tolerance", [1.0, 2.0])
 def test_surfaces_are_nearer_to_the_polygons_than_in_image_space(tolerance):
-    """In decibels, without the edges."""
+    """In decibels, without the edges. Truths are polygons of which each sample is shaded by itself."""
     mesh = meshes.shape("torus")
-    truth = shape_picture(build.mesh(mesh, "POLYGONS"), 0, "AUTO", 64, **NARROW)
+    truth = shape_picture(build.mesh(mesh, "POLYGONS"), 0, "IMAGE_SPACE", 64, **NARROW)
     STORE.clear()
     found = {
         technique: compare(shape_picture(build.mesh(mesh, "POINTS"), 0, technique, 16, tolerance, **NARROW), truth)
@@ -292,7 +292,7 @@ def test_surfaces_are_nearer_to_the_polygons_than_in_image_space(tolerance):
 def test_many_samples_are_nearer_to_the_polygons_than_those_of_any_other_technique(name):
     """In decibels, with the edges."""
     mesh = meshes.shape(name)
-    truth = shape_picture(build.mesh(mesh, "POLYGONS"), 0, "AUTO", 64, **NARROW)
+    truth = shape_picture(build.mesh(mesh, "POLYGONS"), 0, "IMAGE_SPACE", 64, **NARROW)
     STORE.clear()
     found = {
         technique: compare(shape_picture(build.mesh(mesh, "POINTS"), 0, technique, 16, **NARROW), truth)
