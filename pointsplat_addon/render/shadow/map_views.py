@@ -58,9 +58,9 @@ class MapView:
     far: float
     corner: tuple[int, int] = (0, 0)  # of its texels in the texture of all maps
     across: np.ndarray | None = None  # (2, 2) float64: half-axes of a light with a size as columns, in its plane
-    # (N, 2) float64, of the light: each has such a view of its own; None: there is one.
+    # (N, 3) float64, of the light, in these coordinates: each has such a view of its own; None: there is one.
     points: np.ndarray | None = None
-    point: tuple[float, float] = (0.0, 0.0)  # from which this one is seen
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from which this one is seen
     finest: float = 0.0  # finer texels show gaps between splats
     nested: Nested | None = None
 
@@ -84,9 +84,9 @@ class MapView:
             replace(
                 self,
                 corner=(x + i % columns * self.size[0], y + i // columns * self.size[1]),
-                low=self.low - self.step * moved - (0.0 if self.nested is None else self.nested.lift * point),
+                low=self.low - self.step * moved - (0.0 if self.nested is None else self.nested.lift * point[:2]),
                 points=None,
-                point=(float(point[0]), float(point[1])),
+                point=(float(point[0]), float(point[1]), float(point[2])),
             )
             for i, (point, moved) in enumerate(zip(self.points, grid_shifts(len(self.points)), strict=True))
         ]
@@ -102,9 +102,9 @@ class MapView:
         view[:3, :3] = self.axes * [[1], [1], [-1]]
         view[:3, 3] = -view[:3, :3] @ self.origin
         if self.parallel:
-            view[:2] -= np.array(self.point)[:, None] * view[2]  # rays from the point are upright
+            view[:2] -= np.array(self.point)[:2, None] * view[2]  # rays from the point are upright
         else:
-            view[:2, 3] -= self.point
+            view[:3, 3] -= self.point * np.array([1, 1, -1])
         extent = self.step * np.array(self.size)
         middle = (2 * self.low + extent) / extent
         clip[0, 0], clip[1, 1] = 2 / extent
@@ -221,7 +221,11 @@ def _of_points(light: LightViews, points: int) -> LightViews:
     middles, _ = cell_points(points, shape.rectangle)
 
     def seen(view: MapView) -> MapView:
-        return view if view.across is None else replace(view, points=middles @ view.across.T)
+        if view.across is None:
+            return view
+        if view.parallel or shape.facing:
+            return replace(view, points=np.pad(middles @ view.across.T, ((0, 0), (0, 1))))
+        return replace(view, points=middles @ shape.axes @ view.axes.T)
 
     found = _each_view(light, seen)
     assert found is not None

@@ -37,8 +37,10 @@ float ps_edge(vec3 a, vec3 b, vec3 normal)
   // angle / sine for an acute angle: a rational fit, exact to 6e-7.
   float x = abs(cosine);
   float acute = (1.570795 + (0.9058155 + 0.02603237 * x) * x) / (1.0 + (1.21324 + 0.2894018 * x) * x);
-  float ratio = cosine < 0.0 ? PS_PI * inversesqrt(max(1.0 - x * x, 1e-12)) - acute : acute;
-  return ratio * scale * dot(cross(a, b), normal);
+  // The sine by the product, whose rounding is then in both: near the edge 1 - x * x is nothing but rounding.
+  vec3 across = scale * cross(a, b);
+  float ratio = cosine < 0.0 ? PS_PI * inversesqrt(max(dot(across, across), 1e-30)) - acute : acute;
+  return ratio * dot(across, normal);
 }
 
 // Lambert's formula, cut by the horizon: a convex polygon leaves and enters the upper side at most once.

@@ -93,7 +93,10 @@ vec3 ps_area_light(int index, bool ellipse, vec3 position, PsLobes lobes)
   vec3 wide = solid_angle * ps_area_specular(area, count, ellipse, ps_widened_alpha2(lobes, sigma), lobes);
   vec3 specular = mix(wide, lobes.reflectance * ps_area_share(area, height, ellipse, lobes), narrow);
   vec3 reflected = ps_reflected(PsReceived(irradiance, specular), lobes, color, light_position.w);
-  return dot(area.offset, area.direction) < 0.0 ? reflected : vec3(0.0);
+  // Half a sphere of light comes to what lies in front of it, nothing to what lies in its plane, but for rounding.
+  vec3 apart = light_position.xyz - position;
+  float rounding = 1e-6 * (length(position) + length(light_position.xyz));
+  return dot(apart, area.direction) < -rounding ? reflected : vec3(0.0);
 }
 
 #endif

@@ -11,44 +11,34 @@
 
 #define PS_SOFT_SHAPE 16  // first texel about a light's size
 #define PS_POINTS_OF_CELL 8
+#define PS_SOFT_SEEN 1.2  // see BEYOND in render/shadow/map_views.py
 #define PS_SOFT_ALIKE 1e-4  // shares of a light that do not matter
 #define PS_SOFT_STEEPEST 0.05  // cosine: planes that a point of the light grazes more closely are treated as this one
 
-// A view of a light, and what receives there.
+// A light, the view of it through which the receiver is looked at, and what receives.
 struct PsSoftLight {
-  bool parallel;
-  mat3 turn;  // from view space to the view's, with
+  bool parallel, flat_shape;  // flat_shape: seen from its points; else from where rays from them meet the plane of its middle
+  mat3 turn;  // from view space to the light's, with
   vec3 offset;
-  vec4 frame;
+  vec3 at, normal;  // of the receiver in the light's space
+  bool oriented;
+  float rounding;  // of distances
+  mat3 face;  // from the light's space to the view's
+  vec4 frame, cell;
   ivec4 ends;
-  float gain;  // how sharp edges between texels are
-  float own;  // height of the receiver
+  float seen;  // how far from its middle a view shows
 #ifdef PS_SHADOW_NESTED
   float lift;  // at which all views show the same place
 #endif
-  vec2 place;  // of the receiver in the view from the light's middle
-  float scale;  // of lengths there
-  vec3 at, normal;  // of the receiver in the view's space
-  bool oriented;
-  float above, rounding;  // how far the receiver is lifted from its plane, and towards the light
 };
 
 // Sets what receives: a point in view space. normal: of its plane; (0, 0, 0) in a medium.
 void ps_soft_receive(inout PsSoftLight s, vec3 position, vec3 normal)
 {
-  vec3 q = s.turn * position + s.offset, n = s.turn * normal;
-  s.scale = s.parallel ? 1.0 : 1.0 / q.z;
-  s.place = q.xy * s.scale;
-  s.own = s.parallel ? -q.z : s.scale;
-  s.at = q;
-  s.normal = n;
-  s.oriented = dot(n, n) > 0.0;
-  float texel = (s.parallel ? 1.0 : q.z) / s.frame.z;  // world units
-  s.above = texel * (s.oriented ? PS_MAP_BIAS : PS_MAP_BIAS_IN_MEDIA);
-#ifdef PS_FOOTPRINT
-  s.above += s.oriented ? ps_footprint.rise : 0.0;
-#endif
-  s.rounding = PS_MAP_ROUNDING * (abs(q.z) + length(position));
+  s.at = s.turn * position + s.offset;
+  s.normal = s.turn * normal;
+  s.oriented = dot(normal, normal) > 0.0;
+  s.rounding = PS_MAP_ROUNDING * (length(s.at) + length(position));
 }
 
 #ifdef PS_FOOTPRINT
@@ -61,8 +51,27 @@ void ps_soft_receive_next(inout PsSoftLight s, inout uvec2 members, vec3 normal)
 }
 #endif
 
-// How much of the light at a point of the light, in the view's space, comes to the receiver if nothing keeps it, in a unit of
-// its own: by Lambert's law from a plane light. What is below the receiver's plane counts only where all of the light is.
+void ps_soft_look(inout PsSoftLight s, int light, int view)
+{
+  s.frame = texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view, light), 0);
+  s.ends = ivec4(texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view + 1, light), 0));
+  s.cell = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE + 2 + view, light), 0);
+}
+
+// Looks through the face of the cube about a light that something in this direction is seen through.
+void ps_soft_face(inout PsSoftLight s, int light, vec3 toward)
+{
+  vec3 size = abs(toward);
+  int axis = size.x >= size.y && size.x >= size.z ? 0 : (size.y >= size.z ? 1 : 2);
+  mat3 second_first = mat3(0, 0, 1, 1, 0, 0, 0, 1, 0), third_first = mat3(0, 1, 0, 0, 0, 1, 1, 0, 0);
+  mat3 turned = axis == 0 ? mat3(1.0) : (axis == 1 ? second_first : third_first);
+  bool positive = (turned * toward).x > 0.0;
+  s.face = (positive ? mat3(0, 0, 1, 0, 1, 0, 1, 0, 0) : mat3(0, 0, -1, 1, 0, 0, 0, 1, 0)) * turned;
+  ps_soft_look(s, light, 2 * axis + (positive ? 0 : 1));
+}
+
+// How much of the light at a point of the light, in its space, comes to the receiver if nothing keeps it, in a unit of its
+// own: by Lambert's law from a plane light. What is below the receiver's plane counts only where all of the light is.
 float ps_soft_weight(PsSoftLight s, vec3 point)
 {
   float unit = inversesqrt(max(dot(s.at, s.at), 1e-30));
@@ -71,35 +80,64 @@ float ps_soft_weight(PsSoftLight s, vec3 point)
   return s.oriented ? max(dot(s.normal, toward), 1e-6) / (square * square) : 1.0;
 }
 
+// The receiver as the view from a point of the light sees it.
+struct PsSoftSight {
+  bool shown;
+  float scale;  // of lengths
+  float own;  // height
+  vec2 place;
+  float gain;  // how sharp edges between texels are
+  vec2 slope;  // of the receiver's plane
+  float bias;
+};
+
+// point: of the light, in the view's space. pixel: how large a pixel is there, world units.
+PsSoftSight ps_soft_sight(PsSoftLight s, vec3 point, float pixel)
+{
+  vec3 p = s.face * s.at - (s.parallel ? vec3(0.0) : point), normal = s.face * s.normal;
+  PsSoftSight sight;
+  sight.scale = s.parallel ? 1.0 : 1.0 / max(p.z, 1e-30);
+  sight.own = s.parallel ? -p.z : sight.scale;
+#ifdef PS_SHADOW_NESTED
+  float above = sight.own - s.lift;
+#else
+  float above = sight.own;
+#endif
+  sight.place = p.xy * sight.scale - (s.parallel ? above * point.xy : vec2(0.0));
+  sight.shown = p.z > 0.0 && max(abs(sight.place.x), abs(sight.place.y)) < s.seen;
+  // How the plane's height grows.
+  vec3 ray = vec3(s.parallel ? -point.xy : sight.place, 1.0);
+  float along = inversesqrt(dot(ray, ray)), cosine = dot(normal, ray) * along;
+  cosine = (cosine < 0.0 ? -1.0 : 1.0) * max(abs(cosine), PS_SOFT_STEEPEST);
+  sight.slope = normal.xy * sight.scale * along / cosine;
+  float texel = 1.0 / (sight.scale * s.frame.z);  // world units
+  float lifted = texel * (s.oriented ? PS_MAP_BIAS : PS_MAP_BIAS_IN_MEDIA);
+  sight.gain = 1.0;
+#ifdef PS_FOOTPRINT
+  lifted += s.oriented ? ps_footprint.rise : 0.0;
+  sight.gain = max(PS_MAP_SHARP * pixel / texel, 1.0);
+#endif
+  sight.bias = ((s.oriented ? lifted / abs(cosine) : lifted) + s.rounding) * sight.scale * sight.scale;
+  return sight;
+}
+
 // Of four texels about a place in the view of a point of the light: x: the share that lets the light through; y, z: the sum
 // of the heights above the receiver of what does not, and its weight. moved: places from the receiver to the ray.
-vec3 ps_soft_tap(PsSoftLight s, vec2 point, vec2 shift, ivec2 tile, vec2 moved)
+vec3 ps_soft_tap(PsSoftLight s, PsSoftSight sight, vec2 shift, ivec2 tile, vec2 moved)
 {
-#ifdef PS_SHADOW_NESTED
-  float above = s.own - s.lift;
-#else
-  float above = s.own;
-#endif
-  vec2 place = shift + s.frame.xy + s.frame.z * (s.place - above * point + moved) - 0.5;
+  vec2 place = shift + s.frame.xy + s.frame.z * (sight.place + moved) - 0.5;
   vec2 low = floor(place), share = place - low;
-  // How the plane's height grows in the view of the point.
-  vec3 ray = vec3((s.parallel ? vec2(0.0) : s.place) - s.scale * point, 1.0);
-  float along = inversesqrt(dot(ray, ray)), cosine = dot(s.normal, ray) * along;
-  cosine = (cosine < 0.0 ? -1.0 : 1.0) * max(abs(cosine), PS_SOFT_STEEPEST);
-  vec2 slope = s.normal.xy * s.scale * along / cosine;
-  float bias = (s.oriented ? s.above / abs(cosine) : s.above) + s.rounding;
-  bias *= s.parallel ? 1.0 : s.scale * s.scale;
-  vec2 sharp = clamp((share - 0.5) * s.gain + 0.5, 0.0, 1.0);
+  vec2 sharp = clamp((share - 0.5) * sight.gain + 0.5, 0.0, 1.0);
   // In the order in which they are gathered.
   vec4 right = vec4(0.0, 1.0, 1.0, 0.0), up = vec4(1.0, 1.0, 0.0, 0.0);
   ivec2 first = clamp(ivec2(low), s.ends.xy, s.ends.zw - 1) + tile * (s.ends.zw - s.ends.xy + 1);
   uvec4 found = textureGather(ps_shadow_maps, (vec2(first) + 1.0) / vec2(textureSize(ps_shadow_maps, 0)));
   vec4 depth = uintBitsToFloat(min(found, uvec4(0x7F000000u))) + s.frame.w;  // nothing is far away
-  vec4 height = (s.parallel ? -depth : 1.0 / depth) - s.own;
-  vec2 step = slope / s.frame.z;
-  vec4 plane = dot(slope, moved) + bias + step.x * (right - share.x) + step.y * (up - share.y);
+  vec4 height = (s.parallel ? -depth : 1.0 / depth) - sight.own;
+  vec2 step = sight.slope / s.frame.z;
+  vec4 plane = dot(sight.slope, moved) + sight.bias + step.x * (right - share.x) + step.y * (up - share.y);
   vec4 weight = mix(vec4(1.0 - sharp.x), vec4(sharp.x), right) * mix(vec4(1.0 - sharp.y), vec4(sharp.y), up);
-  vec4 hidden = weight * vec4(greaterThan(height, plane));
+  vec4 hidden = s.ends.z < 0 ? vec4(0.0) : weight * vec4(greaterThan(height, plane));
   return vec3(1.0 - dot(hidden, vec4(1.0)), dot(hidden, height), dot(hidden, vec4(1.0)));
 }
 
@@ -110,56 +148,39 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
   vec4 x = texelFetch(ps_map_lights, ivec2(0, light), 0), y = texelFetch(ps_map_lights, ivec2(1, light), 0);
   vec4 z = texelFetch(ps_map_lights, ivec2(2, light), 0);
   vec4 first = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE, light), 0);
-  vec3 second = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE + 1, light), 0).xyz;
+  vec3 half_u = first.xyz, half_v = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE + 1, light), 0).xyz;
+  bool cube = -head.x == PS_MAP_CUBE;
   PsSoftLight s;
+  s.parallel = -head.x == PS_MAP_PARALLEL;
+  s.flat_shape = !s.parallel && first.w < 0.5;
   s.turn = transpose(mat3(x.xyz, y.xyz, z.xyz));
   s.offset = vec3(x.w, y.w, z.w);
-  vec3 half_u = first.xyz, half_v = second, q = s.turn * position + s.offset;
+  s.face = mat3(1.0);
+  s.seen = cube ? PS_SOFT_SEEN : 1e30;
+  vec3 q = s.turn * position + s.offset;
   int view = 0;
-  if (-head.x == PS_MAP_CUBE) {
-    vec3 size = abs(q);
-    int axis = size.x >= size.y && size.x >= size.z ? 0 : (size.y >= size.z ? 1 : 2);
-    mat3 second_first = mat3(0, 0, 1, 1, 0, 0, 0, 1, 0), third_first = mat3(0, 1, 0, 0, 0, 1, 1, 0, 0);
-    mat3 turned = axis == 0 ? mat3(1.0) : (axis == 1 ? second_first : third_first);
-    bool positive = (turned * q).x > 0.0;
-    turned = (positive ? mat3(0, 0, 1, 0, 1, 0, 1, 0, 0) : mat3(0, 0, -1, 1, 0, 0, 0, 1, 0)) * turned;
-    view = 2 * axis + (positive ? 0 : 1);
-    q = turned * q;
-    half_u = turned * half_u;
-    half_v = turned * half_v;
-    s.turn = turned * s.turn;
-    s.offset = turned * s.offset;
-  }
 #ifdef PS_SHADOW_NESTED
-  view = -head.x == PS_MAP_PARALLEL ? ps_nested_map(light, q) : view;
-  s.lift = -head.x == PS_MAP_PARALLEL && view > 0
-               ? texelFetch(ps_map_lights, ivec2(PS_MAP_NESTED + 2 * view - 1, light), 0).z
-               : 0.0;
+  view = s.parallel ? ps_nested_map(light, q) : view;
+  s.lift = s.parallel && view > 0 ? texelFetch(ps_map_lights, ivec2(PS_MAP_NESTED + 2 * view - 1, light), 0).z : 0.0;
 #endif
-  s.frame = texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view, light), 0);
-  s.ends = ivec4(texelFetch(ps_map_lights, ivec2(PS_MAP_HEAD + 2 * view + 1, light), 0));
-  s.parallel = -head.x == PS_MAP_PARALLEL;
-  vec4 cell = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE + 2 + view, light), 0);
-  int count = wanted && head.x < 0.0 && s.ends.z >= 0 && (s.parallel || q.z > 0.0) ? int(head.y) : 0;
-  int columns = count > 16 ? 8 : 4, row = int(head.z);
-  s.gain = 1.0;
-#ifdef PS_FOOTPRINT
-  float texel = (s.parallel ? 1.0 : q.z) / s.frame.z;  // world units
-  s.gain = max(PS_MAP_SHARP * ps_pixel_size(-position.z) / texel, 1.0);
-#endif
-  vec2 place = q.xy * (s.parallel ? 1.0 : 1.0 / q.z);
-  if (first.w > 0.5) {
-    vec3 toward = normalize(vec3(place, 1.0)), across = normalize(vec3(1.0, 0.0, 0.0) - toward.x * toward);
-    half_v = length(half_u) * cross(toward, across);
-    half_u = length(half_u) * across;
+  if (cube) {
+    ps_soft_face(s, light, q);
   }
-  // Where rays from the light's points meet the plane of its middle.
-  vec2 u_axis = s.parallel ? half_u.xy : half_u.xy - half_u.z * place;
-  vec2 v_axis = s.parallel ? half_v.xy : half_v.xy - half_v.z * place;
-
+  else {
+    ps_soft_look(s, light, view);
+  }
+  if (first.w > 0.5) {
+    vec3 toward = s.face * normalize(q), across = normalize(vec3(1.0, 0.0, 0.0) - toward.x * toward);
+    half_v = length(half_u) * cross(toward, across) * s.face;
+    half_u = length(half_u) * across * s.face;
+  }
+  int count = wanted && head.x < 0.0 ? int(head.y) : 0;
+  int columns = count > 16 ? 8 : 4, row = int(head.z);
 #ifdef PS_FOOTPRINT
+  float pixel = ps_pixel_size(-position.z);
   uvec2 members = uvec2(0u);
 #else
+  float pixel = 0.0;
   ps_soft_receive(s, position, normal);
 #endif
   vec3 sum = vec3(0.0);
@@ -169,13 +190,18 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     ps_soft_receive_next(s, members, normal);
 #endif
     vec4 middle = texelFetch(ps_map_lights, ivec2(i * (1 + PS_POINTS_OF_CELL), row), 0);
-    vec2 seen = middle.x * cell.xy + middle.y * cell.zw;
-    float weight = ps_soft_weight(s, middle.x * half_u + middle.y * half_v);
-    sum += weight * ps_soft_tap(s, seen, middle.zw, ivec2(i % columns, i / columns), vec2(0.0));
+    vec3 there = middle.x * half_u + middle.y * half_v;
+    if (cube && s.flat_shape) {
+      ps_soft_face(s, light, s.at - there);
+    }
+    vec3 from = s.flat_shape ? s.face * there : vec3(middle.x * s.cell.xy + middle.y * s.cell.zw, 0.0);
+    PsSoftSight sight = ps_soft_sight(s, from, pixel);
+    float weight = sight.shown ? ps_soft_weight(s, there) : 0.0;
+    sum += weight * ps_soft_tap(s, sight, middle.zw, ivec2(i % columns, i / columns), vec2(0.0));
     total += weight;
   }
   bool mixed = min(sum.x, sum.z) > PS_SOFT_ALIKE * total;
-  float lit = count > 0 ? sum.x / total : 1.0, gone = mixed ? sum.y / sum.z : 0.0;
+  float lit = total > 0.0 ? sum.x / total : 1.0, gone = mixed ? sum.y / sum.z : 0.0;
   int turns = mixed ? count : 0;
   float soft = 0.0;
   total = 0.0;
@@ -186,15 +212,21 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     int column = i * (1 + PS_POINTS_OF_CELL);
     ivec2 tile = ivec2(i % columns, i / columns);
     vec4 middle = texelFetch(ps_map_lights, ivec2(column, row), 0);
-    vec2 seen = middle.x * cell.xy + middle.y * cell.zw;
+    vec3 there = middle.x * half_u + middle.y * half_v;
+    if (cube && s.flat_shape) {
+      ps_soft_face(s, light, s.at - there);
+    }
+    vec3 from = s.flat_shape ? s.face * there : vec3(middle.x * s.cell.xy + middle.y * s.cell.zw, 0.0);
+    PsSoftSight sight = ps_soft_sight(s, from, pixel);
     // A view from below the receiver's plane shows its other side.
-    float from = ps_soft_weight(s, middle.x * half_u + middle.y * half_v);
+    float least = sight.shown ? ps_soft_weight(s, there) : 0.0;
     for (int k = 1; k <= PS_POINTS_OF_CELL; k++) {
       vec2 own = texelFetch(ps_map_lights, ivec2(column + k, row), 0).xy;
-      vec2 moved = gone * (own.x * u_axis + own.y * v_axis - seen);
-      vec3 tap = ps_soft_tap(s, seen, middle.zw, tile, moved);
+      vec3 point = own.x * half_u + own.y * half_v, apart = s.face * point - from;
+      vec2 moved = gone * (apart.xy - (s.parallel ? vec2(0.0) : apart.z * sight.place));
+      vec3 tap = ps_soft_tap(s, sight, middle.zw, tile, moved);
       gone = tap.z > 0.0 ? tap.y / tap.z : gone;
-      float weight = from > 2e-6 ? ps_soft_weight(s, own.x * half_u + own.y * half_v) : from;
+      float weight = least > 2e-6 ? ps_soft_weight(s, point) : least;
       soft += weight * tap.x;
       total += weight;
     }
