@@ -15,6 +15,9 @@
 
 void main()
 {
+#ifdef PS_LEVELS
+  v_footprint = ps_pixel_footprint(v_uv, v_patch, u.footprint, ps_texels());
+#endif
 #ifdef PS_CUT
   if (ps_is_cut_out(ps_polygon_alpha(), v_cut, ps_cell_rank(ivec2(gl_FragCoord.xy)), ps_pixel_from_cell(gl_FragCoord.xy))) {
     discard;
