@@ -9,8 +9,13 @@ from pointsplat_addon.core.material.graph import MaterialGraph
 from pointsplat_addon.core.material.image import Image
 from pointsplat_addon.core.material.levels import Stored, shown_light, smaller_levels
 from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
+from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.devices.null import NullDevice
+from pointsplat_addon.render.cache.store import Store
+from pointsplat_addon.render.frame.frame import Frame
+from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import build, cameras, meshes
 from scripts.scenes.case import Case
 from scripts.scenes.drawing import render
@@ -111,3 +116,57 @@ def test_levels_are_as_bright_as_what_the_picture_shows():
     assert found[0] == pytest.approx(truth, abs=0.001)  # measured 0.0007
     assert found[3] == pytest.approx(0.5, abs=1e-6)
     assert truth < 0.42 < 0.5  # what decoded texels would have
+
+
+def lit(image: Image) -> color_nodes.Color:
+    return color_nodes.Color(texture_nodes.ImageTexture(input_nodes.UV(), image))
+
+
+def fine_board(key: str, row: int = 0, size: float = 1.0) -> Geometry:
+    """A board whose picture repeats 64 times a side."""
+    board = meshes.plane_mesh(key, size)
+    return build.mesh(replace(board, uv={"UV": board.uv["UV"] * 64}, materials=(row,)), "POLYGONS")
+
+
+def test_what_no_picture_shows_stays_constant():
+    """A material whose roughness alone varies, beside one whose colour does."""
+    roughness = color_nodes.Component(texture_nodes.ImageTexture(input_nodes.UV(), squares(4)), 0)
+    graphs = MaterialGraph(roughness=roughness), MaterialGraph(base_color=lit(squares(4)))
+    table = build.materials(2, graphs=graphs, base_color=[(0.2, 0.4, 0.6), (1, 1, 1)])
+    things = [(fine_board(f"board {row}", row), build.moved((2.2 * row - 1.1, 0, 0))) for row in (0, 1)]
+    camera = cameras.camera((0.0, -6.0, 0.0), resolution=SIZE)
+    settings = Settings(technique="VISIBILITY", use_adaptive_sampling=False)
+    found = render(Case(build.scene(*things, table=table), camera, settings), COMBINED | {"albedo"}, 16).pixels
+    constant, grey = found["albedo"][40:56, 16:40, :3], found["albedo"][40:56, 56:80, :3]
+    np.testing.assert_allclose(constant, np.broadcast_to((0.2, 0.4, 0.6), constant.shape), atol=1e-3)
+    np.testing.assert_allclose(grey, 0.5, atol=0.02)  # measured 0.0136
+
+
+def test_views_share_meshes_but_not_what_they_need_of_pictures():
+    """A frame from afar is drawn while one from near, which needs no levels, begins and ends."""
+    table = build.materials(graphs=(MaterialGraph(emission=lit(squares(4))),))
+    scene = build.scene((build.mesh(meshes.plane_mesh("board"), "POLYGONS"), np.eye(4)), lights=[], table=table)
+    settings = Settings(technique="VISIBILITY", use_adaptive_sampling=False, use_shadows=False)
+    far, near = (
+        Case(scene, cameras.camera((0.0, -distance, 0.0), resolution=SIZE), settings).request(COMBINED, 64)
+        for distance in (40.0, 1.0)
+    )
+    device = NullDevice()
+    renderer = Renderer(device, Store())
+
+    def filtered(frame: Frame) -> bool:
+        device.calls.clear()
+        frame.sample()
+        (attributes,) = [call.interface for call in device.calls if call.interface.name == "attributes"]
+        return ("PS_LEVELS", "1") in attributes.defines
+
+    first, second = renderer.start(scene, far), renderer.start(scene, near)
+    assert filtered(first)
+    assert not filtered(second)
+    first.release()
+    third = renderer.start(scene, far)
+    assert not filtered(second)
+    second.release()
+    assert filtered(third)
+    third.release()
+    renderer.release()

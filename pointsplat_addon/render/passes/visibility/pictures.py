@@ -41,7 +41,7 @@ def baked_defines(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
 
 
 def level_samplers(textures: Iterable[str], names: Iterable[str]) -> list[str]:
-    """Returns the samplers, of those of `textures`, of the levels of pictures that a shader with these defines reads."""
+    """Returns the samplers among `textures` of levels of those pictures that a shader with these defines reads."""
     return [name for name in textures if name.endswith(LEVELS) and name.removesuffix(LEVELS).upper() in names]
 
 

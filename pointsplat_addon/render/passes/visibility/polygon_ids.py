@@ -35,8 +35,8 @@ from .buffer import (
     offset_defines,
     rank_defines,
 )
-from .polygon_draw import Drawn
 from .pictures import define_entries, level_defines, level_samplers
+from .polygon_draw import Drawn
 from .polygon_mesh import BLOCK_DEFINES, CORNERS, Group
 from .polygons import CUT_VARYING, PATCH_VARYING, needed_defines
 from .small_triangles import LIST_SAMPLER, LISTED, group_fields, is_cut, triangle_program

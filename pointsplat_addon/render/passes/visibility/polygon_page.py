@@ -78,9 +78,7 @@ def _kinds(arranged: list[Arranged], first: np.ndarray) -> list[Kind]:
             pictured = None if group.graph is None else (group.graph.digest, group.material)
             alike = (group.cull, group.defines, pictured)
             begin = int(first[number]) + group.first // 3
-            kinds.setdefault(alike, []).append(
-                (number, begin, begin + group.count // 3, group.material, group.stretch)
-            )
+            kinds.setdefault(alike, []).append((number, begin, begin + group.count // 3, group.material, group.stretch))
             groups.setdefault(alike, replace(group, first=0, count=0, blocks=True))
     found = []
     for alike, rows in kinds.items():
