@@ -100,7 +100,7 @@ vec4 ps_levels(sampler2D levels, ivec2 size, vec2 at, vec2 step, int taps, float
   }
   vec4 sum = vec4(0.0);
   float share = k < top ? 1.0 - clamp(level - float(k), 0.0, 1.0) : 1.0;
-  for (int i = 0, reads = taps > 0 ? (k < top ? 2 * taps : taps) : 0; i < reads; i++) {
+  for (int i = 0, reads = taps > 0 && share < 1.0 ? 2 * taps : taps; i < reads; i++) {
     ivec2 s = ps_level_size(size, k);
     sum += share * ps_level(levels, first, s, ps_wrapped(at));
     at += step;
@@ -169,6 +169,30 @@ vec3 ps_filtered_color(sampler2D picture, sampler2D levels, vec2 uv, PsFootprint
 vec2 ps_filtered_surface(sampler2D picture, sampler2D levels, vec2 uv, PsFootprint f)
 {
   return ps_filtered(picture, levels, uv, f, false, false, false).xy;
+}
+
+// Of the shader's own pixel, which is a cell that alpha cuts out at random: that of the nearest texel of about the footprint's length.
+// Many cells are drawn over each other, and all of the footprint takes a software renderer five times as long.
+float ps_cell_alpha(sampler2D picture, sampler2D levels, vec2 uv, float patch_area, float wanted)
+{
+  ivec2 size = ps_picture_size(picture);
+  mat2 uv_from_pixel = mat2(dFdx(uv), dFdy(uv));
+  float side = ps_footprint_side(wanted, uv_from_pixel, patch_area);
+  vec2 a = uv_from_pixel[0] * vec2(size), b = uv_from_pixel[1] * vec2(size);
+  float level = 0.5 * log2(max(side * side * max(dot(a, a), dot(b, b)), 1.0)) + 0.5;
+  int k = min(int(level), findMSB(max(size.x, size.y))), first = 0;
+  float alpha = 0.0;
+  for (int i = k; i < 1; i++) {
+    alpha = ps_picture(picture, uv).a;
+  }
+  for (int j = 1; j <= k; j++) {
+    ivec2 s = ps_level_size(size, j);
+    if (j == k) {
+      alpha = ps_level_texel(levels, first, ivec2(floor(ps_wrapped(uv) * vec2(s))), s).a;
+    }
+    first += ps_level_length(s);
+  }
+  return alpha;
 }
 
 float ps_filtered_alpha(sampler2D picture, sampler2D levels, vec2 uv, PsFootprint f)
