@@ -1,5 +1,6 @@
 // Attributes of the triangle that stands for a group of sub-samples, where its sub-sample meets it: one texel of the
-// G-buffer. PS_AVERAGE: what pictures show is the mean over the group's sub-samples.
+// G-buffer. PS_AVERAGE: what pictures show is the mean over the group's sub-samples. PS_LEVELS: and over the footprints of
+// these, where one spans more than a texel.
 
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/store.glsl"
@@ -45,16 +46,22 @@ vec3 ps_weights(vec3 a, vec3 b, vec3 q)
 #ifdef PS_AVERAGE
 #define PS_MAGNIFIED 0.5  // texels that a pixel spans: up to here colours change linearly over it
 
-vec2 ps_texels()
+#ifdef PS_LEVELS
+// Changes of UV from a pixel to the next, along x and y, at a point of a triangle with these edges and changes along them.
+mat2 ps_uv_from_pixel(vec3 a, vec3 b, vec2 along_a, vec2 along_b, vec3 position)
 {
-#if defined(PS_BAKED_COLOR)
-  return vec2(ps_picture_size(ps_baked_color));
-#elif defined(PS_BAKED_EMISSION)
-  return vec2(ps_picture_size(ps_baked_emission));
-#else
-  return vec2(ps_picture_size(ps_baked_surface));
-#endif
+  vec3 toward = ps_is_perspective() ? position : vec3(0.0, 0.0, -1.0);
+  vec3 plane = cross(a, b);
+  float square = max(dot(plane, plane), 1e-37);
+  vec3 by_a = cross(b, plane) / square, by_b = cross(plane, a) / square;  // gradients of the weights
+  // Rays that move across meet the plane farther along.
+  float towards = dot(plane, toward), least = 1e-4 * sqrt(square * dot(toward, toward));
+  vec3 farther = toward / (towards < 0.0 ? min(towards, -least) : max(towards, least));
+  vec2 size = (ps_is_perspective() ? -position.z : 1.0) / u.focal;
+  vec3 x = size.x * (vec3(1.0, 0.0, 0.0) - farther * plane.x), y = size.y * (vec3(0.0, 1.0, 0.0) - farther * plane.y);
+  return mat2(along_a * dot(by_a, x) + along_b * dot(by_b, x), along_a * dot(by_a, y) + along_b * dot(by_b, y));
 }
+#endif
 
 // Texels that a pixel spans at most, of a triangle with these edges and changes of UV along them, at depth d.
 float ps_texels_of_pixel(vec3 a, vec3 b, vec2 along_a, vec2 along_b, vec3 toward, float d)
@@ -67,16 +74,52 @@ float ps_texels_of_pixel(vec3 a, vec3 b, vec2 along_a, vec2 along_b, vec3 toward
   return max(steps.x, steps.y) * ps_pixel_size(d) / max(cosine, 1e-4);
 }
 
-// UV of a point of a triangle of an instance.
-vec2 ps_uv_at(int slot, int triangle, vec3 position)
+// A point that a cell shows of a triangle, whose edges are a and b; how UV changes along these.
+struct PsMember {
+  vec3 position, a, b;
+  vec2 uv, along_a, along_b;
+};
+
+PsMember ps_member(int slot, int triangle, ivec2 cell)
 {
+  PsMember m;
+  float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
+  m.position = ps_view_from_pixel(ps_pixel_from_cell(vec2(cell) + 0.5), d);
   ivec2 first = ps_texel(3 * triangle), second = ps_texel(3 * triangle + 1), third = ps_texel(3 * triangle + 2);
   vec3 p = ps_view_from_point(slot, texelFetch(ps_corner, first, 0).xyz);
-  vec3 a = ps_view_from_point(slot, texelFetch(ps_corner, second, 0).xyz) - p;
-  vec3 b = ps_view_from_point(slot, texelFetch(ps_corner, third, 0).xyz) - p;
-  vec3 weights = ps_weights(a, b, position - p);
-  return weights.x * texelFetch(ps_corner_uv, first, 0).xy + weights.y * texelFetch(ps_corner_uv, second, 0).xy +
-         weights.z * texelFetch(ps_corner_uv, third, 0).xy;
+  m.a = ps_view_from_point(slot, texelFetch(ps_corner, second, 0).xyz) - p;
+  m.b = ps_view_from_point(slot, texelFetch(ps_corner, third, 0).xyz) - p;
+  vec3 weights = ps_weights(m.a, m.b, m.position - p);
+  vec2 uv = texelFetch(ps_corner_uv, first, 0).xy;
+  m.along_a = texelFetch(ps_corner_uv, second, 0).xy - uv;
+  m.along_b = texelFetch(ps_corner_uv, third, 0).xy - uv;
+  m.uv = uv + weights.y * m.along_a + weights.z * m.along_b;
+  return m;
+}
+
+#ifdef PS_LEVELS
+void ps_filtered_member(inout PsSurfel s, PsMember m)
+{
+  mat2 uv_from_pixel = ps_uv_from_pixel(m.a, m.b, m.along_a, m.along_b, m.position);
+  float side = ps_footprint_side(u.footprint, uv_from_pixel, ps_patch_area(m.along_a, m.along_b));
+  v_footprint = ps_footprint(side * uv_from_pixel[0], side * uv_from_pixel[1], ps_texels());
+  v_uv = m.uv;
+  ps_filtered_attributes(s);
+}
+#endif
+
+void ps_add_shown(inout PsSurfel sum, inout float count, PsSurfel one)
+{
+#ifdef PS_COLOR
+  sum.color += one.color;
+#endif
+#ifdef PS_SURFACE
+  sum.normal.w += one.normal.w;
+#endif
+#ifdef PS_EMISSION
+  sum.emission += one.emission;
+#endif
+  count += 1.0;
 }
 #endif
 
@@ -261,8 +304,6 @@ void main()
 #endif
   ps_polygon_attributes(s);
 #ifdef PS_AVERAGE
-  const ivec2 cells[PS_SUB_SAMPLES] = PS_CELLS;
-  const vec2 offsets[PS_SUB_SAMPLES] = PS_OFFSETS;
   uvec2 codes = uvec2(texelFetch(ps_first, leader.pixel, 0).x, texelFetch(ps_second, leader.pixel, 0).x);
   ivec2 middle = ps_central_cell(leader.pixel);
   PsSurfel sum = ps_empty();
@@ -270,30 +311,39 @@ void main()
   vec3 toward = ps_is_perspective() ? leader.position : vec3(0.0, 0.0, -1.0);
   float spanned = ps_texels_of_pixel(a, b, uv[1] - uv[0], uv[2] - uv[0], toward, -leader.position.z);
 #ifdef PS_PICTURE_CLOSEST
-  spanned = PS_MAGNIFIED + 1.0;  // colours jump
+  spanned = max(spanned, 1.0);  // colours jump
 #endif
-  int members = spanned > PS_MAGNIFIED ? PS_SUB_SAMPLES : 0;
-  for (int i = 0; i < members; i++) {
-    ivec2 cell = middle + cells[i];
+  uvec2 whole = spanned > PS_MAGNIFIED ? ps_group_members(codes, uint(leader.layer)) : uvec2(0u), members = whole;
+#ifdef PS_LEVELS
+#ifdef PS_PICTURE_CLOSEST
+  bool minified = true;  // so do boxes of less than a texel
+#else
+  bool minified = spanned * u.footprint > 1.0;
+#endif
+  members = minified ? uvec2(0u) : whole;
+#endif
+  while ((members.x | members.y) != 0u) {
+    ivec2 cell = middle + ps_next_member(members);
     int other = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id;
-    bool like = ps_is_like(slot, other);
-    if (ps_group(codes, i) == uint(leader.layer) && like) {
-      float d = uintBitsToFloat(texelFetch(ps_depths, cell, 0).x) + u.near;
-      v_uv = ps_uv_at(slot, other, ps_view_from_pixel(vec2(leader.pixel) + 0.5 + offsets[i], d));
-      PsSurfel one = ps_empty();
+    if (ps_is_like(slot, other)) {
+      PsSurfel one = s;  // what pictures do not show is constant
+      v_uv = ps_member(slot, other, cell).uv;
       ps_polygon_attributes(one);
-#ifdef PS_COLOR
-      sum.color += one.color;
-#endif
-#ifdef PS_SURFACE
-      sum.normal.w += one.normal.w;
-#endif
-#ifdef PS_EMISSION
-      sum.emission += one.emission;
-#endif
-      count += 1.0;
+      ps_add_shown(sum, count, one);
     }
   }
+#ifdef PS_LEVELS
+  members = minified ? whole : uvec2(0u);
+  while ((members.x | members.y) != 0u) {
+    ivec2 cell = middle + ps_next_member(members);
+    int other = int(texelFetch(ps_ids, cell, 0).x & ~PS_RASTERISED) - u.first_id;
+    if (ps_is_like(slot, other)) {
+      PsSurfel one = s;  // what pictures do not show is constant
+      ps_filtered_member(one, ps_member(slot, other, cell));
+      ps_add_shown(sum, count, one);
+    }
+  }
+#endif
   if (count > 0.0) {
 #ifdef PS_COLOR
     s.color = sum.color / count;

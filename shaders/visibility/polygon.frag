@@ -11,6 +11,9 @@
 
 void main()
 {
+#ifdef PS_LEVELS
+  v_footprint = ps_pixel_footprint(v_uv, v_patch, u.footprint, ps_texels());
+#endif
 #ifdef PS_CUT
   if (ps_is_cut_out(ps_polygon_alpha(), v_cut, 0.0, gl_FragCoord.xy)) {
     discard;
@@ -41,6 +44,9 @@ void main()
   ps_seen_from(s, plane, turned);
 #endif
   ps_polygon_attributes(s);
+#ifdef PS_LEVELS
+  ps_filtered_attributes(s);
+#endif
 #ifdef PS_OWNER
   s.owner = uint(u.instance);
 #endif

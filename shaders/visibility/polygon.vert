@@ -4,6 +4,7 @@
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/direction.glsl"
 #include "lib/data/pack.glsl"
+#include "lib/data/patch.glsl"
 #ifdef PS_CUT
 #include "lib/visibility/cut.glsl"
 #endif
@@ -35,6 +36,12 @@ void main()
 #endif
 #ifdef PS_UV
   v_uv = texelFetch(ps_corner_uv, texel, 0).xy;
+#endif
+#ifdef PS_LEVELS
+  int first_corner = (texel.x + (texel.y << 12)) / 3 * 3;
+  vec2 uv_first = texelFetch(ps_corner_uv, ps_texel(first_corner), 0).xy;
+  v_patch = ps_patch_area(texelFetch(ps_corner_uv, ps_texel(first_corner + 1), 0).xy - uv_first,
+                          texelFetch(ps_corner_uv, ps_texel(first_corner + 2), 0).xy - uv_first);
 #endif
 #ifdef PS_CORNER_COLOR
   v_color = texelFetch(ps_corner_color, texel, 0);

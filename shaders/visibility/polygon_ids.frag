@@ -11,12 +11,18 @@
 #endif
 
 #define PS_NOWHERE 0xFFFFFFFFu
+#define PS_OF_CELL 0.5  // of a cell's side: shares of cells are covered at random, and edges in their centres are not
 #define PS_ROUNDING 8u  // units in the last place: a pane does not lie behind itself
 
 void main()
 {
 #ifdef PS_CUT
-  if (ps_is_cut_out(ps_polygon_alpha(), v_cut, ps_cell_rank(ivec2(gl_FragCoord.xy)), ps_pixel_from_cell(gl_FragCoord.xy))) {
+#ifdef PS_LEVELS
+  float alpha = ps_cell_alpha(ps_baked_color, ps_baked_color_levels, v_uv, v_patch, PS_OF_CELL * u.footprint);
+#else
+  float alpha = ps_polygon_alpha();
+#endif
+  if (ps_is_cut_out(alpha, v_cut, ps_cell_rank(ivec2(gl_FragCoord.xy)), ps_pixel_from_cell(gl_FragCoord.xy))) {
     discard;
   }
 #endif

@@ -36,17 +36,18 @@ class Pyramid:
         height = size[1]
         # As floats, an image of bytes is four times as large: it is never whole in memory.
         band = BAND if height % 2 == 0 else height
-        first = [_half_size(rows(slice(y, min(y + band, height)))) for y in range(0, height, band)]
+        first = [half_size(rows(slice(y, min(y + band, height)))) for y in range(0, height, band)]
         self.levels = [np.concatenate(first)]
         while max(self.levels[-1].shape[:2]) > 1:
-            self.levels.append(_half_size(self.levels[-1]))
+            self.levels.append(half_size(self.levels[-1]))
 
 
-def _half_size(texels: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(_half_rows(_half_rows(texels).swapaxes(0, 1)).swapaxes(0, 1), np.float32)
+def half_size(texels: np.ndarray) -> np.ndarray:
+    """Half as many texels (h, w, C) float32 along each axis that has more than one, by `half_rows`."""
+    return np.ascontiguousarray(half_rows(half_rows(texels).swapaxes(0, 1)).swapaxes(0, 1), np.float32)
 
 
-def _half_rows(texels: np.ndarray) -> np.ndarray:
+def half_rows(texels: np.ndarray) -> np.ndarray:
     """Half as many rows, each the mean of two; if their number is odd, the weighted mean of the three it overlaps."""
     count = len(texels)
     half = count // 2

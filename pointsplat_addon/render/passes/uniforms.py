@@ -35,6 +35,9 @@ LENS_FIELDS: Fields = (
 RECTANGLE_FIELDS: Fields = (("vec4", "rectangle"),)
 # What lib/geometry/instance.glsl reads where there is only one instance.
 ONE_INSTANCE_FIELDS: Fields = (("mat4", "view_from_object"),)
+# What readers of pictures with levels have (lib/data/levels.glsl): a footprint's side, in pixels of
+# the picture or of the target.
+FOOTPRINT_FIELDS: Fields = (("float", "footprint"),)
 # What lib/light/backdrop.glsl reads.
 BACKDROP_FIELDS: Fields = (("vec2", "backdrop_texels"),)  # texels of the backdrop that a pixel spans
 
@@ -60,6 +63,12 @@ class SampleView:
         """Of the rays through the pixels' centres moved by `offset`, in pixels."""
         _, _, cx, cy = self.camera.pixel_from_view()
         return cx - self.offset[0], cy - self.offset[1]
+
+    @property
+    def footprint(self) -> float:
+        """Pixels along a side of what the sample stands for: later ones narrow what earlier ones have covered, so that
+        no picture so far aliases, and the mean of all is as sharp as it can be."""
+        return (self.sample + 1) ** -0.5
 
     @property
     def size(self) -> tuple[int, int]:
@@ -106,6 +115,8 @@ class SampleView:
             known["world_from_view"] = self.world_from_view
         if "sample_index" in names:
             known["sample_index"] = self.sample
+        if "footprint" in names:
+            known["footprint"] = self.footprint
         return {name: value for name, value in known.items() if name in names}
 
     def record(self, block: Block, **own: object) -> np.ndarray:

@@ -4,64 +4,24 @@
 #include "lib/geometry/surfel.glsl"
 #include "lib/data/pack.glsl"
 #include "lib/geometry/direction.glsl"
+#include "lib/data/picture.glsl"
+#include "lib/data/levels.glsl"
 
 #ifndef PS_MATERIAL
 #define PS_MATERIAL u.material
 #endif
 
-#ifdef PS_UV
-// Where a picture over the unit square holds what lies at a texel inside or beyond it. PS_PICTURE_BORDER: it has so many texels
-// around it, of which the last go on. PS_PICTURE_MIRROR: it is mirrored. Otherwise it repeats.
-ivec2 ps_picture_texel(ivec2 texel, ivec2 size)
+#if defined(PS_BAKED_COLOR) || defined(PS_BAKED_ALPHA) || defined(PS_BAKED_EMISSION) || defined(PS_BAKED_SURFACE)
+// Of the material's pictures, which are of one size.
+vec2 ps_texels()
 {
-#if defined(PS_PICTURE_BORDER)
-  return clamp(texel + PS_PICTURE_BORDER, ivec2(0), size + 2 * PS_PICTURE_BORDER - 1);
-#elif defined(PS_PICTURE_MIRROR)
-  texel = (texel + 2 * size) % (2 * size);
-  return min(texel, 2 * size - 1 - texel);
+#if defined(PS_BAKED_COLOR) || defined(PS_BAKED_ALPHA)
+  return vec2(ps_picture_size(ps_baked_color));
+#elif defined(PS_BAKED_EMISSION)
+  return vec2(ps_picture_size(ps_baked_emission));
 #else
-  return (texel + size) % size;
+  return vec2(ps_picture_size(ps_baked_surface));
 #endif
-}
-
-// Of what lies over the unit square.
-ivec2 ps_picture_size(sampler2D picture)
-{
-#ifdef PS_PICTURE_BORDER
-  return textureSize(picture, 0) - 2 * PS_PICTURE_BORDER;
-#else
-  return textureSize(picture, 0);
-#endif
-}
-
-// A baked picture, interpolated as its images are: core/material/baking.py. PS_PICTURE_CLOSEST: not at all.
-vec4 ps_picture(sampler2D picture, vec2 uv)
-{
-  ivec2 size = ps_picture_size(picture);
-#if defined(PS_PICTURE_BORDER)
-  uv = clamp(uv, vec2(-8.0), vec2(9.0));  // numbers of texels stay small
-#elif defined(PS_PICTURE_MIRROR)
-  uv -= 2.0 * floor(0.5 * uv);
-#else
-  uv -= floor(uv);
-#endif
-#ifdef PS_PICTURE_CLOSEST
-  return texelFetch(picture, ps_picture_texel(ivec2(floor(uv * vec2(size))), size), 0);
-#else
-  vec2 p = uv * vec2(size) - 0.5;
-  vec2 f = p - floor(p);
-  ivec2 a = ps_picture_texel(ivec2(floor(p)), size), b = ps_picture_texel(ivec2(floor(p)) + 1, size);
-  return mix(mix(texelFetch(picture, a, 0), texelFetch(picture, ivec2(b.x, a.y), 0), f.x),
-             mix(texelFetch(picture, ivec2(a.x, b.y), 0), texelFetch(picture, b, 0), f.x), f.y);
-#endif
-}
-
-// The colour that a texel holds: encoded with the sRGB curve, multiplied by alpha, both or neither.
-vec3 ps_picture_color(vec4 texel, bool encoded, bool associated)
-{
-  vec3 color = associated && texel.a > 0.0 ? texel.rgb / texel.a : texel.rgb;
-  vec3 high = pow((max(color, vec3(0.0)) + 0.055) / 1.055, vec3(2.4));
-  return encoded ? mix(high, color / 12.92, lessThan(color, vec3(0.04045))) : color;
 }
 #endif
 
@@ -103,14 +63,7 @@ vec3 ps_bent(vec3 n, vec3 tangent_space, vec3 px, vec3 py, vec2 ux, vec2 uy)
 vec3 ps_slope(vec2 uv)
 {
   ivec2 size = ps_picture_size(ps_baked_height);
-#if defined(PS_PICTURE_BORDER)
-  uv = clamp(uv, vec2(-8.0), vec2(9.0));
-#elif defined(PS_PICTURE_MIRROR)
-  uv -= 2.0 * floor(0.5 * uv);
-#else
-  uv -= floor(uv);
-#endif
-  vec2 p = uv * vec2(size) - 0.5, f = p - floor(p);
+  vec2 p = ps_wrapped(uv) * vec2(size) - 0.5, f = p - floor(p);
   ivec2 a = ps_picture_texel(ivec2(floor(p)), size), b = ps_picture_texel(ivec2(floor(p)) + 1, size);
   vec2 low = texelFetch(ps_baked_height, a, 0).xy, right = texelFetch(ps_baked_height, ivec2(b.x, a.y), 0).xy;
   vec2 above = texelFetch(ps_baked_height, ivec2(a.x, b.y), 0).xy, high = texelFetch(ps_baked_height, b, 0).xy;
@@ -146,7 +99,9 @@ void ps_seen_from(inout PsSurfel s, vec3 plane, bool turned)
 // Of the material.
 float ps_polygon_alpha()
 {
-#ifdef PS_BAKED_ALPHA
+#if defined(PS_LEVELS)
+  return ps_filtered_alpha(ps_baked_color, ps_baked_color_levels, v_uv, v_footprint);
+#elif defined(PS_BAKED_ALPHA)
   return ps_picture(ps_baked_color, v_uv).a;
 #else
   return v_color.a;
@@ -187,3 +142,23 @@ void ps_polygon_attributes(inout PsSurfel s)
 #endif
 #endif
 }
+
+#ifdef PS_LEVELS
+// What ps_polygon_attributes takes from pictures, over the footprint.
+void ps_filtered_attributes(inout PsSurfel s)
+{
+#if defined(PS_COLOR) && defined(PS_BAKED_COLOR)
+  s.color.rgb = ps_filtered_color(ps_baked_color, ps_baked_color_levels, v_uv, v_footprint, PS_COLOR_IS_ENCODED,
+                                  PS_COLOR_IS_ASSOCIATED);
+#endif
+#if defined(PS_SURFACE) && defined(PS_BAKED_SURFACE)
+  vec2 surface = ps_filtered_surface(ps_baked_surface, ps_baked_surface_levels, v_uv, v_footprint);
+  s.normal.w = surface.x;
+  s.color.w = surface.y;
+#endif
+#if defined(PS_EMISSION) && defined(PS_BAKED_EMISSION)
+  s.emission = vec4(ps_filtered_color(ps_baked_emission, ps_baked_emission_levels, v_uv, v_footprint, PS_EMISSION_IS_ENCODED,
+                                      PS_EMISSION_IS_ASSOCIATED), 0.0);
+#endif
+}
+#endif

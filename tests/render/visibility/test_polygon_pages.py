@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.material.graph import MaterialGraph
+from pointsplat_addon.core.material.image import Image
 from pointsplat_addon.core.material.nodes import color_nodes, input_nodes, texture_nodes
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.scene import Geometry, Scene
@@ -63,6 +64,22 @@ def of_graphs() -> Scene:
     return build.scene(*in_rows(things), table=build.materials(4, graphs=(PICTURED, CUT, PLACED, None)))
 
 
+def of_fine_pictures() -> Scene:
+    """Pictures of which a sub-sample spans many texels: of two materials, cut out, and repeated otherwise."""
+
+    def repeated(mesh: Mesh, times: float) -> Mesh:
+        return replace(mesh, uv={"UV": np.asarray(mesh.uv["UV"]) * np.float32(times)})
+
+    noise = Image(np.random.default_rng(6).random((32, 32, 4)).astype(np.float32))
+    texture = texture_nodes.ImageTexture(input_nodes.UV(), noise)
+    fine = MaterialGraph(base_color=color_nodes.Color(texture), alpha=color_nodes.Component(texture, 3))
+    things = [repeated(meshes.plane_mesh(f"fine {i}", 1.2, 1 + i % 3), 8.0 + i) for i in range(8)]
+    things = [replace(mesh, materials=(i % 4,)) for i, mesh in enumerate(things)]
+    return build.scene(
+        *in_rows(things), table=build.materials(4, graphs=(fine, PICTURED, replace(fine, alpha=None), CUT))
+    )
+
+
 def with_instances_and_holdouts() -> Scene:
     rows = in_rows(shapes(6))
     again = [(geometry, build.moved((0, 0, 1.3)) @ matrix) for geometry, matrix in rows[:3]]
@@ -74,6 +91,7 @@ SCENES = {
     "plain": plain,
     "materials": of_several_materials,
     "graphs": of_graphs,
+    "fine pictures": of_fine_pictures,
     "instances": with_instances_and_holdouts,
 }
 

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
-from ....core.material.graph import MaterialGraph
+from ....core.numeric.lattice import lattice_of
 from ....core.numeric.record import value_record
+from ....core.scene.camera import Camera
 from ....core.scene.mesh import Mesh
 from ....core.scene.scene import Geometry, Scene
-from ....core.surface.appearance import digest, passing
+from ....core.surface.appearance import baked, digest, passing
 from ....core.surface.density import Parts, coherent_order, make_parts
 from ...cache.keys import Key, Kind
 from ...cache.store import Store
-from ...passes.visibility.polygon_mesh import PartList, Pictures, PolygonMesh, hang
+from ...device.protocol import Texture
+from ...passes.visibility.pictures import LARGEST_PICTURE, Levels, Pictures
+from ...passes.visibility.polygon_mesh import Group, PartList, PolygonMesh
 from ...passes.visibility.polygon_page import MOST_TRIANGLES, PolygonPage
+from ...passes.visibility.polygon_page import Kind as PageKind
 from ...passes.visibility.small_triangles import FEWEST_TRIANGLES
 from ...plan.plan import Plan
 from ...prepare.prepare import Prepared
 from .instances import constants_key
 from .scope import UploadScope
+
+# How many times longer than wide footprints are that matter: of surfaces seen at 7 degrees and more.
+LONGEST = 8.0
 
 
 @value_record
@@ -39,10 +48,15 @@ class PolygonUploads:
         scene: Scene,
         prepared: Prepared,
         plan: Plan,
+        camera: Camera | None = None,
         whole_scene: Scene | None = None,
     ) -> None:
-        """`whole_scene`: the one whose small meshes share pages, of which `scene` shows some; None: `scene` itself."""
+        """`camera`: of the picture, whose pixels show pictures; None: only depths are drawn.
+
+        `whole_scene`: the one whose small meshes share pages, of which `scene` shows some; None: `scene` itself.
+        """
         self._scope, self._store, self._scene, self._plan = scope, store, scene, plan
+        self._prepared, self._camera = prepared, camera
         self.meshes: dict[int, PolygonMesh] = {}  # by geometry row
         # By instance, of each group of its mesh: where it draws only some parts. None: the group has none of them.
         self.part_lists: dict[int, list[PartList | None]] = {}
@@ -54,7 +68,6 @@ class PolygonUploads:
             rows = self._add_pages(rows, page_members(whole_scene or scene))
         for row in rows.tolist():
             self.meshes[row] = self._mesh(row)
-            hang(self.meshes[row].groups, self._pictures)
         for instance, parts in prepared.parts.items():
             groups = self.meshes[int(scene.instances.geometry[instance])].groups
             self.part_lists[instance] = [self._part_list(group.rows(parts)) for group in groups]
@@ -67,22 +80,34 @@ class PolygonUploads:
             member = np.array([place.get(key, -1) for key in keys])
             on_page = member[rows] >= 0
             if on_page.any():
-                self.pages.append(PageInScene(self._page(members), member))
+                self.pages.append(PageInScene(self._page(members, member), member))
                 rows = rows[~on_page]
         return rows
 
-    def _page(self, members: list[Geometry]) -> PolygonPage:
+    def _page(self, members: list[Geometry], member: np.ndarray) -> PolygonPage:
         scene, plan = self._scene, self._plan
         meshes = [geometry.mesh for geometry in members if geometry.mesh is not None]
         content = tuple(geometry.key for geometry in members)
         looks = "/".join(digest(mesh, scene.materials) for mesh in meshes)
         more = (plan.variant, constants_key(scene), scene.materials.cull.tobytes())
-        found = self._scope.lookup(
+        page: PolygonPage = self._scope.lookup(
             Key(Kind.POLYGON_PAGE, content, looks, other=more),
             lambda: PolygonPage(self._scope.device, meshes, scene.materials, plan.variant),
         )
-        hang(found.groups, self._pictures)
-        return found
+
+        @functools.cache
+        def shown() -> tuple[np.ndarray, np.ndarray]:
+            """Which of its meshes each instance on the page is, and what sub-samples span there."""
+            shown = self._prepared.polygons
+            which = member[scene.instances.geometry[shown]]
+            here, which = shown[which >= 0], which[which >= 0]
+            return which, self._spans(here, page.origin[which], page.box[which])
+
+        def pictures(kind: PageKind) -> dict[str, Texture]:
+            which, spans = shown()
+            return self._pictures(kind.group, spans * kind.stretch[which])
+
+        return page.with_pictures(pictures)
 
     def _mesh(self, row: int) -> PolygonMesh:
         scene, plan = self._scene, self._plan
@@ -99,17 +124,63 @@ class PolygonUploads:
             order = parts.order if parts is not None else coherent_order(mesh) if whole else None
             return PolygonMesh(self._scope.device, mesh, scene.materials, plan.variant, parts, order)
 
-        return self._scope.lookup(key, make)
+        found: PolygonMesh = self._scope.lookup(key, make)
+        here = self._prepared.polygons[scene.instances.geometry[self._prepared.polygons] == row]
+        spans = functools.cache(lambda: self._spans(here, found.origin, found.box))
+        return found.with_pictures(lambda group: self._pictures(group, spans() * group.stretch))
 
-    def _pictures(self, graph: MaterialGraph, row: int) -> Pictures:
-        """Returns the pictures of a graph, over constants of the material table's row."""
+    def _spans(self, instances: np.ndarray, origin: np.ndarray, box: np.ndarray) -> np.ndarray:
+        """Units of object space that a sub-sample spans at most where a surface faces the eye, of instances (I,).
+
+        origin: (3,) or (I, 3). box: (2, 3) or (I, 2, 3), relative to it.
+        """
+        if self._camera is None:
+            return np.zeros(len(instances))
+        spacing = lattice_of(self._plan.sub_samples).spacing if self._plan.sub_samples else 1.0
+        matrices = self._prepared.view_from_object[instances]
+        return spacing * _widest_pixels(matrices, origin, box, self._camera)
+
+    def _pictures(self, group: Group, spans: np.ndarray) -> dict[str, Texture]:
+        """Returns the pictures of a group, over constants of its row of the material table, with their smaller levels
+        where sub-samples may span a texel. spans: (I,) of UV, that sub-samples of instances span where they face the
+        eye."""
+        assert group.graph is not None
+        graph, row, scope = group.graph, group.material, self._scope
         table, emission = self._scene.materials, self._plan.variant.emission
         constants = (table.base_color[row].tobytes(), float(table.roughness[row]), float(table.metallic[row]))
-        key = Key(Kind.TEXTURES, graph.digest, other=(*constants, emission))
-        return self._scope.lookup(key, lambda: Pictures(self._scope.device, graph, table, row, emission))
+        picture = functools.cache(lambda: baked(graph, LARGEST_PICTURE))
+
+        def textures(kind: type[Pictures | Levels]) -> dict[str, Texture]:
+            key = Key(Kind.TEXTURES, graph.digest, other=(*constants, emission, kind.__name__))
+            return scope.lookup(key, lambda: kind(scope.device, graph, picture(), table, row, emission)).textures
+
+        found = textures(Pictures)
+        texels = max(max(texture.size) for texture in found.values())
+        if spans.max(initial=0) * texels * LONGEST <= 1:
+            return found
+        return {**found, **textures(Levels)}
 
     def _part_list(self, rows: np.ndarray) -> PartList | None:
         return PartList(self._scope.texture(rows), len(rows)) if len(rows) else None
+
+
+def _widest_pixels(view_from_object: np.ndarray, origin: np.ndarray, box: np.ndarray, camera: Camera) -> np.ndarray:
+    """(I,) units of object space that a pixel spans at most, where a surface faces the eye, of instances (I, 4, 4).
+    0: nothing is seen of it."""
+    linear = view_from_object[:, :3, :3]
+    with np.errstate(all="ignore"):
+        depth = np.ones(len(linear))
+        if camera.perspective:
+            middle = np.einsum("iab,ib->ia", linear, np.broadcast_to(origin + box.mean(axis=-2), (len(linear), 3)))
+            extent = np.einsum("iab,ib->ia", linear, np.broadcast_to(box[..., 1, :] - box[..., 0, :], (len(linear), 3)))
+            depth = 0.5 * np.linalg.norm(extent, axis=1) - middle[:, 2] - view_from_object[:, 2, 3]
+        a, b, c = linear.transpose(2, 0, 1)
+        inverse = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+        inverse /= np.einsum("ia,ia->i", a, inverse[:, 0])[:, None, None]
+        # Of all directions, which transforms that turn and scale change alike.
+        wide = np.linalg.norm(inverse, axis=(1, 2)) / 3**0.5
+        found = np.maximum(depth, 0) * wide / min(camera.pixel_from_view()[:2])
+    return np.where(np.isfinite(found), found, 0.0)
 
 
 def page_members(scene: Scene) -> list[list[Geometry]]:

@@ -53,7 +53,7 @@ class CasterUploads:
         )
         try:
             self.points = PointUploads(self._scope, self.scene, self.prepared, self.plan)
-            self.polygons = PolygonUploads(self._scope, store, self.scene, self.prepared, self.plan, scene)
+            self.polygons = PolygonUploads(self._scope, store, self.scene, self.prepared, self.plan, whole_scene=scene)
         except Exception:
             self.release()
             raise

@@ -46,7 +46,7 @@ class Uploads:
         try:
             self.lighting = LightingUploads(self._scope, store, scene, plan, shadows)
             self.points = PointUploads(self._scope, scene, prepared, plan)
-            self.polygons = PolygonUploads(self._scope, store, scene, prepared, plan)
+            self.polygons = PolygonUploads(self._scope, store, scene, prepared, plan, camera)
             self.strands = StrandUploads(self._scope, store, scene, prepared, plan)
             if plan.translucent is not None:
                 self.translucent = TranslucentUploads(self._scope, scene, camera, prepared, plan, self.lighting)

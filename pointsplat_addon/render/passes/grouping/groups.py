@@ -18,7 +18,6 @@ from ..visibility.buffer import (
     RASTERISED,
     VisibilityBuffer,
     member_defines,
-    sub_sample_defines,
 )
 
 OPEN = 0x2000000  # in a pixel's second word: shaders/lib/visibility/groups.glsl
@@ -40,7 +39,7 @@ def group_program(lattice: Lattice) -> Interface:
         "group", fragment="grouping/group.frag", block=GROUP_BLOCK,
         samplers=(("UINT_2D", "ps_depths"), ("UINT_2D", "ps_keys")),
         outputs=(("uint", "out_first"), ("uint", "out_second")),
-        defines=(LATTICE_DEFINE, *sub_sample_defines(lattice)[:1], *member_defines(lattice)),
+        defines=(LATTICE_DEFINE, ("PS_SUB_SAMPLES", str(lattice.count)), *member_defines(lattice)),
     )  # fmt: skip
 
 

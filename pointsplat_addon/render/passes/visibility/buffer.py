@@ -23,12 +23,6 @@ LATTICE_FIELDS: Fields = (("vec4", "lattice"), ("vec2", "cells"))
 LATTICE_DEFINE = ("PS_LATTICE", "1")
 
 
-def sub_sample_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
-    """The defines of shaders that loop over a pixel's sub-samples: how many, and their cells."""
-    cells = ", ".join(f"ivec2({x}, {y})" for x, y in lattice.offsets.tolist())
-    return ("PS_SUB_SAMPLES", str(lattice.count)), ("PS_CELLS", f"ivec2[{lattice.count}]({cells})")
-
-
 def member_defines(lattice: Lattice) -> tuple[tuple[str, str], ...]:
     """The defines of shaders that loop over the sub-samples of a group: words of three bits a sub-sample, as those of
     lib/visibility/groups.glsl, with ones and with columns and rows of the cells from the least on, which is that far

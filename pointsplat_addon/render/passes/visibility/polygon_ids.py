@@ -14,7 +14,15 @@ from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..grouping.groups import Groups, Leaders
 from ..shading.lighting import SAMPLE_FIELDS
-from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, RECTANGLE_FIELDS, Fields, SampleView, block
+from ..uniforms import (
+    CAMERA_FIELDS,
+    FOOTPRINT_FIELDS,
+    ONE_INSTANCE_FIELDS,
+    RECTANGLE_FIELDS,
+    Fields,
+    SampleView,
+    block,
+)
 from .buffer import (
     DEPTH_ONLY_DEFINE,
     DEPTH_OUTPUT,
@@ -26,11 +34,11 @@ from .buffer import (
     member_defines,
     offset_defines,
     rank_defines,
-    sub_sample_defines,
 )
+from .pictures import define_entries, level_defines, level_samplers
 from .polygon_draw import Drawn
-from .polygon_mesh import BLOCK_DEFINES, CORNERS, Group, define_entries
-from .polygons import CUT_VARYING, needed_defines
+from .polygon_mesh import BLOCK_DEFINES, CORNERS, Group
+from .polygons import CUT_VARYING, PATCH_VARYING, needed_defines
 from .small_triangles import LIST_SAMPLER, LISTED, group_fields, is_cut, triangle_program
 
 MOST_VERTICES = 1 << 26  # of one draw
@@ -87,8 +95,12 @@ def _cover_program(
     cut = any(name.endswith("ALPHA") for name in names)
     if cut:
         varyings.append(CUT_VARYING)
+    levels = level_samplers(group.textures, ["PS_BAKED_COLOR"]) if "PS_UV" in names else []
+    samplers += levels
+    varyings += [PATCH_VARYING] if levels else []
+    names += level_defines(levels, ())
     own = group_fields(one, group.blocks)
-    sample = SAMPLE_FIELDS if cut else ()
+    sample = (*(SAMPLE_FIELDS if cut else ()), *(FOOTPRINT_FIELDS if levels else ()))
     alone = (*ONE_INSTANCE_FIELDS, *((("int", "instance"),) if cut else ())) if one else ()
     flags = {"PS_CULL": group.cull, "PS_NORMAL": normal, "PS_ONE_INSTANCE": one, "PS_CUT": cut,
              "PS_LISTED": listed, DEPTH_ONLY_DEFINE[0]: not identity}  # fmt: skip
@@ -123,6 +135,8 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
     if any(on and not {f"PS_BAKED_{kind}", f"PS_CORNER_{kind}"} & set(names) for kind, on in kinds.items()):
         samplers.append("ps_materials")
     averaged = not leaders.central and bool({"PS_BAKED_COLOR", "PS_BAKED_SURFACE", "PS_BAKED_EMISSION"} & set(names))
+    levels = level_samplers(group.textures, names) if averaged else []
+    samplers += levels
     read = ("ps_first", "ps_second") if averaged or variant.spread else ()
     bent = variant.spread and bool({"PS_BAKED_NORMAL", "PS_BAKED_HEIGHT"} & set(names))
     read += ("ps_ids", "ps_depths") if averaged or bent else ()
@@ -143,15 +157,16 @@ def surface_program(variant: Variant, lattice: Lattice, group: Group, one: bool,
             RECTANGLE_FIELDS,
             leaders.fields,
             LATTICE_FIELDS if read else (),
+            FOOTPRINT_FIELDS if levels else (),
         ),
         samplers=(*(("FLOAT_2D", name) for name in samplers), *leaders.samplers, *(("UINT_2D", name) for name in read)),
         outputs=variant.outputs(),
         defines=(
-            *define_entries([*variant.defines, *names, *(("PS_ONE_INSTANCE",) if one else ())]),
+            *define_entries([*variant.defines, *names, *level_defines(levels, group.defines)]),
+            *((("PS_ONE_INSTANCE", "1"),) if one else ()),
             *offset_defines(lattice),
-            *((LATTICE_DEFINE,) if read else ()),
-            *((AVERAGE_DEFINE, *sub_sample_defines(lattice)[1:]) if averaged else ()),
-            *(member_defines(lattice) if variant.spread else ()),
+            *((LATTICE_DEFINE, *member_defines(lattice)) if read else ()),
+            *((AVERAGE_DEFINE,) if averaged else ()),
             *(BLOCK_DEFINES if group.blocks else ()),
             *leaders.defines,
         ),
@@ -310,6 +325,7 @@ class PolygonCover(PolygonDepths):
     ) -> None:
         """Writes the attributes of the triangles that stand for groups."""
         sub_samples = {**leaders.bound, **groups.codes, **self._buffer.textures}
+        footprint = view.footprint * self._buffer.lattice.spacing
         for draw in self.draws:
             where = groups.rectangle(leaders, draw.first_id)
             if where is None:
@@ -322,7 +338,7 @@ class PolygonCover(PolygonDepths):
                 self._device.draw(
                     program,
                     out.target,
-                    uniforms=self._record(program, draw, group, view, **own),
+                    uniforms=self._record(program, draw, group, view, footprint=footprint, **own),
                     textures={**shared, **draw.mesh.textures, **group.textures, **draw.textures, **sub_samples},
                     vertices=6,
                 )

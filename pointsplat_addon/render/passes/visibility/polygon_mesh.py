@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ....core.material.baking import BORDER, reading, split_bumps
 from ....core.material.graph import MaterialGraph
 from ....core.numeric.record import value_record
 from ....core.scene.bounds import bounding_box, used_positions
 from ....core.scene.materials import MaterialTable
 from ....core.scene.mesh import Mesh
-from ....core.surface.appearance import at_corners, baked, graphs_of, pictured, uv_of
+from ....core.surface.appearance import at_corners, graphs_of, pictured, uv_of
 from ....core.surface.density import PART, Parts
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import CHANNELS, Device, Texture, WriteTexels
 from ..gbuffer import Variant
 from .corners import corner_texels
+from .pictures import baked_defines
 
-LARGEST_PICTURE = 4096  # texels along a side of a baked picture
+STRETCHED = 4096  # triangles of a group that are asked how much UV changes
 BLOCK_SHIFT = 4
 BLOCK = 1 << BLOCK_SHIFT  # triangles: few, so that meshes of few do not fill a block with nothing
 BLOCK_DEFINES = (("PS_BLOCKS", "1"), ("PS_BLOCK_SHIFT", str(BLOCK_SHIFT)))
@@ -49,7 +50,8 @@ class Group:
     cull: bool
     defines: tuple[str, ...]
     graph: MaterialGraph | None = None  # whose pictures it shows
-    textures: dict[str, Texture] = field(default_factory=dict)  # these pictures
+    textures: dict[str, Texture] = field(default_factory=dict)  # these pictures, and their levels where there are any
+    stretch: float = 0.0  # that UV changes along a unit of object space, on a twentieth of the surface more
     start: np.ndarray | None = None  # (B + 1,) int64: the first corner of each part of the mesh
     blocks: bool = False  # a range of blocks of triangles that a view lists, of any meshes and materials of a page
 
@@ -67,70 +69,6 @@ class PartList:
 
     texture: Texture
     count: int
-
-
-def baked_defines(graph: MaterialGraph, emission: bool) -> tuple[str, ...]:
-    """Returns the defines of shaders that read the baked pictures of a graph."""
-    on, how = graph.channels.keys(), reading(graph)
-    below, heights, _ = split_bumps(graph.normal)
-    names = {
-        "PS_UV": True,
-        "PS_BAKED_COLOR": bool(on & {"base_color", "alpha"}),
-        "PS_BAKED_ALPHA": "alpha" in on,
-        "PS_BAKED_SURFACE": bool(on & {"roughness", "metallic"}),
-        "PS_BAKED_EMISSION": emission and "emission" in on,
-        "PS_BAKED_NORMAL": below is not None,
-        "PS_BAKED_HEIGHT": heights is not None,
-        "PS_PICTURE_MIRROR": how.extension == "MIRROR",
-        "PS_PICTURE_BORDER": how.extension == "BORDER",
-        "PS_PICTURE_CLOSEST": how.closest,
-    }
-    for channel, kind in (("base_color", "COLOR"), ("emission", "EMISSION")):
-        names[f"PS_ENCODED_{kind}"] = channel in how.encoded and names[f"PS_BAKED_{kind}"]
-        names[f"PS_ASSOCIATED_{kind}"] = channel in how.associated and names[f"PS_BAKED_{kind}"]
-    return tuple(name for name, there in names.items() if there)
-
-
-def define_entries(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
-    """Returns defines with their values."""
-    return tuple((name, str(BORDER) if name == "PS_PICTURE_BORDER" else "1") for name in names)
-
-
-class Pictures:
-    """What varies of a material over the UV square, baked as textures by sampler name. They belong to no mesh: meshes
-    share them, and may move without another. Channels that share a texture with one that varies hold constants."""
-
-    def __init__(self, device: Device, graph: MaterialGraph, table: MaterialTable, row: int, emission: bool) -> None:
-        picture = baked(graph, LARGEST_PICTURE)
-        height, width = next(iter(picture.values())).shape[:2]
-        names = baked_defines(graph, emission)
-        self.textures: dict[str, Texture] = {}
-
-        def add(name: str, format: str, *channels: str) -> None:
-            """Channels side by side; a name that is none is that of zeros."""
-            values = [picture[c] if c in picture else constants.get(c, np.zeros(1)) for c in channels]
-            ends = np.cumsum([value.shape[-1] for value in values])
-            data = np.empty((height, width, ends[-1]), np.float32)
-            for end, value in zip(ends, values, strict=True):
-                data[..., end - value.shape[-1] : end] = value
-            self.textures[name] = device.texture((width, height), format, data.reshape(-1))
-
-        constants = {"base_color": table.base_color[row], "alpha": np.ones(1), "roughness": table.roughness[[row]],
-                     "metallic": table.metallic[[row]]}  # fmt: skip
-        if "PS_BAKED_COLOR" in names:
-            add("ps_baked_color", "RGBA16F", "base_color", "alpha")
-        if "PS_BAKED_SURFACE" in names:
-            add("ps_baked_surface", "RG32F", "roughness", "metallic")
-        if "PS_BAKED_EMISSION" in names:
-            add("ps_baked_emission", "RGBA16F", "emission", "alpha" if "PS_ASSOCIATED_EMISSION" in names else "")
-        if "PS_BAKED_NORMAL" in names:
-            add("ps_baked_normal", "RGBA16F", "normal", "")
-        if "PS_BAKED_HEIGHT" in names:
-            add("ps_baked_height", "RG32F", "height")
-
-    def release(self) -> None:
-        for texture in self.textures.values():
-            texture.release()
 
 
 @value_record
@@ -182,7 +120,10 @@ def arrange(
         if parts is not None:
             part = np.arange(first, end) if by_material is None else by_material[first:end]
             begins = 3 * (first + np.searchsorted(part // PART, np.arange(len(parts) + 1)))
-        groups.append(Group(row, 3 * first, 3 * (end - first), bool(table.cull[row]), defines, graph, start=begins))
+        made = Group(row, 3 * first, 3 * (end - first), bool(table.cull[row]), defines, graph, start=begins)
+        if graph is not None:
+            made.stretch = _stretch(mesh, order, range(first, end), looks["ps_corner_uv"])
+        groups.append(made)
     return Arranged(origin, box, len(mesh.triangles), corner_texels(mesh, order, origin, normals), looks, groups)
 
 
@@ -205,17 +146,10 @@ def _looks(
     return found, names, look.normal
 
 
-def hang(groups: Iterable[Group], pictures: Callable[[MaterialGraph, int], Pictures]) -> None:
-    """Gives each group that shows pictures those of its graph and row of the material table."""
-    for group in groups:
-        if group.graph is not None:
-            group.textures = pictures(group.graph, group.material).textures
-
-
 class PolygonMesh:
     """One mesh on the device, its triangles sorted by material, and within one by parts where there are any.
 
-    `hang` gives its groups the pictures that they show, before it is drawn.
+    `with_pictures` gives its groups the pictures that they show, before it is drawn.
     """
 
     def __init__(
@@ -237,9 +171,37 @@ class PolygonMesh:
             size, data = paged(values, CHANNELS[LOOKS[name]])
             self.textures[name] = device.texture(size, LOOKS[name], data)
 
+    def with_pictures(self, pictures: Callable[[Group], dict[str, Texture]]) -> PolygonMesh:
+        """Returns the mesh, on the same textures, with groups that show what `pictures` returns of those with some.
+
+        Views share meshes, but not which levels of pictures they need.
+        """
+        shown = copy(self)
+        shown.groups = [replace(g, textures=pictures(g)) if g.graph is not None else g for g in self.groups]
+        return shown
+
     def release(self) -> None:
         for texture in self.textures.values():
             texture.release()
+
+
+def _stretch(mesh: Mesh, order: np.ndarray | None, range_: range, uv: np.ndarray) -> float:
+    """Group.stretch, of some of the triangles in a range of a mesh's order. uv: (3 T, 2) in that order."""
+    some = np.unique(np.linspace(range_.start, range_.stop - 1, min(len(range_), STRETCHED), dtype=np.int64))
+    corners = mesh.position[mesh.triangles[some if order is None else order[some]]].astype(np.float64)
+    edges = corners[:, 1:] - corners[:, :1]
+    along = uv.reshape(-1, 3, 2)[some].astype(np.float64)
+    along = along[:, 1:] - along[:, :1]
+    with np.errstate(all="ignore"):
+        metric, change = (edge @ edge.swapaxes(1, 2) for edge in (edges, along))
+        area = np.linalg.det(metric)
+        trace = (metric[:, 1, 1] * change[:, 0, 0] + metric[:, 0, 0] * change[:, 1, 1]) / area
+        trace -= 2 * metric[:, 0, 1] * change[:, 0, 1] / area
+        found = 0.5 * trace + np.sqrt(np.maximum(0.25 * trace**2 - np.linalg.det(change) / area, 0))
+    found[~np.isfinite(found)] = 0  # of triangles without an area nothing is seen
+    rising = np.argsort(found)
+    share = np.cumsum(np.sqrt(np.maximum(area, 0))[rising])
+    return float(np.sqrt(found[rising[min(np.searchsorted(share, 0.95 * share[-1]), len(share) - 1)]]))
 
 
 def _ranges(mesh: Mesh, order: np.ndarray | None) -> list[tuple[int, int, int]]:

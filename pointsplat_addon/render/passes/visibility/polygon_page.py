@@ -6,6 +6,8 @@ show of a page is not listed.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -30,12 +32,13 @@ class Kind:
     group: Group
     start: np.ndarray  # (M + 1,) int64: the first block of each mesh
     blocks: np.ndarray  # (B, 3) int64: first triangle on the page, number of triangles, row of the material table
+    stretch: np.ndarray  # (M,) float64: Group.stretch of each mesh, 0 where it has none of these triangles
 
 
 class PolygonPage:
     """The triangles of several meshes, one after another.
 
-    `hang` gives its groups the pictures that they show, before it is drawn.
+    `with_pictures` gives its kinds the pictures that they show, before it is drawn.
     """
 
     def __init__(self, device: Device, meshes: list[Mesh], table: MaterialTable, variant: Variant) -> None:
@@ -51,9 +54,14 @@ class PolygonPage:
                 texels = _texels(name, arranged, self.first, size[0] * size[1], CHANNELS[format])
                 self.textures[name] = device.texture(size, format, texels.reshape(-1))
 
-    @property
-    def groups(self) -> list[Group]:
-        return [kind.group for kind in self.kinds]
+    def with_pictures(self, pictures: Callable[[Kind], dict[str, Texture]]) -> PolygonPage:
+        """Returns the page, on the same textures, with kinds that show what `pictures` returns of those with some."""
+        shown = copy(self)
+        shown.kinds = [
+            replace(kind, group=replace(kind.group, textures=pictures(kind))) if kind.group.graph is not None else kind
+            for kind in self.kinds
+        ]
+        return shown
 
     def release(self) -> None:
         for texture in self.textures.values():
@@ -62,7 +70,7 @@ class PolygonPage:
 
 def _kinds(arranged: list[Arranged], first: np.ndarray) -> list[Kind]:
     """Returns what is drawn alike of meshes whose first triangles on their page are (M + 1,)."""
-    kinds: dict[tuple, list[tuple[int, ...]]] = {}  # to mesh, first triangle, the one after the last, material
+    kinds: dict[tuple, list[tuple]] = {}  # to mesh, first triangle, the one after the last, material, stretch
     groups: dict[tuple, Group] = {}
     for number, mesh in enumerate(arranged):
         for group in mesh.groups:
@@ -70,16 +78,20 @@ def _kinds(arranged: list[Arranged], first: np.ndarray) -> list[Kind]:
             pictured = None if group.graph is None else (group.graph.digest, group.material)
             alike = (group.cull, group.defines, pictured)
             begin = int(first[number]) + group.first // 3
-            kinds.setdefault(alike, []).append((number, begin, begin + group.count // 3, group.material))
+            kinds.setdefault(alike, []).append((number, begin, begin + group.count // 3, group.material, group.stretch))
             groups.setdefault(alike, replace(group, first=0, count=0, blocks=True))
     found = []
     for alike, rows in kinds.items():
-        mesh, begin, end, material = np.array(rows, np.int64).T
+        *columns, stretches = zip(*rows, strict=True)
+        mesh, begin, end, material = np.array(columns, np.int64)
         count = -(-(end - begin) // BLOCK)
         begins = np.repeat(begin, count) + BLOCK * ranks(count)
         sizes = np.minimum(np.repeat(end, count) - begins, BLOCK)
         start = offsets(np.bincount(mesh, count, len(arranged)).astype(np.int64))
-        found.append(Kind(groups[alike], start, np.stack([begins, sizes, np.repeat(material, count)], axis=1)))
+        stretch = np.zeros(len(arranged))
+        np.maximum.at(stretch, mesh, stretches)
+        blocks = np.stack([begins, sizes, np.repeat(material, count)], axis=1)
+        found.append(Kind(groups[alike], start, blocks, stretch))
     return found
 
 

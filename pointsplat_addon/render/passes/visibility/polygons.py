@@ -9,13 +9,15 @@ from ....shading.interface import Block, Interface
 from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..shading.lighting import SAMPLE_FIELDS
-from ..uniforms import CAMERA_FIELDS, Fields, SampleView, block
-from .polygon_mesh import CORNERS, Group, PartList, PolygonMesh, define_entries
+from ..uniforms import CAMERA_FIELDS, FOOTPRINT_FIELDS, Fields, SampleView, block
+from .pictures import define_entries, level_defines, level_samplers
+from .polygon_mesh import CORNERS, Group, PartList, PolygonMesh
 
+PATCH_VARYING = ("flat", "float", "v_patch")  # area of a triangle in UV: see lib/data/levels.glsl
 CUT_VARYING = ("flat", "vec4", "v_cut")  # see lib/visibility/cut.glsl
 
 
-def _block(variant: Variant, group: Group, parted: bool) -> Block:
+def _block(variant: Variant, group: Group, parted: bool, levels: bool) -> Block:
     """The uniforms of the program that draws a group, or some of its parts."""
     own: Fields = (
         ("mat4", "view_from_object"),
@@ -26,7 +28,13 @@ def _block(variant: Variant, group: Group, parted: bool) -> Block:
     first: Fields = (("int", "first"),)  # corner of the group
     instance: Fields = (("int", "instance"),)
     cut = is_cut(group)
-    further = ((mirrored, group.cull), (first, not parted), (instance, variant.owner or cut), (SAMPLE_FIELDS, cut))
+    further = (
+        (mirrored, group.cull),
+        (first, not parted),
+        (instance, variant.owner or cut),
+        (SAMPLE_FIELDS, cut),
+        (FOOTPRINT_FIELDS, levels),
+    )
     return block("Polygons", CAMERA_FIELDS, own, *(fields for fields, on in further if on))
 
 
@@ -63,6 +71,9 @@ def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
             samplers.append(("FLOAT_2D", sampler))
             varyings.append(("smooth", glsl, varying))
     samplers += [("FLOAT_2D", name) for name in group.textures if name.upper() in names]
+    levels = level_samplers(group.textures, names)
+    samplers += [("FLOAT_2D", name) for name in levels]
+    varyings += [PATCH_VARYING] if levels else []
     kinds = {"COLOR": variant.color, "SURFACE": variant.surface, "EMISSION": variant.emission}
     if any(on and not {f"PS_BAKED_{kind}", f"PS_CORNER_{kind}"} & set(names) for kind, on in kinds.items()):
         samplers.append(("FLOAT_2D", "ps_materials"))
@@ -77,11 +88,11 @@ def program(variant: Variant, group: Group, parted: bool = False) -> Interface:
         "polygons",
         vertex="visibility/polygon.vert",
         fragment="visibility/polygon.frag",
-        block=_block(variant, group, parted),
+        block=_block(variant, group, parted, bool(levels)),
         samplers=tuple(samplers),
         varyings=tuple(varyings),
         outputs=variant.front_outputs,
-        defines=(*variant.front_defines, *define_entries(names), *more, *cut),
+        defines=(*variant.front_defines, *define_entries([*names, *level_defines(levels, group.defines)]), *more, *cut),
         depth=True,
     )
 

@@ -13,7 +13,8 @@ from ....core.numeric.lattice import Lattice
 from ....shading.interface import Interface
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, block
 from .buffer import LATTICE_DEFINE, LATTICE_FIELDS
-from .polygon_mesh import Group, define_entries
+from .pictures import define_entries
+from .polygon_mesh import Group
 
 MOST_CELLS = 64  # of the rectangle around a triangle that a compute invocation draws
 FEWEST_TRIANGLES = 20_000  # fewer are rasterised in the time that the passes take to start

@@ -1,0 +1,130 @@
+"""Smaller levels of the pictures of materials (Williams 1983), as the device reads them: shaders/lib/data/levels.glsl.
+
+Each level has half as many texels along a side as the one before, rounded down, each the mean over its area, whatever
+the size is: max(size >> k, 1) of them over the unit square. Levels hold the light that the picture itself, level 0,
+shows: its texels are interpolated as they are stored, encoded and beside what lies under an alpha of 0, which is darker
+than the mean of decoded texels. Colours are multiplied by alpha where the material has one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..numeric.record import value_record
+from .color_models import linear_from_srgb
+from .textures import Pyramid, half_rows, half_size
+
+STEPS = 1 << 14  # of the sRGB curve
+_TABLE = linear_from_srgb(np.arange(STEPS + 1, dtype=np.float32) / np.float32(STEPS))
+GAUSS = np.float32(0.5 - 12**-0.5)  # of the way from a texel to the next: the first of Gauss's two points
+ROWS = 32  # that are read at a time
+RING = 1  # texels around a smaller level of a picture with a border
+
+
+def interleaved(
+    picture: Mapping[str, np.ndarray], constants: Mapping[str, np.ndarray], channels: Sequence[str]
+) -> np.ndarray:
+    """(H, W, C) float32: channels of a picture side by side; what it lacks is constant, a name that is none is zero."""
+    height, width = next(iter(picture.values())).shape[:2]
+    values = [picture[c] if c in picture else constants.get(c, np.zeros(1)) for c in channels]
+    ends = np.cumsum([value.shape[-1] for value in values])
+    data = np.empty((height, width, ends[-1]), np.float32)
+    for end, value in zip(ends, values, strict=True):
+        data[..., end - value.shape[-1] : end] = value
+    return data
+
+
+@value_record
+class Stored:
+    """How RGBA is stored in a picture, and read between its texels."""
+
+    encoded: bool  # by the sRGB curve
+    associated: bool  # colour is multiplied by alpha
+    weighted: bool  # the material has an alpha, and levels' colours are multiplied by it
+    closest: bool  # texels are not interpolated
+    beyond: str  # the edges, as np.pad calls it
+
+
+def shown_light(texels: np.ndarray, stored: Stored) -> np.ndarray:
+    """(H, W, 4) float32: the mean, over each texel's square, of the light that stored RGBA (H, W, 4) shows.
+
+    By four points of each, Gauss's two between texels along each axis; where nothing but interpolation lies between the
+    two, the texels themselves.
+    """
+    if not (stored.encoded or stored.weighted or stored.associated):
+        return texels
+    if stored.closest:
+        return _light(texels.copy(), stored)
+    height = len(texels)
+    padded = np.pad(texels, ((1, 1), (1, 1), (0, 0)), mode=stored.beyond)  # type: ignore[call-overload]
+    out = np.zeros_like(texels)
+    for low in range(0, height, ROWS):  # temporaries stay in the processor's cache
+        high = min(low + ROWS, height)
+        middle = padded[low + 1 : high + 1]
+        for beside in (padded[low:high], padded[low + 2 : high + 2]):
+            rows = (1 - GAUSS) * middle + GAUSS * beside
+            for columns in (rows[:, :-2], rows[:, 2:]):
+                out[low:high] += _light((1 - GAUSS) * rows[:, 1:-1] + GAUSS * columns, stored)
+    out *= np.float32(0.25)
+    return out
+
+
+def _decoded(color: np.ndarray) -> np.ndarray:
+    """Linear from sRGB; of values in [0, 1] by a table, whose steps are finer than half floats show: powers take ten
+    times as long."""
+    if color.min(initial=0) < 0 or not color.max(initial=0) <= 1:
+        return linear_from_srgb(color)
+    return _TABLE.take((color * np.float32(STEPS) + np.float32(0.5)).astype(np.uint16))
+
+
+def _light(texels: np.ndarray, stored: Stored) -> np.ndarray:
+    """What RGBA (..., 4) that is stored so stands for; the array is changed."""
+    color, alpha = texels[..., :3], texels[..., 3:]
+    if stored.associated:
+        color /= np.where(alpha > 0, alpha, np.float32(1))
+    if stored.encoded:
+        color[:] = _decoded(color)
+    if stored.weighted:
+        color *= alpha
+    return texels
+
+
+def smaller_levels(texels: np.ndarray, border: int) -> list[np.ndarray]:
+    """Levels (h, w, C) float32 from 1 on of texels (H, W, C), which are not changed, down to a single one; there are
+    none of a single one.
+
+    border: texels around the unit square, of which the outermost go on; levels have RING of these.
+    """
+    if not border:
+        height, width = texels.shape[:2]
+        return Pyramid(lambda rows: texels[rows], (width, height)).levels if max(height, width) > 1 else []
+    levels: list[np.ndarray] = []
+    while max(texels.shape[:2]) > 1 + 2 * border:
+        texels, border = _half_with_ring(texels, border), RING
+        levels.append(texels)
+    return levels
+
+
+def _half_with_ring(texels: np.ndarray, border: int) -> np.ndarray:
+    """Half as many texels, and a ring of what lies around them: all of it is two of these texels wide, or alike."""
+    inner = half_size(texels[border:-border, border:-border])
+    out = np.empty((inner.shape[0] + 2 * RING, inner.shape[1] + 2 * RING, inner.shape[2]), np.float32)
+    out[RING:-RING, RING:-RING] = inner
+    nearest = min(2, border)
+    for turned, around in ((texels, out), (texels.swapaxes(0, 1), out.swapaxes(0, 1))):
+        for strip, column in (
+            (turned[:, border - nearest : border], 0),
+            (turned[:, turned.shape[1] - border : turned.shape[1] - border + nearest], -1),
+        ):
+            around[RING:-RING, column] = half_rows(strip[border:-border].mean(axis=1, keepdims=True))[:, 0]
+    for y in (0, -1):
+        for x in (0, -1):
+            out[y, x] = texels[y, x]
+    return out
+
+
+def laid_out(levels: Sequence[np.ndarray]) -> np.ndarray:
+    """(N, C) float32: texels of all levels one after another, row by row."""
+    return np.concatenate([level.reshape(-1, level.shape[-1]) for level in levels])
