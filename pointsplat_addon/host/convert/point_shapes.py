@@ -57,6 +57,16 @@ def shape_of(ob: bpy.types.Object) -> PointShape:
     return PointShape(settings.shape, settings.radius, settings.radius_unit, stations[: len(stations) // 3 * 3])
 
 
+def station_of(data: Any) -> np.ndarray | None:
+    """Which station saw each point, (N,) int32; None without such an attribute."""
+    attribute = data.attributes.get(STATION)
+    if attribute is None or attribute.domain != "POINT" or attribute.data_type not in ("INT", "INT8"):
+        return None
+    found = np.empty(len(attribute.data), np.int32)
+    attribute.data.foreach_get("value", found)
+    return found
+
+
 def radius_of(shape: PointShape, position: np.ndarray) -> float:
     """Returns the radius in object units; 0 where the points have their own."""
     if shape.radius > 0 and shape.unit == "SPACING":

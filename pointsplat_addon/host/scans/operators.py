@@ -14,9 +14,9 @@ from bpy_extras.io_utils import ImportHelper
 from ...formats.points.gather import Selection
 from ...formats.points.opening import FORMATS, open_points
 from ...formats.points.reader import PointFileError
+from ..convert.selection.filters import ORIGIN, class_numbers
 from . import looks
 from .importing import import_scan, unit_of
-from .objects import ORIGIN
 
 ENDS = tuple(end for end in FORMATS if end.startswith("."))
 SLICE = 0.1  # seconds of reading between two looks at the window
@@ -149,10 +149,7 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
         return (tuple(self.box_low), tuple(self.box_high)) if self.use_box else None
 
     def _classes(self) -> frozenset[int] | None:
-        words = self.classes.replace(",", " ").split()
-        if not all(word.isdigit() for word in words):
-            raise ValueError(f'Classes are numbers such as 2, 6; "{self.classes}" has something else')
-        return frozenset(map(int, words)) or None
+        return class_numbers(self.classes) or None
 
     def _unit(self, path: Path) -> float:
         if not self.use_unit:

@@ -105,6 +105,11 @@ RADIUS_UNIT_ITEMS: dict[str, Item] = {
     "SPACING": ("SPACING", "Spacing", "The median distance between points and their nearest neighbours"),
 }
 
+CLIP_ITEMS: list[Item] = [
+    ("INSIDE", "Inside", "Points in any of the boxes"),
+    ("OUTSIDE", "Outside", "Points in none of the boxes"),
+]
+
 # Name and tooltip of each field of Settings
 LABELS: dict[str, tuple[str, str]] = {
     "technique": ("Technique", "How points become pixels"),
