@@ -115,13 +115,15 @@ class Geometries:
         if mesh is None and cloud is None:
             return None, tuple(parts), warnings
         primitive, spacing, extinction = source.primitive, source.spacing, source.extinction
+        pixels = source.pixel_radius
 
         def build() -> scene.Geometry:
             return scene.Geometry(
-                key, source.name, mesh, cloud, primitive=primitive, spacing=spacing, extinction=extinction
-            )
+                key, source.name, mesh, cloud,
+                primitive=primitive, spacing=spacing, extinction=extinction, pixel_radius=pixels,
+            )  # fmt: skip
 
-        key = f"{key} {primitive} {spacing:g} {extinction:g}"
+        key = f"{key} {primitive} {spacing:g} {extinction:g} {pixels:g}"
         return self._cache.lookup(key, build), tuple(parts), warnings
 
     def _convert_strands(
@@ -168,7 +170,8 @@ def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> 
     rows: of its materials in the table.
     """
     digests = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
-    settings = source.primitive, source.spacing, source.extinction, source.shape, source.filters, source.clip
+    settings = source.primitive, source.spacing, source.extinction, source.shape
+    settings = *settings, source.pixel_radius, source.filters, source.clip
     key = (source.data.session_uid, rows, digests, *settings)
     if source.smoke:
         key = (*key, source.smoke.key)

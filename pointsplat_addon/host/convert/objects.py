@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.scene.volume import Transfer
 from .particles import read_particles
-from .point_shapes import PointShape, shape_of
+from .point_shapes import PointShape, pixel_radius_of, shape_of
 from .pointcloud import Points
 from .selection.clip_boxes import Boxes, Clip, boxes_of
 from .selection.filters import Filters, filters_of
@@ -39,6 +39,7 @@ class Source:
     spacing: float
     extinction: float
     shape: PointShape  # of points
+    pixel_radius: float  # of points
     pass_index: int
     holdout: bool
     casts: bool  # whether it casts shadows
@@ -158,6 +159,7 @@ def _make_source(
         spacing=ob.pointsplat.spacing,
         extinction=ob.pointsplat.extinction,
         shape=shape_of(ob),
+        pixel_radius=pixel_radius_of(ob),
         pass_index=ob.pass_index,
         holdout=visible.holdout,
         casts=visible.casts,

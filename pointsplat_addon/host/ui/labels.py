@@ -103,6 +103,12 @@ SHAPE_ITEMS: dict[str, Item] = {
 RADIUS_UNIT_ITEMS: dict[str, Item] = {
     "OBJECT": ("OBJECT", "Object", "The object's unit of length, before its scale"),
     "SPACING": ("SPACING", "Spacing", "The median distance between points and their nearest neighbours"),
+    "PIXELS": (
+        "PIXELS",
+        "Pixels",
+        "Pixels of the picture, or of the viewport, whatever the distance: each view sizes all points anew, which "
+        "takes time for very many in a viewport that moves. Shadows are as wide as what the view shows",
+    ),
 }
 
 CLIP_ITEMS: list[Item] = [

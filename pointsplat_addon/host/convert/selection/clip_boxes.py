@@ -80,10 +80,11 @@ def within(position: np.ndarray, box_from_object: np.ndarray) -> np.ndarray:
     matrices = box_from_object.astype(np.float32)
 
     def fill(block: slice) -> None:
-        part = position[block]
+        columns = np.ascontiguousarray(position[block].T)
         with np.errstate(invalid="ignore"):  # what is not a number lies in none
             for matrix in matrices:
-                found[block] |= (np.abs(part @ matrix[:3, :3].T + matrix[:3, 3]) <= 1).all(axis=1)
+                x, y, z = np.abs(matrix[:3, :3] @ columns + matrix[:3, 3:]) <= 1
+                found[block] |= x & y & z
 
     each_block(len(position), fill)
     return found
