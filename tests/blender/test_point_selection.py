@@ -220,6 +220,31 @@ def test_operators_add_fit_and_remove_filters(scan):
     assert [f.kind for f in scan.pointsplat.filters] == ["HEIGHT", "DISTANCE"]
 
 
+def test_what_operators_change_is_told_to_the_dependency_graph(scan):
+    """Or a viewport would not draw it."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    told = []
+
+    def listen(_scene, graph):
+        told.extend(update.id.name for update in graph.updates)
+
+    bpy.app.handlers.depsgraph_update_post.append(listen)
+    try:
+        for change in (
+            lambda: bpy.ops.pointsplat.add_point_filter(kind="RETURN"),
+            lambda: setattr(scan.pointsplat.filters[0], "high", 2),
+            lambda: bpy.ops.pointsplat.remove_point_filter(index=0),
+            lambda: setattr(scan.pointsplat, "clip_boxes", bpy.data.collections.new("Boxes")),
+            lambda: setattr(scan.pointsplat, "clip_keep", "OUTSIDE"),
+        ):
+            told.clear()
+            change()
+            depsgraph.update()
+            assert "Scan" in told
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(listen)
+
+
 def test_undo_takes_a_filter_back(scan):
     bpy.ops.ed.undo_push(message="before")
     bpy.ops.pointsplat.add_point_filter(kind="CLASS")

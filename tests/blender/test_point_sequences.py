@@ -109,6 +109,13 @@ def test_shapes_and_filters_apply_to_what_the_nodes_make(tmp_path):
     np.testing.assert_array_equal(cloud.radii, 0.75)
 
 
+def test_the_range_of_a_new_filter_is_that_of_the_frames_points(tmp_path):
+    ob = imported(frames(tmp_path))
+    bpy.context.scene.frame_set(2)
+    bpy.ops.pointsplat.add_point_filter(kind="HEIGHT")
+    assert (ob.pointsplat.filters[0].low, ob.pointsplat.filters[0].high) == (0.0, 5.5)
+
+
 def test_gaps_and_far_coordinates_are_said(tmp_path, capfd):
     imported(frames(tmp_path, offset=3e6))
     text = "".join(capfd.readouterr())
@@ -141,8 +148,11 @@ def test_names_of_files_that_belong_together(tmp_path):
 def test_an_empty_frame_draws_nothing(tmp_path):
     path = frames(tmp_path, numbers=(1, 2))
     frame_file(tmp_path / "frame_0003.ply", 3, count=0)
-    imported(path)
+    imported(path).pointsplat.filters.add().kind = "HEIGHT"
     assert shown(3) is None
+    assert sync().warnings == ()
+    bpy.context.object.pointsplat.filters.clear()
+    bpy.context.object.update_tag()
     assert len(shown(2)) == 12
 
 

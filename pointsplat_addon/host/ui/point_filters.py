@@ -78,7 +78,8 @@ class POINTSPLAT_OT_add_point_filter(_FilterOperator, bpy.types.Operator):
         ob = context.object
         made = ob.pointsplat.filters.add()
         made.kind, made.attribute = self.kind, self.attribute
-        _fit(ob, made)
+        _fit(context, ob, made)
+        ob.update_tag()
         return {"FINISHED"}
 
 
@@ -95,7 +96,7 @@ class POINTSPLAT_OT_fit_point_filter(_FilterOperator, bpy.types.Operator):
         if self.index >= len(filters):
             self.report({"ERROR"}, f"{context.object.name} has {len(filters)} filters")
             return {"CANCELLED"}
-        problem = _fit(context.object, filters[self.index])
+        problem = _fit(context, context.object, filters[self.index])
         if problem:
             self.report({"ERROR"}, f"{context.object.name}: {problem}")
             return {"CANCELLED"}
@@ -116,16 +117,18 @@ class POINTSPLAT_OT_remove_point_filter(_FilterOperator, bpy.types.Operator):
             self.report({"ERROR"}, f"{context.object.name} has {len(filters)} filters")
             return {"CANCELLED"}
         filters.remove(self.index)
+        context.object.update_tag()  # lists have no update callback
         return {"FINISHED"}
 
 
-def _fit(ob: bpy.types.Object, made: Any) -> str:
-    """Set a filter's range to that of the finite values of all points; returns why it cannot."""
+def _fit(context: bpy.types.Context, ob: bpy.types.Object, made: Any) -> str:
+    """Set a filter's range to that of all finite values, of points as modifiers leave them; returns why it cannot."""
     if made.kind == "CLASS":
         return ""
     try:
         used = filters_of(ob) or Filters((PointFilter(made.kind),))
-        value = values(ob.data, made.kind, made.attribute, used)
+        data = ob.evaluated_get(context.evaluated_depsgraph_get()).data
+        value = values(data, made.kind, made.attribute, used) if len(data.points) else np.empty(0)
     except FilterError as error:
         return str(error)
     value = value[np.isfinite(value)]

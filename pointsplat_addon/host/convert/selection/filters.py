@@ -70,6 +70,8 @@ def kept_points(data: Any, filters: Filters) -> tuple[np.ndarray | None, tuple[s
 
     A filter that cannot be evaluated keeps all points.
     """
+    if len(data.points) == 0:  # not even positions
+        return None, ()
     kept = np.ones(len(data.points), bool)
     messages = []
     for one in filters.filters:
