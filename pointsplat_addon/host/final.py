@@ -15,6 +15,7 @@ import numpy as np
 from ..core.numeric.cryptomatte import murmur3
 from ..core.scene import camera as camera_module
 from ..core.scene import scene as scene_module
+from ..core.splat.pixel_radii import with_pixel_radii
 from ..render.device.protocol import DeviceError
 from ..render.passes.outputs import BY_KEY, CRYPTO, PASSES
 from ..render.plan.request import Request, Result
@@ -72,6 +73,7 @@ class FinalRender:
             settings = replace(settings, samples=min(settings.samples, PREVIEW_SAMPLES), budget="NONE")
         else:
             FinalRender.last_scene = scene
+        scene = with_pixel_radii(scene, camera)
         levels = depsgraph.view_layer_eval.pass_cryptomatte_depth
         request = Request(camera, settings, wanted, settings.samples, crypto_levels=levels)
         result, problems = _draw(engine, scene, request)

@@ -18,6 +18,8 @@ from .convert.mesh import is_loose_vertices, read_mesh
 from .convert.objects import Source
 from .convert.pointcloud import convert_points, read_pointcloud
 from .convert.sample_material import SampleMaterial, sample_material
+from .convert.selection.clip_boxes import clipped
+from .convert.selection.filters import kept_points
 from .convert.strands import bevels, conversion, curves_objects, particle_hair
 from .convert.volume import Voxels, convert_volume, read_voxels, source_key, transfer_digest, wanted_grids
 from .geometry_cache import GeometryCache
@@ -32,7 +34,7 @@ class Known(NamedTuple):
     voxels: Voxels | None = None
     warnings: tuple[str, ...] = ()
     strands: conversion.ConvertedStrands | None = None
-    ellipses: tuple[Ellipses, ...] = ()  # of points, which other materials find again
+    parts: tuple[Ellipses | PointCloud, ...] = ()  # of points, which other materials and clip boxes find again
 
 
 class Geometries:
@@ -42,7 +44,7 @@ class Geometries:
         self._cache = cache
         self._known: dict[tuple, Known] = {}
         # Kept alive so that another transfer function finds voxels, and strands that are read again stay evaluated
-        self._shared: tuple[Voxels | conversion.ConvertedStrands | tuple[Ellipses, ...] | None, ...] = ()
+        self._shared: tuple[Voxels | conversion.ConvertedStrands | tuple[Ellipses | PointCloud, ...] | None, ...] = ()
 
     def warnings(self) -> dict[str, None]:
         """Warnings about the sources of the last `convert`, without repetitions, as the keys of a dictionary."""
@@ -67,7 +69,7 @@ class Geometries:
             keys.append(key)
             last = known.get(key) or self._known.get(key)
             voxels, warnings, strands = (last.voxels, last.warnings, last.strands) if last else (None, (), None)
-            ellipses = last.ellipses if last else ()
+            parts = last.parts if last else ()
             if last and not source.editing:
                 geometry = last.geometry
             elif source.smoke or isinstance(source.data, bpy.types.Volume):
@@ -75,50 +77,54 @@ class Geometries:
             elif source.strands:
                 geometry, strands, warnings = self._convert_strands(source, rows, table)
             else:
-                geometry, ellipses = self._convert_surface(source, rows, table)
+                geometry, parts, warnings = self._convert_surface(source, rows, table)
             owners = {source.owner, source.data.original.session_uid, source.data.session_uid}
             owners |= last.owners if last else set()
             generated = source.generated or bool(last and last.generated)
-            known[key] = Known(geometry, frozenset(owners), generated, voxels, warnings, strands, ellipses)
+            known[key] = Known(geometry, frozenset(owners), generated, voxels, warnings, strands, parts)
         self._known = known
-        self._shared = tuple(entry.voxels or entry.strands or entry.ellipses for entry in known.values())
+        self._shared = tuple(entry.voxels or entry.strands or entry.parts for entry in known.values())
         return [known[key].geometry for key in keys]
 
     def _convert_surface(
         self, source: Source, rows: tuple[int, ...], table: MaterialTable
-    ) -> tuple[scene.Geometry | None, tuple[Ellipses, ...]]:
-        """The geometry of a mesh, or of points, and what was estimated of the points."""
+    ) -> tuple[scene.Geometry | None, tuple[Ellipses | PointCloud, ...], tuple[str, ...]]:
+        """The geometry of a mesh, or of points; what it was made of; and warnings."""
         mesh = cloud = None
         material = sample_material(table, rows[0], source.extinction)
-        ellipses: list[Ellipses] = []
+        parts: list[Ellipses | PointCloud] = []
+        messages: tuple[str, ...] = ()
 
         def lookup(key: str, make: Callable[[], Any]) -> Any:
             found = self._cache.lookup(key, make)
-            if isinstance(found, Ellipses):
-                ellipses.append(found)
+            if isinstance(found, Ellipses) or (source.clip and isinstance(found, PointCloud)):
+                parts.append(found)
             return found
 
         if source.particles:
             key, cloud = convert_points(source.particles, material, lookup)
         elif isinstance(source.data, bpy.types.PointCloud):
-            key, cloud = read_pointcloud(source.data, material, lookup, source.shape) or ("", None)
+            key, cloud, messages = _read_points(source, source.data, material, lookup)
         else:
             found = _read_evaluated(source, rows, _attributes(table, rows), material, lookup)
             if isinstance(found, mesh_module.Mesh):
                 mesh, key = found, found.key
             else:
                 key, cloud = found or ("", None)
+        warnings = tuple(f"{source.name}: {message}" for message in messages)
         if mesh is None and cloud is None:
-            return None, ()
+            return None, tuple(parts), warnings
         primitive, spacing, extinction = source.primitive, source.spacing, source.extinction
+        pixels = source.pixel_radius
 
         def build() -> scene.Geometry:
             return scene.Geometry(
-                key, source.name, mesh, cloud, primitive=primitive, spacing=spacing, extinction=extinction
-            )
+                key, source.name, mesh, cloud,
+                primitive=primitive, spacing=spacing, extinction=extinction, pixel_radius=pixels,
+            )  # fmt: skip
 
-        key = f"{key} {primitive} {spacing:g} {extinction:g}"
-        return self._cache.lookup(key, build), tuple(ellipses)
+        key = f"{key} {primitive} {spacing:g} {extinction:g} {pixels:g}"
+        return self._cache.lookup(key, build), tuple(parts), warnings
 
     def _convert_strands(
         self, source: Source, rows: tuple[int, ...], table: MaterialTable
@@ -165,6 +171,7 @@ def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> 
     """
     digests = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
     settings = source.primitive, source.spacing, source.extinction, source.shape
+    settings = *settings, source.pixel_radius, source.filters, source.clip
     key = (source.data.session_uid, rows, digests, *settings)
     if source.smoke:
         key = (*key, source.smoke.key)
@@ -200,6 +207,18 @@ def _attributes(table: MaterialTable, rows: tuple[int, ...]) -> frozenset[str | 
 def _is_loose_vertices(source: Source) -> bool:
     """Whether a source is a mesh that is drawn as points because it has neither edges nor faces."""
     return isinstance(source.data, bpy.types.Mesh) and not source.strands and is_loose_vertices(source.data)
+
+
+def _read_points(
+    source: Source, data: bpy.types.PointCloud, material: SampleMaterial, lookup: Callable
+) -> tuple[str, PointCloud | None, tuple[str, ...]]:
+    """(content key, cloud, messages) of the points of a point cloud that its filters and clip boxes keep."""
+    rows, messages = kept_points(data, source.filters) if source.filters else (None, ())
+    key, cloud = read_pointcloud(data, material, lookup, source.shape, rows) or ("", None)
+    if source.clip is not None and cloud is not None:
+        key, cloud = clipped(key, cloud, source.clip, lookup)
+        messages += source.clip.messages
+    return key, cloud, messages
 
 
 def _read_evaluated(

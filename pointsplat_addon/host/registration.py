@@ -8,9 +8,9 @@ import bpy
 
 from . import caches, engine
 from .scans import operators as scans
-from .ui import operators, panels, preferences, properties
+from .ui import operators, panels, point_filters, point_panels, preferences, properties
 
-MODULES = (properties, operators, scans, preferences, engine, panels)
+MODULES = (point_filters, properties, operators, scans, preferences, engine, panels, point_panels)
 CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)
 
 _registered = False

@@ -14,6 +14,7 @@ from ..core.numeric.lattice import FEW
 from ..core.scene import camera as camera_module
 from ..core.scene import scene as scene_module
 from ..core.scene import settings as settings_module
+from ..core.splat.pixel_radii import with_pixel_radii
 from ..render.budget.viewport import Moving, PixelPace, Refining, wait
 from ..render.device.protocol import DeviceError
 from ..render.frame.frame import Frame
@@ -113,6 +114,7 @@ class Viewport:
         else:
             return self._frame
         self._drop()
+        scene = with_pixel_radii(scene, camera)
         camera = camera.with_coarser_pixels(pixel)
         request = Request(camera, settings, frozenset({"combined"}), settings.viewport_samples, interactive=True)
         renderer = MAIN_GPU.renderer()

@@ -9,6 +9,7 @@ import pointsplat_addon
 from pointsplat_addon.formats.points.gather import Selection
 from pointsplat_addon.host.scans import looks
 from pointsplat_addon.host.scans.importing import import_scan
+from tests.support.blender.scenes import pointcloud, sync
 from tests.support.scan_files import write_ply
 
 FAR = np.array([5_000_123.0, 400_456.0, 100.0])
@@ -106,6 +107,16 @@ def test_looks_are_materials_of_attributes(tmp_path, look):
     names = [node.attribute_name for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeAttribute"]
     own = looks.LOOKS[look][0]
     assert names == ([] if own is None else [own])
+
+
+@pytest.mark.parametrize(("kind", "values"), [("INT8", (2, 6)), ("BOOLEAN", (False, True)), ("INT", (2, 300))])
+def test_looks_show_attributes_of_small_integers(kind, values):
+    ob = pointcloud("Scan", [(0, 0, 0), (1, 0, 0), (2, 0, 0)])
+    ob.data.attributes.new("number", kind, "POINT").data.foreach_set("value", [values[0], values[1], values[0]])
+    assert bpy.ops.pointsplat.scan_look(look="ATTRIBUTE", attribute="number") == {"FINISHED"}
+    color = sync().geometries[0].cloud.color
+    np.testing.assert_array_equal(color[0], color[2])
+    assert np.abs(color[0] - color[1]).max() > 0.1
 
 
 def test_what_is_refused_is_named_and_leaves_nothing(tmp_path):

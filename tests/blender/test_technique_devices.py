@@ -51,6 +51,16 @@ def test_small_triangles_agree(blender, opengl):
     assert np.abs(here["combined"] - there["combined"]).max() <= AGREE  # measured 0
 
 
+@pytest.mark.parametrize("name", ["wide_balls", "parallel"])
+def test_eye_dome_lighting_agrees(blender, opengl, name):
+    case = CASES[name]()
+    case = replace(case, settings=replace(case.settings, technique="VISIBILITY", use_eye_dome=True, eye_dome_radius=2))
+    here, there = opengl(case, True), pictures(blender, case)
+    assert np.abs(here["combined"] - there["combined"]).max() <= AGREE  # measured 0, where both run on one driver
+    plain = opengl(replace(case, settings=replace(case.settings, use_eye_dome=False)), True)
+    assert (here["combined"][..., :3] < 0.8 * plain["combined"][..., :3]).any()
+
+
 @pytest.mark.parametrize("technique", ["VISIBILITY", "IMAGE_SPACE"])
 def test_surfaces_that_alpha_cuts_out_agree(blender, opengl, technique):
     case = cut_out_cards()

@@ -13,7 +13,7 @@ BUDGETS = ("NONE", "TIME", "ERROR")
 DEVICES = ("AUTO", "BLENDER_GPU", "OPENGL")
 PRIMITIVES = ("AUTO", "POINTS", "POLYGONS", "LINES")
 SHAPES = ("BALLS", "DISKS", "SURFACE")
-RADIUS_UNITS = ("OBJECT", "SPACING")
+RADIUS_UNITS = ("OBJECT", "SPACING", "PIXELS")
 
 
 @value_record
@@ -32,6 +32,9 @@ class Settings:
     adaptive_threshold: float = 1 / 64  # over the root of the brightness: what a display of 8 bits just shows
     use_shadows: bool = True  # lights cast shadows, through translucent matter too
     shadow_resolution: int = 1024  # cells of a light's shadow table per half turn
+    use_eye_dome: bool = False  # pixels are darker the more their neighbours lie in front of them
+    eye_dome_strength: float = 1.0
+    eye_dome_radius: int = 1  # pixels from a pixel to the neighbours that it is compared with
     dof_method: str = "SPLAT"  # one of DOF_METHODS
     budget: str = "NONE"  # one of BUDGETS
     time_budget: float = 100.0  # milliseconds that a picture may take
@@ -46,6 +49,8 @@ class Settings:
         "filter_size": (0.01, 10.0),
         "adaptive_threshold": (0.0, 1.0),
         "shadow_resolution": (16, 16384),
+        "eye_dome_strength": (0.0, 10.0),
+        "eye_dome_radius": (1, 16),
         "time_budget": (1.0, 3_600_000.0),
         "error_budget": (0.0001, 1.0),
     }

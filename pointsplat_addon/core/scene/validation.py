@@ -100,7 +100,11 @@ RULES: dict[type, dict[str, Rule]] = {
         "world_from_object": Rule(LATER),  # its product with the view can overflow, too: `drawable_transforms`
         "previous": Rule(DEFAULT, *_DISTANCE),  # the instance has not moved
     },
-    Geometry: {"spacing": Rule(DEFAULT, 0, FARTHEST), "extinction": Rule(DEFAULT, 0, FLOAT32)},
+    Geometry: {
+        "spacing": Rule(DEFAULT, 0, FARTHEST),
+        "extinction": Rule(DEFAULT, 0, FLOAT32),
+        "pixel_radius": Rule(LATER),  # radii of points are checked
+    },
     PointCloud: {
         "origin": Rule(REMOVE, *_DISTANCE),
         **{name: Rule(REMOVE, *_DISTANCE) for name in LENGTHS},

@@ -12,7 +12,8 @@ from ...core.material.color_models import linear_from_srgb
 from ...core.numeric.vectors import each_block
 
 PIECE = 1 << 22  # bytes of an array that are digested at once
-CTYPES = {np.float32: ctypes.c_float, np.int32: ctypes.c_int32, np.uint8: ctypes.c_uint8}
+CTYPES = {np.float32: ctypes.c_float, np.int32: ctypes.c_int32, np.int8: ctypes.c_int8, np.uint8: ctypes.c_uint8,
+          np.bool_: ctypes.c_bool}  # fmt: skip
 
 
 def view(collection: Any, shape: tuple[int, ...], dtype: type) -> np.ndarray:

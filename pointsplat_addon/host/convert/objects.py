@@ -10,8 +10,10 @@ import numpy as np
 
 from ...core.scene.volume import Transfer
 from .particles import read_particles
-from .point_shapes import PointShape, shape_of
+from .point_shapes import PointShape, pixel_radius_of, shape_of
 from .pointcloud import Points
+from .selection.clip_boxes import Boxes, Clip, boxes_of
+from .selection.filters import Filters, filters_of
 from .strands.bevels import has_round_bevel
 from .strands.particle_hair import ParticleHair, hair_systems
 from .volume import Voxels, convert_transfer, read_domain
@@ -37,6 +39,7 @@ class Source:
     spacing: float
     extinction: float
     shape: PointShape  # of points
+    pixel_radius: float  # of points
     pass_index: int
     holdout: bool
     casts: bool  # whether it casts shadows
@@ -47,6 +50,8 @@ class Source:
     particles: Points | None = None  # instead of the data, in world space
     hair: ParticleHair | None = None  # instead of the data, in the object's space
     ribbons: bool = False  # strands have normals
+    filters: Filters | None = None  # of points
+    clip: Clip | None = None  # of points
 
     @property
     def strands(self) -> bool:
@@ -82,6 +87,7 @@ def collect(
     in_world_space: list[int] = []  # indices into rows
     identity: list[tuple] = []
     unsupported: dict[str, list[str]] = {}
+    boxes: dict[int, Boxes | None] = {}  # of point clouds, by session_uid
     tubes: set[int] = set()  # session_uids of curve objects that are drawn as tubes
     count = 0
     for row, instance in enumerate(depsgraph.object_instances):
@@ -99,6 +105,13 @@ def collect(
             continue
         parent = instance.parent if instance.is_instance else ob
         key = uid, ob.data.session_uid, parent.original.session_uid, instance.is_instance
+        clip = None
+        if ob.type == "POINTCLOUD":
+            if uid not in boxes:
+                boxes[uid] = boxes_of(ob, depsgraph)
+            if (own := boxes[uid]) is not None:
+                clip = own.of_instance(np.array(instance.matrix_world, np.float64))
+                key = (*key, clip)  # boxes cut each instance elsewhere
         found = known.get(key)
         if found is None:
             first = len(sources)
@@ -106,7 +119,7 @@ def collect(
             if visible.catcher:
                 unsupported.setdefault("Shadow catchers", []).append(ob.name)
             elif visible.drawn and (view3d is None or ob.visible_in_viewport_get(view3d)):
-                source = _make_source(ob, view_layer.material_override, visible, instance.is_instance)
+                source = _make_source(ob, view_layer.material_override, visible, instance.is_instance, clip)
                 sources += [source] if instance.show_self else []
                 if len(ob.particle_systems) and instance.show_particles:
                     # Hair is read later, when the instance and its object no longer live
@@ -129,7 +142,13 @@ def collect(
     return Collected(sources, np.array(rows, np.int32), world_from_object, identity, unsupported)
 
 
-def _make_source(ob: bpy.types.Object, override: bpy.types.Material | None, visible: Flags, generated: bool) -> Source:
+def _make_source(
+    ob: bpy.types.Object,
+    override: bpy.types.Material | None,
+    visible: Flags,
+    generated: bool,
+    clip: Clip | None,
+) -> Source:
     materials = tuple(override or slot.material for slot in ob.material_slots)
     return Source(
         name=ob.name,
@@ -140,6 +159,7 @@ def _make_source(ob: bpy.types.Object, override: bpy.types.Material | None, visi
         spacing=ob.pointsplat.spacing,
         extinction=ob.pointsplat.extinction,
         shape=shape_of(ob),
+        pixel_radius=pixel_radius_of(ob),
         pass_index=ob.pass_index,
         holdout=visible.holdout,
         casts=visible.casts,
@@ -148,6 +168,8 @@ def _make_source(ob: bpy.types.Object, override: bpy.types.Material | None, visi
         transfer=convert_transfer(ob) if ob.type == "VOLUME" else None,
         smoke=read_domain(ob) if ob.type == "MESH" else None,
         ribbons=ob.type == "CURVES" and ob.pointsplat.ribbons,
+        filters=filters_of(ob),
+        clip=clip,
     )
 
 

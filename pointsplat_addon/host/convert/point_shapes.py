@@ -52,9 +52,26 @@ def shape_of(ob: bpy.types.Object) -> PointShape:
     settings = ob.pointsplat
     if ob.type != "POINTCLOUD":
         return PointShape(radius=settings.radius)
+    radius = 0.0 if settings.radius_unit == "PIXELS" else settings.radius
     found = ob.original.get(STATIONS, ()) if settings.shape in ("DISKS", "SURFACE") else ()
     stations = tuple(float(x) for x in found)
-    return PointShape(settings.shape, settings.radius, settings.radius_unit, stations[: len(stations) // 3 * 3])
+    return PointShape(settings.shape, radius, settings.radius_unit, stations[: len(stations) // 3 * 3])
+
+
+def pixel_radius_of(ob: bpy.types.Object) -> float:
+    """Returns the radius in pixels of every view; 0 where the points have one in space."""
+    settings = ob.pointsplat
+    return settings.radius if ob.type == "POINTCLOUD" and settings.radius_unit == "PIXELS" else 0.0
+
+
+def station_of(data: Any) -> np.ndarray | None:
+    """Which station saw each point, (N,) int32; None without such an attribute."""
+    attribute = data.attributes.get(STATION)
+    if attribute is None or attribute.domain != "POINT" or attribute.data_type not in ("INT", "INT8"):
+        return None
+    found = np.empty(len(attribute.data), np.int32)
+    attribute.data.foreach_get("value", found)
+    return found
 
 
 def radius_of(shape: PointShape, position: np.ndarray) -> float:

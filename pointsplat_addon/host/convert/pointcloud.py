@@ -17,7 +17,7 @@ from ...core.material.evaluation import Appearance, evaluate_materials
 from ...core.material.expression import Part, SampleInputs
 from ...core.material.graph import MaterialGraph, Needs, needs
 from ...core.numeric.record import record
-from ...core.numeric.vectors import column_ranges, each_block, moved_rows, put_rows
+from ...core.numeric.vectors import column_ranges, each_block, moved_rows, put_rows, take_rows
 from ...core.scene.cloud import PointCloud, coherent_places
 from ...core.scene.volume import Medium, Volume
 from ...core.splat.kernel import PROFILES
@@ -26,7 +26,7 @@ from ...core.surface.nearest import median_spacing
 from ...core.volume.optics import voxel_optics
 from . import arrays
 from .arrays import COLOR_TYPES, attribute_as_color, unit_or_up
-from .point_shapes import AS_GIVEN, STATION, PointShape, elements, radius_of
+from .point_shapes import AS_GIVEN, PointShape, elements, radius_of, station_of
 from .sample_material import SampleMaterial, generated_coordinates, surface_constants
 
 DEFAULT_RADIUS = 0.01  # Blender's, for points without a radius attribute
@@ -43,7 +43,7 @@ class Points:
     """Arrays of N points as Blender has them, in object units; they may be its own: see `arrays.view`."""
 
     position: np.ndarray  # (N, 3) float32
-    radius: np.ndarray | None  # (N,) float32; None: half the median distance to the nearest neighbour
+    radius: np.ndarray | None = None  # (N,) float32; None: half the median distance to the nearest neighbour
     normal: np.ndarray | None = None  # (N, 3) float32
     station: np.ndarray | None = None  # (N,) int32
     opacity: np.ndarray | None = None  # (N,) float32
@@ -51,6 +51,16 @@ class Points:
     colors: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (N, 4) as stored
     uv: dict[str, np.ndarray] = field(default_factory=dict)  # by name, (N, 2) float32
     grids: dict[str, np.ndarray] = field(default_factory=dict)  # by name, what a medium reads, (N,) or (N, 3) float32
+
+    def take(self, rows: np.ndarray | None) -> Points:
+        """The points of some rows (K,) int, None: all."""
+        if rows is None:
+            return self
+        own = self.radius, self.normal, self.station, self.opacity, self.kernel
+        taken = [None if array is None else take_rows(array, rows) for array in own]
+        groups = self.colors, self.uv, self.grids
+        colors, uv, grids = ({name: take_rows(array, rows) for name, array in group.items()} for group in groups)
+        return Points(take_rows(self.position, rows), *taken, colors=colors, uv=uv, grids=grids)
 
     def part(self, rows: slice) -> Points:
         """Some of the points, without what materials do not read."""
@@ -67,19 +77,26 @@ class Points:
 
 
 def read_pointcloud(
-    data: Data, material: SampleMaterial, lookup: Lookup, shape: PointShape = AS_GIVEN
+    data: Data,
+    material: SampleMaterial,
+    lookup: Lookup,
+    shape: PointShape = AS_GIVEN,
+    rows: np.ndarray | None = None,
 ) -> tuple[str, PointCloud] | None:
     """(content key, cloud) of a point cloud, or of the vertices of a mesh, in object space; None if it is empty.
+
+    rows: the points that are wanted, (K,) int; None: all.
 
     Where the shape has no radius, it is the points' attribute. Without such an attribute, points of a point cloud have
     Blender's default radius, and vertices half the median distance to their nearest neighbours.
     """
     count = len(data.vertices if isinstance(data, bpy.types.Mesh) else data.points)
-    if "position" not in data.attributes or count == 0:
+    if "position" not in data.attributes or 0 in (count, count if rows is None else len(rows)):
         return None
     wanted, imported = needs(material.graph) if material.graph else Needs(), material.row == 0
     position = arrays.values(data.attributes["position"], 3, np.float32)
-    radius = 0.0 if shape.kind == "SURFACE" else radius_of(shape, position)
+    chosen = position if rows is None or shape.unit != "SPACING" else take_rows(position, rows)
+    radius = 0.0 if shape.kind == "SURFACE" else radius_of(shape, chosen)
     radii = np.full(count, radius, np.float32) if radius > 0 else _read(data, "radius", "FLOAT")
     if radii is None and isinstance(data, bpy.types.PointCloud):
         radii = np.full(count, DEFAULT_RADIUS, np.float32)
@@ -87,14 +104,14 @@ def read_pointcloud(
         position,
         radii,
         None if shape.kind == "BALLS" else _read(data, "normal", "FLOAT_VECTOR"),
-        _station(data) if shape.stations else None,
+        station_of(data) if shape.stations else None,
         _opacity(data) if imported else None,
         _kernel(data),
         {a.name: attribute_as_color(a) for a in _color_attributes(data, wanted, imported)},
         _present((name, _read(data, name, "FLOAT2")) for name in wanted.uv if name is not None),
         _present((name, _grid(data, name)) for name in _grid_names(material.medium)),
     )
-    return convert_points(points, material, lookup, shape)
+    return convert_points(points.take(rows), material, lookup, shape)
 
 
 def convert_points(
@@ -244,16 +261,6 @@ def _read(data: Data, name: str, kind: str) -> np.ndarray | None:
     if attribute is None or attribute.data_type != kind or attribute.domain != "POINT":
         return None
     return arrays.values(attribute, READABLE_TYPES[kind], np.float32)
-
-
-def _station(data: Data) -> np.ndarray | None:
-    """Which station saw each point, (N,) int32; None without such an attribute."""
-    attribute = data.attributes.get(STATION)
-    if attribute is None or attribute.domain != "POINT" or attribute.data_type not in ("INT", "INT8"):
-        return None
-    found = np.empty(len(attribute.data), np.int32)
-    attribute.data.foreach_get("value", found)
-    return found
 
 
 def _opacity(data: Data) -> np.ndarray | None:

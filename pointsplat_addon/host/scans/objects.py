@@ -19,8 +19,8 @@ from ...core.surface.nearest import scan_spacing
 from ...formats.points.gather import Gathered
 from ..convert.point_shapes import STATIONS
 from ..convert.pointcloud import DEFAULT_RADIUS
+from ..convert.selection.filters import ORIGIN
 
-ORIGIN = "pointsplat_origin"
 TIME_START = "pointsplat_time_start"
 CRS = "pointsplat_crs"
 COLOR = "Col"

@@ -14,9 +14,10 @@ from bpy_extras.io_utils import ImportHelper
 from ...formats.points.gather import Selection
 from ...formats.points.opening import FORMATS, open_points
 from ...formats.points.reader import PointFileError
+from ..convert.selection.filters import ORIGIN, class_numbers
 from . import looks
 from .importing import import_scan, unit_of
-from .objects import ORIGIN
+from .sequences import import_sequence
 
 ENDS = tuple(end for end in FORMATS if end.startswith("."))
 SLICE = 0.1  # seconds of reading between two looks at the window
@@ -60,10 +61,21 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
         default=True,
     )
 
+    sequence: BoolProperty(
+        name="Sequence",
+        description="The file is one of numbered PLY files, as frame_0001.ply. One object reads the file of the "
+        "scene's frame, by geometry nodes, which other engines show as well",
+        default=False,
+        options={"SKIP_SAVE"},
+    )
+
     def draw(self, _context):
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
+        layout.prop(self, "sequence")
+        if self.sequence:
+            return
         layout.prop(self, "attributes")
         layout.prop(self, "every")
         layout.prop(self, "classes")
@@ -81,6 +93,8 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
 
     def execute(self, context):
         paths = self._paths()
+        if self.sequence:
+            return self._import_sequence(context, paths[0])
         try:
             selection = Selection(self._attributes(), self.every, self._box(), self._classes())
             unit = self._unit(paths[0])
@@ -99,6 +113,16 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
         manager.modal_handler_add(self)
         context.workspace.status_text_set("Importing points; Esc cancels")
         return {"RUNNING_MODAL"}
+
+    def _import_sequence(self, context: Any, path: Path) -> set[str]:
+        try:
+            ob, warnings = import_sequence(context, path)
+        except (PointFileError, OSError, MemoryError) as error:
+            self.report({"ERROR"}, str(error) or "There is not enough memory for the points")
+            return {"CANCELLED"}
+        for warning in warnings:
+            self.report({"WARNING"}, f"{ob.name}: {warning}")
+        return {"FINISHED"}
 
     def modal(self, context, event):
         result = None
@@ -149,10 +173,7 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
         return (tuple(self.box_low), tuple(self.box_high)) if self.use_box else None
 
     def _classes(self) -> frozenset[int] | None:
-        words = self.classes.replace(",", " ").split()
-        if not all(word.isdigit() for word in words):
-            raise ValueError(f'Classes are numbers such as 2, 6; "{self.classes}" has something else')
-        return frozenset(map(int, words)) or None
+        return class_numbers(self.classes) or None
 
     def _unit(self, path: Path) -> float:
         if not self.use_unit:

@@ -103,7 +103,18 @@ SHAPE_ITEMS: dict[str, Item] = {
 RADIUS_UNIT_ITEMS: dict[str, Item] = {
     "OBJECT": ("OBJECT", "Object", "The object's unit of length, before its scale"),
     "SPACING": ("SPACING", "Spacing", "The median distance between points and their nearest neighbours"),
+    "PIXELS": (
+        "PIXELS",
+        "Pixels",
+        "Pixels of the picture, or of the viewport, whatever the distance: each view sizes all points anew, which "
+        "takes time for very many in a viewport that moves. Shadows are as wide as what the view shows",
+    ),
 }
+
+CLIP_ITEMS: list[Item] = [
+    ("INSIDE", "Inside", "Points in any of the boxes"),
+    ("OUTSIDE", "Outside", "Points in none of the boxes"),
+]
 
 # Name and tooltip of each field of Settings
 LABELS: dict[str, tuple[str, str]] = {
@@ -139,6 +150,13 @@ LABELS: dict[str, tuple[str, str]] = {
         "Number of cells in half a turn around each light in which shadows are stored; more make sharper shadows. "
         "Depth maps of lights without a size have twice as many texels along a side",
     ),
+    "use_eye_dome": (
+        "Eye-Dome Lighting",
+        "Pixels are darker the more their neighbours lie in front of them, so that scans without light or colour show "
+        "their shape (Boucheny 2009). Drawn by the Visibility Buffer, without depth of field",
+    ),
+    "eye_dome_strength": ("Strength", "How much a step in depth darkens what lies behind it"),
+    "eye_dome_radius": ("Radius", "Distance of the neighbours that a pixel is compared with, in pixels of the picture"),
     "dof_method": ("Depth of Field", "How cameras with depth of field blur what is out of focus"),
     "budget": ("Budget", "What decides how many samples are drawn and how coarse the points may be"),
     "time_budget": (

@@ -112,6 +112,20 @@ class POINTSPLAT_RENDER_PT_shadows(_Panel, bpy.types.Panel):
         layout.prop(settings, "shadow_resolution")
 
 
+class POINTSPLAT_RENDER_PT_eye_dome(_Panel, bpy.types.Panel):
+    bl_label = "Eye-Dome Lighting"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.pointsplat, "use_eye_dome", text="")
+
+    def draw(self, context):
+        settings, layout = context.scene.pointsplat, self.split_layout()
+        layout.active = settings.use_eye_dome
+        layout.prop(settings, "eye_dome_strength")
+        layout.prop(settings, "eye_dome_radius")
+
+
 class POINTSPLAT_RENDER_PT_depth_of_field(_Panel, bpy.types.Panel):
     bl_label = "Depth of Field"
     bl_options = {"DEFAULT_CLOSED"}
@@ -268,6 +282,7 @@ CLASSES = (
     POINTSPLAT_RENDER_PT_budget,
     POINTSPLAT_RENDER_PT_points,
     POINTSPLAT_RENDER_PT_shadows,
+    POINTSPLAT_RENDER_PT_eye_dome,
     POINTSPLAT_RENDER_PT_depth_of_field,
     POINTSPLAT_RENDER_PT_film,
     POINTSPLAT_RENDER_PT_performance,

@@ -5,15 +5,20 @@ from typing import Any
 
 import bpy
 import numpy as np
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
 
 from ...core.scene.settings import PRIMITIVES, RADIUS_UNITS, SHAPES, Settings
 from .. import engine
-from .labels import ITEMS, LABELS, PRIMITIVE_ITEMS, RADIUS_UNIT_ITEMS, SHAPE_ITEMS
-
-
-def changed(_properties: Any, _context: bpy.types.Context) -> None:
-    """Do nothing. Without an update callback Blender does not refresh evaluated copies after a script's change."""
+from .labels import CLIP_ITEMS, ITEMS, LABELS, PRIMITIVE_ITEMS, RADIUS_UNIT_ITEMS, SHAPE_ITEMS
+from .point_filters import PointSplatFilter, changed
 
 
 def device_changed(_properties: Any, _context: bpy.types.Context) -> None:
@@ -99,6 +104,26 @@ class PointSplatObject(bpy.types.PropertyGroup):
         description="What the radius of the points of a point cloud counts in",
         items=[RADIUS_UNIT_ITEMS[n] for n in RADIUS_UNITS],
         default="OBJECT",
+        update=changed,
+    )
+    filters: CollectionProperty(
+        type=PointSplatFilter,
+        name="Filters",
+        description="Conditions that the points of a point cloud must all meet to be drawn",
+    )
+    clip_boxes: PointerProperty(
+        type=bpy.types.Collection,
+        name="Collection",
+        description="Clip boxes of a point cloud: all empties of this collection. A box is the cube that an empty "
+        "displayed as Cube is drawn as, from -1 to 1 times its display size along each of its own axes, with its "
+        "rotation and scale. Hidden empties clip, too, where they were seen last",
+        update=changed,
+    )
+    clip_keep: EnumProperty(
+        name="Keep",
+        description="Which points are drawn",
+        items=CLIP_ITEMS,
+        default="INSIDE",
         update=changed,
     )
     extinction: FloatProperty(

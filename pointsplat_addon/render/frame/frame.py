@@ -81,6 +81,7 @@ class Frame:
         # Of what lies under the pixels' centres, where it is known.
         self.central: GBuffer | None = None
         self.depths: CentreDepths | None = None
+        self._darkened = 0  # samples in the picture with eye-dome lighting
         self._turns = sample_offsets(self.frame_plan.request.samples)
         self._data = DataPasses(self.frame_plan.scene, self.frame_plan.request)
         self._owned: list[Any] = []
@@ -164,6 +165,8 @@ class Frame:
         if self.adaptive is not None and self.done < self.frame_plan.request.samples:
             adaptive = self.adaptive
             self.clock.run("adapt", lambda: self._adapt(adaptive))
+        if self.presented:
+            self._darken()
         if self.presented and (self.complete or is_checkpoint(self.done)) and not self.hurried:
             self._gather()
         return not self.complete
@@ -292,6 +295,17 @@ class Frame:
         if adaptive.check(self.done) and projection is not None and not adaptive.finished:
             uploads.points.narrow(projection.within(uploads.points.draws, view, uploads.shared, adaptive.gathered))
 
+    def _darken(self) -> None:
+        """Brings eye-dome lighting into the picture so far."""
+        if not self.frame_plan.plan.eye_dome or self._darkened == self.done:
+            return
+        dome, centre, self._darkened = self.targets.eye_dome, self._centre, self.done
+        assert dome is not None
+        assert centre is not None
+        settings = self.frame_plan.request.settings
+        radius, strength = settings.eye_dome_radius, settings.eye_dome_strength
+        self.clock.run("eye dome", lambda: dome.draw(self.targets.sums[0], centre, self.view, radius, strength))
+
     def _gather(self) -> None:
         """Gathers the splats that are out of focus into the picture so far."""
         if self.out_of_focus is not None:
@@ -308,7 +322,9 @@ class Frame:
     @property
     def color(self) -> Texture:
         """The texture of the sum of all samples so far: premultiplied, scene-linear. `present` averages it."""
-        return self.targets.sums[0] if self.out_of_focus is None else self.targets.seen
+        if self.out_of_focus is not None:
+            return self.targets.seen
+        return self.targets.sums[0] if self.targets.eye_dome is None else self.targets.eye_dome.lit
 
     def other(self, request: Request, samples: int) -> np.ndarray | None:
         """Returns the mean, (H, W, 4) float32, of `samples` samples of the scene by another request.
@@ -386,7 +402,8 @@ class Frame:
         if self.out_of_focus is not None:
             self._gather()
             return self._cropped(self.targets.seen)
-        return self._cropped(self.targets.sums[0]) / self.counts()
+        self._darken()
+        return self._cropped(self.color) / self.counts()
 
     def pixels(self) -> dict[str, np.ndarray]:
         """Returns every requested pass, (H, W, C) float32 by name."""
@@ -395,7 +412,9 @@ class Frame:
         if self.frame_plan.trivial:
             return self._empty(wanted)
         self._gather()
-        sums, samples = (self.targets.sums, self.counts()) if self.out_of_focus is None else ([self.color], 1)
+        self._darken()
+        sums = [self.color, *self.targets.sums[1:]] if plan.picture else self.targets.sums
+        sums, samples = (sums, self.counts()) if self.out_of_focus is None else ([self.color], 1)
         out: dict[str, np.ndarray] = {}
         names = (*(("combined",) if plan.picture else ()), *averages.averaged(passes))
         for name, texture in zip(names, sums, strict=True):

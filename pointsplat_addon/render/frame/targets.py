@@ -6,6 +6,7 @@ from typing import Any
 
 from ..device.protocol import Device, Target, Texture, releases_on_failure
 from ..passes.image_space.projection import Projection
+from ..passes.output.eye_dome import EyeDome
 from ..passes.shading import averages, data
 from ..passes.translucent.blend import COARSE
 from ..plan.plan import Plan
@@ -58,6 +59,7 @@ class Targets:
             self.data_surfels = self._own(make_surfels(device, plan, plan.data_variant, size, count))
             if len(self.sums) > plan.picture:
                 self.averages_target: Target = self._own(device.target(self.sums[plan.picture :]))
+        self.eye_dome = self._own(EyeDome(device, size)) if plan.eye_dome else None
         self.layer: Texture | None = None
         self.depth: Texture | None = None
         if plan.translucent is not None and not plan.defocus and self.visibility is None:
@@ -108,7 +110,7 @@ class Pool:
         key = (size, count, most_cells,
                plan.sub_samples, plan.filter_size, plan.central, plan.background, plan.points, plan.ewa, plan.polygons,
                plan.spheres, plan.lines, plan.variant, plan.options,
-               plan.painter and plan.data_variant, plan.defocus, plan.picture,
+               plan.painter and plan.data_variant, plan.defocus, plan.picture, plan.eye_dome,
                averages.averaged(passes),
                None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),
                (plan.data_variant, data.data(passes)) if plan.data else None)  # fmt: skip

@@ -16,6 +16,7 @@ from ...core.numeric.pixel_filter import filter_reach
 from ...core.numeric.record import record
 from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
+from ...core.scene.settings import Settings
 from ...core.scene.validation import validate
 from ...core.splat.blur import defocus_blur
 from ..cache.keys import Key, Kind
@@ -39,7 +40,7 @@ from .auxiliary import auxiliary_picture
 from .lens_view import camera_of_whole_lens
 from .make_plan import ViewToPlan, make_plan
 from .plan import Plan
-from .reasons import Absences
+from .reasons import Absences, why_no_eye_dome
 from .request import Request
 from .technique import Technique, TechniqueInput, confirm_technique, decide_technique
 
@@ -169,7 +170,7 @@ def make_frame_plan(
         prepared = with_defocus_among_translucent(prepared)
 
     prepared, out_of_view = without_invisible_layers(
-        scene, prepared, with_filter_margin(camera, request.settings.filter_size), store
+        scene, prepared, with_filter_margin(camera, neighbourhood(request.settings)), store
     )
     scene, reflects, negligible = without_negligible(scene, prepared, camera.view_from_world, store)
     shadows, unshadowed = _shadows(scene, prepared, request, store, clock, limits)
@@ -185,6 +186,7 @@ def make_frame_plan(
         out_of_view,
         "" if defocus_blur(camera) is None or through_lens else "nothing is out of focus",
         LENS_SAMPLES_BLUR if through_lens else why_not_blurred(scene, camera),
+        why_no_eye_dome(request.settings, technique.name, _has_opaque(prepared), prepared.out_of_focus is not None),
     )
     ewa = technique.name == "EWA"
     sub_samples = 0
@@ -194,7 +196,9 @@ def make_frame_plan(
     plan = make_plan(
         ViewToPlan(scene, prepared, request, shadows, ewa, painter, reflects, picture, sub_samples, presented, absences)
     )
-    radius = filter_reach(plan.filter_size) if sub_samples else plan.splat_radius(prepared.largest)
+    some = _has_opaque(prepared) or prepared.out_of_focus is not None
+    lacks_eye_dome = request.settings.use_eye_dome and picture and some and not plan.eye_dome
+    radius = filter_reach(neighbourhood(request.settings)) if sub_samples else plan.splat_radius(prepared.largest)
     view, corner = with_margin(camera, radius, limits.texture_size)
     return FramePlan(
         scene,
@@ -213,6 +217,7 @@ def make_frame_plan(
             *warnings,
             *of_parts,
             *((technique.warning,) if technique.warning else ()),
+            *((f"Eye-dome lighting is left out: {absences.eye_dome}",) if lacks_eye_dome else ()),
             *prepared.warnings,
             *(shadows.warnings if shadows else ()),
         ),
@@ -229,7 +234,7 @@ def _prepared(
     clock: Clock,
 ) -> Prepared:
     """What the camera, or any point on its lens, sees, prepared for a technique."""
-    camera = with_filter_margin(request.camera, request.settings.filter_size)
+    camera = with_filter_margin(request.camera, neighbourhood(request.settings))
     return prepare(
         scene,
         camera_of_whole_lens(scene, camera, store) if through_lens else camera,
@@ -280,6 +285,11 @@ def _shadows(
     if found.tables is not None:
         clock.spent["shadows"] = 1000 * (time.perf_counter() - before)
     return found, ""
+
+
+def neighbourhood(settings: Settings) -> float:
+    """Returns how far what a pixel takes in lies from its centre, in pixels."""
+    return max(settings.filter_size, settings.eye_dome_radius + 0.5 if settings.use_eye_dome else 0.0)
 
 
 def with_filter_margin(camera: Camera, filter_size: float) -> Camera:

@@ -105,6 +105,7 @@ def make_plan(view: ViewToPlan) -> Plan:
         sub_samples=view.sub_samples,
         filter_size=view.request.settings.filter_size,
         presented=view.presented,
+        eye_dome=_eye_dome(view, kinds),
         defocus=view.defocus,
         backdrop=not view.absences.blurred_world,
         picture=view.picture,
@@ -161,6 +162,12 @@ def _ewa(view: ViewToPlan, kinds: _Kinds) -> EwaOptions | None:
     balls = any(p.cloud.has_balls for p in view.prepared.point_sets.values())
     request = view.request
     return ewa_options(request.camera, view.prepared.largest, balls, request.samples, request.settings.filter_size)
+
+
+def _eye_dome(view: ViewToPlan, kinds: _Kinds) -> bool:
+    """Whether the picture is darkened by its depths, which the visibility buffer has of what is opaque."""
+    wanted = view.request.settings.use_eye_dome and view.picture
+    return wanted and view.sub_samples > 0 and kinds.solid and not view.defocus
 
 
 # Variants of the G-buffer

@@ -41,6 +41,7 @@ class Plan:
         0  # of each pixel in each sample of the picture, by the visibility buffer; 0: by another technique
     )
     filter_size: float = FILTER_SIZE  # pixels: core/numeric/pixel_filter.py
+    eye_dome: bool = False  # Combined is darkened by the depths under the pixels' centres: passes/output/eye_dome.py
     defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus.py
 
     @property
@@ -51,7 +52,7 @@ class Plan:
     @property
     def central(self) -> bool:
         """Whether a G-buffer holds what lies under the pixels' centres, beside the groups of sub-samples."""
-        return self.sub_samples > 0 and (self.data or (self.presented and not self.defocus))
+        return self.sub_samples > 0 and (self.data or self.eye_dome or (self.presented and not self.defocus))
 
     @property
     def shaded(self) -> Plan:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Set
 from dataclasses import field
 
 from ...core.numeric.record import value_record
+from ...core.scene.settings import Settings
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import data
 from .plan import Plan
@@ -45,6 +46,7 @@ PASSES: dict[str, str] = {
     "enlarge": "a coarse translucent picture to the size of the fine one",
     "difference": "what translucent splats change in a layer, by the pixel filter",
     "add": "a sample with what is translucent to the sums",
+    "eye dome": "pixels darkened by what lies in front of their neighbours",
     "adapt": "tiles whose samples agree are found",
 }
 IMAGE_SPACE, BY_EWA = ("project", "resolve", "pull", "push"), ("splats", "visibility", "blend", "normalise")
@@ -68,6 +70,7 @@ class Absences:
     out_of_view: Mapping[str, str] = field(default_factory=dict)  # by kind of things (render/prepare/in_view.py)
     out_of_focus: str = ""  # beyond that the camera has no depth of field
     blurred_world: str = "the camera has no depth of field"
+    eye_dome: str = "eye-dome lighting is switched off"
 
 
 def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str, str]:
@@ -98,9 +101,22 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
         found["backdrop"] = absences.blurred_world
     if not plan.background:
         found["background"] = "the pass defocus draws the world" if plan.defocus else "the film is transparent"
+    if not plan.eye_dome:
+        found["eye dome"] = absences.eye_dome
     if not plan.defocus:
         found |= dict.fromkeys(("tiles", "defocus"), absences.out_of_focus or "the camera has no depth of field")
     return found | _of_translucent(plan, not unshadowed, unseen.get("translucent", "nothing is translucent"))
+
+
+def why_no_eye_dome(settings: Settings, technique: str, opaque: bool, out_of_focus: bool) -> str:
+    """Returns why a picture has no eye-dome lighting; empty where it has. `opaque`: something is."""
+    if not settings.use_eye_dome:
+        return "eye-dome lighting is switched off"
+    if out_of_focus:
+        return "something is out of focus"
+    if technique != "VISIBILITY":
+        return f"the technique {technique} has no depths of one kind for it"
+    return "" if opaque else "nothing opaque is drawn"
 
 
 def _of_points(plan: Plan, none: str) -> dict[str, str]:

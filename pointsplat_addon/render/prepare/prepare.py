@@ -188,9 +188,11 @@ def _ball_trees(
     view: View, drawn: _DrawnPrimitives, view_from_object: np.ndarray
 ) -> dict[int, tuple[PointSet, BallTree]]:
     """Returns the opaque sets of balls that have nodes in the visibility buffer, with these, by key."""
-    found = {}
+    found, geometries = {}, view.scene.geometries
     for key, points in drawn.opaque.sets.items():
         view.check()
+        if view.interactive and key < len(geometries) and geometries[key].pixel_radius > 0:
+            continue  # the next view would need others
         tree = ball_tree_if_it_pays(view, points, view_from_object[drawn.opaque.set_of_instance == key])
         if tree is not None:
             found[key] = points, tree

@@ -163,6 +163,9 @@ ROWS: dict[str, Row] = {
     "visibility buffer, points and polygons, out of focus, depth": Row(
         lambda: with_settings(through_a_lens("SPLAT"), technique="VISIBILITY"), COMBINED | {"depth"}
     ),
+    "visibility buffer, polygons, eye-dome lighting": Row(
+        lambda: with_settings(solid_cases.cube(), technique="VISIBILITY", use_eye_dome=True)
+    ),
     "EWA": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA")),
     "EWA, adaptive": Row(lambda: with_settings(solid_cases.sphere(), technique="EWA"), samples=16),
     "EWA among polygons": Row(lambda: with_settings(solid_cases.mixed(), technique="EWA")),
