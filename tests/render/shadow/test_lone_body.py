@@ -51,7 +51,7 @@ def test_its_picture_is_that_with_shadows(light: str, monkeypatch) -> None:
     np.testing.assert_array_equal(without, shadowed)
 
 
-@pytest.mark.parametrize("alone", (True, False))
+@pytest.mark.parametrize("alone", [True, False])
 def test_of_a_light_that_its_plane_cuts_a_face_has_what_is_above(alone: bool) -> None:
     matt = build.materials(specular=np.zeros(1), roughness=np.ones(1))
     others = [] if alone else [(cube("far away"), build.moved((30, 0, 0)))]
@@ -70,7 +70,7 @@ def test_of_a_light_that_its_plane_cuts_a_face_has_what_is_above(alone: bool) ->
         of = of[:: max(1, len(of) // 40)]
         return float(np.median([lit[y, x] / irradiance(position[y, x], normal[y, x]) for y, x in of]))
 
-    # 2.1e-4 apart, by maps as well, and by the normals that the picture shows: by (0, 0, 1), 0.8 %. If maps hide what is
+    # 2.1e-4 apart, by maps as well, by the normals that the picture shows: by (0, 0, 1), 0.8 %. If maps hide what is
     # below the plane, the upper face has a third of its light.
     assert share(2, 1) == pytest.approx(share(1, -1), rel=1e-3)
 
