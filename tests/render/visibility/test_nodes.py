@@ -128,7 +128,10 @@ def test_nodes_err_little_more_than_their_balls_do(relative, jitter, eye, divide
     nodes = picture(divided, True, scene, camera)[inner]
     assert abs((nodes - truth)[..., 3].mean()) < 0.04  # measured 0.032
     assert abs((nodes - truth)[..., :3].mean()) < 0.06  # measured 0.047, of 0.5
-    assert rmse(nodes, truth) < 1.9 * rmse(balls, truth)  # measured 1.76, of dense balls seen from above
+    # Measured 0.0432, of dense balls, and of the balls themselves 0.0429, of others. Where groups were shaded by the
+    # normals of their leaders it was 0.0636 and 0.0481.
+    assert rmse(nodes, truth) < 0.045
+    assert rmse(balls, truth) < 0.045
 
 
 def test_closed_surfaces_have_no_holes(divided):
