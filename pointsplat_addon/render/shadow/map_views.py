@@ -287,6 +287,9 @@ def _cube(
     bound = np.full(2, 1.0 if shape is None else 1 + BEYOND)
     for face in range(6):
         axis, side = divmod(face, 2)
+        if shape is not None and not shape.facing and face == 5:
+            views.append(None)  # a flat light does not shine backwards
+            continue
         second, third = turned[(axis + 1) % 3], turned[(axis + 2) % 3]
         axes = np.stack([second, third, -turned[axis]] if side else [third, second, turned[axis]])
         texels = resolution, 2 * resolution

@@ -191,8 +191,8 @@ def _stretch(mesh: Mesh, order: np.ndarray | None, range_: range, uv: np.ndarray
     corners = mesh.position[mesh.triangles[some if order is None else order[some]]].astype(np.float64)
     edges = corners[:, 1:] - corners[:, :1]
     along = uv.reshape(-1, 3, 2)[some].astype(np.float64)
-    along = along[:, 1:] - along[:, :1]
     with np.errstate(all="ignore"):
+        along = along[:, 1:] - along[:, :1]
         metric, change = (edge @ edge.swapaxes(1, 2) for edge in (edges, along))
         area = np.linalg.det(metric)
         trace = (metric[:, 1, 1] * change[:, 0, 0] + metric[:, 0, 0] * change[:, 1, 1]) / area
