@@ -290,7 +290,7 @@ def _moved_to(filtered: SampleInputs, inputs: SampleInputs, end: SampleInputs) -
 
 
 def _shifted(of: SampleInputs, end: SampleInputs, start: SampleInputs, share: float) -> SampleInputs:
-    """Some inputs with their coordinates moved by a share of the way from `start` to `end`."""
+    """The inputs `of`, their coordinates moved by a share of the way from those of `start` to those of `end`."""
     part = np.float32(share)
     places = {
         name: getattr(of, name) + part * (getattr(end, name) - getattr(start, name))

@@ -56,7 +56,7 @@ class PointSplatFilter(bpy.types.PropertyGroup):
 
 
 class _FilterOperator:
-    """Of a point cloud's list of filters."""
+    """What operators on a point cloud's list of filters have in common."""
 
     bl_options = {"REGISTER", "UNDO"}
 
@@ -83,11 +83,8 @@ class POINTSPLAT_OT_add_point_filter(_FilterOperator, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class POINTSPLAT_OT_fit_point_filter(_FilterOperator, bpy.types.Operator):
-    """Set the range of the filter to that of the object's points"""
-
-    bl_idname = "pointsplat.fit_point_filter"
-    bl_label = "Range of the Points"
+class _ChosenFilterOperator(_FilterOperator):
+    """An operator on one filter of the list."""
 
     index: IntProperty(name="Index", description="Which filter of the list", default=0, min=0)
 
@@ -96,29 +93,32 @@ class POINTSPLAT_OT_fit_point_filter(_FilterOperator, bpy.types.Operator):
         if self.index >= len(filters):
             self.report({"ERROR"}, f"{context.object.name} has {len(filters)} filters")
             return {"CANCELLED"}
-        problem = _fit(context, context.object, filters[self.index])
-        if problem:
+        if problem := self.change(context, filters):
             self.report({"ERROR"}, f"{context.object.name}: {problem}")
             return {"CANCELLED"}
         return {"FINISHED"}
 
 
-class POINTSPLAT_OT_remove_point_filter(_FilterOperator, bpy.types.Operator):
+class POINTSPLAT_OT_fit_point_filter(_ChosenFilterOperator, bpy.types.Operator):
+    """Set the range of the filter to that of the object's points"""
+
+    bl_idname = "pointsplat.fit_point_filter"
+    bl_label = "Range of the Points"
+
+    def change(self, context, filters):
+        return _fit(context, context.object, filters[self.index])
+
+
+class POINTSPLAT_OT_remove_point_filter(_ChosenFilterOperator, bpy.types.Operator):
     """Remove the filter; the points that it hides are shown again"""
 
     bl_idname = "pointsplat.remove_point_filter"
     bl_label = "Remove Filter"
 
-    index: IntProperty(name="Index", description="Which filter of the list", default=0, min=0)
-
-    def execute(self, context):
-        filters = context.object.pointsplat.filters
-        if self.index >= len(filters):
-            self.report({"ERROR"}, f"{context.object.name} has {len(filters)} filters")
-            return {"CANCELLED"}
+    def change(self, context, filters):
         filters.remove(self.index)
         context.object.update_tag()  # lists have no update callback
-        return {"FINISHED"}
+        return ""
 
 
 def _fit(context: bpy.types.Context, ob: bpy.types.Object, made: Any) -> str:

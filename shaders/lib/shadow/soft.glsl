@@ -17,7 +17,8 @@
 
 // A light, the view of it through which the receiver is looked at, and what receives.
 struct PsSoftLight {
-  bool parallel, flat_shape;  // flat_shape: seen from its points; else from where rays from them meet the plane of its middle
+  bool parallel, cube;
+  bool flat_shape;  // flat_shape: seen from its points; else from where rays from them meet the plane of its middle
   mat3 turn;  // from view space to the light's, with
   vec3 offset;
   vec3 at, normal;  // of the receiver in the light's space
@@ -141,6 +142,21 @@ vec3 ps_soft_tap(PsSoftLight s, PsSoftSight sight, vec2 shift, ivec2 tile, vec2 
   return vec3(1.0 - dot(hidden, vec4(1.0)), dot(hidden, height), dot(hidden, vec4(1.0)));
 }
 
+// How a cell's view sees the receiver, which is turned to that view where each has a face of its own. middle: of the cell, on
+// the half-axes of the light. from: where the view is, in its space; weight: what comes from there, 0 where it is not shown.
+PsSoftSight ps_soft_cell(inout PsSoftLight s, int light, vec2 middle, vec3 half_u, vec3 half_v, float pixel, out vec3 from,
+                         out float weight)
+{
+  vec3 there = middle.x * half_u + middle.y * half_v;
+  if (s.cube && s.flat_shape) {
+    ps_soft_face(s, light, s.at - there);
+  }
+  from = s.flat_shape ? s.face * there : vec3(middle.x * s.cell.xy + middle.y * s.cell.zw, 0.0);
+  PsSoftSight sight = ps_soft_sight(s, from, pixel);
+  weight = sight.shown ? ps_soft_weight(s, there) : 0.0;
+  return sight;
+}
+
 // Share of the light of light `light`, one with a size, that no caster of its maps keeps from a point in view space.
 float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
 {
@@ -149,21 +165,21 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
   vec4 z = texelFetch(ps_map_lights, ivec2(2, light), 0);
   vec4 first = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE, light), 0);
   vec3 half_u = first.xyz, half_v = texelFetch(ps_map_lights, ivec2(PS_SOFT_SHAPE + 1, light), 0).xyz;
-  bool cube = -head.x == PS_MAP_CUBE;
   PsSoftLight s;
+  s.cube = -head.x == PS_MAP_CUBE;
   s.parallel = -head.x == PS_MAP_PARALLEL;
   s.flat_shape = !s.parallel && first.w < 0.5;
   s.turn = transpose(mat3(x.xyz, y.xyz, z.xyz));
   s.offset = vec3(x.w, y.w, z.w);
   s.face = mat3(1.0);
-  s.seen = cube ? PS_SOFT_SEEN : 1e30;
+  s.seen = s.cube ? PS_SOFT_SEEN : 1e30;
   vec3 q = s.turn * position + s.offset;
   int view = 0;
 #ifdef PS_SHADOW_NESTED
   view = s.parallel ? ps_nested_map(light, q) : view;
   s.lift = s.parallel && view > 0 ? texelFetch(ps_map_lights, ivec2(PS_MAP_NESTED + 2 * view - 1, light), 0).z : 0.0;
 #endif
-  if (cube) {
+  if (s.cube) {
     ps_soft_face(s, light, q);
   }
   else {
@@ -190,13 +206,9 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     ps_soft_receive_next(s, members, normal);
 #endif
     vec4 middle = texelFetch(ps_map_lights, ivec2(i * (1 + PS_POINTS_OF_CELL), row), 0);
-    vec3 there = middle.x * half_u + middle.y * half_v;
-    if (cube && s.flat_shape) {
-      ps_soft_face(s, light, s.at - there);
-    }
-    vec3 from = s.flat_shape ? s.face * there : vec3(middle.x * s.cell.xy + middle.y * s.cell.zw, 0.0);
-    PsSoftSight sight = ps_soft_sight(s, from, pixel);
-    float weight = sight.shown ? ps_soft_weight(s, there) : 0.0;
+    vec3 from;
+    float weight;
+    PsSoftSight sight = ps_soft_cell(s, light, middle.xy, half_u, half_v, pixel, from, weight);
     sum += weight * ps_soft_tap(s, sight, middle.zw, ivec2(i % columns, i / columns), vec2(0.0));
     total += weight;
   }
@@ -212,14 +224,9 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     int column = i * (1 + PS_POINTS_OF_CELL);
     ivec2 tile = ivec2(i % columns, i / columns);
     vec4 middle = texelFetch(ps_map_lights, ivec2(column, row), 0);
-    vec3 there = middle.x * half_u + middle.y * half_v;
-    if (cube && s.flat_shape) {
-      ps_soft_face(s, light, s.at - there);
-    }
-    vec3 from = s.flat_shape ? s.face * there : vec3(middle.x * s.cell.xy + middle.y * s.cell.zw, 0.0);
-    PsSoftSight sight = ps_soft_sight(s, from, pixel);
-    // A view from below the receiver's plane shows its other side.
-    float least = sight.shown ? ps_soft_weight(s, there) : 0.0;
+    vec3 from;
+    float least;  // a view from below the receiver's plane shows its other side
+    PsSoftSight sight = ps_soft_cell(s, light, middle.xy, half_u, half_v, pixel, from, least);
     for (int k = 1; k <= PS_POINTS_OF_CELL; k++) {
       vec2 own = texelFetch(ps_map_lights, ivec2(column + k, row), 0).xy;
       vec3 point = own.x * half_u + own.y * half_v, apart = s.face * point - from;

@@ -131,6 +131,9 @@ def test_nodes_err_little_more_than_their_balls_do(relative, jitter, eye, divide
     # Measured 0.0432, of dense balls, and of the balls themselves 0.0429, of others. Where groups were shaded by the
     # normals of their leaders it was 0.0636 and 0.0481.
     assert rmse(nodes, truth) < 0.045
+    # Measured 1.89; 2.05 of dense balls seen aslant, the worst case above: the balls themselves err by 0.0210 there,
+    # and erred by 0.0323 by leaders.
+    assert rmse(nodes, truth) < max(1.9 * rmse(balls, truth), 0.044)
     assert rmse(balls, truth) < 0.045
 
 

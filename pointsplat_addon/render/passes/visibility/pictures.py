@@ -71,7 +71,7 @@ def _samplers(graph: MaterialGraph, emission: bool) -> dict[str, tuple[str, tupl
 
 
 def _constants(table: MaterialTable, row: int) -> dict[str, np.ndarray]:
-    """Of channels that share a texture with one that varies."""
+    """The values (C,) by name of channels that do not vary but share a texture with one that does."""
     return {"base_color": table.base_color[row], "alpha": np.ones(1), "roughness": table.roughness[[row]],
             "metallic": table.metallic[[row]]}  # fmt: skip
 
