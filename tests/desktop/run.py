@@ -411,12 +411,14 @@ def story(args):
     watch_renders()
     bpy.context.preferences.view.render_display_type = "NONE"  # F12 leaves the window as it is
     fill_scene()
-    space = viewport()[3]
+    _, area, _, space = viewport()
     space.shading.type = "SOLID"
     yield 1.0
     solid = shoot(args.output, "solid")
     space.shading.type = "RENDERED"
-    yield 3.0
+    meter = Meter()
+    yield from rest(meter, area)  # the first picture waits for shaders to be compiled
+    meter.end()
     rendered = shoot(args.output, "rendered")
     check(difference(solid, rendered) > 0.02, "Rendered looks different from Solid")
     colors = {tuple(round(c * 15) for c in pixel) for row in rendered for pixel in row}

@@ -156,6 +156,18 @@ def test_headers_that_lie_are_told(tmp_path, place, layout, value, says):
         open_points(path)
 
 
+def test_a_record_behind_the_points_longer_than_the_file_is_told(tmp_path):
+    las, _ = scan(6)
+    las.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("someone", 7, "", b"four")])
+    las.write(str(tmp_path / "a.las"))
+    (first,) = struct.unpack_from("<Q", (tmp_path / "a.las").read_bytes(), 235)
+    with open_points(tmp_path / "a.las") as reader:
+        assert reader.header.count == 2000
+    damaged(tmp_path / "a.las", first + 20, "<Q", 1 << 40)
+    with pytest.raises(PointFileError, match="a record behind its points that ends at byte"):
+        open_points(tmp_path / "a.las")
+
+
 def test_more_points_promised_than_there_are(tmp_path):
     las, _ = scan(6)
     las.write(str(tmp_path / "a.las"))

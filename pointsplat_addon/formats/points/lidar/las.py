@@ -162,10 +162,7 @@ def _check_header(path: Path) -> int | None:
             raise PointFileError(path, f"promises {records:,} records before its points, for which there is no room")
         if head[25] >= 4 and len(head) == 375:
             first, extended = struct.unpack_from("<QI", head, 235)
-            if extended and (first > size or 60 * extended > size - first):
-                raise PointFileError(
-                    path, f"promises {extended:,} records behind its points, for which there is no room"
-                )
+            _check_extended(path, file, first, extended, size)
     if point_format & 0x80:
         return None
     if length == 0:
@@ -174,7 +171,8 @@ def _check_header(path: Path) -> int | None:
 
 
 def _check_extended(path: Path, file: BinaryIO, first: int, count: int, size: int) -> None:
-    """Compares the records behind the points with the file."""
+    """Compares the `count` records behind the points, from byte `first` of `size` on, with the file. Raises
+    PointFileError."""
     if count and (first > size or EXTENDED_HEADER * count > size - first):
         raise PointFileError(path, f"promises {count:,} records behind its points, for which there is no room")
     at = first
