@@ -147,10 +147,11 @@ def _render_border(render: bpy.types.RenderSettings, width: int, height: int) ->
     """The border of a final render as (x, y, width, height) in pixels; None without a border."""
     if not render.use_border:
         return None
-    # Truncated, as Blender does: rounding asks for a result of another size.
-    x0, x1 = int(render.border_min_x * width), int(render.border_max_x * width)
-    y0, y1 = int(render.border_min_y * height), int(render.border_max_y * height)
-    return x0, y0, max(x1 - x0, 0), max(y1 - y0, 0)
+    # Multiplied in float32 and truncated, as Blender does: anything else asks for a result of another size.
+    border = np.float32([[render.border_min_x, render.border_min_y], [render.border_max_x, render.border_max_y]])
+    low, high = (border * np.float32([width, height])).astype(int)
+    extent = np.maximum(high - low, 0)
+    return int(low[0]), int(low[1]), int(extent[0]), int(extent[1])
 
 
 def _view_border(
