@@ -16,6 +16,8 @@
 #define PS_MAP_BIAS_IN_MEDIA 1.5
 #define PS_MAP_ROUNDING 2e-6  // of distances
 #define PS_MAP_STEEPEST 0.1  // cosine: surfaces that light grazes more closely are treated as this one
+#define PS_MAP_BACK vec2(0.1, 0.3)  // cosines, see ps_map_above
+#define PS_MAP_BIAS_OF_BACKS 0.02  // of the bias
 
 #if defined(PS_HAS_POINTS) || defined(PS_HAS_SPOTS) || defined(PS_SHADOW_NESTED)
 #define PS_MAP_VIEWS  // a map may have several, or none of a point
@@ -112,6 +114,14 @@ struct PsMapPlace {
   float step, facing, bias, reach, near;
 };
 
+// Share of its bias that a surface has whose plane turns away from the light. Smooth normals may see the light all the same. What
+// turns away a little is part of something round, of which triangles must not shade each other; what turns away more is the back
+// of something, which may be thinner than a texel, as leaves are.
+float ps_map_above(float cosine)
+{
+  return mix(1.0, PS_MAP_BIAS_OF_BACKS, clamp((cosine - PS_MAP_BACK.x) / (PS_MAP_BACK.y - PS_MAP_BACK.x), 0.0, 1.0));
+}
+
 // normal: unit, or zero where there is no surface. above, rise: see PsFootprint.
 PsMapPlace ps_map_place(PsMapLight light, sampler2D records, vec3 position, vec3 normal, float above, float rise)
 {
@@ -160,8 +170,9 @@ PsMapPlace ps_map_place(PsMapLight light, sampler2D records, vec3 position, vec3
 #endif
   bool oriented = dot(n, n) > 0.0;
   at.facing = dot(n, ray);
-  float cosine = max(abs(at.facing) * inversesqrt(dot(ray, ray)), PS_MAP_STEEPEST);
-  at.bias = (oriented ? (texel * above + rise) / cosine : texel * PS_MAP_BIAS_IN_MEDIA) +
+  float cosine = at.facing * inversesqrt(dot(ray, ray));
+  above *= ps_map_above(cosine);
+  at.bias = (oriented ? (texel * above + rise) / max(abs(cosine), PS_MAP_STEEPEST) : texel * PS_MAP_BIAS_IN_MEDIA) +
             PS_MAP_ROUNDING * (abs(q.z) + length(position));
   at.reach = oriented ? texel * (1.0 / PS_MAP_STEEPEST) : 0.0;
   at.near = frame.w;

@@ -112,7 +112,7 @@ PsSoftSight ps_soft_sight(PsSoftLight s, vec3 point, float pixel)
   cosine = (cosine < 0.0 ? -1.0 : 1.0) * max(abs(cosine), PS_SOFT_STEEPEST);
   sight.slope = normal.xy * sight.scale * along / cosine;
   float texel = 1.0 / (sight.scale * s.frame.z);  // world units
-  float lifted = texel * (s.oriented ? PS_MAP_BIAS : PS_MAP_BIAS_IN_MEDIA);
+  float lifted = texel * (s.oriented ? PS_MAP_BIAS * ps_map_above(cosine) : PS_MAP_BIAS_IN_MEDIA);
   sight.gain = 1.0;
 #ifdef PS_FOOTPRINT
   lifted += s.oriented ? ps_footprint.rise : 0.0;
