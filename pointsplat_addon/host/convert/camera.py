@@ -148,8 +148,8 @@ def _render_border(render: bpy.types.RenderSettings, width: int, height: int) ->
     if not render.use_border:
         return None
     # Multiplied in float32 and truncated, as Blender does: anything else asks for a result of another size.
-    border = np.float32([[render.border_min_x, render.border_min_y], [render.border_max_x, render.border_max_y]])
-    low, high = (border * np.float32([width, height])).astype(int)
+    corners = (render.border_min_x, render.border_min_y), (render.border_max_x, render.border_max_y)
+    low, high = (np.array(corners, np.float32) * np.array((width, height), np.float32)).astype(int)
     extent = np.maximum(high - low, 0)
     return int(low[0]), int(low[1]), int(extent[0]), int(extent[1])
 
