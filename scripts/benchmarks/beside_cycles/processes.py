@@ -36,16 +36,18 @@ def rendered(
     *,
     bytecode: Path,
     shader_cache: bool = True,
+    size: tuple[int, int] | None = None,
 ) -> dict:
     """What rendering a .blend file into EXR files took, the process being born for it; {"failed": why} if it did not.
 
     seconds, processor: of the clock and of all threads, from the start of the process to the first file written;
     second, second_processor: between the first and the second; peak, second_peak: bytes of memory (not the GPU's)
     until the first and the second; stages: seconds of the clock; reports: of PointSplat, for each picture.
-    `bytecode` and `shader_cache` say what earlier processes have left (scripts/common/process.py).
+    `bytecode` and `shader_cache` say what earlier processes have left (scripts/common/process.py). size: in pixels, if
+    not the file's.
     """
     asked = {"file": str(file), "program": program.name, "samples": program.samples, "seed": seed,
-             "settings": settings or {}, "outputs": [str(path) for path in outputs]}  # fmt: skip
+             "settings": settings or {}, "outputs": [str(path) for path in outputs], "size": size}  # fmt: skip
     for path in outputs:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)

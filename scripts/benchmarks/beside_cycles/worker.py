@@ -23,10 +23,13 @@ def state() -> dict[str, float]:
     return {"clock": time.monotonic(), "processor": time.process_time(), "peak": 1024 * peak}
 
 
-def work(file: str, program: str, samples: int, seed: int, settings: dict, outputs: list[str]) -> dict[str, Any]:
-    """Render the file to each of `outputs`, the camera a step further before each but the first.
+def work(
+    file: str, program: str, samples: int, seed: int, settings: dict, outputs: list[str], size: list[int] | None
+) -> dict[str, Any]:
+    """Render the file to each of `outputs`, EXR files, the camera a step further before each but the first.
 
     program: CYCLES, BLENDER_WORKBENCH, or a technique of PointSplat's. settings: of scene.pointsplat or scene.cycles.
+    size: in pixels; None: the file's.
     """
     import bpy
 
@@ -43,6 +46,11 @@ def work(file: str, program: str, samples: int, seed: int, settings: dict, outpu
     scene = bpy.context.scene
     scene.render.engine = program if native else "POINTSPLAT"
     scene.render.use_persistent_data = len(outputs) > 1
+    written = scene.render.image_settings
+    written.file_format, written.color_mode, written.color_depth = "OPEN_EXR", "RGBA", "32"
+    if size:
+        scene.render.resolution_x, scene.render.resolution_y = size
+        scene.render.resolution_percentage = 100
     own = scene.cycles if native else scene.pointsplat
     own.samples = samples
     if native:
