@@ -8,6 +8,9 @@ that scatters the share E comes back E escape / (1 - E (1 - escape)), and what m
 LEAST_ESCAPE that is about the colour which Chiang's parametrisation gives a mass of such hair; a single strand has an
 escape of 1. What absorbs nothing scatters all.
 
+What is reflected is so by Fresnel's law where the cylinder is met whose normal lies, about the tangent, halfway between
+both directions; the energy of R, by which less is left for all else, is its mean over the width.
+
 Any other material is a cylinder of it: Lambert's law in closed form (Kajiya and Kay 1989, with the part of the cylinder
 that is both lit and seen), and R in place of its GGX lobe.
 
@@ -27,12 +30,13 @@ import numpy as np
 from pointsplat_addon.core.material.hair_color import absorption_from_color
 from tests.reference.reflectance import fresnel_dielectric
 
-# Offsets from the middle of a strand, of its radius, that stand for its width (Gauss and Legendre on [0, 1]).
-OFFSETS = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))
-WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
+# Offsets from the middle of a strand, of its radius, that stand for its width: 1 - s^2 of the nodes of Gauss and Jacobi for
+# the weight s on [0, 1], since Fresnel's law rises with the square root of what is left to the edge.
+OFFSETS = (0.16932809, 0.65127062, 0.95491150)
+WEIGHTS = (0.40186383, 0.45848221, 0.13965396)
 # The deviation of phi over the width, at an index of 1.55: variance of TT, and the scale of a logistic for TRT. What
 # passes once ends at 100 degrees from straight on, which a normal distribution is nearer to than a logistic.
-TT_VARIANCE, TRT_SPREAD = 0.29, 0.14
+TT_VARIANCE, TRT_SPREAD = 0.28, 0.14
 WIDEST = 3.24  # variance of a normal distribution that is wrapped once around the circle
 LEAST_ROUGHNESS = 0.08  # float32 holds no narrower lobe
 LEAST_VARIANCE = 1e-3
@@ -165,7 +169,15 @@ def scattered_radiance(
     trt = inner * logistic(phi, np.hypot(azimuth, TRT_SPREAD))
     rest = tt[:, None] * energy[1] + trt[:, None] * energy[2] + inner[:, None] / (2 * np.pi) * energy[3]
     rest += (cylinder_cosine(theta, phi, spread) / np.pi)[:, None] * energy[4]
-    return np.stack([reflected[:, None] * energy[0], rest])
+    mirror = fresnel_dielectric(mirror_cosine(eye, phi), np.asarray(fibre.eta, float))[:, None]
+    if fibre.lobes is not None:
+        mirror = mirror * np.clip(np.asarray(fibre.lobes)[..., :1], 0, 1)
+    return np.stack([reflected[:, None] * np.broadcast_to(mirror, rest.shape), rest])
+
+
+def mirror_cosine(eye: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """(N,) the cosine at which an eye at theta sees where light is reflected that comes from phi beside it."""
+    return np.cos(eye) * np.cos(phi / 2)
 
 
 def spread_about(theta: np.ndarray, spread: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
@@ -188,14 +200,19 @@ def cylinder_reflectance(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N, 3) what a cylinder's surface reflects of uniform light, seen at sines of theta, and its diffuse colour."""
     cosine = np.sqrt(np.maximum(1 - sine**2, 0))
-    dielectric, grazing = np.zeros(len(sine)), np.zeros(len(sine))
+    surface, dielectric = np.zeros((len(sine), 3)), np.zeros(len(sine))
     for h, weight in zip(OFFSETS, WEIGHTS, strict=True):
         facing = cosine * np.sqrt(1 - h * h)
         dielectric += weight * fresnel_dielectric(facing, eta)
-        grazing += weight * (1 - facing) ** 5
+        surface += weight * mirror_reflectance(facing, base, metallic, eta)
+    return surface, (1 - np.clip(metallic, 0, 1)[:, None]) * (1 - dielectric[:, None]) * np.maximum(base, 0)
+
+
+def mirror_reflectance(cosine: np.ndarray, base: np.ndarray, metallic: np.ndarray, eta: np.ndarray) -> np.ndarray:
+    """(N, 3) what a surface reflects of light that meets it at (N,) cosines."""
     metallic, f0 = np.clip(metallic, 0, 1)[:, None], np.clip(base, 0, 1)
-    surface = (1 - metallic) * dielectric[:, None] + metallic * (f0 + (1 - f0) * grazing[:, None])
-    return surface, (1 - metallic) * (1 - dielectric[:, None]) * np.maximum(base, 0)
+    dielectric = fresnel_dielectric(cosine, eta)[:, None]
+    return (1 - metallic) * dielectric + metallic * (f0 + (1 - f0) * (1 - cosine[:, None]) ** 5)
 
 
 def cylinder_radiance(
@@ -208,7 +225,8 @@ def cylinder_radiance(
     The lobe's deviation is that of GGX half vectors whose slopes have it, alpha / sqrt(2).
     """
     theta, eye, phi = angles(tangent, direction, to_eye)
-    surface, diffuse = cylinder_reflectance(np.sin(eye), base, metallic, eta)
+    _, diffuse = cylinder_reflectance(np.sin(eye), base, metallic, eta)
+    surface = mirror_reflectance(mirror_cosine(eye, phi), base, metallic, eta)
     wide = np.maximum(2 * np.clip(roughness, 0, 1) ** 4, LEAST_VARIANCE)
     reflected = longitudinal(theta, eye, wide + spread) * np.cos(phi / 2) / 4
     return np.stack([reflected[:, None] * surface, (cylinder_cosine(theta, phi, spread) / np.pi)[:, None] * diffuse])

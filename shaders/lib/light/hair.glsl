@@ -3,7 +3,7 @@
 // The entry is ps_shade_strand. Of the material table's fourth texel: x 1 and the escape: hair; y the coat, 8 bits,
 // and azimuthal roughness as a fraction; z tilt; w factors of R, TT and TRT, 8 bits each.
 
-#define PS_TT_VARIANCE 0.29
+#define PS_TT_VARIANCE 0.28
 #define PS_WIDEST 3.24
 #define PS_TRT_SPREAD 0.14
 #define PS_LEAST_ROUGHNESS 0.08
@@ -17,8 +17,11 @@ struct PsStrand {
   vec3 tangent;
   vec3 across;  // to the eye, less what is along the tangent
   float theta;  // of the eye
-  vec3 reflected;  // energies: R, or the surface of a cylinder
-  vec3 through;  // TT
+  vec3 mirror;  // R, or the surface of a cylinder: what it reflects that is met straight on, where that is a metal,
+  float metal;  // the share of metal, and
+  float dielectric;  // the factor of all else
+  float eta;
+  vec3 through;  // energies: TT
   vec3 again;  // TRT
   vec3 rest;  // further bounces
   vec3 diffuse;  // by other strands; of a cylinder by itself
@@ -110,8 +113,8 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
   vec3 reflected = vec3(0.0), through = vec3(0.0), again = vec3(0.0), rest = vec3(0.0);
   float grazing = 0.0;
   for (int i = 0; i < 3; i++) {
-    float h = 0.5 + float(i - 1) * 0.387298335;
-    float weight = i == 1 ? 8.0 / 18.0 : 5.0 / 18.0;
+    float h = i == 0 ? 0.16932809 : (i == 1 ? 0.65127062 : 0.9549115);
+    float weight = i == 0 ? 0.40186383 : (i == 1 ? 0.45848221 : 0.13965396);
     float facing = cosine * sqrt(1.0 - h * h);
     float f = eta == 1.0 ? 0.0 : ps_fresnel_dielectric(facing, eta);
     vec3 passed = exp(-sigma * (2.0 * sqrt(max(1.0 - h * h / (bent * bent), 0.0)) / inside));
@@ -133,7 +136,10 @@ PsStrand ps_strand(PsSurface surface, vec4 fibre, vec3 tangent, vec3 to_eye)
   vec3 mirrored = (1.0 - metallic) * reflected + metallic * (f0 + (1.0 - f0) * grazing);
   int coded = int(fibre.w);
   vec3 lobes = vec3(coded & 255, (coded >> 8) & 255, coded >> 16) / 255.0;
-  strand.reflected = hair ? lobes.x * reflected : mirrored;
+  strand.mirror = f0;
+  strand.metal = hair ? 0.0 : metallic;
+  strand.dielectric = hair ? lobes.x : 1.0 - metallic;
+  strand.eta = eta;
   through *= lobes.y;
   again *= lobes.z;
   vec3 every = lobes.x * reflected + through + again + rest;
@@ -163,7 +169,11 @@ void ps_scattered(PsStrand strand, vec3 direction, float spread, out vec3 reflec
   float theta = ps_latitude(sine);
   float phi = abs(atan(dot(cross(strand.across, across), strand.tangent), dot(strand.across, across)));
   float eye = strand.theta, tilt = strand.tilt, v = strand.variance;
-  reflected = strand.reflected *
+  // Where the normal lies halfway between both directions.
+  float facing = clamp(cos(strand.theta) * cos(0.5 * phi), 0.0, 1.0);
+  vec3 mirrored = strand.dielectric * vec3(strand.eta == 1.0 ? 0.0 : ps_fresnel_dielectric(facing, strand.eta)) +
+                  strand.metal * (strand.mirror + (1.0 - strand.mirror) * ps_power(1.0 - facing, 5));
+  reflected = mirrored *
               (ps_longitudinal(theta, eye + 2.0 * tilt, strand.smoothest + spread) * 0.25 * cos(0.5 * phi));
   float square = (1.0 - sine * sine) * (1.0 - 2.0 * spread) + spread, off = spread / max(square, 1e-6);
   float lit = 4.0 / PS_PI + ((PS_PI - phi) * cos(phi) + sin(phi) - 4.0 / PS_PI) * exp(-0.5 * off);
