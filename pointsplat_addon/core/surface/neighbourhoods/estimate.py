@@ -38,6 +38,7 @@ class Ellipses:
     axis: np.ndarray  # (N, 3), unit, along the major half-axis; zero where the point is a ball
     radii: np.ndarray  # (N, 2): half-axes (major, minor); of balls the radius twice; 0 where it is not known
     reliability: np.ndarray  # (N,): 1 on a plane; 0 where the point is a ball
+    height: np.ndarray  # (N,): of the ellipse's centre above the point, along the normal: noise is left out
 
 
 def estimate_ellipses(position: np.ndarray) -> Ellipses:
@@ -59,7 +60,7 @@ def _distinct_ellipses(orders: Orders) -> dict[str, np.ndarray]:
     """The fields of Ellipses for distinct positions (M, ...), by name."""
     count = len(orders)
     normal, axis, radii = (np.zeros((count, width), np.float32) for width in (3, 3, 2))
-    ball, thickness = np.zeros(count, np.float32), np.ones(count, np.float32)
+    ball, thickness, height = np.zeros(count, np.float32), np.ones(count, np.float32), np.zeros(count, np.float32)
 
     def fit(block: slice) -> None:
         offset, squared = _neighbours(orders, block)
@@ -69,6 +70,7 @@ def _distinct_ellipses(orders: Orders) -> dict[str, np.ndarray]:
         few = (planes.weight > FITTING).sum(axis=0) < LEAST_FITTING
         thickness[block] = np.where(few | (planes.breadth < LINE), 1, planes.thickness)
         ball[block] = _ball_radius(squared)
+        height[block] = planes.height
 
     if count > 1:
         each_block(count, fit, BLOCK)
@@ -80,14 +82,17 @@ def _distinct_ellipses(orders: Orders) -> dict[str, np.ndarray]:
     # Outliers have far neighbours.
     typical = float(np.median(ball[ball > 0])) if (ball > 0).any() else 0.0
     np.minimum(ball, MOST_BALL * typical, out=ball)
-    np.negative(normal, out=normal, where=normal[:, 2:] < 0)
+    down = normal[:, 2] < 0
+    np.negative(height, out=height, where=down)
+    np.negative(normal, out=normal, where=down[:, None])
+    height[lone] = 0
     normal[lone], axis[lone] = 0, 0
     closing = np.clip((SPACE - roughness) / (SPACE - SURFACE), 0, 1)
     for half_axis in radii.T:
         half_axis += (1 - closing) * (np.minimum(ball, half_axis) - half_axis)
         half_axis[lone] = ball[lone]
     reliability = np.where(lone, 0, np.clip(1 - roughness, 0, 1)).astype(np.float32)
-    return {"normal": normal, "axis": axis, "radii": radii, "reliability": reliability}
+    return {"normal": normal, "axis": axis, "radii": radii, "reliability": reliability, "height": height}
 
 
 def turn_towards(normal: np.ndarray, position: np.ndarray, station: np.ndarray) -> None:

@@ -26,6 +26,7 @@ class Planes:
     weight: np.ndarray  # (k, n) float32 in [0, 1]: how well each neighbour fits, 0 where there is none
     thickness: np.ndarray  # (n,) float32: smallest over middle eigenvalue of the covariance of all neighbours
     breadth: np.ndarray  # (n,) float32: middle over largest
+    height: np.ndarray  # (n,) float32: of the plane above its point, along the normal
 
 
 def fit_planes(offset: np.ndarray, squared: np.ndarray) -> Planes:
@@ -54,6 +55,7 @@ def fit_planes(offset: np.ndarray, squared: np.ndarray) -> Planes:
         fits.astype(np.float32),
         np.clip(smallest / np.maximum(middle, TINY), 0, 1).astype(np.float32),
         np.clip(middle / np.maximum(largest, TINY), 0, 1).astype(np.float32),
+        (dot(normal, centre) / inverse).astype(np.float32),
     )
 
 
