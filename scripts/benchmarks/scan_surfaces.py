@@ -21,7 +21,7 @@ from scripts.scenes import build, cameras
 from scripts.scenes.case import Case
 from scripts.scenes.drawing import render
 
-SPACINGS = 2.0, 1.0, 0.5  # pixels
+SPACINGS = 2.0, 1.0, 0.5, 0.25  # pixels
 NOISE = 1 / 3  # spacings
 RADII = 0.4, 0.55, 0.7, 0.9, 1.2  # of balls, in spacings
 SWEEP = 4  # views that choose among them
@@ -79,8 +79,7 @@ def views(count: int, side: int) -> list:
 def surface_cloud(points: np.ndarray) -> PointCloud:
     """The points as Surface draws them."""
     found = estimate_ellipses(points)
-    points = points + found.height[:, None] * found.normal
-    return coherent(PointCloud(points, normal=found.normal, axis=found.axis, radii=found.radii))
+    return coherent(PointCloud(points + found.offset, normal=found.normal, axis=found.axis, radii=found.radii))
 
 
 def ball_cloud(points: np.ndarray, radius: float) -> PointCloud:

@@ -81,7 +81,8 @@ def test_ellipses_leave_no_hole_in_a_plane(noise):
     found = estimate_ellipses(points.astype(np.float32))
     at = rng.uniform(0.1, 0.9, (20_000, 2))
     _, near = cKDTree(points[:, :2]).query(at, 24)
-    offset = at[:, None] - points[near][..., :2]
+    centre = (points + found.offset)[near]
+    offset = at[:, None] - centre[..., :2]
     normal, axis, radii = found.normal[near], found.axis[near], found.radii[near].astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = -(offset * normal[..., :2]).sum(axis=-1) / normal[..., 2]

@@ -13,7 +13,7 @@ from ...numeric.vectors import cross, dot
 PASSES = 1  # of reweighting
 RIM = 1.3  # radius at which a neighbour's weight by distance becomes zero, in distances of the farthest
 MEDIAN_SIGMA = 1.4826  # standard deviation of a normal distribution over the median of absolute values
-OUTLIER = 2.0  # standard deviations of the residuals at which a neighbour's weight is halved
+OUTLIER = 3.0  # standard deviations of the residuals at which a neighbour's weight is halved
 EXACT = 1e-3  # residuals below this share of the neighbourhood's radius are as good as none
 TINY = 1e-30
 
