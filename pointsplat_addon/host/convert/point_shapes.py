@@ -93,7 +93,8 @@ def elements(
     """Returns disks or ellipses for points (N, 3) with radii (N,), and normals (N, 3) and stations (N,) if known.
 
     Normals look to the station that saw the point, else to the side of the given normals, else upwards. Disks have the
-    given normals; those of surfaces lie in the planes of their neighbours. Points that lie on no surface have the normal zero: they are balls.
+    given normals. Ellipses lie in the planes of their neighbours. Points that lie on no surface have the normal zero:
+    they are balls.
     """
     found: Ellipses = lookup(
         f"ellipses {arrays.digest(position)}", lambda: estimate_ellipses(np.ascontiguousarray(position, np.float32))
