@@ -21,7 +21,7 @@ from scripts.scenes import build, cameras
 from scripts.scenes.case import Case
 from scripts.scenes.drawing import render
 
-SPACINGS = 2.0, 1.0, 0.5, 0.25  # pixels
+SPACINGS = 2.0, 1.0, 0.5  # pixels
 NOISE = 1 / 3  # spacings
 RADII = 0.4, 0.55, 0.7, 0.9, 1.2  # of balls, in spacings
 SWEEP = 4  # views that choose among them

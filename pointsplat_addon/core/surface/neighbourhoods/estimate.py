@@ -50,16 +50,18 @@ def estimate_ellipses(position: np.ndarray) -> Ellipses:
     turned upwards; see `turn_towards`.
     """
     orders = make_orders(position)
-    place = orders.place
+    place, unit = orders.place, orders.unit
     arrays = _distinct_ellipses(orders)
     del orders  # so that little is held twice
     for name in list(arrays):
         arrays[name] = _spread(arrays.pop(name), place)
+    for name in ("radii", "offset"):
+        arrays[name] *= np.float32(unit)
     return Ellipses(**arrays)
 
 
 def _distinct_ellipses(orders: Orders) -> dict[str, np.ndarray]:
-    """The fields of Ellipses for distinct positions (M, ...), by name."""
+    """The fields of Ellipses for distinct positions (M, ...), by name; lengths in the orders' unit."""
     count = len(orders)
     normal, axis, radii, centre = (np.zeros((count, width), np.float32) for width in (3, 3, 2, 3))
     ball, thickness = np.zeros(count, np.float32), np.ones(count, np.float32)

@@ -13,7 +13,7 @@ from ...numeric.vectors import cross, dot
 PASSES = 1  # of reweighting
 RIM = 1.3  # radius at which a neighbour's weight by distance becomes zero, in distances of the farthest
 MEDIAN_SIGMA = 1.4826  # standard deviation of a normal distribution over the median of absolute values
-OUTLIER = 3.0  # standard deviations of the residuals at which a neighbour's weight is halved
+OUTLIER = 2.0  # standard deviations of the residuals at which a neighbour's weight is halved
 EXACT = 1e-3  # residuals below this share of the neighbourhood's radius are as good as none
 TINY = 1e-30
 
@@ -46,8 +46,7 @@ def fit_planes(offset: np.ndarray, squared: np.ndarray) -> Planes:
         if i == PASSES:
             break
         residual = np.abs(dot(normal[:, None], offset) - dot(normal, centre))
-        residual = np.where(there, residual, np.nan) if not there.all() else residual
-        sigma = MEDIAN_SIGMA * _median(residual)
+        sigma = MEDIAN_SIGMA * _median(residual, there)
         fits = 1 / (1 + np.square(residual / (OUTLIER * np.maximum(sigma, EXACT))))
         fits = np.where(there, np.square(fits), 0)
     return Planes(
@@ -59,10 +58,13 @@ def fit_planes(offset: np.ndarray, squared: np.ndarray) -> Planes:
     )
 
 
-def _median(values: np.ndarray) -> np.ndarray:
-    """The lower median over the first axis of values (k, n), those that are not NaN being most of them."""
-    rows = np.ascontiguousarray(values.T)
-    return np.partition(rows, (rows.shape[1] - 1) // 2, axis=1)[:, (rows.shape[1] - 1) // 2]
+def _median(values: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """The lower median over the first axis of those values (k, n) that are there; infinite where none is."""
+    if there.all():
+        middle = (len(values) - 1) // 2
+        return np.partition(np.ascontiguousarray(values.T), middle, axis=1)[:, middle]
+    at = np.maximum(there.sum(axis=0) - 1, 0) // 2
+    return np.take_along_axis(np.sort(np.where(there, values, np.inf), axis=0), at[None], axis=0)[0]
 
 
 def _plane(offset: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
