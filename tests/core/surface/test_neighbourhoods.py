@@ -42,8 +42,8 @@ def surfaces() -> dict[str, tuple[np.ndarray, np.ndarray, float]]:
 
 @pytest.mark.parametrize(
     ("name", "noise", "median", "worst"),
-    # Degrees. Measured: 0, 0; 0.42, 1.33; 0.21, 0.74; with noise up to 5.1, 16.0. Unweighted planes of exact neighbours:
-    # 0, 0; 0.32, 0.97; 0.21, 0.72; 4.4, 13.0.
+    # Degrees. Measured: 0, 0; 0.42, 1.33; 0.21, 0.74; with noise up to 5.1, 16.0. Unweighted planes of exact
+    # neighbours: 0, 0; 0.32, 0.97; 0.21, 0.72; 4.4, 13.0.
     [
         ("plane", 0, 0.01, 0.01),
         ("sphere", 0, 0.5, 1.5),
