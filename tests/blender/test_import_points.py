@@ -45,7 +45,7 @@ def test_a_scan_becomes_a_point_cloud_with_its_attributes(tmp_path):
     given = scan_file(tmp_path / "a.ply")
     assert bpy.ops.pointsplat.import_points(filepath=str(tmp_path / "a.ply")) == {"FINISHED"}
     ob = bpy.context.object
-    assert (ob.type, len(ob.data.points)) == ("POINTCLOUD", 500)
+    assert (ob.type, len(ob.data.points), ob.pointsplat.shape) == ("POINTCLOUD", 500, "SURFACE")
     kinds = {a.name: a.data_type for a in ob.data.attributes}
     assert kinds["Col"] == "BYTE_COLOR"
     assert kinds["intensity"] == "INT"

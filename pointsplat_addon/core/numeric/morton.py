@@ -38,7 +38,9 @@ def codes_in_cube(columns: np.ndarray, low: Sequence[float], side: float) -> np.
     def fill(block: slice) -> None:
         found = np.zeros(block.stop - block.start, np.uint64)
         for axis, (column, least) in enumerate(zip(columns, low, strict=True)):
-            cell = np.clip((column[block] - least) * (2.0**DEPTH / side), 0, most).astype(np.uint64)
+            with np.errstate(over="ignore"):
+                cell = (column[block] - least) * (2.0**DEPTH / side)
+            cell = np.clip(cell, 0, most).astype(np.uint64)
             for shift, mask in SPREAD:
                 cell |= cell << np.uint64(shift)
                 cell &= np.uint64(mask)

@@ -52,9 +52,10 @@ def gather(readers: Sequence[Reader], selection: Selection, size: int = CHUNK) -
     found = Gathered(np.zeros(3))
     types = _types(readers, selection)
     total = sum(reader.header.count for reader in readers)
-    room = -(-total // selection.every) + len(readers)
-    columns = {name: np.zeros((room, *shape), dtype) for name, (dtype, shape) in types.items()}
-    at, seen, first_station = 0, 0, 0
+    types = _types(readers, selection)
+    # Headers may promise more points than there are: memory grows with what is found.
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in types}
+    seen, first_station = 0, 0
     start: float | None = None
     read = {
         *types,
@@ -72,37 +73,45 @@ def gather(readers: Sequence[Reader], selection: Selection, size: int = CHUNK) -
             finite = np.asarray(np.isfinite(chunk["position"]).all(axis=1))
             found.dropped += int(np.count_nonzero(~finite[rows]))
             rows = rows[finite[rows]]
-            end = at + len(rows)
-            if end > room:  # more points than promised
-                room = max(end, room + room // 2)
-                columns = {name: _longer(array, room) for name, array in columns.items()}
-            if at == 0:
+            if not parts["position"]:
                 found.origin = origin_of(None, chunk["position"][rows])
-            columns["position"][at:end] = chunk["position"][rows] - found.origin
-            for name in types:
-                if name in ("position", "gps_time") or name not in chunk:
-                    continue
-                columns[name][at:end] = chunk[name][rows] + (first_station if name == "station" else 0)
-            if "gps_time" in chunk and len(rows):
+            if "gps_time" in chunk and start is None:
                 time = chunk["gps_time"][rows] + reader.header.time_start
-                if start is None:
-                    known = time[np.isfinite(time)]
-                    start = float(known[0]) if len(known) else 0.0
-                columns["gps_time"][at:end] = time - start
-            at = end
+                known = time[np.isfinite(time)]
+                start = float(known[0]) if len(known) else None
+            offsets = {
+                "position": -found.origin,
+                "gps_time": reader.header.time_start - (start or 0.0),
+                "station": first_station,
+            }
+            if len(rows):
+                for name, (dtype, shape) in types.items():
+                    parts[name].append(_part(chunk, rows, name, offsets.get(name, 0), dtype, shape))
             yield min(seen / max(total, 1), 1.0)
         found.warnings += reader.warnings
         first_station += len(stations)
         found.stations = np.concatenate([found.stations, stations])
     found.time_start = start or 0.0
     found.stations = found.stations - found.origin
-    for name, array in columns.items():
-        array = array[:at]
+    for name, (dtype, shape) in types.items():
+        array = np.concatenate([np.zeros((0, *shape), dtype), *parts.pop(name)])
         if name == "color":
             found.columns[name] = _color(array)
         elif name == "position" or array.any():
             found.columns[name] = array
     return found
+
+
+def _part(
+    chunk: Columns, rows: np.ndarray, name: str, offset: np.ndarray | float, dtype: np.dtype, shape: tuple[int, ...]
+) -> np.ndarray:
+    """Rows of a column, with an offset added; zeros where the file has no such column or fewer components."""
+    result = np.zeros((len(rows), *shape), dtype)
+    if name in chunk:
+        given = chunk[name][rows]
+        there = result[:, : given.shape[1]] if shape and given.ndim == 2 else result
+        there[...] = given + offset if np.any(offset) else given
+    return result
 
 
 def _types(readers: Sequence[Reader], selection: Selection) -> dict[str, tuple[np.dtype, tuple[int, ...]]]:
@@ -138,12 +147,6 @@ def _chosen(chunk: Columns, selection: Selection, before: int) -> np.ndarray:
     if selection.classes is not None and "classification" in chunk:
         rows = rows[np.isin(chunk["classification"][rows], list(selection.classes))]
     return rows
-
-
-def _longer(array: np.ndarray, room: int) -> np.ndarray:
-    found = np.zeros((room, *array.shape[1:]), array.dtype)
-    found[: len(array)] = array
-    return found
 
 
 def _color(values: np.ndarray) -> np.ndarray:

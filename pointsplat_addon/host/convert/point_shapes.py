@@ -40,8 +40,9 @@ AS_GIVEN = PointShape()
 
 
 class Elements(NamedTuple):
-    """Normals (N, 3), major axes (N, 3) or None and half-axes (N,) or (N, 2) of points."""
+    """Centres (N, 3), normals (N, 3), major axes (N, 3) or None and half-axes (N,) or (N, 2) of points."""
 
+    position: np.ndarray
     normal: np.ndarray
     axis: np.ndarray | None
     radii: np.ndarray
@@ -92,7 +93,8 @@ def elements(
     """Returns disks or ellipses for points (N, 3) with radii (N,), and normals (N, 3) and stations (N,) if known.
 
     Normals look to the station that saw the point, else to the side of the given normals, else upwards. Disks have the
-    given normals. Points that lie on no surface have the normal zero: they are balls.
+    given normals. Ellipses lie in the planes of their neighbours. Points that lie on no surface have the normal zero:
+    they are balls.
     """
     found: Ellipses = lookup(
         f"ellipses {arrays.digest(position)}", lambda: estimate_ellipses(np.ascontiguousarray(position, np.float32))
@@ -108,7 +110,8 @@ def elements(
         if normal is not None:
             given = np.isfinite(normal).all(axis=1) & normal.any(axis=1)
             directions = np.where(given[:, None], arrays.unit_or_up(normal), directions).astype(np.float32)
-        return Elements(directions, None, radius)
+        return Elements(position, directions, None, radius)
     radii = found.radii
     limit = radius_of(shape, position)
-    return Elements(directions, found.axis, np.minimum(radii, np.float32(limit)) if limit > 0 else radii)
+    radii = np.minimum(radii, np.float32(limit)) if limit > 0 else radii
+    return Elements(position + found.offset, directions, found.axis, radii)

@@ -131,24 +131,25 @@ def _make_cloud(points: Points, material: SampleMaterial, shape: PointShape, loo
     # What is a medium has no surface.
     shaped = shape.estimates and not material.extinction > 0 and material.medium is None
     if shaped:
-        normal, axis, radius = elements(shape, points.position, radius, points.normal, points.station, lookup)
-        points = replace(points, normal=normal)
-    found = _evaluated(points, material, places, shaped)
+        found = elements(shape, points.position, radius, points.normal, points.station, lookup)
+        axis, radius = found.axis, found.radii
+        points = replace(points, position=found.position, normal=found.normal)
+    fields = _evaluated(points, material, places, shaped)
     radii = _in_order(radius, places)
     cloud = PointCloud(
-        position=found["position"],
-        normal=found.get("normal"),
+        position=fields["position"],
+        normal=fields.get("normal"),
         axis=None if axis is None else _in_order(axis, places),
         radii=radii[:, None] if radii.ndim == 1 else radii,
-        color=found.get("color"),
-        surface=found.get("surface"),
-        emission=found.get("emission"),
+        color=fields.get("color"),
+        surface=fields.get("surface"),
+        emission=fields.get("emission"),
         material=np.full(count, material.row, np.uint16) if material.row else None,
         kernel=None if points.kernel is None else _in_order(points.kernel, places),
     )
     if material.extinction > 0 or material.medium is not None:
         return _with_medium(cloud, {name: _in_order(grid, places) for name, grid in points.grids.items()}, material)
-    alpha = found.get("alpha")
+    alpha = fields.get("alpha")
     if alpha is None and (points.opacity is not None or material.alpha < 1):
         alpha = np.full(count, material.alpha, np.float32)
     if alpha is not None and points.opacity is not None:

@@ -61,6 +61,16 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
         default=True,
     )
 
+    shape: EnumProperty(
+        name="Shape",
+        description="What the points are drawn as; the object's Shape, which may be changed later",
+        items=(
+            ("SURFACE", "Surface", "Ellipses that close the surface, and balls where points lie on none, as of leaves"),
+            ("BALLS", "Balls", "Balls, without finding normals first: quicker to draw, with gaps from near"),
+        ),
+        default="SURFACE",
+    )
+
     sequence: BoolProperty(
         name="Sequence",
         description="The file is one of numbered PLY files, as frame_0001.ply. One object reads the file of the "
@@ -76,6 +86,7 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
         layout.prop(self, "sequence")
         if self.sequence:
             return
+        layout.prop(self, "shape")
         layout.prop(self, "attributes")
         layout.prop(self, "every")
         layout.prop(self, "classes")
@@ -148,6 +159,7 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
                 self._share = next(self._work)
         except StopIteration as done:
             ob, warnings = done.value
+            ob.pointsplat.shape = self.shape
             for warning in warnings:
                 self.report({"WARNING"}, warning)
             self.report({"INFO"}, f"{ob.name}: {len(ob.data.points):,} points")

@@ -185,6 +185,16 @@ def test_truncated_laz_is_told(tmp_path):
         list(reader.chunks())
 
 
+def test_chunks_of_laz_that_promise_gigabytes_are_decoded_one_by_one(tmp_path):
+    """Side by side, lazrs would allocate 2^30 points, and abort the process where there is no room for them."""
+    las, position = scan(6)
+    las.write(str(tmp_path / "a.laz"))
+    data = (tmp_path / "a.laz").read_bytes()
+    record = data.index(b"laszip encoded") - 2 + 54
+    damaged(tmp_path / "a.laz", record + 12, "<I", 1 << 30)
+    np.testing.assert_allclose(whole(tmp_path / "a.laz")["position"], position, rtol=0, atol=1e-9)
+
+
 def test_an_entwine_folder_is_read_level_by_level(tmp_path):
     folder = tmp_path / "ept"
     (folder / "ept-data").mkdir(parents=True)

@@ -12,16 +12,18 @@ import numpy as np
 from ...numeric.vectors import basis, dot
 
 DIRECTIONS = 16
-MARGIN = 1.1  # cells end between directions, and neighbours' planes are not one plane
+MARGIN = 1.05  # cells end between directions, and neighbours' planes are not one plane
 OPEN = 1.7  # cells that reach farther than so many spacings are open: of random points, one in 9,000 is
-EDGE = 0.5  # spacings to which ellipses reach where their cells are open
+EDGE = 0.25  # spacings to which ellipses reach where their cells are open
+TINY = 1e-30
 FITTING = 0.25  # weight of neighbours that lie on the surface, and bound the cell
 
 
 def closing_ellipses(
     offset: np.ndarray, squared: np.ndarray, normal: np.ndarray, weight: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Returns major axes (3, n) and half-axes (2, n) (major, minor), float32, of the ellipses of n points.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns major axes (3, n), half-axes (2, n) (major, minor) and offsets (3, n) of the centres from the points,
+    float32, of n ellipses.
 
     Neighbours as in `planes.fit_planes`; normals (3, n); weights (k, n) of how well each neighbour fits the plane.
     """
@@ -43,22 +45,24 @@ def closing_ellipses(
     limit = OPEN * spacing
     for end, cosine, sine in zip(ends, *turns, strict=True):
         along = cosine * x + sine * y
-        np.maximum(along, np.float32(1e-30), out=along)
+        np.maximum(along, np.float32(TINY), out=along)
         with np.errstate(over="ignore"):
             np.min(half / along, axis=0, out=end)
     ends = np.where(ends <= limit, ends, EDGE * spacing)
-    # The ellipse with the second moments of the ends, as large as holds them all.
-    square = ends * ends
-    cc, cs, ss = (np.tensordot(w, square, 1) for w in (turns[0] * turns[0], turns[0] * turns[1], turns[1] * turns[1]))
-    mean, difference = (cc + ss) / 2, (cc - ss) / 2
-    deviation = np.sqrt(difference * difference + cs * cs)
-    angle = 0.5 * np.arctan2(cs, difference)
+    # The ellipse about the cell's middle that has the second moments of its ends, as large as holds them all. About the
+    # point itself it would reach as far beyond an edge as it reaches inwards.
+    px, py = turns[0][:, None] * ends, turns[1][:, None] * ends
+    middle = [2 * p.mean(axis=0) for p in (px, py)]
+    px -= middle[0]
+    py -= middle[1]
+    xx, xy, yy = (np.einsum("dn,dn->n", a, b) for a, b in ((px, px), (px, py), (py, py)))
+    mean, difference = (xx + yy) / 2, (xx - yy) / 2
+    deviation = np.sqrt(difference * difference + xy * xy)
+    angle = 0.5 * np.arctan2(xy, difference)
     a2, b2 = mean + deviation, np.maximum(mean - deviation, 1e-4 * mean)
     cosine, sine = np.cos(angle), np.sin(angle)
-    along = turns[0][:, None] * cosine + turns[1][:, None] * sine
-    share = (
-        square * (along * along * (1 / np.maximum(a2, 1e-30)) + (1 - along * along) * (1 / np.maximum(b2, 1e-30)))
-    ).max(axis=0)
+    major, minor = cosine * px + sine * py, cosine * py - sine * px
+    share = (major * major * (1 / np.maximum(a2, TINY)) + minor * minor * (1 / np.maximum(b2, TINY))).max(axis=0)
     scale = MARGIN * np.sqrt(share)
     radii = np.stack([np.sqrt(a2), np.sqrt(b2)]) * scale
-    return u * cosine + v * sine, radii
+    return u * cosine + v * sine, radii, u * middle[0] + v * middle[1]

@@ -15,18 +15,20 @@ from .ellipses import FITTING, closing_ellipses
 from .nearest import WINDOW, Orders, make_orders, nearest
 from .planes import fit_planes
 
-NEIGHBOURS = 16  # with fewer, noise of a third of the spacing turns normals by 9 degrees instead of 6
+NEIGHBOURS = 20  # with 16, noise of a third of the spacing turns normals by 6.5 degrees instead of 5
 BLOCK = 1 << 12  # points at once: their candidates stay in the processor's cache
 LEAST_FITTING = 5  # neighbours on the plane, below which it is not reliable
 # Roughness, the mean of `Planes.thickness` near a point and half of how far normals near it differ from its own: of
 # surfaces with noise of a third of the spacing it is 0.16 and at most 0.4, at their edges 0.4, of points at random in
 # space 0.9. Up to SURFACE an ellipse closes the surface, from SPACE on a point is a ball; between them ellipses shrink.
-SURFACE, SPACE = 0.45, 0.65
+SURFACE, SPACE = 0.4, 0.6
 INCOHERENCE = 0.5
 LINE = 0.01  # of `Planes.breadth`: below that the neighbours lie on a line
 STRAY = 2.5  # half-axis of ellipses above which points are strays, in the geometric mean of those near them
 BALL_NEIGHBOURS = 3  # to which the mean distance tells the size of balls
 MOST_BALL = 2.0  # radius of the largest balls in those of the median: outliers are no larger
+WIDE = 2.25  # half-axis of ellipses in the radii of balls beyond which they must be the smoother the wider they are
+BALL_SHIFT = 1.0  # of the balls' radii: how far they move at most
 HALF = 0.5  # of a ball's radius in the distance of its neighbours
 
 
@@ -38,6 +40,7 @@ class Ellipses:
     axis: np.ndarray  # (N, 3), unit, along the major half-axis; zero where the point is a ball
     radii: np.ndarray  # (N, 2): half-axes (major, minor); of balls the radius twice; 0 where it is not known
     reliability: np.ndarray  # (N,): 1 on a plane; 0 where the point is a ball
+    offset: np.ndarray  # (N, 3): of the centre from the point: along the normal, noise is left out
 
 
 def estimate_ellipses(position: np.ndarray) -> Ellipses:
@@ -47,32 +50,36 @@ def estimate_ellipses(position: np.ndarray) -> Ellipses:
     turned upwards; see `turn_towards`.
     """
     orders = make_orders(position)
-    place = orders.place
+    place, unit = orders.place, orders.unit
     arrays = _distinct_ellipses(orders)
     del orders  # so that little is held twice
     for name in list(arrays):
         arrays[name] = _spread(arrays.pop(name), place)
+    for name in ("radii", "offset"):
+        arrays[name] *= np.float32(unit)
     return Ellipses(**arrays)
 
 
 def _distinct_ellipses(orders: Orders) -> dict[str, np.ndarray]:
-    """The fields of Ellipses for distinct positions (M, ...), by name."""
+    """The fields of Ellipses for distinct positions (M, ...), by name; lengths in the orders' unit."""
     count = len(orders)
-    normal, axis, radii = (np.zeros((count, width), np.float32) for width in (3, 3, 2))
+    normal, axis, radii, centre = (np.zeros((count, width), np.float32) for width in (3, 3, 2, 3))
     ball, thickness = np.zeros(count, np.float32), np.ones(count, np.float32)
 
     def fit(block: slice) -> None:
         offset, squared = _neighbours(orders, block)
         planes = fit_planes(offset, squared)
-        major, half_axes = closing_ellipses(offset, squared, planes.normal, planes.weight)
+        major, half_axes, middle = closing_ellipses(offset, squared, planes.normal, planes.weight)
         normal[block], axis[block], radii[block] = planes.normal.T, major.T, half_axes.T
         few = (planes.weight > FITTING).sum(axis=0) < LEAST_FITTING
         thickness[block] = np.where(few | (planes.breadth < LINE), 1, planes.thickness)
         ball[block] = _ball_radius(squared)
+        centre[block] = (middle + planes.height * planes.normal).T
 
     if count > 1:
         each_block(count, fit, BLOCK)
     roughness = _mean_of_neighbours(orders, thickness) + INCOHERENCE * (1 - _coherence(orders, normal))
+    roughness *= np.maximum(1, radii[:, 0] / np.maximum(WIDE * ball, np.float32(1e-30)))
     lone = ~((thickness < 1) & (roughness < SPACE) & (radii[:, 1] > 0))
     # Disks of stray points would be far larger than those near them.
     size = np.log(np.maximum(radii[:, 0], np.float32(1e-30)))
@@ -82,12 +89,15 @@ def _distinct_ellipses(orders: Orders) -> dict[str, np.ndarray]:
     np.minimum(ball, MOST_BALL * typical, out=ball)
     np.negative(normal, out=normal, where=normal[:, 2:] < 0)
     normal[lone], axis[lone] = 0, 0
+    # Balls of rough surfaces follow them; outliers, which are far from all, stay nearly where they are.
+    moved = np.sqrt(np.einsum("nc,nc->n", centre, centre))
+    centre *= np.where(lone, np.minimum(1, BALL_SHIFT * ball / np.maximum(moved, np.float32(1e-30))), 1)[:, None]
     closing = np.clip((SPACE - roughness) / (SPACE - SURFACE), 0, 1)
     for half_axis in radii.T:
         half_axis += (1 - closing) * (np.minimum(ball, half_axis) - half_axis)
         half_axis[lone] = ball[lone]
     reliability = np.where(lone, 0, np.clip(1 - roughness, 0, 1)).astype(np.float32)
-    return {"normal": normal, "axis": axis, "radii": radii, "reliability": reliability}
+    return {"normal": normal, "axis": axis, "radii": radii, "reliability": reliability, "offset": centre}
 
 
 def turn_towards(normal: np.ndarray, position: np.ndarray, station: np.ndarray) -> None:

@@ -17,13 +17,16 @@ ORDERS = 3  # shifted by thirds of the grid: shifted by halves, the cells would 
 WINDOW = 12  # points on either side in each order: together they hold 95 % of the 12 nearest points of a sphere
 TAIL = 0.002  # of the points along each axis: outliers do not set the size of the grid
 SAMPLE = 100_000  # points that tell the grid's size
+LARGEST = 2.0**100  # unit
+FARTHEST = 1e16  # units from the middle, to which farther points are drawn near: squares of distances stay finite
 
 
 @record
 class Orders:
     """M distinct positions, numbered in the first Morton order, and where they stand in the others."""
 
-    position: np.ndarray  # (3, M) float32
+    position: np.ndarray  # (3, M) float32, in `unit`s
+    unit: float  # a power of two near the points' extent: float32 holds the squares of distances
     place: np.ndarray  # (N,) int32: number of each of the given points; -1: it is not finite
     order: tuple[np.ndarray, ...]  # of each further order: (M,) int32, numbers of the points in it
     rank: tuple[np.ndarray, ...]  # the inverse
@@ -38,12 +41,13 @@ def make_orders(position: np.ndarray) -> Orders:
     points = position if finite is None else take_rows(position, finite)
     place = np.full(len(position), -1, np.int32)
     if len(points) == 0:
-        return Orders(np.empty((3, 0), np.float32), place, (), ())
+        return Orders(np.empty((3, 0), np.float32), 1.0, place, (), ())
     low, side = _cube(points)
     order, _ = sorted_by_code(codes_in_cube(points.T, low.tolist(), side))
     columns = np.empty((3, len(points)), np.float32)
     for axis in range(3):
         columns[axis] = points[:, axis][order]
+    unit = float(np.clip(2.0 ** np.round(np.log2(side)), 2.0**-126, LARGEST)) if len(points) > 1 else 1.0
     first = np.ones(len(points), bool)
     first[1:] = (columns[:, 1:] != columns[:, :-1]).any(axis=0)
     number = np.cumsum(first, dtype=np.int32)
@@ -52,6 +56,10 @@ def make_orders(position: np.ndarray) -> Orders:
     del number
     if not first.all():
         columns = np.ascontiguousarray(columns[:, first])
+    with np.errstate(over="ignore"):
+        for column in columns:
+            column[:] = np.clip(column / unit, -FARTHEST, FARTHEST)
+    low, side = low / unit, side / unit
     orders, ranks = [], []
     for i in range(1, ORDERS):
         # Twice as large a cube holds all points, wherever they are shifted to.
@@ -61,7 +69,7 @@ def make_orders(position: np.ndarray) -> Orders:
         put_rows(rank, found, np.arange(len(found), dtype=np.int32))
         orders.append(found)
         ranks.append(rank)
-    return Orders(columns, place, tuple(orders), tuple(ranks))
+    return Orders(columns, unit, place, tuple(orders), tuple(ranks))
 
 
 def _cube(points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -75,8 +83,8 @@ def _cube(points: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def nearest(orders: Orders, block: slice, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the `count` nearest neighbours of the points in a slice: their numbers and squared distances, (n, count)
-    int32 and float32, in no order. Where there are fewer, the distance is infinite."""
+    """Returns the `count` nearest neighbours of the points in a slice: their numbers and squared distances in units,
+    (n, count) int32 and float32, in no order. Where there are fewer, the distance is infinite."""
     total = len(orders)
     own = np.arange(block.start, block.stop, dtype=np.int32)
     steps = np.array([*range(-WINDOW, 0), *range(1, WINDOW + 1)], np.int32)

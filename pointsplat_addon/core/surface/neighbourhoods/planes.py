@@ -26,6 +26,7 @@ class Planes:
     weight: np.ndarray  # (k, n) float32 in [0, 1]: how well each neighbour fits, 0 where there is none
     thickness: np.ndarray  # (n,) float32: smallest over middle eigenvalue of the covariance of all neighbours
     breadth: np.ndarray  # (n,) float32: middle over largest
+    height: np.ndarray  # (n,) float32: of the plane above its point, along the normal
 
 
 def fit_planes(offset: np.ndarray, squared: np.ndarray) -> Planes:
@@ -45,8 +46,7 @@ def fit_planes(offset: np.ndarray, squared: np.ndarray) -> Planes:
         if i == PASSES:
             break
         residual = np.abs(dot(normal[:, None], offset) - dot(normal, centre))
-        residual = np.where(there, residual, np.nan) if not there.all() else residual
-        sigma = MEDIAN_SIGMA * _median(residual)
+        sigma = MEDIAN_SIGMA * _median(residual, there)
         fits = 1 / (1 + np.square(residual / (OUTLIER * np.maximum(sigma, EXACT))))
         fits = np.where(there, np.square(fits), 0)
     return Planes(
@@ -54,13 +54,17 @@ def fit_planes(offset: np.ndarray, squared: np.ndarray) -> Planes:
         fits.astype(np.float32),
         np.clip(smallest / np.maximum(middle, TINY), 0, 1).astype(np.float32),
         np.clip(middle / np.maximum(largest, TINY), 0, 1).astype(np.float32),
+        (dot(normal, centre) / inverse).astype(np.float32),
     )
 
 
-def _median(values: np.ndarray) -> np.ndarray:
-    """The lower median over the first axis of values (k, n), those that are not NaN being most of them."""
-    rows = np.ascontiguousarray(values.T)
-    return np.partition(rows, (rows.shape[1] - 1) // 2, axis=1)[:, (rows.shape[1] - 1) // 2]
+def _median(values: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """The lower median over the first axis of those values (k, n) that are there; infinite where none is."""
+    if there.all():
+        middle = (len(values) - 1) // 2
+        return np.partition(np.ascontiguousarray(values.T), middle, axis=1)[:, middle]
+    at = np.maximum(there.sum(axis=0) - 1, 0) // 2
+    return np.take_along_axis(np.sort(np.where(there, values, np.inf), axis=0), at[None], axis=0)[0]
 
 
 def _plane(offset: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 SMALLEST_HEADER = 227  # bytes of LAS 1.0's header
 RECORD_HEADER, EXTENDED_HEADER = 54, 60  # bytes before a variable length record, and before one behind the points
 LASZIP = 22204  # the record of LASzip
+# Bytes of points that are taken at once. Decoding side by side holds chunks of LAZ whole, as large as the file says
+# that they are: larger ones are decoded one by one. LASzip's own have 50,000 points, or 3 MB.
+MOST_BYTES = 1 << 26
 GPS_START = 1e9  # seconds that "adjusted standard" GPS time leaves out
 COORDINATES = {"X", "Y", "Z"}
 COLORS = ("red", "green", "blue")
@@ -81,16 +84,18 @@ class LasReader(FileReader):
             import laspy
         except ImportError:
             raise PointFileError(self._path, "needs the library laspy, which the extension brings") from None
-        backend = laspy.LazBackend.LazrsParallel if threads else laspy.LazBackend.Lazrs
-        found = self._guarded(lambda: laspy.open(self._file, laz_backend=backend, closefd=False))
+        one_by_one = laspy.LazBackend.Lazrs
+        found = self._guarded(lambda: laspy.open(self._file, laz_backend=one_by_one, closefd=False))
         header = found.header
         if header.are_points_compressed and header.point_count:
             records = [r for r in header.vlrs if r.user_id == "laszip encoded" and r.record_id == LASZIP]
             if not records:
                 raise PointFileError(self._path, "has compressed points, and no record that says how")
             start, length = header.offset_to_point_data, header.point_format.size
-            check_chunks(self._path, self._file, start, length, self._guarded(records[0].record_data_bytes))
+            points = check_chunks(self._path, self._file, start, length, self._guarded(records[0].record_data_bytes))
             self._file.seek(start)
+            if threads and points * length <= MOST_BYTES:
+                found.laz_backend = laspy.LazBackend.LazrsParallel  # the decoder is made when it is first asked
         return found
 
     def _guarded(self, read: Any) -> Any:
@@ -120,6 +125,7 @@ class LasReader(FileReader):
     def chunks(self, columns: Collection[str] | None = None, size: int = CHUNK) -> Iterator[Columns]:
         wanted = self.wanted(columns)
         self._guarded(lambda: self._las.seek(0) if self.header.count else None)
+        size = max(1, min(size, MOST_BYTES // self._las.header.point_format.size))
         found = 0
         while found < self.header.count:
             count = min(size, self.header.count - found)

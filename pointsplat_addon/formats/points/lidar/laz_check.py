@@ -21,8 +21,9 @@ LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 EXTRA_BYTES = 14
 
 
-def check_chunks(path: Path, file: BinaryIO, start: int, length: int, record: bytes) -> None:
-    """Raises PointFileError where LASzip's record, the table or a chunk does not fit the file.
+def check_chunks(path: Path, file: BinaryIO, start: int, length: int, record: bytes) -> int:
+    """Returns the most points of a chunk, as the file says. Raises PointFileError where LASzip's record, the table or
+    a chunk does not fit the file.
 
     file: the LAZ file; its position is lost. start: bytes before its points. length: bytes of a point. record: LASzip's
     own, of the user id "laszip encoded".
@@ -48,12 +49,13 @@ def check_chunks(path: Path, file: BinaryIO, start: int, length: int, record: by
         raise PointFileError(path, f"promises {chunks:,} chunks, for which there is no room")
     found = _table(path, file, start, record)
     at = start + 8
-    for _points, count in found:
+    for _, count in found:
         if count < 0 or at + count > table:
             raise PointFileError(path, f"has a chunk of {count:,} bytes at byte {at:,}, beyond the last at {table:,}")
         if compressor == LAYERED and count:
             _check_layers(path, file, at, count, items)
         at += count
+    return max((points for points, _ in found), default=0)
 
 
 def _items(path: Path, record: bytes) -> list[tuple[int, int]]:

@@ -1,6 +1,6 @@
 """How well the shape Surface shows a mesh from which a scan was sampled, beside balls of the best radius.
 
-    python -m scripts.studies.scan_surfaces MESH.obj|MESH.ply[.gz] ... [--side 256] [--views 24] [--pictures DIR]
+    python -m scripts.benchmarks.scan_surfaces MESH.obj|MESH.ply[.gz] ... [--side 256] [--views 24] [--pictures DIR]
 
 Points are random on the surface, with normally distributed noise of a third of the spacing. For each
 spacing in pixels: the share of the silhouette, eroded by a pixel, that is covered in the worst view; the least
@@ -79,7 +79,7 @@ def views(count: int, side: int) -> list:
 def surface_cloud(points: np.ndarray) -> PointCloud:
     """The points as Surface draws them."""
     found = estimate_ellipses(points)
-    return coherent(PointCloud(points, normal=found.normal, axis=found.axis, radii=found.radii))
+    return coherent(PointCloud(points + found.offset, normal=found.normal, axis=found.axis, radii=found.radii))
 
 
 def ball_cloud(points: np.ndarray, radius: float) -> PointCloud:
