@@ -30,8 +30,8 @@ import numpy as np
 from pointsplat_addon.core.material.hair_color import absorption_from_color
 from tests.reference.reflectance import fresnel_dielectric
 
-# Offsets from the middle of a strand, of its radius, that stand for its width: 1 - s^2 of the nodes of Gauss and Jacobi for
-# the weight s on [0, 1], since Fresnel's law rises with the square root of what is left to the edge.
+# Offsets from the middle of a strand, of its radius, that stand for its width: 1 - s^2 of the nodes of Gauss and Jacobi
+# for the weight s on [0, 1], since Fresnel's law goes with the square root of what is left to the edge.
 OFFSETS = (0.16932809, 0.65127062, 0.95491150)
 WEIGHTS = (0.40186383, 0.45848221, 0.13965396)
 # The deviation of phi over the width, at an index of 1.55: variance of TT, and the scale of a logistic for TRT. What
