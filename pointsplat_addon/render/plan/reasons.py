@@ -23,6 +23,7 @@ PASSES: dict[str, str] = {
     "visibility": "EWA: the nearest surface of each pixel",
     "blend": "EWA: attributes times kernels",
     "normalise": "EWA: sums over weights",
+    "occlusion": "triangles that may hide others, and what they hide",
     "polygons": "triangles",
     "spheres": "wide balls, by the pixels' rays",
     "lines": "strands",

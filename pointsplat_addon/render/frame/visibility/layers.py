@@ -25,7 +25,8 @@ from ...plan.plan import Plan
 from ..shading import Shading
 from ..uploads.uploads import Uploads
 from .identities import identities
-from .polygon_draws import polygon_draws
+from .occluders import Occluders
+from .polygon_draws import draws_of, polygons_in_view
 from .strand_draws import strand_draws
 from .targets import VisibilityTargets
 from .tiles import PictureTile
@@ -102,9 +103,11 @@ class Visibility:
         first = sum(draw.elements for draw in self._uploads.points.draws)
         if self._plan.polygons:
             self._forget_polygons()
-            buffer = self._targets.buffer
-            draws = polygon_draws(self._device, self._uploads, view, first, buffer.cells)
-            self._polygons = PolygonCover(self._device, draws, buffer, self._plan.variant.normal)
+            device, buffer, normal = self._device, self._targets.buffer, self._plan.variant.normal
+            shown = polygons_in_view(device, self._uploads, view, buffer.cells)
+            occluders = Occluders(device, buffer, normal, view, self._uploads.shared, self._run)
+            draws = draws_of(device, occluders.without_hidden(shown), first)
+            self._polygons = PolygonCover(device, draws, buffer, normal)
             first += sum(draw.triangles for draw in draws)
         if self._plan.lines:
             self._strands = StrandCover(self._device, strand_draws(self._uploads, first), self._targets.buffer)

@@ -3,18 +3,28 @@ of the picture."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
+from ....core.numeric.record import record
 from ....core.scene.bounds import box_corners
 from ....core.scene.scene import Instances, Scene
 from ...device.protocol import Device, released_on_failure
 from ...passes.uniforms import SampleView
 from ...passes.visibility.polygon_draw import Drawn, PolygonDraw, block_draws
+from ...passes.visibility.polygon_mesh import PolygonMesh
+from ...passes.visibility.polygon_page import PolygonPage
 from ...passes.visibility.small_triangles import are_small
 from ...prepare.prepare import Prepared
 from ..uploads.polygons import PolygonUploads
+
+
+ROUNDING = 1e-5  # of pixel coordinates, by which the device may bring what it clips elsewhere
+# Pairs of the corners that box_corners returns.
+BOX_EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
 
 
 class PolygonSource(Protocol):
@@ -25,44 +35,83 @@ class PolygonSource(Protocol):
     polygons: PolygonUploads
 
 
+@record
+class PolygonsInView:
+    """The instances in the picture of one mesh, or of the meshes of one page."""
+
+    source: PolygonMesh | PolygonPage
+    member: np.ndarray  # (I,) int: which mesh of the page
+    instance: np.ndarray  # (I,) int: row of the scene's instances
+    view_from_object: np.ndarray  # (I, 4, 4) float64, from positions relative to the mesh's origin
+    holdout: np.ndarray  # (I,) bool
+    rectangle: np.ndarray  # (I, 4) float64: see `places_in_picture`
+    depth: np.ndarray  # (I, 2) float64: nearest and farthest of the box
+    triangles: np.ndarray  # (I,) int
+    small: bool  # most triangles cover few cells
+
+    def those(self, which: np.ndarray) -> PolygonsInView:
+        """Returns some instances, (I,) bool, which are drawn as they are among all."""
+        names = ("member", "instance", "view_from_object", "holdout", "rectangle", "depth", "triangles")
+        return replace(self, **{name: getattr(self, name)[which] for name in names})
+
+
 def polygon_draws(
     device: Device, uploads: PolygonSource, view: SampleView, first_id: int, cells: tuple[int, int] | None
 ) -> list[Drawn]:
     """Returns what a view draws of each mesh. `first_id`: the number of the first triangle. `cells`: of the
     picture; None: the rasteriser draws all."""
-    with released_on_failure(device):
-        return _polygon_draws(device, uploads, view, first_id, cells)
+    return draws_of(device, polygons_in_view(device, uploads, view, cells), first_id)
 
 
-def _polygon_draws(
-    device: Device, uploads: PolygonSource, view: SampleView, first_id: int, cells: tuple[int, int] | None
-) -> list[Drawn]:
-    """See `polygon_draws`; where the device refuses one, those before it stay."""
-    instances, shown = uploads.scene.instances, uploads.prepared.polygons
+def draws_of(device: Device, shown: Sequence[PolygonsInView], first_id: int) -> list[Drawn]:
+    """Returns what is drawn of each mesh and page. `first_id`: the number of the first triangle."""
     found: list[Drawn] = []
+    with released_on_failure(device):
+        for some in shown:
+            if not len(some.instance):
+                continue
+            if isinstance(some.source, PolygonPage):
+                found += block_draws(
+                    device, some.source, some.member, some.instance, some.view_from_object, some.holdout, first_id
+                )
+            else:
+                made = some.source, some.instance, some.view_from_object, some.holdout, first_id, some.small
+                found.append(PolygonDraw(device, *made))
+            first_id = found[-1].first_id + found[-1].triangles if found else first_id
+    return found
+
+
+def polygons_in_view(
+    device: Device, uploads: PolygonSource, view: SampleView, cells: tuple[int, int] | None
+) -> list[PolygonsInView]:
+    """Returns the instances of each page and mesh that may lie in the picture. `cells`: see `polygon_draws`."""
+    instances, shown = uploads.scene.instances, uploads.prepared.polygons
+    found: list[PolygonsInView] = []
+
+    def add(source: PolygonMesh | PolygonPage, member: np.ndarray, here: np.ndarray) -> None:
+        page = isinstance(source, PolygonPage)
+        origin, box = (source.origin[member], source.box[member]) if page else (source.origin, source.box)
+        matrices = _from_origins(uploads.prepared.view_from_object[here], origin)
+        rectangle, depth = places_in_picture(box, matrices, view)
+        seen = np.flatnonzero((rectangle[:, 2:] > rectangle[:, :2]).all(axis=1))
+        if not len(seen):
+            return
+        rectangle, here = rectangle[seen], here[seen]
+        small, triangles = False, np.full(len(seen), source.triangles if not page else 0)
+        if page:
+            triangles = np.diff(source.first)[member[seen]]
+        elif cells is not None and device.limits.image_atomics:
+            small = are_small(source.triangles, rectangle, cells)
+        holdout = _holdout(instances, here)
+        about = member[seen], here, matrices[seen], holdout, rectangle, depth[seen], triangles
+        found.append(PolygonsInView(source, *about, small))
+
     for paged in uploads.polygons.pages:
         member = paged.member[instances.geometry[shown]]
-        here, member = shown[member >= 0], member[member >= 0]
-        matrices = _from_origins(uploads.prepared.view_from_object[here], paged.page.origin[member])
-        rectangles = rectangles_in_picture(paged.page.box[member], matrices, view)
-        seen = (rectangles[:, 2:] > rectangles[:, :2]).all(axis=1)
-        holdout = _holdout(instances, here[seen])
-        found += block_draws(device, paged.page, member[seen], here[seen], matrices[seen], holdout, first_id)
-        first_id = found[-1].first_id + found[-1].triangles if found else first_id
+        add(paged.page, member[member >= 0], shown[member >= 0])
     for row, mesh in uploads.polygons.meshes.items():
         here = shown[instances.geometry[shown] == row]
-        if not len(here):
-            continue
-        matrices = _from_origins(uploads.prepared.view_from_object[here], mesh.origin)
-        rectangles = rectangles_in_picture(mesh.box, matrices, view)
-        seen = (rectangles[:, 2:] > rectangles[:, :2]).all(axis=1)
-        if not seen.any():
-            continue
-        here = here[seen]
-        holdout = _holdout(instances, here)
-        small = cells is not None and are_small(mesh.triangles, rectangles[seen], cells) and device.limits.image_atomics
-        found.append(PolygonDraw(device, mesh, here, matrices[seen], holdout, first_id, small))
-        first_id += found[-1].triangles
+        add(mesh, np.zeros(len(here), np.int64), here)
     return found
 
 
@@ -78,21 +127,49 @@ def _holdout(instances: Instances, rows: np.ndarray) -> np.ndarray:
     return np.zeros(len(rows), bool) if instances.holdout is None else instances.holdout[rows].astype(bool)
 
 
-def rectangles_in_picture(box: np.ndarray, view_from_object: np.ndarray, view: SampleView) -> np.ndarray:
+def places_in_picture(
+    box: np.ndarray, view_from_object: np.ndarray, view: SampleView
+) -> tuple[np.ndarray, np.ndarray]:
     """Returns rectangles, (I, 4) float64, that hold a box in the picture for each transform: low and high corner, from
-    0 to 1 over the picture; where all of the box lies outside, the high corner is not above the low one.
+    0 to 1 over the picture; where all of the box lies outside, the high corner is not above the low one. And its
+    nearest and farthest depth, (I, 2) float64.
 
     box: (2, 3) or (I, 2, 3), low and high corner in object space. view_from_object: (I, 4, 4).
     """
     corners = box_corners(box[..., 0, :], box[..., 1, :])
-    fx, fy = view.camera.pixel_from_view()[:2]
     with np.errstate(all="ignore"):
         p = corners @ view_from_object[:, :3, :3].swapaxes(1, 2) + view_from_object[:, None, :3, 3]
         depth = -p[..., 2]
-        scale = 1 / depth if view.camera.perspective else np.ones_like(depth)
-        pixels = np.stack([fx * p[..., 0] * scale, fy * p[..., 1] * scale], axis=-1) + view.principal_point
-        found = np.concatenate([(pixels.min(axis=1) - 1) / view.size, (pixels.max(axis=1) + 1) / view.size], axis=1)
-    across = (depth <= view.near).any(axis=1) & view.camera.perspective
-    found[across | ~np.isfinite(found).all(axis=1)] = 0.0, 0.0, 1.0, 1.0
+        found = _rectangles_around(p, view)
+        depths = np.stack([depth.min(axis=1), depth.max(axis=1)], axis=1)
+        across = np.flatnonzero((depth <= view.near).any(axis=1) & (depth > view.near).any(axis=1))
+        if len(across) and view.camera.perspective:
+            found[across] = _rectangles_around(_beyond(p[across], view.near), view)
+            depths[across, 0] = -np.inf
+    unknown = ~(np.isfinite(found).all(axis=1) & np.isfinite(depth).all(axis=1))
+    found[unknown], depths[unknown, 0] = (0.0, 0.0, 1.0, 1.0), -np.inf
     found[(depth < view.near).all(axis=1) | (depth > view.far).all(axis=1)] = 0.0
-    return np.clip(found, 0.0, 1.0)
+    return np.clip(found, 0.0, 1.0), depths
+
+
+def _rectangles_around(p: np.ndarray, view: SampleView) -> np.ndarray:
+    """Returns the rectangles, (I, 4), around points (I, K, 3) in view space, and some pixels around these; see
+    `places_in_picture`."""
+    scale = 1 / -p[..., 2] if view.camera.perspective else np.ones(p.shape[:2])
+    pixels = p[..., :2] * scale[..., None] * view.camera.pixel_from_view()[:2] + view.principal_point
+    low, high = pixels.min(axis=1), pixels.max(axis=1)
+    margin = 1 + ROUNDING * np.maximum(np.abs(low), np.abs(high))
+    return np.concatenate([(low - margin) / view.size, (high + margin) / view.size], axis=1)
+
+
+def _beyond(p: np.ndarray, near: float) -> np.ndarray:
+    """Returns points (I, 24, 3) around what lies beyond the near plane of boxes whose corners, (I, 8, 3), lie on both
+    sides: the ends of their edges, or where these meet the plane."""
+    ends = p[:, BOX_EDGES]  # (I, 12, 2, 3)
+    short = np.maximum(near + ends[..., 2], 0.0)  # what an end lacks in depth
+    share = short / np.abs(ends[..., 0, 2] - ends[..., 1, 2])[..., None]
+    moved = ends + share[..., None] * (ends[:, :, ::-1] - ends)
+    gone = (short > 0).all(axis=2)  # edges before the plane
+    # What is found twice does not matter.
+    some = moved[np.arange(len(p)), np.argmin(gone, axis=1), 0]
+    return np.where(gone[..., None, None], some[:, None, None], moved).reshape(len(p), -1, 3)
