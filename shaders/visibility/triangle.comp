@@ -54,7 +54,11 @@ void main()
     // The length counts from -1, which EMPTY is.
     uint entry = imageAtomicAdd(list_length, ivec2(0), 1u) + 1u;
     if (entry < uint(u.list_size)) {
+#ifdef PS_ONE_INSTANCE
+      imageAtomicMin(list, ps_texel(int(entry)), uint(first / 3));
+#else
       imageAtomicMin(list, ps_texel(int(entry)), uint(index));
+#endif
     }
   }
 #else

@@ -67,16 +67,16 @@ def hidden_of(given: Candidates, size: tuple[int, int], draw: Callable[[np.ndarr
 
 
 def worth_drawing(shows: np.ndarray, work: np.ndarray, most: float) -> np.ndarray:
-    """Returns those candidates, (N,) bool, that show most for their work: most of what all show, up to `most` work.
+    """Returns those candidates, (N,) bool, that show most for their work: most of what all show; none if that takes more
+    than `most` work.
 
     shows: (N,), how much each of them may show. work: (N,).
     """
     order = np.argsort(-shows / work, kind="stable")
     before = np.cumsum(shows[order]) - shows[order]
-    enough = (before < MOST_SHOWN * shows.sum()) & (np.cumsum(work[order]) <= most) & (shows[order] > 0)
     found = np.zeros(len(shows), bool)
-    found[order[enough]] = True
-    return found
+    found[order[(before < MOST_SHOWN * shows.sum()) & (shows[order] > 0)]] = True
+    return found if work[found].sum() <= most else np.zeros_like(found)
 
 
 def is_behind(given: Candidates, depths: np.ndarray) -> np.ndarray:

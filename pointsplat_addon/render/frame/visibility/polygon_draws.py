@@ -15,7 +15,7 @@ from ....core.scene.scene import Instances, Scene
 from ...device.protocol import Device, released_on_failure
 from ...passes.uniforms import SampleView
 from ...passes.visibility.polygon_draw import Drawn, PolygonDraw, block_draws
-from ...passes.visibility.polygon_mesh import PolygonMesh
+from ...passes.visibility.polygon_mesh import CHUNK, PolygonMesh
 from ...passes.visibility.polygon_page import PolygonPage
 from ...passes.visibility.small_triangles import are_small
 from ...prepare.prepare import Prepared
@@ -37,10 +37,11 @@ class PolygonSource(Protocol):
 
 @record
 class PolygonsInView:
-    """The instances in the picture of one mesh, or of the meshes of one page."""
+    """The instances in the picture of one mesh, or of the meshes of one page; of a large mesh with one instance there,
+    its chunks, each as if it were an instance."""
 
     source: PolygonMesh | PolygonPage
-    member: np.ndarray  # (I,) int: which mesh of the page
+    member: np.ndarray  # (I,) int: which mesh of the page, or chunk of the mesh
     instance: np.ndarray  # (I,) int: row of the scene's instances
     view_from_object: np.ndarray  # (I, 4, 4) float64, from positions relative to the mesh's origin
     holdout: np.ndarray  # (I,) bool
@@ -48,9 +49,10 @@ class PolygonsInView:
     depth: np.ndarray  # (I, 2) float64: nearest and farthest of the box
     triangles: np.ndarray  # (I,) int
     small: bool  # most triangles cover few cells
+    chunked: bool
 
     def those(self, which: np.ndarray) -> PolygonsInView:
-        """Returns some instances, (I,) bool, which are drawn as they are among all."""
+        """Returns some instances, (I,) bool or their rows, which are drawn as they are among all."""
         names = ("member", "instance", "view_from_object", "holdout", "rectangle", "depth", "triangles")
         return replace(self, **{name: getattr(self, name)[which] for name in names})
 
@@ -75,8 +77,9 @@ def draws_of(device: Device, shown: Sequence[PolygonsInView], first_id: int) -> 
                     device, some.source, some.member, some.instance, some.view_from_object, some.holdout, first_id
                 )
             else:
-                made = some.source, some.instance, some.view_from_object, some.holdout, first_id, some.small
-                found.append(PolygonDraw(device, *made))
+                one, chunks = (slice(1), some.member) if some.chunked else (slice(None), None)
+                made = some.instance[one], some.view_from_object[one], some.holdout[one], first_id, some.small, chunks
+                found.append(PolygonDraw(device, some.source, *made))
             first_id = found[-1].first_id + found[-1].triangles if found else first_id
     return found
 
@@ -104,7 +107,8 @@ def polygons_in_view(
             small = are_small(source.triangles, rectangle, cells)
         holdout = _holdout(instances, here)
         about = member[seen], here, matrices[seen], holdout, rectangle, depth[seen], triangles
-        found.append(PolygonsInView(source, *about, small))
+        made = PolygonsInView(source, *about, small, False)
+        found.append(_by_chunks(made, view) if not page and len(seen) == 1 else made)
 
     for paged in uploads.polygons.pages:
         member = paged.member[instances.geometry[shown]]
@@ -113,6 +117,23 @@ def polygons_in_view(
         here = shown[instances.geometry[shown] == row]
         add(mesh, np.zeros(len(here), np.int64), here)
     return found
+
+
+def _by_chunks(whole: PolygonsInView, view: SampleView) -> PolygonsInView:
+    """Returns the chunks in the picture of the one instance of a mesh; the mesh as it is if it has none."""
+    groups = whole.source.groups
+    boxes = [group.chunks for group in groups if group.chunks is not None]
+    if not boxes:
+        return whole
+    box = np.concatenate(boxes)
+    every = np.zeros(len(box), np.int64)
+    rectangle, depth = places_in_picture(box, whole.view_from_object[every], view)
+    triangles = [np.minimum(group.count // 3 - CHUNK * np.arange(len(b)), CHUNK) for group, b in zip(groups, boxes, strict=True)]
+    chunks = replace(
+        whole.those(every), member=np.arange(len(box)), rectangle=rectangle, depth=depth,
+        triangles=np.concatenate(triangles), chunked=True,
+    )  # fmt: skip
+    return chunks.those((rectangle[:, 2:] > rectangle[:, :2]).all(axis=1))
 
 
 def _from_origins(view_from_object: np.ndarray, origin: np.ndarray) -> np.ndarray:

@@ -10,8 +10,10 @@ from ....core.numeric.segments import owners, ranges
 from ...device.packing import paged
 from ...device.protocol import Device, Texture
 from ..uniforms import Values
-from .polygon_mesh import BLOCK, BLOCK_SHIFT, PolygonMesh
+from .polygon_mesh import BLOCK, BLOCK_SHIFT, CHUNK, Group, PolygonMesh
 from .polygon_page import Kind, PolygonPage
+
+GAP = 2  # chunks that are drawn with those around them: another draw takes longer
 
 
 def instance_rows(
@@ -41,13 +43,16 @@ class PolygonDraw:
         holdout: np.ndarray,
         first_id: int,
         small: bool,
+        chunks: np.ndarray | None = None,
     ) -> None:
         """instance: (I,) int. view_from_object: (I, 4, 4) float64, from positions relative to the mesh's origin.
-        holdout: (I,) bool. `small`: most triangles cover few cells.
+        holdout: (I,) bool. `small`: most triangles cover few cells. chunks: (C,) rising, those of the mesh that are
+        drawn, of one instance; None: all.
         """
         self.mesh, self.groups, self.first_id, self.small = mesh, mesh.groups, first_id, small
         self.instance, self.repeats, self.of_slot = instance, len(instance), mesh.triangles
         self.one = self.repeats == 1
+        self._chunks = chunks
         self.textures: dict[str, Texture] = {}
         self.values: Values = {}
         rows = instance_rows(view_from_object, holdout, instance)
@@ -67,6 +72,10 @@ class PolygonDraw:
         """Of all slots."""
         return self.repeats * self.of_slot
 
+    def runs(self, group: Group) -> list[Group]:
+        """Returns the ranges of a group's triangles that are drawn."""
+        return [group] if self._chunks is None else chunk_runs(self.groups, group, self._chunks)
+
     def identify(self, number: np.ndarray) -> np.ndarray:
         """Returns the instance and the material, (N, 2), of triangles by their numbers (N,) in this draw."""
         slot, triangle = np.divmod(number, self.of_slot)
@@ -78,6 +87,27 @@ class PolygonDraw:
     def release(self) -> None:
         for texture in self.textures.values():
             texture.release()
+
+
+def chunk_runs(groups: list[Group], group: Group, chunks: np.ndarray) -> list[Group]:
+    """Returns the ranges of one of the `groups` of a mesh that chunks of the mesh, (C,) rising, lie in."""
+    before = 0
+    for other in groups:
+        assert other.chunks is not None
+        if other is group:
+            break
+        before += len(other.chunks)
+    assert group.chunks is not None
+    mine = chunks[(chunks >= before) & (chunks < before + len(group.chunks))] - before
+    if len(mine) == 0:
+        return []
+    apart = np.flatnonzero(np.diff(mine) > GAP + 1)
+    first, last = mine[np.append(0, apart + 1)], mine[np.append(apart, len(mine) - 1)] + 1
+    begin, end = 3 * CHUNK * first, np.minimum(3 * CHUNK * last, group.count)
+    return [
+        replace(group, first=group.first + low, count=high - low)
+        for low, high in zip(begin.tolist(), end.tolist(), strict=True)
+    ]
 
 
 class BlockDraw:
@@ -96,6 +126,10 @@ class BlockDraw:
         self.triangles = self.of_slot = BLOCK * len(blocks)  # numbers of triangles, of which some have none
         self.textures: dict[str, Texture] = {}
         self._owned: list[Texture] = []
+
+    def runs(self, group: Group) -> list[Group]:
+        """Returns the ranges of a group's triangles that are drawn."""
+        return [group]
 
     def identify(self, number: np.ndarray) -> np.ndarray:
         """Returns the instance and the material, (N, 2), of triangles by their numbers (N,) in this draw."""

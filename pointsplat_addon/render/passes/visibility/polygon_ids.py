@@ -190,8 +190,9 @@ class PolygonDepths:
             for group in draw.groups:
                 if _in_compute(draw, group):
                     self._rasterise_wide(draw, group, view, shared)
-                else:
-                    self._rasterise(draw, group, view, shared)
+                    continue
+                for run in draw.runs(group):
+                    self._rasterise(draw, run, view, shared)
 
     def cover(self, view: SampleView, shared: dict[str, Texture]) -> None:
         """Draws the others, nearer than what is there."""
@@ -209,8 +210,9 @@ class PolygonDepths:
             for group in draw.groups:
                 if _in_compute(draw, group):
                     program = self._compute_program(draw, group, step)
-                    for slot, slots in _steps(draw, group):
-                        self._dispatch(program, draw, group, slot, slots, view, shared, images)
+                    for run in draw.runs(group):
+                        for slot, slots in _steps(draw, run):
+                            self._dispatch(program, draw, run, slot, slots, view, shared, images)
 
     def _dispatch(
         self,
@@ -262,14 +264,20 @@ class PolygonDepths:
         assert self._list is not None
         assert self._length is not None
         program = self._compute_program(draw, group, "LIST")
+        images = {"list": self._list, "list_length": self._length}
         for slot, slots in _steps(draw, group):
             self._device.fill(self._list)
             self._device.fill(self._length)
-            images = {"list": self._list, "list_length": self._length}
-            self._dispatch(program, draw, group, slot, slots, view, shared, images)
+            runs = draw.runs(group)
+            for run in runs:
+                self._dispatch(program, draw, run, slot, slots, view, shared, images)
             count = (int(self._device.read(self._length)[0, 0]) + 1) & 0xFFFFFFFF
-            if count:
-                self._rasterise(draw, group, view, shared, slot, slots, count if count <= LISTED else 0)
+            if 0 < count <= LISTED:
+                # Triangles of one instance are listed by their numbers in the mesh.
+                self._rasterise(draw, replace(group, first=0) if draw.one else group, view, shared, slot, slots, count)
+            elif count:
+                for run in runs:
+                    self._rasterise(draw, run, view, shared, slot, slots)
 
     def _record(self, program: Interface, draw: Drawn, group: Group, view: SampleView, **own: object) -> np.ndarray:
         about = {"material": group.material, "first_id": draw.first_id, "triangles": draw.of_slot}

@@ -22,6 +22,8 @@ from .corners import corner_texels
 from .pictures import baked_defines
 
 STRETCHED = 4096  # triangles of a group that are asked how much UV changes
+CHUNK = 1024  # triangles that are drawn or left out together: enough for a draw of their own
+FEWEST_CHUNKS = 16  # of a mesh: one of fewer is drawn as a whole
 BLOCK_SHIFT = 4
 BLOCK = 1 << BLOCK_SHIFT  # triangles: few, so that meshes of few do not fill a block with nothing
 BLOCK_DEFINES = (("PS_BLOCKS", "1"), ("PS_BLOCK_SHIFT", str(BLOCK_SHIFT)))
@@ -53,6 +55,7 @@ class Group:
     textures: dict[str, Texture] = field(default_factory=dict)  # these pictures, and their levels where there are any
     stretch: float = 0.0  # that UV changes along a unit of object space, on a twentieth of the surface more
     start: np.ndarray | None = None  # (B + 1,) int64: the first corner of each part of the mesh
+    chunks: np.ndarray | None = None  # (C, 2, 3) float64: boxes around CHUNK triangles each, relative to the origin
     blocks: bool = False  # a range of blocks of triangles that a view lists, of any meshes and materials of a page
 
     def rows(self, parts: np.ndarray) -> np.ndarray:
@@ -89,8 +92,9 @@ def arrange(
     emission: bool,
     parts: Parts | None = None,
     order: np.ndarray | None = None,
+    chunked: bool = False,
 ) -> Arranged:
-    """Returns what is uploaded of a mesh. `emission`: something glows.
+    """Returns what is uploaded of a mesh. `emission`: something glows. `chunked`: chunks of it may be left out.
 
     `order`: (T,) triangles in the order of the parts, or without parts in any; None: as they come.
     """
@@ -121,6 +125,8 @@ def arrange(
             part = np.arange(first, end) if by_material is None else by_material[first:end]
             begins = 3 * (first + np.searchsorted(part // PART, np.arange(len(parts) + 1)))
         made = Group(row, 3 * first, 3 * (end - first), bool(table.cull[row]), defines, graph, start=begins)
+        if chunked:
+            made.chunks = _chunk_boxes(mesh, slice(first, end) if order is None else order[first:end]) - origin
         if graph is not None:
             made.stretch = _stretch(mesh, order, range(first, end), looks["ps_corner_uv"])
         groups.append(made)
@@ -162,7 +168,8 @@ class PolygonMesh:
         order: np.ndarray | None = None,
     ) -> None:
         """`parts`, `order`: see arrange."""
-        arranged = arrange(mesh, table, variant.emission, parts, order)
+        chunked = parts is None and len(mesh.triangles) >= FEWEST_CHUNKS * CHUNK
+        arranged = arrange(mesh, table, variant.emission, parts, order, chunked)
         self.triangles, self.origin, self.box = arranged.triangles, arranged.origin, arranged.box
         self.groups = arranged.groups
         size = PAGE_WIDTH, max(1, -(-3 * self.triangles // PAGE_WIDTH))
@@ -183,6 +190,18 @@ class PolygonMesh:
     def release(self) -> None:
         for texture in self.textures.values():
             texture.release()
+
+
+def _chunk_boxes(mesh: Mesh, which: np.ndarray | slice) -> np.ndarray:
+    """Returns boxes (C, 2, 3) float64 around each CHUNK of some triangles of a mesh, in their order."""
+    triangles = mesh.triangles[which]
+    begin = np.arange(0, len(triangles), CHUNK)
+    found = np.empty((len(begin), 2, 3))
+    for axis, values in enumerate(mesh.position.T):
+        corners = values[triangles]
+        found[:, 0, axis] = np.minimum.reduceat(corners.min(axis=1), begin)
+        found[:, 1, axis] = np.maximum.reduceat(corners.max(axis=1), begin)
+    return found
 
 
 def _stretch(mesh: Mesh, order: np.ndarray | None, range_: range, uv: np.ndarray) -> float:
