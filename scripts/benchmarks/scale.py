@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.cloud import PointCloud
@@ -33,12 +34,11 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.benchmarks.frame import MeteredDevice, Stopwatch
 from scripts.benchmarks.instances import look_at, save
 from scripts.common import tower
+from scripts.scenes.meshes import small_tower
 
 SIZE = (640, 360)  # pixels
 SAMPLES = 16
 FOCAL = 2.0  # distance of the picture over half its height
-TIERS = ((4, 6), (3, 6), (2, 4))  # of a tower of few triangles
-TRIANGLES = 3_800
 
 
 class BusyDevice(MeteredDevice):
@@ -77,7 +77,7 @@ class Measured:
         }  # fmt: skip
 
 
-def camera(eye: np.ndarray, target: np.ndarray, near: float = 0.01, far: float = 1000.0) -> Camera:
+def camera(eye: npt.ArrayLike, target: npt.ArrayLike, near: float = 0.01, far: float = 1000.0) -> Camera:
     depth = -(far + near) / (far - near), -2 * far * near / (far - near)
     clip = np.array([[FOCAL * SIZE[1] / SIZE[0], 0, 0, 0], [0, FOCAL, 0, 0], [0, 0, *depth], [0, 0, -1.0, 0]])
     return Camera(look_at(np.asarray(eye, float), np.asarray(target, float)), clip, SIZE, near=near, far=far)
@@ -114,16 +114,6 @@ def points(side: int) -> tuple[Scene, Callable[[float], Camera]]:
     return scene, lambda moved: camera([0.1 + moved, -0.9, 0.35], [0, -0.05, 0])
 
 
-def tower_mesh(tiers: tuple[tuple[int, int], ...] = TIERS) -> Mesh:
-    position, triangles, material = tower.tower(tiers, TRIANGLES)
-    a, b, c = position[triangles].transpose(1, 0, 2).astype(np.float64)
-    normal = np.cross(b - a, c - a)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    corner = np.repeat(normal[:, None].astype(np.float32), 3, axis=1)
-    return Mesh("tower", "Tower", position, triangles, corner_normal=corner, material=material,
-                materials=(0, 1, 2, 3), topology="tower")  # fmt: skip
-
-
 def tower_materials() -> MaterialTable:
     table = default_materials()
     rows = np.zeros(len(tower.COLORS), int)
@@ -137,7 +127,7 @@ def tower_materials() -> MaterialTable:
 
 def city(side: int, street: bool) -> tuple[Scene, Callable[[float], Camera]]:
     """side^2 towers; the camera stands in a street in the middle, or sees all of them from above in the same way."""
-    geometry, matrices = Geometry("tower", "Tower", mesh=tower_mesh()), tower.grid(side)
+    geometry, matrices = Geometry("tower", "Tower", mesh=small_tower("tower")), tower.grid(side)
     scene = lit([geometry], Instances(np.zeros(len(matrices), np.int32), matrices), tower_materials())
     if street:
         # Between two columns of towers.
@@ -153,8 +143,9 @@ def blob(number: int, rings: int = 10) -> Mesh:
     """A bumpy ball of its own."""
     rng = np.random.default_rng(number)
     theta, phi = np.meshgrid(np.linspace(0, np.pi, rings + 1), np.arange(rings) / rings * 2 * np.pi, indexing="ij")
-    radius = 1 + 0.3 * sum(a * np.sin(k * theta + p) * np.cos(k * phi)
-                           for k, (a, p) in enumerate(rng.random((3, 2)), 1))  # fmt: skip
+    radius = np.ones_like(theta)
+    for k, (a, p) in enumerate(rng.random((3, 2)), 1):
+        radius += 0.3 * a * np.sin(k * theta + p) * np.cos(k * phi)
     at = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1) * radius[..., None]
     index = np.arange((rings + 1) * rings).reshape(rings + 1, rings)
     a, b, c, d = index[:-1], np.roll(index[:-1], -1, 1), index[1:], np.roll(index[1:], -1, 1)
