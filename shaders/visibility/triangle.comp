@@ -1,5 +1,5 @@
-// Small triangles of one material of all instances of a mesh into the visibility buffer, one invocation each: the least depth
-// of each sub-sample, then (PS_IDENTIFY) the lowest number among the triangles that have it, and the key of its surface.
+// Small triangles of one material of all instances of a mesh, or (PS_BLOCKS) of many meshes and materials, into the visibility
+// buffer, one invocation each: the least depth of each sub-sample, then (PS_IDENTIFY) the lowest number among the triangles that have it, and the key of its surface.
 // PS_LIST: instead, lists those that cover more cells than PS_MOST_CELLS, or cross the near plane, which the rasteriser draws;
 // without it these are left out.
 //
@@ -8,6 +8,7 @@
 
 #include "lib/data/index.glsl"
 #include "lib/geometry/instance.glsl"
+#include "lib/visibility/block.glsl"
 #include "lib/data/pack.glsl"
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/surface_key.glsl"
@@ -25,7 +26,13 @@ void main()
   if (index >= u.elements) {
     return;
   }
-#ifdef PS_ONE_INSTANCE
+#if defined(PS_BLOCKS)
+  vec4 block = ps_block(index);
+  int in_block = index & PS_BLOCK_MASK, slot = int(block.z), first = 3 * (int(block.x) + in_block);
+  if (in_block >= int(block.y)) {
+    return;
+  }
+#elif defined(PS_ONE_INSTANCE)
   int slot = 0, first = u.first + 3 * index;
 #else
   int triangles = u.corners / 3, slot = u.first_slot + index / triangles, first = u.first + 3 * (index % triangles);
@@ -79,7 +86,13 @@ void main()
     return;
   }
 #ifdef PS_IDENTIFY
+#ifdef PS_BLOCKS
+  uint number = uint(u.first_id + index);
+  int material = int(block.w);
+#else
   uint number = uint(u.first_id) + uint(slot) * uint(u.triangles) + uint(first) / 3u;
+  int material = u.material;
+#endif
 #ifdef PS_NORMAL
   mat3 linear = ps_linear(slot);
   vec3 n0 = ps_view_normal(linear, ps_unpack_normal(corner0.w)), n1 = ps_view_normal(linear, ps_unpack_normal(corner1.w));
@@ -109,7 +122,7 @@ void main()
             // Of the sub-sample: leaves of a few pixels may be bent by more than what one group's normals differ.
             normal = turned / sum * (weights.x * n0 + weights.y * n1 + weights.z * n2);
 #endif
-            imageStore(keys, ivec2(x, y), uvec4(ps_surface_key(instance, u.material, normal)));
+            imageStore(keys, ivec2(x, y), uvec4(ps_surface_key(instance, material, normal)));
           }
         }
 #else

@@ -7,6 +7,7 @@ scene-linear. Lengths are Blender units in world space unless said otherwise.
 from __future__ import annotations
 
 from dataclasses import field
+from itertools import pairwise
 
 import numpy as np
 
@@ -52,6 +53,13 @@ class Instances:
 
     def __len__(self) -> int:
         return len(self.geometry)
+
+    def of_each(self, geometries: int, which: np.ndarray | None = None) -> list[np.ndarray]:
+        """Returns the rows, rising, of the instances of each of so many geometries; of `which`, (I,) bool, alone."""
+        rows = np.arange(len(self)) if which is None else np.flatnonzero(which)
+        rows = rows[np.argsort(self.geometry[rows], kind="stable")]
+        ends = np.searchsorted(self.geometry[rows], np.arange(geometries + 1)).tolist()
+        return [rows[low:high] for low, high in pairwise(ends)]
 
 
 @record

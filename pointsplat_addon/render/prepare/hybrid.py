@@ -123,8 +123,9 @@ def choose_parts(
     if view.settings.technique == "VISIBILITY":
         return found
     scene, others = view.scene, False
-    for row, geometry in enumerate(scene.geometries):
-        views = view_from_object[usable & (scene.instances.geometry == row)]
+    of_each = scene.instances.of_each(len(scene.geometries), usable)
+    for row, (geometry, where) in enumerate(zip(scene.geometries, of_each, strict=True)):
+        views = view_from_object[where]
         mesh = geometry.mesh
         if len(views) == 0 or geometry.strands is not None or (mesh is not None and len(mesh.triangles) == 0):
             continue

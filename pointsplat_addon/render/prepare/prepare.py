@@ -154,8 +154,8 @@ def _drawn_primitives(
     opaque, translucent, spheres = (_LayerPoints(np.full(len(instances), -1)) for _ in range(3))
     polygons = [np.empty(0, np.int64)]
     drawn = _DrawnPrimitives(opaque, translucent, spheres, polygons[0])
-    for row, geometry in enumerate(scene.geometries):
-        where = np.flatnonzero(usable & (instances.geometry == row))
+    of_each = instances.of_each(len(scene.geometries), usable)
+    for row, (geometry, where) in enumerate(zip(scene.geometries, of_each, strict=True)):
         if len(where) == 0 or geometry.strands is not None:
             continue
         view.check()
@@ -232,9 +232,9 @@ def _strand_segments(
 ) -> dict[int, Segments]:
     """Returns the strand segments that a view draws, by geometry row; adds those out of focus to `focus`."""
     found: dict[int, Segments] = {}
-    for row, geometry in enumerate(view.scene.geometries):
+    of_each = view.scene.instances.of_each(len(view.scene.geometries), usable)
+    for row, (geometry, where) in enumerate(zip(view.scene.geometries, of_each, strict=True)):
         strands = geometry.strands
-        where = np.flatnonzero(usable & (view.scene.instances.geometry == row))
         if strands is None or len(where) == 0:
             continue
         view.check()

@@ -67,9 +67,8 @@ def transmission_digest(scene: Scene, geometry: Geometry) -> str:
 
 def casting_geometries(scene: Scene, store: Store) -> list[CastingGeometry]:
     """Returns all geometries with instances that cast shadows, in scene order; empty geometries are left out."""
-    casting, found = _casting_instances(scene), []
-    for row, geometry in enumerate(scene.geometries):
-        where = np.flatnonzero(casting & (scene.instances.geometry == row))
+    of_each, found = scene.instances.of_each(len(scene.geometries), _casting_instances(scene)), []
+    for geometry, where in zip(scene.geometries, of_each, strict=True):
         bounds = (
             store.lookup(Key(Kind.CASTER_BALL, geometry.key), lambda g=geometry: _bounding_ball(g, store))
             if len(where)

@@ -125,8 +125,9 @@ def _has_nothing_behind(
         return False
     with np.errstate(all="ignore"):
         drawn = all_finite(scene.instances.world_from_object.astype(np.float32))  # no others are
-    for row, geometry in enumerate(scene.geometries):
-        matrices = scene.instances.world_from_object[drawn & (scene.instances.geometry == row)]
+    of_each = scene.instances.of_each(len(scene.geometries), drawn)
+    for geometry, where in zip(scene.geometries, of_each, strict=True):
+        matrices = scene.instances.world_from_object[where]
         if geometry is own:
             matrices = matrices[(matrices != matrix).any(axis=(1, 2))]
         if len(matrices) and not _lies_above(geometry, matrices, point, normal, store):

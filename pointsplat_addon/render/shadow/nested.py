@@ -76,8 +76,8 @@ class _Seen:
 
 def _sketches(scene: Scene, store: Store) -> list[tuple[Sketch, np.ndarray]]:
     instances, found = scene.instances, []
-    for row, geometry in enumerate(scene.geometries):
-        here = instances.world_from_object[instances.geometry == row]
+    for geometry, where in zip(scene.geometries, instances.of_each(len(scene.geometries)), strict=True):
+        here = instances.world_from_object[where]
         sketch = store.lookup(Key(Kind.SKETCH, geometry.key), lambda geometry=geometry: _sketch(geometry))
         if sketch is not None and len(here):
             found.append((sketch, here))

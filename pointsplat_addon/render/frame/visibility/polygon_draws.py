@@ -73,9 +73,8 @@ def draws_of(device: Device, shown: Sequence[PolygonsInView], first_id: int) -> 
             if not len(some.instance):
                 continue
             if isinstance(some.source, PolygonPage):
-                found += block_draws(
-                    device, some.source, some.member, some.instance, some.view_from_object, some.holdout, first_id
-                )
+                about = some.member, some.instance, some.view_from_object, some.holdout
+                found += block_draws(device, some.source, *about, first_id, some.small)
             else:
                 one, chunks = (slice(1), some.member) if some.chunked else (slice(None), None)
                 made = some.instance[one], some.view_from_object[one], some.holdout[one], first_id, some.small, chunks
@@ -100,11 +99,9 @@ def polygons_in_view(
         if not len(seen):
             return
         rectangle, here = rectangle[seen], here[seen]
-        small, triangles = False, np.full(len(seen), source.triangles if not page else 0)
-        if page:
-            triangles = np.diff(source.first)[member[seen]]
-        elif cells is not None and device.limits.image_atomics:
-            small = are_small(source.triangles, rectangle, cells)
+        triangles = np.diff(source.first)[member[seen]] if page else np.full(len(seen), source.triangles)
+        compute = cells is not None and device.limits.image_atomics
+        small = compute and are_small(int(triangles.sum()), rectangle, cells)
         holdout = _holdout(instances, here)
         about = member[seen], here, matrices[seen], holdout, rectangle, depth[seen], triangles
         made = PolygonsInView(source, *about, small, False)

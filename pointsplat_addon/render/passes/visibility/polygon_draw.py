@@ -113,14 +113,22 @@ def chunk_runs(groups: list[Group], group: Group, chunks: np.ndarray) -> list[Gr
 class BlockDraw:
     """What a view shows of a kind of a page: slots, each an instance of a mesh, and blocks of their triangles."""
 
-    one = small = False
+    one = False
     values: Values = {}
 
     def __init__(
-        self, page: PolygonPage, kind: Kind, blocks: np.ndarray, first: int, instance: np.ndarray, first_id: int
+        self,
+        page: PolygonPage,
+        kind: Kind,
+        blocks: np.ndarray,
+        first: int,
+        instance: np.ndarray,
+        first_id: int,
+        small: bool,
     ) -> None:
         """blocks: (B, 4), first triangle on the page, number of triangles, slot and material; `first`: the first of
-        them among those of all kinds. instance: (I,) int, of each slot."""
+        them among those of all kinds. instance: (I,) int, of each slot. `small`: most triangles cover few cells."""
+        self.small = small
         self.mesh, self.instance, self.first_id, self.repeats, self._blocks = page, instance, first_id, 1, blocks
         self.groups = [replace(kind.group, first=first, count=3 * BLOCK * len(blocks))]
         self.triangles = self.of_slot = BLOCK * len(blocks)  # numbers of triangles, of which some have none
@@ -153,8 +161,9 @@ def block_draws(
     view_from_object: np.ndarray,
     holdout: np.ndarray,
     first_id: int,
+    small: bool,
 ) -> list[BlockDraw]:
-    """Returns what a view shows of a page, kind by kind.
+    """Returns what a view shows of a page, kind by kind. `small`: most triangles cover few cells.
 
     member: (I,) int, the mesh of each instance that is shown. instance, holdout: (I,). view_from_object: (I, 4, 4)
     float64, from positions relative to the origins of the meshes. first_id: the number of the first triangle.
@@ -165,7 +174,7 @@ def block_draws(
         blocks = kind.blocks[ranges(kind.start[member], count)]
         if len(blocks):
             rows = np.column_stack([blocks[:, :2], owners(count), blocks[:, 2]])
-            found.append(BlockDraw(page, kind, rows, first, instance, first_id))
+            found.append(BlockDraw(page, kind, rows, first, instance, first_id, small))
             lists.append(rows)
             first, first_id = first + len(rows), first_id + found[-1].triangles
     if found:

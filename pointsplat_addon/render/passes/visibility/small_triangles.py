@@ -14,7 +14,7 @@ from ....shading.interface import Interface
 from ..uniforms import CAMERA_FIELDS, ONE_INSTANCE_FIELDS, Fields, block
 from .buffer import LATTICE_DEFINE, LATTICE_FIELDS
 from .pictures import define_entries
-from .polygon_mesh import Group
+from .polygon_mesh import BLOCK_DEFINES, Group
 
 MOST_CELLS = 64  # of the rectangle around a triangle that a compute invocation draws
 FEWEST_TRIANGLES = 20_000  # fewer are rasterised in the time that the passes take to start
@@ -31,15 +31,13 @@ def group_fields(one: bool, blocks: bool = False) -> Fields:
     return (("int", "first"), *(() if one else (("int", "corners"), ("int", "first_slot"))))
 
 
-def are_small(triangles: int, rectangles: np.ndarray, cells: tuple[int, int]) -> bool:
-    """Whether most triangles of a mesh cover few cells.
+def are_small(count: int, rectangles: np.ndarray, cells: tuple[int, int]) -> bool:
+    """Whether most of so many triangles of a mesh or a page cover few cells.
 
-    `triangles`: of one instance. rectangles: (I, 4) of all instances, in shares of a picture of `cells`, low and high
-    corner.
+    rectangles: (I, 4) of all instances, in shares of a picture of `cells`, low and high corner.
     """
     low, high = rectangles[:, :2], rectangles[:, 2:]
     covered = float((high - low).clip(0.0).prod(axis=1).sum()) * cells[0] * cells[1]
-    count = triangles * len(rectangles)
     return count >= FEWEST_TRIANGLES and covered <= CELLS_OF_SMALL * count
 
 
@@ -53,9 +51,9 @@ def triangle_program(lattice: Lattice, group: Group, one: bool, step: str, norma
     normals tell surfaces apart."""
     images = {"LIST": ("list", "list_length"), "DEPTH": ("depths",), "IDENTIFY": ("ids", "keys")}[step]
     identify, culled = step == "IDENTIFY", group.cull and step != "LIST"
-    own: Fields = (*group_fields(one), ("int", "elements"), *((("int", "list_size"),) if step == "LIST" else ()))
+    own: Fields = (*group_fields(one, group.blocks), ("int", "elements"), *((("int", "list_size"),) if step == "LIST" else ()))
     if identify:
-        own = (*own, ("int", "material"), ("int", "first_id"), ("int", "triangles"))
+        own = (*own, ("int", "first_id"), *(() if group.blocks else (("int", "material"), ("int", "triangles"))))
     alone: Fields = ONE_INSTANCE_FIELDS if one else ()
     if one and (identify or culled):
         alone = (*alone, ("int", "instance"), ("int", "mirrored"))
@@ -68,6 +66,7 @@ def triangle_program(lattice: Lattice, group: Group, one: bool, step: str, norma
         samplers=(
             ("FLOAT_2D", "ps_corner"),
             *(() if one else (("FLOAT_2D", "ps_instances"),)),
+            *((("FLOAT_2D", "ps_blocks"),) if group.blocks else ()),
             *((("UINT_2D", "ps_depths"),) if identify else ()),
         ),
         images=tuple(("R32UI", name) for name in images),
@@ -75,5 +74,6 @@ def triangle_program(lattice: Lattice, group: Group, one: bool, step: str, norma
             LATTICE_DEFINE,
             ("PS_MOST_CELLS", str(MOST_CELLS)),
             *define_entries(name for name, on in flags.items() if on),
+            *(BLOCK_DEFINES if group.blocks else ()),
         ),
     )
