@@ -146,7 +146,9 @@ def blob(number: int, rings: int = 10) -> Mesh:
     radius = np.ones_like(theta)
     for k, (a, p) in enumerate(rng.random((3, 2)), 1):
         radius += 0.3 * a * np.sin(k * theta + p) * np.cos(k * phi)
-    at = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1) * radius[..., None]
+    at = (
+        np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1) * radius[..., None]
+    )
     index = np.arange((rings + 1) * rings).reshape(rings + 1, rings)
     a, b, c, d = index[:-1], np.roll(index[:-1], -1, 1), index[1:], np.roll(index[1:], -1, 1)
     triangles = np.concatenate([np.stack([a, c, b], -1).reshape(-1, 3), np.stack([b, c, d], -1).reshape(-1, 3)])
@@ -222,7 +224,9 @@ def main() -> None:
             turns = [measured.picture(scene, view(step * i)) for i in (1, 2, 3)]
             found = min(turns, key=lambda turn: turn["seconds"])
             told = " ".join(f"{k} {v:.3f}" for k, v in found["passes"].items())
-            grown = "" if before is None else f"a {np.log(found['seconds'] / before[1]) / np.log(count / before[0]):.2f}"
+            grown = (
+                "" if before is None else f"a {np.log(found['seconds'] / before[1]) / np.log(count / before[0]):.2f}"
+            )
             sys.stdout.write(
                 f"{name:10} {count:10} first {first['seconds']:.2f} further {found['seconds']:.3f} {grown} "
                 f"prepare {found['prepare']:.3f} triangles {found['triangles']} cut {found['cut']} "

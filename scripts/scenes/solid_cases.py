@@ -110,6 +110,14 @@ def many_triangles() -> Case:
     return Case(scene((geometry, moved()), (geometry, moved((0.9, 0.5, 0.4), (-0.6, 0.5, 0.7)))), camera((0, -4, 0)))
 
 
+def many_small_meshes() -> Case:
+    """Different balls of one page, so many triangles that compute shaders draw them, half of them behind a wall."""
+    balls = [mesh(sphere_mesh(f"one of many {i}", 20 + i % 3), "POLYGONS") for i in range(16)]
+    places = [moved((0.4 * (i % 4) - 0.6, 1.0 + 0.2 * i, 0.4 * (i // 4) - 0.6), (0.15,) * 3) for i in range(16)]
+    wall = mesh(plane_mesh("before many"), "POLYGONS")
+    return Case(scene(*zip(balls, places, strict=True), (wall, moved((1.0, 0, 0)))), camera((0, -4, 0)))
+
+
 def cut_out_cards() -> Case:
     """Cards with an alpha, instances of one mesh and one of another, that cast onto a cube under a sun."""
     images = [texture_nodes.ImageTexture(input_nodes.UV(), picture(), straight=True, extension=e) for e in EXTENSIONS]

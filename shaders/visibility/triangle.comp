@@ -1,5 +1,6 @@
-// Small triangles of one material of all instances of a mesh, or (PS_BLOCKS) of many meshes and materials, into the visibility
-// buffer, one invocation each: the least depth of each sub-sample, then (PS_IDENTIFY) the lowest number among the triangles that have it, and the key of its surface.
+// Small triangles of one material of all instances of a mesh, or (PS_BLOCKS) of many meshes and materials, into the
+// visibility buffer, one invocation each: the least depth of each sub-sample, then (PS_IDENTIFY) the lowest number among the
+// triangles that have it, and the key of its surface.
 // PS_LIST: instead, lists those that cover more cells than PS_MOST_CELLS, or cross the near plane, which the rasteriser draws;
 // without it these are left out.
 //

@@ -8,8 +8,9 @@ import pytest
 bpy = pytest.importorskip("bpy")
 gpu = pytest.importorskip("gpu")
 
+from pointsplat_addon.render.frame.visibility import occlusion
 from scripts.scenes.cases import CASES
-from scripts.scenes.solid_cases import cut_out_cards, many_balls, many_triangles
+from scripts.scenes.solid_cases import cut_out_cards, many_balls, many_small_meshes, many_triangles
 from tests.support.blender.devices import (
     COLORS,
     EDGES,
@@ -49,6 +50,18 @@ def test_small_triangles_agree(blender, opengl):
     here, there = opengl(case, True), pictures(blender, case)
     assert differences(here, there)["edges"] <= EDGES  # measured 0, where both run on one driver
     assert np.abs(here["combined"] - there["combined"]).max() <= AGREE  # measured 0
+
+
+def test_pages_of_small_triangles_agree_without_what_others_hide(blender, opengl, monkeypatch):
+    for name, value in {"FEWEST_TRIANGLES": 0, "LEAST_PROMISE": 0.0, "MOST_WORK": 1.0}.items():
+        monkeypatch.setattr(occlusion, name, value)
+    case = many_small_meshes()
+    case = replace(case, settings=replace(case.settings, technique="VISIBILITY"))
+    here, there = opengl(case, True), pictures(blender, case)
+    assert differences(here, there)["edges"] <= EDGES  # measured 0, where both run on one driver
+    assert np.abs(here["combined"] - there["combined"]).max() <= AGREE  # measured 0
+    rasterised = opengl(case, False)
+    assert differences(here, rasterised)["edges"] <= EDGES  # measured 0
 
 
 @pytest.mark.parametrize("name", ["wide_balls", "parallel"])

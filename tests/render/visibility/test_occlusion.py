@@ -51,16 +51,14 @@ def slit() -> Scene:
 def street() -> Scene:
     """Towers about the eye, whose boxes cross the near plane and each other."""
     of = build.mesh(meshes.small_tower("tower"))
-    scene = build.scene(
-        *[(of, matrix) for matrix in tower.grid(8)],
-        table=build.materials(4, base_color=COLORS),
-    )
-    return scene
+    return build.scene(*[(of, matrix) for matrix in tower.grid(8)], table=build.materials(4, base_color=COLORS))
 
 
 def pages() -> Scene:
     """Different meshes on one page, one of which cuts a hole."""
-    hidden = [(build.mesh(meshes.sphere_mesh(f"own {i}", 6 + i % 4)), matrix) for i, (_, matrix) in enumerate(balls(25))]
+    hidden = [
+        (build.mesh(meshes.sphere_mesh(f"own {i}", 6 + i % 4)), matrix) for i, (_, matrix) in enumerate(balls(25))
+    ]
     things = [wall("before", -3, 0.8), *hidden, wall("hole", 1.1, 1.4)]
     return build.scene(*things, holdout=[False] * (len(things) - 1) + [True], transparent=True)
 
@@ -82,8 +80,17 @@ def chunks() -> Scene:
     return build.scene(*things, table=build.materials(2, base_color=COLORS[:2]))
 
 
+def vast() -> Scene:
+    """A mesh of many chunks that spans 1e6, of which the eye sees a pleat from near: terms of its depth cancel."""
+    dense = meshes.sphere_mesh("vast", 120)
+    position = dense.position.astype(np.float64)
+    position[:, 1] = np.abs(position[:, 1]) * np.where(np.abs(position[:, 1]) < 0.5, 4.0, 1e6)
+    vast = build.mesh(replace(dense, position=position.astype(np.float32), topology="vast"))
+    return build.scene((vast, np.eye(4)), wall("before", -3, 0.3, -0.5), *balls(16))
+
+
 SCENES: dict[str, Callable[[], Scene]] = {
-    "slit": slit, "street": street, "pages": pages, "fence": fence, "chunks": chunks,
+    "slit": slit, "street": street, "pages": pages, "fence": fence, "chunks": chunks, "vast": vast,
 }  # fmt: skip
 VIEWS = {
     "perspective": EYE,
@@ -173,11 +180,24 @@ def test_hidden_boxes_are_those_behind_all_that_is_drawn(monkeypatch):
         assert given.nearest[i] > so_far[y:end_y, x:end_x].max()
 
 
+def test_boxes_as_wide_as_the_picture_are_spread_over_few_blocks():
+    """20,000 of them, one behind another, would be in 288 million blocks of 4 pixels."""
+    count, size = 20_000, (640, 360)
+    low = np.zeros((count, 2))
+    depths, seen, side = as_if_full(
+        boxes(low, low + size, 1 + np.arange(count), np.full(count, 9)), np.ones(count, bool), size
+    )
+    assert count * depths.size <= 2 * occlusion.MOST_BLOCKS
+    assert side == 64
+    np.testing.assert_array_equal(np.flatnonzero(seen), [0])
+
+
 def test_full_boxes_hide_what_is_behind_them():
     """A near box of 80 by 40 pixels before a far one of 40 by 40 within it, and one beside both."""
     low, high = np.array([[0, 0], [20, 0], [80, 0]]), np.array([[80, 40], [60, 40], [120, 40]])
     given = boxes(low, high, np.array([1.0, 2.0, 2.0]), np.ones(3))
-    depths, seen = as_if_full(given, np.ones(3, bool), (120, 40))
+    depths, seen, side = as_if_full(given, np.ones(3, bool), (120, 40))
+    assert side == BLOCK_SIDE
     np.testing.assert_array_equal(seen, [200, 0, 100])
     np.testing.assert_array_equal(depths, np.where(np.arange(30) < 20, 1.5, 2.5) * np.ones((10, 1)))
     np.testing.assert_array_equal(is_behind(given, depths), [False, True, False])

@@ -1,7 +1,7 @@
 """Leaves polygons out of a view that others hide.
 
-What hides most is drawn into the visibility buffer, which is cleared after that. All that is not hidden is then drawn in
-the order in which it would be drawn among all: the picture is the same to the bit.
+What hides most is drawn into the visibility buffer, which is cleared after that. All that is not hidden is then drawn
+in the order in which it would be drawn among all: the picture is the same to the bit.
 """
 
 from __future__ import annotations
@@ -46,8 +46,9 @@ class Occluders:
         def those(which: np.ndarray) -> list[PolygonsInView]:
             return [some.those(part) for some, part in zip(shown, np.split(which, ends), strict=True)]
 
+        size = self._view.size
         try:
-            hidden = hidden_of(candidates(shown, self._view.size), self._view.size, lambda which: self._draw(those(which)))
+            hidden = hidden_of(candidates(shown, size), size, lambda which: self._draw(those(which)))
         finally:
             if self._depths is not None:
                 self._depths.release()

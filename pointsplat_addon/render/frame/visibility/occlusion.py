@@ -21,8 +21,7 @@ MOST_WORK = 0.125  # of all triangles, that are drawn to find what they hide
 MOST_SHOWN = 0.99  # of what all show: what is left shows little, but for much work
 TURNS = 3
 LEFT = 0.5  # of the triangles that are drawn so far: if no more are left that may be hidden, another turn does not pay
-# Of depth, by which rounding on the device may bring something nearer than its box: float32 has 6e-8.
-MARGIN = 1e-5
+MOST_BLOCKS = 1 << 21  # that all boxes together are spread over, to see which may hide much: else blocks are wider
 
 
 @value_record
@@ -53,8 +52,8 @@ def hidden_of(given: Candidates, size: tuple[int, int], draw: Callable[[np.ndarr
         return hidden
     for _ in range(TURNS):
         left = ~(drawn | hidden)
-        depths, shows = as_if_full(given, left, size)
-        if not drawn.any() and given.work[left & is_behind(given, depths)].sum() < LEAST_PROMISE * total:
+        depths, shows, side = as_if_full(given, left, size)
+        if not drawn.any() and given.work[left & is_behind(given, depths, side)].sum() < LEAST_PROMISE * total:
             break
         more = worth_drawing(shows, given.work, MOST_WORK * total - given.work[drawn].sum())
         if not more.any():
@@ -67,40 +66,42 @@ def hidden_of(given: Candidates, size: tuple[int, int], draw: Callable[[np.ndarr
 
 
 def worth_drawing(shows: np.ndarray, work: np.ndarray, most: float) -> np.ndarray:
-    """Returns those candidates, (N,) bool, that show most for their work: most of what all show; none if that takes more
-    than `most` work.
+    """Returns those candidates, (N,) bool, that show most for their work: most of what all show; none if that takes
+    more than `most` work.
 
     shows: (N,), how much each of them may show. work: (N,).
     """
-    order = np.argsort(-shows / work, kind="stable")
+    order = np.argsort(-shows / np.maximum(work, 1.0), kind="stable")
     before = np.cumsum(shows[order]) - shows[order]
     found = np.zeros(len(shows), bool)
     found[order[(before < MOST_SHOWN * shows.sum()) & (shows[order] > 0)]] = True
     return found if work[found].sum() <= most else np.zeros_like(found)
 
 
-def is_behind(given: Candidates, depths: np.ndarray) -> np.ndarray:
+def is_behind(given: Candidates, depths: np.ndarray, side: int = BLOCK_SIDE) -> np.ndarray:
     """Returns which candidates lie behind all that is in the blocks over which they lie, (N,) bool.
 
-    depths: (rows, columns), the farthest of each block of pixels.
+    depths: (rows, columns), the farthest of each block of `side` pixels.
     """
-    low = np.floor(given.low / BLOCK_SIDE).astype(np.int64)
-    high = np.ceil(given.high / BLOCK_SIDE).astype(np.int64)
-    rows, columns = depths.shape
-    low, high = np.minimum(low, [columns - 1, rows - 1]), np.minimum(high, [columns, rows])
-    nearest = given.nearest - MARGIN * np.maximum(np.abs(given.nearest), np.abs(given.farthest))
-    return nearest > RectangleMaxima(depths)(low, np.maximum(high, low + 1))
+    end = np.array(depths.shape[::-1])
+    low = np.minimum(np.floor(given.low / side).astype(np.int64), end - 1)
+    high = np.minimum(np.ceil(given.high / side).astype(np.int64), end)
+    return given.nearest > RectangleMaxima(depths)(low, np.maximum(high, low + 1))
 
 
-def as_if_full(given: Candidates, which: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns what would be if boxes were full, some of them, (N,) bool: depths of blocks of pixels, which hide more than
-    what is in the boxes may, and in how many blocks each box would be the one that is seen, (N,).
+def as_if_full(given: Candidates, which: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, int]:
+    """Returns what would be if boxes were full, some of them, (N,) bool: depths of blocks of pixels, which hide more
+    than what is in the boxes may; in how many blocks each box would be the one that is seen, (N,); and how many pixels
+    a block is wide.
 
     `size`: (width, height) of the picture in pixels.
     """
-    columns, rows = (-(-side // BLOCK_SIDE) for side in size)
+    side = BLOCK_SIDE
+    while given.area[which].sum() > MOST_BLOCKS * side**2 and side < max(size):
+        side *= 2
+    columns, rows = (-(-length // side) for length in size)
     depths = np.full(rows * columns, np.inf)
-    low, high = (np.rint(corner[which] / BLOCK_SIDE).astype(np.int64) for corner in (given.low, given.high))
+    low, high = (np.rint(corner[which] / side).astype(np.int64) for corner in (given.low, given.high))
     width, height = (np.minimum(high, [columns, rows]) - low).clip(0).T
     # Rows of all rectangles, then their blocks.
     box, row = owners(height), ranks(height)
@@ -110,4 +111,4 @@ def as_if_full(given: Candidates, which: np.ndarray, size: tuple[int, int]) -> t
     np.minimum.at(depths, block, farthest[box])
     seen = np.zeros(len(which), np.int64)
     seen[which] = np.bincount(box[farthest[box] == depths[block]], minlength=len(farthest))
-    return depths.reshape(rows, columns), seen
+    return depths.reshape(rows, columns), seen, side

@@ -10,7 +10,6 @@ from typing import Protocol
 import numpy as np
 
 from ....core.numeric.record import record
-from ....core.scene.bounds import box_corners
 from ....core.scene.scene import Instances, Scene
 from ...device.protocol import Device, released_on_failure
 from ...passes.uniforms import SampleView
@@ -20,11 +19,7 @@ from ...passes.visibility.polygon_page import PolygonPage
 from ...passes.visibility.small_triangles import are_small
 from ...prepare.prepare import Prepared
 from ..uploads.polygons import PolygonUploads
-
-
-ROUNDING = 1e-5  # of pixel coordinates, by which the device may bring what it clips elsewhere
-# Pairs of the corners that box_corners returns.
-BOX_EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
+from .places import places_in_picture
 
 
 class PolygonSource(Protocol):
@@ -100,8 +95,9 @@ def polygons_in_view(
             return
         rectangle, here = rectangle[seen], here[seen]
         triangles = np.diff(source.first)[member[seen]] if page else np.full(len(seen), source.triangles)
-        compute = cells is not None and device.limits.image_atomics
-        small = compute and are_small(int(triangles.sum()), rectangle, cells)
+        small = False
+        if cells is not None and device.limits.image_atomics:
+            small = are_small(int(triangles.sum()), rectangle, cells)
         holdout = _holdout(instances, here)
         about = member[seen], here, matrices[seen], holdout, rectangle, depth[seen], triangles
         made = PolygonsInView(source, *about, small, False)
@@ -110,9 +106,12 @@ def polygons_in_view(
     for paged in uploads.polygons.pages:
         member = paged.member[instances.geometry[shown]]
         add(paged.page, member[member >= 0], shown[member >= 0])
-    for row, mesh in uploads.polygons.meshes.items():
-        here = shown[instances.geometry[shown] == row]
-        add(mesh, np.zeros(len(here), np.int64), here)
+    if uploads.polygons.meshes:
+        is_shown = np.zeros(len(instances), bool)
+        is_shown[shown] = True
+        of_each = instances.of_each(len(uploads.scene.geometries), is_shown)
+        for row, mesh in uploads.polygons.meshes.items():
+            add(mesh, np.zeros(len(of_each[row]), np.int64), of_each[row])
     return found
 
 
@@ -125,7 +124,8 @@ def _by_chunks(whole: PolygonsInView, view: SampleView) -> PolygonsInView:
     box = np.concatenate(boxes)
     every = np.zeros(len(box), np.int64)
     rectangle, depth = places_in_picture(box, whole.view_from_object[every], view)
-    triangles = [np.minimum(group.count // 3 - CHUNK * np.arange(len(b)), CHUNK) for group, b in zip(groups, boxes, strict=True)]
+    counts = [(group.count // 3, len(of_group)) for group, of_group in zip(groups, boxes, strict=True)]
+    triangles = [np.minimum(count - CHUNK * np.arange(chunks), CHUNK) for count, chunks in counts]
     chunks = replace(
         whole.those(every), member=np.arange(len(box)), rectangle=rectangle, depth=depth,
         triangles=np.concatenate(triangles), chunked=True,
@@ -143,51 +143,3 @@ def _from_origins(view_from_object: np.ndarray, origin: np.ndarray) -> np.ndarra
 def _holdout(instances: Instances, rows: np.ndarray) -> np.ndarray:
     """Returns whether instances (I,) cut holes, (I,) bool."""
     return np.zeros(len(rows), bool) if instances.holdout is None else instances.holdout[rows].astype(bool)
-
-
-def places_in_picture(
-    box: np.ndarray, view_from_object: np.ndarray, view: SampleView
-) -> tuple[np.ndarray, np.ndarray]:
-    """Returns rectangles, (I, 4) float64, that hold a box in the picture for each transform: low and high corner, from
-    0 to 1 over the picture; where all of the box lies outside, the high corner is not above the low one. And its
-    nearest and farthest depth, (I, 2) float64.
-
-    box: (2, 3) or (I, 2, 3), low and high corner in object space. view_from_object: (I, 4, 4).
-    """
-    corners = box_corners(box[..., 0, :], box[..., 1, :])
-    with np.errstate(all="ignore"):
-        p = corners @ view_from_object[:, :3, :3].swapaxes(1, 2) + view_from_object[:, None, :3, 3]
-        depth = -p[..., 2]
-        found = _rectangles_around(p, view)
-        depths = np.stack([depth.min(axis=1), depth.max(axis=1)], axis=1)
-        across = np.flatnonzero((depth <= view.near).any(axis=1) & (depth > view.near).any(axis=1))
-        if len(across) and view.camera.perspective:
-            found[across] = _rectangles_around(_beyond(p[across], view.near), view)
-            depths[across, 0] = -np.inf
-    unknown = ~(np.isfinite(found).all(axis=1) & np.isfinite(depth).all(axis=1))
-    found[unknown], depths[unknown, 0] = (0.0, 0.0, 1.0, 1.0), -np.inf
-    found[(depth < view.near).all(axis=1) | (depth > view.far).all(axis=1)] = 0.0
-    return np.clip(found, 0.0, 1.0), depths
-
-
-def _rectangles_around(p: np.ndarray, view: SampleView) -> np.ndarray:
-    """Returns the rectangles, (I, 4), around points (I, K, 3) in view space, and some pixels around these; see
-    `places_in_picture`."""
-    scale = 1 / -p[..., 2] if view.camera.perspective else np.ones(p.shape[:2])
-    pixels = p[..., :2] * scale[..., None] * view.camera.pixel_from_view()[:2] + view.principal_point
-    low, high = pixels.min(axis=1), pixels.max(axis=1)
-    margin = 1 + ROUNDING * np.maximum(np.abs(low), np.abs(high))
-    return np.concatenate([(low - margin) / view.size, (high + margin) / view.size], axis=1)
-
-
-def _beyond(p: np.ndarray, near: float) -> np.ndarray:
-    """Returns points (I, 24, 3) around what lies beyond the near plane of boxes whose corners, (I, 8, 3), lie on both
-    sides: the ends of their edges, or where these meet the plane."""
-    ends = p[:, BOX_EDGES]  # (I, 12, 2, 3)
-    short = np.maximum(near + ends[..., 2], 0.0)  # what an end lacks in depth
-    share = short / np.abs(ends[..., 0, 2] - ends[..., 1, 2])[..., None]
-    moved = ends + share[..., None] * (ends[:, :, ::-1] - ends)
-    gone = (short > 0).all(axis=2)  # edges before the plane
-    # What is found twice does not matter.
-    some = moved[np.arange(len(p)), np.argmin(gone, axis=1), 0]
-    return np.where(gone[..., None, None], some[:, None, None], moved).reshape(len(p), -1, 3)

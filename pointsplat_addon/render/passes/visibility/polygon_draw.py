@@ -14,6 +14,7 @@ from .polygon_mesh import BLOCK, BLOCK_SHIFT, CHUNK, Group, PolygonMesh
 from .polygon_page import Kind, PolygonPage
 
 GAP = 2  # chunks that are drawn with those around them: another draw takes longer
+MOST_RUNS = 64  # of a group: each is a draw, or three dispatches
 
 
 def instance_rows(
@@ -101,7 +102,10 @@ def chunk_runs(groups: list[Group], group: Group, chunks: np.ndarray) -> list[Gr
     mine = chunks[(chunks >= before) & (chunks < before + len(group.chunks))] - before
     if len(mine) == 0:
         return []
-    apart = np.flatnonzero(np.diff(mine) > GAP + 1)
+    gap = np.diff(mine)
+    apart = np.flatnonzero(gap > GAP + 1)
+    if len(apart) >= MOST_RUNS:
+        apart = np.sort(apart[np.argsort(-gap[apart], kind="stable")[: MOST_RUNS - 1]])
     first, last = mine[np.append(0, apart + 1)], mine[np.append(apart, len(mine) - 1)] + 1
     begin, end = 3 * CHUNK * first, np.minimum(3 * CHUNK * last, group.count)
     return [

@@ -51,7 +51,8 @@ def triangle_program(lattice: Lattice, group: Group, one: bool, step: str, norma
     normals tell surfaces apart."""
     images = {"LIST": ("list", "list_length"), "DEPTH": ("depths",), "IDENTIFY": ("ids", "keys")}[step]
     identify, culled = step == "IDENTIFY", group.cull and step != "LIST"
-    own: Fields = (*group_fields(one, group.blocks), ("int", "elements"), *((("int", "list_size"),) if step == "LIST" else ()))
+    sizes = ("elements", *(("list_size",) if step == "LIST" else ()))
+    own: Fields = (*group_fields(one, group.blocks), *(("int", name) for name in sizes))
     if identify:
         own = (*own, ("int", "first_id"), *(() if group.blocks else (("int", "material"), ("int", "triangles"))))
     alone: Fields = ONE_INSTANCE_FIELDS if one else ()
