@@ -23,7 +23,7 @@ void main()
     discard;
   }
 #ifdef PS_AMONG_OPAQUE
-  float opaque = texelFetch(ps_depth, ivec2(gl_FragCoord.xy / u.scale), 0).x;
+  float opaque = texelFetch(ps_depth, ivec2(gl_FragCoord.xy / u.place), 0).x;
   if (opaque == PS_NOWHERE) {
     discard;
   }

@@ -1,4 +1,6 @@
 // Two triangles that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent/page.py.
+// u.turn: the first column of the matrix that takes pixels to texels of the target, which turns and scales them; u.origin:
+// where pixel coordinates (0, 0) lie there. PS_LISTED: not all splats are drawn, but those of ps_listed.
 
 #include "lib/splat/kernel.glsl"
 
@@ -9,13 +11,20 @@ void main()
 {
   int index = u.first + gl_VertexID / 6;
   ivec2 at = ivec2(index & 4095, index >> 12);
+#ifdef PS_LISTED
+  at = ivec2(texelFetch(ps_listed, at, 0).xy);
+#endif
   vec4 centre = texelFetch(ps_centre, at, 0), shape = texelFetch(ps_shape, at, 0);
-  // In a coarser picture's pixels, of which splats are not to miss any either.
-  float scale = u.scale;
-  vec3 c = scale * scale * shape.xyz + (scale < 1.0 ? vec3(PS_LOW_PASS, 0.0, PS_LOW_PASS) : vec3(0.0));
+  float a = u.turn.x, b = u.turn.y, scale = length(u.turn);
+  vec3 turned = vec3(a * a * shape.x - 2.0 * a * b * shape.y + b * b * shape.z,
+                     a * b * (shape.x - shape.z) + (a * a - b * b) * shape.y,
+                     b * b * shape.x + 2.0 * a * b * shape.y + a * a * shape.z);
+  // A coarser picture's pixels are not to miss any splats either.
+  vec3 c = turned + (scale < 1.0 ? vec3(PS_LOW_PASS, 0.0, PS_LOW_PASS) : vec3(0.0));
   float det = c.x * c.z - c.y * c.y;
   float kept = scale < 1.0 ? scale * scale * sqrt((shape.x * shape.z - shape.y * shape.y) / det) : 1.0;
-  v_centre = scale * (centre.xy + u.principal_point);
+  mat2 target_from_pixel = mat2(a, b, -b, a);
+  v_centre = target_from_pixel * (centre.xy + u.principal_point) + u.origin;
   vec4 source = texelFetch(ps_source, at, 0);
   v_source = vec4(source.rgb, kept * centre.w);
 #ifdef PS_CHANNEL
@@ -24,11 +33,11 @@ void main()
   v_conic = vec4(vec3(c.z, -c.y, c.x) / det, source.w);
 #ifdef PS_KERNELS
   // The shapes of splats that are no wider than a pixel would only be missed between the pixels' centres.
-  v_conic.w = det > PS_SHAPED ? source.w : source.w < 0.0 ? -1.0 : 0.0;
+  v_conic.w = det > PS_SHAPED * max(scale * scale * scale * scale, 1.0) ? source.w : source.w < 0.0 ? -1.0 : 0.0;
 #endif
 #ifdef PS_AMONG_OPAQUE
   vec4 front = texelFetch(ps_front, at, 0);
-  v_front = vec4(centre.z, 1.0 / front.x, front.yz / scale);
+  v_front = vec4(centre.z, 1.0 / front.x, target_from_pixel * front.yz / (scale * scale));
 #endif
 
   // Along the ellipse's axes where that saves much; else along the picture's, which rasterisers fill faster.

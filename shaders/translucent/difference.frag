@@ -1,6 +1,6 @@
 // What translucent splats change in a layer of the pixel and of its neighbours, by the weights of the pixel filter. Rows of
 // ps_weights, one for each neighbour of which something counts: its place (x, y), the weight of all of the sub-samples, and of
-// each of them. Texels of ps_stratum: which sub-samples these are.
+// each of them. Texels of ps_members: which sub-samples these are.
 
 #include "lib/visibility/groups.glsl"
 
@@ -16,7 +16,7 @@ void main()
     bool whole = (codes.y & PS_UNIFORM) != 0u;
     float weight = whole && group >= 0.0 ? texelFetch(ps_weights, ivec2(2, row), 0).x : 0.0;
     for (int i = 0; i < (whole || group < 0.0 ? 0 : u.sub_samples); i++) {
-      bool mine = ps_group(codes, int(texelFetch(ps_stratum, ivec2(i, 0), 0).x)) == uint(group);
+      bool mine = ps_group(codes, int(texelFetch(ps_members, ivec2(i, 0), 0).x)) == uint(group);
       weight += mine ? texelFetch(ps_weights, ivec2(3 + i, row), 0).x : 0.0;
     }
     vec4 shown = texelFetch(ps_layer, at, 0);

@@ -1,6 +1,6 @@
 // One of the opaque layers that some of a pixel's sub-samples show, twice: one is blended over, and the other tells what that
 // changes. Layers are groups, in the order in which these sub-samples meet them; what is open is one, too. out_place: the
-// layer's depth, and its group. Texels of ps_stratum: which sub-samples, and the cells where they lie. PS_BEHIND: what open
+// layer's depth, and its group. Texels of ps_members: which sub-samples, and the cells where they lie. PS_BEHIND: what open
 // sub-samples show. PS_PLACES: groups are not listed in the order of their pixels.
 
 #include "lib/visibility/lattice.glsl"
@@ -15,7 +15,7 @@ void main()
   uint seen = 0u, group = PS_NO_GROUP;
   ivec2 cell = ivec2(0);
   for (int i = 0; i < count && layer < u.layer; i++) {
-    vec4 member = texelFetch(ps_stratum, ivec2(i, 0), 0);
+    vec4 member = texelFetch(ps_members, ivec2(i, 0), 0);
     group = ps_group(codes, int(member.x));
     layer += (seen & (1u << group)) == 0u ? 1 : 0;
     seen |= 1u << group;

@@ -149,7 +149,7 @@ class Frame:
     def _allocate_visibility(self, targets: VisibilityTargets) -> None:
         device, plan, run, over = self.device, self.frame_plan.plan, self.clock.run, None
         if self.lit is not None:
-            over = TranslucentLayers(device, plan, self.lit.lit, targets, self.targets.combined_target, run)
+            over = self._own(TranslucentLayers(device, plan, self.lit.lit, targets, self.targets.combined_target, run))
         passes = self.frame_plan.request.passes
         self.visibility = self._own(Visibility(device, plan, passes, self.uploads, targets, self.shading, over, run))
 

@@ -12,9 +12,17 @@ from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.splat.kernel import SUPPORT
 from pointsplat_addon.render.frame.visibility import tiles as picture_tiles
 from pointsplat_addon.render.passes.tiles import TILE
+from pointsplat_addon.render.passes.translucent.cells import (
+    BLOCK,
+    PixelBlock,
+    blocks,
+    first_cell,
+    largest_block,
+    number_texels,
+    splats_in,
+)
 from pointsplat_addon.render.passes.translucent.strata import (
     bounds,
-    strata,
     tiles_by_layer,
     touched_tiles,
     weight_rows,
@@ -141,16 +149,54 @@ def test_the_first_picture_of_a_view_that_moves_is_near_the_others():
 
 
 @pytest.mark.parametrize("lattice", [ONE, FEW, MANY])
-def test_strata_share_the_sub_samples_and_their_weights(lattice):
+def test_weights_of_all_sub_samples_add_up(lattice):
     weights = filter_weights(lattice, (0.1, -0.2), 1.5)
-    for count in {1, min(5, lattice.count), lattice.count}:
-        parts = strata(lattice, count)
-        assert sorted(np.concatenate(parts).tolist()) == list(range(lattice.count))
-        assert [members[0] for members in parts] == list(range(count))
-        rows = [weight_rows(weights, members)[..., 0] for members in parts]
-        assert sum(part[:, 2].sum() for part in rows) == pytest.approx(1)
-        for part in rows:
-            np.testing.assert_allclose(part[:, 3:].sum(axis=1), part[:, 2], rtol=1e-6)
+    rows = weight_rows(weights, np.arange(lattice.count))[..., 0]
+    assert rows[:, 2].sum() == pytest.approx(1)
+    np.testing.assert_allclose(rows[:, 3:].sum(axis=1), rows[:, 2], rtol=1e-6)
+
+
+@pytest.mark.parametrize("lattice", [ONE, FEW, MANY])
+def test_blocks_share_tiles_and_hold_their_cells(lattice):
+    """Each tile is in one block, and all sub-samples that its pixels and their neighbours take in lie in the block's
+    target, as many cells from its first as they lie from the picture's."""
+    random = np.random.default_rng(4)
+    size, margin = (TILE * (BLOCK + 3) - 5, TILE * (BLOCK + 1) - 9), 2
+    tiles = random.random((BLOCK + 1, BLOCK + 3)) > 0.8
+    shared = np.zeros(tiles.shape, int)
+    columns, rows = lattice.size(largest_block(size, margin))
+    corner = np.array(lattice.corner(size))
+    for found, own in blocks(tiles, size, margin):
+        shared += own
+        first = np.array(first_cell(lattice, found, size))
+        for row, column in np.argwhere(own):
+            low = np.maximum(TILE * np.array([column, row]) - margin, 0)
+            high = np.minimum(TILE * np.array([column + 1, row + 1]) + margin, size) - 1
+            assert (found.low <= low).all() and (found.high > high).all()
+            for x, y in ((low[0], low[1]), (high[0], low[1]), (low[0], high[1]), (high[0], high[1])):
+                central = corner + [lattice.p * x - lattice.q * y, lattice.q * x + lattice.p * y]
+                cells = central + lattice.offsets - first
+                assert (cells >= 0).all() and (cells < (columns, rows)).all()
+    np.testing.assert_array_equal(shared, tiles)
+
+
+def test_sub_samples_are_found_by_their_cells():
+    numbers = number_texels(MANY)[..., 0]
+    reach = len(numbers) // 2
+    for number, (column, row) in enumerate(MANY.offsets):
+        assert numbers[row + reach, column + reach] == number
+
+
+def test_splats_that_reach_into_a_block_are_found():
+    random = np.random.default_rng(5)
+    count, middle, found = 300, (90.0, 100.0), PixelBlock((80, 70), (120, 140))
+    centre = np.column_stack([random.uniform(-100, 100, (count, 2)), np.ones(count), random.random(count) > 0.2])
+    shape = np.column_stack([random.uniform(0.1, 30, count), np.zeros(count), random.uniform(0.1, 30, count)])
+    half = np.sqrt(SUPPORT * shape[:, [0, 2]])
+    low, high = centre[:, :2] + middle - half, centre[:, :2] + middle + half
+    expected = (centre[:, 3] > 0) & (low < found.high).all(axis=1) & (high > found.low).all(axis=1)
+    np.testing.assert_array_equal(splats_in(found, centre, shape, middle), np.flatnonzero(expected))
+    assert 0.1 < expected.mean() < 0.5
 
 
 def test_tiles_that_splats_touch_are_found():

@@ -32,7 +32,7 @@ class VisibilityTargets:
         margin = filter_reach(plan.filter_size)
         self.size = size
         self.tiles = picture_tiles(size, lattice, device.limits.texture_size, most_cells, margin)
-        of_tile = self.tiles[0].size
+        self.size_of_tile = of_tile = self.tiles[0].size
         self.buffer = self._own(VisibilityBuffer(device, lattice, of_tile))
         self.groups = self._own(Groups(device, self.buffer))
         self.central: GBuffer | None = None  # of what lies under the pixels' centres, for passes that are not averaged

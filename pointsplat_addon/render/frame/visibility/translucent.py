@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 
 import numpy as np
 
@@ -22,8 +21,7 @@ from ...passes.translucent.strata import (
     bounds,
     difference_program,
     expand_program,
-    strata,
-    stratum_texels,
+    member_texels,
     tiles_by_layer,
     touched_tiles,
     weight_rows,
@@ -33,6 +31,7 @@ from ...passes.uniforms import SampleView
 from ...plan.plan import Plan
 from .targets import VisibilityTargets
 from .tiles import PictureTile
+from .translucent_cells import TranslucentCells
 
 Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
 
@@ -50,6 +49,7 @@ class TranslucentLayers:
         self._options = plan.translucent
         self._targets, self._layers = targets, targets.translucent
         self._difference = difference_program(plan.translucent)
+        self._cells: TranslucentCells | None = None
 
     def draw(
         self, view: SampleView, tile: PictureTile, shaded: dict[str, Texture], weights: np.ndarray, coarse: bool
@@ -62,80 +62,95 @@ class TranslucentLayers:
         device, layers, lattice = self._device, self._layers, self._targets.buffer.lattice
         device.clear(layers.difference_target)
         around = len(weights) ** 0.5 // 2 + 2 * COARSE
-        touched, narrow = self._touched_tiles(view, around)
+        splats = self._read_splats()
+        touched, narrow = self._touched_tiles(view, *splats, around)
+        every = np.arange(lattice.count)
         if coarse:
-            self._draw_strata(view, [np.zeros(1, np.int64)], weights / weights[:, 0].sum(), shaded, touched, COARSE)
-        else:
-            for tiles, count in ((narrow, lattice.count), (touched & ~narrow, 1)):
-                if tiles.any() or (count == 1 and not narrow.any()):
-                    self._draw_strata(view, strata(lattice, count), weights, shaded, tiles)
+            weights = weights / weights[:, 0].sum()
+            self._draw_layers(view, every[:1], weights, shaded, touched, COARSE)
+            return self._add(tile)
+        wide = touched & ~narrow
+        if narrow.any():
+            if self._cells is None:
+                margin = round(len(weights) ** 0.5) // 2
+                self._cells = TranslucentCells(device, self._options, self._targets, margin, self._run)
+            self._cells.draw(view, self._lit, splats, shaded, weights, narrow)
+        if wide.any() or not narrow.any():
+            self._draw_layers(view, every, weights, shaded, wide)
+        self._add(tile)
+
+    def _add(self, tile: PictureTile) -> None:
+        """Adds the differences of a tile to the sums."""
+        device, layers = self._device, self._layers
         record = ADD_TILE_BLOCK.record(rectangle=tile.rectangle(self._targets.size), corner=tile.origin)
         textures = {"ps_difference": layers.difference}
         self._run(
             "add", lambda: device.draw(ADD_TILE, self._sums, uniforms=record, textures=textures, vertices=6, blend=True)
         )
 
-    def _touched_tiles(self, view: SampleView, around: float) -> tuple[np.ndarray, np.ndarray]:
-        """Returns which tiles splats touch, and which of them narrow ones touch, (rows, columns) bool each.
-
-        around: pixels around a splat that count as touched.
-        """
+    def _read_splats(self) -> tuple[np.ndarray, np.ndarray]:
+        """Returns centre and shape of all splats, (N, 4) each, as the pass `light` left them."""
         lit = self._lit
         centre, shape = (
             self._device.read(lit.textures[name]).reshape(-1, 4)[: lit.count] for name in ("ps_centre", "ps_shape")
         )
+        return centre, shape
+
+    def _touched_tiles(
+        self, view: SampleView, centre: np.ndarray, shape: np.ndarray, around: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Returns which tiles splats touch, and which of them narrow ones touch, (rows, columns) bool each.
+
+        centre, shape: (N, 4) each. around: pixels around a splat that count as touched.
+        """
         narrow = are_narrow(shape, self._options.kernels)
         where = view.principal_point, view.size, around
         touched = touched_tiles(centre, shape, *where)
         return touched, touched_tiles(centre[narrow], shape[narrow], *where) if narrow.any() else np.zeros_like(touched)
 
-    def _draw_strata(
+    def _draw_layers(
         self,
         view: SampleView,
-        parts: list[np.ndarray],
+        members: np.ndarray,
         weights: np.ndarray,
         shaded: dict[str, Texture],
         tiles: np.ndarray,
         pixels: int = 1,
     ) -> None:
-        """Adds the differences in tiles (rows, columns) bool, stratum by stratum.
+        """Adds the differences in tiles (rows, columns) bool, layer by layer of each pixel.
 
-        parts: sub-samples of each. `pixels`: of the picture along one of what splats are drawn into.
+        members: sub-samples (K,) whose layers these are. `pixels`: of the picture along one of what splats are drawn
+        into.
         """
-        positions, layers = self._targets.buffer.lattice.positions, tiles_by_layer(self._targets.groups.layers, tiles)
-        for members in parts:
-            # Where one place stands for a whole pixel, it is the middle.
-            x, y = positions[members[0]].tolist()
-            moved = replace(view, offset=(view.offset[0] + x, view.offset[1] + y))
-            with (
-                self._texture(stratum_texels(self._targets.buffer.lattice, members), "RGBA32F") as stratum,
-                self._texture(weight_rows(weights, members), "R32F") as rows,
-            ):
-                for layer, where in enumerate(layers[: len(members)]):
-                    self._draw_layer(view, moved, layer, (stratum, rows), shaded, where, pixels)
+        lattice, layers = self._targets.buffer.lattice, tiles_by_layer(self._targets.groups.layers, tiles)
+        with (
+            self._texture(member_texels(lattice, members), "RGBA32F") as texels,
+            self._texture(weight_rows(weights, members), "R32F") as rows,
+        ):
+            for layer, where in enumerate(layers[: len(members)]):
+                self._draw_layer(view, layer, (texels, rows), shaded, where, pixels)
 
     def _draw_layer(
         self,
         view: SampleView,
-        moved: SampleView,
         layer: int,
         tables: tuple[Texture, Texture],
         shaded: dict[str, Texture],
         tiles: np.ndarray,
         pixels: int,
     ) -> None:
-        """Adds the differences of a layer of a stratum in tiles.
+        """Adds the differences of a layer in tiles.
 
-        `moved`: the view of the stratum. `tables`: its sub-samples, and what the pixel filter weighs them by.
+        `tables`: the sub-samples whose layers these are, and what the pixel filter weighs them by.
         """
-        stratum, rows = tables
+        members, rows = tables
         # The pixel filter takes in pixels of tiles beside those that change.
         outer = widened(tiles)
         with self._texture(tiles[..., None], "R32F") as inside, self._texture(outer[..., None], "R32F") as around:
             self._device.clear(self._layers.place_target, (NOWHERE, -1.0, 0.0, 0.0))
-            self._run("expand", lambda: self._expand(view, layer, stratum, shaded, Region(around)))
-            self._blend(moved, bounds(outer), pixels)
-            self._run("difference", lambda: self._subtract(stratum, rows, Region(inside)))
+            self._run("expand", lambda: self._expand(view, layer, members, shaded, Region(around)))
+            self._blend(view, bounds(outer), pixels)
+            self._run("difference", lambda: self._subtract(members, rows, Region(inside)))
 
     @contextmanager
     def _texture(self, texels: np.ndarray, format: str) -> Iterator[Texture]:
@@ -148,14 +163,14 @@ class TranslucentLayers:
             made.release()
 
     def _expand(
-        self, view: SampleView, layer: int, stratum: Texture, shaded: dict[str, Texture], region: Region
+        self, view: SampleView, layer: int, members: Texture, shaded: dict[str, Texture], region: Region
     ) -> None:
         targets, groups, buffer = self._targets, self._targets.groups, self._targets.buffer
         program = expand_program(targets.behind is not None, groups.places is not None)
-        record = view.record(EXPAND, sub_samples=stratum.size[0], layer=layer, **buffer.values)
+        record = view.record(EXPAND, sub_samples=members.size[0], layer=layer, **buffer.values)
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         textures = {name: texture for name, texture in named.items() if texture is not None}
-        textures |= {"ps_depths": buffer.depths, "ps_combined": shaded["ps_combined"], "ps_stratum": stratum}
+        textures |= {"ps_depths": buffer.depths, "ps_combined": shaded["ps_combined"], "ps_members": members}
         textures |= groups.codes
         region.draw(self._device, program, self._layers.expanded, uniforms=record, textures=textures)
 
@@ -171,12 +186,16 @@ class TranslucentLayers:
         textures = {"ps_coarse": layers.coarse}
         self._run("enlarge", lambda: device.draw(ENLARGE, layers.blended, textures=textures, over=True))
 
-    def _subtract(self, stratum: Texture, rows: Texture, region: Region) -> None:
+    def _subtract(self, members: Texture, rows: Texture, region: Region) -> None:
         layers = self._layers
         textures = {**self._targets.groups.codes, "ps_layer": layers.layer, "ps_opaque": layers.opaque}
-        textures |= {"ps_place": layers.place, "ps_stratum": stratum, "ps_weights": rows}
+        textures |= {"ps_place": layers.place, "ps_members": members, "ps_weights": rows}
         textures |= {} if layers.cut is None else {"ps_cut": layers.cut}
-        record = DIFFERENCE.record(sub_samples=stratum.size[0], neighbours=rows.size[1])
+        record = DIFFERENCE.record(sub_samples=members.size[0], neighbours=rows.size[1])
         region.draw(
             self._device, self._difference, layers.difference_target, uniforms=record, textures=textures, blend=True
         )
+
+    def release(self) -> None:
+        if self._cells is not None:
+            self._cells.release()

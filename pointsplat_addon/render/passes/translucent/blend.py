@@ -15,15 +15,17 @@ BLEND = block("Blend", (
     ("vec4", "bounds"),  # pixels of the target: low and high corner of where splats are wanted
     ("vec2", "principal_point"),  # pixels of the whole picture
     ("ivec2", "size"),  # of the target
-    ("float", "scale"),  # pixels of the target along a pixel of the picture
+    ("vec2", "turn"),  # first column of the matrix that takes pixels of the picture to texels of the target
+    ("vec2", "origin"),  # texels: where pixel coordinates (0, 0) lie in the target
+    ("float", "place"),  # texels of the target along one of the opaque depths
     ("int", "first"),  # splat of the list
 ))  # fmt: skip
 OPAQUE_DEPTH = block("OpaqueDepth", CAMERA_FIELDS)
 
 
-def draw_program(options: TranslucentOptions, channel: str) -> Interface:
+def draw_program(options: TranslucentOptions, channel: str, listed: bool = False) -> Interface:
     """Returns the program that blends splats over the picture. `channel`: one of CHANNELS, or "" where all are
-    alike."""
+    alike. `listed`: not all splats are drawn."""
     read = ["centre", "shape", "source", *(["front", "depth"] if options.opaque else [])]
     varyings = [("flat", "vec4", "v_conic"), ("flat", "vec4", "v_source"), ("flat", "vec2", "v_centre")]
     defines = []
@@ -33,6 +35,9 @@ def draw_program(options: TranslucentOptions, channel: str) -> Interface:
     if options.kernels:
         read.append("profiles")
         defines += [("PS_KERNELS", "1"), ("PS_PROFILE_STEPS", str(PROFILES.shape[1]))]
+    if listed:
+        read.append("listed")
+        defines.append(("PS_LISTED", "1"))
     outputs = [("vec4", "out_color")]
     if options.holdout:
         outputs.append(("vec4", "out_cut"))

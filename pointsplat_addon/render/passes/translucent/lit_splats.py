@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from ....core.splat.kernel import PROFILES
 from ....shading.interface import Interface
-from ...device.packing import PAGE_WIDTH
+from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..uniforms import SampleView
 from .blend import BLEND, CHANNELS, Bounds, draw_program
@@ -34,8 +36,8 @@ class LitSplats:
         if options.kernels:
             kernels, steps = PROFILES.shape
             self._profiles["ps_profiles"] = device.texture((steps, kernels), "R32F", PROFILES.reshape(-1))
-        channels = () if options.defocus else CHANNELS if options.tint else ("",)
-        self.draws = [(draw_program(options, channel), channel or "RGBA") for channel in channels]
+        self._channels = () if options.defocus else CHANNELS if options.tint else ("",)
+        self._options = options
 
     def light(self, view: SampleView, light_count: int, textures: Mapping[str, Texture]) -> None:
         """Lights all splats, seen from the middle of the pixel."""
@@ -57,16 +59,51 @@ class LitSplats:
         `depth`: of what is opaque, in pixels of the picture. `bounds`: in the picture, what lies outside of them is not
         wanted.
         """
-        size = target.colors[0].size
-        rectangle = (0.0, 0.0, *size) if bounds is None else tuple(side / pixels for side in bounds)
-        textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth})}
-        for program, mask in self.draws:
-            for first in range(0, self.count, CHUNK):
-                record = view.record(BLEND, size=size, bounds=rectangle, scale=1 / pixels, first=first)
-                vertices = 6 * min(CHUNK, self.count - first)
+        rectangle = (0.0, 0.0, *target.colors[0].size) if bounds is None else tuple(side / pixels for side in bounds)
+        where = {"turn": (1 / pixels, 0.0), "origin": (0.0, 0.0), "place": 1 / pixels, "bounds": rectangle}
+        self._draw(target, view, depth, where, self.count, {})
+
+    def draw_turned(
+        self,
+        target: Target,
+        view: SampleView,
+        depth: Texture,
+        turn: tuple[float, float],
+        origin: tuple[float, float],
+        rows: np.ndarray,
+    ) -> None:
+        """Blends some splats over a target whose texels are turned against the picture's pixels.
+
+        `depth`: of what is opaque, one texel for each of the target's. `turn`: first column of the matrix that takes
+        pixels to texels; `origin`: where pixel coordinates (0, 0) lie. rows: (K,) int64 of the splats, rising.
+        """
+        size, data = paged(np.column_stack([rows & (PAGE_WIDTH - 1), rows // PAGE_WIDTH]), 2)
+        listed = self.device.texture(size, "RG32F", data)
+        where = {"turn": turn, "origin": origin, "place": 1.0, "bounds": (0.0, 0.0, *target.colors[0].size)}
+        try:
+            self._draw(target, view, depth, where, len(rows), {"ps_listed": listed})
+        finally:
+            listed.release()
+
+    def _draw(
+        self,
+        target: Target,
+        view: SampleView,
+        depth: Texture | None,
+        where: Mapping[str, object],
+        count: int,
+        listed: Mapping[str, Texture],
+    ) -> None:
+        textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth}), **listed}
+        for channel in self._channels:
+            program = draw_program(self._options, channel, bool(listed))
+            for first in range(0, count, CHUNK):
+                record = view.record(BLEND, size=target.colors[0].size, first=first, **where)
+                vertices = 6 * min(CHUNK, count - first)
                 self.device.draw(
-                    program, target, uniforms=record, textures=textures, vertices=vertices, over=True, mask=mask
-                )
+                    program, target, uniforms=record, textures=textures, vertices=vertices, over=True,
+                    mask=channel or "RGBA",
+                )  # fmt: skip
 
     def release(self) -> None:
         self.target.release()

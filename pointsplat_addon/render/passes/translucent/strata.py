@@ -1,10 +1,9 @@
 """Blends translucent splats over the layers that the sub-samples of the visibility buffer show.
 
-The sub-samples of a pixel are divided into strata. In each, splats are looked at once for each layer: a group, or what
-is open. With L what they send to the eye and T what they let through, the layer gains L - (1 - T) opaque, and these
+Splats that are at least a pixel wide are looked at in the middle of the pixel, once for each layer: a group, or what is
+open. With L what they send to the eye and T what they let through, the layer gains L - (1 - T) opaque, and these
 differences go through the pixel filter by the weights of the layer's sub-samples. Edges of what is opaque are as exact
-as without them, whatever the strata; those of the splats are as exact as the strata are many. Splats that are many
-pixels wide need one only.
+as without them. Narrower splats are looked at in each sub-sample: cells.py.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ def expand_program(behind: bool, places: bool) -> Interface:
     `behind`: open sub-samples show something. `places`: the list of groups is not in the order of the pixels.
     """
     flags = {"PS_BEHIND": behind, "PS_PLACES": places}
-    read = ("ps_stratum", "ps_starts", "ps_combined")
+    read = ("ps_members", "ps_starts", "ps_combined")
     read += (*(("ps_behind",) if behind else ()), *(("ps_places",) if places else ()))
     return Interface(
         "expand", fragment="translucent/expand.frag", block=EXPAND,
@@ -51,7 +50,7 @@ def expand_program(behind: bool, places: bool) -> Interface:
 
 def difference_program(options: TranslucentOptions) -> Interface:
     """Returns the program that adds what blending has changed in a layer."""
-    read = ("ps_layer", "ps_opaque", "ps_place", "ps_stratum", "ps_weights", *(("ps_cut",) if options.holdout else ()))
+    read = ("ps_layer", "ps_opaque", "ps_place", "ps_members", "ps_weights", *(("ps_cut",) if options.holdout else ()))
     return Interface(
         "difference", fragment="translucent/difference.frag", block=DIFFERENCE,
         samplers=(*CODES, *(("FLOAT_2D", name) for name in read)), outputs=(("vec4", "out_difference"),),
@@ -59,15 +58,8 @@ def difference_program(options: TranslucentOptions) -> Interface:
     )  # fmt: skip
 
 
-def strata(lattice: Lattice, count: int) -> list[np.ndarray]:
-    """Returns the sub-samples of each stratum: those nearest to one of the first `count`, which comes first."""
-    at = lattice.positions
-    owner = np.argmin(np.square(at[:, None] - at[None, :count]).sum(axis=2), axis=1)
-    return [np.flatnonzero(owner == stratum) for stratum in range(count)]
-
-
-def stratum_texels(lattice: Lattice, members: np.ndarray) -> np.ndarray:
-    """Returns the sub-samples of a stratum (K,), (1, K, 4) float32: index, cell from the pixel's central one, 0."""
+def member_texels(lattice: Lattice, members: np.ndarray) -> np.ndarray:
+    """Returns sub-samples (K,), (1, K, 4) float32: index, cell from the pixel's central one, 0."""
     found = np.zeros((1, len(members), 4), np.float32)
     found[0, :, 0], found[0, :, 1:3] = members, lattice.offsets[members]
     return found

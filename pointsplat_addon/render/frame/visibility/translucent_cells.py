@@ -1,0 +1,161 @@
+"""Draws narrow translucent splats over all sub-samples of a picture at once, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ....core.numeric.lattice import Lattice
+from ...device.protocol import Device, Target, Texture, releases_on_failure
+from ...passes.tiles import Region
+from ...passes.translucent.cells import (
+    DIFFERENCE_CELLS,
+    EXPAND_CELLS,
+    PixelBlock,
+    blocks,
+    difference_cells_program,
+    expand_cells_program,
+    first_cell,
+    largest_block,
+    number_texels,
+    splats_in,
+)
+from ...passes.translucent.lit_splats import LitSplats
+from ...passes.translucent.options import TranslucentOptions
+from ...passes.translucent.strata import member_texels, weight_rows, widened
+from ...passes.uniforms import SampleView
+from .targets import VisibilityTargets
+
+Run = Callable[[str, Callable[[], None]], None]  # runs a pass, and times it under a name
+
+
+class TranslucentCells:
+    """The sub-samples of one block of pixels, over which splats are blended."""
+
+    @releases_on_failure
+    def __init__(
+        self, device: Device, options: TranslucentOptions, targets: VisibilityTargets, margin: int, run: Run
+    ) -> None:
+        """`margin`: pixels around a pixel that the pixel filter takes in. `run` times each pass."""
+        self._device, self._options, self._targets, self._margin, self._run = device, options, targets, margin, run
+        self._owned: list[Texture | Target] = []
+        lattice = self._lattice
+        self._cells = lattice.size(largest_block(targets.size_of_tile, margin))
+        self._layer, self._place = self._texture(self._cells, "RGBA32F"), self._texture(self._cells, "R32F")
+        self._cut = self._texture(self._cells, "RGBA32F") if options.holdout else None
+        self._expanded = self._target(self._layer, self._place)
+        self._blended = self._target(self._layer, *([] if self._cut is None else [self._cut]))
+        self._cut_target = None if self._cut is None else self._target(self._cut)
+        every = np.arange(lattice.count)
+        self._numbers = self._filled(number_texels(lattice), "R32F")
+        self._members = self._filled(member_texels(lattice, every), "RGBA32F")
+
+    @property
+    def _lattice(self) -> Lattice:
+        return self._targets.buffer.lattice
+
+    def draw(
+        self,
+        view: SampleView,
+        lit: LitSplats,
+        splats: tuple[np.ndarray, np.ndarray],
+        shaded: dict[str, Texture],
+        weights: np.ndarray,
+        tiles: np.ndarray,
+    ) -> None:
+        """Adds what splats change in tiles (rows, columns) bool to the differences.
+
+        splats: centre and shape, (N, 4) each, as the pass `light` left them. `shaded`: what groups show, by sampler
+        name. weights: (N, S), of the pixel filter.
+        """
+        device, size = self._device, self._targets.size_of_tile
+        rows = self._made(weight_rows(weights, np.arange(self._lattice.count)), "R32F")
+        # The pixel filter takes in pixels of tiles beside those that change.
+        around = self._made(widened(tiles)[..., None], "R32F")
+        try:
+            for found, own in blocks(tiles, size, self._margin):
+                inside = self._made(own[..., None], "R32F")
+                try:
+                    self._run("expand", lambda found=found: self._expand(view, found, around, shaded))
+                    if self._cut_target is not None:
+                        device.clear(self._cut_target)
+                    some = splats_in(found, *splats, view.principal_point)
+                    self._run("translucent", lambda found=found, some=some: self._blend(view, lit, found, some))
+                    self._run(
+                        "difference",
+                        lambda found=found, inside=inside: self._subtract(view, found, rows, Region(inside), shaded),
+                    )
+                finally:
+                    inside.release()
+        finally:
+            rows.release()
+            around.release()
+
+    def _expand(self, view: SampleView, found: PixelBlock, around: Texture, shaded: dict[str, Texture]) -> None:
+        targets, lattice = self._targets, self._lattice
+        program = expand_cells_program(targets.behind is not None, targets.groups.places is not None)
+        used = (side / whole for side, whole in zip(lattice.size(found.size), self._cells, strict=True))
+        record = view.record(
+            EXPAND_CELLS,
+            corner=first_cell(lattice, found, targets.size_of_tile),
+            low=found.low,
+            high=found.high,
+            rectangle=(0.0, 0.0, *used),
+            **targets.buffer.values,
+        )
+        textures = self._shown(shaded) | {"ps_depths": targets.buffer.depths}
+        textures |= {"ps_numbers": self._numbers, "ps_wanted": around}
+        self._device.draw(program, self._expanded, uniforms=record, textures=textures, vertices=6)
+
+    def _blend(self, view: SampleView, lit: LitSplats, found: PixelBlock, splats: np.ndarray) -> None:
+        p, q, *origin = self._targets.buffer.values["lattice"]  # pyright: ignore[reportGeneralTypeIssues]
+        corner = first_cell(self._lattice, found, self._targets.size_of_tile)
+        moved = origin[0] - corner[0], origin[1] - corner[1]
+        lit.draw_turned(self._blended, view, self._place, (p, q), moved, splats)
+
+    def _subtract(
+        self, view: SampleView, found: PixelBlock, rows: Texture, inside: Region, shaded: dict[str, Texture]
+    ) -> None:
+        targets, lattice = self._targets, self._lattice
+        assert targets.translucent is not None
+        program = difference_cells_program(self._options, targets.behind is not None, targets.groups.places is not None)
+        record = view.record(
+            DIFFERENCE_CELLS,
+            corner=first_cell(lattice, found, targets.size_of_tile),
+            sub_samples=lattice.count,
+            neighbours=rows.size[1],
+            **targets.buffer.values,
+        )
+        textures = self._shown(shaded) | {"ps_layer": self._layer, "ps_members": self._members, "ps_weights": rows}
+        textures |= {} if self._cut is None else {"ps_cut": self._cut}
+        target = targets.translucent.difference_target
+        inside.draw(self._device, program, target, uniforms=record, textures=textures, blend=True)
+
+    def _shown(self, shaded: dict[str, Texture]) -> dict[str, Texture]:
+        """The textures that tell what the sub-samples show, by sampler name."""
+        targets, groups = self._targets, self._targets.groups
+        named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
+        textures = {name: texture for name, texture in named.items() if texture is not None}
+        return textures | groups.codes | {"ps_combined": shaded["ps_combined"]}
+
+    def _made(self, texels: np.ndarray, format: str) -> Texture:
+        """A texture of texels (rows, columns, channels)."""
+        size = texels.shape[1], texels.shape[0]
+        return self._device.texture(size, format, texels.astype(np.float32).reshape(-1))
+
+    def _filled(self, texels: np.ndarray, format: str) -> Texture:
+        self._owned.append(found := self._made(texels, format))
+        return found
+
+    def _texture(self, size: tuple[int, int], format: str) -> Texture:
+        self._owned.append(found := self._device.texture(size, format))
+        return found
+
+    def _target(self, *textures: Texture) -> Target:
+        self._owned.append(found := self._device.target(textures))
+        return found
+
+    def release(self) -> None:
+        for item in reversed(self._owned):
+            item.release()
