@@ -68,16 +68,27 @@ class TranslucentLayers:
         if coarse:
             weights = weights / weights[:, 0].sum()
             self._draw_layers(view, every[:1], weights, shaded, touched, COARSE)
-            return self._add(tile)
-        wide = touched & ~narrow
-        if narrow.any():
-            if self._cells is None:
-                margin = round(len(weights) ** 0.5) // 2
-                self._cells = TranslucentCells(device, self._options, self._targets, margin, self._run)
-            self._cells.draw(view, self._lit, splats, shaded, weights, narrow)
-        if wide.any() or not narrow.any():
-            self._draw_layers(view, every, weights, shaded, wide)
+        else:
+            self._draw_narrow(view, splats, shaded, weights, narrow)
+            if (wide := touched & ~narrow).any() or not narrow.any():
+                self._draw_layers(view, every, weights, shaded, wide)
         self._add(tile)
+
+    def _draw_narrow(
+        self,
+        view: SampleView,
+        splats: tuple[np.ndarray, np.ndarray],
+        shaded: dict[str, Texture],
+        weights: np.ndarray,
+        tiles: np.ndarray,
+    ) -> None:
+        """Adds the differences in tiles (rows, columns) bool, which narrow splats touch, sub-sample by sub-sample."""
+        if not tiles.any():
+            return
+        if self._cells is None:
+            margin = round(len(weights) ** 0.5) // 2
+            self._cells = TranslucentCells(self._device, self._options, self._targets, margin, self._run)
+        self._cells.draw(view, self._lit, splats, shaded, weights, tiles)
 
     def _add(self, tile: PictureTile) -> None:
         """Adds the differences of a tile to the sums."""

@@ -120,7 +120,9 @@ def first_cell(lattice: Lattice, found: PixelBlock, size: Pixel) -> Pixel:
     return whole[0] + p * x - q * y - own[0], whole[1] + q * x + p * y - own[1]
 
 
-def splats_in(found: PixelBlock, centre: np.ndarray, shape: np.ndarray, principal_point: tuple[float, float]) -> np.ndarray:
+def splats_in(
+    found: PixelBlock, centre: np.ndarray, shape: np.ndarray, principal_point: tuple[float, float]
+) -> np.ndarray:
     """Returns which splats reach into a block, (K,) int64, in their order.
 
     centre, shape: (N, 4) as the pass `light` left them, of a view with this principal point.
