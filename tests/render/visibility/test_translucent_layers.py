@@ -172,7 +172,8 @@ def test_blocks_share_tiles_and_hold_their_cells(lattice):
         for row, column in np.argwhere(own):
             low = np.maximum(TILE * np.array([column, row]) - margin, 0)
             high = np.minimum(TILE * np.array([column + 1, row + 1]) + margin, size) - 1
-            assert (found.low <= low).all() and (found.high > high).all()
+            assert (found.low <= low).all()
+            assert (found.high > high).all()
             for x, y in ((low[0], low[1]), (high[0], low[1]), (low[0], high[1]), (high[0], high[1])):
                 central = corner + [lattice.p * x - lattice.q * y, lattice.q * x + lattice.p * y]
                 cells = central + lattice.offsets - first
