@@ -175,9 +175,10 @@ def test_blocks_share_tiles_and_hold_their_cells(lattice):
             assert (found.low <= low).all()
             assert (found.high > high).all()
             for x, y in ((low[0], low[1]), (high[0], low[1]), (low[0], high[1]), (high[0], high[1])):
-                central = corner + [lattice.p * x - lattice.q * y, lattice.q * x + lattice.p * y]
+                central = corner + np.array([lattice.p * x - lattice.q * y, lattice.q * x + lattice.p * y])
                 cells = central + lattice.offsets - first
-                assert (cells >= 0).all() and (cells < (columns, rows)).all()
+                assert (cells >= 0).all()
+                assert (cells < (columns, rows)).all()
     np.testing.assert_array_equal(shared, tiles)
 
 
