@@ -19,7 +19,7 @@ from ...passes.visibility.polygon_page import PolygonPage
 from ...passes.visibility.small_triangles import are_small
 from ...prepare.prepare import Prepared
 from ..uploads.polygons import PolygonUploads
-from .places import places_in_picture
+from .boxes_in_picture import places_in_picture
 
 
 class PolygonSource(Protocol):

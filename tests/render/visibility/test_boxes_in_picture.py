@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.scene.camera import Camera
-from pointsplat_addon.render.frame.visibility.places import places_in_picture
+from pointsplat_addon.render.frame.visibility.boxes_in_picture import places_in_picture
 from pointsplat_addon.render.passes.uniforms import SampleView
 from pointsplat_addon.render.passes.visibility.polygon_draw import MOST_RUNS, chunk_runs
 from pointsplat_addon.render.passes.visibility.polygon_mesh import CHUNK, Group
