@@ -58,6 +58,7 @@ LATE = {
     "shadow maps": "those of an earlier picture still hold",
     "order": "the order of an earlier picture still holds",
     "reach": "what reaches them is known from an earlier picture",
+    "occlusion": "there are few triangles, or few that others may hide",
 }
 UNKNOWN = "no sample came so far"
 
@@ -83,11 +84,11 @@ def reasons(plan: Plan, passes: frozenset[str], absences: Absences) -> dict[str,
     found |= _of_points(plan, unseen.get("points", "nothing is drawn as points"))
     if not by_buffer:
         why = "another technique draws" if plan.solid else "nothing opaque is drawn"
-        found |= dict.fromkeys(BY_BUFFER, why)
+        found |= dict.fromkeys((*BY_BUFFER, "occlusion"), why)
     elif not plan.points:
         found["cover"] = unseen.get("points", "nothing is drawn as points")
     if not plan.polygons:
-        found["polygons"] = unseen.get("polygons", "nothing is drawn as polygons")
+        found |= dict.fromkeys(("occlusion", "polygons"), unseen.get("polygons", "nothing is drawn as polygons"))
     if not plan.spheres:
         found["spheres"] = unseen.get("spheres", "no ball without a normal is wide")
     if not plan.lines:
@@ -168,7 +169,7 @@ def not_run(
     known = {name for name, _ in found} | ran
     late = dict(LATE)
     if one_color:
-        late = {"background": "one colour fills the picture", "adapt": "one colour fills the picture"}
+        late |= dict.fromkeys(("background", "adapt"), "one colour fills the picture")
     elif not keeps_light:
         late["reach"] = "several of its instances share splats, or lights are too many"
     if not_adaptive:
