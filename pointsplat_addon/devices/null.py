@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.numeric.record import record
 from ..render.device import protocol as checks
-from ..render.device.protocol import CHANNELS, DEPTH_BYTES, DeviceError, Limits, Target, Texture, Timer
+from ..render.device.protocol import CHANNELS, DEPTH_BYTES, EMPTY, DeviceError, Limits, Target, Texture, Timer
 from ..shading import sources
 from ..shading.interface import Interface
 
@@ -160,7 +160,7 @@ class NullDevice:
         self.seen.add(id(texture))
         width, height = texture.size
         if texture.format == "R32UI":
-            return np.zeros((height, width), np.uint32)
+            return np.full((height, width), EMPTY, np.uint32)  # as `fill` leaves it
         return np.zeros((height, width, CHANNELS[texture.format]), np.float32)
 
     def start_timer(self) -> NullTimer:

@@ -94,6 +94,7 @@ EXPECTED = {
     "visibility buffer, a cube in held out smoke": "order polygons background " + GROUPED + LAYERS,
     "visibility buffer, smoke alone": "order background " + BLENDED,
     "visibility buffer, points and polygons, out of focus, depth": "cover polygons data light tiles defocus " + GROUPED,
+    "visibility buffer, many polygons behind a wall": "occlusion polygons background " + GROUPED,
     "visibility buffer, polygons, eye-dome lighting": "polygons background eye+dome " + GROUPED,
     "EWA": EWA + SEEN,
     "EWA, adaptive": "adapt " + EWA + SEEN,

@@ -26,6 +26,7 @@ from scripts.scenes.case import ALL_PASSES, Case
 from scripts.scenes.store import STORE
 from tests.support.leave_out.scenes import (
     before_a_picture,
+    behind_a_wall,
     clear_smoke,
     corner_colors,
     dense_mesh,
@@ -163,6 +164,7 @@ ROWS: dict[str, Row] = {
     "visibility buffer, points and polygons, out of focus, depth": Row(
         lambda: with_settings(through_a_lens("SPLAT"), technique="VISIBILITY"), COMBINED | {"depth"}
     ),
+    "visibility buffer, many polygons behind a wall": Row(behind_a_wall),
     "visibility buffer, polygons, eye-dome lighting": Row(
         lambda: with_settings(solid_cases.cube(), technique="VISIBILITY", use_eye_dome=True)
     ),

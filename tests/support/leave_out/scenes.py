@@ -14,6 +14,7 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.materials import HairTable
 from pointsplat_addon.core.scene.world import World
+from pointsplat_addon.render.frame.visibility.occlusion import FEWEST_TRIANGLES
 from scripts.scenes import build, cameras, clouds, detailed_cases, lit_cases, meshes, solid_cases
 from scripts.scenes.case import Case
 
@@ -52,6 +53,16 @@ def picture_only() -> Case:
 def dense_mesh() -> Case:
     return Case(build.scene((build.mesh(meshes.sphere_mesh("leave out: dense", 96)), build.moved())),
                 cameras.camera(resolution=(32, 32)))  # fmt: skip
+
+
+def behind_a_wall() -> Case:
+    """Many triangles, and two that hide them all."""
+    sphere = meshes.sphere_mesh("leave out: hidden", 80)
+    count = -(-FEWEST_TRIANGLES // len(sphere.triangles))
+    balls = [(build.mesh(sphere, "POLYGONS"), build.moved((0, 0.1 * i, 0), 0.2)) for i in range(count)]
+    wall = build.mesh(meshes.plane_mesh("leave out: wall"))
+    case = Case(build.scene((wall, build.moved((0, -1, 0))), *balls), cameras.camera(resolution=(32, 32)))
+    return with_settings(case, technique="VISIBILITY")
 
 
 def painted_picture(primitive: str) -> Case:

@@ -11,15 +11,16 @@ COARSE = 2  # pixels of the picture along a side of the coarse one's
 Bounds = tuple[float, float, float, float]  # pixels: low and high corner
 CHANNELS = ("R", "GA", "B")  # drawn one after the other where extinction is coloured
 
-BLEND = block("Blend", (
+_FIELDS = (
     ("vec4", "bounds"),  # pixels of the target: low and high corner of where splats are wanted
     ("vec2", "principal_point"),  # pixels of the whole picture
     ("ivec2", "size"),  # of the target
     ("vec2", "turn"),  # first column of the matrix that takes pixels of the picture to texels of the target
     ("vec2", "origin"),  # texels: where pixel coordinates (0, 0) lie in the target
-    ("float", "place"),  # texels of the target along one of the opaque depths
     ("int", "first"),  # splat of the list
-))  # fmt: skip
+)
+# The second is among what is opaque; place: texels of the target along one of the opaque depths.
+BLEND = (block("Blend", _FIELDS), block("Blend", (*_FIELDS, ("float", "place"))))
 OPAQUE_DEPTH = block("OpaqueDepth", CAMERA_FIELDS)
 
 
@@ -46,7 +47,7 @@ def draw_program(options: TranslucentOptions, channel: str, listed: bool = False
         read.append("tint")
         defines.append(("PS_CHANNEL", str("RGB".index(channel[0]))))
     return Interface(
-        "translucent", vertex="translucent/blend.vert", fragment="translucent/blend.frag", block=BLEND,
+        "translucent", vertex="translucent/blend.vert", fragment="translucent/blend.frag", block=BLEND[options.opaque],
         samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),
         varyings=tuple(varyings), outputs=tuple(outputs), defines=tuple(defines),
     )  # fmt: skip

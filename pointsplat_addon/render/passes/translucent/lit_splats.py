@@ -11,7 +11,7 @@ from ....shading.interface import Interface
 from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..uniforms import SampleView
-from .blend import BLEND, CHANNELS, Bounds, draw_program
+from .blend import CHANNELS, Bounds, draw_program
 from .options import TranslucentOptions
 
 CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
@@ -98,7 +98,7 @@ class LitSplats:
         for channel in self._channels:
             program = draw_program(self._options, channel, bool(listed))
             for first in range(0, count, CHUNK):
-                record = view.record(BLEND, size=target.colors[0].size, first=first, **where)
+                record = view.record_of(program.block, size=target.colors[0].size, first=first, **where)
                 vertices = 6 * min(CHUNK, count - first)
                 self.device.draw(
                     program, target, uniforms=record, textures=textures, vertices=vertices, over=True,
