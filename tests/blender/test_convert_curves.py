@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pointsplat_addon.core.material import hair_color
-from pointsplat_addon.core.scene.valid_geometry import valid_strands
+from pointsplat_addon.core.scene.valid.geometry import valid_strands
 from pointsplat_addon.core.strand import curves, normals
 from tests.support.blender.scenes import new_material, node
 

@@ -39,7 +39,7 @@ def test_matrices_come_as_blender_has_them(place, scale):
 @pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf, 1e-42, 3e38])
 def test_odd_values_of_attributes_come_through_and_are_left_out_when_drawn(odd):
     """Conversion raises nothing; what draws it leaves the points out (tests/extreme/test_values.py)."""
-    from pointsplat_addon.core.scene.valid_geometry import valid_points
+    from pointsplat_addon.core.scene.valid.geometry import valid_points
 
     position = np.arange(12, dtype=np.float32).reshape(4, 3)
     position[1] = odd

@@ -112,7 +112,7 @@ def test_kinks_and_children_are_where_cycles_has_them(scene, tmp_path, settings)
 
 @pytest.mark.parametrize("children", [{}, {"child_type": "SIMPLE", "child_percent": 10}])
 def test_the_viewport_shows_a_share_of_the_hair_and_finds_nothing_wrong_with_it(children):
-    from pointsplat_addon.core.scene.valid_geometry import valid_strands
+    from pointsplat_addon.core.scene.valid.geometry import valid_strands
 
     whole = furry(count=100, **children)
     every = strands(sync())

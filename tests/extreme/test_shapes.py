@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pointsplat_addon.core.lod import hierarchy
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.settings import Settings
-from pointsplat_addon.core.scene.valid_geometry import valid_triangles
+from pointsplat_addon.core.scene.valid.geometry import valid_triangles
 from pointsplat_addon.core.surface.area_sampling import sample_area
 from pointsplat_addon.core.surface.evaluation import evaluate
 from pointsplat_addon.render.passes.outputs import BACKGROUND_DEPTH

@@ -343,7 +343,7 @@ def test_half_floats_hold_the_nearest_of_what_they_can():
 
 def test_what_is_valid_is_not_copied():
     """Neither scenes, nor clouds, that have nothing odd in them are copied."""
-    from pointsplat_addon.core.scene.valid_geometry import valid_points
+    from pointsplat_addon.core.scene.valid.geometry import valid_points
     from pointsplat_addon.core.scene.validation import validate
 
     case = lit_cases.lights()

@@ -20,7 +20,7 @@ from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.materials import MaterialTable
 from pointsplat_addon.core.scene.mesh import Mesh
 from pointsplat_addon.core.scene.scene import Scene
-from pointsplat_addon.core.scene.valid_geometry import valid_points, valid_triangles
+from pointsplat_addon.core.scene.valid.geometry import valid_points, valid_triangles
 from pointsplat_addon.core.surface.appearance import CLIP, at_samples, corner_normals
 from pointsplat_addon.core.surface.evaluation import Evaluated
 from pointsplat_addon.core.surface.samples import Samples

@@ -22,7 +22,7 @@ from .materials import HairTable, MaterialTable, default_materials
 from .mesh import LARGEST, Mesh
 from .scene import Geometry, Instances, Scene
 from .strands import Strands
-from .valid_geometry import valid_mesh, valid_points, valid_strands
+from .valid.geometry import valid_mesh, valid_points, valid_strands
 from .volume import Medium, Transfer, Volume
 from .world import Mist, World
 

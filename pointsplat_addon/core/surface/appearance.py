@@ -13,7 +13,7 @@ from ..material.graph import MaterialGraph, needs
 from ..scene.cloud import PointCloud
 from ..scene.materials import MaterialTable
 from ..scene.mesh import Mesh
-from ..scene.valid_geometry import valid_points
+from ..scene.valid.geometry import valid_points
 from ..splat.kernel import PEAK
 from .evaluation import Evaluated
 from .sample_areas import sample_areas

@@ -11,7 +11,7 @@ import numpy as np
 from ...core.scene.cloud import PointCloud
 from ...core.scene.materials import MaterialTable
 from ...core.scene.scene import Geometry, Instances, Scene
-from ...core.scene.valid_geometry import valid_points
+from ...core.scene.valid.geometry import valid_points
 from ...core.scene.volume import Volume
 from ...core.surface.appearance import digest, passing, split_translucent
 from ...core.volume import voxels

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pointsplat_addon.core.scene.cloud import SCATTERED, PointCloud, coherent
-from pointsplat_addon.core.scene.valid_geometry import valid_points
+from pointsplat_addon.core.scene.valid.geometry import valid_points
 
 
 def scattered(count: int) -> PointCloud:

@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.materials import default_materials
 from pointsplat_addon.core.scene.mesh import Mesh
-from pointsplat_addon.core.scene.valid_geometry import valid_mesh
+from pointsplat_addon.core.scene.valid.geometry import valid_mesh
 from pointsplat_addon.core.shadow.samples import (
     FEW_TRIANGLES,
     SURFACE_POINTS,

@@ -13,7 +13,7 @@ import pytest
 
 from pointsplat_addon.core.material import hair_color
 from pointsplat_addon.core.scene.strands import Strands
-from pointsplat_addon.core.scene.valid_geometry import valid_strands
+from pointsplat_addon.core.scene.valid.geometry import valid_strands
 from pointsplat_addon.core.strand import curves, evaluation, normals
 from pointsplat_addon.core.strand.preparation import with_levels
 

@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core.numeric.vectors import each_block
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.mesh import Mesh
-from pointsplat_addon.core.scene.valid_geometry import DroppedTriangles, valid_mesh, valid_triangles
+from pointsplat_addon.core.scene.valid.geometry import DroppedTriangles, valid_mesh, valid_triangles
 from pointsplat_addon.core.surface.area_sampling import estimate_by_part, sample_area
 from pointsplat_addon.core.surface.density import PART, make_parts, required_spacing
 from pointsplat_addon.core.surface.evaluation import evaluate

@@ -8,7 +8,7 @@ import pytest
 from pointsplat_addon.core.scene.scene import Geometry
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.strands import Strands
-from pointsplat_addon.core.scene.valid_geometry import valid_strands
+from pointsplat_addon.core.scene.valid.geometry import valid_strands
 from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.core.strand.preparation import with_levels
 from pointsplat_addon.core.strand.segments import sample_offsets

@@ -1,4 +1,4 @@
-"""Removes the points, triangles and strands of a geometry that cannot be drawn (the rules stand in validation.py)."""
+"""Removes the points, triangles and strands of a geometry that cannot be drawn (the rules stand in ../validation.py)."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..numeric.record import value_record
-from ..numeric.segments import offsets, owners
-from ..numeric.vectors import cross, dot, each_block
-from .cloud import FARTHEST, LENGTHS, PointCloud
-from .mesh import LARGEST, SMALLEST, Mesh, squared_edges, triangle_corners
-from .strands import Strands
+from ...numeric.record import value_record
+from ...numeric.segments import offsets, owners
+from ...numeric.vectors import cross, dot, each_block
+from ..cloud import FARTHEST, LENGTHS, PointCloud
+from ..mesh import LARGEST, SMALLEST, Mesh, squared_edges, triangle_corners
+from ..strands import Strands
 
 MOST_STRAND_POINTS = 1 << 24  # of one geometry: float32 counts no farther
 

@@ -1,0 +1,1 @@
+"""Geometry without what of it cannot be drawn: one file a kind."""
