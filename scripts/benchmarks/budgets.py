@@ -31,7 +31,7 @@ from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.volume import Medium, Volume
 from pointsplat_addon.formats.volumes import dense
 from pointsplat_addon.render.budget.pacing import COARSEST
-from pointsplat_addon.render.budget.viewport import Moving, _wait
+from pointsplat_addon.render.budget.viewport import Moving, wait
 from pointsplat_addon.render.frame import frame
 from pointsplat_addon.render.plan.frame_plan import FramePlan
 from pointsplat_addon.render.plan.request import Request
@@ -133,7 +133,7 @@ def alone(renderer: Renderer, case: Case, camera: Camera, clock: Callable[[], fl
         ready = clock()
         for _ in range(2):
             frame.sample()
-            _wait(renderer.device)
+            wait(renderer.device)
         found.append((ready - before, (clock() - ready) / 2))
         splats = frame.frame_plan.splats
         frame.release()
@@ -193,7 +193,7 @@ def least(renderer: Renderer, case: Case, camera: Camera, clock: Callable[[], fl
             before = clock()
             drawn = renderer.start(case.scene, coarse(case, camera, COARSEST))
             drawn.sample()
-            _wait(renderer.device)
+            wait(renderer.device)
             drawn.release()
             found.append(clock() - before)
             while renderer.store.building:

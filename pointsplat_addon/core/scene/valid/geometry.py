@@ -1,4 +1,4 @@
-"""Removes the points, triangles and strands of a geometry that cannot be drawn (the rules stand in ../validation.py)."""
+"""Removes points, triangles and strands of a geometry that cannot be drawn (the rules stand in ../validation.py)."""
 
 from __future__ import annotations
 
