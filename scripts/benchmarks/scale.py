@@ -1,6 +1,8 @@
 """What a picture costs as points, instances, triangles or objects grow, from the same view, by the visibility buffer.
 
-python -m scripts.benchmarks.scale [--quick] [--shadows] [--only NAME] [--pictures FOLDER]
+python -m scripts.benchmarks.scale [--data DIR] [--quick] [--shadows] [--only NAME] [--pictures FOLDER]
+
+DIR/mesh/dragon_vrip_res2.ply.gz is Stanford's dragon; without --data the scene that it makes is left out.
 
 Processor time of a further picture, from a moved camera, and the exponent a of cost ~ n^a over each pair of sizes.
 """
@@ -189,15 +191,19 @@ def dragon(folder: Path, splits: int) -> tuple[Scene, Callable[[float], Camera]]
     return scene, lambda moved: camera([moved - 0.01, -0.35, 0.15], [-0.01, 0, 0.12], 0.01, 10.0)
 
 
-def cases(quick: bool, folder: Path) -> dict[str, dict[int, Callable[[], tuple[Scene, Callable[[float], Camera]]]]]:
-    """Scenes by what grows, and by how many of it there are."""
-    found = {
+Sizes = dict[int, Callable[[], tuple[Scene, Callable[[float], Camera]]]]
+
+
+def cases(quick: bool, data: Path | None) -> dict[str, Sizes]:
+    """Scenes by what grows, and by how many of it there are; of triangles only where there is a folder of data."""
+    found: dict[str, Sizes] = {
         "points": {side * side * 1_000_000: lambda side=side: points(side) for side in (1, 3, 10)},
         "street": {side * side: lambda side=side: city(side, True) for side in (32, 100, 200, 316)},
         "above": {side * side: lambda side=side: city(side, False) for side in (32, 100, 200)},
         "objects": {side * side: lambda side=side: objects(side) for side in (32, 100)},
-        "triangles": {202_520 * 4**n: lambda n=n: dragon(folder, n) for n in (0, 1, 2)},
     }
+    if data is not None:
+        found["triangles"] = {202_520 * 4**n: lambda n=n: dragon(data / "mesh", n) for n in (0, 1, 2)}
     return {name: dict(list(sizes.items())[: 2 if quick else None]) for name, sizes in found.items()}
 
 
@@ -207,11 +213,11 @@ def main() -> None:
     parser.add_argument("--shadows", action="store_true")
     parser.add_argument("--only", action="append", metavar="NAME")
     parser.add_argument("--most", type=int, default=1 << 60, help="leave larger sizes out")
-    parser.add_argument("--meshes", type=Path, default=Path("/work/shared/data/mesh"), help="folder of the dragon")
+    parser.add_argument("--data", type=Path, metavar="DIR", help="folder with mesh/dragon_vrip_res2.ply.gz")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER")
     options = parser.parse_args()
     measured = Measured(options.shadows)
-    for name, sizes in cases(options.quick, options.meshes).items():
+    for name, sizes in cases(options.quick, options.data).items():
         if options.only and name not in options.only:
             continue
         before = None
