@@ -355,10 +355,14 @@ def run_all(tasks, jobs, limit):
     threads = max(1, (os.cpu_count() or 1) // jobs)
     environment = dict(os.environ, LP_NUM_THREADS=os.environ.get("LP_NUM_THREADS", str(threads)))
     waiting, running, found, crashed = list(tasks), [], [], set()
+    begun = 0
     try:
         while waiting or running:
             while waiting and len(running) < jobs:
                 running.append(Process(waiting.pop(0), limit, environment))
+                if running[-1].name not in crashed:
+                    begun += 1
+                say("started %s (%d of %d)" % (running[-1].name, begun, len(tasks)))
             time.sleep(0.1)
             for process in list(running):
                 code = process.ended()
@@ -423,6 +427,8 @@ def main():
     parser.add_argument("--jobs", type=int, help="test: processes at a time (default: 2, or 1 on one core)")
     parser.add_argument("--limit", type=int, help="test: seconds until a test process is killed")
     args, rest = parser.parse_known_args()
+    # As an exception, so that `finally` ends the processes of tests, which have sessions of their own.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         return VERBS[args.verb](args, rest)
     except ImpossibleError as reason:

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import ModuleType
 
@@ -98,6 +99,41 @@ def test_processes_run_side_by_side_and_one_that_hangs_is_killed(
     hanging = [(sys.executable, [], [str(tmp_path / "test_hangs.py")])]
     assert [code for _, code in dev.run_all(hanging, 1, 4)] == [1]
     assert "killed after 4 s" in capfd.readouterr().out
+
+
+def test_sigterm_ends_the_processes_of_tests_too(tmp_path: Path) -> None:
+    marker = tmp_path / "pid"
+    body = f"open({str(marker)!r}, 'w').write(f'{{os.getpid()}}\\n')\n    while True: pass\n"
+    (tmp_path / "test_hangs.py").write_text(f"import os\ndef test_hangs():\n    {body}")
+    # The script's `main`, with tasks that need no environment.
+    code = (
+        "import dev, sys\n"
+        f"task = (sys.executable, ['-p', 'no:cacheprovider'], [{str(tmp_path / 'test_hangs.py')!r}])\n"
+        "dev.VERBS['test'] = lambda args, rest: dev.run_all([task], 1, 300)\n"
+        "sys.argv = ['dev.py', 'test']\n"
+        "sys.exit(dev.main())"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT / "scripts", stdout=subprocess.DEVNULL)
+    try:
+        while not (marker.exists() and marker.read_text().endswith("\n")):
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.terminate()
+        assert process.wait(60) == 128 + signal.SIGTERM
+    finally:
+        process.kill()
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(marker.read_text()), 0)
+
+
+def test_each_process_is_named_when_it_starts(
+    dev: ModuleType, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for name in "ab":
+        (tmp_path / f"test_{name}.py").write_text("def test(): pass\n")
+    dev.run_all([(sys.executable, ["-p", "no:cacheprovider"], [str(tmp_path / f"test_{n}.py")]) for n in "ab"], 1, 300)
+    started = [line for line in capfd.readouterr().out.splitlines() if line.startswith("dev: started ")]
+    assert [line.split("/")[-1] for line in started] == ["test_a.py (1 of 2)", "test_b.py (2 of 2)"]
 
 
 def test_a_process_that_crashes_runs_once_more(
