@@ -30,7 +30,7 @@ void main()
   vec4 centre = texelFetch(ps_centre, pixel, 0);
   float covered = ps_coverage(pixel, centre);
 #ifdef PS_FOCUS
-  // The rest is left to defocus.frag.
+  // The rest is left to defocus/gather.frag.
   covered *= ps_sharp(ps_confusion(centre.x));
 #endif
   if (covered == 0.0) {

@@ -1,6 +1,6 @@
 """Reads sparse grids from OpenVDB files and writes dense arrays to them, by the `openvdb` module that Blender ships.
 
-The module is handed in (host/openvdb.py finds it), so that nothing here needs Blender.
+The module is handed in (host/convert/volume.py finds it), so that nothing here needs Blender.
 """
 
 from __future__ import annotations

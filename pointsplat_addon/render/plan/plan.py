@@ -33,7 +33,7 @@ class Plan:
     ewa: EwaOptions | None = None  # points are drawn by EWA; None: in image space, or by the painter
     world: tuple[str, ...] = ()  # names of shader defines, PS_*: the world behind everything
     painter: bool = False  # opaque points are painted; the G-buffer holds them for the other passes only
-    backdrop: bool = False  # the world is out of focus: passes/backdrop.py
+    backdrop: bool = False  # the world is out of focus: passes/shading/backdrop.py
     presented: bool = False  # the picture is shown between samples, with its depth
     picture: bool = True  # Combined is drawn, not the auxiliary passes alone
     shades: bool = True  # Combined is drawn, or an averaged pass, which shading writes too
@@ -42,7 +42,7 @@ class Plan:
     )
     filter_size: float = FILTER_SIZE  # pixels: core/numeric/pixel_filter.py
     eye_dome: bool = False  # Combined is darkened by the depths under the pixels' centres: passes/output/eye_dome.py
-    defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus.py
+    defocus: bool = False  # translucent splats are drawn together with what is out of focus: passes/defocus/gather.py
 
     @property
     def solid(self) -> bool:

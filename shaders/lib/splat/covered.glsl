@@ -1,7 +1,7 @@
 #define PS_CLOSED 0.98  // covered fraction from which on nodes have no holes
 
 // Nodes that stand for several balls: ellipsoids with the moments of these, of whose silhouettes a fraction is covered.
-// Reference: tests/reference/coverage.py.
+// Tests: tests/render/visibility/test_nodes.py.
 
 // Half-axes in view space, the columns of a lower triangular matrix, of four times the covariance of a node's balls in object
 // space: xx, xy, xz and yy, yz, zz. By Cholesky's decomposition.

@@ -146,7 +146,7 @@ class Cover:
 
     @releases_on_failure
     def __init__(self, device: Device, nearest: Texture, sizes: Sizes, margin: float) -> None:
-        """`nearest`: passes/ewa.py; `margin`: pixels that samples may move the picture by."""
+        """`nearest`: of passes/ewa/ewa.py; `margin`: pixels that samples may move the picture by."""
         self._device, self._nearest, self._margin, self._thin = device, nearest, margin, sizes.thin
         # Narrow kernels look at pixels, wider ones at halves of the picture, which cost a quarter.
         kernel = sizes.kernel + margin

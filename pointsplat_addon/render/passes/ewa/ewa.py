@@ -77,7 +77,7 @@ class Ewa:
             splats.list_found(self.device)
 
     def _leave_out(self, view: SampleView, shared: dict[str, Texture]) -> None:
-        """Of many splats, leave out those that passes/ewa_cover.py finds not needed."""
+        """Of many splats, leave out those that passes/ewa/cover.py finds not needed."""
         device = self.device
         facing, turned = (sum(len(splats.found[name]) for splats in self._splats) for name in ("first", "then"))
         if facing == 0 or facing + turned < ewa_cover.LEAST_SPLATS:

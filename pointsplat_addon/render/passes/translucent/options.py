@@ -23,7 +23,7 @@ class TranslucentOptions:
     fuzzy: bool = False  # some are opaque: core/splat/painter.py
     cull: bool = False  # and some of these are not drawn where they show their backs
     disconnected: bool = False  # and some of these stand apart: core/lod/foliage.py
-    defocus: bool = False  # for the pass of what is out of focus: passes/defocus.py
+    defocus: bool = False  # for the pass of what is out of focus: passes/defocus/gather.py
     grouped: bool = False  # they are blended over groups of sub-samples, and lit once for all of these
     strands: bool = False  # some of these splats are pieces of strands: core/lens/strand_splats.py
 
