@@ -182,7 +182,7 @@ def row_ways(row: Row, is_new: bool) -> dict[str, Way]:
 
 
 def row_subjects() -> Iterator[tuple[str, Subject]]:
-    """The rows of docs/notes/leave_out.md. Those that only ask a scene for something else are drawn once, as they are."""
+    """The rows of docs/notes/leave_out.md. Those that only ask for something else are drawn once, as they are."""
     known = {getattr(case, "__wrapped__", case) for case in CASES.values()}
     for name, row in ROWS.items():
         is_new = row.case not in known and row.passes == COMBINED and row.case().settings.technique == "AUTO"
