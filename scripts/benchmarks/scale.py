@@ -203,7 +203,8 @@ def cases(quick: bool, data: Path | None) -> dict[str, Sizes]:
         "objects": {side * side: lambda side=side: objects(side) for side in (32, 100)},
     }
     if data is not None:
-        found["triangles"] = {202_520 * 4**n: lambda n=n: dragon(data / "mesh", n) for n in (0, 1, 2)}
+        meshes = data / "mesh"
+        found["triangles"] = {202_520 * 4**n: lambda n=n: dragon(meshes, n) for n in (0, 1, 2)}
     return {name: dict(list(sizes.items())[: 2 if quick else None]) for name, sizes in found.items()}
 
 
