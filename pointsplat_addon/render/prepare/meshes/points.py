@@ -12,27 +12,27 @@ from typing import Any
 
 import numpy as np
 
-from ...core.lod.foliage import is_foliage
-from ...core.lod.instances import visible_instances
-from ...core.numeric.linear import largest_singular_value
-from ...core.numeric.record import record
-from ...core.scene.bounds import mesh_centre, triangles_ball
-from ...core.scene.cloud import PointCloud
-from ...core.scene.mesh import Mesh
-from ...core.scene.scene import Geometry
-from ...core.surface.appearance import digest, point_cloud
-from ...core.surface.density import EXACT_INSTANCES, Parts, make_parts, required_spacing
-from ...core.surface.evaluation import evaluate
-from ...core.surface.sample_areas import sample_areas
-from ...core.surface.sampling import choose_method, sample_mesh
-from ...core.surface.spacing import MAX_SAMPLES, MOST_SAMPLES, limit_spacing, quantise_spacing
-from ...core.surface.triangles import Measures, measure_triangles
-from ..cache.keys import Key, Kind
-from ..cache.store import Store
-from .hierarchies import points_once_they_have_nodes
-from .layers import MANY_INSTANCES
-from .point_sets import PointSet
-from .view import View
+from ....core.lod.foliage import is_foliage
+from ....core.lod.instances import visible_instances
+from ....core.numeric.linear import largest_singular_value
+from ....core.numeric.record import record
+from ....core.scene.bounds import mesh_centre, triangles_ball
+from ....core.scene.cloud import PointCloud
+from ....core.scene.mesh import Mesh
+from ....core.scene.scene import Geometry
+from ....core.surface.appearance import digest, point_cloud
+from ....core.surface.density import EXACT_INSTANCES, Parts, make_parts, required_spacing
+from ....core.surface.evaluation import evaluate
+from ....core.surface.sample_areas import sample_areas
+from ....core.surface.sampling import choose_method, sample_mesh
+from ....core.surface.spacing import MAX_SAMPLES, MOST_SAMPLES, limit_spacing, quantise_spacing
+from ....core.surface.triangles import Measures, measure_triangles
+from ...cache.keys import Key, Kind
+from ...cache.store import Store
+from ..hierarchies import points_once_they_have_nodes
+from ..layers import MANY_INSTANCES
+from ..point_sets import PointSet
+from ..view import View
 
 # Of meshes whose instances are many, AUTO draws polygons where the typical triangle's edge spans more pixels than this.
 POLYGON_PIXELS = 4.0
