@@ -27,8 +27,8 @@ from ...core.strand.selection import select
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .hierarchies import ball_tree_if_it_pays, with_hierarchy_for_defocus, with_hierarchy_if_it_pays
-from .meshes.hybrid import InstanceChoice, choose_parts, primitives_by_part
 from .layers import cut_layer, with_ball_nodes
+from .meshes.hybrid import InstanceChoice, choose_parts, primitives_by_part
 from .meshes.points import Primitives, measured_mesh, points_or_polygons, sample_area_function
 from .out_of_focus import FocusSorter, OutOfFocusLayer
 from .point_sets import Layer, PointSet, cloud_points, largest_radius, point_counts, set_ball, typical_diameter

@@ -19,6 +19,9 @@ from ....core.surface.evaluation import evaluate
 from ...cache.keys import Key, Kind
 from ..hierarchies import points_once_they_have_nodes
 from ..layers import MANY_INSTANCES
+from ..point_sets import PointSet
+from ..separation import is_translucent
+from ..view import View
 from .parts import DividedMesh, PartSamples, sample_parts
 from .points import (
     VERTEX_PIXELS,
@@ -29,9 +32,6 @@ from .points import (
     measured_mesh,
     points_of_instances,
 )
-from ..point_sets import PointSet
-from ..separation import is_translucent
-from ..view import View
 
 NODES_PER_SQUARE = (
     16.0  # of a cut, for each square of the tolerance that a curved surface holds: measured 13 to 16.5 of scans
