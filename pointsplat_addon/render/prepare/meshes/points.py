@@ -177,18 +177,22 @@ def _points_unless_polygons(
     return _points_by_octave(view, measured, needed, view_from_object)
 
 
+def is_chosen_by_buffer(view: View, geometry: Geometry) -> bool:
+    """Tells whether the visibility buffer chooses what a mesh is drawn as: polygons, which cost less there than points
+    of as many pixels, or nodes far away."""
+    return view.settings.technique == "VISIBILITY" and geometry.primitive == "AUTO"
+
+
 def is_polygons(view: View, geometry: Geometry) -> bool:
-    """Tells whether a mesh is drawn as polygons whatever the view is: by the visibility buffer they cost less than
-    points of as many pixels."""
-    by_buffer = view.settings.technique == "VISIBILITY" and geometry.primitive == "AUTO"
-    return by_buffer or geometry.primitive == "POLYGONS"
+    """Tells whether a mesh is drawn as polygons whatever the view is."""
+    return is_chosen_by_buffer(view, geometry) or geometry.primitive == "POLYGONS"
 
 
 def _too_near_for_points(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
     """Returns (I,) bool: which instances may be so large on the screen that they are drawn as polygons."""
     if is_polygons(view, measured.geometry) or len(view_from_object) == 1 or not view.camera.perspective:
         return np.ones(len(view_from_object), bool)
-    allowed = _spacing_allowed_by_bounds(view, measured, view_from_object)
+    allowed = spacing_allowed_by_bounds(view, measured, view_from_object)
     near = measured.typical_edge * view.settings.tolerance > POLYGON_PIXELS * allowed
     return near & visible_instances(view_from_object, *measured.ball, view.camera)
 
@@ -204,7 +208,7 @@ def _needed_spacing(view: View, measured: MeasuredMesh, view_from_object: np.nda
     )
 
 
-def _spacing_allowed_by_bounds(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
+def spacing_allowed_by_bounds(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
     """Returns (I,) the spacing, in object units, that suffices at the nearest point of each bounding sphere."""
     middle, reach = measured.ball
     scale = largest_singular_value(view_from_object[:, :3, :3])
@@ -232,7 +236,7 @@ def _coarser_octaves(view: View, measured: MeasuredMesh, needed: float, view_fro
     if not many and len(view_from_object) * len(measured.mesh.triangles) <= MAX_EXACT_TRIANGLES:
         allowed = np.array([_needed_spacing(view, measured, matrix) for matrix in view_from_object])
     else:
-        allowed = _spacing_allowed_by_bounds(view, measured, view_from_object)
+        allowed = spacing_allowed_by_bounds(view, measured, view_from_object)
     with np.errstate(all="ignore"):
         # Relative to the octave that `needed` is rounded to, so that the coarser ones round alike.
         coarser = np.floor(np.log2(allowed / quantise_spacing(needed)))
