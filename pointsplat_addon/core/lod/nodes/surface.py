@@ -1,9 +1,9 @@
 """Nodes over the surface of a mesh that is so far away that many of its triangles fall into a pixel.
 
-Samples of the surface fall into the cells of a grid. Those in one cell whose normals lie on the same of six sides become
-one elliptical disk with their moments (Pajarola 2003, section 5), which keeps how much surface there is: where its
-samples fill the ellipse less than those of an even surface would, a fraction of it is covered. Attributes are means,
-weighted by area.
+Samples of the surface fall into the cells of a grid. Those in one cell whose normals lie on the same of six sides
+become one elliptical disk with their moments (Pajarola 2003, section 5), which keeps how much surface there is: where
+its samples fill the ellipse less than those of an even surface would, a fraction of it is covered. Attributes are
+means, weighted by area.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from ...numeric.segments import starts
 from ...scene.cloud import PointCloud
 from ..levels import SIDE_AXES
 
-# Squared half-axes of a node's ellipse over the variances of its surface. With 6, the circle around a square that is
-# evenly filled: nodes of a closed surface leave no holes.
-SPREAD = 6.0
-FULL = 0.5  # of its ellipse that a node's surface fills, from which on all of it is covered: a square fills 2 / pi
+# Squared half-axes of a node's ellipse over the variances of its surface. The circle around a square that is evenly
+# filled, 6, makes far things wider than they are; 4, a circle of its area, leaves gaps.
+SPREAD = 5.0
+FULL = 0.6  # of its ellipse that a node's surface fills, from which on all of it is covered: a square fills 0.76
 AVERAGED = ("color", "surface", "emission")
 LEAST = 1e-6  # of its major half-axis, that a minor one has
 
@@ -61,7 +61,7 @@ def _cell_and_side(position: np.ndarray, normal: np.ndarray, edge: float) -> np.
     turned = SIDE_AXES.T.astype(np.float64) @ normal
     face = np.abs(turned).argmax(axis=0)
     side = 2 * face + (turned[face, np.arange(len(face))] < 0)
-    x, y, z = cell.max(axis=1) + 1
+    _, y, z = cell.max(axis=1) + 1
     return ((cell[0] * y + cell[1]) * z + cell[2]) * 6 + side
 
 

@@ -102,10 +102,12 @@ def position_and_radius(cloud: PointCloud) -> Write:
 
 
 def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = None) -> Write:
-    """Writes (N, 4): half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too. The
-    minor half-axis of disconnected splats is negative. Where a part of splats is covered, COVERED times what is not is added
-    to the row. `points`: what follows after so many are nodes, whose material
-    row has NODE added."""
+    """Writes (N, 4): half-axes (major, minor), packed major axis, material row.
+
+    `always_axis`: disks have one, too. The minor half-axis of disconnected splats is negative. Where a part of splats
+    is covered, COVERED times what is not is added to the row. `points`: what follows after so many are nodes, whose
+    material row has NODE added.
+    """
 
     def write(out: np.ndarray, block: slice) -> None:
         out[:, :2] = 0

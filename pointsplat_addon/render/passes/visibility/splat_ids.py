@@ -213,7 +213,8 @@ class SplatDepths:
     def _kind(self, draw: PageDraw) -> SplatKind:
         page = draw.page
         round_balls = self._round_balls and page.balls and not page.nodes
-        return SplatKind(self._options, draw.whole >= 0, round_balls, page.ball_material >= 0, self._depths.lattice, page.nodes, page.partly)
+        lattice, alone = self._depths.lattice, page.ball_material >= 0
+        return SplatKind(self._options, draw.whole >= 0, round_balls, alone, lattice, page.nodes, page.partly)
 
     def _listed(self, draw: PageDraw, view: SampleView, shared: dict[str, Texture]) -> int:
         """Lists the splats of a page that cover many cells, and returns how many there are."""

@@ -1,5 +1,6 @@
 """Nodes in place of the triangles of instances so far away that many of these fall into a pixel.
 
+Leaves stay triangles: nodes are lit by the mean of normals, which is brighter than leaves that are turned every way.
 All nodes of one size are one point set, and each instance draws the set whose nodes are small enough where it is
 nearest: what a view draws grows with its pixels, not with the triangles of what it shows.
 """
@@ -43,7 +44,7 @@ def far_nodes(
     rows, triangles = np.arange(len(view_from_object)), len(measured.mesh.triangles)
     if view.blur is not None or len(rows) * triangles < FEWEST_TRIANGLES:
         return [], rows
-    if passing(measured.mesh, view.scene.materials) is not None:
+    if passing(measured.mesh, view.scene.materials) is not None or measured.is_foliage:
         return [], rows
     diameter = 2 * measured.ball[1]
     with np.errstate(all="ignore"):
@@ -53,20 +54,21 @@ def far_nodes(
     finest = SIZES * 0.5 * math.log2(max(guess, 1e-300))
     step = np.nan_to_num(step, nan=np.inf, posinf=np.inf, neginf=-np.inf)
     step = np.maximum(step, SIZES * math.log2(COARSEST))
-    near = step > finest
     found = []
-    for one in np.unique(step[~near]).tolist():
+    for one in range(int(SIZES * math.log2(COARSEST)), math.floor(finest) + 1):
         some = np.flatnonzero(step == one)
-        if len(some) < MANY_INSTANCES:
-            near[some] = True
+        if 0 < len(some) < MANY_INSTANCES:
+            step[some] += 1  # nodes of one more size would cost more than finer ones
+            continue
+        if len(some) == 0:
             continue
         view.check()
         points = _nodes(view, measured, diameter * 2.0 ** (-one / SIZES))
-        if TRIANGLES_PER_NODE * len(points.cloud) > triangles or len(points.cloud) == 0:
-            near[some] = True
-        else:
-            found.append((points, some))
-    return found, rows[near]
+        if len(points.cloud) == 0 or TRIANGLES_PER_NODE * len(points.cloud) > triangles:
+            break
+        found.append((points, some))
+    drawn = np.concatenate([some for _, some in found]) if found else rows[:0]
+    return found, np.setdiff1d(rows, drawn)
 
 
 def _nodes(view: View, measured: MeasuredMesh, edge: float) -> PointSet:

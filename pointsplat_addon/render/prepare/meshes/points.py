@@ -79,11 +79,14 @@ class MeasuredMesh:
         """Edge lengths and heights of the valid triangles."""
         return self._cached(Kind.MEASURES, lambda: measure_triangles(self.mesh))
 
+    @property
+    def is_foliage(self) -> bool:
+        """Whether the mesh consists of leaves."""
+        return self._cached(Kind.IS_FOLIAGE, lambda: is_foliage(self.mesh.position, self.mesh.triangles))
+
     def is_drawable_foliage(self, instances: int) -> bool:
         """Tells whether the mesh is foliage that, with this many `instances`, has few enough triangles for polygons."""
-        return instances * len(self.mesh.triangles) <= MAX_FOLIAGE_TRIANGLES and self._cached(
-            Kind.IS_FOLIAGE, lambda: is_foliage(self.mesh.position, self.mesh.triangles)
-        )
+        return instances * len(self.mesh.triangles) <= MAX_FOLIAGE_TRIANGLES and self.is_foliage
 
     def _cached(self, kind: Kind, make: Callable[[], Any]) -> Any:
         return self.store.lookup(Key(kind, self.geometry.key), make)
@@ -214,8 +217,9 @@ def spacing_allowed_by_bounds(view: View, measured: MeasuredMesh, view_from_obje
     scale = largest_singular_value(view_from_object[:, :3, :3])
     depth = -(view_from_object[:, 2, :3] @ middle + view_from_object[:, 2, 3]) - reach * scale
     focal = max(abs(f) for f in view.camera.pixel_from_view()[:2])
+    depth = np.maximum(depth, view.camera.near) if view.camera.perspective else 1.0
     with np.errstate(all="ignore"):
-        return np.maximum(depth, view.camera.near) * view.settings.tolerance / (focal * scale)
+        return depth * view.settings.tolerance / (focal * scale)
 
 
 def _points_by_octave(
