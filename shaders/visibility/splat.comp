@@ -59,7 +59,7 @@ void main()
 #endif
     for (int x = first; x <= last; x++) {
       PsSplatHit hit = ps_meet_splat(splat, vec2(x, y) + 0.5 - splat.centre);
-#ifdef PS_NODES
+#if defined(PS_NODES) || defined(PS_PARTLY)
       hit.there = hit.there && ps_is_covered(splat.covered, ivec2(x, y));
 #endif
       if (hit.there) {

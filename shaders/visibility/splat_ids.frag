@@ -13,7 +13,7 @@ void main()
   if (!drawn || !hit.there) {
     discard;
   }
-#ifdef PS_NODES
+#if defined(PS_NODES) || defined(PS_PARTLY)
   if (!ps_is_covered(splat.covered, ivec2(gl_FragCoord.xy))) {
     discard;
   }

@@ -99,8 +99,12 @@ def _part(mesh: Mesh, rows: tuple[int, ...]) -> Mesh | None:
     )
 
 
-def point_cloud(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: MaterialTable) -> PointCloud:
+def point_cloud(
+    mesh: Mesh, samples: Samples, evaluated: Evaluated, table: MaterialTable, value: np.ndarray | None = None
+) -> PointCloud:
     """The splats of a mesh: geometry, material rows, and what its graphs make of them; cut-out samples are left out.
+
+    value (N,) float32: PointCloud.value of the samples.
 
     With a translucent material there are opacities, which are shares: overlapping splats add up to the alpha A. A
     sample that stands for the area S has the optical mass -ln(1 - A) S, spread over its ellipse.
@@ -112,6 +116,7 @@ def point_cloud(mesh: Mesh, samples: Samples, evaluated: Evaluated, table: Mater
         axis=evaluated.axis,
         radii=evaluated.radii,
         material=material_ids(mesh, samples),
+        value=value,
     )
     own = evaluated.normal
     look = at_samples(mesh, samples, evaluated, table)

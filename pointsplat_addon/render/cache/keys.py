@@ -46,6 +46,7 @@ class Kind(Enum):
     NODES_ASKED_FOR = auto()
     LEVELS = auto()  # of a hierarchy, for many instances
     LEVEL_NODES = auto()  # the nodes of these levels, as a point set
+    FAR_NODES = auto()  # over the surface of a mesh, of one size, as a point set
     BALL_TREE = auto()  # nodes over balls, for the visibility buffer; and its balls, as a point set
     BALL_NODES = auto()  # the nodes of such a tree, as a point set
     FOREST = auto()  # hierarchies of several point sets, cut together

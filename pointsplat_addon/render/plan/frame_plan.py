@@ -29,7 +29,7 @@ from ..passes.outputs import CRYPTO
 from ..passes.shading.averages import averaged
 from ..passes.shading.data import data
 from ..prepare.in_view import without_invisible_layers
-from ..prepare.mesh_parts import count_triangles
+from ..prepare.meshes.parts import count_triangles
 from ..prepare.negligible import without_negligible
 from ..prepare.painter import with_defocus_among_translucent, with_opaque_among_translucent
 from ..prepare.prepare import Prepared, prepare

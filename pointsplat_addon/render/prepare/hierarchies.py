@@ -36,7 +36,7 @@ def with_hierarchy_if_it_pays(view: View, points: PointSet, view_from_object: np
     `view_from_object`: (I, 4, 4) of the instances that draw the points. In an interactive view the octree is built on
     another thread and the points are returned without it, unless they are too many to be drawn.
     """
-    plain, points, store = points, _with_material_constants(points, view.scene.materials, view.store), view.store
+    plain, points, store = points, with_material_constants(points, view.scene.materials, view.store), view.store
     key = Key(Kind.HIERARCHY, points.key)
     opaque = plain.cloud.opacity is None and plain.cloud.extinction is None
     if opaque and view.settings.technique == "VISIBILITY":
@@ -65,7 +65,7 @@ def ball_tree_if_it_pays(view: View, points: PointSet, view_from_object: np.ndar
     cloud, store = points.cloud, view.store
     if view.settings.technique != "VISIBILITY" or cloud.normal is not None or cloud.radii is None:
         return None
-    points = _with_material_constants(points, view.scene.materials, store)
+    points = with_material_constants(points, view.scene.materials, store)
     key = Key(Kind.BALL_TREE, points.key)
     if key not in store:
         _, _, width, height = view.camera.window
@@ -90,7 +90,7 @@ def points_once_they_have_nodes(view: View, name: Key, make: Callable[[], PointS
     store, known, asked = view.store, Key(Kind.NODES, name), Key(Kind.NODES_ASKED_FOR, name)
 
     def build() -> Key:
-        return _with_hierarchy(_with_material_constants(make(), view.scene.materials, store), store).key
+        return _with_hierarchy(with_material_constants(make(), view.scene.materials, store), store).key
 
     if known in store:
         key = store.lookup(known, build)
@@ -98,7 +98,7 @@ def points_once_they_have_nodes(view: View, name: Key, make: Callable[[], PointS
             return make()
         if view.interactive:  # the octree was dropped from the store
             store.make_later(
-                key, lambda: _hierarchy(_with_material_constants(make(), view.scene.materials, store), store)
+                key, lambda: _hierarchy(with_material_constants(make(), view.scene.materials, store), store)
             )
     elif view.interactive and asked in store:
         store.make_later(known, build)
@@ -111,7 +111,7 @@ def with_hierarchy_for_defocus(view: View, points: PointSet, always: bool) -> Po
     """Returns points with a hierarchy, if they are so many that it saves time when out of focus, or if `always`."""
     if points.hierarchy is not None or (len(points.cloud) < MIN_POINTS_FOR_DEFOCUS and not always):
         return points
-    return _with_hierarchy(_with_material_constants(points, view.scene.materials, view.store), view.store)
+    return _with_hierarchy(with_material_constants(points, view.scene.materials, view.store), view.store)
 
 
 def _pays(view: View, points: PointSet, view_from_object: np.ndarray) -> bool:
@@ -124,7 +124,7 @@ def _pays(view: View, points: PointSet, view_from_object: np.ndarray) -> bool:
     return bool(small > 0) if view.interactive else bool(drawn >= BUILD_COST)
 
 
-def _with_material_constants(points: PointSet, table: MaterialTable, store: Store) -> PointSet:
+def with_material_constants(points: PointSet, table: MaterialTable, store: Store) -> PointSet:
     """Returns points with their materials' constants as attributes, if these differ, so that nodes average them."""
     cloud = points.cloud
     material = cloud.material

@@ -14,7 +14,7 @@ from ...core.scene.camera import Camera
 from ...core.scene.scene import Scene
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
-from .meshes import mesh_ball
+from .meshes.points import mesh_ball
 from .point_sets import Layer, PointSet, set_ball
 from .prepare import Prepared
 

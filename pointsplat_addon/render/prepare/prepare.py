@@ -27,9 +27,10 @@ from ...core.strand.selection import select
 from ..cache.keys import Key, Kind
 from ..cache.store import Store
 from .hierarchies import ball_tree_if_it_pays, with_hierarchy_for_defocus, with_hierarchy_if_it_pays
-from .hybrid import InstanceChoice, choose_parts, primitives_by_part
 from .layers import cut_layer, with_ball_nodes
-from .meshes import Primitives, measured_mesh, points_or_polygons, sample_area_function
+from .meshes.far import far_nodes
+from .meshes.hybrid import InstanceChoice, choose_parts, primitives_by_part
+from .meshes.points import Primitives, is_chosen_by_buffer, measured_mesh, points_or_polygons, sample_area_function
 from .out_of_focus import FocusSorter, OutOfFocusLayer
 from .point_sets import Layer, PointSet, cloud_points, largest_radius, point_counts, set_ball, typical_diameter
 from .separation import is_translucent
@@ -213,11 +214,11 @@ def _primitives(
     measured = measured_mesh(view, geometry)
     if measured is None:
         return Primitives([], none)
-    return (
-        points_or_polygons(view, measured, view_from_object)
-        if shown is None
-        else primitives_by_part(view, measured, shown, view_from_object)
-    )
+    if shown is not None:
+        return primitives_by_part(view, measured, shown, view_from_object)
+    if is_chosen_by_buffer(view, geometry):
+        return Primitives(*far_nodes(view, measured, view_from_object))
+    return points_or_polygons(view, measured, view_from_object)
 
 
 def _instances_of_wide_balls(view: View, points: PointSet, view_from_object: np.ndarray) -> np.ndarray:

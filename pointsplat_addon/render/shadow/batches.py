@@ -131,7 +131,7 @@ def _mesh_samples(scene: Scene, geometry: Geometry, mesh: Mesh, spacing: float, 
     def make() -> tuple[PointCloud, ...]:
         is_foliage = store.lookup(
             Key(Kind.IS_FOLIAGE, geometry.key), lambda: mesh_is_foliage(mesh, shape)
-        )  # as render/prepare/meshes.py keeps it
+        )  # as render/prepare/meshes/points.py keeps it
         return tuple(caster_clouds(mesh, shape, spacing, hiding(scene.materials), is_foliage))
 
     return store.lookup(key, make)

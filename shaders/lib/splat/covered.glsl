@@ -3,6 +3,7 @@
 // Nodes that stand for several balls: ellipsoids with the moments of these, of whose silhouettes a fraction is covered.
 // Tests: tests/render/visibility/test_nodes.py.
 
+#ifdef PS_NODES
 // Half-axes in view space, the columns of a lower triangular matrix, of four times the covariance of a node's balls in object
 // space: xx, xy, xz and yy, yz, zz. By Cholesky's decomposition.
 mat3 ps_node_axes(mat3 linear, vec3 first, vec3 second)
@@ -22,6 +23,7 @@ float ps_node_depth(float area, mat3 linear, float silhouette)
   float volume = abs(dot(linear[0], cross(linear[1], linear[2])));
   return area * pow(volume, 2.0 / 3.0) / (3.14159265 * silhouette);
 }
+#endif
 
 // A number in [0, 1) of each node of each instance, that stays.
 float ps_node_number(vec3 position, int instance)
@@ -33,17 +35,25 @@ float ps_node_number(vec3 position, int instance)
   return float((h ^ (h >> 15u)) >> 8u) / 16777216.0;
 }
 
-// How many of a pixel's sub-samples a node of the summed depth covers, a fraction; the rank of the first; and how far its balls
-// are seen as such, in 0 to 1: less where they hide more than half of each other. See core/lod/balls/tree.py, saturation.
-vec3 ps_node_coverage(vec3 position, int instance, float depth, float saturation)
+// How many of a pixel's sub-samples a fraction of a splat covers, and the rank of the first.
+vec3 ps_covered_ranks(vec3 position, int instance, float covered)
 {
   // From lattice to lattice ranks, and what is left of them, go on by the golden ratio.
   const float step = floor(0.618033989 * float(PS_RANKS)) + 0.618033989;
   float first = float(PS_RANKS) * ps_node_number(position, instance) + step * float(u.sample_index);
+  return vec3(float(PS_RANKS) * (covered > PS_CLOSED ? 1.0 : covered), mod(first, float(PS_RANKS)), 0.0);
+}
+
+#ifdef PS_NODES
+// How many of a pixel's sub-samples a node of the summed depth covers, a fraction; the rank of the first; and how far its balls
+// are seen as such, in 0 to 1: less where they hide more than half of each other. See core/lod/balls/tree.py, saturation.
+vec3 ps_node_coverage(vec3 position, int instance, float depth, float saturation)
+{
   float covered = depth > 0.01 ? 1.0 - exp(-depth * (1.0 + saturation * depth)) : depth;
   float free = min(2.0 * covered / max(depth, 0.01), 1.0);
-  return vec3(float(PS_RANKS) * (covered > PS_CLOSED ? 1.0 : covered), mod(first, float(PS_RANKS)), free * free);
+  return vec3(ps_covered_ranks(position, instance, covered).xy, free * free);
 }
+#endif
 
 // Whether a node covers a cell where its silhouette does. Ranks are such that consecutive ones are spread over the pixel. The
 // covered ones are consecutive from a real number on, modulo their count, so that the mean over all numbers is the fraction.

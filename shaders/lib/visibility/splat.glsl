@@ -1,6 +1,7 @@
 // Where rays through sub-samples meet an opaque splat: a ball (an ellipsoid in view space) or an elliptical disk.
 // PS_ROUND: all are balls, also in view space. PS_BALL_PAGE: the page holds balls alone, with their radius in the place of the
-// normal, and one material. PS_NODES: ellipsoids that stand for several balls, of which a part is covered.
+// normal, and one material. PS_NODES: ellipsoids that stand for several balls, of which a part is covered. PS_PARTLY: of some
+// disks, too, a part is covered.
 
 #include "lib/data/splat.glsl"
 #include "lib/geometry/ellipsoid_bounds.glsl"
@@ -37,8 +38,10 @@ vec4 ps_splat_extent(ivec3 element)
 struct PsUnitSplat {
   bool ball;
   mat3 unit_from_view;
-#ifdef PS_NODES
+#if defined(PS_NODES) || defined(PS_PARTLY)
   vec3 covered;  // see ps_node_coverage
+#endif
+#ifdef PS_NODES
   vec3 conic;  // 1 - conic . (x x, x y, y y) is what ps_meet_splat calls outside, with all rays parallel to the one at the centre
   vec2 slope;  // of the depth of the chords' middles, a cell
   float chord;  // half of the one through the centre
@@ -64,7 +67,7 @@ vec2 ps_extent_along(vec2 along, vec3 p, mat3 shape)
   return ps_ellipsoid_ends(dot(along, p.xy), dot(s, along), dot(along, shape[2].xy), p.z, shape[2][2]);
 }
 
-#ifdef PS_NODES
+#if defined(PS_NODES) || defined(PS_PARTLY)
 #include "lib/visibility/ranks.glsl"
 #include "lib/splat/covered.glsl"
 #endif
@@ -112,6 +115,10 @@ bool ps_unit_splat(ivec3 element, out PsUnitSplat splat)
   vec3 sight = perspective ? normalize(p) : vec3(0.0, 0.0, -1.0);
   float silhouette = abs(volume) * length(splat.unit_from_view * sight);
   splat.covered = ps_node_coverage(head.xyz, element.z, ps_node_depth(moments.w, linear, silhouette), -1.0 - head.w);
+#endif
+#ifdef PS_PARTLY
+  float fraction = 1.0 - fract(extent.w) / PS_COVERED;
+  splat.covered = ps_covered_ranks(head.xyz, element.z, fraction);
 #endif
   // From cells to slopes, or positions in a parallel view: the lattice's matrix is a rotation times a scale.
   float square = dot(u.lattice.xy, u.lattice.xy);

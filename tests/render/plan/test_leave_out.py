@@ -95,6 +95,7 @@ EXPECTED = {
     "visibility buffer, smoke alone": "order background " + BLENDED,
     "visibility buffer, points and polygons, out of focus, depth": "cover polygons data light tiles defocus " + GROUPED,
     "visibility buffer, many polygons behind a wall": "occlusion polygons background " + GROUPED,
+    "visibility buffer, a far crowd": "cover background " + GROUPED,
     "visibility buffer, polygons, eye-dome lighting": "polygons background eye+dome " + GROUPED,
     "EWA": EWA + SEEN,
     "EWA, adaptive": "adapt " + EWA + SEEN,

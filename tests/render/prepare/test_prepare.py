@@ -13,7 +13,7 @@ from pointsplat_addon.core.scene.validation import validate
 from pointsplat_addon.core.scene.volume import Transfer, Volume
 from pointsplat_addon.render.cache.keys import Key, Kind
 from pointsplat_addon.render.cache.store import Store
-from pointsplat_addon.render.prepare import meshes
+from pointsplat_addon.render.prepare.meshes import points as meshes
 from pointsplat_addon.render.prepare.prepare import prepare
 from pointsplat_addon.render.prepare.separation import separate_translucent
 from scripts.scenes import build, cameras, clouds

@@ -30,6 +30,7 @@ from tests.support.leave_out.scenes import (
     clear_smoke,
     corner_colors,
     dense_mesh,
+    far_crowd,
     far_light,
     further_lights,
     glow,
@@ -165,6 +166,7 @@ ROWS: dict[str, Row] = {
         lambda: with_settings(through_a_lens("SPLAT"), technique="VISIBILITY"), COMBINED | {"depth"}
     ),
     "visibility buffer, many polygons behind a wall": Row(behind_a_wall),
+    "visibility buffer, a far crowd": Row(far_crowd),
     "visibility buffer, polygons, eye-dome lighting": Row(
         lambda: with_settings(solid_cases.cube(), technique="VISIBILITY", use_eye_dome=True)
     ),

@@ -145,6 +145,14 @@ def many_instances() -> Case:
                 cameras.camera())  # fmt: skip
 
 
+def far_crowd() -> Case:
+    """So many instances of so many triangles that nodes stand for them."""
+    ball = build.mesh(meshes.sphere_mesh("leave out: crowd", 96))
+    at = np.arange(16) - 7.5
+    crowd = build.scene(*((ball, build.moved((x, y, 0), 0.3)) for x in at for y in at))
+    return with_settings(Case(crowd, cameras.camera((0, -60, 10), resolution=(32, 32))), technique="VISIBILITY")
+
+
 def tube() -> Case:
     turn = np.linspace(0, 6, 20)
     way = np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=1)

@@ -15,6 +15,7 @@ from ...device.protocol import Device, Texture
 from ...prepare.point_sets import PointSet
 
 ROWS_AT_ONCE = 8  # of a page whose bounds are measured: what they need stays in the processor's cache
+COVERED = 0.75  # added to a material row for what is not covered of a splat, whose fraction it tells
 NODE = 0.25  # tells nodes from points beside a material row, which is whole
 SMALLEST_NORMAL = 1e-6  # of shading: what is shorter has no direction
 Write = Callable[[np.ndarray, slice], None]  # an attribute of the splats in a slice, into an array (n, channels)
@@ -101,9 +102,12 @@ def position_and_radius(cloud: PointCloud) -> Write:
 
 
 def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = None) -> Write:
-    """Writes (N, 4): half-axes (major, minor), packed major axis, material row. `always_axis`: disks have one, too. The
-    minor half-axis of disconnected splats is negative. `points`: what follows after so many are nodes, whose material
-    row has NODE added."""
+    """Writes (N, 4): half-axes (major, minor), packed major axis, material row.
+
+    `always_axis`: disks have one, too. The minor half-axis of disconnected splats is negative. Where a part of splats
+    is covered, COVERED times what is not is added to the row. `points`: what follows after so many are nodes, whose
+    material row has NODE added.
+    """
 
     def write(out: np.ndarray, block: slice) -> None:
         out[:, :2] = 0
@@ -118,6 +122,8 @@ def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = No
         elif always_axis and cloud.normal is not None:
             out[:, 2] = octahedral(basis(cloud.normal[block].T.astype(np.float64))[0].T)
         out[:, 3] = 0 if cloud.material is None else cloud.material[block]
+        if cloud.covered is not None:
+            out[:, 3] += COVERED * (1 - cloud.covered[block])
         if points is not None:
             out[max(points - block.start, 0) :, 3] += NODE
 

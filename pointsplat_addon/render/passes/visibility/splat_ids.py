@@ -18,6 +18,7 @@ from ...device.protocol import Device, Texture
 from ..gbuffer import GBuffer, Variant
 from ..grouping.groups import Groups, Leaders
 from ..pages.point_page import BALL_PAGE_FIELDS, POINT_SAMPLERS, PageDraw, PointOptions, attributes, page_block
+from ..pages.splat_page import COVERED
 from ..shading.lighting import SAMPLE_FIELDS
 from ..uniforms import RECTANGLE_FIELDS, Fields, SampleView
 from .buffer import (
@@ -54,35 +55,42 @@ class SplatKind:
     whole: bool  # all splats of the page are drawn, as one instance
     balls: bool  # all are balls, also in view space
     ball_page: bool  # the page has no extents
-    lattice: Lattice | None  # None: there are no nodes; else all are
+    lattice: Lattice
+    nodes: bool  # all are nodes over balls
+    partly: bool  # a fraction of some is covered; then none is a node over balls
 
     @property
     def defines(self) -> tuple[tuple[str, str], ...]:
-        nodes: tuple[tuple[str, str], ...] = ()
-        if self.lattice is not None:
+        ranks: tuple[tuple[str, str], ...] = ()
+        if self.nodes or self.partly:
             ranks = rank_defines(self.lattice, RANK_STEP[self.lattice.p])
-            nodes = (("PS_NODES", "1"), ("PS_NODE_SCALE", str(NODE_SCALE)), *ranks)
+        if self.partly:
+            ranks += (("PS_COVERED", str(COVERED)),)
+        if self.nodes:
+            ranks += (("PS_NODE_SCALE", str(NODE_SCALE)),)
         named = {
             "PS_ONE_INSTANCE": self.options.one_instance,
-            "PS_CULL": self.options.cull and not nodes,
-            "PS_ELLIPSES": self.options.ellipses and not (self.balls or nodes),
+            "PS_CULL": self.options.cull and not self.nodes,
+            "PS_ELLIPSES": self.options.ellipses and not (self.balls or self.nodes),
+            "PS_NODES": self.nodes,
+            "PS_PARTLY": self.partly,
             "PS_DIRECT": self.whole,
             "PS_ROUND": self.balls,
             "PS_BALL_PAGE": self.ball_page,
         }
-        return (LATTICE_DEFINE, *((name, "1") for name, on in named.items() if on), *nodes)
+        return (LATTICE_DEFINE, *((name, "1") for name, on in named.items() if on), *ranks)
 
     @property
     def samplers(self) -> tuple[tuple[str, str], ...]:
         instances = () if self.options.one_instance else (("FLOAT_2D", "ps_instances"),)
         missing = {"ps_blocks": self.whole, "ps_extent": self.ball_page}
         read = tuple(sampler for sampler in POINT_SAMPLERS if not missing.get(sampler[1], False))
-        cull = (("FLOAT_2D", "ps_materials"),) if self.options.cull and self.lattice is None else ()
-        return (*read, *((("FLOAT_2D", "ps_moments"),) if self.lattice is not None else ()), *instances, *cull)
+        cull = (("FLOAT_2D", "ps_materials"),) if self.options.cull and not self.nodes else ()
+        return (*read, *((("FLOAT_2D", "ps_moments"),) if self.nodes else ()), *instances, *cull)
 
     def block(self, name: str, *groups: Fields) -> Block:
         """The uniforms of a pass."""
-        own = (*(BALL_PAGE_FIELDS if self.ball_page else ()), *(SAMPLE_FIELDS if self.lattice is not None else ()))
+        own = (*(BALL_PAGE_FIELDS if self.ball_page else ()), *(SAMPLE_FIELDS if self.nodes or self.partly else ()))
         return page_block(name, self.options, LATTICE_FIELDS, own, *groups, whole=self.whole)
 
 
@@ -124,11 +132,11 @@ def raster_program(kind: SplatKind, listed: bool, identified: bool = True) -> In
     )
 
 
-def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders: Leaders) -> Interface:
+def surface_program(kind: SplatKind, variant: Variant, leaders: Leaders) -> Interface:
     """Returns the program that writes the attributes of splats that stand for groups of sub-samples."""
     samplers, named = attributes(variant, kind.options)
     added = tuple(sampler for sampler in samplers if sampler not in POINT_SAMPLERS and sampler[1] != "ps_instances")
-    disks = variant.normal and not (kind.balls or kind.lattice)
+    disks = variant.normal and not (kind.balls or kind.nodes)
     averaged = ("ps_ids",) if variant.color or variant.emission or disks else ()
     averaged += ("ps_keys",) if variant.spread else ()
     averaged += ("ps_first", "ps_second") if averaged else ()
@@ -144,8 +152,8 @@ def surface_program(kind: SplatKind, variant: Variant, lattice: Lattice, leaders
             *kind.defines,
             *((name, "1") for name in variant.defines),
             *(entry for entry in named if entry[0] != "PS_ONE_INSTANCE"),
-            *offset_defines(lattice),
-            *(member_defines(lattice) if averaged and not leaders.central else ()),
+            *offset_defines(kind.lattice),
+            *(member_defines(kind.lattice) if averaged and not leaders.central else ()),
             *leaders.defines,
         ),
     )
@@ -204,9 +212,9 @@ class SplatDepths:
 
     def _kind(self, draw: PageDraw) -> SplatKind:
         page = draw.page
-        lattice = self._depths.lattice if page.nodes else None
         round_balls = self._round_balls and page.balls and not page.nodes
-        return SplatKind(self._options, draw.whole >= 0, round_balls, page.ball_material >= 0, lattice)
+        lattice, alone = self._depths.lattice, page.ball_material >= 0
+        return SplatKind(self._options, draw.whole >= 0, round_balls, alone, lattice, page.nodes, page.partly)
 
     def _listed(self, draw: PageDraw, view: SampleView, shared: dict[str, Texture]) -> int:
         """Lists the splats of a page that cover many cells, and returns how many there are."""
@@ -272,7 +280,7 @@ class SplatCover(SplatDepths):
     ) -> None:
         """Writes the attributes of the splats that stand for groups."""
         for draw in draws:
-            program = surface_program(self._kind(draw), variant, self._buffer.lattice, leaders)
+            program = surface_program(self._kind(draw), variant, leaders)
             read = {**leaders.bound, **groups.codes, "ps_ids": self._buffer.ids, "ps_keys": self._buffer.keys}
             self._device.draw(
                 program,

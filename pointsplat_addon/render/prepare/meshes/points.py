@@ -12,27 +12,27 @@ from typing import Any
 
 import numpy as np
 
-from ...core.lod.foliage import is_foliage
-from ...core.lod.instances import visible_instances
-from ...core.numeric.linear import largest_singular_value
-from ...core.numeric.record import record
-from ...core.scene.bounds import mesh_centre, triangles_ball
-from ...core.scene.cloud import PointCloud
-from ...core.scene.mesh import Mesh
-from ...core.scene.scene import Geometry
-from ...core.surface.appearance import digest, point_cloud
-from ...core.surface.density import EXACT_INSTANCES, Parts, make_parts, required_spacing
-from ...core.surface.evaluation import evaluate
-from ...core.surface.sample_areas import sample_areas
-from ...core.surface.sampling import choose_method, sample_mesh
-from ...core.surface.spacing import MAX_SAMPLES, MOST_SAMPLES, limit_spacing, quantise_spacing
-from ...core.surface.triangles import Measures, measure_triangles
-from ..cache.keys import Key, Kind
-from ..cache.store import Store
-from .hierarchies import points_once_they_have_nodes
-from .layers import MANY_INSTANCES
-from .point_sets import PointSet
-from .view import View
+from ....core.lod.foliage import is_foliage
+from ....core.lod.instances import visible_instances
+from ....core.numeric.linear import largest_singular_value
+from ....core.numeric.record import record
+from ....core.scene.bounds import mesh_centre, triangles_ball
+from ....core.scene.cloud import PointCloud
+from ....core.scene.mesh import Mesh
+from ....core.scene.scene import Geometry
+from ....core.surface.appearance import digest, point_cloud
+from ....core.surface.density import EXACT_INSTANCES, Parts, make_parts, required_spacing
+from ....core.surface.evaluation import evaluate
+from ....core.surface.sample_areas import sample_areas
+from ....core.surface.sampling import choose_method, sample_mesh
+from ....core.surface.spacing import MAX_SAMPLES, MOST_SAMPLES, limit_spacing, quantise_spacing
+from ....core.surface.triangles import Measures, measure_triangles
+from ...cache.keys import Key, Kind
+from ...cache.store import Store
+from ..hierarchies import points_once_they_have_nodes
+from ..layers import MANY_INSTANCES
+from ..point_sets import PointSet
+from ..view import View
 
 # Of meshes whose instances are many, AUTO draws polygons where the typical triangle's edge spans more pixels than this.
 POLYGON_PIXELS = 4.0
@@ -79,11 +79,14 @@ class MeasuredMesh:
         """Edge lengths and heights of the valid triangles."""
         return self._cached(Kind.MEASURES, lambda: measure_triangles(self.mesh))
 
+    @property
+    def is_foliage(self) -> bool:
+        """Whether the mesh consists of leaves."""
+        return self._cached(Kind.IS_FOLIAGE, lambda: is_foliage(self.mesh.position, self.mesh.triangles))
+
     def is_drawable_foliage(self, instances: int) -> bool:
         """Tells whether the mesh is foliage that, with this many `instances`, has few enough triangles for polygons."""
-        return instances * len(self.mesh.triangles) <= MAX_FOLIAGE_TRIANGLES and self._cached(
-            Kind.IS_FOLIAGE, lambda: is_foliage(self.mesh.position, self.mesh.triangles)
-        )
+        return instances * len(self.mesh.triangles) <= MAX_FOLIAGE_TRIANGLES and self.is_foliage
 
     def _cached(self, kind: Kind, make: Callable[[], Any]) -> Any:
         return self.store.lookup(Key(kind, self.geometry.key), make)
@@ -177,18 +180,22 @@ def _points_unless_polygons(
     return _points_by_octave(view, measured, needed, view_from_object)
 
 
+def is_chosen_by_buffer(view: View, geometry: Geometry) -> bool:
+    """Tells whether the visibility buffer chooses what a mesh is drawn as: polygons, which cost less there than points
+    of as many pixels, or nodes far away."""
+    return view.settings.technique == "VISIBILITY" and geometry.primitive == "AUTO"
+
+
 def is_polygons(view: View, geometry: Geometry) -> bool:
-    """Tells whether a mesh is drawn as polygons whatever the view is: by the visibility buffer they cost less than
-    points of as many pixels."""
-    by_buffer = view.settings.technique == "VISIBILITY" and geometry.primitive == "AUTO"
-    return by_buffer or geometry.primitive == "POLYGONS"
+    """Tells whether a mesh is drawn as polygons whatever the view is."""
+    return is_chosen_by_buffer(view, geometry) or geometry.primitive == "POLYGONS"
 
 
 def _too_near_for_points(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
     """Returns (I,) bool: which instances may be so large on the screen that they are drawn as polygons."""
     if is_polygons(view, measured.geometry) or len(view_from_object) == 1 or not view.camera.perspective:
         return np.ones(len(view_from_object), bool)
-    allowed = _spacing_allowed_by_bounds(view, measured, view_from_object)
+    allowed = spacing_allowed_by_bounds(view, measured, view_from_object)
     near = measured.typical_edge * view.settings.tolerance > POLYGON_PIXELS * allowed
     return near & visible_instances(view_from_object, *measured.ball, view.camera)
 
@@ -204,14 +211,15 @@ def _needed_spacing(view: View, measured: MeasuredMesh, view_from_object: np.nda
     )
 
 
-def _spacing_allowed_by_bounds(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
+def spacing_allowed_by_bounds(view: View, measured: MeasuredMesh, view_from_object: np.ndarray) -> np.ndarray:
     """Returns (I,) the spacing, in object units, that suffices at the nearest point of each bounding sphere."""
     middle, reach = measured.ball
     scale = largest_singular_value(view_from_object[:, :3, :3])
     depth = -(view_from_object[:, 2, :3] @ middle + view_from_object[:, 2, 3]) - reach * scale
     focal = max(abs(f) for f in view.camera.pixel_from_view()[:2])
+    depth = np.maximum(depth, view.camera.near) if view.camera.perspective else 1.0
     with np.errstate(all="ignore"):
-        return np.maximum(depth, view.camera.near) * view.settings.tolerance / (focal * scale)
+        return depth * view.settings.tolerance / (focal * scale)
 
 
 def _points_by_octave(
@@ -232,7 +240,7 @@ def _coarser_octaves(view: View, measured: MeasuredMesh, needed: float, view_fro
     if not many and len(view_from_object) * len(measured.mesh.triangles) <= MAX_EXACT_TRIANGLES:
         allowed = np.array([_needed_spacing(view, measured, matrix) for matrix in view_from_object])
     else:
-        allowed = _spacing_allowed_by_bounds(view, measured, view_from_object)
+        allowed = spacing_allowed_by_bounds(view, measured, view_from_object)
     with np.errstate(all="ignore"):
         # Relative to the octave that `needed` is rounded to, so that the coarser ones round alike.
         coarser = np.floor(np.log2(allowed / quantise_spacing(needed)))

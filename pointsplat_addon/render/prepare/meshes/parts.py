@@ -7,15 +7,15 @@ from functools import cached_property
 
 import numpy as np
 
-from ...core.lod.cost import Costs, mask_runs
-from ...core.numeric.record import record
-from ...core.scene.mesh import Mesh
-from ...core.surface.area_sampling import estimate_by_part
-from ...core.surface.density import PART, Parts
-from ...core.surface.samples import Samples, take_samples, vertex_of_sample
-from ...core.surface.sampling import choose_method, sample_mesh
-from ...core.surface.spacing import quantise_spacing
-from ...core.surface.triangles import Measures, measures_of_some
+from ....core.lod.cost import Costs, mask_runs
+from ....core.numeric.record import record
+from ....core.scene.mesh import Mesh
+from ....core.surface.area_sampling import estimate_by_part
+from ....core.surface.density import PART, Parts
+from ....core.surface.samples import Samples, take_samples, vertex_of_sample
+from ....core.surface.sampling import choose_method, sample_mesh
+from ....core.surface.spacing import quantise_spacing
+from ....core.surface.triangles import Measures, measures_of_some
 
 
 @record

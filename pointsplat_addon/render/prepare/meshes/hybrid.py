@@ -6,21 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.lod.cost import Costs, PrimitiveChoice, choose_primitives
-from ...core.numeric.record import record
-from ...core.scene.bounds import mesh_centre
-from ...core.scene.camera import Camera
-from ...core.scene.cloud import PointCloud
-from ...core.scene.materials import MaterialTable
-from ...core.scene.scene import Geometry
-from ...core.surface.appearance import digest, point_cloud
-from ...core.surface.density import part_spacings
-from ...core.surface.evaluation import evaluate
-from ..cache.keys import Key, Kind
-from .hierarchies import points_once_they_have_nodes
-from .layers import MANY_INSTANCES
-from .mesh_parts import DividedMesh, PartSamples, sample_parts
-from .meshes import (
+from ....core.lod.cost import Costs, PrimitiveChoice, choose_primitives
+from ....core.numeric.record import record
+from ....core.scene.bounds import mesh_centre
+from ....core.scene.camera import Camera
+from ....core.scene.cloud import PointCloud
+from ....core.scene.materials import MaterialTable
+from ....core.scene.scene import Geometry
+from ....core.surface.appearance import digest, point_cloud
+from ....core.surface.density import part_spacings
+from ....core.surface.evaluation import evaluate
+from ...cache.keys import Key, Kind
+from ..hierarchies import points_once_they_have_nodes
+from ..layers import MANY_INSTANCES
+from ..point_sets import PointSet
+from ..separation import is_translucent
+from ..view import View
+from .parts import DividedMesh, PartSamples, sample_parts
+from .points import (
     VERTEX_PIXELS,
     MeasuredMesh,
     Primitives,
@@ -29,9 +32,6 @@ from .meshes import (
     measured_mesh,
     points_of_instances,
 )
-from .point_sets import PointSet
-from .separation import is_translucent
-from .view import View
 
 NODES_PER_SQUARE = (
     16.0  # of a cut, for each square of the tolerance that a curved surface holds: measured 13 to 16.5 of scans
