@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from ..points.reader import PointFileError
 from .reader import SplatReader
-
-ImageDecoder = Callable[[bytes, str], np.ndarray]  # of a picture's bytes and name: (H, W, 4) uint8, the top row first
+from .sog import ImageDecoder, open_sog, read_json
+from .streamed import StreamedSplats
 
 
 def _ply(path: Path) -> SplatReader:
@@ -32,6 +30,8 @@ def _spz(path: Path) -> SplatReader:
 
 
 FORMATS: dict[str, Callable[[Path], SplatReader]] = {".ply": _ply, ".splat": _splat, ".spz": _spz}
+SETS = "lod-meta.json", "meta.json"  # files that stand for the folder they lie in
+ENDS = *FORMATS, ".sog"
 
 
 def open_splats(path: Path, decode: ImageDecoder | None = None, level: int = 0) -> SplatReader:
@@ -40,7 +40,15 @@ def open_splats(path: Path, decode: ImageDecoder | None = None, level: int = 0) 
     decode: makes arrays of the pictures of SOG files. level: which level of detail of those that have several, 0 being
     the finest. Raises PointFileError where the file is damaged or none, OSError where it cannot be read.
     """
+    if path.is_dir():
+        path = next((path / name for name in SETS if (path / name).exists()), path)
+    name = path.name.lower()
+    if name.endswith((".json", ".sog")):
+        if decode is None:
+            raise PointFileError(path, "is made of pictures, which cannot be read here")
+        streamed = name.endswith(".json") and "lodLevels" in read_json(path)
+        return StreamedSplats(path, decode, level) if streamed else open_sog(path, decode)
     for end, reader in FORMATS.items():
-        if path.name.lower().endswith(end):
+        if name.endswith(end):
             return reader(path)
-    raise PointFileError(path, f"is none of {', '.join(FORMATS)}")
+    raise PointFileError(path, f"is none of {', '.join((*ENDS, *SETS))}")

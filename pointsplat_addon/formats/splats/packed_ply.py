@@ -129,5 +129,3 @@ def _shares(words: np.ndarray) -> np.ndarray:
     """Shares (n, 3) float32 of 0 to 1 of words of 11, 10 and 11 bits."""
     return np.stack([(words >> 21) / np.float32(2047), (words >> 11 & 1023) / np.float32(1023),
                      (words & 2047) / np.float32(2047)], axis=1, dtype=np.float32, casting="same_kind")  # fmt: skip
-
-

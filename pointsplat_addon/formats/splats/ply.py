@@ -57,7 +57,7 @@ class PlySplats(BlockReader):
         if ply.order == "ascii":
             skipped = sum(element.count for element in before)
             self._rows = TextRows(self._path, ply.size, skipped, vertex.count, len(vertex.properties))
-            self._table = np.empty((0, len(vertex.properties)))
+            self._table: np.ndarray = np.empty((0, len(vertex.properties)))
             return
         start = ply.size + sum(element.count * record_of(element, ply.order).itemsize for element in before)
         records = mapped(self._path, vertex, ply.order, start)
@@ -68,7 +68,8 @@ class PlySplats(BlockReader):
     def _columns(self, rows: slice, names: list[str]) -> np.ndarray:
         """Properties of some vertices, (n, len(names))."""
         if self._table.dtype.names:
-            return np.stack([self._table[name][rows] for name in names], axis=1)
+            part = self._table[rows]
+            return np.stack([part[name] for name in names], axis=1)
         order = [name for name, _ in self._vertex.properties]
         columns = [order.index(name) for name in names]
         step = columns[1] - columns[0] if len(columns) > 1 else 1

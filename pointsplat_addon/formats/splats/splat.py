@@ -40,4 +40,3 @@ class SplatFile(BlockReader):
 
     def close(self) -> None:
         self._records = np.empty(0, RECORD)
-

@@ -49,7 +49,7 @@ class SpzSplats(BlockReader):
 
     def __init__(self, path: Path) -> None:
         super().__init__()
-        data = memoryview(np.memmap(path, np.uint8, "r")) if path.stat().st_size else memoryview(b"")
+        data = np.memmap(path, np.uint8, "r").data if path.stat().st_size else memoryview(b"")
         self._packed = packed = _unpacked(path, data)
         axes = Y_UP
         for kind, content in _extensions(packed.extensions):
@@ -136,9 +136,7 @@ def _unpacked(path: Path, data: memoryview) -> Packed:
     return Packed(version, count, degree, fraction, flags, found, extensions if flags & EXTENDED else b"")
 
 
-def _single_stream(
-    path: Path, data: memoryview, widths: dict[str, int], count: int
-) -> tuple[list[memoryview], bytes]:
+def _single_stream(path: Path, data: memoryview, widths: dict[str, int], count: int) -> tuple[list[memoryview], bytes]:
     """The bytes of each attribute, and of extensions, of versions 1 to 3."""
     size = HEADER.size + sum(widths.values()) * count
     if data[:2] == GZIP:
