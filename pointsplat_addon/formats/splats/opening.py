@@ -23,13 +23,19 @@ def _splat(path: Path) -> SplatReader:
     return SplatFile(path)
 
 
+def _ksplat(path: Path) -> SplatReader:
+    from .ksplat import KsplatFile
+
+    return KsplatFile(path)
+
+
 def _spz(path: Path) -> SplatReader:
     from .spz import SpzSplats
 
     return SpzSplats(path)
 
 
-FORMATS: dict[str, Callable[[Path], SplatReader]] = {".ply": _ply, ".splat": _splat, ".spz": _spz}
+FORMATS: dict[str, Callable[[Path], SplatReader]] = {".ply": _ply, ".splat": _splat, ".ksplat": _ksplat, ".spz": _spz}
 SETS = "lod-meta.json", "meta.json"  # files that stand for the folder they lie in
 ENDS = *FORMATS, ".sog"
 

@@ -1,8 +1,8 @@
 """Reads SPZ, Niantic's format of bytes, versions 1 to 4 (github.com/nianticlabs/spz).
 
-Attributes follow one another: positions, opacities, colours, scales, rotations, spherical harmonics. Up to version 3 all
-are one gzip stream behind a header of 16 bytes; since version 4 each is a zstd stream of its own, whose sizes stand in a
-table. Axes are right, up, back, unless an extension names others.
+Attributes follow one another: positions, opacities, colours, scales, rotations, spherical harmonics. Up to version 3
+all are one gzip stream behind a header of 16 bytes; since version 4 each is a zstd stream of its own, whose sizes stand
+in a table. Axes are right, up, back, unless an extension names others.
 """
 
 from __future__ import annotations
