@@ -30,6 +30,7 @@ ACROSS = 64  # entries of the palette in a row of its picture
 FIRST_LARGEST = 252  # the last byte of quaternions whose largest component is w
 SPARE = 1 << 16  # pixels that a picture may have beyond a few for each splat
 MOST_META = 1 << 24  # bytes
+DAMAGES = zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, struct.error, zlib.error
 
 
 class SogSplats(BlockReader):
@@ -158,24 +159,24 @@ def open_sog(path: Path, decode: ImageDecoder) -> SogSplats:
     """Opens a ZIP file, or a folder by its meta.json. Raises PointFileError and OSError."""
     if path.suffix.lower() == ".json":
         return SogSplats(path, read_json(path), lambda name: read_beside(path, name), decode)
-    try:
-        archive = zipfile.ZipFile(path)
-    except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
-        raise PointFileError(path, f"is no ZIP file: {error}") from None
-    with archive:
+    with path.open("rb") as file:
+        try:
+            archive = zipfile.ZipFile(file)
+        except (*DAMAGES, OSError) as error:
+            raise PointFileError(path, f"is no ZIP file: {error}") from None
 
         def member(name: str) -> bytes:
             try:
                 info = archive.getinfo(name)
                 if info.file_size > DEFLATE_RATIO * (info.compress_size + 1):
                     raise PointFileError(path, f"promises {info.file_size:,} bytes of {name}")
-                with archive.open(info) as file:
-                    return file.read(info.file_size)
+                with archive.open(info) as content:
+                    return content.read(info.file_size)
             except KeyError:
                 raise PointFileError(path, f"has no file {name}") from None
-            except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, zlib.error) as error:
-                if isinstance(error, PointFileError):
-                    raise
+            except PointFileError:
+                raise
+            except (*DAMAGES, OSError) as error:  # seeking before the file's beginning is an OSError, too
                 raise PointFileError(path, f"is damaged in {name}: {error}") from None
 
         return SogSplats(path, parsed(path, member("meta.json")), member, decode)
