@@ -7,6 +7,7 @@ import io
 import json
 import struct
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,10 @@ def splat_columns(count: int, coefficients: int = 0, seed: int = 0) -> dict[str,
 
 
 def write_packed_ply(
-    path: Path, ranges: list[list[float]], words: list[list[int]], sh: list[list[int]] | None = None
+    path: Path,
+    ranges: Sequence[Sequence[float]],
+    words: Sequence[Sequence[int]],
+    sh: Sequence[Sequence[int]] | None = None,
 ) -> None:
     """A packed PLY file. ranges: of each chunk, 12 or 18 numbers; words: of each splat its position, rotation, scale
     and colour; sh: bytes of each splat."""

@@ -27,11 +27,10 @@ MOST_MEMORY = 64_000_000
 def spz(version):
     def write(path):
         random = np.random.default_rng(version)
-        arrays = [
-            random.uniform(0.1, 0.9, (COUNT, *shape)).astype(np.float32)
-            for shape in ((3,), (3,), (4,), (3,), (), (3, 3))
-        ]
-        write_spz(path, CapturedSplats(*arrays), version)
+        shapes = (3,), (3,), (4,), (3,), ()
+        arrays = [random.uniform(0.1, 0.9, (COUNT, *shape)).astype(np.float32) for shape in shapes]
+        sh = random.uniform(-0.5, 0.5, (COUNT, 3, 3)).astype(np.float32)
+        write_spz(path, CapturedSplats(*arrays, sh=sh), version)
 
     return write
 

@@ -12,6 +12,7 @@ from ....core.scene.captured import CapturedSplats
 from ..reader import BLOCK, CHUNK
 
 OPAQUE = 18.0  # a logit whose sigmoid is 1 in float32; others than finite ones are read by few programs
+FAR = 1000.0  # from where on positions are written in double precision
 LEAST_SCALE = 1e-30  # of which the logarithm is written for 0
 
 
@@ -19,7 +20,7 @@ def write_ply(path: Path, splats: CapturedSplats) -> None:
     """Writes splats in the file's axes; positions are relative to no origin. Raises OSError; then there is no file."""
     coefficients = 0 if splats.sh is None else splats.sh.shape[1]
     disks = len(splats) > 0 and not splats.scale[:, 2].any() and bool(splats.scale[:, :2].all())
-    far = splats.origin.any()
+    far = bool(np.abs(splats.origin).max() > FAR)
     names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{c}" for c in range(3))]
     names += [f"f_rest_{i}" for i in range(3 * coefficients)]
     names += ["opacity", *(f"scale_{i}" for i in range(2 if disks else 3)), *(f"rot_{i}" for i in range(4))]
