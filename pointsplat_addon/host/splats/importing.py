@@ -14,7 +14,7 @@ from ...formats.splats.reader import SplatReader, messages
 from .objects import SplatObject
 from .pictures import read_picture
 
-STEP = 1 << 17  # splats between two looks at the window
+STEP = 1 << 16  # splats between two looks at the window
 
 
 def import_files(

@@ -11,9 +11,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ...core.numeric.vectors import each_block
 from ...core.scene.captured import CapturedSplats
 from ...formats.splats.axes import blender_from
-from ...formats.splats.reader import SplatHeader
+from ...formats.splats.reader import BLOCK, SplatHeader
 from ..convert import arrays
 from ..convert.captured import ANTIALIASED, BASE, HARMONICS, ROTATION, SCALE
 from ..convert.selection.filters import ORIGIN
@@ -38,18 +39,23 @@ class SplatObject:
 
     def fill(self, splats: CapturedSplats) -> None:
         """Writes further splats into Blender's memory."""
-        rows = slice(self._filled, self._filled + len(splats))
-        self._filled = rows.stop
+        first, self._filled = self._filled, self._filled + len(splats)
         if len(splats) == 0:
             return
-        self._array("position")[rows] = splats.position
-        self._array(SCALE)[rows] = splats.scale
-        self._array(ROTATION)[rows] = splats.rotation
-        base = self._array(BASE)
-        base[rows, :3], base[rows, 3] = splats.base, splats.opacity
-        if splats.sh is not None:
-            for i in range(splats.sh.shape[1]):
-                self._array(HARMONICS.format(i))[rows] = splats.sh[:, i]
+        position, scale, rotation, base = (self._array(name) for name in ("position", SCALE, ROTATION, BASE))
+        coefficients = 0 if splats.sh is None else splats.sh.shape[1]
+        harmonics = [self._array(HARMONICS.format(i)) for i in range(coefficients)]
+
+        def write(block: slice) -> None:
+            rows = slice(first + block.start, first + block.stop)
+            position[rows], scale[rows] = splats.position[block], splats.scale[block]
+            rotation[rows] = splats.rotation[block]
+            base[rows, :3], base[rows, 3] = splats.base[block], splats.opacity[block]
+            if splats.sh is not None:
+                for i, array in enumerate(harmonics):
+                    array[rows] = splats.sh[block, i]
+
+        each_block(len(splats), write, BLOCK)
 
     def _array(self, name: str) -> np.ndarray:
         """An attribute's memory, (N, 3 | 4) float32."""
