@@ -2,6 +2,7 @@
 
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def value(ob, name):
     return found.reshape(-1, width)
 
 
-def splat_file(path, count=300, coefficients=8, **changes):
+def splat_file(path, count=300, coefficients=8, **changes) -> Any:
     columns = {**files.splat_columns(count, coefficients), **changes}
     files.write_splat_ply(path, columns)
     with open_splats(path) as reader:
@@ -225,7 +226,7 @@ def test_filters_and_clip_boxes_cut_splats():
 # Export
 
 
-def exported(path, **options):
+def exported(path, **options) -> Any:
     assert bpy.ops.pointsplat.export_splats(filepath=str(path), **options) == {"FINISHED"}
     with open_splats(path) as reader:
         return read_all(reader)

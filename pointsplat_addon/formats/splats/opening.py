@@ -12,9 +12,14 @@ from .streamed import StreamedSplats
 
 
 def _ply(path: Path) -> SplatReader:
-    from .ply import open_ply
+    from ..points.ply import PACKED_PROPERTIES, read_header
+    from .packed_ply import PackedSplats
+    from .ply import PlySplats
 
-    return open_ply(path)
+    ply = read_header(path)
+    vertex = ply.element("vertex")
+    packed = vertex is not None and {name for name, _ in vertex.properties} >= PACKED_PROPERTIES
+    return PackedSplats(path, ply) if packed else PlySplats(path, ply)
 
 
 def _splat(path: Path) -> SplatReader:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ...core.scene.captured import CapturedSplats
-from ..points.ply import ORDERS, PACKED_PROPERTIES, Element, PlyHeader, read_header
+from ..points.ply import ORDERS, Element, PlyHeader
 from ..points.reader import PointFileError, origin_of
 from ..points.text.rows import TextRows
 from .reader import CHUNK, BlockReader, Decoded, SplatHeader, checked_coefficients, exponential, sigmoid
@@ -122,17 +122,6 @@ def widen(out: Decoded, deviation: np.ndarray) -> None:
     wider = square + deviation.astype(np.float64) ** 2
     out.opacity[:] *= np.sqrt(np.prod(square / wider, axis=1))
     out.scale[:] = np.sqrt(wider)
-
-
-def open_ply(path: Path) -> BlockReader:
-    """Opens a PLY file of splats, packed or not. Raises PointFileError where it is none, OSError."""
-    ply = read_header(path)
-    vertex = ply.element("vertex")
-    if vertex is not None and {name for name, _ in vertex.properties} >= PACKED_PROPERTIES:
-        from .packed_ply import PackedSplats
-
-        return PackedSplats(path, ply)
-    return PlySplats(path, ply)
 
 
 def _vertex(path: Path, ply: PlyHeader) -> Element:
