@@ -161,7 +161,7 @@ def test_sog_is_read_through_blenders_pictures(tmp_path, name):
     path = tmp_path / name if name == "a.sog" else tmp_path / name / "meta.json"
     ob = imported(path)
     with open_splats(path, files.read_picture) as reader:
-        given = read_all(reader)
+        given: Any = read_all(reader)
     np.testing.assert_array_equal(value(ob, "position"), given.position)
     np.testing.assert_array_equal(value(ob, "radiance:sh_2"), given.sh[:, 2])
     assert ob.name == ("a" if name == "a.sog" else "folder")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +12,15 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ...formats.points.reader import PointFileError
 from ...formats.splats.axes import Y_DOWN, Y_UP, Z_UP
 from ...formats.splats.opening import ENDS, SETS
+from ..ui.stepwise import Stepwise
 from .exporting import AXES, NothingToExportError, export_file
 from .importing import import_files
 
-SLICE = 0.1  # seconds of reading between two looks at the window
 IMPORTED = "pointsplat.import_splats"
 EXPORTED = "pointsplat.export_splats"
-NO_MEMORY = "There is not enough memory for the splats"
 
 
-class POINTSPLAT_OT_import_splats(bpy.types.Operator, ImportHelper):
+class POINTSPLAT_OT_import_splats(Stepwise, bpy.types.Operator, ImportHelper):
     """Import captured Gaussian splats: PLY, packed PLY, splat, ksplat, SPZ, SOG, streamed SOG (lod-meta.json)"""
 
     bl_idname = IMPORTED
@@ -64,60 +61,17 @@ class POINTSPLAT_OT_import_splats(bpy.types.Operator, ImportHelper):
         return self.invoke_popup(context) if dropped else ImportHelper.invoke(self, context, event)
 
     def execute(self, context):
-        self._work = import_files(context, self._paths(), "" if self.axes == "AUTO" else self.axes, self.level)
-        manager = context.window_manager
-        if context.window is None or bpy.app.background or not self.options.is_invoke:
-            result = None
-            while result is None:
-                result = self._step(1e9)
-            return result
-        manager.progress_begin(0, 100)
-        self._timer = manager.event_timer_add(0.02, window=context.window)
-        manager.modal_handler_add(self)
-        context.workspace.status_text_set("Importing splats; Esc cancels")
-        return {"RUNNING_MODAL"}
+        axes = "" if self.axes == "AUTO" else self.axes
+        return self.start(context, import_files(context, self.paths(), axes, self.level))
 
-    def modal(self, context, event):
-        result = None
-        if event.type == "ESC":
-            self._work.close()
-            self.report({"INFO"}, "The import is cancelled")
-            result = {"CANCELLED"}
-        elif event.type == "TIMER":
-            result = self._step(SLICE)
-            context.window_manager.progress_update(100 * self._share)
-        if result is None:
-            return {"RUNNING_MODAL"}
-        context.window_manager.progress_end()
-        context.window_manager.event_timer_remove(self._timer)
-        context.workspace.status_text_set(None)
-        return result
+    noun = "splats"
 
-    def _step(self, seconds: float) -> set[str] | None:
-        """Reads on for a while; returns the operator's result once it is there."""
-        end = time.monotonic() + seconds
-        try:
-            while time.monotonic() < end:
-                self._share = next(self._work)
-        except StopIteration as done:
-            objects, warnings = done.value
-            for warning in warnings:
-                self.report({"WARNING"}, warning)
-            for ob in objects:
-                self.report({"INFO"}, f"{ob.name}: {len(ob.data.points):,} splats")
-            return {"FINISHED"}
-        except (PointFileError, OSError, MemoryError) as error:
-            self.report({"ERROR"}, str(error) or NO_MEMORY)
-            return {"CANCELLED"}
-        return None
-
-    _work: Generator[float, None, tuple[list[bpy.types.Object], list[str]]]
-    _share = 0.0
-
-    def _paths(self) -> list[Path]:
-        folder = Path(bpy.path.abspath(self.directory)) if self.directory else Path()
-        named = [folder / item.name for item in self.files if item.name]
-        return named or [Path(bpy.path.abspath(self.filepath))]
+    def finish(self, result):
+        objects, warnings = result
+        for warning in warnings:
+            self.report({"WARNING"}, warning)
+        for ob in objects:
+            self.report({"INFO"}, f"{ob.name}: {len(ob.data.points):,} splats")
 
 
 class POINTSPLAT_OT_export_splats(bpy.types.Operator, ExportHelper):
@@ -159,7 +113,7 @@ class POINTSPLAT_OT_export_splats(bpy.types.Operator, ExportHelper):
             version = 4 if self.file_format == "SPZ4" else 3
             count, warnings = export_file(context, path, chosen, version)
         except (NothingToExportError, PointFileError, OSError, MemoryError) as error:
-            self.report({"ERROR"}, str(error) or NO_MEMORY)
+            self.report({"ERROR"}, str(error) or "There is not enough memory for the splats")
             return {"CANCELLED"}
         for warning in warnings:
             self.report({"WARNING"}, warning)
