@@ -14,6 +14,7 @@ from ..core.scene.cloud import PointCloud
 from ..core.scene.materials import MaterialTable
 from ..core.scene.volume import Medium
 from ..core.surface.neighbourhoods.estimate import Ellipses
+from .convert.captured import is_captured, read_captured
 from .convert.mesh import is_loose_vertices, read_mesh
 from .convert.objects import Source
 from .convert.pointcloud import convert_points, read_pointcloud
@@ -101,6 +102,8 @@ class Geometries:
                 parts.append(found)
             return found
 
+        if is_captured(source.data) and not source.particles:
+            return self._convert_captured(source)
         if source.particles:
             key, cloud = convert_points(source.particles, material, lookup)
         elif isinstance(source.data, bpy.types.PointCloud):
@@ -125,6 +128,20 @@ class Geometries:
 
         key = f"{key} {primitive} {spacing:g} {extinction:g} {pixels:g}"
         return self._cache.lookup(key, build), tuple(parts), warnings
+
+    def _convert_captured(
+        self, source: Source
+    ) -> tuple[scene.Geometry | None, tuple[Ellipses | PointCloud, ...], tuple[str, ...]]:
+        """The geometry of captured splats that filters and clip boxes keep, and warnings."""
+        rows, messages = kept_points(source.data, source.filters) if source.filters else (None, ())
+        found = read_captured(source.data, source.antialiased, self._cache.lookup, rows, source.clip)
+        if found is None:
+            return None, (), tuple(f"{source.name}: {message}" for message in messages)
+        key, splats, more = found
+        warnings = tuple(f"{source.name}: {message}" for message in (*messages, *more))
+        key = f"{key} captured"
+        made = scene.Geometry(key, source.name, captured=splats)
+        return self._cache.lookup(key, lambda: made), (), warnings
 
     def _convert_strands(
         self, source: Source, rows: tuple[int, ...], table: MaterialTable
@@ -171,7 +188,7 @@ def _source_key(source: Source, rows: tuple[int, ...], table: MaterialTable) -> 
     """
     digests = tuple(graph.digest if (graph := _graph(table, row)) else "" for row in rows)
     settings = source.primitive, source.spacing, source.extinction, source.shape
-    settings = *settings, source.pixel_radius, source.filters, source.clip
+    settings = *settings, source.pixel_radius, source.filters, source.clip, source.antialiased
     key = (source.data.session_uid, rows, digests, *settings)
     if source.smoke:
         key = (*key, source.smoke.key)

@@ -8,9 +8,10 @@ import bpy
 
 from . import caches, engine
 from .scans import operators as scans
+from .splats import operators as splats
 from .ui import operators, panels, point_filters, point_panels, preferences, properties
 
-MODULES = (point_filters, properties, operators, scans, preferences, engine, panels, point_panels)
+MODULES = (point_filters, properties, operators, scans, splats, preferences, engine, panels, point_panels)
 CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)
 
 _registered = False
@@ -33,6 +34,7 @@ def register() -> None:
     properties.register()
     operators.register()
     scans.register()
+    splats.register()
     panels.register()
     caches.register()
     if bpy.app.module:
@@ -50,6 +52,7 @@ def unregister() -> None:
     _registered = False
     atexit.unregister(unregister)
     panels.unregister()
+    splats.unregister()
     scans.unregister()
     operators.unregister()
     properties.unregister()

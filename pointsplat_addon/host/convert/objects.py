@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.volume import Transfer
+from .captured import ANTIALIASED
 from .particles import read_particles
 from .point_shapes import PointShape, pixel_radius_of, shape_of
 from .pointcloud import Points
@@ -52,6 +53,7 @@ class Source:
     ribbons: bool = False  # strands have normals
     filters: Filters | None = None  # of points
     clip: Clip | None = None  # of points
+    antialiased: bool = False  # of captured splats
 
     @property
     def strands(self) -> bool:
@@ -169,6 +171,7 @@ def _make_source(
         smoke=read_domain(ob) if ob.type == "MESH" else None,
         ribbons=ob.type == "CURVES" and ob.pointsplat.ribbons,
         filters=filters_of(ob),
+        antialiased=ob.type == "POINTCLOUD" and bool(ob.original.get(ANTIALIASED, False)),
         clip=clip,
     )
 

@@ -31,7 +31,7 @@ def import_scan(
         readers = []
         for path in paths:
             if path.suffix.lower() == ".ply" and ply.kind_of(path) == "SPLATS":
-                raise PointFileError(path, "holds captured Gaussian splats, not a scan")
+                raise PointFileError(path, "holds captured Gaussian splats, not a scan: import it as such")
             readers.append(reader := open_points(path))
             stack.callback(reader.close)
         warnings = _of_several(readers)

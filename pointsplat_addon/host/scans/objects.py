@@ -58,6 +58,11 @@ def scan_object(name: str, found: Gathered, crs: str) -> bpy.types.Object:
     return ob
 
 
+def point_object(name: str, count: int) -> bpy.types.Object:
+    """Returns a new PointCloud object, in no collection, of so many points at the origin."""
+    return _as_object(name, _with_points(name, count))
+
+
 def scene_origin(scene: bpy.types.Scene, origin: np.ndarray, crs: str) -> np.ndarray:
     """Returns the scene's origin, (3,) float64; a scene that has none takes this one."""
     if "crs x" not in scene or "crs y" not in scene:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +13,16 @@ from ...formats.points.gather import Selection
 from ...formats.points.opening import FORMATS, open_points
 from ...formats.points.reader import PointFileError
 from ..convert.selection.filters import ORIGIN, class_numbers
+from ..ui.stepwise import Stepwise
 from . import looks
 from .importing import import_scan, unit_of
 from .sequences import import_sequence
 
 ENDS = tuple(end for end in FORMATS if end.startswith("."))
-SLICE = 0.1  # seconds of reading between two looks at the window
 IMPORTED = "pointsplat.import_points"
 
 
-class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
+class POINTSPLAT_OT_import_points(Stepwise, bpy.types.Operator, ImportHelper):
     """Import a scan: LAS, LAZ, COPC, E57, PLY, PCD, PTS, PTX, text, Entwine (ept.json) or Potree 1.7 (cloud.js)"""
 
     bl_idname = IMPORTED
@@ -103,7 +101,7 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
         return self.invoke_popup(context) if dropped else ImportHelper.invoke(self, context, event)
 
     def execute(self, context):
-        paths = self._paths()
+        paths = self.paths()
         if self.sequence:
             return self._import_sequence(context, paths[0])
         try:
@@ -112,18 +110,16 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
         except (PointFileError, OSError, ValueError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self._work = import_scan(context, paths, selection, unit)
-        manager = context.window_manager
-        if context.window is None or bpy.app.background or not self.options.is_invoke:
-            result = None
-            while result is None:
-                result = self._step(1e9)
-            return result
-        manager.progress_begin(0, 100)
-        self._timer = manager.event_timer_add(0.02, window=context.window)
-        manager.modal_handler_add(self)
-        context.workspace.status_text_set("Importing points; Esc cancels")
-        return {"RUNNING_MODAL"}
+        return self.start(context, import_scan(context, paths, selection, unit))
+
+    noun = "points"
+
+    def finish(self, result):
+        ob, warnings = result
+        ob.pointsplat.shape = self.shape
+        for warning in warnings:
+            self.report({"WARNING"}, warning)
+        self.report({"INFO"}, f"{ob.name}: {len(ob.data.points):,} points")
 
     def _import_sequence(self, context: Any, path: Path) -> set[str]:
         try:
@@ -134,48 +130,6 @@ class POINTSPLAT_OT_import_points(bpy.types.Operator, ImportHelper):
         for warning in warnings:
             self.report({"WARNING"}, f"{ob.name}: {warning}")
         return {"FINISHED"}
-
-    def modal(self, context, event):
-        result = None
-        if event.type == "ESC":
-            self._work.close()
-            self.report({"INFO"}, "The import is cancelled")
-            result = {"CANCELLED"}
-        elif event.type == "TIMER":
-            result = self._step(SLICE)
-            context.window_manager.progress_update(100 * self._share)
-        if result is None:
-            return {"RUNNING_MODAL"}
-        context.window_manager.progress_end()
-        context.window_manager.event_timer_remove(self._timer)
-        context.workspace.status_text_set(None)
-        return result
-
-    def _step(self, seconds: float) -> set[str] | None:
-        """Reads on for a while; returns the operator's result once it is there."""
-        end = time.monotonic() + seconds
-        try:
-            while time.monotonic() < end:
-                self._share = next(self._work)
-        except StopIteration as done:
-            ob, warnings = done.value
-            ob.pointsplat.shape = self.shape
-            for warning in warnings:
-                self.report({"WARNING"}, warning)
-            self.report({"INFO"}, f"{ob.name}: {len(ob.data.points):,} points")
-            return {"FINISHED"}
-        except (PointFileError, OSError, MemoryError) as error:
-            self.report({"ERROR"}, str(error) or "There is not enough memory for the points")
-            return {"CANCELLED"}
-        return None
-
-    _work: Generator[float, None, tuple[bpy.types.Object, list[str]]]
-    _share = 0.0
-
-    def _paths(self) -> list[Path]:
-        folder = Path(bpy.path.abspath(self.directory)) if self.directory else Path()
-        named = [folder / item.name for item in self.files if item.name]
-        return named or [Path(bpy.path.abspath(self.filepath))]
 
     def _attributes(self) -> frozenset[str] | None:
         kept = {"NONE": (), "LOOK": ("color", "alpha", "intensity", "normal", "classification", "radius")}

@@ -62,7 +62,7 @@ def import_sequence(context: Any, path: Path) -> tuple[bpy.types.Object, list[st
     if path.suffix.lower() != ".ply":
         raise PointFileError(path, "is no PLY file: sequences are read from PLY files alone")
     if ply.kind_of(path) == "SPLATS":
-        raise PointFileError(path, "holds captured Gaussian splats, not a scan")
+        raise PointFileError(path, "holds captured Gaussian splats, not a scan: import it as such")
     frames = numbered_files(path)
     reader = open_points(path)
     try:

@@ -1,0 +1,1 @@
+"""Writes captured splats, and makes of an object's splats those of a file."""

@@ -1,0 +1,92 @@
+"""PointCloud objects of captured splats, under the names of attributes that Blender 5.3 gives them.
+
+Data are in the file's axes, and the object is turned to Blender's: spherical harmonics stay as they were trained.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...core.numeric.vectors import each_block
+from ...core.scene.captured import CapturedSplats
+from ...formats.splats.axes import blender_from
+from ...formats.splats.reader import BLOCK, SplatHeader
+from ..convert import arrays
+from ..convert.captured import ANTIALIASED, BASE, HARMONICS, ROTATION, SCALE
+from ..convert.selection.filters import ORIGIN
+from ..scans.objects import point_object, scene_origin
+
+WIDTHS = {"FLOAT_VECTOR": 3, "QUATERNION": 4, "FLOAT_COLOR": 4, "FLOAT4": 4}
+
+
+class SplatObject:
+    """A new object, in no collection, that is filled with splats part by part."""
+
+    def __init__(self, name: str, header: SplatHeader, count: int) -> None:
+        self.object = point_object(name, count)
+        self._filled = 0
+        data: Any = self.object.data
+        kinds = {SCALE: "FLOAT_VECTOR", ROTATION: "QUATERNION", BASE: _four_floats()}
+        kinds |= {HARMONICS.format(i): "FLOAT_VECTOR" for i in range(header.coefficients)}
+        for attribute, kind in kinds.items():
+            data.attributes.new(attribute, kind, "POINT")
+        if header.antialiased:
+            self.object[ANTIALIASED] = True
+
+    def fill(self, splats: CapturedSplats) -> None:
+        """Writes further splats into Blender's memory."""
+        first, self._filled = self._filled, self._filled + len(splats)
+        if len(splats) == 0:
+            return
+        position, scale, rotation, base = (self._array(name) for name in ("position", SCALE, ROTATION, BASE))
+        coefficients = 0 if splats.sh is None else splats.sh.shape[1]
+        harmonics = [self._array(HARMONICS.format(i)) for i in range(coefficients)]
+
+        def write(block: slice) -> None:
+            rows = slice(first + block.start, first + block.stop)
+            position[rows], scale[rows] = splats.position[block], splats.scale[block]
+            rotation[rows] = splats.rotation[block]
+            base[rows, :3], base[rows, 3] = splats.base[block], splats.opacity[block]
+            if splats.sh is not None:
+                for i, array in enumerate(harmonics):
+                    array[rows] = splats.sh[block, i]
+
+        each_block(len(splats), write, BLOCK)
+
+    def _array(self, name: str) -> np.ndarray:
+        """An attribute's memory, (N, 3 | 4) float32."""
+        attribute = self.object.data.attributes[name]
+        width = WIDTHS[attribute.data_type]
+        return arrays.view(attribute.data, (len(attribute.data), width), np.float32)
+
+    def place(self, context: Any, header: SplatHeader, axes: str) -> None:
+        """Turns the object from a file's axes to Blender's, links it to the active collection and selects it."""
+        ob = self.object
+        ob.data.update_tag()
+        turn = blender_from(axes)
+        ob.matrix_basis = Matrix(turn.tolist()).to_4x4()
+        if any(header.origin):
+            origin = turn @ np.array(header.origin)
+            ob[ORIGIN] = [float(x) for x in header.origin]
+            ob.location = origin - scene_origin(context.scene, origin, "")
+        context.collection.objects.link(ob)
+        for other in context.selected_objects:
+            other.select_set(False)
+        context.view_layer.objects.active = ob
+        ob.select_set(True)
+
+    def remove(self) -> None:
+        """Takes the object out of the file."""
+        data = self.object.data
+        bpy.data.objects.remove(self.object)
+        bpy.data.pointclouds.remove(data)
+
+
+def _four_floats() -> str:
+    """Blender's type of attributes of four numbers: a colour, where there is no other."""
+    kinds = bpy.types.Attribute.bl_rna.properties["data_type"].enum_items
+    return "FLOAT4" if "FLOAT4" in kinds else "FLOAT_COLOR"
