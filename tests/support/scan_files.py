@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 from pathlib import Path
@@ -135,3 +136,80 @@ def write_potree(folder: Path, nodes: dict[str, np.ndarray], low: tuple, side: f
         steps = [root[1:][i : i + step] for i in range(0, len(root) - step, step)]
         data = b"".join(struct.pack("<BI", *row) for row in rows)
         folder.joinpath("data", "r", *steps, f"{root}.hrc").write_bytes(data)
+
+
+def write_copc(path: Path, las: Any, nodes: int = 3) -> None:
+    """A COPC file of laspy's points, of the point formats 6 to 8, split over a chain of so many nodes."""
+    import laspy
+    import lazrs
+
+    header = las.header
+    packing = lazrs.LazVlr.new_for_compression(header.point_format.id, 0, use_variable_size_chunks=True)
+    header.are_points_compressed = True
+    header.vlrs = laspy.vlrs.vlrlist.VLRList()
+    header.vlrs.append(laspy.vlrs.VLR("copc", 1, "COPC info VLR", bytes(160)))
+    header.vlrs.append(laspy.vlrs.VLR("laszip encoded", 22204, "", packing.record_data()))
+    stream = io.BytesIO()
+    header.write_to(stream, ensure_same_size=False)
+    start = stream.tell()
+    points = las.points.array.view(np.uint8).reshape(len(las.points), -1)
+    compressor = lazrs.LasZipCompressor(stream, packing)
+    for part in np.array_split(points, nodes):
+        compressor.compress_many(np.ascontiguousarray(part).ravel())
+        compressor.finish_current_chunk()
+    compressor.done()
+    first = stream.seek(0, io.SEEK_END)
+    stream.seek(start)
+    entries, at = b"", start + 8
+    for level, (count, size) in enumerate(lazrs.read_chunk_table(stream, packing)):
+        entries += struct.pack("<4iQii", level, 0, 0, 0, at, size, count)
+        at += size
+    stream.seek(first)
+    stream.write(struct.pack("<H16sHQ32s", 0, b"copc", 1000, len(entries), b"EPT Hierarchy") + entries)
+    found = bytearray(stream.getvalue())
+    struct.pack_into("<QI", found, 235, first, 1)
+    struct.pack_into("<5dQQ2d", found, 375 + 54, 0, 0, 0, 1e3, 1.0, first + 60, len(entries), 0.0, 1.0)
+    path.write_bytes(found)
+
+
+def write_ept(folder: Path, nodes: dict[str, np.ndarray], kind: str, pages: tuple[str, ...] = ()) -> None:
+    """An Entwine folder of whole-numbered positions (N, 3), in hundredths, by the names of nodes; the hierarchy of the
+    nodes `pages` stands in files of their own. kind: laszip, binary or zstandard."""
+    (folder / "ept-data").mkdir(parents=True)
+    (folder / "ept-hierarchy").mkdir()
+    schema = [{"name": name, "type": "signed", "size": 4, "scale": 0.01, "offset": 100.0} for name in "XYZ"]
+    schema += [{"name": name, "type": "unsigned", "size": 2} for name in ("Intensity", "Red", "Green", "Blue")]
+    record = np.dtype([(d["name"], f"<{'i' if d['type'] == 'signed' else 'u'}{d['size']}") for d in schema])
+    facts = {
+        "bounds": [0, 0, 0, 200, 200, 200], "dataType": kind, "schema": schema, "version": "1.1.0",
+        "points": sum(map(len, nodes.values())), "srs": {"authority": "EPSG", "horizontal": "2154"},
+    }  # fmt: skip
+    (folder / "ept.json").write_text(json.dumps(facts), encoding="utf-8")
+    root = {name: -1 if name in pages else len(position) for name, position in nodes.items()}
+    (folder / "ept-hierarchy" / "0-0-0-0.json").write_text(json.dumps(root), encoding="utf-8")
+    for name in pages:
+        text = json.dumps({name: len(nodes[name])})
+        (folder / "ept-hierarchy" / f"{name}.json").write_text(text, encoding="utf-8")
+    for name, position in nodes.items():
+        records = np.zeros(len(position), record)
+        for axis, column in zip("XYZ", position.T, strict=True):
+            records[axis] = column
+        records["Intensity"] = np.arange(len(position)) % 7
+        _write_node(folder / "ept-data" / name, records, kind)
+
+
+def _write_node(path: Path, records: np.ndarray, kind: str) -> None:
+    """The points of a node, with the ending of their kind."""
+    if kind == "binary":
+        records.tofile(path.with_suffix(".bin"))
+    elif kind == "zstandard":
+        import zstandard
+
+        path.with_suffix(".zst").write_bytes(zstandard.ZstdCompressor().compress(records.tobytes()))
+    else:
+        import laspy
+
+        made = laspy.LasData(laspy.LasHeader(point_format=7, version="1.4"))
+        made.X, made.Y, made.Z = records["X"], records["Y"], records["Z"]
+        made.intensity = records["Intensity"]
+        made.write(str(path.with_suffix(".laz")))

@@ -52,7 +52,6 @@ def gather(readers: Sequence[Reader], selection: Selection, size: int = CHUNK) -
     found = Gathered(np.zeros(3))
     types = _types(readers, selection)
     total = sum(reader.header.count for reader in readers)
-    types = _types(readers, selection)
     # Headers may promise more points than there are: memory grows with what is found.
     parts: dict[str, list[np.ndarray]] = {name: [] for name in types}
     seen, first_station = 0, 0

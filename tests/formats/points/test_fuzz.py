@@ -1,22 +1,34 @@
-"""Damaged scans of every format: truncated, with flipped bits, with numbers of headers overwritten.
+"""Damaged scans of every format: truncated, with flipped bits, with numbers of headers and words of text overwritten.
 
-Whatever a file says, a reader ends, names the file, and takes no memory that the file's size does not allow.
+Whatever a file says, an import ends, names the file, and takes no memory that the file's size does not allow.
 """
 
 from __future__ import annotations
 
+import json
+import re
 import tracemalloc
 import warnings
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pointsplat_addon.formats.points.opening import open_points
+from pointsplat_addon.formats.points.gather import Selection, gather
+from pointsplat_addon.formats.points.opening import FOLDERS, open_points
 from pointsplat_addon.formats.points.reader import PointFileError
-from tests.support.scan_files import packed_integers, write_e57, write_pcd, write_ply
+from tests.support.scan_files import (
+    packed_integers,
+    write_copc,
+    write_e57,
+    write_ept,
+    write_pcd,
+    write_ply,
+    write_potree,
+)
 
-QUICK, LONG = 60, 2000  # damaged files of each kind
+QUICK, LONG = 200, 10_000  # damaged files of each kind
 # Bytes: readers take blocks of fixed sizes, and some times a file's size. Measured at most 3.6e6, of E57's window.
 MOST_MEMORY = 64_000_000
 COUNT = 300
@@ -58,6 +70,38 @@ def ptx(path) -> None:
     path.write_text(f"10\n{COUNT // 10}\n5 6 7\n{pose}" + "".join(f"{i} 1 2 0.5\n" for i in range(COUNT)))
 
 
+def pts(path) -> None:
+    rows = "".join(f"{i}.5 {i / 7} -1.5 {-i} {i % 256} 7 255\n" for i in range(COUNT // 2))
+    path.write_text(2 * f"{COUNT // 2}\n{rows}")
+
+
+def csv(path) -> None:
+    path.write_text("X,Y,Z,Class,Quality\n" + "".join(f'"{i}",{i / 7},-1.5,2,{i % 9}e3\n' for i in range(COUNT)))
+
+
+def copc(path) -> None:
+    laspy = pytest.importorskip("laspy", reason="it comes with the extension")
+    made = laspy.LasData(laspy.LasHeader(point_format=7, version="1.4"))
+    made.x = made.y = made.z = np.arange(COUNT)
+    write_copc(path, made)
+
+
+def octree(depth: int, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Whole numbers (N, 3) below 2 to the power of `depth` for each name."""
+    random = np.random.default_rng(0)
+    return {name: random.integers(1 << depth, size=(COUNT // len(names), 3)) for name in names}
+
+
+def ept(kind: str):
+    nodes = octree(12, ("0-0-0-0", "1-0-0-0", "1-1-1-0", "2-3-2-0"))
+    return lambda folder: write_ept(folder, nodes, kind, ("1-1-1-0", "2-3-2-0"))
+
+
+def potree(folder) -> None:
+    nodes = octree(0, ("r", "r0", "r7", "r07", "r071", "r0716", "r07163"))
+    write_potree(folder, nodes, (-1.0, 2.0, 5.0), 8.0, 1e-3, 2)
+
+
 WRITERS = {
     "a.las": las,
     "a.laz": las,
@@ -69,13 +113,31 @@ WRITERS = {
     "packed.pcd": lzf,
     "a.xyz": text,
     "a.ptx": ptx,
+    "a.pts": pts,
+    "a.csv": csv,
+    "a.copc.laz": copc,
+    "laszip": ept("laszip"),
+    "binary": ept("binary"),
+    "zstandard": ept("zstandard"),
+    "potree": potree,
 }
+WORD = rb"[^\s,;:{}\[\]]+"
+# What stands where files of text have words: numbers that are none or beyond any type, and what is no number.
+WORDS = [b"nan", b"-inf", b"1e400", b"-1e308", b"1e-320", b"-1", b"0", b"9" * 30, b"0x10", b"\xc2\xbd", b"\xc2\xb2", b"1_0",
+         b"null", b"true", b"{}", b"[]", b"[[[", b'"', b"''", b"\xff", b"\0", b"\n", b"\r", b"", b" ", b"abc", b"laszip"]  # fmt: skip
 
 
 def damaged(data: bytes, random: np.random.Generator) -> bytes:
     """A file with some damage."""
-    kind = random.integers(4)
+    text = len(data) > 0 and b"\0" not in data
+    kind = random.integers(6 if text else 4)
     found = bytearray(data)
+    if kind >= 4:  # words, of those at the beginning above all
+        words = list(re.finditer(WORD, data[: 400 if kind == 4 else len(data)]))
+        for _ in range(random.integers(1, 4)):
+            word = words[random.integers(len(words))]
+            found[word.start() : word.end()] = WORDS[random.integers(len(WORDS))]
+        return bytes(found)
     if kind == 0:
         return bytes(found[: random.integers(len(found) + 1)])
     if kind == 1:
@@ -90,16 +152,19 @@ def damaged(data: bytes, random: np.random.Generator) -> bytes:
     return bytes(found)
 
 
-def read(path) -> None:
-    """Reads all of a file; what is wrong with it has to be told with its name."""
-    said = path.name
+def read(path: Path, names: set[str]) -> None:
+    """Imports all of a file; what is wrong with it has to be told with the name of a file."""
     try:
         with open_points(path) as reader:
-            for chunk in reader.chunks():
-                assert {len(value) for value in chunk.values()} == {len(chunk["position"])}
+            work = gather([reader], Selection(), 1 << 10)
+            try:
+                while True:
+                    assert 0 <= next(work) <= 1
+            except StopIteration as done:
+                assert {len(value) for value in done.value.columns.values()} == {len(done.value)}
     except PointFileError as error:
-        said = str(error)
-    assert path.name in said
+        file, _, what = str(error).partition(": ")
+        assert file in names or what == "is missing", error  # which names a file that was made up
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -107,17 +172,51 @@ def read(path) -> None:
 def test_damaged_files_are_read_or_refused(tmp_path, name, count):
     path = tmp_path / name
     WRITERS[name](path)
-    data = path.read_bytes()
-    read(path)
+    files = [file for file in sorted(path.rglob("*")) if file.is_file()] if path.is_dir() else [path]
+    contents = {file: file.read_bytes() for file in files}
+    heads = [file for file in files if file.name in FOLDERS]
+    names = {file.name for file in files}
+    read(path, set())
     random = np.random.default_rng([count, zlib.crc32(name.encode())])
     tracemalloc.start()
     try:
         for number in range(count):
-            path.write_bytes(damaged(data, random))
+            # What a folder says of itself is damaged as often as all that lies in it.
+            among = heads if heads and random.integers(2) else files
+            file = among[random.integers(len(among))]
+            file.write_bytes(damaged(contents[file], random))
             tracemalloc.reset_peak()
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", RuntimeWarning)  # numbers beyond what their types hold
-                read(path)
+                read(path, names)
             assert tracemalloc.get_traced_memory()[1] < MOST_MEMORY, number
+            file.write_bytes(contents[file])
     finally:
         tracemalloc.stop()
+
+
+def misleading(content: bytes):
+    """Texts of JSON with each word, and each value at the top, replaced by each that it should not be."""
+    for word in re.finditer(WORD, content):
+        for other in WORDS:
+            yield content[: word.start()] + other + content[word.end() :]
+    facts = json.loads(content)
+    for key in facts:
+        for value in (None, True, 5, -1.5, 1e400, "x", "", "..", [], [[]], [{}], {}, {"x": {}}, [None] * 9):
+            yield json.dumps({**facts, key: value}).encode()
+        yield json.dumps({other: facts[other] for other in facts if other != key}).encode()
+
+
+@pytest.mark.parametrize("name", ["binary", "laszip", "potree"])
+def test_nothing_that_a_folder_says_is_taken_for_granted(tmp_path, name):
+    path = tmp_path / name
+    WRITERS[name](path)
+    names = {file.name for file in path.rglob("*")}
+    for file in [file for file in sorted(path.rglob("*")) if file.suffix in (".json", ".js")]:
+        content = file.read_bytes()
+        for damaged in misleading(content):
+            file.write_bytes(damaged)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", RuntimeWarning)  # numbers beyond what their types hold
+                read(path, names)
+        file.write_bytes(content)

@@ -35,7 +35,7 @@ class EptReader(FileReader):
             self._record, self._scales = _schema(facts["schema"])
             box = np.array(facts.get("boundsConforming", facts["bounds"]), np.float64).reshape(2, 3)
             promised = int(facts["points"])
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise PointFileError(path, "has no schema, bounds and points that belong together") from None
         count = sum(self._nodes.values())
         columns = [
@@ -48,7 +48,8 @@ class EptReader(FileReader):
                 attributes = first.header.attributes
         if promised != count:
             self.warnings.append(f"{path.name}: promises {promised:,} points, and its nodes have {count:,}")
-        srs = facts.get("srs") or {}
+        srs = facts.get("srs")
+        srs = srs if isinstance(srs, dict) else {}
         crs = srs.get("wkt") or (f"{srs.get('authority')}:{srs.get('horizontal')}" if srs.get("horizontal") else "")
         title = f"EPT of {len(self._nodes):,} nodes, {facts['dataType']}"
         self.header = Header(path, title, count, attributes, box, origin_of(box), crs=str(crs))

@@ -46,10 +46,12 @@ class PotreeReader(FileReader):
             self._data = path.parent / Path(str(facts["octreeDir"])).name
         except FileNotFoundError:
             raise
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise PointFileError(path, f"is no cloud.js of Potree 1.7: {error}") from None
         self._end = str(stored).lower() if stored in ("LAS", "LAZ") else "bin"
         if self._end == "bin":
+            if not isinstance(stored, list):
+                raise PointFileError(path, "has no list of attributes")
             names = [str(item.get("name") if isinstance(item, dict) else item) for item in stored]
             unknown = [name for name in names if name not in STORED]
             if unknown or "POSITION_CARTESIAN" not in names:
