@@ -12,7 +12,8 @@
 #define PS_SOFT_SHAPE 16  // first texel about a light's size
 #define PS_POINTS_OF_CELL 8
 #define PS_SOFT_SEEN 1.2  // see BEYOND in render/shadow/map_views.py
-#define PS_SOFT_FEW 2  // points of each cell, where receivers that see some cells alone look at it more closely
+#define PS_SOFT_CELLS 8  // that receivers look at which look at few points; and of each,
+#define PS_SOFT_FEW 2  // points, where the light is hidden in part
 #define PS_SOFT_ALIKE 1e-4  // shares of a light that do not matter
 #define PS_SOFT_STEEPEST 0.05  // cosine: planes that a point of the light grazes more closely are treated as this one
 
@@ -195,10 +196,10 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
   int columns = count > 16 ? 8 : 4, row = int(head.z), cells = max(count, 1);
 #ifdef PS_SHADOW_SPREAD
   // Cells are in an order in which some that follow each other are spread over all of the light.
-  int start = int(ps_point_sequence(ps_spread.number, PS_POINT_X) * float(cells));
-  int at_cell = int(ps_point_sequence(ps_spread.number, PS_POINT_Y) * float(PS_POINTS_OF_CELL));
   bool few = ps_spread.points < count;
-  count = min(ps_spread.points, count);
+  int start = few ? int(ps_point_sequence(ps_spread.number, PS_POINT_X) * float(cells)) : 0;
+  int at_cell = int(ps_point_sequence(ps_spread.number, PS_POINT_Y) * float(PS_POINTS_OF_CELL));
+  count = few ? min(PS_SOFT_CELLS, count) : count;
 #endif
 #ifdef PS_FOOTPRINT
   float pixel = ps_pixel_size(-position.z);

@@ -7,7 +7,7 @@ from ..uniforms import Fields
 
 LIGHT_POINTS, MOST_LIGHT_POINTS = 32, 4  # of a wide light: in a picture, and in one of its samples
 FIRST_LIGHT_POINTS = 16  # that tell whether a point lies in a penumbra: with 6, its dark rim has a visible step
-POINTS_OF_MEDIUM = 4  # that each voxel looks at: others than its neighbours do
+POINTS_OF_MEDIUM, POINTS_OF_STRAND = 2, 8  # that each voxel and each strand looks at: others than its neighbours do
 ENOUGH_CELLS = 16  # samples that, each with a shadow cell of its own, make the mean of four between which it lies
 # What lib/light and lib/shadow read: how many lights there are, and with shadows of wide lights the sample's number.
 LIGHT_FIELDS: Fields = (("int", "light_count"),)
