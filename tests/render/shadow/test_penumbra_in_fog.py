@@ -44,8 +44,8 @@ def lit_share() -> np.ndarray:
     return 0.5 + (u * np.sqrt(1 - u * u) + np.arcsin(u)) / np.pi
 
 
-# Of a card that is opaque, and casts into maps, and of one that light passes through, which casts into tables. Where every voxel
-# looked at the same points, by tables 0.039 and 0.14.
+# Of a card that is opaque, and casts into maps, and of one that light passes through, which casts into tables: these
+# left 0.039 and 0.14 where every voxel looked at the same points.
 @pytest.mark.parametrize("alpha", [1.0, 0.5])
 def test_a_fog_has_what_the_card_leaves_of_the_sun(alpha: float) -> None:
     lit, alone = (picture(alpha, card) for card in (True, False))
