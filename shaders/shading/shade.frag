@@ -42,6 +42,9 @@ void main()
 #else
   vec2 at = gl_FragCoord.xy;
 #endif
+#ifdef PS_SHADOW_SPREAD
+  ps_spread = PsSpread(ps_strand_number(centre), ps_is_strand(centre) ? PS_POINTS_OF_STRAND : PS_EVERY_POINT);
+#endif
 #ifdef PS_FOOTPRINT
   PsListed listed = ps_listed(pixel);
   ps_footprint.middle = ps_central_cell(listed.pixel);

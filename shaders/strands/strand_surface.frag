@@ -93,6 +93,9 @@ void main()
   s.normal.xyz = ps_direction(direction, vec3(0.0, 0.0, 1.0));
 #endif
 #endif
+#ifdef PS_NORMAL
+  s.centre.z = s.centre.y > 0.0 ? -texelFetch(ps_tangent, segment.from, 0).w / PS_STRAND_NUMBERS : 0.0;
+#endif
   ps_strand_attributes(s, segment, along);
 #if defined(PS_AVERAGE) || defined(PS_AVERAGE_TANGENT)
   uvec2 codes = uvec2(texelFetch(ps_first, leader.pixel, 0).x, texelFetch(ps_second, leader.pixel, 0).x);

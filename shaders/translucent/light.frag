@@ -85,6 +85,11 @@ void main()
 
   // A medium that shines like a surface is steep there, and the lattice near it would show as rings.
   vec3 lit_position = p + (medium ? 3.0 * extent.x * length(linear[0]) * facing : vec3(0.0));
+#ifdef PS_SHADOW_SPREAD
+  // Of what fills a volume, many splats lie behind each other.
+  bool pile = medium && dot(facing, facing) < 0.5;
+  ps_spread = PsSpread(uint(at.x + 4096 * at.y), pile ? PS_POINTS_OF_MEDIUM : PS_EVERY_POINT);
+#endif
 #ifdef PS_REACH
   // How much of each light comes here does not depend on the camera.
   vec3 share[4] = vec3[4](vec3(1.0), vec3(1.0), vec3(1.0), vec3(1.0));

@@ -1,6 +1,6 @@
 """Sorts splats back to front by a hierarchical bucket sort (Gunjee et al. 2007, section 4.2).
 
-Splats are projected onto the view direction and fall into slices as thick as the smallest splat (of opaque ones, a part
+Splats are projected onto the view direction and fall into slices as thick as the smallest splat (of surfaces, a part
 of it), counted from the farthest. Two tables of 65,536 buckets each, coarse and fine, number the slices; both are
 filled in stable passes over 16-bit keys, fine before coarse, so that the cost is linear and splats of one slice keep
 their order.
@@ -25,6 +25,7 @@ from .hierarchy import Hierarchy
 BUCKETS = 1 << 16  # of each table: the values of a 16-bit key
 MAX_DEPTH = 1e300  # depths beyond it count as infinite, so that differences stay finite
 OPAQUE_SLICES = 1 / 16  # of the smallest splat: of two opaque ones the right one has to hide the other
+SHELL_SLICES = 1 / 1024  # of the smallest splat: panes of glass lie far closer to each other than their splats are wide
 MIN_THICKNESS = 1e-300  # a slice: quotients by it keep their digits
 
 
@@ -124,7 +125,7 @@ class _Part:
     count: np.ndarray  # (r,) int64, splats of each range
     linear: np.ndarray  # (r, 3, 3) float64, world from object
     offset: np.ndarray  # (r, 3) float64, where the cloud's origin lies in the world
-    smallest: float  # world units: a lower bound of all positive half-axes; of opaque splats times OPAQUE_SLICES
+    smallest: float  # world units: a lower bound of all positive half-axes times the share that slices are of it
 
     @classmethod
     def of(cls, entry: Hierarchy | PointCloud, cut: Cut, rows: np.ndarray, matrix: np.ndarray) -> _Part:
@@ -137,7 +138,7 @@ class _Part:
         picked, linear = _picked(cut.first[rows], cut.count[rows]), matrix[:, :3, :3]
         size = size[picked]
         smallest = float(size.min(where=size > 0, initial=np.inf)) * _least_scale(linear)
-        smallest *= OPAQUE_SLICES if cloud.opacity is None and cloud.extinction is None else 1.0
+        smallest *= _slices(cloud)
         return cls(position[picked], cut.count[rows], linear, linear @ cloud.origin + matrix[:, :3, 3], smallest)
 
     def depth(self, direction: np.ndarray) -> np.ndarray:
@@ -160,6 +161,13 @@ def _sizes(cloud: PointCloud) -> np.ndarray:
     if cloud.radii is None:
         return np.zeros(len(cloud), np.float32)
     return cloud.radii[:, 0] if cloud.normal is None else cloud.radii[:, :2].min(axis=1)
+
+
+def _slices(cloud: PointCloud) -> float:
+    """How thick slices are, over the smallest splat."""
+    if cloud.extinction is not None:
+        return 1.0
+    return OPAQUE_SLICES if cloud.opacity is None else SHELL_SLICES
 
 
 def _least_scale(linear: np.ndarray) -> float:

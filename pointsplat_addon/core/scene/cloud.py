@@ -27,7 +27,7 @@ ATTRIBUTES: dict[str, tuple[tuple[int, ...] | None, type]] = {
     "value": ((), np.float32),
     "kernel": ((), np.uint8),
     "disconnected": ((), np.bool_),
-    "covered": ((), np.float32),
+    "share": ((), np.float32),
     "facets": ((4, 3), np.int8),
 }
 
@@ -65,7 +65,7 @@ class PointCloud:
         None  # (N,) uint8, row of core.kernel.PROFILES: shape of splats that light passes through
     )
     disconnected: np.ndarray | None = None  # (N,) bool: foliage: closes no surface with its neighbours
-    covered: np.ndarray | None = None  # (N,) float32, 0 to 1: how much of a flat splat's ellipse there is; None: all
+    share: np.ndarray | None = None  # (N,) float32, 0 to 1: how much of a flat splat's ellipse there is; None: all
     # (N, 4, 3) int8, 127 times normals of which a splat shows one that faces the viewer, where it stands for a surface
     # that is turned to several sides: as long as the shares that these have in its area. Zeros: its own.
     facets: np.ndarray | None = None

@@ -30,7 +30,7 @@ class Targets:
     def _allocate(self, plan: Plan, passes: frozenset[str], size: tuple[int, int], count: int, most_cells: int) -> None:
         device = self._device
         self.visibility: VisibilityTargets | None = None
-        if plan.sub_samples and plan.solid:
+        if plan.sub_samples and (plan.solid or plan.translucent is not None):
             self.visibility = self._own(VisibilityTargets(device, plan, passes, size, most_cells))
         self.projection: Projection | None = None
         if plan.points and plan.ewa is None and not plan.sub_samples:

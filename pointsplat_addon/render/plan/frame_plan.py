@@ -190,7 +190,9 @@ def make_frame_plan(
     )
     ewa = technique.name == "EWA"
     sub_samples = 0
-    if technique.name == "VISIBILITY" and _has_opaque(prepared):
+    # What is translucent alone takes all sub-samples at once, too, where there are several of them.
+    alone = bool(prepared.translucent.point_sets) and picture and request.samples > 1 and not request.interactive
+    if technique.name == "VISIBILITY" and (_has_opaque(prepared) or alone):
         sub_samples = lattice.count
         request = replace(request, samples=-(-request.samples // sub_samples))
     plan = make_plan(

@@ -284,7 +284,7 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
         return None
     holdout = bool(_holdouts(view.scene)[layer.set_of_instance >= 0].any())
     grouped = view.sub_samples > 0 and not view.defocus
-    return translucent_options(clouds, view.scene.materials, kinds.solid, holdout, view.defocus, grouped)
+    return translucent_options(clouds, view.scene.materials, kinds.solid or grouped, holdout, view.defocus, grouped)
 
 
 def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None) -> bool:

@@ -7,6 +7,8 @@
 // that is seen, as the normal is.
 // Of groups of sub-samples it is PS_BALL for balls, whose sub-samples have normals of their own, and less for nodes of balls.
 #define PS_BALL -1.0
+// Of strands it is 0 or less, but more than PS_BALL: their number, of so many, over that.
+#define PS_STRAND_NUMBERS 1048576.0
 
 // Whether something covers the pixel's centre.
 bool ps_is_there(vec4 centre)
@@ -17,4 +19,9 @@ bool ps_is_there(vec4 centre)
 bool ps_is_strand(vec4 centre)
 {
   return centre.w <= PS_POLYGON && centre.y > 0.5 * PS_STRAND;
+}
+
+uint ps_strand_number(vec4 centre)
+{
+  return ps_is_strand(centre) ? uint(-centre.z * PS_STRAND_NUMBERS + 0.5) : 0u;
 }

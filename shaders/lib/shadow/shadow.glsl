@@ -6,8 +6,9 @@
 // sample of a picture: PS_SHADOW_SAMPLE is the sample's number. PS_SHADOW_ONE_CELL: samples are so many that each looks
 // at one cell instead of interpolating four. PS_SHADOW_SOLID: only opaque things cast.
 // PS_SHADOW_FIRST: where so many points of the light agree, no others are looked at.
-// PS_SHADOW_SUNS: all lights are suns. PS_SHADOW_HARD: none has a size.
+// PS_SHADOW_SUNS: all lights are suns. PS_SHADOW_HARD: none has a size. PS_SHADOW_SPREAD: see points.glsl.
 
+#include "lib/shadow/points.glsl"
 #include "lib/shadow/table.glsl"
 #include "lib/shadow/map.glsl"
 #include "lib/shadow/soft.glsl"
@@ -38,12 +39,6 @@ PsReceiver ps_shadow_receiver(bool parallel, vec3 local, vec3 normal)
 float ps_shadow_along(PsReceiver p, float spread)
 {
   return p.parallel ? p.at - spread : p.at / (1.0 + p.at * spread);
-}
-
-// A number of the additive recurrence; its terms for successive integers fill the unit interval evenly.
-float ps_shadow_sequence(int index, float step)
-{
-  return fract(0.5 + float(index) * step);
 }
 
 // The first level from `i` on that holds something between the tap's distances. Few do, and software rasterisers run
@@ -115,7 +110,14 @@ vec3 ps_table_transmittance(int light, vec3 position, vec3 normal, bool wanted)
   bool wide = spread * radius > PS_SHADOW_SHARP * size_v.w;
 #endif
   bool narrow = spread * radius <= PS_SHADOW_NARROW * size_v.w;
-  int taps = !wanted ? 0 : wide ? PS_SHADOW_TAPS : 1;
+#ifdef PS_SHADOW_SPREAD
+  int every = min(ps_spread.points, PS_SHADOW_TAPS);
+  uint first = ps_spread.number * uint(every) + uint(PS_SHADOW_SAMPLE) * PS_POINT_SAMPLES;
+#else
+  const int every = PS_SHADOW_TAPS;
+  uint first = uint(PS_SHADOW_SAMPLE * PS_SHADOW_TAPS);
+#endif
+  int taps = !wanted ? 0 : wide ? every : 1;
   int segments = !wide ? 1 : narrow ? PS_SHADOW_FEW_SEGMENTS : PS_SHADOW_SEGMENTS;
 
   vec3 sum = vec3(0.0);
@@ -123,11 +125,11 @@ vec3 ps_table_transmittance(int light, vec3 position, vec3 normal, bool wanted)
   vec3 least = vec3(1e30), most = vec3(-1e30);
 #endif
   for (int k = 0; k < taps; k++) {
-    int index = PS_SHADOW_SAMPLE * PS_SHADOW_TAPS + k;
-    vec2 light_point = vec2(ps_shadow_sequence(index, 0.8812714616335696), ps_shadow_sequence(index, 0.7766393890897682));
+    uint index = first + uint(k);
+    vec2 light_point = vec2(ps_point_sequence(index, PS_POINT_X), ps_point_sequence(index, PS_POINT_Y));
     light_point = shape == PS_RECTANGLE ? 2.0 * light_point - 1.0
                                  : sqrt(light_point.x) * vec2(cos(6.28318531 * light_point.y), sin(6.28318531 * light_point.y));
-    float cut = ps_shadow_sequence(index, 0.5315553977157914);
+    float cut = ps_point_sequence(index, PS_POINT_CUT);
     vec3 offset = shape == PS_DISK && !p.parallel ? radius * (light_point.x * p.east + light_point.y * p.north)
                                                   : light_point.x * size_u.xyz + light_point.y * size_v.xyz;
     offset = wide ? offset - dot(offset, p.ray) * p.ray : vec3(0.0);
@@ -137,8 +139,7 @@ vec3 ps_table_transmittance(int light, vec3 position, vec3 normal, bool wanted)
 #else
     tap.one = wide;
 #endif
-    tap.jitter = vec2(ps_shadow_sequence(index, 0.6844301295853426), ps_shadow_sequence(index, 0.6031687406857283));
-    tap.jitter -= 0.5;
+    tap.jitter = vec2(ps_point_sequence(index, PS_POINT_ROW), ps_point_sequence(index, PS_POINT_COLUMN)) - 0.5;
 
     float left = 1.0;
     PsDepth depth = PsDepth(0.0);

@@ -12,6 +12,8 @@
 #define PS_SOFT_SHAPE 16  // first texel about a light's size
 #define PS_POINTS_OF_CELL 8
 #define PS_SOFT_SEEN 1.2  // see BEYOND in render/shadow/map_views.py
+#define PS_SOFT_CELLS 8  // that receivers look at which look at few points; and of each,
+#define PS_SOFT_FEW 2  // points, where the light is hidden in part
 #define PS_SOFT_ALIKE 1e-4  // shares of a light that do not matter
 #define PS_SOFT_STEEPEST 0.05  // cosine: planes that a point of the light grazes more closely are treated as this one
 
@@ -191,7 +193,14 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
     half_u = length(half_u) * across * s.face;
   }
   int count = wanted && head.x < 0.0 ? int(head.y) : 0;
-  int columns = count > 16 ? 8 : 4, row = int(head.z);
+  int columns = count > 16 ? 8 : 4, row = int(head.z), cells = max(count, 1);
+#ifdef PS_SHADOW_SPREAD
+  // Cells are in an order in which some that follow each other are spread over all of the light.
+  bool few = ps_spread.points < count;
+  int start = few ? int(ps_point_sequence(ps_spread.number, PS_POINT_X) * float(cells)) : 0;
+  int at_cell = int(ps_point_sequence(ps_spread.number, PS_POINT_Y) * float(PS_POINTS_OF_CELL));
+  count = few ? min(PS_SOFT_CELLS, count) : count;
+#endif
 #ifdef PS_FOOTPRINT
   float pixel = ps_pixel_size(-position.z);
   uvec2 members = uvec2(0u);
@@ -205,11 +214,16 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
 #ifdef PS_FOOTPRINT
     ps_soft_receive_next(s, members, normal);
 #endif
-    vec4 middle = texelFetch(ps_map_lights, ivec2(i * (1 + PS_POINTS_OF_CELL), row), 0);
+#ifdef PS_SHADOW_SPREAD
+    int cell = (start + i) % cells;
+#else
+    int cell = i;
+#endif
+    vec4 middle = texelFetch(ps_map_lights, ivec2(cell * (1 + PS_POINTS_OF_CELL), row), 0);
     vec3 from;
     float weight;
     PsSoftSight sight = ps_soft_cell(s, light, middle.xy, half_u, half_v, pixel, from, weight);
-    sum += weight * ps_soft_tap(s, sight, middle.zw, ivec2(i % columns, i / columns), vec2(0.0));
+    sum += weight * ps_soft_tap(s, sight, middle.zw, ivec2(cell % columns, cell / columns), vec2(0.0));
     total += weight;
   }
   bool mixed = min(sum.x, sum.z) > PS_SOFT_ALIKE * total;
@@ -221,13 +235,24 @@ float ps_soft_share(int light, vec3 position, vec3 normal, bool wanted)
 #ifdef PS_FOOTPRINT
     ps_soft_receive_next(s, members, normal);
 #endif
-    int column = i * (1 + PS_POINTS_OF_CELL);
-    ivec2 tile = ivec2(i % columns, i / columns);
+#ifdef PS_SHADOW_SPREAD
+    int cell = (start + i) % cells, points = few ? PS_SOFT_FEW : PS_POINTS_OF_CELL;
+#else
+    int cell = i;
+    const int points = PS_POINTS_OF_CELL;
+#endif
+    int column = cell * (1 + PS_POINTS_OF_CELL);
+    ivec2 tile = ivec2(cell % columns, cell / columns);
     vec4 middle = texelFetch(ps_map_lights, ivec2(column, row), 0);
     vec3 from;
     float least;  // a view from below the receiver's plane shows its other side
     PsSoftSight sight = ps_soft_cell(s, light, middle.xy, half_u, half_v, pixel, from, least);
-    for (int k = 1; k <= PS_POINTS_OF_CELL; k++) {
+    for (int j = 1; j <= points; j++) {
+#ifdef PS_SHADOW_SPREAD
+      int k = few ? 1 + (at_cell + 3 * i + 5 * j) % PS_POINTS_OF_CELL : j;
+#else
+      int k = j;
+#endif
       vec2 own = texelFetch(ps_map_lights, ivec2(column + k, row), 0).xy;
       vec3 point = own.x * half_u + own.y * half_v, apart = s.face * point - from;
       vec2 moved = gone * (apart.xy - (s.parallel ? vec2(0.0) : apart.z * sight.place));

@@ -120,15 +120,19 @@ def view_depth(cloud: PointCloud, world_from_object: np.ndarray, view: np.ndarra
     return -((p @ world_from_object[:3, :3].T + world_from_object[:3, 3]) @ view[2, :3] + view[2, 3])
 
 
-def test_opaque_splats_have_thinner_slices() -> None:
-    """Two sheets a quarter of a splat apart are told from each other."""
+# Sheets of opaque splats a quarter of a splat apart, and panes that lie as close as a hundredth.
+@pytest.mark.parametrize(("apart", "opacity"), [(0.25, None), (0.01, 0.5)])
+def test_surfaces_have_thinner_slices(apart: float, opacity: float | None) -> None:
+    """Two sheets less than a splat apart are told from each other."""
     rng = np.random.default_rng(5)
     position = rng.random((400, 3), np.float32)
-    position[:, 1] = 0.25 * 0.05 * (np.arange(400) % 2)
-    cloud = PointCloud(position, radii=np.full((400, 1), 0.05, np.float32))
+    position[:, 1] = apart * 0.05 * (np.arange(400) % 2)
+    given = None if opacity is None else np.full(400, opacity, np.float32)
+    cloud = PointCloud(position, radii=np.full((400, 1), 0.05, np.float32), opacity=given)
     cut = cut_of_all_points(np.array([400]), np.zeros(1, int))
     found = depth_order.sort_cut(cut, {0: cloud}, np.zeros(1, int), np.eye(4)[None], looking((0, 1, 0)))
-    assert found.thickness == pytest.approx(0.05 * depth_order.OPAQUE_SLICES, rel=1e-6)
+    share = depth_order.OPAQUE_SLICES if opacity is None else depth_order.SHELL_SLICES
+    assert found.thickness == pytest.approx(0.05 * share, rel=1e-6)
     assert (np.diff(view_depth(cloud, np.eye(4), looking((0, 1, 0)))[found.index]) <= 1e-6).all()
 
 

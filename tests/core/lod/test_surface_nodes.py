@@ -34,7 +34,7 @@ def test_even_squares_have_the_moments_of_squares_and_are_covered_whole():
     assert len(nodes) == 16
     np.testing.assert_allclose(nodes.arrays()["radii"], 0.25 * np.sqrt(SPREAD / 12), rtol=1e-5)
     np.testing.assert_allclose(nodes.arrays()["normal"], np.tile([0, 0, 1], (16, 1)), atol=1e-6)
-    np.testing.assert_array_equal(nodes.arrays()["covered"], 1)
+    np.testing.assert_array_equal(nodes.arrays()["share"], 1)
 
 
 def test_colours_are_means_by_area():
@@ -61,8 +61,8 @@ def test_what_is_not_filled_is_covered_by_its_share():
     area = rng.uniform(0.2, 1.0, 4000) * 0.2 / 4000
     leaves = PointCloud(position, normal=normal, radii=np.full((4000, 1), 0.01, np.float32))
     nodes = surface_nodes(leaves, area, edge=0.2)
-    assert nodes.arrays()["covered"].max() < 1
-    np.testing.assert_allclose((FULL * nodes.arrays()["covered"] * area_of(nodes)).sum(), area.sum(), rtol=1e-6)
+    assert nodes.arrays()["share"].max() < 1
+    np.testing.assert_allclose((FULL * nodes.arrays()["share"] * area_of(nodes)).sum(), area.sum(), rtol=1e-6)
 
 
 def test_normals_of_a_sphere_point_outwards():

@@ -23,7 +23,7 @@ LEAST = 1e-6  # of its major half-axis, that a minor one has
 
 
 def surface_nodes(cloud: PointCloud, area: np.ndarray, edge: float) -> PointCloud:
-    """Returns one elliptical disk for each side of the surface in each cell, with PointCloud.covered.
+    """Returns one elliptical disk for each side of the surface in each cell, with PointCloud.share.
 
     `cloud`: N > 0 samples with normals and half-axes; `area` (N,) float64: what each stands for, object units squared;
     `edge`: of the cells, object units. A node has the material of its largest sample.
@@ -49,7 +49,7 @@ def surface_nodes(cloud: PointCloud, area: np.ndarray, edge: float) -> PointClou
     if cloud.shading_normal is not None:
         shading = mean(cloud.shading_normal.T.astype(np.float64))
         arrays["shading_normal"] = shading / np.maximum(np.sqrt((shading * shading).sum(axis=0)), 1e-12)
-    arrays |= {"normal": plane, "axis": axis, "radii": half, "covered": np.minimum(filled / FULL, 1.0)}
+    arrays |= {"normal": plane, "axis": axis, "radii": half, "share": np.minimum(filled / FULL, 1.0)}
     kept = {name: np.ascontiguousarray(columns.T, np.float32) for name, columns in arrays.items()}
     material = None if cloud.material is None else cloud.material[rows]
     return PointCloud(np.ascontiguousarray(middle.T, np.float32), cloud.origin, material=material, **kept)

@@ -120,13 +120,14 @@ class Visibility:
         leaders, lists = groups.leaders, targets.lists(groups.leaders.size)
         lists.surfaces.clear()
         self._device.clear(lists.target)
-        run("attributes", lambda: self._write_attributes(view, leaders, lists.surfaces, self._plan.variant))
-        run(
-            "shade",
-            lambda: self._shading.shade_groups(
-                view, lists.surfaces, leaders.bound | groups.codes, targets.buffer, lists.target
-            ),
-        )
+        if self._plan.solid:
+            run("attributes", lambda: self._write_attributes(view, leaders, lists.surfaces, self._plan.variant))
+            run(
+                "shade",
+                lambda: self._shading.shade_groups(
+                    view, lists.surfaces, leaders.bound | groups.codes, targets.buffer, lists.target
+                ),
+            )
         if targets.behind is not None:
             run("background", lambda: self._shading.draw_open(view, groups.codes, targets.behind_target))
         run("spread", lambda: self._spread(view, tile, lists.shaded, sums))

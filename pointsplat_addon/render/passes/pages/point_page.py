@@ -86,7 +86,7 @@ class Page(SplatPage):
         clouds = self.clouds
         self.balls = all(cloud.normal is None for cloud in clouds)
         self.nodes = all(points.shape is not None for points in sets)  # or none is
-        self.partly = any(cloud.covered is not None for cloud in clouds)  # a fraction of some splats is covered
+        self.partly = any(cloud.share is not None for cloud in clouds)  # a fraction of some splats is covered
         # Of a page without extents; else -1.
         self.ball_material = _ball_material(sets) if small and not self.nodes else -1
         # (R, 2, 3): boxes around rows of splats, where one set fills more than one; see splat_page.row_bounds.

@@ -122,8 +122,8 @@ def extent(cloud: PointCloud, always_axis: bool = False, points: int | None = No
         elif always_axis and cloud.normal is not None:
             out[:, 2] = octahedral(basis(cloud.normal[block].T.astype(np.float64))[0].T)
         out[:, 3] = 0 if cloud.material is None else cloud.material[block]
-        if cloud.covered is not None:
-            out[:, 3] += COVERED * (1 - cloud.covered[block])
+        if cloud.share is not None:
+            out[:, 3] += COVERED * (1 - cloud.share[block])
         if points is not None:
             out[max(points - block.start, 0) :, 3] += NODE
 

@@ -7,6 +7,7 @@ from ..uniforms import Fields
 
 LIGHT_POINTS, MOST_LIGHT_POINTS = 32, 4  # of a wide light: in a picture, and in one of its samples
 FIRST_LIGHT_POINTS = 16  # that tell whether a point lies in a penumbra: with 6, its dark rim has a visible step
+POINTS_OF_MEDIUM, POINTS_OF_STRAND = 2, 8  # that each voxel and each strand looks at: others than its neighbours do
 ENOUGH_CELLS = 16  # samples that, each with a shadow cell of its own, make the mean of four between which it lies
 # What lib/light and lib/shadow read: how many lights there are, and with shadows of wide lights the sample's number.
 LIGHT_FIELDS: Fields = (("int", "light_count"),)
@@ -17,6 +18,12 @@ def lighting_defines(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """Returns the defines of shaders that light. Shadows of wide lights differ from sample to sample: PS_SHADOW_SAMPLE
     is where the shader finds the sample's number."""
     return tuple((name, "u.sample_index" if name == "PS_SHADOW_SAMPLE" else "1") for name in lighting)
+
+
+def looks_at_points(lighting: tuple[str, ...]) -> bool:
+    """Tells whether shadows are looked up from several points of some light."""
+    tables = "PS_SHADOW_TABLES" in lighting and "PS_SHADOW_HARD" not in lighting
+    return tables or "PS_SHADOW_SOFT" in lighting
 
 
 def lighting_samplers(lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:

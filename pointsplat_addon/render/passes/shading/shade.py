@@ -15,9 +15,11 @@ from .lighting import (
     LIGHT_FIELDS,
     LIGHT_POINTS,
     MOST_LIGHT_POINTS,
+    POINTS_OF_STRAND,
     SAMPLE_FIELDS,
     lighting_defines,
     lighting_samplers,
+    looks_at_points,
 )
 
 MIST_EXPONENT = {"LINEAR": 1.0, "QUADRATIC": 2.0, "INVERSE_QUADRATIC": 0.5}
@@ -88,6 +90,8 @@ def shade_program(
     wide = "PS_SHADOW_HARD" not in lighting
     taps += (("PS_SHADOW_FIRST", str(FIRST_LIGHT_POINTS)),) if taps and wide and points > FIRST_LIGHT_POINTS else ()
     taps += (("PS_SHADOW_ONE_CELL", "1"),) if taps and samples >= ENOUGH_CELLS else ()
+    if grouped and flags["PS_STRANDS"] and looks_at_points(lighting):
+        taps += (("PS_SHADOW_SPREAD", "1"), ("PS_POINTS_OF_STRAND", str(POINTS_OF_STRAND)))
     cells = (LATTICE_DEFINE, *member_defines(footprint)) if footprint else ()
     return Interface(
         "shade", fragment="shading/shade.frag",

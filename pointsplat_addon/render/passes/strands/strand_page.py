@@ -2,7 +2,7 @@
 
 A page holds the points of one geometry, texture by texture, one texel a point:
   point     xyz relative to the geometry's origin; radius
-  tangent   unit, along the strand
+  tangent   unit, along the strand; number of the strand, from which it is known which points of wide lights it looks at
   side      unit, across a ribbon
   color, surface, emission   as in pages of splats, where the scene has them
 Segments of a view, two texels each: first point, last point, instance, material (-1 - m: a holdout); of narrow ones
@@ -23,6 +23,7 @@ from ...device.protocol import Device, Texture, releases_on_failure
 from ..gbuffer import Variant
 
 TEXELS = 2  # of a segment
+STRAND_NUMBERS = 1 << 20  # shaders/lib/geometry/surfel_kind.glsl
 
 
 class StrandPage:
@@ -34,7 +35,8 @@ class StrandPage:
         self._device, self.strands, self.textures = device, strands, {}
         self.ribbon = strands.side is not None
         self._upload("point", "RGBA32F", 4, np.column_stack([strands.position, strands.radius]))
-        self._upload("tangent", "RGBA32F", 4, strands.tangent)
+        number = strands.strand % STRAND_NUMBERS
+        self._upload("tangent", "RGBA32F", 4, np.column_stack([strands.tangent, number.astype(np.float32)]))
         if strands.side is not None:
             self._upload("side", "RGBA32F", 4, strands.side)
         rows = strands.material[strands.strand]

@@ -18,7 +18,15 @@ from ....core.splat import painter
 from ....core.splat.kernel import SUPPORT
 from ....shading.interface import Block, Interface
 from ...device.packing import PAGE_WIDTH
-from ..shading.lighting import LIGHT_FIELDS, MOST_LIGHT_POINTS, SAMPLE_FIELDS, lighting_defines, lighting_samplers
+from ..shading.lighting import (
+    LIGHT_FIELDS,
+    MOST_LIGHT_POINTS,
+    POINTS_OF_MEDIUM,
+    SAMPLE_FIELDS,
+    lighting_defines,
+    lighting_samplers,
+    looks_at_points,
+)
 from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, block
 from .options import TranslucentOptions
 
@@ -109,9 +117,11 @@ def light_shares_program(options: TranslucentOptions, lighting: tuple[str, ...],
 
 def _fuzzy_defines(options: TranslucentOptions, lighting: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """One point of each wide light a sample is enough for splats that overlap, and blur what they receive; opaque ones
-    do not, and a sample of groups is a whole picture."""
+    do not, and a sample of groups is a whole picture. Those that overlap look at other points than their neighbours."""
     points = MOST_LIGHT_POINTS if options.fuzzy or options.grouped else 1
     taps = (("PS_SHADOW_TAPS", str(points)),) if "PS_SHADOW_TABLES" in lighting else ()
+    if looks_at_points(lighting) and not options.fuzzy:
+        taps += (("PS_SHADOW_SPREAD", "1"), ("PS_POINTS_OF_MEDIUM", str(min(points, POINTS_OF_MEDIUM))))
     narrow = float(np.sqrt(4 * painter.SUPPORT / SUPPORT))
     return (*taps, *((("PS_FUZZY", repr(narrow)),) if options.fuzzy else ()))
 
