@@ -74,15 +74,17 @@ class EptReader(FileReader):
         return {name: found[name] for name in sorted(found, key=lambda name: [int(n) for n in name.split("-")])}
 
     def _file(self, node: str) -> Path:
-        return self._folder / "ept-data" / f"{node}.{self._end}"
+        """The file of a node's points. Raises PointFileError where there is none."""
+        path = self._folder / "ept-data" / f"{node}.{self._end}"
+        if not path.exists():
+            raise PointFileError(path, "is missing")
+        return path
 
     def chunks(self, columns: Collection[str] | None = None, size: int = CHUNK) -> Iterator[Columns]:
         wanted = self.wanted(columns)
         names = [attribute.name for attribute in wanted]
         for node, count in self._nodes.items():
             path = self._file(node)
-            if not path.exists():
-                raise PointFileError(path, "is missing")
             if self._end == "laz":
                 with LasReader(path) as reader:
                     yield from reader.chunks(names, size)
