@@ -16,6 +16,7 @@ from .reader import CHUNK, Columns, FileReader, Header, PointFileError, origin_o
 from .text.rows import TextRows
 
 LONGEST_HEADER = 1 << 18  # bytes
+MOST_DIGITS = 18  # of a number of elements
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
@@ -73,7 +74,7 @@ def read_header(path: Path) -> PlyHeader:
         match words[:1]:
             case ["format"] if len(words) >= 2 and words[1] in ORDERS:
                 order = words[1]
-            case ["element"] if len(words) == 3 and words[2].isdigit():
+            case ["element"] if len(words) == 3 and words[2].isdecimal() and len(words[2]) <= MOST_DIGITS:
                 elements.append((words[1], int(words[2]), []))
             case ["property"] if elements and len(words) == 5 and words[1] == "list":
                 elements[-1][2].append((words[4], ""))

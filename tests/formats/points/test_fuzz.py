@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointsplat_addon.formats.points.gather import Selection, gather
+from pointsplat_addon.formats.points.gather import Gathered, Selection, gather
 from pointsplat_addon.formats.points.opening import FOLDERS, open_points
 from pointsplat_addon.formats.points.reader import PointFileError
 from tests.support.scan_files import (
@@ -123,8 +123,11 @@ WRITERS = {
 }
 WORD = rb"[^\s,;:{}\[\]]+"
 # What stands where files of text have words: numbers that are none or beyond any type, and what is no number.
-WORDS = [b"nan", b"-inf", b"1e400", b"-1e308", b"1e-320", b"-1", b"0", b"9" * 30, b"0x10", b"\xc2\xbd", b"\xc2\xb2", b"1_0",
-         b"null", b"true", b"{}", b"[]", b"[[[", b'"', b"''", b"\xff", b"\0", b"\n", b"\r", b"", b" ", b"abc", b"laszip"]  # fmt: skip
+WORDS = [
+    *(b"nan", b"-inf", b"1e400", b"-1e308", b"1e-320", b"-1", b"0", b"9" * 30, b"0x10", b"1_0"),
+    *(b"\xc2\xbd", b"\xc2\xb2", b"\xff", b"\0", b"\n", b"\r", b"", b" ", b"abc", b"laszip"),
+    *(b"null", b"true", b"{}", b"[]", b"[[[", b'"', b"''"),
+]
 
 
 def damaged(data: bytes, random: np.random.Generator) -> bytes:
@@ -152,19 +155,27 @@ def damaged(data: bytes, random: np.random.Generator) -> bytes:
     return bytes(found)
 
 
+def gathered(path: Path) -> Gathered:
+    """All points of a file, as an import has them."""
+    with open_points(path) as reader:
+        work = gather([reader], Selection(), 1 << 10)
+        while True:
+            try:
+                next(work)
+            except StopIteration as done:
+                return done.value
+
+
 def read(path: Path, names: set[str]) -> None:
     """Imports all of a file; what is wrong with it has to be told with the name of a file."""
+    said = ""
     try:
-        with open_points(path) as reader:
-            work = gather([reader], Selection(), 1 << 10)
-            try:
-                while True:
-                    assert 0 <= next(work) <= 1
-            except StopIteration as done:
-                assert {len(value) for value in done.value.columns.values()} == {len(done.value)}
+        found = gathered(path)
+        assert {len(value) for value in found.columns.values()} == {len(found)}
     except PointFileError as error:
-        file, _, what = str(error).partition(": ")
-        assert file in names or what == "is missing", error  # which names a file that was made up
+        said = str(error)
+    file, _, what = said.partition(": ")
+    assert not said or file in names or what == "is missing", said  # which names a file that was made up
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -220,3 +231,21 @@ def test_nothing_that_a_folder_says_is_taken_for_granted(tmp_path, name):
                 warnings.simplefilter("ignore", RuntimeWarning)  # numbers beyond what their types hold
                 read(path, names)
         file.write_bytes(content)
+
+
+def test_a_frame_of_zstandard_takes_no_memory_that_it_only_promises(tmp_path):
+    WRITERS["zstandard"](tmp_path / "a")
+    frame = b"\x28\xb5\x2f\xfd\xe0" + (1 << 50).to_bytes(8, "little") + b"\x01\0\0"  # an empty block
+    (tmp_path / "a" / "ept-data" / "1-0-0-0.zst").write_bytes(frame)
+    with pytest.raises(PointFileError, match=r"^1-0-0-0\.zst: "):
+        gathered(tmp_path / "a")
+
+
+@pytest.mark.parametrize("name", ["text.ply", "a.ptx"])
+def test_counts_that_are_no_numbers_are_refused(tmp_path, name):
+    path = tmp_path / name
+    WRITERS[name](path)
+    content = path.read_bytes()
+    for count in WORDS:
+        path.write_bytes(content.replace(b"300" if name == "text.ply" else b"30", count, 1))
+        read(path, {name})

@@ -19,6 +19,7 @@ KINDS = {"signed": "i", "unsigned": "u", "float": "f"}
 ENDS = {"laszip": "laz", "binary": "bin", "zstandard": "zst"}
 ELSEWHERE = -1  # the number of points of a node whose hierarchy goes on in a file of its own
 MOST_NODE = 1 << 30  # bytes of an unpacked node
+LARGEST_WINDOW = 1 << 27  # bytes that Zstandard may look back: its own limit of what it unpacks without being asked
 
 
 class EptReader(FileReader):
@@ -73,15 +74,17 @@ class EptReader(FileReader):
         return {name: found[name] for name in sorted(found, key=lambda name: [int(n) for n in name.split("-")])}
 
     def _file(self, node: str) -> Path:
-        return self._folder / "ept-data" / f"{node}.{self._end}"
+        """The file of a node's points. Raises PointFileError where there is none."""
+        path = self._folder / "ept-data" / f"{node}.{self._end}"
+        if not path.exists():
+            raise PointFileError(path, "is missing")
+        return path
 
     def chunks(self, columns: Collection[str] | None = None, size: int = CHUNK) -> Iterator[Columns]:
         wanted = self.wanted(columns)
         names = [attribute.name for attribute in wanted]
         for node, count in self._nodes.items():
             path = self._file(node)
-            if not path.exists():
-                raise PointFileError(path, "is missing")
             if self._end == "laz":
                 with LasReader(path) as reader:
                     yield from reader.chunks(names, size)
@@ -100,20 +103,29 @@ class EptReader(FileReader):
         if self._end == "zst":
             if size > MOST_NODE:
                 raise PointFileError(path, f"promises {count:,} points")
-            import zstandard
-
-            try:
-                data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
-            except zstandard.ZstdError as error:
-                raise PointFileError(path, f"is damaged: {error}") from None
+            data = _decompressed(path, data, size)
         if len(data) < size:
             raise PointFileError(path, f"has {len(data):,} bytes, where {count:,} points take {size:,}")
         return np.frombuffer(data, self._record, count)
 
 
+def _decompressed(path: Path, data: bytes, size: int) -> bytes:
+    """At most `size` bytes that Zstandard packed. Memory grows with what is found, whatever the frame's header says."""
+    import zstandard
+
+    found = bytearray()
+    try:
+        with zstandard.ZstdDecompressor(max_window_size=LARGEST_WINDOW).stream_reader(data) as reader:
+            while len(found) < size and (part := reader.read(min(size - len(found), CHUNK))):
+                found += part
+    except zstandard.ZstdError as error:
+        raise PointFileError(path, f"is damaged: {error}") from None
+    return bytes(found)
+
+
 def _is_node(name: str) -> bool:
     parts = name.split("-")
-    return len(parts) == 4 and all(part.isdigit() and len(part) < 12 for part in parts)
+    return len(parts) == 4 and all(part.isdecimal() and len(part) < 12 for part in parts)
 
 
 def _json(path: Path) -> dict:

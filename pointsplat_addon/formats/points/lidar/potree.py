@@ -76,7 +76,11 @@ class PotreeReader(FileReader):
         return self._data.joinpath("r", *steps)
 
     def _file(self, node: str) -> Path:
-        return self._folder(node) / f"{node}.{self._end}"
+        """The file of a node's points. Raises PointFileError where there is none."""
+        path = self._folder(node) / f"{node}.{self._end}"
+        if not path.exists():
+            raise PointFileError(path, "is missing")
+        return path
 
     def _hierarchy(self) -> dict[str, int]:
         """Points of each node that has some, level by level."""
@@ -111,8 +115,6 @@ class PotreeReader(FileReader):
         wanted = self.wanted(columns)
         for node, count in self._nodes.items():
             path = self._file(node)
-            if not path.exists():
-                raise PointFileError(path, "is missing")
             if self._end != "bin":
                 with LasReader(path) as reader:
                     yield from reader.chunks([attribute.name for attribute in wanted], size)

@@ -92,7 +92,7 @@ def _scans(path: Path) -> list[Scan]:
             if station.shape != (3,) or matrix.shape != (4, 4) or not np.isfinite(matrix).all():
                 raise PointFileError(path, f"has no pose of a scanner at byte {where:,}")
             start, count = file.tell(), columns * rows
-            if not (count >= 0 and count == int(count)) or 6 * count > size - start + 1:
+            if not (0 <= 6 * count <= size - start + 1 and count == int(count)):
                 raise PointFileError(path, f"promises {columns:g} times {rows:g} points, for which it is too short")
             width = len(file.readline(LONGEST_LINE).split()) if count else 4
             if width not in (3, 4, 6, 7):
