@@ -109,7 +109,9 @@ RULES: dict[type, dict[str, Rule]] = {
         "origin": Rule(REMOVE, *_DISTANCE),
         **{name: Rule(REMOVE, *_DISTANCE) for name in LENGTHS},
         **dict.fromkeys(
-            ("color", "opacity", "surface", "emission", "extinction", "value", "share"), Rule(REMOVE, -FLOAT32, FLOAT32)),
+            ("color", "opacity", "surface", "emission", "extinction", "value", "share"),
+            Rule(REMOVE, -FLOAT32, FLOAT32),
+        ),
     },
     Mesh: {
         "position": Rule(REMOVE, -LARGEST, LARGEST),
