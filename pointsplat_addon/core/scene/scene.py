@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..numeric.record import record
+from .captured import CapturedSplats
 from .cloud import PointCloud
 from .lights import Light
 from .materials import MaterialTable
@@ -23,7 +24,8 @@ from .world import Mist, World
 
 @record
 class Geometry:
-    """What an instance refers to: a mesh (points or polygons), a cloud or a volume (both points), or strands."""
+    """What an instance refers to: a mesh (points or polygons), a cloud or a volume (both points), strands, or
+    captured splats."""
 
     key: str  # content key
     name: str
@@ -31,6 +33,7 @@ class Geometry:
     cloud: PointCloud | None = None
     volume: Volume | None = None
     strands: Strands | None = None
+    captured: CapturedSplats | None = None
     primitive: str = "AUTO"  # one of PRIMITIVES
     spacing: float = 0.0  # distance between samples in object units; 0 chooses
     lattice: str = ""  # clouds of equal keys and attributes have the same points and half-axes; "": no other does

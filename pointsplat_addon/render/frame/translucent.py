@@ -46,12 +46,15 @@ class LitTranslucent:
         holds.
         """
         assert plan.translucent is not None
-        assert uploads.translucent is not None
         self._uploads, self._run = uploads, run
         self.splats = splats = uploads.translucent
         self.lit_by: int | None = None  # which points of wide lights; None: they are not lit yet
-        program = light_program(plan.translucent, plan.lighting, plan.materials, splats.shared_lights)
-        self.lit = LitSplats(device, plan.translucent, program, splats.count, samples)
+        program, count = None, 0
+        if splats is not None:
+            program = light_program(plan.translucent, plan.lighting, plan.materials, splats.shared_lights)
+            count = splats.count
+        captured = 0 if uploads.captured is None else uploads.captured.most
+        self.lit = LitSplats(device, plan.translucent, program, count, samples, captured)
 
     def light(self, points: int, view: SampleView) -> None:
         """Lights the splats from the points with the index `points` on lights with a size.
@@ -60,10 +63,13 @@ class LitTranslucent:
         """
         self.lit_by = points
         view = replace(view, sample=points)
-        textures = {**self.splats.textures, **self._uploads.shading}
-        if self.splats.shared_lights:
-            textures |= self.splats.light_shares(points, view, self._run)
-        self._run("light", lambda: self.lit.light(view, len(self._uploads.scene.lights), textures))
+        if self.splats is not None:
+            textures = {**self.splats.textures, **self._uploads.shading}
+            if self.splats.shared_lights:
+                textures |= self.splats.light_shares(points, view, self._run)
+            self._run("light", lambda: self.lit.light(view, len(self._uploads.scene.lights), textures))
+        if (captured := self._uploads.captured) is not None:
+            self._run("captured", lambda: captured.project(self.lit, view))
 
     def release(self) -> None:
         self.lit.release()
