@@ -1,5 +1,6 @@
 """The published formula of captured Gaussian splats in float64: projection (Kerbl et al. 2023; Zwicker et al. 2001),
-Mip-Splatting's opacity (Yu et al. 2024), spherical harmonics to degree 4, and blending front to back at pixels' centres.
+Mip-Splatting's opacity (Yu et al. 2024), spherical harmonics to degree 4, and blending front to back at the centres of
+pixels.
 
 The early stop of the published rasteriser, where less than 1e-4 passes, is left out, and so are its tiles.
 """

@@ -231,7 +231,11 @@ def _valid_data(data: _Data) -> tuple[_Changed | None, tuple[str, ...]]:
     elif isinstance(data, CapturedSplats):
         name = "captured"
         found, count = valid_captured(data)
-        messages = (f"{count} splats are left out: numbers of theirs are not finite, or they have no rotation",) if count else ()
+        messages = (
+            (f"{count} splats are left out: numbers of theirs are not finite, or they have no rotation",)
+            if count
+            else ()
+        )
     else:
         name = "strands"
         found, messages = valid_strands(data)

@@ -1,8 +1,8 @@
 """Captured Gaussian splats in one view: which are seen, their order, and what the projection needs (Kerbl et al. 2023).
 
-A splat with the covariance Σ = R S² Rᵀ in its object becomes J V Σ Vᵀ Jᵀ + LOW_PASS I in the picture, in pixels², with V
-the linear part of view_from_object, whatever that is, and J the Jacobian of the projection at the splat's centre. A pixel
-at the squared Mahalanobis distance q from the centre has
+A splat with the covariance Σ = R S² Rᵀ in its object becomes J V Σ Vᵀ Jᵀ + LOW_PASS I in the picture, in pixels², with
+V the linear part of view_from_object, whatever that is, and J the Jacobian of the projection at the splat's centre. A
+pixel at the squared Mahalanobis distance q from the centre has
 
     alpha = min(MOST_ALPHA, o exp(-q / 2)),    and nothing where that is below LEAST_ALPHA.
 

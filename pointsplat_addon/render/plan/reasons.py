@@ -53,7 +53,18 @@ PASSES: dict[str, str] = {
 }
 IMAGE_SPACE, BY_EWA = ("project", "resolve", "pull", "push"), ("splats", "visibility", "blend", "normalise")
 BY_BUFFER = ("cover", "group", "attributes", "spread")
-TRANSLUCENT = ("order", "reach", "light", "captured", "opaque depth", "expand", "translucent", "enlarge", "difference", "add")
+TRANSLUCENT = (
+    "order",
+    "reach",
+    "light",
+    "captured",
+    "opaque depth",
+    "expand",
+    "translucent",
+    "enlarge",
+    "difference",
+    "add",
+)
 # Why a pass that the plan has did not run.
 LATE = {
     "shadow maps": "those of an earlier picture still hold",

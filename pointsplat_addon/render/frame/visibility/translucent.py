@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
@@ -198,6 +199,8 @@ class TranslucentLayers:
 
     def _blend(self, view: SampleView, bounds: Bounds, pixels: int) -> None:
         device, layers, lit = self._device, self._layers, self._lit
+        if self._options.captured:
+            view = replace(view, offset=(0.0, 0.0))
         if layers.cut is not None:
             device.clear(layers.cut_target)
         if pixels == 1:

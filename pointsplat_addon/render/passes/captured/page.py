@@ -34,9 +34,7 @@ class CapturedPage:
         higher = () if splats.sh is None else (splats.sh.reshape(self.count, -1),)
         self._upload("harmonics", splats.base, *higher, texels=self.sh_texels, shift=self.sh_shift)
 
-    def _upload(
-        self, name: str, *parts: np.ndarray, texels: int = 1, shift: int = PAGE_WIDTH.bit_length() - 1
-    ) -> None:
+    def _upload(self, name: str, *parts: np.ndarray, texels: int = 1, shift: int = PAGE_WIDTH.bit_length() - 1) -> None:
         """Uploads rows (N, C): all `parts` side by side, in so many texels of a texture 2^shift wide."""
         width, count, channels = 1 << shift, self.count, 4 * texels
         height = max(1, -(-count * texels // width))
@@ -58,7 +56,9 @@ class CapturedPage:
             out[: len(found)] = found
 
         def write_blocks(out: np.ndarray, block: slice) -> None:
-            each_block(len(out), lambda part: write(out[part], slice(block.start + part.start, block.start + part.stop)))
+            each_block(
+                len(out), lambda part: write(out[part], slice(block.start + part.start, block.start + part.stop))
+            )
 
         self.textures[f"ps_{name}"] = self._device.texture((width, height), "RGBA32F", write_blocks)
 

@@ -31,9 +31,10 @@ def project_program(options: TranslucentOptions, sh_texels: int, sh_shift: int, 
         "PS_SH_TEXELS": sh_texels, "PS_SH_SHIFT": sh_shift, "PS_SH_MASK": (1 << sh_shift) - 1,
         "PS_LOW_PASS": LOW_PASS, "PS_LEAST_ALPHA": LEAST_ALPHA,
     }  # fmt: skip
+    read = ("order", "views", "position", "rotation", "scale", "harmonics")
     return Interface(
         "captured", fragment="captured/project.frag", block=PROJECT,
-        samplers=tuple(("FLOAT_2D", f"ps_{n}") for n in ("order", "views", "position", "rotation", "scale", "harmonics")),
+        samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),
         outputs=tuple(("vec4", f"out_{name}") for name in lit_outputs(options)),
         defines=(*((name, repr(value)) for name, value in constants.items()),
                  *((name, "1") for name, on in named.items() if on)),

@@ -22,14 +22,21 @@ class LitSplats:
 
     @releases_on_failure
     def __init__(
-        self, device: Device, options: TranslucentOptions, program: Interface | None, count: int, samples: int = 1,
+        self,
+        device: Device,
+        options: TranslucentOptions,
+        program: Interface | None,
+        count: int,
+        samples: int = 1,
         captured: int = 0,
     ) -> None:
         """`program`: that lights splats; None: all are captured ones. `samples`: of the picture. `captured`: so many
         captured splats may follow after the others. DeviceError: more splats than a texture holds."""
         self.device, self.count, self.program, self.samples = device, count, program, samples
         self.captured = captured  # how many follow after the others
-        self.listed: dict[str, Texture] = {}  # "ps_listed": the order in which they are drawn, where it is not their own
+        self.listed: dict[
+            str, Texture
+        ] = {}  # "ps_listed": the order in which they are drawn, where it is not their own
         size = (PAGE_WIDTH, max(1, -(-(count + captured) // PAGE_WIDTH)))
         self.textures: dict[str, Texture] = {}
         for name in lit_outputs(options):

@@ -45,8 +45,8 @@ def options(
     captured: bool = False,
 ) -> TranslucentOptions:
     """Returns the options that these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of
-    them cuts a hole. `defocus`: for what is out of focus. `grouped`: they are drawn among groups of sub-samples. `captured`: captured
-    splats are among them."""
+    them cuts a hole. `defocus`: for what is out of focus. `grouped`: they are drawn among groups of sub-samples.
+    `captured`: captured splats are among them."""
     fuzzy = any(is_fuzzy(c) for c in clouds)
     return TranslucentOptions(
         media=any(c.extinction is not None for c in clouds),

@@ -5,9 +5,9 @@ open. With L what they send to the eye and T what they let through, the layer ga
 differences go through the pixel filter by the weights of the layer's sub-samples. Edges of what is opaque are as exact
 as without them. Narrower splats are looked at in each sub-sample: cells.py.
 
-Captured splats (passes/captured) have the pixel filter in them, and are to be seen as their training saw them: where a view
-has some, all splats are looked at in pixels' centres alone, and L and T of a pixel's layers hold for all sub-samples that
-the pixel filter takes in, by their depths. Blending then begins with nothing, so that L and T are known.
+Captured splats (passes/captured) have the pixel filter in them, and are to be seen as their training saw them: where a
+view has some, all splats are looked at in pixels' centres alone, and L and T of a pixel's layers hold for all
+sub-samples that the pixel filter takes in, by their depths. Blending then begins with nothing, so that L and T are known.
 """
 
 from __future__ import annotations
