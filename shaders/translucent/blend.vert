@@ -1,4 +1,4 @@
-// Two triangles that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent/page.py.
+// Two triangles (one where all are captured) that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent/page.py.
 // u.turn: the first column of the matrix that takes pixels to texels of the target, which turns and scales them; u.origin:
 // where pixel coordinates (0, 0) lie there. PS_LISTED: not all splats are drawn, but those of ps_listed.
 
@@ -11,6 +11,27 @@
 #define PS_HUGE 1e8  // pixels^2: variance of what is drawn over all of the picture
 #define PS_SHAPED 0.25  // pixels^4: determinant of the covariance above which kernels have shapes of their own
 
+#ifdef PS_CAPTURED_ALONE
+// A triangle around the ellipse: the equilateral one around a circle, by the factors of the covariance.
+void main()
+{
+  int index = u.first + gl_VertexID / 3, corner = gl_VertexID % 3;
+  ivec2 at = ivec2(index & 4095, index >> 12);
+  vec4 centre = texelFetch(ps_centre, at, 0), shape = texelFetch(ps_shape, at, 0), source = texelFetch(ps_source, at, 0);
+  float x = sqrt(shape.x), y = sqrt(shape.w / shape.x), lean = shape.y / shape.x;
+  v_centre = centre.xy + u.principal_point + u.origin;
+  v_conic = vec4(1.0 / x, lean, 1.0 / y, source.w);
+  v_source = vec4(source.rgb, centre.w);
+#ifdef PS_AMONG_OPAQUE
+  vec4 front = texelFetch(ps_front, at, 0);
+  v_front = vec4(centre.z, 1.0 / front.x, front.yz);
+#endif
+  float rim = sqrt(max(2.0 * log(centre.w / PS_LEAST_ALPHA), 0.0));
+  vec2 side = rim * (corner == 0 ? vec2(0.0, 2.0) : vec2(corner == 1 ? -1.7320508 : 1.7320508, -1.0));
+  vec2 pixel = v_centre + vec2(x * side.x, lean * x * side.x + y * side.y);
+  gl_Position = centre.w > 0.0 ? vec4(pixel / vec2(u.size) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+}
+#else
 void main()
 {
   int index = u.first + gl_VertexID / 6;
@@ -74,3 +95,4 @@ void main()
   vec2 clip = pixel / vec2(u.size) * 2.0 - 1.0;
   gl_Position = centre.w > 0.0 ? vec4(clip, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }
+#endif

@@ -110,7 +110,7 @@ class LitSplats:
             program = draw_program(self._options, channel, bool(listed))
             for first in range(0, count, CHUNK):
                 record = view.record_of(program.block, size=target.colors[0].size, first=first, **where)
-                vertices = 6 * min(CHUNK, count - first)
+                vertices = (3 if self._options.alone else 6) * min(CHUNK, count - first)
                 self.device.draw(
                     program, target, uniforms=record, textures=textures, vertices=vertices, over=True,
                     mask=channel or "RGBA",
