@@ -13,9 +13,10 @@ from pointsplat_addon.core.scene.world import World
 from pointsplat_addon.devices.null import NullDevice
 from pointsplat_addon.render.plan.request import Request
 from pointsplat_addon.render.renderer import Renderer
-from scripts.scenes import captured_cases, (
+from scripts.scenes import (
     build,
     cameras,
+    captured_cases,
     detailed_cases,
     drawing,
     lit_cases,

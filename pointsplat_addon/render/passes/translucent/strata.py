@@ -7,7 +7,7 @@ as without them. Narrower splats are looked at in each sub-sample: cells.py.
 
 Captured splats (passes/captured) have the pixel filter in them, and are to be seen as their training saw them: where a
 view has some, all splats are looked at in pixels' centres alone, and L and T of a pixel's layers hold for all
-sub-samples that the pixel filter takes in, by their depths. Blending then begins with nothing, so that L and T are known.
+sub-samples that the pixel filter takes in, by their depths. Blending then begins with nothing: L and T are known.
 """
 
 from __future__ import annotations
