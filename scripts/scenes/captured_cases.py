@@ -8,7 +8,7 @@ from pointsplat_addon.core.scene.captured import CapturedSplats
 from pointsplat_addon.core.scene.settings import Settings
 from pointsplat_addon.core.scene.world import World
 from scripts.scenes.build import captured, mesh, moved, points, scene
-from scripts.scenes.cameras import camera
+from scripts.scenes.cameras import Vector, camera
 from scripts.scenes.case import Case
 from scripts.scenes.clouds import smoke_cloud
 from scripts.scenes.meshes import cube_mesh
@@ -40,7 +40,14 @@ def random_splats(
     return CapturedSplats(**(arrays | more))
 
 
-def one_splat(position, scale=0.1, opacity=1.0, color=(0.5, 0.5, 0.5), rotation=(1, 0, 0, 0), **more) -> CapturedSplats:
+def one_splat(
+    position: Vector,
+    scale: float | Vector = 0.1,
+    opacity: float = 1.0,
+    color: Vector = (0.5, 0.5, 0.5),
+    rotation: Vector = (1, 0, 0, 0),
+    **more,
+) -> CapturedSplats:
     """A splat that shows one display colour from all sides."""
     given = (position, np.broadcast_to(scale, 3), rotation, (np.asarray(color) - 0.5) / 0.28209479177387814)
     rows = (np.array(value, np.float32)[None] for value in given)

@@ -14,8 +14,6 @@ import numpy as np
 from pointsplat_addon.core.scene.camera import Camera
 from pointsplat_addon.core.scene.captured import CapturedSplats
 
-BLOCK = 1 << 21  # pairs of a splat and a pixel at a time
-
 
 @dataclass
 class Projected:
@@ -24,6 +22,7 @@ class Projected:
     centre: np.ndarray  # (N, 2) pixels
     depth: np.ndarray  # (N,)
     covariance: np.ndarray  # (N, 2, 2) pixels^2, after the low-pass
+    conic: np.ndarray  # (N, 2, 2) its inverse
     opacity: np.ndarray  # (N,)
     color: np.ndarray  # (N, 3) linear
     slope: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))  # (N, 2) change of depth per pixel
@@ -107,11 +106,16 @@ def project(splats: CapturedSplats, world_from_object: np.ndarray, camera: Camer
         jacobian[:, 0, 0], jacobian[:, 1, 1] = fx, fy
         centre = p[:, :2] * (fx, fy) + (cx, cy)
         direction = np.broadcast_to(np.linalg.solve(linear, [0, 0, -1]), p.shape)
-    own = jacobian @ covariance @ jacobian.swapaxes(1, 2)
+    half_axes = jacobian @ linear @ axes
+    own = half_axes @ half_axes.swapaxes(1, 2)
     wide = own + 0.3 * np.eye(2)
+    # The determinant of a sum of squares is one, which does not cancel (Cauchy and Binet).
+    before = (np.cross(half_axes[:, 0], half_axes[:, 1]) ** 2).sum(axis=1)
+    after = before + 0.3 * (np.einsum("nii->n", own) + 0.3)
+    conic = wide[:, ::-1, ::-1].swapaxes(1, 2) * [[1, -1], [-1, 1]] / after[:, None, None]
     opacity = splats.opacity[there].astype(float)
     if splats.antialiased:
-        opacity = opacity * np.sqrt(np.maximum(np.linalg.det(own), 0) / np.linalg.det(wide))
+        opacity = opacity * np.sqrt(before / after)
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     coefficients = splats.base[there, None].astype(float)
     if splats.sh is not None:
@@ -119,10 +123,10 @@ def project(splats: CapturedSplats, world_from_object: np.ndarray, camera: Camer
     display = np.einsum("nk,nkc->nc", harmonics(direction)[:, : coefficients.shape[1]], coefficients) + 0.5
     # Depth grows along -z: its covariance with the position in the picture.
     together = -(jacobian @ covariance)[:, :, 2]
-    gradient = np.linalg.solve(wide, together[..., None])[..., 0]
+    gradient = (conic @ together[..., None])[..., 0]
     variance = np.maximum(covariance[:, 2, 2] - (gradient * together).sum(axis=1), 1e-10 * depth**2)
     color = linear_from_display(np.maximum(display, 0))
-    return Projected(centre, depth, wide, opacity, color, gradient, np.sqrt(variance))
+    return Projected(centre, depth, wide, conic, opacity, color, gradient, np.sqrt(variance))
 
 
 def below(x: np.ndarray) -> np.ndarray:
@@ -137,7 +141,6 @@ def blend(seen: Projected, size: tuple[int, int], opaque: np.ndarray | float = n
     order = np.argsort(seen.depth, kind="stable")
     y, x = np.mgrid[:height, :width].reshape(2, -1) + 0.5
     behind = np.broadcast_to(np.asarray(opaque, float), (height, width)).reshape(-1)
-    conic = np.linalg.inv(seen.covariance)
     found, through = np.zeros((len(x), 3)), np.ones(len(x))
     reach = np.sqrt(2 * np.log(np.maximum(255 * seen.opacity, 1)))
     half = reach[:, None] * np.sqrt(np.einsum("nii->ni", seen.covariance))
@@ -149,7 +152,7 @@ def blend(seen: Projected, size: tuple[int, int], opaque: np.ndarray | float = n
             continue
         rows = (np.arange(y0, y1)[:, None] * width + np.arange(x0, x1)).reshape(-1)
         v = np.stack([x[rows], y[rows]]) - seen.centre[k][:, None]
-        alpha = seen.opacity[k] * np.exp(-0.5 * np.einsum("in,ij,jn->n", v, conic[k], v))
+        alpha = seen.opacity[k] * np.exp(-0.5 * np.einsum("in,ij,jn->n", v, seen.conic[k], v))
         alpha = np.where(alpha >= 1 / 255, np.minimum(alpha, 0.99), 0)
         if np.isfinite(behind[rows]).any():
             there = np.where(np.isfinite(behind[rows]), behind[rows], 1e300)

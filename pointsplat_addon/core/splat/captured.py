@@ -67,7 +67,8 @@ def bounds_of_scales(splats: CapturedSplats) -> np.ndarray:
 def seen(
     splats: CapturedSplats, largest: np.ndarray, view_from_object: np.ndarray, camera: Camera, everywhere: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The rows (K,) int64, rising, of the splats that may show in a view, and their depths (K,) float32.
+    """The rows (K,) int64, rising, of the splats that may show in a view, and their depths (K,) float32 less that of the
+    origin: a sum of both may not tell splats of a small object apart.
 
     largest: (N,) as `bounds_of_scales` left it. view_from_object: (4, 4) float64 that holds the splats' origin.
     `everywhere`: those beside the picture count, too.
@@ -86,11 +87,12 @@ def seen(
 
     def look(block: slice) -> None:
         with np.errstate(all="ignore"):
-            x, y, z = (splats.position[block] @ columns + offset).T
-            depth[block] = -z
-            inside = (depth[block] > camera.nearest) & (depth[block] < camera.far) & (largest[block] >= 0)
+            turned = splats.position[block] @ columns
+            depth[block] = -turned[:, 2]
+            x, y, z = (turned + offset).T
+            inside = (-z > camera.nearest) & (-z < camera.far) & (largest[block] >= 0)
             if not everywhere:
-                over = 1 / depth[block] if camera.perspective else np.float32(1)
+                over = -1 / z if camera.perspective else np.float32(1)
                 size = largest[block] * over
                 for at, f, c, side, s in ((x, fx, cx, width, stretch[0]), (y, fy, cy, height, stretch[1])):
                     half = np.float32(side / 2)

@@ -102,6 +102,8 @@ class Translucent:
         """
         targets, run, lit = self.targets, self._run, self.lit
         assert targets.layer is not None
+        # Captured splats have the pixel filter in them.
+        centred = replace(view, offset=(0.0, 0.0)) if lit.captured else view
 
         def draw(program: Interface, target: Target, textures: dict[str, Texture], mode: str = "") -> None:
             record = None if program.block is None else view.record(program.block)
@@ -117,6 +119,6 @@ class Translucent:
             run("translucent", lambda: lit.draw(targets.coarse_target, *few))
             run("enlarge", lambda: draw(ENLARGE, targets.layer_target, {"ps_coarse": targets.coarse}, "over"))
         else:
-            run("translucent", lambda: lit.draw(targets.layer_target, view, targets.depth))
+            run("translucent", lambda: lit.draw(targets.layer_target, centred, targets.depth))
         layer = {"ps_layer": targets.layer, **({} if targets.cut is None else {"ps_cut": targets.cut})}
         run("add", lambda: draw(self._add, targets.combined_target, layer, "blend"))

@@ -31,7 +31,7 @@ def test_nothing_that_shows_is_left_out(name):
     there = np.flatnonzero(_in_depth(splats, view, eye))
     assert np.isin(there[inside], rows).all()
     assert set(rows) <= set(every)
-    assert len(rows) < 3 * len(inside) + 30  # measured at most 1.9
+    assert len(rows) < 5 * len(inside)  # measured at most 3.8, in the border of 12 x 9 pixels
     np.testing.assert_allclose(depth, of_all[np.searchsorted(every, rows)])
 
 

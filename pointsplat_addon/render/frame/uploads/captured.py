@@ -128,17 +128,19 @@ class CapturedUploads:
             return order
         before = time.perf_counter()
         rows, depths, instances = [], [], []
+        first = -float(views[0][2, 3])
         for one in self._shown:
             for number in range(one.first, one.first + len(one.instances)):
                 found, depth = captured.seen(one.splats, one.largest, views[number], camera, self._varies)
                 rows.append(found)
-                depths.append(depth)
+                depths.append(depth + np.float32(-views[number][2, 3] - first))
                 instances.append(np.full(len(found), number, np.int64))
         depth = np.concatenate(depths)
-        index = back_to_front(depth, 0.0).index
+        # Of splats at one depth the first is the nearest, as published.
+        index = len(depth) - 1 - back_to_front(depth[::-1], 0.0).index
         order.release()
         entries = draw_list_rows(np.concatenate(rows)[index], np.concatenate(instances)[index])
-        order.key, order.depth = key, depth[index]
+        order.key, order.depth = key, depth[index] + np.float32(first)
         order.texture = _list_texture(self._scope.device, entries)
         self.sort_ms = 1000 * (time.perf_counter() - before)
         return order
