@@ -9,6 +9,7 @@ import numpy as np
 
 from pointsplat_addon.core.material.image import Image
 from pointsplat_addon.core.numeric.segments import offsets
+from pointsplat_addon.core.scene.captured import CapturedSplats
 from pointsplat_addon.core.scene.cloud import PointCloud
 from pointsplat_addon.core.scene.lights import Light
 from pointsplat_addon.core.scene.materials import MaterialTable, default_materials
@@ -78,6 +79,10 @@ def scene(
 
 def points(key: str, cloud: PointCloud) -> Geometry:
     return Geometry(key, key, cloud=cloud)
+
+
+def captured(key: str, splats: CapturedSplats) -> Geometry:
+    return Geometry(key, key, captured=splats)
 
 
 def mesh(of: Mesh, primitive: str = "AUTO", spacing: float = 0.0) -> Geometry:

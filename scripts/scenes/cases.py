@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cache
 
 from scripts.scenes.awkward_cases import far_away, inside, not_finite, scales
+from scripts.scenes.captured_cases import captured_alone, captured_among, captured_in_smoke
 from scripts.scenes.case import Case
 from scripts.scenes.detailed_cases import foliage, many_towers, split_mesh, strands
 from scripts.scenes.lit_cases import emission, environment, lights
@@ -58,6 +59,9 @@ CASES: dict[str, Callable[[], Case]] = {
         smoke,
         tinted_smoke,
         panes,
+        captured_alone,
+        captured_among,
+        captured_in_smoke,
         in_smoke,
         foliage,
         many_towers,

@@ -3,6 +3,9 @@
 
 #include "lib/splat/kernel.glsl"
 #include "lib/translucent/place.glsl"
+#ifdef PS_CAPTURED
+#include "lib/captured/kind.glsl"
+#endif
 
 #ifdef PS_KERNELS
 // Over the middle's of the default kernel, as ps_kernel.
@@ -18,8 +21,22 @@ float ps_profile(int row, float q)
 void main()
 {
   vec2 v = gl_FragCoord.xy - v_centre;
+#ifdef PS_CAPTURED
+  vec2 apart = vec2(v.x * v_conic.x, (v.y - v_conic.y * v.x) * v_conic.z);
+  float alpha = v_source.w * exp(-0.5 * dot(apart, apart));
+#endif
+#ifdef PS_CAPTURED_ALONE
+  bool outside = !(alpha >= PS_LEAST_ALPHA);
+#else
   float q = v_conic.x * v.x * v.x + 2.0 * v_conic.y * v.x * v.y + v_conic.z * v.y * v.y;
-  if (!(q < PS_SUPPORT)) {
+  bool outside = !(q < PS_SUPPORT);
+#ifdef PS_CAPTURED
+  bool captured = ps_is_captured(v_conic.w);
+  outside = captured ? !(alpha >= PS_LEAST_ALPHA) : outside;
+  q = captured ? 0.0 : q;
+#endif
+#endif
+  if (outside) {
     discard;
   }
 #ifdef PS_AMONG_OPAQUE
@@ -28,16 +45,31 @@ void main()
     discard;
   }
 #endif
-#ifdef PS_KERNELS
+#ifdef PS_CAPTURED_ALONE
+#elif defined(PS_KERNELS)
   float depth = v_source.w * ps_profile(int((v_conic.w < -0.5 ? -1.0 - v_conic.w : v_conic.w) + 0.5), q);
 #else
   float depth = v_source.w * ps_kernel(q);
 #endif
 #ifdef PS_AMONG_OPAQUE
   float x = (opaque - v_front.x - dot(v_front.zw, v)) * v_front.y;
-  depth *= ps_below(clamp(x, -6.0, 6.0));
+  float before = ps_below(clamp(x, -6.0, 6.0));
+#else
+  const float before = 1.0;
 #endif
+#ifndef PS_CAPTURED_ALONE
+  depth *= before;
   float covered = depth < 1e-3 ? depth * (1.0 - 0.5 * depth) : 1.0 - exp(-depth);
+#endif
+#ifdef PS_CAPTURED
+  alpha = min(alpha, PS_MOST_ALPHA);
+  float hidden = before > 0.9999999 ? alpha : 1.0 - pow(1.0 - alpha, before);
+#ifdef PS_CAPTURED_ALONE
+  float covered = hidden;
+#else
+  covered = captured ? hidden : covered;
+#endif
+#endif
   out_color = vec4(v_source.rgb * covered, covered);
 #ifdef PS_HOLDOUT
   // How much of what is drawn so far the pixel's alpha is not to count; in the channel that is drawn along with alpha.

@@ -1,12 +1,37 @@
-// Two triangles that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent/page.py.
+// Two triangles (one where all are captured) that hold a lit splat's ellipse up to the rim of its kernel. Layout: render/passes/translucent/page.py.
 // u.turn: the first column of the matrix that takes pixels to texels of the target, which turns and scales them; u.origin:
 // where pixel coordinates (0, 0) lie there. PS_LISTED: not all splats are drawn, but those of ps_listed.
 
 #include "lib/splat/kernel.glsl"
+#ifdef PS_CAPTURED
+#include "lib/captured/kind.glsl"
+#endif
 
 #define PS_LOW_PASS 0.04
+#define PS_HUGE 1e8  // pixels^2: variance of what is drawn over all of the picture
 #define PS_SHAPED 0.25  // pixels^4: determinant of the covariance above which kernels have shapes of their own
 
+#ifdef PS_CAPTURED_ALONE
+// A triangle around the ellipse: the equilateral one around a circle, by the factors of the covariance.
+void main()
+{
+  int index = u.first + gl_VertexID / 3, corner = gl_VertexID % 3;
+  ivec2 at = ivec2(index & 4095, index >> 12);
+  vec4 centre = texelFetch(ps_centre, at, 0), shape = texelFetch(ps_shape, at, 0), source = texelFetch(ps_source, at, 0);
+  float x = sqrt(shape.x), y = sqrt(shape.w / shape.x), lean = shape.y / shape.x;
+  v_centre = centre.xy + u.principal_point + u.origin;
+  v_conic = vec4(1.0 / x, lean, 1.0 / y, source.w);
+  v_source = vec4(source.rgb, centre.w);
+#ifdef PS_AMONG_OPAQUE
+  vec4 front = texelFetch(ps_front, at, 0);
+  v_front = vec4(centre.z, 1.0 / front.x, front.yz);
+#endif
+  float rim = sqrt(max(2.0 * log(centre.w / PS_LEAST_ALPHA), 0.0));
+  vec2 side = rim * (corner == 0 ? vec2(0.0, 2.0) : vec2(corner == 1 ? -1.7320508 : 1.7320508, -1.0));
+  vec2 pixel = v_centre + vec2(x * side.x, lean * x * side.x + y * side.y);
+  gl_Position = centre.w > 0.0 ? vec4(pixel / vec2(u.size) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+}
+#else
 void main()
 {
   int index = u.first + gl_VertexID / 6;
@@ -26,6 +51,7 @@ void main()
   mat2 target_from_pixel = mat2(a, b, -b, a);
   v_centre = target_from_pixel * (centre.xy + u.principal_point) + u.origin;
   vec4 source = texelFetch(ps_source, at, 0);
+  float rim = PS_RIM_SIGMA;
   v_source = vec4(source.rgb, kept * centre.w);
 #ifdef PS_CHANNEL
   v_source.w *= texelFetch(ps_tint, at, 0)[PS_CHANNEL];
@@ -35,6 +61,16 @@ void main()
   // The shapes of splats that are no wider than a pixel would only be missed between the pixels' centres.
   v_conic.w = det > PS_SHAPED * max(scale * scale * scale * scale, 1.0) ? source.w : source.w < 0.0 ? -1.0 : 0.0;
 #endif
+#ifdef PS_CAPTURED
+  // As factors, so that long splats keep their digits; up to where they are too faint to show.
+  if (ps_is_captured(source.w)) {
+    c = shape.xyz;
+    det = shape.w;
+    v_conic = vec4(inversesqrt(c.x), c.y / c.x, sqrt(c.x / det), source.w);
+    v_source.w = centre.w;
+    rim = sqrt(max(2.0 * log(centre.w / PS_LEAST_ALPHA), 0.0));
+  }
+#endif
 #ifdef PS_AMONG_OPAQUE
   vec4 front = texelFetch(ps_front, at, 0);
   v_front = vec4(centre.z, 1.0 / front.x, target_from_pixel * front.yz / (scale * scale));
@@ -42,10 +78,15 @@ void main()
 
   // Along the ellipse's axes where that saves much; else along the picture's, which rasterisers fill faster.
   float middle = 0.5 * (c.x + c.z), apart = 0.5 * (c.x - c.z), root = length(vec2(apart, c.y));
+  float narrow = middle - root;
   bool oblique = 2.0 * det < c.x * c.z;
+#ifdef PS_CAPTURED
+  narrow = det / (middle + root);
+  oblique = oblique && middle + root < PS_HUGE;
+#endif
   float angle = oblique ? 0.5 * atan(c.y, apart) : 0.0;
   vec2 axis = vec2(cos(angle), sin(angle));
-  vec2 size = PS_RIM_SIGMA * sqrt(max(oblique ? vec2(middle + root, middle - root) : c.xz, 0.0));
+  vec2 size = rim * sqrt(max(oblique ? vec2(middle + root, narrow) : c.xz, 0.0));
   int corner = gl_VertexID % 6;
   vec2 side = vec2(corner == 1 || corner == 2 || corner == 4 ? 1.0 : -1.0, corner == 2 || corner >= 4 ? 1.0 : -1.0);
   side.x = corner == 5 ? -1.0 : side.x;
@@ -54,3 +95,4 @@ void main()
   vec2 clip = pixel / vec2(u.size) * 2.0 - 1.0;
   gl_Position = centre.w > 0.0 ? vec4(clip, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }
+#endif

@@ -30,6 +30,10 @@ void main()
 #ifdef PS_BEHIND
   shown = open ? texelFetch(ps_behind, pixel, 0) : shown;
 #endif
+#ifdef PS_EMPTY
+  out_layer = vec4(0.0);
+#else
   out_layer = shown;
+#endif
   out_opaque = shown;
 }

@@ -5,7 +5,7 @@
 // PS_FUZZY: some are opaque (core/splat/painter.py), whose kernels are narrower by this factor. PS_CULL: some of these are not
 // drawn where they show their backs, PS_FUZZY_DISCONNECTED: some stand apart. PS_DEFOCUS: for the pass of what is out of focus,
 // render/passes/defocus/gather.py, PS_STRANDS: with pieces of strands. PS_MEDIA: some fill a volume. PS_AMONG_OPAQUE: something
-// opaque may stand among them.
+// opaque may stand among them. PS_CENTRES: they are looked at in pixels' centres alone.
 
 #include "lib/geometry/camera.glsl"
 #include "lib/geometry/direction.glsl"
@@ -25,6 +25,7 @@
 #define PS_PARTICLE 1.0  // kinds of media: what is strewn, and what fills a lattice evenly
 #define PS_GAMMA 0.90640248  // core/splat/painter.py
 #define PS_VIEW 1.3  // of the picture's half width: beyond it the perspective is taken as at its rim
+#define PS_PIXEL 0.3  // pixels^2: what stands for a pixel, where its centre alone is looked at
 #define PS_FAINT 1e-7  // optical depth of what only emits
 #define PS_FAINT_TINT 1e-4  // least extinction of a channel over that of the strongest
 
@@ -171,6 +172,9 @@ void main()
   // What is widened hides more, the deeper it is: only particles are, which would flicker. Voxels and samples of surfaces
   // add up evenly, and what they let through is right in the mean of all samples; wide needles must keep an inverse.
   float low_pass = optics.z == PS_PARTICLE ? PS_LOW_PASS : max(PS_LOW_PASS * u.low_pass_scale, 1e-4 * (own.x + own.z));
+#ifdef PS_CENTRES
+  low_pass = max(PS_PIXEL, low_pass);
+#endif
 #ifdef PS_DEFOCUS
   // A sample stands for a pixel, and each splat for all that the lens makes of it.
   float confusion = ps_confusion(d);

@@ -36,6 +36,7 @@ class Slices:
     index: np.ndarray  # (K,) int64, rows of the depths
     slice: np.ndarray  # (K,) uint32, never decreasing: which slice each lies in, 0 the farthest
     thickness: float  # in the unit of the depths
+    farthest: float  # of the depths
 
 
 def back_to_front(depth: np.ndarray, smallest: float) -> Slices:
@@ -50,13 +51,13 @@ def back_to_front(depth: np.ndarray, smallest: float) -> Slices:
     if rows is not None:
         depth = depth.take(rows)
     if len(depth) == 0:
-        return Slices(np.empty(0, np.int64), np.empty(0, np.uint32), MIN_THICKNESS)
+        return Slices(np.empty(0, np.int64), np.empty(0, np.uint32), MIN_THICKNESS, 0.0)
     number, thickness = _number(depth, smallest)
     index = np.argsort((number & (BUCKETS - 1)).astype(np.uint16), kind="stable")
     if int(number.max()) >= BUCKETS:
         coarse = (number >> 16).astype(np.uint16)
         index = index.take(np.argsort(coarse.take(index), kind="stable"))
-    return Slices(index if rows is None else rows.take(index), number.take(index), thickness)
+    return Slices(index if rows is None else rows.take(index), number.take(index), thickness, float(depth.max()))
 
 
 def _number(depth: np.ndarray, smallest: float) -> tuple[np.ndarray, float]:
@@ -76,7 +77,13 @@ class Order:
     thickness: float  # of a slice, world units
     radius: float  # of a ball about all splats, world units
     direction: np.ndarray  # (3,) float64, unit, world space: where the camera looks
+    farthest: float  # world units: distance of the farthest along the direction, from the world's origin
     cut: Cut
+
+    @property
+    def distance(self) -> np.ndarray:
+        """(K,) float64: how far along the direction, from the world's origin, the slice of each splat lies."""
+        return self.farthest - (self.slice + 0.5) * self.thickness
 
     def stale(self, view_from_world: np.ndarray, cut: Cut) -> bool:
         """Whether this view (4, 4) of this cut calls for another sort.
@@ -114,7 +121,7 @@ def sort_cut(
     slices = back_to_front(depth, min((part.smallest for part in parts), default=0.0))
     corners = np.concatenate([np.empty((0, 3)), *(part.corners for part in parts)])
     radius = float(np.linalg.norm(np.ptp(corners, axis=0))) / 2 if len(corners) else 0.0
-    return Order(slices.index, slices.slice, slices.thickness, radius, direction, cut)
+    return Order(slices.index, slices.slice, slices.thickness, radius, direction, slices.farthest, cut)
 
 
 @record

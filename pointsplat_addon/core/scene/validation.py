@@ -16,12 +16,14 @@ import numpy as np
 from ..numeric.linear import all_finite
 from ..numeric.record import record, value_record
 from .camera import Aperture, Camera
+from .captured import CapturedSplats
 from .cloud import FARTHEST, LENGTHS, PointCloud
 from .lights import Light
 from .materials import HairTable, MaterialTable, default_materials
 from .mesh import LARGEST, Mesh
 from .scene import Geometry, Instances, Scene
 from .strands import Strands
+from .valid.captured import valid_captured
 from .valid.geometry import valid_mesh, valid_points, valid_strands
 from .volume import Medium, Transfer, Volume
 from .world import Mist, World
@@ -125,6 +127,11 @@ RULES: dict[type, dict[str, Rule]] = {
         "normal": Rule(LATER),  # what is no direction becomes some side of the strand
         "uv": Rule(LATER),  # only read when materials are evaluated
     },
+    CapturedSplats: {
+        **{name: Rule(REMOVE, *_DISTANCE) for name in ("position", "scale", "rotation", "origin")},
+        **dict.fromkeys(("base", "sh"), Rule(REMOVE, -FLOAT32, FLOAT32)),
+        "opacity": Rule(REMOVE, -FLOAT32, FLOAT32),  # below 0 it is 0, and above 1 it is 1
+    },
     Volume: {"object_from_index": Rule(LATER), "grids": _VOXELS},  # its points are valid: `valid_points`
     Transfer: dict.fromkeys(("low", "high", "ramp", "density"), _VOXELS),
     Medium: dict.fromkeys(
@@ -187,7 +194,8 @@ def _wrong(owner: Any, action: str) -> list[str]:
 
 def _valid_geometry(geometry: Geometry, warnings: list[str], lookup: Lookup) -> Geometry:
     """The geometry without what of it cannot be drawn."""
-    data = geometry.mesh or geometry.cloud or geometry.strands
+    kinds = (geometry.mesh, geometry.cloud, geometry.strands, geometry.captured)
+    data = next((kind for kind in kinds if kind is not None), None)
     if wrong := _wrong(geometry, DEFAULT):
         geometry = replace(geometry, **dict.fromkeys(wrong, 0.0))
     if data is None:
@@ -197,19 +205,22 @@ def _valid_geometry(geometry: Geometry, warnings: list[str], lookup: Lookup) -> 
     return geometry if changed is None else replace(geometry, **{changed.name: changed.data})
 
 
+_Data = Mesh | PointCloud | Strands | CapturedSplats
+
+
 @record
 class _Changed:
     """Data of a geometry that had to be changed, and the name of its field."""
 
     name: str
-    data: Mesh | PointCloud | Strands
+    data: _Data
 
     @property
     def nbytes(self) -> int:
         return self.data.nbytes
 
 
-def _valid_data(data: Mesh | PointCloud | Strands) -> tuple[_Changed | None, tuple[str, ...]]:
+def _valid_data(data: _Data) -> tuple[_Changed | None, tuple[str, ...]]:
     """What takes the place of a geometry's data, None where these are valid, and messages."""
     if isinstance(data, Mesh):
         name = "mesh"
@@ -219,6 +230,14 @@ def _valid_data(data: Mesh | PointCloud | Strands) -> tuple[_Changed | None, tup
         name = "cloud"
         found, count = valid_points(data)
         messages = (f"{count} points that are not finite were left out",) if count else ()
+    elif isinstance(data, CapturedSplats):
+        name = "captured"
+        found, count = valid_captured(data)
+        messages = (
+            (f"{count} splats are left out: numbers of theirs are not finite, or they have no rotation",)
+            if count
+            else ()
+        )
     else:
         name = "strands"
         found, messages = valid_strands(data)

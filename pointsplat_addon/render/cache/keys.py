@@ -56,6 +56,8 @@ class Kind(Enum):
     BRIGHTEST_COLOR = auto()
     IS_INVISIBLE = auto()
     AREA_SHARES = auto()  # covered fraction of each splat's ellipse
+    # Of captured splats
+    LARGEST_SCALES = auto()  # of each
     # Of shadows
     CASTER_BALL = auto()
     CASTER_BOX = auto()
@@ -78,6 +80,8 @@ class Kind(Enum):
     PAGE = auto()
     TRANSLUCENT_PAGE = auto()
     STRAND_PAGE = auto()
+    CAPTURED_PAGE = auto()
+    CAPTURED_ORDER = auto()  # of the captured splats of one of the frames in the making
     POLYGON_MESH = auto()
     POLYGON_PAGE = auto()  # of many small meshes
     TEXTURES = auto()  # of a material graph

@@ -46,12 +46,15 @@ class LitTranslucent:
         holds.
         """
         assert plan.translucent is not None
-        assert uploads.translucent is not None
         self._uploads, self._run = uploads, run
         self.splats = splats = uploads.translucent
         self.lit_by: int | None = None  # which points of wide lights; None: they are not lit yet
-        program = light_program(plan.translucent, plan.lighting, plan.materials, splats.shared_lights)
-        self.lit = LitSplats(device, plan.translucent, program, splats.count, samples)
+        program, count = None, 0
+        if splats is not None:
+            program = light_program(plan.translucent, plan.lighting, plan.materials, splats.shared_lights)
+            count = splats.count
+        captured = 0 if uploads.captured is None else uploads.captured.most
+        self.lit = LitSplats(device, plan.translucent, program, count, samples, captured)
 
     def light(self, points: int, view: SampleView) -> None:
         """Lights the splats from the points with the index `points` on lights with a size.
@@ -60,10 +63,13 @@ class LitTranslucent:
         """
         self.lit_by = points
         view = replace(view, sample=points)
-        textures = {**self.splats.textures, **self._uploads.shading}
-        if self.splats.shared_lights:
-            textures |= self.splats.light_shares(points, view, self._run)
-        self._run("light", lambda: self.lit.light(view, len(self._uploads.scene.lights), textures))
+        if self.splats is not None:
+            textures = {**self.splats.textures, **self._uploads.shading}
+            if self.splats.shared_lights:
+                textures |= self.splats.light_shares(points, view, self._run)
+            self._run("light", lambda: self.lit.light(view, len(self._uploads.scene.lights), textures))
+        if (captured := self._uploads.captured) is not None:
+            self._run("captured", lambda: captured.project(self.lit, view))
 
     def release(self) -> None:
         self.lit.release()
@@ -96,6 +102,8 @@ class Translucent:
         """
         targets, run, lit = self.targets, self._run, self.lit
         assert targets.layer is not None
+        # Captured splats have the pixel filter in them.
+        centred = replace(view, offset=(0.0, 0.0)) if lit.captured else view
 
         def draw(program: Interface, target: Target, textures: dict[str, Texture], mode: str = "") -> None:
             record = None if program.block is None else view.record(program.block)
@@ -111,6 +119,6 @@ class Translucent:
             run("translucent", lambda: lit.draw(targets.coarse_target, *few))
             run("enlarge", lambda: draw(ENLARGE, targets.layer_target, {"ps_coarse": targets.coarse}, "over"))
         else:
-            run("translucent", lambda: lit.draw(targets.layer_target, view, targets.depth))
+            run("translucent", lambda: lit.draw(targets.layer_target, centred, targets.depth))
         layer = {"ps_layer": targets.layer, **({} if targets.cut is None else {"ps_cut": targets.cut})}
         run("add", lambda: draw(self._add, targets.combined_target, layer, "blend"))

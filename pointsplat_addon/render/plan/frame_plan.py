@@ -88,7 +88,8 @@ class FramePlan:
         prepared = self.prepared
         opaque = () if self.plan.painter else (prepared, prepared.nodes)
         layers = (*opaque, prepared.translucent, prepared.spheres)
-        return sum(layer.cut.splats for layer in layers)
+        captured = (self.scene.geometries[self.scene.instances.geometry[row]].captured for row in prepared.captured)
+        return sum(layer.cut.splats for layer in layers) + sum(len(splats) for splats in captured if splats is not None)
 
     @property
     def strands(self) -> int:
@@ -154,6 +155,10 @@ def make_frame_plan(
     warnings = scene.warnings
     scene, of_parts = separate_translucent(scene, store)
     request = request if camera is request.camera else replace(request, camera=camera)
+    captured = any(geometry.captured is not None for geometry in scene.geometries)
+    if captured and camera.aperture is not None:
+        # The pass `defocus` has no captured splats.
+        request = replace(request, settings=replace(request.settings, dof_method="LENS_SAMPLES"))
     lattice = lattice_for(request.samples, request.interactive)
     through_lens = uses_lens_samples(camera, request.settings) and request.samples > 1
     decided = decide_technique(
@@ -195,6 +200,9 @@ def make_frame_plan(
     if technique.name == "VISIBILITY" and (_has_opaque(prepared) or alone):
         sub_samples = lattice.count
         request = replace(request, samples=-(-request.samples // sub_samples))
+    elif prepared.captured and not _has_opaque(prepared) and not through_lens:
+        # Captured splats have the pixel filter in them.
+        request = replace(request, samples=1)
     plan = make_plan(
         ViewToPlan(scene, prepared, request, shadows, ewa, painter, reflects, picture, sub_samples, presented, absences)
     )

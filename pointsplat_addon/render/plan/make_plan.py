@@ -80,7 +80,8 @@ def make_plan(view: ViewToPlan) -> Plan:
     translucent = _translucent(view, kinds)
     attributes = _attributes(view, kinds)
     varies = attributes.surface or (translucent is not None and translucent.surface)
-    lighting = _lighting(view, varies, drawn=kinds.solid or translucent is not None)
+    lit = translucent is not None and not translucent.alone
+    lighting = _lighting(view, varies, drawn=kinds.solid or lit)
     normals = bool(lighting) or attributes.surface or "normal" in passes
     variant, data_variant = _variants(view, kinds, attributes, normals)
     variant = replace(variant, spread=_spreads(view, kinds, variant))
@@ -280,18 +281,21 @@ def _translucent(view: ViewToPlan, kinds: _Kinds) -> TranslucentOptions | None:
     """The options of translucent splats; None where none is drawn."""
     layer = view.prepared.translucent
     clouds = [p.cloud for p in layer.point_sets.values()]
-    if not (clouds and view.picture):
+    captured = view.prepared.captured
+    if not ((clouds or captured) and view.picture):
         return None
-    holdout = bool(_holdouts(view.scene)[layer.set_of_instance >= 0].any())
+    holdouts = _holdouts(view.scene)
+    holdout = bool(holdouts[layer.set_of_instance >= 0].any() or holdouts[list(captured)].any())
     grouped = view.sub_samples > 0 and not view.defocus
-    return translucent_options(clouds, view.scene.materials, kinds.solid or grouped, holdout, view.defocus, grouped)
+    opaque = kinds.solid or grouped
+    return translucent_options(clouds, view.scene.materials, opaque, holdout, view.defocus, grouped, bool(captured))
 
 
 def _coarse_translucent(view: ViewToPlan, translucent: TranslucentOptions | None) -> bool:
     """Whether the first sample's translucent layer has fewer pixels."""
     if translucent is None or view.defocus or not view.request.interactive:
         return False
-    return not (translucent.tint or translucent.holdout or translucent.fuzzy)
+    return not (translucent.tint or translucent.holdout or translucent.fuzzy or translucent.captured)
 
 
 # World and background

@@ -15,7 +15,7 @@ from .plan import Plan
 PASSES: dict[str, str] = {
     "shadows": "tables of what light meets, on the processor",
     "shadow maps": "depths of what lights see, once for all views",
-    "order": "translucent splats sorted back to front, on the processor",
+    "order": "translucent and captured splats sorted back to front, on the processor",
     "cover": "splats into the visibility buffer",
     "project": "splats to pixels, the nearest of each pixel",
     "resolve": "ellipse and attributes of each pixel's splat",
@@ -38,6 +38,7 @@ PASSES: dict[str, str] = {
     "background": "the world where nothing else is",
     "spread": "groups brought to pixels by the pixel filter",
     "reach": "how much of each light reaches translucent splats, for all views",
+    "captured": "captured splats projected, once for a view",
     "light": "translucent splats lit, once for a view",
     "tiles": "splats out of focus listed by the tiles that they blur into, on the processor",
     "defocus": "what is out of focus, gathered by each pixel over what is in focus",
@@ -52,7 +53,18 @@ PASSES: dict[str, str] = {
 }
 IMAGE_SPACE, BY_EWA = ("project", "resolve", "pull", "push"), ("splats", "visibility", "blend", "normalise")
 BY_BUFFER = ("cover", "group", "attributes", "spread")
-TRANSLUCENT = ("order", "reach", "light", "opaque depth", "expand", "translucent", "enlarge", "difference", "add")
+TRANSLUCENT = (
+    "order",
+    "reach",
+    "light",
+    "captured",
+    "opaque depth",
+    "expand",
+    "translucent",
+    "enlarge",
+    "difference",
+    "add",
+)
 # Why a pass that the plan has did not run.
 LATE = {
     "shadow maps": "those of an earlier picture still hold",
@@ -143,7 +155,11 @@ def _of_translucent(plan: Plan, shadowed: bool, none: str) -> dict[str, str]:
         drawn = (name for name in TRANSLUCENT if name != "light")
         return dict.fromkeys(drawn, "the pass defocus draws what is translucent")
     found = {}
-    if not shadowed:
+    if not plan.translucent.captured:
+        found["captured"] = "nothing is a captured splat"
+    if plan.translucent.alone:
+        found |= dict.fromkeys(("light", "reach"), "captured splats emit light")
+    elif not shadowed:
         found["reach"] = "no light casts shadows on it"
     if plan.translucent.grouped:
         found["opaque depth"] = "the visibility buffer holds it"

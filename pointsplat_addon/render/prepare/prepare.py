@@ -54,6 +54,7 @@ class Prepared(Layer):
     # By instance: the parts (core/surface/density.py) that are drawn as polygons, rising; absent: all.
     parts: dict[int, np.ndarray] = field(default_factory=dict)
     strands: dict[int, Segments] = field(default_factory=dict)  # segments of strands, by geometry row
+    captured: tuple[int, ...] = ()  # instances of captured splats, those of one geometry together
     out_of_focus: OutOfFocusLayer | None = None  # then all other primitives are those in focus
     # If `translucent` also holds splats out of focus: by key of its sets, the covered fraction of each splat's ellipse.
     shares: dict[int, np.ndarray | float] = field(default_factory=dict)
@@ -117,8 +118,20 @@ def prepare(
         tuple(dict.fromkeys(view.warnings)),
         drawn.parts,
         strands,
-        _out_of_focus(focus, behind),
+        captured=captured_instances(scene, usable),
+        out_of_focus=_out_of_focus(focus, behind),
     )
+
+
+def captured_instances(scene: Scene, usable: np.ndarray) -> tuple[int, ...]:
+    """Returns the instances of captured splats, (I,) bool of which may be drawn, those of one geometry together."""
+    of_each = scene.instances.of_each(len(scene.geometries), usable)
+    shown = (
+        rows.tolist()
+        for geometry, rows in zip(scene.geometries, of_each, strict=True)
+        if geometry.captured is not None and len(geometry.captured)
+    )
+    return tuple(row for rows in shown for row in rows)
 
 
 @record

@@ -16,6 +16,7 @@ from pointsplat_addon.render.renderer import Renderer
 from scripts.scenes import (
     build,
     cameras,
+    captured_cases,
     detailed_cases,
     drawing,
     lit_cases,
@@ -162,6 +163,9 @@ ROWS: dict[str, Row] = {
     "visibility buffer, smoke and a cube, interactive": Row(smoke_and_cube, interactive=True),
     "visibility buffer, a cube in held out smoke": Row(lambda: smoke_and_cube(holdout=True)),
     "visibility buffer, smoke alone": Row(lambda: with_settings(translucent_cases.in_smoke(), technique="VISIBILITY")),
+    "captured splats": Row(lambda: with_settings(captured_cases.captured_alone(), technique="VISIBILITY"), samples=16),
+    "captured splats in smoke": Row(captured_cases.captured_in_smoke),
+    "visibility buffer, captured splats, smoke and a cube": Row(captured_cases.captured_among),
     "visibility buffer, points and polygons, out of focus, depth": Row(
         lambda: with_settings(through_a_lens("SPLAT"), technique="VISIBILITY"), COMBINED | {"depth"}
     ),

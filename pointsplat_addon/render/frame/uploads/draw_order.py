@@ -49,6 +49,12 @@ class SortedDrawList:
         self.release()
         self.texture = device.texture(size, "RG32F", data)
 
+    def depths(self, view_from_world: np.ndarray) -> np.ndarray:
+        """Returns the depths in a view (4, 4) of the splats of the list, (N,) float64, to a slice of their order."""
+        assert self._order is not None
+        eye = -view_from_world[:3, :3].T @ view_from_world[:3, 3]
+        return self._order.distance - eye @ self._order.direction
+
     def release(self) -> None:
         """Frees the list."""
         if self.texture is not None:

@@ -49,6 +49,11 @@ class TranslucentUploads:
         self.sort_ms: float | None = None  # that sorting took; None: the latest order was good enough
         self._upload(camera, prepared)
 
+    def depths(self, view_from_world: np.ndarray) -> np.ndarray:
+        """Returns the depths in a view (4, 4) of the splats of the draw list, (N,) float64, to a slice of its order."""
+        draws: SortedDrawList = self._scope.lookup(self._order_key, SortedDrawList)
+        return draws.depths(view_from_world)
+
     def upload_view(self, prepared: Prepared) -> None:
         """Uploads the transforms of a view."""
         rows = instance_rows(prepared.view_from_object, origins(self._layer), self._scene.instances.holdout)

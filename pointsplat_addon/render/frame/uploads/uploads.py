@@ -14,6 +14,7 @@ from ...device.protocol import Texture
 from ...plan.plan import Plan
 from ...prepare.prepare import Prepared
 from ...shadow.shadows import Shadows
+from .captured import CapturedUploads
 from .instances import previous_clip_from_view
 from .lighting import LightingUploads
 from .points import PointUploads
@@ -42,13 +43,16 @@ class Uploads:
         self._middle = prepared.view_from_object
         self._scope = UploadScope(kept)
         self.translucent: TranslucentUploads | None = None
+        self.captured: CapturedUploads | None = None
         self.previous: Texture | None = None  # clip space a frame before from today's view space
         try:
             self.lighting = LightingUploads(self._scope, store, scene, plan, shadows)
             self.points = PointUploads(self._scope, scene, prepared, plan)
             self.polygons = PolygonUploads(self._scope, store, scene, prepared, plan, camera)
             self.strands = StrandUploads(self._scope, store, scene, prepared, plan)
-            if plan.translucent is not None:
+            if plan.translucent is not None and plan.translucent.captured:
+                self.captured = CapturedUploads(self._scope, store, scene, camera, prepared, plan)
+            if plan.translucent is not None and not plan.translucent.alone:
                 self.translucent = TranslucentUploads(self._scope, scene, camera, prepared, plan, self.lighting)
             self._upload_view()
             if motion:
@@ -72,8 +76,9 @@ class Uploads:
     @property
     def spent(self) -> dict[str, float]:
         """Milliseconds of the passes that the processor does, by name."""
-        sort_ms = None if self.translucent is None else self.translucent.sort_ms
-        return {} if sort_ms is None else {"order": sort_ms}
+        sorts = [uploads.sort_ms for uploads in (self.translucent, self.captured) if uploads is not None]
+        known = [sort_ms for sort_ms in sorts if sort_ms is not None]
+        return {"order": sum(known)} if known else {}
 
     def move(self, view_from_middle: np.ndarray, camera: Camera) -> None:
         """Uploads anew what depends on the view alone, for a camera that the cut was prepared for too.
@@ -92,6 +97,8 @@ class Uploads:
         self.strands.upload_view(self.prepared)
         if self.translucent is not None:
             self.translucent.upload_view(self.prepared)
+        if self.captured is not None:
+            self.captured.upload_view(self.prepared, self.camera, self.translucent)
 
     def release(self) -> None:
         """Frees what only this frame needs."""

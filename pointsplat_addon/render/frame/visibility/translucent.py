@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
 from ...device.protocol import Device, Target, Texture
-from ...passes.tiles import Region
+from ...passes.tiles import TILE, Region
 from ...passes.translucent.blend import COARSE, ENLARGE, Bounds
 from ...passes.translucent.lit_splats import LitSplats
 from ...passes.translucent.strata import (
     ADD_TILE,
     ADD_TILE_BLOCK,
+    CENTRED,
     DIFFERENCE,
     EXPAND,
     NOWHERE,
     are_narrow,
     bounds,
+    centred_program,
     difference_program,
     expand_program,
     member_texels,
@@ -49,6 +52,8 @@ class TranslucentLayers:
         self._options = plan.translucent
         self._targets, self._layers = targets, targets.translucent
         self._difference = difference_program(plan.translucent)
+        # Coloured extinction has three transmittances: what blending changes is then told by what it began with.
+        self._centred = plan.translucent.captured and not plan.translucent.tint
         self._cells: TranslucentCells | None = None
 
     def draw(
@@ -61,6 +66,13 @@ class TranslucentLayers:
         """
         device, layers, lattice = self._device, self._layers, self._targets.buffer.lattice
         device.clear(layers.difference_target)
+        if self._options.captured:
+            # Boxes of all splats would take longer to find than tiles without any take to draw.
+            every = np.arange(lattice.count)
+            touched = np.ones([-(-side // TILE) for side in reversed(view.size)], bool)
+            self._draw_layers(view, every, weights, shaded, touched)
+            self._add(tile)
+            return
         around = len(weights) ** 0.5 // 2 + 2 * COARSE
         splats = self._read_splats()
         touched, narrow = self._touched_tiles(view, *splats, around)
@@ -156,12 +168,12 @@ class TranslucentLayers:
         """
         members, rows = tables
         # The pixel filter takes in pixels of tiles beside those that change.
-        outer = widened(tiles)
+        outer = tiles if self._centred else widened(tiles)
         with self._texture(tiles[..., None], "R32F") as inside, self._texture(outer[..., None], "R32F") as around:
             self._device.clear(self._layers.place_target, (NOWHERE, -1.0, 0.0, 0.0))
             self._run("expand", lambda: self._expand(view, layer, members, shaded, Region(around)))
             self._blend(view, bounds(outer), pixels)
-            self._run("difference", lambda: self._subtract(members, rows, Region(inside)))
+            self._run("difference", lambda: self._subtract(view, members, rows, shaded, Region(inside)))
 
     @contextmanager
     def _texture(self, texels: np.ndarray, format: str) -> Iterator[Texture]:
@@ -177,7 +189,7 @@ class TranslucentLayers:
         self, view: SampleView, layer: int, members: Texture, shaded: dict[str, Texture], region: Region
     ) -> None:
         targets, groups, buffer = self._targets, self._targets.groups, self._targets.buffer
-        program = expand_program(targets.behind is not None, groups.places is not None)
+        program = expand_program(targets.behind is not None, groups.places is not None, self._centred)
         record = view.record(EXPAND, sub_samples=members.size[0], layer=layer, **buffer.values)
         named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
         textures = {name: texture for name, texture in named.items() if texture is not None}
@@ -187,6 +199,8 @@ class TranslucentLayers:
 
     def _blend(self, view: SampleView, bounds: Bounds, pixels: int) -> None:
         device, layers, lit = self._device, self._layers, self._lit
+        if self._options.captured:
+            view = replace(view, offset=(0.0, 0.0))
         if layers.cut is not None:
             device.clear(layers.cut_target)
         if pixels == 1:
@@ -197,8 +211,13 @@ class TranslucentLayers:
         textures = {"ps_coarse": layers.coarse}
         self._run("enlarge", lambda: device.draw(ENLARGE, layers.blended, textures=textures, over=True))
 
-    def _subtract(self, members: Texture, rows: Texture, region: Region) -> None:
+    def _subtract(
+        self, view: SampleView, members: Texture, rows: Texture, shaded: dict[str, Texture], region: Region
+    ) -> None:
         layers = self._layers
+        if self._centred:
+            self._subtract_centred(view, members, rows, shaded, region)
+            return
         textures = {**self._targets.groups.codes, "ps_layer": layers.layer, "ps_opaque": layers.opaque}
         textures |= {"ps_place": layers.place, "ps_members": members, "ps_weights": rows}
         textures |= {} if layers.cut is None else {"ps_cut": layers.cut}
@@ -206,6 +225,21 @@ class TranslucentLayers:
         region.draw(
             self._device, self._difference, layers.difference_target, uniforms=record, textures=textures, blend=True
         )
+
+    def _subtract_centred(
+        self, view: SampleView, members: Texture, rows: Texture, shaded: dict[str, Texture], region: Region
+    ) -> None:
+        """Adds what splats change in a layer, looked at in pixels' centres alone."""
+        targets, layers, groups, buffer = self._targets, self._layers, self._targets.groups, self._targets.buffer
+        named = {"ps_starts": groups.starts, "ps_places": groups.places, "ps_behind": targets.behind}
+        named |= {"ps_cut": layers.cut}
+        textures = {name: texture for name, texture in named.items() if texture is not None}
+        textures |= {**groups.codes, "ps_layer": layers.layer, "ps_place": layers.place, "ps_depths": buffer.depths}
+        textures |= {"ps_combined": shaded["ps_combined"], "ps_members": members, "ps_weights": rows}
+        program = centred_program(self._options, targets.behind is not None, groups.places is not None)
+        counts = {"sub_samples": members.size[0], "neighbours": rows.size[1]}
+        record = view.record(CENTRED, **counts, **buffer.values)
+        region.draw(self._device, program, layers.difference_target, uniforms=record, textures=textures, blend=True)
 
     def release(self) -> None:
         if self._cells is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ....core.splat.captured import LEAST_ALPHA, MOST_ALPHA
 from ....core.splat.kernel import PROFILES
 from ....shading.interface import Interface
 from ..uniforms import CAMERA_FIELDS, block
@@ -33,6 +34,11 @@ def draw_program(options: TranslucentOptions, channel: str, listed: bool = False
     if options.opaque:
         varyings.append(("flat", "vec4", "v_front"))
         defines.append(("PS_AMONG_OPAQUE", "1"))
+    if options.captured:
+        constants = {"PS_MOST_ALPHA": MOST_ALPHA, "PS_LEAST_ALPHA": LEAST_ALPHA}
+        defines += [("PS_CAPTURED", "1"), *((name, repr(value)) for name, value in constants.items())]
+    if options.alone:
+        defines.append(("PS_CAPTURED_ALONE", "1"))
     if options.kernels:
         read.append("profiles")
         defines += [("PS_KERNELS", "1"), ("PS_PROFILE_STEPS", str(PROFILES.shape[1]))]

@@ -2,10 +2,10 @@
 
 The sorted draw list holds two floats a splat: column + 4096 (row % 4096) of its page, and 4 instance + row / 4096.
 What the pass `light` leaves of each splat of the list, one texel each:
-  centre  in pixels from the principal point, depth, optical depth at the centre
-  shape   covariance in pixels^2 (xx, xy, yy)
+  centre  in pixels from the principal point, depth, optical depth at the centre (of captured splats the opacity)
+  shape   covariance in pixels^2 (xx, xy, yy); of captured splats its determinant, too
   source  radiance of what is opaque in it (rgb): the splat's is this times 1 - T; the kernel's row k, -1 - k where
-          the splat only cuts a hole
+          the splat only cuts a hole; of captured splats, which are a kind of their own, the number of that kind
   front   standard deviation of depth along a ray, change of depth per pixel (x, y); where something opaque is drawn
   tint    extinction by channel over that of the strongest
 """
@@ -28,7 +28,7 @@ from ..shading.lighting import (
     looks_at_points,
 )
 from ..uniforms import CAMERA_FIELDS, LENS_FIELDS, Fields, block
-from .options import TranslucentOptions
+from .options import TranslucentOptions, lit_outputs
 
 MOST_SHARED_LIGHTS = 4  # lights whose shares are kept
 
@@ -80,19 +80,13 @@ def light_program(
         "PS_FUZZY_DISCONNECTED": options.disconnected,
         "PS_DEFOCUS": options.defocus,
         "PS_STRANDS": options.strands,
+        "PS_CENTRES": options.captured,
     }
     named |= {f"PS_{name.upper()}": on for name, on in options.attributes}
-    outputs = [
-        "centre",
-        "shape",
-        "source",
-        *(["front"] if options.opaque and not options.defocus else []),
-        *(["tint"] if options.tint else []),
-    ]
     return Interface(
         "light", fragment="translucent/light.frag", block=_light_block(options, lighting),
         samplers=(*(("FLOAT_2D", f"ps_{name}") for name in read), *lighting_samplers(lighting)),
-        outputs=tuple(("vec4", f"out_{name}") for name in outputs),
+        outputs=tuple(("vec4", f"out_{name}") for name in lit_outputs(options)),
         defines=(*lighting_defines(lighting), *known, *_fuzzy_defines(options, lighting),
                  *((name, "1") for name in (*materials, *(name for name, on in named.items() if on)))),
     )  # fmt: skip

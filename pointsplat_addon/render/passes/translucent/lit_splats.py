@@ -12,7 +12,7 @@ from ...device.packing import PAGE_WIDTH, paged
 from ...device.protocol import Device, Target, Texture, releases_on_failure
 from ..uniforms import SampleView
 from .blend import CHANNELS, Bounds, draw_program
-from .options import TranslucentOptions
+from .options import TranslucentOptions, lit_outputs
 
 CHUNK = 1 << 17  # splats of one draw: Blender wants a vertex buffer, if an empty one, of six vertices for each
 
@@ -22,15 +22,25 @@ class LitSplats:
 
     @releases_on_failure
     def __init__(
-        self, device: Device, options: TranslucentOptions, program: Interface, count: int, samples: int = 1
+        self,
+        device: Device,
+        options: TranslucentOptions,
+        program: Interface | None,
+        count: int,
+        samples: int = 1,
+        captured: int = 0,
     ) -> None:
-        """`samples`: of the picture. DeviceError: more splats than a texture holds."""
+        """`program`: that lights splats; None: all are captured ones. `samples`: of the picture. `captured`: so many
+        captured splats may follow after the others. DeviceError: more splats than a texture holds."""
         self.device, self.count, self.program, self.samples = device, count, program, samples
-        size = (PAGE_WIDTH, max(1, -(-count // PAGE_WIDTH)))
+        self.captured = captured  # how many follow after the others
+        self.listed: dict[
+            str, Texture
+        ] = {}  # "ps_listed": the order in which they are drawn, where it is not their own
+        size = (PAGE_WIDTH, max(1, -(-(count + captured) // PAGE_WIDTH)))
         self.textures: dict[str, Texture] = {}
-        for _, name in program.outputs:
-            format = "RGBA16F" if name == "out_tint" else "RGBA32F"
-            self.textures[name.replace("out_", "ps_")] = device.texture(size, format)
+        for name in lit_outputs(options):
+            self.textures[f"ps_{name}"] = device.texture(size, "RGBA16F" if name == "tint" else "RGBA32F")
         self.target: Target = device.target(list(self.textures.values()))
         self._profiles: dict[str, Texture] = {}
         if options.kernels:
@@ -41,6 +51,7 @@ class LitSplats:
 
     def light(self, view: SampleView, light_count: int, textures: Mapping[str, Texture]) -> None:
         """Lights all splats, seen from the middle of the pixel."""
+        assert self.program is not None
         record = view.record_of(
             self.program.block, count=self.count, low_pass_scale=1 / self.samples**2, light_count=light_count
         )
@@ -61,7 +72,7 @@ class LitSplats:
         """
         rectangle = (0.0, 0.0, *target.colors[0].size) if bounds is None else tuple(side / pixels for side in bounds)
         where = {"turn": (1 / pixels, 0.0), "origin": (0.0, 0.0), "place": 1 / pixels, "bounds": rectangle}
-        self._draw(target, view, depth, where, self.count, {})
+        self._draw(target, view, depth, where, self.count + self.captured, self.listed)
 
     def draw_turned(
         self,
@@ -99,7 +110,7 @@ class LitSplats:
             program = draw_program(self._options, channel, bool(listed))
             for first in range(0, count, CHUNK):
                 record = view.record_of(program.block, size=target.colors[0].size, first=first, **where)
-                vertices = 6 * min(CHUNK, count - first)
+                vertices = (3 if self._options.alone else 6) * min(CHUNK, count - first)
                 self.device.draw(
                     program, target, uniforms=record, textures=textures, vertices=vertices, over=True,
                     mask=channel or "RGBA",

@@ -26,6 +26,8 @@ class TranslucentOptions:
     defocus: bool = False  # for the pass of what is out of focus: passes/defocus/gather.py
     grouped: bool = False  # they are blended over groups of sub-samples, and lit once for all of these
     strands: bool = False  # some of these splats are pieces of strands: core/lens/strand_splats.py
+    captured: bool = False  # some are captured splats: passes/captured; then all are looked at in pixels' centres
+    alone: bool = False  # and there are no others
 
     @property
     def attributes(self) -> tuple[tuple[str, bool], ...]:
@@ -40,9 +42,11 @@ def options(
     holdout: bool = False,
     defocus: bool = False,
     grouped: bool = False,
+    captured: bool = False,
 ) -> TranslucentOptions:
     """Returns the options that these clouds need. `opaque`: something opaque is drawn, too. `holdout`: an instance of
-    them cuts a hole. `defocus`: for what is out of focus. `grouped`: they are drawn among groups of sub-samples."""
+    them cuts a hole. `defocus`: for what is out of focus. `grouped`: they are drawn among groups of sub-samples.
+    `captured`: captured splats are among them."""
     fuzzy = any(is_fuzzy(c) for c in clouds)
     return TranslucentOptions(
         media=any(c.extinction is not None for c in clouds),
@@ -61,7 +65,15 @@ def options(
         defocus=defocus,
         grouped=grouped,
         strands=defocus and any(is_fuzzy(c) and c.kernel is not None for c in clouds),
+        captured=captured,
+        alone=captured and not clouds,
     )
+
+
+def lit_outputs(options: TranslucentOptions) -> tuple[str, ...]:
+    """Returns what is written of each splat before it is blended: see light.py."""
+    front = ("front",) if options.opaque and not options.defocus else ()
+    return ("centre", "shape", "source", *front, *(("tint",) if options.tint else ()))
 
 
 def is_fuzzy(cloud: PointCloud) -> bool:

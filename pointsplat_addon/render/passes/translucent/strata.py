@@ -4,6 +4,10 @@ Splats that are at least a pixel wide are looked at in the middle of the pixel, 
 open. With L what they send to the eye and T what they let through, the layer gains L - (1 - T) opaque, and these
 differences go through the pixel filter by the weights of the layer's sub-samples. Edges of what is opaque are as exact
 as without them. Narrower splats are looked at in each sub-sample: cells.py.
+
+Captured splats (passes/captured) have the pixel filter in them, and are to be seen as their training saw them: where a
+view has some, all splats are looked at in pixels' centres alone, and L and T of a pixel's layers hold for all
+sub-samples that the pixel filter takes in, by their depths. Blending then begins with nothing: L and T are known.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ FINEST_KERNEL = 3.0  # how many times as fine as the default kernel others may b
 NOWHERE = -1e30  # depth of pixels over which nothing is blended: shaders/lib/translucent/place.glsl
 EXPAND = block("Expand", CAMERA_FIELDS, LATTICE_FIELDS, (("int", "sub_samples"), ("int", "layer")))
 DIFFERENCE = block("Difference", (("int", "sub_samples"), ("int", "neighbours")))
+CENTRED = block("Centred", CAMERA_FIELDS, LATTICE_FIELDS, (("int", "sub_samples"), ("int", "neighbours")))
 ADD_TILE_BLOCK = block("AddTile", RECTANGLE_FIELDS, (("ivec2", "corner"),))
 ADD_TILE = Interface(
     "add", vertex="common/rectangle.vert", fragment="translucent/add_tile.frag", block=ADD_TILE_BLOCK,
@@ -32,18 +37,36 @@ ADD_TILE = Interface(
 CODES = (("UINT_2D", "ps_first"), ("UINT_2D", "ps_second"))
 
 
-def expand_program(behind: bool, places: bool) -> Interface:
+def expand_program(behind: bool, places: bool, empty: bool = False) -> Interface:
     """Returns the program that writes a layer of each pixel and its depth.
 
-    `behind`: open sub-samples show something. `places`: the list of groups is not in the order of the pixels.
+    `behind`: open sub-samples show something. `places`: the list of groups is not in the order of the pixels. `empty`:
+    blending begins with nothing.
     """
-    flags = {"PS_BEHIND": behind, "PS_PLACES": places}
+    flags = {"PS_BEHIND": behind, "PS_PLACES": places, "PS_EMPTY": empty}
     read = ("ps_members", "ps_starts", "ps_combined")
     read += (*(("ps_behind",) if behind else ()), *(("ps_places",) if places else ()))
     return Interface(
         "expand", fragment="translucent/expand.frag", block=EXPAND,
         samplers=(*CODES, ("UINT_2D", "ps_depths"), *(("FLOAT_2D", name) for name in read)),
         outputs=(("vec4", "out_layer"), ("vec4", "out_opaque"), ("vec4", "out_place")),
+        defines=(LATTICE_DEFINE, *((name, "1") for name, on in flags.items() if on)),
+    )  # fmt: skip
+
+
+def centred_program(options: TranslucentOptions, behind: bool, places: bool) -> Interface:
+    """Returns the program that adds what splats change in a layer that they were blended for in pixels' centres alone.
+
+    `behind`, `places`: as of `expand_program`.
+    """
+    read = ("ps_layer", "ps_place", "ps_members", "ps_weights", "ps_starts", "ps_combined")
+    read += (*(("ps_behind",) if behind else ()), *(("ps_places",) if places else ()))
+    read += ("ps_cut",) if options.holdout else ()
+    flags = {"PS_BEHIND": behind, "PS_PLACES": places, "PS_HOLDOUT": options.holdout}
+    return Interface(
+        "difference", fragment="translucent/difference_centred.frag", block=CENTRED,
+        samplers=(*CODES, ("UINT_2D", "ps_depths"), *(("FLOAT_2D", name) for name in read)),
+        outputs=(("vec4", "out_difference"),),
         defines=(LATTICE_DEFINE, *((name, "1") for name, on in flags.items() if on)),
     )  # fmt: skip
 

@@ -1,0 +1,178 @@
+"""Uploads of captured splats: their pages, which of them a view shows, and in which order."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from itertools import groupby
+
+import numpy as np
+
+from ....core.lod.depth_order import back_to_front
+from ....core.scene.camera import Camera
+from ....core.scene.captured import CapturedSplats
+from ....core.scene.scene import Geometry, Scene
+from ....core.splat import captured
+from ...cache.keys import Key, Kind
+from ...cache.store import Store
+from ...device.packing import PAGE_WIDTH, paged
+from ...device.protocol import Device, Texture
+from ...passes.captured.page import CapturedPage
+from ...passes.captured.project import PROJECT, project_program
+from ...passes.translucent.light import draw_list_rows
+from ...passes.translucent.lit_splats import LitSplats
+from ...passes.uniforms import SampleView
+from ...plan.plan import Plan
+from ...prepare.prepare import Prepared
+from .scope import UploadScope
+from .translucent import TranslucentUploads
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """The instances of one geometry."""
+
+    key: str  # of the geometry
+    splats: CapturedSplats
+    page: CapturedPage
+    largest: np.ndarray  # (N,) float32: core.splat.captured.bounds_of_scales
+    first: int  # of the instances, among all that are shown
+    instances: tuple[int, ...]  # of the scene
+
+
+@dataclass(eq=False)
+class CapturedOrder:
+    """The captured splats that one view shows, back to front; kept from picture to picture."""
+
+    key: tuple = ()  # what it depends on
+    depth: np.ndarray = field(default_factory=lambda: np.empty(0, np.float32))  # (K,)
+    texture: Texture | None = None  # the draw list
+
+    def release(self) -> None:
+        if self.texture is not None:
+            self.texture.release()
+        self.texture = None
+
+
+class CapturedUploads:
+    """The captured splats of one frame."""
+
+    def __init__(
+        self, scope: UploadScope, store: Store, scene: Scene, camera: Camera, prepared: Prepared, plan: Plan
+    ) -> None:
+        """DeviceError: there are more splats than textures hold."""
+        self._scope, self._plan, self._scene = scope, plan, scene
+        self._varies = camera.aperture is not None  # each sample may have a view of its own
+        self._order_key = scope.kept.own_key(Kind.CAPTURED_ORDER)
+        self._shown: list[_Shown] = []
+        first = 0
+        for row, group in groupby(prepared.captured, lambda instance: int(scene.instances.geometry[instance])):
+            instances = tuple(group)
+            self._shown.append(_shown(scope, store, scene.geometries[row], first, instances))
+            first += len(instances)
+        self.sort_ms: float | None = None  # that finding and sorting what is seen took; None: nothing has changed
+        self.count = 0  # splats that the view shows
+
+    @property
+    def most(self) -> int:
+        """The most splats that a view of this frame shows; through a lens, each sample has a view of its own."""
+        return sum(len(one.splats) * len(one.instances) for one in self._shown) if self._varies else self.count
+
+    def upload_view(self, prepared: Prepared, camera: Camera, others: TranslucentUploads | None) -> None:
+        """Finds and sorts what a view shows. `others`: translucent splats among which they are."""
+        views = [_view_from_splats(prepared, one, row) for one in self._shown for row in one.instances]
+        self._slopes = captured.slope_limits(camera)
+        self._views = self._scope.view_texture(self._view_rows(views, camera))
+        self._order = self._sorted(views, camera)
+        self.count = len(self._order.depth)
+        self._listed = None if others is None else self._merged(others, camera)
+
+    def project(self, lit: LitSplats, view: SampleView) -> None:
+        """Projects the splats of the view, behind the others of `lit`."""
+        options = self._plan.translucent
+        assert options is not None
+        assert self._order.texture is not None
+        lit.captured = self.count
+        lit.listed = {} if self._listed is None else {"ps_listed": self._listed}
+        for one in self._shown:
+            page = one.page
+            program = project_program(options, page.sh_texels, page.sh_shift, one.splats.antialiased)
+            record = view.record(
+                PROJECT,
+                slopes=self._slopes,
+                instances=(one.first, one.first + len(one.instances)),
+                first=lit.count,
+                count=self.count,
+            )
+            textures = {**page.textures, "ps_order": self._order.texture, "ps_views": self._views}
+            self._scope.device.draw(program, lit.target, uniforms=record, textures=textures)
+
+    def _view_rows(self, views: list[np.ndarray], camera: Camera) -> np.ndarray:
+        """Rows (I, 4, 4) of the texture `views`: passes/captured/project.py."""
+        rows = np.zeros((max(len(views), 1), 4, 4), np.float32)
+        holdout = self._scene.instances.holdout
+        instances = [row for one in self._shown for row in one.instances]
+        with np.errstate(over="ignore"):
+            for out, view, instance in zip(rows, views, instances, strict=False):
+                out[:3] = view[:3]
+                out[3, :3] = captured.eye_in_object(view, camera.perspective)
+                out[3, 3] = 0.0 if holdout is None else holdout[instance]
+        return rows
+
+    def _sorted(self, views: list[np.ndarray], camera: Camera) -> CapturedOrder:
+        """The draw list of a view; that of before where nothing has changed."""
+        order: CapturedOrder = self._scope.lookup(self._order_key, CapturedOrder)
+        numbers = (*camera.pixel_from_view(), *camera.window, *camera.resolution, camera.near, camera.far)
+        key = (numbers, self._varies, *(one.key for one in self._shown), *(view.tobytes() for view in views))
+        if order.texture is not None and order.key == key:
+            return order
+        before = time.perf_counter()
+        rows, depths, instances = [], [], []
+        first = -float(views[0][2, 3])
+        for one in self._shown:
+            for number in range(one.first, one.first + len(one.instances)):
+                found, depth = captured.seen(one.splats, one.largest, views[number], camera, self._varies)
+                rows.append(found)
+                depths.append(depth + np.float32(-views[number][2, 3] - first))
+                instances.append(np.full(len(found), number, np.int64))
+        depth = np.concatenate(depths)
+        # Of splats at one depth the first is the nearest, as published.
+        index = len(depth) - 1 - back_to_front(depth[::-1], 0.0).index
+        order.release()
+        entries = draw_list_rows(np.concatenate(rows)[index], np.concatenate(instances)[index])
+        order.key, order.depth = key, depth[index] + np.float32(first)
+        order.texture = _list_texture(self._scope.device, entries)
+        self.sort_ms = 1000 * (time.perf_counter() - before)
+        return order
+
+    def _merged(self, others: TranslucentUploads, camera: Camera) -> Texture:
+        """The list of all splats, back to front: columns and rows of lit ones, these after the others."""
+        depth = others.depths(camera.view_from_world)
+        behind = len(depth)
+        place = np.searchsorted(-depth, -self._order.depth, side="right") + np.arange(self.count)
+        index = np.empty(behind + self.count, np.int64)
+        mine = np.zeros(len(index), bool)
+        mine[place] = True
+        index[mine], index[~mine] = np.arange(behind, len(index)), np.arange(behind)
+        rows = np.column_stack([index & (PAGE_WIDTH - 1), index // PAGE_WIDTH])
+        return self._scope.view_texture(rows)
+
+
+def _list_texture(device: Device, rows: np.ndarray) -> Texture:
+    size, data = paged(rows, 2)
+    return device.texture(size, "RG32F", data)
+
+
+def _view_from_splats(prepared: Prepared, one: _Shown, instance: int) -> np.ndarray:
+    """(4, 4) float64 that takes positions relative to the splats' origin to view space."""
+    view = prepared.view_from_object[instance].copy()
+    view[:3, 3] += view[:3, :3] @ one.splats.origin
+    return view
+
+
+def _shown(scope: UploadScope, store: Store, geometry: Geometry, first: int, instances: tuple[int, ...]) -> _Shown:
+    splats = geometry.captured
+    assert splats is not None
+    page = scope.lookup(Key(Kind.CAPTURED_PAGE, geometry.key), lambda: CapturedPage(scope.device, splats))
+    largest = store.lookup(Key(Kind.LARGEST_SCALES, geometry.key), lambda: captured.bounds_of_scales(splats))
+    return _Shown(geometry.key, splats, page, largest, first, instances)

@@ -1,0 +1,1 @@
+"""Captured Gaussian splats: projected once for a view, then blended as lit splats are."""

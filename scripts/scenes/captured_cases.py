@@ -1,0 +1,87 @@
+"""Cases of captured Gaussian splats, alone and among other things."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pointsplat_addon.core.scene.captured import CapturedSplats
+from pointsplat_addon.core.scene.settings import Settings
+from pointsplat_addon.core.scene.world import World
+from scripts.scenes.build import captured, mesh, moved, points, scene
+from scripts.scenes.cameras import Vector, camera
+from scripts.scenes.case import Case
+from scripts.scenes.clouds import smoke_cloud
+from scripts.scenes.meshes import cube_mesh
+
+# Turned, sheared, unevenly scaled and mirrored.
+SHEARED = np.array([[-1, -0.6, 0, -0.2], [0, 1.2, -0.3, 0], [0.2, 0, 0.5, 0.1], [0, 0, 0, 1.0]])
+
+
+def random_splats(
+    count: int, coefficients: int = 15, size: float = 0.05, seed: int = 0, spread: float = 1.0, **more
+) -> CapturedSplats:
+    """Splats of all shapes, with so many coefficients beyond degree 0, normally distributed about the origin.
+
+    `size`: the median standard deviation. `spread`: that of positions.
+    """
+    rng = np.random.default_rng(seed)
+    rotation = rng.normal(size=(count, 4))
+    given = {
+        "position": rng.normal(0, spread, (count, 3)),
+        "scale": size * np.exp(rng.normal(0, 0.8, (count, 3))),
+        "rotation": rotation / np.linalg.norm(rotation, axis=1, keepdims=True),
+        "base": rng.normal(0.3, 0.8, (count, 3)),
+        "opacity": rng.uniform(0, 1, count),
+        "sh": rng.normal(0, 0.2, (count, coefficients, 3)),
+    }
+    arrays = {name: value.astype(np.float32) for name, value in given.items()}
+    if coefficients == 0:
+        del arrays["sh"]
+    return CapturedSplats(**(arrays | more))
+
+
+def one_splat(
+    position: Vector,
+    scale: float | Vector = 0.1,
+    opacity: float = 1.0,
+    color: Vector = (0.5, 0.5, 0.5),
+    rotation: Vector = (1, 0, 0, 0),
+    **more,
+) -> CapturedSplats:
+    """A splat that shows one display colour from all sides."""
+    given = (position, np.broadcast_to(scale, 3), rotation, (np.asarray(color) - 0.5) / 0.28209479177387814)
+    position, scales, turn, base = (np.array(value, np.float32)[None] for value in given)
+    return CapturedSplats(position, scales, turn, base, np.array([opacity], np.float32), **more)
+
+
+def captured_alone() -> Case:
+    """A cloud of splats twice, once sheared and mirrored."""
+    splats = captured("captured twice", random_splats(600, size=0.08))
+    table = Settings(use_shadows=False)
+    return Case(scene((splats, moved((0.3, 0, 0))), (splats, SHEARED), lights=()), camera(), table)
+
+
+def captured_among() -> Case:
+    """Splats around a cube in smoke."""
+    return Case(
+        scene(
+            (captured("captured among", random_splats(400, 3, size=0.1)), moved()),
+            (points("smoke among captured", smoke_cloud()), moved((0.2, 0, 0))),
+            (mesh(cube_mesh("cube among captured", 0.5), "POLYGONS"), moved((0.4, 0.3, 0))),
+        ),
+        camera(),
+        Settings(use_shadows=False),
+    )
+
+
+def captured_in_smoke() -> Case:
+    """Splats in smoke, and nothing opaque."""
+    return Case(
+        scene(
+            (captured("captured in smoke", random_splats(300, 0, size=0.1)), moved()),
+            (points("smoke around captured", smoke_cloud()), moved()),
+            world=World(np.array([0.1, 0.2, 0.3])),
+        ),
+        camera(),
+        Settings(use_shadows=False),
+    )
