@@ -1,7 +1,8 @@
 // One of the opaque layers that some of a pixel's sub-samples show, twice: one is blended over, and the other tells what that
 // changes. Layers are groups, in the order in which these sub-samples meet them; what is open is one, too. out_place: the
 // layer's depth, and its group. Texels of ps_members: which sub-samples, and the cells where they lie. PS_BEHIND: what open
-// sub-samples show. PS_PLACES: groups are not listed in the order of their pixels.
+// sub-samples show. PS_PLACES: groups are not listed in the order of their pixels. PS_EMPTY:
+// blending begins with nothing, and what is opaque is told elsewhere.
 
 #include "lib/visibility/lattice.glsl"
 #include "lib/visibility/groups.glsl"
@@ -25,15 +26,15 @@ void main()
   uint bits = texelFetch(ps_depths, ps_central_cell(pixel) + cell, 0).x;
   float depth = open ? PS_BEHIND_ALL : uintBitsToFloat(bits) + u.near;
   out_place = there ? vec4(depth, float(group), 0.0, 0.0) : vec4(PS_NOWHERE, -1.0, 0.0, 0.0);
+#ifdef PS_EMPTY
+  out_layer = vec4(0.0);
+#else
   int entry = int(texelFetch(ps_starts, pixel, 0).x) + (open ? 0 : int(group));
   vec4 shown = open ? vec4(0.0) : texelFetch(ps_combined, ps_group_texel(entry), 0);
 #ifdef PS_BEHIND
   shown = open ? texelFetch(ps_behind, pixel, 0) : shown;
 #endif
-#ifdef PS_EMPTY
-  out_layer = vec4(0.0);
-#else
   out_layer = shown;
-#endif
   out_opaque = shown;
+#endif
 }

@@ -52,7 +52,8 @@ class LightingUploads:
         self._surface = float(table[0, 2, 1]), float(table[0, 2, 3])  # roughness and relative index of the first one
         self.materials: dict[str, Texture] = {}  # the material table, by sampler name, where a pass reads it
         bare = not (plan.shades or (plan.polygons and plan.variant.color) or plan.lines or plan.options.cull)
-        if (plan.solid or plan.translucent is not None) and not bare:
+        lit = plan.solid or (plan.translucent is not None and not plan.translucent.alone)
+        if lit and not bare:
             texture = scope.device.texture((4, len(table)), "RGBA32F", table.reshape(-1))
             self.materials["ps_materials"] = scope.own(texture)
         self._lights: Texture | None = None

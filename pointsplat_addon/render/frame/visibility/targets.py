@@ -79,11 +79,13 @@ class LayerTargets:
         """`size`: (width, height) of a tile in pixels."""
         assert plan.translucent is not None
         self._owned: list[Any] = []
-        self.layer, self.opaque, self.difference = (self._texture(device, size, "RGBA32F") for _ in range(3))
+        self.layer, self.difference = (self._texture(device, size, "RGBA32F") for _ in range(2))
+        self.opaque = None if plan.translucent.centred else self._texture(device, size, "RGBA32F")
         self.place = self._texture(device, size, "RG32F")  # depth, group
         # The share of a pixel's alpha that holdouts take away.
         self.cut = self._texture(device, size, "RGBA32F") if plan.translucent.holdout else None
-        self.expanded = self._target(device, self.layer, self.opaque, self.place)
+        opaque = [] if self.opaque is None else [self.opaque]
+        self.expanded = self._target(device, self.layer, *opaque, self.place)
         self.place_target = self._target(device, self.place)
         self.difference_target = self._target(device, self.difference)
         self.blended = self._target(device, self.layer, *([] if self.cut is None else [self.cut]))

@@ -52,8 +52,7 @@ class TranslucentLayers:
         self._options = plan.translucent
         self._targets, self._layers = targets, targets.translucent
         self._difference = difference_program(plan.translucent)
-        # Coloured extinction has three transmittances: what blending changes is then told by what it began with.
-        self._centred = plan.translucent.captured and not plan.translucent.tint
+        self._centred = plan.translucent.centred
         self._cells: TranslucentCells | None = None
 
     def draw(
@@ -218,6 +217,7 @@ class TranslucentLayers:
         if self._centred:
             self._subtract_centred(view, members, rows, shaded, region)
             return
+        assert layers.opaque is not None
         textures = {**self._targets.groups.codes, "ps_layer": layers.layer, "ps_opaque": layers.opaque}
         textures |= {"ps_place": layers.place, "ps_members": members, "ps_weights": rows}
         textures |= {} if layers.cut is None else {"ps_cut": layers.cut}

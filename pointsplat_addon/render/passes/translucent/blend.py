@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ....core.splat.captured import LEAST_ALPHA, MOST_ALPHA
 from ....core.splat.kernel import PROFILES
-from ....shading.interface import Interface
+from ....shading.interface import Block, Interface
 from ..uniforms import CAMERA_FIELDS, block
 from .options import TranslucentOptions
 
@@ -19,10 +19,17 @@ _FIELDS = (
     ("vec2", "turn"),  # first column of the matrix that takes pixels of the picture to texels of the target
     ("vec2", "origin"),  # texels: where pixel coordinates (0, 0) lie in the target
     ("int", "first"),  # splat of the list
+    ("float", "place"),  # texels of the target along one of the opaque depths
 )
-# The second is among what is opaque; place: texels of the target along one of the opaque depths.
-BLEND = (block("Blend", _FIELDS), block("Blend", (*_FIELDS, ("float", "place"))))
+TURNED = ("bounds", "turn")  # what is read where some splats are no captured ones
 OPAQUE_DEPTH = block("OpaqueDepth", CAMERA_FIELDS)
+
+
+def _block(options: TranslucentOptions) -> Block:
+    """The uniforms of the program that blends splats."""
+    unread = {"place"} if not options.opaque else set()
+    unread |= set(TURNED) if options.alone else set()
+    return block("Blend", tuple(field for field in _FIELDS if field[1] not in unread))
 
 
 def draw_program(options: TranslucentOptions, channel: str, listed: bool = False) -> Interface:
@@ -53,7 +60,7 @@ def draw_program(options: TranslucentOptions, channel: str, listed: bool = False
         read.append("tint")
         defines.append(("PS_CHANNEL", str("RGB".index(channel[0]))))
     return Interface(
-        "translucent", vertex="translucent/blend.vert", fragment="translucent/blend.frag", block=BLEND[options.opaque],
+        "translucent", vertex="translucent/blend.vert", fragment="translucent/blend.frag", block=_block(options),
         samplers=tuple(("FLOAT_2D", f"ps_{name}") for name in read),
         varyings=tuple(varyings), outputs=tuple(outputs), defines=tuple(defines),
     )  # fmt: skip

@@ -30,6 +30,12 @@ class TranslucentOptions:
     alone: bool = False  # and there are no others
 
     @property
+    def centred(self) -> bool:
+        """Whether all are looked at in pixels' centres. Coloured extinction has three transmittances: what blending
+        changes is then told by what it began with."""
+        return self.captured and not self.tint
+
+    @property
     def attributes(self) -> tuple[tuple[str, bool], ...]:
         names = ("color", "surface", "emission", "tint", "shading_normal")
         return tuple((name, getattr(self, name)) for name in names)

@@ -41,15 +41,15 @@ def expand_program(behind: bool, places: bool, empty: bool = False) -> Interface
     """Returns the program that writes a layer of each pixel and its depth.
 
     `behind`: open sub-samples show something. `places`: the list of groups is not in the order of the pixels. `empty`:
-    blending begins with nothing.
+    blending begins with nothing, and what is opaque is not written.
     """
-    flags = {"PS_BEHIND": behind, "PS_PLACES": places, "PS_EMPTY": empty}
-    read = ("ps_members", "ps_starts", "ps_combined")
-    read += (*(("ps_behind",) if behind else ()), *(("ps_places",) if places else ()))
+    flags = {"PS_BEHIND": behind and not empty, "PS_PLACES": places and not empty, "PS_EMPTY": empty}
+    shown = ("ps_starts", "ps_combined", *(("ps_behind",) if behind else ()), *(("ps_places",) if places else ()))
+    read = ("ps_members", *(() if empty else shown))
     return Interface(
         "expand", fragment="translucent/expand.frag", block=EXPAND,
         samplers=(*CODES, ("UINT_2D", "ps_depths"), *(("FLOAT_2D", name) for name in read)),
-        outputs=(("vec4", "out_layer"), ("vec4", "out_opaque"), ("vec4", "out_place")),
+        outputs=(("vec4", "out_layer"), *(() if empty else (("vec4", "out_opaque"),)), ("vec4", "out_place")),
         defines=(LATTICE_DEFINE, *((name, "1") for name, on in flags.items() if on)),
     )  # fmt: skip
 
