@@ -11,6 +11,19 @@
 #define PS_HUGE 1e8  // pixels^2: variance of what is drawn over all of the picture
 #define PS_SHAPED 0.25  // pixels^4: determinant of the covariance above which kernels have shapes of their own
 
+#ifdef PS_TILED
+// Whether some tile in which splats are wanted is touched by a box, in pixels. Texels of ps_tiles: how many such tiles lie left of
+// and below each corner.
+bool ps_touches_tiles(vec2 low, vec2 high)
+{
+  ivec2 most = textureSize(ps_tiles, 0) - 1;
+  ivec2 a = ivec2(clamp(floor(low / float(PS_TILE)), vec2(0.0), vec2(most)));
+  ivec2 b = ivec2(clamp(floor(high / float(PS_TILE)) + 1.0, vec2(0.0), vec2(most)));
+  return texelFetch(ps_tiles, b, 0).x - texelFetch(ps_tiles, ivec2(a.x, b.y), 0).x -
+         texelFetch(ps_tiles, ivec2(b.x, a.y), 0).x + texelFetch(ps_tiles, a, 0).x > 0.5;
+}
+#endif
+
 #ifdef PS_CAPTURED_ALONE
 // A triangle around the ellipse: the equilateral one around a circle, by the factors of the covariance.
 void main()
@@ -29,6 +42,10 @@ void main()
   float rim = sqrt(max(2.0 * log(centre.w / PS_LEAST_ALPHA), 0.0));
   vec2 side = rim * (corner == 0 ? vec2(0.0, 2.0) : vec2(corner == 1 ? -1.7320508 : 1.7320508, -1.0));
   vec2 pixel = v_centre + vec2(x * side.x, lean * x * side.x + y * side.y);
+#ifdef PS_TILED
+  vec2 reach = rim * vec2(x, length(vec2(lean * x, y)));
+  centre.w = ps_touches_tiles(v_centre - reach, v_centre + reach) ? centre.w : 0.0;
+#endif
   gl_Position = centre.w > 0.0 ? vec4(pixel / vec2(u.size) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }
 #else
@@ -92,6 +109,10 @@ void main()
   side.x = corner == 5 ? -1.0 : side.x;
   vec2 pixel = v_centre + side.x * size.x * axis + side.y * size.y * vec2(-axis.y, axis.x);
   pixel = oblique ? pixel : clamp(pixel, u.bounds.xy, u.bounds.zw);
+#ifdef PS_TILED
+  vec2 reach = rim * sqrt(max(c.xz, 0.0));
+  centre.w = ps_touches_tiles(v_centre - reach, v_centre + reach) ? centre.w : 0.0;
+#endif
   vec2 clip = pixel / vec2(u.size) * 2.0 - 1.0;
   gl_Position = centre.w > 0.0 ? vec4(clip, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...device.protocol import Device, Target, Texture
 from ...passes.tiles import TILE, Region
-from ...passes.translucent.blend import COARSE, ENLARGE, Bounds
+from ...passes.translucent.blend import COARSE, ENLARGE
 from ...passes.translucent.lit_splats import LitSplats
 from ...passes.translucent.strata import (
     ADD_TILE,
@@ -171,7 +171,7 @@ class TranslucentLayers:
         with self._texture(tiles[..., None], "R32F") as inside, self._texture(outer[..., None], "R32F") as around:
             self._device.clear(self._layers.place_target, (NOWHERE, -1.0, 0.0, 0.0))
             self._run("expand", lambda: self._expand(view, layer, members, shaded, Region(around)))
-            self._blend(view, bounds(outer), pixels)
+            self._blend(view, outer, pixels)
             self._run("difference", lambda: self._subtract(view, members, rows, shaded, Region(inside)))
 
     @contextmanager
@@ -196,17 +196,17 @@ class TranslucentLayers:
         textures |= groups.codes
         region.draw(self._device, program, self._layers.expanded, uniforms=record, textures=textures)
 
-    def _blend(self, view: SampleView, bounds: Bounds, pixels: int) -> None:
-        device, layers, lit = self._device, self._layers, self._lit
+    def _blend(self, view: SampleView, tiles: np.ndarray, pixels: int) -> None:
+        device, layers, lit, around = self._device, self._layers, self._lit, bounds(tiles)
         if self._options.captured:
             view = replace(view, offset=(0.0, 0.0))
         if layers.cut is not None:
             device.clear(layers.cut_target)
         if pixels == 1:
-            self._run("translucent", lambda: lit.draw(layers.blended, view, layers.place, bounds=bounds))
+            self._run("translucent", lambda: lit.draw(layers.blended, view, layers.place, bounds=around, tiles=tiles))
             return
         device.clear(layers.coarse_target)
-        self._run("translucent", lambda: lit.draw(layers.coarse_target, view, layers.place, pixels, bounds))
+        self._run("translucent", lambda: lit.draw(layers.coarse_target, view, layers.place, pixels, around))
         textures = {"ps_coarse": layers.coarse}
         self._run("enlarge", lambda: device.draw(ENLARGE, layers.blended, textures=textures, over=True))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ....core.splat.captured import LEAST_ALPHA, MOST_ALPHA
 from ....core.splat.kernel import PROFILES
 from ....shading.interface import Block, Interface
+from ..tiles import TILE_DEFINE
 from ..uniforms import CAMERA_FIELDS, block
 from .options import TranslucentOptions
 
@@ -44,6 +45,9 @@ def draw_program(options: TranslucentOptions, channel: str, listed: bool = False
     if options.captured:
         constants = {"PS_MOST_ALPHA": MOST_ALPHA, "PS_LEAST_ALPHA": LEAST_ALPHA}
         defines += [("PS_CAPTURED", "1"), *((name, repr(value)) for name, value in constants.items())]
+    if options.tiled:
+        read.append("tiles")
+        defines += [("PS_TILED", "1"), TILE_DEFINE]
     if options.alone:
         defines.append(("PS_CAPTURED_ALONE", "1"))
     if options.kernels:

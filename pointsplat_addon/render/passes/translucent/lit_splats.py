@@ -64,15 +64,25 @@ class LitSplats:
         depth: Texture | None,
         pixels: int = 1,
         bounds: Bounds | None = None,
+        tiles: np.ndarray | None = None,
     ) -> None:
         """Blends the splats over `target`, of which a pixel spans `pixels` of the picture.
 
         `depth`: of what is opaque, in pixels of the picture. `bounds`: in the picture, what lies outside of them is not
-        wanted.
+        wanted. tiles: (rows, columns) bool, in which it is; read where options.tiled.
         """
         rectangle = (0.0, 0.0, *target.colors[0].size) if bounds is None else tuple(side / pixels for side in bounds)
         where = {"turn": (1 / pixels, 0.0), "origin": (0.0, 0.0), "place": 1 / pixels, "bounds": rectangle}
-        self._draw(target, view, depth, where, self.count + self.captured, self.listed)
+        listed, counts = dict(self.listed), None
+        if self._options.tiled:
+            assert tiles is not None
+            counts = tile_counts(self.device, tiles)
+            listed["ps_tiles"] = counts
+        try:
+            self._draw(target, view, depth, where, self.count + self.captured, listed)
+        finally:
+            if counts is not None:
+                counts.release()
 
     def draw_turned(
         self,
@@ -107,7 +117,7 @@ class LitSplats:
     ) -> None:
         textures = {**self.textures, **self._profiles, **({} if depth is None else {"ps_depth": depth}), **listed}
         for channel in self._channels:
-            program = draw_program(self._options, channel, bool(listed))
+            program = draw_program(self._options, channel, "ps_listed" in listed)
             for first in range(0, count, CHUNK):
                 record = view.record_of(program.block, size=target.colors[0].size, first=first, **where)
                 vertices = (3 if self._options.alone else 6) * min(CHUNK, count - first)
@@ -120,3 +130,10 @@ class LitSplats:
         self.target.release()
         for texture in (*self.textures.values(), *self._profiles.values()):
             texture.release()
+
+
+def tile_counts(device: Device, tiles: np.ndarray) -> Texture:
+    """How many tiles (rows, columns) bool lie left of and below each corner: sums over rectangles by four of them."""
+    counts = np.zeros((tiles.shape[0] + 1, tiles.shape[1] + 1), np.float32)
+    counts[1:, 1:] = tiles.cumsum(axis=0).cumsum(axis=1)
+    return device.texture((counts.shape[1], counts.shape[0]), "R32F", counts.reshape(-1))

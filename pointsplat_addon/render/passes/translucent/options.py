@@ -36,6 +36,11 @@ class TranslucentOptions:
         return self.captured and not self.tint
 
     @property
+    def tiled(self) -> bool:
+        """Whether draws of all splats leave out those that touch no tile in which they are wanted."""
+        return self.captured and self.grouped
+
+    @property
     def attributes(self) -> tuple[tuple[str, bool], ...]:
         names = ("color", "surface", "emission", "tint", "shading_normal")
         return tuple((name, getattr(self, name)) for name in names)
