@@ -90,7 +90,7 @@ def seen(
             turned = splats.position[block] @ columns
             depth[block] = -turned[:, 2]
             x, y, z = (turned + offset).T
-            inside = (-z > camera.nearest) & (-z < camera.far) & (largest[block] >= 0)
+            inside = (-z > camera.near) & (-z < camera.far) & (largest[block] >= 0)
             if not everywhere:
                 over = -1 / z if camera.perspective else np.float32(1)
                 size = largest[block] * over

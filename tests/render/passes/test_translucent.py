@@ -434,7 +434,8 @@ def record(made, eye_camera=None, passes=COMBINED, samples=1, shadows=False):
 def test_scenes_with_nothing_translucent_sort_and_composite_nothing(name):
     case = cases.CASES[name]()
     if separate_translucent(case.scene, Store())[0] is case.scene and not any(
-        g.cloud is not None and (g.cloud.opacity is not None or g.cloud.extinction is not None)
+        g.captured is not None
+        or (g.cloud is not None and (g.cloud.opacity is not None or g.cloud.extinction is not None))
         for g in case.scene.geometries
     ):
         device, result = record(case.scene, case.camera, ALL_PASSES, 2)
