@@ -93,7 +93,9 @@ def prepare(
     strands = _strand_segments(view, view_from_object, usable, focus)
     drawn = _drawn_primitives(view, view_from_object, usable, divided)
     kinds = (drawn.opaque, drawn.translucent, drawn.spheres)
+    captured = captured_instances(scene, usable)
     total = sum(int(point_counts(kind.sets)[kind.set_of_instance].sum()) for kind in kinds)
+    total += sum(len(scene.geometries[scene.instances.geometry[row]].captured or ()) for row in captured)
     if focus is not None:
         _sort_by_focus(view, focus, drawn)
     largest = largest_radius(drawn.opaque.sets, drawn.opaque.set_of_instance, view_from_object, camera, store)
@@ -118,7 +120,7 @@ def prepare(
         tuple(dict.fromkeys(view.warnings)),
         drawn.parts,
         strands,
-        captured=captured_instances(scene, usable),
+        captured=captured,
         out_of_focus=_out_of_focus(focus, behind),
     )
 
