@@ -112,7 +112,8 @@ class Pool:
                plan.spheres, plan.lines, plan.variant, plan.options,
                plan.painter and plan.data_variant, plan.defocus, plan.picture, plan.eye_dome,
                averages.averaged(passes),
-               None if plan.translucent is None else (plan.translucent.opaque, plan.translucent.holdout, plan.coarse),
+               None if plan.translucent is None else
+               (plan.translucent.opaque, plan.translucent.holdout, plan.translucent.centred, plan.coarse),
                (plan.data_variant, data.data(passes)) if plan.data else None)  # fmt: skip
         idle, self._idle = self._idle, None
         if idle is not None and idle[0] == key:

@@ -195,8 +195,8 @@ def make_frame_plan(
     )
     ewa = technique.name == "EWA"
     sub_samples = 0
-    # What is translucent alone takes all sub-samples at once, too, where there are several of them. But tables of lights
-    # with a size are looked at from other points of these in each sample.
+    # What is translucent alone takes all sub-samples at once, too, where there are several of them. But tables of
+    # lights with a size are looked at from other points of these in each sample.
     several = picture and request.samples > 1 and not request.interactive
     hard = shadows is None or shadows.tables is None or shadows.tables.packed.no_light_has_size
     alone = bool(prepared.translucent.point_sets) and several and hard
