@@ -144,7 +144,7 @@ def _point_options(view: ViewToPlan, kinds: _Kinds, normals: bool, ewa: EwaOptio
         cull=kinds.points and bool(scene.materials.cull.any()),
         holdout=holdout,
         ellipses=any(p.hierarchy is not None or p.cloud.axis is not None for p in sets),
-        one_instance=not holdout and len(np.unique(shown)) == 1,
+        one_instance=not holdout and len(shown) > 0 and bool((shown == shown[0]).all()),
         disconnected=any(p.cloud.disconnected is not None for p in sets),
         depth=kinds.polygons or kinds.spheres or kinds.lines,
         coarse=request.coarse and ewa is None,

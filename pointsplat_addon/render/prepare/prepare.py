@@ -192,7 +192,7 @@ def _drawn_primitives(
                     some = some[~wide]
             if len(some):
                 key = row if number == 0 else len(scene.geometries) + len(kind.sets)
-                if not any(instance in drawn.parts for instance in some.tolist()):
+                if not (drawn.parts and any(instance in drawn.parts for instance in some.tolist())):
                     points = with_hierarchy_if_it_pays(view, points, view_from_object[some])
                 kind.sets[key] = points
                 kind.set_of_instance[some] = key

@@ -57,8 +57,8 @@ class Visibility:
         self._strands: StrandCover | None = None
         self._splats: SplatCover | None = None
         if plan.points:
-            wide, shown = uploads.prepared.largest > WIDE_RADIUS, np.unique(uploads.prepared.cut.instance)
-            round_balls = are_similarities(uploads.prepared.view_from_object[shown])
+            wide, shown = uploads.prepared.largest > WIDE_RADIUS, np.bincount(uploads.prepared.cut.instance) > 0
+            round_balls = are_similarities(uploads.prepared.view_from_object[np.flatnonzero(shown)])
             self._splats = SplatCover(device, plan.options, targets.buffer, wide, round_balls)
 
     def draw(

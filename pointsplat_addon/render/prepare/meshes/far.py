@@ -67,8 +67,10 @@ def far_nodes(
         if len(points.cloud) == 0 or TRIANGLES_PER_NODE * len(points.cloud) > triangles:
             break
         found.append((points, some))
-    drawn = np.concatenate([some for _, some in found]) if found else rows[:0]
-    return found, np.setdiff1d(rows, drawn)
+    rest = np.ones(len(rows), bool)
+    for _, some in found:
+        rest[some] = False
+    return found, rows[rest]
 
 
 def _nodes(view: View, measured: MeasuredMesh, edge: float) -> PointSet:
