@@ -57,7 +57,19 @@ class Header:
         return tuple(attribute.name for attribute in self.attributes)
 
 
-class Reader(Protocol):
+class OpenFile(Protocol):
+    """What is closed at the end of a `with` block."""
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class Reader(OpenFile, Protocol):
     """An open scan."""
 
     header: Header
@@ -70,14 +82,6 @@ class Reader(Protocol):
         Raises PointFileError where the file is damaged, after the chunks before that place.
         """
         ...
-
-    def close(self) -> None: ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 class FileReader:

@@ -16,7 +16,7 @@ import numpy as np
 from ...core.numeric.record import record
 from ...core.numeric.vectors import each_block
 from ...core.scene.captured import COEFFICIENTS, CapturedSplats
-from ..points.reader import PointFileError
+from ..points.reader import OpenFile, PointFileError
 from .axes import Y_DOWN
 
 CHUNK = 1 << 18  # splats
@@ -52,7 +52,7 @@ class Decoded(NamedTuple):
         return Decoded(*(array[rows] for array in self))
 
 
-class SplatReader(Protocol):
+class SplatReader(OpenFile, Protocol):
     """An open file."""
 
     header: SplatHeader
@@ -66,14 +66,6 @@ class SplatReader(Protocol):
         Raises PointFileError where the file is damaged, after the chunks before that place.
         """
         ...
-
-    def close(self) -> None: ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 class BlockReader:

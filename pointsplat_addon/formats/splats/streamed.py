@@ -68,7 +68,8 @@ class StreamedSplats(BlockReader):
                 yield self._whole(reader, start, min(size, end - start))
 
     def _whole(self, reader: SogSplats, first: int, count: int) -> CapturedSplats:
-        """Some splats of a set, with as many coefficients as the level has."""
+        """Returns splats of one of the level's sets, with as many coefficients as the whole level has: 0 where the set
+        has none."""
         dropped, unturned = reader.dropped, reader.unturned
         found = reader._chunk(first, count)
         self.dropped += reader.dropped - dropped

@@ -18,6 +18,8 @@ import pytest
 from pointsplat_addon.formats.points.gather import Gathered, Selection, gather
 from pointsplat_addon.formats.points.opening import FOLDERS, open_points
 from pointsplat_addon.formats.points.reader import PointFileError
+from tests.support import damage
+from tests.support.damage import KINDS
 from tests.support.scan_files import (
     packed_integers,
     write_copc,
@@ -133,25 +135,13 @@ WORDS = [
 def damaged(data: bytes, random: np.random.Generator) -> bytes:
     """A file with some damage."""
     text = len(data) > 0 and b"\0" not in data
-    kind = random.integers(6 if text else 4)
-    found = bytearray(data)
-    if kind >= 4:  # words, of those at the beginning above all
-        words = list(re.finditer(WORD, data[: 400 if kind == 4 else len(data)]))
-        for _ in range(random.integers(1, 4)):
-            word = words[random.integers(len(words))]
-            found[word.start() : word.end()] = WORDS[random.integers(len(WORDS))]
-        return bytes(found)
-    if kind == 0:
-        return bytes(found[: random.integers(len(found) + 1)])
-    if kind == 1:
-        for at in random.integers(len(found), size=random.integers(1, 9)):
-            found[at] ^= 1 << int(random.integers(8))
-    elif kind == 2:  # numbers of the header
-        at = int(random.integers(min(len(found), 400)))
-        found[at : at + 4] = random.choice([b"\xff\xff\xff\xff", b"\0\0\0\0", b"\x7f\xff\xff\xff", b"9999"])
-    else:
-        at = int(random.integers(len(found)))
-        found[at:at] = bytes(random.integers(256, size=random.integers(1, 50), dtype=np.uint8))
+    kind = int(random.integers(KINDS + 2 if text else KINDS))
+    if kind < KINDS:
+        return damage.damaged(data, kind, random)
+    found, words = bytearray(data), list(re.finditer(WORD, data[: 400 if kind == KINDS else len(data)]))
+    for _ in range(random.integers(1, 4)):  # words, of those at the beginning above all
+        word = words[random.integers(len(words))]
+        found[word.start() : word.end()] = WORDS[random.integers(len(WORDS))]
     return bytes(found)
 
 

@@ -17,6 +17,7 @@ from pointsplat_addon.formats.points.reader import PointFileError
 from pointsplat_addon.formats.splats.opening import open_splats
 from pointsplat_addon.formats.splats.writing.spz import write_spz
 from tests.support import splat_files as files
+from tests.support.damage import KINDS, damaged
 
 QUICK, LONG = 60, 2000  # damaged files of each kind
 COUNT = 300
@@ -63,24 +64,6 @@ WRITERS = {
 }
 
 
-def damaged(data: bytes, random: np.random.Generator) -> bytes:
-    """A file with some damage."""
-    kind = random.integers(4)
-    found = bytearray(data)
-    if kind == 0:
-        return bytes(found[: random.integers(len(found) + 1)])
-    if kind == 1:
-        for at in random.integers(len(found), size=random.integers(1, 9)):
-            found[at] ^= 1 << int(random.integers(8))
-    elif kind == 2:  # numbers of the header
-        at = int(random.integers(min(len(found), 400)))
-        found[at : at + 4] = random.choice([b"\xff\xff\xff\xff", b"\0\0\0\0", b"\x7f\xff\xff\xff", b"9999"])
-    else:
-        at = int(random.integers(len(found)))
-        found[at:at] = bytes(random.integers(256, size=random.integers(1, 50), dtype=np.uint8))
-    return bytes(found)
-
-
 def picture(data: bytes, name: str) -> np.ndarray:
     """Pixels of a picture; of a damaged one none, as Blender has it."""
     try:
@@ -120,7 +103,7 @@ def test_damaged_files_are_read_or_refused(tmp_path, name, count):
         for number in range(count):
             # A new file: an open one is mapped into memory.
             path.unlink()
-            path.write_bytes(damaged(data, random))
+            path.write_bytes(damaged(data, int(random.integers(KINDS)), random))
             tracemalloc.reset_peak()
             read(path)
             assert tracemalloc.get_traced_memory()[1] < MOST_MEMORY, number

@@ -32,9 +32,12 @@ def draws(monkeypatch):
     return set_to
 
 
-def crowd(distance: float = 2.0, cells: int = 6) -> Scene:
-    """Balls of 7,056 triangles, red above and blue below, in a square lattice."""
-    ball = meshes.sphere_mesh("crowd", 42)
+RINGS = 52, 56, 64  # of balls of 10,608 to 16,128 triangles, which fall into cells in different ways
+
+
+def crowd(rings: int = 64, cells: int = 6, distance: float = 2.0) -> Scene:
+    """Balls, red above and blue below, in a square lattice."""
+    ball = meshes.sphere_mesh(f"crowd of {rings}", rings)
     high = ball.position[ball.triangles].mean(axis=1)[:, 2] > 0
     ball = build.mesh(replace(ball, material=high.astype(np.uint16), materials=(0, 1)))
     at = distance * (np.arange(cells) - 0.5 * (cells - 1))
@@ -67,28 +70,31 @@ def rmse(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.sqrt(np.mean((a - b) ** 2)))
 
 
-def test_nodes_are_as_near_to_all_triangles_as_few_sub_samples_allow(draws):
-    """Beside 272 sub-samples of all triangles. RMSE of colour 0.0043 and of alpha 0.0074 (17 sub-samples of the
-    triangles 0.0021 and 0.0072); the sum of alpha is off by 0.0010 of itself, that of blue by 0.013, of which a rim is
-    seen."""
-    truth, found = picture(draws, False, crowd(), samples=MANY), picture(draws, True, crowd())
-    assert rmse(found[..., :3], truth[..., :3]) < 0.005
+@pytest.mark.parametrize("rings", RINGS)
+def test_nodes_are_as_near_to_all_triangles_as_few_sub_samples_allow(rings, draws):
+    """Beside 272 sub-samples of all triangles. RMSE of colour 0.0042 to 0.0055 (17 sub-samples of the triangles
+    0.0021), of alpha at most 0.0073 (0.0073); the sum of alpha is off by at most 0.0018 of itself, that of blue, of
+    which a rim is seen, by 0.024."""
+    scene = crowd(rings)
+    truth, found = picture(draws, False, scene, samples=MANY), picture(draws, True, scene)
+    assert rmse(found[..., :3], truth[..., :3]) < 0.0065
     assert rmse(found[..., 3], truth[..., 3]) < 0.0085
-    np.testing.assert_allclose(found.sum(axis=(0, 1)), truth.sum(axis=(0, 1)), rtol=0.016)
-    np.testing.assert_allclose(found[..., 3].sum(), truth[..., 3].sum(), rtol=0.0015)
+    np.testing.assert_allclose(found.sum(axis=(0, 1)), truth.sum(axis=(0, 1)), rtol=0.03)
+    np.testing.assert_allclose(found[..., 3].sum(), truth[..., 3].sum(), rtol=0.0025)
 
 
-def test_closed_bodies_have_no_holes(draws):
-    """Within the silhouette less a pixel: 0.97 of a pixel at least, 0.9998 in the mean."""
-    scene = crowd()
+@pytest.mark.parametrize("rings", RINGS)
+def test_closed_bodies_have_no_holes(rings, draws):
+    """Within the silhouette less a pixel: 0.95 of a pixel at least, 0.9993 in the mean."""
+    scene = crowd(rings)
     truth, found = picture(draws, False, scene, samples=MANY)[..., 3], picture(draws, True, scene)[..., 3]
     inside = np.ones_like(truth, bool)
     for y in (-1, 0, 1):
         for x in (-1, 0, 1):
             inside &= np.roll(truth, (y, x), (0, 1)) > 0.999
     assert inside.sum() > 1000
-    assert found[inside].min() > 0.95
-    assert found[inside].mean() > 0.9995
+    assert found[inside].min() > 0.94
+    assert found[inside].mean() > 0.999
 
 
 def test_leaves_stay_triangles(draws):
@@ -114,6 +120,6 @@ def test_nodes_show_the_instances_and_materials_of_their_triangles(draws):
 def test_only_far_instances_are_nodes(draws):
     draws(True)
     near = cameras.camera((0, -9, 2), (0, 0, 0), resolution=(96, 72), far=200)
-    report = render(Case(crowd(2.0, 12), near, SETTINGS), frozenset({"combined"}), 17).report
+    report = render(Case(crowd(cells=12), near, SETTINGS), frozenset({"combined"}), 17).report
     assert report["points"]["drawn"] > 0
     assert report["triangles"] > 0

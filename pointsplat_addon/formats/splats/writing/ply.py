@@ -49,7 +49,7 @@ def write_ply(path: Path, splats: CapturedSplats) -> None:
 
 
 def _fill(records: np.ndarray, block: slice, splats: CapturedSplats, first: int) -> None:
-    """Some of the records, the first of which is of the splat `first`."""
+    """Fills a block of records with splats, of which the first record has the one at `first`."""
     rows = slice(first + block.start, first + block.stop)
     part = records[block]
     part["place"] = splats.position[rows] + (splats.origin if splats.origin.any() else 0)

@@ -28,7 +28,7 @@ from .points import MeasuredMesh, spacing_allowed_by_bounds
 NODE_EDGE = 1.0  # of the tolerance: the cells of nodes, at most
 SIZES = 2  # of nodes in an octave
 COARSEST = 4  # cells along the diameter of a mesh, at least
-TRIANGLES_PER_NODE = 4.0  # of a mesh: with fewer, drawing nodes saves little
+TRIANGLES_PER_NODE = 8.0  # of a mesh: with fewer, nodes save too little for how much more they err
 NODES_PER_CELL = 1.5  # of the area of a mesh: a first guess at how many nodes it has
 SAMPLES_PER_CELL = 3.0  # along its edge
 FEWEST_TRIANGLES = 1 << 22  # of all instances of a mesh: fewer are drawn in no time
