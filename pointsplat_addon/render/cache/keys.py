@@ -20,6 +20,7 @@ class Kind(Enum):
     PARTS = auto()  # runs of triangles with bounds
     MEASURES = auto()  # of triangles, for sampling
     IS_FOLIAGE = auto()
+    IS_CLOSED = auto()
     DIVIDED_MESH = auto()  # parts and measures
     SPLIT_BY_MATERIAL = auto()  # an opaque and a translucent mesh
     LIMITED_SPACING = auto()  # the finest that a number of samples allows

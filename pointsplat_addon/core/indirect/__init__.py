@@ -1,0 +1,1 @@
+"""Light that is gathered from a hierarchy of surfels: what leaves surfaces, and what hides the sky."""

@@ -1,0 +1,1 @@
+"""Gathered light: surfels of a scene, their light, and what receivers see of them."""

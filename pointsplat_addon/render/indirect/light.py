@@ -1,0 +1,148 @@
+"""The light of a scene's surfels: by lamps, by the sky, and by each other, some bounces on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ...core.indirect.surfels import Surfels
+from ...core.indirect.tree import LightTree, build_tree
+from ...core.lod.levels import SIDE_AXES
+from ...core.numeric.morton import morton_codes
+from ...core.scene.camera import Camera
+from ...core.scene.scene import Scene
+from ..device.protocol import Device, Texture
+from ..passes.indirect.gather import COARSENESS, GATHER_BLOCK, Gather, gather_program
+from ..passes.indirect.pages import light_texture, node_texture, receiver_texture
+from ..passes.indirect.surfel_light import lit_surfels
+
+MOST_BOUNCE_RECEIVERS = 6000  # where light is gathered for further bounces
+LIFTED = 0.05  # radii of a surfel, by which its receiver lies above it
+
+
+class IndirectLight:
+    """The light tree of a scene on the device, with the light that leaves its nodes after some bounces."""
+
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        camera: Camera,
+        surfels: Surfels,
+        lighting: tuple[str, ...],
+        textures: dict[str, Texture],
+        bounces: int,
+        check: Callable[[], None],
+    ) -> None:
+        """`lighting`: PS_ names of lamps, shadows and the sky; `textures`: what these read, in the camera's view."""
+        self._device, self._scene, self._camera, self._surfels = device, scene, camera, surfels
+        self._world = tuple(name for name in lighting if name in ("PS_HAS_WORLD", "PS_HAS_ENVIRONMENT"))
+        self._lamps = tuple(name for name in lighting if name not in self._world)
+        self._textures = textures
+        self.origin = surfels.origin
+        self.tree = build_tree(surfels)
+        self._nodes = node_texture(device, self.tree)
+        self._lights: Texture | None = None
+        direct = self._direct() if bounces > 0 else np.zeros((2, len(surfels), 3), np.float32)
+        leaving = np.broadcast_to(surfels.emission, (2, len(surfels), 3))
+        self._set_light(leaving)
+        if bounces > 0:
+            rows, group = self._receivers()
+            for _ in range(bounces):
+                check()
+                found = self._gathered_at_surfels(rows)[:, group]
+                leaving = surfels.emission + surfels.albedo * (direct + found)
+                self._set_light(leaving)
+
+    def _direct(self) -> np.ndarray:
+        """(2, N, 3): irradiance over pi by lamps, outside and inside."""
+        surfels, lights = self._surfels, len(self._scene.lights)
+        found = np.zeros((2, len(surfels), 3), np.float32)
+        if not lights:
+            return found
+        view = self._camera.view_from_world
+        rotation = view[:3, :3]
+        position = surfels.position @ rotation.T + (view[:3, 3] + rotation @ surfels.origin)
+        normal = surfels.normal @ rotation.T
+        normal[~surfels.normal.any(axis=1)] = (0.0, 0.0, 1.0)  # balls: see below
+        for side, sign in enumerate((1.0, -1.0)):
+            some = np.flatnonzero(~surfels.closed) if side else np.arange(len(surfels))
+            if len(some):
+                found[side, some] = lit_surfels(
+                    self._device, self._lamps, lights, position[some], sign * normal[some], self._textures
+                )
+        return found
+
+    def _receivers(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (R,) of surfels that stand for all, and which of them (N,) stands for each."""
+        surfels = self._surfels
+        code, _ = morton_codes(surfels.position)
+        turned = surfels.normal @ SIDE_AXES.astype(np.float32)
+        face = np.abs(turned).argmax(axis=1)
+        side = (2 * face + (turned[np.arange(len(face)), face] < 0)).astype(np.uint64)
+        shift = 0
+        while True:
+            key = (code >> np.uint64(shift)) * np.uint64(6) + side
+            order = np.argsort(key, kind="stable")
+            new = np.append(True, key[order][1:] != key[order][:-1])
+            if np.count_nonzero(new) <= MOST_BOUNCE_RECEIVERS or shift >= 60:
+                break
+            shift += 1
+        group = np.empty(len(code), np.int64)
+        group[order] = np.cumsum(new) - 1
+        begin = np.flatnonzero(new)
+        middle = (begin + np.append(begin[1:], len(order))) // 2
+        return order[middle], group
+
+    def _gathered_at_surfels(self, rows: np.ndarray) -> np.ndarray:
+        """(2, R, 3): irradiance over pi by sky and surfels, outside and inside, at the surfels `rows`."""
+        surfels = self._surfels.take(rows)
+        found = np.zeros((2, len(rows), 3), np.float32)
+        lift = LIFTED * np.sqrt(surfels.area / np.pi)[:, None]
+        normal = surfels.normal.copy()
+        normal[~surfels.normal.any(axis=1)] = (0.0, 0.0, 1.0)
+        for side, sign in enumerate((1.0, -1.0)):
+            some = np.flatnonzero(~surfels.closed) if side else np.arange(len(rows))
+            if len(some):
+                up = sign * normal[some]
+                at = surfels.position[some] + lift[some] * up
+                found[side, some] = self.gathered(at, up)[:, :3]
+        return found
+
+    def gathered(self, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """(N, 4) float32: irradiance over pi and nearness at places with normals (N, 3), in the tree's space."""
+        receivers = receiver_texture(self._device, position, normal, normal, np.ones(len(position), np.float32))
+        made = self.gather(receivers, glossy=False)
+        try:
+            return self._device.read(made.diffuse).reshape(-1, 4)[: len(position)]
+        finally:
+            made.release()
+            receivers.release()
+
+    def gather(self, receivers: Texture, glossy: bool) -> Gather:
+        """Gathers at receivers as of receiver_texture."""
+        assert self._lights is not None
+        rotation = np.eye(4)
+        rotation[:3, :3] = self._camera.view_from_world[:3, :3]
+        record = GATHER_BLOCK.record(view_from_world=rotation, root=len(self.tree) - 1, coarseness=COARSENESS)
+        wanted = {"ps_lights", "ps_environment"} if self._world else set()
+        textures = {name: texture for name, texture in self._textures.items() if name in wanted}
+        if self._world == ("PS_HAS_WORLD",):
+            textures.pop("ps_environment", None)
+        textures |= {"ps_nodes": self._nodes, "ps_node_lights": self._lights}
+        return Gather(self._device, receivers, gather_program(self._world, glossy), record, textures)
+
+    def _set_light(self, leaving: np.ndarray) -> None:
+        """`leaving` (2, N, 3): radiance that leaves surfels, outside and inside."""
+        weight = self._surfels.area.astype(np.float64)
+        outside, inside = (self.tree.averaged(side, weight) for side in leaving)
+        if self._lights is not None:
+            self._lights.release()
+        self._lights = light_texture(self._device, self.tree, outside, inside)
+
+    def release(self) -> None:
+        """Frees what is on the device."""
+        for item in (self._nodes, self._lights):
+            if item is not None:
+                item.release()

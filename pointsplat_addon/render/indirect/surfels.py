@@ -1,0 +1,215 @@
+"""The surfels of a scene: as dense as a camera needs them where it looks, and less dense elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.indirect.closed import is_closed
+from ...core.indirect.sampling import LightSamples, light_samples
+from ...core.indirect.surfels import Surfels
+from ...core.light.bsdf import relative_index, sample_reflectance_table
+from ...core.scene.camera import Camera
+from ...core.scene.cloud import PointCloud
+from ...core.scene.materials import MaterialTable
+from ...core.scene.mesh import Mesh
+from ...core.scene.scene import Geometry, Scene
+from ...core.scene.strands import Strands
+from ...core.surface.appearance import passing, point_cloud
+from ...core.surface.evaluation import evaluate
+from ..cache.keys import Key, Kind
+from ..cache.store import Store
+from .density import Density
+
+TYPICAL_COSINE = 0.6  # of directions in which surfels are seen
+MANY_INSTANCES = 16  # of a geometry, from which on they share samples
+
+
+def scene_surfels(scene: Scene, camera: Camera, store: Store, check: Callable[[], None]) -> Surfels | None:
+    """Returns the surfels of everything that hides or scatters light; None where nothing does."""
+    origin = camera_place(camera)
+    usable = np.isfinite(scene.instances.world_from_object).all(axis=(1, 2))
+    density = Density(camera, origin)
+    found: list[Surfels] = []
+    for geometry, rows in zip(scene.geometries, scene.instances.of_each(len(scene.geometries), usable), strict=True):
+        check()
+        if len(rows) == 0:
+            continue
+        matrices = scene.instances.world_from_object[rows].copy()
+        matrices[:, :3, 3] -= origin
+        for part in _surfels(scene, geometry, matrices, density, store):
+            if len(part):
+                found.append(part)
+    if not found:
+        return None
+    names = ("position", "normal", "area", "closed", "scattered", "albedo", "emission")
+    joined = [np.concatenate([getattr(part, name) for part in found]) for name in names]
+    whole = Surfels(origin, *joined)
+    sound = np.isfinite(whole.position).all(axis=1) & np.isfinite(whole.area) & (whole.area > 0)
+    sound &= np.isfinite(whole.normal).all(axis=1)
+    return whole if sound.all() else (whole.take(np.flatnonzero(sound)) if sound.any() else None)
+
+
+def camera_place(camera: Camera) -> np.ndarray:
+    """(3,) float64: where the eye is, in world space."""
+    return np.linalg.inv(camera.view_from_world)[:3, 3]
+
+
+def _surfels(scene: Scene, geometry: Geometry, matrices: np.ndarray, density: Density, store: Store) -> list[Surfels]:
+    """The surfels of instances of a geometry; `matrices` (I, 4, 4): to world space from the density's origin."""
+    table = scene.materials
+    if geometry.mesh is not None and len(geometry.mesh.triangles):
+        mesh = geometry.mesh
+        if passing(mesh, table) is not None:
+            return []
+        closed = store.lookup(Key(Kind.IS_CLOSED, mesh.key), lambda: is_closed(mesh))
+        leaves = store.lookup(Key(Kind.IS_FOLIAGE, mesh.key), lambda: is_foliage(mesh))
+        kind = closed, leaves and not closed
+        if len(matrices) < MANY_INSTANCES:
+            return [_of_mesh(mesh, table, matrix, density, kind) for matrix in matrices]
+        return _of_instances(mesh, table, matrices, density, kind)
+    if geometry.cloud is not None and len(geometry.cloud) and geometry.cloud.opacity is None:
+        return [_of_cloud(geometry.cloud, table, matrix, density) for matrix in matrices]
+    if geometry.strands is not None and len(geometry.strands):
+        return [_of_strands(geometry.strands, table, matrix, density) for matrix in matrices]
+    return []
+
+
+def _of_mesh(mesh: Mesh, table: MaterialTable, matrix: np.ndarray, density: Density, kind: tuple[bool, bool]) -> Surfels:
+    """The surfels of one instance, each as far from the next as it is to be where it lies."""
+    moved = replace(mesh, position=(mesh.position @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
+    made = light_samples(moved, density.spacing, density.finest)
+    return _with_look(mesh, moved, table, made, kind)
+
+
+def _of_instances(
+    mesh: Mesh, table: MaterialTable, matrices: np.ndarray, density: Density, kind: tuple[bool, bool]
+) -> list[Surfels]:
+    """The surfels of many instances: those of about one distance share samples."""
+    low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
+    middle, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    scale = np.abs(np.linalg.det(matrices[:, :3, :3])) ** (1 / 3)
+    place = matrices[:, :3, :3] @ middle + matrices[:, :3, 3]
+    spacing, _ = density.spacing(place.T, margin=radius * scale)
+    octave = np.floor(np.log2(np.maximum(spacing, 1e-30) / np.maximum(scale, 1e-30)))
+    found = []
+    for one in np.unique(octave).tolist():
+        apart = 2.0**one
+        made = light_samples(mesh, lambda at, apart=apart: (np.full(at.shape[1], apart), np.full(at.shape[1], np.inf)), 0.0)
+        local = _with_look(mesh, mesh, table, made, kind)
+        found += [_moved(local, matrix) for matrix in matrices[octave == one]]
+    return found
+
+
+def _moved(surfels: Surfels, matrix: np.ndarray) -> Surfels:
+    """Surfels of object space in world space."""
+    linear = matrix[:3, :3]
+    cofactors = np.linalg.det(linear) * np.linalg.inv(linear).T if np.linalg.det(linear) != 0 else np.zeros((3, 3))
+    normal = surfels.normal @ cofactors.T
+    length = np.linalg.norm(normal, axis=1)
+    round_ones = ~surfels.normal.any(axis=1)
+    grown = np.where(round_ones, np.abs(np.linalg.det(linear)) ** (2 / 3), length)
+    flip = np.sign(np.linalg.det(linear)) or 1.0
+    return replace(
+        surfels,
+        position=(surfels.position @ linear.T + matrix[:3, 3]).astype(np.float32),
+        normal=(flip * normal / np.maximum(length, 1e-300)[:, None]).astype(np.float32),
+        area=(surfels.area * grown).astype(np.float32),
+    )
+
+
+def _with_look(mesh: Mesh, moved: Mesh, table: MaterialTable, made: LightSamples, kind: tuple[bool, bool]) -> Surfels:
+    """Surfels at samples; `moved`: the mesh where it stands, which has the normals of its triangles alone."""
+    samples = made.samples
+    number = np.arange(len(samples), dtype=np.float32)
+    cloud = point_cloud(mesh, samples, evaluate(mesh, samples), table, number)
+    assert cloud.value is not None
+    kept = cloud.value.astype(np.int64)
+    bare = replace(moved, vertex_normal=None, corner_normal=None)
+    there = evaluate(bare, samples, np.zeros(3))
+    albedo, emission = _look(cloud, table)
+    return Surfels(
+        np.zeros(3), there.position[kept], there.plane[kept], made.area[kept].astype(np.float32),
+        *(np.full(len(kept), flag) for flag in kind), albedo, emission,
+    )  # fmt: skip
+
+
+def _of_cloud(cloud: PointCloud, table: MaterialTable, matrix: np.ndarray, density: Density) -> Surfels:
+    """The surfels of a cloud of balls or disks; of dense ones some stand for all."""
+    radii = np.full((len(cloud), 1), 0.01, np.float32) if cloud.radii is None else cloud.radii
+    position = cloud.position.astype(np.float64) + cloud.origin
+    place = position @ matrix[:3, :3].T + matrix[:3, 3]
+    flat = cloud.normal is not None and bool(cloud.normal.any())
+    area = np.pi * radii[:, 0].astype(np.float64) * radii[:, -1] * (1.0 if flat else 4.0)
+    apart, _ = density.spacing(place.T)
+    worth = np.minimum(area / (1.0 if flat else 4.0) / apart**2, 1.0)
+    ends = np.cumsum(worth)
+    count = max(round(float(ends[-1])), 1)
+    rows = np.minimum(np.searchsorted(ends, (np.arange(count) + 0.5) * ends[-1] / count), len(cloud) - 1)
+    thinned = cloud.take(rows)
+    albedo, emission = _look(thinned, table)
+    normal = np.zeros((count, 3), np.float32) if thinned.normal is None else thinned.normal
+    stands_for = area[rows] / worth[rows] * (ends[-1] / count)
+    local = Surfels(
+        np.zeros(3), position[rows].astype(np.float32), normal, stands_for.astype(np.float32),
+        np.full(count, not flat), np.zeros(count, bool), albedo, emission,
+    )  # fmt: skip
+    return _moved(local, matrix)
+
+
+def _of_strands(strands: Strands, table: MaterialTable, matrix: np.ndarray, density: Density) -> Surfels:
+    """The surfels of strands: pieces of tubes, turned to all sides."""
+    ends = np.ones(len(strands.position), bool)
+    ends[strands.start[1:] - 1] = False
+    first = np.flatnonzero(ends)
+    a, b = (strands.position[first + k].astype(np.float64) + strands.origin for k in (0, 1))
+    radius = 0.5 * (strands.radius[first] + strands.radius[first + 1]).astype(np.float64)
+    length = np.linalg.norm(b - a, axis=1)
+    area = 2 * np.pi * radius * length
+    middle = 0.5 * (a + b)
+    apart, _ = density.spacing((middle @ matrix[:3, :3].T + matrix[:3, 3]).T)
+    scale = abs(np.linalg.det(matrix[:3, :3])) ** (1 / 3)
+    worth = np.minimum(area / 4 * scale**2 / apart**2, 1.0)
+    total = np.cumsum(worth)
+    if len(total) == 0 or not total[-1] > 0:
+        return _none()
+    count = max(round(float(total[-1])), 1)
+    rows = np.minimum(np.searchsorted(total, (np.arange(count) + 0.5) * total[-1] / count), len(first) - 1)
+    owner = np.searchsorted(strands.start, first[rows], side="right") - 1
+    material = np.full(count, strands.materials[0], np.uint16) if strands.material is None else strands.material[owner]
+    color = None if strands.color is None else strands.color[first[rows]]
+    cloud = PointCloud(middle[rows].astype(np.float32), material=material, color=color)
+    albedo, emission = _look(cloud, table)
+    stands_for = (area[rows] / worth[rows] * (total[-1] / count)).astype(np.float32)
+    local = Surfels(
+        np.zeros(3), cloud.position, np.zeros((count, 3), np.float32), stands_for, np.ones(count, bool), np.ones(count, bool),
+        albedo, emission,
+    )
+    return _moved(local, matrix)
+
+
+def _none() -> Surfels:
+    f = np.float32
+    empty = np.zeros((0, 3), f)
+    return Surfels(np.zeros(3), empty, empty, np.zeros(0, f), np.zeros(0, bool), np.zeros(0, bool), empty, empty)
+
+
+def _look(cloud: PointCloud, table: MaterialTable) -> tuple[np.ndarray, np.ndarray]:
+    """What points scatter of light, and what they emit, (N, 3) float32 each: the diffuse lobe alone, as of surfaces that
+    are seen by way of others."""
+    rows = np.zeros(len(cloud), np.uint16) if cloud.material is None else np.minimum(cloud.material, len(table) - 1)
+    color = table.base_color[rows] if cloud.color is None else cloud.color
+    surface = np.stack([table.roughness, table.metallic], axis=1)[rows] if cloud.surface is None else cloud.surface
+    emission = table.emission[rows] if cloud.emission is None else cloud.emission
+    albedo = np.maximum(color, 0) * ((1 - np.clip(surface[:, 1], 0, 1)) * (1 - _reflected(surface[:, 0], rows, table)))[:, None]
+    return np.minimum(albedo, 1).astype(np.float32), np.maximum(emission, 0).astype(np.float32)
+
+
+def _reflected(roughness: np.ndarray, rows: np.ndarray, table: MaterialTable) -> np.ndarray:
+    """(N,): what the dielectric lobe reflects, by Schlick's approximation."""
+    eta = relative_index(table.ior, table.specular)[rows]
+    f0 = ((eta - 1) / (eta + 1)) ** 2
+    albedo, _, share, _ = sample_reflectance_table(np.full(len(rows), TYPICAL_COSINE), np.clip(roughness, 0, 1)).T
+    return np.where(eta == 1, 0.0, (f0 * (1 - share) + share) * albedo)

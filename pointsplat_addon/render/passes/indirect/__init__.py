@@ -1,0 +1,1 @@
+"""Passes that light surfels, and gather from the light tree."""
